@@ -1,0 +1,68 @@
+# Needs python3 (3.11 or newer, with venv), make and git. Everything else comes from requirements.lock into .venv.
+PYTHON ?= python3
+ARGS ?=
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip -qq --disable-pip-version-check --no-input
+PYTEST := $(BIN)/python -m pytest
+
+# One thread per process: tests run two at a time, and benchmarks count CPU seconds.
+ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help demo test test-long check format bench lock clean
+
+help: ## show this list
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
+
+demo: $(VENV)/.installed ## polish a simulated part, from the first map to the report (ARGS="...")
+	@$(BIN)/polishd demo $(ARGS)
+
+test: $(VENV)/.installed ## run the tests, without the long campaigns (ARGS="...")
+	@$(ONE_THREAD) $(PYTEST) -n 2 --dist worksteal -m "not slow and not hil" $(ARGS)
+
+test-long: $(VENV)/.installed ## run the long campaigns (ARGS="...")
+	@$(ONE_THREAD) $(PYTEST) -n 2 --dist worksteal -m "slow and not hil" $(ARGS)
+
+check: $(VENV)/.installed ## lint, format, types, layers
+	@$(BIN)/ruff check --quiet .
+	@$(BIN)/ruff format --check --quiet .
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports
+
+format: $(VENV)/.installed ## format the sources and mend what the linter can mend
+	@$(BIN)/ruff check --quiet --fix-only .
+	@$(BIN)/ruff format --quiet .
+
+bench: $(VENV)/.installed ## race polishd against its peers, into build/bench.json (ARGS="name ...")
+	@$(ONE_THREAD) $(BIN)/python -m benchmarks $(ARGS)
+
+# The lock is changed only here. --upgrade in ARGS takes newer versions; without it only what pyproject.toml asks for.
+lock: ## rewrite requirements.lock (ARGS=--upgrade for newer versions)
+	@$(PYTHON) -m venv --clear build/uv
+	@build/uv/bin/python -m pip -qq --disable-pip-version-check install 'uv>=0.9,<1'
+	@build/uv/bin/uv --quiet pip compile pyproject.toml --group dev --output-file requirements.lock \
+	    --universal --python-version 3.11 --fork-strategy fewest --generate-hashes \
+	    --no-header --no-emit-index-url --no-emit-find-links $(ARGS)
+	@rm -rf build/uv
+
+clean: ## remove everything that make made
+	@rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# A changed lock starts from an empty environment, so that nothing unlocked lingers; a changed pyproject.toml only
+# renews our own entry points.
+$(VENV)/.locked: requirements.lock
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	    { echo "polishd needs Python 3.11 or newer, and $(PYTHON) is not: make PYTHON=python3.11 ..." >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
+	    { echo "$(PYTHON) cannot make environments: install its venv (on Debian: apt-get install python3-venv)" >&2; exit 1; }
+	@echo "making $(VENV) from requirements.lock" >&2
+	@$(PYTHON) -m venv --clear $(VENV)
+	@$(PIP) install --require-hashes -r requirements.lock
+	@touch $@
+
+$(VENV)/.installed: $(VENV)/.locked pyproject.toml
+	@$(PIP) install --no-deps --no-build-isolation --editable .
+	@touch $@

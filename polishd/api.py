@@ -1,0 +1,101 @@
+"""The one import for plugin authors: hooks, records, nouns, ports and errors."""
+
+from polishd.hookspecs import (
+    API_VERSION,
+    DeviceContext,
+    DeviceType,
+    DwellSolver,
+    ProgramFormat,
+    RemovalAnswer,
+    RemovalModel,
+    RemovalRequest,
+    SurfaceReader,
+    hookimpl,
+)
+from polishd.model.cycle import Event
+from polishd.model.devices import DeviceStatus, Executed, ForceSample, Identity, RobotProgress, SpeedSample
+from polishd.model.dwell import Certificate, DwellSolution
+from polishd.model.errors import (
+    BadMap,
+    ComputeError,
+    ConfigError,
+    DeviceError,
+    DeviceFault,
+    DeviceRefused,
+    LinkError,
+    PlanRefused,
+    PluginError,
+    PolishdError,
+    ProgramError,
+    ProtocolError,
+    SafetyStop,
+    StaleMap,
+    SurfaceError,
+    WrongPart,
+)
+from polishd.model.limits import Envelope
+from polishd.model.process import Correction, HybridRobot, Placement, ToolProcess
+from polishd.model.program import Plan, Program, Segment
+from polishd.model.surface import Grid, SurfaceMap, SurfaceStats
+from polishd.ports import ByteStream, Clock, Device, ForceActuator, Metrology, Robot, Spindle
+from polishd.process.dwell.problem import DwellProblem
+from polishd.process.effect import Effect, SparseEffect
+
+__all__ = [
+    "API_VERSION",
+    "BadMap",
+    "ByteStream",
+    "Certificate",
+    "Clock",
+    "ComputeError",
+    "ConfigError",
+    "Correction",
+    "Device",
+    "DeviceContext",
+    "DeviceError",
+    "DeviceFault",
+    "DeviceRefused",
+    "DeviceStatus",
+    "DeviceType",
+    "DwellProblem",
+    "DwellSolution",
+    "DwellSolver",
+    "Effect",
+    "Envelope",
+    "Event",
+    "Executed",
+    "ForceActuator",
+    "ForceSample",
+    "Grid",
+    "HybridRobot",
+    "Identity",
+    "LinkError",
+    "Metrology",
+    "Placement",
+    "Plan",
+    "PlanRefused",
+    "PluginError",
+    "PolishdError",
+    "Program",
+    "ProgramError",
+    "ProgramFormat",
+    "ProtocolError",
+    "RemovalAnswer",
+    "RemovalModel",
+    "RemovalRequest",
+    "Robot",
+    "RobotProgress",
+    "SafetyStop",
+    "Segment",
+    "SparseEffect",
+    "SpeedSample",
+    "Spindle",
+    "StaleMap",
+    "SurfaceError",
+    "SurfaceMap",
+    "SurfaceReader",
+    "SurfaceStats",
+    "ToolProcess",
+    "WrongPart",
+    "hookimpl",
+]

@@ -1,0 +1,172 @@
+"""The hooks of polishd and the records that they return. Hooks are synchronous: they declare or judge; devices act.
+
+A plugin is a module (or object) that implements any of these with ``@hookimpl`` from ``polishd.api`` and says
+``POLISHD_API = 1``. It is registered through the entry-point group ``polishd`` and loaded when the config names it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import pluggy
+
+from polishd.model.cycle import Event
+from polishd.model.dwell import DwellSolution
+from polishd.model.limits import Envelope
+from polishd.model.process import Correction, HybridRobot, Placement, ToolProcess
+from polishd.model.program import Plan, Program
+from polishd.model.surface import FloatArray, Grid, SurfaceMap
+from polishd.ports.devices import Device
+from polishd.process.dwell.problem import DwellProblem
+from polishd.process.effect import Effect
+
+API_VERSION = 1
+PROJECT = "polishd"
+
+hookspec = pluggy.HookspecMarker(PROJECT)
+hookimpl = pluggy.HookimplMarker(PROJECT)
+
+Port = Literal["robot", "actuator", "spindle", "metrology"]
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceType:
+    """A kind of device that the config can name: ``[robot] type = "robot_link"``."""
+
+    name: str
+    port: Port
+    options: type[Any]
+    """A pydantic model: the keys of the device's config section besides ``type``."""
+    build: Callable[[Any, DeviceContext], Device]
+    """Make the device from validated options. Opens nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceContext:
+    """What a device may need of its cell besides its own options."""
+
+    base_dir: Path
+    """Folder that relative paths in the config start from."""
+    state_dir: Path
+    part_id: str
+    readers: Sequence[SurfaceReader]
+    """All surface readers of the loaded plugins, for metrology devices."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramFormat:
+    """A program format: reads and rewrites, refuses with ProgramError, never guesses.
+
+    All callables run in the compute worker: they and the record must be picklable (module-level functions).
+    """
+
+    name: str
+    read: Callable[[bytes, str], Program]
+    """(file content, name for messages) -> Program."""
+    rewrite: Callable[[Program, FloatArray], bytes]
+    """(program, (n,) seconds) -> file content; changes only numbers that carry time."""
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceReader:
+    """A surface-map format. ``sniff`` sees the first 4096 bytes and the path; ``read`` raises BadMap."""
+
+    name: str
+    sniff: Callable[[bytes, Path], bool]
+    read: Callable[[Path], SurfaceMap]
+
+
+@dataclass(frozen=True, slots=True)
+class RemovalRequest:
+    """What a removal model is asked: the effect of dwelling at the timed points of a program."""
+
+    program: Program
+    grid: Grid
+    process: ToolProcess
+    robot: HybridRobot
+    placement: Placement
+    correction: Correction
+    rate: float
+    """Learned removal rate, relative to the model's own."""
+
+
+@dataclass(frozen=True, slots=True)
+class RemovalAnswer:
+    """The effect, and what it was derived from, along the path."""
+
+    effect: Effect
+    compliance_um_per_n: FloatArray
+    """(n,) linear equivalent compliance (paper eq. 43)."""
+    gamma: FloatArray
+    """(n,) depth ratio (paper eq. 48) as the robot's compliance gives it, whatever the correction uses."""
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class RemovalModel:
+    """A removal model: ``hertz_preston`` is polishd's own. Runs in the compute worker; must be picklable."""
+
+    name: str
+    effect: Callable[[RemovalRequest], RemovalAnswer]
+
+
+@dataclass(frozen=True, slots=True)
+class DwellSolver:
+    """A dwell solver. ``solve(problem, within_s)`` runs in the compute worker; must be picklable.
+
+    It returns a feasible solution with an honest certificate also when time is up, or raises ComputeError.
+    """
+
+    name: str
+    solve: Callable[[DwellProblem, float], DwellSolution]
+
+
+@hookspec
+def polishd_device_types() -> Sequence[DeviceType]:
+    """Declare kinds of devices."""
+    raise AssertionError("a hook specification is not called")
+
+
+@hookspec
+def polishd_program_formats() -> Sequence[ProgramFormat]:
+    """Declare program formats."""
+    raise AssertionError("a hook specification is not called")
+
+
+@hookspec
+def polishd_surface_readers() -> Sequence[SurfaceReader]:
+    """Declare surface-map formats."""
+    raise AssertionError("a hook specification is not called")
+
+
+@hookspec
+def polishd_removal_models() -> Sequence[RemovalModel]:
+    """Declare removal models."""
+    raise AssertionError("a hook specification is not called")
+
+
+@hookspec
+def polishd_dwell_solvers() -> Sequence[DwellSolver]:
+    """Declare dwell solvers."""
+    raise AssertionError("a hook specification is not called")
+
+
+@hookspec
+def polishd_check_plan(plan: Plan, envelope: Envelope) -> Sequence[str]:
+    """Judge a plan before anything moves: each string is a violation and a veto; so is any exception."""
+    raise AssertionError("a hook specification is not called")
+
+
+@hookspec
+def polishd_on_event(event: Event) -> None:
+    """Hear of an event. An exception is logged and changes nothing."""
+    raise AssertionError("a hook specification is not called")
+
+
+@hookspec
+def polishd_cli(app: Any) -> None:
+    """Add commands to the ``polishd`` command line (a typer app)."""
+    raise AssertionError("a hook specification is not called")

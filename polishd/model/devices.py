@@ -1,0 +1,77 @@
+"""What devices say of themselves and of what they do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+RobotState = Literal["idle", "held", "running", "done", "fault"]
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Who answered: the same for real and simulated devices."""
+
+    vendor: str
+    model: str
+    serial: str
+    firmware: str
+    boot_id: str = ""
+    """Changes at each power-up; empty where the device has none."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceStatus:
+    """A device's own word on whether it may be used. ``safe`` means: it exerts nothing and nothing moves."""
+
+    ready: bool
+    safe: bool
+    state: str
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ForceSample:
+    """One reading of the force actuator; ``at_s`` is the daemon's monotonic clock."""
+
+    at_s: float
+    force_n: float
+    setpoint_n: float
+    in_contact: bool
+    retracted: bool
+    fault: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedSample:
+    """One reading of the spindle; ``at_s`` is the daemon's monotonic clock."""
+
+    at_s: float
+    rpm: float
+    setpoint_rpm: float
+    fault: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Executed:
+    """A block that the robot has executed: not accepted, executed. Times are the controller's own process clock."""
+
+    seq: int
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class RobotProgress:
+    """Where the robot is in its program, as the robot itself says."""
+
+    state: RobotState
+    program_sha256: str
+    accepted: int
+    """Blocks accepted so far: the next sequence number expected."""
+    executed: int
+    """Blocks executed so far."""
+    buffer_s: float
+    """Wall seconds of motion that are buffered ahead of the tool."""
+    boot_id: str = ""
+    detail: str = ""

@@ -1,0 +1,50 @@
+"""Dwell solutions and the certificate without which none is used."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from polishd.model.surface import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Certificate:
+    """What is known of a dwell solution, measured on the solution itself in float64."""
+
+    solver: str
+    objective: float
+    kkt_residual: float
+    """Largest component of the projected gradient, relative to the largest gradient at the lower bound."""
+    bound_violation_s: float
+    predicted_rms_nm: float
+    """RMS (mean removed) of the predicted residual in the clear aperture."""
+    predicted_pv_nm: float
+    dwell_total_s: float
+    piston_nm: float
+    """Mean removal asked for in the clear aperture."""
+    at_lower: int
+    at_upper: int
+    iterations: int
+    seconds: float
+    stopped: str
+    """Why the solver stopped: ``converged``, ``deadline``, ``iterations``."""
+    cross_check: str | None = None
+    """Name of an independent solver that was asked too, or None."""
+    cross_check_gap: float | None = None
+    """(our objective - its objective) / its objective; at most a small positive number."""
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class DwellSolution:
+    """Dwell per timed point with its certificate and the residual that it predicts."""
+
+    time_s: FloatArray
+    """(n,) seconds at each timed point."""
+    removal_nm: FloatArray
+    """(ny, nx) predicted removal on the process grid."""
+    residual_nm: FloatArray
+    """(ny, nx) predicted surface after the pass, NaN outside the mask."""
+    certificate: Certificate
+    lower_s: FloatArray = field(repr=False)
+    upper_s: FloatArray = field(repr=False)

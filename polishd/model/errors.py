@@ -1,0 +1,101 @@
+"""The error tree. Each class is named by what happens next, and carries the exit code of the command line.
+
+    PolishdError
+      ConfigError      nothing was opened: mend the file                    (3)
+      PluginError      nothing was opened: mend or drop the plugin          (3)
+      ProgramError     nothing was written: mend the RNC program            (9)
+      PlanRefused      nothing moved: the plan is not safe                  (4)
+      SurfaceError     ask for another map                                  (8)
+        StaleMap       it was measured before the last pass ended
+        BadMap         it cannot be read, or not be trusted
+        WrongPart      it shows another part
+      ComputeError     fall back, or stop before RUN                        (10)
+      DeviceError      a device is the cause                                (5)
+        LinkError      the wire is dead or silent
+        ProtocolError  the wire speaks, but not what was agreed
+        DeviceRefused  the device understood and said no
+        DeviceFault    the device says that it is broken
+      SafetyStop       the cell left contact by itself                      (7)
+"""
+
+
+class PolishdError(Exception):
+    """Root of the tree. The message says what, where and what to do, in one paragraph."""
+
+    exit_code = 1
+
+
+class ConfigError(PolishdError):
+    """The configuration is wrong; nothing was opened."""
+
+    exit_code = 3
+
+
+class PluginError(PolishdError):
+    """A plugin is missing, broken or named twice; nothing was opened."""
+
+    exit_code = 3
+
+
+class ProgramError(PolishdError):
+    """An RNC program cannot be read or rewritten without guessing; nothing was written."""
+
+    exit_code = 9
+
+
+class PlanRefused(PolishdError):
+    """A plan was vetoed before anything moved."""
+
+    exit_code = 4
+
+
+class SurfaceError(PolishdError):
+    """A surface map cannot drive polishing; another one is needed."""
+
+    exit_code = 8
+
+
+class StaleMap(SurfaceError):
+    """The map is older than the pass it should judge, or was taken already."""
+
+
+class BadMap(SurfaceError):
+    """The map's file is broken, unreadable or implausible."""
+
+
+class WrongPart(SurfaceError):
+    """The map shows another part than the job's."""
+
+
+class ComputeError(PolishdError):
+    """A computation failed, ran out of time, or came without a valid certificate."""
+
+    exit_code = 10
+
+
+class DeviceError(PolishdError):
+    """A device, or the link to it, is the cause."""
+
+    exit_code = 5
+
+
+class LinkError(DeviceError):
+    """The link is dead or silent."""
+
+
+class ProtocolError(DeviceError):
+    """The peer answered outside the protocol."""
+
+
+class DeviceRefused(DeviceError):
+    """The device understood the command and refused it."""
+
+
+class DeviceFault(DeviceError):
+    """The device reports a fault of its own."""
+
+
+class SafetyStop(PolishdError):
+    """A limit was crossed in contact; force was taken off, the tool lifted, then motion stopped."""
+
+    exit_code = 7

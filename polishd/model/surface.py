@@ -1,0 +1,96 @@
+"""Surface maps and the grids they live on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """A regular grid in the part's frame, centred on the part's origin, row 0 at the top (largest y).
+
+    ``ny`` rows, ``nx`` columns, square ``pitch_mm``; sample (row, col) is the centre of its cell.
+    """
+
+    ny: int
+    nx: int
+    pitch_mm: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """``(ny, nx)``."""
+        return (self.ny, self.nx)
+
+    @property
+    def x_mm(self) -> FloatArray:
+        """Column coordinates, (nx,), ascending."""
+        return (np.arange(self.nx) - (self.nx - 1) / 2) * self.pitch_mm
+
+    @property
+    def y_mm(self) -> FloatArray:
+        """Row coordinates, (ny,), descending: row 0 is the top."""
+        return ((self.ny - 1) / 2 - np.arange(self.ny)) * self.pitch_mm
+
+    def radius_mm(self) -> FloatArray:
+        """Distance of each sample from the origin, (ny, nx)."""
+        return np.hypot(self.x_mm[None, :], self.y_mm[:, None])
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceMap:
+    """One interferometer map: surface (not wavefront) height, positive = high, NaN = no data.
+
+    ``height_nm`` is (ny, nx), row 0 the top as displayed, x right, y up. ``pitch_mm`` is None where the file
+    has no lateral scale; such a map can be shown, but not drive polishing.
+    ``factors`` records each sign, scale and unit factor that the reader applied, once.
+    """
+
+    height_nm: FloatArray
+    pitch_mm: float | None
+    part_id: str = ""
+    instrument: str = ""
+    taken_at: datetime | None = None
+    sha256: str = ""
+    path: Path | None = None
+    format: str = ""
+    factors: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def grid(self) -> Grid:
+        """The map's own grid; raises ValueError where the file has no lateral scale."""
+        if self.pitch_mm is None:
+            raise ValueError("this map has no lateral scale (pitch_mm is None)")
+        ny, nx = self.height_nm.shape
+        return Grid(ny, nx, self.pitch_mm)
+
+    @property
+    def valid(self) -> BoolArray:
+        """True where there is data, (ny, nx)."""
+        return np.isfinite(self.height_nm)
+
+    def with_height(self, height_nm: FloatArray, pitch_mm: float | None = None) -> SurfaceMap:
+        """The same measurement with other samples (after conditioning or resampling)."""
+        return replace(self, height_nm=height_nm, pitch_mm=self.pitch_mm if pitch_mm is None else pitch_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceStats:
+    """Figures of a surface over a stated mask, mean removed; nm."""
+
+    rms_nm: float
+    pv_nm: float
+    lsf_rms_nm: float
+    band_rms_nm: float | None = None
+    """RMS of the periods above the job's tolerance period; None where the whole surface counts."""
+    samples: int = 0

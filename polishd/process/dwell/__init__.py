@@ -1,0 +1,1 @@
+"""Dwell time: the problem, its solvers, and the certificate."""
