@@ -29,7 +29,7 @@ check: $(VENV)/.installed ## lint, format, types, layers
 	@$(BIN)/ruff check --quiet .
 	@$(BIN)/ruff format --check --quiet .
 	@$(BIN)/mypy
-	@$(BIN)/lint-imports
+	@$(BIN)/lint-imports --no-logo
 
 format: $(VENV)/.installed ## format the sources and mend what the linter can mend
 	@$(BIN)/ruff check --quiet --fix-only .

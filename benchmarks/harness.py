@@ -1,0 +1,137 @@
+"""What a benchmark module needs: ``Row``, and ``race`` that measures one."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import resource
+import signal
+import statistics
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any
+
+Progress = Callable[[str], None]
+Runner = Callable[[], object]
+
+PEER_CAP_S = 120.0
+OURS_CAP_S = 600.0
+ONCE_ABOVE_S = 30.0
+MIN_REPEATS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One comparison. All values are costs: less is better. A peer's ``None`` says that it did not finish."""
+
+    name: str
+    ours: float
+    peers: Mapping[str, float | None]
+    unit: str = "s"
+
+    @property
+    def ratio(self) -> float | None:
+        """Cost of the best peer over ours: above 1, ours is the better; None where there is nothing to divide."""
+        finished = [value for value in self.peers.values() if value is not None]
+        return min(finished) / self.ours if finished and self.ours > 0 else None
+
+    def as_json(self) -> dict[str, Any]:
+        """The row as ``build/bench.json`` holds it."""
+        return {
+            "name": self.name,
+            "ours": self.ours,
+            "peers": dict(self.peers),
+            "unit": self.unit,
+            "ratio": self.ratio,
+        }
+
+
+def race(
+    name: str,
+    ours: Runner,
+    peers: Mapping[str, Runner],
+    unit: str = "s",
+    repeats: int = MIN_REPEATS,
+    *,
+    progress: Progress = lambda _: None,
+    peer_cap_s: float = PEER_CAP_S,
+    once_above_s: float = ONCE_ABOVE_S,
+) -> Row:
+    """Median CPU seconds of ours and of each peer, run in turns so that a busy spell of the machine hits all alike.
+
+    Every run is a fork of this process: all start from the same state (what is imported or prepared here is not
+    counted), and one that hangs can be killed. A peer whose first run takes over ``once_above_s`` is run only once;
+    one that takes over ``peer_cap_s`` of wall time did not finish. A runner that raises fails the race.
+    """
+    if repeats < MIN_REPEATS:
+        raise ValueError(f"a median of {repeats} says little: at least {MIN_REPEATS} repeats")
+    running = {"ours": ours, **peers}
+    if len(running) != 1 + len(peers):
+        raise ValueError("no peer can be called 'ours'")
+    taken: dict[str, list[float | None]] = {runner: [] for runner in running}
+    for turn in range(1, repeats + 1):
+        for runner, run in list(running.items()):
+            progress(f"{name}: {runner} {turn}/{repeats}")
+            cost = cpu_seconds(run, OURS_CAP_S if runner == "ours" else peer_cap_s)
+            taken[runner].append(cost)
+            if runner == "ours" and cost is None:
+                raise TimeoutError(f"{name}: ours did not finish within {OURS_CAP_S:g} s")
+            if runner != "ours" and (cost is None or cost > once_above_s):
+                del running[runner]
+    costs = {runner: _median(values) for runner, values in taken.items()}
+    own = costs.pop("ours")
+    assert own is not None  # else it raised above
+    return Row(name, own, costs, unit)
+
+
+def _median(costs: list[float | None]) -> float | None:
+    finished = [cost for cost in costs if cost is not None]
+    return statistics.median(finished) if len(finished) == len(costs) else None
+
+
+def cpu_seconds(run: Runner, cap_s: float) -> float | None:
+    """CPU seconds of one run in a fork of its own, with those of the processes it waits for; None if capped."""
+    context = multiprocessing.get_context("fork")
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_timed, args=(run, sender))
+    process.start()
+    sender.close()
+    try:
+        answer = receiver.recv() if receiver.poll(cap_s) else None
+    except EOFError:
+        answer = "the process died without a word"
+    finally:
+        _kill_group(process)
+        receiver.close()
+    if isinstance(answer, str):
+        raise RuntimeError(f"a runner failed:\n{answer}")
+    return answer
+
+
+def _timed(run: Runner, sender: Connection) -> None:
+    os.setsid()  # so that what it starts can be killed with it
+    before = _cpu_s()
+    try:
+        run()
+    except BaseException:  # noqa: BLE001  it is reported by the parent, whatever it is
+        sender.send(traceback.format_exc())
+    else:
+        sender.send(_cpu_s() - before)
+
+
+def _cpu_s() -> float:
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
+
+
+def _kill_group(process: multiprocessing.process.BaseProcess) -> None:
+    assert process.pid is not None
+    try:
+        os.killpg(process.pid, signal.SIGKILL)
+    except ProcessLookupError:
+        process.kill()  # it has no group of its own yet, or nothing is left of it
+    process.join()
+    process.close()

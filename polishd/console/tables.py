@@ -1,0 +1,54 @@
+"""Tables for people. Programs read ``--json`` instead."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+stderr = Console(stderr=True)
+stdout = Console()
+
+
+def cycle_table(summary: Mapping[str, Any]) -> Table:
+    """One row a measurement: what was measured, and what the pass after it predicted and did."""
+    period = float(summary.get("tolerance_period_mm") or 0.0)
+    table = Table(title=f"{summary['job']}: {summary['outcome']}", title_justify="left")
+    table.add_column("measurement", justify="right")
+    for name in ("PV nm", "RMS nm", "LSF RMS nm"):
+        table.add_column(name, justify="right")
+    if period:
+        table.add_column(f"RMS nm, periods > {period:g} mm", justify="right")
+    for name in ("predicted RMS nm", "dwell s", "executed s", "rate"):
+        table.add_column(name, justify="right")
+    for number, cycle in enumerate(summary["cycles"]):
+        keys = ["pv_nm", "rms_nm", "lsf_rms_nm", *(["band_rms_nm"] if period else [])]
+        keys += ["predicted_rms_nm", "dwell_s", "executed_s", "rate"]
+        table.add_row(str(number), *(_figure(cycle.get(key), 3 if key == "rate" else 2) for key in keys))
+    return table
+
+
+def key_table(title: str, rows: Iterable[tuple[str, object]]) -> Table:
+    """Two columns, name and value."""
+    table = Table(title=title, title_justify="left", show_header=False)
+    table.add_column(style="bold")
+    table.add_column()
+    for name, value in rows:
+        table.add_row(name, str(value))
+    return table
+
+
+def record_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:
+    """A plain table with a header."""
+    table = Table(title=title, title_justify="left")
+    for column in columns:
+        table.add_column(column)
+    for row in rows:
+        table.add_row(*(str(cell) for cell in row))
+    return table
+
+
+def _figure(value: object, digits: int) -> str:
+    return "" if value is None else f"{float(str(value)):.{digits}f}"

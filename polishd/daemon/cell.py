@@ -1,0 +1,85 @@
+"""A cell: its devices behind their ports, the hooks, the worker and the clock. It knows nothing of a job."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol, TypeVar
+
+from polishd.model.devices import Identity
+from polishd.model.limits import Envelope
+from polishd.model.program import Plan
+from polishd.ports.clock import Clock
+from polishd.ports.devices import Device, ForceActuator, Metrology, Robot, Spindle
+
+R = TypeVar("R")
+
+OPEN_S = 15.0
+"""Longest that opening and identifying one device may take."""
+
+
+class PlanChecks(Protocol):
+    """The part of the hooks that a pass needs."""
+
+    def check_plan(self, plan: Plan, envelope: Envelope) -> list[str]:
+        """All violations, each naming its plugin."""
+        ...
+
+
+class MonotonicClock:
+    """The daemon's clock: wall time."""
+
+    def now_s(self) -> float:
+        """Seconds on the event loop's monotonic clock."""
+        return asyncio.get_running_loop().time()
+
+    async def sleep(self, seconds: float) -> None:
+        """Wait that long."""
+        await asyncio.sleep(seconds)
+
+
+@dataclass(slots=True)
+class Cell:
+    """Devices of one cell. ``unsafe`` lists devices that did not confirm being safe when last asked."""
+
+    robot: Robot
+    actuator: ForceActuator
+    spindle: Spindle
+    metrology: Metrology
+    clock: Clock
+    unsafe: tuple[str, ...] = field(default=())
+
+    @property
+    def devices(self) -> Mapping[str, Device]:
+        """By port, in the order in which they are opened and made safe."""
+        return {
+            "actuator": self.actuator,
+            "robot": self.robot,
+            "spindle": self.spindle,
+            "metrology": self.metrology,
+        }
+
+    async def open(self) -> dict[str, Identity]:
+        """Open and identify all devices; on the first failure close what was opened and raise."""
+        identities = {}
+        try:
+            for name, device in self.devices.items():
+                async with asyncio.timeout(OPEN_S):
+                    await device.open()
+                    identities[name] = await device.identify()
+        except BaseException:
+            await self.close()
+            raise
+        return identities
+
+    async def close(self) -> None:
+        """Close all devices, whatever one of them says."""
+        errors = []
+        for device in self.devices.values():
+            try:
+                await device.close()
+            except Exception as error:  # noqa: BLE001 - the others must be closed too; raised below
+                errors.append(error)
+        if errors:
+            raise errors[0]

@@ -1,0 +1,152 @@
+"""Numerical work in one worker process, killed at its deadline, so that the event loop never waits for it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import sys
+from asyncio.subprocess import PIPE, Process
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+from polishd.daemon.compute_worker import LENGTH, pack, unpack
+from polishd.model.errors import ComputeError
+
+T = TypeVar("T")
+
+START_S = 60.0
+"""Longest that a worker may take to say that it is ready."""
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+
+
+class Compute:
+    """``await compute(function, *arguments, within_s=30)``: module-level functions and picklable arguments.
+
+    One call runs at a time, others wait their turn. The worker starts at the first call or ``start``.
+    """
+
+    def __init__(self, threads: int | None = None) -> None:
+        self._threads = threads or (1 if (os.cpu_count() or 1) <= 2 else 2)
+        self._turn = asyncio.Lock()
+        self._process: Process | None = None
+        self._ready = False
+        self._closed = False
+
+    @property
+    def pid(self) -> int | None:
+        """Process id of the worker, or None while there is none."""
+        return None if self._process is None else self._process.pid
+
+    async def start(self) -> None:
+        """Start the worker and wait until it is ready; idempotent."""
+        async with self._turn:
+            await self._warm()
+
+    async def __call__(self, function: Callable[..., T], *arguments: Any, within_s: float = 600.0) -> T:
+        """Run it in the worker. PolishdErrors come back as themselves, others as ComputeError with a note.
+
+        ComputeError also at the deadline (counted from when the ready worker has the call) or where the worker
+        dies. The worker is killed then, and when the caller is cancelled; the next call has a new one.
+        """
+        async with self._turn:
+            process = await self._warm()
+            name = getattr(function, "__qualname__", repr(function))
+            try:
+                message = pack((function, arguments))
+            except Exception as error:
+                raise ComputeError(f"{name} cannot be sent to the worker: {error}") from error
+            try:
+                async with asyncio.timeout(within_s):
+                    kind, value = await _exchange(process, message)
+            except TimeoutError:
+                await self._drop()
+                await self._spawn()
+                raise ComputeError(f"{name} was not done within {within_s:g} s and was ended") from None
+            except (OSError, EOFError) as error:
+                raise ComputeError(f"{name}: the worker died ({await self._drop()})") from error
+            except BaseException:
+                await self._drop()
+                raise
+        if kind == "error":
+            raise value
+        return value  # type: ignore[no-any-return]
+
+    async def close(self) -> None:
+        """End the worker, also amid a call; idempotent."""
+        self._closed = True
+        await self._drop()
+
+    async def __aenter__(self) -> Self:
+        """Nothing yet: the worker starts when it is needed."""
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Close."""
+        await self.close()
+
+    async def _warm(self) -> Process:
+        process = self._process
+        if process is None or process.returncode is not None:
+            process = await self._spawn()
+        if not self._ready:
+            try:
+                async with asyncio.timeout(START_S):
+                    await _receive(process)
+            except BaseException as error:
+                ended = await self._drop()
+                if isinstance(error, (TimeoutError, EOFError, OSError)):
+                    raise ComputeError(f"the worker did not start ({ended}); see stderr") from error
+                raise
+            self._ready = True
+        return process
+
+    async def _spawn(self) -> Process:
+        if self._closed:
+            raise ComputeError("the compute worker is closed")
+        folders = [folder or str(os.getcwd()) for folder in sys.path]
+        environment = {
+            **os.environ,
+            **dict.fromkeys(_THREAD_VARIABLES, str(self._threads)),
+            "PYTHONPATH": os.pathsep.join(folders),
+        }
+        command = (sys.executable, "-P", "-m", "polishd.daemon.compute_worker")
+        self._ready = False
+        self._process = await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE, env=environment)
+        return self._process
+
+    async def _drop(self) -> str:
+        """Kill the worker and wait for its end; says how it ended."""
+        process, self._process = self._process, None
+        if process is None:
+            return "it was closed"
+        with contextlib.suppress(ProcessLookupError):
+            process.kill()
+        if process.stdin is not None:
+            process.stdin.close()
+        code = await process.wait()
+        return f"exit code {code}" if code >= 0 else f"signal {-code}; out of memory?"
+
+
+async def _exchange(process: Process, message: list[bytes | memoryview]) -> tuple[str, Any]:
+    if process.stdin is None:
+        raise EOFError
+    process.stdin.writelines(message)
+    await process.stdin.drain()
+    return await _receive(process)
+
+
+async def _receive(process: Process) -> tuple[str, Any]:
+    stream = process.stdout
+    if stream is None:
+        raise EOFError
+    (count,) = LENGTH.unpack(await stream.readexactly(LENGTH.size))
+    pieces = []
+    for _ in range(count):
+        (length,) = LENGTH.unpack(await stream.readexactly(LENGTH.size))
+        pieces.append(await stream.readexactly(length))
+    kind, value = unpack(pieces)
+    return kind, value

@@ -1,0 +1,197 @@
+"""The sections of a cell's configuration: one frozen model each, with its ranges in the types."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, field_validator, model_validator
+
+
+def _as_tuple(value: Any) -> Any:
+    """TOML has lists, frozen models have tuples."""
+    return tuple(value) if isinstance(value, list) else value
+
+
+Name = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+Text = Annotated[str, StringConstraints(min_length=1)]
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Angle = Annotated[float, Field(ge=-360, le=360)]
+Poisson = Annotated[float, Field(ge=0, le=0.5)]
+Vector = Annotated[tuple[float, float, float], BeforeValidator(_as_tuple)]
+Angles = Annotated[tuple[Angle, Angle, Angle], BeforeValidator(_as_tuple)]
+Range = Annotated[tuple[float, float], BeforeValidator(_as_tuple)]
+AvailableCorrection = Literal["none", "linear", "exact"]
+LATER_CORRECTIONS = ("pointwise", "power")
+
+
+class Section(BaseModel):
+    """What all sections share: unknown keys, wrong types, NaN and infinity are errors; values never change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class DeviceSection(Section):
+    """A device: its type, and the raw options that the type's own model judges (see ``device_options``)."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, strict=True)
+    type: Text
+
+
+class CellSection(Section):
+    """Who this cell is, and where it keeps its state."""
+
+    name: Name
+    state_dir: Text
+    run_dir: Text | None = None
+
+
+class PluginsSection(Section):
+    """The plugins to load, by entry-point name."""
+
+    load: Annotated[tuple[Text, ...], BeforeValidator(_as_tuple), Field(min_length=1)]
+
+    @field_validator("load")
+    @classmethod
+    def _once(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"named twice: {', '.join(map(repr, twice))}; name each plugin once")
+        return names
+
+
+class PartSection(Section):
+    """The part, and where it lies in the robot's base frame."""
+
+    id: Text
+    aperture_mm: Annotated[float, Field(gt=0, le=5000)]
+    edge_mm: NotNegative = 3.0
+    origin_mm: Vector
+    rotation_rpy_deg: Angles
+
+    @model_validator(mode="after")
+    def _has_clear_aperture(self) -> Self:
+        if 2 * self.edge_mm >= self.aperture_mm:
+            raise ValueError("edge_mm: no clear aperture is left; edge_mm must be less than half of aperture_mm")
+        return self
+
+
+class KinematicsSection(Section):
+    """The robot's geometry and stiffness: the keys and defaults of ``model.process.HybridRobot``."""
+
+    base_radius_mm: Positive = 250.0
+    platform_radius_mm: Positive = 120.0
+    first_limb_deg: Angle = 90.0
+    wrist_length_mm: Positive = 250.0
+    tool_length_mm: Positive = 420.0
+    stroke_mm: Range = (950.0, 1750.0)
+    limb_stiffness_n_per_mm: Positive = 20.1e3
+    up_bending_n_mm2: Positive = 4.4e12
+    up_torsion_n_mm2: Positive = 1.5e12
+    a_stiffness_n_mm_per_rad: Positive = 4.36e7
+    c_stiffness_n_mm_per_rad: Positive = 9.0e7
+
+    _ordered = field_validator("stroke_mm")(lambda value: ordered(value))
+
+
+class ProcessSection(Section):
+    """The process: the keys and defaults of ``model.process.ToolProcess``, and how removal is computed."""
+
+    removal_model: Text = "hertz_preston"
+    correction: AvailableCorrection = "exact"
+    grid_mm: Annotated[float, Field(gt=0, le=20)] = 1.0
+    tool_radius_mm: Positive = 20.0
+    force_n: Annotated[float, Field(gt=0, le=500)] = 12.0
+    rpm: Annotated[float, Field(gt=0, le=20000)] = 1000.0
+    dip_deg: Annotated[float, Field(ge=0, lt=90)] = 15.0
+    preston_cm2_per_n: Annotated[float, Field(gt=0, lt=1e-3)] = 1.49e-9
+    tool_modulus_mpa: Positive = 29.6
+    tool_poisson: Poisson = 0.40
+    part_modulus_mpa: Positive = 70.5e3
+    part_poisson: Poisson = 0.16
+    viscosity_mpa_s: NotNegative = 2.0e-4
+    second_viscosity_mpa_s: NotNegative = 0.8e-4
+    lame_mpa: Positive = 42.29
+
+    @field_validator("correction", mode="before")
+    @classmethod
+    def _available(cls, value: Any) -> Any:
+        if value in LATER_CORRECTIONS:
+            raise ValueError(f"{value!r} is not in this version; use 'none', 'linear' or 'exact'")
+        return value
+
+
+class ProgramSection(Section):
+    """The part program, and how its frame lies on the part: ``part = rotation_z @ program + offset``."""
+
+    path: Text
+    format: Text = "rs274"
+    offset_mm: Vector = (0.0, 0.0, 0.0)
+    rotation_deg: Angle = 0.0
+
+
+class MachineSection(Section):
+    """What the machine can do, from its data sheet, on the safe side."""
+
+    max_feed_mm_s: Positive
+    min_feed_mm_s: Positive
+    accel_mm_s2: Positive
+    block_overhead_s: Annotated[float, Field(ge=0, le=1)] = 0.0
+    corner_deg: Annotated[float, Field(ge=0, le=180)] = 30.0
+    x_mm: Range
+    y_mm: Range
+    z_mm: Range
+
+    _ordered = field_validator("x_mm", "y_mm", "z_mm")(lambda value: ordered(value))
+
+    @model_validator(mode="after")
+    def _feeds_ordered(self) -> Self:
+        if self.min_feed_mm_s >= self.max_feed_mm_s:
+            raise ValueError("min_feed_mm_s: must be less than max_feed_mm_s; exchange or mend them")
+        return self
+
+
+class DwellSection(Section):
+    """How the dwell is solved, and by whom it is checked."""
+
+    solver: Text = "accelerated_gradient"
+    cross_check: str = "qp"
+    regularisation: NotNegative = 1e-4
+    within_s: Annotated[float, Field(gt=0, le=3600)] = 30.0
+    kkt_tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-4
+
+    @model_validator(mode="after")
+    def _independent(self) -> Self:
+        if self.cross_check == self.solver:
+            raise ValueError('cross_check: must be another solver than dwell.solver, or "" for none')
+        return self
+
+
+class JobSection(Section):
+    """What is to be reached, and with how much effort."""
+
+    id: Name
+    tolerance_nm: Positive
+    tolerance_period_mm: NotNegative = 0.0
+    lsf_period_mm: Positive = 33.0
+    max_cycles: Annotated[int, Field(ge=1, le=100)] = 4
+    lookahead_s: Annotated[float, Field(ge=0.2, le=60)] = 1.0
+
+
+class LimitsSection(Section):
+    """What must never happen to the part."""
+
+    force_band: Annotated[float, Field(gt=0, lt=1)] = 0.25
+    force_grace_s: Annotated[float, Field(ge=0, le=10)] = 0.3
+    max_removal_nm: Positive = 1000.0
+    max_pass_s: Positive = 7200.0
+    max_rate_change: Annotated[float, Field(gt=0, lt=1)] = 0.4
+
+
+def ordered(value: tuple[float, float]) -> tuple[float, float]:
+    """A range whose low end is below its high end."""
+    low, high = value
+    if not math.isfinite(high - low) or low >= high:
+        raise ValueError(f"[{low}, {high}] is no range; give [low, high] with low < high")
+    return value

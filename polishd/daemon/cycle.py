@@ -1,0 +1,45 @@
+"""The cycle: measure, learn, solve, plan, run, and again, in time order from top to bottom."""
+
+from __future__ import annotations
+
+from polishd.daemon.cell import Cell
+from polishd.daemon.job import Job, require_certificate
+from polishd.daemon.journal import Journal
+from polishd.daemon.safety import contact
+from polishd.daemon.stream import streaming
+from polishd.model.cycle import Outcome, Phase
+
+
+async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
+    """Run cycles until the part is in tolerance, the cycles are used, or the surface gets worse.
+
+    Returns with the tool lifted and the robot standing still. Raises PolishdError (the cell is then safe too)
+    when a map, a plan, a device or a computation is refused.
+    """
+    for cycle in journal.remaining(job.max_cycles + 1):  # one measurement more than passes
+        async with journal.phase(cycle, Phase.MEASURE):
+            surface = await job.measured(cycle, await cell.metrology.next_map(after=journal.last_map_id))
+        if job.accepts(surface):
+            return Outcome.IN_TOLERANCE
+        if job.diverges(surface):
+            return Outcome.DIVERGED
+        if cycle == job.max_cycles:
+            return Outcome.CYCLES_USED
+        async with journal.phase(cycle, Phase.LEARN):
+            await job.learn(cycle, surface)
+        async with journal.phase(cycle, Phase.SOLVE):
+            solved = await job.solve(cycle, surface)
+            require_certificate(solved.dwell.certificate, job.recipe)
+        async with journal.phase(cycle, Phase.PLAN):
+            plan = await job.plan(cycle, solved)
+            job.refuse_unsafe(plan)
+        async with journal.phase(cycle, Phase.RUN), streaming(plan, cell.robot, cell.clock, job.lookahead_s) as stream:
+            await job.begin_pass(cycle, plan, await cell.robot.progress())
+            await stream.approach()
+            async with contact(cell, job.contact):
+                async for block in stream.polish():
+                    job.executed(cycle, block)  # what was done, not what was asked, feeds the next cycle
+            await stream.retreat()
+            await cell.spindle.set_speed(0.0)
+            job.end_pass(cycle)
+    return Outcome.CYCLES_USED

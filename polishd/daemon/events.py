@@ -1,0 +1,103 @@
+"""The event bus: what happens is told to the log, to subscribers, and to the plugins, who cannot hold it up."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import queue
+import threading
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from typing import Any
+
+from polishd.model.cycle import Event
+
+log = logging.getLogger(__name__)
+
+Sink = Callable[[Event], None]
+
+SUBSCRIBER_EVENTS = 1000
+"""A subscriber that is this far behind is dropped."""
+DRAIN_S = 120.0
+"""Longest that ``close`` waits for the plugins: a report with pictures takes a while."""
+
+
+class EventBus:
+    """``publish`` returns at once. ``plugins`` (``hooks.on_event``) hear of events in a thread of their own, one
+    after another, in order; ``sinks`` (such as ``journal.record_event``) are called on the spot.
+
+    Use it on the event loop's thread.
+    """
+
+    def __init__(self, plugins: Sink | None = None, sinks: tuple[Sink, ...] = ()) -> None:
+        self._sinks = sinks
+        self._subscribers: set[asyncio.Queue[Event | None]] = set()
+        self._told: queue.SimpleQueue[Event | None] = queue.SimpleQueue()
+        self._closed = False
+        self._teller: threading.Thread | None = None
+        if plugins is not None:
+            self._teller = threading.Thread(target=self._tell, args=(plugins,), name="plugins", daemon=True)
+            self._teller.start()
+
+    def publish(self, event: Event) -> None:
+        """Tell everybody. Only a sink's own error (a lost journal) is raised, after all have been told."""
+        log.info("%s", event.name, extra={"event": as_json(event)})
+        for subscriber in tuple(self._subscribers):
+            if subscriber.qsize() >= SUBSCRIBER_EVENTS:
+                log.warning("a subscriber is %d events behind and was dropped", SUBSCRIBER_EVENTS)
+                self._end(subscriber)
+            else:
+                subscriber.put_nowait(event)
+        if not self._closed:
+            self._told.put(event)
+        for sink in self._sinks:
+            sink(event)
+
+    @contextmanager
+    def subscription(self) -> Iterator[AsyncIterator[Event]]:
+        """Events from now on; the iterator ends when the bus closes, or when its reader falls far behind."""
+        waiting: asyncio.Queue[Event | None] = asyncio.Queue()
+        if self._closed:
+            waiting.put_nowait(None)
+        else:
+            self._subscribers.add(waiting)
+        try:
+            yield _until_none(waiting)
+        finally:
+            self._subscribers.discard(waiting)
+
+    async def close(self, within_s: float = DRAIN_S) -> None:
+        """End the subscriptions and wait until the plugins have heard everything; idempotent."""
+        for subscriber in tuple(self._subscribers):
+            self._end(subscriber)
+        if not self._closed:
+            self._closed = True
+            self._told.put(None)
+        if self._teller is not None:
+            await asyncio.to_thread(self._teller.join, within_s)
+            if self._teller.is_alive():
+                log.error("a plugin is still busy with an event after %g s; it is left behind", within_s)
+
+    def _end(self, subscriber: asyncio.Queue[Event | None]) -> None:
+        self._subscribers.discard(subscriber)
+        while subscriber.qsize() >= SUBSCRIBER_EVENTS:
+            subscriber.get_nowait()
+        subscriber.put_nowait(None)
+
+    def _tell(self, plugins: Sink) -> None:
+        while (event := self._told.get()) is not None:
+            try:
+                plugins(event)
+            except Exception:
+                log.exception("telling the plugins of %s failed", event.name)
+
+
+def as_json(event: Event) -> dict[str, Any]:
+    """``{"name", "cycle", "data"}``."""
+    return {**asdict(event), "data": dict(event.data)}
+
+
+async def _until_none(waiting: asyncio.Queue[Event | None]) -> AsyncIterator[Event]:
+    while (event := await waiting.get()) is not None:
+        yield event

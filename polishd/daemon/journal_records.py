@@ -1,0 +1,95 @@
+"""What the journal gives back: maps, passes, phases, and the blocks that were executed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from polishd.model.program import IntArray
+from polishd.model.surface import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class MapRecord:
+    """A map that was taken: the last one of its cycle."""
+
+    cycle: int
+    sha256: str
+    path: str
+    stats: Mapping[str, Any]
+    taken_s: float
+    """Unix time."""
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseRecord:
+    """A phase of a cycle; times are Unix time, ``outcome`` is ``done``, ``failed``, ``cancelled`` or None."""
+
+    cycle: int
+    phase: str
+    started_s: float
+    ended_s: float | None
+    outcome: str | None
+    error: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class PassRecord:
+    """A pass: written before the robot starts, ended when it is known how."""
+
+    cycle: int
+    program_sha256: str
+    boot_id: str
+    blocks: int
+    contact_from: int
+    contact_to: int
+    facts: Mapping[str, Any]
+    started_s: float
+    ended_s: float | None
+    how: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class ExecutedBlocks:
+    """Blocks of one pass that were executed, by sequence number; (n,) each."""
+
+    seq: IntArray
+    start_s: FloatArray
+    end_s: FloatArray
+    """Times are the robot's process clock."""
+    contact: BoolArray
+    """The tool was on the part, as far as the record knows."""
+    recovered: BoolArray
+    """Recorded after an interruption, on the robot's word: the force at that time is not known."""
+
+    @property
+    def duration_s(self) -> FloatArray:
+        """(n,) process time of each block."""
+        return self.end_s - self.start_s
+
+
+@dataclass(frozen=True, slots=True)
+class Interrupted:
+    """A pass that was begun and not ended: what was done, and what is uncertain and is not run again."""
+
+    cycle: int
+    program_sha256: str
+    boot_id: str
+    blocks: int
+    done: int
+    """Blocks with a record of their execution."""
+    last_seq: int
+    """The last of them; -1 for none."""
+    uncertain: tuple[int, ...]
+    """Sequence numbers that may have been executed after the last record."""
+    started_s: float
+
+    def __str__(self) -> str:
+        """For people."""
+        if not self.uncertain:
+            return f"cycle {self.cycle}: all {self.done} recorded blocks of {self.blocks} were executed"
+        return (
+            f"cycle {self.cycle}: {self.done} of {self.blocks} blocks are recorded as executed; "
+            f"blocks {self.uncertain[0]} to {self.uncertain[-1]} are uncertain and will not be run again"
+        )

@@ -1,0 +1,210 @@
+"""The journal's file: SQLite in WAL mode with full sync, one writer, and groups of rows committed by a thread.
+
+Measured (2,000 full-sync commits): median 0.2 ms, worst 5 ms on an SSD; 4 ms median on a slow disk. Single
+statements are therefore run where they are called, outside contact. What accrues in contact is buffered, and a
+thread of its own commits it, so that a slow disk never stalls the event loop while the tool presses.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import sqlite3
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from polishd.daemon.atomic import sync_folder
+from polishd.model.errors import ConfigError, SafetyStop
+
+SCHEMA_VERSION = 1
+COMMIT_S = 0.25
+"""Longest that a buffered row waits for its commit."""
+COMMIT_ROWS = 512
+
+SCHEMA = """
+CREATE TABLE job (
+    id INTEGER PRIMARY KEY, name TEXT NOT NULL, part_id TEXT NOT NULL, config_sha256 TEXT NOT NULL,
+    started REAL NOT NULL, ended REAL, outcome TEXT, detail TEXT);
+CREATE TABLE map (
+    id INTEGER PRIMARY KEY, job INTEGER NOT NULL REFERENCES job, cycle INTEGER NOT NULL, sha256 TEXT NOT NULL,
+    path TEXT NOT NULL, stats TEXT NOT NULL, taken REAL NOT NULL);
+CREATE TABLE phase (
+    id INTEGER PRIMARY KEY, job INTEGER NOT NULL REFERENCES job, cycle INTEGER NOT NULL, phase TEXT NOT NULL,
+    started REAL NOT NULL, ended REAL, outcome TEXT, error TEXT);
+CREATE TABLE pass (
+    job INTEGER NOT NULL REFERENCES job, cycle INTEGER NOT NULL, program_sha256 TEXT NOT NULL,
+    boot_id TEXT NOT NULL, blocks INTEGER NOT NULL, contact_from INTEGER NOT NULL, contact_to INTEGER NOT NULL,
+    facts TEXT NOT NULL, started REAL NOT NULL, ended REAL, how TEXT, PRIMARY KEY (job, cycle));
+CREATE TABLE segment (
+    job INTEGER NOT NULL, cycle INTEGER NOT NULL, seq INTEGER NOT NULL, start_s REAL NOT NULL, end_s REAL NOT NULL,
+    in_contact INTEGER NOT NULL, recovered INTEGER NOT NULL, PRIMARY KEY (job, cycle, seq)) WITHOUT ROWID;
+CREATE TABLE event (
+    id INTEGER PRIMARY KEY, job INTEGER NOT NULL, at REAL NOT NULL, cycle INTEGER, name TEXT NOT NULL,
+    data TEXT NOT NULL);
+"""
+
+Row = tuple[str, tuple[Any, ...]]
+"""One SQL statement and its values."""
+
+
+class Store:
+    """The connection, the buffer and the thread that commits it. Any error of SQLite is the end of it.
+
+    After an I/O error SQLite would go on with the next insert, as if nothing were lost; this does not.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._connection = _open(path)
+        self._use = threading.RLock()
+        self._buffer: list[Row] = []
+        self._pending = threading.Condition()
+        self._closing = False
+        self._failure: str | None = None
+        self._waiters: list[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = []
+        self._thread = threading.Thread(target=self._commit_groups, name="journal", daemon=True)
+        self._thread.start()
+
+    def write(self, *rows: Row) -> None:
+        """Commit what is buffered and these rows in one transaction; durable when it returns."""
+        with self._use:
+            self._check()
+            with self._pending:
+                rows = (*self._buffer, *rows)
+                self._buffer.clear()
+            try:
+                self._transaction(rows)
+            except sqlite3.Error as error:
+                self._fail(error)
+                self._check()
+
+    def buffer(self, row: Row) -> None:
+        """Leave a row to the thread; durable within ``COMMIT_S`` seconds, or after ``write``."""
+        self._check()
+        with self._pending:
+            self._buffer.append(row)
+            if len(self._buffer) == 1 or len(self._buffer) == COMMIT_ROWS:
+                self._pending.notify()
+
+    def read(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
+        """All rows of a query, buffered ones included."""
+        with self._use:
+            self.write()
+            try:
+                return self._connection.execute(sql, values).fetchall()
+            except sqlite3.Error as error:
+                self._fail(error)
+                self._check()
+                raise
+
+    def copy_to(self, path: Path) -> None:
+        """A whole, durable copy, as of now."""
+        self.write()
+        partial = path.with_name(f".{path.name}.partial")
+        with contextlib.suppress(FileNotFoundError):
+            partial.unlink()
+        try:
+            with self._use, contextlib.closing(sqlite3.connect(partial)) as copy:
+                self._connection.backup(copy)
+                copy.execute("PRAGMA journal_mode=DELETE")
+        except sqlite3.Error as error:
+            raise SafetyStop(f"journal: {path}: the copy failed: {error}") from error
+        with partial.open("rb") as file:
+            os.fsync(file.fileno())
+        partial.replace(path)
+        sync_folder(path.parent)
+
+    async def lost(self) -> NoReturn:
+        """Wait for as long as the journal is sound; SafetyStop when it is lost."""
+        waiter = (asyncio.get_running_loop(), asyncio.Event())
+        with self._pending:
+            self._waiters.append(waiter)
+        try:
+            while True:
+                self._check()
+                await waiter[1].wait()
+        finally:
+            with self._pending:
+                self._waiters.remove(waiter)
+
+    def close(self) -> None:
+        """Commit what is buffered and close; idempotent. Raises SafetyStop where that is lost."""
+        with self._pending:
+            if self._closing:
+                return
+            self._closing = True
+            self._pending.notify()
+        self._thread.join()
+        try:
+            if self._failure is None:
+                self.write()
+        finally:
+            self._connection.close()
+
+    def _transaction(self, rows: Sequence[Row]) -> None:
+        if not rows:
+            return
+        self._connection.execute("BEGIN IMMEDIATE")
+        try:
+            for sql, values in rows:
+                self._connection.execute(sql, values)
+            self._connection.execute("COMMIT")
+        except sqlite3.Error:
+            if self._connection.in_transaction:
+                self._connection.execute("ROLLBACK")
+            raise
+
+    def _commit_groups(self) -> None:
+        while True:
+            with self._pending:
+                self._pending.wait_for(lambda: self._closing or self._buffer)
+                if self._closing:
+                    return
+                self._pending.wait_for(lambda: self._closing or len(self._buffer) >= COMMIT_ROWS, COMMIT_S)
+            try:
+                self.write()
+            except SafetyStop:
+                return  # kept in _failure: whoever uses the journal next, or waits in lost(), hears of it
+
+    def _fail(self, error: sqlite3.Error) -> None:
+        with self._pending:
+            self._failure = f"{error} ({error.sqlite_errorname})" if hasattr(error, "sqlite_errorname") else str(error)
+            for loop, event in self._waiters:
+                loop.call_soon_threadsafe(event.set)
+
+    def _check(self) -> None:
+        if self._failure is not None:
+            raise SafetyStop(
+                f"journal lost: {self.path}: {self._failure}; polishing without a record is refused: "
+                "mend the disk, then start polishd again"
+            )
+
+
+def _open(path: Path) -> sqlite3.Connection:
+    try:
+        connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=5.0)
+    except sqlite3.Error as error:
+        raise ConfigError(f"{path}: the journal cannot be opened: {error}; look at cell.state_dir") from error
+    try:
+        connection.execute("PRAGMA journal_mode=WAL")
+        connection.execute("PRAGMA synchronous=FULL")
+        connection.execute("PRAGMA foreign_keys=ON")
+        (version,) = connection.execute("PRAGMA user_version").fetchone()
+        if version == 0:
+            connection.executescript(f"BEGIN IMMEDIATE; {SCHEMA} PRAGMA user_version={SCHEMA_VERSION}; COMMIT;")
+            sync_folder(path.parent)
+    except sqlite3.Error as error:
+        connection.close()
+        raise ConfigError(
+            f"{path}: the journal cannot be used: {error}; move the file aside to start a new one"
+        ) from error
+    if version not in {0, SCHEMA_VERSION}:
+        connection.close()
+        raise ConfigError(
+            f"{path}: the journal has format {version}, this polishd writes format {SCHEMA_VERSION}; "
+            "use the polishd that wrote it, or move the file aside to start a new one"
+        )
+    return connection

@@ -1,0 +1,52 @@
+"""The structured log: one JSON object a line in the state folder, for machines; times are UTC."""
+
+from __future__ import annotations
+
+import json
+import logging
+import logging.handlers
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+
+LOG_NAME = "polishd.log"
+_MAX_BYTES = 10_000_000
+_KEPT = 5
+
+
+class JsonLines(logging.Formatter):
+    """``{"at", "level", "logger", "message"}``, with ``event`` of an event and ``error`` of an exception."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """One line."""
+        line: dict[str, object] = {
+            "at": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
+            "level": record.levelname.lower(),
+            "logger": record.name,
+            "message": record.getMessage(),
+        }
+        if hasattr(record, "event"):
+            line["event"] = record.event
+        if record.exc_info:
+            line["error"] = self.formatException(record.exc_info)
+        return json.dumps(line, default=str)
+
+
+@contextmanager
+def logging_to(state_dir: Path, level: int = logging.INFO) -> Iterator[None]:
+    """Everything that polishd logs goes to ``state_dir/polishd.log`` (rotated) inside this block."""
+    handler = logging.handlers.RotatingFileHandler(
+        state_dir / LOG_NAME, maxBytes=_MAX_BYTES, backupCount=_KEPT, encoding="utf-8"
+    )
+    handler.setFormatter(JsonLines())
+    logger = logging.getLogger("polishd")
+    before = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(level)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+        logger.removeHandler(handler)
+        handler.close()

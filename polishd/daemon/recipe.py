@@ -1,0 +1,39 @@
+"""The recipe of a job: everything that the computing steps need, picklable, made once from the config and the plugins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from polishd.hookspecs import DwellSolver, ProgramFormat, RemovalModel
+from polishd.model.limits import Envelope
+from polishd.model.process import Correction, HybridRobot, Placement, ToolProcess
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """One part, one process, one robot, one way of solving."""
+
+    part_id: str
+    aperture_mm: float
+    edge_mm: float
+    grid_mm: float
+    program_offset_mm: tuple[float, float, float]
+    program_rotation_deg: float
+    process: ToolProcess
+    robot: HybridRobot
+    placement: Placement
+    correction: Correction
+    envelope: Envelope
+    format: ProgramFormat
+    model: RemovalModel
+    solver: DwellSolver
+    cross_check: DwellSolver | None
+    cross_check_gap: float
+    regularisation: float
+    """rho = P N_r / sigma_max^2."""
+    solve_s: float
+    kkt_tolerance: float
+    tolerance_nm: float
+    tolerance_period_mm: float
+    lsf_period_mm: float
+    max_rate_change: float

@@ -1,0 +1,154 @@
+"""The daemon's socket: JSON lines on a Unix socket that only its owner may open.
+
+Request: ``{"verb": "status"}``. Answer: ``{"ok": true, ...}`` or ``{"ok": false, "error": "..."}``. After the answer
+to ``subscribe`` come events, one a line: ``{"event": {"name", "cycle", "data"}}``, until either side ends.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import socket
+import stat
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+from polishd.daemon.config_errors import did_you_mean, listed
+from polishd.daemon.events import EventBus, as_json
+from polishd.daemon.sockets import LINE_BYTES, SOCKET_NAME, address_of
+from polishd.model.errors import ConfigError, PolishdError
+
+log = logging.getLogger(__name__)
+
+Verb = Callable[[], Awaitable[Mapping[str, Any]]]
+
+WRITE_S = 5.0
+"""A client that does not read for so long is dropped."""
+
+
+class Service:
+    """Answers ``verbs`` and ``subscribe``; made by ``serving``."""
+
+    def __init__(self, verbs: Mapping[str, Verb], bus: EventBus) -> None:
+        self._verbs = verbs
+        self._bus = bus
+        self._sessions: set[asyncio.Task[None]] = set()
+
+    async def session(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """One client, until it hangs up, falls silent while it is written to, or the daemon ends."""
+        task = asyncio.current_task()
+        if task is not None:
+            self._sessions.add(task)
+            task.add_done_callback(self._sessions.discard)
+        try:
+            await self._serve(reader, writer)
+        except (OSError, TimeoutError, ValueError) as error:
+            log.info("a client was dropped: %s", error or type(error).__name__)
+        except asyncio.CancelledError:
+            log.debug("a client was left behind at the daemon's end")
+        finally:
+            writer.close()
+
+    async def close(self) -> None:
+        """End all sessions."""
+        sessions = tuple(self._sessions)
+        for task in sessions:
+            task.cancel()
+        await asyncio.gather(*sessions, return_exceptions=True)
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        while line := await reader.readline():
+            verb = _verb_of(line)
+            if verb == "subscribe":
+                await self._subscribe(reader, writer)
+                return
+            await _send(writer, await self._answer(verb))
+
+    async def _answer(self, verb: str | None) -> dict[str, Any]:
+        known = [*self._verbs, "subscribe"]
+        if verb is None:
+            return {
+                "ok": False,
+                "error": f'a request is one JSON object a line, {{"verb": ...}}; verbs: {listed(known)}',
+            }
+        if verb not in self._verbs:
+            return {"ok": False, "error": f"unknown verb {verb!r}{did_you_mean(verb, known)} Known: {listed(known)}"}
+        try:
+            return {"ok": True, **await self._verbs[verb]()}
+        except PolishdError as error:
+            return {"ok": False, "error": str(error), "exit_code": error.exit_code}
+        except Exception as error:
+            log.exception("verb %s failed", verb)
+            return {"ok": False, "error": f"{verb} failed inside the daemon: {type(error).__name__}: {error}"}
+
+    async def _subscribe(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with self._bus.subscription() as events:
+            await _send(writer, {"ok": True})
+            async with asyncio.TaskGroup() as group:
+                teller = group.create_task(_tell(events, writer), name="tell subscriber")
+                hung_up = group.create_task(reader.read(LINE_BYTES), name="subscriber hangs up")
+                await asyncio.wait({teller, hung_up}, return_when=asyncio.FIRST_COMPLETED)
+                teller.cancel()
+                hung_up.cancel()
+
+
+@asynccontextmanager
+async def serving(state_dir: Path, verbs: Mapping[str, Verb], bus: EventBus) -> AsyncIterator[Path]:
+    """Serve on ``state_dir/polishd.sock`` inside this block. Hold the state folder's lock: a stale socket is removed."""
+    path = state_dir / SOCKET_NAME
+    service = Service(verbs, bus)
+    server = await asyncio.start_unix_server(service.session, sock=_bind(path), limit=LINE_BYTES)
+    try:
+        yield path
+    finally:
+        server.close()
+        await service.close()
+        await server.wait_closed()
+        with contextlib.suppress(FileNotFoundError):
+            path.unlink()
+
+
+def _bind(path: Path) -> socket.socket:
+    if path.exists() or path.is_symlink():
+        if not stat.S_ISSOCK(path.lstat().st_mode):
+            raise ConfigError(f"{path}: is not a socket; move it away, or change cell.state_dir")
+        path.unlink()
+    server = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        os.fchmod(server.fileno(), 0o600)  # before bind: there is no moment at which others may connect
+        with address_of(path) as address:
+            server.bind(address)
+        path.chmod(0o600)
+    except OSError as error:
+        server.close()
+        raise ConfigError(f"{path}: the socket cannot be made: {error}; change cell.state_dir") from error
+    server.setblocking(False)
+    return server
+
+
+def _verb_of(line: bytes) -> str | None:
+    try:
+        request = json.loads(line)
+    except ValueError:
+        return None
+    verb = request.get("verb") if isinstance(request, dict) else None
+    return verb if isinstance(verb, str) else None
+
+
+async def _tell(events: AsyncIterator[Any], writer: asyncio.StreamWriter) -> None:
+    try:
+        async for event in events:
+            await _send(writer, {"event": as_json(event)})
+    except OSError:
+        log.debug("a subscriber hung up")
+
+
+async def _send(writer: asyncio.StreamWriter, answer: Mapping[str, Any]) -> None:
+    writer.write(json.dumps(answer, default=str).encode() + b"\n")
+    async with asyncio.timeout(WRITE_S):
+        await writer.drain()

@@ -1,0 +1,200 @@
+"""The computing steps of a cycle: plain functions on arrays, run in the compute worker (so they pickle)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from polishd.daemon.recipe import Recipe
+from polishd.hookspecs import RemovalAnswer, RemovalRequest
+from polishd.model.dwell import DwellSolution
+from polishd.model.errors import ComputeError
+from polishd.model.limits import Envelope
+from polishd.model.program import Plan, Program, Segment
+from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap, SurfaceStats
+from polishd.process import conditioning, learning, metrics, motion
+from polishd.process.dwell.problem import DwellProblem
+from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
+
+ENVELOPE_ROUNDS = 2
+"""Re-solves with what acceleration delivers as the lower bound."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One measurement on the process grid, with the masks that are frozen over all cycles."""
+
+    grid: Grid
+    height_nm: FloatArray
+    """(ny, nx), mean over the clear aperture removed; finite inside ``solve_mask``."""
+    solve_mask: BoolArray
+    metric_mask: BoolArray
+    stats: SurfaceStats
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class Beliefs:
+    """What the cycles have taught: removal rate relative to the model's, time a block takes beyond its motion."""
+
+    rate: float = 1.0
+    block_overhead_s: float = 0.0
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """A dwell solution with what it was derived from."""
+
+    dwell: DwellSolution
+    answer: RemovalAnswer
+    asked_s: FloatArray
+    """(n,) time to write into the program: the dwell less what a block takes by itself."""
+    expected_s: FloatArray
+    """(n,) time that the machine is expected to deliver."""
+    beliefs: Beliefs
+
+
+def read_program(recipe: Recipe, path: Path) -> Program:
+    """Read the job's program; ProgramError names file and line."""
+    from polishd.daemon.files import read_bytes
+
+    return recipe.format.read(read_bytes(path), path.name)
+
+
+def condition(recipe: Recipe, surface: SurfaceMap, masks: tuple[BoolArray, BoolArray] | None) -> Measured:
+    """Bring a map onto the process grid and state its figures; BadMap where it cannot be trusted."""
+    part = conditioning.condition(
+        surface, aperture_mm=recipe.aperture_mm, edge_mm=recipe.edge_mm, grid_mm=recipe.grid_mm, masks=masks
+    )
+    stats = metrics.surface_stats(
+        part.height_nm,
+        part.metric_mask,
+        part.grid.pitch_mm,
+        lsf_period_mm=recipe.lsf_period_mm,
+        band_period_mm=recipe.tolerance_period_mm or None,
+    )
+    return Measured(part.grid, part.height_nm, part.solve_mask, part.metric_mask, stats, surface.sha256)
+
+
+def in_part_frame(recipe: Recipe, program: Program) -> Program:
+    """The same program with its points and axes in the part's frame."""
+    turn = Rotation.from_euler("z", recipe.program_rotation_deg, degrees=True)
+    offset = np.asarray(recipe.program_offset_mm)
+    return replace(
+        program,
+        start_mm=turn.apply(program.start_mm) + offset,
+        end_mm=turn.apply(program.end_mm) + offset,
+        axis=turn.apply(program.axis),
+    )
+
+
+def effect_of(recipe: Recipe, program: Program, grid: Grid, rate: float) -> RemovalAnswer:
+    """Compliance, gamma and effect along the program (part frame in, process grid out)."""
+    request = RemovalRequest(
+        program=in_part_frame(recipe, program),
+        grid=grid,
+        process=recipe.process,
+        robot=recipe.robot,
+        placement=recipe.placement,
+        correction=recipe.correction,
+        rate=rate,
+    )
+    return recipe.model.effect(request)
+
+
+def learn(
+    recipe: Recipe,
+    program: Program,
+    before: Measured,
+    after: Measured,
+    asked_s: FloatArray,
+    executed_s: FloatArray,
+    beliefs: Beliefs,
+) -> tuple[Beliefs, learning.Learned]:
+    """Compare predicted with measured removal of the last pass; refuse what a flip explains better."""
+    predicted = effect_of(recipe, program, before.grid, beliefs.rate).effect.removal_nm(executed_s)
+    learned = learning.learn_rate(predicted, before.height_nm - after.height_nm, before.metric_mask)
+    rate = beliefs.rate * learned.rate
+    if not 1 - recipe.max_rate_change <= rate <= 1 + recipe.max_rate_change:
+        raise ComputeError(
+            f"the last pass removed {rate:.2f} times what the model says (limits.max_rate_change = "
+            f"{recipe.max_rate_change:g}); check force, speed, slurry and process.preston_cm2_per_n, then resume"
+        )
+    overhead = motion.learn_overhead_s(program, asked_s, executed_s, _envelope(recipe, beliefs))
+    return Beliefs(rate, overhead, learned.notes), learned
+
+
+def solve(recipe: Recipe, program: Program, measured: Measured, beliefs: Beliefs) -> Solved:
+    """Dwell for the removal that the measured surface wants, within what the machine can deliver."""
+    envelope = _envelope(recipe, beliefs)
+    answer = effect_of(recipe, program, measured.grid, beliefs.rate)
+    lower = motion.least_time_s(program, envelope)
+    upper = motion.most_time_s(program, envelope)
+    for _ in range(ENVELOPE_ROUNDS):
+        problem = _problem(recipe, measured, answer, lower, upper)
+        dwell = recipe.solver.solve(problem, recipe.solve_s)
+        asked = np.maximum(dwell.time_s - beliefs.block_overhead_s, 0.0)
+        expected = motion.delivered_time_s(program, asked, envelope)
+        late = expected > dwell.time_s * 1.001 + 1e-4
+        if not late.any():
+            break
+        lower = np.where(late, np.maximum(lower, expected), lower)
+        upper = np.maximum(upper, lower)
+    return Solved(_cross_checked(recipe, problem, dwell), answer, asked, expected, beliefs)
+
+
+def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan:
+    """The rewritten program, read back from its own bytes, with what it is expected to do."""
+    text = recipe.format.rewrite(program, solved.asked_s)
+    rewritten = recipe.format.read(text, name)
+    if rewritten.n != program.n or not np.array_equal(rewritten.end_mm, program.end_mm):
+        raise ComputeError(f"{name}: the rewritten program does not read back as the same path; nothing was sent")
+    expected = motion.delivered_time_s(rewritten, rewritten.time_s, _envelope(recipe, solved.beliefs))
+    blocks = rewritten.blocks
+    return Plan(
+        program=rewritten,
+        original_sha256=program.sha256,
+        approach_blocks=int(rewritten.block[0]),
+        contact_blocks=int(rewritten.block[-1]) + 1,
+        expected_time_s=expected,
+        predicted_removal_nm=solved.answer.effect.removal_nm(expected),
+        segments=tuple(Segment(seq, line.rstrip(b"\r")) for seq, line in enumerate(blocks)),
+    )
+
+
+def _envelope(recipe: Recipe, beliefs: Beliefs) -> Envelope:
+    return replace(recipe.envelope, block_overhead_s=beliefs.block_overhead_s or recipe.envelope.block_overhead_s)
+
+
+def _problem(
+    recipe: Recipe, measured: Measured, answer: RemovalAnswer, lower: FloatArray, upper: FloatArray
+) -> DwellProblem:
+    piston = choose_piston_nm(measured.height_nm, measured.solve_mask, answer.effect.removal_nm(lower))
+    return DwellProblem(
+        effect=answer.effect,
+        target_nm=np.where(measured.solve_mask, measured.height_nm + piston, 0.0),
+        solve_mask=measured.solve_mask,
+        metric_mask=measured.metric_mask,
+        lower_s=lower,
+        upper_s=upper,
+        regularisation=regularisation_from_rho(answer.effect, measured.solve_mask, recipe.regularisation),
+    )
+
+
+def _cross_checked(recipe: Recipe, problem: DwellProblem, dwell: DwellSolution) -> DwellSolution:
+    """The same solution with an independent solver's word on it in the certificate."""
+    other = recipe.cross_check
+    if other is None:
+        return dwell
+    certificate = dwell.certificate
+    try:
+        theirs = other.solve(problem, recipe.solve_s).certificate
+    except ComputeError as error:
+        note = f"cross-check by {other.name} failed: {error}"
+        return replace(dwell, certificate=replace(certificate, notes=(*certificate.notes, note)))
+    gap = (certificate.objective - theirs.objective) / max(theirs.objective, 1e-12)
+    return replace(dwell, certificate=replace(certificate, cross_check=other.name, cross_check_gap=gap))

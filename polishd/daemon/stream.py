@@ -1,0 +1,100 @@
+"""Streaming a plan: what is sent stays a bounded time ahead of what is executed."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from polishd.daemon.safety import most_telling
+from polishd.model.devices import Executed
+from polishd.model.errors import DeviceFault, SafetyStop
+from polishd.model.program import Plan
+from polishd.ports.clock import Clock
+from polishd.ports.devices import Robot
+
+CHUNK = 128
+"""Blocks handed over at once."""
+
+
+class Stream:
+    """One pass of one plan through one robot: approach, polish, retreat, each block once and in order."""
+
+    def __init__(self, plan: Plan, robot: Robot, clock: Clock, lookahead_s: float) -> None:
+        self._plan = plan
+        self._robot = robot
+        self._clock = clock
+        self._lookahead_s = lookahead_s
+        self._sent = 0
+        self._executed = robot.executed(0)
+        self._filled = asyncio.Event()
+
+    async def feed(self) -> None:
+        """Keep the robot's buffer between one and two look-aheads until all blocks are sent."""
+        segments = self._plan.segments
+        while self._sent < len(segments):
+            chunk = segments[self._sent : self._sent + CHUNK]
+            await self._robot.send(chunk)
+            self._sent += len(chunk)
+            if self._robot.buffer_s >= self._lookahead_s:
+                self._filled.set()
+            while self._robot.buffer_s >= 2 * self._lookahead_s:
+                self._filled.set()
+                await self._clock.sleep(self._lookahead_s / 10)
+        self._filled.set()
+
+    async def approach(self) -> None:
+        """To the landing point, tool retracted; the robot then stands still."""
+        await self._filled.wait()
+        if self._plan.approach_blocks:
+            await self._robot.resume(until=self._plan.approach_blocks)
+            async for _ in self._until(self._plan.approach_blocks):
+                pass
+
+    async def polish(self) -> AsyncIterator[Executed]:
+        """Blocks in contact, as they are executed; the robot stands still at the other landing point afterwards."""
+        await self._robot.resume(until=self._plan.contact_blocks)
+        async for block in self._until(self._plan.contact_blocks):
+            yield block
+
+    async def retreat(self) -> None:
+        """The rest of the program, tool retracted."""
+        last = len(self._plan.segments)
+        if self._plan.contact_blocks < last:
+            await self._robot.resume()
+            async for _ in self._until(last):
+                pass
+
+    async def _until(self, end: int) -> AsyncIterator[Executed]:
+        async for block in self._executed:
+            self._check_supply()
+            yield block
+            if block.seq >= end - 1:
+                return
+        progress = await self._robot.progress()
+        raise DeviceFault(
+            f"the robot ended the program at block {progress.executed} of {end} ({progress.state}: {progress.detail})"
+        )
+
+    def _check_supply(self) -> None:
+        """Leave contact while there still is motion: a robot that runs dry stops with the tool on the part."""
+        starving = self._sent < len(self._plan.segments) and self._robot.buffer_s < self._lookahead_s / 4
+        if starving:
+            raise SafetyStop(
+                f"only {self._robot.buffer_s:.2f} s of motion are left in the robot at block {self._sent}: "
+                "the stream cannot keep up; lengthen job.lookahead_s or look at the link"
+            )
+
+
+@asynccontextmanager
+async def streaming(plan: Plan, robot: Robot, clock: Clock, lookahead_s: float) -> AsyncIterator[Stream]:
+    """Prepare the robot and feed it in the background for as long as the block lasts."""
+    await robot.prepare(plan)
+    stream = Stream(plan, robot, clock, lookahead_s)
+    try:
+        async with asyncio.TaskGroup() as group:
+            feeder = group.create_task(stream.feed(), name="feed robot")
+            yield stream
+            feeder.cancel()
+    except BaseExceptionGroup as errors:
+        raise most_telling(errors) from errors

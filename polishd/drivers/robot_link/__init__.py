@@ -1,0 +1,5 @@
+"""polishd's robot link: docs/protocols/robot_link.md."""
+
+from polishd.drivers.robot_link.driver import RobotLink
+
+__all__ = ["RobotLink"]

@@ -1,0 +1,179 @@
+"""One connection to the robot: reader, heartbeat, and answers matched to commands."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal
+
+from polishd.api import ByteStream, DeviceRefused, LinkError, ProtocolError, RobotProgress, Segment
+from polishd.drivers.robot_link.frames import Kind, encode
+from polishd.drivers.robot_link.messages import PROTOCOL, Ack, Nak, Welcome, command
+from polishd.drivers.robot_link.record import ExecutionRecord
+from polishd.drivers.robot_link.session import Session
+from polishd.drivers.transport.address import Tcp
+from polishd.drivers.transport.background import Background, Pulse, Ready
+from polishd.drivers.transport.streams import open_stream
+
+SILENCE_S = 0.4
+PING_S = 0.2
+CONNECT_S = 1.0
+ANSWER_S = 1.0
+RESEND_S = 0.5
+"""A robot takes blocks within its window at once; so long without is a lost frame."""
+RESENDS = 3
+
+Role = Literal["writer", "reader"]
+
+
+class Connection:
+    """From HELLO to the end of the link; never opened again. Whoever waits hears of its end by LinkError."""
+
+    def __init__(self, address: Tcp, role: Role, record: ExecutionRecord) -> None:
+        self.session = Session(record)
+        self._address = address
+        self._role = role
+        self._background = Background(str(address))
+        self._pulse = Pulse()
+        self._stream: ByteStream | None = None
+        self._pending: dict[int, deque[asyncio.Future[Ack]]] = {}
+
+    @property
+    def alive(self) -> bool:
+        """The link is up."""
+        return self._background.running
+
+    @property
+    def welcome(self) -> Welcome:
+        """What the robot said first."""
+        if self.session.welcome is None:
+            raise LinkError(f"{self._address}: is not open")
+        return self.session.welcome
+
+    @property
+    def progress(self) -> RobotProgress:
+        """The robot's last word; LinkError once the link is down."""
+        self._background.check()
+        assert self.session.progress is not None  # noqa: S101 -- came with WELCOME
+        return self.session.progress
+
+    async def open(self, client: str) -> None:
+        """Connect and be welcomed; DeviceRefused where another writer has the robot."""
+        self._stream = await open_stream(self._address, CONNECT_S)
+        try:
+            hello = {
+                "protocol": PROTOCOL,
+                "role": self._role,
+                "client": client,
+                "executed_from": len(self.session.record),
+            }
+            await self._stream.write(command(Kind.HELLO, hello))
+            await self._background.start(self._run, CONNECT_S)
+        except BaseException:
+            await self.close()
+            raise
+
+    async def close(self) -> None:
+        """Hang up; idempotent."""
+        await self._background.stop()
+        if self._stream is not None:
+            await self._stream.close()
+
+    async def command(self, kind: Kind, content: Mapping[str, Any], within_s: float = ANSWER_S) -> Ack:
+        """Send once and wait for its ACK. DeviceRefused on NAK, LinkError without an answer."""
+        answer: asyncio.Future[Ack] = asyncio.get_running_loop().create_future()
+        waiting = self._pending.setdefault(kind, deque())
+        waiting.append(answer)
+        try:
+            await self._write(command(kind, content))
+            return await self._background.result(answer, within_s)
+        finally:
+            answer.cancel()
+            if answer in waiting:
+                waiting.remove(answer)
+
+    async def until(self, condition: Callable[[], bool], within_s: float | None = None) -> bool:
+        """Wait for the condition, looked at whenever the robot has said something; False when the time is up."""
+        return await self._background.until(self._pulse, condition, within_s)
+
+    async def deliver(self, segments: Sequence[Segment]) -> None:
+        """Send blocks as credit allows, again from where the robot asks, until it has accepted them all."""
+        credit, end = self.session.credit, segments[-1].seq + 1
+        refusal: asyncio.Future[Ack] = asyncio.get_running_loop().create_future()
+        self._pending[Kind.BLOCKS] = deque([refusal])
+        credit.go_back()
+        fruitless = 0
+        while credit.accepted < end:
+            while frame := self.session.next_blocks(segments):
+                await self._write(frame)
+            before = credit.accepted, credit.limit
+            waiting = credit.sent > credit.accepted
+            sent = credit.sent
+
+            def changed(before: tuple[int, int] = before, sent: int = sent) -> bool:
+                return refusal.done() or (credit.accepted, credit.limit) != before or credit.sent != sent
+
+            heard = await self.until(changed, RESEND_S if waiting else None)
+            if refusal.done():
+                refusal.result()
+            if credit is not self.session.credit:
+                raise DeviceRefused(f"{self._address}: another program was loaded")
+            fruitless = 0 if heard else fruitless + 1
+            if fruitless > RESENDS:
+                raise ProtocolError(f"{self._address}: does not accept block {credit.accepted}")
+            if not heard:
+                credit.go_back()
+
+    async def _write(self, data: bytes) -> None:
+        self._background.check()
+        if self._stream is not None:
+            await self._stream.write(data)
+
+    async def _run(self, ready: Ready) -> None:
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self._receive(ready))
+            if self._role == "writer":
+                group.create_task(self._ping())
+
+    async def _ping(self) -> None:
+        while True:
+            await asyncio.sleep(PING_S)
+            if self._stream is not None:
+                await self._stream.write(encode(Kind.PING))
+
+    async def _receive(self, ready: Ready) -> None:
+        heard, limit_s = time.monotonic(), CONNECT_S
+        while self._stream is not None:
+            left_s = heard + limit_s - time.monotonic()
+            data = await self._stream.read(1 << 16, max(left_s, 0.0))
+            if self.session.receive(data):
+                heard = time.monotonic()
+            elif time.monotonic() > heard + limit_s:
+                raise LinkError(f"{self._address}: nothing sound within {limit_s:g} s")
+            self._match_answers()
+            if self.session.welcome is not None:
+                limit_s = SILENCE_S
+                ready()
+            self._pulse.fire()
+
+    def _match_answers(self) -> None:
+        answers, self.session.answers = self.session.answers, []
+        for answer in answers:
+            if isinstance(answer, Nak) and answer.of == Kind.HELLO:
+                raise _refused(self._address, answer)
+            waiting = self._pending.get(answer.of)
+            future = waiting.popleft() if waiting else None
+            if future is None or future.done():
+                continue
+            if isinstance(answer, Ack):
+                future.set_result(answer)
+            else:
+                future.set_exception(_refused(self._address, answer))
+
+
+def _refused(address: Tcp, nak: Nak) -> DeviceRefused | ProtocolError:
+    error = ProtocolError if nak.code == "protocol" else DeviceRefused
+    name = Kind(nak.of).name if nak.of in tuple(Kind) else f"frame type {nak.of}"
+    return error(f"{address}: {name} was refused: {nak.code}: {nak.text}")

@@ -1,0 +1,185 @@
+"""The robot behind polishd's robot link."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Sequence
+
+from polishd.api import (
+    DeviceFault,
+    DeviceRefused,
+    DeviceStatus,
+    Executed,
+    Identity,
+    LinkError,
+    Plan,
+    ProtocolError,
+    RobotProgress,
+    Segment,
+)
+from polishd.drivers.robot_link.connection import CONNECT_S, Connection, Role
+from polishd.drivers.robot_link.frames import Kind
+from polishd.drivers.robot_link.messages import LONGEST_LINE
+from polishd.drivers.robot_link.record import ExecutionRecord
+from polishd.drivers.transport.address import Tcp
+
+HOLD_S = 5.0
+"""No robot decelerates for longer."""
+HOLD_ANSWER_S = 1.0
+
+
+class RobotLink:
+    """A Robot over TCP. A lost link stays lost until ``open``; nothing but ``make_safe`` connects by itself."""
+
+    def __init__(self, address: Tcp, *, client: str = "polishd", role: Role = "writer") -> None:
+        self._address = address
+        self._client = client
+        self._role = role
+        self._record = ExecutionRecord()
+        self._connection: Connection | None = None
+        self._sending = asyncio.Lock()
+
+    @property
+    def buffer_s(self) -> float:
+        """See Robot. 0 while the link is down."""
+        if self._connection is None or not self._connection.alive:
+            return 0.0
+        return self._connection.progress.buffer_s
+
+    async def open(self) -> None:
+        """See Device. DeviceRefused while another writer has the robot. Records missed meanwhile are asked for."""
+        await self.close()
+        kept = self._record
+        connection = await self._connect(kept)
+        if connection.session.record is not kept and len(kept):
+            # Another program runs there than the one we asked the rest of: ask again, from its beginning.
+            await connection.close()
+            connection = await self._connect(ExecutionRecord())
+        self._connection = connection
+
+    async def close(self) -> None:
+        """See Device."""
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            self._record = connection.session.record
+            await connection.close()
+
+    async def identify(self) -> Identity:
+        """See Device."""
+        return self._open_connection().welcome.identity
+
+    async def status(self) -> DeviceStatus:
+        """See Device. Safe means that it stands still."""
+        progress = self._open_connection().progress
+        return DeviceStatus(
+            ready=progress.state != "fault",
+            safe=progress.state in ("idle", "held", "done"),
+            state=progress.state,
+            detail=progress.detail,
+        )
+
+    async def make_safe(self) -> None:
+        """See Device. Holds; where the link is down it connects once, as a reader, to hold and to see that it holds."""
+        if self._connection is not None and self._connection.alive:
+            with contextlib.suppress(LinkError, ProtocolError):
+                return await self.hold()
+        async with asyncio.timeout(2 * CONNECT_S + HOLD_S):
+            connection = Connection(self._address, "reader", ExecutionRecord())
+            await connection.open(self._client)
+            try:
+                await _hold(connection)
+            finally:
+                await connection.close()
+
+    async def prepare(self, plan: Plan) -> None:
+        """See Robot. DeviceRefused while the robot runs."""
+        sha256 = plan.program.sha256
+        load = {
+            "program_sha256": sha256,
+            "blocks": len(plan.segments) or len(plan.program.blocks),
+            "approach_blocks": plan.approach_blocks,
+        }
+        answer = await self._open_connection().command(Kind.LOAD, load)
+        if answer.progress.program_sha256 != sha256:
+            raise ProtocolError(f"{self._address}: was given {sha256}, holds {answer.progress.program_sha256!r}")
+
+    async def send(self, segments: Sequence[Segment]) -> None:
+        """See Robot. What the robot holds already is left out."""
+        async with self._sending:
+            connection = self._open_connection()
+            accepted = connection.session.credit.accepted
+            if any(segment.seq != segments[0].seq + at for at, segment in enumerate(segments)):
+                raise DeviceRefused(f"{self._address}: blocks are not numbered one by one")
+            new = [segment for segment in segments if segment.seq >= accepted]
+            if not new:
+                return
+            if new[0].seq > accepted:
+                raise DeviceRefused(f"{self._address}: the robot expects block {accepted}, not {new[0].seq}")
+            for segment in new:
+                if len(segment.text) > LONGEST_LINE or b"\n" in segment.text:
+                    raise DeviceRefused(f"{self._address}: block {segment.seq} is no single line below 64 KiB")
+            await connection.deliver(new)
+
+    async def progress(self) -> RobotProgress:
+        """See Robot."""
+        return self._open_connection().progress
+
+    async def executed(self, from_seq: int = 0) -> AsyncIterator[Executed]:
+        """See Robot. DeviceFault when the robot reports a fault."""
+        connection = self._open_connection()
+        record, seq = connection.session.record, from_seq
+        while True:
+            while seq < len(record):
+                yield record[seq]
+                seq += 1
+            if _ended(connection, record):
+                return
+            known = connection.progress
+            await connection.until(
+                lambda known=known: seq < len(record) or connection.session.progress != known  # type: ignore[misc]
+            )
+
+    async def hold(self) -> None:
+        """See Robot."""
+        await _hold(self._open_connection())
+
+    async def resume(self, until: int | None = None) -> None:
+        """See Robot. Returns when the robot has taken the command."""
+        await self._open_connection().command(Kind.RESUME, {"until": until})
+
+    async def abort(self) -> None:
+        """Hold, then make the robot forget its program."""
+        await self._open_connection().command(Kind.ABORT, {}, HOLD_S)
+
+    def _open_connection(self) -> Connection:
+        if self._connection is None:
+            raise LinkError(f"{self._address}: is not open")
+        return self._connection
+
+    async def _connect(self, record: ExecutionRecord) -> Connection:
+        connection = Connection(self._address, self._role, record)
+        await connection.open(self._client)
+        return connection
+
+
+async def _hold(connection: Connection) -> None:
+    """Hold and see that the robot stands still; its STATUS will do where the ACK gets lost."""
+    with contextlib.suppress(LinkError):
+        await connection.command(Kind.HOLD, {}, HOLD_ANSWER_S)
+    if not await connection.until(lambda: connection.progress.state != "running", HOLD_S):
+        raise DeviceFault("the robot goes on running after HOLD")
+
+
+def _ended(connection: Connection, record: ExecutionRecord) -> bool:
+    """Nothing more will be executed of what the record is of."""
+    progress = connection.progress
+    if connection.session.record is not record or progress.program_sha256 != record.program_sha256:
+        return True
+    if not record.program_sha256:
+        return True
+    if len(record) < progress.executed:
+        return False
+    if progress.state == "fault":
+        raise DeviceFault(f"the robot reports a fault: {progress.detail}")
+    return progress.state == "done"

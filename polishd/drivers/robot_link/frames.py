@@ -1,0 +1,99 @@
+"""Frames on the wire: magic, type, length, payload, CRC. Sans-IO; a broken frame is skipped and never acted on."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+from zlib import crc32
+
+MAGIC = b"PL"
+MAX_PAYLOAD = 1 << 20
+_HEADER = struct.Struct(">2sBBI")
+_CRC = struct.Struct(">I")
+_OVERHEAD = _HEADER.size + _CRC.size
+
+
+class Kind(IntEnum):
+    """Frame types: below 0x80 to the robot, from 0x80 on from it."""
+
+    HELLO = 0x01
+    LOAD = 0x02
+    BLOCKS = 0x03
+    RESUME = 0x04
+    HOLD = 0x05
+    ABORT = 0x06
+    PING = 0x07
+    WELCOME = 0x81
+    ACK = 0x82
+    NAK = 0x83
+    ACCEPTED = 0x84
+    EXECUTED = 0x85
+    STATUS = 0x86
+    RESEND = 0x87
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A frame whose CRC was right. Its type may be one that we do not know."""
+
+    kind: int
+    payload: bytes
+
+
+def encode(kind: Kind, payload: bytes = b"{}") -> bytes:
+    """A frame's bytes."""
+    body = _HEADER.pack(MAGIC, kind, 0, len(payload)) + payload
+    return body + _CRC.pack(crc32(body))
+
+
+class FrameReader:
+    """Cuts a byte stream into frames, however it is dribbled; after nonsense it looks for the next magic."""
+
+    def __init__(self) -> None:
+        self._bytes = bytearray()
+        self.skipped = 0
+        """Bytes that belonged to no sound frame."""
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Frames that are complete now."""
+        self._bytes += data
+        frames = []
+        at = 0
+        while (start := self._bytes.find(MAGIC, at)) >= 0:
+            self.skipped += start - at
+            at = start
+            size = self._size(start)
+            if size is None:
+                break
+            frame = self._frame(start, size)
+            if frame is None:
+                self.skipped += len(MAGIC)
+                at += len(MAGIC)
+            else:
+                frames.append(frame)
+                at += size
+        else:
+            # no magic in the rest, but its last byte may begin one
+            rest = 1 if self._bytes[at:].endswith(MAGIC[:1]) else 0
+            self.skipped += len(self._bytes) - rest - at
+            at = len(self._bytes) - rest
+        del self._bytes[:at]
+        return frames
+
+    def _size(self, start: int) -> int | None:
+        """Size of the frame at ``start`` (0 where its header is impossible); None while it is incomplete."""
+        if len(self._bytes) - start < _HEADER.size:
+            return None
+        _, _, zero, length = _HEADER.unpack_from(self._bytes, start)
+        if zero or length > MAX_PAYLOAD:
+            return 0
+        size = _OVERHEAD + int(length)
+        return size if len(self._bytes) - start >= size else None
+
+    def _frame(self, start: int, size: int) -> Frame | None:
+        if not size:
+            return None
+        body = bytes(self._bytes[start : start + size - _CRC.size])
+        (crc,) = _CRC.unpack_from(self._bytes, start + size - _CRC.size)
+        return Frame(body[2], body[_HEADER.size :]) if crc == crc32(body) else None

@@ -1,0 +1,155 @@
+"""What the payloads mean. Raises ProtocolError on a sound frame whose content is not the protocol's."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast, get_args
+
+from polishd.api import Executed, Identity, ProtocolError, RobotProgress
+from polishd.drivers.robot_link.frames import Kind, encode
+from polishd.model.devices import RobotState
+
+PROTOCOL = 1
+LONGEST_LINE = 0xFFFF
+
+_BLOCKS = struct.Struct(">IH")
+_LENGTH = struct.Struct(">H")
+_ACCEPTED = struct.Struct(">II")
+_RECORD = struct.Struct(">Idd")
+_SEQ = struct.Struct(">I")
+
+
+@dataclass(frozen=True, slots=True)
+class Welcome:
+    """Who the robot is, and how it stands."""
+
+    identity: Identity
+    watchdog_s: float
+    window: int
+    progress: RobotProgress
+
+
+@dataclass(frozen=True, slots=True)
+class Ack:
+    """The robot did as asked."""
+
+    of: int
+    progress: RobotProgress
+
+
+@dataclass(frozen=True, slots=True)
+class Nak:
+    """The robot refused."""
+
+    of: int
+    code: str
+    text: str
+
+
+def command(kind: Kind, content: Mapping[str, Any]) -> bytes:
+    """A frame with a JSON payload."""
+    return encode(kind, json.dumps(content, separators=(",", ":")).encode())
+
+
+def blocks(first_seq: int, lines: Sequence[bytes]) -> bytes:
+    """A BLOCKS frame."""
+    parts = [_BLOCKS.pack(first_seq, len(lines))]
+    for line in lines:
+        parts += _LENGTH.pack(len(line)), line
+    return encode(Kind.BLOCKS, b"".join(parts))
+
+
+def welcome(payload: bytes) -> Welcome:
+    """Content of WELCOME."""
+    content = _object(payload)
+    if content.get("protocol") != PROTOCOL:
+        raise ProtocolError(f"the robot speaks protocol {content.get('protocol')!r}, not {PROTOCOL}")
+    texts = {key: _text(content, key) for key in ("vendor", "model", "serial", "firmware", "boot_id")}
+    window, watchdog_s = content.get("window"), content.get("watchdog_s")
+    if not isinstance(window, int) or not isinstance(watchdog_s, int | float) or window < 1 or watchdog_s <= 0:
+        raise ProtocolError(f"WELCOME with window {window!r}, watchdog_s {watchdog_s!r}")
+    return Welcome(Identity(**texts), float(watchdog_s), window, _progress(content.get("status")))
+
+
+def ack(payload: bytes) -> Ack:
+    """Content of ACK."""
+    content = _object(payload)
+    return Ack(_of(content), _progress(content.get("status")))
+
+
+def nak(payload: bytes) -> Nak:
+    """Content of NAK."""
+    content = _object(payload)
+    return Nak(_of(content), _text(content, "code"), _text(content, "text"))
+
+
+def status(payload: bytes) -> RobotProgress:
+    """Content of STATUS."""
+    return _progress(_object(payload))
+
+
+def accepted(payload: bytes) -> tuple[int, int]:
+    """Content of ACCEPTED: next sequence number, credit."""
+    next_seq, credit = _unpack(_ACCEPTED, payload)
+    return next_seq, credit
+
+
+def executed(payload: bytes) -> list[Executed]:
+    """Content of EXECUTED."""
+    if len(payload) < _LENGTH.size or len(payload) != _LENGTH.size + _LENGTH.unpack_from(payload)[0] * _RECORD.size:
+        raise ProtocolError(f"EXECUTED of {len(payload)} bytes does not hold what it counts")
+    return [Executed(*record) for record in _RECORD.iter_unpack(payload[_LENGTH.size :])]
+
+
+def resend(payload: bytes) -> int:
+    """Content of RESEND: the sequence number to send again from."""
+    (seq,) = _unpack(_SEQ, payload)
+    return seq
+
+
+def _unpack(form: struct.Struct, payload: bytes) -> tuple[int, ...]:
+    if len(payload) != form.size:
+        raise ProtocolError(f"{len(payload)} bytes where {form.size} are due")
+    return form.unpack(payload)
+
+
+def _object(payload: bytes) -> dict[str, Any]:
+    try:
+        content = json.loads(payload)
+    except ValueError as error:
+        raise ProtocolError(f"not JSON: {payload[:80]!r}") from error
+    if not isinstance(content, dict):
+        raise ProtocolError(f"no JSON object: {payload[:80]!r}")
+    return content
+
+
+def _text(content: Mapping[str, Any], key: str) -> str:
+    value = content.get(key, "")
+    if not isinstance(value, str):
+        raise ProtocolError(f"{key} is no text: {value!r}")
+    return value
+
+
+def _of(content: Mapping[str, Any]) -> int:
+    of = content.get("of")
+    if not isinstance(of, int):
+        raise ProtocolError(f"an answer to nothing: {content!r}")
+    return of
+
+
+def _progress(content: Any) -> RobotProgress:
+    if not isinstance(content, dict):
+        raise ProtocolError(f"no status: {content!r}")
+    state, buffer_s = content.get("state"), content.get("buffer_s")
+    counts = content.get("accepted"), content.get("executed")
+    if state not in get_args(RobotState) or not isinstance(buffer_s, int | float):
+        raise ProtocolError(f"status with state {state!r}, buffer_s {buffer_s!r}")
+    if not all(isinstance(count, int) and count >= 0 for count in counts):
+        raise ProtocolError(f"status with accepted, executed {counts!r}")
+    texts = {key: _text(content, key) for key in ("program_sha256", "boot_id", "detail")}
+    return RobotProgress(
+        state=state, accepted=cast("int", counts[0]), executed=cast("int", counts[1]), buffer_s=float(buffer_s), **texts
+    )

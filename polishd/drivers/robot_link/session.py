@@ -1,0 +1,123 @@
+"""The state of one connection: bytes in, facts out. Sans-IO: no clock, no sockets, no tasks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from polishd.api import LinkError, RobotProgress, Segment
+from polishd.drivers.robot_link import messages
+from polishd.drivers.robot_link.frames import Frame, FrameReader, Kind
+from polishd.drivers.robot_link.messages import Ack, Nak, Welcome
+from polishd.drivers.robot_link.record import ExecutionRecord
+
+MAX_BLOCKS = 256
+"""Blocks in one frame: small enough that one lost frame costs little."""
+MAX_BYTES = 1 << 18
+
+
+@dataclass(slots=True)
+class Credit:
+    """Go-back-N: what the robot has, what it may be sent, what was sent."""
+
+    accepted: int = 0
+    limit: int = 0
+    sent: int = 0
+
+    def grant(self, accepted: int, limit: int) -> None:
+        """The robot holds all below ``accepted``; both only grow, so that an old word does no harm."""
+        self.accepted = max(self.accepted, accepted)
+        self.limit = max(self.limit, limit)
+        self.sent = max(self.sent, self.accepted)
+
+    def go_back(self, seq: int = 0) -> None:
+        """Send again from there, but nothing that the robot holds already."""
+        self.sent = max(self.accepted, min(self.sent, seq))
+
+
+class Session:
+    """What the robot has said on this connection."""
+
+    def __init__(self, record: ExecutionRecord) -> None:
+        self._frames = FrameReader()
+        self._handlers: dict[int, Callable[[bytes], None]] = {
+            Kind.WELCOME: self._welcome,
+            Kind.ACK: self._ack,
+            Kind.NAK: lambda payload: self.answers.append(messages.nak(payload)),
+            Kind.ACCEPTED: self._accepted,
+            Kind.EXECUTED: self._executed,
+            Kind.STATUS: lambda payload: self._progressed(messages.status(payload)),
+            Kind.RESEND: lambda payload: self.credit.go_back(messages.resend(payload)),
+        }
+        self.welcome: Welcome | None = None
+        self.progress: RobotProgress | None = None
+        self.credit = Credit()
+        self.record = record
+        self.answers: list[Ack | Nak] = []
+        """To be taken by the driver, in order."""
+
+    @property
+    def skipped(self) -> int:
+        """Bytes that belonged to no sound frame."""
+        return self._frames.skipped
+
+    def receive(self, data: bytes) -> int:
+        """Take bytes; number of sound frames among them."""
+        frames = self._frames.feed(data)
+        for frame in frames:
+            self._handle(frame)
+        return len(frames)
+
+    def next_blocks(self, segments: Sequence[Segment]) -> bytes:
+        """A BLOCKS frame with those of the segments that are due now; empty when none is."""
+        first = segments[0].seq
+        begin = self.credit.sent - first
+        end = min(self.credit.limit - first, len(segments), begin + MAX_BLOCKS)
+        lines: list[bytes] = []
+        size = 0
+        for segment in segments[begin:end] if begin >= 0 else ():
+            size += len(segment.text)
+            if lines and size > MAX_BYTES:
+                break
+            lines.append(segment.text)
+        if not lines:
+            return b""
+        frame = messages.blocks(self.credit.sent, lines)
+        self.credit.sent += len(lines)
+        return frame
+
+    def _handle(self, frame: Frame) -> None:
+        if frame.kind not in self._handlers or (self.welcome is None and frame.kind not in (Kind.WELCOME, Kind.NAK)):
+            return  # of a later version, or of before we were welcome
+        self._handlers[frame.kind](frame.payload)
+
+    def _welcome(self, payload: bytes) -> None:
+        self.welcome = messages.welcome(payload)
+        progress = replace(self.welcome.progress, boot_id=self.welcome.identity.boot_id)
+        ours = (self.record.program_sha256, self.record.boot_id) == (progress.program_sha256, progress.boot_id)
+        if not ours or progress.executed < len(self.record):
+            self.record = ExecutionRecord(progress.program_sha256, progress.boot_id)
+        self._progressed(progress)
+
+    def _ack(self, payload: bytes) -> None:
+        answer = messages.ack(payload)
+        if answer.of == Kind.LOAD and self.welcome is not None:
+            self.record = ExecutionRecord(answer.progress.program_sha256, self.welcome.identity.boot_id)
+            self.credit = Credit(limit=self.welcome.window)
+        self._progressed(answer.progress)
+        self.answers.append(answer)
+
+    def _accepted(self, payload: bytes) -> None:
+        next_seq, credit = messages.accepted(payload)
+        self.credit.grant(next_seq, next_seq + credit)
+
+    def _executed(self, payload: bytes) -> None:
+        self.record.extend(messages.executed(payload))
+
+    def _progressed(self, progress: RobotProgress) -> None:
+        boot_id = self.welcome.identity.boot_id if self.welcome is not None else ""
+        if progress.boot_id and progress.boot_id != boot_id:
+            raise LinkError(f"the robot was started anew (boot id {progress.boot_id}, not {boot_id})")
+        self.progress = replace(progress, boot_id=boot_id)
+        if progress.program_sha256 == self.record.program_sha256:
+            self.credit.grant(progress.accepted, 0)

@@ -1,0 +1,144 @@
+"""Work that goes on between ``open()`` and ``close()`` of a device, and whose failure reaches everybody who waits."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Coroutine
+from functools import partial
+from typing import Any, TypeVar
+
+from polishd.api import LinkError, PolishdError
+
+T = TypeVar("T")
+Ready = Callable[[], None]
+
+
+def settle(future: asyncio.Future[None]) -> None:
+    """End a future that nobody may have ended yet."""
+    if not future.done():
+        future.set_result(None)
+
+
+class Pulse:
+    """Wakes everybody who waits; unlike an event it keeps no memory, so that conditions are looked at anew."""
+
+    def __init__(self) -> None:
+        self._future: asyncio.Future[None] | None = None
+
+    def next(self) -> asyncio.Future[None]:
+        """A future that ends at the next ``fire``; shared, so never to be cancelled."""
+        if self._future is None or self._future.done():
+            self._future = asyncio.get_running_loop().create_future()
+        return self._future
+
+    def fire(self) -> None:
+        """Wake all."""
+        if self._future is not None:
+            settle(self._future)
+
+
+class Background:
+    """Owns one task from ``start`` to ``stop``. When it fails, ``check``, ``until`` and ``result`` raise its error."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._task: asyncio.Task[None] | None = None
+
+    @property
+    def running(self) -> bool:
+        """Started, not stopped, not failed."""
+        return self._task is not None and not self._task.done()
+
+    async def start(self, main: Callable[[Ready], Coroutine[Any, Any, None]], within_s: float) -> None:
+        """Run ``main(ready)`` until ``stop``; returns once it has called ready, raises what it failed with before."""
+        if self._task is not None:
+            raise LinkError(f"{self._name}: is open already")
+        ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._task = asyncio.create_task(_flat(main(partial(settle, ready))), name=self._name)
+        try:
+            await asyncio.wait({ready, self._task}, timeout=within_s, return_when=asyncio.FIRST_COMPLETED)
+            if self._task.done():
+                await asyncio.shield(self._task)
+            if not ready.done():
+                raise LinkError(f"{self._name}: no answer within {within_s:g} s")
+        except BaseException:
+            await self.stop()
+            raise
+
+    async def stop(self) -> None:
+        """End the task and wait for its end; idempotent."""
+        task, self._task = self._task, None
+        if task is not None:
+            task.cancel()
+            await asyncio.wait({task})
+            if not task.cancelled():
+                task.exception()  # was raised to every waiter, or is moot now
+
+    def check(self) -> None:
+        """Raise what the task failed with; LinkError when it does not run."""
+        if not self.running:
+            raise self._failure()
+
+    async def until(self, pulse: Pulse, condition: Callable[[], bool], within_s: float | None = None) -> bool:
+        """Wait for the condition, looked at after each pulse; False when the time is up first."""
+        deadline = None if within_s is None else time.monotonic() + within_s
+        while not condition():
+            self.check()
+            left = None if deadline is None else deadline - time.monotonic()
+            if left is not None and left <= 0:
+                return False
+            await self._first(pulse.next(), left)
+        return True
+
+    async def result(self, future: asyncio.Future[T], within_s: float | None = None) -> T:
+        """The future's result; LinkError when the time is up first."""
+        await self._first(future, within_s)
+        if future.done():
+            return future.result()
+        self.check()
+        raise LinkError(f"{self._name}: no answer within {within_s:g} s")
+
+    async def _first(self, future: asyncio.Future[T], within_s: float | None) -> None:
+        if self._task is None:
+            raise self._failure()
+        await asyncio.wait({future, self._task}, timeout=within_s, return_when=asyncio.FIRST_COMPLETED)
+
+    def _failure(self) -> BaseException:
+        if self._task is None or self._task.cancelled():
+            return LinkError(f"{self._name}: is not open")
+        error = self._task.exception()
+        if error is None:
+            return LinkError(f"{self._name}: has ended")
+        # A new one for each waiter: tracebacks grow in what is raised.
+        return type(error)(*error.args) if isinstance(error, PolishdError) else error
+
+
+async def _flat(main: Coroutine[Any, Any, None]) -> None:
+    """Main, with the first error instead of the group that a TaskGroup makes of it."""
+    try:
+        await main
+    except BaseExceptionGroup as group:
+        first: BaseException = group
+        while isinstance(first, BaseExceptionGroup):
+            first = first.exceptions[0]
+        raise first from None
+
+
+async def open_blocking(make: Callable[[], T], undo: Callable[[T], object], within_s: float, what: str) -> T:
+    """Run a blocking open in a thread. What it brings after the time is up, or after a cancellation, is undone."""
+    future = asyncio.get_running_loop().run_in_executor(None, make)
+
+    def undo_late(late: asyncio.Future[T]) -> None:
+        if not late.cancelled() and late.exception() is None:
+            undo(late.result())
+
+    try:
+        await asyncio.wait({future}, timeout=within_s)
+    except asyncio.CancelledError:
+        future.add_done_callback(undo_late)
+        raise
+    if not future.done():
+        future.add_done_callback(undo_late)
+        raise LinkError(f"{what}: did not open within {within_s:g} s")
+    return future.result()

@@ -1,0 +1,197 @@
+"""Zygo MetroPro ``.dat``: header, intensities, phase; see docs/protocols/metropro_dat.md.
+
+What a file does not warrant is not allocated: its length must be the one that its header asks for.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+import struct
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.model.surface import FloatArray
+
+NAME = "metropro"
+VERSION = 1
+HEADER_BYTES = {b"\x88\x1b\x03\x6f": 834, b"\x88\x1b\x03\x70": 834, b"\x88\x1b\x03\x71": 4096}
+RESOLUTION = {0: 4096, 1: 32768, 2: 131072}
+MISSING = 2147483640
+MOST_SAMPLES = 64_000_000
+MOST_BYTES = 2**30
+ZERO_TAIL = 4
+"""So many samples of exactly zero at the very end are not measured: the file was preallocated."""
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """The fields of the header that decide correctness, as they stand in the file."""
+
+    length: int
+    intensity_bytes: int
+    columns: int
+    rows: int
+    origin: tuple[int, int]
+    timestamp: int
+    scale: float
+    wavelength_m: float
+    obliquity: float
+    camera_res_m: float
+    resolution: int
+    sign: int
+    system: int
+    part: str
+    serial: str
+
+    @property
+    def file_bytes(self) -> int:
+        """Length of the whole file."""
+        return self.length + self.intensity_bytes + 4 * self.columns * self.rows
+
+    @property
+    def nm_per_count(self) -> float:
+        """Height of one count, sign included."""
+        size = self.scale * self.wavelength_m * self.obliquity / RESOLUTION[self.resolution] * 1e9
+        return -size if self.sign else size
+
+
+def sniff(head: bytes, path: Path) -> bool:  # noqa: ARG001  a reader may also judge by name
+    """True where the file starts with one of MetroPro's magic numbers."""
+    return head[:4] in HEADER_BYTES
+
+
+def read(path: Path) -> SurfaceMap:
+    """Read a map. BadMap with path and reason for whatever is torn, broken or absurd."""
+    try:
+        with path.open("rb") as file:
+            header = _header(path, file.read(max(HEADER_BYTES.values())))
+            _check_length(path, header, os.fstat(file.fileno()).st_size)
+            file.seek(0)
+            content = file.read(header.file_bytes + 1)
+    except OSError as error:
+        raise BadMap(f"{path}: cannot be read: {error.strerror}") from error
+    _check_length(path, header, len(content))
+    height_nm = _height_nm(path, header, content)
+    pitch_mm, warnings = _pitch_mm(path, header)
+    return SurfaceMap(
+        height_nm=height_nm,
+        pitch_mm=pitch_mm,
+        part_id=header.serial or header.part,
+        instrument=f"Zygo MetroPro, system {header.system}",
+        taken_at=datetime.fromtimestamp(header.timestamp, UTC) if header.timestamp > 0 else None,
+        sha256=hashlib.sha256(content).hexdigest(),
+        path=path,
+        format=NAME,
+        factors=_factors(header),
+        warnings=warnings,
+    )
+
+
+def _header(path: Path, head: bytes) -> Header:
+    if not head:
+        raise BadMap(f"{path}: the file is empty")
+    length = HEADER_BYTES.get(head[:4])
+    if length is None:
+        raise BadMap(f"{path}: no MetroPro file: it starts with {head[:4].hex(' ')}")
+    if len(head) < length:
+        raise BadMap(f"{path}: ends inside its header, after {len(head)} of {length} bytes")
+    (stated,) = struct.unpack_from(">i", head, 6)
+    if stated != length:
+        raise BadMap(f"{path}: states a header of {stated} bytes where this version has {length}")
+    width, height, buckets = struct.unpack_from(">HHH", head, 52)
+    columns, rows = struct.unpack_from(">HH", head, 68)
+    scale, wavelength_m = struct.unpack_from(">ff", head, 164)
+    header = Header(
+        length=length,
+        intensity_bytes=2 * width * height * buckets,
+        columns=columns,
+        rows=rows,
+        origin=struct.unpack_from(">hh", head, 64),
+        timestamp=struct.unpack_from(">i", head, 76)[0],
+        scale=scale,
+        wavelength_m=wavelength_m,
+        obliquity=struct.unpack_from(">f", head, 176)[0],
+        camera_res_m=struct.unpack_from(">f", head, 184)[0],
+        resolution=struct.unpack_from(">h", head, 218)[0],
+        sign=struct.unpack_from(">h", head, 232)[0],
+        system=struct.unpack_from(">H", head, 242)[0],
+        part=_text(head[258:298]),
+        serial=_text(head[320:360]),
+    )
+    _check_fields(path, header)
+    return header
+
+
+def _text(field: bytes) -> str:
+    return field.partition(b"\0")[0].decode("latin-1").strip()
+
+
+def _check_fields(path: Path, header: Header) -> None:
+    samples = header.columns * header.rows
+    if samples == 0:
+        raise BadMap(f"{path}: has no phase data ({header.rows} rows x {header.columns} columns)")
+    if samples > MOST_SAMPLES:
+        raise BadMap(f"{path}: {header.rows} rows x {header.columns} columns is no interferometer's camera")
+    if header.file_bytes > MOST_BYTES:
+        raise BadMap(f"{path}: its header asks for {header.file_bytes} bytes, more than {MOST_BYTES}")
+    if header.resolution not in RESOLUTION:
+        raise BadMap(f"{path}: PhaseRes is {header.resolution}, not 0, 1 or 2: the height's scale is not known")
+    ranges = {
+        "IntfScaleFactor": (header.scale, 0.01, 100.0),
+        "Wavelength (m)": (header.wavelength_m, 1e-7, 2e-5),
+        "Obliquity": (header.obliquity, 0.01, 100.0),
+    }
+    for name, (value, low, high) in ranges.items():
+        if not low <= value <= high:
+            raise BadMap(f"{path}: {name} is {value:g}, outside {low:g} to {high:g}: the height's scale is not known")
+
+
+def _check_length(path: Path, header: Header, size: int) -> None:
+    if size != header.file_bytes:
+        state = "torn, or still being written" if size < header.file_bytes else "more than its header asks for"
+        raise BadMap(f"{path}: has {size} bytes of {header.file_bytes}: {state}")
+
+
+def _height_nm(path: Path, header: Header, content: bytes) -> FloatArray:
+    counts = np.frombuffer(content, dtype=">i4", offset=header.length + header.intensity_bytes)
+    if not counts[-ZERO_TAIL:].any() and counts.size > ZERO_TAIL:
+        raise BadMap(f"{path}: ends in a tail of zeros: preallocated, and not written to its end")
+    missing = counts >= MISSING
+    if missing.all():
+        raise BadMap(f"{path}: no sample holds data")
+    height_nm = counts.astype(np.float64)
+    height_nm *= header.nm_per_count
+    height_nm[missing] = np.nan
+    return height_nm.reshape(header.rows, header.columns)
+
+
+def _pitch_mm(path: Path, header: Header) -> tuple[float | None, tuple[str, ...]]:
+    metres = header.camera_res_m
+    if metres == 0:
+        return None, ("CameraRes is 0: the instrument was not calibrated, the map has no lateral scale",)
+    if not (math.isfinite(metres) and 1e-8 <= metres <= 0.1):
+        raise BadMap(f"{path}: CameraRes is {metres:g} m a pixel")
+    return metres * 1e3, ()
+
+
+def _factors(header: Header) -> dict[str, Any]:
+    return {
+        "reader_version": VERSION,
+        "scale": header.scale,
+        "wavelength_nm": header.wavelength_m * 1e9,
+        "obliquity": header.obliquity,
+        "counts_per_wave": RESOLUTION[header.resolution],
+        "negated": bool(header.sign),
+        "nm_per_count": header.nm_per_count,
+        "origin_px": header.origin,
+    }
+
+
+METROPRO = SurfaceReader(name=NAME, sniff=sniff, read=read)

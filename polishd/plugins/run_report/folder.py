@@ -1,0 +1,186 @@
+"""Reads a run or plan folder into arrays. What is absent or broken is listed as missing, never fatal."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Arrays = Mapping[str, NDArray[Any]]
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """A measured map as the daemon used it: ``height_nm`` (ny, nx), row 0 the top, NaN = no data."""
+
+    height_nm: FloatArray
+    metric_mask: BoolArray
+    pitch_mm: float
+
+    @property
+    def extent_mm(self) -> tuple[float, float, float, float]:
+        """Left, right, bottom and top edge in the part's frame, for ``imshow`` with its origin at the top."""
+        ny, nx = self.height_nm.shape
+        half_x, half_y = nx * self.pitch_mm / 2, ny * self.pitch_mm / 2
+        return (-half_x, half_x, -half_y, half_y)
+
+    def levelled(self, height_nm: FloatArray | None = None) -> FloatArray:
+        """This map, or another on its grid, less its mean in the clear aperture."""
+        height = self.height_nm if height_nm is None else height_nm
+        inside = height[self.metric_mask & np.isfinite(height)]
+        return height - (inside.mean() if inside.size else 0.0)
+
+    def inside(self, height_nm: FloatArray | None = None) -> FloatArray:
+        """Samples in the clear aperture that have data, mean removed, (k,)."""
+        height = self.levelled(height_nm)
+        return height[self.metric_mask & np.isfinite(height)]
+
+    def rms_nm(self, height_nm: FloatArray | None = None) -> float:
+        """RMS in the clear aperture, mean removed; NaN without data."""
+        inside = self.inside(height_nm)
+        return float(inside.std()) if inside.size else math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class Executed:
+    """Blocks in contact that were executed, summed over pieces of one block: (k,) sequence numbers and seconds."""
+
+    seq: NDArray[np.int64]
+    seconds: FloatArray
+
+    def per_point(self, plan: Arrays) -> FloatArray | None:
+        """Executed seconds of each timed point, NaN where it was not executed, or None where that is not known."""
+        n = plan["expected_s"].size
+        if "block" in plan:
+            done = dict(zip(self.seq.tolist(), self.seconds.tolist(), strict=True))
+            return np.array([done.get(int(seq), math.nan) for seq in plan["block"]])
+        return self.seconds if self.seconds.size == n else None
+
+
+@dataclass(frozen=True, slots=True)
+class Cycle:
+    """What the folder of one cycle holds."""
+
+    name: str
+    surface: Surface | None
+    plan: Arrays | None
+    certificate: Mapping[str, Any] | None
+    executed: Executed | None
+    files: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RunFolder:
+    """A run folder, or a plan folder (``planned``: a single cycle that lies in the folder itself)."""
+
+    path: Path
+    planned: bool
+    summary: Mapping[str, Any]
+    cycles: tuple[Cycle, ...]
+    missing: list[str] = field(default_factory=list)
+    """What a complete folder would hold and this one does not, or what cannot be read."""
+
+    def rows(self) -> list[Mapping[str, Any]]:
+        """The summary's entries per measurement; empty where there is no summary."""
+        rows = self.summary.get("cycles")
+        return [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+
+
+def read_folder(path: Path) -> RunFolder:
+    """Read all that is there."""
+    missing: list[str] = []
+    summary = read_json(path / "summary.json", path, missing) or {}
+    planned = (path / "surface.npz").exists() or (path / "plan.npz").exists()
+    folders = [path] if planned else sorted(entry for entry in path.glob("cycle-*") if entry.is_dir())
+    cycles = tuple(read_cycle(folder, path, missing) for folder in folders)
+    if not cycles:
+        missing.append("cycle-00: no measurement was taken")
+    return RunFolder(path, planned, summary, cycles, missing)
+
+
+def read_cycle(folder: Path, root: Path, missing: list[str]) -> Cycle:
+    """Read one cycle's folder. A cycle without a plan had no pass, which is no fault."""
+    surface = read_surface(folder / "surface.npz", root, missing)
+    plan = certificate = executed = None
+    if (folder / "plan.npz").exists():
+        plan = read_arrays(folder / "plan.npz", root, missing)
+        certificate = read_json(folder / "certificate.json", root, missing)
+        if folder != root:
+            executed = read_executed(folder / "executed.csv", root, missing)
+    files = tuple(sorted(entry.relative_to(root).as_posix() for entry in folder.iterdir() if entry.is_file()))
+    return Cycle("plan" if folder == root else folder.name, surface, plan, certificate, executed, files)
+
+
+def read_surface(path: Path, root: Path, missing: list[str]) -> Surface | None:
+    """Read ``surface.npz``; without a mask, all data count."""
+    arrays = read_arrays(path, root, missing)
+    if arrays is None:
+        return None
+    try:
+        height = np.asarray(arrays["height_nm"], dtype=np.float64)
+        pitch = float(arrays["pitch_mm"])
+    except (KeyError, TypeError, ValueError) as error:
+        missing.append(f"{path.relative_to(root)}: {error}")
+        return None
+    mask = np.asarray(arrays.get("metric_mask", np.isfinite(height)), dtype=np.bool_)
+    if height.ndim != 2 or mask.shape != height.shape:
+        missing.append(f"{path.relative_to(root)}: shapes {height.shape} and {mask.shape} do not fit")
+        return None
+    return Surface(height, mask, pitch)
+
+
+def read_arrays(path: Path, root: Path, missing: list[str]) -> dict[str, NDArray[Any]] | None:
+    """Read all arrays of an ``.npz``."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return {name: stored[name] for name in stored.files}
+    except FileNotFoundError:
+        missing.append(f"{path.relative_to(root)}: not there")
+    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        missing.append(f"{path.relative_to(root)}: cannot be read ({error})")
+    return None
+
+
+def read_json(path: Path, root: Path, missing: list[str]) -> dict[str, Any] | None:
+    """Read a JSON object."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        missing.append(f"{path.relative_to(root)}: not there")
+        return None
+    except (OSError, ValueError) as error:
+        missing.append(f"{path.relative_to(root)}: cannot be read ({error})")
+        return None
+    if isinstance(content, dict):
+        return content
+    missing.append(f"{path.relative_to(root)}: not an object")
+    return None
+
+
+def read_executed(path: Path, root: Path, missing: list[str]) -> Executed | None:
+    """Read ``executed.csv`` (seq, start_s, end_s, contact): the blocks in contact."""
+    seconds: dict[int, float] = {}
+    try:
+        with path.open(encoding="utf-8", newline="") as lines:
+            for row in csv.DictReader(lines):
+                if row["contact"].strip().lower() in ("1", "1.0", "true"):
+                    seq = int(float(row["seq"]))
+                    seconds[seq] = seconds.get(seq, 0.0) + float(row["end_s"]) - float(row["start_s"])
+    except FileNotFoundError:
+        missing.append(f"{path.relative_to(root)}: not there")
+        return None
+    except (OSError, ValueError, KeyError, AttributeError, csv.Error) as error:
+        missing.append(f"{path.relative_to(root)}: cannot be read ({error!r})")
+        return None
+    order = sorted(seconds)
+    return Executed(np.array(order, dtype=np.int64), np.array([seconds[seq] for seq in order], dtype=np.float64))

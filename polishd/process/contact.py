@@ -1,0 +1,113 @@
+"""The contact of a rigid robot's bonnet: Hertz pressure, sliding speed and Preston's rate (paper eq. 16-33).
+
+The tool's frame: origin at the contact's centre, z out of the part, y where the spindle leans, x = y cross z. The tool
+turns counterclockwise about the axis from the tip into the spindle for a positive speed.
+Functions take any array of depths (mm) that broadcasts with x and y.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from polishd.model.errors import ComputeError
+from polishd.model.process import ToolProcess
+from polishd.model.surface import FloatArray
+from polishd.process.robot.refusal import require_number
+
+CM2_PER_N = 100.0
+"""mm^2/N in one cm^2/N."""
+NM_PER_MM = 1e6
+
+
+def check_process(process: ToolProcess) -> None:
+    """Raise ComputeError that names the first number of the process which cannot be."""
+    moduli = {"tool_modulus_mpa": "MPa", "part_modulus_mpa": "MPa", "lame_mpa": "MPa"}
+    units = {"tool_radius_mm": "mm", "force_n": "N", "rpm": "1/min", "preston_cm2_per_n": "cm2/N", **moduli}
+    for name, unit in units.items():
+        require_number(f"the process's {name}", getattr(process, name), unit, above=0.0)
+    require_number("the process's dip_deg", process.dip_deg, "deg", above=-1e-12, below=90.0)
+    for name in ("tool_poisson", "part_poisson"):
+        require_number(f"the process's {name}", getattr(process, name), "", above=-1.0, below=0.5 + 1e-12)
+    for name in ("viscosity_mpa_s", "second_viscosity_mpa_s"):
+        require_number(f"the process's {name}", getattr(process, name), "MPa s", above=-1e-12)
+
+
+def reduced_modulus_mpa(process: ToolProcess) -> float:
+    """E* of bonnet and part (paper eq. 28), MPa."""
+    tool = (1 - process.tool_poisson**2) / process.tool_modulus_mpa
+    return float(1 / (tool + (1 - process.part_poisson**2) / process.part_modulus_mpa))
+
+
+def hertz_depth_mm(process: ToolProcess) -> float:
+    """Depth d at which Hertz gives the actuator's force, taken along the axis (eq. 28 solved for d), mm.
+
+    Raises ComputeError for an impossible process, or where the bonnet would be pressed in by a quarter of its radius.
+    """
+    check_process(process)
+    radius = process.tool_radius_mm
+    depth = float((0.75 * process.force_n / (reduced_modulus_mpa(process) * np.sqrt(radius))) ** (2 / 3))
+    if depth > radius / 4:
+        raise ComputeError(
+            f"the contact's depth is {depth:.5g} mm at {process.force_n:g} N: too deep for Hertz on a bonnet of radius "
+            f"{radius:g} mm"
+        )
+    return depth
+
+
+def contact_radius_mm(process: ToolProcess, depth_mm: FloatArray) -> FloatArray:
+    """``a = sqrt(R d)``, mm (eq. 27)."""
+    return np.sqrt(process.tool_radius_mm * np.asarray(depth_mm))
+
+
+def peak_pressure_mpa(process: ToolProcess, depth_mm: FloatArray) -> FloatArray:
+    """Pressure at the contact's centre, ``3 F / (2 pi a^2)``, MPa (eq. 27 and 28)."""
+    return 2 * reduced_modulus_mpa(process) / np.pi * np.sqrt(np.asarray(depth_mm) / process.tool_radius_mm)
+
+
+def sliding_speed_mm_s(process: ToolProcess, depth_mm: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+    """Speed of the bonnet along the surface at (x, y) of the tool's frame (eq. 17-18, rigid spin), mm/s."""
+    dip, spin = np.radians(process.dip_deg), process.rpm * np.pi / 30
+    height = process.tool_radius_mm - np.asarray(depth_mm)
+    return np.asarray(spin * np.hypot(np.sin(dip) * height + np.cos(dip) * y_mm, np.cos(dip) * x_mm))
+
+
+def dissipative_shift_mm(process: ToolProcess, depth_mm: FloatArray) -> FloatArray:
+    """Shift of the pressure along +x, towards the side where the bonnet enters the contact, mm (eq. 29 and 32).
+
+    ``alpha omega sin(dip) (R - d)``: the bounded reading of the dissipative stress, about 1 um at 1000 rpm. The force
+    stays what it was; the moment is shift x force (eq. 33). It lies along x because the dip lies in y-z (eq. 30).
+    """
+    viscosity = 2 * process.second_viscosity_mpa_s + process.viscosity_mpa_s / 3
+    alpha_s = viscosity * process.tool_poisson / process.lame_mpa
+    entering = process.rpm * np.pi / 30 * np.sin(np.radians(process.dip_deg))
+    return np.asarray(alpha_s * entering * (process.tool_radius_mm - np.asarray(depth_mm)), dtype=np.float64)
+
+
+def preston_nm_s(process: ToolProcess) -> float:
+    """Removal rate in nm/s per MPa of pressure and mm/s of speed (eq. 16; the paper prints no unit, cm2/N is taken)."""
+    return process.preston_cm2_per_n * CM2_PER_N * NM_PER_MM
+
+
+def removal_rate_nm_s(process: ToolProcess, depth_mm: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+    """Removal rate at (x, y) of the tool's frame, nm/s, 0 outside the contact: ``k p v`` (eq. 16)."""
+    shifted = np.hypot(x_mm - dissipative_shift_mm(process, depth_mm), y_mm)
+    rho = shifted / contact_radius_mm(process, depth_mm)
+    pressure = peak_pressure_mpa(process, depth_mm) * np.sqrt(np.clip(1 - rho**2, 0.0, None))
+    return np.asarray(preston_nm_s(process) * pressure * sliding_speed_mm_s(process, depth_mm, x_mm, y_mm))
+
+
+def volume_rate_nm_mm2_s(process: ToolProcess, depth_mm: FloatArray) -> FloatArray:
+    """(n,) volume removed per second at (n,) depths, nm mm^2/s (1e-6 mm^3/s): the integral of `removal_rate_nm_s`.
+
+    Gauss-Legendre in ``sqrt(1 - rho^2)``, where the pressure is a polynomial, and equal angles.
+    """
+    depth = np.atleast_1d(depth_mm)[:, None, None]
+    node, weight = np.polynomial.legendre.leggauss(16)
+    height, weight = (node + 1) / 2, weight / 2
+    angle = (np.arange(32) + 0.5) * (2 * np.pi / 32)
+    radius = contact_radius_mm(process, depth)
+    rho = radius * np.sqrt(1 - height**2)[:, None]
+    x = rho * np.cos(angle) + dissipative_shift_mm(process, depth)
+    speed = sliding_speed_mm_s(process, depth, x, rho * np.sin(angle)).mean(axis=2)
+    load = 2 * np.pi * radius**2 * peak_pressure_mpa(process, depth)
+    return np.asarray(preston_nm_s(process) * load[:, 0, 0] * (speed @ (weight * height**2)), dtype=np.float64)

@@ -1,0 +1,125 @@
+"""The plant's own removal law: Hertz's contact and Preston's equation with what really acts at the moment.
+
+Units: mm, N, MPa, s, rad; removal in nm. Nothing here is shared with the controller's model.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from polishd.model.process import HybridRobot, ToolProcess
+from polishd.model.surface import FloatArray, Grid
+from polishd.process.robot import tip_compliance_mm_per_n
+
+CHUNK = 48
+"""Steps worn at once: small enough for the cache."""
+
+
+def plane_strain_modulus_mpa(tool: ToolProcess) -> float:
+    """E* of the pair."""
+    soft = (1.0 - tool.tool_poisson**2) / tool.tool_modulus_mpa
+    hard = (1.0 - tool.part_poisson**2) / tool.part_modulus_mpa
+    return 1.0 / (soft + hard)
+
+
+def hertz_depth_mm(tool: ToolProcess, force_n: FloatArray) -> FloatArray:
+    """Indentation of the bonnet under a force, (n,)."""
+    stiff = 4.0 / 3.0 * plane_strain_modulus_mpa(tool) * math.sqrt(tool.tool_radius_mm)
+    return np.asarray((np.maximum(force_n, 0.0) / stiff) ** (2.0 / 3.0))
+
+
+def tool_axis(a_deg: FloatArray, c_deg: FloatArray) -> FloatArray:
+    """(n,) A and C -> (n, 3) tool axis in the program's frame, from the tip into the spindle."""
+    a, c = np.radians(a_deg), np.radians(c_deg)
+    return np.stack([np.sin(c) * np.sin(a), -np.cos(c) * np.sin(a), np.cos(a)], axis=1)
+
+
+def equivalent_compliance(robot: HybridRobot, tip_mm: FloatArray, axis: FloatArray, normal: FloatArray) -> FloatArray:
+    """Linear equivalent compliance along the surface normal (paper eq. 43), mm/N, (n,).
+
+    ``tip_mm``, ``axis`` (n, 3) and ``normal`` (3,) in the base frame. The eigenvector nearest the tool axis is left out:
+    the voice coil gives way along it.
+    """
+    values, vectors = np.linalg.eigh(tip_compliance_mm_per_n(robot, tip_mm, axis))
+    nearest = np.argmax(np.abs(np.einsum("nik,ni->nk", vectors, axis)), axis=1)
+    share = values * np.abs(np.einsum("nik,i->nk", vectors, normal))
+    share[np.arange(len(share)), nearest] = 0.0
+    return np.asarray(share.sum(axis=1))
+
+
+def worn_depth_mm(tool: ToolProcess, force_n: FloatArray, axis: FloatArray, compliance: FloatArray) -> FloatArray:
+    """Depth that is left when the robot has given way: gamma d, gamma = 1 - c F / (d cos(dip)), (n,); 0 at worst.
+
+    ``axis`` (n, 3) in the part's frame, whose z is the surface normal.
+    """
+    depth = hertz_depth_mm(tool, force_n)
+    lost = compliance * force_n / np.maximum(axis[:, 2], 1e-3)
+    return np.asarray(np.maximum(depth - lost, 0.0))
+
+
+def wear(
+    surface_nm: FloatArray,
+    grid: Grid,
+    tool: ToolProcess,
+    *,
+    centre_mm: FloatArray,
+    axis: FloatArray,
+    depth_mm: FloatArray,
+    rpm: FloatArray,
+    seconds: FloatArray,
+) -> None:
+    """Take material off ``surface_nm`` in place: n contacts at ``centre_mm`` (n, 2) for ``seconds`` (n,) each.
+
+    ``seconds`` carries the rate factor too. Cell averages, by midpoints at most 1/6 mm apart.
+    """
+    active = (depth_mm > 0.0) & (seconds > 0.0) & (rpm != 0.0)
+    index = np.flatnonzero(active)
+    for start in range(0, len(index), CHUNK):
+        take = index[start : start + CHUNK]
+        _wear_chunk(surface_nm, grid, tool, centre_mm[take], axis[take], depth_mm[take], rpm[take] * seconds[take])
+
+
+def _wear_chunk(
+    surface_nm: FloatArray,
+    grid: Grid,
+    tool: ToolProcess,
+    centre_mm: FloatArray,
+    axis: FloatArray,
+    depth_mm: FloatArray,
+    turns: FloatArray,
+) -> None:
+    pitch = grid.pitch_mm
+    fine = max(1, round(pitch * 6.0))
+    reach = math.sqrt(tool.tool_radius_mm * float(depth_mm.max())) / pitch
+    cells = 2 * math.ceil(reach) + 2
+    first_col = np.floor((centre_mm[:, 0] - grid.x_mm[0]) / pitch - reach + 0.5).astype(np.int64)
+    first_row = np.floor((grid.y_mm[0] - centre_mm[:, 1]) / pitch - reach + 0.5).astype(np.int64)
+    offset = ((np.arange(cells * fine) + 0.5) / fine - 0.5) * pitch
+    x = (grid.x_mm[0] + first_col * pitch - centre_mm[:, 0])[:, None] + offset
+    y = (grid.y_mm[0] - first_row * pitch - centre_mm[:, 1])[:, None] - offset
+    rate = _rate(tool, x, y, axis, depth_mm)
+    mean = rate.reshape(len(turns), cells, fine, cells, fine).sum(axis=(2, 4))
+    # preston cm^2/N = 100 mm^2/N; 1e6 nm/mm; rpm * s = 60 turns, one turn = 2 pi rad
+    mean *= (tool.preston_cm2_per_n * 100.0 * 1e6 * math.tau / 60.0 / fine**2) * turns[:, None, None]
+    rows = (first_row[:, None] + np.arange(cells))[:, :, None]
+    cols = (first_col[:, None] + np.arange(cells))[:, None, :]
+    inside = (rows >= 0) & (rows < grid.ny) & (cols >= 0) & (cols < grid.nx)
+    flat = np.where(inside, rows * grid.nx + cols, 0)
+    np.subtract.at(surface_nm.reshape(-1), flat.ravel(), np.where(inside, mean, 0.0).ravel())
+
+
+def _rate(tool: ToolProcess, x: FloatArray, y: FloatArray, axis: FloatArray, depth_mm: FloatArray) -> FloatArray:
+    """Pressure times sliding speed per unit of angular speed, MPa mm, (n, y, x), at offsets from the contact's centre."""
+    radius = tool.tool_radius_mm
+    peak = 2.0 * plane_strain_modulus_mpa(tool) / math.pi * np.sqrt(depth_mm / radius)
+    down = (depth_mm - radius)[:, None]
+    along_x = (axis[:, 1:2] * down - axis[:, 2:3] * y)[:, :, None]
+    along_y = (axis[:, 2:3] * x - axis[:, 0:1] * down)[:, None, :]
+    inverse = (1.0 / (radius * depth_mm))[:, None]
+    room = np.maximum((1.0 - y * y * inverse)[:, :, None] - (x * x * inverse)[:, None, :], 0.0)
+    room *= along_x**2 + along_y**2
+    np.sqrt(room, out=room)
+    room *= peak[:, None, None]
+    return room

@@ -1,0 +1,207 @@
+"""Execution: the controller's process clock, its blocks, and where the tool is. Pure of I/O; times are handed in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from polishd.model.surface import FloatArray
+from polishd.sim_backends.robot.legs import Cursor, Legs, braking, plan, rows
+from polishd.sim_backends.robot.path import PAUSE, Path
+from polishd.sim_backends.robot.rnc import Block, Pose
+
+State = Literal["idle", "held", "running", "done"]
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What this machine does."""
+
+    accel_mm_s2: float
+    overhead_s: float
+    corner_deg: float
+    rapid_mm_s: float
+    max_feed_mm_s: float
+    speed: float
+    """Process seconds per wall second while running."""
+
+
+@dataclass(slots=True)
+class Motion:
+    """The executor. ``advance(wall)`` brings it to the present; ``rows`` and ``executed`` collect what happened."""
+
+    limits: Limits
+    pose: Pose
+    state: State = "idle"
+    detail: str = ""
+    path: Path = field(init=False)
+    until: int | None = None
+    rows: list[FloatArray] = field(default_factory=list)
+    """Motion since they were last taken, see ``bus.ROW``."""
+    executed: list[tuple[int, float, float]] = field(default_factory=list)
+    """(seq, start_s, end_s) of every executed block of the program."""
+    stopping: str = ""
+    process_s: float = 0.0
+    _cursor: Cursor = field(default_factory=Cursor)
+    _legs: Legs = field(init=False)
+    _leg: int = 0
+    _begun_s: float | None = None
+    _origin: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        """Start without a program."""
+        self.forget()
+
+    def load(self, blocks: int) -> None:
+        """Forget the old program; expect block 0 of the new one."""
+        limits = self.limits
+        self.path = Path(
+            blocks,
+            self.pose,
+            rapid_mm_s=limits.rapid_mm_s,
+            max_feed_mm_s=limits.max_feed_mm_s,
+            corner_deg=limits.corner_deg,
+        )
+        self._cursor, self._begun_s = Cursor(), None
+        self.executed, self.until, self.stopping = [], None, ""
+        self._plan()
+        self.state, self.detail = "held", "loaded"
+
+    def forget(self) -> None:
+        """Drop the program."""
+        self.load(0)
+        self.state, self.detail = "idle", ""
+
+    def append(self, wall_s: float, blocks: Sequence[Block]) -> None:
+        """Take blocks; the profile of what lies ahead is renewed."""
+        self.advance(wall_s)
+        self.path.append(blocks)
+        if not self.stopping:
+            self._plan()
+
+    def resume(self, wall_s: float, until: int | None) -> None:
+        """Run, to the end or up to ``until``."""
+        self.advance(wall_s)
+        self.until = until
+        if self.state == "done":
+            return
+        if until is not None and until <= self._cursor.block:
+            self.hold(wall_s, "until")
+            return
+        self.stopping, self.detail = "", ""
+        if self.state != "running":
+            self.state = "running"
+            self._origin = (wall_s, self.process_s)
+        self._plan()
+        self.advance(wall_s)
+
+    def hold(self, wall_s: float, why: str) -> None:
+        """Decelerate along the path and stand still."""
+        self.advance(wall_s)
+        if self.state == "held":
+            self.detail = why
+        if self.state != "running" or self.stopping:
+            return
+        self.stopping = why
+        self._legs, self._leg = braking(self.path, self._cursor, self.process_s, self.limits.accel_mm_s2), 0
+        self.advance(wall_s)
+
+    def advance(self, wall_s: float) -> None:
+        """Execute up to the present."""
+        if self.state != "running":
+            return
+        legs, since = self._legs, self.process_s
+        now = max(self._origin[1] + (wall_s - self._origin[0]) * self.limits.speed, since)
+        end = float(legs.end_s[legs.stop]) if legs.stop >= 0 else since
+        self.process_s = min(now, end)
+        reached = legs.reached(self.process_s)
+        self._witness(legs, reached, since)
+        self._complete(legs, reached)
+        if now >= end and reached > legs.stop:
+            self._stop()
+
+    @property
+    def accepted(self) -> int:
+        """Blocks accepted."""
+        return self.path.accepted
+
+    @property
+    def ahead_s(self) -> float:
+        """Wall seconds of motion that are accepted and not executed."""
+        if not len(self._legs.end_s):
+            return 0.0
+        return max(float(self._legs.end_s[-1]) - self.process_s, 0.0) / self.limits.speed
+
+    def _plan(self) -> None:
+        limits = self.limits
+        self._legs = plan(
+            self.path,
+            self._cursor,
+            self.process_s,
+            until=self.until,
+            accel=limits.accel_mm_s2,
+            overhead_s=limits.overhead_s,
+        )
+        self._leg = 0
+
+    def _witness(self, legs: Legs, reached: int, since: float) -> None:
+        if self.process_s <= since:
+            return
+        cut = rows(self.path, legs, self._leg, reached, (since, self.process_s))
+        if not len(cut):
+            return
+        wall, process = self._origin
+        times = wall + (cut[:, 1:3] - process) / self.limits.speed
+        self.rows.append(np.column_stack([cut[:, 0], times, cut[:, 2] - cut[:, 1], cut[:, 3:]]))
+
+    def _complete(self, legs: Legs, reached: int) -> None:
+        for k in range(self._leg, reached):
+            if self._begun_s is None:
+                self._begun_s = float(legs.start_s[k])
+            if legs.completes[k]:
+                self.executed.append((int(legs.block[k]), self._begun_s, float(legs.end_s[k])))
+                self._cursor, self._begun_s = Cursor(int(legs.block[k]) + 1), None
+        self._leg = reached
+        if reached <= legs.stop:
+            if self._begun_s is None:
+                self._begun_s = float(legs.start_s[reached])
+            done_mm, done_s, speed = legs.state(reached, self.process_s)
+            self._cursor = Cursor(int(legs.block[reached]), done_mm, done_s, speed)
+        elif reached and not legs.completes[reached - 1]:
+            done_mm, done_s, _ = legs.state(reached - 1, self.process_s)
+            self._cursor = Cursor(int(legs.block[reached - 1]), done_mm, done_s)
+        self.pose = self._where()
+
+    def _where(self) -> Pose:
+        block = self._cursor.block
+        if block >= self.path.accepted:
+            pose = self.path.pose[block]
+        else:
+            total = self.path.length[block]
+            share = min(self._cursor.done_mm / total, 1.0) if total > 0.0 else 0.0
+            pose = self.path.pose[block] + (self.path.pose[block + 1] - self.path.pose[block]) * share
+        x, y, z, a, c = (float(value) for value in pose)
+        return (x, y, z, a, c)
+
+    def _stop(self) -> None:
+        """The legs are run: say why the tool stands."""
+        done = self._cursor.block
+        if done >= self.path.blocks:
+            self.state, self.detail = "done", ""
+        elif self.stopping:
+            self.state, self.detail = "held", self.stopping
+        elif self.until is not None and done >= self.until:
+            self.state, self.detail = "held", "until"
+        elif done > 0 and self.path.kind[done - 1] == PAUSE and done <= self.path.accepted and not self._starved():
+            self.state, self.detail = "held", "pause"
+        else:
+            self.state, self.detail = "held", "underrun"
+        self.stopping, self._cursor.speed = "", 0.0
+        self._plan()
+
+    def _starved(self) -> bool:
+        """Whether the stop came because there was nothing to run at all, not because of a pause."""
+        return len(self._legs.block) == 0

@@ -1,0 +1,1 @@
+"""The simulated spindle drive: behaviour, CAN frames, slcan and socketcand."""

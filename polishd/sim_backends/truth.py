@@ -1,0 +1,67 @@
+"""The hidden truth: what the simulated machines are really like. Drawn from the seed, never told to the controller."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from polishd.model.process import HybridRobot
+from polishd.sim_backends.config import Truth
+
+STIFFNESSES = (
+    "limb_stiffness_n_per_mm",
+    "up_bending_n_mm2",
+    "up_torsion_n_mm2",
+    "a_stiffness_n_mm_per_rad",
+    "c_stiffness_n_mm_per_rad",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class HiddenTruth:
+    """One draw."""
+
+    rate: float
+    """Removal rate relative to Preston's nominal constant."""
+    drift: float
+    drift_period_s: float
+    drift_phase: float
+    accel_mm_s2: float
+    overhead_s: float
+    robot: HybridRobot
+
+    def rate_at(self, process_s: float) -> float:
+        """The rate factor at a process time."""
+        return self.rate * (1.0 + self.drift * math.sin(self.drift_phase + math.tau * process_s / self.drift_period_s))
+
+    def as_dict(self) -> dict[str, Any]:
+        """For ``truth.json``."""
+        return asdict(self)
+
+
+def draw(config: Truth, seed: int) -> HiddenTruth:
+    """Draw the truth. The same seed gives the same machines."""
+    rng = np.random.default_rng([seed, 1])
+    nominal = HybridRobot()
+    factors = 1.0 + config.stiffness * rng.uniform(-1.0, 1.0, len(STIFFNESSES))
+    robot = replace(
+        nominal,
+        **{name: getattr(nominal, name) * float(factor) for name, factor in zip(STIFFNESSES, factors, strict=True)},
+    )
+    return HiddenTruth(
+        rate=1.0 + float(rng.uniform(*config.rate)),
+        drift=config.drift,
+        drift_period_s=config.drift_period_s * float(rng.uniform(0.8, 1.2)),
+        drift_phase=float(rng.uniform(0.0, math.tau)),
+        accel_mm_s2=config.accel_mm_s2 * (1.0 + config.accel_spread * float(rng.uniform(-1.0, 1.0))),
+        overhead_s=config.overhead_s * (1.0 + config.overhead_spread * float(rng.uniform(-1.0, 1.0))),
+        robot=robot,
+    )
+
+
+def stream(seed: int, name: str) -> np.random.Generator:
+    """A device's own random numbers: independent of who else draws, and when."""
+    return np.random.default_rng([seed, *name.encode()])

@@ -1,0 +1,217 @@
+"""Rules over the source of polishd. Each takes the project's root and returns what breaks it, one line each."""
+
+from __future__ import annotations
+
+import ast
+import builtins
+import statistics
+from pathlib import Path
+
+from tests.arch.source import Source, length, public, sources
+
+FILE_MEDIAN, FILE_MAX = 120, 400
+FUNCTION_P90, FUNCTION_MAX = 25, 60
+CLASS_MAX = 250
+
+# Third-party libraries that drivers, plugins and the daemon may name in two files each, so that they stay replaceable.
+CONFINED = ("pymodbus", "serial", "can", "pluggy", "qpsolvers")
+CONFINED_FILES = 2
+
+# The physics and the nouns know no world: no I/O, no asyncio, no logging.
+IMPURE_MODULES = {
+    "asyncio", "concurrent", "ctypes", "http", "logging", "multiprocessing", "os", "select", "shutil", "signal",
+    "socket", "sqlite3", "subprocess", "sys", "tempfile", "threading", "urllib",
+}  # fmt: skip
+IMPURE_CALLS = {"open", "print", "input", "np.load", "np.save", "np.loadtxt", "np.savetxt"}
+
+BUILTIN_ERRORS = {
+    name for name, value in vars(builtins).items() if isinstance(value, type) and issubclass(value, BaseException)
+}
+
+
+def file_sizes(root: Path) -> list[str]:
+    """Files are small: the median and the largest are bounded."""
+    tree = sources(root)
+    median = statistics.median(source.lines for source in tree)
+    broken = [f"{s.name}: {s.lines} lines, at most {FILE_MAX}" for s in tree if s.lines > FILE_MAX]
+    return broken + ([f"median file has {median:g} lines, at most {FILE_MEDIAN}"] if median > FILE_MEDIAN else [])
+
+
+def function_sizes(root: Path) -> list[str]:
+    """Functions are short, docstrings not counted: the longest and nine in ten are bounded."""
+    tree = sources(root)
+    sizes = sorted(length(function) for source in tree for function in source.functions())
+    p90 = sizes[int(0.9 * (len(sizes) - 1))] if sizes else 0
+    broken = [
+        source.at(function, f"{function.name} has {length(function)} lines, at most {FUNCTION_MAX}")
+        for source in tree
+        for function in source.functions()
+        if length(function) > FUNCTION_MAX
+    ]
+    return broken + (
+        [f"one function in ten has over {p90} lines, at most {FUNCTION_P90}"] if p90 > FUNCTION_P90 else []
+    )
+
+
+def class_sizes(root: Path) -> list[str]:
+    """Classes are bounded."""
+    return [
+        source.at(node, f"class {node.name} has {length(node)} lines, at most {CLASS_MAX}")
+        for source in sources(root)
+        for node in source.classes()
+        if length(node) > CLASS_MAX
+    ]
+
+
+def docstrings(root: Path) -> list[str]:
+    """Every public module, class, function and method says what it is."""
+    return [
+        source.at(node, f"{name or 'module'} has no docstring")
+        for source in sources(root)
+        for node, name in public(source.tree)
+        if not ast.get_docstring(node)
+    ]
+
+
+def exceptions_at_home(root: Path) -> list[str]:
+    """Exceptions are defined in model/errors.py only."""
+    tree = sources(root)
+    home = [source for source in tree if source.within("model/errors.py")]
+    known = BUILTIN_ERRORS | {node.name for source in home for node in source.classes()}
+    return [
+        source.at(node, f"{node.name} is an exception: it belongs in polishd/model/errors.py")
+        for source in tree
+        if source not in home
+        for node in source.classes()
+        if any(_is_exception(ast.unparse(base).split(".")[-1], known) for base in node.bases)
+    ]
+
+
+def _is_exception(name: str, known: set[str]) -> bool:
+    return name in known or name.endswith(("Error", "Exception"))
+
+
+def confined_libraries(root: Path) -> list[str]:
+    """A replaceable library is named in few files of drivers, plugins and daemon."""
+    broken = []
+    for library in CONFINED:
+        users = [
+            source.name
+            for source in sources(root)
+            if source.within("drivers/", "plugins/", "daemon/")
+            and any(module.split(".")[0] == library for _, module in source.imports())
+        ]
+        if len(users) > CONFINED_FILES:
+            broken.append(f"{library} is imported in {len(users)} files, at most {CONFINED_FILES}: {', '.join(users)}")
+    return broken
+
+
+def pure_process(root: Path) -> list[str]:
+    """process/ and model/ do no I/O, no asyncio, no logging."""
+    pure = [source for source in sources(root) if source.within("process/", "model/")]
+    imported = [
+        source.at(node, f"{module} has no place in the pure layers")
+        for source in pure
+        for node, module in source.imports()
+        if module.split(".")[0] in IMPURE_MODULES
+    ]
+    called = [
+        source.at(node, f"{callee}() has no place in the pure layers")
+        for source in pure
+        for node, callee in source.calls()
+        if callee in IMPURE_CALLS
+    ]
+    return imported + called
+
+
+def nothing_swallowed(root: Path) -> list[str]:
+    """No handler of everything does nothing; nor does ``suppress(Exception)``."""
+    return [message for source in sources(root) for message in _swallowed(source)]
+
+
+def _swallowed(source: Source) -> list[str]:
+    handlers = [
+        node
+        for node in ast.walk(source.tree)
+        if isinstance(node, ast.ExceptHandler) and _catches_all(node.type) and all(map(_does_nothing, node.body))
+    ]
+    suppressors = [
+        node
+        for node, callee in source.calls()
+        if callee in {"suppress", "contextlib.suppress"} and any(map(_catches_all, node.args))
+    ]
+    return [source.at(node, "an error of any kind is swallowed") for node in [*handlers, *suppressors]]
+
+
+def _catches_all(caught: ast.expr | None) -> bool:
+    if isinstance(caught, ast.Tuple):
+        return any(map(_catches_all, caught.elts))
+    return caught is None or ast.unparse(caught).split(".")[-1] in {"Exception", "BaseException"}
+
+
+def _does_nothing(statement: ast.stmt) -> bool:
+    if isinstance(statement, ast.Return):
+        return statement.value is None or isinstance(statement.value, ast.Constant)
+    if isinstance(statement, ast.Expr):
+        return isinstance(statement.value, ast.Constant)
+    return isinstance(statement, ast.Pass | ast.Continue | ast.Break)
+
+
+def no_stray_tasks(root: Path) -> list[str]:
+    """Tasks are born in a TaskGroup only: nobody waits for a bare one, and nobody hears its error.
+
+    What must outlive the cancellation of its caller cannot be in a group: a task that its maker awaits in
+    ``asyncio.shield`` is waited for, and allowed.
+    """
+    return [
+        source.at(node, f"{callee}() outside a TaskGroup")
+        for source in sources(root)
+        for node, callee in source.calls()
+        if _makes_bare_task(callee) and node not in _shielded(source)
+    ]
+
+
+def _makes_bare_task(callee: str) -> bool:
+    receiver, _, method = callee.rpartition(".")
+    if method == "create_task":
+        return receiver in {"", "asyncio"} or "loop" in receiver.lower()
+    return method == "ensure_future"
+
+
+def _shielded(source: Source) -> set[ast.expr]:
+    """Values of the names that a function both assigns and awaits in ``asyncio.shield(name)``."""
+    found = set()
+    for function in source.functions():
+        nodes = list(ast.walk(function))
+        awaited = {ast.unparse(node.value) for node in nodes if isinstance(node, ast.Await)}
+        for node in nodes:
+            if isinstance(node, ast.Assign) and f"asyncio.shield({ast.unparse(node.targets[0])})" in awaited:
+                found.add(node.value)
+    return found
+
+
+def no_sleeping(root: Path) -> list[str]:
+    """Nothing blocks in ``time.sleep`` but simulated machines, which are processes of their own."""
+    tree = [source for source in sources(root) if not source.within("sim_backends/")]
+    called = [(source, node) for source in tree for node, callee in source.calls() if callee == "time.sleep"]
+    imported = [
+        (source, node)
+        for source in tree
+        for node, module in source.imports()
+        if module == "time" and isinstance(node, ast.ImportFrom) and any(a.name == "sleep" for a in node.names)
+    ]
+    return [source.at(node, "time.sleep blocks the loop") for source, node in [*called, *imported]]
+
+
+RULES = (
+    file_sizes,
+    function_sizes,
+    class_sizes,
+    docstrings,
+    exceptions_at_home,
+    confined_libraries,
+    pure_process,
+    nothing_swallowed,
+    no_stray_tasks,
+    no_sleeping,
+)

@@ -1,0 +1,72 @@
+"""The fixture that fails a test which leaves something running: it must see a leak, and only a leak."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+HEAD = """
+import asyncio, multiprocessing, subprocess, sys, pytest
+SLEEP = [sys.executable, "-c", "import time; time.sleep(60)"]
+kept = []
+
+@pytest.fixture
+async def closing():
+    task = asyncio.ensure_future(asyncio.sleep(60))
+    yield
+    task.cancel()
+
+@pytest.fixture
+async def leaking():
+    kept.append(asyncio.ensure_future(asyncio.sleep(60)))
+    yield
+"""
+
+CLEAN = """
+async def test_a_group(closing):
+    async with asyncio.TaskGroup() as group:
+        group.create_task(asyncio.sleep(0))
+
+def test_a_process():
+    subprocess.run(["true"], check=True)
+
+def test_a_spawned_process():
+    process = multiprocessing.get_context("spawn").Process(target=print)
+    process.start()
+    process.join()
+"""
+
+LEAKS = {
+    "task": "async def test(): kept.append(asyncio.ensure_future(asyncio.sleep(60)))",
+    "task of a fixture": "async def test(leaking): pass",
+    "process": "def test(): kept.append(subprocess.Popen(SLEEP))",
+    "process of a coroutine": "async def test(): kept.append(await asyncio.create_subprocess_exec(*SLEEP))",
+}
+
+
+def run(tmp_path: Path, text: str) -> str:
+    """Run pytest on these tests, with the project's conftest and settings; what it printed."""
+    (tmp_path / "conftest.py").write_text((ROOT / "tests" / "conftest.py").read_text())
+    (tmp_path / "test_it.py").write_text(HEAD + text)
+    pytest_ = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-c", str(ROOT / "pyproject.toml")]
+    result = subprocess.run([*pytest_, str(tmp_path)], cwd=tmp_path, capture_output=True, text=True, check=False)
+    return result.stdout + result.stderr
+
+
+def test_what_ends_is_no_leak(tmp_path: Path) -> None:
+    output = run(tmp_path, CLEAN)
+    assert "3 passed" in output, output
+    assert "error" not in output, output
+
+
+@pytest.mark.parametrize("leak", LEAKS)
+def test_a_leak_fails_the_test(tmp_path: Path, leak: str) -> None:
+    output = run(tmp_path, LEAKS[leak])
+    assert "left running" in output, output
+    assert re.search(r"\b1 error", output), output

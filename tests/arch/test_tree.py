@@ -1,0 +1,40 @@
+"""The project itself keeps the rules. That the rules can fail is shown in test_rules.py."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.arch import code_rules, repository_rules
+from tests.arch.source import Rule
+
+ROOT = Path(__file__).resolve().parents[2]
+# Configs of cells and jobs; the example plugin's own pyproject.toml is none.
+EXAMPLES = sorted(path for path in (ROOT / "examples").rglob("*.toml") if path.name != "pyproject.toml")
+
+
+@pytest.mark.parametrize("rule", [*code_rules.RULES, *repository_rules.RULES], ids=lambda rule: rule.__name__)
+def test_the_tree_keeps(rule: Rule) -> None:
+    broken = rule(ROOT)
+    assert not broken, "\n".join([str(rule.__doc__), *broken])
+
+
+def test_the_layers_hold() -> None:
+    """The contracts are in pyproject.toml; here they fail a test run too, with the linter's own words."""
+    linter = [str(Path(sys.executable).with_name("lint-imports")), "--no-logo", "--no-cache"]
+    result = subprocess.run(linter, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+def test_there_are_examples() -> None:
+    assert EXAMPLES
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_the_example_loads(path: Path) -> None:
+    from polishd.daemon.config import load_config  # not at the top: the rules should run while this does not
+
+    load_config(path)

@@ -1,0 +1,92 @@
+"""What every test gets: no task and no process outlives it, and hypothesis behaves alike on every machine."""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+import os
+import signal
+import time
+from collections.abc import AsyncIterator, Iterator
+from multiprocessing import forkserver, resource_tracker
+from pathlib import Path
+
+import hypothesis
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+# What is ending when the test ends may take this long to be gone.
+SETTLE_S = 1.0
+
+# A shared machine is sometimes slow: pytest's own timeout catches what hangs. Same examples everywhere.
+hypothesis.settings.register_profile("polishd", deadline=None, derandomize=True, database=None)
+hypothesis.settings.load_profile("polishd")
+
+
+@pytest.fixture
+def shared_data() -> Path:
+    """Folder of measured maps beside the project; the test is skipped where it is absent."""
+    path = ROOT.parent / "shared" / "data"
+    if not path.is_dir():
+        pytest.skip("no ../shared/data beside the project")
+    return path
+
+
+@pytest.fixture(autouse=True)
+def leaves_nothing_running(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Fail a test that leaves asyncio tasks or child processes running (and end those processes)."""
+    if inspect.iscoroutinefunction(getattr(request, "function", None)):
+        request.getfixturevalue("leaves_no_task")
+    before = children()
+    yield
+    left = settled_children(before)
+    for pid in left:
+        os.kill(pid, signal.SIGKILL)
+    if left:
+        pytest.fail(f"child processes left running: {left}", pytrace=False)
+
+
+@pytest.fixture
+async def leaves_no_task() -> AsyncIterator[None]:
+    """Fail an async test that leaves tasks running on its loop."""
+    yield
+    left = asyncio.all_tasks() - {asyncio.current_task()}
+    if left:
+        _, left = await asyncio.wait(left, timeout=SETTLE_S)
+    if left:
+        pytest.fail(f"asyncio tasks left running: {sorted(map(repr, left))}", pytrace=False)
+
+
+def children() -> dict[int, str]:
+    """Command lines of our live child processes by pid. Only Linux tells; elsewhere there seem to be none."""
+    # Python's own helpers, at most one each per process and meant to stay
+    helpers = {
+        getattr(resource_tracker._resource_tracker, "_pid", None),
+        getattr(forkserver._forkserver, "_forkserver_pid", None),
+    }
+    found = {}
+    for listing in Path("/proc/self/task").glob("*/children"):
+        for pid in map(int, read(listing).split()):
+            state = read(Path(f"/proc/{pid}/stat")).rpartition(")")[2].split()[:1]
+            if state not in ([], ["Z"]) and pid not in helpers:
+                found[pid] = read(Path(f"/proc/{pid}/cmdline")).replace("\0", " ").strip()
+    return found
+
+
+def settled_children(before: dict[int, str]) -> dict[int, str]:
+    """Children that were not there before, once those that are ending have had time to."""
+    deadline = time.monotonic() + SETTLE_S
+    while True:
+        left = {pid: command for pid, command in children().items() if pid not in before}
+        if not left or time.monotonic() > deadline:
+            return left
+        time.sleep(0.02)
+
+
+def read(path: Path) -> str:
+    """The file's text, or nothing where the process has just gone."""
+    try:
+        return path.read_text()
+    except OSError:
+        return ""
