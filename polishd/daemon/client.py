@@ -23,13 +23,13 @@ def request(state_dir: Path, verb: str, within_s: float = ANSWER_S) -> dict[str,
     LinkError where no daemon runs or it does not answer in time.
     """
     with _asked(state_dir, verb, within_s) as connection, connection.makefile("rb") as lines:
-        return _answer(_line(lines, state_dir), state_dir)
+        return _answer(lines.readline(), state_dir)
 
 
 def subscribe(state_dir: Path, within_s: float = ANSWER_S) -> Iterator[dict[str, Any]]:
     """Events from now on, each ``{"name", "cycle", "data"}``; ends with the daemon."""
     with _asked(state_dir, "subscribe", within_s) as connection, connection.makefile("rb") as lines:
-        _refused(_answer(_line(lines, state_dir), state_dir))
+        _refused(_answer(lines.readline(), state_dir))
         connection.settimeout(None)
         while line := lines.readline():
             yield _answer(line, state_dir)["event"]
@@ -89,11 +89,6 @@ def _asked(state_dir: Path, verb: str, within_s: float) -> Iterator[socket.socke
 
 def _request(verb: str) -> bytes:
     return json.dumps({"verb": verb}).encode() + b"\n"
-
-
-def _line(lines: Any, state_dir: Path) -> bytes:
-    line: bytes = lines.readline()
-    return line
 
 
 def _answer(line: bytes, state_dir: Path) -> dict[str, Any]:

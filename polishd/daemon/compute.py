@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import signal
 import sys
 from asyncio.subprocess import PIPE, Process
 from collections.abc import Callable
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
@@ -107,7 +109,7 @@ class Compute:
     async def _spawn(self) -> Process:
         if self._closed:
             raise ComputeError("the compute worker is closed")
-        folders = [folder or str(os.getcwd()) for folder in sys.path]
+        folders = [folder or str(Path.cwd()) for folder in sys.path]
         environment = {
             **os.environ,
             **dict.fromkeys(_THREAD_VARIABLES, str(self._threads)),
@@ -116,6 +118,9 @@ class Compute:
         command = (sys.executable, "-P", "-m", "polishd.daemon.compute_worker")
         self._ready = False
         self._process = await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE, env=environment)
+        if self._closed:  # meanwhile
+            await self._drop()
+            raise ComputeError("the compute worker is closed")
         return self._process
 
     async def _drop(self) -> str:
@@ -123,8 +128,10 @@ class Compute:
         process, self._process = self._process, None
         if process is None:
             return "it was closed"
-        with contextlib.suppress(ProcessLookupError):
-            process.kill()
+        if process.returncode is None:
+            # Not process.kill(): it may reap the process itself, and asyncio then never learns the exit code.
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process.pid, signal.SIGKILL)
         if process.stdin is not None:
             process.stdin.close()
         code = await process.wait()

@@ -77,8 +77,7 @@ def _write(answers: BinaryIO, answer: tuple[str, object]) -> None:
         pieces = pack(answer)
     except Exception as error:  # noqa: BLE001 - a result that cannot travel is the call's error
         pieces = pack(("error", ComputeError(f"the result cannot be sent back: {error}")))
-    for piece in pieces:
-        answers.write(piece)
+    answers.writelines(pieces)
     answers.flush()
 
 

@@ -117,7 +117,7 @@ class CellConfig(Section):
         return Placement(self.part.origin_mm, rotation_xyz(*self.part.rotation_rpy_deg))
 
     def program_rotation(self) -> FloatArray:
-        """(3, 3) program to part: ``part = program_rotation() @ program + program.offset_mm``."""
+        """Rotation (3, 3) from the program's frame to the part's: ``part = rotation @ program + program.offset_mm``."""
         return rotation_xyz(0.0, 0.0, self.program.rotation_deg)
 
     def envelope(self) -> Envelope:
@@ -213,7 +213,7 @@ def _read(path: Path) -> str:
 
 
 def _syntax(path: Path, text: str, message: str) -> str:
-    """tomllib says ``... (at line 3, column 5)`` or ``(at end of document)``."""
+    """Place the message of tomllib, which says ``... (at line 3, column 5)`` or ``(at end of document)``."""
     what, _, place = message.partition(" (at ")
     line = place.split()[1].rstrip(",") if place.startswith("line") else str(text.count("\n") + 1)
     return f"{path}:{line}: this is not TOML: {what}; mend that line"

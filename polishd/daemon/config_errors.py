@@ -79,7 +79,7 @@ def key_lines(text: str) -> dict[Location, int]:
 
 
 def _blank_strings(text: str, names: list[str]) -> str:
-    """The text without comments, each string replaced by ``\\x00N\\x00`` (its place in ``names``), lines kept."""
+    """The text without comments, each string replaced by its place in ``names`` between NULs, lines kept."""
 
     def replace(match: re.Match[str]) -> str:
         token = match[0]

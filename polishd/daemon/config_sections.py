@@ -5,12 +5,29 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    field_validator,
+    model_validator,
+)
 
 
 def _as_tuple(value: Any) -> Any:
     """TOML has lists, frozen models have tuples."""
     return tuple(value) if isinstance(value, list) else value
+
+
+def _ordered(value: tuple[float, float]) -> tuple[float, float]:
+    """A range whose low end is below its high end."""
+    low, high = value
+    if not math.isfinite(high - low) or low >= high:
+        raise ValueError(f"[{low}, {high}] is no range; give [low, high] with low < high")
+    return value
 
 
 Name = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
@@ -21,7 +38,7 @@ Angle = Annotated[float, Field(ge=-360, le=360)]
 Poisson = Annotated[float, Field(ge=0, le=0.5)]
 Vector = Annotated[tuple[float, float, float], BeforeValidator(_as_tuple)]
 Angles = Annotated[tuple[Angle, Angle, Angle], BeforeValidator(_as_tuple)]
-Range = Annotated[tuple[float, float], BeforeValidator(_as_tuple)]
+Range = Annotated[tuple[float, float], BeforeValidator(_as_tuple), AfterValidator(_ordered)]
 AvailableCorrection = Literal["none", "linear", "exact"]
 LATER_CORRECTIONS = ("pointwise", "power")
 
@@ -92,8 +109,6 @@ class KinematicsSection(Section):
     a_stiffness_n_mm_per_rad: Positive = 4.36e7
     c_stiffness_n_mm_per_rad: Positive = 9.0e7
 
-    _ordered = field_validator("stroke_mm")(lambda value: ordered(value))
-
 
 class ProcessSection(Section):
     """The process: the keys and defaults of ``model.process.ToolProcess``, and how removal is computed."""
@@ -143,8 +158,6 @@ class MachineSection(Section):
     y_mm: Range
     z_mm: Range
 
-    _ordered = field_validator("x_mm", "y_mm", "z_mm")(lambda value: ordered(value))
-
     @model_validator(mode="after")
     def _feeds_ordered(self) -> Self:
         if self.min_feed_mm_s >= self.max_feed_mm_s:
@@ -155,7 +168,7 @@ class MachineSection(Section):
 class DwellSection(Section):
     """How the dwell is solved, and by whom it is checked."""
 
-    solver: Text = "accelerated_gradient"
+    solver: Text = "newton_cg"
     cross_check: str = "qp"
     regularisation: NotNegative = 1e-4
     within_s: Annotated[float, Field(gt=0, le=3600)] = 30.0
@@ -187,11 +200,3 @@ class LimitsSection(Section):
     max_removal_nm: Positive = 1000.0
     max_pass_s: Positive = 7200.0
     max_rate_change: Annotated[float, Field(gt=0, lt=1)] = 0.4
-
-
-def ordered(value: tuple[float, float]) -> tuple[float, float]:
-    """A range whose low end is below its high end."""
-    low, high = value
-    if not math.isfinite(high - low) or low >= high:
-        raise ValueError(f"[{low}, {high}] is no range; give [low, high] with low < high")
-    return value

@@ -8,7 +8,6 @@ import queue
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 from typing import Any
 
 from polishd.model.cycle import Event
@@ -24,10 +23,10 @@ DRAIN_S = 120.0
 
 
 class EventBus:
-    """``publish`` returns at once. ``plugins`` (``hooks.on_event``) hear of events in a thread of their own, one
-    after another, in order; ``sinks`` (such as ``journal.record_event``) are called on the spot.
+    """Where events are published; ``publish`` returns at once. Use it on the event loop's thread.
 
-    Use it on the event loop's thread.
+    ``plugins`` (``hooks.on_event``) hear of events in a thread of their own, one after another, in order;
+    ``sinks`` (such as ``journal.record_event``) are called on the spot.
     """
 
     def __init__(self, plugins: Sink | None = None, sinks: tuple[Sink, ...] = ()) -> None:
@@ -95,7 +94,7 @@ class EventBus:
 
 def as_json(event: Event) -> dict[str, Any]:
     """``{"name", "cycle", "data"}``."""
-    return {**asdict(event), "data": dict(event.data)}
+    return {"name": event.name, "cycle": event.cycle, "data": dict(event.data)}
 
 
 async def _until_none(waiting: asyncio.Queue[Event | None]) -> AsyncIterator[Event]:

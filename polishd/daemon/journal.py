@@ -15,6 +15,7 @@ import numpy as np
 
 from polishd.daemon.journal_records import ExecutedBlocks, Interrupted, MapRecord, PassRecord, PhaseRecord
 from polishd.daemon.journal_store import Row, Store
+from polishd.daemon.plain import plain
 from polishd.model.cycle import Event, Outcome, Phase
 from polishd.model.devices import Executed
 from polishd.model.errors import PolishdError
@@ -74,7 +75,10 @@ class Journal:
             "SELECT cycle, program_sha256, boot_id, blocks, contact_from, contact_to, facts, started, ended, how "
             "FROM pass WHERE job = ? ORDER BY cycle"
         )
-        return tuple(PassRecord(*row[:6], json.loads(row[6]), *row[7:]) for row in self._read(sql))
+        return tuple(
+            PassRecord(cycle, sha, boot, blocks, first, end, json.loads(facts), started, ended, how)
+            for cycle, sha, boot, blocks, first, end, facts, started, ended, how in self._read(sql)
+        )
 
     @property
     def phases(self) -> tuple[PhaseRecord, ...]:
@@ -131,7 +135,7 @@ class Journal:
 
     def record_map(self, cycle: int, sha256: str, path: Path | str, stats: Mapping[str, Any]) -> None:
         """A map was taken for that cycle."""
-        values = (self._job, cycle, sha256, str(path), json.dumps(dict(stats)), time.time())
+        values = (self._job, cycle, sha256, str(path), json.dumps(dict(stats), default=plain), time.time())
         self._store.write(("INSERT INTO map (job, cycle, sha256, path, stats, taken) VALUES (?,?,?,?,?,?)", values))
 
     def begin_pass(
@@ -150,7 +154,16 @@ class Journal:
         ``facts`` is kept for the summary.
         """
         first, end = contact or (0, blocks)
-        values = (self._job, cycle, program_sha256, boot_id, blocks, first, end, json.dumps(dict(facts or {})))
+        values = (
+            self._job,
+            cycle,
+            program_sha256,
+            boot_id,
+            blocks,
+            first,
+            end,
+            json.dumps(dict(facts or {}), default=plain),
+        )
         if any(record.cycle == cycle for record in self.passes):
             raise PolishdError(f"journal: cycle {cycle} has had its pass; nothing is run twice")
         self._store.write(("INSERT INTO pass VALUES (?,?,?,?,?,?,?,?,?,NULL,NULL)", (*values, time.time())))
@@ -177,7 +190,7 @@ class Journal:
 
     def record_event(self, event: Event) -> None:
         """Keep an event (buffered)."""
-        values = (self._job, time.time(), event.cycle, event.name, json.dumps(dict(event.data), default=str))
+        values = (self._job, time.time(), event.cycle, event.name, json.dumps(dict(event.data), default=plain))
         self._store.buffer(("INSERT INTO event (job, at, cycle, name, data) VALUES (?,?,?,?,?)", values))
 
     def record_outcome(self, outcome: Outcome, detail: str = "") -> None:

@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
+from polishd.daemon.plain import plain
+
 LOG_NAME = "polishd.log"
 _MAX_BYTES = 10_000_000
 _KEPT = 5
@@ -30,7 +32,7 @@ class JsonLines(logging.Formatter):
             line["event"] = record.event
         if record.exc_info:
             line["error"] = self.formatException(record.exc_info)
-        return json.dumps(line, default=str)
+        return json.dumps(line, default=plain)
 
 
 @contextmanager

@@ -20,6 +20,7 @@ from typing import Any
 
 from polishd.daemon.config_errors import did_you_mean, listed
 from polishd.daemon.events import EventBus, as_json
+from polishd.daemon.plain import plain
 from polishd.daemon.sockets import LINE_BYTES, SOCKET_NAME, address_of
 from polishd.model.errors import ConfigError, PolishdError
 
@@ -48,7 +49,7 @@ class Service:
         try:
             await self._serve(reader, writer)
         except (OSError, TimeoutError, ValueError) as error:
-            log.info("a client was dropped: %s", error or type(error).__name__)
+            log.info("a client was dropped: %s: %s", type(error).__name__, error)
         except asyncio.CancelledError:
             log.debug("a client was left behind at the daemon's end")
         finally:
@@ -99,7 +100,7 @@ class Service:
 
 @asynccontextmanager
 async def serving(state_dir: Path, verbs: Mapping[str, Verb], bus: EventBus) -> AsyncIterator[Path]:
-    """Serve on ``state_dir/polishd.sock`` inside this block. Hold the state folder's lock: a stale socket is removed."""
+    """Serve on ``state_dir/polishd.sock`` inside this block. Needs the folder's lock: a stale socket is removed."""
     path = state_dir / SOCKET_NAME
     service = Service(verbs, bus)
     server = await asyncio.start_unix_server(service.session, sock=_bind(path), limit=LINE_BYTES)
@@ -149,6 +150,6 @@ async def _tell(events: AsyncIterator[Any], writer: asyncio.StreamWriter) -> Non
 
 
 async def _send(writer: asyncio.StreamWriter, answer: Mapping[str, Any]) -> None:
-    writer.write(json.dumps(answer, default=str).encode() + b"\n")
+    writer.write(json.dumps(answer, default=plain).encode() + b"\n")
     async with asyncio.timeout(WRITE_S):
         await writer.drain()

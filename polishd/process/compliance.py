@@ -29,7 +29,7 @@ def equivalent_compliance(
     the eigenvectors' rotation: see `jumps`.
     """
     if projection == "normal":
-        return np.einsum("ni,nij,nj->n", normal, matrix, normal)
+        return np.asarray(np.einsum("ni,nij,nj->n", normal, matrix, normal), dtype=np.float64)
     values, vectors = np.linalg.eigh(matrix)
     along_axis = np.abs(np.einsum("nij,ni->nj", vectors, axis))
     across = np.arange(3) != along_axis.argmax(axis=1)[:, None]
@@ -40,7 +40,7 @@ def equivalent_compliance(
 def jumps(compliance: FloatArray, matrix: FloatArray) -> BoolArray:
     """(n - 1,) True where the equivalent compliance changes by over 5 % more than its matrix does, point to point.
 
-    ``compliance`` (n,) and ``matrix`` (n, 3, 3) in the same unit. Such a change comes from the projection, not the robot.
+    ``compliance`` (n,) and ``matrix`` (n, 3, 3) in one unit. Such a change comes from the projection, not the robot.
     """
     size = np.linalg.norm(matrix, axis=(1, 2))
     matrix_change = np.linalg.norm(np.diff(matrix, axis=0), axis=(1, 2)) / np.minimum(size[1:], size[:-1])

@@ -2,7 +2,7 @@
 
 The tool's frame: origin at the contact's centre, z out of the part, y where the spindle leans, x = y cross z. The tool
 turns counterclockwise about the axis from the tip into the spindle for a positive speed.
-Functions take any array of depths (mm) that broadcasts with x and y.
+Depths (mm) may be a number or any array that broadcasts with x and y.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ from polishd.process.robot.refusal import require_number
 CM2_PER_N = 100.0
 """mm^2/N in one cm^2/N."""
 NM_PER_MM = 1e6
+
+Depth = float | FloatArray
 
 
 def check_process(process: ToolProcess) -> None:
@@ -54,24 +56,24 @@ def hertz_depth_mm(process: ToolProcess) -> float:
     return depth
 
 
-def contact_radius_mm(process: ToolProcess, depth_mm: FloatArray) -> FloatArray:
+def contact_radius_mm(process: ToolProcess, depth_mm: Depth) -> FloatArray:
     """``a = sqrt(R d)``, mm (eq. 27)."""
     return np.sqrt(process.tool_radius_mm * np.asarray(depth_mm))
 
 
-def peak_pressure_mpa(process: ToolProcess, depth_mm: FloatArray) -> FloatArray:
+def peak_pressure_mpa(process: ToolProcess, depth_mm: Depth) -> FloatArray:
     """Pressure at the contact's centre, ``3 F / (2 pi a^2)``, MPa (eq. 27 and 28)."""
     return 2 * reduced_modulus_mpa(process) / np.pi * np.sqrt(np.asarray(depth_mm) / process.tool_radius_mm)
 
 
-def sliding_speed_mm_s(process: ToolProcess, depth_mm: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+def sliding_speed_mm_s(process: ToolProcess, depth_mm: Depth, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
     """Speed of the bonnet along the surface at (x, y) of the tool's frame (eq. 17-18, rigid spin), mm/s."""
     dip, spin = np.radians(process.dip_deg), process.rpm * np.pi / 30
     height = process.tool_radius_mm - np.asarray(depth_mm)
     return np.asarray(spin * np.hypot(np.sin(dip) * height + np.cos(dip) * y_mm, np.cos(dip) * x_mm))
 
 
-def dissipative_shift_mm(process: ToolProcess, depth_mm: FloatArray) -> FloatArray:
+def dissipative_shift_mm(process: ToolProcess, depth_mm: Depth) -> FloatArray:
     """Shift of the pressure along +x, towards the side where the bonnet enters the contact, mm (eq. 29 and 32).
 
     ``alpha omega sin(dip) (R - d)``: the bounded reading of the dissipative stress, about 1 um at 1000 rpm. The force
@@ -88,7 +90,7 @@ def preston_nm_s(process: ToolProcess) -> float:
     return process.preston_cm2_per_n * CM2_PER_N * NM_PER_MM
 
 
-def removal_rate_nm_s(process: ToolProcess, depth_mm: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+def removal_rate_nm_s(process: ToolProcess, depth_mm: Depth, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
     """Removal rate at (x, y) of the tool's frame, nm/s, 0 outside the contact: ``k p v`` (eq. 16)."""
     shifted = np.hypot(x_mm - dissipative_shift_mm(process, depth_mm), y_mm)
     rho = shifted / contact_radius_mm(process, depth_mm)
@@ -96,7 +98,7 @@ def removal_rate_nm_s(process: ToolProcess, depth_mm: FloatArray, x_mm: FloatArr
     return np.asarray(preston_nm_s(process) * pressure * sliding_speed_mm_s(process, depth_mm, x_mm, y_mm))
 
 
-def volume_rate_nm_mm2_s(process: ToolProcess, depth_mm: FloatArray) -> FloatArray:
+def volume_rate_nm_mm2_s(process: ToolProcess, depth_mm: Depth) -> FloatArray:
     """(n,) volume removed per second at (n,) depths, nm mm^2/s (1e-6 mm^3/s): the integral of `removal_rate_nm_s`.
 
     Gauss-Legendre in ``sqrt(1 - rho^2)``, where the pressure is a polynomial, and equal angles.

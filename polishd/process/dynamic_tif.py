@@ -1,8 +1,9 @@
-"""The removal spot along a path, as the robot's compliance changes it, and the effect matrix it adds up to (eq. 45-49)."""
+"""The removal spot along a path, as the robot's compliance changes it, and its effect matrix (paper eq. 45-49)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,7 +100,7 @@ def _chunks(count: NDArray[np.int64]) -> Iterator[slice]:
     """Cut blocks with (n,) spot positions each into runs of about CHUNK positions."""
     chunk = (np.cumsum(count) - count) // CHUNK
     edges = [0, *(np.flatnonzero(np.diff(chunk)) + 1).tolist(), len(count)]
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges):
         if last > first:
             yield slice(first, last)
 

@@ -56,13 +56,14 @@ def inward_axis(tip_mm: FloatArray, normal: FloatArray, dip_deg: float) -> Float
     inward = inward - np.einsum("ni,ni->n", inward, normal)[:, None] * normal
     length = np.linalg.norm(inward, axis=1)
     refuse_where(length < 1e-6, length, "the way to the base's z axis along the surface", "mm", "it has no direction")
-    return np.cos(np.radians(dip_deg)) * normal + np.sin(np.radians(dip_deg)) * inward / length[:, None]
+    dip = np.radians(dip_deg)
+    return np.asarray(np.cos(dip) * normal + np.sin(dip) * inward / length[:, None], dtype=np.float64)
 
 
 def dips_deg(axis: FloatArray, normal: FloatArray) -> FloatArray:
     """(n,) angle between (n, 3) tool axes and (n, 3) surface normals, degrees, 0 to 180."""
     sine = np.linalg.norm(np.cross(axis, normal), axis=1)
-    return np.degrees(np.arctan2(sine, np.einsum("ni,ni->n", axis, normal)))
+    return np.asarray(np.degrees(np.arctan2(sine, np.einsum("ni,ni->n", axis, normal))), dtype=np.float64)
 
 
 def axis_from_angles(a_deg: FloatArray, c_deg: FloatArray) -> FloatArray:

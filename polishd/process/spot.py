@@ -54,7 +54,7 @@ def overlap(centre_mm: FloatArray, radius_mm: FloatArray, pitch_mm: float) -> tu
 
 @cache
 def _pressure_squares() -> FloatArray:
-    """(PATCH, PATCH) integral of ``sqrt(1 - x^2 - y^2)`` over each square of [-1, 1]^2; closed form in x, Gauss in y."""
+    """(PATCH, PATCH) integral of ``sqrt(1 - x^2 - y^2)`` over each square of [-1, 1]^2: exact in x, Gauss in y."""
     node, weight = np.polynomial.legendre.leggauss(32)
     edge = np.linspace(-1, 1, PATCH + 1)
     y = edge[:-1, None] + (node + 1) / PATCH

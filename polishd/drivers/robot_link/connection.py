@@ -31,7 +31,7 @@ Role = Literal["writer", "reader"]
 class Connection:
     """From HELLO to the end of the link; never opened again. Whoever waits hears of its end by LinkError."""
 
-    def __init__(self, address: Tcp, role: Role, record: ExecutionRecord) -> None:
+    def __init__(self, address: Tcp, role: Role, record: ExecutionRecord | None) -> None:
         self.session = Session(record)
         self._address = address
         self._role = role
@@ -67,7 +67,7 @@ class Connection:
                 "protocol": PROTOCOL,
                 "role": self._role,
                 "client": client,
-                "executed_from": len(self.session.record),
+                "executed_from": self.session.executed_from,
             }
             await self._stream.write(command(Kind.HELLO, hello))
             await self._background.start(self._run, CONNECT_S)
@@ -104,27 +104,38 @@ class Connection:
         refusal: asyncio.Future[Ack] = asyncio.get_running_loop().create_future()
         self._pending[Kind.BLOCKS] = deque([refusal])
         credit.go_back()
-        fruitless = 0
-        while credit.accepted < end:
-            while frame := self.session.next_blocks(segments):
-                await self._write(frame)
-            before = credit.accepted, credit.limit
-            waiting = credit.sent > credit.accepted
-            sent = credit.sent
+        rounds = 0
+        try:
+            while credit.accepted < end:
+                accepted = credit.accepted
+                in_vain = await self._deliver_once(segments, refusal)
+                if credit is not self.session.credit:
+                    raise DeviceRefused(f"{self._address}: another program was loaded")
+                rounds = 0 if credit.accepted > accepted else rounds + in_vain
+                if rounds > RESENDS:
+                    raise ProtocolError(f"{self._address}: does not accept block {credit.accepted}")
+        finally:
+            self._pending.pop(Kind.BLOCKS, None)
+            if not refusal.cancel() and not refusal.cancelled():
+                refusal.exception()
 
-            def changed(before: tuple[int, int] = before, sent: int = sent) -> bool:
-                return refusal.done() or (credit.accepted, credit.limit) != before or credit.sent != sent
+    async def _deliver_once(self, segments: Sequence[Segment], refusal: asyncio.Future[Ack]) -> bool:
+        """Send what is due, then wait until the robot says something to it. True where it must be sent again."""
+        credit = self.session.credit
+        while frame := self.session.next_blocks(segments):
+            await self._write(frame)
+        sent, known = credit.sent, (credit.accepted, credit.limit)
 
-            heard = await self.until(changed, RESEND_S if waiting else None)
-            if refusal.done():
-                refusal.result()
-            if credit is not self.session.credit:
-                raise DeviceRefused(f"{self._address}: another program was loaded")
-            fruitless = 0 if heard else fruitless + 1
-            if fruitless > RESENDS:
-                raise ProtocolError(f"{self._address}: does not accept block {credit.accepted}")
-            if not heard:
-                credit.go_back()
+        def changed() -> bool:
+            return refusal.done() or credit.sent < sent or (credit.accepted, credit.limit) != known
+
+        in_flight = sent > credit.accepted
+        heard = await self.until(changed, RESEND_S if in_flight else None)
+        if refusal.done():
+            refusal.result()
+        if not heard:
+            credit.go_back()
+        return credit.sent < sent
 
     async def _write(self, data: bytes) -> None:
         self._background.check()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 
 from polishd.api import (
     DeviceFault,
@@ -18,7 +18,7 @@ from polishd.api import (
     RobotProgress,
     Segment,
 )
-from polishd.drivers.robot_link.connection import CONNECT_S, Connection, Role
+from polishd.drivers.robot_link.connection import Connection, Role
 from polishd.drivers.robot_link.frames import Kind
 from polishd.drivers.robot_link.messages import LONGEST_LINE
 from polishd.drivers.robot_link.record import ExecutionRecord
@@ -52,7 +52,7 @@ class RobotLink:
         await self.close()
         kept = self._record
         connection = await self._connect(kept)
-        if connection.session.record is not kept and len(kept):
+        if not connection.session.follows:
             # Another program runs there than the one we asked the rest of: ask again, from its beginning.
             await connection.close()
             connection = await self._connect(ExecutionRecord())
@@ -84,13 +84,12 @@ class RobotLink:
         if self._connection is not None and self._connection.alive:
             with contextlib.suppress(LinkError, ProtocolError):
                 return await self.hold()
-        async with asyncio.timeout(2 * CONNECT_S + HOLD_S):
-            connection = Connection(self._address, "reader", ExecutionRecord())
-            await connection.open(self._client)
-            try:
-                await _hold(connection)
-            finally:
-                await connection.close()
+        connection = Connection(self._address, "reader", None)
+        await connection.open(self._client)
+        try:
+            await _hold(connection)
+        finally:
+            await connection.close()
 
     async def prepare(self, plan: Plan) -> None:
         """See Robot. DeviceRefused while the robot runs."""
@@ -135,10 +134,7 @@ class RobotLink:
                 seq += 1
             if _ended(connection, record):
                 return
-            known = connection.progress
-            await connection.until(
-                lambda known=known: seq < len(record) or connection.session.progress != known  # type: ignore[misc]
-            )
+            await connection.until(_news(connection, record))
 
     async def hold(self) -> None:
         """See Robot."""
@@ -169,6 +165,12 @@ async def _hold(connection: Connection) -> None:
         await connection.command(Kind.HOLD, {}, HOLD_ANSWER_S)
     if not await connection.until(lambda: connection.progress.state != "running", HOLD_S):
         raise DeviceFault("the robot goes on running after HOLD")
+
+
+def _news(connection: Connection, record: ExecutionRecord) -> Callable[[], bool]:
+    """Tells whether the robot has said anything new since now."""
+    count, progress = len(record), connection.session.progress
+    return lambda: len(record) > count or connection.session.progress != progress
 
 
 def _ended(connection: Connection, record: ExecutionRecord) -> bool:

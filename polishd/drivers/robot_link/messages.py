@@ -151,5 +151,9 @@ def _progress(content: Any) -> RobotProgress:
         raise ProtocolError(f"status with accepted, executed {counts!r}")
     texts = {key: _text(content, key) for key in ("program_sha256", "boot_id", "detail")}
     return RobotProgress(
-        state=state, accepted=cast("int", counts[0]), executed=cast("int", counts[1]), buffer_s=float(buffer_s), **texts
+        state=cast("RobotState", state),
+        accepted=cast("int", counts[0]),
+        executed=cast("int", counts[1]),
+        buffer_s=float(buffer_s),
+        **texts,
     )

@@ -38,7 +38,7 @@ class Credit:
 class Session:
     """What the robot has said on this connection."""
 
-    def __init__(self, record: ExecutionRecord) -> None:
+    def __init__(self, record: ExecutionRecord | None) -> None:
         self._frames = FrameReader()
         self._handlers: dict[int, Callable[[bytes], None]] = {
             Kind.WELCOME: self._welcome,
@@ -52,7 +52,9 @@ class Session:
         self.welcome: Welcome | None = None
         self.progress: RobotProgress | None = None
         self.credit = Credit()
-        self.record = record
+        self.record = ExecutionRecord() if record is None else record
+        self.follows = record is not None
+        """Records of executed blocks are wanted."""
         self.answers: list[Ack | Nak] = []
         """To be taken by the driver, in order."""
 
@@ -60,6 +62,11 @@ class Session:
     def skipped(self) -> int:
         """Bytes that belonged to no sound frame."""
         return self._frames.skipped
+
+    @property
+    def executed_from(self) -> int:
+        """What HELLO asks for."""
+        return len(self.record) if self.follows else 0xFFFF_FFFF
 
     def receive(self, data: bytes) -> int:
         """Take bytes; number of sound frames among them."""
@@ -96,6 +103,7 @@ class Session:
         progress = replace(self.welcome.progress, boot_id=self.welcome.identity.boot_id)
         ours = (self.record.program_sha256, self.record.boot_id) == (progress.program_sha256, progress.boot_id)
         if not ours or progress.executed < len(self.record):
+            self.follows = self.follows and not len(self.record)
             self.record = ExecutionRecord(progress.program_sha256, progress.boot_id)
         self._progressed(progress)
 
@@ -112,7 +120,8 @@ class Session:
         self.credit.grant(next_seq, next_seq + credit)
 
     def _executed(self, payload: bytes) -> None:
-        self.record.extend(messages.executed(payload))
+        if self.follows:
+            self.record.extend(messages.executed(payload))
 
     def _progressed(self, progress: RobotProgress) -> None:
         boot_id = self.welcome.identity.boot_id if self.welcome is not None else ""

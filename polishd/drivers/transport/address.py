@@ -90,8 +90,7 @@ def _parse(url: SplitResult, base_dir: Path) -> Address:
                 raise ValueError("write socketcand://host:port/channel")
             return Socketcand(*_host_port(url), channel)
         case "serial":
-            address = SerialLine(_path(url, base_dir), **_numbers(options, {"baud"}))
-            return address
+            return SerialLine(_path(url, base_dir), **_numbers(options, {"baud"}))
         case "slcan":
             slcan = Slcan(_path(url, base_dir), **_numbers(options, {"bitrate", "baud"}))
             if slcan.bitrate not in CAN_BITRATES:

@@ -102,7 +102,8 @@ class Background:
     async def _first(self, future: asyncio.Future[T], within_s: float | None) -> None:
         if self._task is None:
             raise self._failure()
-        await asyncio.wait({future, self._task}, timeout=within_s, return_when=asyncio.FIRST_COMPLETED)
+        either: set[asyncio.Future[Any]] = {future, self._task}
+        await asyncio.wait(either, timeout=within_s, return_when=asyncio.FIRST_COMPLETED)
 
     def _failure(self) -> BaseException:
         if self._task is None or self._task.cancelled():

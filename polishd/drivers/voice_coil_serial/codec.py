@@ -23,7 +23,7 @@ def encode(number: int, body: str) -> bytes:
 def decode(line: bytes) -> tuple[int, str] | None:
     """Number and body of a line without its LF; None where it is broken: such lines are dropped."""
     start = line.rfind(b"$")
-    match = _LINE.fullmatch(line[start:]) if 0 <= start and len(line) - start <= LONGEST else None
+    match = _LINE.fullmatch(line[start:]) if start >= 0 and len(line) - start <= LONGEST else None
     if match is None or int(match[2], 16) != _checksum(match[1]):
         return None
     number, comma, body = match[1].decode("ascii").partition(",")

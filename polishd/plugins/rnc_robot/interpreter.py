@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from polishd.api import ProgramError
@@ -146,7 +147,7 @@ class Interpreter:
             value = word.value * unit_mm if index < 3 else word.value
             if self._absolute is False:
                 value += self._at[index]
-                if value != value:  # NaN: it has not been said yet where the axis is
+                if math.isnan(value):
                     raise place.refuse(f"G91, and nobody said where {axis} is", "start with an absolute move (G90)")
             self._at[index] = value
 

@@ -22,10 +22,7 @@ def rewritten(
 ) -> bytes:
     """The program's text with these times; ``lines`` and ``points`` are the program's own."""
     times = _checked(program, encoding, time_s)
-    if encoding == "dwell":
-        edits = _dwells(lines, points, times)
-    else:
-        edits = _feeds(lines, points, times)
+    edits = _dwells(lines, points, times) if encoding == "dwell" else _feeds(lines, points, times)
     pieces = program.text.split(b"\n")
     for number, (start, end, text) in edits.items():
         line = pieces[number - 1]

@@ -112,9 +112,9 @@ def _fed(moves: Sequence[Move], warnings: list[str]) -> tuple[Encoding, list[Poi
 def _length_mm(move: Move) -> float:
     squares = 0.0
     for start, end, axis in zip(move.start[:3], move.end[:3], AXES, strict=False):
-        if end != end:  # NaN: never said, so it does not move either
+        if math.isnan(end):  # not said yet, so it does not move either
             continue
-        if start != start:
+        if math.isnan(start):
             raise move.place.refuse(f"a feed move from nobody knows what {axis}", "go to its start with G0 first")
         squares += (end - start) ** 2
     return math.sqrt(squares)
@@ -124,7 +124,7 @@ def _positions_known(found: list[Point], named: set[str], warnings: list[str]) -
     """Refuse a point before an axis that is said later; what is never said is zero."""
     first = found[0]
     for axis, value in zip(AXES, first.end, strict=True):
-        if value == value:
+        if not math.isnan(value):
             continue
         if axis in named:
             raise first.place.refuse(f"the first point, and {axis} is said only later", f"say {axis} before it")

@@ -110,9 +110,7 @@ def scatter(ax: Axes, plan: Arrays, values: FloatArray, label: str, *, percentil
     ax.set_aspect("equal")
     ax.spines[:].set_visible(False)
     ax.locator_params(nbins=5)
-    bar = ax.figure.colorbar(
-        points, ax=ax, aspect=22, pad=0.03, extend="max" if percentile < 100 else "neither"
-    )
+    bar = ax.figure.colorbar(points, ax=ax, aspect=22, pad=0.03, extend="max" if percentile < 100 else "neither")
     bar.set_label(label, color=INK)
     bar.outline.set_visible(False)
 

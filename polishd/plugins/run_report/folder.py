@@ -18,6 +18,8 @@ Arrays = Mapping[str, NDArray[Any]]
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+EXECUTED_COLUMNS = frozenset({"seq", "start_s", "end_s", "contact"})
+
 
 @dataclass(frozen=True, slots=True)
 class Surface:
@@ -142,7 +144,8 @@ def read_surface(path: Path, root: Path, missing: list[str]) -> Surface | None:
 def read_arrays(path: Path, root: Path, missing: list[str]) -> dict[str, NDArray[Any]] | None:
     """Read all arrays of an ``.npz``."""
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        # opened here, because numpy leaves a file that is no archive open
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files}
     except FileNotFoundError:
         missing.append(f"{path.relative_to(root)}: not there")
@@ -172,7 +175,10 @@ def read_executed(path: Path, root: Path, missing: list[str]) -> Executed | None
     seconds: dict[int, float] = {}
     try:
         with path.open(encoding="utf-8", newline="") as lines:
-            for row in csv.DictReader(lines):
+            table = csv.DictReader(lines)
+            if absent := EXECUTED_COLUMNS.difference(table.fieldnames or ()):
+                raise ValueError(f"no column {', '.join(sorted(absent))}")
+            for row in table:
                 if row["contact"].strip().lower() in ("1", "1.0", "true"):
                     seq = int(float(row["seq"]))
                     seconds[seq] = seconds.get(seq, 0.0) + float(row["end_s"]) - float(row["start_s"])

@@ -32,13 +32,13 @@ def require_vectors(what: str, value: FloatArray, unit: str) -> FloatArray:
         raise ComputeError(f"{what} has the shape {array.shape}, it must be (n, 3) in {unit}")
     broken = ~np.isfinite(array)
     first = np.take_along_axis(array, broken.argmax(axis=1)[:, None], axis=1)[:, 0]
-    refuse_where(broken.any(axis=1), first, what, unit, "it must be finite")
+    refuse_where(np.asarray(broken.any(axis=1)), first, what, unit, "it must be finite")
     return array
 
 
 def require_unit_vectors(what: str, value: FloatArray) -> FloatArray:
     """The (n, 3) array as float64; raise ComputeError where a length is not 1 within 1e-6."""
     array = require_vectors(what, value, "(unit vector)")
-    length = np.linalg.norm(array, axis=1)
+    length = np.asarray(np.linalg.norm(array, axis=1), dtype=np.float64)
     refuse_where(np.abs(length - 1.0) > 1e-6, length, f"the length of {what}", "", "it must be 1")
     return array

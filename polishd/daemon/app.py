@@ -1,0 +1,260 @@
+"""The daemon: one cell, one job, and the person who may hold, resume or stop it.
+
+States: ``starting``, ``polishing``, ``held`` (safe, waits for a person) and ``finished``. Hold, stop, SIGTERM and every
+error leave contact in the same order (``safety.make_safe``). After an interruption nothing moves until ``resume``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager
+from datetime import UTC, datetime
+from typing import Any, Literal
+
+from polishd.daemon.assembly import build_cell, contact_limits, make_recipe
+from polishd.daemon.cell import Cell
+from polishd.daemon.compute import Compute
+from polishd.daemon.config import CellConfig
+from polishd.daemon.cycle import polish
+from polishd.daemon.events import EventBus
+from polishd.daemon.interruption import settle
+from polishd.daemon.job import Job
+from polishd.daemon.journal import Journal
+from polishd.daemon.lock import StateLock
+from polishd.daemon.log import logging_to
+from polishd.daemon.plugins import Hooks
+from polishd.daemon.recipe import Recipe
+from polishd.daemon.run_folder import RunFolder
+from polishd.daemon.safety import make_safe, most_telling
+from polishd.daemon.service import serving
+from polishd.daemon.steps import read_program
+from polishd.model.cycle import Event, Outcome
+from polishd.model.errors import PolishdError
+
+Order = Literal["hold", "resume", "stop"]
+State = Literal["starting", "polishing", "held", "finished"]
+
+
+class Daemon:
+    """Runs a job, and obeys orders at once."""
+
+    def __init__(self, cell: Cell, job: Job, journal: Journal, bus: EventBus) -> None:
+        self._cell = cell
+        self._job = job
+        self._journal = journal
+        self._bus = bus
+        self._orders: asyncio.Queue[Order] = asyncio.Queue()
+        self._changed = asyncio.Condition()
+        self.state: State = "starting"
+        self.reason = ""
+
+    @property
+    def verbs(self) -> dict[str, Callable[[], Any]]:
+        """What the socket offers."""
+        return {
+            "status": self.status,
+            "hold": lambda: self._order("hold", "held", "finished"),
+            "resume": lambda: self._order("resume", "polishing", "finished"),
+            "stop": lambda: self._order("stop", "finished"),
+        }
+
+    async def status(self) -> Mapping[str, Any]:
+        """State, why, and what was measured so far."""
+        phases = self._journal.phases
+        return {
+            "state": self.state,
+            "reason": self.reason,
+            "phase": phases[-1].phase if phases else None,
+            "cycle": phases[-1].cycle if phases else None,
+            "cycles": self._job.cycles(),
+            "unsafe": list(self._cell.unsafe),
+        }
+
+    def stop(self) -> None:
+        """As SIGTERM does."""
+        self._orders.put_nowait("stop")
+
+    async def run(self) -> Outcome:
+        """Until the job ends, or a person ends it. Raises what ended it otherwise; the cell is safe then."""
+        await make_safe(self._cell)
+        held = await settle(self._cell, self._journal) or (
+            "this job was begun earlier; resume starts with a new measurement" if self._journal.resumed else ""
+        )
+        while True:
+            if held and not await self._wait_for_resume(held):
+                return Outcome.STOPPED
+            await self._become("polishing", "")
+            outcome = await self._polish()
+            if outcome is not None:
+                return outcome
+            held = await settle(self._cell, self._journal) or "held by order; resume starts with a new measurement"
+
+    async def finished(self, reason: str) -> None:
+        """The last state; whoever waits for an order to be obeyed is told."""
+        await self._become("finished", reason)
+
+    async def _polish(self) -> Outcome | None:
+        """The outcome of the job, or None when it was held."""
+        try:
+            async with asyncio.TaskGroup() as group:
+                work = group.create_task(polish(self._cell, self._job, self._journal), name="polish")
+                order = group.create_task(self._interrupting(), name="orders")
+                journal = group.create_task(self._journal.lost(), name="journal")
+                await asyncio.wait({work, order, journal}, return_when=asyncio.FIRST_COMPLETED)
+                for task in (work, order, journal):
+                    task.cancel()
+        except BaseExceptionGroup as errors:
+            raise most_telling(errors) from errors
+        if not work.cancelled():
+            return work.result()
+        return Outcome.STOPPED if order.result() == "stop" else None
+
+    async def _interrupting(self) -> Order:
+        """The next order that ends polishing."""
+        while (order := await self._orders.get()) == "resume":
+            pass
+        return order
+
+    async def _wait_for_resume(self, reason: str) -> bool:
+        await make_safe(self._cell)
+        await self._become("held", reason)
+        while (order := await self._orders.get()) == "hold":
+            pass
+        return order == "resume"
+
+    async def _become(self, state: State, reason: str) -> None:
+        async with self._changed:
+            self.state, self.reason = state, reason
+            self._changed.notify_all()
+        self._bus.publish(Event("state", None, {"state": state, "reason": reason}))
+
+    async def _order(self, order: Order, *until: State) -> Mapping[str, Any]:
+        """Give an order and answer when it is obeyed."""
+        self._orders.put_nowait(order)
+        async with self._changed:
+            await self._changed.wait_for(lambda: self.state in until)
+        return {"state": self.state, "reason": self.reason}
+
+
+async def run_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
+    """Run the daemon of a cell to the end of its job; the summary as it is written to the run folder.
+
+    Raises PolishdError for what ended it otherwise; the summary and the report are written then too.
+    """
+    recipe = make_recipe(config, hooks)
+    program = read_program(recipe, config.program_path)
+    cell = build_cell(config, hooks)
+    with StateLock(config.state_dir), logging_to(config.state_dir), _journal(config) as journal:
+        folder = run_folder(config, journal)
+        bus = EventBus(hooks.on_event, sinks=(journal.record_event,))
+        try:
+            async with Compute() as compute:
+                job = Job(
+                    recipe,
+                    program,
+                    journal,
+                    folder,
+                    compute,
+                    bus.publish,
+                    hooks.check_plan,
+                    contact_limits(config),
+                    config.job.max_cycles,
+                    config.job.lookahead_s,
+                )
+                daemon = Daemon(cell, job, journal, bus)
+                return await _serve(config, daemon, cell, job, journal, folder, recipe, bus)
+        finally:
+            await bus.close()
+
+
+async def _serve(
+    config: CellConfig,
+    daemon: Daemon,
+    cell: Cell,
+    job: Job,
+    journal: Journal,
+    folder: RunFolder,
+    recipe: Recipe,
+    bus: EventBus,
+) -> dict[str, Any]:
+    started = datetime.now(UTC)
+    failure: PolishdError | None = None
+    outcome = Outcome.STOPPED
+    async with serving(config.state_dir, daemon.verbs, bus), _signals(daemon.stop):
+        try:
+            bus.publish(Event("opened", None, {k: v.model for k, v in (await cell.open()).items()}))
+            outcome = await daemon.run()
+        except PolishdError as error:
+            failure = error
+            bus.publish(Event("failed", None, {"error": str(error), "kind": type(error).__name__}))
+        finally:
+            with contextlib.suppress(PolishdError):
+                await make_safe(cell)
+            await cell.close()
+        if failure is None and outcome is not Outcome.STOPPED:
+            journal.record_outcome(outcome)
+        summary = summarise(config, recipe, job, folder, outcome, started, failure)
+        journal.copy_to(folder.path / "journal.sqlite")
+        folder.json("summary.json", summary)
+        bus.publish(Event("job_finished", None, {"run_dir": str(folder.path), "outcome": summary["outcome"]}))
+        await daemon.finished(summary["outcome"])
+    if failure is not None:
+        raise failure
+    return summary
+
+
+def summarise(
+    config: CellConfig,
+    recipe: Recipe,
+    job: Job,
+    folder: RunFolder,
+    outcome: Outcome,
+    started: datetime,
+    failure: PolishdError | None,
+) -> dict[str, Any]:
+    """What ``summary.json`` holds."""
+    return {
+        "outcome": "failed" if failure else outcome.value,
+        "job": config.job.id,
+        "part_id": recipe.part_id,
+        "correction": recipe.correction,
+        "tolerance_nm": recipe.tolerance_nm,
+        "tolerance_period_mm": recipe.tolerance_period_mm,
+        "cycles": job.cycles(),
+        "run_dir": str(folder.path),
+        "started": started.isoformat(timespec="seconds"),
+        "ended": datetime.now(UTC).isoformat(timespec="seconds"),
+        "notes": [f"{type(failure).__name__}: {failure}"] if failure else [],
+    }
+
+
+def run_folder(config: CellConfig, journal: Journal) -> RunFolder:
+    """The folder of the job that goes on, or a new one."""
+    if journal.resumed and journal.history:
+        path = config.resolve(str(journal.history[-1].stats["run_dir"]))
+    else:
+        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
+        path = config.run_dir or config.state_dir / "runs" / f"{config.job.id}-{stamp}"
+    folder = RunFolder(path)
+    folder.create()
+    folder.bytes("cell.toml", config.path.read_bytes())
+    return folder
+
+
+def _journal(config: CellConfig) -> Journal:
+    return Journal(config.state_dir, job=config.job.id, part_id=config.part.id, config_sha256=config.sha256)
+
+
+@asynccontextmanager
+async def _signals(stop: Callable[[], None]) -> AsyncIterator[None]:
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, stop)
+    try:
+        yield
+    finally:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.remove_signal_handler(number)

@@ -1,0 +1,91 @@
+"""From a config and its plugins to a cell, a recipe, and the limits of contact. Opens nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, TypeVar, cast
+
+from polishd.daemon.cell import Cell, MonotonicClock
+from polishd.daemon.config import CellConfig, PortSection, device_options
+from polishd.daemon.config_errors import did_you_mean, listed
+from polishd.daemon.plugins import Hooks
+from polishd.daemon.recipe import Recipe
+from polishd.daemon.safety import ContactLimits
+from polishd.hookspecs import DeviceContext
+from polishd.ports.devices import Device, ForceActuator, Metrology, Robot, Spindle
+
+CROSS_CHECK_GAP = 1e-3
+"""Most by which an independent solver may be better."""
+
+T = TypeVar("T")
+
+
+def build_cell(config: CellConfig, hooks: Hooks) -> Cell:
+    """The devices that the config names, not yet open."""
+    context = DeviceContext(
+        base_dir=config.base_dir,
+        state_dir=config.state_dir,
+        part_id=config.part.id,
+        readers=tuple(hooks.surface_readers().values()),
+    )
+    types = hooks.device_types()
+
+    def device(section: PortSection) -> Device:
+        kind, options = device_options(config, section, types)
+        return kind.build(options, context)
+
+    return Cell(
+        robot=cast(Robot, device("robot")),
+        actuator=cast(ForceActuator, device("actuator")),
+        spindle=cast(Spindle, device("spindle")),
+        metrology=cast(Metrology, device("metrology")),
+        clock=MonotonicClock(),
+    )
+
+
+def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
+    """Everything that the computing steps need; ConfigError names the key that no loaded plugin serves."""
+    solvers = hooks.dwell_solvers()
+    cross_check = config.dwell.cross_check
+    return Recipe(
+        part_id=config.part.id,
+        aperture_mm=config.part.aperture_mm,
+        edge_mm=config.part.edge_mm,
+        grid_mm=config.process.grid_mm,
+        program_offset_mm=config.program.offset_mm,
+        program_rotation_deg=config.program.rotation_deg,
+        process=config.tool_process(),
+        robot=config.hybrid_robot(),
+        placement=config.placement(),
+        correction=config.process.correction,
+        envelope=config.envelope(),
+        format=_named(config, "program.format", config.program.format, hooks.program_formats()),
+        model=_named(config, "process.removal_model", config.process.removal_model, hooks.removal_models()),
+        solver=_named(config, "dwell.solver", config.dwell.solver, solvers),
+        cross_check=_named(config, "dwell.cross_check", cross_check, solvers) if cross_check else None,
+        cross_check_gap=CROSS_CHECK_GAP,
+        regularisation=config.dwell.regularisation,
+        solve_s=config.dwell.within_s,
+        kkt_tolerance=config.dwell.kkt_tolerance,
+        tolerance_nm=config.job.tolerance_nm,
+        tolerance_period_mm=config.job.tolerance_period_mm,
+        lsf_period_mm=config.job.lsf_period_mm,
+        max_rate_change=config.limits.max_rate_change,
+    )
+
+
+def contact_limits(config: CellConfig) -> ContactLimits:
+    """What is watched in contact."""
+    return ContactLimits(
+        force_n=config.process.force_n,
+        rpm=config.process.rpm,
+        force_band=config.limits.force_band,
+        grace_s=config.limits.force_grace_s,
+    )
+
+
+def _named(config: CellConfig, key: str, name: str, records: Mapping[str, Any]) -> Any:  # noqa: ANN401 - any record
+    if name not in records:
+        hint = did_you_mean(name, records)
+        raise config.error(key, f"no loaded plugin has {name!r}{hint} The loaded plugins have: {listed(records)}")
+    return records[name]

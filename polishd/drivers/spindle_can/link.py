@@ -1,0 +1,180 @@
+"""One connection to the drive: its heartbeat is timed, its commands are repeated, its objects are read."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+
+from polishd.api import DeviceFault, LinkError, ProtocolError
+from polishd.drivers.spindle_can import codec
+from polishd.drivers.spindle_can.bus import CanBus, open_bus
+from polishd.drivers.spindle_can.codec import CanFrame, DriveObject, DriveStatus, Heartbeat, SdoAnswer
+from polishd.drivers.transport.address import Slcan, Socketcand
+from polishd.drivers.transport.background import Background, Pulse, Ready
+
+OPEN_S = 1.0
+SILENCE_S = 0.4
+"""Of heartbeats, and of process data."""
+REPEAT_S = 0.1
+LEASE_S = 1.0
+"""So long after somebody last cared, commands are repeated no more."""
+SDO_S = 0.3
+
+
+class DriveLink:
+    """From opening the bus to its end; never opened again."""
+
+    def __init__(self, address: Slcan | Socketcand, node: int) -> None:
+        self.name = f"{address} node {node}"
+        self._address = address
+        self._node = node
+        self._background = Background(self.name)
+        self._pulse = Pulse()
+        self._sdo = asyncio.Lock()
+        self._uploads: dict[DriveObject, asyncio.Future[SdoAnswer]] = {}
+        self._bus: CanBus | None = None
+        self._status: DriveStatus | None = None
+        self._status_at = self._beat_at = -1.0
+        self._beating = False
+        self._restarted = False
+        self._counter = self._first_counter = 0
+        self._repeating = False
+        self._lease_until = 0.0
+        self.answered = False
+        """The drive's last word is about the present command, not about an earlier one."""
+        self.running = False
+        """The last command was to run."""
+        self.rpm = 0
+        """Set point of the last command."""
+
+    @property
+    def alive(self) -> bool:
+        """The link is up."""
+        return self._background.running
+
+    @property
+    def status(self) -> DriveStatus:
+        """The drive's last word; LinkError once the link is down."""
+        self._background.check()
+        if self._status is None:
+            raise LinkError(f"{self.name}: has said nothing yet")
+        return self._status
+
+    async def open(self) -> None:
+        """Open the bus and wait until the drive's heartbeat and process data are heard."""
+        self._bus = await open_bus(self._address)
+        try:
+            await self._background.start(self._run, OPEN_S)
+            # so that no answer to the last connection's commands is taken for one to ours
+            self._counter = self.status.counter
+        except BaseException:
+            await self.close()
+            raise
+
+    async def close(self) -> None:
+        """Leave the bus; idempotent."""
+        await self._background.stop()
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            await bus.close()
+
+    def check(self) -> None:
+        """Raise what the link failed with."""
+        self._background.check()
+
+    async def until(self, condition: Callable[[], bool], within_s: float | None = None) -> bool:
+        """Wait for the condition, looked at whenever the drive has said something; False when the time is up."""
+        return await self._background.until(self._pulse, condition, within_s)
+
+    async def next_status(self) -> None:
+        """Wait for the next process data."""
+        heard = self._status_at
+        await self.until(lambda: self._status_at != heard)
+
+    def command(self, *, run: bool, rpm: int) -> None:
+        """Command now, and again every 100 ms while somebody cares."""
+        self._background.check()
+        self.running, self.rpm = run, rpm
+        self._repeating = True
+        self.answered = False
+        self._first_counter = (self._counter + 1) % 256
+        self.renew_lease()
+        self._send_command()
+
+    def rest(self) -> None:
+        """Repeat the command no more: the drive stands."""
+        self._repeating = False
+
+    def renew_lease(self) -> None:
+        """Somebody cares."""
+        self._lease_until = time.monotonic() + LEASE_S
+
+    async def upload(self, what: DriveObject) -> int:
+        """Read an object of the drive."""
+        async with self._sdo:
+            self._background.check()
+            self._uploads[what] = asyncio.get_running_loop().create_future()
+            try:
+                self._send(codec.encode_upload(self._node, what))
+                answer = await self._background.result(self._uploads[what], SDO_S)
+            finally:
+                self._uploads.pop(what).cancel()
+        if answer.aborted:
+            raise ProtocolError(
+                f"{self.name}: object {what.index:#06x} sub {what.sub} aborted with {answer.value:#010x}"
+            )
+        return answer.value
+
+    async def _run(self, ready: Ready) -> None:
+        if self._bus is None:
+            return
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self._bus.receive(self._on_frame))
+            group.create_task(self._watch(ready))
+            group.create_task(self._repeat())
+
+    async def _watch(self, ready: Ready) -> None:
+        """Ready once the drive is heard; LinkError when it falls silent, DeviceFault when it starts anew."""
+        while not (self._status is not None and self._beating):
+            await self._pulse.next()
+        ready()
+        while True:
+            await asyncio.wait({self._pulse.next()}, timeout=SILENCE_S / 4)
+            if self._restarted:
+                raise DeviceFault(f"{self.name}: the drive was started anew")
+            for what, at in (("heartbeat", self._beat_at), ("process data", self._status_at)):
+                if time.monotonic() > at + SILENCE_S:
+                    raise LinkError(f"{self.name}: no {what} for {SILENCE_S:g} s")
+
+    async def _repeat(self) -> None:
+        while True:
+            await asyncio.sleep(REPEAT_S)
+            if self._repeating and time.monotonic() < self._lease_until:
+                self._send_command()
+
+    def _send_command(self) -> None:
+        self._counter = (self._counter + 1) % 256
+        self._send(codec.encode_command(self._node, run=self.running, counter=self._counter, rpm=self.rpm))
+
+    def _send(self, frame: CanFrame) -> None:
+        if self._bus is not None:
+            self._bus.send(frame)
+
+    def _on_frame(self, frame: CanFrame) -> None:
+        message = codec.decode(self._node, frame)
+        now = time.monotonic()
+        if isinstance(message, DriveStatus):
+            self._status, self._status_at = message, now
+            since = (message.counter - self._first_counter) % 256
+            self.answered = self.answered or since <= (self._counter - self._first_counter) % 256
+        elif isinstance(message, Heartbeat):
+            self._restarted = self._restarted or (message.boot and self._beating)
+            self._beating, self._beat_at = True, now
+        elif isinstance(message, SdoAnswer):
+            waiting = self._uploads.get(message.what)
+            if waiting is not None and not waiting.done():
+                waiting.set_result(message)
+        else:
+            return
+        self._pulse.fire()

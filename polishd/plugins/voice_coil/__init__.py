@@ -1,0 +1,66 @@
+"""The voice-coil actuator: the device types ``voice_coil_modbus`` and ``voice_coil_serial``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from polishd.api import ConfigError, DeviceContext, DeviceType, ForceActuator, hookimpl
+from polishd.drivers.transport.address import SerialLine, Tcp, parse_address
+from polishd.drivers.voice_coil_modbus import voice_coil_modbus
+from polishd.drivers.voice_coil_serial import voice_coil_serial
+
+POLISHD_API = 1
+
+
+class VoiceCoilOptions(BaseModel):
+    """Keys of ``[actuator]`` besides ``type``."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    address: str
+    """``serial:PATH?baud=115200`` or ``tcp://host:port``."""
+    watchdog_ms: Annotated[int, Field(ge=100, le=5000)] = 500
+    """So long without heartbeat the actuator retracts by itself. Heartbeats come every 50 ms."""
+    landing_s: Annotated[float, Field(gt=0.0, le=60.0)] = 10.0
+    """No contact after so long is a fault."""
+
+
+class ModbusOptions(VoiceCoilOptions):
+    """With ``type = "voice_coil_modbus"``: RTU on a serial line, Modbus TCP on tcp://."""
+
+    unit: Annotated[int, Field(ge=1, le=247)] = 1
+    """Modbus unit number."""
+
+
+def _address(text: str, context: DeviceContext) -> Tcp | SerialLine:
+    address = parse_address(text, context.base_dir)
+    if isinstance(address, Tcp | SerialLine):
+        return address
+    raise ConfigError(f"[actuator] address {text!r}: a voice coil is reached over serial: or tcp://")
+
+
+def _build_modbus(options: ModbusOptions, context: DeviceContext) -> ForceActuator:
+    return voice_coil_modbus(
+        _address(options.address, context),
+        unit=options.unit,
+        watchdog_ms=options.watchdog_ms,
+        landing_s=options.landing_s,
+    )
+
+
+def _build_serial(options: VoiceCoilOptions, context: DeviceContext) -> ForceActuator:
+    return voice_coil_serial(
+        _address(options.address, context), watchdog_ms=options.watchdog_ms, landing_s=options.landing_s
+    )
+
+
+@hookimpl
+def polishd_device_types() -> Sequence[DeviceType]:
+    """``voice_coil_modbus``, ``voice_coil_serial``."""
+    return [
+        DeviceType("voice_coil_modbus", "actuator", ModbusOptions, _build_modbus),
+        DeviceType("voice_coil_serial", "actuator", VoiceCoilOptions, _build_serial),
+    ]

@@ -1,0 +1,79 @@
+"""The certificate of a dwell: everything is computed anew, in float64, from the solution itself."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from polishd.model.dwell import Certificate, DwellSolution
+from polishd.model.errors import ComputeError
+from polishd.model.surface import FloatArray
+from polishd.process.dwell.problem import DwellProblem
+from polishd.process.dwell.quadratic import projected_gradient, quadratic
+
+
+def certified(
+    problem: DwellProblem,
+    time_s: FloatArray,
+    *,
+    solver: str,
+    iterations: int,
+    seconds: float,
+    stopped: str,
+    notes: tuple[str, ...] = (),
+) -> DwellSolution:
+    """A dwell with its certificate and the surface that it predicts.
+
+    Nothing that the solver believes enters: objective, gradient and bound violations are those of ``time_s`` on the
+    problem as given. ``residual_nm`` is target less removal, less its mean in the clear aperture.
+
+    Args:
+        problem: what was solved, passed by ``validation.check``.
+        time_s: (n,) the dwell, s.
+        solver: the solver's name.
+        iterations: its iterations.
+        seconds: wall seconds it took.
+        stopped: ``converged``, ``deadline`` or ``iterations``.
+        notes: anything a person should know.
+
+    Raises:
+        ComputeError: ``time_s`` has another shape or is not finite.
+    """
+    t = np.asarray(time_s, dtype=np.float64)
+    if t.shape != (problem.effect.n,) or not np.isfinite(t).all():
+        raise ComputeError(f"{solver} gave no finite dwell for each of the {problem.effect.n} points")
+    removal = problem.effect.removal_nm(t)
+    residual = np.where(problem.solve_mask, problem.target_nm - removal, np.nan)
+    residual = residual - residual[problem.metric_mask].mean()
+    inside = residual[problem.metric_mask]
+    certificate = Certificate(
+        solver=solver,
+        objective=quadratic(problem).value(t),
+        kkt_residual=kkt_residual(problem, t),
+        bound_violation_s=float(max(0.0, (problem.lower_s - t).max(), (t - problem.upper_s).max())),
+        predicted_rms_nm=float(inside.std()),
+        predicted_pv_nm=float(np.ptp(inside)),
+        dwell_total_s=float(t.sum()),
+        piston_nm=float(problem.target_nm[problem.metric_mask].mean()),
+        at_lower=int(np.count_nonzero(t <= problem.lower_s)),
+        at_upper=int(np.count_nonzero(t >= problem.upper_s)),
+        iterations=iterations,
+        seconds=seconds,
+        stopped=stopped,
+        notes=notes,
+    )
+    return DwellSolution(t, removal, residual, certificate, problem.lower_s, problem.upper_s)
+
+
+def kkt_residual(problem: DwellProblem, time_s: FloatArray) -> float:
+    """Largest projected gradient at ``time_s`` (n,), relative to the largest gradient at the lower bound.
+
+    0 at the exact minimum and 1 or so at the start. Where the lower bound itself has no gradient, 0 for a minimum and
+    infinity for anything else. Points outside their bounds count with their whole gradient only if it is not held:
+    see ``bound_violation_s`` for those.
+    """
+    f = quadratic(problem)
+    left = float(np.abs(projected_gradient(f.gradient(time_s), time_s, problem.lower_s, problem.upper_s)).max())
+    scale = float(np.abs(f.gradient(problem.lower_s)).max())
+    if scale == 0:
+        return 0.0 if left == 0 else float("inf")
+    return left / scale

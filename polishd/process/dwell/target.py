@@ -1,0 +1,75 @@
+"""What to ask for: the mean removal, and how strongly to hold the dwell down."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from polishd.model.errors import ComputeError
+from polishd.model.surface import BoolArray, FloatArray
+from polishd.process.effect import Effect
+
+
+def choose_piston(
+    effect: Effect, height_nm: FloatArray, solve_mask: BoolArray, lower_s: FloatArray, unreached: float = 0.005
+) -> float:
+    """The mean removal to add to a surface so that it can be reached by removing only.
+
+    The rule: the smallest piston p such that the removal wanted, ``height + p``, is not below what motion at the lower
+    bound removes by itself, save at the fraction ``unreached`` of the samples (the deepest pits: to wait for a single
+    scratch costs time over the whole part). How much to remove overall moves the residual more than any solver does:
+    more piston buys more reach and costs time in proportion.
+
+    Args:
+        effect: dwell to removal.
+        height_nm: (ny, nx) surface, positive = high, finite in ``solve_mask``.
+        solve_mask: (ny, nx) samples that count.
+        lower_s: (n,) least dwell.
+        unreached: fraction of the samples that may lie too deep, 0 <= unreached < 1.
+
+    Returns:
+        nm to add to ``height_nm`` to get the target.
+
+    Raises:
+        ComputeError: no samples, heights that are not finite, or a fraction out of range.
+    """
+    if not 0 <= unreached < 1:
+        raise ComputeError(f"the fraction left unreached must be at least 0 and below 1, not {unreached}")
+    if not solve_mask.any():
+        raise ComputeError("solve_mask is empty: no surface sample to polish")
+    needed = (effect.removal_nm(lower_s) - height_nm)[solve_mask]
+    if not np.isfinite(needed).all():
+        raise ComputeError("the surface is not finite everywhere in solve_mask")
+    return float(np.quantile(needed, 1 - unreached, method="inverted_cdf"))
+
+
+def sigma_max(effect: Effect, solve_mask: BoolArray, rounds: int = 200, tolerance: float = 1e-4) -> float:
+    """Largest singular value of R over ``solve_mask``, nm/s, by power iteration (R is not negative: a positive start
+    cannot miss it). Stops where a round gains less than ``tolerance`` relative.
+
+    Raises:
+        ComputeError: the effect is zero or not finite.
+    """
+    vector, value = np.full(effect.n, 1 / np.sqrt(effect.n)), 0.0
+    for _ in range(rounds):
+        vector = effect.adjoint(np.where(solve_mask, effect.removal_nm(vector), 0.0))
+        last, value = value, float(np.linalg.norm(vector))
+        if not np.isfinite(value) or value == 0:
+            raise ComputeError("the effect is zero or not finite over solve_mask")
+        if value - last <= tolerance * value:
+            break
+        vector /= value
+    return float(np.sqrt(value))
+
+
+def regularisation(rho: float, effect: Effect, solve_mask: BoolArray) -> float:
+    """P of paper eq. 50, nm^2/s^2, from the dimensionless ``rho = P N_r / sigma_max^2``.
+
+    Raises:
+        ComputeError: rho is negative or not finite, no sample counts, or the effect is zero.
+    """
+    if not (np.isfinite(rho) and rho >= 0):
+        raise ComputeError(f"regularisation rho must be finite and not negative, not {rho}")
+    samples = int(np.count_nonzero(solve_mask))
+    if samples == 0:
+        raise ComputeError("solve_mask is empty: no surface sample to polish")
+    return rho * sigma_max(effect, solve_mask) ** 2 / samples

@@ -1,0 +1,80 @@
+"""What a dwell problem must satisfy before any solver sees it: one clear ComputeError each."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from polishd.model.errors import ComputeError
+from polishd.process.dwell.problem import DwellProblem
+from polishd.process.effect import SparseEffect
+
+
+def check(problem: DwellProblem) -> None:
+    """Refuse a problem that has no meaningful answer, naming what is wrong and where.
+
+    Args:
+        problem: the problem as a solver would be given it.
+
+    Raises:
+        ComputeError: shapes that do not fit, masks without samples, non-finite or contradicting numbers, or an effect
+            that is negative, or zero all over ``solve_mask``.
+    """
+    _check_shapes(problem)
+    _check_masks(problem)
+    _check_bounds(problem)
+    if not (np.isfinite(problem.regularisation) and problem.regularisation >= 0):
+        raise ComputeError(f"regularisation must be finite and not negative, not {problem.regularisation}")
+    _check_effect(problem)
+
+
+def _check_shapes(problem: DwellProblem) -> None:
+    shape, n = problem.effect.grid.shape, problem.effect.n
+    if n == 0:
+        raise ComputeError("the effect has no dwell points")
+    for name in ("target_nm", "solve_mask", "metric_mask"):
+        if getattr(problem, name).shape != shape:
+            raise ComputeError(f"{name} is {getattr(problem, name).shape}, the effect's grid is {shape}")
+    for name in ("lower_s", "upper_s"):
+        if getattr(problem, name).shape != (n,):
+            raise ComputeError(f"{name} is {getattr(problem, name).shape}, the effect has {n} dwell points")
+
+
+def _check_masks(problem: DwellProblem) -> None:
+    if not problem.solve_mask.any():
+        raise ComputeError("solve_mask is empty: no surface sample to polish")
+    if not problem.metric_mask.any():
+        raise ComputeError("metric_mask is empty: the clear aperture holds no sample")
+    outside = int(np.count_nonzero(problem.metric_mask & ~problem.solve_mask))
+    if outside:
+        raise ComputeError(f"{outside} samples of metric_mask lie outside solve_mask")
+    bad = int(np.count_nonzero(~np.isfinite(problem.target_nm[problem.solve_mask])))
+    if bad:
+        raise ComputeError(f"target_nm is not finite at {bad} samples of solve_mask")
+
+
+def _check_bounds(problem: DwellProblem) -> None:
+    lower, upper = problem.lower_s, problem.upper_s
+    for trouble, wrong in (
+        ("lower_s is not finite", ~np.isfinite(lower)),
+        ("upper_s is NaN", np.isnan(upper)),
+        ("lower_s is negative", lower < 0),
+        ("lower_s is above upper_s", lower > upper),
+    ):
+        if wrong.any():
+            point = int(np.argmax(wrong))
+            where = f"at point {point} (lower {lower[point]:g} s, upper {upper[point]:g} s)"
+            raise ComputeError(f"{trouble} {where}, {np.count_nonzero(wrong)} points in all")
+
+
+def _check_effect(problem: DwellProblem) -> None:
+    effect = problem.effect
+    strength = effect.adjoint(problem.solve_mask.astype(np.float64))
+    if strength.shape != (effect.n,):
+        raise ComputeError(f"the effect's adjoint answers {strength.shape} for {effect.n} dwell points")
+    entries = effect.matrix.data if isinstance(effect, SparseEffect) else strength
+    if not np.isfinite(entries).all():
+        raise ComputeError("the effect is not finite")
+    if (entries < 0).any():
+        raise ComputeError("the effect is negative somewhere: dwelling can only remove material")
+    if not strength.any():
+        raise ComputeError("the effect is zero at every sample of solve_mask: path and part do not meet")

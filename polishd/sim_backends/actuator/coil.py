@@ -1,0 +1,168 @@
+"""The voice coil's behaviour, whatever protocol it is asked in. Pure of I/O; wall times are handed in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+RETRACTED, EXTENDING, CONTACT, RETRACTING, FAULT = range(5)
+WATCHDOG, OVER_FORCE, DRIVE, ENCODER = 1, 2, 4, 8
+
+TOUCH_UM = 5000.0
+STROKE_UM = 10000.0
+EXTEND_UM_S = 40000.0
+LIFT_UM_S = 80000.0
+LIFTED_UM = 200.0
+"""So far from the touch the tool counts as lifted."""
+RISE_N_S = 240.0
+FALL_N_S = 1200.0
+STEP_S = 0.005
+
+Refusal = Literal["", "range", "fault"]
+
+
+@dataclass(slots=True)
+class VoiceCoil:
+    """Position, force and watchdog of the actuator."""
+
+    rng: np.random.Generator
+    report: Callable[..., None]
+    """Tells the witness: (event, at_s, **data)."""
+    now_s: float
+    stuck_after_s: float = 0.0
+    setpoint_n: float = 0.0
+    watchdog_ms: int = 500
+    heartbeat: int = 0
+    engaged: bool = False
+    near: bool = False
+    """Whether the part is within reach of the tool, as the plant says."""
+    faults: int = 0
+    position_um: float = 0.0
+    force_n: float = 0.0
+    samples: list[tuple[float, float]] = field(default_factory=list)
+    """(time, true force) since they were last taken."""
+    _fed_s: float = 0.0
+    _touching: bool = False
+    _contact_s: float = 0.0
+    _noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Power up retracted."""
+        self._fed_s = self.now_s
+        self.samples.append((self.now_s, 0.0))
+
+    @property
+    def state(self) -> int:
+        """The state number of the protocols."""
+        if self.position_um <= 0.0:
+            return FAULT if self.faults else RETRACTED
+        if not self.engaged:
+            return RETRACTING
+        return CONTACT if self._touching else EXTENDING
+
+    @property
+    def measured_n(self) -> float:
+        """What the force sensor reads."""
+        actual = self.force_n * (1.0 + self._noise) if self._touching else 0.0
+        return actual + 0.01 * float(self.rng.standard_normal())
+
+    def set_force(self, force_n: float) -> Refusal:
+        """New set point."""
+        if not 0.0 <= force_n <= 50.0:
+            return "range"
+        if force_n != self.setpoint_n:
+            self.report("force_setpoint", self.now_s, force_n=force_n)
+        self.setpoint_n = force_n
+        return ""
+
+    def engage(self) -> Refusal:
+        """Extend, land, regulate."""
+        if self.faults:
+            return "fault"
+        if not self.engaged:
+            self.report("engage", self.now_s, setpoint_n=self.setpoint_n)
+            self._fed_s = self.now_s
+        self.engaged = True
+        return ""
+
+    def retract(self) -> Refusal:
+        """Force to 0, then lift; clears the watchdog fault."""
+        if self.engaged:
+            self.report("retract", self.now_s)
+        self.engaged = False
+        self.faults &= ~WATCHDOG
+        return ""
+
+    def set_watchdog(self, milliseconds: int) -> Refusal:
+        """New watchdog time."""
+        if not 100 <= milliseconds <= 5000:
+            return "range"
+        self.watchdog_ms = milliseconds
+        return ""
+
+    def feed(self, value: int) -> Refusal:
+        """Hear the controller's heartbeat."""
+        self.heartbeat, self._fed_s = value & 0xFFFF, self.now_s
+        return ""
+
+    def step(self, now_s: float) -> None:
+        """Bring the actuator to the present, in steps that its ramps can bear."""
+        while self.now_s < now_s:
+            dt = min(STEP_S, now_s - self.now_s)
+            self.now_s += dt
+            if self.position_um > 0.0 and self.engaged and self.now_s - self._fed_s > self.watchdog_ms / 1000.0:
+                self.report("watchdog", self.now_s, silent_s=round(self.now_s - self._fed_s, 3))
+                self.engaged, self.faults = False, self.faults | WATCHDOG
+            before = self.force_n
+            if self.engaged:
+                self._extend(dt)
+            else:
+                self._withdraw(dt)
+            if self.force_n != before:
+                self._changed(before)
+
+    def _extend(self, dt: float) -> None:
+        target = TOUCH_UM if self.near else STROKE_UM
+        self.position_um = min(self.position_um + EXTEND_UM_S * dt, max(target, self.position_um))
+        if self.near:
+            self.position_um = min(self.position_um, TOUCH_UM)
+        touching = self.near and self.position_um >= TOUCH_UM
+        if touching != self._touching:
+            self.report("tool_landed" if touching else "contact_lost", self.now_s)
+        self._touching = touching
+        if not touching:
+            self.force_n = 0.0
+            return
+        self._contact_s += dt
+        self._noise += (-self._noise) * dt / 0.05 + 0.01 * (2.0 * dt / 0.05) ** 0.5 * float(self.rng.standard_normal())
+        aim = self.setpoint_n
+        if self.stuck_after_s and self._contact_s > self.stuck_after_s and aim > 0.0:
+            aim *= 0.6
+        change = min(max(aim - self.force_n, -FALL_N_S * dt), RISE_N_S * dt)
+        self.force_n += change
+
+    def _withdraw(self, dt: float) -> None:
+        if self.force_n > 0.0:
+            self.force_n = max(self.force_n - FALL_N_S * dt, 0.0)
+            return
+        if self.position_um <= 0.0:
+            return
+        above = self.position_um > TOUCH_UM - LIFTED_UM
+        self.position_um = max(self.position_um - LIFT_UM_S * dt, 0.0)
+        self._touching = False
+        if above and self.position_um <= TOUCH_UM - LIFTED_UM:
+            self.report("tool_lifted", self.now_s)
+        if self.position_um == 0.0:
+            self.report("retracted", self.now_s)
+
+    def _changed(self, before: float) -> None:
+        if not self.samples or self.samples[-1][0] < self.now_s - STEP_S:
+            self.samples.append((self.now_s - STEP_S, before))
+        self.samples.append((self.now_s, self.force_n))
+        if self.force_n == 0.0:
+            self.report("force_zero", self.now_s, before_n=round(before, 3))
+        elif before == 0.0:
+            self.report("force_on", self.now_s)

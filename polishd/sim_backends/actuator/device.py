@@ -1,0 +1,82 @@
+"""The voice-coil actuator's process."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+
+from polishd.model.surface import FloatArray
+from polishd.sim_backends.actuator.ascii import AsciiSlave
+from polishd.sim_backends.actuator.coil import VoiceCoil
+from polishd.sim_backends.actuator.modbus import Registers, RtuSlave, TcpSlave
+from polishd.sim_backends.bus import Message
+from polishd.sim_backends.runtime import Runtime
+from polishd.sim_backends.truth import stream
+from polishd.sim_backends.wire import Feed, Send, Wire
+
+TICK_S = 0.005
+MARK_S = 0.02
+VENDOR, MODEL, SERIAL, FIRMWARE = "polishd", "simulated VC50", "SIM-V1", "1.0"
+
+
+async def main(runtime: Runtime) -> None:
+    """The device coroutine."""
+    config = runtime.start.config.actuator
+    coil = VoiceCoil(
+        rng=stream(runtime.start.seed, "coil"),
+        report=lambda name, at_s, **data: runtime.link.event(name, at_s, **data),
+        now_s=time.monotonic(),
+        stuck_after_s=config.faults.stuck_force_after_s,
+        near=bool(runtime.link.welcome.get("near")),
+    )
+
+    def on_message(message: Message | FloatArray) -> None:
+        if isinstance(message, dict) and "near" in message:
+            coil.step(time.monotonic())
+            coil.near = bool(message["near"])
+
+    runtime.link.on_message = on_message
+    wire = Wire(runtime, config.faults, lambda: _feed(runtime, coil))
+    endpoint = f"serial:{runtime.start.state / runtime.name}?baud={config.baud}"
+    if config.kind == "modbus_tcp":
+        endpoint = f"tcp://{await wire.open_tcp(config.port)}"
+    else:
+        wire.open_pty(config.baud)
+    runtime.ready(endpoint)
+    runtime.group.create_task(wire.cut_now_and_then())
+    runtime.group.create_task(runtime.reboot_later(config.faults.reboot_after_s))
+    await _tick(runtime, coil)
+
+
+def _feed(runtime: Runtime, coil: VoiceCoil) -> Feed:
+    """The receiver of one connection: requests are answered after the time that they take on the line."""
+    config = runtime.start.config.actuator
+    registers = Registers(coil, VENDOR, MODEL, SERIAL, FIRMWARE, runtime.boot_count)
+    makers: dict[str, Callable[[], RtuSlave | TcpSlave | AsciiSlave]] = {
+        "modbus_rtu": lambda: RtuSlave(config.unit, registers.answer),
+        "modbus_tcp": lambda: TcpSlave(config.unit, registers.answer),
+        "serial": lambda: AsciiSlave(coil, f"{VENDOR},{MODEL},{SERIAL},{FIRMWARE},{runtime.boot_count}"),
+    }
+    slave = makers[config.kind]()
+    byte_s = 0.0 if config.kind == "modbus_tcp" else 10.0 / config.baud
+
+    def feed(data: bytes, send: Send) -> None:
+        now = time.monotonic()
+        coil.step(now)
+        for size, answer in slave.feed(data, now):
+            send(answer, size * byte_s)
+
+    return feed
+
+
+async def _tick(runtime: Runtime, coil: VoiceCoil) -> None:
+    marked = 0.0
+    while True:
+        now = time.monotonic()
+        coil.step(now)
+        if coil.samples or now - marked >= MARK_S:
+            runtime.link.samples(coil.samples, coil.now_s)
+            coil.samples = []
+            marked = now
+        await asyncio.sleep(TICK_S)

@@ -1,0 +1,150 @@
+"""The actuator on Modbus: the register table and the RTU and TCP frames (docs/protocols/voice_coil_modbus.md)."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from polishd.sim_backends.actuator.coil import VoiceCoil
+
+ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, DEVICE_FAILURE = 1, 2, 3, 4
+_CODES = {"": 0, "range": ILLEGAL_VALUE, "fault": DEVICE_FAILURE}
+_SHORT = {3, 4, 6}
+
+
+def crc16(data: bytes) -> int:
+    """The CRC of Modbus RTU."""
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc >> 1) ^ (0xA001 if crc & 1 else 0)
+    return crc
+
+
+def rtu(unit: int, pdu: bytes) -> bytes:
+    """An RTU frame."""
+    body = bytes([unit]) + pdu
+    return body + struct.pack("<H", crc16(body))
+
+
+@dataclass(slots=True)
+class Registers:
+    """The register table over a voice coil."""
+
+    coil: VoiceCoil
+    vendor: str
+    model: str
+    serial: str
+    firmware: str
+    boot_count: int
+
+    def answer(self, pdu: bytes) -> bytes:
+        """The answer to a request PDU."""
+        function = pdu[0]
+        if function in {3, 4} and len(pdu) == 5:
+            result = self._read(function, *struct.unpack(">HH", pdu[1:]))
+        elif function == 6 and len(pdu) == 5:
+            address, value = struct.unpack(">HH", pdu[1:])
+            result = self._write(address, [value]) or pdu
+        elif function == 16 and len(pdu) >= 6 and len(pdu) == 6 + pdu[5] and pdu[5] == 2 * (pdu[3] << 8 | pdu[4]):
+            address, count = struct.unpack(">HH", pdu[1:5])
+            result = self._write(address, list(struct.unpack(f">{count}H", pdu[6:]))) or pdu[:5]
+        else:
+            result = ILLEGAL_FUNCTION if function not in {3, 4, 6, 16} else ILLEGAL_VALUE
+        return bytes([function | 0x80, result]) if isinstance(result, int) else result
+
+    def _read(self, function: int, address: int, count: int) -> bytes | int:
+        if not 1 <= count <= 125:
+            return ILLEGAL_VALUE
+        table = self._inputs() if function == 4 else self._holding()
+        values = [table.get(address + k) for k in range(count)]
+        if any(value is None for value in values):
+            return ILLEGAL_ADDRESS
+        words = [(value or 0) & 0xFFFF for value in values]
+        return bytes([function, 2 * count]) + struct.pack(f">{count}H", *words)
+
+    def _write(self, address: int, values: list[int]) -> int:
+        """Write in order; 0 or the exception code of the first refusal."""
+        if not values or address < 0 or address + len(values) > 4:
+            return ILLEGAL_ADDRESS
+        for k, value in enumerate(values):
+            code = _CODES[self._write_one(address + k, value)]
+            if code:
+                return code
+        return 0
+
+    def _write_one(self, address: int, value: int) -> str:
+        if address == 0:
+            return {0: self.coil.retract, 1: self.coil.engage}.get(value, lambda: "range")()
+        if address == 1:
+            return self.coil.set_force(value / 100.0)
+        return self.coil.set_watchdog(value) if address == 2 else self.coil.feed(value)
+
+    def _holding(self) -> dict[int, int]:
+        coil = self.coil
+        return {0: int(coil.engaged), 1: round(coil.setpoint_n * 100), 2: coil.watchdog_ms, 3: coil.heartbeat}
+
+    def _inputs(self) -> dict[int, int]:
+        coil = self.coil
+        force = round(coil.measured_n * 100)
+        setpoint = round(coil.setpoint_n * 100) if coil.engaged else 0
+        live = [coil.state, force, setpoint, round(coil.position_um), coil.faults, coil.heartbeat]
+        table = dict(enumerate(live))
+        for start, size, text in ((100, 8, self.vendor), (108, 8, self.model), (116, 8, self.serial), (124, 4, self.firmware)):
+            words = struct.unpack(f">{size}H", text.encode()[: 2 * size].ljust(2 * size, b"\0"))
+            table.update(zip(range(start, start + size), words, strict=True))
+        return {**table, 128: self.boot_count >> 16, 129: self.boot_count}
+
+
+@dataclass(slots=True)
+class RtuSlave:
+    """Cuts a serial stream into requests for one unit. Damaged frames and other units' are met with silence."""
+
+    unit: int
+    answer: Callable[[bytes], bytes]
+    _buffer: bytes = b""
+    _last_s: float = 0.0
+
+    def feed(self, data: bytes, now_s: float) -> Iterable[tuple[int, bytes]]:
+        """(bytes of the request, answer) for each whole request."""
+        if now_s - self._last_s > 0.05:
+            self._buffer = b""
+        self._last_s = now_s
+        self._buffer += data
+        while len(self._buffer) >= 8:
+            size = 8 if self._buffer[1] in _SHORT else 9 + self._buffer[6] if self._buffer[1] == 16 else 8
+            if len(self._buffer) < size:
+                return
+            frame, rest = self._buffer[:size], self._buffer[size:]
+            if crc16(frame[:-2]) != struct.unpack("<H", frame[-2:])[0]:
+                self._buffer = b""
+                return
+            self._buffer = rest
+            if frame[0] == self.unit:
+                yield size, rtu(self.unit, self.answer(frame[1:-2]))
+
+
+@dataclass(slots=True)
+class TcpSlave:
+    """Cuts a TCP stream into Modbus requests."""
+
+    unit: int
+    answer: Callable[[bytes], bytes]
+    _buffer: bytes = b""
+
+    def feed(self, data: bytes, _now_s: float) -> Iterable[tuple[int, bytes]]:
+        """(bytes of the request, answer) for each whole request; a bad protocol id empties the buffer."""
+        self._buffer += data
+        while len(self._buffer) >= 8:
+            transaction, protocol, length, unit = struct.unpack_from(">HHHB", self._buffer)
+            if protocol or not 2 <= length <= 254:
+                self._buffer = b""
+                return
+            if len(self._buffer) < 6 + length:
+                return
+            pdu, self._buffer = self._buffer[7 : 6 + length], self._buffer[6 + length :]
+            if unit == self.unit:
+                reply = self.answer(pdu)
+                yield 6 + length, struct.pack(">HHHB", transaction, 0, len(reply) + 1, unit) + reply

@@ -1,0 +1,138 @@
+"""What every simulated process shares: its start, its identity, its end. None outlives its parent."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import signal
+import sys
+import uuid
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from polishd.sim_backends import bus
+from polishd.sim_backends.config import SimConfig
+
+LOOPBACK = "127.0.0.1"
+PARENT_S = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """How a process was asked to start."""
+
+    config: SimConfig
+    state: Path
+    seed: int
+    speed: float
+    surface: Path | None = None
+    rebooted: bool = False
+
+
+@dataclass(slots=True)
+class Runtime:
+    """A running device process."""
+
+    name: str
+    start: Start
+    boot_count: int
+    link: bus.PlantLink
+    group: asyncio.TaskGroup
+    stop: asyncio.Event = field(default_factory=asyncio.Event)
+    boot_id: str = field(default_factory=lambda: uuid.uuid4().hex[:12])
+
+    def ready(self, endpoint: str) -> None:
+        """Tell the supervisor that the device answers there."""
+        announce(self.name, endpoint)
+        self.link.event("boot", boot_id=self.boot_id, boot_count=self.boot_count)
+
+    async def serve(self, protocol: Callable[[], asyncio.Protocol], port: int) -> int:
+        """Listen on loopback; returns the port. A port of 0 becomes the one of the last start, if it is free."""
+        loop = asyncio.get_running_loop()
+        kept = self.start.state / f".{self.name}.port"
+        wishes = [port] if port else [*map(int, _read(kept).split()), 0]
+        for wish in wishes:
+            try:
+                server = await loop.create_server(protocol, LOOPBACK, wish)
+            except OSError:
+                if wish == wishes[-1]:
+                    raise
+                continue
+            got = int(server.sockets[0].getsockname()[1])
+            kept.write_text(str(got))
+            return got
+        return 0
+
+    async def reboot_later(self, after_s: float) -> None:
+        """Lose power once, after some time, and come up again in the same process."""
+        if after_s <= 0.0 or self.start.rebooted:
+            return
+        await asyncio.sleep(after_s)
+        self.link.event("reboot")
+        await self.link.writer.drain()
+        arguments = [sys.executable, "-m", "polishd.sim_backends", *sys.argv[1:], "--rebooted"]
+        os.execv(sys.executable, arguments)  # noqa: S606  (no shell: the process replaces itself)
+
+
+Device = Callable[[Runtime], Awaitable[None]]
+
+
+def announce(name: str, endpoint: str) -> None:
+    """One line for the supervisor."""
+    with contextlib.suppress(BrokenPipeError):
+        print(json.dumps({"ready": name, "endpoint": endpoint, "pid": os.getpid()}), flush=True)  # noqa: T201
+
+
+async def until_ended(stop: asyncio.Event) -> None:
+    """Set ``stop`` at SIGTERM, SIGINT, or when the parent is gone; returns then."""
+    loop = asyncio.get_running_loop()
+    parent = os.getppid()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, stop.set)
+    while not stop.is_set() and os.getppid() == parent:
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(stop.wait(), PARENT_S)
+    stop.set()
+
+
+async def run_device(name: str, start: Start, device: Device, **hello: Any) -> None:
+    """Connect to the plant, run the device until the end of the process, the plant or the parent."""
+    link = await bus.connect(start.state, name, **hello)
+    async with asyncio.TaskGroup() as group:
+        runtime = Runtime(name, start, _power_up(start.state, name), link, group)
+        group.create_task(_until_plant_ends(runtime))
+        group.create_task(_plain(device(runtime)))
+        await until_ended(runtime.stop)
+        cancel_all()
+    link.writer.close()
+
+
+def cancel_all() -> None:
+    """End every other task of this process."""
+    for task in asyncio.all_tasks() - {asyncio.current_task()}:
+        task.cancel()
+
+
+async def _plain(awaitable: Awaitable[None]) -> None:
+    await awaitable
+
+
+async def _until_plant_ends(runtime: Runtime) -> None:
+    await runtime.link.run()
+    runtime.stop.set()
+
+
+def _power_up(state: Path, name: str) -> int:
+    """Count power-ups, as a device with a memory does."""
+    file = state / f".{name}.boots"
+    count = int(_read(file) or 0) + 1
+    file.write_text(str(count))
+    return count
+
+
+def _read(path: Path) -> str:
+    return path.read_text() if path.exists() else ""

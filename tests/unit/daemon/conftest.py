@@ -1,0 +1,54 @@
+"""What the daemon's tests share: short folders for sockets, and fake distributions with plugins."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from textwrap import dedent
+from typing import Any
+
+import pytest
+
+from polishd.hookspecs import API_VERSION
+
+EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "cell.toml"
+
+Install = Callable[..., str]
+
+
+@pytest.fixture
+def example() -> str:
+    """The text of the shipped example."""
+    return EXAMPLE.read_text()
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
+    """``install("name", source)`` puts a distribution with one plugin on sys.path, as pip would."""
+    site = tmp_path / "site"
+    site.mkdir()
+    monkeypatch.syspath_prepend(str(site))
+    modules: list[str] = []
+
+    def add(name: str, source: str, *, distribution: str = "", module: str = "", api: Any = API_VERSION) -> str:
+        distribution = distribution or f"polishd-{name}"
+        module = module or f"fake_{distribution}_{name}".replace("-", "_")
+        head = "from polishd.api import *\nfrom polishd.api import hookimpl\n"
+        version = "" if api is None else f"POLISHD_API = {api!r}\n"
+        (site / f"{module}.py").write_text(head + version + dedent(source))
+        info = site / f"{distribution.replace('-', '_')}-1.2.dist-info"
+        info.mkdir(exist_ok=True)
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {distribution}\nVersion: 1.2\n")
+        with (info / "entry_points.txt").open("a") as points:
+            if not points.tell():
+                points.write("[polishd]\n")
+            points.write(f"{name} = {module}\n")
+        modules.append(module)
+        importlib.invalidate_caches()
+        return name
+
+    yield add
+    for module in modules:
+        sys.modules.pop(module, None)

@@ -1,0 +1,78 @@
+"""Functions for the compute worker: it imports them by name, so they stand in a module of their own."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polishd.model.errors import BadMap, PolishdError
+
+
+def double(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    values *= 2  # arguments are the worker's own: writable
+    return values
+
+
+def pid() -> int:
+    return os.getpid()
+
+
+def say(text: str) -> str:
+    print(text)
+    os.write(1, b"raw")
+    return text
+
+
+def variable(name: str) -> str | None:
+    return os.environ.get(name)
+
+
+def numpy_is_loaded() -> bool:
+    return "numpy" in sys.modules
+
+
+def forever() -> None:
+    while True:
+        time.sleep(3600)
+
+
+def ignore_everything() -> None:
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, signal.SIG_IGN)
+    forever()
+
+
+def die(code: int) -> None:
+    os._exit(code)
+
+
+def be_killed() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def bad_map() -> None:
+    error = BadMap("a hole")
+    error.add_note("at 3, 4")
+    raise error
+
+
+def divide(a: float, b: float) -> float:
+    return a / b
+
+
+class Stubborn(PolishdError):
+    def __init__(self, one: str, two: str) -> None:
+        super().__init__(f"{one} and {two}")
+
+
+def stubborn() -> None:
+    raise Stubborn("this", "that")
+
+
+def unpicklable() -> object:
+    return lambda: None

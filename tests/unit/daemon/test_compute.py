@@ -1,0 +1,215 @@
+"""The worker process: results and errors come back, deadlines are kept, the loop never waits."""
+
+from __future__ import annotations
+
+import asyncio
+import importlib.util
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from polishd.daemon.compute import Compute
+from polishd.model.errors import BadMap, ComputeError
+
+
+def _jobs() -> ModuleType:
+    """The worker must import the functions by the name that we give them."""
+    folder = str(Path(__file__).parent)
+    if folder not in sys.path:
+        sys.path.append(folder)
+    name = "jobs"
+    spec = importlib.util.spec_from_file_location(name, Path(folder) / "jobs.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+jobs = _jobs()
+
+
+@pytest.fixture
+async def compute() -> AsyncIterator[Compute]:
+    async with Compute() as found:
+        yield found
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+async def test_arrays_go_and_come_back(compute: Compute) -> None:
+    values = np.arange(600_000.0).reshape(600, 1000)
+    doubled = await compute(jobs.double, values)
+    np.testing.assert_array_equal(doubled, np.arange(600_000.0).reshape(600, 1000) * 2)
+    assert values[0, 1] == 1.0
+    doubled[0, 0] = 7.0  # writable
+
+
+async def test_started_lazily_and_kept_warm(compute: Compute) -> None:
+    assert compute.pid is None
+    await compute.start()
+    first = compute.pid
+    assert first is not None
+    await compute.start()
+    assert await compute(jobs.pid) == first == await compute(jobs.pid) == compute.pid
+    assert first != os.getpid()
+
+
+async def test_printing_does_not_disturb(compute: Compute, capfd: pytest.CaptureFixture[str]) -> None:
+    assert await compute(jobs.say, "hello") == "hello"
+    assert await compute(jobs.say, "again") == "again"
+    await compute.close()
+    captured = capfd.readouterr()
+    assert captured.out == ""
+    assert "raw" in captured.err
+
+
+async def test_numerical_threads_are_limited() -> None:
+    async with Compute(threads=2) as compute:
+        assert await compute(jobs.variable, "OPENBLAS_NUM_THREADS") == "2"
+        assert await compute(jobs.variable, "OMP_NUM_THREADS") == "2"
+
+
+async def test_our_errors_come_back_as_themselves(compute: Compute) -> None:
+    with pytest.raises(BadMap, match="a hole") as caught:
+        await compute(jobs.bad_map)
+    assert type(caught.value) is BadMap
+    assert caught.value.args == ("a hole",)
+    assert caught.value.__notes__ == ["at 3, 4"]
+
+
+async def test_other_errors_are_compute_errors_with_their_traceback(compute: Compute) -> None:
+    with pytest.raises(ComputeError, match="divide failed: ZeroDivisionError: float division by zero") as caught:
+        await compute(jobs.divide, 1.0, 0.0)
+    assert "return a / b" in caught.value.__notes__[0]
+    assert await compute(jobs.divide, 1.0, 2.0) == 0.5
+
+
+async def test_what_cannot_travel_is_an_error_and_the_worker_stays(compute: Compute) -> None:
+    with pytest.raises(ComputeError, match="this and that"):
+        await compute(jobs.stubborn)
+    with pytest.raises(ComputeError, match="the result cannot be sent back"):
+        await compute(jobs.unpicklable)
+    pid = compute.pid
+    with pytest.raises(ComputeError, match="cannot be sent to the worker"):
+        await compute(lambda: None)
+    assert await compute(jobs.pid) == pid
+
+
+@pytest.mark.parametrize("job", [jobs.forever, jobs.ignore_everything], ids=lambda job: job.__name__)
+async def test_killed_at_its_deadline_and_restarted(compute: Compute, job: object) -> None:
+    assert callable(job)
+    await compute.start()
+    before = compute.pid
+    assert before is not None
+    begun = time.monotonic()
+    with pytest.raises(ComputeError, match=rf"{job.__name__} was not done within 0.2 s and was ended"):
+        await compute(job, within_s=0.2)
+    assert 0.2 <= time.monotonic() - begun < 2.0
+    assert not alive(before)
+    assert compute.pid not in {None, before}
+    assert await compute(jobs.divide, 1.0, 2.0) == 0.5
+
+
+async def test_starting_does_not_count(compute: Compute) -> None:
+    """A cold worker imports numpy for longer than this deadline."""
+    assert await compute(jobs.divide, 1.0, 2.0, within_s=0.1) == 0.5
+
+
+async def test_a_dead_worker_is_an_error_and_is_replaced(compute: Compute) -> None:
+    with pytest.raises(ComputeError, match=r"die: the worker died \(exit code 3\)"):
+        await compute(jobs.die, 3)
+    with pytest.raises(ComputeError, match=r"be_killed: the worker died \(signal 9; out of memory\?\)"):
+        await compute(jobs.be_killed)
+    assert await compute(jobs.divide, 1.0, 2.0) == 0.5
+    pid = compute.pid
+    assert pid is not None
+    os.kill(pid, signal.SIGKILL)  # between calls
+    assert compute._process is not None
+    await compute._process.wait()
+    assert await compute(jobs.divide, 1.0, 4.0) == 0.25
+
+
+async def test_cancelled_caller_ends_the_worker(compute: Compute) -> None:
+    await compute.start()
+    pid = compute.pid
+    assert pid is not None
+    task = asyncio.create_task(compute(jobs.forever))
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert not alive(pid)
+    assert await compute(jobs.divide, 1.0, 2.0) == 0.5
+
+
+async def test_calls_take_turns(compute: Compute) -> None:
+    answers = await asyncio.gather(*(compute(jobs.divide, float(n), 1.0) for n in range(5)))
+    assert answers == [0.0, 1.0, 2.0, 3.0, 4.0]
+
+
+async def test_closed_for_good() -> None:
+    compute = Compute()
+    await compute.start()
+    pid = compute.pid
+    assert pid is not None
+    call = asyncio.create_task(compute(jobs.forever))
+    await asyncio.sleep(0)
+    await compute.close()
+    await compute.close()
+    assert not alive(pid)
+    with pytest.raises(ComputeError, match=r"the worker died|closed"):
+        await call
+    with pytest.raises(ComputeError, match="the compute worker is closed"):
+        await compute(jobs.pid)
+
+
+async def test_the_loop_runs_on_beside_a_call(compute: Compute) -> None:
+    """The loop ticks at the same time as the worker works: it would not once, if a call blocked it."""
+    await compute.start()
+    call = asyncio.create_task(compute(jobs.double, np.zeros(4_000_000)))
+    ticks = 0
+    while not call.done():
+        ticks += 1
+        await asyncio.sleep(0)
+    assert ticks > 10
+    assert (await call).size == 4_000_000
+
+
+DAEMON = """
+import asyncio, sys
+sys.path.insert(0, sys.argv[1])
+import jobs
+from polishd.daemon.compute import Compute
+async def main():
+    compute = Compute()
+    print(await compute(jobs.pid), flush=True)
+    await compute(jobs.forever)
+asyncio.run(main())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the kernel's parent-death signal")
+def test_worker_does_not_outlive_a_killed_daemon() -> None:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    command = [sys.executable, "-c", DAEMON, str(Path(__file__).parent)]
+    with subprocess.Popen(command, stdout=-1, text=True, env=environment) as daemon:
+        assert daemon.stdout is not None
+        worker = int(daemon.stdout.readline())
+        daemon.send_signal(signal.SIGKILL)
+    while alive(worker):  # pytest's timeout is the limit
+        time.sleep(0.005)

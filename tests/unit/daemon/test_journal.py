@@ -1,0 +1,410 @@
+"""The journal: what it acknowledged is there after any crash, and a lost journal stops everything."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from polishd.daemon import journal_store
+from polishd.daemon.journal import Journal
+from polishd.model.cycle import Event, Outcome, Phase
+from polishd.model.devices import Executed
+from polishd.model.errors import ConfigError, LinkError, PolishdError, SafetyStop
+
+
+def opened(state_dir: Path, job: str = "job", part_id: str = "P1") -> Journal:
+    return Journal(state_dir, job=job, part_id=part_id)
+
+
+def block(seq: int) -> Executed:
+    return Executed(seq, seq * 0.1, seq * 0.1 + 0.05)
+
+
+@pytest.fixture
+def journal(tmp_path: Path) -> Iterator[Journal]:
+    with opened(tmp_path) as found:
+        yield found
+
+
+def rows(state_dir: Path, sql: str) -> list[tuple[object, ...]]:
+    """What another reader of the file sees: committed rows only."""
+    connection = sqlite3.connect(f"file:{state_dir / 'journal.sqlite'}?mode=ro", uri=True)
+    try:
+        return connection.execute(sql).fetchall()
+    finally:
+        connection.close()
+
+
+def wait_until(condition: object) -> None:
+    """Poll; pytest's timeout is the limit."""
+    assert callable(condition)
+    pause = threading.Event()
+    while not condition():
+        pause.wait(0.005)
+
+
+def test_new_journal_is_empty(journal: Journal) -> None:
+    assert not journal.resumed
+    assert journal.superseded is None
+    assert list(journal.remaining(5)) == [0, 1, 2, 3, 4]
+    assert journal.last_map_id is None
+    assert (journal.history, journal.passes, journal.phases) == ((), (), ())
+    assert journal.unfinished() is None
+    assert journal.finished() is None
+    assert journal.executed(0).seq.shape == (0,)
+
+
+def test_full_sync_in_wal_mode(tmp_path: Path, journal: Journal) -> None:
+    connection = journal._store._connection
+    assert connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+    assert connection.execute("PRAGMA synchronous").fetchone() == (2,)
+
+
+async def test_job_goes_on_where_it_was(tmp_path: Path) -> None:
+    with opened(tmp_path) as journal:
+        async with journal.phase(0, Phase.MEASURE):
+            journal.record_map(0, "aa", "maps/0.dat", {"rms_nm": 18.0})
+        journal.begin_pass(0, "prog0", "boot", 10, facts={"predicted_rms_nm": 5.0})
+        for seq in range(10):
+            journal.executed_segment(0, block(seq))
+        journal.end_pass(0, "done")
+        journal.record_map(1, "bb", "maps/1.dat", {"rms_nm": 5.5})
+    with opened(tmp_path) as journal:
+        assert journal.resumed
+        assert journal.last_map_id == "bb"
+        assert list(journal.remaining(5)) == [1, 2, 3, 4]  # a map without a pass is taken again
+        assert [(m.cycle, m.sha256, m.stats["rms_nm"]) for m in journal.history] == [(0, "aa", 18.0), (1, "bb", 5.5)]
+        assert journal.passes[0].facts == {"predicted_rms_nm": 5.0}
+        assert journal.passes[0].how == "done"
+        assert journal.executed(0).seq.size == 10
+        assert journal.phases[0].outcome == "done"
+        assert journal.unfinished() is None
+
+
+def test_maps_taken_again_replace_earlier_ones_of_the_cycle(journal: Journal) -> None:
+    for sha in ("aa", "bb", "cc"):
+        journal.record_map(0, sha, "x", {"rms_nm": 1.0})
+    assert [record.sha256 for record in journal.history] == ["cc"]
+
+
+def test_finished_job_is_followed_by_a_new_one_that_knows_the_last_map(tmp_path: Path) -> None:
+    with opened(tmp_path) as journal:
+        journal.record_map(0, "aa", "x", {})
+        journal.record_outcome(Outcome.IN_TOLERANCE)
+        assert journal.finished() is Outcome.IN_TOLERANCE
+    with opened(tmp_path) as journal:
+        assert not journal.resumed
+        assert journal.finished() is None
+        assert journal.history == ()
+        assert journal.last_map_id == "aa"
+
+
+@pytest.mark.parametrize(("job", "part"), [("other", "P1"), ("job", "P2")])
+def test_another_job_or_part_supersedes(tmp_path: Path, job: str, part: str) -> None:
+    with opened(tmp_path) as journal:
+        journal.begin_pass(0, "prog", "boot", 3)
+    with opened(tmp_path, job, part) as journal:
+        assert not journal.resumed
+        assert journal.superseded == "job"
+        assert journal.unfinished() is None
+        assert list(journal.remaining(2)) == [0, 1]
+    assert rows(tmp_path, "SELECT outcome, detail FROM job WHERE id = 1") == [("stopped", "superseded")]
+
+
+async def test_phases_tell_how_they_ended(journal: Journal) -> None:
+    async with journal.phase(0, Phase.MEASURE):
+        assert journal.phases[-1].ended_s is None
+    with pytest.raises(LinkError, match="gone"):
+        async with journal.phase(0, Phase.SOLVE):
+            raise LinkError("gone")
+    with pytest.raises(asyncio.CancelledError):
+        async with journal.phase(0, Phase.RUN):
+            raise asyncio.CancelledError
+    assert [(p.phase, p.outcome, p.error) for p in journal.phases] == [
+        ("measure", "done", None),
+        ("solve", "failed", "LinkError: gone"),
+        ("run", "cancelled", "CancelledError: "),
+    ]
+    assert all(p.ended_s is not None and p.ended_s >= p.started_s for p in journal.phases)
+
+
+async def test_what_is_buffered_in_a_phase_is_durable_at_its_end(tmp_path: Path, journal: Journal) -> None:
+    journal.begin_pass(0, "prog", "boot", 3)
+
+    async def interrupted() -> None:
+        async with journal.phase(0, Phase.RUN):
+            journal.executed_segment(0, block(0))
+            raise LinkError("gone")
+
+    with pytest.raises(LinkError):
+        await interrupted()
+    assert rows(tmp_path, "SELECT seq FROM segment") == [(0,)]
+
+
+def test_intent_is_durable_before_start(tmp_path: Path, journal: Journal) -> None:
+    journal.begin_pass(0, "prog", "boot-7", 20)
+    assert rows(tmp_path, "SELECT program_sha256, boot_id, blocks, ended FROM pass") == [("prog", "boot-7", 20, None)]
+
+
+def test_a_cycle_has_one_pass(journal: Journal) -> None:
+    journal.begin_pass(0, "prog", "boot", 3)
+    journal.end_pass(0, "stopped")
+    with pytest.raises(PolishdError, match="cycle 0 has had its pass; nothing is run twice"):
+        journal.begin_pass(0, "prog", "boot", 3)
+
+
+def test_executed_blocks_come_back_as_arrays(journal: Journal) -> None:
+    journal.begin_pass(2, "prog", "boot", 6, contact=(1, 5))
+    for seq in (0, 1, 2, 4):
+        journal.executed_segment(2, block(seq))
+    journal.executed_segment(2, block(5), contact=True)
+    journal.executed_segment(2, Executed(2, 99.0, 100.0))  # told again after a reconnect: the first word stands
+    found = journal.executed(2)
+    np.testing.assert_array_equal(found.seq, [0, 1, 2, 4, 5])
+    assert found.seq.dtype == np.int64
+    np.testing.assert_array_equal(found.contact, [False, True, True, True, True])
+    np.testing.assert_allclose(found.start_s, found.seq * 0.1)
+    np.testing.assert_allclose(found.duration_s, 0.05)
+    assert not found.recovered.any()
+
+
+def test_group_commit_by_time(tmp_path: Path, journal: Journal) -> None:
+    journal.begin_pass(0, "prog", "boot", 3)
+    journal.executed_segment(0, block(0))
+    wait_until(lambda: rows(tmp_path, "SELECT count(*) FROM segment") == [(1,)])
+
+
+def test_group_commit_by_number(tmp_path: Path, journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(journal_store, "COMMIT_S", 1e6)
+    journal.begin_pass(0, "prog", "boot", 1000)
+    for seq in range(journal_store.COMMIT_ROWS - 1):
+        journal.executed_segment(0, block(seq))
+    assert rows(tmp_path, "SELECT count(*) FROM segment") == [(0,)]
+    journal.executed_segment(0, block(999))
+    wait_until(lambda: rows(tmp_path, "SELECT count(*) FROM segment") == [(journal_store.COMMIT_ROWS,)])
+
+
+def test_a_stalled_disk_does_not_stall_the_recording(
+    tmp_path: Path, journal: Journal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """executed_segment is called from the event loop in contact: it never waits for a commit."""
+    journal.begin_pass(0, "prog", "boot", 5000)
+    stalled, release = threading.Event(), threading.Event()
+    commit = journal._store._transaction
+
+    def slow(rows: list[journal_store.Row]) -> None:
+        stalled.set()
+        assert release.wait(30)
+        commit(rows)
+
+    monkeypatch.setattr(journal._store, "_transaction", slow)
+    journal.executed_segment(0, block(0))
+    assert stalled.wait(30)
+    for seq in range(1, 2000):
+        journal.executed_segment(0, block(seq))  # would never return if it waited
+    release.set()
+    assert journal.executed(0).seq.size == 2000
+
+
+def test_interrupted_pass_is_told_and_reconciled(tmp_path: Path) -> None:
+    with opened(tmp_path) as journal:
+        journal.begin_pass(0, "prog", "boot", 10, contact=(2, 9))
+        for seq in range(4):
+            journal.executed_segment(0, block(seq))
+    with opened(tmp_path) as journal:
+        found = journal.unfinished()
+        assert found is not None
+        assert (found.cycle, found.program_sha256, found.boot_id, found.blocks) == (0, "prog", "boot", 10)
+        assert (found.done, found.last_seq, found.uncertain) == (4, 3, (4, 5, 6, 7, 8, 9))
+        assert str(found) == (
+            "cycle 0: 4 of 10 blocks are recorded as executed; blocks 4 to 9 are uncertain and will not be run again"
+        )
+        assert list(journal.remaining(3)) == [1, 2]  # never the same pass again
+        assert journal.reconcile(0, [block(seq) for seq in range(6)]) == 2
+        assert journal.reconcile(0, []) == 0
+        executed = journal.executed(0)
+        np.testing.assert_array_equal(executed.recovered, [False] * 4 + [True] * 2)
+        np.testing.assert_array_equal(executed.contact, [False, False, True, True, True, True])
+        journal.end_pass(0, "interrupted")
+        assert journal.unfinished() is None
+
+
+def test_ending_a_pass_twice_keeps_the_first_word(journal: Journal) -> None:
+    journal.begin_pass(0, "prog", "boot", 1)
+    journal.end_pass(0, "done")
+    journal.end_pass(0, "stopped")
+    assert journal.passes[0].how == "done"
+
+
+def test_events_are_kept(tmp_path: Path) -> None:
+    with opened(tmp_path) as journal:
+        journal.record_event(Event("pass_started", 1, {"path": Path("x"), "n": 3}))
+    assert rows(tmp_path, "SELECT cycle, name, data FROM event") == [(1, "pass_started", '{"path": "x", "n": 3}')]
+
+
+def test_copy_is_whole_and_stands_alone(tmp_path: Path, journal: Journal) -> None:
+    journal.begin_pass(0, "prog", "boot", 5)
+    journal.executed_segment(0, block(0))
+    target = tmp_path / "run" / "journal.sqlite"
+    target.parent.mkdir()
+    for _ in range(2):
+        journal.copy_to(target)
+    assert list(target.parent.iterdir()) == [target]
+    assert rows(target.parent, "SELECT seq FROM segment") == [(0,)]
+
+
+def test_close_is_idempotent(tmp_path: Path) -> None:
+    journal = opened(tmp_path)
+    journal.close()
+    journal.close()
+
+
+WRITER = """
+import sys
+from pathlib import Path
+from polishd.daemon.journal import Journal
+from polishd.model.devices import Executed
+journal = Journal(Path(sys.argv[1]), job="job", part_id="P1")
+if not journal.passes:
+    journal.begin_pass(0, "prog", "boot", 10**6)
+seq = journal.executed(0).seq.size
+while True:
+    for _ in range(7):
+        journal.executed_segment(0, Executed(seq, seq * 1.0, seq + 0.5))
+        seq += 1
+    journal.flush()
+    print(seq, flush=True)
+"""
+
+
+def python(*arguments: str) -> subprocess.Popen[str]:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    return subprocess.Popen([*arguments], stdout=-1, stderr=-1, text=True, env=environment)
+
+
+@pytest.mark.parametrize("after", [1, 40, 90, 160])
+def test_kill_loses_nothing_acknowledged(tmp_path: Path, after: int) -> None:
+    acknowledged = 0
+    for _ in range(2):  # the second time over the first one's leftovers
+        with python(sys.executable, "-c", WRITER, str(tmp_path)) as writer:
+            assert writer.stdout is not None
+            for _, line in zip(range(after), writer.stdout, strict=False):
+                acknowledged = int(line)
+            writer.send_signal(signal.SIGKILL)
+            acknowledged = max([acknowledged, *(int(line) for line in writer.stdout if line.endswith("\n"))])
+    with opened(tmp_path) as journal:
+        found = journal.executed(0)
+        assert found.seq.size >= acknowledged > 0
+        np.testing.assert_array_equal(found.seq, np.arange(found.seq.size))
+        np.testing.assert_allclose(found.duration_s, 0.5)
+        interrupted = journal.unfinished()
+        assert interrupted is not None
+        assert interrupted.done == found.seq.size
+
+
+FULL = "PRAGMA max_page_count = 30"
+
+
+async def test_full_disk_loses_the_journal_for_good(tmp_path: Path) -> None:
+    journal = opened(tmp_path)
+    journal._store._connection.execute(FULL)
+    journal.begin_pass(0, "prog", "boot", 10**6)
+    watch = asyncio.create_task(journal.lost())
+    await asyncio.sleep(0)
+    big = ("INSERT INTO map VALUES (NULL, 1, 0, ?, '', '', 0)", ("x" * 1_000_000,))
+    journal._store.buffer(big)  # the thread finds out
+    with pytest.raises(SafetyStop, match=r"journal lost: .*journal\.sqlite: .*full"):
+        await watch
+    for act in (journal.flush, lambda: journal.executed_segment(0, block(0)), lambda: journal.end_pass(0, "done")):
+        with pytest.raises(SafetyStop, match="polishing without a record is refused"):
+            act()
+    with pytest.raises(SafetyStop):
+        journal.unfinished()
+    journal.close()
+
+
+def test_numbers_of_numpy_stay_numbers(journal: Journal) -> None:
+    journal.record_map(0, "aa", "x", {"samples": np.int64(3), "rms_nm": np.float64(2.5)})
+    assert journal.history[0].stats == {"samples": 3, "rms_nm": 2.5}
+
+
+async def test_lost_journal_ends_a_phase_but_never_hides_its_error(tmp_path: Path) -> None:
+    journal = opened(tmp_path)
+    with pytest.raises(SafetyStop, match="journal lost"):
+        async with journal.phase(0, Phase.RUN):
+            journal._store._fail(sqlite3.OperationalError("disk I/O error"))
+    journal.close()
+    journal = opened(tmp_path)
+
+    async def lose_both() -> None:
+        async with journal.phase(0, Phase.RUN):
+            journal._store._fail(sqlite3.OperationalError("disk I/O error"))
+            raise LinkError("gone")
+
+    with pytest.raises(LinkError, match="gone") as caught:
+        await lose_both()
+    assert "journal lost" in caught.value.__notes__[0]
+    journal.close()
+
+
+EIO = """
+import sys
+from pathlib import Path
+from polishd.daemon.journal import Journal
+from polishd.model.errors import SafetyStop
+journal = Journal(Path(sys.argv[1]), job="job", part_id="P1")
+told = 0
+for cycle in range(50):
+    try:
+        journal.record_map(cycle, f"map{cycle}", "x", {})
+        print(cycle)
+    except SafetyStop as error:
+        told += 1
+        if told == 1:
+            print("lost", error)
+print("refused", told)
+"""
+
+
+@pytest.mark.skipif(shutil.which("strace") is None, reason="strace makes the I/O errors")
+def test_io_error_of_the_disk_is_told_and_never_forgotten(tmp_path: Path) -> None:
+    """After one failed fdatasync SQLite would go on with the next insert as if nothing were lost."""
+    trace = ["strace", "-f", "-qq", "-o", "/dev/null", "-e", "trace=fdatasync,fsync"]
+    inject = ["-e", "inject=fdatasync,fsync:error=EIO:when=12"]
+    with python(*trace, *inject, sys.executable, "-c", EIO, str(tmp_path)) as process:
+        out, err = process.communicate(timeout=60)
+    if "PTRACE" in err or "ptrace" in err:
+        pytest.skip("strace may not trace here")
+    *done, lost, refused = out.splitlines()
+    assert lost.startswith("lost journal lost: "), err
+    assert "disk I/O error" in lost
+    assert refused == f"refused {50 - len(done)}"
+    assert 0 < len(done) < 50
+
+
+def test_journal_of_another_format_is_refused(tmp_path: Path) -> None:
+    opened(tmp_path).close()
+    connection = sqlite3.connect(tmp_path / "journal.sqlite")
+    connection.execute("PRAGMA user_version = 99")
+    connection.close()
+    with pytest.raises(ConfigError, match="has format 99, this polishd writes format 1"):
+        opened(tmp_path)
+
+
+def test_file_that_is_no_journal_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "journal.sqlite").write_bytes(b"not a database" * 100)
+    with pytest.raises(ConfigError, match="cannot be used: file is not a database; move the file aside"):
+        opened(tmp_path)
+    with pytest.raises(ConfigError, match="cannot be opened"):
+        opened(tmp_path / "none")

@@ -1,0 +1,407 @@
+"""The report: complete, offline, written whole, and honest about what is missing."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from polishd.api import Event
+from polishd.plugins import run_report
+from polishd.plugins.run_report import trend
+from polishd.plugins.run_report.folder import Executed, Surface, read_folder
+from polishd.plugins.run_report.page import render
+from polishd.plugins.run_report.psd import radial_psd
+from polishd.plugins.run_report.report import write_report
+from polishd.plugins.run_report.values import duration, plain, when
+from polishd.plugins.run_report.whole import write_whole
+
+N = 24
+PITCH_MM = 1.0
+PER_PASS = ("maps", "prediction", "dwell", "executed")
+
+
+def disc() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Radius in mm, the part, and its clear aperture."""
+    axis = (np.arange(N) - (N - 1) / 2) * PITCH_MM
+    radius = np.hypot(axis[None, :], axis[:, None])
+    return radius, radius <= N / 2, radius <= N / 2 - 2
+
+
+def heights(cycle: int) -> np.ndarray:
+    radius, part, _ = disc()
+    ripple = np.cos(radius / 2) + 0.2 * np.random.default_rng(cycle).standard_normal(radius.shape)
+    return np.where(part, ripple * 20.0 / 4**cycle, np.nan)
+
+
+def plan_arrays(points: int = 40) -> dict[str, np.ndarray]:
+    x = np.linspace(-10, 10, points + 1)
+    start = np.column_stack([x[:-1], np.sin(x[:-1]), np.zeros(points)])
+    end = np.column_stack([x[1:], np.sin(x[1:]), np.zeros(points)])
+    time_s = np.linspace(0.1, 0.5, points)
+    return {
+        "time_s": time_s,
+        "expected_s": time_s + 0.005,
+        "lower_s": np.full(points, 0.1),
+        "compliance_um_per_n": np.linspace(1.2, 1.5, points),
+        "gamma": np.linspace(0.90, 0.87, points),
+        "start_mm": start,
+        "end_mm": end,
+        "predicted_removal_nm": np.ones((N, N)),
+        "residual_nm": heights(2),
+    }
+
+
+def write_cycle(folder: Path, cycle: int, *, passed: bool, executed: bool = True) -> dict[str, Any]:
+    """Write a cycle's files; returns its entry in the summary."""
+    folder.mkdir(parents=True, exist_ok=True)
+    _, part, clear = disc()
+    arrays = {"height_nm": heights(cycle), "solve_mask": part, "metric_mask": clear}
+    np.savez_compressed(folder / "surface.npz", pitch_mm=PITCH_MM, **arrays)
+    entry: dict[str, Any] = {"rms_nm": 20.0 / 4**cycle, "pv_nm": 60.0 / 4**cycle, "lsf_rms_nm": 1.0, "rate": 0.95}
+    entry |= {"band_rms_nm": None, "predicted_rms_nm": None, "dwell_s": None, "executed_s": None}
+    if not passed:
+        return entry
+    plan = plan_arrays()
+    np.savez_compressed(folder / "plan.npz", **plan)
+    certificate = {"solver": "gradient <&>", "kkt_residual": 3.1e-5, "cross_check": None, "notes": ["one", "two"]}
+    (folder / "certificate.json").write_text(json.dumps(certificate))
+    (folder / "program.rnc").write_text("G1 X1 F100\n")
+    if executed:
+        ends = np.concatenate([[0.0], np.cumsum(plan["expected_s"] * 1.01)])
+        rows = ["seq,start_s,end_s,contact", "0,0,9,0"]
+        rows += [f"{seq + 3},{ends[seq]:.9g},{ends[seq + 1]:.9g},1" for seq in range(len(plan["time_s"]))]
+        (folder / "executed.csv").write_text("\n".join(rows) + "\n")
+    return entry | {"predicted_rms_nm": 1.1, "dwell_s": 3700.0, "executed_s": 3750.0}
+
+
+def write_summary(folder: Path, cycles: list[dict[str, Any]], **changes: Any) -> None:
+    summary = {
+        "outcome": "in_tolerance",
+        "job": "job",
+        "part_id": "PART <1>",
+        "correction": "exact",
+        "tolerance_nm": 2.0,
+        "tolerance_period_mm": 0.0,
+        "cycles": cycles,
+        "run_dir": str(folder),
+        "started": "2025-11-21T03:31:12.250+00:00",
+        "ended": None,
+        "notes": ["rate & force learned"],
+    }
+    (folder / "summary.json").write_text(json.dumps(summary | changes))
+
+
+def write_run(folder: Path, passes: int) -> Path:
+    """A run of so many passes, and the measurement after them."""
+    cycles = [write_cycle(folder / f"cycle-{cycle:02d}", cycle, passed=cycle < passes) for cycle in range(passes + 1)]
+    write_summary(folder, cycles)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("polishd.plugins.run_report.style.DPI", 40)
+
+
+@pytest.fixture
+def run_dir(tmp_path: Path) -> Path:
+    """One pass and the measurement after it."""
+    return write_run(tmp_path / "run", 1)
+
+
+@pytest.fixture
+def plan_dir(tmp_path: Path) -> Path:
+    """What ``polishd plan`` writes: one cycle in the folder itself."""
+    folder = tmp_path / "plan"
+    write_summary(folder, [write_cycle(folder, 0, passed=True, executed=False)], outcome="planned")
+    return folder
+
+
+def words_of(folder: Path) -> str:
+    """The page without its pictures, which take the time."""
+    return render(read_folder(folder), [])
+
+
+def page_of(folder: Path) -> str:
+    return write_report(folder).read_text()
+
+
+def missing_in(page: str) -> str:
+    """The page's own list of what it lacks, empty where it lists nothing."""
+    found = re.search(r"<h2>Missing from this report</h2>\n<ul>(.*?)</ul>", page)
+    return found.group(1) if found else ""
+
+
+def pictures_in(page: str) -> list[bytes]:
+    return [base64.b64decode(data) for data in re.findall(r'src="data:image/png;base64,([^"]+)"', page)]
+
+
+class TestEvents:
+    def test_a_finished_job_is_reported(self, run_dir: Path) -> None:
+        run_report.polishd_on_event(Event("job_finished", data={"run_dir": str(run_dir)}))
+        assert (run_dir / "report.html").is_file()
+
+    def test_a_written_plan_is_reported(self, plan_dir: Path) -> None:
+        run_report.polishd_on_event(Event("plan_written", data={"run_dir": plan_dir}))
+        assert (plan_dir / "report.html").is_file()
+
+    @pytest.mark.parametrize("name", ["phase_started", "job_started", ""])
+    def test_other_events_pass_by(self, run_dir: Path, name: str) -> None:
+        run_report.polishd_on_event(Event(name, data={"run_dir": str(run_dir)}))
+        assert not (run_dir / "report.html").exists()
+
+    def test_an_event_without_a_folder_passes_by(self) -> None:
+        run_report.polishd_on_event(Event("job_finished"))
+
+    def test_loading_the_plugin_does_not_load_matplotlib(self) -> None:
+        code = (
+            "import sys, polishd.plugins.run_report as p; assert p.POLISHD_API == 1; print('matplotlib' in sys.modules)"
+        )
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+        assert done.stdout.strip() == "False"
+
+
+class TestARun:
+    @pytest.fixture(scope="class")
+    def run_dir(self, tmp_path_factory: pytest.TempPathFactory) -> Path:
+        folder = write_run(tmp_path_factory.mktemp("report") / "run", 2)
+        write_report(folder)
+        return folder
+
+    @pytest.fixture
+    def page(self, run_dir: Path) -> str:
+        return (run_dir / "report.html").read_text()
+
+    def test_it_opens_offline(self, page: str) -> None:
+        assert not re.search(r"https?://|src=\"(?!data:)|@import|url\(|<script|<link", page)
+
+    def test_every_picture_can_be_decoded_and_is_a_file_too(self, page: str, run_dir: Path) -> None:
+        files = {file.read_bytes() for file in (run_dir / "pictures").glob("*.png")}
+        embedded = pictures_in(page)
+        assert files == set(embedded)
+        for content in embedded:
+            assert imread(io.BytesIO(content)).shape[0] > 100
+
+    def test_it_shows_every_pass_and_the_whole(self, page: str, run_dir: Path) -> None:
+        expected = {"overview", "trend", "psd", "cycle-00-compliance", "cycle-02-maps"}
+        expected |= {f"cycle-{cycle:02d}-{kind}" for cycle in (0, 1) for kind in PER_PASS}
+        assert {file.stem for file in (run_dir / "pictures").glob("*")} == expected
+
+    def test_the_header_says_the_verdict_and_the_figures(self, page: str) -> None:
+        assert '<p class="verdict good">In tolerance</p>' in page
+        assert "20.00 → 1.25 nm" in page
+        assert "2 h 05 min" in page
+        assert "2025-11-21 03:31:12" in page
+
+    def test_the_table_has_a_row_per_measurement_and_dashes_for_null(self, page: str) -> None:
+        table = re.search(r'<table class="cycles">.*?</table>', page, re.DOTALL).group(0)
+        assert table.count("<tr>") == 4
+        assert "–" in table.split("after pass 2")[1]
+        assert "–" not in table.split("after pass 2")[0]
+        assert "band RMS" not in table
+
+    def test_the_certificate_is_there(self, page: str) -> None:
+        assert page.count("Certificate of the dwell solution") == 2
+        assert "<td>3.1e-05</td>" in page
+        assert "<td>one; two</td>" in page
+
+    def test_foreign_text_is_escaped(self, page: str) -> None:
+        assert "PART &lt;1&gt;" in page
+        assert "rate &amp; force learned" in page
+        assert "gradient &lt;&amp;&gt;" in page
+
+    def test_nothing_is_missing(self, page: str) -> None:
+        assert missing_in(page) == ""
+
+    def test_links_lead_to_files_beside_the_page(self, page: str, run_dir: Path) -> None:
+        links = re.findall(r'href="([^"]+)"', page)
+        assert "cycle-00/program.rnc" in links
+        assert all((run_dir / link).is_file() for link in links)
+
+    def test_no_partial_file_stays(self, page: str, run_dir: Path) -> None:
+        assert not list(run_dir.rglob("*.tmp"))
+
+    def test_it_is_readable_by_others(self, page: str, run_dir: Path) -> None:
+        assert (run_dir / "report.html").stat().st_mode & 0o777 == 0o644
+
+
+def test_a_plan_shows_its_prediction_and_says_that_nothing_moved(plan_dir: Path) -> None:
+    page = page_of(plan_dir)
+    assert "Plan: nothing was moved" in page
+    assert missing_in(page) == ""
+    names = {file.stem for file in (plan_dir / "pictures").glob("*")}
+    assert names == {"psd", "plan-maps", "plan-compliance", "plan-dwell"}
+
+
+def test_a_tolerance_on_long_periods_is_judged_and_drawn_on_them(run_dir: Path) -> None:
+    rows = [{"rms_nm": 9.0, "band_rms_nm": 8.0}, {"rms_nm": 3.0, "band_rms_nm": 1.0}]
+    write_summary(run_dir, rows, tolerance_period_mm=7.0)
+    assert "RMS, periods &gt; 7 mm</dt><dd>8.00 → 1.00 nm" in words_of(run_dir)
+    labels = [text.get_text() for text in trend.rms_per_measurement(rows, 2.0, 7.0).axes[0].get_legend().texts]
+    assert "measured, periods above 7 mm" in labels
+    assert "measured, all periods" in labels
+
+
+class TestWhatIsMissing:
+    @pytest.mark.parametrize(
+        ("outcome", "words"),
+        [
+            ("diverged", "Diverged"),
+            ("cycles_used", "Not in tolerance"),
+            ("stopped", "Stopped"),
+            ("new_word", "New word"),
+        ],
+    )
+    def test_other_ends_are_named(self, run_dir: Path, outcome: str, words: str) -> None:
+        write_summary(run_dir, [], outcome=outcome)
+        assert words in words_of(run_dir)
+
+    def test_without_a_summary_the_run_is_called_unfinished(self, run_dir: Path) -> None:
+        (run_dir / "summary.json").unlink()
+        page = page_of(run_dir)
+        assert "Unfinished" in page
+        assert "summary.json: not there" in missing_in(page)
+        assert len(pictures_in(page)) == 8
+
+    def test_an_empty_folder_gets_a_page(self, tmp_path: Path) -> None:
+        page = page_of(tmp_path)
+        assert "no measurement was taken" in missing_in(page)
+        assert pictures_in(page) == []
+
+    def test_a_pass_that_was_cut_short(self, tmp_path: Path) -> None:
+        entry = write_cycle(tmp_path / "cycle-00", 0, passed=True, executed=False)
+        write_summary(tmp_path, [entry], outcome="stopped")
+        page = page_of(tmp_path)
+        assert "cycle-00/executed.csv: not there" in missing_in(page)
+        assert (tmp_path / "pictures" / "cycle-00-maps.png").is_file()
+
+    @pytest.mark.parametrize("name", ["surface.npz", "plan.npz", "certificate.json", "executed.csv"])
+    @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 not really", b"\x00\xff\xfe"])
+    def test_a_broken_file_is_named_and_the_rest_is_shown(self, run_dir: Path, name: str, content: bytes) -> None:
+        (run_dir / "cycle-00" / name).write_bytes(content)
+        folder = read_folder(run_dir)
+        assert [entry.partition(":")[0] for entry in folder.missing] == [f"cycle-00/{name}"]
+        assert folder.cycles[1].surface is not None
+
+    def test_a_broken_map_does_not_take_the_page_down(self, run_dir: Path) -> None:
+        (run_dir / "cycle-00" / "surface.npz").write_bytes(b"PK\x03\x04")
+        page = page_of(run_dir)
+        assert "cycle-00/surface.npz: cannot be read" in missing_in(page)
+        assert (run_dir / "pictures" / "cycle-01-maps.png").is_file()
+        assert (run_dir / "pictures" / "cycle-00-dwell.png").is_file()
+
+    def test_a_plan_that_lacks_an_array_loses_that_picture_only(self, run_dir: Path) -> None:
+        arrays = plan_arrays()
+        del arrays["gamma"]
+        np.savez(run_dir / "cycle-00" / "plan.npz", **arrays)
+        page = page_of(run_dir)
+        assert "picture cycle-00-compliance: KeyError" in missing_in(page)
+        assert (run_dir / "pictures" / "cycle-00-dwell.png").is_file()
+
+    def test_a_prediction_on_another_grid_is_not_drawn(self, run_dir: Path) -> None:
+        np.savez(run_dir / "cycle-00" / "plan.npz", **(plan_arrays() | {"residual_nm": np.zeros((5, 5))}))
+        assert "picture cycle-00-prediction" in missing_in(page_of(run_dir))
+
+    def test_a_map_without_data_in_the_clear_aperture(self, run_dir: Path) -> None:
+        path = run_dir / "cycle-01" / "surface.npz"
+        arrays = dict(np.load(path))
+        np.savez(path, **(arrays | {"height_nm": np.full((N, N), np.nan)}))
+        assert "picture psd" in missing_in(page_of(run_dir))
+
+    def test_a_summary_of_wrong_shape_is_no_obstacle(self, run_dir: Path) -> None:
+        (run_dir / "summary.json").write_text(
+            '{"cycles": [null, {"rms_nm": "high"}], "notes": null, "tolerance_nm": "x"}'
+        )
+        assert "<h1>run</h1>" in page_of(run_dir)
+
+
+class TestExecuted:
+    def test_pieces_of_one_block_are_summed_and_air_moves_left_out(self, run_dir: Path) -> None:
+        rows = "seq,start_s,end_s,contact\n1,0,5,0\n2,5,6,1\n2,6,6.5,1\n3,7,9,1\n"
+        (run_dir / "cycle-00" / "executed.csv").write_text(rows)
+        done = read_folder(run_dir).cycles[0].executed
+        assert done is not None
+        assert done.seq.tolist() == [2, 3]
+        assert done.seconds.tolist() == [1.5, 2.0]
+
+    def test_blocks_are_matched_by_number_where_the_plan_tells_it(self) -> None:
+        done = Executed(np.array([4, 5, 7]), np.array([1.0, 9.0, 3.0]))
+        matched = done.per_point({"expected_s": np.ones(3), "block": np.array([4, 7, 8])})
+        np.testing.assert_array_equal(matched, [1.0, 3.0, np.nan])
+
+    def test_otherwise_in_order_where_the_counts_agree(self) -> None:
+        plan = {"expected_s": np.ones(3)}
+        assert Executed(np.arange(3), np.ones(3)).per_point(plan) is not None
+        assert Executed(np.arange(2), np.ones(2)).per_point(plan) is None
+
+
+class TestSpectrum:
+    def test_its_integral_is_about_the_variance(self) -> None:
+        # White noise: the density is flat, variance times the area of a sample.
+        rng = np.random.default_rng(5)
+        height = 3.0 * rng.standard_normal((128, 128))
+        frequency, power = radial_psd(height, np.ones((128, 128), dtype=bool), 0.5)
+        flat = power[frequency > 0.1]
+        np.testing.assert_allclose(flat.mean(), 9.0 * 0.25, rtol=0.05)
+
+    def test_a_ripple_stands_at_its_own_frequency(self) -> None:
+        x = np.arange(128) * 0.5
+        height = np.broadcast_to(np.sin(2 * np.pi * x / 8.0), (128, 128))
+        frequency, power = radial_psd(height.copy(), np.ones((128, 128), dtype=bool), 0.5)
+        assert frequency[np.argmax(power)] == pytest.approx(1 / 8.0, rel=0.1)
+
+    def test_tilt_and_holes_do_not_matter_much(self) -> None:
+        rng = np.random.default_rng(6)
+        height = rng.standard_normal((96, 96))
+        mask = np.ones((96, 96), dtype=bool)
+        tilted = height + 40 * np.linspace(-1, 1, 96)[:, None]
+        np.testing.assert_allclose(radial_psd(tilted, mask, 1.0)[1], radial_psd(height, mask, 1.0)[1], rtol=0.3)
+        tilted[40:44, 50:53] = np.nan
+        assert np.isfinite(radial_psd(tilted, mask, 1.0)[1]).all()
+
+
+class TestWhole:
+    def test_a_failed_write_leaves_the_old_file_and_nothing_else(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        target = tmp_path / "report.html"
+        write_whole(target, b"old")
+
+        def full(_: int) -> None:
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr("os.fsync", full)
+        with pytest.raises(OSError, match="No space"):
+            write_whole(target, b"new")
+        assert target.read_bytes() == b"old"
+        assert [file.name for file in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_a_surface_lies_where_its_grid_does() -> None:
+    surface = Surface(np.zeros((4, 6)), np.ones((4, 6), dtype=bool), 0.5)
+    assert surface.extent_mm == (-1.5, 1.5, -1.0, 1.0)
+    assert surface.rms_nm(np.arange(24.0).reshape(4, 6)) == pytest.approx(np.arange(24.0).std())
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"), [(None, "none"), ([], "none"), (0.25, "0.25"), (123456.7, "123,457"), (3, "3")]
+)
+def test_certificate_values_as_text(value: object, shown: str) -> None:
+    assert plain(value) == shown
+
+
+def test_times_as_text() -> None:
+    assert when(0) == "1970-01-01 00:00:00 UTC"
+    assert when(None) == ""
+    assert duration([{"dwell_s": 61.4}, {"dwell_s": None}], "dwell_s") == "1 min 01 s"
+    assert duration([{}], "dwell_s") == ""
