@@ -83,7 +83,7 @@ def words(place: Place) -> list[Word]:
 
 def _unknown(place: Place, at: int) -> ProgramError:
     code = place.text[at]
-    if chr(code) in "oO":
+    if chr(code) in "oO" or place.text.lstrip(_BLANKS)[:1] in (b"o", b"O"):
         return place.refuse("O-words (sub-programs, loops) are not read", _NO_VARIABLES)
     rest = place.text[at + 1 :].lstrip(_BLANKS + b"+-")
     if chr(code).isascii() and chr(code).isalpha():

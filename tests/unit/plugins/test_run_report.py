@@ -171,31 +171,33 @@ class TestEvents:
         assert done.stdout.strip() == "False"
 
 
-class TestARun:
-    @pytest.fixture(scope="class")
-    def run_dir(self, tmp_path_factory: pytest.TempPathFactory) -> Path:
-        folder = write_run(tmp_path_factory.mktemp("report") / "run", 2)
-        write_report(folder)
-        return folder
+@pytest.fixture(scope="module")
+def reported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two passes and the measurement after them, with the report; read only."""
+    folder = write_run(tmp_path_factory.mktemp("report") / "run", 2)
+    write_report(folder)
+    return folder
 
+
+class TestARun:
     @pytest.fixture
-    def page(self, run_dir: Path) -> str:
-        return (run_dir / "report.html").read_text()
+    def page(self, reported: Path) -> str:
+        return (reported / "report.html").read_text()
 
     def test_it_opens_offline(self, page: str) -> None:
         assert not re.search(r"https?://|src=\"(?!data:)|@import|url\(|<script|<link", page)
 
-    def test_every_picture_can_be_decoded_and_is_a_file_too(self, page: str, run_dir: Path) -> None:
-        files = {file.read_bytes() for file in (run_dir / "pictures").glob("*.png")}
+    def test_every_picture_can_be_decoded_and_is_a_file_too(self, page: str, reported: Path) -> None:
+        files = {file.read_bytes() for file in (reported / "pictures").glob("*.png")}
         embedded = pictures_in(page)
         assert files == set(embedded)
         for content in embedded:
             assert imread(io.BytesIO(content)).shape[0] > 100
 
-    def test_it_shows_every_pass_and_the_whole(self, page: str, run_dir: Path) -> None:
+    def test_it_shows_every_pass_and_the_whole(self, page: str, reported: Path) -> None:
         expected = {"overview", "trend", "psd", "cycle-00-compliance", "cycle-02-maps"}
         expected |= {f"cycle-{cycle:02d}-{kind}" for cycle in (0, 1) for kind in PER_PASS}
-        assert {file.stem for file in (run_dir / "pictures").glob("*")} == expected
+        assert {file.stem for file in (reported / "pictures").glob("*")} == expected
 
     def test_the_header_says_the_verdict_and_the_figures(self, page: str) -> None:
         assert '<p class="verdict good">In tolerance</p>' in page
@@ -223,16 +225,16 @@ class TestARun:
     def test_nothing_is_missing(self, page: str) -> None:
         assert missing_in(page) == ""
 
-    def test_links_lead_to_files_beside_the_page(self, page: str, run_dir: Path) -> None:
+    def test_links_lead_to_files_beside_the_page(self, page: str, reported: Path) -> None:
         links = re.findall(r'href="([^"]+)"', page)
         assert "cycle-00/program.rnc" in links
-        assert all((run_dir / link).is_file() for link in links)
+        assert all((reported / link).is_file() for link in links)
 
-    def test_no_partial_file_stays(self, page: str, run_dir: Path) -> None:
-        assert not list(run_dir.rglob("*.tmp"))
+    def test_no_partial_file_stays(self, page: str, reported: Path) -> None:
+        assert not list(reported.rglob("*.tmp"))
 
-    def test_it_is_readable_by_others(self, page: str, run_dir: Path) -> None:
-        assert (run_dir / "report.html").stat().st_mode & 0o777 == 0o644
+    def test_it_is_readable_by_others(self, page: str, reported: Path) -> None:
+        assert (reported / "report.html").stat().st_mode & 0o777 == 0o644
 
 
 def test_a_plan_shows_its_prediction_and_says_that_nothing_moved(plan_dir: Path) -> None:

@@ -1,0 +1,126 @@
+"""``polishd demo``: a simulated cell, its daemon, and a table at the end. Three processes' worth of truth, no shortcuts:
+the demo writes a config and a program, starts the simulator and ``polishd run``, and only watches."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import subprocess
+import sys
+import threading
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import typer
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from polishd.console.demo_files import DemoFiles, write_demo
+from polishd.console.simulator import last_words, simulated_cell
+from polishd.console.tables import cycle_table, stderr, stdout
+from polishd.daemon import client
+from polishd.daemon.sockets import SOCKET_NAME
+from polishd.model.errors import ConfigError, LinkError, PolishdError
+
+START_S = 60.0
+STOP_S = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class DemoOptions:
+    """The options of ``polishd demo``."""
+
+    seed: int
+    speed: float
+    cycles: int
+    tolerance_nm: float
+    surface: Path | None
+    correction: str | None
+    out: Path | None
+
+
+def run_demo(options: DemoOptions, *, as_json: bool) -> int:
+    """Run the demo to its end; 0 only if the tolerance was met."""
+    out = options.out or Path("polishd-demo") / datetime.now().strftime("%Y%m%d-%H%M%S")
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise ConfigError(f"{out}: exists already; name a new folder with --out")
+    files = write_demo(out.absolute(), options.surface, options.tolerance_nm, options.cycles, options.correction)
+    stderr.print(f"[bold]polishd demo[/] in {out}  (seed {options.seed}, {options.speed:g} x real time)")
+    simulator = ["--state", str(files.sim_dir), "--seed", str(options.seed), "--speed", f"{options.speed:g}"]
+    simulator += ["--surface", str(options.surface.absolute())] if options.surface else []
+    with simulated_cell(files.sim, simulator, files.out / "sim.log"):
+        code = _daemon(files)
+    summary_path = files.run_dir / "summary.json"
+    if not summary_path.exists():
+        raise PolishdError(f"the daemon ended with code {code}: {last_words(files.daemon_log)}")
+    summary = json.loads(summary_path.read_text())
+    if as_json:
+        typer.echo(json.dumps(summary))
+    else:
+        stdout.print(cycle_table(summary))
+        for note in summary["notes"]:
+            stdout.print(note, markup=False)
+        stdout.print(f"report: {files.run_dir / 'report.html'}", markup=False, soft_wrap=True)
+    return code
+
+
+def _daemon(files: DemoFiles) -> int:
+    """``polishd run`` as a process, watched over its socket; its exit code."""
+    command = [sys.executable, "-m", "polishd.cli", "run", str(files.cell), "--json"]
+    with files.daemon_log.open("wb") as log:
+        process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
+        try:
+            watcher = threading.Thread(target=_watch, args=(process, files.state_dir), daemon=True)
+            watcher.start()
+            code = process.wait()
+            watcher.join(STOP_S)
+            return code
+        finally:
+            if process.poll() is None:
+                process.send_signal(signal.SIGTERM)
+                process.wait(STOP_S)
+
+
+def _watch(process: subprocess.Popen[bytes], state_dir: Path) -> None:
+    """Show what the daemon tells, until it ends."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), TimeElapsedColumn())
+    waited = threading.Event()
+    while process.poll() is None and not (state_dir / SOCKET_NAME).exists():
+        waited.wait(0.05)  # a file that another process makes: there is no event to wait for
+    with contextlib.suppress(LinkError), Progress(*columns, console=stderr) as progress:
+        task = progress.add_task("starting", total=None, note="")
+        for event in client.subscribe(state_dir):
+            _show(progress, task, event)
+
+
+def _show(progress: Progress, task: Any, event: dict[str, Any]) -> None:  # noqa: ANN401 - rich's TaskID
+    cycle, data = event["cycle"], event["data"]
+    match event["name"]:
+        case "measured":
+            band = data["band_rms_nm"]
+            beyond = "" if band is None else f", {band:.2f} nm in the tolerance's band"
+            stderr.print(f"measurement {cycle}: RMS {data['rms_nm']:.2f} nm, PV {data['pv_nm']:.1f} nm{beyond}")
+            progress.update(task, description=f"cycle {cycle}: solving", total=None, note="")
+        case "solved":
+            note = f"predicted RMS {data['predicted_rms_nm']:.2f} nm, KKT {data['kkt_residual']:.1e}"
+            progress.update(task, description=f"cycle {cycle}: planning", note=note)
+        case "pass_begun":
+            progress.update(
+                task,
+                description=f"cycle {cycle}: polishing",
+                total=data["blocks"],
+                completed=0,
+                note=f"{data['dwell_s'] / 60:.1f} min of dwell",
+            )
+        case "progress":
+            progress.update(task, completed=data["block"])
+        case "pass_ended":
+            progress.update(task, description=f"cycle {cycle}: measuring", total=None, note="")
+        case "state" if data["state"] == "held":
+            stderr.print(f"held: {data['reason']}", markup=False)
+        case "failed":
+            stderr.print(f"{data['kind']}: {data['error']}", style="red", markup=False)
+        case "job_finished":
+            progress.update(task, description="writing the report", total=None, note="")

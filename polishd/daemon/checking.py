@@ -1,0 +1,50 @@
+"""``check`` and ``probe``: what can be known of a cell before it runs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from polishd.daemon import steps
+from polishd.daemon.assembly import build_cell, make_recipe
+from polishd.daemon.config import CellConfig
+from polishd.daemon.lock import StateLock
+from polishd.daemon.plugins import Hooks
+from polishd.daemon.safety import make_safe
+from polishd.model.devices import Identity
+from polishd.model.errors import DeviceFault
+
+
+def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
+    """Read what the config names and compute along the program. Opens nothing; the first fault is raised."""
+    recipe = make_recipe(config, hooks)
+    build_cell(config, hooks)
+    program = steps.read_program(recipe, config.program_path)
+    grid = steps.process_grid(recipe)
+    answer = steps.effect_of(recipe, program, grid, 1.0)
+    compliance, gamma = answer.compliance_um_per_n, answer.gamma
+    return {
+        "config": str(config.path),
+        "plugins": ", ".join(plugin.name for plugin in hooks.report.loaded),
+        "program": f"{program.name}: {program.n} timed points, {program.lines} lines, time in the {program.encoding}",
+        "reach": f"all {program.n} points",
+        "compliance_um_per_n": f"{compliance.min():.3f} to {compliance.max():.3f}",
+        "gamma": f"{gamma.min():.3f} to {gamma.max():.3f}",
+        "correction": recipe.correction,
+        "removal of the program as it is": f"{np.max(answer.effect.removal_nm(program.time_s)):.1f} nm at most",
+    }
+
+
+async def probe_cell(config: CellConfig, hooks: Hooks) -> dict[str, Identity]:
+    """Connect to each device, identify it, leave it safe. DeviceError where one does not answer."""
+    cell = build_cell(config, hooks)
+    with StateLock(config.state_dir):
+        identities = await cell.open()
+        try:
+            await make_safe(cell)
+        finally:
+            await cell.close()
+    if cell.unsafe:
+        raise DeviceFault("not confirmed safe: " + "; ".join(cell.unsafe))
+    return identities

@@ -1,0 +1,1 @@
+"""The plant: the true surface, and what wears it."""

@@ -1,0 +1,86 @@
+"""The plant's own account of dwell: the witness that nothing was polished twice."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from polishd.model.surface import FloatArray
+from polishd.sim_backends.plant.part import TruePart
+
+
+@dataclass(slots=True)
+class Account:
+    """Contact seconds (process time) for each block of each program, and at standstill."""
+
+    programs: dict[str, FloatArray] = field(default_factory=dict)
+    loads: dict[str, int] = field(default_factory=dict)
+    current: str = ""
+    standstill_s: float = 0.0
+    stands: list[dict[str, float]] = field(default_factory=list)
+
+    def load(self, sha256: str, blocks: int) -> None:
+        """A program was loaded; one that was loaded before goes on with its old account."""
+        self.current = sha256
+        self.loads[sha256] = self.loads.get(sha256, 0) + 1
+        known = self.programs.get(sha256)
+        if known is None or len(known) != blocks:
+            self.programs[sha256] = np.zeros(blocks)
+
+    def dwell(self, program: str, seq: FloatArray, seconds: FloatArray) -> None:
+        """Contact in blocks."""
+        book = self.programs.get(program)
+        if book is not None and len(seq):
+            np.add.at(book, seq.astype(np.int64), seconds)
+
+    def stand(self, x_mm: float, y_mm: float, at_s: float, seconds: float) -> None:
+        """Contact at standstill."""
+        self.standstill_s += seconds
+        last = self.stands[-1] if self.stands else None
+        if last and at_s - last["until_s"] < 0.5 and abs(last["x_mm"] - x_mm) + abs(last["y_mm"] - y_mm) < 0.01:
+            last["seconds"] += seconds
+            last["until_s"] = at_s
+        else:
+            self.stands.append({"x_mm": x_mm, "y_mm": y_mm, "from_s": at_s, "until_s": at_s, "seconds": seconds})
+
+    def write(self, folder: Path, part: TruePart, process_s: float) -> None:
+        """``dwell_account.json`` and ``truth.npz``, each replaced whole."""
+        rms, pv = part.stats()
+        books: list[dict[str, Any]] = [
+            {"sha256": sha, "blocks": len(book), "loads": self.loads[sha], "contact_s": np.round(book, 7).tolist()}
+            for sha, book in self.programs.items()
+        ]
+        message = {
+            "process_s": process_s,
+            "rms_nm": rms,
+            "pv_nm": pv,
+            "standstill_contact_s": self.standstill_s,
+            "stands": self.stands,
+            "programs": books,
+            "truth": "truth.npz",
+        }
+        replace(folder / "dwell_account.json", json.dumps(message).encode())
+        beside = folder / ".truth.npz"
+        with beside.open("wb") as file:
+            np.savez(
+                file,
+                height_nm=part.height_nm,
+                start_nm=part.start_nm,
+                valid=part.valid,
+                clear=part.clear,
+                pad=part.pad,
+                pitch_mm=part.grid.pitch_mm,
+            )
+        beside.replace(folder / "truth.npz")
+
+
+def replace(path: Path, data: bytes) -> None:
+    """Write a file whole."""
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    beside.write_bytes(data)
+    beside.replace(path)

@@ -1,0 +1,162 @@
+"""The plant's process: listens to the devices, wears the part up to the time that all vouch for, keeps the witness."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import os
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from polishd.model.surface import FloatArray
+from polishd.sim_backends import bus, truth
+from polishd.sim_backends.plant import part as parts
+from polishd.sim_backends.plant.account import replace
+from polishd.sim_backends.plant.witness import Witness
+from polishd.sim_backends.plant.world import World
+from polishd.sim_backends.runtime import Start, announce, cancel_all, until_ended
+
+TICK_S = 0.02
+SUMMARY_S = 1.0
+MOVING = {"motion_started": True, "motion_stopped": False, "boot": False, "lost": False}
+EXTENDED = {"engage": True, "retracted": False, "boot": False, "lost": False}
+
+
+@dataclass(slots=True)
+class PlantServer:
+    """The plant among its devices."""
+
+    start: Start
+    world: World
+    witness: Witness
+    writers: dict[str, asyncio.StreamWriter] = field(default_factory=dict)
+    robot_mark: float = math.inf
+    moving: bool = False
+    extended: bool = False
+    asked_s: float | None = None
+    """When a measurement was asked for that is not served yet."""
+    _near: bool = False
+    _summary: tuple[float, int] = (0.0, -1)
+
+    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """One device, from hello to its end."""
+        hello = await bus.read_frame(reader)
+        if not isinstance(hello, dict) or "hello" not in hello:
+            writer.close()
+            return
+        device = str(hello["hello"])
+        self._arrive(device, float(hello["t"]), writer)
+        while (message := await bus.read_frame(reader)) is not None:
+            if self.writers.get(device) is writer:
+                self._hear(device, message)
+        if self.writers.get(device) is writer:
+            self._leave(device)
+        writer.close()
+
+    async def tick(self) -> None:
+        """Integrate for ever."""
+        while True:
+            await asyncio.sleep(TICK_S)
+            self.advance()
+
+    def advance(self) -> None:
+        """Integrate up to the horizon; serve what waits for it."""
+        now = time.monotonic()
+        if "robot" not in self.writers:
+            self.world.stand_until(now)
+        horizon = min(now, self.robot_mark, self.world.force.mark_s, self.world.rpm.mark_s)
+        for wall, process in self.world.integrate(horizon):
+            self.witness.clock(wall, process)
+        self._tell_near()
+        self._measure(horizon)
+        self.witness.write(horizon)
+
+    def finish(self) -> None:
+        """The end: everything is written down."""
+        for timeline in (self.world.force, self.world.rpm):
+            timeline.mark_s = math.inf
+        self.world.integrate(math.inf)
+        self._write()
+        self.witness.write(math.inf)
+
+    def _arrive(self, device: str, at_s: float, writer: asyncio.StreamWriter) -> None:
+        self.writers[device] = writer
+        world = self.world
+        if device == "robot":
+            world.stand_until(at_s)
+            self.robot_mark = at_s
+        elif device in {"actuator", "spindle"}:
+            self._timeline(device).connect(at_s)
+        welcome = {"pose": list(world.pose), "near": world.near, "pitch_mm": world.part.grid.pitch_mm}
+        writer.write(bus.pack_json({**welcome, "origin_px": list(world.part.origin_px)}))
+
+    def _leave(self, device: str) -> None:
+        now = time.monotonic()
+        del self.writers[device]
+        if device == "robot":
+            self.robot_mark = math.inf
+        elif device in {"actuator", "spindle"}:
+            self._timeline(device).disconnect(now)
+        self._note(device, "lost", now, {})
+
+    def _timeline(self, device: str) -> parts_timeline:
+        return self.world.force if device == "actuator" else self.world.rpm
+
+    def _hear(self, device: str, message: bus.Message | FloatArray) -> None:
+        if not isinstance(message, dict):
+            self.world.move(message)
+            self._summarise(message)
+        elif "event" in message:
+            self._note(device, message.pop("event"), message.pop("t"), message)
+        elif "measure" in message:
+            self.asked_s = float(message["t"])
+        elif device == "robot":
+            self.robot_mark = float(message["mark"])
+            self.world.stand_until(self.robot_mark)
+        elif "samples" in message:
+            self._timeline(device).push(message["samples"], float(message["mark"]))
+
+    def _note(self, device: str, name: str, at_s: float, data: bus.Message) -> None:
+        if device == "robot":
+            self.moving = MOVING.get(name, self.moving)
+        if device == "actuator":
+            self.extended = EXTENDED.get(name, self.extended)
+        if name == "program_loaded":
+            self.world.account.load(data["sha256"], data["blocks"])
+        self.witness.add(device, name, at_s, **data)
+        if name in {"motion_stopped", "lost"}:
+            self._write_later(at_s)
+
+    def _write_later(self, at_s: float) -> None:
+        """The account is written once everything before that time is integrated."""
+        self.write_s = at_s
+
+    def _summarise(self, rows: FloatArray) -> None:
+        """Block starts, about once a second."""
+        seq, wall = int(rows[-1, 0]), float(rows[-1, 2])
+        since, last = self._summary
+        if seq < last or wall - since > SUMMARY_S:
+            self._summary = (wall, seq)
+            self.witness.add("robot", "blocks", wall, at_seq=seq)
+
+    def _tell_near(self) -> None:
+        near = self.world.near
+        if near != self._near and "actuator" in self.writers:
+            self._near = near
+            self.writers["actuator"].write(bus.pack_json({"near": near}))
+
+    def _measure(self, horizon_s: float) -> None:
+        if self.asked_s is None or horizon_s < self.asked_s or self.moving or self.extended:
+            return
+        self.asked_s = None
+        seen = self.world.part.map_nm()
+        rms, pv = self.world.part.stats()
+        self.witness.add("plant", "measured", horizon_s, true_rms_nm=round(rms, 4), true_pv_nm=round(pv, 4))
+        self._write()
+        if "interferometer" in self.writers:
+            self.writers["interferometer"].write(bus.pack_rows(seen))
+
+    def _write(self) -> None:
+        self.world.account.write(self.start.state, self.world.part, self.world.process_s)

@@ -1,0 +1,171 @@
+"""The plant itself: motion, force and speed come together and wear the part. Pure of I/O."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from polishd.model.process import ToolProcess
+from polishd.model.surface import FloatArray
+from polishd.sim_backends.bus import ROW
+from polishd.sim_backends.config import SimConfig
+from polishd.sim_backends.plant.account import Account
+from polishd.sim_backends.plant.part import TruePart
+from polishd.sim_backends.plant.removal import equivalent_compliance, tool_axis, wear, worn_depth_mm
+from polishd.sim_backends.plant.timeline import Timeline
+from polishd.sim_backends.truth import HiddenTruth
+
+REACH_MM = 0.5
+"""The tip must be so near the surface for the bonnet to touch."""
+TOUCH_N = 0.02
+SEQ, WALL0, WALL1, DT, X, Y, Z, A, C = range(len(ROW))
+GAP_S = 1e-5
+STAND_S = 0.02
+
+
+def rotation_z(deg: float) -> FloatArray:
+    """Rotation about z."""
+    c, s = math.cos(math.radians(deg)), math.sin(math.radians(deg))
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def rotation_rpy(rpy_deg: tuple[float, float, float]) -> FloatArray:
+    """Intrinsic x-y'-z''."""
+    (ca, sa), (cb, sb) = [(math.cos(math.radians(v)), math.sin(math.radians(v))) for v in rpy_deg[:2]]
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, ca, -sa], [0.0, sa, ca]])
+    about_y = np.array([[cb, 0.0, sb], [0.0, 1.0, 0.0], [-sb, 0.0, cb]])
+    return np.asarray(about_x @ about_y @ rotation_z(rpy_deg[2]))
+
+
+@dataclass(slots=True)
+class World:
+    """Everything physical. ``integrate(horizon)`` wears the part by all that is vouched for up to then."""
+
+    config: SimConfig
+    hidden: HiddenTruth
+    part: TruePart
+    rng: np.random.Generator
+    pose: tuple[float, float, float, float, float]
+    robot_s: float
+    """Wall time up to which motion is known."""
+    tool: ToolProcess = field(default_factory=ToolProcess)
+    force: Timeline = field(default_factory=Timeline)
+    rpm: Timeline = field(default_factory=Timeline)
+    account: Account = field(default_factory=Account)
+    process_s: float = 0.0
+    rows_done: int = 0
+    _queue: list[tuple[str, FloatArray]] = field(default_factory=list)
+    _noise: float = 0.0
+    _program_to_part: FloatArray = field(init=False)
+    _part_to_base: FloatArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Fix the frames."""
+        self._program_to_part = rotation_z(self.config.plant.program_rotation_deg)
+        self._part_to_base = rotation_rpy(self.config.plant.rotation_rpy_deg)
+
+    def move(self, rows: FloatArray) -> None:
+        """Take motion as the robot reports it (``bus.ROW``); time before it that no row covers was standstill."""
+        if not len(rows):
+            return
+        self.stand_until(float(rows[0, WALL0]))
+        self._queue.append((self.account.current, rows))
+        self.robot_s = float(rows[-1, WALL1])
+        x, y, z, a, c = (float(value) for value in rows[-1, X:])
+        self.pose = (x, y, z, a, c)
+
+    def stand_until(self, wall_s: float) -> None:
+        """The robot stands from the last known motion up to that time."""
+        span = wall_s - self.robot_s
+        if span <= GAP_S:
+            return
+        edges = np.linspace(self.robot_s, wall_s, math.ceil(span / STAND_S) + 1)
+        rows = np.column_stack(
+            [np.full(len(edges) - 1, -1.0), edges[:-1], edges[1:], np.diff(edges), np.tile(self.pose, (len(edges) - 1, 1))]
+        )
+        self._queue.append((self.account.current, rows))
+        self.robot_s = wall_s
+
+    @property
+    def near(self) -> bool:
+        """Whether the tool's tip is within reach of the part's surface."""
+        place, _ = self._place(np.array([[0.0, 0.0, 0.0, 0.0, *self.pose]]))
+        return bool(self._within(place)[0])
+
+    def integrate(self, horizon_s: float) -> list[tuple[float, float]]:
+        """Wear the part; returns (wall, process) pairs of the clocks."""
+        clocks = []
+        while self._queue and self._queue[0][1][0, WALL1] <= horizon_s:
+            program, rows = self._queue.pop(0)
+            count = int(np.searchsorted(rows[:, WALL1], horizon_s, side="right"))
+            if count < len(rows):
+                self._queue.insert(0, (program, rows[count:]))
+            rows = rows[:count]
+            clocks.append((float(rows[0, WALL0]), self.process_s))
+            self._wear(program, rows)
+            self.process_s += float(rows[:, DT].sum())
+            self.rows_done += count
+            clocks.append((float(rows[-1, WALL1]), self.process_s))
+        self.force.forget(horizon_s)
+        self.rpm.forget(horizon_s)
+        return clocks
+
+    def _wear(self, program: str, rows: FloatArray) -> None:
+        middle = (rows[:, WALL0] + rows[:, WALL1]) / 2.0
+        force = self.force.at(middle)
+        if not (force > TOUCH_N).any():
+            return
+        place, axis = self._place(rows)
+        touching = (force > TOUCH_N) & self._within(place)
+        if not touching.any():
+            return
+        begin = self.process_s + np.cumsum(rows[:, DT]) - rows[:, DT]
+        rows, force, place, axis, begin = (v[touching] for v in (rows, force, place, axis, begin))
+        force = force * (1.0 + self._force_noise(rows[:, DT]))
+        base = place @ self._part_to_base.T + np.array(self.config.plant.origin_mm)
+        compliance = equivalent_compliance(
+            self.hidden.robot, base, axis @ self._part_to_base.T, self._part_to_base[:, 2]
+        )
+        wear(
+            self.part.height_nm,
+            self.part.grid,
+            self.tool,
+            centre_mm=place[:, :2],
+            axis=axis,
+            depth_mm=worn_depth_mm(self.tool, force, axis, compliance),
+            rpm=np.abs(self.rpm.at(middle[touching])),
+            seconds=rows[:, DT] * np.array([self.hidden.rate_at(t) for t in begin]),
+        )
+        self._book(program, rows, place)
+
+    def _book(self, program: str, rows: FloatArray, place: FloatArray) -> None:
+        moving = rows[:, SEQ] >= 0
+        self.account.dwell(program, rows[moving, SEQ], rows[moving, DT])
+        for row, spot in zip(rows[~moving], place[~moving], strict=True):
+            self.account.stand(float(spot[0]), float(spot[1]), float(row[WALL1]), float(row[DT]))
+
+    def _place(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Tips (n, 3) and tool axes (n, 3) in the part's frame."""
+        place = rows[:, X:A] @ self._program_to_part.T + np.array(self.config.plant.program_offset_mm)
+        return place, tool_axis(rows[:, A], rows[:, C]) @ self._program_to_part.T
+
+    def _within(self, place: FloatArray) -> FloatArray:
+        grid = self.part.grid
+        half_x, half_y = grid.nx * grid.pitch_mm / 2.0, grid.ny * grid.pitch_mm / 2.0
+        flat = (np.abs(place[:, 0]) <= half_x) & (np.abs(place[:, 1]) <= half_y)
+        return np.asarray(flat & (np.abs(place[:, 2]) <= REACH_MM))
+
+    def _force_noise(self, seconds: FloatArray) -> FloatArray:
+        """Relative force error, correlated over ``force_noise_s`` of process time."""
+        truth = self.config.truth
+        keep = np.exp(-seconds / truth.force_noise_s)
+        kick = truth.force_noise * np.sqrt(1.0 - keep**2) * self.rng.standard_normal(len(seconds))
+        noise = np.empty(len(seconds))
+        level = self._noise
+        for k, (k_keep, k_kick) in enumerate(zip(keep.tolist(), kick.tolist(), strict=True)):
+            level = level * k_keep + k_kick
+            noise[k] = level
+        self._noise = level
+        return noise

@@ -1,0 +1,429 @@
+"""The watched folder: each map is taken once and whole, what is refused is kept with its reason."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import struct
+import time
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from polishd.api import (
+    BadMap,
+    DeviceContext,
+    DeviceFault,
+    LinkError,
+    Metrology,
+    SurfaceError,
+    SurfaceMap,
+    SurfaceReader,
+)
+from polishd.plugins.interferometer import files, polishd_device_types, polishd_surface_readers
+from polishd.plugins.interferometer.folder import WATCHED_FOLDER, FolderOptions, WatchedFolder
+from polishd.plugins.interferometer.metropro import METROPRO
+from polishd.plugins.interferometer.settled import Settled
+
+PART = "DEMO-100"
+
+
+def dat(seed: int = 0, *, part: str = PART, at: float | None = None, pitch_m: float = 5e-4, n: int = 40) -> bytes:
+    """A MetroPro file of its own content for each seed."""
+    header = bytearray(834)
+    for offset, code, value in (
+        (0, "4s", b"\x88\x1b\x03\x6f"), (6, ">i", 834), (68, ">2H", (n, n)),
+        (76, ">i", int(time.time() if at is None else at)), (164, ">f", 0.5), (168, ">f", 6.328e-7),
+        (176, ">f", 1.0), (184, ">f", pitch_m), (218, ">h", 2), (320, "40s", part.encode()),
+    ):  # fmt: skip
+        struct.pack_into(code, header, offset, *(value if isinstance(value, tuple) else (value,)))
+    return bytes(header) + np.random.default_rng(seed).integers(-9999, 9999, (n, n)).astype(">i4").tobytes()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    path = tmp_path / "maps"
+    path.mkdir()
+    return path
+
+
+@pytest.fixture
+def make(tmp_path: Path, folder: Path) -> Callable[..., WatchedFolder]:
+    """Makes the device; options as in the config."""
+
+    def build(readers: tuple[SurfaceReader, ...] = (METROPRO,), **options: Any) -> WatchedFolder:
+        context = DeviceContext(base_dir=tmp_path, state_dir=tmp_path / "state", part_id=PART, readers=readers)
+        quick = {"folder": "maps", "poll_s": 0.01, "stable_polls": 3, "stable_s": 0.05, "timeout_s": 20.0}
+        device = WATCHED_FOLDER.build(FolderOptions.model_validate(quick | options), context)
+        assert isinstance(device, WatchedFolder)
+        return device
+
+    return build
+
+
+async def until(condition: Callable[[], bool], within_s: float = 10.0) -> None:
+    """Wait until it holds."""
+    async with asyncio.timeout(within_s):
+        while not condition():
+            await asyncio.sleep(0.005)
+
+
+async def while_waiting(
+    device: WatchedFolder, act: Callable[[], Awaitable[None]], after: str | None = None
+) -> SurfaceMap:
+    """The next map, while something happens to the folder."""
+    async with asyncio.TaskGroup() as group:
+        wanted = group.create_task(device.next_map(after))
+        await act()
+    return wanted.result()
+
+
+def reasons(folder: Path) -> str:
+    """All that the quarantine says."""
+    return "".join(sorted(path.read_text() for path in (folder / "quarantine").glob("*.reason.txt")))
+
+
+async def test_it_is_a_metrology_device(make: Callable[..., WatchedFolder], folder: Path) -> None:
+    (device_type,) = polishd_device_types()
+    assert (device_type.name, device_type.port) == ("watched_folder", "metrology")
+    assert [reader.name for reader in polishd_surface_readers()] == ["metropro"]
+    device = make()
+    assert isinstance(device, Metrology)
+    await device.make_safe()
+    await device.open()
+    await device.open()
+    assert (await device.identify()).serial == str(folder)
+    status = await device.status()
+    assert (status.ready, status.safe, status.state) == (True, True, "watching")
+    await device.close()
+    await device.make_safe()
+    folder.rmdir()
+    status = await device.status()
+    assert (status.ready, status.safe) == (False, True)
+    assert "no such folder" in status.detail
+    with pytest.raises(LinkError, match="no such folder"):
+        await make().open()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"nonsense": 1}, {"poll_s": 0}, {"stable_polls": 1}, {"stable_polls": 2.5}, {"timeout_s": "5"}, {"folder": 5}],
+)
+def test_wrong_options(make: Callable[..., WatchedFolder], options: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        make(**options)
+
+
+def test_whole_numbers_are_seconds_too(make: Callable[..., WatchedFolder]) -> None:
+    assert make(timeout_s=60)
+
+
+async def test_a_map_is_taken_once_and_kept_under_its_content(make: Callable[..., WatchedFolder], folder: Path) -> None:
+    device = make()
+    await device.open()
+    (folder / "first.dat").write_bytes(dat(1))
+    found = await device.next_map(None)
+    assert found.path == folder / "taken" / f"{found.sha256}.dat"
+    assert found.path.read_bytes() == dat(1, at=found.taken_at.timestamp() if found.taken_at else 0)
+    assert not (folder / "first.dat").exists()
+    assert found.part_id == PART
+
+
+async def test_a_request_is_written_whole_and_withdrawn(make: Callable[..., WatchedFolder], folder: Path) -> None:
+    device = make(request_file="measure.request")
+    await device.open()
+    request = folder / "measure.request"
+
+    async def instrument() -> None:
+        await until(request.exists)
+        assert json.loads(request.read_text())["part"] == PART
+        (folder / "m.dat").write_bytes(dat(2))
+
+    assert (await while_waiting(device, instrument)).part_id == PART
+    assert not request.exists()
+    assert not reasons(folder)
+
+
+async def test_a_request_nobody_takes(make: Callable[..., WatchedFolder], folder: Path) -> None:
+    device = make(request_file="measure.request", timeout_s=0.1)
+    with pytest.raises(SurfaceError) as caught:
+        await device.next_map(None)
+    assert str(folder) in str(caught.value)
+    assert "in 0.1 s: no file came" in str(caught.value)
+    assert list(folder.iterdir()) == []
+
+
+async def test_a_request_that_cannot_be_written(make: Callable[..., WatchedFolder]) -> None:
+    with pytest.raises(SurfaceError, match="the request cannot be written"):
+        await make(request_file="no/such/folder/x").next_map(None)
+
+
+@pytest.mark.parametrize("preallocated", [False, True])
+async def test_a_slow_writer_is_waited_for(
+    make: Callable[..., WatchedFolder], folder: Path, preallocated: bool
+) -> None:
+    """Pauses longer than ``stable_s`` make the file look at rest while it is torn."""
+    device = make()
+    content = dat(3)
+    path = folder / "slow.dat"
+
+    async def write() -> None:
+        with path.open("wb") as file:
+            if preallocated:
+                file.truncate(len(content))
+            for part in range(0, len(content), 2500):
+                file.write(content[part : part + 2500])
+                file.flush()
+                await asyncio.sleep(0.12)
+
+    found = await while_waiting(device, write)
+    assert found.path
+    assert found.path.read_bytes() == content
+    assert not (folder / "quarantine").exists()
+
+
+async def test_files_of_one_chunk_after_another_under_another_suffix(
+    make: Callable[..., WatchedFolder], folder: Path
+) -> None:
+    device = make()
+    content = dat(4)
+
+    async def write() -> None:
+        temp = folder / "m.dat.part"
+        temp.write_bytes(content)
+        hidden = folder / ".m2.dat"
+        hidden.write_bytes(dat(5))
+        (folder / "link.dat").symlink_to(hidden)
+        await asyncio.sleep(0.15)
+        temp.rename(folder / "m.dat")
+
+    found = await while_waiting(device, write)
+    assert found.path
+    assert found.path.read_bytes() == content
+    assert {path.name for path in folder.iterdir()} == {".m2.dat", "link.dat", "taken"}
+
+
+REFUSED = {
+    "wrong part": (lambda: dat(1, part="OTHER"), "WrongPart: it shows part 'OTHER', the part is 'DEMO-100'"),
+    "unnamed": (lambda: dat(1, part=""), "WrongPart: it does not say whose map it is"),
+    "stale": (lambda: dat(1, at=time.time() - 60), "StaleMap: measured at"),
+    "no scale": (lambda: dat(1, pitch_m=0.0), "BadMap: it has no lateral scale"),
+    "torn": (lambda: dat(1)[:-7], "BadMap: has 7227 bytes of 7234: torn"),
+    "preallocated": (lambda: dat(1)[:-80] + bytes(80), "BadMap: ends in a tail of zeros"),
+    "empty": (lambda: b"", "BadMap: is empty (known: metropro)"),
+    "text": (lambda: b"hello", "BadMap: is in no format that is known (known: metropro)"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+async def test_what_is_refused_is_kept_with_its_reason(
+    make: Callable[..., WatchedFolder], folder: Path, case: str
+) -> None:
+    device = make(stable_s=0.02, request_file="measure.request")
+    content, reason = REFUSED[case][0](), REFUSED[case][1]
+
+    async def act() -> None:
+        (folder / "bad.dat").write_bytes(content)
+        await until(lambda: bool(reasons(folder)))
+        (folder / "good.dat").write_bytes(dat(2))
+
+    found = await while_waiting(device, act)
+    assert found.part_id == PART
+    assert (folder / "quarantine" / "bad.dat").read_bytes() == content
+    assert f"bad.dat: {reason}" in (folder / "quarantine" / "bad.dat.reason.txt").read_text()
+
+
+async def test_time_is_up(make: Callable[..., WatchedFolder], folder: Path) -> None:
+    device = make(timeout_s=0.4, stable_s=0.02)
+    (folder / "a.dat").write_bytes(dat(1, part="OTHER"))
+    with pytest.raises(SurfaceError) as caught:
+        await device.next_map(None)
+    for expected in (str(folder), "0.4 s", "a.dat: WrongPart", "'OTHER'", "quarantine"):
+        assert expected in str(caught.value)
+
+
+async def test_unnamed_maps_can_be_allowed(make: Callable[..., WatchedFolder], folder: Path) -> None:
+    (folder / "a.dat").write_bytes(dat(1, part=""))
+    assert (await make(accept_unnamed=True).next_map(None)).part_id == ""
+
+
+async def test_the_same_content_is_never_taken_twice_also_after_a_restart(
+    make: Callable[..., WatchedFolder], folder: Path, tmp_path: Path
+) -> None:
+    content = dat(1)
+    (folder / "a.dat").write_bytes(content)
+    device = make()
+    await device.open()
+    first = await device.next_map(None)
+
+    again = make(timeout_s=0.3)
+    await again.open()
+    (folder / "b.dat").write_bytes(content)
+    with pytest.raises(SurfaceError, match=r"b\.dat: StaleMap: the same content"):
+        await again.next_map(None)
+    assert (folder / "quarantine" / "b.dat").read_bytes() == content
+
+    # the record is lost: the claimed file itself, or the journal's word, is enough
+    (tmp_path / "state" / "maps_taken.json").unlink()
+    for after in (None, first.sha256):
+        third = make(timeout_s=0.3)
+        if after is None:
+            await third.open()
+        (folder / "b.dat").write_bytes(content)
+        with pytest.raises(SurfaceError, match="the same content"):
+            await third.next_map(after)
+    assert len(list((folder / "quarantine").glob("*.dat"))) == 3
+    assert len(list((folder / "quarantine").glob("*.reason.txt"))) == 3
+
+
+@pytest.mark.parametrize("record", [b"{", b"[]", b'{"taken": 5}', b"\xff\xfe"])
+async def test_a_broken_record(make: Callable[..., WatchedFolder], tmp_path: Path, record: bytes) -> None:
+    (tmp_path / "state").mkdir()
+    (tmp_path / "state" / "maps_taken.json").write_bytes(record)
+    with pytest.raises(DeviceFault, match=r"maps_taken\.json"):
+        await make().open()
+
+
+async def test_maps_from_before_the_pass_are_stale_only_after_a_pass(
+    make: Callable[..., WatchedFolder], folder: Path
+) -> None:
+    """With nobody to ask, the first map may have been measured before the daemon was started."""
+    device = make(timeout_s=0.3)
+    (folder / "old.dat").write_bytes(dat(1, at=time.time() - 3600))
+    first = await device.next_map(None)
+    (folder / "older.dat").write_bytes(dat(2, at=time.time() - 60))
+    with pytest.raises(SurfaceError, match=r"older\.dat: StaleMap: measured at"):
+        await device.next_map(first.sha256)
+
+
+async def test_without_a_timestamp_the_files_time_counts(make: Callable[..., WatchedFolder], folder: Path) -> None:
+    path = folder / "old.dat"
+    path.write_bytes(dat(1, at=0))
+    os.utime(path, (time.time() - 60, time.time() - 60))
+    with pytest.raises(SurfaceError, match="StaleMap"):
+        await make(timeout_s=0.3).next_map("0" * 64)
+
+
+async def test_the_oldest_of_several_maps_comes_first(make: Callable[..., WatchedFolder], folder: Path) -> None:
+    for seed, age_s in ((1, 5.0), (2, 9.0), (3, 1.0)):
+        path = folder / f"{seed}.dat"
+        path.write_bytes(dat(seed))
+        os.utime(path, (time.time() - age_s, time.time() - age_s))
+    device = make()
+    taken: list[SurfaceMap] = [await device.next_map(None) for _ in range(3)]
+    expected = [dat(seed)[834:] for seed in (2, 1, 3)]
+    assert [one.path.read_bytes()[834:] for one in taken if one.path] == expected
+
+
+async def test_a_folder_that_is_away_for_a_while(make: Callable[..., WatchedFolder], folder: Path) -> None:
+    device = make()
+    away = folder.with_name("away")
+
+    async def act() -> None:
+        folder.rename(away)
+        (away / "a.dat").write_bytes(dat(1))
+        await asyncio.sleep(0.1)
+        away.rename(folder)
+
+    assert (await while_waiting(device, act)).part_id == PART
+
+
+async def test_a_map_that_cannot_be_claimed(make: Callable[..., WatchedFolder], folder: Path) -> None:
+    (folder / "taken").write_text("a file where the folder should be")
+    (folder / "a.dat").write_bytes(dat(1))
+    with pytest.raises(SurfaceError, match="cannot be moved to"):
+        await make(refused="../refused").next_map(None)
+    assert (folder / "a.dat").exists()
+
+
+async def test_cancelling_leaves_nothing(make: Callable[..., WatchedFolder], folder: Path) -> None:
+    task = asyncio.create_task(make(request_file="measure.request").next_map(None))
+    await until((folder / "measure.request").exists)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert list(folder.iterdir()) == []
+
+
+async def test_many_writers_none_torn_lost_or_taken_twice(make: Callable[..., WatchedFolder], folder: Path) -> None:
+    device = make(stable_s=0.03)
+    contents = {seed: dat(seed, n=10 + seed) for seed in range(12)}
+
+    async def write(seed: int) -> None:
+        path, content = folder / f"{seed}.dat", contents[seed]
+        cut = 200 * seed
+        with path.open("wb") as file:
+            if seed % 3 == 0:
+                file.truncate(len(content))
+            file.write(content[:cut])
+            file.flush()
+            await asyncio.sleep(0.01 * (seed % 5))
+            file.write(content[cut:])
+        if seed % 4 == 0:
+            (folder / f"copy of {seed}.dat").write_bytes(content)
+
+    async with asyncio.TaskGroup() as group:
+        for seed in contents:
+            group.create_task(write(seed))
+        taken = [await device.next_map(None) for _ in contents]
+    found = {one.path.read_bytes() for one in taken if one.path}
+    assert found == set(contents.values())
+    # copies that came to rest after the last map was taken may still lie there
+    assert len(list(folder.glob("copy*.dat")) + list((folder / "quarantine").glob("*.dat"))) == 3
+
+
+def test_a_changed_file_is_not_claimed(folder: Path) -> None:
+    path = folder / "a.dat"
+    path.write_bytes(b"one")
+    seen = files.identity(path)
+    assert seen
+    path.write_bytes(b"another")
+    assert files.claim(path, seen, folder / "taken", "f" * 64) is None
+    assert path.read_bytes() == b"another"
+
+
+def test_names_that_are_taken(folder: Path) -> None:
+    for number in range(3):
+        (folder / "bad.dat").write_text(str(number))
+        assert files.quarantine(folder / "bad.dat", folder / "q", f"reason {number}")
+    names = {path.name: path.read_text().strip() for path in (folder / "q").iterdir()}
+    assert names["bad.dat"] == "0"
+    assert names["bad-2.dat"] == "2"
+    assert names["bad-2.dat.reason.txt"] == "reason 2"
+    assert files.quarantine(folder / "gone.dat", folder / "q", "x") is None
+
+
+def test_a_reader_that_breaks_is_named(folder: Path) -> None:
+    def broken(path: Path) -> SurfaceMap:
+        raise KeyError("phase")
+
+    path = folder / "a.xyz"
+    path.write_bytes(b"x")
+    reader = SurfaceReader("theirs", lambda head, path: True, broken)
+    with pytest.raises(BadMap, match="the reader theirs failed: KeyError"):
+        files.read_map(path, [reader])
+    with pytest.raises(BadMap, match="no reader is loaded"):
+        files.read_map(path, [])
+    with pytest.raises(BadMap, match="cannot be read"):
+        files.read_map(folder / "gone", [reader])
+
+
+def test_settled_counts_polls_and_seconds() -> None:
+    a, b = Path("a"), Path("b")
+    one, other = files.Identity(1, 1, 1), files.Identity(2, 1, 1)
+    settled = Settled(polls=3, seconds=1.0)
+    assert settled.poll({a: one}, 0.0) == []
+    assert settled.poll({a: one}, 5.0) == []
+    assert settled.poll({a: one, b: one}, 5.1) == [a]
+    assert settled.quiet_s(a, 6.0) == 6.0
+    assert settled.poll({a: other, b: one}, 5.2) == []
+    assert settled.poll({a: other, b: one}, 5.3) == []
+    assert settled.poll({a: other, b: one}, 5.4) == []
+    assert settled.poll({a: other, b: one}, 6.3) == [a, b]
+    assert settled.poll({}, 7.0) == []
+    assert settled.quiet_s(a, 7.0) == 0.0
