@@ -1,5 +1,7 @@
-"""``polishd demo``: a simulated cell, its daemon, and a table at the end. Three processes' worth of truth, no shortcuts:
-the demo writes a config and a program, starts the simulator and ``polishd run``, and only watches."""
+"""``polishd demo``: a simulated cell, its daemon, and a table at the end.
+
+No shortcuts: it writes a config and a program, starts the simulator and ``polishd run``, and only watches.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ import subprocess
 import sys
 import threading
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +45,7 @@ class DemoOptions:
 
 def run_demo(options: DemoOptions, *, as_json: bool) -> int:
     """Run the demo to its end; 0 only if the tolerance was met."""
-    out = options.out or Path("polishd-demo") / datetime.now().strftime("%Y%m%d-%H%M%S")
+    out = options.out or Path("polishd-demo") / datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ConfigError(f"{out}: exists already; name a new folder with --out")
     files = write_demo(out.absolute(), options.surface, options.tolerance_nm, options.cycles, options.correction)
@@ -95,7 +97,7 @@ def _watch(process: subprocess.Popen[bytes], state_dir: Path) -> None:
             _show(progress, task, event)
 
 
-def _show(progress: Progress, task: Any, event: dict[str, Any]) -> None:  # noqa: ANN401 - rich's TaskID
+def _show(progress: Progress, task: Any, event: dict[str, Any]) -> None:
     cycle, data = event["cycle"], event["data"]
     match event["name"]:
         case "measured":

@@ -49,7 +49,11 @@ def check_verb(cell: Path, *, as_json: bool) -> None:
 
     config, hooks = load_cell(cell)
     facts = check_cell(config, hooks)
-    emit(facts, as_json=as_json, table=lambda: key_table(f"{config.cell.name}: checked, nothing was opened", facts.items()))
+    emit(
+        facts,
+        as_json=as_json,
+        table=lambda: key_table(f"{config.cell.name}: checked, nothing was opened", facts.items()),
+    )
 
 
 def probe_verb(cell: Path, *, as_json: bool) -> None:
@@ -112,7 +116,7 @@ def load_cell(cell: Path, correction: str | None = None) -> tuple[CellConfig, Ho
     return config, hooks
 
 
-def emit(answer: Mapping[str, Any], *, as_json: bool, table: Any) -> None:  # noqa: ANN401 - a callable giving a table
+def emit(answer: Mapping[str, Any], *, as_json: bool, table: Any) -> None:
     """JSON on stdout for programs, a table for people."""
     if as_json:
         typer.echo(json.dumps(answer, default=str))

@@ -7,10 +7,10 @@ error leave contact in the same order (``safety.make_safe``). After an interrupt
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import signal
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
+from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any, Literal
 
@@ -26,7 +26,6 @@ from polishd.daemon.journal import Journal
 from polishd.daemon.lock import StateLock
 from polishd.daemon.log import logging_to
 from polishd.daemon.plugins import Hooks
-from polishd.daemon.recipe import Recipe
 from polishd.daemon.run_folder import RunFolder
 from polishd.daemon.safety import make_safe, most_telling
 from polishd.daemon.service import serving
@@ -42,10 +41,10 @@ class Daemon:
     """Runs a job, and obeys orders at once."""
 
     def __init__(self, cell: Cell, job: Job, journal: Journal, bus: EventBus) -> None:
+        self.job = job
+        self.bus = bus
         self._cell = cell
-        self._job = job
         self._journal = journal
-        self._bus = bus
         self._orders: asyncio.Queue[Order] = asyncio.Queue()
         self._changed = asyncio.Condition()
         self.state: State = "starting"
@@ -69,7 +68,7 @@ class Daemon:
             "reason": self.reason,
             "phase": phases[-1].phase if phases else None,
             "cycle": phases[-1].cycle if phases else None,
-            "cycles": self._job.cycles(),
+            "cycles": self.job.cycles(),
             "unsafe": list(self._cell.unsafe),
         }
 
@@ -78,7 +77,24 @@ class Daemon:
         self._orders.put_nowait("stop")
 
     async def run(self) -> Outcome:
-        """Until the job ends, or a person ends it. Raises what ended it otherwise; the cell is safe then."""
+        """Until the job ends, or a person ends it. Raises what ended it otherwise; the cell is safe and closed then."""
+        identities = await self._cell.open()
+        self.bus.publish(Event("opened", None, {name: asdict(found) for name, found in identities.items()}))
+        try:
+            return await self._until_done()
+        finally:
+            await make_safe(self._cell)
+            await self._cell.close()
+
+    def finish(self, outcome: Outcome, folder: RunFolder, summary: Mapping[str, Any]) -> None:
+        """Leave journal and summary in the run folder, and tell whoever reports."""
+        if summary["outcome"] == outcome.value and outcome is not Outcome.STOPPED:
+            self._journal.record_outcome(outcome)
+        self._journal.copy_to(folder.path / "journal.sqlite")
+        folder.json("summary.json", summary)
+        self.bus.publish(Event("job_finished", None, {"run_dir": str(folder.path), "outcome": summary["outcome"]}))
+
+    async def _until_done(self) -> Outcome:
         await make_safe(self._cell)
         held = await settle(self._cell, self._journal) or (
             "this job was begun earlier; resume starts with a new measurement" if self._journal.resumed else ""
@@ -86,21 +102,17 @@ class Daemon:
         while True:
             if held and not await self._wait_for_resume(held):
                 return Outcome.STOPPED
-            await self._become("polishing", "")
+            await self.become("polishing", "")
             outcome = await self._polish()
             if outcome is not None:
                 return outcome
             held = await settle(self._cell, self._journal) or "held by order; resume starts with a new measurement"
 
-    async def finished(self, reason: str) -> None:
-        """The last state; whoever waits for an order to be obeyed is told."""
-        await self._become("finished", reason)
-
     async def _polish(self) -> Outcome | None:
         """The outcome of the job, or None when it was held."""
         try:
             async with asyncio.TaskGroup() as group:
-                work = group.create_task(polish(self._cell, self._job, self._journal), name="polish")
+                work = group.create_task(polish(self._cell, self.job, self._journal), name="polish")
                 order = group.create_task(self._interrupting(), name="orders")
                 journal = group.create_task(self._journal.lost(), name="journal")
                 await asyncio.wait({work, order, journal}, return_when=asyncio.FIRST_COMPLETED)
@@ -120,16 +132,17 @@ class Daemon:
 
     async def _wait_for_resume(self, reason: str) -> bool:
         await make_safe(self._cell)
-        await self._become("held", reason)
+        await self.become("held", reason)
         while (order := await self._orders.get()) == "hold":
             pass
         return order == "resume"
 
-    async def _become(self, state: State, reason: str) -> None:
+    async def become(self, state: State, reason: str) -> None:
+        """Change state; whoever waits for an order to be obeyed is told."""
         async with self._changed:
             self.state, self.reason = state, reason
             self._changed.notify_all()
-        self._bus.publish(Event("state", None, {"state": state, "reason": reason}))
+        self.bus.publish(Event("state", None, {"state": state, "reason": reason}))
 
     async def _order(self, order: Order, *until: State) -> Mapping[str, Any]:
         """Give an order and answer when it is obeyed."""
@@ -155,80 +168,45 @@ async def run_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
                 job = Job(
                     recipe,
                     program,
-                    journal,
-                    folder,
-                    compute,
-                    bus.publish,
-                    hooks.check_plan,
-                    contact_limits(config),
-                    config.job.max_cycles,
-                    config.job.lookahead_s,
+                    journal=journal,
+                    folder=folder,
+                    compute=compute,
+                    publish=bus.publish,
+                    check_plan=hooks.check_plan,
+                    contact=contact_limits(config),
+                    max_cycles=config.job.max_cycles,
+                    lookahead_s=config.job.lookahead_s,
                 )
-                daemon = Daemon(cell, job, journal, bus)
-                return await _serve(config, daemon, cell, job, journal, folder, recipe, bus)
+                return await _serve(config, Daemon(cell, job, journal, bus), folder)
         finally:
             await bus.close()
 
 
-async def _serve(
-    config: CellConfig,
-    daemon: Daemon,
-    cell: Cell,
-    job: Job,
-    journal: Journal,
-    folder: RunFolder,
-    recipe: Recipe,
-    bus: EventBus,
-) -> dict[str, Any]:
-    started = datetime.now(UTC)
+async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[str, Any]:
+    """Answer the socket and obey signals until the job ends; leave the cell safe, and a summary in the run folder."""
+    started = datetime.now(UTC).isoformat(timespec="seconds")
     failure: PolishdError | None = None
     outcome = Outcome.STOPPED
-    async with serving(config.state_dir, daemon.verbs, bus), _signals(daemon.stop):
+    async with serving(config.state_dir, daemon.verbs, daemon.bus), _signals(daemon.stop):
         try:
-            bus.publish(Event("opened", None, {k: v.model for k, v in (await cell.open()).items()}))
             outcome = await daemon.run()
         except PolishdError as error:
             failure = error
-            bus.publish(Event("failed", None, {"error": str(error), "kind": type(error).__name__}))
-        finally:
-            with contextlib.suppress(PolishdError):
-                await make_safe(cell)
-            await cell.close()
-        if failure is None and outcome is not Outcome.STOPPED:
-            journal.record_outcome(outcome)
-        summary = summarise(config, recipe, job, folder, outcome, started, failure)
-        journal.copy_to(folder.path / "journal.sqlite")
-        folder.json("summary.json", summary)
-        bus.publish(Event("job_finished", None, {"run_dir": str(folder.path), "outcome": summary["outcome"]}))
-        await daemon.finished(summary["outcome"])
+            daemon.bus.publish(Event("failed", None, {"error": str(error), "kind": type(error).__name__}))
+        summary = {
+            "outcome": "failed" if failure else outcome.value,
+            "job": config.job.id,
+            **daemon.job.summary(),
+            "run_dir": str(folder.path),
+            "started": started,
+            "ended": datetime.now(UTC).isoformat(timespec="seconds"),
+            "notes": [f"{type(failure).__name__}: {failure}"] if failure else [],
+        }
+        daemon.finish(outcome, folder, summary)
+        await daemon.become("finished", summary["outcome"])
     if failure is not None:
         raise failure
     return summary
-
-
-def summarise(
-    config: CellConfig,
-    recipe: Recipe,
-    job: Job,
-    folder: RunFolder,
-    outcome: Outcome,
-    started: datetime,
-    failure: PolishdError | None,
-) -> dict[str, Any]:
-    """What ``summary.json`` holds."""
-    return {
-        "outcome": "failed" if failure else outcome.value,
-        "job": config.job.id,
-        "part_id": recipe.part_id,
-        "correction": recipe.correction,
-        "tolerance_nm": recipe.tolerance_nm,
-        "tolerance_period_mm": recipe.tolerance_period_mm,
-        "cycles": job.cycles(),
-        "run_dir": str(folder.path),
-        "started": started.isoformat(timespec="seconds"),
-        "ended": datetime.now(UTC).isoformat(timespec="seconds"),
-        "notes": [f"{type(failure).__name__}: {failure}"] if failure else [],
-    }
 
 
 def run_folder(config: CellConfig, journal: Journal) -> RunFolder:

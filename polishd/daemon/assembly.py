@@ -84,7 +84,7 @@ def contact_limits(config: CellConfig) -> ContactLimits:
     )
 
 
-def _named(config: CellConfig, key: str, name: str, records: Mapping[str, Any]) -> Any:  # noqa: ANN401 - any record
+def _named(config: CellConfig, key: str, name: str, records: Mapping[str, Any]) -> Any:
     if name not in records:
         hint = did_you_mean(name, records)
         raise config.error(key, f"no loaded plugin has {name!r}{hint} The loaded plugins have: {listed(records)}")

@@ -107,8 +107,7 @@ class Compute:
         return process
 
     async def _spawn(self) -> Process:
-        if self._closed:
-            raise ComputeError("the compute worker is closed")
+        self._refuse_closed()
         folders = [folder or str(Path.cwd()) for folder in sys.path]
         environment = {
             **os.environ,
@@ -118,10 +117,14 @@ class Compute:
         command = (sys.executable, "-P", "-m", "polishd.daemon.compute_worker")
         self._ready = False
         self._process = await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE, env=environment)
-        if self._closed:  # meanwhile
+        if self._closed:  # while it started
             await self._drop()
-            raise ComputeError("the compute worker is closed")
+            self._refuse_closed()
         return self._process
+
+    def _refuse_closed(self) -> None:
+        if self._closed:
+            raise ComputeError("the compute worker is closed")
 
     async def _drop(self) -> str:
         """Kill the worker and wait for its end; says how it ended."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import importlib
 import os
 import pickle
 import signal
@@ -39,6 +40,7 @@ def unpack(pieces: list[bytes]) -> Any:
 def main() -> None:
     """Serve calls on stdin and stdout until stdin ends. What a call prints goes to stderr."""
     _die_with_parent()
+    importlib.import_module("polishd.hookspecs")  # numpy and scipy, before ready: no call's deadline pays for them
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the daemon's to answer
     calls = sys.stdin.buffer
     with os.fdopen(os.dup(1), "wb") as answers:

@@ -36,6 +36,7 @@ class Job:
         self,
         recipe: Recipe,
         program: Program,
+        *,
         journal: Journal,
         folder: RunFolder,
         compute: Compute,
@@ -67,18 +68,7 @@ class Job:
         """The map on the process grid; journalled and kept in the run folder."""
         measured = await self._compute(steps.condition, self.recipe, surface, self._masks)
         self._masks = (measured.solve_mask, measured.metric_mask)
-        folder = self._folder.cycle(cycle)
-        if surface.path is not None:
-            folder.copy(surface.path, f"map{surface.path.suffix}")
-        folder.arrays(
-            "surface.npz",
-            {
-                "height_nm": np.where(measured.solve_mask, measured.height_nm, np.nan),
-                "solve_mask": measured.solve_mask,
-                "metric_mask": measured.metric_mask,
-                "pitch_mm": measured.grid.pitch_mm,
-            },
-        )
+        save_surface(self._folder.cycle(cycle), surface, measured)
         stats = {**asdict(measured.stats), "run_dir": str(self._folder.path)}
         self._journal.record_map(cycle, surface.sha256, surface.path or "", stats)
         self._publish(Event("measured", cycle, stats))
@@ -96,7 +86,7 @@ class Job:
     # learn, solve, plan
 
     async def learn(self, cycle: int, surface: Measured) -> None:
-        """Compare what the last pass removed with what its executed dwell should have; nothing after an interruption."""
+        """Compare what the last pass removed with what its executed dwell should have; not after an interruption."""
         before, self._previous = self._previous, surface
         done = [record for record in self._journal.passes if record.cycle == cycle - 1 and record.how == "done"]
         if before is None or not done:
@@ -104,7 +94,7 @@ class Job:
         asked = self._folder.cycle(cycle - 1).load_arrays("plan.npz")["asked_s"]
         executed = self.executed_s(cycle - 1)
         self._beliefs, learned = await self._compute(
-            steps.learn, self.recipe, self._program, before, surface, asked, executed, self._beliefs
+            steps.learn, self.recipe, self._program, (before, surface), (asked, executed), self._beliefs
         )
         self._folder.cycle(cycle).json("learned.json", {"beliefs": asdict(self._beliefs), **asdict(learned)})
         self._publish(Event("learned", cycle, asdict(self._beliefs)))
@@ -192,6 +182,16 @@ class Job:
             for record in self._journal.history
         ]
 
+    def summary(self) -> dict[str, Any]:
+        """The job's part of ``summary.json``."""
+        return {
+            "part_id": self.recipe.part_id,
+            "correction": self.recipe.correction,
+            "tolerance_nm": self.recipe.tolerance_nm,
+            "tolerance_period_mm": self.recipe.tolerance_period_mm,
+            "cycles": self.cycles(),
+        }
+
     def _restore(self) -> None:
         """Masks, last surface and beliefs of a job that an earlier run of the daemon began."""
         history = self._journal.history
@@ -223,6 +223,21 @@ def require_certificate(certificate: Certificate, recipe: Recipe) -> None:
             f"the dwell of {certificate.solver} has no valid certificate ({'; '.join(wrong)}; it stopped: "
             f"{certificate.stopped}); nothing was sent. Give it more time (dwell.within_s) or another dwell.solver"
         )
+
+
+def save_surface(folder: RunFolder, surface: SurfaceMap, measured: Measured) -> None:
+    """The map's own file, and what is made of it on the process grid."""
+    if surface.path is not None:
+        folder.copy(surface.path, f"map{surface.path.suffix}")
+    folder.arrays(
+        "surface.npz",
+        {
+            "height_nm": np.where(measured.solve_mask, measured.height_nm, np.nan),
+            "solve_mask": measured.solve_mask,
+            "metric_mask": measured.metric_mask,
+            "pitch_mm": measured.grid.pitch_mm,
+        },
+    )
 
 
 def save_plan(folder: RunFolder, recipe: Recipe, plan: Plan, solved: Solved) -> None:
@@ -263,5 +278,5 @@ def _figure(stats: Mapping[str, Any]) -> float:
     return float(stats["rms_nm"] if band is None else band)
 
 
-def _fact(record: Any, key: str) -> float | None:  # noqa: ANN401 - a PassRecord or None
+def _fact(record: Any, key: str) -> float | None:
     return None if record is None else float(record.facts[key])

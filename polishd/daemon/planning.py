@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from polishd.daemon import steps
 from polishd.daemon.assembly import make_recipe
 from polishd.daemon.config import CellConfig
 from polishd.daemon.files import read_map
-from polishd.daemon.job import require_certificate, save_plan
+from polishd.daemon.job import require_certificate, save_plan, save_surface
 from polishd.daemon.plugins import Hooks
 from polishd.daemon.recipe import Recipe
 from polishd.daemon.run_folder import RunFolder
@@ -29,8 +27,8 @@ from polishd.model.surface import SurfaceMap
 def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Path, out: Path) -> dict[str, Any]:
     """Map figures, corrected dwell, rewritten program, certificate and pictures in ``out``; the summary.
 
-    ``out`` appears whole or not at all. Raises ConfigError where it exists and is not empty, SurfaceError, ProgramError,
-    ComputeError, or PlanRefused with every violation.
+    ``out`` appears whole or not at all. Raises ConfigError where it exists and is not empty, SurfaceError,
+    ProgramError, ComputeError, or PlanRefused with every violation.
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ConfigError(f"{out}: exists already; name a new folder with --out")
@@ -46,10 +44,20 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
     if violations:
         raise PlanRefused("the plan was refused, nothing was written:\n" + "\n".join(f"  {v}" for v in violations))
     notes += [*surface.warnings, *program.warnings, *steps.landing_violations(recipe, plan), *solved.answer.notes]
-    summary = _summary(config, recipe, measured, solved, plan, out, notes)
+    summary = {
+        **_figures(recipe, measured, solved, plan),
+        "job": config.job.id,
+        "run_dir": str(out),
+        "notes": notes,
+    }
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as scratch:
-        _write(RunFolder(Path(scratch) / "plan"), recipe, surface, measured, solved, plan, summary)
+        folder = RunFolder(Path(scratch) / "plan")
+        folder.create()
+        save_surface(folder, surface, measured)
+        folder.json("certificate.json", solved.dwell.certificate)
+        save_plan(folder, recipe, plan, solved)
+        folder.json("summary.json", summary)
         hooks.on_event(Event("plan_written", None, {"run_dir": str(Path(scratch) / "plan")}))
         if out.exists():
             out.rmdir()
@@ -63,41 +71,7 @@ def _require_part(surface: SurfaceMap, part_id: str, path: Path) -> list[str]:
     return [] if surface.part_id else [f"{path.name} names no part; taken for {part_id!r} on your word"]
 
 
-def _write(
-    folder: RunFolder,
-    recipe: Recipe,
-    surface: SurfaceMap,
-    measured: Measured,
-    solved: Solved,
-    plan: Plan,
-    summary: dict[str, Any],
-) -> None:
-    folder.create()
-    if surface.path is not None:
-        folder.copy(surface.path, f"map{surface.path.suffix}")
-    folder.arrays(
-        "surface.npz",
-        {
-            "height_nm": np.where(measured.solve_mask, measured.height_nm, np.nan),
-            "solve_mask": measured.solve_mask,
-            "metric_mask": measured.metric_mask,
-            "pitch_mm": measured.grid.pitch_mm,
-        },
-    )
-    folder.json("certificate.json", solved.dwell.certificate)
-    save_plan(folder, recipe, plan, solved)
-    folder.json("summary.json", summary)
-
-
-def _summary(
-    config: CellConfig,
-    recipe: Recipe,
-    measured: Measured,
-    solved: Solved,
-    plan: Plan,
-    out: Path,
-    notes: list[str],
-) -> dict[str, Any]:
+def _figures(recipe: Recipe, measured: Measured, solved: Solved, plan: Plan) -> dict[str, Any]:
     now = datetime.now(UTC).isoformat(timespec="seconds")
     certificate = solved.dwell.certificate
     cycle = {
@@ -109,21 +83,18 @@ def _summary(
     }
     return {
         "outcome": "planned",
-        "job": config.job.id,
         "part_id": recipe.part_id,
         "correction": recipe.correction,
         "tolerance_nm": recipe.tolerance_nm,
         "tolerance_period_mm": recipe.tolerance_period_mm,
         "cycles": [cycle],
-        "certificate": asdict(replace(certificate)),
+        "certificate": asdict(certificate),
         "gamma": [float(solved.answer.gamma.min()), float(solved.answer.gamma.max())],
         "compliance_um_per_n": [
             float(solved.answer.compliance_um_per_n.min()),
             float(solved.answer.compliance_um_per_n.max()),
         ],
         "points": plan.program.n,
-        "run_dir": str(out),
         "started": now,
         "ended": now,
-        "notes": notes,
     }

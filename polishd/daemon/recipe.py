@@ -1,4 +1,4 @@
-"""The recipe of a job: everything that the computing steps need, picklable, made once from the config and the plugins."""
+"""The recipe of a job: all that the computing steps need, picklable, made once from the config and the plugins."""
 
 from __future__ import annotations
 

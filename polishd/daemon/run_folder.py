@@ -42,7 +42,7 @@ class RunFolder:
         shutil.copyfile(source, partial)
         partial.rename(self.path / name)
 
-    def json(self, name: str, content: Any) -> None:  # noqa: ANN401 - whatever json can hold
+    def json(self, name: str, content: Any) -> None:
         """A JSON object, or a dataclass as one."""
         plain = asdict(content) if is_dataclass(content) and not isinstance(content, type) else content
         self.bytes(name, (json.dumps(plain, indent=2, default=_plain) + "\n").encode())
@@ -65,7 +65,7 @@ class RunFolder:
         with np.load(self.path / name) as archive:
             return dict(archive)
 
-    def load_json(self, name: str) -> Any:  # noqa: ANN401
+    def load_json(self, name: str) -> Any:
         """Read back what ``json`` wrote."""
         return json.loads((self.path / name).read_text())
 

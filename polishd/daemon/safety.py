@@ -106,7 +106,7 @@ async def _make_safe(cell: Cell) -> None:
             async with asyncio.timeout(LEAVE_S):
                 await step()
         except (PolishdError, TimeoutError, OSError) as error:
-            failures.append(f"{name}: {error or type(error).__name__}")
+            failures.append(f"{name}: {str(error) or type(error).__name__}")
             log.error("make_safe: %s did not confirm (%s); its own watchdog takes over", name, error)
     cell.unsafe = tuple(failures)
 
@@ -150,7 +150,9 @@ async def _watch_speed(samples: AsyncIterator[SpeedSample], limits: ContactLimit
         if abs(sample.rpm - limits.rpm) <= 0.05 * abs(limits.rpm):
             good_at = sample.at_s
         elif sample.at_s - good_at > limits.grace_s:
-            raise SafetyStop(f"spindle at {sample.rpm:.0f} rpm instead of {limits.rpm:g} for more than {limits.grace_s:g} s")
+            raise SafetyStop(
+                f"spindle at {sample.rpm:.0f} rpm instead of {limits.rpm:g} for more than {limits.grace_s:g} s"
+            )
 
 
 async def within(samples: AsyncIterator[T], name: str) -> AsyncIterator[T]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from polishd.daemon.files import read_program_bytes
 from polishd.daemon.recipe import Recipe
 from polishd.hookspecs import RemovalAnswer, RemovalRequest
 from polishd.model.dwell import DwellSolution
@@ -60,9 +61,7 @@ class Solved:
 
 def read_program(recipe: Recipe, path: Path) -> Program:
     """Read the job's program; ProgramError names file and line."""
-    from polishd.daemon.files import read_bytes
-
-    return recipe.format.read(read_bytes(path), path.name)
+    return recipe.format.read(read_program_bytes(path), path.name)
 
 
 def condition(recipe: Recipe, surface: SurfaceMap, masks: tuple[BoolArray, BoolArray] | None) -> Measured:
@@ -109,13 +108,15 @@ def effect_of(recipe: Recipe, program: Program, grid: Grid, rate: float) -> Remo
 def learn(
     recipe: Recipe,
     program: Program,
-    before: Measured,
-    after: Measured,
-    asked_s: FloatArray,
-    executed_s: FloatArray,
+    surfaces: tuple[Measured, Measured],
+    times: tuple[FloatArray, FloatArray],
     beliefs: Beliefs,
 ) -> tuple[Beliefs, learning.Learned]:
-    """Compare predicted with measured removal of the last pass; refuse what a flip explains better."""
+    """Compare predicted with measured removal of the last pass; refuse what a flip explains better.
+
+    ``surfaces`` are before and after it, ``times`` asked and executed, (n,) s.
+    """
+    (before, after), (asked_s, executed_s) = surfaces, times
     predicted = effect_of(recipe, program, before.grid, beliefs.rate).effect.removal_nm(executed_s)
     learned = learning.learn_rate(predicted, before.height_nm - after.height_nm, before.metric_mask)
     rate = beliefs.rate * learned.rate

@@ -79,11 +79,11 @@ class PlantLink:
         """(time, value) points of this device's force or speed, and up to when they hold."""
         self._send({"samples": values, "mark": mark_s})
 
-    def rows(self, rows: FloatArray, mark_s: float) -> None:
-        """Motion since the last call; what is not covered by rows was standstill."""
+    def rows(self, rows: FloatArray, mark_s: float, pose: tuple[float, ...]) -> None:
+        """Motion since the last call, and the pose at its end; what is not covered by rows was standstill."""
         if len(rows):
             self.writer.write(pack_rows(rows))
-        self._send({"mark": mark_s})
+        self._send({"mark": mark_s, "pose": pose})
 
     def ask(self, **message: Any) -> None:
         """Any other message."""

@@ -60,7 +60,7 @@ class Interferometer:
             await self.write("again", self.last)
         self.last = self._file(measured, start.config.plant.part_id)
         name = await self.write("map", self.last)
-        self.runtime.link.event("map_dropped", name=name)
+        self.runtime.link.event("map_dropped", file=name)
 
     async def write(self, stem: str, data: bytes) -> str:
         """Write a file in chunks, as slowly as configured; returns its name."""

@@ -19,6 +19,8 @@ from polishd.sim_backends.config import SimConfig
 
 LOOPBACK = "127.0.0.1"
 PARENT_S = 0.2
+ROOT = Path(__file__).resolve().parents[2]
+"""Where the package lies."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +87,13 @@ def announce(name: str, endpoint: str) -> None:
     """One line for the supervisor."""
     with contextlib.suppress(BrokenPipeError):
         print(json.dumps({"ready": name, "endpoint": endpoint, "pid": os.getpid()}), flush=True)  # noqa: T201
+
+
+def replace(path: Path, data: bytes) -> None:
+    """Write a file whole."""
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    beside.write_bytes(data)
+    beside.replace(path)
 
 
 async def until_ended(stop: asyncio.Event) -> None:

@@ -93,7 +93,7 @@ class _Connection(asyncio.Protocol):
         """Hand over."""
         self._feed(data, self._outlet.send)
 
-    def connection_lost(self, exc: Exception | None) -> None:
+    def connection_lost(self, _exc: Exception | None) -> None:
         """Forget it."""
         self._worker.cancel()
         self._wire.outlets.remove(self._outlet)

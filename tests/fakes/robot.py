@@ -109,7 +109,11 @@ class FakeRobot:
             self._hold(client)
         elif client is not self.writer:
             client.say(NAK, {"of": kind, "code": "reader", "text": "readers only watch"})
-        elif kind == LOAD:
+        else:
+            self._obey(client, kind, content)
+
+    def _obey(self, client: _Client, kind: int, content: dict[str, Any]) -> None:
+        if kind == LOAD:
             self._load(client, content)
         elif kind == RESUME:
             self._resume(client, content)
@@ -212,9 +216,7 @@ class FakeRobot:
     def _stop_where_due(self, now: float) -> None:
         if self.blocks and len(self.done) == self.blocks:
             self.state = "done"
-        elif self.until is not None and len(self.done) >= self.until:
-            self.state = "held"
-        elif self.stops_at is not None and now >= self.stops_at:
+        elif (self.until is not None and len(self.done) >= self.until) or (self.stops_at or now + 1.0) <= now:
             self.state = "held"
         elif now > self._fed + self.watchdog_s:
             self.state, self.detail = "held", "watchdog"

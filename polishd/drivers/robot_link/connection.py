@@ -56,8 +56,7 @@ class Connection:
     def progress(self) -> RobotProgress:
         """The robot's last word; LinkError once the link is down."""
         self._background.check()
-        assert self.session.progress is not None  # noqa: S101 -- came with WELCOME
-        return self.session.progress
+        return self.session.present()
 
     async def open(self, client: str) -> None:
         """Connect and be welcomed; DeviceRefused where another writer has the robot."""

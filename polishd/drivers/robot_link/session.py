@@ -68,6 +68,15 @@ class Session:
         """What HELLO asks for."""
         return len(self.record) if self.follows else 0xFFFF_FFFF
 
+    def present(self) -> RobotProgress:
+        """The last STATUS, with what ACCEPTED and EXECUTED have said since."""
+        if self.progress is None:
+            raise LinkError("the robot has said nothing yet")
+        if self.progress.program_sha256 != self.record.program_sha256:
+            return self.progress
+        accepted = max(self.progress.accepted, self.credit.accepted)
+        return replace(self.progress, accepted=accepted, executed=max(self.progress.executed, len(self.record)))
+
     def receive(self, data: bytes) -> int:
         """Take bytes; number of sound frames among them."""
         frames = self._frames.feed(data)

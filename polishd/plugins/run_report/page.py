@@ -17,6 +17,7 @@ VERDICTS: Mapping[str, tuple[str, str]] = {
     "cycles_used": ("bad", "Not in tolerance: all passes used"),
     "diverged": ("bad", "Diverged: the surface got worse"),
     "stopped": ("bad", "Stopped before the end"),
+    "failed": ("bad", "Ended by an error: see the notes"),
     "planned": ("plain", "Plan: nothing was moved"),
 }
 UNFINISHED = ("bad", "Unfinished: there is no summary")

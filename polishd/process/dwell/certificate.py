@@ -8,7 +8,7 @@ from polishd.model.dwell import Certificate, DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import projected_gradient, quadratic
+from polishd.process.dwell.quadratic import projected_gradient, quadratic, safe_step
 
 
 def certified(
@@ -67,13 +67,13 @@ def certified(
 def kkt_residual(problem: DwellProblem, time_s: FloatArray) -> float:
     """Largest projected gradient at ``time_s`` (n,), relative to the largest gradient at the lower bound.
 
-    0 at the exact minimum and 1 or so at the start. Where the lower bound itself has no gradient, 0 for a minimum and
-    infinity for anything else. Points outside their bounds count with their whole gradient only if it is not held:
-    see ``bound_violation_s`` for those.
+    0 exactly at the minimum, at most about 1 at the lower bound. Where the lower bound itself has no gradient, 0 for a
+    minimum and infinity for anything else.
     """
-    f = quadratic(problem)
-    left = float(np.abs(projected_gradient(f.gradient(time_s), time_s, problem.lower_s, problem.upper_s)).max())
-    scale = float(np.abs(f.gradient(problem.lower_s)).max())
+    f, lower = quadratic(problem), problem.lower_s
+    step = safe_step(f, lower.size)
+    left = float(np.abs(projected_gradient(f.gradient(time_s), time_s, lower, problem.upper_s, step)).max())
+    scale = float(np.abs(f.gradient(lower)).max())
     if scale == 0:
         return 0.0 if left == 0 else float("inf")
     return left / scale

@@ -14,10 +14,10 @@ import numpy as np
 
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
-from polishd.model.surface import FloatArray
+from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.certificate import certified
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadratic
+from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadratic, safe_step
 from polishd.process.dwell.validation import check
 
 NAME = "newton_cg"
@@ -25,6 +25,9 @@ MAX_ROUNDS = 500
 MAX_INNER = 1000
 # How far one round's conjugate gradients bring the residual down; flat between 0.03 and 0.1, twice as slow at 0.01.
 INNER_TOLERANCE = 0.05
+MAX_HALVINGS = 10
+# Share of the decrease that the slope promises with which a step is accepted (Armijo).
+SUFFICIENT = 1e-4
 
 Stop = Callable[[FloatArray, FloatArray], str | None]
 """(t, gradient at t) -> why to stop, or None to go on. Asked once a round."""
@@ -50,24 +53,24 @@ def solve(
     """
     begin = time.perf_counter()
     check(problem)
-    start = problem.lower_s if start_s is None else start_s
-    if start.shape != problem.lower_s.shape or not np.isfinite(start).all():
-        raise ComputeError(f"start_s must be {problem.effect.n} finite seconds")
+    lower, upper = problem.lower_s, problem.upper_s
+    start = lower if start_s is None else start_s
+    if start.shape != lower.shape or not np.isfinite(start).all():
+        raise ComputeError(f"start_s must be {lower.size} finite seconds")
     f = quadratic(problem)
-    enough = kkt_tolerance * float(np.abs(f.gradient(problem.lower_s)).max())
+    step = safe_step(f, lower.size)
+    enough = kkt_tolerance * float(np.abs(f.gradient(lower)).max())
 
     def expired() -> bool:
         return time.perf_counter() - begin >= within_s
 
     def stop(t: FloatArray, gradient: FloatArray) -> str | None:
-        if float(np.abs(projected_gradient(gradient, t, problem.lower_s, problem.upper_s)).max()) <= enough:
+        if float(np.abs(projected_gradient(gradient, t, lower, upper, step)).max()) <= enough:
             return "converged"
         return "deadline" if expired() else None
 
-    t, rounds, stopped = minimise(f, problem.lower_s, problem.upper_s, start, stop, expired)
-    return certified(
-        problem, t, solver=NAME, iterations=rounds, seconds=time.perf_counter() - begin, stopped=stopped
-    )
+    t, rounds, stopped = minimise(f, lower, upper, start, stop, expired)
+    return certified(problem, t, solver=NAME, iterations=rounds, seconds=time.perf_counter() - begin, stopped=stopped)
 
 
 def minimise(
@@ -78,10 +81,10 @@ def minimise(
     stop: Stop,
     expired: Callable[[], bool] = lambda: False,
 ) -> tuple[FloatArray, int, str]:
-    """Minimise a quadratic between bounds; f falls from round to round and t never leaves the bounds.
+    """Minimise a quadratic between bounds; f never rises from round to round and t never leaves the bounds.
 
     A round is a projected gradient step (which finds the bounds that hold, and alone would converge) and a Newton step
-    on the points that are then free.
+    on the points that the next gradient step would not take to a bound.
 
     Args:
         f: the objective.
@@ -96,21 +99,19 @@ def minimise(
     """
     t = np.clip(start, lower, upper)
     gradient = f.gradient(t)
+    step = safe_step(f, t.size)
     for rounds in range(MAX_ROUNDS):
         reason = stop(t, gradient)
         if reason is not None:
             return t, rounds, reason
-        steepest = -projected_gradient(gradient, t, lower, upper)
-        slope, bend = float(steepest @ steepest), float(steepest @ f.curvature(steepest))
-        if slope == 0 or bend <= 0:  # no way down in float64
-            return t, rounds, "converged"
-        t, gradient = _advance(f, t, gradient, (slope / bend) * steepest, lower, upper)
-        free = projected_gradient(gradient, t, lower, upper) != 0
+        t, gradient = _advance(f, t, gradient, -step * gradient, lower, upper)
+        ahead = t - step * gradient
+        free = (ahead > lower) & (ahead < upper)
         t, gradient = _advance(f, t, gradient, _newton_direction(f, gradient, free, expired), lower, upper)
     return t, MAX_ROUNDS, "iterations"
 
 
-def _newton_direction(f: Quadratic, gradient: FloatArray, free: np.ndarray, expired: Callable[[], bool]) -> FloatArray:
+def _newton_direction(f: Quadratic, gradient: FloatArray, free: BoolArray, expired: Callable[[], bool]) -> FloatArray:
     """(n,) about ``-H_FF^-1 g_F`` on the free points, zero elsewhere; downhill however early it is stopped."""
     weight = free.astype(np.float64)
     residual = -gradient * weight
@@ -119,15 +120,17 @@ def _newton_direction(f: Quadratic, gradient: FloatArray, free: np.ndarray, expi
     size = float(residual @ residual)
     enough = INNER_TOLERANCE**2 * size
     for _ in range(MAX_INNER):
-        if size <= enough or expired():
-            break
         image = f.curvature(search)
         image *= weight
-        length = size / float(search @ image)
-        direction += length * search
-        image *= length
+        bend = float(search @ image)
+        if bend <= 0:  # nothing left that f depends on
+            break
+        direction += (size / bend) * search
+        image *= size / bend
         residual -= image
         last, size = size, float(residual @ residual)
+        if size <= enough or expired():
+            break
         search *= size / last
         search += residual
     return direction
@@ -136,17 +139,16 @@ def _newton_direction(f: Quadratic, gradient: FloatArray, free: np.ndarray, expi
 def _advance(
     f: Quadratic, t: FloatArray, gradient: FloatArray, direction: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Go to ``clip(t + direction)``, or less far where f turns up before, or nowhere where that way is not down.
+    """The first of ``clip(t + s direction)``, s = 1, 1/2, 1/4 ..., that brings f down, and the gradient there.
 
-    Returns the new t and the gradient there.
+    Stays where it is if none does.
     """
-    step = np.clip(t + direction, lower, upper) - t
-    slope = float(gradient @ step)
-    if slope >= 0:
-        return t, gradient
-    image = f.curvature(step)
-    bend = float(step @ image)
-    if bend > -slope:
-        step *= -slope / bend
-        image *= -slope / bend
-    return np.clip(t + step, lower, upper), gradient + image
+    for _ in range(MAX_HALVINGS):
+        there = np.clip(t + direction, lower, upper)
+        way = there - t
+        image = f.curvature(way)
+        slope = float(gradient @ way)
+        if slope + float(way @ image) / 2 <= SUFFICIENT * slope < 0:
+            return there, gradient + image
+        direction = direction / 2
+    return t, gradient

@@ -78,7 +78,18 @@ def narrow(matrix: sparse.csr_array) -> sparse.csr_array:
     return sparse.csr_array(parts, shape=matrix.shape)
 
 
-def projected_gradient(gradient: FloatArray, time_s: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """(n,) the gradient without what the bounds hold back: zero everywhere exactly at the minimum (KKT)."""
-    held = ((time_s <= lower) & (gradient > 0)) | ((time_s >= upper) & (gradient < 0))
-    return np.where(held, 0.0, gradient)
+def projected_gradient(
+    gradient: FloatArray, time_s: FloatArray, lower: FloatArray, upper: FloatArray, step: float
+) -> FloatArray:
+    """(n,) nm^2/s: the gradient without what the bounds hold back, zero everywhere exactly at the minimum (KKT).
+
+    It is how far a gradient step of length ``step`` (s^2/nm^2, at most 1 / largest curvature) leads within the bounds,
+    over that length: so a point a hair off its bound counts for the hair, which an interior solution needs.
+    """
+    return (time_s - np.clip(time_s - step * gradient, lower, upper)) / step
+
+
+def safe_step(f: Quadratic, n: int) -> float:
+    """s^2/nm^2: 1 / an upper bound of the Hessian's eigenvalues (its largest row sum: R is not negative)."""
+    largest = float(f.curvature(np.ones(n)).max())
+    return 1 / largest if largest > 0 else 1.0

@@ -70,5 +70,7 @@ class AsciiSlave:
                 return coil.set_watchdog(int(value))
         except ValueError:
             return "range"
-        commands = {"ENG": coil.engage, "RET": coil.retract, "HB": lambda: coil.feed(coil.heartbeat + 1)}
+        if request == "HB":
+            return coil.feed(coil.heartbeat + 1)
+        commands = {"ENG": coil.engage, "RET": coil.retract}
         return commands[request]() if request in commands else "unknown"

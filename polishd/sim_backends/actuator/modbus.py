@@ -92,7 +92,12 @@ class Registers:
         setpoint = round(coil.setpoint_n * 100) if coil.engaged else 0
         live = [coil.state, force, setpoint, round(coil.position_um), coil.faults, coil.heartbeat]
         table = dict(enumerate(live))
-        for start, size, text in ((100, 8, self.vendor), (108, 8, self.model), (116, 8, self.serial), (124, 4, self.firmware)):
+        for start, size, text in (
+            (100, 8, self.vendor),
+            (108, 8, self.model),
+            (116, 8, self.serial),
+            (124, 4, self.firmware),
+        ):
             words = struct.unpack(f">{size}H", text.encode()[: 2 * size].ljust(2 * size, b"\0"))
             table.update(zip(range(start, start + size), words, strict=True))
         return {**table, 128: self.boot_count >> 16, 129: self.boot_count}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.plant.part import TruePart
+from polishd.sim_backends.runtime import replace
 
 
 @dataclass(slots=True)
@@ -77,10 +77,3 @@ class Account:
                 pitch_mm=part.grid.pitch_mm,
             )
         beside.replace(folder / "truth.npz")
-
-
-def replace(path: Path, data: bytes) -> None:
-    """Write a file whole."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    beside.write_bytes(data)
-    beside.replace(path)

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import math
 import os
 import time
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from polishd.model.surface import FloatArray
 from polishd.sim_backends import bus, truth
 from polishd.sim_backends.plant import part as parts
-from polishd.sim_backends.plant.account import replace
+from polishd.sim_backends.plant.timeline import Timeline
 from polishd.sim_backends.plant.witness import Witness
 from polishd.sim_backends.plant.world import World
-from polishd.sim_backends.runtime import Start, announce, cancel_all, until_ended
+from polishd.sim_backends.runtime import Start, announce, cancel_all, replace, until_ended
 
 TICK_S = 0.02
 SUMMARY_S = 1.0
@@ -37,6 +36,8 @@ class PlantServer:
     extended: bool = False
     asked_s: float | None = None
     """When a measurement was asked for that is not served yet."""
+    write_s: float = math.inf
+    """The account is written once everything before that time is integrated."""
     _near: bool = False
     _summary: tuple[float, int] = (0.0, -1)
 
@@ -71,6 +72,9 @@ class PlantServer:
             self.witness.clock(wall, process)
         self._tell_near()
         self._measure(horizon)
+        if horizon >= self.write_s:
+            self.write_s = math.inf
+            self._write()
         self.witness.write(horizon)
 
     def finish(self) -> None:
@@ -101,7 +105,7 @@ class PlantServer:
             self._timeline(device).disconnect(now)
         self._note(device, "lost", now, {})
 
-    def _timeline(self, device: str) -> parts_timeline:
+    def _timeline(self, device: str) -> Timeline:
         return self.world.force if device == "actuator" else self.world.rpm
 
     def _hear(self, device: str, message: bus.Message | FloatArray) -> None:
@@ -114,7 +118,7 @@ class PlantServer:
             self.asked_s = float(message["t"])
         elif device == "robot":
             self.robot_mark = float(message["mark"])
-            self.world.stand_until(self.robot_mark)
+            self.world.stand_until(self.robot_mark, message["pose"])
         elif "samples" in message:
             self._timeline(device).push(message["samples"], float(message["mark"]))
 
@@ -127,11 +131,7 @@ class PlantServer:
             self.world.account.load(data["sha256"], data["blocks"])
         self.witness.add(device, name, at_s, **data)
         if name in {"motion_stopped", "lost"}:
-            self._write_later(at_s)
-
-    def _write_later(self, at_s: float) -> None:
-        """The account is written once everything before that time is integrated."""
-        self.write_s = at_s
+            self.write_s = at_s
 
     def _summarise(self, rows: FloatArray) -> None:
         """Block starts, about once a second."""
@@ -160,3 +160,36 @@ class PlantServer:
 
     def _write(self) -> None:
         self.world.account.write(self.start.state, self.world.part, self.world.process_s)
+
+
+def build(start: Start) -> PlantServer:
+    """Draw the truth, make the part, leave a note of both in the state folder."""
+    config = start.config
+    hidden = truth.draw(config.truth, start.seed)
+    part = parts.from_map(start.surface, config.plant) if start.surface else parts.make(config.plant, start.seed)
+    rng = truth.stream(start.seed, "plant")
+    world = World(config, hidden, part, rng, config.robot.home, time.monotonic())
+    log = start.state / "sim.log"
+    log.unlink(missing_ok=True)
+    rms, pv = part.stats()
+    witness = Witness(log)
+    witness.add("plant", "boot", time.monotonic(), seed=start.seed, true_rms_nm=round(rms, 4), true_pv_nm=round(pv, 4))
+    replace(start.state / "truth.json", json.dumps(hidden.as_dict(), indent=1).encode())
+    return PlantServer(start, world, witness)
+
+
+async def main(start: Start) -> None:
+    """The plant's process."""
+    server = build(start)
+    path = start.state / bus.SOCKET
+    path.unlink(missing_ok=True)
+    folder = os.open(start.state, os.O_RDONLY | os.O_DIRECTORY)
+    stop = asyncio.Event()
+    listener = await asyncio.start_unix_server(server.serve, bus.socket_path(folder), limit=1 << 26)
+    announce("plant", str(path))
+    async with asyncio.TaskGroup() as group:
+        group.create_task(server.tick())
+        await until_ended(stop)
+        listener.close()
+        cancel_all()
+    server.finish()

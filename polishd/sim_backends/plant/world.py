@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from polishd.model.process import ToolProcess
-from polishd.model.surface import FloatArray
+from polishd.model.surface import BoolArray, FloatArray
 from polishd.sim_backends.bus import ROW
 from polishd.sim_backends.config import SimConfig
 from polishd.sim_backends.plant.account import Account
@@ -73,20 +74,31 @@ class World:
         self.stand_until(float(rows[0, WALL0]))
         self._queue.append((self.account.current, rows))
         self.robot_s = float(rows[-1, WALL1])
-        x, y, z, a, c = (float(value) for value in rows[-1, X:])
-        self.pose = (x, y, z, a, c)
+        self._turn_to(rows[-1, X:])
 
-    def stand_until(self, wall_s: float) -> None:
-        """The robot stands from the last known motion up to that time."""
+    def stand_until(self, wall_s: float, pose: Sequence[float] | None = None) -> None:
+        """The robot stands from the last known motion up to that time, where it is or at the pose given."""
+        if pose is not None:
+            self._turn_to(pose)
         span = wall_s - self.robot_s
         if span <= GAP_S:
             return
         edges = np.linspace(self.robot_s, wall_s, math.ceil(span / STAND_S) + 1)
         rows = np.column_stack(
-            [np.full(len(edges) - 1, -1.0), edges[:-1], edges[1:], np.diff(edges), np.tile(self.pose, (len(edges) - 1, 1))]
+            [
+                np.full(len(edges) - 1, -1.0),
+                edges[:-1],
+                edges[1:],
+                np.diff(edges),
+                np.tile(self.pose, (len(edges) - 1, 1)),
+            ]
         )
         self._queue.append((self.account.current, rows))
         self.robot_s = wall_s
+
+    def _turn_to(self, pose: Sequence[float] | FloatArray) -> None:
+        x, y, z, a, c = (float(value) for value in pose)
+        self.pose = (x, y, z, a, c)
 
     @property
     def near(self) -> bool:
@@ -151,7 +163,7 @@ class World:
         place = rows[:, X:A] @ self._program_to_part.T + np.array(self.config.plant.program_offset_mm)
         return place, tool_axis(rows[:, A], rows[:, C]) @ self._program_to_part.T
 
-    def _within(self, place: FloatArray) -> FloatArray:
+    def _within(self, place: FloatArray) -> BoolArray:
         grid = self.part.grid
         half_x, half_y = grid.nx * grid.pitch_mm / 2.0, grid.ny * grid.pitch_mm / 2.0
         flat = (np.abs(place[:, 0]) <= half_x) & (np.abs(place[:, 1]) <= half_y)

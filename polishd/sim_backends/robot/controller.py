@@ -42,7 +42,7 @@ class Controller:
     motion: Motion
     identity: dict[str, str]
     report: Report
-    """Tells the witness: (event, **data)."""
+    """Tells the witness: (event, at_s=now, **data)."""
     clients: list[Client] = field(default_factory=list)
     writer: Client | None = None
     heard_s: float = 0.0
@@ -82,7 +82,11 @@ class Controller:
     def tick(self, now_s: float) -> None:
         """Execute up to the present, mind the watchdog, tell everyone."""
         self.motion.advance(now_s)
-        if self.motion.state == "running" and not self.motion.stopping and now_s - self.heard_s > self.config.watchdog_s:
+        if (
+            self.motion.state == "running"
+            and not self.motion.stopping
+            and now_s - self.heard_s > self.config.watchdog_s
+        ):
             self.report("watchdog", silent_s=round(now_s - self.heard_s, 3))
             self.motion.hold(now_s, "watchdog")
         self._changes()
@@ -127,7 +131,7 @@ class Controller:
         client.told = start if isinstance(start, int) and start >= 0 else 0
         welcome = {"protocol": 1, **self.identity, "watchdog_s": self.config.watchdog_s, "window": self.config.window}
         client.send(frames.pack_json(frames.WELCOME, {**welcome, "status": self.status()}))
-        self.report("client", role=role, name=str(message.get("client", "")))
+        self.report("client", role=role, client=str(message.get("client", "")))
         self._tell(client)
 
     def _blocks(self, client: Client, payload: bytes, now_s: float) -> None:
@@ -236,7 +240,7 @@ class Controller:
         if motion.state != self._was:
             name = "motion_started" if motion.state == "running" else "motion_stopped"
             if "running" in {motion.state, self._was}:
-                self.report(name, detail=motion.detail or motion.state, executed=len(motion.executed))
+                self.report(name, motion.changed_s, detail=motion.detail or motion.state, executed=len(motion.executed))
             self._was = motion.state
         if motion.state == "running":
             return

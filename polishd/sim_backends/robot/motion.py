@@ -44,6 +44,8 @@ class Motion:
     executed: list[tuple[int, float, float]] = field(default_factory=list)
     """(seq, start_s, end_s) of every executed block of the program."""
     stopping: str = ""
+    changed_s: float = 0.0
+    """Wall time of the last start or stop."""
     process_s: float = 0.0
     _cursor: Cursor = field(default_factory=Cursor)
     _legs: Legs = field(init=False)
@@ -94,7 +96,7 @@ class Motion:
         self.stopping, self.detail = "", ""
         if self.state != "running":
             self.state = "running"
-            self._origin = (wall_s, self.process_s)
+            self._origin, self.changed_s = (wall_s, self.process_s), wall_s
         self._plan()
         self.advance(wall_s)
 
@@ -199,6 +201,7 @@ class Motion:
             self.state, self.detail = "held", "pause"
         else:
             self.state, self.detail = "held", "underrun"
+        self.changed_s = self._origin[0] + (self.process_s - self._origin[1]) / self.limits.speed
         self.stopping, self._cursor.speed = "", 0.0
         self._plan()
 

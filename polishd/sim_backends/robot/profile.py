@@ -30,7 +30,7 @@ def junctions(length: FloatArray, cap: FloatArray, start: float, accel: float) -
     """Squared speeds at the n + 1 junctions of n moves.
 
     ``cap`` (n + 1,) is the squared speed allowed at each junction; the last is where it must be able to stop.
-    Forward and backward pass in closed form: ``u[i+1] <= u[i] + 2 a L`` is a running minimum of ``cap - cumulative 2 a L``.
+    Forward and backward pass in closed form: ``u[i+1] <= u[i] + 2 a L`` is a running minimum of ``cap - sum 2 a L``.
     """
     gain = np.concatenate([[0.0], np.cumsum(2.0 * accel * length)])
     limit = cap.copy()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +46,7 @@ class Connection(asyncio.Protocol):
             self._server.controller.on_broken(self.client)
         self._server.report_motion()
 
-    def connection_lost(self, exc: Exception | None) -> None:
+    def connection_lost(self, _exc: Exception | None) -> None:
         """The controller goes on without."""
         self._server.connections.discard(self)
         self._server.controller.on_closed(self.client)
@@ -84,7 +85,7 @@ class RobotServer:
         self.runtime = runtime
         self.mischief = Mischief(robot.faults, truth.stream(start.seed, "robot"))
         self.connections: set[Connection] = set()
-        self.controller = Controller(robot, Motion(limits, (x, y, z, a, c)), identity, runtime.link.event)
+        self.controller = Controller(robot, Motion(limits, (x, y, z, a, c)), identity, self.event)
 
     async def run(self) -> None:
         """Tick for ever."""
@@ -103,6 +104,11 @@ class RobotServer:
                     connection.transport.abort()
             await asyncio.sleep(TICK_S)
 
+    def event(self, name: str, at_s: float | None = None, **data: Any) -> None:
+        """Tell the witness, after the motion that came before."""
+        self.report_motion()
+        self.runtime.link.event(name, at_s, **data)
+
     def report_motion(self) -> None:
         """Send what moved since the last time, and vouch for it."""
         motion = self.controller.motion
@@ -113,7 +119,7 @@ class RobotServer:
         mark = now
         if motion.state == "running" and len(rows):
             mark = float(rows[-1, 2])
-        self.runtime.link.rows(rows, mark)
+        self.runtime.link.rows(rows, mark, motion.pose)
 
 
 async def main(runtime: Runtime) -> None:

@@ -1,4 +1,4 @@
-"""The spindle drive: behaviour and CAN frames (docs/protocols/spindle_can.md). Pure of I/O; wall times are handed in."""
+"""The spindle drive: behaviour and CAN frames (docs/protocols/spindle_can.md). Pure; wall times are handed in."""
 
 from __future__ import annotations
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 import time
 
 import numpy as np
@@ -30,10 +29,6 @@ def say(text: str) -> str:
 
 def variable(name: str) -> str | None:
     return os.environ.get(name)
-
-
-def numpy_is_loaded() -> bool:
-    return "numpy" in sys.modules
 
 
 def forever() -> None:

@@ -124,9 +124,27 @@ async def test_killed_at_its_deadline_and_restarted(compute: Compute, job: objec
     assert await compute(jobs.divide, 1.0, 2.0) == 0.5
 
 
-async def test_starting_does_not_count(compute: Compute) -> None:
-    """A cold worker imports numpy for longer than this deadline."""
-    assert await compute(jobs.divide, 1.0, 2.0, within_s=0.1) == 0.5
+async def test_starting_does_not_count(compute: Compute, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "sitecustomize.py").write_text("import time\ntime.sleep(1.0)\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    begun = time.monotonic()
+    assert await compute(jobs.divide, 1.0, 2.0, within_s=0.5) == 0.5
+    assert time.monotonic() - begun > 1.0
+
+
+async def test_a_ready_worker_has_numpy(compute: Compute) -> None:
+    assert await compute(eval, "'numpy' in __import__('sys').modules and 'scipy.sparse' in __import__('sys').modules")
+
+
+async def test_a_worker_that_cannot_start_is_told(
+    compute: Compute, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text("import os\nos._exit(7)\n")
+    with monkeypatch.context() as patch:
+        patch.syspath_prepend(str(tmp_path))
+        with pytest.raises(ComputeError, match=r"the worker did not start \(exit code 7\)"):
+            await compute(jobs.pid)
+    assert await compute(jobs.divide, 1.0, 2.0) == 0.5
 
 
 async def test_a_dead_worker_is_an_error_and_is_replaced(compute: Compute) -> None:

@@ -1,5 +1,7 @@
 """The watched folder: each map is taken once and whole, what is refused is kept with its reason."""
 
+# ruff: noqa: ASYNC110, ASYNC240  (a test may block its own loop for a moment)
+
 from __future__ import annotations
 
 import asyncio
@@ -16,7 +18,6 @@ import pytest
 from pydantic import ValidationError
 
 from polishd.api import (
-    BadMap,
     DeviceContext,
     DeviceFault,
     LinkError,
@@ -25,10 +26,9 @@ from polishd.api import (
     SurfaceMap,
     SurfaceReader,
 )
-from polishd.plugins.interferometer import files, polishd_device_types, polishd_surface_readers
+from polishd.plugins.interferometer import polishd_device_types, polishd_surface_readers
 from polishd.plugins.interferometer.folder import WATCHED_FOLDER, FolderOptions, WatchedFolder
 from polishd.plugins.interferometer.metropro import METROPRO
-from polishd.plugins.interferometer.settled import Settled
 
 PART = "DEMO-100"
 
@@ -168,7 +168,7 @@ async def test_a_slow_writer_is_waited_for(
     make: Callable[..., WatchedFolder], folder: Path, preallocated: bool
 ) -> None:
     """Pauses longer than ``stable_s`` make the file look at rest while it is torn."""
-    device = make()
+    device = make(stable_s=0.1)
     content = dat(3)
     path = folder / "slow.dat"
 
@@ -179,7 +179,7 @@ async def test_a_slow_writer_is_waited_for(
             for part in range(0, len(content), 2500):
                 file.write(content[part : part + 2500])
                 file.flush()
-                await asyncio.sleep(0.12)
+                await asyncio.sleep(0.15)
 
     found = await while_waiting(device, write)
     assert found.path
@@ -239,11 +239,11 @@ async def test_what_is_refused_is_kept_with_its_reason(
 
 
 async def test_time_is_up(make: Callable[..., WatchedFolder], folder: Path) -> None:
-    device = make(timeout_s=0.4, stable_s=0.02)
+    device = make(timeout_s=0.8, stable_s=0.02)
     (folder / "a.dat").write_bytes(dat(1, part="OTHER"))
     with pytest.raises(SurfaceError) as caught:
         await device.next_map(None)
-    for expected in (str(folder), "0.4 s", "a.dat: WrongPart", "'OTHER'", "quarantine"):
+    for expected in (str(folder), "0.8 s", "a.dat: WrongPart", "'OTHER'", "quarantine"):
         assert expected in str(caught.value)
 
 
@@ -261,7 +261,7 @@ async def test_the_same_content_is_never_taken_twice_also_after_a_restart(
     await device.open()
     first = await device.next_map(None)
 
-    again = make(timeout_s=0.3)
+    again = make(timeout_s=0.8)
     await again.open()
     (folder / "b.dat").write_bytes(content)
     with pytest.raises(SurfaceError, match=r"b\.dat: StaleMap: the same content"):
@@ -271,7 +271,7 @@ async def test_the_same_content_is_never_taken_twice_also_after_a_restart(
     # the record is lost: the claimed file itself, or the journal's word, is enough
     (tmp_path / "state" / "maps_taken.json").unlink()
     for after in (None, first.sha256):
-        third = make(timeout_s=0.3)
+        third = make(timeout_s=0.8)
         if after is None:
             await third.open()
         (folder / "b.dat").write_bytes(content)
@@ -293,7 +293,7 @@ async def test_maps_from_before_the_pass_are_stale_only_after_a_pass(
     make: Callable[..., WatchedFolder], folder: Path
 ) -> None:
     """With nobody to ask, the first map may have been measured before the daemon was started."""
-    device = make(timeout_s=0.3)
+    device = make(timeout_s=0.8)
     (folder / "old.dat").write_bytes(dat(1, at=time.time() - 3600))
     first = await device.next_map(None)
     (folder / "older.dat").write_bytes(dat(2, at=time.time() - 60))
@@ -306,7 +306,7 @@ async def test_without_a_timestamp_the_files_time_counts(make: Callable[..., Wat
     path.write_bytes(dat(1, at=0))
     os.utime(path, (time.time() - 60, time.time() - 60))
     with pytest.raises(SurfaceError, match="StaleMap"):
-        await make(timeout_s=0.3).next_map("0" * 64)
+        await make(timeout_s=0.8).next_map("0" * 64)
 
 
 async def test_the_oldest_of_several_maps_comes_first(make: Callable[..., WatchedFolder], folder: Path) -> None:
@@ -351,7 +351,7 @@ async def test_cancelling_leaves_nothing(make: Callable[..., WatchedFolder], fol
 
 
 async def test_many_writers_none_torn_lost_or_taken_twice(make: Callable[..., WatchedFolder], folder: Path) -> None:
-    device = make(stable_s=0.03)
+    device = make(stable_s=0.1)
     contents = {seed: dat(seed, n=10 + seed) for seed in range(12)}
 
     async def write(seed: int) -> None:
@@ -374,56 +374,4 @@ async def test_many_writers_none_torn_lost_or_taken_twice(make: Callable[..., Wa
     found = {one.path.read_bytes() for one in taken if one.path}
     assert found == set(contents.values())
     # copies that came to rest after the last map was taken may still lie there
-    assert len(list(folder.glob("copy*.dat")) + list((folder / "quarantine").glob("*.dat"))) == 3
-
-
-def test_a_changed_file_is_not_claimed(folder: Path) -> None:
-    path = folder / "a.dat"
-    path.write_bytes(b"one")
-    seen = files.identity(path)
-    assert seen
-    path.write_bytes(b"another")
-    assert files.claim(path, seen, folder / "taken", "f" * 64) is None
-    assert path.read_bytes() == b"another"
-
-
-def test_names_that_are_taken(folder: Path) -> None:
-    for number in range(3):
-        (folder / "bad.dat").write_text(str(number))
-        assert files.quarantine(folder / "bad.dat", folder / "q", f"reason {number}")
-    names = {path.name: path.read_text().strip() for path in (folder / "q").iterdir()}
-    assert names["bad.dat"] == "0"
-    assert names["bad-2.dat"] == "2"
-    assert names["bad-2.dat.reason.txt"] == "reason 2"
-    assert files.quarantine(folder / "gone.dat", folder / "q", "x") is None
-
-
-def test_a_reader_that_breaks_is_named(folder: Path) -> None:
-    def broken(path: Path) -> SurfaceMap:
-        raise KeyError("phase")
-
-    path = folder / "a.xyz"
-    path.write_bytes(b"x")
-    reader = SurfaceReader("theirs", lambda head, path: True, broken)
-    with pytest.raises(BadMap, match="the reader theirs failed: KeyError"):
-        files.read_map(path, [reader])
-    with pytest.raises(BadMap, match="no reader is loaded"):
-        files.read_map(path, [])
-    with pytest.raises(BadMap, match="cannot be read"):
-        files.read_map(folder / "gone", [reader])
-
-
-def test_settled_counts_polls_and_seconds() -> None:
-    a, b = Path("a"), Path("b")
-    one, other = files.Identity(1, 1, 1), files.Identity(2, 1, 1)
-    settled = Settled(polls=3, seconds=1.0)
-    assert settled.poll({a: one}, 0.0) == []
-    assert settled.poll({a: one}, 5.0) == []
-    assert settled.poll({a: one, b: one}, 5.1) == [a]
-    assert settled.quiet_s(a, 6.0) == 6.0
-    assert settled.poll({a: other, b: one}, 5.2) == []
-    assert settled.poll({a: other, b: one}, 5.3) == []
-    assert settled.poll({a: other, b: one}, 5.4) == []
-    assert settled.poll({a: other, b: one}, 6.3) == [a, b]
-    assert settled.poll({}, 7.0) == []
-    assert settled.quiet_s(a, 7.0) == 0.0
+    assert len([*folder.glob("*.dat"), *(folder / "quarantine").glob("*.dat")]) == 3

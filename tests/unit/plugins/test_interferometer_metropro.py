@@ -76,7 +76,7 @@ def test_the_measured_file_torn(shared_data: Path, path: Path, cut: int) -> None
     with pytest.raises(BadMap, match=re.escape(str(path))):
         read(path)
     path.write_bytes(content[: -(cut + 20)] + bytes(cut + 20))
-    with pytest.raises(BadMap, match="tail of zeros|Wavelength|PhaseRes|IntfScale|phase data|bytes"):
+    with pytest.raises(BadMap, match=r"tail of zeros|Wavelength|PhaseRes|IntfScale|phase data|bytes"):
         read(path)
 
 
@@ -220,7 +220,7 @@ def test_mutated_files_are_read_or_refused(
     try:
         found = read(path)
     except BadMap as error:
-        assert str(path) in str(error)
+        assert str(path) in str(error)  # noqa: PT017  it may also be read
     else:
         assert np.isfinite(found.height_nm[found.valid]).all()
         assert found.pitch_mm is None or found.pitch_mm > 0

@@ -71,12 +71,24 @@ BAD: dict[str, tuple[Callable[[], Plan], str]] = {
     "beyond the text": (lambda: with_program(block=np.array([3, 4, 50])), "only 9 lines"),
     "approach": (lambda: replace(plan_of(), approach_blocks=2), "line 4: first timed point in block 3"),
     "contact": (lambda: replace(plan_of(), contact_blocks=7), "line 6: last timed point in block 5"),
-    "expected too fast": (lambda: replace(plan_of(), expected_time_s=np.array([1.0, 0.1, 3.0])), "line 5: is expected at"),
-    "expected NaN": (lambda: replace(plan_of(), expected_time_s=np.array([1.0, np.nan, 3.0])), "line 5: is expected to"),
+    "expected too fast": (
+        lambda: replace(plan_of(), expected_time_s=np.array([1.0, 0.1, 3.0])),
+        "line 5: is expected at",
+    ),
+    "expected NaN": (
+        lambda: replace(plan_of(), expected_time_s=np.array([1.0, np.nan, 3.0])),
+        "line 5: is expected to",
+    ),
     "expected zero": (lambda: replace(plan_of(), expected_time_s=np.array([0.0, 2.0, 3.0])), "line 4: is expected to"),
     "expected shape": (lambda: replace(plan_of(), expected_time_s=np.ones(2)), "expected times of shape (2,)"),
-    "expected too long": (lambda: replace(plan_of(), expected_time_s=np.full(3, 2401.0)), "the pass is expected to take"),
-    "too deep": (lambda: replace(plan_of(), predicted_removal_nm=np.full((2, 2), 1001.0)), "1001 nm at row 0, column 0"),
+    "expected too long": (
+        lambda: replace(plan_of(), expected_time_s=np.full(3, 2401.0)),
+        "the pass is expected to take",
+    ),
+    "too deep": (
+        lambda: replace(plan_of(), predicted_removal_nm=np.full((2, 2), 1001.0)),
+        "1001 nm at row 0, column 0",
+    ),
     "negative": (lambda: replace(plan_of(), predicted_removal_nm=np.full((2, 2), -1.0)), "falls to -1 nm"),
     "removal NaN": (lambda: replace(plan_of(), predicted_removal_nm=np.full((2, 2), np.nan)), "not finite"),
     "no removal": (lambda: replace(plan_of(), predicted_removal_nm=np.zeros((0, 0))), "not finite"),
@@ -89,7 +101,7 @@ BAD: dict[str, tuple[Callable[[], Plan], str]] = {
         lambda: replace(plan_of(), segments=tuple(Segment(s.seq + 1, s.text) for s in plan_of().segments)),
         "line 1: segment 1",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", BAD, ids=str)

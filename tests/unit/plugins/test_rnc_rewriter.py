@@ -72,7 +72,7 @@ def test_times_that_cannot_be_written(times: list[float]) -> None:
 
 def test_a_dwell_below_zero_cannot_be_written() -> None:
     found = read(HEAD + b"G1 X1 F60\nG4 P1\nM2", "t.rnc")
-    with pytest.raises(ProgramError, match="line 4: a time of -0.1 s"):
+    with pytest.raises(ProgramError, match=r"line 4: a time of -0\.1 s"):
         rewrite(found, np.array([-0.1]))
 
 

@@ -9,21 +9,20 @@ from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.effect import Effect
 
 
-def choose_piston(
-    effect: Effect, height_nm: FloatArray, solve_mask: BoolArray, lower_s: FloatArray, unreached: float = 0.005
+def choose_piston_nm(
+    height_nm: FloatArray, solve_mask: BoolArray, least_removal_nm: FloatArray, unreached: float = 0.005
 ) -> float:
     """The mean removal to add to a surface so that it can be reached by removing only.
 
     The rule: the smallest piston p such that the removal wanted, ``height + p``, is not below what motion at the lower
     bound removes by itself, save at the fraction ``unreached`` of the samples (the deepest pits: to wait for a single
     scratch costs time over the whole part). How much to remove overall moves the residual more than any solver does:
-    more piston buys more reach and costs time in proportion.
+    more piston buys more reach, and costs time in proportion.
 
     Args:
-        effect: dwell to removal.
         height_nm: (ny, nx) surface, positive = high, finite in ``solve_mask``.
         solve_mask: (ny, nx) samples that count.
-        lower_s: (n,) least dwell.
+        least_removal_nm: (ny, nx) removal at the lower bound, ``effect.removal_nm(lower_s)``.
         unreached: fraction of the samples that may lie too deep, 0 <= unreached < 1.
 
     Returns:
@@ -34,9 +33,9 @@ def choose_piston(
     """
     if not 0 <= unreached < 1:
         raise ComputeError(f"the fraction left unreached must be at least 0 and below 1, not {unreached}")
-    if not solve_mask.any():
+    needed = (least_removal_nm - height_nm)[solve_mask]
+    if needed.size == 0:
         raise ComputeError("solve_mask is empty: no surface sample to polish")
-    needed = (effect.removal_nm(lower_s) - height_nm)[solve_mask]
     if not np.isfinite(needed).all():
         raise ComputeError("the surface is not finite everywhere in solve_mask")
     return float(np.quantile(needed, 1 - unreached, method="inverted_cdf"))
@@ -61,7 +60,7 @@ def sigma_max(effect: Effect, solve_mask: BoolArray, rounds: int = 200, toleranc
     return float(np.sqrt(value))
 
 
-def regularisation(rho: float, effect: Effect, solve_mask: BoolArray) -> float:
+def regularisation_from_rho(effect: Effect, solve_mask: BoolArray, rho: float) -> float:
     """P of paper eq. 50, nm^2/s^2, from the dimensionless ``rho = P N_r / sigma_max^2``.
 
     Raises:

@@ -1,0 +1,152 @@
+"""The files of a demo: a cell, a simulated cell that hides another truth, and a raster program."""
+
+from __future__ import annotations
+
+import math
+import re
+import socket
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from polishd.daemon.config import CellConfig, load_config
+from polishd.daemon.files import read_map
+from polishd.daemon.plugins import load_own
+from polishd.model.errors import BadMap
+from polishd.plugins.rnc_robot.make import raster_program
+from polishd.process import frames
+from polishd.process.raster import raster
+
+OVERRUN_MM = 3.0
+"""How far the raster goes beyond the clear aperture: more than the spot's radius, so that its rim is reached."""
+LANDING_MM = 6.0
+"""How far outside the part the tool lands, on the ring that the part sits in."""
+FEED_MM_MIN = 900.0
+SURFACE_PERIOD_MM = 7.0
+"""Twice the spot's diameter: no dwell reaches shorter periods."""
+
+
+@dataclass(frozen=True, slots=True)
+class DemoFiles:
+    """Where everything of a demo is."""
+
+    out: Path
+
+    @property
+    def cell(self) -> Path:
+        """The cell's config, as a user would write it."""
+        return self.out / "cell.toml"
+
+    @property
+    def sim(self) -> Path:
+        """The simulator's config."""
+        return self.out / "sim.toml"
+
+    @property
+    def sim_dir(self) -> Path:
+        """The simulator's state: device nodes, maps, its own log."""
+        return self.out / "sim"
+
+    @property
+    def state_dir(self) -> Path:
+        """The daemon's state folder."""
+        return self.out / "state"
+
+    @property
+    def run_dir(self) -> Path:
+        """The run folder."""
+        return self.out / "run"
+
+    @property
+    def daemon_log(self) -> Path:
+        """What the daemon printed."""
+        return self.out / "daemon.log"
+
+
+def write_demo(out: Path, surface: Path | None, tolerance_nm: float, cycles: int, correction: str | None) -> DemoFiles:
+    """Write config, simulator config and program into ``out``; BadMap where ``surface`` cannot be used."""
+    part: dict[str, Any] = {}
+    period = 0.0
+    if surface is not None:
+        part["aperture_mm"] = aperture_of(surface)
+        period = SURFACE_PERIOD_MM
+    files = DemoFiles(out)
+    out.mkdir(parents=True, exist_ok=True)
+    values: dict[str, Mapping[str, Any]] = {
+        "cell": {"run_dir": "run"},
+        "part": part,
+        "process": {"correction": correction} if correction else {},
+        "job": {"tolerance_nm": tolerance_nm, "max_cycles": cycles, "tolerance_period_mm": period},
+    }
+    files.cell.write_text(with_values(_shipped("cell.toml"), values))
+    files.sim.write_text(with_values(_shipped("sim.toml"), {"plant": part, "robot": {"port": free_port()}}))
+    files.cell.write_text(
+        with_values(files.cell.read_text(), {"robot": {"address": f"tcp://127.0.0.1:{_port(files.sim)}"}})
+    )
+    config = load_config(files.cell)
+    config.program_path.write_bytes(demo_program(config))
+    return files
+
+
+def demo_program(config: CellConfig) -> bytes:
+    """A boustrophedon raster over the clear aperture and a little more, dipped radially inward, as RNC text."""
+    radius = config.part.aperture_mm / 2 - config.part.edge_mm + OVERRUN_MM
+    points = raster(radius_mm=radius, step_mm=1.0, block_mm=1.0, landing_mm=config.part.aperture_mm / 2 + LANDING_MM)
+    placement = config.placement()
+    base = frames.points_to_base(placement, points)
+    normals = frames.surface_normals(placement, len(points))
+    axis_base = frames.inward_axis(base, normals, config.process.dip_deg)
+    axis = axis_base @ np.asarray(placement.rotation)  # base to part: the transpose, on row vectors
+    return raster_program(points, axis, FEED_MM_MIN, f"polishd demo raster, phi {config.part.aperture_mm:g} mm")
+
+
+def aperture_of(surface: Path) -> float:
+    """Diameter, mm, of the round part that a measured map shows, centred in its frame."""
+    measured = read_map(surface, load_own().surface_readers().values())
+    if measured.pitch_mm is None:
+        raise BadMap(f"{surface}: has no lateral scale; the demo needs one")
+    rows, columns = np.nonzero(measured.valid)
+    extent = min(np.ptp(rows), np.ptp(columns)) * measured.pitch_mm
+    return math.floor(float(extent))
+
+
+def with_values(text: str, sections: Mapping[str, Mapping[str, Any]]) -> str:
+    """The TOML text of our own template with some values changed, comments kept; KeyError where a key is not there."""
+    wanted = {(section, key): value for section, keys in sections.items() for key, value in keys.items()}
+    section, lines = "", []
+    for line in text.splitlines():
+        if header := re.match(r"\s*\[([^\]]+)\]", line):
+            section = header[1]
+        key = re.match(r"(?:# )?(\w+)( *)= ", line)
+        if key and (section, key[1]) in wanted:
+            comment = re.search(r"\s+#[^\"]*$", line.removeprefix("# "))
+            lines.append(f"{key[1]}{key[2]}= {_toml(wanted.pop((section, key[1])))}{comment[0] if comment else ''}")
+        else:
+            lines.append(line)
+    if wanted:
+        raise KeyError(f"not in the template: {sorted(wanted)}")
+    return "\n".join(lines) + "\n"
+
+
+def free_port() -> int:
+    """A port on loopback that nobody uses now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _port(sim: Path) -> int:
+    return int(tomllib.loads(sim.read_text())["robot"]["port"])
+
+
+def _toml(value: object) -> str:
+    return f'"{value}"' if isinstance(value, str) else str(value)
+
+
+def _shipped(name: str) -> str:
+    return (resources.files("polishd.console") / "demo_data" / name).read_text(encoding="utf-8")

@@ -1,0 +1,86 @@
+"""``python -m polishd.sim_backends SIM.toml``: the supervisor; with ``--device NAME`` one device of a running cell."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from polishd.model.errors import PolishdError
+from polishd.sim_backends.config import load
+from polishd.sim_backends.runtime import Start, run_device
+from polishd.sim_backends.supervisor import DEVICES, Supervisor
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    parse = argparse.ArgumentParser(prog="polishd sim", description="The simulated polishing cell.")
+    parse.add_argument("config", type=Path, metavar="SIM.toml")
+    parse.add_argument("--state", type=Path, help="state folder (default: sim beside SIM.toml)")
+    parse.add_argument("--seed", type=int, help="overrides plant.seed")
+    parse.add_argument("--speed", type=float, help="process seconds per wall second; overrides plant.speed")
+    parse.add_argument("--surface", type=Path, help="start from this MetroPro map")
+    parse.add_argument("--device", choices=("plant", *DEVICES), help="run one device of the cell in this state folder")
+    parse.add_argument("--rebooted", action="store_true", help=argparse.SUPPRESS)
+    return parse
+
+
+def start_of(options: argparse.Namespace) -> Start:
+    """What was asked for; a device booted by hand takes seed and speed of the running cell."""
+    config = load(options.config)
+    state: Path = (options.state or options.config.parent / "sim").absolute()
+    state.mkdir(parents=True, exist_ok=True)
+    running: dict[str, Any] = {}
+    if options.device and (state / "endpoints.json").exists():
+        running = json.loads((state / "endpoints.json").read_text())
+    seed = options.seed if options.seed is not None else running.get("seed", config.plant.seed)
+    speed = options.speed if options.speed is not None else running.get("speed", config.plant.speed)
+    return Start(config, state, int(seed), float(speed), options.surface, options.rebooted)
+
+
+def main() -> int:
+    """Run; the exit code."""
+    options = parser().parse_args()
+    try:
+        start = start_of(options)
+        if options.surface is not None and options.device in {None, "plant"}:
+            _check(options.surface)
+        return asyncio.run(_run(start, options.device))
+    except (PolishdError, OSError) as error:
+        print(f"polishd sim: {error}", file=sys.stderr)  # noqa: T201
+        return error.exit_code if isinstance(error, PolishdError) else 5
+
+
+async def _run(start: Start, device: str | None) -> int:
+    if device is None:
+        arguments = [argument for argument in sys.argv[1:] if argument != "--rebooted"]
+        return await Supervisor(start, arguments).run()
+    if device == "plant":
+        from polishd.sim_backends.plant.server import main as plant
+
+        await plant(start)
+        return 0
+    await run_device(device, start, _device(device))
+    return 0
+
+
+def _device(name: str) -> Any:
+    """A device's coroutine, loaded late: a drive needs no scipy."""
+    from importlib import import_module
+
+    module = {"robot": "robot.server", "interferometer": "interferometer"}.get(name, f"{name}.device")
+    return import_module(f"polishd.sim_backends.{module}").main
+
+
+def _check(surface: Path) -> None:
+    """Refuse a map that cannot be read before anything is started."""
+    from polishd.sim_backends import metropro
+
+    metropro.read(surface)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,125 @@
+"""Starts the cell's processes, names them, and ends them. Restarts none: what died stays dead until it is booted."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import sys
+from dataclasses import dataclass, field
+from typing import Any
+
+from polishd.sim_backends.runtime import ROOT, Start, replace, until_ended
+
+DEVICES = ("robot", "actuator", "spindle", "interferometer")
+READY_S = 30.0
+END_S = 5.0
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(slots=True)
+class Supervisor:
+    """The parent of one simulated cell."""
+
+    start: Start
+    arguments: list[str]
+    """Command line that the children get, before ``--device``."""
+    children: dict[str, asyncio.subprocess.Process] = field(default_factory=dict)
+    endpoints: dict[str, str] = field(default_factory=dict)
+
+    async def run(self) -> int:
+        """From nothing to READY to nothing; the exit code."""
+        stop = asyncio.Event()
+        for name in ("endpoints.json", "pids.json"):
+            (self.start.state / name).unlink(missing_ok=True)
+        async with asyncio.TaskGroup() as group:
+            end = group.create_task(until_ended(stop))
+            begin = group.create_task(self._begin())
+            await asyncio.wait({end, begin}, return_when=asyncio.FIRST_COMPLETED)
+            up = begin.done() and begin.result()
+            begin.cancel()
+            if up:
+                self._announce()
+                group.create_task(self._watch(stop))
+                await stop.wait()
+            stop.set()
+            await self._end()
+        return 0 if up else 1
+
+    async def _begin(self) -> bool:
+        """Plant first, then its devices; whether all came up."""
+        if not await self._spawn("plant"):
+            return False
+        return all(await asyncio.gather(*(self._spawn(name) for name in DEVICES)))
+
+    async def _spawn(self, name: str) -> bool:
+        path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
+        child = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-m",
+            "polishd.sim_backends",
+            *self.arguments,
+            "--device",
+            name,
+            stdout=asyncio.subprocess.PIPE,
+            stdin=asyncio.subprocess.DEVNULL,
+            env={**os.environ, "PYTHONPATH": path, **dict.fromkeys(THREADS, "1")},
+        )
+        self.children[name] = child
+        try:
+            line = await asyncio.wait_for(_line(child), READY_S)
+        except TimeoutError:
+            line = b""
+        if not line:
+            print(f"polishd sim: the {name} did not come up", file=sys.stderr)  # noqa: T201
+            return False
+        self.endpoints[name] = str(json.loads(line)["endpoint"])
+        return True
+
+    def _announce(self) -> None:
+        plant = self.start.config.plant
+        message: dict[str, Any] = {
+            **self.endpoints,
+            "seed": self.start.seed,
+            "speed": self.start.speed,
+            "part_id": plant.part_id,
+            "state": str(self.start.state),
+        }
+        pids = {"supervisor": os.getpid(), **{name: child.pid for name, child in self.children.items()}}
+        replace(self.start.state / "pids.json", json.dumps(pids, indent=1).encode())
+        replace(self.start.state / "endpoints.json", json.dumps(message, indent=1).encode())
+        print(f"READY {json.dumps(message)}", flush=True)  # noqa: T201
+
+    async def _watch(self, stop: asyncio.Event) -> None:
+        """Note who dies; without the plant there is no cell."""
+        waits = {asyncio.ensure_future(child.wait()): name for name, child in self.children.items()}
+        ended = asyncio.ensure_future(stop.wait())
+        while not stop.is_set():
+            await asyncio.wait({*waits, ended}, return_when=asyncio.FIRST_COMPLETED)
+            for wait in [wait for wait in waits if wait.done()]:
+                name = waits.pop(wait)
+                if not stop.is_set():
+                    print(f"polishd sim: the {name} has ended", file=sys.stderr)  # noqa: T201
+                if name == "plant":
+                    stop.set()
+        for left in (*waits, ended):
+            left.cancel()
+
+    async def _end(self) -> None:
+        """Devices first, then the plant, so that it books all that they did."""
+        for names in (DEVICES, ("plant",)):
+            living = [child for name, child in self.children.items() if name in names and child.returncode is None]
+            for child in living:
+                child.send_signal(signal.SIGTERM)
+            if not living:
+                continue
+            _, late = await asyncio.wait([asyncio.ensure_future(child.wait()) for child in living], timeout=END_S)
+            for child in living if late else []:
+                if child.returncode is None:
+                    child.kill()
+                    await child.wait()
+
+
+async def _line(child: asyncio.subprocess.Process) -> bytes:
+    return await child.stdout.readline() if child.stdout is not None else b""

@@ -1,0 +1,55 @@
+"""One fixture a port: the device of every rig, closed; and time limits that hold for all of them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncIterator, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.conformance import rigs
+from tests.conformance.rigs import ActuatorRig, RobotRig, SpindleRig
+
+PROMPT_S = 1.5
+"""A dead link is known after so long: 0.4 s, and room for a busy machine."""
+BOUND_S = 4.0
+"""No call to a dead device takes longer."""
+
+
+@contextmanager
+def within(limit_s: float) -> Iterator[None]:
+    """What takes longer is wrong."""
+    began = time.monotonic()
+    yield
+    assert time.monotonic() - began < limit_s
+
+
+@pytest.fixture(params=rigs.ROBOTS, ids=lambda rig: rig.__name__)
+async def robot(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[RobotRig]:
+    async with request.param(tmp_path) as rig:
+        yield rig
+
+
+@pytest.fixture(params=rigs.ACTUATORS, ids=lambda rig: rig.__name__)
+async def actuator(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[ActuatorRig]:
+    async with request.param(tmp_path) as rig:
+        yield rig
+
+
+@pytest.fixture(params=rigs.SPINDLES, ids=lambda rig: rig.__name__)
+async def spindle(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[SpindleRig]:
+    async with request.param(tmp_path) as rig:
+        yield rig
+
+
+@pytest.fixture(
+    params=[*rigs.ROBOTS, *rigs.ACTUATORS, *rigs.SPINDLES],
+    ids=lambda rig: rig.__name__,
+)
+async def any_device(
+    request: pytest.FixtureRequest, tmp_path: Path
+) -> AsyncIterator[RobotRig | ActuatorRig | SpindleRig]:
+    async with request.param(tmp_path) as rig:
+        yield rig

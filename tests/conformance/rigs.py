@@ -1,0 +1,154 @@
+"""Every driver on every link, each against a peer that speaks the documented protocol over a real socket or terminal.
+
+A rig for another peer (a simulator, a real machine) is another function here: the suites know nothing else of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from polishd.api import ForceActuator, Robot, Spindle
+from polishd.drivers.robot_link import RobotLink
+from polishd.drivers.spindle_can import SpindleCan
+from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
+from polishd.drivers.voice_coil_modbus import voice_coil_modbus
+from polishd.drivers.voice_coil_serial import voice_coil_serial
+from tests.fakes.actuator import AsciiCoil, Coil, ModbusCoil
+from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
+from tests.fakes.robot import FakeRobot
+from tests.fakes.wires import PtyWire, TcpWire, dribbled
+
+D = TypeVar("D")
+
+
+@dataclass
+class Rig(Generic[D]):
+    """A device, and what may happen to it."""
+
+    device: D
+    cut: Callable[[], None]
+    """Pull the plug for good."""
+    mute: Callable[[], None]
+    """The peer goes on living and says nothing more: a half-open link."""
+    safe: Callable[[], bool]
+    """The machine itself, not the driver: it exerts nothing and stands still."""
+
+
+RobotRig = Rig[Robot]
+ActuatorRig = Rig[ForceActuator]
+SpindleRig = Rig[Spindle]
+
+
+@asynccontextmanager
+async def robot_tcp(_: Path) -> AsyncIterator[RobotRig]:
+    """robot_link over TCP."""
+    async with _robot(FakeRobot()) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def robot_dribbled(_: Path) -> AsyncIterator[RobotRig]:
+    """robot_link over TCP, byte by byte, with garbage between frames."""
+    fake = FakeRobot()
+    fake.outgoing = lambda kind, frame: [b"P", b"PL\0", *dribbled(frame)]
+    async with _robot(fake) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def _robot(fake: FakeRobot) -> AsyncIterator[RobotRig]:
+    await fake.start()
+    device = RobotLink(Tcp("127.0.0.1", fake.port))
+    try:
+        yield Rig(device, fake.cut, lambda: setattr(fake, "silent", True), lambda: fake.state != "running")
+    finally:
+        await device.close()
+        await fake.close()
+
+
+@asynccontextmanager
+async def actuator_rtu(folder: Path) -> AsyncIterator[ActuatorRig]:
+    """voice_coil_modbus on a serial line."""
+    coil = Coil()
+    wire = PtyWire(ModbusCoil(coil, rtu=True), folder / "rtu")
+    async with _actuator(coil, wire, voice_coil_modbus(SerialLine(wire.path))) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def actuator_tcp(_: Path) -> AsyncIterator[ActuatorRig]:
+    """voice_coil_modbus on TCP."""
+    coil = Coil()
+    wire = await TcpWire(ModbusCoil(coil, rtu=False)).start()
+    async with _actuator(coil, wire, voice_coil_modbus(Tcp("127.0.0.1", wire.port))) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def actuator_ascii(folder: Path) -> AsyncIterator[ActuatorRig]:
+    """voice_coil_serial on a serial line."""
+    coil = Coil()
+    wire = PtyWire(AsciiCoil(coil), folder / "ascii")
+    async with _actuator(coil, wire, voice_coil_serial(SerialLine(wire.path))) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def actuator_ascii_dribbled(folder: Path) -> AsyncIterator[ActuatorRig]:
+    """voice_coil_serial on a serial line, byte by byte, with garbage before each answer."""
+    coil = Coil()
+    wire = PtyWire(AsciiCoil(coil), folder / "ascii")
+    wire.peer.filter = lambda data: [b"\xff*noise$", *dribbled(data)]
+    async with _actuator(coil, wire, voice_coil_serial(SerialLine(wire.path))) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def _actuator(coil: Coil, wire: PtyWire | TcpWire, device: ForceActuator) -> AsyncIterator[ActuatorRig]:
+    try:
+        yield Rig(device, wire.cut, lambda: setattr(wire.peer, "silent", True), lambda: coil.state == 0)
+    finally:
+        await device.close()
+        await wire.close()
+
+
+@asynccontextmanager
+async def spindle_slcan(folder: Path) -> AsyncIterator[SpindleRig]:
+    """spindle_can behind a serial adapter."""
+    drive = Drive()
+    wire = PtyWire(SlcanPeer(drive), folder / "slcan")
+    async with _spindle(drive, wire, SpindleCan(Slcan(wire.path))) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def spindle_socketcand(_: Path) -> AsyncIterator[SpindleRig]:
+    """spindle_can behind a socketcand server."""
+    drive = Drive()
+    wire = await TcpWire(SocketcandPeer(drive)).start()
+    async with _spindle(drive, wire, SpindleCan(Socketcand("127.0.0.1", wire.port, "can0"))) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def _spindle(drive: Drive, wire: PtyWire | TcpWire, device: Spindle) -> AsyncIterator[SpindleRig]:
+    try:
+        yield Rig(device, wire.cut, lambda: setattr(wire.peer, "silent", True), lambda: drive.rpm == 0)
+    finally:
+        drive.stop()
+        await device.close()
+        await wire.close()
+
+
+ROBOTS: list[Callable[[Path], AbstractAsyncContextManager[RobotRig]]] = [robot_tcp, robot_dribbled]
+ACTUATORS: list[Callable[[Path], AbstractAsyncContextManager[ActuatorRig]]] = [
+    actuator_rtu,
+    actuator_tcp,
+    actuator_ascii,
+    actuator_ascii_dribbled,
+]
+SPINDLES: list[Callable[[Path], AbstractAsyncContextManager[SpindleRig]]] = [spindle_slcan, spindle_socketcand]

@@ -1,0 +1,207 @@
+"""The Robot port, over every driver and link."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import time
+from collections.abc import AsyncIterator
+
+import pytest
+
+from polishd.api import DeviceRefused, Executed, LinkError, Plan, Robot, Segment
+from tests.conformance.conftest import PROMPT_S, within
+from tests.conformance.rigs import RobotRig
+from tests.programs import plan_of
+
+
+@pytest.fixture
+async def opened(robot: RobotRig) -> AsyncIterator[Robot]:
+    await robot.device.open()
+    yield robot.device
+
+
+async def loaded(robot: Robot, blocks: int) -> Plan:
+    """Give the robot a program, all of it that it takes."""
+    plan = plan_of([b"G1 X%d F60" % at for at in range(blocks)])
+    await robot.prepare(plan)
+    await robot.send(plan.segments[:40])
+    return plan
+
+
+async def collected(robot: Robot, from_seq: int = 0) -> list[Executed]:
+    return [one async for one in robot.executed(from_seq)]
+
+
+async def first(robot: Robot, count: int) -> list[Executed]:
+    found = []
+    async for one in robot.executed():
+        found.append(one)
+        if len(found) == count:
+            break
+    return found
+
+
+async def test_it_is_a_robot(robot: RobotRig) -> None:
+    assert isinstance(robot.device, Robot)
+
+
+async def test_a_prepared_robot_stands_and_knows_its_program(opened: Robot) -> None:
+    plan = plan_of([b"G1 X1 F60", b"M2"])
+    await opened.prepare(plan)
+    progress = await opened.progress()
+    assert progress.state == "held"
+    assert progress.program_sha256 == hashlib.sha256(plan.program.text).hexdigest()
+    assert (progress.accepted, progress.executed) == (0, 0)
+
+
+async def test_accepted_is_not_executed(opened: Robot) -> None:
+    await loaded(opened, 40)
+    progress = await opened.progress()
+    assert (progress.accepted, progress.executed, progress.state) == (40, 0, "held")
+    assert await collected_so_far(opened) == []
+
+
+async def collected_so_far(robot: Robot) -> list[Executed]:
+    found = []
+    try:
+        async with asyncio.timeout(0.15):
+            async for one in robot.executed():
+                found.append(one)  # noqa: PERF401
+    except TimeoutError:
+        return found
+    return found
+
+
+async def test_all_is_executed_in_order_and_once(opened: Robot) -> None:
+    plan = await loaded(opened, 300)
+    await opened.resume()
+
+    async def stream() -> None:
+        for at in range(40, 300, 20):
+            await opened.send(plan.segments[at : at + 20])
+
+    async with asyncio.TaskGroup() as group:
+        group.create_task(stream())
+        executed = await collected(opened)
+    assert [one.seq for one in executed] == list(range(300))
+    assert all(one.end_s > one.start_s for one in executed)
+    assert all(a.end_s <= b.start_s + 1e-9 for a, b in zip(executed, executed[1:], strict=False))
+    assert (await opened.progress()).state == "done"
+
+
+async def test_executed_can_be_followed_by_many_from_anywhere(opened: Robot) -> None:
+    await loaded(opened, 40)
+    await opened.resume()
+    whole, rest = await asyncio.gather(collected(opened), collected(opened, 25))
+    assert len(whole) == 40
+    assert rest == whole[25:] == await collected(opened, 25)
+
+
+async def test_it_stops_where_it_is_told(opened: Robot) -> None:
+    await loaded(opened, 40)
+    await opened.resume(until=10)
+    executed = await first(opened, 10)
+    assert [one.seq for one in executed] == list(range(10))
+    while (progress := await opened.progress()).state == "running":
+        await asyncio.sleep(0.01)
+    assert (progress.state, progress.executed) == ("held", 10)
+    await opened.resume()
+    assert len(await collected(opened)) == 40
+
+
+async def test_hold_returns_when_it_stands(robot: RobotRig, opened: Robot) -> None:
+    await loaded(opened, 40)
+    await opened.resume()
+    await first(opened, 3)
+    await opened.hold()
+    assert robot.safe()
+    progress = await opened.progress()
+    assert progress.state == "held"
+    assert (await opened.status()).safe
+    await opened.hold()
+    assert (await opened.progress()).executed == progress.executed
+    await opened.resume()
+    assert [one.seq for one in await collected(opened)] == list(range(40))
+
+
+async def test_make_safe_stops_a_running_robot(robot: RobotRig, opened: Robot) -> None:
+    await loaded(opened, 40)
+    await opened.resume()
+    await opened.make_safe()
+    assert robot.safe()
+
+
+async def test_make_safe_stops_a_running_robot_after_close(robot: RobotRig, opened: Robot) -> None:
+    await loaded(opened, 40)
+    await opened.resume(until=39)
+    await opened.close()
+    await opened.make_safe()
+    assert robot.safe()
+
+
+async def test_buffer_tells_what_is_ahead(opened: Robot) -> None:
+    assert opened.buffer_s == 0.0
+    await loaded(opened, 40)
+    deadline = time.monotonic() + 1.0
+    while not opened.buffer_s > 0.0:
+        assert time.monotonic() < deadline
+        await asyncio.sleep(0.01)
+
+
+async def test_a_program_cannot_be_changed_while_it_runs(opened: Robot) -> None:
+    await loaded(opened, 40)
+    await opened.resume()
+    with pytest.raises(DeviceRefused, match="running"):
+        await opened.prepare(plan_of([b"M2"]))
+
+
+async def test_a_new_program_replaces_the_old(opened: Robot) -> None:
+    await loaded(opened, 30)
+    await opened.resume()
+    assert len(await collected(opened)) == 30
+    plan = plan_of([b"M2"])
+    await opened.prepare(plan)
+    await opened.send(plan.segments)
+    await opened.resume()
+    assert [one.seq for one in await collected(opened)] == [0]
+
+
+async def test_nothing_runs_without_a_program(opened: Robot) -> None:
+    with pytest.raises(DeviceRefused):
+        await opened.resume()
+    assert await collected(opened) == []
+
+
+async def test_blocks_out_of_turn_are_refused(opened: Robot) -> None:
+    plan = plan_of([b"M2"] * 5)
+    await opened.prepare(plan)
+    with pytest.raises(DeviceRefused, match="expects block 0"):
+        await opened.send(plan.segments[1:])
+    with pytest.raises(DeviceRefused, match="one by one"):
+        await opened.send([plan.segments[0], plan.segments[2]])
+    with pytest.raises(DeviceRefused, match="single line"):
+        await opened.send([Segment(0, b"G1\nM2")])
+
+
+async def test_a_bad_block_is_refused_when_it_arrives(opened: Robot) -> None:
+    plan = plan_of([b"G1", b"?what", b"M2"])
+    await opened.prepare(plan)
+    with pytest.raises(DeviceRefused, match="block 1"):
+        await opened.send(plan.segments)
+    assert (await opened.progress()).state == "held"
+
+
+async def test_everybody_who_waits_hears_of_a_cut_link(robot: RobotRig, opened: Robot) -> None:
+    plan = await loaded(opened, 200)
+
+    async def cut() -> None:
+        await asyncio.sleep(0.05)
+        robot.cut()
+
+    with within(PROMPT_S):
+        async with asyncio.TaskGroup() as group:
+            group.create_task(cut())
+            errors = await asyncio.gather(collected(opened), opened.send(plan.segments[40:]), return_exceptions=True)
+    assert [type(error) for error in errors] == [LinkError, LinkError]
+    assert opened.buffer_s == 0.0
