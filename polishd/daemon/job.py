@@ -189,6 +189,7 @@ class Job:
             "correction": self.recipe.correction,
             "tolerance_nm": self.recipe.tolerance_nm,
             "tolerance_period_mm": self.recipe.tolerance_period_mm,
+            "lsf_period_mm": self.recipe.lsf_period_mm,
             "cycles": self.cycles(),
         }
 
@@ -259,6 +260,7 @@ def save_plan(folder: RunFolder, recipe: Recipe, plan: Plan, solved: Solved) -> 
     folder.arrays(
         "plan.npz",
         {
+            "block": plan.program.block,
             "time_s": solved.dwell.time_s,
             "asked_s": solved.asked_s,
             "expected_s": plan.expected_time_s,

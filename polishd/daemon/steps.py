@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from polishd.daemon.files import read_program_bytes
 from polishd.daemon.recipe import Recipe
 from polishd.hookspecs import RemovalAnswer, RemovalRequest
 from polishd.model.dwell import DwellSolution
-from polishd.model.errors import ComputeError
+from polishd.model.errors import ComputeError, ProgramError
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program, Segment
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap, SurfaceStats
@@ -20,6 +23,8 @@ from polishd.process import conditioning, learning, metrics, motion
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
 
+LEAST_COVERAGE = 0.9
+"""A program that works less of the clear aperture than this is taken for another part's."""
 ENVELOPE_ROUNDS = 2
 """Re-solves with what acceleration delivers as the lower bound."""
 
@@ -130,21 +135,23 @@ def learn(
 
 
 def solve(recipe: Recipe, program: Program, measured: Measured, beliefs: Beliefs) -> Solved:
-    """Dwell for the removal that the measured surface wants, within what the machine can deliver."""
+    """Dwell for the removal that the measured surface wants, within what the machine can deliver.
+
+    What acceleration delivers late becomes the lower bound of the next round, so that the optimum knows of it.
+    """
     envelope = _envelope(recipe, beliefs)
     answer = effect_of(recipe, program, measured.grid, beliefs.rate)
+    _require_coverage(program, answer, measured)
     lower = motion.least_time_s(program, envelope)
-    upper = motion.most_time_s(program, envelope)
+    upper = np.maximum(motion.most_time_s(program, envelope), lower)
+    problem, dwell, asked, expected = _solve_within(recipe, program, (measured, answer), (lower, upper), envelope)
     for _ in range(ENVELOPE_ROUNDS):
-        problem = _problem(recipe, measured, answer, lower, upper)
-        dwell = recipe.solver.solve(problem, recipe.solve_s)
-        asked = np.maximum(dwell.time_s - beliefs.block_overhead_s, 0.0)
-        expected = motion.delivered_time_s(program, asked, envelope)
         late = expected > dwell.time_s * 1.001 + 1e-4
         if not late.any():
             break
         lower = np.where(late, np.maximum(lower, expected), lower)
         upper = np.maximum(upper, lower)
+        problem, dwell, asked, expected = _solve_within(recipe, program, (measured, answer), (lower, upper), envelope)
     return Solved(_cross_checked(recipe, problem, dwell), answer, asked, expected, beliefs)
 
 
@@ -169,6 +176,56 @@ def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan
 
 def _envelope(recipe: Recipe, beliefs: Beliefs) -> Envelope:
     return replace(recipe.envelope, block_overhead_s=beliefs.block_overhead_s or recipe.envelope.block_overhead_s)
+
+
+def landing_violations(recipe: Recipe, plan: Plan) -> list[str]:
+    """Landing points on the part: the tool stands still there while the force comes and goes."""
+    program = in_part_frame(recipe, plan.program)
+    reach = recipe.aperture_mm / 2
+    ends = (("starts", program.line[0], program.start_mm[0]), ("ends", program.line[-1], program.end_mm[-1]))
+    return [
+        f"{program.name}:{line}: contact {word} at {point[0]:.2f}, {point[1]:.2f} mm, on the part (radius {reach:g} mm); "
+        "a tool that stands still there digs a pit: lead in from and out to a landing point beside the part"
+        for word, line, point in ends
+        if np.hypot(point[0], point[1]) <= reach
+    ]
+
+
+def process_grid(recipe: Recipe) -> Grid:
+    """The grid that surfaces are brought to: the aperture, centred on the part."""
+    n = int(np.ceil(recipe.aperture_mm / recipe.grid_mm)) + 2
+    return Grid(n, n, recipe.grid_mm)
+
+
+def load_measured(recipe: Recipe, arrays: Mapping[str, NDArray[Any]], sha256: str) -> Measured:
+    """A measurement as the run folder keeps it (``surface.npz``)."""
+    height = np.asarray(arrays["height_nm"], dtype=np.float64)
+    grid = Grid(*height.shape, float(arrays["pitch_mm"]))
+    return _measured(recipe, grid, np.nan_to_num(height), (arrays["solve_mask"], arrays["metric_mask"]), sha256)
+
+
+def _require_coverage(program: Program, answer: RemovalAnswer, measured: Measured) -> None:
+    """ProgramError unless the path works nearly all of the clear aperture."""
+    reached = answer.effect.removal_nm(np.ones(program.n)) > 0
+    share = float(reached[measured.metric_mask].mean())
+    if share < LEAST_COVERAGE:
+        raise ProgramError(
+            f"{program.name}: the path reaches {share:.0%} of the clear aperture; is it the program of this part, "
+            "and are program.offset_mm and program.rotation_deg right?"
+        )
+
+
+def _solve_within(
+    recipe: Recipe,
+    program: Program,
+    given: tuple[Measured, RemovalAnswer],
+    bounds: tuple[FloatArray, FloatArray],
+    envelope: Envelope,
+) -> tuple[DwellProblem, DwellSolution, FloatArray, FloatArray]:
+    problem = _problem(recipe, *given, *bounds)
+    dwell = recipe.solver.solve(problem, recipe.solve_s)
+    asked = np.maximum(dwell.time_s - envelope.block_overhead_s, 0.0)
+    return problem, dwell, asked, motion.delivered_time_s(program, asked, envelope)
 
 
 def _problem(

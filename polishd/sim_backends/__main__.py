@@ -44,14 +44,19 @@ def start_of(options: argparse.Namespace) -> Start:
 def main() -> int:
     """Run; the exit code."""
     options = parser().parse_args()
+    code = 0
     try:
         start = start_of(options)
         if options.surface is not None and options.device in {None, "plant"}:
             _check(options.surface)
-        return asyncio.run(_run(start, options.device))
-    except (PolishdError, OSError) as error:
+        code = asyncio.run(_run(start, options.device))
+    except* (PolishdError, OSError) as group:
+        error: BaseException = group
+        while isinstance(error, BaseExceptionGroup):
+            error = error.exceptions[0]
         print(f"polishd sim: {error}", file=sys.stderr)  # noqa: T201
-        return error.exit_code if isinstance(error, PolishdError) else 5
+        code = error.exit_code if isinstance(error, PolishdError) else 5
+    return code
 
 
 async def _run(start: Start, device: str | None) -> int:

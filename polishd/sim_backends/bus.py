@@ -22,7 +22,7 @@ import numpy as np
 from polishd.model.surface import FloatArray
 
 ROW = ("seq", "wall0", "wall1", "dt", "x", "y", "z", "a", "c")
-"""Columns of motion rows: block, wall seconds from and to, process seconds, pose (program frame, mm and deg) half-way."""
+"""Columns of motion rows: block, wall seconds from and to, process seconds, pose half-way (program frame, mm, deg)."""
 
 SOCKET = "plant.sock"
 _HEAD = struct.Struct(">IB")

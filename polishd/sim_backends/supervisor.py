@@ -26,34 +26,34 @@ class Supervisor:
     arguments: list[str]
     """Command line that the children get, before ``--device``."""
     children: dict[str, asyncio.subprocess.Process] = field(default_factory=dict)
+    ends: dict[str, asyncio.Task[None]] = field(default_factory=dict)
     endpoints: dict[str, str] = field(default_factory=dict)
+    stop: asyncio.Event = field(default_factory=asyncio.Event)
 
     async def run(self) -> int:
         """From nothing to READY to nothing; the exit code."""
-        stop = asyncio.Event()
         for name in ("endpoints.json", "pids.json"):
             (self.start.state / name).unlink(missing_ok=True)
         async with asyncio.TaskGroup() as group:
-            end = group.create_task(until_ended(stop))
-            begin = group.create_task(self._begin())
+            end = group.create_task(until_ended(self.stop))
+            begin = group.create_task(self._begin(group))
             await asyncio.wait({end, begin}, return_when=asyncio.FIRST_COMPLETED)
             up = begin.done() and begin.result()
             begin.cancel()
             if up:
                 self._announce()
-                group.create_task(self._watch(stop))
-                await stop.wait()
-            stop.set()
+                await self.stop.wait()
+            self.stop.set()
             await self._end()
         return 0 if up else 1
 
-    async def _begin(self) -> bool:
+    async def _begin(self, group: asyncio.TaskGroup) -> bool:
         """Plant first, then its devices; whether all came up."""
-        if not await self._spawn("plant"):
+        if not await self._spawn("plant", group):
             return False
-        return all(await asyncio.gather(*(self._spawn(name) for name in DEVICES)))
+        return all(await asyncio.gather(*(self._spawn(name, group) for name in DEVICES)))
 
-    async def _spawn(self, name: str) -> bool:
+    async def _spawn(self, name: str, group: asyncio.TaskGroup) -> bool:
         path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
         child = await asyncio.create_subprocess_exec(
             sys.executable,
@@ -67,6 +67,7 @@ class Supervisor:
             env={**os.environ, "PYTHONPATH": path, **dict.fromkeys(THREADS, "1")},
         )
         self.children[name] = child
+        self.ends[name] = group.create_task(self._mourn(name, child))
         try:
             line = await asyncio.wait_for(_line(child), READY_S)
         except TimeoutError:
@@ -91,34 +92,24 @@ class Supervisor:
         replace(self.start.state / "endpoints.json", json.dumps(message, indent=1).encode())
         print(f"READY {json.dumps(message)}", flush=True)  # noqa: T201
 
-    async def _watch(self, stop: asyncio.Event) -> None:
-        """Note who dies; without the plant there is no cell."""
-        waits = {asyncio.ensure_future(child.wait()): name for name, child in self.children.items()}
-        ended = asyncio.ensure_future(stop.wait())
-        while not stop.is_set():
-            await asyncio.wait({*waits, ended}, return_when=asyncio.FIRST_COMPLETED)
-            for wait in [wait for wait in waits if wait.done()]:
-                name = waits.pop(wait)
-                if not stop.is_set():
-                    print(f"polishd sim: the {name} has ended", file=sys.stderr)  # noqa: T201
-                if name == "plant":
-                    stop.set()
-        for left in (*waits, ended):
-            left.cancel()
+    async def _mourn(self, name: str, child: asyncio.subprocess.Process) -> None:
+        """Note a death; without the plant there is no cell."""
+        await child.wait()
+        if not self.stop.is_set():
+            print(f"polishd sim: the {name} has ended", file=sys.stderr)  # noqa: T201
+        if name == "plant":
+            self.stop.set()
 
     async def _end(self) -> None:
         """Devices first, then the plant, so that it books all that they did."""
         for names in (DEVICES, ("plant",)):
-            living = [child for name, child in self.children.items() if name in names and child.returncode is None]
-            for child in living:
-                child.send_signal(signal.SIGTERM)
-            if not living:
-                continue
-            _, late = await asyncio.wait([asyncio.ensure_future(child.wait()) for child in living], timeout=END_S)
-            for child in living if late else []:
+            living = {self.ends[name]: child for name, child in self.children.items() if name in names}
+            for child in living.values():
                 if child.returncode is None:
-                    child.kill()
-                    await child.wait()
+                    child.send_signal(signal.SIGTERM)
+            late = (await asyncio.wait(living, timeout=END_S))[1] if living else set()
+            for end in late:
+                living[end].kill()
 
 
 async def _line(child: asyncio.subprocess.Process) -> bytes:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -24,6 +25,12 @@ def within(limit_s: float) -> Iterator[None]:
     began = time.monotonic()
     yield
     assert time.monotonic() - began < limit_s
+
+
+async def seen(condition: Callable[[], bool]) -> None:
+    """Look at the machine itself until it is so."""
+    while not condition():  # noqa: ASYNC110 -- the machine tells nobody
+        await asyncio.sleep(0.01)
 
 
 @pytest.fixture(params=rigs.ROBOTS, ids=lambda rig: rig.__name__)

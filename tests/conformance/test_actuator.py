@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import Callable
 
 import pytest
 
 from polishd.api import DeviceRefused, ForceActuator, ForceSample, LinkError
-from tests.conformance.conftest import PROMPT_S, within
+from tests.conformance.conftest import PROMPT_S, seen, within
 from tests.conformance.rigs import ActuatorRig
 
 
 @pytest.fixture
-async def opened(actuator: ActuatorRig) -> AsyncIterator[ForceActuator]:
+async def opened(actuator: ActuatorRig) -> ForceActuator:
     await actuator.device.open()
-    yield actuator.device
+    return actuator.device
 
 
 async def sample_where(device: ForceActuator, condition: Callable[[ForceSample], bool]) -> ForceSample:
@@ -114,9 +114,7 @@ async def test_samples_feed_the_watchdog(opened: ForceActuator) -> None:
 
 async def test_without_samples_it_retracts_by_itself(actuator: ActuatorRig, opened: ForceActuator) -> None:
     await opened.set_force(12.0)
-    async with asyncio.timeout(3.0):
-        while (await opened.status()).state != "retracted":
-            await asyncio.sleep(0.05)
+    await asyncio.wait_for(seen(actuator.safe), 3.0)
     assert actuator.safe()
     status = await opened.status()
     assert (status.ready, status.detail) == (False, "watchdog ran out")
@@ -132,7 +130,7 @@ async def test_samples_go_on_beside_everything_else(opened: ForceActuator) -> No
 
     async def watch() -> None:
         async for sample in opened.samples():
-            seen.append(sample)
+            seen.append(sample)  # noqa: PERF401
 
     watcher = asyncio.create_task(watch())
     await opened.set_force(5.0)
@@ -158,8 +156,7 @@ async def test_retracting_wins_over_landing(actuator: ActuatorRig, opened: Force
 async def test_samples_end_with_a_cut_link(actuator: ActuatorRig, opened: ForceActuator) -> None:
     await opened.set_force(12.0)
     with within(PROMPT_S), pytest.raises(LinkError):
-        async for _ in opened.samples():
-            actuator.cut()
+        await sample_where(opened, lambda one: bool(actuator.cut()))
 
 
 async def test_a_link_lost_in_contact_is_not_taken_up_again(actuator: ActuatorRig, opened: ForceActuator) -> None:

@@ -13,6 +13,13 @@ from tests.conformance.rigs import Rig
 AnyRig = Rig[Robot] | Rig[ForceActuator] | Rig[Spindle]
 
 
+async def watch(device: Device) -> None:
+    """Ask for its status until that fails."""
+    while True:
+        await device.status()
+        await asyncio.sleep(0.01)
+
+
 async def test_it_says_who_it_is(any_device: AnyRig) -> None:
     device = any_device.device
     assert isinstance(device, Device)
@@ -87,18 +94,14 @@ async def test_a_cut_link_is_known_at_once(any_device: AnyRig) -> None:
     await any_device.device.open()
     any_device.cut()
     with within(PROMPT_S), pytest.raises(LinkError):
-        while True:
-            await any_device.device.status()
-            await asyncio.sleep(0.01)
+        await watch(any_device.device)
 
 
 async def test_a_silent_link_is_known_at_once(any_device: AnyRig) -> None:
     await any_device.device.open()
     any_device.mute()
     with within(PROMPT_S), pytest.raises(LinkError):
-        while True:
-            await any_device.device.status()
-            await asyncio.sleep(0.01)
+        await watch(any_device.device)
 
 
 async def test_make_safe_on_a_cut_link_says_so_in_bounded_time(any_device: AnyRig) -> None:

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-import time
-from collections.abc import AsyncIterator
+from itertools import pairwise
 
 import pytest
 
 from polishd.api import DeviceRefused, Executed, LinkError, Plan, Robot, Segment
-from tests.conformance.conftest import PROMPT_S, within
+from tests.conformance.conftest import PROMPT_S, seen, within
 from tests.conformance.rigs import RobotRig
 from tests.programs import plan_of
 
 
 @pytest.fixture
-async def opened(robot: RobotRig) -> AsyncIterator[Robot]:
+async def opened(robot: RobotRig) -> Robot:
     await robot.device.open()
-    yield robot.device
+    return robot.device
 
 
 async def loaded(robot: Robot, blocks: int) -> Plan:
@@ -86,7 +85,7 @@ async def test_all_is_executed_in_order_and_once(opened: Robot) -> None:
         executed = await collected(opened)
     assert [one.seq for one in executed] == list(range(300))
     assert all(one.end_s > one.start_s for one in executed)
-    assert all(a.end_s <= b.start_s + 1e-9 for a, b in zip(executed, executed[1:], strict=False))
+    assert all(a.end_s <= b.start_s + 1e-9 for a, b in pairwise(executed))
     assert (await opened.progress()).state == "done"
 
 
@@ -98,13 +97,14 @@ async def test_executed_can_be_followed_by_many_from_anywhere(opened: Robot) -> 
     assert rest == whole[25:] == await collected(opened, 25)
 
 
-async def test_it_stops_where_it_is_told(opened: Robot) -> None:
+async def test_it_stops_where_it_is_told(robot: RobotRig, opened: Robot) -> None:
     await loaded(opened, 40)
     await opened.resume(until=10)
     executed = await first(opened, 10)
     assert [one.seq for one in executed] == list(range(10))
-    while (progress := await opened.progress()).state == "running":
-        await asyncio.sleep(0.01)
+    await seen(robot.safe)
+    await opened.hold()
+    progress = await opened.progress()
     assert (progress.state, progress.executed) == ("held", 10)
     await opened.resume()
     assert len(await collected(opened)) == 40
@@ -143,10 +143,7 @@ async def test_make_safe_stops_a_running_robot_after_close(robot: RobotRig, open
 async def test_buffer_tells_what_is_ahead(opened: Robot) -> None:
     assert opened.buffer_s == 0.0
     await loaded(opened, 40)
-    deadline = time.monotonic() + 1.0
-    while not opened.buffer_s > 0.0:
-        assert time.monotonic() < deadline
-        await asyncio.sleep(0.01)
+    await asyncio.wait_for(seen(lambda: opened.buffer_s > 0.0), 1.0)
 
 
 async def test_a_program_cannot_be_changed_while_it_runs(opened: Robot) -> None:

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import Callable
 
 import pytest
 
 from polishd.api import DeviceRefused, LinkError, SpeedSample, Spindle
-from tests.conformance.conftest import PROMPT_S, within
+from tests.conformance.conftest import PROMPT_S, seen, within
 from tests.conformance.rigs import SpindleRig
 
 
 @pytest.fixture
-async def opened(spindle: SpindleRig) -> AsyncIterator[Spindle]:
+async def opened(spindle: SpindleRig) -> Spindle:
     await spindle.device.open()
-    yield spindle.device
+    return spindle.device
 
 
 async def sample_where(device: Spindle, condition: Callable[[SpeedSample], bool]) -> SpeedSample:
@@ -86,9 +86,7 @@ async def test_samples_keep_it_running(opened: Spindle) -> None:
 
 async def test_it_stops_by_itself_when_nobody_cares(spindle: SpindleRig, opened: Spindle) -> None:
     await opened.set_speed(1000.0)
-    async with asyncio.timeout(4.0):
-        while not spindle.safe():
-            await asyncio.sleep(0.05)
+    await asyncio.wait_for(seen(spindle.safe), 4.0)
     sample = await sample_where(opened, lambda one: one.fault != 0)
     assert sample.fault == 1
     assert not (await opened.status()).ready
@@ -109,8 +107,7 @@ async def test_stopping_wins_over_speeding_up(spindle: SpindleRig, opened: Spind
 async def test_samples_end_with_a_cut_link(spindle: SpindleRig, opened: Spindle) -> None:
     await opened.set_speed(1000.0)
     with within(PROMPT_S), pytest.raises(LinkError):
-        async for _ in opened.samples():
-            spindle.cut()
+        await sample_where(opened, lambda one: bool(spindle.cut()))
 
 
 async def test_set_speed_ends_with_a_silent_link(spindle: SpindleRig, opened: Spindle) -> None:

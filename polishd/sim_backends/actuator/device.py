@@ -25,7 +25,7 @@ async def main(runtime: Runtime) -> None:
     config = runtime.start.config.actuator
     coil = VoiceCoil(
         rng=stream(runtime.start.seed, "coil"),
-        report=lambda name, at_s, **data: runtime.link.event(name, at_s, **data),
+        report=runtime.link.event,
         now_s=time.monotonic(),
         stuck_after_s=config.faults.stuck_force_after_s,
         near=bool(runtime.link.welcome.get("near")),

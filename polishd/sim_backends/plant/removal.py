@@ -11,7 +11,7 @@ import numpy as np
 
 from polishd.model.process import HybridRobot, ToolProcess
 from polishd.model.surface import FloatArray, Grid
-from polishd.process.robot import tip_compliance_mm_per_n
+from polishd.process.robot import reachable, tip_compliance_mm_per_n
 
 CHUNK = 48
 """Steps worn at once: small enough for the cache."""
@@ -30,23 +30,20 @@ def hertz_depth_mm(tool: ToolProcess, force_n: FloatArray) -> FloatArray:
     return np.asarray((np.maximum(force_n, 0.0) / stiff) ** (2.0 / 3.0))
 
 
-def tool_axis(a_deg: FloatArray, c_deg: FloatArray) -> FloatArray:
-    """(n,) A and C -> (n, 3) tool axis in the program's frame, from the tip into the spindle."""
-    a, c = np.radians(a_deg), np.radians(c_deg)
-    return np.stack([np.sin(c) * np.sin(a), -np.cos(c) * np.sin(a), np.cos(a)], axis=1)
-
-
 def equivalent_compliance(robot: HybridRobot, tip_mm: FloatArray, axis: FloatArray, normal: FloatArray) -> FloatArray:
     """Linear equivalent compliance along the surface normal (paper eq. 43), mm/N, (n,).
 
-    ``tip_mm``, ``axis`` (n, 3) and ``normal`` (3,) in the base frame. The eigenvector nearest the tool axis is left out:
-    the voice coil gives way along it.
+    ``tip_mm``, ``axis`` (n, 3) and ``normal`` (3,) in the base frame. The eigenvector nearest the tool axis is left
+    out: the voice coil gives way along it. 0 where the robot cannot be (its controller refuses to go there).
     """
-    values, vectors = np.linalg.eigh(tip_compliance_mm_per_n(robot, tip_mm, axis))
-    nearest = np.argmax(np.abs(np.einsum("nik,ni->nk", vectors, axis)), axis=1)
+    result = np.zeros(len(tip_mm))
+    can = reachable(robot, tip_mm, axis)
+    values, vectors = np.linalg.eigh(tip_compliance_mm_per_n(robot, tip_mm[can], axis[can]))
+    nearest = np.argmax(np.abs(np.einsum("nik,ni->nk", vectors, axis[can])), axis=1)
     share = values * np.abs(np.einsum("nik,i->nk", vectors, normal))
     share[np.arange(len(share)), nearest] = 0.0
-    return np.asarray(share.sum(axis=1))
+    result[can] = share.sum(axis=1)
+    return result
 
 
 def worn_depth_mm(tool: ToolProcess, force_n: FloatArray, axis: FloatArray, compliance: FloatArray) -> FloatArray:
@@ -78,13 +75,22 @@ def wear(
     index = np.flatnonzero(active)
     for start in range(0, len(index), CHUNK):
         take = index[start : start + CHUNK]
-        _wear_chunk(surface_nm, grid, tool, centre_mm[take], axis[take], depth_mm[take], rpm[take] * seconds[take])
+        _wear_chunk(
+            surface_nm,
+            grid,
+            tool,
+            centre_mm=centre_mm[take],
+            axis=axis[take],
+            depth_mm=depth_mm[take],
+            turns=rpm[take] * seconds[take],
+        )
 
 
 def _wear_chunk(
     surface_nm: FloatArray,
     grid: Grid,
     tool: ToolProcess,
+    *,
     centre_mm: FloatArray,
     axis: FloatArray,
     depth_mm: FloatArray,
@@ -111,7 +117,7 @@ def _wear_chunk(
 
 
 def _rate(tool: ToolProcess, x: FloatArray, y: FloatArray, axis: FloatArray, depth_mm: FloatArray) -> FloatArray:
-    """Pressure times sliding speed per unit of angular speed, MPa mm, (n, y, x), at offsets from the contact's centre."""
+    """Pressure times sliding speed for an angular speed of 1, MPa mm, (n, y, x), at offsets from the contact."""
     radius = tool.tool_radius_mm
     peak = 2.0 * plane_strain_modulus_mpa(tool) / math.pi * np.sqrt(depth_mm / radius)
     down = (depth_mm - radius)[:, None]

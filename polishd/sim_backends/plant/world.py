@@ -12,32 +12,19 @@ from polishd.model.process import ToolProcess
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.sim_backends.bus import ROW
 from polishd.sim_backends.config import SimConfig
+from polishd.sim_backends.placement import Frames
 from polishd.sim_backends.plant.account import Account
 from polishd.sim_backends.plant.part import TruePart
-from polishd.sim_backends.plant.removal import equivalent_compliance, tool_axis, wear, worn_depth_mm
+from polishd.sim_backends.plant.removal import equivalent_compliance, wear, worn_depth_mm
 from polishd.sim_backends.plant.timeline import Timeline
 from polishd.sim_backends.truth import HiddenTruth
 
 REACH_MM = 0.5
 """The tip must be so near the surface for the bonnet to touch."""
 TOUCH_N = 0.02
-SEQ, WALL0, WALL1, DT, X, Y, Z, A, C = range(len(ROW))
+SEQ, WALL0, WALL1, DT, X = range(len(ROW) - 4)
 GAP_S = 1e-5
 STAND_S = 0.02
-
-
-def rotation_z(deg: float) -> FloatArray:
-    """Rotation about z."""
-    c, s = math.cos(math.radians(deg)), math.sin(math.radians(deg))
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def rotation_rpy(rpy_deg: tuple[float, float, float]) -> FloatArray:
-    """Intrinsic x-y'-z''."""
-    (ca, sa), (cb, sb) = [(math.cos(math.radians(v)), math.sin(math.radians(v))) for v in rpy_deg[:2]]
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, ca, -sa], [0.0, sa, ca]])
-    about_y = np.array([[cb, 0.0, sb], [0.0, 1.0, 0.0], [-sb, 0.0, cb]])
-    return np.asarray(about_x @ about_y @ rotation_z(rpy_deg[2]))
 
 
 @dataclass(slots=True)
@@ -59,13 +46,11 @@ class World:
     rows_done: int = 0
     _queue: list[tuple[str, FloatArray]] = field(default_factory=list)
     _noise: float = 0.0
-    _program_to_part: FloatArray = field(init=False)
-    _part_to_base: FloatArray = field(init=False)
+    _frames: Frames = field(init=False)
 
     def __post_init__(self) -> None:
         """Fix the frames."""
-        self._program_to_part = rotation_z(self.config.plant.program_rotation_deg)
-        self._part_to_base = rotation_rpy(self.config.plant.rotation_rpy_deg)
+        self._frames = Frames(self.config.plant)
 
     def move(self, rows: FloatArray) -> None:
         """Take motion as the robot reports it (``bus.ROW``); time before it that no row covers was standstill."""
@@ -103,7 +88,7 @@ class World:
     @property
     def near(self) -> bool:
         """Whether the tool's tip is within reach of the part's surface."""
-        place, _ = self._place(np.array([[0.0, 0.0, 0.0, 0.0, *self.pose]]))
+        place, _ = self._frames.in_part(np.array([self.pose]))
         return bool(self._within(place)[0])
 
     def integrate(self, horizon_s: float) -> list[tuple[float, float]]:
@@ -129,16 +114,15 @@ class World:
         force = self.force.at(middle)
         if not (force > TOUCH_N).any():
             return
-        place, axis = self._place(rows)
+        place, axis = self._frames.in_part(rows[:, X:])
         touching = (force > TOUCH_N) & self._within(place)
         if not touching.any():
             return
         begin = self.process_s + np.cumsum(rows[:, DT]) - rows[:, DT]
         rows, force, place, axis, begin = (v[touching] for v in (rows, force, place, axis, begin))
         force = force * (1.0 + self._force_noise(rows[:, DT]))
-        base = place @ self._part_to_base.T + np.array(self.config.plant.origin_mm)
         compliance = equivalent_compliance(
-            self.hidden.robot, base, axis @ self._part_to_base.T, self._part_to_base[:, 2]
+            self.hidden.robot, *self._frames.in_base(place, axis), self._frames.to_base[:, 2]
         )
         wear(
             self.part.height_nm,
@@ -157,11 +141,6 @@ class World:
         self.account.dwell(program, rows[moving, SEQ], rows[moving, DT])
         for row, spot in zip(rows[~moving], place[~moving], strict=True):
             self.account.stand(float(spot[0]), float(spot[1]), float(row[WALL1]), float(row[DT]))
-
-    def _place(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Tips (n, 3) and tool axes (n, 3) in the part's frame."""
-        place = rows[:, X:A] @ self._program_to_part.T + np.array(self.config.plant.program_offset_mm)
-        return place, tool_axis(rows[:, A], rows[:, C]) @ self._program_to_part.T
 
     def _within(self, place: FloatArray) -> BoolArray:
         grid = self.part.grid

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from polishd.model.errors import ProgramError
+from polishd.model.surface import BoolArray
 from polishd.sim_backends.config import Robot
 from polishd.sim_backends.robot import frames
 from polishd.sim_backends.robot.motion import Motion
@@ -41,6 +42,8 @@ class Controller:
     config: Robot
     motion: Motion
     identity: dict[str, str]
+    reach: Callable[[list[Block]], BoolArray]
+    """Which of these blocks end where the robot can be, (n,)."""
     report: Report
     """Tells the witness: (event, at_s=now, **data)."""
     clients: list[Client] = field(default_factory=list)
@@ -169,6 +172,11 @@ class Controller:
                 self._refuse(client, "limits", f"block {self.motion.accepted + k}: {outside}")
                 break
             read.append(block)
+        can = self.reach(read)
+        if not can.all():
+            bad = int(can.argmin())
+            del read[bad:]
+            self._refuse(client, "limits", f"block {self.motion.accepted + bad}: out of the robot's reach")
         if read:
             self.motion.append(now_s, read)
         self._tell(client)

@@ -8,17 +8,23 @@ from typing import Any
 
 import numpy as np
 
+from polishd.model.process import HybridRobot
+from polishd.model.surface import BoolArray
+from polishd.process.robot import reachable
 from polishd.sim_backends import truth
 from polishd.sim_backends.bus import ROW
 from polishd.sim_backends.faults import Mischief, Outlet
+from polishd.sim_backends.placement import Frames
 from polishd.sim_backends.robot import frames
 from polishd.sim_backends.robot.controller import Client, Controller
 from polishd.sim_backends.robot.motion import Limits, Motion
+from polishd.sim_backends.robot.rnc import Block
 from polishd.sim_backends.runtime import LOOPBACK, Runtime
 
 TICK_S = 0.01
 STATUS_S = 0.05
 MAX_UNSENT = 8 << 20
+NOMINAL = HybridRobot()
 
 
 class Connection(asyncio.Protocol):
@@ -85,7 +91,8 @@ class RobotServer:
         self.runtime = runtime
         self.mischief = Mischief(robot.faults, truth.stream(start.seed, "robot"))
         self.connections: set[Connection] = set()
-        self.controller = Controller(robot, Motion(limits, (x, y, z, a, c)), identity, self.event)
+        self._frames = Frames(start.config.plant)
+        self.controller = Controller(robot, Motion(limits, (x, y, z, a, c)), identity, self.reach, self.event)
 
     async def run(self) -> None:
         """Tick for ever."""
@@ -103,6 +110,11 @@ class RobotServer:
                 for connection in list(self.connections):
                     connection.transport.abort()
             await asyncio.sleep(TICK_S)
+
+    def reach(self, blocks: list[Block]) -> BoolArray:
+        """Which blocks end within the strokes of the limbs."""
+        poses = np.array([block.end for block in blocks]).reshape(-1, 5)
+        return reachable(NOMINAL, *self._frames.in_base(*self._frames.in_part(poses)))
 
     def event(self, name: str, at_s: float | None = None, **data: Any) -> None:
         """Tell the witness, after the motion that came before."""

@@ -104,6 +104,12 @@ def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made, but not drawn, which takes the time."""
+    monkeypatch.setattr("polishd.plugins.run_report.report.png", lambda figure: b"")
+
+
+@pytest.fixture
 def run_dir(tmp_path: Path) -> Path:
     """One pass and the measurement after it."""
     return write_run(tmp_path / "run", 1)
@@ -137,21 +143,18 @@ def pictures_in(page: str) -> list[bytes]:
 
 
 class TestEvents:
-    def test_a_finished_job_is_reported(self, run_dir: Path) -> None:
+    def test_a_finished_job_is_reported(self, undrawn: None, run_dir: Path) -> None:
         run_report.polishd_on_event(Event("job_finished", data={"run_dir": str(run_dir)}))
         assert (run_dir / "report.html").is_file()
 
-    def test_a_written_plan_is_reported(self, plan_dir: Path) -> None:
+    def test_a_written_plan_is_reported(self, undrawn: None, plan_dir: Path) -> None:
         run_report.polishd_on_event(Event("plan_written", data={"run_dir": plan_dir}))
         assert (plan_dir / "report.html").is_file()
 
-    @pytest.mark.parametrize("name", ["phase_started", "job_started", ""])
+    @pytest.mark.parametrize("name", ["measured", "failed", ""])
     def test_other_events_pass_by(self, run_dir: Path, name: str) -> None:
         run_report.polishd_on_event(Event(name, data={"run_dir": str(run_dir)}))
         assert not (run_dir / "report.html").exists()
-
-    def test_an_event_without_a_folder_passes_by(self) -> None:
-        run_report.polishd_on_event(Event("job_finished"))
 
     def test_loading_the_plugin_does_not_load_matplotlib(self) -> None:
         code = (
@@ -220,10 +223,8 @@ class TestARun:
         assert "cycle-00/program.rnc" in links
         assert all((reported / link).is_file() for link in links)
 
-    def test_no_partial_file_stays(self, page: str, reported: Path) -> None:
+    def test_no_partial_file_stays_and_others_can_read_it(self, reported: Path) -> None:
         assert not list(reported.rglob("*.tmp"))
-
-    def test_it_is_readable_by_others(self, page: str, reported: Path) -> None:
         assert (reported / "report.html").stat().st_mode & 0o777 == 0o644
 
 
@@ -259,12 +260,12 @@ class TestWhatIsMissing:
         write_summary(run_dir, [], outcome=outcome)
         assert words in words_of(run_dir)
 
-    def test_without_a_summary_the_run_is_called_unfinished(self, run_dir: Path) -> None:
+    def test_without_a_summary_the_run_is_called_unfinished(self, undrawn: None, run_dir: Path) -> None:
         (run_dir / "summary.json").unlink()
         page = page_of(run_dir)
         assert "Unfinished" in page
         assert "summary.json: not there" in missing_in(page)
-        assert len(pictures_in(page)) == 8
+        assert page.count("<img ") == 8
 
     def test_an_empty_folder_gets_a_page(self, tmp_path: Path) -> None:
         page = page_of(tmp_path)
@@ -286,32 +287,31 @@ class TestWhatIsMissing:
         assert [entry.partition(":")[0] for entry in folder.missing] == [f"cycle-00/{name}"]
         assert folder.cycles[1].surface is not None
 
-    def test_a_broken_map_does_not_take_the_page_down(self, run_dir: Path) -> None:
+    def test_a_broken_map_does_not_take_the_page_down(self, undrawn: None, run_dir: Path) -> None:
         (run_dir / "cycle-00" / "surface.npz").write_bytes(b"PK\x03\x04")
         page = page_of(run_dir)
         assert "cycle-00/surface.npz: cannot be read" in missing_in(page)
         assert (run_dir / "pictures" / "cycle-01-maps.png").is_file()
         assert (run_dir / "pictures" / "cycle-00-dwell.png").is_file()
 
-    def test_a_plan_that_lacks_an_array_loses_that_picture_only(self, run_dir: Path) -> None:
+    def test_a_plan_that_lacks_an_array_loses_that_picture_only(self, undrawn: None, run_dir: Path) -> None:
         arrays = plan_arrays()
         del arrays["gamma"]
         np.savez(run_dir / "cycle-00" / "plan.npz", **arrays)
-        page = page_of(run_dir)
-        assert "picture cycle-00-compliance: KeyError" in missing_in(page)
+        assert "picture cycle-00-compliance: KeyError" in missing_in(page_of(run_dir))
         assert (run_dir / "pictures" / "cycle-00-dwell.png").is_file()
 
-    def test_a_prediction_on_another_grid_is_not_drawn(self, run_dir: Path) -> None:
+    def test_a_prediction_on_another_grid_is_not_drawn(self, undrawn: None, run_dir: Path) -> None:
         np.savez(run_dir / "cycle-00" / "plan.npz", **(plan_arrays() | {"residual_nm": np.zeros((5, 5))}))
         assert "picture cycle-00-prediction" in missing_in(page_of(run_dir))
 
-    def test_a_map_without_data_in_the_clear_aperture(self, run_dir: Path) -> None:
+    def test_a_map_without_data_in_the_clear_aperture(self, undrawn: None, run_dir: Path) -> None:
         path = run_dir / "cycle-01" / "surface.npz"
         arrays = dict(np.load(path))
         np.savez(path, **(arrays | {"height_nm": np.full((N, N), np.nan)}))
         assert "picture psd" in missing_in(page_of(run_dir))
 
-    def test_a_summary_of_wrong_shape_is_no_obstacle(self, run_dir: Path) -> None:
+    def test_a_summary_of_wrong_shape_is_no_obstacle(self, undrawn: None, run_dir: Path) -> None:
         (run_dir / "summary.json").write_text(
             '{"cycles": [null, {"rms_nm": "high"}], "notes": null, "tolerance_nm": "x"}'
         )

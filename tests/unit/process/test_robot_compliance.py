@@ -1,0 +1,211 @@
+"""Robot compliance against beam finite elements with a released U joint, and against statics and strain energy."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from polishd.model.errors import ComputeError
+from polishd.model.process import HybridRobot
+from polishd.process.compliance import equivalent_compliance
+from polishd.process.robot import (
+    inverse_kinematics,
+    platform_stiffness,
+    reachable,
+    tip_compliance,
+    tip_compliance_mm_per_n,
+)
+
+ROBOT = HybridRobot()
+DIP = np.radians(15.0)
+UP = np.array([0.0, 0.0, -1.0])
+
+
+def workspace(n: int):
+    """Tips in reach within Table I's cylinder, spindle leaning inward by 15 degrees, as (tips, axes)."""
+    grid, height = np.linspace(-660, 660, n), np.linspace(200, 910, n)
+    x, y, h = (a.ravel() for a in np.meshgrid(grid, grid, height))
+    radius = np.hypot(x, y)
+    keep = (radius <= 660) & (radius > 1)
+    tip = np.stack([x, y, 2535 - h], axis=1)[keep]
+    lean = -tip[:, :2] / radius[keep][:, None] * np.sin(DIP)
+    axis = np.column_stack([lean, np.full(len(tip), -np.cos(DIP))])
+    reach = reachable(ROBOT, tip, axis)
+    return tip[reach], axis[reach]
+
+
+def poses(n: int = 5):
+    tip, axis = workspace(n)
+    return inverse_kinematics(ROBOT, tip, axis)
+
+
+def beam_elements(length: float, bending: float, torsion: float, free_turns: np.ndarray, count: int = 3) -> np.ndarray:
+    """(6, 6) stiffness at the tip of a beam along its third axis, of Euler-Bernoulli elements that slide axially.
+
+    The root is held, but may turn about the columns of ``free_turns`` (3, 2). Order: u, v, w, turns about u, v, w.
+    """
+    h = length / count
+    plane = (bending / h**3) * np.array(
+        [[12, 6 * h, -12, 6 * h], [6 * h, 4 * h**2, -6 * h, 2 * h**2], [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h**2, -6 * h, 4 * h**2]]
+    )  # fmt: skip
+    whole = np.zeros((6 * (count + 1), 6 * (count + 1)))
+    for k in range(count):
+        a, b = 6 * k, 6 * (k + 1)
+        along_u = np.array([a + 0, a + 4, b + 0, b + 4])  # u' = turn about v
+        along_v = np.array([a + 1, a + 3, b + 1, b + 3])  # v' = minus the turn about u
+        flip = np.diag([1.0, -1.0, 1.0, -1.0])
+        whole[np.ix_(along_u, along_u)] += plane
+        whole[np.ix_(along_v, along_v)] += flip @ plane @ flip
+        twist = [a + 5, b + 5]
+        whole[np.ix_(twist, twist)] += torsion / h * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    moves = [np.concatenate([np.zeros(3), turn, np.zeros(6 * count)]) for turn in free_turns.T]
+    inner = [6 * k + j for k in range(1, count) for j in (0, 1, 3, 4, 5)]
+    unit = np.eye(6 * (count + 1))
+    hidden = np.column_stack([*moves, *unit[:, inner].T])
+    tip = unit[:, -6:]
+    corner = hidden.T @ whole @ tip
+    return tip.T @ whole @ tip - corner.T @ np.linalg.solve(hidden.T @ whole @ hidden, corner)
+
+
+def limb_springs(robot: HybridRobot, pose, k: int) -> np.ndarray:
+    """(6, 6) stiffness of the three limbs at pose k, from the exact slope of their lengths (complex step)."""
+    slope = np.empty((3, 6))
+    for j, move in enumerate(np.eye(6)):
+        step = 1e-30j * (move[:3] + np.cross(move[3:], pose.joints_mm[k]))
+        slope[:, j] = np.sqrt(((pose.limbs_mm[k] + step) ** 2).sum(axis=1)).imag / 1e-30
+    return robot.limb_stiffness_n_per_mm * slope.T @ slope
+
+
+def test_the_platform_is_as_stiff_as_beam_elements_and_springs() -> None:
+    pose = poses()
+    got = platform_stiffness(ROBOT, pose)
+    assert len(got) > 30
+    for k, frame in enumerate(pose.frame):
+        released = np.linalg.solve(frame, np.column_stack([[1.0, 0.0, 0.0], frame[:, 1]]))
+        length = float(np.linalg.norm(pose.platform_mm[k]))
+        beam = beam_elements(length, ROBOT.up_bending_n_mm2, ROBOT.up_torsion_n_mm2, released)
+        turn = np.kron(np.eye(2), frame)
+        want = turn @ beam @ turn.T + limb_springs(ROBOT, pose, k)
+        scale = np.sqrt(np.outer(np.diag(want), np.diag(want)))
+        assert (np.abs(got[k] - want) / scale).max() < 1e-9
+
+
+def stored_energy(robot: HybridRobot, pose, k: int, force: np.ndarray) -> float:
+    """Twice the strain energy under a force at the tip: reactions by statics, beam moments integrated along the limb."""
+    frame = pose.frame[k]
+    u, v, w = frame.T
+    n = np.cross([1.0, 0.0, 0.0], v)
+    direction = pose.limbs_mm[k] / np.linalg.norm(pose.limbs_mm[k], axis=1)[:, None]
+    base = pose.platform_mm[k] + pose.joints_mm[k] - pose.limbs_mm[k]
+    # columns: three limbs' pushes, the U joint's shear along u and v, its moment about n; all act on the moving part
+    balance = np.column_stack(
+        [*(np.concatenate([d, np.cross(b, d)]) for d, b in zip(direction, base, strict=True)), [*u, 0, 0, 0], [*v, 0, 0, 0], [0, 0, 0, *n]]
+    )  # fmt: skip
+    reaction = np.linalg.solve(balance, -np.concatenate([force, np.cross(pose.tip_mm[k], force)]))
+    energy = (reaction[:3] ** 2).sum() / robot.limb_stiffness_n_per_mm
+    length = float(np.linalg.norm(pose.platform_mm[k]))
+    node, weight = np.polynomial.legendre.leggauss(4)
+    for z, share in zip((node + 1) * length / 2, weight * length / 2, strict=True):
+        moment = reaction[5] * n + np.cross(-z * w, reaction[3] * u + reaction[4] * v)
+        twist = moment @ w
+        energy += share * ((moment @ moment - twist**2) / robot.up_bending_n_mm2 + twist**2 / robot.up_torsion_n_mm2)
+    torque = np.cross(pose.tip_mm[k] - pose.wrist_mm[k], force)
+    hinge = np.cross(w, pose.axis[k])
+    energy += (torque @ w) ** 2 / robot.c_stiffness_n_mm_per_rad
+    return energy + (torque @ hinge) ** 2 / (hinge @ hinge) / robot.a_stiffness_n_mm_per_rad
+
+
+def test_the_tip_gives_way_as_the_strain_energy_says() -> None:
+    pose = poses()
+    compliance = tip_compliance_mm_per_n(ROBOT, pose.tip_mm, pose.axis)
+    for k, matrix in enumerate(compliance):
+        for force in np.random.default_rng(k).normal(size=(4, 3)):
+            assert force @ matrix @ force == pytest.approx(stored_energy(ROBOT, pose, k, force), rel=1e-9)
+
+
+def test_it_is_symmetric_and_positive_definite_over_the_workspace() -> None:
+    tip, axis = workspace(9)
+    whole = tip_compliance(ROBOT, inverse_kinematics(ROBOT, tip, axis))
+    scale = np.sqrt(np.einsum("nii,njj->nij", whole, whole))
+    assert (np.abs(whole - whole.transpose(0, 2, 1)) / scale).max() < 1e-12
+    assert np.linalg.eigvalsh(whole / scale).min() > 0
+    np.testing.assert_array_equal(whole[:, :3, :3], tip_compliance_mm_per_n(ROBOT, tip, axis))
+
+
+def test_a_mirrored_pose_has_the_mirrored_compliance() -> None:
+    mirror = np.array([-1.0, 1.0, 1.0])
+    tip, axis = workspace(7)
+    there = tip_compliance_mm_per_n(ROBOT, tip, axis)
+    here = tip_compliance_mm_per_n(ROBOT, tip * mirror, axis * mirror)
+    np.testing.assert_allclose(here, mirror[:, None] * there * mirror, rtol=0, atol=1e-14)
+
+
+def test_renaming_the_limbs_changes_nothing() -> None:
+    tip, axis = workspace(7)
+    renamed = dataclasses.replace(ROBOT, first_limb_deg=ROBOT.first_limb_deg + 120)
+    want = tip_compliance_mm_per_n(ROBOT, tip, axis)
+    np.testing.assert_allclose(tip_compliance_mm_per_n(renamed, tip, axis), want, rtol=0, atol=1e-14)
+
+
+def test_the_whole_compliance_moves_with_its_point_of_reference() -> None:
+    """A longer tool on the same wrist: carrying the 6 x 6 by hand to the new tip must give what the robot gives."""
+    pose = poses()
+    step = -50.0 * pose.axis
+    longer = dataclasses.replace(ROBOT, tool_length_mm=ROBOT.tool_length_mm + 50.0)
+    got = tip_compliance(longer, inverse_kinematics(longer, pose.tip_mm + step, pose.axis))
+    for k, matrix in enumerate(tip_compliance(ROBOT, pose)):
+        carry = np.eye(6)
+        carry[:3, 3:] = -np.cross(step[k], np.eye(3)).T
+        want = carry @ matrix @ carry.T
+        np.testing.assert_allclose(got[k], want, rtol=1e-9, atol=1e-18)
+
+
+def test_twice_as_stiff_members_give_way_half_as_much() -> None:
+    tip, axis = workspace(5)
+    names = [f.name for f in dataclasses.fields(ROBOT) if "stiffness" in f.name or f.name.startswith("up_")]
+    assert len(names) == 5
+    twice = dataclasses.replace(ROBOT, **{name: 2 * getattr(ROBOT, name) for name in names})
+    want = tip_compliance_mm_per_n(ROBOT, tip, axis) / 2
+    np.testing.assert_allclose(tip_compliance_mm_per_n(twice, tip, axis), want, rtol=1e-9, atol=1e-15)
+
+
+def test_the_figures_published_for_the_workspace() -> None:
+    tip, axis = workspace(25)
+    matrix = tip_compliance_mm_per_n(ROBOT, tip, axis) * 1e3
+    compliance = equivalent_compliance(matrix, axis, np.tile(UP, (len(tip), 1)))
+    assert compliance.min() == pytest.approx(1.039, abs=0.003)
+    assert compliance.max() == pytest.approx(1.972, abs=0.005)
+    worst = np.linalg.eigvalsh(matrix)[:, 2]
+    assert worst.min() == pytest.approx(5.4, abs=0.05)
+    assert worst.max() == pytest.approx(7.3, abs=0.05)
+
+
+def test_a_tenth_off_the_torsion_of_a_shows_in_the_compliance() -> None:
+    tip, axis = workspace(9)
+    soft = dataclasses.replace(ROBOT, a_stiffness_n_mm_per_rad=0.9 * ROBOT.a_stiffness_n_mm_per_rad)
+    normal = np.tile(UP, (len(tip), 1))
+    before, after = (
+        equivalent_compliance(tip_compliance_mm_per_n(r, tip, axis), axis, normal) for r in (ROBOT, soft)
+    )
+    change = np.abs(after / before - 1)
+    assert 0.05 < np.median(change) < 0.11
+    assert change.max() < 0.13
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("limb_stiffness_n_per_mm", "N/mm"),
+        ("up_bending_n_mm2", r"N mm\^2"),
+        ("up_torsion_n_mm2", r"N mm\^2"),
+        ("a_stiffness_n_mm_per_rad", "N mm/rad"),
+        ("c_stiffness_n_mm_per_rad", "N mm/rad"),
+    ],
+)
+def test_a_member_without_stiffness_is_refused_by_name(name, unit) -> None:
+    tip, axis = workspace(5)
+    for value in (0.0, np.nan, -1.0, np.inf):
+        with pytest.raises(ComputeError, match=f"{name} is .* {unit}, it must be above 0"):
+            tip_compliance_mm_per_n(dataclasses.replace(ROBOT, **{name: value}), tip, axis)
