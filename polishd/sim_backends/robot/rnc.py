@@ -49,8 +49,8 @@ class Reader:
 
     def read(self, line: bytes) -> Block:
         """Understand one line; ProgramError says why not."""
-        words = _words(line)
-        if self.ended or not words:
+        words = [] if self.ended else _words(line)
+        if not words:
             return Block("none", self.pose)
         state = _Line.of(words)
         self._modes(state)

@@ -50,7 +50,6 @@ async def ends(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[
 
 async def test_bytes_go_both_ways(ends: Ends) -> None:
     stream, _, peer = ends
-    assert isinstance(stream, ByteStream) if hasattr(ByteStream, "_is_runtime_protocol") else True
     await stream.write(b"there")
     while peer.heard != b"there":  # noqa: ASYNC110
         await asyncio.sleep(0.001)
@@ -61,7 +60,7 @@ async def test_bytes_go_both_ways(ends: Ends) -> None:
 
 async def test_silence_is_a_link_error_and_not_the_end(ends: Ends) -> None:
     stream, _, peer = ends
-    with pytest.raises(LinkError, match="silent for 0.01 s"):
+    with pytest.raises(LinkError, match=r"silent for 0\.01 s"):
         await stream.read(1, 0.01)
     peer.send(b"late")
     assert await stream.read(4, 1.0) == b"late"
@@ -117,12 +116,11 @@ async def test_a_peer_that_takes_nothing_is_dead(ends: Ends, monkeypatch: pytest
         for client in wire._clients:
             client.pause_reading()
     with pytest.raises(LinkError, match="takes no data"):
-        for _ in range(1000):
-            await stream.write(bytes(1 << 16))
+        await stream.write(bytes(1 << 24))
 
 
 async def test_nobody_there() -> None:
-    with pytest.raises(LinkError, match="tcp://127.0.0.1:9"):
+    with pytest.raises(LinkError, match=r"tcp://127\.0\.0\.1:9"):
         await open_stream(Tcp("127.0.0.1", 9))
     with pytest.raises(LinkError, match="serial:/nowhere/tty"):
         await open_stream(SerialLine(Path("/nowhere/tty")))
@@ -143,7 +141,7 @@ async def test_a_late_wake_up_loses_nothing() -> None:
     buffer = ReadBuffer("it")
     taking = asyncio.create_task(buffer.take(10, 0.01))
     await asyncio.sleep(0)
-    time.sleep(0.03)  # the loop was stalled past the time, and the bytes came meanwhile
+    time.sleep(0.03)  # noqa: ASYNC251 -- the loop was stalled past the time, and the bytes came meanwhile
     buffer.feed(b"in time")
     assert await taking == b"in time"
 

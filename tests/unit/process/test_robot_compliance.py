@@ -28,7 +28,8 @@ def workspace(n: int):
     grid, height = np.linspace(-660, 660, n), np.linspace(200, 910, n)
     x, y, h = (a.ravel() for a in np.meshgrid(grid, grid, height))
     radius = np.hypot(x, y)
-    keep = (radius <= 660) & (radius > 1)
+    keep = radius <= 660
+    x[radius < 1], radius[radius < 1] = 1e-3, 1e-3  # inward is not defined on the base's z axis itself
     tip = np.stack([x, y, 2535 - h], axis=1)[keep]
     lean = -tip[:, :2] / radius[keep][:, None] * np.sin(DIP)
     axis = np.column_stack([lean, np.full(len(tip), -np.cos(DIP))])

@@ -1,0 +1,167 @@
+"""From an interferometer map to the process grid: resample, fill, level, and the masks that stay for all cycles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
+
+from polishd.model.errors import BadMap
+from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
+from polishd.process.metrics import polynomial
+
+MARGIN_MM = 5.0
+"""How far the process grid reaches beyond the aperture: where the path turns."""
+COVERED = 0.5
+"""Share of a cell's area that must have data for the cell to be valid."""
+MIN_SAMPLES = 100
+MIN_VALID = 0.8
+"""Share of the aperture's cells that must be valid in the map that sets the masks."""
+MAX_FILLED = 0.05
+"""Share of a frozen mask that later maps may lack and have filled."""
+
+
+@dataclass(frozen=True, slots=True)
+class Conditioned:
+    """A surface on the process grid, with its masks."""
+
+    grid: Grid
+    height_nm: FloatArray
+    """(ny, nx) piston and tilt over ``metric_mask`` removed; holes filled; NaN outside the aperture."""
+    solve_mask: BoolArray
+    """(ny, nx) valid data within the aperture, as of the first cycle."""
+    metric_mask: BoolArray
+    """(ny, nx) the same within the clear aperture: the aperture less its edge."""
+    filled: int
+    """Samples of ``solve_mask`` that had no data in this map."""
+
+
+def condition(
+    surface: SurfaceMap,
+    *,
+    aperture_mm: float,
+    edge_mm: float,
+    grid_mm: float,
+    masks: tuple[BoolArray, BoolArray] | None = None,
+    margin_mm: float = MARGIN_MM,
+) -> Conditioned:
+    """Bring a map onto the process grid. The centre of the map's array is the part's centre.
+
+    Args:
+        surface: the map as its reader gave it.
+        aperture_mm: diameter of the part's aperture.
+        edge_mm: width of the rim outside the clear aperture.
+        grid_mm: pitch of the process grid.
+        masks: ``(solve_mask, metric_mask)`` of an earlier map, to be kept; None for the first map.
+        margin_mm: reach of the grid beyond the aperture.
+
+    Raises:
+        BadMap: no lateral scale, no data, a map smaller than the aperture, too few samples or too many holes in it,
+            or masks of another grid.
+    """
+    _check(surface, aperture_mm)
+    grid = process_grid(aperture_mm, grid_mm, margin_mm)
+    raw = resample(surface.height_nm, surface.grid, grid)
+    radius = grid.radius_mm()
+    aperture = radius <= aperture_mm / 2
+    solve, metric = _new_masks(raw, aperture, radius <= aperture_mm / 2 - edge_mm) if masks is None else masks
+    if solve.shape != grid.shape or metric.shape != grid.shape:
+        raise BadMap(f"the masks of the first map are {solve.shape}, the process grid is {grid.shape}")
+    missing = int(np.count_nonzero(solve & ~np.isfinite(raw)))
+    if missing > MAX_FILLED * np.count_nonzero(solve):
+        raise BadMap(f"{missing} of {np.count_nonzero(solve)} samples that the first map had are missing in this one")
+    height = fill_holes(np.where(aperture | solve, raw, np.nan))
+    height = height - polynomial(height, metric, 1)
+    return Conditioned(grid, np.where(aperture | solve, height, np.nan), solve, metric, missing)
+
+
+def process_grid(aperture_mm: float, grid_mm: float, margin_mm: float = MARGIN_MM) -> Grid:
+    """The square grid that covers the aperture and a margin around it."""
+    n = int(np.ceil((aperture_mm + 2 * margin_mm) / grid_mm - 1e-9))
+    return Grid(n, n, grid_mm)
+
+
+def resample(height_nm: FloatArray, source: Grid, target: Grid) -> FloatArray:
+    """Area average of a map onto another grid with the same centre: volume is conserved.
+
+    Args:
+        height_nm: (source.ny, source.nx), NaN = no data.
+        source: the map's grid.
+        target: the grid wanted.
+
+    Returns:
+        (target.ny, target.nx) mean of the data in each cell; NaN where they cover less than half of it.
+    """
+    valid = np.isfinite(height_nm)
+    rows = _overlap(source.ny, source.pitch_mm, target.ny, target.pitch_mm)
+    columns = _overlap(source.nx, source.pitch_mm, target.nx, target.pitch_mm).T
+    area = rows @ (valid.astype(np.float64) @ columns)
+    volume = rows @ (np.where(valid, height_nm, 0.0) @ columns)
+    enough = area >= COVERED * target.pitch_mm**2 * (1 - 1e-9)
+    return np.where(enough, volume / np.where(enough, area, 1.0), np.nan)
+
+
+def fill_holes(height_nm: FloatArray) -> FloatArray:
+    """Fill every NaN harmonically: each filled sample is the mean of its neighbours (a stretched membrane).
+
+    Args:
+        height_nm: (ny, nx), NaN = no data.
+
+    Returns:
+        (ny, nx) without NaN; data are untouched.
+
+    Raises:
+        BadMap: there are no data at all.
+    """
+    hole = ~np.isfinite(height_nm)
+    if hole.all():
+        raise BadMap("the map holds no data")
+    if not hole.any():
+        return height_nm.copy()
+    index = np.arange(hole.size).reshape(hole.shape)
+    ends = [(index[:, 1:], index[:, :-1]), (index[1:], index[:-1])]
+    a = np.concatenate([pair[i].ravel() for i in (0, 1) for pair in ends])
+    b = np.concatenate([pair[1 - i].ravel() for i in (0, 1) for pair in ends])
+    flat = hole.ravel()
+    a, b = a[flat[a]], b[flat[a]]  # one equation per hole: neighbours' sum = count * own
+    known = np.bincount(a, np.where(flat[b], 0.0, height_nm.ravel()[b]), minlength=hole.size)[flat]
+    number = np.cumsum(flat) - 1
+    both = flat[b]
+    links = sparse.coo_array((np.ones(both.sum()), (number[a[both]], number[b[both]])), shape=(flat.sum(),) * 2)
+    count = np.bincount(a, minlength=hole.size)[flat]
+    filled = height_nm.copy()
+    filled[hole] = spsolve(sparse.csc_array(sparse.diags_array(count.astype(np.float64)) - links), known)
+    return filled
+
+
+def _check(surface: SurfaceMap, aperture_mm: float) -> None:
+    name = surface.path.name if surface.path is not None else "the map"
+    if surface.pitch_mm is None:
+        raise BadMap(f"{name} has no lateral scale: give the instrument's profile a pitch")
+    if not surface.valid.any():
+        raise BadMap(f"{name} holds no data")
+    size = min(surface.height_nm.shape) * surface.pitch_mm
+    if size < aperture_mm - surface.pitch_mm:
+        raise BadMap(f"{name} is {size:g} mm wide, the aperture {aperture_mm:g} mm")
+
+
+def _new_masks(raw: FloatArray, aperture: BoolArray, clear: BoolArray) -> tuple[BoolArray, BoolArray]:
+    solve = aperture & np.isfinite(raw)
+    metric = clear & solve
+    if np.count_nonzero(metric) < MIN_SAMPLES:
+        raise BadMap(f"the clear aperture has {np.count_nonzero(metric)} samples with data, fewer than {MIN_SAMPLES}")
+    if np.count_nonzero(solve) < MIN_VALID * np.count_nonzero(aperture):
+        share = np.count_nonzero(solve) / np.count_nonzero(aperture)
+        raise BadMap(f"only {share:.0%} of the aperture has data, less than {MIN_VALID:.0%}")
+    return solve, metric
+
+
+def _overlap(n_source: int, pitch_source: float, n_target: int, pitch_target: float) -> sparse.csr_array:
+    """(n_target, n_source) mm: how much of each target cell's side each source cell covers, centres aligned."""
+    left_t = (np.arange(n_target) - n_target / 2) * pitch_target
+    left_s = (np.arange(n_source) - n_source / 2) * pitch_source
+    start = np.maximum(left_t[:, None], left_s[None, :])
+    end = np.minimum(left_t[:, None] + pitch_target, left_s[None, :] + pitch_source)
+    return sparse.csr_array(np.maximum(end - start, 0.0))

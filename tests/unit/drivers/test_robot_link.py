@@ -1,0 +1,394 @@
+"""The robot driver against a robot that drops, garbles, delays and restarts."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import time
+from collections.abc import AsyncIterator, Iterable
+
+import pytest
+
+from polishd.api import DeviceFault, DeviceRefused, Executed, LinkError, ProtocolError
+from polishd.drivers.robot_link import RobotLink, connection, driver
+from polishd.drivers.transport.address import Tcp
+from tests.fakes import robot as wire
+from tests.fakes.robot import FakeRobot
+from tests.programs import plan_of
+
+Pair = tuple[RobotLink, FakeRobot]
+PLAN = plan_of([b"G1 X%d F60" % at for at in range(200)])
+
+
+@pytest.fixture
+async def pair() -> AsyncIterator[Pair]:
+    fake = await FakeRobot().start()
+    robot = RobotLink(Tcp("127.0.0.1", fake.port), client="test")
+    await robot.open()
+    yield robot, fake
+    await robot.close()
+    await fake.close()
+
+
+async def collect(robot: RobotLink, into: list[Executed], from_seq: int = 0) -> None:
+    async for one in robot.executed(from_seq):
+        into.append(one)  # noqa: PERF401 -- what came before an error counts
+
+
+async def test_nobody_listens() -> None:
+    robot = RobotLink(Tcp("127.0.0.1", 9))
+    with pytest.raises(LinkError):
+        await robot.open()
+    with pytest.raises(LinkError):
+        await robot.make_safe()
+    assert robot.buffer_s == 0.0
+
+
+async def test_one_writer_only(pair: Pair) -> None:
+    _, fake = pair
+    second = RobotLink(Tcp("127.0.0.1", fake.port))
+    with pytest.raises(DeviceRefused, match="busy"):
+        await second.open()
+    reader = RobotLink(Tcp("127.0.0.1", fake.port), role="reader")
+    await reader.open()
+    assert (await reader.progress()).state == "idle"
+    with pytest.raises(DeviceRefused, match="reader"):
+        await reader.prepare(PLAN)
+    await reader.hold()
+    await reader.close()
+
+
+async def test_readers_see_it_all(pair: Pair) -> None:
+    robot, fake = pair
+    reader = RobotLink(Tcp("127.0.0.1", fake.port), role="reader")
+    await robot.prepare(PLAN)
+    await robot.send(PLAN.segments[:50])
+    await reader.open()
+    await robot.resume(until=50)
+    seen: list[Executed] = []
+    async for one in reader.executed():
+        seen.append(one)
+        if one.seq == 49:
+            break
+    assert [one.seq for one in seen] == list(range(50))
+    await reader.close()
+
+
+async def test_pings_keep_it_running(pair: Pair) -> None:
+    robot, fake = pair
+    fake.block_s = 0.9
+    await robot.prepare(PLAN)
+    await robot.send(PLAN.segments[:10])
+    await robot.resume()
+    seen: list[Executed] = []
+    async with asyncio.timeout(3):
+        async for one in robot.executed():
+            seen.append(one)
+            break
+    assert fake.state == "running"
+    assert fake.heard.count(wire.PING) >= 3
+
+
+async def test_a_robot_that_hears_nothing_holds(pair: Pair) -> None:
+    robot, fake = pair
+    fake.block_s = 0.5
+    fake.watchdog_s = 0.1
+    await robot.prepare(PLAN)
+    await robot.send(PLAN.segments[:10])
+    await robot.resume()
+    async with asyncio.timeout(3):
+        while (progress := await robot.progress()).state == "running":
+            await asyncio.sleep(0.01)
+    assert (progress.state, progress.detail) == ("held", "watchdog")
+
+
+async def test_missed_records_come_after_a_reconnect(pair: Pair) -> None:
+    robot, fake = pair
+    await robot.prepare(PLAN)
+    await robot.send(PLAN.segments[:64])
+    await robot.resume(until=60)
+    seen: list[Executed] = []
+    with pytest.raises(LinkError):
+        async for one in robot.executed():
+            seen.append(one)
+            if one.seq == 10:
+                fake.drop()
+    assert len(seen) > 10
+    with pytest.raises(LinkError):
+        await robot.progress()
+    while fake.state == "running":  # noqa: ASYNC110
+        await asyncio.sleep(0.01)
+    await robot.open()
+    async for one in robot.executed(len(seen)):
+        seen.append(one)
+        if one.seq == 59:
+            break
+    assert [one.seq for one in seen] == list(range(60))
+    assert fake.state == "held"
+    await robot.send(PLAN.segments[50:100])
+    await robot.resume()
+
+
+async def test_a_new_process_hears_it_from_the_beginning(pair: Pair) -> None:
+    robot, fake = pair
+    short = plan_of([b"G1"] * 30)
+    await robot.prepare(short)
+    await robot.send(short.segments)
+    await robot.resume()
+    seen: list[Executed] = []
+    await collect(robot, seen)
+    await robot.close()
+    other = RobotLink(Tcp("127.0.0.1", fake.port))
+    await other.open()
+    assert (await other.progress()).program_sha256 == short.program.sha256
+    again: list[Executed] = []
+    await collect(other, again)
+    assert again == seen
+    await other.close()
+
+
+async def test_a_restart_loses_the_program_and_says_so(pair: Pair) -> None:
+    robot, fake = pair
+    await robot.prepare(PLAN)
+    await robot.send(PLAN.segments[:60])
+    await robot.resume()
+    async for one in robot.executed():
+        if one.seq == 5:
+            break
+    before = await robot.identify()
+    fake.reboot()
+    with pytest.raises(LinkError):
+        await collect(robot, [])
+    await robot.open()
+    after = await robot.identify()
+    assert before.boot_id != after.boot_id
+    progress = await robot.progress()
+    assert (progress.state, progress.program_sha256, progress.executed) == ("idle", "", 0)
+    seen: list[Executed] = []
+    await collect(robot, seen)
+    assert seen == []
+
+
+async def test_another_program_meanwhile_is_heard_from_its_beginning(pair: Pair) -> None:
+    robot, fake = pair
+    await robot.prepare(PLAN)
+    await robot.send(PLAN.segments[:60])
+    await robot.resume(until=20)
+    async for one in robot.executed():
+        if one.seq == 19:
+            break
+    await robot.close()
+    other_plan = plan_of([b"M2"] * 30)
+    other = RobotLink(Tcp("127.0.0.1", fake.port))
+    await other.open()
+    await other.hold()
+    await other.prepare(other_plan)
+    await other.send(other_plan.segments)
+    await other.resume()
+    await collect(other, [])
+    await other.close()
+    await robot.open()
+    seen: list[Executed] = []
+    await collect(robot, seen)
+    assert [one.seq for one in seen] == list(range(30))
+
+
+async def run_through(robot: RobotLink, blocks: int) -> list[int]:
+    plan = plan_of([b"G1 X%d" % at for at in range(blocks)])
+    await robot.prepare(plan)
+    await robot.send(plan.segments[:40])
+    await robot.resume()
+    seen: list[Executed] = []
+    async with asyncio.TaskGroup() as group:
+        group.create_task(collect(robot, seen))
+        for at in range(40, blocks, 30):
+            await robot.send(plan.segments[at : at + 30])
+    return [one.seq for one in seen]
+
+
+async def test_lost_blocks_are_sent_again(pair: Pair) -> None:
+    robot, fake = pair
+    fake.block_s = 0.02
+    chance = random.Random(5)
+    fake.ignores = lambda kind, payload: kind == wire.BLOCKS and chance.random() < 0.3
+    assert await run_through(robot, 100) == list(range(100))
+    assert fake.lines == [b"G1 X%d" % at for at in range(100)]
+
+
+async def test_lost_accepted_is_survived(pair: Pair) -> None:
+    robot, fake = pair
+    chance = random.Random(7)
+
+    def lossy(kind: int, frame: bytes) -> Iterable[bytes]:
+        return [] if kind in (wire.ACCEPTED, wire.RESEND) and chance.random() < 0.5 else [frame]
+
+    fake.outgoing = lossy
+    assert await run_through(robot, 100) == list(range(100))
+
+
+async def test_garbled_status_and_doubled_records_are_survived(pair: Pair) -> None:
+    robot, fake = pair
+
+    def faulty(kind: int, frame: bytes) -> Iterable[bytes]:
+        if kind == wire.STATUS:
+            broken = bytearray(frame)
+            broken[-1] ^= 1
+            return [bytes(broken), frame]
+        return [frame, frame] if kind == wire.EXECUTED else [b"PL\0garbage", frame]
+
+    fake.outgoing = faulty
+    assert await run_through(robot, 100) == list(range(100))
+
+
+async def test_lost_records_end_the_link_and_come_after_a_reconnect(pair: Pair) -> None:
+    robot, fake = pair
+    plan = plan_of([b"G1"] * 40)
+    await robot.prepare(plan)
+    await robot.send(plan.segments)
+    lost: list[bytes] = []
+
+    def lossy(kind: int, frame: bytes) -> Iterable[bytes]:
+        if kind == wire.EXECUTED and not lost:
+            lost.append(frame)
+            return []
+        return [frame]
+
+    fake.outgoing = lossy
+    await robot.resume()
+    with pytest.raises(LinkError, match="lost on the wire"):
+        await collect(robot, [])
+    await robot.open()
+    while fake.state == "running":  # noqa: ASYNC110
+        await asyncio.sleep(0.01)
+    seen: list[Executed] = []
+    await collect(robot, seen)
+    assert [one.seq for one in seen] == list(range(40))
+
+
+async def test_a_robot_that_takes_no_blocks_is_not_asked_for_ever(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, fake = pair
+    monkeypatch.setattr(connection, "RESEND_S", 0.03)
+    await robot.prepare(PLAN)
+    fake.ignores = lambda kind, payload: kind == wire.BLOCKS
+    with pytest.raises(ProtocolError, match="does not accept block 0"):
+        await robot.send(PLAN.segments[:5])
+    fake.ignores = lambda kind, payload: False
+    await robot.send(PLAN.segments[:5])
+
+
+async def test_commands_are_sent_once(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, fake = pair
+    monkeypatch.setattr(connection.Connection.command, "__defaults__", (0.1,))
+    await robot.prepare(PLAN)
+    await robot.send(PLAN.segments[:5])
+    fake.ignores = lambda kind, payload: kind == wire.RESUME
+    with pytest.raises(LinkError, match="no answer"):
+        await robot.resume()
+    assert fake.heard.count(wire.RESUME) == 1
+
+
+async def test_another_program_than_announced(pair: Pair) -> None:
+    robot, fake = pair
+    forget = fake.forget
+    fake.forget = lambda sha="", blocks=0: forget("0" * 64, blocks)  # type: ignore[method-assign]
+    with pytest.raises(ProtocolError, match="holds '0000"):
+        await robot.prepare(PLAN)
+
+
+async def test_hold_is_known_from_status_where_its_answer_is_lost(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, fake = pair
+    monkeypatch.setattr(driver, "HOLD_ANSWER_S", 0.1)
+    fake.outgoing = lambda kind, frame: [] if kind == wire.ACK and fake.heard[-1] == wire.HOLD else [frame]
+    fake.block_s = 0.1
+    await robot.prepare(PLAN)
+    await robot.send(PLAN.segments[:30])
+    await robot.resume()
+    await robot.hold()
+    assert fake.state == "held"
+
+
+async def test_a_robot_that_does_not_stop_is_a_fault(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, fake = pair
+    monkeypatch.setattr(driver, "HOLD_ANSWER_S", 0.1)
+    monkeypatch.setattr(driver, "HOLD_S", 0.2)
+    fake.brake_s, fake.block_s = 60.0, 0.1
+    await robot.prepare(PLAN)
+    await robot.send(PLAN.segments[:30])
+    await robot.resume()
+    with pytest.raises(DeviceFault, match="goes on running"):
+        await robot.hold()
+
+
+async def test_make_safe_reaches_a_robot_whose_link_was_cut(pair: Pair) -> None:
+    robot, fake = pair
+    fake.block_s, fake.watchdog_s = 0.1, 60.0
+    await robot.prepare(PLAN)
+    await robot.send(PLAN.segments[:30])
+    await robot.resume()
+    fake.drop()
+    with pytest.raises(LinkError):
+        await robot.hold()
+    await robot.make_safe()
+    assert fake.state == "held"
+    with pytest.raises(LinkError):
+        await robot.progress()
+
+
+async def test_records_come_before_the_fault(pair: Pair) -> None:
+    robot, fake = pair
+    await robot.prepare(PLAN)
+    await robot.send(PLAN.segments[:40])
+    await robot.resume()
+    seen: list[Executed] = []
+    with pytest.raises(DeviceFault, match="servo"):
+        async for one in robot.executed():
+            seen.append(one)
+            if one.seq == 10:
+                fake.state, fake.detail = "fault", "servo"
+    assert len(seen) == len(fake.done)
+    status = await robot.status()
+    assert (status.ready, status.safe, status.detail) == (False, False, "servo")
+
+
+async def test_abort_ends_what_is_followed(pair: Pair) -> None:
+    robot, fake = pair
+    fake.block_s = 0.05
+    await robot.prepare(PLAN)
+    await robot.send(PLAN.segments[:40])
+    await robot.resume()
+    following = asyncio.create_task(collect(robot, []))
+    await asyncio.sleep(0)
+    await robot.abort()
+    await following
+    assert (await robot.progress()).state == "idle"
+
+
+async def test_many_commands_at_once(pair: Pair) -> None:
+    robot, fake = pair
+    await robot.prepare(PLAN)
+    await robot.send(PLAN.segments[:40])
+    await asyncio.gather(*(robot.hold() for _ in range(5)), *(robot.resume(until=0) for _ in range(5)))
+    assert fake.heard.count(wire.RESUME) == 5
+
+
+async def test_a_cancelled_send_goes_on_where_it_was(pair: Pair) -> None:
+    robot, fake = pair
+    await robot.prepare(PLAN)
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(0.05):
+            await robot.send(PLAN.segments[:100])
+    await robot.resume()
+    await robot.send(PLAN.segments[:100])
+    assert fake.lines == [segment.text for segment in PLAN.segments[:100]]
+
+
+async def test_sending_is_fast(pair: Pair) -> None:
+    robot, fake = pair
+    fake.window = 100_000
+    plan = plan_of([b"G1 X%d Y12.345 F1200" % at for at in range(20_000)])
+    await robot.prepare(plan)
+    fake.say_all(wire.ACCEPTED, fake.accepted())
+    began = time.monotonic()
+    await robot.send(plan.segments)
+    assert time.monotonic() - began < 3.0
+    assert len(fake.lines) == 20_000

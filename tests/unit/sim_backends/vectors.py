@@ -1,0 +1,16 @@
+"""The test vectors of docs/protocols/, which the simulator's codecs are held to."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+DOCS = Path(__file__).resolve().parents[3] / "docs" / "protocols"
+
+
+def vectors(name: str) -> dict[str, str]:
+    """``name value`` of each line of the vectors block of a protocol's page."""
+    text = (DOCS / f"{name}.md").read_text()
+    block = re.search(r"```vectors\n(.*?)```", text, re.DOTALL)
+    assert block is not None, f"{name}.md has no vectors"
+    return {key: value for key, value in (line.split(" ", 1) for line in block[1].strip().splitlines())}
