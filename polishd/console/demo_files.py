@@ -22,7 +22,7 @@ from polishd.plugins.rnc_robot.make import raster_program
 from polishd.process import frames
 from polishd.process.raster import raster
 
-OVERRUN_MM = 3.0
+OVERRUN_MM = 2.0
 """How far the raster goes beyond the clear aperture: more than the spot's radius, so that its rim is reached."""
 LANDING_MM = 6.0
 """How far outside the part the tool lands, on the ring that the part sits in."""
@@ -96,7 +96,8 @@ def write_demo(out: Path, surface: Path | None, tolerance_nm: float, cycles: int
 def demo_program(config: CellConfig) -> bytes:
     """A boustrophedon raster over the clear aperture and a little more, dipped radially inward, as RNC text."""
     radius = config.part.aperture_mm / 2 - config.part.edge_mm + OVERRUN_MM
-    points = raster(radius_mm=radius, step_mm=1.0, block_mm=1.0, landing_mm=config.part.aperture_mm / 2 + LANDING_MM)
+    landing = config.part.aperture_mm / 2 + LANDING_MM - radius
+    points = raster(radius, step_mm=1.0, block_mm=1.0, landing_mm=landing)
     placement = config.placement()
     base = frames.points_to_base(placement, points)
     normals = frames.surface_normals(placement, len(points))

@@ -51,6 +51,7 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
         part_id=config.part.id,
         aperture_mm=config.part.aperture_mm,
         edge_mm=config.part.edge_mm,
+        tilt_is_alignment=config.part.alignment == "tilt",
         grid_mm=config.process.grid_mm,
         program_offset_mm=config.program.offset_mm,
         program_rotation_deg=config.program.rotation_deg,

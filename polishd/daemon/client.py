@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import socket
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncGenerator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -48,7 +48,7 @@ async def request_async(state_dir: Path, verb: str, within_s: float = ANSWER_S) 
         raise _silent(state_dir, within_s) from None
 
 
-async def subscribe_async(state_dir: Path) -> AsyncIterator[dict[str, Any]]:
+async def subscribe_async(state_dir: Path) -> AsyncGenerator[dict[str, Any], None]:
     """``subscribe`` for an event loop; close it (``contextlib.aclosing``) to hang up."""
     reader, writer = await _open_async(state_dir, "subscribe")
     try:

@@ -84,6 +84,7 @@ class PartSection(Section):
     id: Text
     aperture_mm: Annotated[float, Field(gt=0, le=5000)]
     edge_mm: NotNegative = 3.0
+    alignment: Literal["piston", "tilt"] = "piston"
     origin_mm: Vector
     rotation_rpy_deg: Angles
 

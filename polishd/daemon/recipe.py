@@ -16,6 +16,7 @@ class Recipe:
     part_id: str
     aperture_mm: float
     edge_mm: float
+    tilt_is_alignment: bool
     grid_mm: float
     program_offset_mm: tuple[float, float, float]
     program_rotation_deg: float

@@ -72,16 +72,14 @@ def read_program(recipe: Recipe, path: Path) -> Program:
 def condition(recipe: Recipe, surface: SurfaceMap, masks: tuple[BoolArray, BoolArray] | None) -> Measured:
     """Bring a map onto the process grid and state its figures; BadMap where it cannot be trusted."""
     part = conditioning.condition(
-        surface, aperture_mm=recipe.aperture_mm, edge_mm=recipe.edge_mm, grid_mm=recipe.grid_mm, masks=masks
+        surface,
+        aperture_mm=recipe.aperture_mm,
+        edge_mm=recipe.edge_mm,
+        grid_mm=recipe.grid_mm,
+        masks=masks,
+        tilt=recipe.tilt_is_alignment,
     )
-    stats = metrics.surface_stats(
-        part.height_nm,
-        part.metric_mask,
-        part.grid.pitch_mm,
-        lsf_period_mm=recipe.lsf_period_mm,
-        band_period_mm=recipe.tolerance_period_mm or None,
-    )
-    return Measured(part.grid, part.height_nm, part.solve_mask, part.metric_mask, stats, surface.sha256)
+    return _measured(recipe, part.grid, part.height_nm, (part.solve_mask, part.metric_mask), surface.sha256)
 
 
 def in_part_frame(recipe: Recipe, program: Program) -> Program:
@@ -123,7 +121,9 @@ def learn(
     """
     (before, after), (asked_s, executed_s) = surfaces, times
     predicted = effect_of(recipe, program, before.grid, beliefs.rate).effect.removal_nm(executed_s)
-    learned = learning.learn_rate(predicted, before.height_nm - after.height_nm, before.metric_mask)
+    learned = learning.learn_rate(
+        predicted, before.height_nm - after.height_nm, before.metric_mask, tilt=recipe.tilt_is_alignment
+    )
     rate = beliefs.rate * learned.rate
     if not 1 - recipe.max_rate_change <= rate <= 1 + recipe.max_rate_change:
         raise ComputeError(
@@ -192,9 +192,8 @@ def landing_violations(recipe: Recipe, plan: Plan) -> list[str]:
 
 
 def process_grid(recipe: Recipe) -> Grid:
-    """The grid that surfaces are brought to: the aperture, centred on the part."""
-    n = int(np.ceil(recipe.aperture_mm / recipe.grid_mm)) + 2
-    return Grid(n, n, recipe.grid_mm)
+    """The grid that surfaces are brought to: the aperture and a margin, centred on the part."""
+    return conditioning.process_grid(recipe.aperture_mm, recipe.grid_mm)
 
 
 def load_measured(recipe: Recipe, arrays: Mapping[str, NDArray[Any]], sha256: str) -> Measured:
@@ -202,6 +201,20 @@ def load_measured(recipe: Recipe, arrays: Mapping[str, NDArray[Any]], sha256: st
     height = np.asarray(arrays["height_nm"], dtype=np.float64)
     grid = Grid(*height.shape, float(arrays["pitch_mm"]))
     return _measured(recipe, grid, np.nan_to_num(height), (arrays["solve_mask"], arrays["metric_mask"]), sha256)
+
+
+def _measured(
+    recipe: Recipe, grid: Grid, height_nm: FloatArray, masks: tuple[BoolArray, BoolArray], sha256: str
+) -> Measured:
+    solve_mask, metric_mask = (np.asarray(mask, dtype=np.bool_) for mask in masks)
+    stats = metrics.surface_stats(
+        height_nm,
+        metric_mask,
+        grid.pitch_mm,
+        lsf_period_mm=recipe.lsf_period_mm,
+        band_period_mm=recipe.tolerance_period_mm or None,
+    )
+    return Measured(grid, np.where(solve_mask, height_nm, 0.0), solve_mask, metric_mask, stats, sha256)
 
 
 def _require_coverage(program: Program, answer: RemovalAnswer, measured: Measured) -> None:

@@ -29,7 +29,7 @@ class Conditioned:
 
     grid: Grid
     height_nm: FloatArray
-    """(ny, nx) piston and tilt over ``metric_mask`` removed; holes filled; NaN outside the aperture."""
+    """(ny, nx) piston (and tilt, where asked) over ``metric_mask`` removed; holes filled; NaN outside the aperture."""
     solve_mask: BoolArray
     """(ny, nx) valid data within the aperture, as of the first cycle."""
     metric_mask: BoolArray
@@ -45,6 +45,7 @@ def condition(
     edge_mm: float,
     grid_mm: float,
     masks: tuple[BoolArray, BoolArray] | None = None,
+    tilt: bool = False,
     margin_mm: float = MARGIN_MM,
 ) -> Conditioned:
     """Bring a map onto the process grid. The centre of the map's array is the part's centre.
@@ -55,6 +56,7 @@ def condition(
         edge_mm: width of the rim outside the clear aperture.
         grid_mm: pitch of the process grid.
         masks: ``(solve_mask, metric_mask)`` of an earlier map, to be kept; None for the first map.
+        tilt: whether tilt is alignment, to be removed as piston always is, or figure, to be polished.
         margin_mm: reach of the grid beyond the aperture.
 
     Raises:
@@ -73,7 +75,7 @@ def condition(
     if missing > MAX_FILLED * np.count_nonzero(solve):
         raise BadMap(f"{missing} of {np.count_nonzero(solve)} samples that the first map had are missing in this one")
     height = fill_holes(np.where(aperture | solve, raw, np.nan))
-    height = height - polynomial(height, metric, 1)
+    height = height - polynomial(height, metric, 1 if tilt else 0)
     return Conditioned(grid, np.where(aperture | solve, height, np.nan), solve, metric, missing)
 
 

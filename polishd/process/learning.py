@@ -33,7 +33,7 @@ class Learned:
     rate_sigma: float
     """Its standard error (jackknife over tiles)."""
     correlation: float
-    """Of measured with predicted removal, means removed."""
+    """Of measured with predicted removal, both without piston and tilt."""
     explained: float
     """Share of the measured removal's variance that the scaled prediction explains."""
     best_orientation: str
@@ -72,7 +72,7 @@ def learn_rate(
     weights, measured = w[mask], measured_nm[mask]
     signal = _without(columns_nm[:, 0], columns_nm[:, 1:], weights)
     left = _without(measured, columns_nm[:, 1:], weights)
-    orientation, best, own = _best_orientation(predicted_nm, measured_nm, mask)
+    orientation, best, own = _best_orientation(_spread(signal, mask), _spread(left, mask), mask)
     if _rms(signal, weights) < MIN_SIGNAL_NM:
         note = f"the predicted removal varies by less than {MIN_SIGNAL_NM:g} nm RMS: it teaches nothing of the rate"
         return Learned(1.0, float("nan"), float("inf"), own, 0.0, ORIENTATIONS[0], own, (note,))
@@ -111,6 +111,13 @@ def _without(values: FloatArray, nuisance: FloatArray, weights: FloatArray) -> F
     root = np.sqrt(weights)
     fit = np.linalg.lstsq(nuisance * root[:, None], values * root, rcond=None)[0]
     return np.asarray(values - nuisance @ fit, dtype=np.float64)
+
+
+def _spread(values: FloatArray, mask: BoolArray) -> FloatArray:
+    """The mask's samples back on the grid, zero elsewhere."""
+    grid = np.zeros(mask.shape)
+    grid[mask] = values
+    return grid
 
 
 def _slope(signal: FloatArray, left: FloatArray, weights: FloatArray) -> float:

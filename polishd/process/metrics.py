@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy import fft, ndimage
@@ -98,7 +99,7 @@ def split_bands(
     for edge in edges:
         kept = spectrum if edge <= 2 * pitch_mm else np.where(frequency <= 1 / edge, spectrum, 0)
         below.append(fit + fft.irfft2(kept, extended.shape)[window])
-    steps = [below[0], *(b - a for a, b in zip(below, below[1:], strict=False)), height_nm - below[-1]]
+    steps = [below[0], *(b - a for a, b in pairwise(below)), height_nm - below[-1]]
     return tuple(np.where(mask, step, np.nan) for step in steps)
 
 
@@ -158,7 +159,8 @@ def _extended(height_nm: FloatArray, mask: BoolArray, margin: int) -> tuple[Floa
     wide = np.pad(mask, margin)
     distance, (row, column) = ndimage.distance_transform_edt(~wide, return_indices=True)
     taper = 0.5 + 0.5 * np.cos(np.pi * np.minimum(distance / margin, 1.0))
-    return np.pad(height_nm, margin)[row, column] * taper, margin
+    extended: FloatArray = np.pad(height_nm, margin)[row, column] * taper
+    return extended, margin
 
 
 def _frequency(shape: tuple[int, ...], pitch_mm: float) -> FloatArray:

@@ -30,7 +30,7 @@ def most_time_s(program: Program, envelope: Envelope) -> FloatArray:
         longest = np.full(program.n, envelope.max_pass_s)
     else:
         longest = program.length_mm / envelope.min_feed_mm_s + envelope.block_overhead_s
-    return np.maximum(longest, least_time_s(program, envelope))
+    return np.asarray(np.maximum(longest, least_time_s(program, envelope)), dtype=np.float64)
 
 
 def delivered_time_s(program: Program, time_s: FloatArray, envelope: Envelope) -> FloatArray:

@@ -44,7 +44,7 @@ def raster(
     half = np.sqrt(np.maximum(reach**2 - y**2, 0.0))
     way_in = _lead(half[0], y[0], radius_mm + landing_mm, lead_in_mm)
     way_out = _lead(half[-1], y[-1], radius_mm + landing_mm, lead_in_mm)
-    return _to_and_fro(y, -half, half, block_mm, way_in, way_out)
+    return _to_and_fro(np.array([y, -half, half]), block_mm, (way_in, way_out))
 
 
 def raster_over_mask(
@@ -85,7 +85,7 @@ def raster_over_mask(
     near = np.abs(at[None, :] - y[:, None]) <= margin + step_mm
     begin = np.where(near, left[None, :], np.inf).min(axis=1) - overrun_mm
     end = np.where(near, right[None, :], -np.inf).max(axis=1) + overrun_mm
-    return _to_and_fro(y, begin, end, block_mm, landing_mm, landing_mm)
+    return _to_and_fro(np.array([y, begin, end]), block_mm, (landing_mm, landing_mm))
 
 
 def normals(points_mm: FloatArray) -> FloatArray:
@@ -105,10 +105,9 @@ def _lead(x: float, y: float, outside: float, lead_in: float) -> float:
     return max(lead_in, float(np.sqrt(max(outside**2 - y**2, 0.0))) - x)
 
 
-def _to_and_fro(
-    y: FloatArray, left: FloatArray, right: FloatArray, block: float, way_in: float, way_out: float
-) -> FloatArray:
-    """Lines at y, odd ones back, joined by turns along y at the outer end of each pair of lines."""
+def _to_and_fro(lines: FloatArray, block: float, ways: tuple[float, float]) -> FloatArray:
+    """Lines (y, left end, right end), odd ones back, joined by turns along y at the outer end of each pair of lines."""
+    (y, left, right), (way_in, way_out) = lines, ways
     corners = [(left[0] - way_in, y[0])]
     for k in range(len(y)):
         forth, last = k % 2 == 0, k == len(y) - 1

@@ -69,14 +69,13 @@ def solve(
             return "converged"
         return "deadline" if expired() else None
 
-    t, rounds, stopped = minimise(f, lower, upper, start, stop, expired)
+    t, rounds, stopped = minimise(f, (lower, upper), start, stop, expired)
     return certified(problem, t, solver=NAME, iterations=rounds, seconds=time.perf_counter() - begin, stopped=stopped)
 
 
 def minimise(
     f: Quadratic,
-    lower: FloatArray,
-    upper: FloatArray,
+    bounds: tuple[FloatArray, FloatArray],
     start: FloatArray,
     stop: Stop,
     expired: Callable[[], bool] = lambda: False,
@@ -88,8 +87,7 @@ def minimise(
 
     Args:
         f: the objective.
-        lower: (n,) s.
-        upper: (n,) s, may be infinite.
+        bounds: lower and upper, (n,) s each; upper may be infinite.
         start: (n,) s, clipped to the bounds.
         stop: asked before each round.
         expired: asked at each conjugate gradient; once true, the round is brought to its end at once.
@@ -97,17 +95,17 @@ def minimise(
     Returns:
         (n,) dwell in s, rounds taken, and what ``stop`` said, or ``"iterations"``.
     """
-    t = np.clip(start, lower, upper)
+    t = np.clip(start, *bounds)
     gradient = f.gradient(t)
     step = safe_step(f, t.size)
     for rounds in range(MAX_ROUNDS):
         reason = stop(t, gradient)
         if reason is not None:
             return t, rounds, reason
-        t, gradient = _advance(f, t, gradient, -step * gradient, lower, upper)
+        t, gradient = _advance(f, bounds, t, gradient, -step * gradient)
         ahead = t - step * gradient
-        free = (ahead > lower) & (ahead < upper)
-        t, gradient = _advance(f, t, gradient, _newton_direction(f, gradient, free, expired), lower, upper)
+        free = (ahead > bounds[0]) & (ahead < bounds[1])
+        t, gradient = _advance(f, bounds, t, gradient, _newton_direction(f, gradient, free, expired))
     return t, MAX_ROUNDS, "iterations"
 
 
@@ -137,14 +135,18 @@ def _newton_direction(f: Quadratic, gradient: FloatArray, free: BoolArray, expir
 
 
 def _advance(
-    f: Quadratic, t: FloatArray, gradient: FloatArray, direction: FloatArray, lower: FloatArray, upper: FloatArray
+    f: Quadratic,
+    bounds: tuple[FloatArray, FloatArray],
+    t: FloatArray,
+    gradient: FloatArray,
+    direction: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """The first of ``clip(t + s direction)``, s = 1, 1/2, 1/4 ..., that brings f down, and the gradient there.
 
     Stays where it is if none does.
     """
     for _ in range(MAX_HALVINGS):
-        there = np.clip(t + direction, lower, upper)
+        there = np.clip(t + direction, *bounds)
         way = there - t
         image = f.curvature(way)
         slope = float(gradient @ way)

@@ -42,8 +42,10 @@ def choose_piston_nm(
 
 
 def sigma_max(effect: Effect, solve_mask: BoolArray, rounds: int = 200, tolerance: float = 1e-4) -> float:
-    """Largest singular value of R over ``solve_mask``, nm/s, by power iteration (R is not negative: a positive start
-    cannot miss it). Stops where a round gains less than ``tolerance`` relative.
+    """Largest singular value of R over ``solve_mask``, nm/s, by power iteration.
+
+    R is not negative, so that a positive start cannot miss it. Stops where a round gains less than ``tolerance``
+    relative.
 
     Raises:
         ComputeError: the effect is zero or not finite.

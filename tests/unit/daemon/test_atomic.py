@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from polishd.daemon import atomic
 from polishd.daemon.atomic import write_atomic
 
 
@@ -50,7 +49,7 @@ def test_content_is_synced_before_the_rename_and_the_folder_after(
         order.append(("file" if Path(f"/proc/self/fd/{handle}").is_file() else "folder", path.exists()))
         fsync(handle)
 
-    monkeypatch.setattr(atomic.os, "fsync", watched)
+    monkeypatch.setattr(os, "fsync", watched)
     write_atomic(path, b"x")
     assert order == [("file", False), ("folder", True)]
 

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -110,8 +110,7 @@ async def test_what_cannot_travel_is_an_error_and_the_worker_stays(compute: Comp
 
 
 @pytest.mark.parametrize("job", [jobs.forever, jobs.ignore_everything], ids=lambda job: job.__name__)
-async def test_killed_at_its_deadline_and_restarted(compute: Compute, job: object) -> None:
-    assert callable(job)
+async def test_killed_at_its_deadline_and_restarted(compute: Compute, job: Callable[[], None]) -> None:
     await compute.start()
     before = compute.pid
     assert before is not None

@@ -82,7 +82,7 @@ def test_values_of_a_config_never_change(tmp_path: Path, example: str) -> None:
     path.write_text(example)
     config = load_config(path)
     with pytest.raises(ValidationError, match="frozen"):
-        config.process.force_n = 100.0
+        config.process.force_n = 100.0  # type: ignore[misc]
     again = pickle.loads(pickle.dumps(config))
     assert again == config
     assert again.path == path

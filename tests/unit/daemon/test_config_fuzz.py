@@ -107,7 +107,7 @@ TABLES: st.SearchStrategy[dict[str, Any]] = st.dictionaries(
 @given(TABLES, st.integers(0, 3))
 def test_scanner_finds_what_the_parser_finds(tables: dict[str, dict[str, str]], blank: int) -> None:
     lines = ["# [not] = a table"] * blank
-    where = {}
+    where: dict[tuple[str, ...], int] = {}
     for table, keys in tables.items():
         lines.append(f"[{table}]  # = [x]")
         where[(table,)] = len(lines)

@@ -174,6 +174,9 @@ def test_twice_as_stiff_members_give_way_half_as_much() -> None:
 
 def test_the_figures_published_for_the_workspace() -> None:
     tip, axis = workspace(25)
+    angle = np.linspace(0, 2 * np.pi, 16)  # where the spindle leans matters on the base's own axis too
+    lean = np.column_stack([np.sin(DIP) * np.cos(angle), np.sin(DIP) * np.sin(angle), np.full(16, -np.cos(DIP))])
+    tip, axis = np.vstack([tip, np.tile([0.0, 0.0, 2335.0], (16, 1))]), np.vstack([axis, lean])
     matrix = tip_compliance_mm_per_n(ROBOT, tip, axis) * 1e3
     compliance = equivalent_compliance(matrix, axis, np.tile(UP, (len(tip), 1)))
     assert compliance.min() == pytest.approx(1.039, abs=0.003)

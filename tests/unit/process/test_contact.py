@@ -1,0 +1,135 @@
+"""The contact against published numbers, vector algebra and numerical integration."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy import integrate
+
+from polishd.model.errors import ComputeError
+from polishd.model.process import ToolProcess
+from polishd.process import contact
+
+PAPER = ToolProcess()
+DEPTH = 0.14834891
+
+
+def integral(process: ToolProcess, depth: float, value) -> float:
+    """Integral over the contact of value(x, y, rate), adaptive and in polar coordinates about the spot's centre."""
+    radius = float(contact.contact_radius_mm(process, depth))
+    shift = float(contact.dissipative_shift_mm(process, depth))
+
+    def ring(rho: float, angle: float) -> float:
+        x, y = shift + rho * np.cos(angle), rho * np.sin(angle)
+        return rho * value(x, y, float(contact.removal_rate_nm_s(process, depth, np.array(x), np.array(y))))
+
+    return integrate.dblquad(ring, 0, 2 * np.pi, 0, radius, epsrel=1e-8)[0]
+
+
+def test_hertz_at_the_figures_of_the_paper() -> None:
+    depth = contact.hertz_depth_mm(PAPER)
+    assert depth == pytest.approx(0.14835, rel=1e-5)
+    assert contact.contact_radius_mm(PAPER, depth) == pytest.approx(1.7225, rel=1e-5)
+    assert contact.peak_pressure_mpa(PAPER, depth) == pytest.approx(1.9311, rel=1e-5)
+
+
+def test_the_resolved_force_presses_deeper() -> None:
+    resolved = dataclasses.replace(PAPER, force_n=12 / np.cos(np.radians(15)))
+    assert contact.hertz_depth_mm(resolved) == pytest.approx(0.1518, abs=5e-5)
+
+
+@pytest.mark.parametrize("force", [0.5, 12.0, 60.0])
+def test_the_pressure_carries_the_force(force) -> None:
+    process = dataclasses.replace(PAPER, force_n=force)
+    depth = contact.hertz_depth_mm(process)
+    radius, peak = contact.contact_radius_mm(process, depth), contact.peak_pressure_mpa(process, depth)
+    carried = integrate.quad(lambda r: 2 * np.pi * r * peak * np.sqrt(1 - (r / radius) ** 2), 0, radius)[0]
+    assert carried == pytest.approx(force, rel=1e-9)
+
+
+def test_the_speed_is_the_spin_crossed_with_the_arm() -> None:
+    dip, spin = np.radians(15.0), 1000 * 2 * np.pi / 60
+    axis = spin * np.array([0.0, np.sin(dip), np.cos(dip)])
+    for x, y in np.random.default_rng(3).uniform(-2, 2, (20, 2)):
+        slide = np.cross(axis, [x, y, -(20 - DEPTH)])
+        want = np.hypot(slide[0], slide[1])
+        assert contact.sliding_speed_mm_s(PAPER, DEPTH, x, y) == pytest.approx(want, rel=1e-12)
+
+
+def test_without_dip_the_centre_stands_still() -> None:
+    upright = dataclasses.replace(PAPER, dip_deg=0.0)
+    assert contact.sliding_speed_mm_s(upright, DEPTH, 0.0, 0.0) == 0
+    assert contact.dissipative_shift_mm(upright, DEPTH) == 0
+
+
+def test_the_spot_removes_most_on_the_side_where_the_spindle_leans() -> None:
+    y = np.array([-0.8, 0.8])
+    low, high = contact.removal_rate_nm_s(PAPER, DEPTH, np.zeros(2), y)
+    assert high > 1.2 * low > 0
+
+
+def test_peak_and_volume_at_the_usual_unit_of_the_preston_constant() -> None:
+    x, y = np.meshgrid(np.linspace(-2, 2, 401), np.linspace(-2, 2, 401))
+    rate = contact.removal_rate_nm_s(PAPER, DEPTH, x, y)
+    assert rate.max() == pytest.approx(162.0, abs=0.5)
+    assert (rate[np.hypot(x, y) > 1.73] == 0).all()
+    assert contact.volume_rate_nm_mm2_s(PAPER, DEPTH)[0] * 1e-6 == pytest.approx(9.72e-4, rel=5e-4)
+
+
+@pytest.mark.parametrize("dip", [0.0, 3.0, 15.0, 60.0])
+def test_the_volume_rate_is_the_integral_of_the_rate(dip) -> None:
+    process = dataclasses.replace(PAPER, dip_deg=dip)
+    for depth in (0.1, DEPTH):
+        want = integral(process, depth, lambda x, y, rate: rate)
+        assert contact.volume_rate_nm_mm2_s(process, depth)[0] == pytest.approx(want, rel=1e-6 if dip > 5 else 1e-4)
+
+
+def test_the_volume_goes_as_depth_to_one_and_a_half() -> None:
+    full, part = contact.volume_rate_nm_mm2_s(PAPER, np.array([DEPTH, 0.87 * DEPTH]))
+    assert part / full == pytest.approx(0.811, abs=1e-3)
+
+
+def test_the_dissipative_shift_is_about_a_micrometre_and_towards_where_the_bonnet_enters() -> None:
+    shift = float(contact.dissipative_shift_mm(PAPER, DEPTH))
+    assert shift == pytest.approx(2.144e-6 * 104.72 * 0.25882 * 19.85165, rel=2e-4)
+    # at the contact the bonnet moves with -x (spin cross arm): it enters from +x
+    slide = np.cross([0.0, np.sin(0.26), np.cos(0.26)], [0.0, 0.0, -19.85])
+    assert slide[0] < 0 < shift
+
+
+def test_the_shift_keeps_the_force_and_gives_the_moment_of_eq_33() -> None:
+    """With the speed divided out what is left of the rate is the pressure."""
+    thick = dataclasses.replace(PAPER, second_viscosity_mpa_s=0.02, viscosity_mpa_s=0.05)
+    shift = float(contact.dissipative_shift_mm(thick, DEPTH))
+    assert 0.2 < shift < 0.5
+    scale = contact.preston_nm_s(thick)
+
+    def pressure(x: float, y: float, rate: float) -> float:
+        return rate / scale / float(contact.sliding_speed_mm_s(thick, DEPTH, np.array(x), np.array(y)))
+
+    force = integral(thick, DEPTH, pressure)
+    assert force == pytest.approx(12.0, rel=1e-6)
+    assert integral(thick, DEPTH, lambda x, y, r: x * pressure(x, y, r)) == pytest.approx(shift * force, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [
+        ("force_n", 0.0, "force_n is 0 N, it must be above 0"),
+        ("tool_radius_mm", -20.0, "tool_radius_mm is -20 mm"),
+        ("rpm", np.nan, "rpm is nan 1/min"),
+        ("preston_cm2_per_n", np.inf, "preston_cm2_per_n is inf cm2/N"),
+        ("dip_deg", 90.0, "dip_deg is 90 deg, it must be above -1e-12 and below 90"),
+        ("dip_deg", -1.0, "dip_deg is -1 deg"),
+        ("tool_poisson", 0.6, "tool_poisson is 0.6"),
+        ("part_modulus_mpa", 0.0, "part_modulus_mpa is 0 MPa"),
+        ("lame_mpa", 0.0, "lame_mpa is 0 MPa"),
+        ("viscosity_mpa_s", -1.0, "viscosity_mpa_s is -1 MPa s"),
+        ("force_n", 1e4, "too deep for Hertz"),
+    ],
+)
+def test_a_process_that_cannot_be_is_refused_by_name(name, value, says) -> None:
+    with pytest.raises(ComputeError, match=says):
+        contact.hertz_depth_mm(dataclasses.replace(PAPER, **{name: value}))

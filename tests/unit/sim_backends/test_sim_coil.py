@@ -1,0 +1,245 @@
+"""The voice coil's behaviour, and the two protocols over it."""
+
+import struct
+
+import numpy as np
+import pytest
+
+from polishd.sim_backends.actuator.ascii import AsciiSlave, body, line
+from polishd.sim_backends.actuator.coil import CONTACT, EXTENDING, FAULT, RETRACTED, RETRACTING, VoiceCoil
+from polishd.sim_backends.actuator.modbus import Registers, RtuSlave, TcpSlave, crc16, rtu
+from tests.unit.sim_backends.vectors import vectors
+
+
+class Bench:
+    """A coil on a bench, with its log."""
+
+    def __init__(self, near=True, **options):
+        self.log = []
+        self.coil = VoiceCoil(
+            rng=np.random.default_rng(1),
+            report=lambda name, at_s, **data: self.log.append((name, at_s)),
+            now_s=0.0,
+            near=near,
+            **options,
+        )
+
+    def until(self, now, fed=True):
+        while self.coil.now_s < now - 1e-9:
+            self.coil.step(min(self.coil.now_s + 0.02, now))
+            if fed:
+                self.coil.feed(7)
+
+    def pressed(self, force=12.0):
+        self.coil.set_force(force)
+        self.coil.engage()
+        self.until(0.3)
+        return self
+
+    @property
+    def names(self):
+        return [name for name, _ in self.log]
+
+
+def test_it_lands_and_presses():
+    bench = Bench()
+    assert bench.coil.state == RETRACTED
+    bench.coil.set_force(12.0)
+    bench.coil.engage()
+    bench.until(0.05)
+    assert bench.coil.state == EXTENDING
+    bench.until(0.3)
+    assert (bench.coil.state, bench.coil.force_n, bench.coil.position_um) == (CONTACT, 12.0, 5000.0)
+    readings = [bench.coil.measured_n for _ in range(500)]
+    assert np.mean(readings) == pytest.approx(12.0, abs=0.4)
+    assert bench.names == ["force_setpoint", "engage", "tool_landed", "force_on"]
+
+
+def test_without_a_part_it_finds_nothing_to_press():
+    bench = Bench(near=False).pressed()
+    assert (bench.coil.state, bench.coil.force_n) == (EXTENDING, 0.0)
+    assert bench.coil.position_um == 10000.0
+
+
+def test_retract_takes_the_force_off_before_it_lifts():
+    bench = Bench().pressed()
+    bench.coil.retract()
+    bench.until(0.31)
+    assert bench.coil.state == RETRACTING
+    bench.until(0.6)
+    assert bench.coil.state == RETRACTED
+    assert bench.names[-4:] == ["retract", "force_zero", "tool_lifted", "retracted"]
+
+
+def test_force_zero_stays_extended():
+    bench = Bench().pressed()
+    bench.coil.set_force(0.0)
+    bench.until(0.5)
+    assert (bench.coil.state, bench.coil.force_n) == (CONTACT, 0.0)
+
+
+def test_silence_makes_it_let_go():
+    bench = Bench().pressed()
+    bench.until(0.79, fed=False)
+    assert bench.coil.state == CONTACT
+    bench.until(1.2, fed=False)
+    assert (bench.coil.state, bench.coil.faults, bench.coil.force_n) == (FAULT, 1, 0.0)
+    assert bench.coil.engage() == "fault"
+    bench.coil.retract()
+    assert (bench.coil.state, bench.coil.engage()) == (RETRACTED, "")
+
+
+def test_samples_describe_the_force_without_a_gap():
+    bench = Bench().pressed()
+    times, force = np.array(bench.coil.samples).T
+    assert (np.diff(times) >= -1e-12).all()
+    assert force[-1] == 12.0
+    assert np.interp(0.15, times, force) == pytest.approx(12.0 * 0.5, abs=1.5)
+
+
+def test_a_part_that_goes_away_takes_the_force_with_it():
+    bench = Bench().pressed()
+    bench.coil.near = False
+    bench.until(0.4)
+    assert (bench.coil.state, bench.coil.force_n) == (EXTENDING, 0.0)
+    assert "contact_lost" in bench.names
+
+
+def test_stuck_force():
+    bench = Bench(stuck_after_s=0.5).pressed()
+    bench.until(2.0)
+    assert bench.coil.force_n == pytest.approx(7.2)
+    bench.coil.retract()
+    bench.until(2.3)
+    assert bench.coil.state == RETRACTED
+
+
+@pytest.mark.parametrize("force", [-0.1, 50.1, float("nan")])
+def test_ranges(force):
+    assert Bench().coil.set_force(force) == "range"
+    assert Bench().coil.set_watchdog(99) == "range"
+
+
+def registers(coil):
+    return Registers(coil, "polishd", "VC50", "S-1", "1.0", 70000)
+
+
+def test_modbus_vectors():
+    expected = {name: bytes.fromhex(value) for name, value in vectors("voice_coil_modbus").items()}
+    coil = Bench().pressed().coil
+    slave = RtuSlave(1, registers(coil).answer)
+    assert rtu(1, b"\x06\x00\x01\x04\xb0") == expected["write_setpoint"]
+    assert list(slave.feed(expected["write_setpoint"], 1.0)) == [(8, expected["write_setpoint"])]
+    assert coil.setpoint_n == 12.0
+    coil.feed(7)
+    ((_, answer),) = slave.feed(expected["read_inputs"], 1.0)
+    shown = struct.unpack(">3x6H2x", expected["inputs"])
+    state, force, setpoint, position, fault, heartbeat = struct.unpack(">3x6H2x", answer)
+    assert (state, setpoint, position, fault, heartbeat) == (shown[0], *shown[2:])
+    assert force == pytest.approx(shown[1], abs=60)
+    assert crc16(answer[:-2]) == struct.unpack("<H", answer[-2:])[0]
+
+
+def pdu(function, *words):
+    return struct.pack(f">B{len(words)}H", function, *words)
+
+
+@pytest.mark.parametrize(
+    ("request_pdu", "answer"),
+    [
+        (pdu(3, 0, 4), b"\x03\x08\0\0\0\0\x01\xf4\0\0"),
+        (pdu(4, 128, 2), b"\x04\x04\x00\x01\x11\x70"),
+        (pdu(4, 100, 4), b"\x04\x08polishd\0"),
+        (pdu(4, 6, 1), b"\x84\x02"),
+        (pdu(3, 3, 2), b"\x83\x02"),
+        (pdu(4, 0, 0), b"\x84\x03"),
+        (pdu(6, 1, 5001), b"\x86\x03"),
+        (pdu(6, 2, 99), b"\x86\x03"),
+        (pdu(6, 0, 2), b"\x86\x03"),
+        (pdu(6, 9, 1), b"\x86\x02"),
+        (pdu(16, 1, 2) + b"\x04" + struct.pack(">2H", 500, 700), pdu(16, 1, 2)),
+        (pdu(16, 1, 2) + b"\x03" + b"abc", b"\x90\x03"),
+        (pdu(16, 3, 2) + b"\x04" + struct.pack(">2H", 5, 7), b"\x90\x02"),
+        (pdu(5, 0, 1), b"\x85\x01"),
+    ],
+)
+def test_modbus_answers(request_pdu, answer):
+    assert registers(Bench().coil).answer(request_pdu) == answer
+
+
+def test_engage_is_refused_while_a_fault_is_set():
+    bench = Bench()
+    bench.coil.faults = 1
+    table = registers(bench.coil)
+    assert table.answer(pdu(6, 0, 1)) == b"\x86\x04"
+    assert table.answer(pdu(6, 0, 0)) == pdu(6, 0, 0)
+    assert table.answer(pdu(6, 0, 1)) == pdu(6, 0, 1)
+
+
+def test_rtu_keeps_silent_about_what_is_damaged_or_not_for_it():
+    slave = RtuSlave(1, registers(Bench().coil).answer)
+    good = rtu(1, pdu(3, 0, 1))
+    assert list(slave.feed(rtu(2, pdu(3, 0, 1)), 0.0)) == []
+    assert list(slave.feed(good[:-1] + b"\0", 0.1)) == []
+    assert list(slave.feed(good[:5], 0.2)) == []
+    assert len(list(slave.feed(good[5:], 0.21))) == 1
+    assert list(slave.feed(good[:5], 0.3)) == []
+    assert len(list(slave.feed(good + good, 0.5))) == 2
+
+
+def test_modbus_tcp_echoes_the_transaction():
+    slave = TcpSlave(1, registers(Bench().coil).answer)
+    request = struct.pack(">HHHB", 77, 0, 6, 1) + pdu(3, 2, 1)
+    assert list(slave.feed(request[:9], 0.0)) == []
+    ((_, answer),) = slave.feed(request[9:], 0.0)
+    assert answer == struct.pack(">HHHB", 77, 0, 5, 1) + b"\x03\x02\x01\xf4"
+    assert list(slave.feed(struct.pack(">HHHB", 1, 9, 6, 1) + pdu(3, 2, 1), 0.0)) == []
+
+
+def test_ascii_vectors():
+    expected = {name: value.encode() + b"\r\n" for name, value in vectors("voice_coil_serial").items()}
+    assert line("7,OK") == expected["ok"]
+    assert line("8,ST,2,11.98,12.00,5000,0") == expected["status"]
+    assert body(expected["set_force"].strip()) == "7,F,12.00"
+    coil = Bench().coil
+    slave = AsciiSlave(coil, "polishd,VC50,S-1,1.0,3")
+    assert [answer for _, answer in slave.feed(expected["set_force"], 0.0)] == [expected["ok"]]
+    assert coil.setpoint_n == 12.0
+    ((_, answer),) = slave.feed(expected["status_request"], 0.0)
+    assert body(answer.strip()).startswith("8,ST,0,")
+
+
+@pytest.mark.parametrize(
+    ("request_body", "answer"),
+    [
+        ("1,ID?", "1,ID,polishd,VC50,S-1,1.0,3"),
+        ("2,ENG", "2,OK"),
+        ("3,RET", "3,OK"),
+        ("4,HB", "4,OK"),
+        ("5,WD,500", "5,OK"),
+        ("6,WD,5", "6,ERR,range,value out of range"),
+        ("7,F,51", "7,ERR,range,value out of range"),
+        ("8,F,x", "8,ERR,range,value out of range"),
+        ("9,DANCE", "9,ERR,unknown,no such request"),
+        ("65535,HB", "65535,OK"),
+    ],
+)
+def test_ascii_answers(request_body, answer):
+    slave = AsciiSlave(Bench().coil, "polishd,VC50,S-1,1.0,3")
+    assert [body(got.strip()) for _, got in slave.feed(line(request_body), 0.0)] == [answer]
+
+
+def test_broken_lines_are_not_answered():
+    slave = AsciiSlave(Bench().coil, "x")
+    dirt = b"$1,HB*00\r\nnoise\r\n$*00\r\n$70000,HB*" + line("70000,HB")[-4:] + b"$" + b"1" * 200 + b"\r\n"
+    assert list(slave.feed(dirt, 0.0)) == []
+    assert len(list(slave.feed(line("1,HB"), 0.0))) == 1
+
+
+def test_status_does_not_feed_the_watchdog_and_a_heartbeat_does():
+    bench = Bench().pressed()
+    slave = AsciiSlave(bench.coil, "x")
+    for k in range(30):
+        bench.until(0.3 + 0.02 * k, fed=False)
+        list(slave.feed(line("1,ST?"), 0.0))
+    assert bench.coil.faults == 1

@@ -1,0 +1,131 @@
+"""The spindle drive and its two ways to the bus, against the documented vectors."""
+
+import pytest
+
+from polishd.sim_backends.spindle.buses import Slcan, Socketcand, slcan_frame, slcan_line
+from polishd.sim_backends.spindle.drive import Drive
+from tests.unit.sim_backends.vectors import vectors
+
+
+def frame(text):
+    identifier, data = text.split("#")
+    return int(identifier, 16), bytes.fromhex(data)
+
+
+VECTORS = {name: frame(value) for name, value in vectors("spindle_can").items()}
+
+
+class Bench:
+    def __init__(self):
+        self.log = []
+        objects = {(0x1018, 4): 12345, (0x2000, 0): 3, (0x6080, 0): 3000}
+        self.drive = Drive(5, 3000, objects, lambda name, at_s: self.log.append(name), 0.0)
+        self.sent = []
+
+    def until(self, now, command=None):
+        """Let time pass in ticks; a command given is repeated as a controller would."""
+        while self.drive.now_s < now - 1e-9:
+            if command is not None:
+                self.drive.on_frame(*command)
+            self.sent += [(self.drive.now_s, *each) for each in self.drive.step(self.drive.now_s + 0.01)]
+
+
+def run(rpm, counter=9):
+    return 0x205, b"\x01" + bytes([counter]) + rpm.to_bytes(2, "little", signed=True) + bytes(4)
+
+
+def test_the_page_says_run_and_it_runs():
+    bench = Bench()
+    assert run(1000) == VECTORS["run_1000_counter_9"]
+    bench.until(0.4, VECTORS["run_1000_counter_9"])
+    assert bench.drive.state == 1
+    assert bench.drive.rpm == pytest.approx(780, abs=25)
+    bench.until(0.6, VECTORS["run_1000_counter_9"])
+    assert bench.drive.status() == VECTORS["status_at_speed"]
+    bench.until(1.3, VECTORS["stop_counter_10"])
+    assert (bench.drive.rpm, bench.drive.state) == (0.0, 0)
+    assert bench.log == ["spindle_ramping", "spindle_at_speed", "spindle_ramping", "spindle_stopped"]
+
+
+def test_status_and_heartbeat_come_by_themselves():
+    bench = Bench()
+    bench.until(1.0)
+    at = {ident: [t for t, i, _ in bench.sent if i == ident] for ident in (0x185, 0x705)}
+    assert len(at[0x185]) == pytest.approx(20, abs=1)
+    assert len(at[0x705]) == pytest.approx(11, abs=1)
+    assert bench.sent[0][1:] == (0x705, b"\0")
+    assert (bench.sent[-1][1:] == VECTORS["heartbeat"]) or VECTORS["heartbeat"] in [s[1:] for s in bench.sent]
+
+
+def test_silence_is_a_fault_that_a_stop_clears():
+    bench = Bench()
+    bench.until(0.6, run(1000))
+    bench.until(0.79)
+    assert bench.drive.fault == 0
+    bench.until(1.5)
+    assert (bench.drive.fault, bench.drive.rpm, bench.drive.state) == (1, 0.0, 3)
+    bench.until(1.6, run(1000))
+    assert bench.drive.rpm == 0.0
+    bench.until(1.7, VECTORS["stop_counter_10"])
+    bench.until(1.9, run(1000))
+    assert bench.drive.rpm > 0.0
+
+
+def test_over_speed_is_ignored_and_told():
+    bench = Bench()
+    bench.until(0.6, run(1000))
+    bench.until(0.7, run(3001))
+    assert (bench.drive.rpm, bench.drive.fault) == (1000.0, 2)
+    bench.until(0.8, run(-500))
+    assert bench.drive.fault == 0
+    bench.until(1.7, run(-500))
+    assert bench.drive.rpm == -500.0
+
+
+def test_samples_hold_the_ramp():
+    bench = Bench()
+    bench.until(0.25, run(1000))
+    times = [t for t, _ in bench.drive.samples]
+    assert times == sorted(times)
+    assert bench.drive.samples[-1][1] == pytest.approx(bench.drive.rpm)
+
+
+def test_identity_by_sdo():
+    drive = Bench().drive
+    assert drive.on_frame(*VECTORS["identity_request"]) == [VECTORS["identity_answer"]]
+    assert drive.on_frame(*frame("605#4000200000000000")) == [frame("585#4300200003000000")]
+    assert drive.on_frame(*frame("605#4099990000000000")) == [frame("585#8099990000000206")]
+    assert drive.on_frame(0x606, bytes(8)) == []
+    assert drive.on_frame(0x205, bytes(3)) == []
+
+
+def test_slcan_line_of_the_page():
+    assert slcan_line(VECTORS["run_1000_counter_9"]) == b"t20580109e80300000000\r"
+    assert slcan_frame(b"t20580109e80300000000") == VECTORS["run_1000_counter_9"]
+    assert slcan_frame(b"t2058010") is None
+    assert slcan_frame(b"t20x0") is None
+
+
+def test_slcan_adapter():
+    heard = []
+    host = Slcan(lambda ident, data: heard.append((ident, data)) or [(0x585, b"\x01")])
+    assert host.feed(b"t2050\r") == b"\a"
+    assert host.send([(0x705, b"\5")]) == b""
+    assert host.feed(b"C\rS6\rO") == b"\r\r"
+    assert host.feed(b"\r") == b"\r"
+    assert host.feed(b"t205201ff\r") == b"z\rt585101\r"
+    assert heard == [(0x205, b"\x01\xff")]
+    assert host.send([(0x705, b"\5")]) == b"t705105\r"
+    assert host.feed(b"V\rN\rF\rjunk\r") == b"V1013\rNSIM1\rF00\r\a"
+
+
+def test_socketcand_connection():
+    heard = []
+    host = Socketcand(lambda ident, data: heard.append((ident, data)) or [(0x585, b"\x01")])
+    assert host.feed(b"< open can0 >< raw") == b"< ok >"
+    assert host.send([(0x705, b"\5")]) == b""
+    assert host.feed(b"mode >") == b"< ok >"
+    assert host.send([(0x705, b"\5")]) == b"< frame 705 0.000000 05 >"
+    assert host.feed(b"< send 205 2 1 FF >") == b"< frame 585 0.000000 01 >"
+    assert heard == [(0x205, b"\x01\xff")]
+    assert host.feed(b"< send 205 3 1 FF >< dance >") == b"< error malformed frame >< error unknown command >"
