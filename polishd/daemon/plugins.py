@@ -106,7 +106,7 @@ class Hooks:
             except Exception:
                 log.exception("plugin %s failed on event %s", plugin.name, event.name)
             if (took := time.monotonic() - begun) > SLOW_S:
-                log.warning("plugin %s took %.1f s over event %s", plugin.name, took, event.name)
+                log.info("plugin %s took %.1f s over event %s", plugin.name, took, event.name)
 
     def cli(self, app: Any) -> None:
         """Let each plugin add commands; what one raises is logged."""

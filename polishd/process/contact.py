@@ -101,15 +101,16 @@ def removal_rate_nm_s(process: ToolProcess, depth_mm: Depth, x_mm: FloatArray, y
 def volume_rate_nm_mm2_s(process: ToolProcess, depth_mm: Depth) -> FloatArray:
     """(n,) volume removed per second at (n,) depths, nm mm^2/s (1e-6 mm^3/s): the integral of `removal_rate_nm_s`.
 
-    Gauss-Legendre in ``sqrt(1 - rho^2)``, where the pressure is a polynomial, and equal angles.
+    Gauss-Legendre in psi with ``rho = a sin(psi)``, where pressure and speed are smooth, and equal angles.
     """
     depth = np.atleast_1d(depth_mm)[:, None, None]
     node, weight = np.polynomial.legendre.leggauss(16)
-    height, weight = (node + 1) / 2, weight / 2
+    psi, weight = (node + 1) * np.pi / 4, weight * np.pi / 4
     angle = (np.arange(32) + 0.5) * (2 * np.pi / 32)
     radius = contact_radius_mm(process, depth)
-    rho = radius * np.sqrt(1 - height**2)[:, None]
+    rho = radius * np.sin(psi)[:, None]
     x = rho * np.cos(angle) + dissipative_shift_mm(process, depth)
     speed = sliding_speed_mm_s(process, depth, x, rho * np.sin(angle)).mean(axis=2)
     load = 2 * np.pi * radius**2 * peak_pressure_mpa(process, depth)
-    return np.asarray(preston_nm_s(process) * load[:, 0, 0] * (speed @ (weight * height**2)), dtype=np.float64)
+    mean = speed @ (weight * np.cos(psi) ** 2 * np.sin(psi))
+    return np.asarray(preston_nm_s(process) * load[:, 0, 0] * mean, dtype=np.float64)

@@ -14,7 +14,7 @@ from polishd.model.process import Correction, HybridRobot, Placement, ToolProces
 from polishd.model.program import Program
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.compliance import equivalent_compliance, jumps
-from polishd.process.contact import contact_radius_mm
+from polishd.process.contact import contact_radius_mm, dissipative_shift_mm
 from polishd.process.frames import dips_deg, directions_to_base, points_to_base, surface_normals
 from polishd.process.robot import tip_compliance_mm_per_n
 from polishd.process.robot.refusal import refuse_where, require_unit_vectors, require_vectors
@@ -84,10 +84,13 @@ def effect_matrix(
     refuse_where(~((depth_mm > 0) & np.isfinite(depth_mm)), depth_mm, "the depth", "mm", "it must be above 0")
     azimuth = np.arctan2(program.axis[:, 1], program.axis[:, 0])
     radius = contact_radius_mm(process, depth_mm)
+    across = np.stack([np.sin(azimuth), -np.cos(azimuth)], axis=1)
+    shift = dissipative_shift_mm(process, depth_mm)[:, None] * across
+    start, end = program.start_mm[:, :2] + shift, program.end_mm[:, :2] + shift
     pieces = np.ceil(program.length_mm / radius).astype(np.int64)
     parts = []
     for part in _chunks(np.maximum(2 * pieces, 1)):
-        block, position = _positions(program.start_mm[part, :2], program.end_mm[part, :2], pieces[part])
+        block, position = _positions(start[part], end[part], pieces[part])
         patch = spot_patch(process, depth_mm[part], azimuth[part])
         patch *= (factor[part] / np.bincount(block, minlength=len(patch)))[:, None, None]
         parts.append(_columns(grid, block, position, radius[part], patch))

@@ -165,4 +165,5 @@ def _extended(height_nm: FloatArray, mask: BoolArray, margin: int) -> tuple[Floa
 
 def _frequency(shape: tuple[int, ...], pitch_mm: float) -> FloatArray:
     """Radial frequency of the real FFT's samples, 1/mm."""
-    return np.hypot(fft.fftfreq(shape[0], pitch_mm)[:, None], fft.rfftfreq(shape[1], pitch_mm)[None, :])
+    y, x = fft.fftfreq(shape[0], pitch_mm), fft.rfftfreq(shape[1], pitch_mm)
+    return np.asarray(np.hypot(y[:, None], x[None, :]), dtype=np.float64)

@@ -1,6 +1,6 @@
 """The removal spot on a fine patch, and its integral over the cells of a sample grid.
 
-The patch is ``PATCH`` x ``PATCH`` squares that cover the contact exactly, parallel to the part's x and y, row 0 at the
+The patch is ``PATCH`` x ``PATCH`` squares that cover the pressed area exactly, parallel to the part's x and y, row 0 at the
 largest y. Its squares are shared out among the grid's cells by area, so that nothing is lost or counted twice.
 """
 

@@ -34,6 +34,8 @@ class PlantServer:
     robot_mark: float = math.inf
     moving: bool = False
     extended: bool = False
+    safe_s: float = 0.0
+    """When the robot or the actuator last started or came to rest."""
     asked_s: float | None = None
     """When a measurement was asked for that is not served yet."""
     write_s: float = math.inf
@@ -123,10 +125,10 @@ class PlantServer:
             self._timeline(device).push(message["samples"], float(message["mark"]))
 
     def _note(self, device: str, name: str, at_s: float, data: bus.Message) -> None:
-        if device == "robot":
-            self.moving = MOVING.get(name, self.moving)
-        if device == "actuator":
-            self.extended = EXTENDED.get(name, self.extended)
+        if device == "robot" and name in MOVING:
+            self.moving, self.safe_s = MOVING[name], max(at_s, self.safe_s)
+        if device == "actuator" and name in EXTENDED:
+            self.extended, self.safe_s = EXTENDED[name], max(at_s, self.safe_s)
         if name == "program_loaded":
             self.world.account.load(data["sha256"], data["blocks"])
         self.witness.add(device, name, at_s, **data)
@@ -148,7 +150,7 @@ class PlantServer:
             self.writers["actuator"].write(bus.pack_json({"near": near}))
 
     def _measure(self, horizon_s: float) -> None:
-        if self.asked_s is None or horizon_s < self.asked_s or self.moving or self.extended:
+        if self.asked_s is None or horizon_s < max(self.asked_s, self.safe_s) or self.moving or self.extended:
             return
         self.asked_s = None
         seen = self.world.part.map_nm()

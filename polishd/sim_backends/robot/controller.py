@@ -200,6 +200,7 @@ class Controller:
             self._nak(client, kind, "protocol", "the payload is not a JSON object")
         elif kind == frames.PING:
             self.motion.advance(now_s)
+            self._tell(client)
             client.send(frames.pack_json(frames.STATUS, self.status()))
         elif kind == frames.LOAD:
             self._load(client, message, now_s)
@@ -252,7 +253,8 @@ class Controller:
             self._was = motion.state
         if motion.state == "running":
             return
-        for client in self.clients:
+        for client in [client for client in self.clients if client.awaits]:
+            self._tell(client)
             for kind in client.awaits:
                 if kind == frames.ABORT:
                     motion.forget()

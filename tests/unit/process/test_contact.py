@@ -80,10 +80,11 @@ def test_peak_and_volume_at_the_usual_unit_of_the_preston_constant() -> None:
 
 @pytest.mark.parametrize("dip", [0.0, 3.0, 15.0, 60.0])
 def test_the_volume_rate_is_the_integral_of_the_rate(dip) -> None:
+    """At 3 degrees the bonnet's pole, where it stands still, lies inside the contact: a cusp for both sides."""
     process = dataclasses.replace(PAPER, dip_deg=dip)
     for depth in (0.1, DEPTH):
         want = integral(process, depth, lambda x, y, rate: rate)
-        assert contact.volume_rate_nm_mm2_s(process, depth)[0] == pytest.approx(want, rel=1e-6 if dip > 5 else 1e-4)
+        assert contact.volume_rate_nm_mm2_s(process, depth)[0] == pytest.approx(want, rel=1e-4 if dip == 3 else 1e-6)
 
 
 def test_the_volume_goes_as_depth_to_one_and_a_half() -> None:

@@ -190,9 +190,7 @@ def test_a_tenth_off_the_torsion_of_a_shows_in_the_compliance() -> None:
     tip, axis = workspace(9)
     soft = dataclasses.replace(ROBOT, a_stiffness_n_mm_per_rad=0.9 * ROBOT.a_stiffness_n_mm_per_rad)
     normal = np.tile(UP, (len(tip), 1))
-    before, after = (
-        equivalent_compliance(tip_compliance_mm_per_n(r, tip, axis), axis, normal) for r in (ROBOT, soft)
-    )
+    before, after = (equivalent_compliance(tip_compliance_mm_per_n(r, tip, axis), axis, normal) for r in (ROBOT, soft))
     change = np.abs(after / before - 1)
     assert 0.05 < np.median(change) < 0.11
     assert change.max() < 0.13

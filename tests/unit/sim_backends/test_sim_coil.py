@@ -1,6 +1,9 @@
 """The voice coil's behaviour, and the two protocols over it."""
 
+from __future__ import annotations
+
 import struct
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +17,7 @@ from tests.unit.sim_backends.vectors import vectors
 class Bench:
     """A coil on a bench, with its log."""
 
-    def __init__(self, near=True, **options):
+    def __init__(self, near: bool = True, **options: Any) -> None:
         self.log = []
         self.coil = VoiceCoil(
             rng=np.random.default_rng(1),
@@ -24,24 +27,24 @@ class Bench:
             **options,
         )
 
-    def until(self, now, fed=True):
+    def until(self, now: float, fed: bool = True) -> None:
         while self.coil.now_s < now - 1e-9:
             self.coil.step(min(self.coil.now_s + 0.02, now))
             if fed:
                 self.coil.feed(7)
 
-    def pressed(self, force=12.0):
+    def pressed(self, force: float = 12.0) -> Bench:
         self.coil.set_force(force)
         self.coil.engage()
         self.until(0.3)
         return self
 
     @property
-    def names(self):
+    def names(self) -> list[str]:
         return [name for name, _ in self.log]
 
 
-def test_it_lands_and_presses():
+def test_it_lands_and_presses() -> None:
     bench = Bench()
     assert bench.coil.state == RETRACTED
     bench.coil.set_force(12.0)
@@ -55,13 +58,13 @@ def test_it_lands_and_presses():
     assert bench.names == ["force_setpoint", "engage", "tool_landed", "force_on"]
 
 
-def test_without_a_part_it_finds_nothing_to_press():
+def test_without_a_part_it_finds_nothing_to_press() -> None:
     bench = Bench(near=False).pressed()
     assert (bench.coil.state, bench.coil.force_n) == (EXTENDING, 0.0)
     assert bench.coil.position_um == 10000.0
 
 
-def test_retract_takes_the_force_off_before_it_lifts():
+def test_retract_takes_the_force_off_before_it_lifts() -> None:
     bench = Bench().pressed()
     bench.coil.retract()
     bench.until(0.31)
@@ -71,14 +74,14 @@ def test_retract_takes_the_force_off_before_it_lifts():
     assert bench.names[-4:] == ["retract", "force_zero", "tool_lifted", "retracted"]
 
 
-def test_force_zero_stays_extended():
+def test_force_zero_stays_extended() -> None:
     bench = Bench().pressed()
     bench.coil.set_force(0.0)
     bench.until(0.5)
     assert (bench.coil.state, bench.coil.force_n) == (CONTACT, 0.0)
 
 
-def test_silence_makes_it_let_go():
+def test_silence_makes_it_let_go() -> None:
     bench = Bench().pressed()
     bench.until(0.79, fed=False)
     assert bench.coil.state == CONTACT
@@ -89,7 +92,7 @@ def test_silence_makes_it_let_go():
     assert (bench.coil.state, bench.coil.engage()) == (RETRACTED, "")
 
 
-def test_samples_describe_the_force_without_a_gap():
+def test_samples_describe_the_force_without_a_gap() -> None:
     bench = Bench().pressed()
     times, force = np.array(bench.coil.samples).T
     assert (np.diff(times) >= -1e-12).all()
@@ -97,7 +100,7 @@ def test_samples_describe_the_force_without_a_gap():
     assert np.interp(0.15, times, force) == pytest.approx(12.0 * 0.5, abs=1.5)
 
 
-def test_a_part_that_goes_away_takes_the_force_with_it():
+def test_a_part_that_goes_away_takes_the_force_with_it() -> None:
     bench = Bench().pressed()
     bench.coil.near = False
     bench.until(0.4)
@@ -105,7 +108,7 @@ def test_a_part_that_goes_away_takes_the_force_with_it():
     assert "contact_lost" in bench.names
 
 
-def test_stuck_force():
+def test_stuck_force() -> None:
     bench = Bench(stuck_after_s=0.5).pressed()
     bench.until(2.0)
     assert bench.coil.force_n == pytest.approx(7.2)
@@ -115,16 +118,16 @@ def test_stuck_force():
 
 
 @pytest.mark.parametrize("force", [-0.1, 50.1, float("nan")])
-def test_ranges(force):
+def test_ranges(force: float) -> None:
     assert Bench().coil.set_force(force) == "range"
     assert Bench().coil.set_watchdog(99) == "range"
 
 
-def registers(coil):
+def registers(coil: VoiceCoil) -> Registers:
     return Registers(coil, "polishd", "VC50", "S-1", "1.0", 70000)
 
 
-def test_modbus_vectors():
+def test_modbus_vectors() -> None:
     expected = {name: bytes.fromhex(value) for name, value in vectors("voice_coil_modbus").items()}
     coil = Bench().pressed().coil
     slave = RtuSlave(1, registers(coil).answer)
@@ -140,7 +143,7 @@ def test_modbus_vectors():
     assert crc16(answer[:-2]) == struct.unpack("<H", answer[-2:])[0]
 
 
-def pdu(function, *words):
+def pdu(function: int, *words: int) -> bytes:
     return struct.pack(f">B{len(words)}H", function, *words)
 
 
@@ -163,11 +166,11 @@ def pdu(function, *words):
         (pdu(5, 0, 1), b"\x85\x01"),
     ],
 )
-def test_modbus_answers(request_pdu, answer):
+def test_modbus_answers(request_pdu: bytes, answer: Any) -> None:
     assert registers(Bench().coil).answer(request_pdu) == answer
 
 
-def test_engage_is_refused_while_a_fault_is_set():
+def test_engage_is_refused_while_a_fault_is_set() -> None:
     bench = Bench()
     bench.coil.faults = 1
     table = registers(bench.coil)
@@ -176,7 +179,7 @@ def test_engage_is_refused_while_a_fault_is_set():
     assert table.answer(pdu(6, 0, 1)) == pdu(6, 0, 1)
 
 
-def test_rtu_keeps_silent_about_what_is_damaged_or_not_for_it():
+def test_rtu_keeps_silent_about_what_is_damaged_or_not_for_it() -> None:
     slave = RtuSlave(1, registers(Bench().coil).answer)
     good = rtu(1, pdu(3, 0, 1))
     assert list(slave.feed(rtu(2, pdu(3, 0, 1)), 0.0)) == []
@@ -187,7 +190,7 @@ def test_rtu_keeps_silent_about_what_is_damaged_or_not_for_it():
     assert len(list(slave.feed(good + good, 0.5))) == 2
 
 
-def test_modbus_tcp_echoes_the_transaction():
+def test_modbus_tcp_echoes_the_transaction() -> None:
     slave = TcpSlave(1, registers(Bench().coil).answer)
     request = struct.pack(">HHHB", 77, 0, 6, 1) + pdu(3, 2, 1)
     assert list(slave.feed(request[:9], 0.0)) == []
@@ -196,7 +199,7 @@ def test_modbus_tcp_echoes_the_transaction():
     assert list(slave.feed(struct.pack(">HHHB", 1, 9, 6, 1) + pdu(3, 2, 1), 0.0)) == []
 
 
-def test_ascii_vectors():
+def test_ascii_vectors() -> None:
     expected = {name: value.encode() + b"\r\n" for name, value in vectors("voice_coil_serial").items()}
     assert line("7,OK") == expected["ok"]
     assert line("8,ST,2,11.98,12.00,5000,0") == expected["status"]
@@ -224,19 +227,19 @@ def test_ascii_vectors():
         ("65535,HB", "65535,OK"),
     ],
 )
-def test_ascii_answers(request_body, answer):
+def test_ascii_answers(request_body: str, answer: Any) -> None:
     slave = AsciiSlave(Bench().coil, "polishd,VC50,S-1,1.0,3")
     assert [body(got.strip()) for _, got in slave.feed(line(request_body), 0.0)] == [answer]
 
 
-def test_broken_lines_are_not_answered():
+def test_broken_lines_are_not_answered() -> None:
     slave = AsciiSlave(Bench().coil, "x")
     dirt = b"$1,HB*00\r\nnoise\r\n$*00\r\n$70000,HB*" + line("70000,HB")[-4:] + b"$" + b"1" * 200 + b"\r\n"
     assert list(slave.feed(dirt, 0.0)) == []
     assert len(list(slave.feed(line("1,HB"), 0.0))) == 1
 
 
-def test_status_does_not_feed_the_watchdog_and_a_heartbeat_does():
+def test_status_does_not_feed_the_watchdog_and_a_heartbeat_does() -> None:
     bench = Bench().pressed()
     slave = AsciiSlave(bench.coil, "x")
     for k in range(30):

@@ -1,7 +1,10 @@
 """The robot controller: who may do what, credit, gaps, watchdog."""
 
+from __future__ import annotations
+
 import json
 import struct
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,11 +17,13 @@ from polishd.sim_backends.robot.motion import Limits, Motion
 LIMITS = Limits(accel_mm_s2=1000.0, overhead_s=0.0, corner_deg=30.0, rapid_mm_s=100.0, max_feed_mm_s=100.0, speed=1.0)
 LINES = [f"G1 X{k} F600".encode() for k in range(1, 21)]
 
+Frames = list[tuple[int, bytes]]
+
 
 class Bench:
     """A controller, its log, and what clients were sent."""
 
-    def __init__(self, **config):
+    def __init__(self, **config: Any) -> None:
         self.log = []
         motion = Motion(LIMITS, (0.0, 0.0, 50.0, 0.0, 0.0))
         self.controller = Controller(
@@ -30,27 +35,27 @@ class Bench:
         )
         self.now = 0.0
 
-    def client(self, role="writer", executed_from=0):
+    def client(self, role: str = "writer", executed_from: int = 0) -> tuple[Client, Frames]:
         client = Client(lambda frame: client_frames.extend(f.Splitter().feed(frame)))
         client_frames = []
         self.say(client, f.HELLO, {"protocol": 1, "role": role, "client": "t", "executed_from": executed_from})
         return client, client_frames
 
-    def say(self, client, kind, message):
+    def say(self, client: Any, kind: int, message: Any) -> None:
         payload = message if isinstance(message, bytes) else json.dumps(message).encode()
         self.controller.on_frame(client, kind, payload, self.now)
 
-    def blocks(self, client, first, lines):
+    def blocks(self, client: Any, first: int, lines: list[Any]) -> None:
         kind, payload = next(iter(f.Splitter().feed(f.pack_blocks(first, lines))))
         self.controller.on_frame(client, kind, payload, self.now)
 
-    def loaded(self, lines=LINES, **config):
+    def loaded(self, lines: list[Any] = LINES, **config: Any) -> tuple[Client, Frames]:
         client, got = self.client()
         self.say(client, f.LOAD, {"program_sha256": "ab", "blocks": len(lines), "approach_blocks": 0})
         self.blocks(client, 0, lines)
         return client, got
 
-    def until(self, now, client=None, step=0.05):
+    def until(self, now: float, client: Any = None, step: float = 0.05) -> None:
         """Let time pass; a client given keeps pinging."""
         while self.now < now:
             self.now += step
@@ -59,23 +64,23 @@ class Bench:
             self.controller.tick(self.now)
 
 
-def kinds(got):
+def kinds(got: Frames) -> list[int]:
     return [kind for kind, _ in got]
 
 
-def last(got, kind):
+def last(got: Frames, kind: int) -> dict[str, Any]:
     return json.loads(next(payload for which, payload in reversed(got) if which == kind))
 
 
-def naks(got):
+def naks(got: Frames) -> list[tuple[int, str]]:
     return [(m["of"], m["code"]) for m in (json.loads(p) for k, p in got if k == f.NAK)]
 
 
-def executed(got):
+def executed(got: Frames) -> list[tuple[int, float, float]]:
     return [block for kind, payload in got if kind == f.EXECUTED for block in f.unpack_executed(payload)]
 
 
-def test_hello_is_answered_by_welcome_and_credit():
+def test_hello_is_answered_by_welcome_and_credit() -> None:
     _, got = Bench().client()
     assert kinds(got) == [f.WELCOME, f.ACCEPTED]
     welcome = last(got, f.WELCOME)
@@ -86,7 +91,7 @@ def test_hello_is_answered_by_welcome_and_credit():
     assert got[1][1] == struct.pack(">II", 0, 0)
 
 
-def test_nothing_before_hello_and_hello_once():
+def test_nothing_before_hello_and_hello_once() -> None:
     bench = Bench()
     client, got = Bench().client()
     stranger = []
@@ -97,7 +102,7 @@ def test_nothing_before_hello_and_hello_once():
     assert naks(got) == [(f.HELLO, "protocol")]
 
 
-def test_one_writer_any_number_of_readers():
+def test_one_writer_any_number_of_readers() -> None:
     bench = Bench()
     writer, _ = bench.client()
     _, second = bench.client()
@@ -112,7 +117,7 @@ def test_one_writer_any_number_of_readers():
     assert kinds(third)[0] == f.WELCOME
 
 
-def test_load_send_run_done():
+def test_load_send_run_done() -> None:
     bench = Bench()
     client, got = bench.loaded()
     assert last(got, f.ACK)["of"] == f.LOAD
@@ -124,7 +129,7 @@ def test_load_send_run_done():
     assert [name for name, _ in bench.log] == ["client", "program_loaded", "motion_started", "motion_stopped"]
 
 
-def test_blocks_taken_already_are_ignored_and_gaps_asked_for_once():
+def test_blocks_taken_already_are_ignored_and_gaps_asked_for_once() -> None:
     bench = Bench()
     client, got = bench.client()
     bench.say(client, f.LOAD, {"program_sha256": "ab", "blocks": 20})
@@ -140,14 +145,14 @@ def test_blocks_taken_already_are_ignored_and_gaps_asked_for_once():
     assert got[-1] == (f.RESEND, struct.pack(">I", 10))
 
 
-def test_a_damaged_frame_is_asked_for_again():
+def test_a_damaged_frame_is_asked_for_again() -> None:
     bench = Bench()
     client, got = bench.loaded(LINES[:5])
     bench.controller.on_broken(client)
     assert got[-1] == (f.RESEND, struct.pack(">I", 5))
 
 
-def test_the_window_bounds_what_is_taken_and_moves_with_execution():
+def test_the_window_bounds_what_is_taken_and_moves_with_execution() -> None:
     bench = Bench(window=6)
     client, got = bench.client()
     bench.say(client, f.LOAD, {"program_sha256": "ab", "blocks": 20})
@@ -160,9 +165,10 @@ def test_the_window_bounds_what_is_taken_and_moves_with_execution():
 
 
 @pytest.mark.parametrize(
-    ("line", "code"), [(b"G7 X1", "syntax"), (b"G1 X500 F60", "limits"), (b"G1 A80 F60", "limits"), (b"G1 Y120 F60", "limits")]
+    ("line", "code"),
+    [(b"G7 X1", "syntax"), (b"G1 X500 F60", "limits"), (b"G1 A80 F60", "limits"), (b"G1 Y120 F60", "limits")],
 )
-def test_a_bad_block_is_refused_and_nothing_after_it_is_taken(line, code):
+def test_a_bad_block_is_refused_and_nothing_after_it_is_taken(line: bytes, code: str) -> None:
     bench = Bench()
     client, got = bench.loaded([*LINES[:3], line, *LINES[4:]])
     assert naks(got) == [(f.BLOCKS, code)]
@@ -171,9 +177,9 @@ def test_a_bad_block_is_refused_and_nothing_after_it_is_taken(line, code):
     assert bench.controller.motion.accepted == 3
 
 
-def test_the_writers_silence_leads_to_hold():
+def test_the_writers_silence_leads_to_hold() -> None:
     bench = Bench()
-    client, got = bench.loaded()
+    client, _got = bench.loaded()
     bench.say(client, f.RESUME, {})
     bench.until(0.5, client)
     bench.until(1.45)
@@ -184,7 +190,7 @@ def test_the_writers_silence_leads_to_hold():
     assert "watchdog" in [name for name, _ in bench.log]
 
 
-def test_a_lost_connection_does_not_stop_the_state_and_a_new_one_hears_it_all():
+def test_a_lost_connection_does_not_stop_the_state_and_a_new_one_hears_it_all() -> None:
     bench = Bench()
     client, _ = bench.loaded()
     bench.say(client, f.RESUME, {})
@@ -195,7 +201,7 @@ def test_a_lost_connection_does_not_stop_the_state_and_a_new_one_hears_it_all():
     assert bench.controller.status()["state"] == "running"
 
 
-def test_hold_by_a_reader_is_acknowledged_at_standstill():
+def test_hold_by_a_reader_is_acknowledged_at_standstill() -> None:
     bench = Bench()
     client, _ = bench.loaded()
     reader, got = bench.client("reader")
@@ -208,23 +214,21 @@ def test_hold_by_a_reader_is_acknowledged_at_standstill():
     assert last(got, f.ACK)["status"]["state"] == "held"
 
 
-def test_abort_forgets():
+def test_abort_forgets() -> None:
     bench = Bench()
     client, got = bench.loaded()
     bench.say(client, f.RESUME, {})
     bench.until(0.5, client)
     bench.say(client, f.ABORT, {})
     bench.until(0.6, client)
-    status = last(got, f.ACK)["status"]
-    assert (last(got, f.ACK)["of"], status["state"], status["program_sha256"]) == (f.ABORT, "held", "ab") or status[
-        "state"
-    ] == "idle"
+    assert last(got, f.ACK)["of"] == f.ABORT
+    assert last(got, f.ACK)["status"]["state"] == "idle"
     assert bench.controller.status()["state"] == "idle"
     bench.say(client, f.RESUME, {})
     assert naks(got) == [(f.RESUME, "no_program")]
 
 
-def test_load_is_refused_while_running_and_when_it_is_nonsense():
+def test_load_is_refused_while_running_and_when_it_is_nonsense() -> None:
     bench = Bench()
     client, got = bench.loaded()
     bench.say(client, f.RESUME, {})
@@ -236,7 +240,7 @@ def test_load_is_refused_while_running_and_when_it_is_nonsense():
     assert naks(got) == [(f.LOAD, "running")] + [(f.LOAD, "protocol")] * 3
 
 
-def test_unknown_types_are_refused():
+def test_unknown_types_are_refused() -> None:
     bench = Bench()
     client, got = bench.client()
     bench.say(client, 0x55, {})

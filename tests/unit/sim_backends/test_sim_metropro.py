@@ -1,7 +1,10 @@
 """The instrument's writer against the documented layout, and the small reader against it and the real file."""
 
+from __future__ import annotations
+
 import hashlib
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +19,7 @@ def small() -> bytes:
     return pack(DatMap(height, 0.5, "DEMO-100", 1700000000, "vector", "sim"))
 
 
-def test_the_documented_vector():
+def test_the_documented_vector() -> None:
     expected = vectors("metropro_dat")
     data = small()
     assert data[HEADER:].hex() == expected["phase"]
@@ -24,7 +27,7 @@ def test_the_documented_vector():
     assert hashlib.sha256(data).hexdigest() == expected["sha256"]
 
 
-def test_the_header_where_the_page_says_it_is():
+def test_the_header_where_the_page_says_it_is() -> None:
     data = small()
     assert data[:4].hex() == "881b036f"
     assert struct.unpack_from(">hi", data, 4) == (1, 834)
@@ -40,7 +43,7 @@ def test_the_header_where_the_page_says_it_is():
     assert data[320:360].rstrip(b"\0") == b"DEMO-100"
 
 
-def test_round_trip():
+def test_round_trip() -> None:
     rng = np.random.default_rng(5)
     height = rng.normal(0.0, 50.0, (30, 41))
     height[3:6, 7] = np.nan
@@ -52,13 +55,13 @@ def test_round_trip():
 
 
 @pytest.mark.parametrize("size", [0, 3, 100, 833, 834, 849, 851])
-def test_a_file_of_the_wrong_length_is_refused(size):
+def test_a_file_of_the_wrong_length_is_refused(size: int) -> None:
     data = (small() + b"\0")[:size]
     with pytest.raises(BadMap):
         unpack(data)
 
 
-def test_sign_and_resolution_are_applied():
+def test_sign_and_resolution_are_applied() -> None:
     data = bytearray(small())
     struct.pack_into(">h", data, 232, 1)
     struct.pack_into(">h", data, 218, 0)
@@ -68,7 +71,7 @@ def test_sign_and_resolution_are_applied():
         unpack(bytes(data))
 
 
-def test_the_shared_file(shared_data):
+def test_the_shared_file(shared_data: Path) -> None:
     data = read(shared_data / "zygo_metropro.dat")
     valid = data.height_nm[np.isfinite(data.height_nm)]
     assert data.height_nm.shape == (432, 425)

@@ -1,5 +1,9 @@
 """Execution: time, place, holds and stops."""
 
+from __future__ import annotations
+
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -10,7 +14,9 @@ HOME = (0.0, 0.0, 50.0, 0.0, 0.0)
 PERFECT = {"accel_mm_s2": 1000.0, "overhead_s": 0.0, "corner_deg": 30.0, "rapid_mm_s": 100.0, "max_feed_mm_s": 100.0}
 
 
-def loaded(lines, *, blocks=None, until=None, start=True, **limits) -> Motion:
+def loaded(
+    lines: list[Any], *, blocks: int | None = None, until: int | None = None, start: bool = True, **limits: Any
+) -> Motion:
     """A motion with these blocks, started at wall time 0."""
     reader = Reader(HOME)
     motion = Motion(Limits(**{**PERFECT, "speed": 1.0, **limits}), HOME)
@@ -21,7 +27,7 @@ def loaded(lines, *, blocks=None, until=None, start=True, **limits) -> Motion:
     return motion
 
 
-def run(motion: Motion, until_s=1000.0, step_s=0.01) -> np.ndarray:
+def run(motion: Motion, until_s: float = 1000.0, step_s: float = 0.01) -> np.ndarray:
     """Run in ticks; all rows of motion."""
     wall = 0.0
     while motion.state == "running" and wall < until_s:
@@ -33,7 +39,7 @@ def run(motion: Motion, until_s=1000.0, step_s=0.01) -> np.ndarray:
 LINE = ["G1 X10 F600", "X20", "X30"]
 
 
-def test_blocks_follow_each_other_without_a_gap():
+def test_blocks_follow_each_other_without_a_gap() -> None:
     motion = loaded(LINE)
     rows = run(motion)
     assert motion.state == "done"
@@ -45,7 +51,7 @@ def test_blocks_follow_each_other_without_a_gap():
     assert np.allclose(rows[1:, 1], rows[:-1, 2])
 
 
-def test_time_in_rows_is_time_in_blocks():
+def test_time_in_rows_is_time_in_blocks() -> None:
     motion = loaded([f"G1 X{k % 7} Y{k / 3:.3f} F{300 + 40 * (k % 5)}" for k in range(200)], overhead_s=0.005)
     rows = run(motion)
     spans = {seq: end - start for seq, start, end in motion.executed}
@@ -53,20 +59,20 @@ def test_time_in_rows_is_time_in_blocks():
         assert rows[rows[:, 0] == seq, 3].sum() == pytest.approx(span, abs=1e-9)
 
 
-def test_steps_are_fine():
+def test_steps_are_fine() -> None:
     rows = run(loaded(["G1 X40 F5000", "G4 P1", "X41 F6"]), step_s=0.5)
     assert np.abs(np.diff(rows[:, 4])).max() <= 0.2501
     assert rows[:, 3].max() <= 0.0501
 
 
-def test_each_block_pays_its_overhead():
+def test_each_block_pays_its_overhead() -> None:
     free, paid = loaded(LINE), loaded(LINE, overhead_s=0.005)
     run(free)
     run(paid)
     assert paid.executed[-1][2] - free.executed[-1][2] == pytest.approx(0.015)
 
 
-def test_corners_stop_and_gentle_bends_do_not():
+def test_corners_stop_and_gentle_bends_do_not() -> None:
     sharp, gentle = loaded(["G1 X10 F600", "Y10"]), loaded(["G1 X10 F600", "X20 Y5"])
     run(sharp)
     run(gentle)
@@ -74,7 +80,7 @@ def test_corners_stop_and_gentle_bends_do_not():
     assert gentle.executed[0][2] == pytest.approx(1.005)
 
 
-def test_dwell_stands_still():
+def test_dwell_stands_still() -> None:
     motion = loaded(["G1 X1 F600", "G4 P0.3", "X2"])
     rows = run(motion)
     standing = rows[rows[:, 0] == 1]
@@ -82,20 +88,20 @@ def test_dwell_stands_still():
     assert np.allclose(standing[:, 4], 1.0)
 
 
-def test_inverse_time_takes_its_time():
+def test_inverse_time_takes_its_time() -> None:
     motion = loaded(["G93", "G1 X1 F60", "X2 F60", "X3 F60"])
     run(motion)
     assert motion.executed[2][2] - motion.executed[2][1] == pytest.approx(1.0)
 
 
-def test_blocks_without_motion_take_no_time():
+def test_blocks_without_motion_take_no_time() -> None:
     motion = loaded(["G21", "(comment)", "G1 X1 F600", "", "M2"], overhead_s=0.005)
     run(motion)
     assert motion.state == "done"
     assert [round(end - start, 4) for _, start, end in motion.executed] == [0.0, 0.0, 0.115, 0.0, 0.0]
 
 
-def test_speed_scales_process_time_only():
+def test_speed_scales_process_time_only() -> None:
     motion = loaded(LINE, speed=60.0)
     rows = run(motion, step_s=0.001)
     assert motion.process_s == pytest.approx(3.01)
@@ -103,7 +109,7 @@ def test_speed_scales_process_time_only():
     assert motion.changed_s == pytest.approx(3.01 / 60.0)
 
 
-def test_until_comes_to_a_stop_between_blocks():
+def test_until_comes_to_a_stop_between_blocks() -> None:
     motion = loaded(LINE, until=2)
     run(motion)
     assert (motion.state, motion.detail) == ("held", "until")
@@ -116,7 +122,7 @@ def test_until_comes_to_a_stop_between_blocks():
     assert motion.executed[2][1:] == (pytest.approx(2.01), pytest.approx(3.02))
 
 
-def test_hold_decelerates_inside_a_block_and_resume_finishes_it():
+def test_hold_decelerates_inside_a_block_and_resume_finishes_it() -> None:
     motion = loaded(LINE)
     motion.hold(1.5, "hold")
     assert motion.state == "running"
@@ -133,7 +139,7 @@ def test_hold_decelerates_inside_a_block_and_resume_finishes_it():
     assert rows[-1, 4] == pytest.approx(30.0, abs=0.3)
 
 
-def test_hold_may_run_over_several_blocks():
+def test_hold_may_run_over_several_blocks() -> None:
     motion = loaded([f"G1 X{k / 10:.1f} F6000" for k in range(1, 300)])
     motion.advance(0.2)
     before = len(motion.executed)
@@ -144,7 +150,7 @@ def test_hold_may_run_over_several_blocks():
     assert motion.pose[0] == pytest.approx(20.0, abs=0.2)
 
 
-def test_hold_in_a_dwell_keeps_what_is_left():
+def test_hold_in_a_dwell_keeps_what_is_left() -> None:
     motion = loaded(["G4 P1", "G1 X1 F600"])
     motion.hold(0.25, "hold")
     motion.advance(0.25)
@@ -157,7 +163,7 @@ def test_hold_in_a_dwell_keeps_what_is_left():
 
 
 @pytest.mark.parametrize("at_s", np.linspace(0.05, 3.0, 14))
-def test_no_hold_loses_or_repeats_anything(at_s):
+def test_no_hold_loses_or_repeats_anything(at_s: float) -> None:
     motion = loaded(["G1 X10 F600", "G4 P0.5", "X10.5 Y4", "(note)", "X12 Y9", "G4 P0.2", "M2"], overhead_s=0.005)
     motion.hold(at_s, "hold")
     motion.advance(at_s + 1.0)
@@ -170,14 +176,14 @@ def test_no_hold_loses_or_repeats_anything(at_s):
     assert motion.pose[:2] == (12.0, 9.0)
 
 
-def test_an_empty_buffer_is_an_underrun():
+def test_an_empty_buffer_is_an_underrun() -> None:
     motion = loaded(LINE, blocks=10)
     run(motion)
     assert (motion.state, motion.detail) == ("held", "underrun")
     assert len(motion.executed) == 3
 
 
-def test_appending_in_time_leaves_no_trace():
+def test_appending_in_time_leaves_no_trace() -> None:
     lines = [f"G1 X{k} F{600 + 60 * (k % 3)}" for k in range(1, 60)]
     whole = loaded(lines)
     run(whole)
@@ -190,7 +196,7 @@ def test_appending_in_time_leaves_no_trace():
     assert np.allclose(np.array(pieces.executed), np.array(whole.executed), atol=1e-9)
 
 
-def test_pause_waits_for_resume():
+def test_pause_waits_for_resume() -> None:
     motion = loaded(["G1 X1 F600", "M0", "X2"])
     run(motion)
     assert (motion.state, motion.detail, len(motion.executed)) == ("held", "pause", 2)
@@ -199,7 +205,7 @@ def test_pause_waits_for_resume():
     assert motion.state == "done"
 
 
-def test_rapid_runs_at_the_machines_own_speed_and_rotation_alone_is_a_move():
+def test_rapid_runs_at_the_machines_own_speed_and_rotation_alone_is_a_move() -> None:
     motion = loaded(["G0 X100", "G1 A30 F600"])
     run(motion)
     assert motion.executed[0][2] == pytest.approx(1.1)
@@ -207,7 +213,7 @@ def test_rapid_runs_at_the_machines_own_speed_and_rotation_alone_is_a_move():
     assert motion.executed[1][2] - motion.executed[1][1] == pytest.approx(3.01)
 
 
-def test_buffer_is_told_in_wall_seconds():
+def test_buffer_is_told_in_wall_seconds() -> None:
     motion = loaded(LINE, speed=10.0, start=False)
     assert motion.ahead_s == pytest.approx(0.301)
     motion.resume(0.0, None)
@@ -215,7 +221,7 @@ def test_buffer_is_told_in_wall_seconds():
     assert motion.ahead_s == pytest.approx(0.201)
 
 
-def test_the_process_clock_stands_while_the_robot_does():
+def test_the_process_clock_stands_while_the_robot_does() -> None:
     motion = loaded(LINE, until=1)
     run(motion)
     stopped = motion.process_s
@@ -223,7 +229,7 @@ def test_the_process_clock_stands_while_the_robot_does():
     assert motion.process_s == stopped
 
 
-def test_load_forgets():
+def test_load_forgets() -> None:
     motion = loaded(LINE)
     run(motion)
     motion.load(2)

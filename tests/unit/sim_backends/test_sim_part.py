@@ -1,5 +1,9 @@
 """The true part: as rough as configured for every seed, and reachable by the spot."""
 
+from __future__ import annotations
+
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -11,19 +15,19 @@ CONFIG = Plant()
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_rms_and_pv_are_those_of_the_config(seed):
+def test_rms_and_pv_are_those_of_the_config(seed: int) -> None:
     rms, pv = parts.make(CONFIG, seed).stats()
     assert rms == pytest.approx(18.0, rel=1e-6)
     assert pv == pytest.approx(150.0, rel=0.03)
 
 
-def test_the_seed_decides():
+def test_the_seed_decides() -> None:
     one, same, other = (parts.make(CONFIG, seed).height_nm for seed in (1, 1, 2))
     assert np.array_equal(one, same)
     assert not np.allclose(one, other)
 
 
-def test_short_periods_are_nearly_absent():
+def test_short_periods_are_nearly_absent() -> None:
     """What a 3.4 mm spot cannot reach is far below the tolerance of 2 nm."""
     part = parts.make(CONFIG, 3)
     height = part.height_nm - part.height_nm.mean()
@@ -35,7 +39,7 @@ def test_short_periods_are_nearly_absent():
     assert np.sqrt(share) * 18.0 < 0.3
 
 
-def test_the_map_is_the_aperture_and_the_ring_is_hidden():
+def test_the_map_is_the_aperture_and_the_ring_is_hidden() -> None:
     part = parts.make(CONFIG, 1)
     seen = part.map_nm()
     assert seen.shape == (201, 201)
@@ -46,11 +50,11 @@ def test_the_map_is_the_aperture_and_the_ring_is_hidden():
     assert np.isfinite(part.height_nm).all()
 
 
-def test_a_perfect_part():
+def test_a_perfect_part() -> None:
     assert parts.make(Plant(rms_nm=0.0), 1).stats() == (0.0, 0.0)
 
 
-def test_holes_are_filled_smoothly():
+def test_holes_are_filled_smoothly() -> None:
     y, x = np.mgrid[0:60, 0:60]
     height = 0.5 * x + 0.2 * y
     holed = height.copy()
@@ -60,7 +64,7 @@ def test_holes_are_filled_smoothly():
     assert np.abs(filled - height).max() < 4.0
 
 
-def test_a_measured_part_keeps_its_holes_and_its_size(tmp_path):
+def test_a_measured_part_keeps_its_holes_and_its_size(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     height = rng.normal(0.0, 10.0, (81, 91))
     height[0, 0] = height[40:44, 50:53] = np.nan
@@ -79,7 +83,7 @@ def test_a_measured_part_keeps_its_holes_and_its_size(tmp_path):
     assert not part.clear[41, 51]
 
 
-def test_the_shared_map_becomes_a_part(shared_data):
+def test_the_shared_map_becomes_a_part(shared_data: Path) -> None:
     part = parts.from_map(shared_data / "zygo_metropro.dat", CONFIG)
     seen = part.map_nm()
     assert seen.shape == (432, 425)

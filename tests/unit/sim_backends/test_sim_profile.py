@@ -1,5 +1,7 @@
 """The look-ahead profile: physical, and as fast as its limits allow."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,21 +12,21 @@ from polishd.sim_backends.robot.profile import along, junctions, trapezoids
 ACCEL = 1000.0
 
 
-def test_one_move_from_rest_to_rest_is_a_trapezoid():
+def test_one_move_from_rest_to_rest_is_a_trapezoid() -> None:
     squared = junctions(np.array([10.0]), np.array([0.0, 0.0]), 0.0, ACCEL)
     shape = trapezoids(np.array([10.0]), np.array([50.0]), squared, ACCEL)
     assert shape.t_up[0] == pytest.approx(0.05)
     assert shape.seconds[0] == pytest.approx(10.0 / 50.0 + 50.0 / ACCEL)
 
 
-def test_a_short_move_never_reaches_its_feed():
+def test_a_short_move_never_reaches_its_feed() -> None:
     squared = junctions(np.array([1.0]), np.array([0.0, 0.0]), 0.0, ACCEL)
     shape = trapezoids(np.array([1.0]), np.array([100.0]), squared, ACCEL)
     assert shape.v_top[0] == pytest.approx(np.sqrt(1000.0))
     assert shape.seconds[0] == pytest.approx(2 * np.sqrt(1.0 / ACCEL))
 
 
-def test_a_straight_chain_is_one_trapezoid():
+def test_a_straight_chain_is_one_trapezoid() -> None:
     length, feed = np.full(100, 0.1), np.full(100, 50.0)
     cap = np.concatenate([[0.0], np.full(99, 2500.0), [0.0]])
     shape = trapezoids(length, feed, junctions(length, cap, 0.0, ACCEL), ACCEL)
@@ -35,7 +37,7 @@ moves = st.lists(st.tuples(st.floats(0.0, 5.0), st.floats(0.5, 100.0)), min_size
 
 
 @given(moves)
-def test_limits_are_kept_and_every_millimetre_is_travelled(chain):
+def test_limits_are_kept_and_every_millimetre_is_travelled(chain: list[tuple[float, float]]) -> None:
     length, feed = (np.array(column) for column in zip(*chain, strict=True))
     cap = np.concatenate([[0.0], np.minimum(feed[1:], feed[:-1]) ** 2, [0.0]])
     squared = junctions(length, cap, 0.0, ACCEL)
@@ -50,14 +52,14 @@ def test_limits_are_kept_and_every_millimetre_is_travelled(chain):
     assert (shape.v_top <= feed + 1e-6).all() or not moving.all()
 
 
-def test_it_starts_at_the_speed_it_has():
+def test_it_starts_at_the_speed_it_has() -> None:
     length = np.full(5, 2.0)
     squared = junctions(length, np.array([0.0, 900.0, 900.0, 900.0, 900.0, 0.0]), 400.0, ACCEL)
     assert squared[0] == 400.0
     assert squared[-1] == 0.0
 
 
-def test_moves_of_no_length_take_no_time():
+def test_moves_of_no_length_take_no_time() -> None:
     length = np.array([1.0, 0.0, 1.0])
     cap = np.array([0.0, 100.0, 100.0, 0.0])
     shape = trapezoids(length, np.full(3, 10.0), junctions(length, cap, 0.0, ACCEL), ACCEL)

@@ -13,4 +13,4 @@ def vectors(name: str) -> dict[str, str]:
     text = (DOCS / f"{name}.md").read_text()
     block = re.search(r"```vectors\n(.*?)```", text, re.DOTALL)
     assert block is not None, f"{name}.md has no vectors"
-    return {key: value for key, value in (line.split(" ", 1) for line in block[1].strip().splitlines())}
+    return dict(line.split(" ", 1) for line in block[1].strip().splitlines())

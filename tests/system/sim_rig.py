@@ -1,0 +1,286 @@
+"""A simulated cell as a process, and raw clients of its wires. Waits are for conditions, with a limit."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import serial
+
+from polishd.sim_backends.actuator.modbus import crc16, rtu
+from polishd.sim_backends.robot import frames as f
+
+ROOT = Path(__file__).resolve().parents[2]
+LIMIT_S = 15.0
+SMALL = """
+[plant]
+aperture_mm = 40.0
+[robot]
+port = 0
+"""
+
+
+def wait_for(condition: Callable[[], Any], what: str, limit_s: float = LIMIT_S) -> Any:
+    """The condition's first true value."""
+    end = time.monotonic() + limit_s
+    while time.monotonic() < end:
+        value = condition()
+        if value:
+            return value
+        time.sleep(0.005)
+    raise AssertionError(f"waited {limit_s:g} s in vain: {what}")
+
+
+def alive(pid: int) -> bool:
+    """Whether the process runs (a zombie does not)."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+class Cell:
+    """A running cell in its state folder."""
+
+    def __init__(self, folder: Path, config: str = SMALL, *arguments: str) -> None:
+        self.state = folder / "sim"
+        self.toml = folder / "sim.toml"
+        self.toml.write_text(config)
+        self.arguments = [str(self.toml), *arguments]
+        self.process = self._start()
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        assert line.startswith("READY "), f"the simulator said {line!r}"
+        self.endpoints: dict[str, Any] = json.loads(line[6:])
+        self.booted: list[subprocess.Popen[str]] = []
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """Who runs, as the supervisor says."""
+        pids: dict[str, int] = json.loads((self.state / "pids.json").read_text())
+        return pids
+
+    @property
+    def maps(self) -> Path:
+        """The interferometer's folder."""
+        return self.state / "maps"
+
+    def log(self) -> list[dict[str, Any]]:
+        """The witness."""
+        path = self.state / "sim.log"
+        return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+    def events(self, *names: str) -> list[str]:
+        """Names of the events so far (of those asked for), in order."""
+        return [entry["event"] for entry in self.log() if not names or entry["event"] in names]
+
+    def account(self) -> dict[str, Any]:
+        """The account of dwell as last written."""
+        account: dict[str, Any] = json.loads((self.state / "dwell_account.json").read_text())
+        return account
+
+    def boot(self, device: str) -> None:
+        """Boot one device by hand, as after a power cut."""
+        process = self._start("--device", device)
+        self.booted.append(process)
+        assert process.stdout is not None
+        assert json.loads(process.stdout.readline())["ready"] == device
+
+    def end(self) -> int:
+        """SIGTERM; the exit code. Whoever was started is gone afterwards."""
+        for process in (*self.booted, self.process):
+            process.send_signal(signal.SIGTERM)
+        for process in (*self.booted, self.process):
+            process.wait(LIMIT_S)
+            if process.stdout is not None:
+                process.stdout.close()
+        return self.process.returncode
+
+    def _start(self, *more: str) -> subprocess.Popen[str]:
+        command = [sys.executable, "-m", "polishd.sim_backends", *self.arguments, *more]
+        return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT)
+
+
+@contextlib.contextmanager
+def cell(folder: Path, config: str = SMALL, *arguments: str) -> Iterator[Cell]:
+    """A cell for the time of the block."""
+    running = Cell(folder, config, *arguments)
+    try:
+        yield running
+    finally:
+        running.end()
+        pids = running.pids.values() if (running.state / "pids.json").exists() else []
+        for pid in pids:
+            wait_for(lambda pid=pid: not alive(pid), f"process {pid} to end", 5.0)
+
+
+class RobotClient:
+    """The robot link, raw."""
+
+    def __init__(self, endpoint: str, role: str = "writer", executed_from: int = 0) -> None:
+        host, port = endpoint.removeprefix("tcp://").split(":")
+        self.socket = socket.create_connection((host, int(port)), timeout=5.0)
+        self.socket.settimeout(0.02)
+        self.splitter = f.Splitter()
+        self.executed: list[tuple[int, float, float]] = []
+        self.status: dict[str, Any] = {}
+        self.credit = (0, 0)
+        self.others: list[tuple[int, bytes]] = []
+        self.closed = False
+        self.say(f.HELLO, {"protocol": 1, "role": role, "client": "test", "executed_from": executed_from})
+
+    def say(self, kind: int, message: dict[str, Any]) -> None:
+        """Send a frame with a JSON payload."""
+        self.socket.sendall(f.pack_json(kind, message))
+
+    def pump(self) -> None:
+        """Take what has come."""
+        with contextlib.suppress(TimeoutError):
+            data = self.socket.recv(1 << 20)
+            self.closed = not data
+            for kind, payload in self.splitter.feed(data):
+                self._take(kind, payload)
+
+    def _take(self, kind: int, payload: bytes) -> None:
+        if kind == f.EXECUTED:
+            self.executed += f.unpack_executed(payload)
+        elif kind == f.ACCEPTED:
+            accepted, room = struct.unpack(">II", payload)
+            self.credit = (accepted, room)
+        else:
+            self.others.append((kind, payload))
+        if kind == f.STATUS:
+            self.status = json.loads(payload)
+        elif kind in {f.ACK, f.WELCOME}:
+            self.status = json.loads(payload)["status"]
+
+    def until(self, condition: Callable[[], Any], what: str, *, ping: bool = True) -> Any:
+        """Pump until the condition holds."""
+
+        def check() -> Any:
+            self.pump()
+            if ping:
+                self.say(f.PING, {})
+            return condition()
+
+        return wait_for(check, what)
+
+    def wait(self, kind: int) -> bytes:
+        """The payload of the next frame of that kind that is not status, progress or credit."""
+        found = self.until(lambda: [p for k, p in self.others if k == kind], f"frame 0x{kind:02x}")
+        self.others = [(k, p) for k, p in self.others if k != kind]
+        payload: bytes = found[0]
+        return payload
+
+    def state(self, state: str) -> None:
+        """Wait for a state."""
+        self.until(lambda: self.status.get("state") == state, f"robot {state}, is {self.status}")
+
+    def load(self, lines: list[bytes], sha256: str = "ab" * 32) -> None:
+        """Load a program that fits into the window, and wait until it is accepted."""
+        self.say(f.LOAD, {"program_sha256": sha256, "blocks": len(lines), "approach_blocks": 0})
+        self.wait(f.ACK)
+        self.socket.sendall(f.pack_blocks(0, lines))
+        self.until(lambda: self.credit[0] == len(lines), "blocks accepted")
+
+    def resume(self, until: int | None = None) -> None:
+        """Run."""
+        self.say(f.RESUME, {"until": until})
+        self.wait(f.ACK)
+
+    def close(self) -> None:
+        """Hang up."""
+        self.socket.close()
+
+
+class CoilClient:
+    """The actuator on Modbus RTU, raw."""
+
+    def __init__(self, path: Path, baud: int = 115200) -> None:
+        self.line = serial.Serial(str(path), baud, timeout=1.0)
+
+    def ask(self, pdu: bytes, size: int) -> bytes:
+        """Send a request; the answer's PDU."""
+        self.line.write(rtu(1, pdu))
+        answer = self.line.read(size + 3)
+        assert len(answer) == size + 3
+        assert crc16(answer[:-2]) == struct.unpack("<H", answer[-2:])[0]
+        return answer[1:-2]
+
+    def write(self, address: int, value: int) -> None:
+        """Write a register; the echo is checked."""
+        pdu = struct.pack(">BHH", 6, address, value)
+        assert self.ask(pdu, 5) == pdu
+
+    def inputs(self) -> tuple[int, ...]:
+        """State, force, set point, position, fault, heartbeat."""
+        return struct.unpack(">2x6H", self.ask(struct.pack(">BHH", 4, 0, 6), 14))
+
+    def press(self, force_n: float, beat: Callable[[], None] = lambda: None) -> None:
+        """Engage and wait for the force."""
+        self.write(1, round(force_n * 100))
+        self.write(0, 1)
+
+        def pressed() -> bool:
+            self.write(3, 1)
+            beat()
+            state, force, *_ = self.inputs()
+            return state == 2 and abs(force / 100.0 - force_n) < 0.1 * force_n
+
+        wait_for(pressed, f"{force_n:g} N")
+
+    def close(self) -> None:
+        """Close the line."""
+        self.line.close()
+
+
+class SlcanClient:
+    """The spindle on slcan, raw."""
+
+    def __init__(self, path: Path) -> None:
+        self.line = serial.Serial(str(path), 115200, timeout=0.02)
+        self.line.write(b"C\rS6\rO\r")
+        self.seen: dict[str, str] = {}
+        self.rest = b""
+
+    def send(self, frame: str) -> None:
+        """``identifier#data``."""
+        identifier, data = frame.split("#")
+        self.line.write(f"t{identifier}{len(data) // 2}{data}\r".encode())
+
+    def pump(self) -> None:
+        """Take what has come: the last data of each identifier."""
+        self.rest += self.line.read(4096)
+        *lines, self.rest = self.rest.split(b"\r")
+        for line in lines:
+            if line.startswith(b"t"):
+                self.seen[line[1:4].decode()] = line[5:].decode()
+
+    def spin(self, rpm: int) -> None:
+        """One command."""
+        self.send("205#" + struct.pack("<BBhI", int(rpm != 0), 1, rpm, 0).hex())
+
+    def state(self) -> int:
+        """State of the last status frame, -1 before the first."""
+        self.pump()
+        return int(self.seen.get("185", "ff")[:2], 16) if "185" in self.seen else -1
+
+    def close(self) -> None:
+        """Close the line."""
+        self.line.close()
+
+
+def end_pid(pid: int, number: int = signal.SIGKILL) -> None:
+    """Kill one process and wait until it is gone."""
+    os.kill(pid, number)
+    wait_for(lambda: not alive(pid), f"process {pid} to be gone")

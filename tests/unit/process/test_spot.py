@@ -1,0 +1,74 @@
+"""The fine patch and its shares on cells: nothing lost, nothing counted twice, turned the right way."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from polishd.model.process import ToolProcess
+from polishd.process import contact
+from polishd.process.spot import PATCH, overlap, spot_patch
+
+PAPER = ToolProcess()
+DEPTH = 0.14834891
+
+
+def moments(patch: np.ndarray, radius: float) -> tuple[float, float]:
+    """Centre of the removal in the part's x and y, mm, of one patch whose row 0 is the top."""
+    place = radius * ((np.arange(PATCH) + 0.5) * 2 / PATCH - 1)
+    return float((patch * place).sum() / patch.sum()), float((patch * -place[:, None]).sum() / patch.sum())
+
+
+@pytest.mark.parametrize("dip", [0.0, 3.0, 15.0, 45.0])
+def test_the_patch_holds_the_volume_of_its_depth(dip) -> None:
+    process = dataclasses.replace(PAPER, dip_deg=dip)
+    depth = np.array([0.12, 0.13, DEPTH])
+    patch = spot_patch(process, depth, np.array([0.0, 1.0, 4.0]))
+    np.testing.assert_allclose(patch.sum(axis=(1, 2)), contact.volume_rate_nm_mm2_s(process, depth), rtol=1e-12)
+    assert (patch >= 0).all()
+
+
+def test_each_square_holds_what_a_fine_sum_over_it_holds() -> None:
+    azimuth, fine = 0.7, 40
+    radius = float(contact.contact_radius_mm(PAPER, DEPTH))
+    place = radius * ((np.arange(PATCH * fine) + 0.5) * 2 / (PATCH * fine) - 1)
+    right, up = place[None, :], -place[:, None]
+    lean = np.array([np.cos(azimuth), np.sin(azimuth)])
+    y, x = lean[0] * right + lean[1] * up, lean[1] * right - lean[0] * up
+    shift = float(contact.dissipative_shift_mm(PAPER, DEPTH))
+    rate = contact.removal_rate_nm_s(PAPER, DEPTH, x + shift, y)  # the patch is centred on the pressure
+    want = rate.reshape(PATCH, fine, PATCH, fine).sum(axis=(1, 3)) * (2 * radius / PATCH / fine) ** 2
+    got = spot_patch(PAPER, np.array([DEPTH]), np.array([azimuth]))[0]
+    assert np.abs(got - want).max() < 1e-4 * want.max()
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 1.0, 2.5, -2.0])
+def test_the_centre_of_removal_lies_where_the_spindle_leans(azimuth) -> None:
+    radius = float(contact.contact_radius_mm(PAPER, DEPTH))
+    x, y = moments(spot_patch(PAPER, np.array([DEPTH]), np.array([azimuth]))[0], radius)
+    assert np.hypot(x, y) > 0.05
+    assert np.arctan2(y, x) == pytest.approx(azimuth, abs=0.01)
+
+
+@given(st.floats(-20, 20), st.floats(0.2, 4.0), st.sampled_from([0.1, 0.25, 0.5, 1.0, 3.0, 20.0]))
+def test_the_cells_share_out_each_square_and_keep_its_place(centre, radius, pitch) -> None:
+    first, share = overlap(np.array([centre]), np.array([radius]), pitch)
+    np.testing.assert_allclose(share[0].sum(axis=0), 1.0, atol=1e-9)
+    assert (share >= 0).all()
+    edges = (first[0] + np.arange(share.shape[1] + 1)) * pitch
+    side = 2 * radius / PATCH
+    for j in (0, PATCH // 2, PATCH - 1):
+        low = centre - radius + j * side
+        want = [max(0.0, min(b, low + side) - max(a, low)) / side for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        np.testing.assert_allclose(share[0, :, j], want, atol=1e-9)
+
+
+def test_patches_of_several_sizes_share_one_window() -> None:
+    first, share = overlap(np.array([0.3, 5.0]), np.array([0.5, 1.7]), 1.0)
+    assert first.tolist() == [-1.0, 3.0]
+    assert share.shape == (2, 5, PATCH)
+    np.testing.assert_allclose(share.sum(axis=(1, 2)), PATCH, rtol=1e-12)
