@@ -18,12 +18,17 @@ from polishd.daemon.config import CellConfig, load_config
 from polishd.daemon.files import read_map
 from polishd.daemon.plugins import load_own
 from polishd.model.errors import BadMap
+from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.make import raster_program
-from polishd.process import frames
-from polishd.process.raster import raster
+from polishd.process import contact, frames
+from polishd.process.compliance import depth_ratio, equivalent_compliance
+from polishd.process.raster import quiet_step_mm, raster
+from polishd.process.robot import tip_compliance_mm_per_n
 
-OVERRUN_MM = 2.0
-"""How far the raster goes beyond the clear aperture: more than the spot's radius, so that its rim is reached."""
+RASTER_MM = 1.0
+"""Length of a block, and most distance of the lines: the step that leaves no ripple is a little less."""
+OVERRUN_MM = 1.0
+"""How far the raster's disc is larger than the part: its turns, where the machine stops, lie on the ring around it."""
 LANDING_MM = 6.0
 """How far outside the part the tool lands, on the ring that the part sits in."""
 FEED_MM_MIN = 900.0
@@ -95,15 +100,30 @@ def write_demo(out: Path, surface: Path | None, tolerance_nm: float, cycles: int
 
 def demo_program(config: CellConfig) -> bytes:
     """A boustrophedon raster over the clear aperture and a little more, dipped radially inward, as RNC text."""
-    radius = config.part.aperture_mm / 2 - config.part.edge_mm + OVERRUN_MM
+    radius = config.part.aperture_mm / 2 + OVERRUN_MM
     landing = config.part.aperture_mm / 2 + LANDING_MM - radius
-    points = raster(radius, step_mm=1.0, block_mm=1.0, landing_mm=landing)
-    placement = config.placement()
-    base = frames.points_to_base(placement, points)
-    normals = frames.surface_normals(placement, len(points))
-    axis_base = frames.inward_axis(base, normals, config.process.dip_deg)
-    axis = axis_base @ np.asarray(placement.rotation)  # base to part: the transpose, on row vectors
+    step = quiet_step_mm(_contact_radius_mm(config), RASTER_MM)
+    points = raster(radius, step, RASTER_MM, landing_mm=landing)
+    axis = _inward(config, points) @ np.asarray(config.placement().rotation)  # base to part: transposed, on rows
     return raster_program(points, axis, FEED_MM_MIN, f"polishd demo raster, phi {config.part.aperture_mm:g} mm")
+
+
+def _inward(config: CellConfig, points_mm: FloatArray) -> FloatArray:
+    """(n, 3) tool axes in the base frame, dipped radially inward."""
+    placement = config.placement()
+    base = frames.points_to_base(placement, points_mm)
+    return frames.inward_axis(base, frames.surface_normals(placement, len(base)), config.process.dip_deg)
+
+
+def _contact_radius_mm(config: CellConfig) -> float:
+    """Radius of the contact that acts at the part's centre."""
+    centre, placement, process = np.zeros((1, 3)), config.placement(), config.tool_process()
+    axis = _inward(config, centre)
+    matrix = tip_compliance_mm_per_n(config.hybrid_robot(), frames.points_to_base(placement, centre), axis)
+    compliance = equivalent_compliance(matrix, axis, frames.surface_normals(placement, 1))
+    depth = contact.hertz_depth_mm(process)
+    gamma = depth_ratio(compliance, process, depth)
+    return float(contact.contact_radius_mm(process, gamma * depth)[0])
 
 
 def aperture_of(surface: Path) -> float:

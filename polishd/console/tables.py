@@ -16,12 +16,12 @@ def cycle_table(summary: Mapping[str, Any]) -> Table:
     """One row a measurement: what was measured, and what the pass after it predicted and did."""
     period = float(summary.get("tolerance_period_mm") or 0.0)
     table = Table(title=f"{summary['job']}: {summary['outcome']}", title_justify="left")
-    table.add_column("measurement", justify="right")
-    for name in ("PV nm", "RMS nm", "LSF RMS nm"):
+    table.add_column("#", justify="right")
+    for name in ("PV nm", "RMS nm", "LSF nm"):
         table.add_column(name, justify="right")
     if period:
-        table.add_column(f"RMS nm, periods > {period:g} mm", justify="right")
-    for name in ("predicted RMS nm", "dwell s", "executed s", "rate"):
+        table.add_column(f"> {period:g} mm nm", justify="right")
+    for name in ("predicted nm", "dwell s", "executed s", "rate"):
         table.add_column(name, justify="right")
     for number, cycle in enumerate(summary["cycles"]):
         keys = ["pv_nm", "rms_nm", "lsf_rms_nm", *(["band_rms_nm"] if period else [])]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
 from polishd.model.devices import Identity
+from polishd.model.errors import LinkError
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan
 from polishd.ports.clock import Clock
@@ -72,6 +73,18 @@ class Cell:
             await self.close()
             raise
         return identities
+
+    async def restore_links(self) -> None:
+        """Open again what was lost meanwhile, and leave it safe. Only out of contact: nothing is retried in it."""
+        for device in self.devices.values():
+            try:
+                async with asyncio.timeout(OPEN_S):
+                    await device.status()
+            except (LinkError, TimeoutError):
+                async with asyncio.timeout(OPEN_S):
+                    await device.close()
+                    await device.open()
+                    await device.make_safe()
 
     async def close(self) -> None:
         """Close all devices, whatever one of them says."""

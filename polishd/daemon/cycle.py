@@ -16,14 +16,14 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
     Returns with the tool lifted and the robot standing still. Raises PolishdError (the cell is then safe too)
     when a map, a plan, a device or a computation is refused.
     """
-    for cycle in journal.remaining(job.max_cycles + 1):  # one measurement more than passes
+    for cycle in journal.remaining(job.last_cycle + 1):  # one measurement more than passes
         async with journal.phase(cycle, Phase.MEASURE):
             surface = await job.measured(cycle, await cell.metrology.next_map(after=journal.last_map_id))
         if job.accepts(surface):
             return Outcome.IN_TOLERANCE
         if job.diverges(surface):
             return Outcome.DIVERGED
-        if cycle == job.max_cycles:
+        if cycle == job.last_cycle:
             return Outcome.CYCLES_USED
         async with journal.phase(cycle, Phase.LEARN):
             await job.learn(cycle, surface)
@@ -33,6 +33,7 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
         async with journal.phase(cycle, Phase.PLAN):
             plan = await job.plan(cycle, solved)
             job.refuse_unsafe(plan)
+        await cell.restore_links()  # here, out of contact, a lost link may be opened again
         async with journal.phase(cycle, Phase.RUN), streaming(plan, cell.robot, cell.clock, job.lookahead_s) as stream:
             await job.begin_pass(cycle, plan, await cell.robot.progress())
             await stream.approach()

@@ -62,6 +62,11 @@ class Job:
         self._blocks = 0
         self._restore()
 
+    @property
+    def last_cycle(self) -> int:
+        """The cycle that only measures: passes that were interrupted do not count as passes."""
+        return self.max_cycles + sum(record.how == "interrupted" for record in self._journal.passes)
+
     # measure
 
     async def measured(self, cycle: int, surface: SurfaceMap) -> Measured:
@@ -80,7 +85,9 @@ class Job:
 
     def diverges(self, surface: Measured) -> bool:
         """Whether the surface is clearly worse than it has been."""
-        earlier = [_figure(record.stats) for record in self._journal.history[:-1]]
+        torn = [record.cycle for record in self._journal.passes if record.how != "done"]
+        since = max(torn, default=-1)  # a pass that was torn off leaves a step, which is nobody's divergence
+        earlier = [_figure(record.stats) for record in self._journal.history[:-1] if record.cycle > since]
         return bool(earlier) and _figure(asdict(surface.stats)) > DIVERGED_RATIO * min(earlier)
 
     # learn, solve, plan

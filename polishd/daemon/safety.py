@@ -23,7 +23,7 @@ T = TypeVar("T")
 
 LEAVE_S = 3.0
 """Longest that one device may take to become safe, wall time."""
-SAMPLE_S = 0.5
+SAMPLE_S = 0.8
 """Longest silence of a watched device in contact, wall time."""
 
 

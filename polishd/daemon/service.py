@@ -39,6 +39,8 @@ class Service:
         self._verbs = verbs
         self._bus = bus
         self._sessions: set[asyncio.Task[None]] = set()
+        self._answering = 0
+        self._answered = asyncio.Condition()
 
     async def session(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """One client, until it hangs up, falls silent while it is written to, or the daemon ends."""
@@ -56,7 +58,10 @@ class Service:
             writer.close()
 
     async def close(self) -> None:
-        """End all sessions."""
+        """End all sessions, once those who asked have their answer: ``stop`` is obeyed just before this."""
+        async with self._answered:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._answered.wait_for(lambda: not self._answering), WRITE_S)
         sessions = tuple(self._sessions)
         for task in sessions:
             task.cancel()
@@ -68,7 +73,13 @@ class Service:
             if verb == "subscribe":
                 await self._subscribe(reader, writer)
                 return
-            await _send(writer, await self._answer(verb))
+            self._answering += 1
+            try:
+                await _send(writer, await self._answer(verb))
+            finally:
+                self._answering -= 1
+                async with self._answered:
+                    self._answered.notify_all()
 
     async def _answer(self, verb: str | None) -> dict[str, Any]:
         known = [*self._verbs, "subscribe"]

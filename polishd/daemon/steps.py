@@ -79,7 +79,9 @@ def condition(recipe: Recipe, surface: SurfaceMap, masks: tuple[BoolArray, BoolA
         masks=masks,
         tilt=recipe.tilt_is_alignment,
     )
-    return _measured(recipe, part.grid, part.height_nm, (part.solve_mask, part.metric_mask), surface.sha256)
+    stats = _stats(recipe, surface.height_nm, _on_map(surface, part.grid, part.metric_mask), surface.grid.pitch_mm)
+    height = np.where(part.solve_mask, part.height_nm, 0.0)
+    return Measured(part.grid, height, part.solve_mask, part.metric_mask, stats, surface.sha256)
 
 
 def in_part_frame(recipe: Recipe, program: Program) -> Program:
@@ -184,7 +186,7 @@ def landing_violations(recipe: Recipe, plan: Plan) -> list[str]:
     reach = recipe.aperture_mm / 2
     ends = (("starts", program.line[0], program.start_mm[0]), ("ends", program.line[-1], program.end_mm[-1]))
     return [
-        f"{program.name}:{line}: contact {word} at {point[0]:.2f}, {point[1]:.2f} mm, on the part (radius {reach:g} mm); "
+        f"{program.name}:{line}: contact {word} at {point[0]:.2f}, {point[1]:.2f} mm, on the part ({reach:g} mm radius); "
         "a tool that stands still there digs a pit: lead in from and out to a landing point beside the part"
         for word, line, point in ends
         if np.hypot(point[0], point[1]) <= reach
@@ -200,21 +202,29 @@ def load_measured(recipe: Recipe, arrays: Mapping[str, NDArray[Any]], sha256: st
     """A measurement as the run folder keeps it (``surface.npz``)."""
     height = np.asarray(arrays["height_nm"], dtype=np.float64)
     grid = Grid(*height.shape, float(arrays["pitch_mm"]))
-    return _measured(recipe, grid, np.nan_to_num(height), (arrays["solve_mask"], arrays["metric_mask"]), sha256)
+    solve, metric = (np.asarray(arrays[key], dtype=np.bool_) for key in ("solve_mask", "metric_mask"))
+    return Measured(grid, np.nan_to_num(height), solve, metric, _stats(recipe, height, metric, grid.pitch_mm), sha256)
 
 
-def _measured(
-    recipe: Recipe, grid: Grid, height_nm: FloatArray, masks: tuple[BoolArray, BoolArray], sha256: str
-) -> Measured:
-    solve_mask, metric_mask = (np.asarray(mask, dtype=np.bool_) for mask in masks)
-    stats = metrics.surface_stats(
+def _stats(recipe: Recipe, height_nm: FloatArray, mask: BoolArray, pitch_mm: float) -> SurfaceStats:
+    return metrics.surface_stats(
         height_nm,
-        metric_mask,
-        grid.pitch_mm,
+        mask,
+        pitch_mm,
         lsf_period_mm=recipe.lsf_period_mm,
         band_period_mm=recipe.tolerance_period_mm or None,
     )
-    return Measured(grid, np.where(solve_mask, height_nm, 0.0), solve_mask, metric_mask, stats, sha256)
+
+
+def _on_map(surface: SurfaceMap, grid: Grid, mask: BoolArray) -> BoolArray:
+    """The frozen clear aperture on the map's own pixels: figures are stated there, where the raster's ripple shows."""
+    own = surface.grid
+    row = np.rint((grid.y_mm[0] - own.y_mm) / grid.pitch_mm).astype(int)
+    column = np.rint((own.x_mm - grid.x_mm[0]) / grid.pitch_mm).astype(int)
+    inside = np.ix_((row >= 0) & (row < grid.ny), (column >= 0) & (column < grid.nx))
+    on = np.zeros(own.shape, dtype=np.bool_)
+    on[inside] = mask[np.ix_(row[(row >= 0) & (row < grid.ny)], column[(column >= 0) & (column < grid.nx)])]
+    return on & surface.valid
 
 
 def _require_coverage(program: Program, answer: RemovalAnswer, measured: Measured) -> None:
@@ -244,7 +254,7 @@ def _solve_within(
 def _problem(
     recipe: Recipe, measured: Measured, answer: RemovalAnswer, lower: FloatArray, upper: FloatArray
 ) -> DwellProblem:
-    piston = choose_piston_nm(measured.height_nm, measured.solve_mask, answer.effect.removal_nm(lower))
+    piston = choose_piston_nm(measured.height_nm, measured.metric_mask, answer.effect.removal_nm(lower))
     return DwellProblem(
         effect=answer.effect,
         target_nm=np.where(measured.solve_mask, measured.height_nm + piston, 0.0),

@@ -79,6 +79,7 @@ def effect_matrix(
 
     ``depth_mm`` and ``factor``, (n,), as of `corrected_spot`. A block that moves spreads its removal evenly from start
     to end. What falls beyond the grid is lost; a spot that does not touch it leaves an empty column.
+    A column's sum is exact; a cell of 0.5 mm or more is right within 0.6 % of the peak (0.3 % in motion).
     """
     refuse_where(~((factor >= 0) & np.isfinite(factor)), factor, "the factor on the removal", "", "it must be finite")
     refuse_where(~((depth_mm > 0) & np.isfinite(depth_mm)), depth_mm, "the depth", "mm", "it must be above 0")
@@ -87,7 +88,7 @@ def effect_matrix(
     across = np.stack([np.sin(azimuth), -np.cos(azimuth)], axis=1)
     shift = dissipative_shift_mm(process, depth_mm)[:, None] * across
     start, end = program.start_mm[:, :2] + shift, program.end_mm[:, :2] + shift
-    pieces = np.ceil(program.length_mm / radius).astype(np.int64)
+    pieces = np.ceil(2 * program.length_mm / radius).astype(np.int64)
     parts = []
     for part in _chunks(np.maximum(2 * pieces, 1)):
         block, position = _positions(start[part], end[part], pieces[part])
@@ -113,7 +114,7 @@ def _positions(
 ) -> tuple[NDArray[np.int64], FloatArray]:
     """Spot positions of blocks: the block (s,) each belongs to, and (s, 2) x and y in mm.
 
-    Two Gauss points to each of a block's ``pieces`` (n,), none longer than the contact's radius; one where it rests.
+    Two Gauss points to each of a block's ``pieces`` (n,), each at most half the contact's radius long; one at rest.
     """
     count = np.maximum(2 * pieces, 1)
     block = np.repeat(np.arange(len(count)), count)

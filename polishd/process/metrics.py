@@ -106,7 +106,7 @@ def split_bands(
 def radial_psd(height_nm: FloatArray, mask: BoolArray, pitch_mm: float) -> RadialPsd:
     """Radially averaged power spectral density of a masked surface, nm^2 mm^2.
 
-    The surface is extended beyond the mask and tapered as in ``split_bands`` (plane off, an eighth of the map wide),
+    The surface is extended beyond the mask and tapered as in ``split_bands`` (plane off, a sixteenth of the map wide),
     and scaled such that the sum over the rings is the variance inside the mask, plane removed (Parseval).
 
     Args:
@@ -119,7 +119,7 @@ def radial_psd(height_nm: FloatArray, mask: BoolArray, pitch_mm: float) -> Radia
     """
     _inside(height_nm, mask)
     rest = np.where(mask, height_nm - polynomial(height_nm, mask, 1), np.nan)
-    extended, _ = _extended(rest, mask, max(mask.shape) // 8 + 1)
+    extended, _ = _extended(rest, mask, max(mask.shape) // 16 + 1)
     power = np.abs(fft.fft2(extended - extended.mean())) ** 2
     ny, nx = power.shape
     cell = 1 / (ny * nx * pitch_mm**2)

@@ -60,8 +60,7 @@ def delivered_time_s(program: Program, time_s: FloatArray, envelope: Envelope) -
     if program.encoding == "dwell":
         rest = np.zeros(program.n + 1)
         return asked + _trapezoid_s(length, fastest, rest, envelope.accel_mm_s2) + envelope.block_overhead_s
-    wanted = np.divide(length, asked, out=fastest.copy(), where=asked > 0)
-    feed = np.minimum(wanted, fastest)
+    feed = np.divide(length, asked, out=fastest.copy(), where=asked * fastest > length)
     limit = np.zeros(program.n + 1)
     limit[1:-1] = np.where(_stops(program, envelope.corner_deg), 0.0, np.minimum(feed[1:], feed[:-1]))
     speed = _reachable(limit, length, envelope.accel_mm_s2)

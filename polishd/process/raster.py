@@ -64,7 +64,7 @@ def raster_over_mask(
         step_mm: distance of the lines.
         block_mm: wanted length of the blocks.
         overrun_mm: how far the lines go beyond the mask.
-        landing_mm: the first and the last point lie this far beyond the ends of their lines.
+        landing_mm: the first and the last point lie at least this far outside the mask.
 
     Returns:
         (n + 1, 3) mm, z = 0, part frame: n blocks.
@@ -85,7 +85,33 @@ def raster_over_mask(
     near = np.abs(at[None, :] - y[:, None]) <= margin + step_mm
     begin = np.where(near, left[None, :], np.inf).min(axis=1) - overrun_mm
     end = np.where(near, right[None, :], -np.inf).max(axis=1) + overrun_mm
-    return _to_and_fro(np.array([y, begin, end]), block_mm, (landing_mm, landing_mm))
+    lines = np.array([y, begin, end])
+    backwards = len(y) % 2 == 0  # the last line
+    far = -1 if backwards else 1
+    ways = (
+        _clear(at - y[0], begin[0] - left, landing_mm),
+        _clear(at - y[-1], far * ((left if backwards else right) - (begin if backwards else end)[-1]), landing_mm),
+    )
+    return _to_and_fro(lines, block_mm, ways)
+
+
+def quiet_step_mm(contact_radius_mm: float, at_most_mm: float) -> float:
+    """The largest distance of raster lines, up to ``at_most_mm``, that leaves next to no ripple of its own.
+
+    Lines that are a step apart leave a ripple whose depth, relative to the removal, is the spot's spectrum at the
+    frequency 1 / step. Along one axis a Hertzian spot removes as ``1 - (y / a)^2``, whose spectrum is
+    ``3 (sin u - u cos u) / u^3``, ``u = 2 pi a / step``: it vanishes where ``tan u = u``. At the paper's process a step of
+    1 mm leaves 4 % (3.4 nm in 75 nm), one of 0.93 mm a fifth of that.
+
+    Args:
+        contact_radius_mm: a, of the contact that really acts (the robot's compliance makes it smaller).
+        at_most_mm: the step wanted.
+    """
+    k = np.arange(1, 200)
+    centre = (k + 0.5) * np.pi
+    nulls = centre - 1 / centre - 2 / (3 * centre**3)  # the roots of tan u = u, to 1e-3 from the first on
+    steps = 2 * np.pi * contact_radius_mm / nulls
+    return float(steps[steps <= at_most_mm].max(initial=0.0)) or at_most_mm
 
 
 def normals(points_mm: FloatArray) -> FloatArray:
@@ -105,8 +131,14 @@ def _lead(x: float, y: float, outside: float, lead_in: float) -> float:
     return max(lead_in, float(np.sqrt(max(outside**2 - y**2, 0.0))) - x)
 
 
+def _clear(across: FloatArray, along: FloatArray, landing: float) -> float:
+    """Length of a way along x that ends ``landing`` from edges (rows,) this far across and ahead of its start."""
+    near = np.sqrt(np.maximum(landing**2 - across**2, 0.0))
+    return max(0.0, float(np.where(np.abs(across) < landing, along + near, 0.0).max()))
+
+
 def _to_and_fro(lines: FloatArray, block: float, ways: tuple[float, float]) -> FloatArray:
-    """Lines (y, left end, right end), odd ones back, joined by turns along y at the outer end of each pair of lines."""
+    """Lines (y, left end, right end), odd ones back, joined by turns along y at the outer end of each pair."""
     (y, left, right), (way_in, way_out) = lines, ways
     corners = [(left[0] - way_in, y[0])]
     for k in range(len(y)):

@@ -1,7 +1,7 @@
 """The removal spot on a fine patch, and its integral over the cells of a sample grid.
 
-The patch is ``PATCH`` x ``PATCH`` squares that cover the pressed area exactly, parallel to the part's x and y, row 0 at the
-largest y. Its squares are shared out among the grid's cells by area, so that nothing is lost or counted twice.
+The patch is ``PATCH`` x ``PATCH`` squares that cover the pressed area exactly, parallel to the part's x and y, row 0
+at the largest y. Its squares are shared out among the grid's cells by area, so that nothing is lost or counted twice.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from polishd.model.surface import FloatArray
 from polishd.process import contact
 
 PATCH = 32
-"""Squares across the contact."""
+"""Squares across the contact: 0.11 mm each in the paper's process, fine enough for cells of 0.5 mm and more."""
 
 
 def spot_patch(process: ToolProcess, depth_mm: FloatArray, azimuth_rad: FloatArray) -> FloatArray:

@@ -76,7 +76,7 @@ class Drive:
 
     def _tick(self) -> None:
         now = time.monotonic()
-        if (self._target or self.rpm) and now > self._heard + 0.2 and self._target:
+        if now > self._heard + 0.5 and self._target:
             self._target, self.fault = 0, self.fault | 1
         step = 0.0 if self.jammed else RAMP_RPM_S * (now - self._at)
         self._at = now

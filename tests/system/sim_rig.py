@@ -63,6 +63,7 @@ class Cell:
         assert line.startswith("READY "), f"the simulator said {line!r}"
         self.endpoints: dict[str, Any] = json.loads(line[6:])
         self.booted: list[subprocess.Popen[str]] = []
+        self.clients: list[RobotClient | CoilClient | SlcanClient] = []
 
     @property
     def pids(self) -> dict[str, int]:
@@ -88,6 +89,24 @@ class Cell:
         """The account of dwell as last written."""
         account: dict[str, Any] = json.loads((self.state / "dwell_account.json").read_text())
         return account
+
+    def robot(self, **hello: Any) -> RobotClient:
+        """A new connection to the robot, closed with the cell at the latest."""
+        client = RobotClient(self.endpoints["robot"], **hello)
+        self.clients.append(client)
+        return client
+
+    def coil(self) -> CoilClient:
+        """A new connection to the actuator."""
+        client = CoilClient(self.state / "actuator")
+        self.clients.append(client)
+        return client
+
+    def spindle(self) -> SlcanClient:
+        """A new connection to the spindle."""
+        client = SlcanClient(self.state / "spindle")
+        self.clients.append(client)
+        return client
 
     def boot(self, device: str) -> None:
         """Boot one device by hand, as after a power cut."""
@@ -118,6 +137,8 @@ def cell(folder: Path, config: str = SMALL, *arguments: str) -> Iterator[Cell]:
     try:
         yield running
     finally:
+        for client in running.clients:
+            client.close()
         running.end()
         pids = running.pids.values() if (running.state / "pids.json").exists() else []
         for pid in pids:
@@ -145,11 +166,15 @@ class RobotClient:
 
     def pump(self) -> None:
         """Take what has come."""
-        with contextlib.suppress(TimeoutError):
+        try:
             data = self.socket.recv(1 << 20)
-            self.closed = not data
-            for kind, payload in self.splitter.feed(data):
-                self._take(kind, payload)
+        except TimeoutError:
+            return
+        except ConnectionError:
+            data = b""
+        self.closed = not data
+        for kind, payload in self.splitter.feed(data):
+            self._take(kind, payload)
 
     def _take(self, kind: int, payload: bytes) -> None:
         if kind == f.EXECUTED:

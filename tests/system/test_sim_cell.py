@@ -20,7 +20,7 @@ from polishd.sim_backends import metropro
 from polishd.sim_backends.actuator.ascii import body, line
 from polishd.sim_backends.config import load
 from polishd.sim_backends.robot import frames as f
-from tests.system.sim_rig import ROOT, SMALL, Cell, CoilClient, RobotClient, SlcanClient, alive, cell, end_pid, wait_for
+from tests.system.sim_rig import ROOT, SMALL, Cell, alive, cell, end_pid, wait_for
 from tests.unit.sim_backends.vectors import vectors
 
 pytestmark = pytest.mark.system
@@ -55,7 +55,7 @@ def test_ready_means_that_everything_is_there(shared: Cell) -> None:
 
 def test_the_actuator_answers_the_documented_vectors(shared: Cell) -> None:
     expected = {name: bytes.fromhex(value) for name, value in vectors("voice_coil_modbus").items()}
-    coil = CoilClient(shared.state / "actuator")
+    coil = shared.coil()
     try:
         coil.line.write(expected["write_setpoint"])
         assert coil.line.read(8) == expected["write_setpoint"]
@@ -68,7 +68,7 @@ def test_the_actuator_answers_the_documented_vectors(shared: Cell) -> None:
 
 
 def test_the_line_is_as_slow_as_its_baud_rate(shared: Cell) -> None:
-    coil = CoilClient(shared.state / "actuator")
+    coil = shared.coil()
     try:
         begin = time.monotonic()
         for _ in range(20):
@@ -79,7 +79,7 @@ def test_the_line_is_as_slow_as_its_baud_rate(shared: Cell) -> None:
 
 
 def test_the_spindle_runs_while_it_is_told_to(shared: Cell) -> None:
-    spindle = SlcanClient(shared.state / "spindle")
+    spindle = shared.spindle()
     try:
         wait_for(lambda: spindle.pump() or spindle.seen.get("705") == "05", "heartbeat")
         spindle.send("605#4018100400000000")
@@ -109,9 +109,9 @@ def test_a_client_library_talks_to_the_spindle(shared: Cell) -> None:
 
 
 def test_a_pass_in_contact_is_booked_block_by_block_and_measured(shared: Cell) -> None:
-    robot = RobotClient(shared.endpoints["robot"])
-    coil = CoilClient(shared.state / "actuator")
-    spindle = SlcanClient(shared.state / "spindle")
+    robot = shared.robot()
+    coil = shared.coil()
+    spindle = shared.spindle()
     try:
         truth = np.load(shared.state / "truth.npz") if (shared.state / "truth.npz").exists() else None
         assert truth is None
@@ -201,7 +201,7 @@ def check_log(shared: Cell) -> None:
 
 
 def test_silence_of_the_writer_holds_the_robot(shared: Cell) -> None:
-    robot = RobotClient(shared.endpoints["robot"])
+    robot = shared.robot()
     try:
         robot.load([b"G21 G90", b"G0 Z30", b"G1 X0 F6", b"X10", b"M2"], "cd" * 32)
         robot.resume()
@@ -215,7 +215,7 @@ def test_silence_of_the_writer_holds_the_robot(shared: Cell) -> None:
 
 
 def test_silence_makes_the_actuator_let_go(shared: Cell) -> None:
-    coil = CoilClient(shared.state / "actuator")
+    coil = shared.coil()
     try:
         coil.write(2, 200)
         coil.write(0, 1)
@@ -231,11 +231,11 @@ def test_silence_makes_the_actuator_let_go(shared: Cell) -> None:
 def test_other_protocols(tmp_path: Path) -> None:
     config = SMALL + '[actuator]\nkind = "serial"\n[spindle]\nkind = "socketcand"\n'
     with cell(tmp_path, config) as running:
-        coil = CoilClient(running.state / "actuator")
+        coil = running.coil()
         coil.line.write(line("8,ST?"))
         assert body(coil.line.readline().strip()).startswith("8,ST,0,")
         coil.close()
-        host, port = running.endpoints["spindle"].removeprefix("socketcand:").split("?")[0].split(":")
+        host, port = running.endpoints["spindle"].removeprefix("socketcand://").split("/")[0].split(":")
         with socket.create_connection((host, int(port)), timeout=5.0) as bus:
             assert bus.recv(6) == b"< hi >"
             bus.sendall(b"< open can0 >< rawmode >< send 605 8 40 18 10 04 00 00 00 00 >")
@@ -296,7 +296,7 @@ def test_a_cell_that_cannot_start_says_why(tmp_path: Path) -> None:
 
 def test_a_rebooted_robot_has_a_new_boot_id_the_old_port_and_the_old_place(tmp_path: Path) -> None:
     with cell(tmp_path) as running:
-        robot = RobotClient(running.endpoints["robot"])
+        robot = running.robot()
         robot.load([b"G21 G90", b"G0 X5 Y-3 Z30 A15 C40", b"M2"])
         robot.resume()
         robot.state("done")
@@ -305,7 +305,7 @@ def test_a_rebooted_robot_has_a_new_boot_id_the_old_port_and_the_old_place(tmp_p
         robot.until(lambda: robot.closed, "the connection to break", ping=False)
         robot.close()
         running.boot("robot")
-        robot = RobotClient(running.endpoints["robot"])
+        robot = running.robot()
         robot.wait(f.WELCOME)
         assert robot.status["state"] == "idle"
         assert robot.status["boot_id"] != first
@@ -318,17 +318,17 @@ def test_a_rebooted_robot_has_a_new_boot_id_the_old_port_and_the_old_place(tmp_p
 
 def test_an_actuator_that_loses_power_presses_no_more(tmp_path: Path) -> None:
     with cell(tmp_path) as running:
-        robot = RobotClient(running.endpoints["robot"])
+        robot = running.robot()
         robot.load([b"G21 G90", b"G0 X0 Y0 Z0 A15 C0", b"M2"])
         robot.resume()
         robot.state("done")
-        coil = CoilClient(running.state / "actuator")
+        coil = running.coil()
         coil.press(12.0)
         end_pid(running.pids["actuator"], signal.SIGKILL)
         coil.close()
         wait_for(lambda: "lost" in running.events("lost"), "the loss in the log")
         running.boot("actuator")
-        coil = CoilClient(running.state / "actuator")
+        coil = running.coil()
         assert coil.inputs()[0] == 0
         assert coil.ask(struct.pack(">BHH", 4, 128, 2), 6)[2:] == struct.pack(">I", 2)
         coil.close()

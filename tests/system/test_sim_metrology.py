@@ -9,7 +9,7 @@ import pytest
 
 from polishd.sim_backends import metropro
 from polishd.sim_backends.robot import frames as f
-from tests.system.sim_rig import SMALL, Cell, CoilClient, RobotClient, cell, wait_for
+from tests.system.sim_rig import SMALL, Cell, cell, wait_for
 
 pytestmark = pytest.mark.system
 
@@ -24,7 +24,7 @@ def dats(running: Cell) -> list[Path]:
 
 def test_it_waits_until_the_tool_is_away(tmp_path: Path) -> None:
     with cell(tmp_path) as running:
-        coil = CoilClient(running.state / "actuator")
+        coil = running.coil()
         coil.write(0, 1)
         ask(running)
         wait_for(lambda: "map_requested" in running.events(), "the request to be taken")
@@ -92,7 +92,7 @@ def test_blocks_arrive_once_and_in_order_through_a_bad_line(tmp_path: Path) -> N
     faults = "\n[robot.faults]\ngarble_rate = 0.02\ndrop_rate = 0.02\ndisconnect_every_s = 0.3\n"
     lines = [b"G21 G90 G94", b"G0 X0 Y0 Z30 A15 C0", *[f"G1 X{k / 100:.2f} F3000".encode() for k in range(1, 1500)]]
     with cell(tmp_path, SMALL + faults, "--speed", "20") as running:
-        robot = RobotClient(running.endpoints["robot"])
+        robot = running.robot()
         robot.say(f.LOAD, {"program_sha256": "ee" * 32, "blocks": len(lines)})
         done: list[tuple[int, float, float]] = []
         reconnects = 0
@@ -120,7 +120,7 @@ def test_blocks_arrive_once_and_in_order_through_a_bad_line(tmp_path: Path) -> N
             robot.executed.clear()
             if robot.closed:
                 robot.close()
-                robot = RobotClient(running.endpoints["robot"], executed_from=len(done))
+                robot = running.robot(executed_from=len(done))
                 reconnects += 1
             return len(done) == len(lines)
 
@@ -131,4 +131,19 @@ def test_blocks_arrive_once_and_in_order_through_a_bad_line(tmp_path: Path) -> N
         assert reconnects >= 1
         assert [seq for seq, _, _ in done] == list(range(len(lines)))
         running.end()
-        assert running.events("program_loaded") == ["program_loaded"]
+        assert set(running.events("program_loaded")) == {"program_loaded"}
+
+
+def test_a_device_may_lose_power_by_itself(tmp_path: Path) -> None:
+    with cell(tmp_path, SMALL + "[robot.faults]\nreboot_after_s = 0.3\n") as running:
+        robot = running.robot()
+        first = robot.until(lambda: robot.status.get("boot_id"), "a boot id", ping=False)
+        robot.until(lambda: robot.closed, "the power cut", ping=False)
+        wait_for(lambda: running.events("boot", "reboot", "lost").count("boot") == 6, "the boot in the log")
+        again = running.robot()
+        assert again.until(lambda: again.status.get("boot_id"), "a boot id") != first
+        assert running.pids["robot"] in children_of(running.pids["supervisor"])
+
+
+def children_of(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]

@@ -17,7 +17,8 @@ from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.background import Background, Pulse, Ready
 from polishd.drivers.transport.streams import open_stream
 
-SILENCE_S = 0.4
+SILENCE_SHARE = 0.4
+"""Of the robot's own watchdog time: contact must be left well before the robot stops by itself."""
 PING_S = 0.2
 CONNECT_S = 1.0
 ANSWER_S = 1.0
@@ -164,7 +165,7 @@ class Connection:
                 raise LinkError(f"{self._address}: nothing sound within {limit_s:g} s")
             self._match_answers()
             if self.session.welcome is not None:
-                limit_s = SILENCE_S
+                limit_s = SILENCE_SHARE * self.session.welcome.watchdog_s
                 ready()
             self._pulse.fire()
 

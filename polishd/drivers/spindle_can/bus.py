@@ -131,23 +131,22 @@ class CanBus:
     def _next(self, within_s: float) -> CanFrame | None:
         try:
             message = self._bus.recv(within_s)
-        except UnicodeDecodeError:
-            # slcan: one byte above 0x7F would spoil all frames from now on
-            self.garbled += 1
-            self._flush()
-            return None
         except (ValueError, IndexError):
-            self.garbled += 1
+            self.garbled += 1  # slcan: a line that is no frame
             return None
         except (can.CanError, OSError) as error:
-            raise LinkError(f"{self._name}: {error}") from error
+            if not (isinstance(self._bus, slcanBus) and isinstance(error.__cause__, UnicodeDecodeError)):
+                raise LinkError(f"{self._name}: {error}") from error
+            self.garbled += 1
+            self._flush(self._bus)
+            return None
         if message is None or message.is_extended_id or message.is_remote_frame or message.is_error_frame:
             return None
         return CanFrame(message.arbitration_id, bytes(message.data))
 
-    def _flush(self) -> None:
-        if isinstance(self._bus, slcanBus):
-            try:
-                self._bus.flush()
-            except can.CanError as error:
-                raise LinkError(f"{self._name}: {error}") from error
+    def _flush(self, bus: slcanBus) -> None:
+        """Drop what is buffered: else one byte above 0x7F would spoil all frames from now on."""
+        try:
+            bus.flush()
+        except can.CanError as error:
+            raise LinkError(f"{self._name}: {error}") from error

@@ -14,12 +14,12 @@ from polishd.drivers.transport.address import Slcan, Socketcand
 from polishd.drivers.transport.background import Background, Pulse, Ready
 
 OPEN_S = 1.0
-SILENCE_S = 0.4
+SILENCE_S = 0.8
 """Of heartbeats, and of process data."""
 REPEAT_S = 0.1
 LEASE_S = 1.0
 """So long after somebody last cared, commands are repeated no more."""
-SDO_S = 0.3
+SDO_S = 1.0
 
 
 class DriveLink:

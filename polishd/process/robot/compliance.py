@@ -76,12 +76,11 @@ def _constraint_compliance(robot: HybridRobot, pose: Pose) -> FloatArray:
         require_number(f"the robot's {name}", getattr(robot, name), "N mm^2", above=0.0)
     bending, torsion = robot.up_bending_n_mm2, robot.up_torsion_n_mm2
     length = _beam_length(pose)
-    n_u, n_v, n_w = np.einsum("nij,ni->jn", pose.frame, np.cross(_E_X, pose.frame[:, :, 1]))
+    n_u, _, n_w = np.einsum("nij,ni->jn", pose.frame, np.cross(_E_X, pose.frame[:, :, 1]))  # n is perpendicular to v
     matrix = np.zeros((len(length), 3, 3))
     matrix[:, 0, 0] = matrix[:, 1, 1] = length**3 / (3 * bending)
-    matrix[:, 0, 2] = matrix[:, 2, 0] = -n_v * length**2 / (2 * bending)
     matrix[:, 1, 2] = matrix[:, 2, 1] = n_u * length**2 / (2 * bending)
-    matrix[:, 2, 2] = (n_u**2 + n_v**2) * length / bending + n_w**2 * length / torsion
+    matrix[:, 2, 2] = n_u**2 * length / bending + n_w**2 * length / torsion
     return matrix
 
 

@@ -35,7 +35,7 @@ async def main(runtime: Runtime) -> None:
         wire.open_pty(ADAPTER_BAUD)
         runtime.ready(f"slcan:{runtime.start.state / runtime.name}?bitrate=500000")
     else:
-        runtime.ready(f"socketcand:{await wire.open_tcp(config.port, Socketcand.greeting)}?channel=can0")
+        runtime.ready(f"socketcand://{await wire.open_tcp(config.port, Socketcand.greeting)}/can0")
     runtime.group.create_task(wire.cut_now_and_then())
     runtime.group.create_task(runtime.reboot_later(config.faults.reboot_after_s))
     await _tick(runtime, drive, wire, hosts)

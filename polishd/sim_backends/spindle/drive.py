@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 STOPPED, RAMPING, AT_SPEED, FAULT = range(4)
 SILENCE, OVER_SPEED, DRIVE = 1, 2, 4
 RAMP_RPM_S = 2000.0
-COMMAND_S, STATUS_S, HEARTBEAT_S = 0.2, 0.05, 0.1
+COMMAND_S, STATUS_S, HEARTBEAT_S = 0.5, 0.05, 0.1
 UNKNOWN_OBJECT = 0x06020000
 
 Frame = tuple[int, bytes]

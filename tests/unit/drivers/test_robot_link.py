@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import random
 import time
-from collections.abc import AsyncIterator, Iterable
+from collections.abc import AsyncIterator, Callable, Iterable
 
 import pytest
 
 from polishd.api import DeviceFault, DeviceRefused, Executed, LinkError, ProtocolError
-from polishd.drivers.robot_link import RobotLink, connection, driver
+from polishd.drivers.robot_link import RobotLink, connection, driver, session
 from polishd.drivers.transport.address import Tcp
 from tests.fakes import robot as wire
 from tests.fakes.robot import FakeRobot
@@ -30,9 +30,13 @@ async def pair() -> AsyncIterator[Pair]:
     await fake.close()
 
 
-async def collect(robot: RobotLink, into: list[Executed], from_seq: int = 0) -> None:
+async def collect(
+    robot: RobotLink, into: list[Executed], from_seq: int = 0, when_seq_10: Callable[[], None] = lambda: None
+) -> None:
     async for one in robot.executed(from_seq):
-        into.append(one)  # noqa: PERF401 -- what came before an error counts
+        into.append(one)
+        if one.seq == 10:
+            when_seq_10()
 
 
 async def test_nobody_listens() -> None:
@@ -76,7 +80,7 @@ async def test_readers_see_it_all(pair: Pair) -> None:
 
 async def test_pings_keep_it_running(pair: Pair) -> None:
     robot, fake = pair
-    fake.block_s = 0.9
+    fake.block_s, fake.watchdog_s = 0.9, 0.6
     await robot.prepare(PLAN)
     await robot.send(PLAN.segments[:10])
     await robot.resume()
@@ -97,8 +101,10 @@ async def test_a_robot_that_hears_nothing_holds(pair: Pair) -> None:
     await robot.send(PLAN.segments[:10])
     await robot.resume()
     async with asyncio.timeout(3):
-        while (progress := await robot.progress()).state == "running":
+        while fake.state == "running":  # noqa: ASYNC110
             await asyncio.sleep(0.01)
+    await robot.hold()
+    progress = await robot.progress()
     assert (progress.state, progress.detail) == ("held", "watchdog")
 
 
@@ -109,10 +115,7 @@ async def test_missed_records_come_after_a_reconnect(pair: Pair) -> None:
     await robot.resume(until=60)
     seen: list[Executed] = []
     with pytest.raises(LinkError):
-        async for one in robot.executed():
-            seen.append(one)
-            if one.seq == 10:
-                fake.drop()
+        await collect(robot, seen, when_seq_10=fake.drop)
     assert len(seen) > 10
     with pytest.raises(LinkError):
         await robot.progress()
@@ -206,13 +209,18 @@ async def run_through(robot: RobotLink, blocks: int) -> list[int]:
     return [one.seq for one in seen]
 
 
-async def test_lost_blocks_are_sent_again(pair: Pair) -> None:
+@pytest.mark.parametrize("seed", range(5))
+async def test_lost_blocks_are_sent_again(pair: Pair, monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     robot, fake = pair
-    fake.block_s = 0.02
-    chance = random.Random(5)
+    monkeypatch.setattr(connection, "RESEND_S", 0.05)
+    monkeypatch.setattr(connection, "RESENDS", 20)
+    monkeypatch.setattr(session, "MAX_BLOCKS", 5)
+    fake.window = 500
+    chance = random.Random(seed)
     fake.ignores = lambda kind, payload: kind == wire.BLOCKS and chance.random() < 0.3
-    assert await run_through(robot, 100) == list(range(100))
-    assert fake.lines == [b"G1 X%d" % at for at in range(100)]
+    await robot.prepare(PLAN)
+    await robot.send(PLAN.segments)
+    assert fake.lines == [segment.text for segment in PLAN.segments]
 
 
 async def test_lost_accepted_is_survived(pair: Pair) -> None:
@@ -340,11 +348,12 @@ async def test_records_come_before_the_fault(pair: Pair) -> None:
     await robot.send(PLAN.segments[:40])
     await robot.resume()
     seen: list[Executed] = []
+
+    def break_down() -> None:
+        fake.state, fake.detail = "fault", "servo"
+
     with pytest.raises(DeviceFault, match="servo"):
-        async for one in robot.executed():
-            seen.append(one)
-            if one.seq == 10:
-                fake.state, fake.detail = "fault", "servo"
+        await collect(robot, seen, when_seq_10=break_down)
     assert len(seen) == len(fake.done)
     status = await robot.status()
     assert (status.ready, status.safe, status.detail) == (False, False, "servo")

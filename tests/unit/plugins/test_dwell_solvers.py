@@ -26,13 +26,13 @@ def declared() -> list[DwellSolver]:
     return [solver for solvers in manager.hook.polishd_dwell_solvers() for solver in solvers]
 
 
-def test_the_plugin_declares_both_the_default_first():
+def test_the_plugin_declares_both_the_default_first() -> None:
     assert API_VERSION == dwell_solvers.POLISHD_API
     assert [solver.name for solver in declared()] == ["newton_cg", "qp"]
 
 
 @pytest.mark.parametrize("solver", declared(), ids=lambda solver: solver.name)
-def test_each_pickles_and_solves(solver: DwellSolver):
+def test_each_pickles_and_solves(solver: DwellSolver) -> None:
     problem = pickle.loads(pickle.dumps(dwell_problem(radius_mm=8)))
     solution = pickle.loads(pickle.dumps(solver)).solve(problem, 20.0)
     certificate = solution.certificate
@@ -42,7 +42,7 @@ def test_each_pickles_and_solves(solver: DwellSolver):
     assert certificate.solver.split(":")[0] == solver.name
 
 
-def test_they_agree_where_bounds_bind_on_both_sides():
+def test_they_agree_where_bounds_bind_on_both_sides() -> None:
     problem = dwell_problem(radius_mm=15, unreached=0.05)
     problem = replace(problem, upper_s=np.maximum(problem.lower_s, 0.12))
     ours, theirs = newton_cg.solve(problem, 20, 1e-9), qp.solve(problem, 20)
@@ -52,14 +52,14 @@ def test_they_agree_where_bounds_bind_on_both_sides():
     assert theirs.time_s == pytest.approx(ours.time_s, abs=1e-3)
 
 
-def test_infinite_upper_bounds():
+def test_infinite_upper_bounds() -> None:
     problem = dwell_problem(radius_mm=8)
     problem = replace(problem, upper_s=np.full(problem.effect.n, np.inf))
     ours, theirs = newton_cg.solve(problem, 20, 1e-9), qp.solve(problem, 20)
     assert ours.certificate.objective == pytest.approx(theirs.certificate.objective, rel=1e-7)
 
 
-def test_the_qp_cannot_use_an_effect_that_is_no_matrix():
+def test_the_qp_cannot_use_an_effect_that_is_no_matrix() -> None:
     problem = dwell_problem(radius_mm=6)
 
     class Opaque:
@@ -70,25 +70,25 @@ def test_the_qp_cannot_use_an_effect_that_is_no_matrix():
         qp.solve(replace(problem, effect=Opaque()), 5)
 
 
-def test_the_qp_checks_the_problem_first():
+def test_the_qp_checks_the_problem_first() -> None:
     problem = dwell_problem(radius_mm=6)
     with pytest.raises(ComputeError, match="lower_s is above upper_s at point 0"):
         qp.solve(replace(problem, upper_s=problem.lower_s / 2), 5)
 
 
-def test_without_a_backend_it_says_which_to_install(monkeypatch: pytest.MonkeyPatch):
+def test_without_a_backend_it_says_which_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(qpsolvers, "available_solvers", [])
     with pytest.raises(ComputeError, match="no QP backend is installed: one of clarabel"):
         qp.solve(dwell_problem(radius_mm=6), 5)
 
 
-def test_a_backend_that_finds_nothing_is_an_error(monkeypatch: pytest.MonkeyPatch):
+def test_a_backend_that_finds_nothing_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(qp, "_run", lambda program, backend, within_s: qpsolvers.Solution(program))
     with pytest.raises(ComputeError, match="clarabel found no dwell within 5 s"):
         qp.solve(dwell_problem(radius_mm=6), 5)
 
 
-def test_out_of_time_it_says_so_or_refuses():
+def test_out_of_time_it_says_so_or_refuses() -> None:
     try:
         certificate = qp.solve(dwell_problem(radius_mm=30), 0.02).certificate
     except ComputeError as error:

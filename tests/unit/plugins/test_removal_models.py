@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
+from typing import Any
 
 import numpy as np
 import pluggy
@@ -16,7 +17,7 @@ from polishd.plugins import removal_models
 DIP = np.radians(15.0)
 
 
-def request(**changes) -> RemovalRequest:
+def request(**changes: Any) -> RemovalRequest:
     """Three dwells and one move on a part before the shipped robot, spindle leaning inward."""
     xy = np.array([[0.0, 0.0], [20.0, 0.0], [0.0, -20.0], [1.0, -20.0]])
     end = np.column_stack([xy, np.zeros(4)])
@@ -109,6 +110,6 @@ def test_an_empty_program_has_an_empty_effect() -> None:
         ({"placement": Placement((0.0, 0.0, 0.0), np.diag([1.0, -1.0, -1.0]))}, "point 0: .*out of the workspace"),
     ],
 )
-def test_what_cannot_be_is_refused_by_name_value_and_point(changes, says) -> None:
+def test_what_cannot_be_is_refused_by_name_value_and_point(changes: dict[str, Any], says: str) -> None:
     with pytest.raises(ComputeError, match=says):
         the_model().effect(request(**changes))

@@ -32,7 +32,7 @@ def test_linear_adds_magnitudes_whatever_the_sign_of_an_eigenvector() -> None:
 
 
 @pytest.mark.parametrize("projection", ["linear", "quadratic", "normal"])
-def test_turning_everything_together_changes_nothing(projection) -> None:
+def test_turning_everything_together_changes_nothing(projection: str) -> None:
     turns = Rotation.random(50, random_state=1).as_matrix()
     axis, normal = np.array([0.1, -0.2, np.sqrt(0.95)]), np.array([0.48, 0.36, 0.8])
     want = equivalent_compliance(SOFT, axis[None], normal[None], projection)[0]
@@ -93,6 +93,6 @@ def test_the_offset_grows_with_force_and_with_the_dip() -> None:
 
 
 @pytest.mark.parametrize("soft", [0.012, np.nan])
-def test_nothing_left_of_the_depth_is_refused_with_the_point_and_the_values(soft) -> None:
+def test_nothing_left_of_the_depth_is_refused_with_the_point_and_the_values(soft: float) -> None:
     with pytest.raises(ComputeError, match=r"point 1: .*compliance is (12|nan) um/N, at 12 N takes all .*0.14835 mm"):
         depth_ratio(np.array([1e-3, soft]), ToolProcess(), 0.14835)

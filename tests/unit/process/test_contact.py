@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ PAPER = ToolProcess()
 DEPTH = 0.14834891
 
 
-def integral(process: ToolProcess, depth: float, value) -> float:
+def integral(process: ToolProcess, depth: float, value: Callable[[float, float, float], float]) -> float:
     """Integral over the contact of value(x, y, rate), adaptive and in polar coordinates about the spot's centre."""
     radius = float(contact.contact_radius_mm(process, depth))
     shift = float(contact.dissipative_shift_mm(process, depth))
@@ -41,7 +42,7 @@ def test_the_resolved_force_presses_deeper() -> None:
 
 
 @pytest.mark.parametrize("force", [0.5, 12.0, 60.0])
-def test_the_pressure_carries_the_force(force) -> None:
+def test_the_pressure_carries_the_force(force: float) -> None:
     process = dataclasses.replace(PAPER, force_n=force)
     depth = contact.hertz_depth_mm(process)
     radius, peak = contact.contact_radius_mm(process, depth), contact.peak_pressure_mpa(process, depth)
@@ -79,7 +80,7 @@ def test_peak_and_volume_at_the_usual_unit_of_the_preston_constant() -> None:
 
 
 @pytest.mark.parametrize("dip", [0.0, 3.0, 15.0, 60.0])
-def test_the_volume_rate_is_the_integral_of_the_rate(dip) -> None:
+def test_the_volume_rate_is_the_integral_of_the_rate(dip: float) -> None:
     """At 3 degrees the bonnet's pole, where it stands still, lies inside the contact: a cusp for both sides."""
     process = dataclasses.replace(PAPER, dip_deg=dip)
     for depth in (0.1, DEPTH):
@@ -131,6 +132,6 @@ def test_the_shift_keeps_the_force_and_gives_the_moment_of_eq_33() -> None:
         ("force_n", 1e4, "too deep for Hertz"),
     ],
 )
-def test_a_process_that_cannot_be_is_refused_by_name(name, value, says) -> None:
+def test_a_process_that_cannot_be_is_refused_by_name(name: str, value: float, says: str) -> None:
     with pytest.raises(ComputeError, match=says):
         contact.hertz_depth_mm(dataclasses.replace(PAPER, **{name: value}))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
+from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.dwell.certificate import certified, kkt_residual
@@ -26,11 +27,11 @@ def two_samples(target: tuple[float, float], lower: float = 0.0) -> DwellProblem
     return DwellProblem(effect, np.array([target]), mask, mask, *bounds, regularisation=0.5)
 
 
-def certify(problem: DwellProblem, time_s: FloatArray):
+def certify(problem: DwellProblem, time_s: FloatArray) -> DwellSolution:
     return certified(problem, time_s, solver="hand", iterations=3, seconds=0.5, stopped="converged")
 
 
-def test_every_figure_by_hand():
+def test_every_figure_by_hand() -> None:
     problem = two_samples((4.0, 8.0), lower=1.0)
     solution = certify(problem, np.array([1.0, 3.0]))
     c = solution.certificate
@@ -47,14 +48,14 @@ def test_every_figure_by_hand():
     np.testing.assert_allclose(solution.residual_nm, [[0.0, 0.0]])
 
 
-def test_bound_violations_are_told():
+def test_bound_violations_are_told() -> None:
     problem = two_samples((4.0, 8.0), lower=1.0)
     assert certify(problem, np.array([0.75, 3.0])).certificate.bound_violation_s == pytest.approx(0.25)
     assert certify(problem, np.array([1.0, 10.5])).certificate.bound_violation_s == pytest.approx(0.5)
     assert certify(problem, np.array([1.0, 10.0])).certificate.bound_violation_s == 0
 
 
-def test_the_residual_is_nan_outside_and_without_mean_inside():
+def test_the_residual_is_nan_outside_and_without_mean_inside() -> None:
     problem = dwell_problem(radius_mm=8)
     solution = solve(problem, 10)
     assert np.isnan(solution.residual_nm[~problem.solve_mask]).all()
@@ -65,7 +66,7 @@ def test_the_residual_is_nan_outside_and_without_mean_inside():
     assert by_hand.std() == pytest.approx(solution.certificate.predicted_rms_nm)
 
 
-def test_a_wrong_dwell_has_a_large_kkt_residual():
+def test_a_wrong_dwell_has_a_large_kkt_residual() -> None:
     problem = dwell_problem(radius_mm=10)
     good = solve(problem, 10, 1e-9).time_s
     assert kkt_residual(problem, good) <= 1e-9
@@ -74,33 +75,33 @@ def test_a_wrong_dwell_has_a_large_kkt_residual():
     assert kkt_residual(problem, problem.lower_s) == pytest.approx(1, abs=0.2)
 
 
-def test_a_dwell_a_hair_off_its_bound_is_nearly_as_good():
+def test_a_dwell_a_hair_off_its_bound_is_nearly_as_good() -> None:
     problem = dwell_problem(radius_mm=10)
     good = solve(problem, 10, 1e-9).time_s
     assert kkt_residual(problem, np.minimum(good + 1e-9, problem.upper_s)) < 1e-6
 
 
 @pytest.mark.parametrize(("height", "expected"), [(0.0, 0.0), (-3.0, 0.0)])
-def test_nothing_to_remove_is_solved_by_the_lower_bound(height: float, expected: float):
+def test_nothing_to_remove_is_solved_by_the_lower_bound(height: float, expected: float) -> None:
     problem = two_samples((height, height))
     solution = solve(problem, 1)
     np.testing.assert_array_equal(solution.time_s, [expected, expected])
     assert solution.certificate.kkt_residual == 0
 
 
-def test_without_a_gradient_at_the_lower_bound_only_a_minimum_passes():
+def test_without_a_gradient_at_the_lower_bound_only_a_minimum_passes() -> None:
     problem = two_samples((0.0, 0.0))
     assert kkt_residual(problem, np.zeros(2)) == 0
     assert kkt_residual(problem, np.ones(2)) == float("inf")
 
 
 @pytest.mark.parametrize("time_s", [np.zeros(3), np.array([0.0, np.nan])])
-def test_no_certificate_for_a_dwell_that_is_none(time_s: FloatArray):
+def test_no_certificate_for_a_dwell_that_is_none(time_s: FloatArray) -> None:
     with pytest.raises(ComputeError, match="hand gave no finite dwell for each of the 2 points"):
         certify(two_samples((1.0, 1.0)), time_s)
 
 
-def test_gradient_and_curvature_are_those_of_the_value():
+def test_gradient_and_curvature_are_those_of_the_value() -> None:
     f = quadratic(dwell_problem(radius_mm=6))
     rng = np.random.default_rng(0)
     n = len(f.backward(f.target))
@@ -111,7 +112,7 @@ def test_gradient_and_curvature_are_those_of_the_value():
     assert f.curvature(d) @ d == pytest.approx(bend, rel=1e-9)
 
 
-def test_the_safe_step_is_below_one_over_the_largest_eigenvalue_and_not_far():
+def test_the_safe_step_is_below_one_over_the_largest_eigenvalue_and_not_far() -> None:
     problem = dwell_problem(radius_mm=6)
     f = quadratic(problem)
     n = problem.effect.n
@@ -120,13 +121,13 @@ def test_the_safe_step_is_below_one_over_the_largest_eigenvalue_and_not_far():
     assert 1 / largest / 3 < safe_step(f, n) <= 1 / largest
 
 
-def test_the_projected_gradient_is_what_the_bounds_leave():
+def test_the_projected_gradient_is_what_the_bounds_leave() -> None:
     gradient = np.array([1.0, -1.0, 1.0, -1.0, 0.5])
     t, lower, upper = np.array([0.0, 0.0, 2.0, 2.0, 1.0]), np.zeros(5), np.full(5, 2.0)
     np.testing.assert_allclose(projected_gradient(gradient, t, lower, upper, 0.1), [0, -1, 1, 0, 0.5])
 
 
-def test_samples_outside_the_mask_do_not_count():
+def test_samples_outside_the_mask_do_not_count() -> None:
     problem = dwell_problem(radius_mm=8)
     target = np.where(problem.solve_mask, problem.target_nm, 1e9)
     once, other = solve(problem, 10), solve(replace(problem, target_nm=target), 10)

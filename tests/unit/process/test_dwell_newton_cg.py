@@ -40,7 +40,7 @@ def small_problem(seed: int, n: int = 12, p: float = 0.01) -> DwellProblem:
     return DwellProblem(SparseEffect(grid, matrix), 5 * rng.random(grid.shape), mask, mask, lower, upper, p)
 
 
-def test_agrees_with_nnls():
+def test_agrees_with_nnls() -> None:
     problem = dwell_problem(radius_mm=6)
     problem = replace(problem, lower_s=0 * problem.lower_s, upper_s=np.full(problem.effect.n, np.inf))
     a, b = least_squares(problem)
@@ -51,7 +51,7 @@ def test_agrees_with_nnls():
     assert 0 < ours.at_lower < problem.effect.n  # else the bound was not tried
 
 
-def test_agrees_with_lsq_linear_between_bounds():
+def test_agrees_with_lsq_linear_between_bounds() -> None:
     problem = dwell_problem(radius_mm=6)
     problem = replace(problem, upper_s=np.maximum(problem.lower_s, 0.15))
     a, b = least_squares(problem)
@@ -64,7 +64,7 @@ def test_agrees_with_lsq_linear_between_bounds():
 
 @settings(max_examples=60)
 @given(st.integers(0, 10**6), st.sampled_from([0.0, 1e-4, 0.1]))
-def test_agrees_with_lsq_linear_on_any_small_problem(seed: int, p: float):
+def test_agrees_with_lsq_linear_on_any_small_problem(seed: int, p: float) -> None:
     problem = small_problem(seed, p=p)
     a, b = least_squares(problem)
     fixed = problem.lower_s == problem.upper_s
@@ -81,7 +81,7 @@ def test_agrees_with_lsq_linear_on_any_small_problem(seed: int, p: float):
 
 @settings(max_examples=25)
 @given(st.integers(0, 10**6), st.floats(1e-3, 1e3))
-def test_scaling_map_and_bounds_scales_the_dwell(seed: int, factor: float):
+def test_scaling_map_and_bounds_scales_the_dwell(seed: int, factor: float) -> None:
     problem = small_problem(seed)
     scaled = replace(
         problem,
@@ -95,7 +95,7 @@ def test_scaling_map_and_bounds_scales_the_dwell(seed: int, factor: float):
 
 @settings(max_examples=25)
 @given(st.integers(0, 10**6), st.integers(0, 10**6))
-def test_the_order_of_the_points_does_not_matter(seed: int, shuffle: int):
+def test_the_order_of_the_points_does_not_matter(seed: int, shuffle: int) -> None:
     problem = small_problem(seed)
     order = np.random.default_rng(shuffle).permutation(problem.effect.n)
     other = replace(
@@ -108,7 +108,7 @@ def test_the_order_of_the_points_does_not_matter(seed: int, shuffle: int):
     assert newton_cg.solve(other, 10, 1e-12).time_s == pytest.approx(once[order], rel=1e-6, abs=1e-7)
 
 
-def test_a_problem_of_the_demo_size_is_solved_with_bounds_that_bind():
+def test_a_problem_of_the_demo_size_is_solved_with_bounds_that_bind() -> None:
     problem = dwell_problem(radius_mm=50)
     assert problem.effect.n > 7900
     solution = newton_cg.solve(problem, 30)
@@ -120,7 +120,7 @@ def test_a_problem_of_the_demo_size_is_solved_with_bounds_that_bind():
     assert certificate.seconds < 10  # 0.1 where nobody else computes
 
 
-def test_no_other_feasible_dwell_is_better():
+def test_no_other_feasible_dwell_is_better() -> None:
     problem = dwell_problem(radius_mm=10)
     solution = newton_cg.solve(problem, 10, 1e-9)
     f = quadratic(problem)
@@ -132,14 +132,14 @@ def test_no_other_feasible_dwell_is_better():
         assert f.value(other) >= solution.certificate.objective
 
 
-def test_solving_with_the_bound_beats_clipping_to_it():
+def test_solving_with_the_bound_beats_clipping_to_it() -> None:
     problem = dwell_problem(radius_mm=12, feed_mm_s=15)
     free = replace(problem, lower_s=0 * problem.lower_s)
     clipped = np.clip(newton_cg.solve(free, 10).time_s, problem.lower_s, problem.upper_s)
     assert newton_cg.solve(problem, 10).certificate.objective < 0.9 * quadratic(problem).value(clipped)
 
 
-def test_out_of_time_it_gives_a_feasible_dwell_and_says_so():
+def test_out_of_time_it_gives_a_feasible_dwell_and_says_so() -> None:
     problem = dwell_problem(radius_mm=30)
     begin = time.perf_counter()
     solution = newton_cg.solve(problem, 0.0)
@@ -150,7 +150,7 @@ def test_out_of_time_it_gives_a_feasible_dwell_and_says_so():
     np.testing.assert_array_equal(solution.time_s, problem.lower_s)
 
 
-def test_a_deadline_in_the_middle_of_a_round_ends_it_at_once():
+def test_a_deadline_in_the_middle_of_a_round_ends_it_at_once() -> None:
     problem = dwell_problem(radius_mm=30)
     f = quadratic(problem)
     asked = 0
@@ -169,7 +169,7 @@ def test_a_deadline_in_the_middle_of_a_round_ends_it_at_once():
     assert f.value(t) < 0.5 * f.value(problem.lower_s)
 
 
-def test_the_objective_never_rises():
+def test_the_objective_never_rises() -> None:
     problem = dwell_problem(radius_mm=20)
     f = quadratic(problem)
     seen: list[float] = []
@@ -184,7 +184,7 @@ def test_the_objective_never_rises():
     assert seen[-1] < 1e-2 * seen[0]
 
 
-def test_a_warm_start_needs_fewer_rounds():
+def test_a_warm_start_needs_fewer_rounds() -> None:
     problem = dwell_problem(radius_mm=20)
     cold = newton_cg.solve(problem, 10)
     later = replace(problem, target_nm=problem.target_nm * 1.001)
@@ -194,7 +194,7 @@ def test_a_warm_start_needs_fewer_rounds():
 
 
 @pytest.mark.parametrize("start", [np.zeros(3), np.full(500, np.nan)])
-def test_a_start_that_does_not_fit_is_refused(start: FloatArray):
+def test_a_start_that_does_not_fit_is_refused(start: FloatArray) -> None:
     with pytest.raises(ComputeError, match="start_s must be"):
         newton_cg.solve(dwell_problem(radius_mm=6), 1, start_s=start)
 
@@ -220,7 +220,7 @@ class Opaque:
         return self.inner.adjoint(weight)
 
 
-def test_an_effect_that_is_no_matrix_gives_the_same_dwell():
+def test_an_effect_that_is_no_matrix_gives_the_same_dwell() -> None:
     problem = dwell_problem(radius_mm=10)
     opaque = newton_cg.solve(replace(problem, effect=Opaque(problem.effect)), 10, 1e-9)
     assert opaque.time_s == pytest.approx(newton_cg.solve(problem, 10, 1e-9).time_s, abs=1e-6)

@@ -19,7 +19,7 @@ EFFECT, MASK = PROBLEM.effect, PROBLEM.solve_mask
 ZERO = np.zeros(MASK.shape)
 
 
-def test_by_hand():
+def test_by_hand() -> None:
     height = np.array([[-5.0, -1.0, 0.0, 2.0]])
     least = np.array([[1.0, 1.0, 3.0, 1.0]])
     mask = np.ones((1, 4), dtype=bool)
@@ -34,7 +34,7 @@ def test_by_hand():
 
 @settings(max_examples=40)
 @given(st.integers(0, 1000), st.floats(0, 0.9), st.floats(-100, 100))
-def test_it_is_the_smallest_that_reaches_all_but_the_fraction(seed: int, unreached: float, shift: float):
+def test_it_is_the_smallest_that_reaches_all_but_the_fraction(seed: int, unreached: float, shift: float) -> None:
     height = rough(EFFECT.grid, seed=seed) + shift
     least = EFFECT.removal_nm(PROBLEM.lower_s)
     piston = choose_piston_nm(height, MASK, least, unreached)
@@ -47,24 +47,24 @@ def test_it_is_the_smallest_that_reaches_all_but_the_fraction(seed: int, unreach
     assert short(piston - 1e-6) > unreached * count - 1
 
 
-def test_less_piston_costs_residual_and_more_costs_time():
+def test_less_piston_costs_residual_and_more_costs_time() -> None:
     height = rough(EFFECT.grid)
     least = EFFECT.removal_nm(PROBLEM.lower_s)
-    results = []
-    for piston in (choose_piston_nm(height, MASK, least) + more for more in (-15.0, 0.0, 15.0)):
-        results.append(solve(replace(PROBLEM, target_nm=height + piston), 10).certificate)
-    too_little, chosen, too_much = results
+    chosen_nm = choose_piston_nm(height, MASK, least)
+    too_little, chosen, too_much = (
+        solve(replace(PROBLEM, target_nm=height + chosen_nm + more), 10).certificate for more in (-15.0, 0.0, 15.0)
+    )
     assert too_little.predicted_rms_nm > 3 * chosen.predicted_rms_nm
     assert too_much.dwell_total_s > 1.1 * chosen.dwell_total_s
 
 
 @pytest.mark.parametrize("unreached", [-0.1, 1.0, float("nan")])
-def test_fractions_out_of_range(unreached: float):
+def test_fractions_out_of_range(unreached: float) -> None:
     with pytest.raises(ComputeError, match="at least 0 and below 1"):
         choose_piston_nm(ZERO, MASK, ZERO, unreached)
 
 
-def test_surfaces_that_cannot_be_used():
+def test_surfaces_that_cannot_be_used() -> None:
     with pytest.raises(ComputeError, match="solve_mask is empty"):
         choose_piston_nm(ZERO, ~MASK & MASK, ZERO)
     with pytest.raises(ComputeError, match="not finite everywhere"):
@@ -72,13 +72,13 @@ def test_surfaces_that_cannot_be_used():
     assert choose_piston_nm(np.where(MASK, 0.0, np.nan), MASK, ZERO) == 0
 
 
-def test_sigma_max_is_the_largest_singular_value():
+def test_sigma_max_is_the_largest_singular_value() -> None:
     rows = EFFECT.matrix.toarray()[MASK.ravel()]
     assert sigma_max(EFFECT, MASK, tolerance=1e-10) == pytest.approx(np.linalg.norm(rows, 2), rel=1e-6)
     assert sigma_max(EFFECT, MASK) == pytest.approx(np.linalg.norm(rows, 2), rel=1e-2)
 
 
-def test_rho_is_dimensionless():
+def test_rho_is_dimensionless() -> None:
     p = regularisation_from_rho(EFFECT, MASK, 1e-4)
     assert p * np.count_nonzero(MASK) / sigma_max(EFFECT, MASK) ** 2 == pytest.approx(1e-4)
     assert regularisation_from_rho(EFFECT.scaled(3.0), MASK, 1e-4) == pytest.approx(9 * p)
@@ -86,12 +86,12 @@ def test_rho_is_dimensionless():
 
 
 @pytest.mark.parametrize("rho", [-1e-4, float("nan"), float("inf")])
-def test_rho_out_of_range(rho: float):
+def test_rho_out_of_range(rho: float) -> None:
     with pytest.raises(ComputeError, match="rho must be finite and not negative"):
         regularisation_from_rho(EFFECT, MASK, rho)
 
 
-def test_effects_without_effect():
+def test_effects_without_effect() -> None:
     with pytest.raises(ComputeError, match="zero or not finite"):
         regularisation_from_rho(EFFECT.scaled(0.0), MASK, 1e-4)
     with pytest.raises(ComputeError, match="zero or not finite"):

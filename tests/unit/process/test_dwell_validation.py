@@ -63,24 +63,24 @@ CASES = {
 
 
 @pytest.mark.parametrize(("changes", "message"), CASES.values(), ids=CASES.keys())
-def test_refused(changes: dict, message: str):
+def test_refused(changes: dict, message: str) -> None:
     with pytest.raises(ComputeError, match=message):
         solve(replace(GOOD, **changes), 1.0)
 
 
-def test_a_good_problem_passes_and_so_does_what_does_not_matter():
+def test_a_good_problem_passes_and_so_does_what_does_not_matter() -> None:
     check(GOOD)
     check(replace(GOOD, target_nm=changed(GOOD.target_nm, OUTSIDE, np.nan)))
     check(replace(GOOD, upper_s=np.full(N, np.inf), regularisation=0.0))
     check(replace(GOOD, upper_s=GOOD.lower_s))
 
 
-def test_a_target_without_data_outside_the_mask_is_solved():
+def test_a_target_without_data_outside_the_mask_is_solved() -> None:
     blank = np.where(GOOD.solve_mask, GOOD.target_nm, np.nan)
     np.testing.assert_array_equal(solve(replace(GOOD, target_nm=blank), 5).time_s, solve(GOOD, 5).time_s)
 
 
-def test_no_points():
+def test_no_points() -> None:
     grid = Grid(2, 2, 1.0)
     ones = np.ones((2, 2), bool)
     nothing = SparseEffect(grid, sparse.csr_array((4, 0)))
@@ -114,6 +114,6 @@ class Twisted:
         (np.zeros(N), "zero at every sample"),
     ],
 )
-def test_effects_that_are_no_matrix_are_judged_by_their_adjoint(answer: np.ndarray, message: str):
+def test_effects_that_are_no_matrix_are_judged_by_their_adjoint(answer: np.ndarray, message: str) -> None:
     with pytest.raises(ComputeError, match=message):
         check(replace(GOOD, effect=Twisted(answer)))

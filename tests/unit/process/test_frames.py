@@ -10,13 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from polishd.model.errors import ComputeError
 from polishd.model.process import Placement
+from polishd.model.surface import FloatArray
 from polishd.process import frames
 
 TURN = st.floats(-360, 360)
 
 
 @given(TURN, TURN, TURN)
-def test_rpy_are_intrinsic_turns_about_x_y_z(roll, pitch, yaw) -> None:
+def test_rpy_are_intrinsic_turns_about_x_y_z(roll: float, pitch: float, yaw: float) -> None:
     want = Rotation.from_euler("XYZ", [roll, pitch, yaw], degrees=True).as_matrix()
     np.testing.assert_allclose(frames.rotation_from_rpy_deg(roll, pitch, yaw), want, atol=1e-12)
 
@@ -38,7 +39,7 @@ def test_directions_turn_but_do_not_move() -> None:
 
 
 @pytest.mark.parametrize("rotation", [np.diag([1.0, 1.0, -1.0]), 2 * np.eye(3), np.eye(2), np.full((3, 3), np.nan)])
-def test_a_placement_that_is_not_a_rotation_is_refused(rotation) -> None:
+def test_a_placement_that_is_not_a_rotation_is_refused(rotation: FloatArray) -> None:
     with pytest.raises(ComputeError, match="proper"):
         frames.points_to_base(Placement((0.0, 0.0, 0.0), rotation), np.zeros((1, 3)))
 
@@ -59,7 +60,7 @@ def test_the_spindle_leans_towards_the_base_axis() -> None:
 
 
 @given(st.integers(0, 2**31))
-def test_on_a_tilted_part_the_dip_is_still_from_the_normal_and_inward(seed) -> None:
+def test_on_a_tilted_part_the_dip_is_still_from_the_normal_and_inward(seed: int) -> None:
     rng = np.random.default_rng(seed)
     tip = rng.uniform(100, 600, (4, 3))
     normal = rng.normal(size=(4, 3)) * [0.3, 0.3, 0.1] + [0, 0, -1.0]
@@ -88,7 +89,7 @@ def test_angles_to_axes_by_hand() -> None:
 
 
 @given(st.floats(0.001, 179.9), st.floats(-179.9, 179.9))
-def test_axes_to_angles_and_back(a_deg, c_deg) -> None:
+def test_axes_to_angles_and_back(a_deg: float, c_deg: float) -> None:
     axis = frames.axis_from_angles(np.array([a_deg]), np.array([c_deg]))
     a, c = frames.angles_from_axis(axis)
     assert a[0] == pytest.approx(a_deg, abs=1e-9)

@@ -9,8 +9,10 @@ import pytest
 
 from polishd.model.errors import ComputeError
 from polishd.model.process import HybridRobot
+from polishd.model.surface import FloatArray
 from polishd.process.compliance import equivalent_compliance
 from polishd.process.robot import (
+    Pose,
     inverse_kinematics,
     platform_stiffness,
     reachable,
@@ -23,7 +25,7 @@ DIP = np.radians(15.0)
 UP = np.array([0.0, 0.0, -1.0])
 
 
-def workspace(n: int):
+def workspace(n: int) -> tuple[FloatArray, FloatArray]:
     """Tips in reach within Table I's cylinder, spindle leaning inward by 15 degrees, as (tips, axes)."""
     grid, height = np.linspace(-660, 660, n), np.linspace(200, 910, n)
     x, y, h = (a.ravel() for a in np.meshgrid(grid, grid, height))
@@ -37,7 +39,7 @@ def workspace(n: int):
     return tip[reach], axis[reach]
 
 
-def poses(n: int = 5):
+def poses(n: int = 5) -> Pose:
     tip, axis = workspace(n)
     return inverse_kinematics(ROBOT, tip, axis)
 
@@ -48,9 +50,8 @@ def beam_elements(length: float, bending: float, torsion: float, free_turns: np.
     The root is held, but may turn about the columns of ``free_turns`` (3, 2). Order: u, v, w, turns about u, v, w.
     """
     h = length / count
-    plane = (bending / h**3) * np.array(
-        [[12, 6 * h, -12, 6 * h], [6 * h, 4 * h**2, -6 * h, 2 * h**2], [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h**2, -6 * h, 4 * h**2]]
-    )  # fmt: skip
+    near, far = [12, 6 * h, -12, 6 * h], [6 * h, 2 * h**2, -6 * h, 4 * h**2]
+    plane = bending / h**3 * np.array([near, [6 * h, 4 * h**2, -6 * h, 2 * h**2], [-e for e in near], far])
     whole = np.zeros((6 * (count + 1), 6 * (count + 1)))
     for k in range(count):
         a, b = 6 * k, 6 * (k + 1)
@@ -70,7 +71,7 @@ def beam_elements(length: float, bending: float, torsion: float, free_turns: np.
     return tip.T @ whole @ tip - corner.T @ np.linalg.solve(hidden.T @ whole @ hidden, corner)
 
 
-def limb_springs(robot: HybridRobot, pose, k: int) -> np.ndarray:
+def limb_springs(robot: HybridRobot, pose: Pose, k: int) -> np.ndarray:
     """(6, 6) stiffness of the three limbs at pose k, from the exact slope of their lengths (complex step)."""
     slope = np.empty((3, 6))
     for j, move in enumerate(np.eye(6)):
@@ -93,17 +94,16 @@ def test_the_platform_is_as_stiff_as_beam_elements_and_springs() -> None:
         assert (np.abs(got[k] - want) / scale).max() < 1e-9
 
 
-def stored_energy(robot: HybridRobot, pose, k: int, force: np.ndarray) -> float:
-    """Twice the strain energy under a force at the tip: reactions by statics, beam moments integrated along the limb."""
+def stored_energy(robot: HybridRobot, pose: Pose, k: int, force: np.ndarray) -> float:
+    """Twice the strain energy under a force at the tip: reactions by statics, moments integrated along the limb."""
     frame = pose.frame[k]
     u, v, w = frame.T
     n = np.cross([1.0, 0.0, 0.0], v)
     direction = pose.limbs_mm[k] / np.linalg.norm(pose.limbs_mm[k], axis=1)[:, None]
     base = pose.platform_mm[k] + pose.joints_mm[k] - pose.limbs_mm[k]
     # columns: three limbs' pushes, the U joint's shear along u and v, its moment about n; all act on the moving part
-    balance = np.column_stack(
-        [*(np.concatenate([d, np.cross(b, d)]) for d, b in zip(direction, base, strict=True)), [*u, 0, 0, 0], [*v, 0, 0, 0], [0, 0, 0, *n]]
-    )  # fmt: skip
+    pushes = np.vstack([direction.T, np.cross(base, direction).T])
+    balance = np.column_stack([pushes, [*u, 0, 0, 0], [*v, 0, 0, 0], [0, 0, 0, *n]])
     reaction = np.linalg.solve(balance, -np.concatenate([force, np.cross(pose.tip_mm[k], force)]))
     energy = (reaction[:3] ** 2).sum() / robot.limb_stiffness_n_per_mm
     length = float(np.linalg.norm(pose.platform_mm[k]))
@@ -206,7 +206,7 @@ def test_a_tenth_off_the_torsion_of_a_shows_in_the_compliance() -> None:
         ("c_stiffness_n_mm_per_rad", "N mm/rad"),
     ],
 )
-def test_a_member_without_stiffness_is_refused_by_name(name, unit) -> None:
+def test_a_member_without_stiffness_is_refused_by_name(name: str, unit: str) -> None:
     tip, axis = workspace(5)
     for value in (0.0, np.nan, -1.0, np.inf):
         with pytest.raises(ComputeError, match=f"{name} is .* {unit}, it must be above 0"):

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from polishd.model.errors import ComputeError
 from polishd.model.process import HybridRobot
+from polishd.model.surface import FloatArray
 from polishd.process.robot import forward_kinematics, inverse_kinematics, limb_lengths_mm, reachable
 
 ROBOT = HybridRobot()
@@ -20,7 +21,7 @@ DOWN = np.array([[0.0, 0.0, -1.0]])
 DIP = np.radians(15.0)
 
 
-def workspace(n: int = 13):
+def workspace(n: int = 13) -> tuple[FloatArray, FloatArray]:
     """Tips in Table I's cylinder with the spindle leaning inward by 15 degrees, as (tips, axes), in reach or not."""
     grid, height = np.linspace(-660, 660, n), np.linspace(200, 910, n)
     x, y, h = (a.ravel() for a in np.meshgrid(grid, grid, height))
@@ -31,7 +32,9 @@ def workspace(n: int = 13):
     return tip, np.column_stack([lean, np.full(len(tip), -np.cos(DIP))])
 
 
-def assemble(robot: HybridRobot, alpha: float, beta: float, length: float, c: float, a: float):
+def assemble(
+    robot: HybridRobot, alpha: float, beta: float, length: float, c: float, a: float
+) -> tuple[FloatArray, ...]:
     """Tip, axis and limb lengths of the mechanism put together from its joints, U joint first."""
     platform = Rotation.from_euler("XY", [alpha, beta])
     spindle = platform * Rotation.from_euler("ZX", [c, a])
@@ -49,7 +52,9 @@ angles = st.floats(-0.4, 0.4)
 
 
 @given(angles, angles, st.floats(1000, 1650), st.floats(-3.1, 3.1), st.floats(0.02, 0.8), st.floats(0, 90))
-def test_inverse_undoes_an_assembly_from_joint_values(alpha, beta, length, c, a, first) -> None:
+def test_inverse_undoes_an_assembly_from_joint_values(
+    alpha: float, beta: float, length: float, c: float, a: float, first: float
+) -> None:
     robot = dataclasses.replace(ROBOT, first_limb_deg=first, stroke_mm=(500.0, 2500.0))
     tip, axis, limbs = assemble(robot, alpha, beta, length, c, a)
     pose = inverse_kinematics(robot, tip[None], axis[None])
@@ -138,7 +143,7 @@ def test_no_points_are_no_points() -> None:
         ([0.0, 0.0, 420.0], [0.0, 0.0, -1.0], r"distance from the U joint is 0 mm"),
     ],
 )
-def test_a_refusal_names_the_point_the_value_and_the_unit(tip, axis, says) -> None:
+def test_a_refusal_names_the_point_the_value_and_the_unit(tip: list[float], axis: list[float], says: str) -> None:
     tips = np.vstack([TIP, TIP, [tip]])
     axes = np.vstack([DOWN, DOWN, [axis]])
     with pytest.raises(ComputeError, match="point 2: .*" + says):

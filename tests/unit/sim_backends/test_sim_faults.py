@@ -57,7 +57,7 @@ async def paced(outlet: Outlet, frames: list[bytes], written: list[bytes], expec
         worker = group.create_task(outlet.run())
         for frame in frames:
             outlet.send(frame)
-        while len(b"".join(written)) < expected:
+        while len(b"".join(written)) < expected:  # noqa: ASYNC110  (what is waited for knows no event)
             await asyncio.sleep(0.001)
         worker.cancel()
     return time.monotonic() - begin

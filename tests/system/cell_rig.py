@@ -1,0 +1,101 @@
+"""A whole small cell: simulator and daemon as processes, as ``polishd demo`` starts them."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from polishd.console.demo_files import DemoFiles, demo_program, with_values
+from polishd.console.simulator import simulated_cell
+from polishd.daemon import client
+from polishd.daemon.config import load_config
+from tests.system.sim_rig import wait_for
+
+APERTURE_MM = 30.0
+
+
+def write_small(out: Path, **job: Any) -> DemoFiles:
+    """The demo's files with a small part, so that a pass takes seconds."""
+    from polishd.console.demo_files import write_demo
+
+    files = write_demo(out, None, 2.0, 4, None)
+    part = {"part": {"aperture_mm": APERTURE_MM}, "job": job}
+    files.cell.write_text(with_values(files.cell.read_text(), part))
+    sim = {"plant": {"aperture_mm": APERTURE_MM, "pv_nm": 100.0}}
+    files.sim.write_text(with_values(files.sim.read_text(), sim))
+    config = load_config(files.cell)
+    config.program_path.write_bytes(demo_program(config))
+    return files
+
+
+@contextlib.contextmanager
+def small_cell(out: Path, seed: int = 1, speed: float = 10.0, **job: Any) -> Iterator[DemoFiles]:
+    """A running simulator for the small part."""
+    files = write_small(out, **job)
+    options = ["--state", str(files.sim_dir), "--seed", str(seed), "--speed", f"{speed:g}"]
+    with simulated_cell(files.sim, options, files.out / "sim.stderr"):
+        yield files
+
+
+class Daemon:
+    """``polishd run`` as a process."""
+
+    def __init__(self, files: DemoFiles) -> None:
+        self.files = files
+        self.output = files.daemon_log
+        with self.output.open("ab") as log:
+            command = [sys.executable, "-m", "polishd.cli", "run", str(files.cell), "--json"]
+            self.process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
+
+    def __enter__(self) -> Daemon:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+
+    def status(self) -> dict[str, Any]:
+        """Its answer to ``status``; empty while it does not answer."""
+        try:
+            return client.request(self.files.state_dir, "status", 5.0)
+        except Exception:
+            assert self.process.poll() is None, self.output.read_text()
+            return {}
+
+    def wait_for_state(self, state: str, limit_s: float = 30.0) -> dict[str, Any]:
+        """Its status once it is in that state."""
+        return dict(wait_for(lambda: (s := self.status()).get("state") == state and s, f"state {state}", limit_s))
+
+    def wait_in_contact(self, blocks: int = 150) -> None:
+        """Returns in the middle of a pass."""
+        before = len(events(self.files, "blocks"))
+        wait_for(lambda: any(e.get("at_seq", 0) > blocks for e in events(self.files, "blocks")[before:]), "a pass", 60.0)
+
+    def end(self, number: int = signal.SIGTERM) -> int:
+        """Send a signal and wait for the end; its exit code."""
+        self.process.send_signal(number)
+        return self.process.wait(20.0)
+
+
+def events(files: DemoFiles, *names: str) -> list[dict[str, Any]]:
+    """The simulator's own log, in time order."""
+    lines = (files.sim_dir / "sim.log").read_text().splitlines()
+    told = [json.loads(line) for line in lines if line.endswith("}")]
+    return [event for event in told if not names or event["event"] in names]
+
+
+def account(files: DemoFiles) -> dict[str, Any]:
+    """The plant's own account of contact time."""
+    return dict(json.loads((files.sim_dir / "dwell_account.json").read_text()))
+
+
+def summary(files: DemoFiles) -> dict[str, Any]:
+    """The run folder's summary."""
+    return dict(json.loads((files.run_dir / "summary.json").read_text()))

@@ -1,0 +1,113 @@
+"""Registers and lines of the voice coil against the documents' vectors, and against nonsense."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from polishd.api import Identity, ProtocolError
+from polishd.drivers.transport.voice_coil import Reading, State
+from polishd.drivers.voice_coil_modbus import registers
+from polishd.drivers.voice_coil_serial import codec
+from tests.fakes.actuator import Coil, ModbusCoil
+from tests.vectors import vectors
+
+CONTACT = Reading(State.CONTACT, 11.98, 12.0, 5000, 0)
+
+
+def test_modbus_vectors_give_the_reading() -> None:
+    frame = bytes.fromhex(vectors("voice_coil_modbus")["inputs"])
+    reading, heartbeat = registers.reading(struct.unpack(">6H", frame[3:-2]))
+    assert reading == CONTACT
+    assert heartbeat == 7
+
+
+@pytest.mark.parametrize(
+    ("force_n", "register"), [(0.0, 0), (12.0, 1200), (0.01, 1), (50.0, 5000), (11.999, 1200), (0.29, 29)]
+)
+def test_set_points_are_hundredths(force_n: float, register: int) -> None:
+    assert registers.setpoint_register(force_n) == register
+
+
+def test_pulling_is_negative() -> None:
+    assert registers.reading([2, 0xFFFE, 0, 5000, 0, 0])[0].force_n == -0.02
+
+
+def test_unknown_states_are_protocol_errors() -> None:
+    with pytest.raises(ProtocolError, match="state 5"):
+        registers.reading([5, 0, 0, 0, 0, 0])
+
+
+def test_faults_have_words() -> None:
+    assert Reading(State.FAULT, 0.0, 0.0, 0, 5).faults == "watchdog ran out, drive"
+    assert CONTACT.faults == ""
+
+
+def test_identity_registers_are_read() -> None:
+    coil = Coil()
+    coil.boots = 0x1_0002
+    first, count = registers.IDENTITY
+    table = ModbusCoil(coil, rtu=True).registers()
+    identity = registers.identity([table[at] for at in range(first, first + count)])
+    assert identity == Identity("Fake Coils", "FC-50", "SN-0042", "1.2", boot_id="65538")
+
+
+def test_identity_of_other_bytes_is_a_protocol_error() -> None:
+    with pytest.raises(ProtocolError, match="ASCII"):
+        registers.identity([0xFFFF] * 30)
+
+
+def test_ascii_vectors() -> None:
+    lines = vectors("voice_coil_serial")
+    assert codec.encode(7, "F,12.00") == lines["set_force"].encode() + b"\r\n"
+    assert codec.encode(8, "ST?") == lines["status_request"].encode() + b"\r\n"
+    assert codec.decode(lines["ok"].encode() + b"\r") == (7, "OK")
+    numbered = codec.decode(lines["status"].encode())
+    assert numbered is not None
+    assert numbered[0] == 8
+    assert codec.status(numbered[1]) == CONTACT
+
+
+@given(st.integers(0, 0xFFFF), st.text("ABC?,.0123 -", min_size=1, max_size=60))
+def test_lines_are_read_as_they_are_written(number: int, body: str) -> None:
+    assert codec.decode(codec.encode(number, body).rstrip(b"\n")) == (number, body)
+
+
+@given(st.binary(max_size=200))
+def test_broken_lines_are_none(noise: bytes) -> None:
+    numbered = codec.decode(noise)
+    assert numbered is None or codec.encode(*numbered).rstrip() == noise[noise.rfind(b"$") :].rstrip()
+
+
+@pytest.mark.parametrize("at", range(len(codec.encode(8, "ST?").strip())))
+def test_a_flipped_bit_is_seen(at: int) -> None:
+    broken = bytearray(codec.encode(8, "ST?").strip())
+    broken[at] ^= 0x02
+    assert codec.decode(bytes(broken)) is None
+
+
+@pytest.mark.parametrize("line", [b"", b"$*00", b"$OK*04", b"$x,OK*4B", b"$123456,OK*1E", b"7,OK*1F", b"$7,OK*1f"])
+def test_lines_without_sense_are_none(line: bytes) -> None:
+    assert codec.decode(line) is None
+
+
+def test_noise_before_a_line_is_dropped() -> None:
+    assert codec.decode(b"\xff\x00$7,O$7,OK*1F") == (7, "OK")
+
+
+@pytest.mark.parametrize(
+    "body",
+    ["ST", "OK", "ST,5,0.00,0.00,0,0", "ST,2,0.0,0.00,0,0", "ST,2,0.00,0.00,0", "ST,2,0.00,-1.00,0,0", "ST,2,,,,"],
+)
+def test_strange_status_is_a_protocol_error(body: str) -> None:
+    with pytest.raises(ProtocolError, match="no answer to ST"):
+        codec.status(body)
+
+
+@pytest.mark.parametrize("body", ["OK", "ID,a,b,c,d", "ID,a,b,c,d,e,f", "IX,a,b,c,d,e"])
+def test_strange_identity_is_a_protocol_error(body: str) -> None:
+    with pytest.raises(ProtocolError, match="no answer to ID"):
+        codec.identity(body)

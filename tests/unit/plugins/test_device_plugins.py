@@ -1,0 +1,90 @@
+"""The device types of our plugins: their options are strict, and they build closed devices."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pluggy
+import pydantic
+import pytest
+
+from polishd import hookspecs
+from polishd.api import ConfigError, Device, DeviceContext, DeviceType, ForceActuator, Robot, Spindle
+from polishd.plugins import rnc_robot, spindle, voice_coil
+
+GOOD: list[tuple[str, dict[str, Any], type[Any]]] = [
+    ("robot_link", {"address": "tcp://127.0.0.1:28500"}, Robot),
+    ("voice_coil_modbus", {"address": "serial:sim/actuator?baud=115200", "unit": 1}, ForceActuator),
+    ("voice_coil_modbus", {"address": "tcp://127.0.0.1:502", "watchdog_ms": 300, "landing_s": 5.0}, ForceActuator),
+    ("voice_coil_serial", {"address": "serial:/dev/ttyUSB0"}, ForceActuator),
+    ("spindle_can", {"address": "slcan:sim/spindle?bitrate=500000", "node": 5}, Spindle),
+    ("spindle_can", {"address": "socketcand://127.0.0.1:29536/can0"}, Spindle),
+]
+BAD_OPTIONS: list[tuple[str, dict[str, Any]]] = [
+    ("robot_link", {}),
+    ("robot_link", {"address": 5}),
+    ("robot_link", {"address": "tcp://a:1", "adress": "tcp://a:1"}),
+    ("voice_coil_modbus", {"address": "tcp://a:1", "unit": 0}),
+    ("voice_coil_modbus", {"address": "tcp://a:1", "unit": "1"}),
+    ("voice_coil_modbus", {"address": "tcp://a:1", "watchdog_ms": 50}),
+    ("voice_coil_serial", {"address": "serial:x", "unit": 1}),
+    ("voice_coil_serial", {"address": "serial:x", "landing_s": 0.0}),
+    ("spindle_can", {"address": "slcan:x", "node": 128}),
+]
+BAD_ADDRESSES = [
+    ("robot_link", "serial:x"),
+    ("robot_link", "28500"),
+    ("voice_coil_modbus", "slcan:x"),
+    ("voice_coil_serial", "socketcand://a:1/can0"),
+    ("spindle_can", "tcp://a:1"),
+    ("spindle_can", "slcan:x?bitrate=1"),
+]
+
+
+@pytest.fixture(scope="module")
+def types() -> dict[str, DeviceType]:
+    manager = pluggy.PluginManager(hookspecs.PROJECT)
+    manager.add_hookspecs(hookspecs)
+    for plugin in (rnc_robot, voice_coil, spindle):
+        assert plugin.POLISHD_API == hookspecs.API_VERSION
+        manager.register(plugin)
+    manager.check_pending()
+    declared = [kind for kinds in manager.hook.polishd_device_types() for kind in kinds]
+    assert len({kind.name for kind in declared}) == len(declared)
+    return {kind.name: kind for kind in declared}
+
+
+def context(folder: Path) -> DeviceContext:
+    return DeviceContext(base_dir=folder, state_dir=folder / "state", part_id="P-1", readers=())
+
+
+@pytest.mark.parametrize(("name", "options", "port"), GOOD)
+def test_devices_are_built_closed(
+    types: dict[str, DeviceType], tmp_path: Path, name: str, options: dict[str, Any], port: type[Any]
+) -> None:
+    kind = types[name]
+    device = kind.build(kind.options(**options), context(tmp_path))
+    assert isinstance(device, Device)
+    assert isinstance(device, port)
+
+
+@pytest.mark.parametrize(("name", "port"), [(n, p) for n, _, p in GOOD])
+def test_ports_are_declared(types: dict[str, DeviceType], name: str, port: type[Any]) -> None:
+    assert types[name].port == {Robot: "robot", ForceActuator: "actuator", Spindle: "spindle"}[port]
+
+
+@pytest.mark.parametrize(("name", "options"), BAD_OPTIONS)
+def test_options_are_strict(types: dict[str, DeviceType], name: str, options: dict[str, Any]) -> None:
+    with pytest.raises(pydantic.ValidationError):
+        types[name].options(**options)
+
+
+@pytest.mark.parametrize(("name", "address"), BAD_ADDRESSES)
+def test_other_addresses_are_config_errors(
+    types: dict[str, DeviceType], tmp_path: Path, name: str, address: str
+) -> None:
+    kind = types[name]
+    options = kind.options(address=address)
+    with pytest.raises(ConfigError, match="address"):
+        kind.build(options, context(tmp_path))
