@@ -1,21 +1,21 @@
 """The error tree. Each class is named by what happens next, and carries the exit code of the command line.
 
-    PolishdError
-      ConfigError      nothing was opened: mend the file                    (3)
-      PluginError      nothing was opened: mend or drop the plugin          (3)
-      ProgramError     nothing was written: mend the RNC program            (9)
-      PlanRefused      nothing moved: the plan is not safe                  (4)
-      SurfaceError     ask for another map                                  (8)
-        StaleMap       it was measured before the last pass ended
-        BadMap         it cannot be read, or not be trusted
-        WrongPart      it shows another part
-      ComputeError     fall back, or stop before RUN                        (10)
-      DeviceError      a device is the cause                                (5)
-        LinkError      the wire is dead or silent
-        ProtocolError  the wire speaks, but not what was agreed
-        DeviceRefused  the device understood and said no
-        DeviceFault    the device says that it is broken
-      SafetyStop       the cell left contact by itself                      (7)
+PolishdError
+  ConfigError      nothing was opened: mend the file                    (3)
+  PluginError      nothing was opened: mend or drop the plugin          (3)
+  ProgramError     nothing was written: mend the RNC program            (9)
+  PlanRefused      nothing moved: the plan is not safe                  (4)
+  SurfaceError     ask for another map                                  (8)
+    StaleMap       it was measured before the last pass ended
+    BadMap         it cannot be read, or not be trusted
+    WrongPart      it shows another part
+  ComputeError     fall back, or stop before RUN                        (10)
+  DeviceError      a device is the cause                                (5)
+    LinkError      the wire is dead or silent
+    ProtocolError  the wire speaks, but not what was agreed
+    DeviceRefused  the device understood and said no
+    DeviceFault    the device says that it is broken
+  SafetyStop       the cell left contact by itself                      (7)
 """
 
 

@@ -76,7 +76,9 @@ class Daemon:
     def wait_in_contact(self, blocks: int = 150) -> None:
         """Returns in the middle of a pass."""
         before = len(events(self.files, "blocks"))
-        wait_for(lambda: any(e.get("at_seq", 0) > blocks for e in events(self.files, "blocks")[before:]), "a pass", 60.0)
+        wait_for(
+            lambda: any(e.get("at_seq", 0) > blocks for e in events(self.files, "blocks")[before:]), "a pass", 60.0
+        )
 
     def end(self, number: int = signal.SIGTERM) -> int:
         """Send a signal and wait for the end; its exit code."""

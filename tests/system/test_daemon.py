@@ -94,7 +94,9 @@ def test_sigterm_in_contact_lifts_before_motion_stops_and_resume_measures_first(
             assert not [e for e in events(files)[before:] if e["event"] in ("motion_started", "force_on")]
             maps = len(events(files, "map_dropped"))
             assert client.request(files.state_dir, "resume")["state"] == "polishing"
-            moved = wait_for(lambda: [e for e in events(files)[before:] if e["event"] == "motion_started"], "motion", 40)
+            moved = wait_for(
+                lambda: [e for e in events(files)[before:] if e["event"] == "motion_started"], "motion", 40
+            )
             measured = [e for e in events(files, "map_dropped")[maps:] if e["mono_s"] < moved[0]["mono_s"]]
             assert measured, "a new measurement comes before motion"
             assert daemon.process.wait(120.0) == 0, daemon.output.read_text()
