@@ -39,7 +39,7 @@ CorrectionOption = Annotated[
 
 
 @app.command()
-def demo(
+def demo(  # noqa: PLR0917 - typer reads the options off the signature
     seed: Annotated[int, typer.Option(help="What the simulated cell hides is drawn from it.")] = 1,
     speed: Annotated[float, typer.Option(min=1.0, max=200.0, help="Process time per wall time.")] = 60.0,
     cycles: Annotated[int, typer.Option(min=1, max=20, help="Most polishing passes.")] = 4,
@@ -68,7 +68,7 @@ def run(cell: Cell, correction: CorrectionOption = None, as_json: Json = False) 
 
 
 @app.command()
-def plan(
+def plan(  # noqa: PLR0917 - typer reads the options off the signature
     cell: Cell,
     surface: Annotated[Path, typer.Argument(metavar="MAP", help="A measured map.", show_default=False)],
     program: Annotated[Path, typer.Option(metavar="P.rnc", help="The RNC program to rewrite.", show_default=False)],

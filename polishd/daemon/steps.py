@@ -186,7 +186,7 @@ def landing_violations(recipe: Recipe, plan: Plan) -> list[str]:
     reach = recipe.aperture_mm / 2
     ends = (("starts", program.line[0], program.start_mm[0]), ("ends", program.line[-1], program.end_mm[-1]))
     return [
-        f"{program.name}:{line}: contact {word} at {point[0]:.2f}, {point[1]:.2f} mm, on the part ({reach:g} mm radius); "
+        f"{program.name}:{line}: contact {word} at {point[0]:.2f}, {point[1]:.2f} mm, on the part (radius {reach:g}); "
         "a tool that stands still there digs a pit: lead in from and out to a landing point beside the part"
         for word, line, point in ends
         if np.hypot(point[0], point[1]) <= reach
@@ -201,7 +201,7 @@ def process_grid(recipe: Recipe) -> Grid:
 def load_measured(recipe: Recipe, arrays: Mapping[str, NDArray[Any]], sha256: str) -> Measured:
     """A measurement as the run folder keeps it (``surface.npz``)."""
     height = np.asarray(arrays["height_nm"], dtype=np.float64)
-    grid = Grid(*height.shape, float(arrays["pitch_mm"]))
+    grid = Grid(height.shape[0], height.shape[1], float(arrays["pitch_mm"]))
     solve, metric = (np.asarray(arrays[key], dtype=np.bool_) for key in ("solve_mask", "metric_mask"))
     return Measured(grid, np.nan_to_num(height), solve, metric, _stats(recipe, height, metric, grid.pitch_mm), sha256)
 

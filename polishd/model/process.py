@@ -41,8 +41,10 @@ class Placement:
 
 @dataclass(frozen=True, slots=True)
 class HybridRobot:
-    """3UPS-UP parallel section with a C/A wrist (paper section II-B). Defaults are polishd's fit to the paper's
-    published compliance and stroke ranges; radii and stiffnesses are not published, so they are not the paper's.
+    """3UPS-UP parallel section with a C/A wrist (paper section II-B).
+
+    Defaults are polishd's fit to the paper's published compliance and stroke ranges; radii and stiffnesses are not
+    published, so they are not the paper's.
 
     The base frame's origin is the centre of the UP limb's universal joint, z down, x along the outer U axis.
     """

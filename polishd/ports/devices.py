@@ -1,7 +1,8 @@
 """The devices of a cell.
 
 Every driver keeps these rules. ``make_safe`` is idempotent, bounded in time and allowed in any state, also before
-``open`` and after ``close``. No driver repeats a write on its own. A lost link raises LinkError at once to whoever waits.
+``open`` and after ``close``. No driver repeats a write on its own. A lost link raises LinkError at once to whoever
+waits.
 """
 
 from __future__ import annotations
@@ -56,8 +57,10 @@ class Robot(Device, Protocol):
         ...
 
     def executed(self, from_seq: int = 0) -> AsyncIterator[Executed]:
-        """Blocks as they are *executed*, in order, each once, from ``from_seq``; ends when the program is done or
-        held for good (aborted); survives a reconnect without loss. LinkError when the link is lost."""
+        """Blocks as they are *executed*, in order, each once, from ``from_seq``.
+
+        Ends when the program is done or dropped; survives a reconnect without loss. LinkError when the link is lost.
+        """
         ...
 
     async def hold(self) -> None:

@@ -100,8 +100,8 @@ def quiet_step_mm(contact_radius_mm: float, at_most_mm: float) -> float:
 
     Lines that are a step apart leave a ripple whose depth, relative to the removal, is the spot's spectrum at the
     frequency 1 / step. Along one axis a Hertzian spot removes as ``1 - (y / a)^2``, whose spectrum is
-    ``3 (sin u - u cos u) / u^3``, ``u = 2 pi a / step``: it vanishes where ``tan u = u``. At the paper's process a step of
-    1 mm leaves 4 % (3.4 nm in 75 nm), one of 0.93 mm a fifth of that.
+    ``3 (sin u - u cos u) / u^3``, ``u = 2 pi a / step``: it vanishes where ``tan u = u``. At the paper's process
+    a step of 1 mm leaves 4 % (3.4 nm in 75 nm), one of 0.93 mm a fifth of that.
 
     Args:
         contact_radius_mm: a, of the contact that really acts (the robot's compliance makes it smaller).
