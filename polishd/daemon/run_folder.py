@@ -50,7 +50,7 @@ class RunFolder:
     def arrays(self, name: str, arrays: Mapping[str, NDArray[Any] | float]) -> None:
         """Named arrays in one compressed .npz."""
         buffer = io.BytesIO()
-        np.savez_compressed(buffer, **{key: np.asarray(value) for key, value in arrays.items()})
+        np.savez_compressed(buffer, allow_pickle=False, **{key: np.asarray(value) for key, value in arrays.items()})
         self.bytes(name, buffer.getvalue())
 
     def table(self, name: str, columns: Mapping[str, NDArray[Any]]) -> None:

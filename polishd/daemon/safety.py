@@ -171,9 +171,9 @@ async def within(samples: AsyncIterator[T], name: str) -> AsyncIterator[T]:
 def most_telling(errors: BaseExceptionGroup[BaseException]) -> BaseException:
     """The one error of a group that says what to do: ours before others, others before cancellation."""
     flat = list(_flatten(errors))
-    for kind in (SafetyStop, PolishdError, Exception, BaseException):
+    for kind in (SafetyStop, PolishdError, Exception):
         for error in flat:
-            if isinstance(error, kind) and not isinstance(error, asyncio.CancelledError):
+            if isinstance(error, kind):
                 return error
     return flat[0]
 

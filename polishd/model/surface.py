@@ -34,12 +34,12 @@ class Grid:
     @property
     def x_mm(self) -> FloatArray:
         """Column coordinates, (nx,), ascending."""
-        return (np.arange(self.nx) - (self.nx - 1) / 2) * self.pitch_mm
+        return np.asarray((np.arange(self.nx) - (self.nx - 1) / 2) * self.pitch_mm, dtype=np.float64)
 
     @property
     def y_mm(self) -> FloatArray:
         """Row coordinates, (ny,), descending: row 0 is the top."""
-        return ((self.ny - 1) / 2 - np.arange(self.ny)) * self.pitch_mm
+        return np.asarray(((self.ny - 1) / 2 - np.arange(self.ny)) * self.pitch_mm, dtype=np.float64)
 
     def radius_mm(self) -> FloatArray:
         """Distance of each sample from the origin, (ny, nx)."""

@@ -12,8 +12,10 @@ from tests.arch import code_rules, repository_rules
 from tests.arch.source import Rule
 
 ROOT = Path(__file__).resolve().parents[2]
-# Configs of cells and jobs; the example plugin's own pyproject.toml is none.
-EXAMPLES = sorted(path for path in (ROOT / "examples").rglob("*.toml") if path.name != "pyproject.toml")
+# Configs of cells; the simulator's own is loaded by tests/system/test_sim_cell.py.
+EXAMPLES = sorted(
+    path for path in (ROOT / "examples").rglob("*.toml") if path.name not in ("pyproject.toml", "sim.toml")
+)
 
 
 @pytest.mark.parametrize("rule", [*code_rules.RULES, *repository_rules.RULES], ids=lambda rule: rule.__name__)

@@ -9,12 +9,13 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from polishd.console.demo_files import DemoFiles, demo_program, with_values
 from polishd.console.simulator import simulated_cell
 from polishd.daemon import client
 from polishd.daemon.config import load_config
+from polishd.model.errors import PolishdError
 from tests.system.sim_rig import wait_for
 
 APERTURE_MM = 30.0
@@ -53,7 +54,7 @@ class Daemon:
             command = [sys.executable, "-m", "polishd.cli", "run", str(files.cell), "--json"]
             self.process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
 
-    def __enter__(self) -> Daemon:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -65,7 +66,7 @@ class Daemon:
         """Its answer to ``status``; empty while it does not answer."""
         try:
             return client.request(self.files.state_dir, "status", 5.0)
-        except Exception:
+        except PolishdError:
             assert self.process.poll() is None, self.output.read_text()
             return {}
 
