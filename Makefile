@@ -11,7 +11,7 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-long check format bench lock clean
+.PHONY: help demo test test-long check format bench compare lock clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -37,6 +37,9 @@ format: $(VENV)/.installed ## format the sources and mend what the linter can me
 
 bench: $(VENV)/.installed ## race polishd against its peers, into build/bench.json (ARGS="name ...")
 	@$(ONE_THREAD) $(BIN)/python -m benchmarks $(ARGS)
+
+compare: $(VENV)/.installed ## the same simulated cells with and without the compliance correction
+	@$(BIN)/python -m benchmarks.compare_corrections
 
 # The lock is changed only here. --upgrade in ARGS takes newer versions; without it only what pyproject.toml asks for.
 lock: ## rewrite requirements.lock (ARGS=--upgrade for newer versions)

@@ -132,7 +132,7 @@ def aperture_of(surface: Path) -> float:
     if measured.pitch_mm is None:
         raise BadMap(f"{surface}: has no lateral scale; the demo needs one")
     rows, columns = np.nonzero(measured.valid)
-    extent = min(np.ptp(rows), np.ptp(columns)) * measured.pitch_mm
+    extent = (min(np.ptp(rows), np.ptp(columns)) + 1) * measured.pitch_mm
     return math.floor(float(extent))
 
 

@@ -128,9 +128,9 @@ class Job:
 
     def refuse_unsafe(self, plan: Plan) -> None:
         """PlanRefused with every violation that a check found."""
-        violations = [*steps.landing_violations(self.recipe, plan), *self._check_plan(plan, self.recipe.envelope)]
-        if violations:
-            raise PlanRefused("the plan was refused, nothing moved:\n" + "\n".join(f"  {line}" for line in violations))
+        found = [*steps.violations(self.recipe, plan), *self._check_plan(plan, self.recipe.envelope)]
+        if found:
+            raise PlanRefused("the plan was refused, nothing moved:\n" + "\n".join(f"  {line}" for line in found))
 
     # run
 

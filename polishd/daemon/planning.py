@@ -40,10 +40,10 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
     solved = steps.solve(recipe, program, measured, Beliefs(block_overhead_s=recipe.envelope.block_overhead_s))
     require_certificate(solved.dwell.certificate, recipe)
     plan = steps.rewrite(recipe, program, solved, program_path.name)
-    violations = hooks.check_plan(plan, recipe.envelope)
-    if violations:
-        raise PlanRefused("the plan was refused, nothing was written:\n" + "\n".join(f"  {v}" for v in violations))
-    notes += [*surface.warnings, *program.warnings, *steps.landing_violations(recipe, plan), *solved.answer.notes]
+    vetoes = hooks.check_plan(plan, recipe.envelope)
+    if vetoes:
+        raise PlanRefused("the plan was refused, nothing was written:\n" + "\n".join(f"  {v}" for v in vetoes))
+    notes += [*surface.warnings, *program.warnings, *steps.violations(recipe, plan), *solved.answer.notes]
     summary = {
         **_figures(recipe, measured, solved, plan),
         "job": config.job.id,

@@ -19,12 +19,14 @@ from polishd.model.errors import ComputeError, ProgramError
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program, Segment
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap, SurfaceStats
-from polishd.process import conditioning, learning, metrics, motion
+from polishd.process import conditioning, frames, learning, metrics, motion
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
 
 LEAST_COVERAGE = 0.9
 """A program that works less of the clear aperture than this is taken for another part's."""
+LEAST_ON_PART = 0.5
+"""So is one that mostly works beside it."""
 ENVELOPE_ROUNDS = 2
 """Re-solves with what acceleration delivers as the lower bound."""
 
@@ -66,7 +68,14 @@ class Solved:
 
 def read_program(recipe: Recipe, path: Path) -> Program:
     """Read the job's program; ProgramError names file and line."""
-    return recipe.format.read(read_program_bytes(path), path.name)
+    return _with_moves(recipe.format.read(read_program_bytes(path), path.name))
+
+
+def _with_moves(program: Program) -> Program:
+    """A point that dwells begins where the last one ended: the move there takes time, and removes, too."""
+    if program.encoding != "dwell":
+        return program
+    return replace(program, start_mm=np.vstack([program.end_mm[:1], program.end_mm[:-1]]))
 
 
 def condition(recipe: Recipe, surface: SurfaceMap, masks: tuple[BoolArray, BoolArray] | None) -> Measured:
@@ -96,10 +105,31 @@ def in_part_frame(recipe: Recipe, program: Program) -> Program:
     )
 
 
+def as_polished(recipe: Recipe, program: Program) -> Program:
+    """The program in the part's frame, as the tool meets the part.
+
+    A dwell acts where its move ends. A program that states no tool axis is taken as dipped radially inward, the
+    default of a cell; ``run`` refuses it (``violations``), since the robot would not know.
+    """
+    part = in_part_frame(recipe, program)
+    if program.encoding == "dwell":
+        part = replace(part, start_mm=part.end_mm)
+    if _states_no_axis(recipe, program):
+        base = frames.points_to_base(recipe.placement, part.end_mm)
+        normals = frames.surface_normals(recipe.placement, part.n)
+        inward = frames.inward_axis(base, normals, recipe.process.dip_deg)
+        part = replace(part, axis=inward @ np.asarray(recipe.placement.rotation))
+    return part
+
+
+def _states_no_axis(recipe: Recipe, program: Program) -> bool:
+    return recipe.process.dip_deg > 0 and bool(np.all(program.axis == (0.0, 0.0, 1.0)))
+
+
 def effect_of(recipe: Recipe, program: Program, grid: Grid, rate: float) -> RemovalAnswer:
-    """Compliance, gamma and effect along the program (part frame in, process grid out)."""
+    """Compliance, gamma and effect along the program, on the process grid."""
     request = RemovalRequest(
-        program=in_part_frame(recipe, program),
+        program=as_polished(recipe, program),
         grid=grid,
         process=recipe.process,
         robot=recipe.robot,
@@ -132,7 +162,7 @@ def learn(
             f"the last pass removed {rate:.2f} times what the model says (limits.max_rate_change = "
             f"{recipe.max_rate_change:g}); check force, speed, slurry and process.preston_cm2_per_n, then resume"
         )
-    overhead = motion.learn_overhead_s(program, asked_s, executed_s, _envelope(recipe, beliefs))
+    overhead = motion.learn_overhead_s(program, asked_s, executed_s, _envelope(recipe, program, beliefs))
     return Beliefs(rate, overhead, learned.notes), learned
 
 
@@ -141,7 +171,7 @@ def solve(recipe: Recipe, program: Program, measured: Measured, beliefs: Beliefs
 
     What acceleration delivers late becomes the lower bound of the next round, so that the optimum knows of it.
     """
-    envelope = _envelope(recipe, beliefs)
+    envelope = _envelope(recipe, program, beliefs)
     answer = effect_of(recipe, program, measured.grid, beliefs.rate)
     _require_coverage(program, answer, measured)
     lower = motion.least_time_s(program, envelope)
@@ -160,10 +190,10 @@ def solve(recipe: Recipe, program: Program, measured: Measured, beliefs: Beliefs
 def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan:
     """The rewritten program, read back from its own bytes, with what it is expected to do."""
     text = recipe.format.rewrite(program, solved.asked_s)
-    rewritten = recipe.format.read(text, name)
+    rewritten = _with_moves(recipe.format.read(text, name))
     if rewritten.n != program.n or not np.array_equal(rewritten.end_mm, program.end_mm):
         raise ComputeError(f"{name}: the rewritten program does not read back as the same path; nothing was sent")
-    expected = motion.delivered_time_s(rewritten, rewritten.time_s, _envelope(recipe, solved.beliefs))
+    expected = motion.delivered_time_s(rewritten, rewritten.time_s, _envelope(recipe, program, solved.beliefs))
     blocks = rewritten.blocks
     return Plan(
         program=rewritten,
@@ -176,16 +206,30 @@ def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan
     )
 
 
-def _envelope(recipe: Recipe, beliefs: Beliefs) -> Envelope:
-    return replace(recipe.envelope, block_overhead_s=beliefs.block_overhead_s or recipe.envelope.block_overhead_s)
+def _envelope(recipe: Recipe, program: Program, beliefs: Beliefs) -> Envelope:
+    """The machine's limits with the overhead that was learned; moves to a dwell run at the program's own feed."""
+    envelope = replace(recipe.envelope, block_overhead_s=beliefs.block_overhead_s or recipe.envelope.block_overhead_s)
+    feed = program.max_feed_mm_min / 60
+    if program.encoding == "dwell" and 0 < feed < envelope.max_feed_mm_s:
+        envelope = replace(envelope, max_feed_mm_s=feed)
+    return envelope
 
 
-def landing_violations(recipe: Recipe, plan: Plan) -> list[str]:
-    """Landing points on the part: the tool stands still there while the force comes and goes."""
+def violations(recipe: Recipe, plan: Plan) -> list[str]:
+    """What forbids to run a plan: no tool axis, or landing points on the part.
+
+    The tool stands still at a landing point while the force comes and goes.
+    """
     program = in_part_frame(recipe, plan.program)
+    found = []
+    if _states_no_axis(recipe, plan.program):
+        found.append(
+            f"{program.name}: states no tool axis (A and C words), and the process dips the tool by "
+            f"{recipe.process.dip_deg:g} deg: post it with its axis"
+        )
     reach = recipe.aperture_mm / 2
     ends = (("starts", program.line[0], program.start_mm[0]), ("ends", program.line[-1], program.end_mm[-1]))
-    return [
+    return found + [
         f"{program.name}:{line}: contact {word} at {point[0]:.2f}, {point[1]:.2f} mm, on the part (radius {reach:g}); "
         "a tool that stands still there digs a pit: lead in from and out to a landing point beside the part"
         for word, line, point in ends
@@ -228,7 +272,13 @@ def _on_map(surface: SurfaceMap, grid: Grid, mask: BoolArray) -> BoolArray:
 
 
 def _require_coverage(program: Program, answer: RemovalAnswer, measured: Measured) -> None:
-    """ProgramError unless the path works nearly all of the clear aperture."""
+    """ProgramError unless the path works nearly all of the clear aperture, and mostly the part."""
+    on_part = float(np.mean(answer.effect.adjoint(measured.solve_mask.astype(np.float64)) > 0))
+    if on_part < LEAST_ON_PART:
+        raise ProgramError(
+            f"{program.name}: only {on_part:.0%} of its timed points touch the part: is it the program of this part, "
+            "and are program.offset_mm and program.rotation_deg right?"
+        )
     reached = answer.effect.removal_nm(np.ones(program.n)) > 0
     share = float(reached[measured.metric_mask].mean())
     if share < LEAST_COVERAGE:
@@ -247,7 +297,8 @@ def _solve_within(
 ) -> tuple[DwellProblem, DwellSolution, FloatArray, FloatArray]:
     problem = _problem(recipe, *given, *bounds)
     dwell = recipe.solver.solve(problem, recipe.solve_s)
-    asked = np.maximum(dwell.time_s - envelope.block_overhead_s, 0.0)
+    unasked = motion.least_time_s(program, envelope) if program.encoding == "dwell" else envelope.block_overhead_s
+    asked = np.maximum(dwell.time_s - unasked, 0.0)
     return problem, dwell, asked, motion.delivered_time_s(program, asked, envelope)
 
 

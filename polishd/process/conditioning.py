@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import BadMap, WrongPart
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
 from polishd.process.metrics import polynomial
 
@@ -16,6 +16,8 @@ MARGIN_MM = 5.0
 """How far the process grid reaches beyond the aperture: where the path turns."""
 COVERED = 0.5
 """Share of a cell's area that must have data for the cell to be valid."""
+MOST_DATA = 1.6
+"""Area with data, relative to the aperture's, beyond which a map shows another part (a full square frame has 1.27)."""
 MIN_SAMPLES = 100
 MIN_VALID = 0.8
 """Share of the aperture's cells that must be valid in the map that sets the masks."""
@@ -62,6 +64,7 @@ def condition(
     Raises:
         BadMap: no lateral scale, no data, a map smaller than the aperture, too few samples or too many holes in it,
             or masks of another grid.
+        WrongPart: data over much more than the aperture.
     """
     _check(surface, aperture_mm)
     grid = process_grid(aperture_mm, grid_mm, margin_mm)
@@ -144,6 +147,12 @@ def _check(surface: SurfaceMap, aperture_mm: float) -> None:
         raise BadMap(f"{name} has no lateral scale: give the instrument's profile a pitch")
     if not surface.valid.any():
         raise BadMap(f"{name} holds no data")
+    shown = np.count_nonzero(surface.valid) * surface.pitch_mm**2 / (np.pi * aperture_mm**2 / 4)
+    if shown > MOST_DATA:
+        raise WrongPart(
+            f"{name} has data over {shown:.1f} times the area of the aperture ({aperture_mm:g} mm): it shows a larger "
+            "part; name the right map, mend part.aperture_mm, or mask what is not the part"
+        )
     size = min(surface.height_nm.shape) * surface.pitch_mm
     if size < aperture_mm - surface.pitch_mm:
         raise BadMap(f"{name} is {size:g} mm wide, the aperture {aperture_mm:g} mm")

@@ -82,8 +82,9 @@ def times(plan: Plan, envelope: Envelope) -> Iterator[str]:
         return
     asked = program.time_s
     lowest = asked >= 0 if program.encoding == "dwell" else asked > 0
+    delivered = expected >= 0 if program.encoding == "dwell" else expected > 0
     yield from _lines(plan, ~(np.isfinite(asked) & lowest), asked, "asks for a time of {:.6g} s")
-    yield from _lines(plan, ~(np.isfinite(expected) & (expected > 0)), expected, "is expected to take {:.6g} s")
+    yield from _lines(plan, ~(np.isfinite(expected) & delivered), expected, "is expected to take {:.6g} s")
     for name, total in (("is expected to take", plan.total_s), ("asks for", float(asked.sum()))):
         if not total <= envelope.max_pass_s:
             yield f"the pass {name} {total:.6g} s, more than {envelope.max_pass_s:g} s"
@@ -96,8 +97,8 @@ def feeds(plan: Plan, envelope: Envelope) -> Iterator[str]:
     largest = program.max_feed_mm_min / 60
     if not largest <= top:
         yield f"the program asks for a feed of {largest:.6g} mm/s, above {envelope.max_feed_mm_s:g} mm/s"
-    if plan.expected_time_s.shape != (program.n,):
-        return
+    if plan.expected_time_s.shape != (program.n,) or program.encoding == "dwell":
+        return  # a dwell's time is not its feed
     length = program.length_mm
     moving = length > 0
     with np.errstate(divide="ignore", invalid="ignore"):
