@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -15,6 +16,9 @@ from polishd.ports.devices import Robot
 
 CHUNK = 128
 """Blocks handed over at once."""
+WATCH_S = 0.1
+STANDS = 3
+"""So many looks in a row at a robot that stands are no accident of timing."""
 
 
 class Stream:
@@ -28,6 +32,8 @@ class Stream:
         self._sent = 0
         self._executed = robot.executed(0)
         self._filled = asyncio.Event()
+        self._target: int | None = None
+        """Blocks below it are to be run now; None while the robot is meant to stand."""
 
     async def feed(self) -> None:
         """Keep the robot's buffer between one and two look-aheads until all blocks are sent."""
@@ -43,9 +49,24 @@ class Stream:
                 await self._clock.sleep(self._lookahead_s / 10)
         self._filled.set()
 
+    async def watch(self) -> None:
+        """SafetyStop when the robot stands still although it was told to run: a tool in contact would dig a pit."""
+        standing = 0
+        while True:
+            await self._clock.sleep(WATCH_S)
+            robot = await self._robot.progress()
+            stands = self._target is not None and robot.state != "running" and robot.executed < self._target
+            standing = standing + 1 if stands else 0
+            if standing >= STANDS:
+                raise SafetyStop(
+                    f"the robot stands at block {robot.executed} of {self._target} ({robot.state}: {robot.detail})"
+                )
+
     async def approach(self) -> None:
         """To the landing point, tool retracted; the robot then stands still."""
-        await self._filled.wait()
+        with contextlib.suppress(TimeoutError):  # a robot may hold less than the look-ahead: then it is full now
+            async with asyncio.timeout(2 * self._lookahead_s):
+                await self._filled.wait()
         if self._plan.approach_blocks:
             await self._robot.resume(until=self._plan.approach_blocks)
             async for _ in self._until(self._plan.approach_blocks):
@@ -66,10 +87,12 @@ class Stream:
                 pass
 
     async def _until(self, end: int) -> AsyncIterator[Executed]:
+        self._target = end
         async for block in self._executed:
             self._check_supply()
             yield block
             if block.seq >= end - 1:
+                self._target = None
                 return
         progress = await self._robot.progress()
         raise DeviceFault(
@@ -93,8 +116,12 @@ async def streaming(plan: Plan, robot: Robot, clock: Clock, lookahead_s: float) 
     stream = Stream(plan, robot, clock, lookahead_s)
     try:
         async with asyncio.TaskGroup() as group:
-            feeder = group.create_task(stream.feed(), name="feed robot")
+            tasks = [
+                group.create_task(stream.feed(), name="feed robot"),
+                group.create_task(stream.watch(), name="watch robot"),
+            ]
             yield stream
-            feeder.cancel()
+            for task in tasks:
+                task.cancel()
     except BaseExceptionGroup as errors:
         raise most_telling(errors) from errors

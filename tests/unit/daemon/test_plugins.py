@@ -234,6 +234,7 @@ def test_slow_listener_is_named(
     install: Any, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(plugins, "SLOW_S", -1.0)
+    caplog.set_level("INFO")
     load_plugins([install("slow", "@hookimpl\ndef polishd_on_event(event): pass")]).on_event(Event("measured"))
     assert "plugin slow took 0.0 s over event measured" in caplog.text
 
