@@ -14,12 +14,11 @@ import threading
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import typer
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from polishd.console.demo_files import DemoFiles, write_demo
+from polishd.console.progress import progress
 from polishd.console.simulator import last_words, simulated_cell
 from polishd.console.tables import cycle_table, stderr, stdout
 from polishd.daemon import client
@@ -52,6 +51,7 @@ def run_demo(options: DemoOptions, *, as_json: bool) -> int:
     stderr.print(f"[bold]polishd demo[/] in {out}  (seed {options.seed}, {options.speed:g} x real time)")
     simulator = ["--state", str(files.sim_dir), "--seed", str(options.seed), "--speed", f"{options.speed:g}"]
     simulator += ["--surface", str(options.surface.absolute())] if options.surface else []
+    signal.signal(signal.SIGTERM, _raise_exit)  # ended from outside, it still ends what it started
     with simulated_cell(files.sim, simulator, files.out / "sim.log"):
         code = _daemon(files)
     summary_path = files.run_dir / "summary.json"
@@ -87,42 +87,13 @@ def _daemon(files: DemoFiles) -> int:
 
 def _watch(process: subprocess.Popen[bytes], state_dir: Path) -> None:
     """Show what the daemon tells, until it ends."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), TimeElapsedColumn())
     waited = threading.Event()
     while process.poll() is None and not (state_dir / SOCKET_NAME).exists():
         waited.wait(0.05)  # a file that another process makes: there is no event to wait for
-    with contextlib.suppress(LinkError), Progress(*columns, console=stderr) as progress:
-        task = progress.add_task("starting", total=None, note="")
+    with contextlib.suppress(LinkError), progress() as show:
         for event in client.subscribe(state_dir):
-            _show(progress, task, event)
+            show(event["name"], event["cycle"], event["data"])
 
 
-def _show(progress: Progress, task: Any, event: dict[str, Any]) -> None:
-    cycle, data = event["cycle"], event["data"]
-    match event["name"]:
-        case "measured":
-            band = data["band_rms_nm"]
-            beyond = "" if band is None else f", {band:.2f} nm in the tolerance's band"
-            stderr.print(f"measurement {cycle}: RMS {data['rms_nm']:.2f} nm, PV {data['pv_nm']:.1f} nm{beyond}")
-            progress.update(task, description=f"cycle {cycle}: solving", total=None, note="")
-        case "solved":
-            note = f"predicted RMS {data['predicted_rms_nm']:.2f} nm, KKT {data['kkt_residual']:.1e}"
-            progress.update(task, description=f"cycle {cycle}: planning", note=note)
-        case "pass_begun":
-            progress.update(
-                task,
-                description=f"cycle {cycle}: polishing",
-                total=data["blocks"],
-                completed=0,
-                note=f"{data['dwell_s'] / 60:.1f} min of dwell",
-            )
-        case "progress":
-            progress.update(task, completed=data["block"])
-        case "pass_ended":
-            progress.update(task, description=f"cycle {cycle}: measuring", total=None, note="")
-        case "state" if data["state"] == "held":
-            stderr.print(f"held: {data['reason']}", markup=False)
-        case "failed":
-            stderr.print(f"{data['kind']}: {data['error']}", style="red", markup=False)
-        case "job_finished":
-            progress.update(task, description="writing the report", total=None, note="")
+def _raise_exit(number: int, frame: object) -> None:
+    raise SystemExit(128 + number)

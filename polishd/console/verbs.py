@@ -11,6 +11,7 @@ from typing import Any
 
 import typer
 
+from polishd.console.progress import progress
 from polishd.console.tables import cycle_table, key_table, record_table, stderr, stdout
 from polishd.daemon import client
 from polishd.daemon.config import CellConfig, load_config
@@ -24,7 +25,8 @@ def run_verb(cell: Path, correction: str | None, *, as_json: bool) -> int:
     from polishd.daemon.app import run_cell
 
     config, hooks = load_cell(cell, correction)
-    summary = asyncio.run(run_cell(config, hooks))
+    with progress() as show:
+        summary = asyncio.run(run_cell(config, hooks, lambda event: show(event.name, event.cycle, event.data)))
     emit(summary, as_json=as_json, table=lambda: cycle_table(summary))
     return EXIT_CODES[Outcome(summary["outcome"])]
 

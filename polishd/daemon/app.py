@@ -152,8 +152,10 @@ class Daemon:
         return {"state": self.state, "reason": self.reason}
 
 
-async def run_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
+async def run_cell(config: CellConfig, hooks: Hooks, show: Callable[[Event], None] = lambda _: None) -> dict[str, Any]:
     """Run the daemon of a cell to the end of its job; the summary as it is written to the run folder.
+
+    ``show`` is told each event, for a person who watches.
 
     Raises PolishdError for what ended it otherwise; the summary and the report are written then too.
     """
@@ -162,7 +164,7 @@ async def run_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
     cell = build_cell(config, hooks)
     with StateLock(config.state_dir), logging_to(config.state_dir), _journal(config) as journal:
         folder = run_folder(config, journal)
-        bus = EventBus(hooks.on_event, sinks=(journal.record_event,))
+        bus = EventBus(hooks.on_event, sinks=(journal.record_event, show))
         try:
             async with Compute() as compute:
                 job = Job(
