@@ -95,5 +95,5 @@ def _watch(process: subprocess.Popen[bytes], state_dir: Path) -> None:
             show(event["name"], event["cycle"], event["data"])
 
 
-def _raise_exit(number: int, frame: object) -> None:
+def _raise_exit(number: int, _frame: object) -> None:
     raise SystemExit(128 + number)
