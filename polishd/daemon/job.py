@@ -23,8 +23,8 @@ from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
 
-DIVERGED_RATIO = 1.3
-"""A surface that is so much worse than the best one so far ends the job."""
+DIVERGED_RATIO, DIVERGED_NM = 1.3, 1.0
+"""A surface that is worse than the best one so far by this ratio, and by more than noise and ripple, ends the job."""
 PROGRESS_BLOCKS = 50
 """Blocks between two progress events."""
 
@@ -88,7 +88,10 @@ class Job:
         torn = [record.cycle for record in self._journal.passes if record.how != "done"]
         since = max(torn, default=-1)  # a pass that was torn off leaves a step, which is nobody's divergence
         earlier = [_figure(record.stats) for record in self._journal.history[:-1] if record.cycle > since]
-        return bool(earlier) and _figure(asdict(surface.stats)) > DIVERGED_RATIO * min(earlier)
+        if not earlier:
+            return False
+        best = min(earlier)
+        return _figure(asdict(surface.stats)) > max(DIVERGED_RATIO * best, best + DIVERGED_NM)
 
     # learn, solve, plan
 

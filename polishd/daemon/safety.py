@@ -46,17 +46,18 @@ async def contact(cell: Cell, limits: ContactLimits) -> AsyncIterator[None]:
 
     Enter it with the robot standing at a landing point off the part, tool retracted.
     """
-    landed = asyncio.Event()
+    landed, leaving = asyncio.Event(), asyncio.Event()
     try:
         await cell.spindle.set_speed(limits.rpm)
         await cell.actuator.set_force(limits.force_n)
         async with asyncio.TaskGroup() as group:
             watchers = [
-                group.create_task(_watch_force(cell.actuator.samples(), limits, landed), name="watch force"),
+                group.create_task(_watch_force(cell.actuator.samples(), limits, landed, leaving), name="watch force"),
                 group.create_task(_watch_speed(cell.spindle.samples(), limits), name="watch spindle"),
             ]
             await _landed(landed, limits)
             yield
+            leaving.set()
             # Still watched: the tool is off before the watchers, or a fault while leaving would go unseen.
             await leave_contact(cell)
             for watcher in watchers:
@@ -105,7 +106,7 @@ async def _make_safe(cell: Cell) -> None:
         try:
             async with asyncio.timeout(LEAVE_S):
                 await step()
-        except (PolishdError, TimeoutError, OSError) as error:
+        except Exception as error:  # noqa: BLE001 - a plugin may raise anything: ask the next device
             failures.append(f"{name}: {str(error) or type(error).__name__}")
             log.error("make_safe: %s did not confirm (%s); its own watchdog takes over", name, error)
     cell.unsafe = tuple(failures)
@@ -122,13 +123,14 @@ async def _landed(landed: asyncio.Event, limits: ContactLimits) -> None:
         ) from None
 
 
-async def _watch_force(samples: AsyncIterator[ForceSample], limits: ContactLimits, landed: asyncio.Event) -> None:
+async def _watch_force(
+    samples: AsyncIterator[ForceSample], limits: ContactLimits, landed: asyncio.Event, leaving: asyncio.Event
+) -> None:
     good_at = 0.0
     async for sample in within(samples, "actuator"):
         if sample.fault:
             raise DeviceFault(f"actuator: fault bits {sample.fault:#06x} while in contact")
-        leaving = landed.is_set() and (sample.setpoint_n == 0.0 or sample.retracted)
-        if leaving:
+        if leaving.is_set():  # by our word only: an actuator that lifts by itself has lost its force
             continue
         in_band = sample.in_contact and abs(sample.force_n - limits.force_n) <= limits.force_band * limits.force_n
         if in_band:
@@ -162,7 +164,7 @@ async def within(samples: AsyncIterator[T], name: str) -> AsyncIterator[T]:
             async with asyncio.timeout(SAMPLE_S):
                 sample = await anext(samples)
         except StopAsyncIteration:
-            return
+            raise LinkError(f"{name}: its samples ended while in contact") from None
         except TimeoutError:
             raise LinkError(f"{name}: no sample for {SAMPLE_S:g} s while in contact") from None
         yield sample

@@ -68,8 +68,8 @@ def whole_run(folder: RunFolder, album: Album) -> Section:
     period = folder.summary.get("tolerance_period_mm") or 0.0
     if len(surfaces) > 1:
         caption = (
-            "All measurements on the first one's colour scale, averaged onto the process grid: the RMS above a picture is "
-            "without noise and raster ripple, the table's is of the map itself. Outlined: the clear aperture."
+            "All measurements on the first one's colour scale, averaged onto the process grid: the RMS above a picture "
+            "is without noise and raster ripple, the table's is of the map itself. Outlined: the clear aperture."
         )
         album.add("overview", caption, lambda: maps.overview(surfaces))
     if len(rows) > 1:
