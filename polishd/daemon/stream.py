@@ -88,12 +88,14 @@ class Stream:
 
     async def _until(self, end: int) -> AsyncIterator[Executed]:
         self._target = end
-        async for block in self._executed:
-            self._check_supply()
-            yield block
-            if block.seq >= end - 1:
-                self._target = None
-                return
+        try:
+            async for block in self._executed:
+                self._check_supply()
+                yield block
+                if block.seq >= end - 1:
+                    return
+        finally:
+            self._target = None  # whatever ends this stretch, the robot is then meant to stand
         progress = await self._robot.progress()
         raise DeviceFault(
             f"the robot ended the program at block {progress.executed} of {end} ({progress.state}: {progress.detail})"

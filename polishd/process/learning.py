@@ -15,8 +15,8 @@ SIGNIFICANT = 2.0
 """A rate is applied only if it is this many standard errors from 1."""
 FLIP_MARGIN = 0.1
 """By how much the correlation of another orientation must exceed that of the map as it is."""
-MIN_SIGNAL_NM = 0.05
-"""RMS of the predicted removal below which it teaches nothing."""
+MIN_SIGNAL_NM = 1.5
+"""RMS of the predicted removal below which it teaches nothing: the map's noise is in what was predicted, too."""
 
 ORIENTATIONS = ("as it is", "turned 90", "turned 180", "turned 270")
 FLIPPED = ("flipped left-right", "transposed", "flipped up-down", "transposed across")

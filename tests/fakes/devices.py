@@ -1,0 +1,279 @@
+"""A cell in memory: test doubles of the ports that write what is asked of them into one list, in time order.
+
+Nothing waits for wall time. The robot executes a block when its reader asks for the next one, and the clock goes on by
+the block's time then; readings of actuator and spindle let a little of the same time pass.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+from polishd.daemon.cell import Cell
+from polishd.model.devices import DeviceStatus, Executed, ForceSample, Identity, RobotProgress, RobotState, SpeedSample
+from polishd.model.errors import LinkError
+from polishd.model.program import Plan, Segment
+from polishd.model.surface import SurfaceMap
+
+SAMPLE_S = 0.005
+"""What one reading lets pass, of the fake clock."""
+
+
+class ManualClock:
+    """Time that passes only when somebody says so."""
+
+    def __init__(self) -> None:
+        self.at_s = 0.0
+        self._sleepers: list[tuple[float, asyncio.Future[None]]] = []
+
+    def now_s(self) -> float:
+        return self.at_s
+
+    async def sleep(self, seconds: float) -> None:
+        waiting: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._sleepers.append((self.at_s + seconds, waiting))
+        await waiting
+
+    def advance(self, seconds: float) -> None:
+        self.at_s += seconds
+        for due_s, waiting in self._sleepers:
+            if due_s <= self.at_s and not waiting.done():
+                waiting.set_result(None)
+        self._sleepers = [(due_s, waiting) for due_s, waiting in self._sleepers if not waiting.done()]
+
+
+@dataclass
+class Behaviour:
+    """How a device misbehaves, by the name of what it is asked: it raises, never answers, or does something first."""
+
+    fails: dict[str, BaseException] = field(default_factory=dict)
+    hangs: set[str] = field(default_factory=set)
+    before: dict[str, Callable[[], object]] = field(default_factory=dict)
+
+
+class FakeDevice:
+    """What all devices can do; every call is an event ``"<name>.<call>"``."""
+
+    def __init__(self, name: str, events: list[str], clock: ManualClock) -> None:
+        self.name = name
+        self.events = events
+        self.clock = clock
+        self.acts = Behaviour()
+        self.is_open = False
+
+    async def did(self, call: str, detail: str = "") -> None:
+        self.events.append(f"{self.name}.{call}{detail}")
+        if call in self.acts.before:
+            self.acts.before[call]()
+        if call in self.acts.hangs:
+            await asyncio.Event().wait()
+        if call in self.acts.fails:
+            raise self.acts.fails[call]
+
+    async def open(self) -> None:
+        await self.did("open")
+        self.is_open = True
+
+    async def close(self) -> None:
+        self.is_open = False
+        await self.did("close")
+
+    async def identify(self) -> Identity:
+        await self.did("identify")
+        return Identity("fake", self.name, "1", "0")
+
+    async def status(self) -> DeviceStatus:
+        await self.did("status")
+        return DeviceStatus(ready=True, safe=True, state="idle")
+
+    async def make_safe(self) -> None:
+        await self.did("make_safe")
+
+
+class FakeRobot(FakeDevice):
+    """Executes each block in ``block_s``, when its reader asks for it."""
+
+    def __init__(self, events: list[str], clock: ManualClock) -> None:
+        super().__init__("robot", events, clock)
+        self.block_s: float | Callable[[Segment], float] = 0.1
+        self.boot_id = "boot-1"
+        self.plan_sha256 = ""
+        self.loaded: list[Segment] = []
+        self.done = 0
+        self.until: int | None = 0
+        self.ends_at: int | None = None
+        """The program is dropped there, as by the robot itself."""
+        self.takes: int | None = None
+        """Blocks after which it accepts no more."""
+        self.stands = False
+        """It does not move, whatever it is told."""
+        self.most_buffered_s = 0.0
+        self._changed = asyncio.Event()
+
+    async def prepare(self, plan: Plan) -> None:
+        await self.did("prepare")
+        self.plan_sha256, self.loaded, self.done, self.until = plan.program.sha256, [], 0, 0
+
+    async def send(self, segments: Sequence[Segment]) -> None:
+        await self.did("send", f" {segments[0].seq}-{segments[-1].seq}")
+        if self.takes is not None and len(self.loaded) + len(segments) > self.takes:
+            await asyncio.Event().wait()
+        self.loaded += segments
+        self.most_buffered_s = max(self.most_buffered_s, self.buffer_s)
+        self._changed.set()
+
+    async def progress(self) -> RobotProgress:
+        if "progress" in self.acts.fails:  # no event: a robot is watched all the time
+            raise self.acts.fails["progress"]
+        if "progress" in self.acts.hangs:
+            await asyncio.Event().wait()
+        ended = "done" if self.done == self.ends_at else "running"
+        state: RobotState = "held" if self.stands or self.until == self.done else ended
+        return RobotProgress(state, self.plan_sha256, len(self.loaded), self.done, self.buffer_s, self.boot_id, "fake")
+
+    async def executed(self, from_seq: int = 0) -> AsyncIterator[Executed]:
+        for seq in range(from_seq, self.done):
+            yield Executed(seq, float(seq), seq + 1.0)
+        while self.done != self.ends_at:
+            while self.done >= len(self.loaded) or self._is_held():
+                self._changed.clear()
+                await self._changed.wait()
+            await asyncio.sleep(0)  # whoever feeds may feed
+            block = self.loaded[self.done]
+            seconds = self._seconds(block)
+            begun_s = self.clock.at_s
+            self.clock.advance(seconds)
+            self.done += 1
+            yield Executed(block.seq, begun_s, begun_s + seconds)
+
+    async def hold(self) -> None:
+        await self.did("hold")
+        self.until = self.done
+
+    async def resume(self, until: int | None = None) -> None:
+        await self.did("resume", f" {until}")
+        self.until = until
+        self._changed.set()
+
+    async def make_safe(self) -> None:
+        self.until = self.done
+        await super().make_safe()
+
+    def _is_held(self) -> bool:
+        return self.stands or (self.until is not None and self.done >= self.until)
+
+    @property
+    def buffer_s(self) -> float:
+        return sum(self._seconds(block) for block in self.loaded[self.done :])
+
+    def _seconds(self, block: Segment) -> float:
+        return self.block_s(block) if callable(self.block_s) else self.block_s
+
+
+class FakeActuator(FakeDevice):
+    """Has the force it was asked for at once; ``reads`` may say otherwise."""
+
+    def __init__(self, events: list[str], clock: ManualClock) -> None:
+        super().__init__("actuator", events, clock)
+        self.force_n = 0.0
+        self.retracted = True
+        self.reads: Callable[[ForceSample], ForceSample] = lambda sample: sample
+        self.silent = False
+        self.ends = False
+
+    async def set_force(self, force_n: float) -> None:
+        await self.did("set_force", f" {force_n:g}")
+        self.force_n = force_n
+        self.retracted = self.retracted and force_n == 0.0
+
+    async def samples(self) -> AsyncIterator[ForceSample]:
+        while not self.ends:
+            if self.silent:
+                await asyncio.Event().wait()
+            touching = not self.retracted and self.force_n > 0
+            sample = ForceSample(self.clock.at_s, self.force_n, self.force_n, touching, self.retracted)
+            yield self.reads(sample)
+            self.clock.advance(SAMPLE_S)
+            await asyncio.sleep(0)
+
+    async def retract(self) -> None:
+        await self.did("retract")
+        self.force_n, self.retracted = 0.0, True
+
+    async def make_safe(self) -> None:
+        await super().make_safe()
+        self.force_n, self.retracted = 0.0, True
+
+
+class FakeSpindle(FakeDevice):
+    """Has its speed at once; ``reads`` may say otherwise."""
+
+    def __init__(self, events: list[str], clock: ManualClock) -> None:
+        super().__init__("spindle", events, clock)
+        self.rpm = 0.0
+        self.reads: Callable[[SpeedSample], SpeedSample] = lambda sample: sample
+        self.silent = False
+        self.ends = False
+
+    async def set_speed(self, rpm: float) -> None:
+        await self.did("set_speed", f" {rpm:g}")
+        self.rpm = rpm
+
+    async def samples(self) -> AsyncIterator[SpeedSample]:
+        while not self.ends:
+            if self.silent:
+                await asyncio.Event().wait()
+            yield self.reads(SpeedSample(self.clock.at_s, self.rpm, self.rpm))
+            await asyncio.sleep(0)
+
+    async def make_safe(self) -> None:
+        await super().make_safe()
+        self.rpm = 0.0
+
+
+class FakeMetrology(FakeDevice):
+    """Gives its maps one after another, or what ``measure`` makes of the part at that moment."""
+
+    def __init__(self, events: list[str], clock: ManualClock) -> None:
+        super().__init__("metrology", events, clock)
+        self.maps: list[SurfaceMap] = []
+        self.measure: Callable[[], SurfaceMap] | None = None
+        self.afters: list[str | None] = []
+
+    async def next_map(self, after: str | None) -> SurfaceMap:
+        self.afters.append(after)
+        await self.did("next_map")
+        if self.measure is not None:
+            return self.measure()
+        if not self.maps:
+            raise LinkError("metrology: the test has no more maps")
+        return self.maps.pop(0)
+
+
+@dataclass
+class FakeCell:
+    """The devices of a cell, with what they share."""
+
+    events: list[str] = field(default_factory=list)
+    clock: ManualClock = field(default_factory=ManualClock)
+
+    def __post_init__(self) -> None:
+        self.robot = FakeRobot(self.events, self.clock)
+        self.actuator = FakeActuator(self.events, self.clock)
+        self.spindle = FakeSpindle(self.events, self.clock)
+        self.metrology = FakeMetrology(self.events, self.clock)
+        self.cell = Cell(self.robot, self.actuator, self.spindle, self.metrology, self.clock)
+
+    @property
+    def devices(self) -> dict[str, FakeDevice]:
+        return {device.name: device for device in (self.actuator, self.robot, self.spindle, self.metrology)}
+
+    def of(self, *calls: str) -> list[str]:
+        """Only these calls (``"robot.hold"``, or ``"make_safe"`` for every device's), in time order."""
+        return [event for event in self.events if event.split()[0] in calls or event.split(".")[-1] in calls]
+
+
+def blank(sample: ForceSample) -> ForceSample:
+    """A reading of a tool that touches nothing."""
+    return replace(sample, force_n=0.0, in_contact=False)

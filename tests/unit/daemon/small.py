@@ -1,0 +1,132 @@
+"""A job that is small enough to compute in milliseconds: a part of 24 mm, a Gaussian spot, a raster of 1.5 mm."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from polishd.daemon.job import Job
+from polishd.daemon.journal import Journal
+from polishd.daemon.recipe import Recipe
+from polishd.daemon.run_folder import RunFolder
+from polishd.daemon.safety import ContactLimits
+from polishd.hookspecs import DwellSolver, RemovalAnswer, RemovalModel, RemovalRequest
+from polishd.model.cycle import Event
+from polishd.model.limits import Envelope
+from polishd.model.process import HybridRobot, Placement, ToolProcess
+from polishd.model.program import Plan, Program
+from polishd.model.surface import FloatArray, Grid, SurfaceMap
+from polishd.plugins.rnc_robot.make import raster_program
+from polishd.plugins.rnc_robot.rs274 import RS274
+from polishd.process.dwell import newton_cg
+from polishd.process.raster import raster
+from tests.unit.process.gaussian import envelope, rough, spot_effect
+
+APERTURE_MM = 24.0
+LIMITS = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, grace_s=0.3, landing_s=5.0)
+
+
+def gaussian_effect(request: RemovalRequest) -> RemovalAnswer:
+    """A spot of 100 nm/s at the middle of each block."""
+    program = request.program
+    middle = (program.start_mm + program.end_mm) / 2
+    effect = spot_effect(request.grid, middle, sigma_mm=1.5, rate_nm_s=100.0 * request.rate)
+    return RemovalAnswer(effect, np.full(program.n, 1.3), np.full(program.n, 0.9), ("a spot for tests",))
+
+
+def small_recipe(**changes: Any) -> Recipe:
+    """The recipe, with changes."""
+    recipe = Recipe(
+        part_id="P-1",
+        aperture_mm=APERTURE_MM,
+        edge_mm=2.0,
+        tilt_is_alignment=False,
+        grid_mm=1.0,
+        program_offset_mm=(0.0, 0.0, 0.0),
+        program_rotation_deg=0.0,
+        process=ToolProcess(dip_deg=0.0),
+        robot=HybridRobot(),
+        placement=Placement((300.0, 220.0, 2315.0), np.diag([1.0, -1.0, -1.0])),
+        correction="none",
+        envelope=envelope(),
+        format=RS274,
+        model=RemovalModel("gaussian", gaussian_effect),
+        solver=DwellSolver(newton_cg.NAME, newton_cg.solve),
+        cross_check=None,
+        cross_check_gap=1e-3,
+        regularisation=1e-4,
+        solve_s=30.0,
+        kkt_tolerance=1e-4,
+        tolerance_nm=0.5,
+        tolerance_period_mm=0.0,
+        lsf_period_mm=10.0,
+        max_rate_change=0.4,
+    )
+    return replace(recipe, **changes)
+
+
+def small_text(radius_mm: float = APERTURE_MM / 2 + 1) -> bytes:
+    """A raster over the part and a little more, as RNC text."""
+    points = raster(radius_mm, 1.5, 1.5)
+    return raster_program(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)), 900.0, "small")
+
+
+def small_program(radius_mm: float = APERTURE_MM / 2 + 1) -> Program:
+    """The same, read."""
+    return RS274.read(small_text(radius_mm), "small.rnc")
+
+
+def small_map(rms_nm: float = 20.0, seed: int = 0, part_id: str = "P-1") -> SurfaceMap:
+    """A round part that was measured at a pitch of 0.5 mm."""
+    n = int(APERTURE_MM / 0.5) + 4
+    grid = Grid(n, n, 0.5)
+    return as_map(np.where(grid.radius_mm() <= APERTURE_MM / 2 + 0.5, rough(grid, rms_nm, seed), np.nan), part_id)
+
+
+def as_map(height_nm: FloatArray, part_id: str = "P-1") -> SurfaceMap:
+    """These heights at a pitch of 0.5 mm, as a map of their own."""
+    return SurfaceMap(height_nm, 0.5, part_id, sha256=hashlib.sha256(height_nm.tobytes()).hexdigest())
+
+
+async def compute(function: Callable[..., Any], *arguments: Any, within_s: float = 600.0) -> Any:
+    """The compute worker's place: here and now, so that monkeypatched steps are seen."""
+    await asyncio.sleep(0)
+    return function(*arguments)
+
+
+def accept(plan: Plan, limits: Envelope) -> Sequence[str]:
+    """A plan check that has nothing to say."""
+    return []
+
+
+def small_job(
+    tmp_path: Path, journal: Journal, *, recipe: Recipe | None = None, program: Program | None = None, **changes: Any
+) -> Job:
+    """A job of that recipe; ``job.told`` are its events."""
+    folder = RunFolder(tmp_path / "run")
+    folder.create()
+    told: list[Event] = []
+    values: dict[str, Any] = {
+        "journal": journal,
+        "folder": folder,
+        "compute": compute,
+        "publish": told.append,
+        "check_plan": accept,
+        "contact": LIMITS,
+        "max_cycles": 3,
+        "lookahead_s": 1.0,
+    }
+    job = Job(recipe or small_recipe(), program or small_program(), **(values | changes))
+    job.told = told  # type: ignore[attr-defined]
+    return job
+
+
+def open_journal(tmp_path: Path) -> Journal:
+    """The journal of this job."""
+    return Journal(tmp_path, job="small", part_id="P-1")

@@ -1,0 +1,354 @@
+"""Every way out of contact: force off, tool lifted, and only then motion stops; whatever fails on the way."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from dataclasses import replace
+
+import pytest
+
+from polishd.daemon import safety
+from polishd.daemon.safety import ContactLimits, contact, make_safe, most_telling, within
+from polishd.model.errors import ConfigError, DeviceFault, LinkError, PolishdError, SafetyStop
+from tests.fakes.devices import FakeCell, blank
+
+LIMITS = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, grace_s=0.3, landing_s=5.0)
+SAFE = ["actuator.make_safe", "robot.make_safe", "spindle.make_safe"]
+INTO = ["spindle.set_speed 1000", "actuator.set_force 12"]
+LIFTED = ["actuator.set_force 0", "actuator.retract"]
+
+
+@pytest.fixture
+def fake() -> FakeCell:
+    return FakeCell()
+
+
+async def polish_for(fake: FakeCell, seconds: float = 1.0, limits: ContactLimits = LIMITS) -> None:
+    """In contact for that long by the fake clock: readings let it pass."""
+    async with contact(fake.cell, limits):
+        fake.events.append("pressing")
+        end_s = fake.clock.at_s + seconds
+        while fake.clock.at_s < end_s:
+            await asyncio.sleep(0)
+
+
+async def forever(fake: FakeCell) -> None:
+    async with contact(fake.cell, LIMITS):
+        fake.events.append("pressing")
+        await asyncio.Event().wait()
+
+
+async def until(fake: FakeCell, event: str) -> None:
+    """pytest's timeout is the limit."""
+    while event not in fake.events:  # noqa: ASYNC110
+        await asyncio.sleep(0)
+
+
+# the way out
+
+
+async def test_the_normal_end_lifts_and_leaves_motion_alone(fake: FakeCell) -> None:
+    await polish_for(fake)
+    assert fake.events == [*INTO, "pressing", *LIFTED]
+    assert fake.actuator.retracted
+
+
+async def test_an_exception_in_the_block(fake: FakeCell) -> None:
+    with pytest.raises(KeyError, match="mine"):
+        async with contact(fake.cell, LIMITS):
+            raise KeyError("mine")
+    assert fake.events == [*INTO, *SAFE]
+
+
+async def test_an_error_of_ours_in_the_block_comes_out_as_itself(fake: FakeCell) -> None:
+    with pytest.raises(LinkError, match="the robot is gone"):
+        async with contact(fake.cell, LIMITS):
+            raise LinkError("the robot is gone")
+    assert fake.events[-3:] == SAFE
+
+
+async def test_cancellation(fake: FakeCell) -> None:
+    task = asyncio.ensure_future(forever(fake))
+    await until(fake, "pressing")
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert fake.events == [*INTO, "pressing", *SAFE]
+
+
+async def test_cancellation_while_landing(fake: FakeCell) -> None:
+    fake.actuator.reads = blank
+    task = asyncio.ensure_future(forever(fake))
+    await until(fake, "actuator.set_force 12")
+    await asyncio.sleep(0)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert fake.events == [*INTO, *SAFE]
+
+
+@pytest.mark.parametrize(
+    ("device", "call", "expected"),
+    [
+        ("spindle", "set_speed", ["spindle.set_speed 1000", *SAFE]),
+        ("actuator", "set_force", [*INTO, *SAFE]),
+        ("actuator", "retract", [*INTO, "pressing", *LIFTED, *SAFE]),
+    ],
+)
+async def test_a_device_that_refuses(fake: FakeCell, device: str, call: str, expected: list[str]) -> None:
+    fake.devices[device].acts.fails[call] = DeviceFault(f"{device}: broken")
+    with pytest.raises(DeviceFault, match=f"{device}: broken"):
+        await polish_for(fake)
+    assert fake.events == expected
+
+
+# what is watched
+
+
+@pytest.mark.parametrize("force_n", [8.9, 15.1, 0.0, -12.0, float("nan")])
+async def test_force_outside_its_band(fake: FakeCell, force_n: float) -> None:
+    fake.actuator.reads = lambda s: replace(s, force_n=force_n) if "pressing" in fake.events else s
+    with pytest.raises(SafetyStop, match="force .* is outside 12 N"):
+        await polish_for(fake)
+    assert fake.events == [*INTO, "pressing", *SAFE]
+
+
+async def test_a_tool_that_lost_the_part_though_the_force_reads_right(fake: FakeCell) -> None:
+    fake.actuator.reads = lambda s: replace(s, in_contact=False) if "pressing" in fake.events else s
+    with pytest.raises(SafetyStop):
+        await polish_for(fake)
+
+
+@pytest.mark.parametrize("force_n", [9.1, 14.9])
+async def test_force_within_its_band(fake: FakeCell, force_n: float) -> None:
+    fake.actuator.reads = lambda s: replace(s, force_n=force_n if s.setpoint_n else 0.0)
+    await polish_for(fake)
+    assert fake.events[-2:] == LIFTED
+
+
+@pytest.mark.parametrize(("lasts_s", "stops"), [(0.2, False), (0.5, True)])
+async def test_force_out_of_band_for_less_and_more_than_its_grace(fake: FakeCell, lasts_s: float, stops: bool) -> None:
+    begun: list[float] = []
+
+    def reads(sample: safety.ForceSample) -> safety.ForceSample:
+        if "pressing" not in fake.events:
+            return sample
+        begun.append(sample.at_s)
+        return replace(sample, force_n=20.0) if sample.at_s - begun[0] < lasts_s else sample
+
+    fake.actuator.reads = reads
+    if stops:
+        with pytest.raises(SafetyStop, match=r"more than 0\.3 s"):
+            await polish_for(fake, 2.0)
+        assert fake.clock.at_s < begun[0] + 0.45, "as soon as the grace is over"
+    else:
+        await polish_for(fake, 2.0)
+    assert ("robot.make_safe" in fake.events) is stops
+
+
+@pytest.mark.parametrize("setpoint_n", [0.0, 12.0])
+async def test_an_actuator_that_retracts_by_itself_is_not_taken_for_leaving(fake: FakeCell, setpoint_n: float) -> None:
+    """Its watchdog does that. Going on would journal blocks as polished that never touched the part."""
+    lifted = {"force_n": 0.0, "setpoint_n": setpoint_n, "in_contact": False, "retracted": True}
+    fake.actuator.reads = lambda s: replace(s, **lifted) if "pressing" in fake.events else s
+    with pytest.raises(SafetyStop):
+        await polish_for(fake)
+    assert fake.events[-3:] == SAFE
+
+
+@pytest.mark.parametrize(("rpm", "stops"), [(940.0, True), (960.0, False), (-1000.0, True), (float("nan"), True)])
+async def test_spindle_speed(fake: FakeCell, rpm: float, stops: bool) -> None:
+    fake.spindle.reads = lambda s: replace(s, rpm=rpm)
+    if stops:
+        with pytest.raises(SafetyStop, match="instead of 1000"):
+            await polish_for(fake)
+        assert fake.events[-3:] == SAFE
+    else:
+        await polish_for(fake)
+
+
+@pytest.mark.parametrize("device", ["actuator", "spindle"])
+async def test_a_fault_is_told_at_once(fake: FakeCell, device: str) -> None:
+    watched = fake.devices[device]
+    watched.reads = lambda s: replace(s, fault=4) if "pressing" in fake.events else s  # type: ignore[attr-defined]
+    with pytest.raises(DeviceFault, match=f"{device}: fault"):
+        await polish_for(fake, 100.0)
+    assert fake.clock.at_s < 1.0
+    assert fake.events[-3:] == SAFE
+
+
+async def test_a_fault_while_leaving_is_seen(fake: FakeCell) -> None:
+    fake.actuator.reads = lambda s: replace(s, fault=1) if LIFTED[0] in fake.events else s
+    fake.actuator.acts.hangs.add("retract")
+    with pytest.raises(DeviceFault, match="fault bits 0x0001"):
+        await polish_for(fake)
+    assert fake.events[-4:] == [LIFTED[1], *SAFE]
+
+
+async def test_leaving_slowly_is_not_a_force_out_of_band(fake: FakeCell) -> None:
+    """Between force off and lifted the readings are what they are."""
+    gate = asyncio.Event()
+    fake.actuator.reads = lambda s: replace(s, force_n=5.0) if LIFTED[0] in fake.events else s
+    plain = fake.actuator.retract
+
+    async def slowly() -> None:
+        await gate.wait()
+        await plain()
+
+    fake.actuator.retract = slowly  # type: ignore[method-assign]
+    task = asyncio.ensure_future(polish_for(fake, 0.1))
+    await until(fake, LIFTED[0])
+    late_s = fake.clock.at_s + 1.0
+    while fake.clock.at_s < late_s and not task.done():
+        await asyncio.sleep(0)
+    gate.set()
+    await task
+    assert "robot.make_safe" not in fake.events
+
+
+@pytest.mark.parametrize("device", ["actuator", "spindle"])
+async def test_silence(fake: FakeCell, device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(safety, "SAMPLE_S", 0.02)
+    task = asyncio.ensure_future(forever(fake))
+    await until(fake, "pressing")
+    fake.devices[device].silent = True  # type: ignore[attr-defined]
+    with pytest.raises(LinkError, match=f"{device}: no sample"):
+        await task
+    assert fake.events == [*INTO, "pressing", *SAFE]
+
+
+@pytest.mark.parametrize("device", ["actuator", "spindle"])
+async def test_samples_that_end_are_silence(fake: FakeCell, device: str) -> None:
+    task = asyncio.ensure_future(forever(fake))
+    await until(fake, "pressing")
+    fake.devices[device].ends = True  # type: ignore[attr-defined]
+    with pytest.raises(LinkError, match=device):
+        await asyncio.wait_for(task, 5.0)
+    assert fake.events[-3:] == SAFE
+
+
+async def test_a_tool_that_does_not_land(fake: FakeCell) -> None:
+    fake.actuator.reads = blank
+    with pytest.raises(SafetyStop, match="did not land: no force within 25% of 12 N"):
+        await polish_for(fake, limits=replace(LIMITS, landing_s=0.02))
+    assert fake.events == [*INTO, *SAFE]
+
+
+async def test_landing_takes_its_time_without_a_stop(fake: FakeCell) -> None:
+    """Force outside its band is no fault before the first contact, however long its grace is over."""
+    fake.actuator.reads = lambda s: blank(s) if s.at_s < 2.0 else s
+    await polish_for(fake)
+    assert fake.clock.at_s >= 3.0
+
+
+async def test_within_passes_samples_on() -> None:
+    async def two() -> AsyncIterator[int]:
+        yield 1
+        yield 2
+
+    found = []
+    with pytest.raises(LinkError, match="scale"):
+        async for value in within(two(), "scale"):
+            found.append(value)  # noqa: PERF401
+    assert found == [1, 2]
+
+
+# make_safe
+
+
+@pytest.mark.parametrize("broken", ["actuator", "robot", "spindle"])
+@pytest.mark.parametrize("error", [LinkError("gone"), OSError("wire"), ValueError("a plugin's own bug")])
+async def test_make_safe_attempts_all_in_order(fake: FakeCell, broken: str, error: Exception) -> None:
+    fake.devices[broken].acts.fails["make_safe"] = error
+    await make_safe(fake.cell)
+    assert fake.events == SAFE
+    assert fake.cell.unsafe == (f"{broken}: {error}",)
+
+
+@pytest.mark.parametrize("broken", ["actuator", "robot", "spindle"])
+async def test_make_safe_does_not_wait_for_ever(fake: FakeCell, broken: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(safety, "LEAVE_S", 0.02)
+    fake.devices[broken].acts.hangs.add("make_safe")
+    await make_safe(fake.cell)
+    assert fake.events == SAFE
+    assert fake.cell.unsafe == (f"{broken}: TimeoutError",)
+
+
+async def test_make_safe_forgets_what_was_unsafe_before(fake: FakeCell) -> None:
+    fake.cell.unsafe = ("robot: gone",)
+    await make_safe(fake.cell)
+    assert fake.cell.unsafe == ()
+
+
+async def test_everything_broken_is_told(fake: FakeCell) -> None:
+    for name in ("actuator", "robot", "spindle"):
+        fake.devices[name].acts.fails["make_safe"] = LinkError(f"no {name}")
+    with pytest.raises(KeyError):
+        async with contact(fake.cell, LIMITS):
+            raise KeyError
+    assert fake.events[-3:] == SAFE
+    assert fake.cell.unsafe == ("actuator: no actuator", "robot: no robot", "spindle: no spindle")
+
+
+async def test_a_second_cancellation_does_not_abort_make_safe(fake: FakeCell) -> None:
+    go_on = asyncio.Event()
+    plain = fake.actuator.make_safe
+
+    async def slowly() -> None:
+        fake.events.append("asked")
+        await go_on.wait()
+        await plain()
+
+    fake.actuator.make_safe = slowly  # type: ignore[method-assign]
+    task = asyncio.ensure_future(forever(fake))
+    await until(fake, "pressing")
+    task.cancel()
+    await until(fake, "asked")
+    for _ in range(3):
+        task.cancel()
+        await asyncio.sleep(0)
+    assert not task.done()
+    go_on.set()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert fake.events[-4:] == ["asked", *SAFE]
+    assert fake.actuator.retracted
+
+
+async def test_make_safe_hands_on_a_cancellation_that_came_meanwhile(fake: FakeCell) -> None:
+    task = asyncio.ensure_future(make_safe(fake.cell))
+    fake.actuator.acts.before["make_safe"] = lambda: task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert fake.events == SAFE
+
+
+# the error that is told
+
+
+@pytest.mark.parametrize(
+    ("errors", "told"),
+    [
+        ([ValueError("x"), LinkError("l"), SafetyStop("s")], SafetyStop),
+        ([ValueError("x"), LinkError("l")], LinkError),
+        ([asyncio.CancelledError(), ValueError("x")], ValueError),
+        ([asyncio.CancelledError(), BaseExceptionGroup("in", [ConfigError("deep"), KeyError()])], ConfigError),
+        ([asyncio.CancelledError()], asyncio.CancelledError),
+    ],
+)
+def test_most_telling(errors: list[BaseException], told: type[BaseException]) -> None:
+    assert type(most_telling(BaseExceptionGroup("group", errors))) is told
+
+
+async def test_two_faults_at_once_tell_the_safety_stop(fake: FakeCell) -> None:
+    fake.spindle.reads = lambda s: replace(s, fault=3) if fake.clock.at_s > 0.5 else s
+
+    with pytest.raises(PolishdError) as told:
+        async with contact(fake.cell, LIMITS):
+            try:
+                await asyncio.Event().wait()
+            finally:
+                raise SafetyStop("and the stream starves")
+    assert type(told.value) is SafetyStop
+    assert fake.events[-3:] == SAFE
