@@ -10,7 +10,6 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 from pydantic import BaseModel, PrivateAttr, ValidationError
 
 from polishd.daemon.config_errors import Source, did_you_mean, listed, problems
@@ -32,7 +31,7 @@ from polishd.hookspecs import DeviceType
 from polishd.model.errors import ConfigError
 from polishd.model.limits import Envelope
 from polishd.model.process import HybridRobot, Placement, ToolProcess
-from polishd.model.surface import FloatArray
+from polishd.process.frames import rotation_from_rpy_deg
 
 PortSection = Literal["robot", "actuator", "spindle", "metrology"]
 
@@ -114,11 +113,7 @@ class CellConfig(Section):
 
     def placement(self) -> Placement:
         """Where the part lies in the robot's base frame."""
-        return Placement(self.part.origin_mm, rotation_xyz(*self.part.rotation_rpy_deg))
-
-    def program_rotation(self) -> FloatArray:
-        """Rotation (3, 3) from the program's frame to the part's: ``part = rotation @ program + program.offset_mm``."""
-        return rotation_xyz(0.0, 0.0, self.program.rotation_deg)
+        return Placement(self.part.origin_mm, rotation_from_rpy_deg(*self.part.rotation_rpy_deg))
 
     def envelope(self) -> Envelope:
         """Limits of machine and process."""
@@ -177,16 +172,6 @@ def device_options(
         if not found:
             return kind, value
     raise ConfigError("\n".join(found))
-
-
-def rotation_xyz(roll_deg: float, pitch_deg: float, yaw_deg: float) -> FloatArray:
-    """(3, 3) rotation of intrinsic x-y'-z'' angles: ``Rx(roll) @ Ry(pitch) @ Rz(yaw)``."""
-    angles = np.radians([roll_deg, pitch_deg, yaw_deg])
-    (cr, cp, cy), (sr, sp, sy) = np.cos(angles), np.sin(angles)
-    roll = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    pitch = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-    yaw = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-    return np.asarray(roll @ pitch @ yaw, dtype=np.float64)
 
 
 def _unknown_options(

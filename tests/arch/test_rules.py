@@ -198,7 +198,7 @@ def test_tests_must_outweigh_the_source(tmp_path: Path) -> None:
         ("https://files.{}.org".format("pythonhosted"), True),
         ("/etc/polishd/cell.toml and /dev/ttyUSB0", False),
         ("https://example.org/home/index.html", False),
-        ("docs/work/plan.md", False),
+        ("docs/rooted/plan.md", False),
     ],
 )
 def test_machines_and_registries_are_not_named(tmp_path: Path, text: str, named: bool) -> None:

