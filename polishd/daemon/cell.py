@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
@@ -66,7 +67,7 @@ class Cell:
         identities = {}
         try:
             for name, device in self.devices.items():
-                async with asyncio.timeout(OPEN_S):
+                async with _answering(name):
                     await device.open()
                     identities[name] = await device.identify()
         except BaseException:
@@ -76,12 +77,12 @@ class Cell:
 
     async def restore_links(self) -> None:
         """Open again what was lost meanwhile, and leave it safe. Only out of contact: nothing is retried in it."""
-        for device in self.devices.values():
+        for name, device in self.devices.items():
             try:
-                async with asyncio.timeout(OPEN_S):
+                async with _answering(name):
                     await device.status()
-            except (LinkError, TimeoutError):
-                async with asyncio.timeout(OPEN_S):
+            except LinkError:
+                async with _answering(name):
                     await device.close()
                     await device.open()
                     await device.make_safe()
@@ -96,3 +97,12 @@ class Cell:
                 errors.append(error)
         if errors:
             raise errors[0]
+
+
+@asynccontextmanager
+async def _answering(name: str) -> AsyncIterator[None]:
+    try:
+        async with asyncio.timeout(OPEN_S):
+            yield
+    except TimeoutError:
+        raise LinkError(f"{name}: no answer within {OPEN_S:g} s; is it on, and connected?") from None

@@ -57,7 +57,7 @@ class Job:
         self._publish = publish
         self._check_plan = check_plan
         self._beliefs = Beliefs(block_overhead_s=recipe.envelope.block_overhead_s)
-        self._previous: Measured | None = None
+        self._surfaces: dict[int, Measured] = {}
         self._masks: tuple[Any, Any] | None = None
         self._blocks = 0
         self._restore()
@@ -97,7 +97,8 @@ class Job:
 
     async def learn(self, cycle: int, surface: Measured) -> None:
         """Compare what the last pass removed with what its executed dwell should have; not after an interruption."""
-        before, self._previous = self._previous, surface
+        before = self._surfaces.get(cycle - 1)  # after a hold a cycle is measured, and learned from, again
+        self._surfaces[cycle] = surface
         done = [record for record in self._journal.passes if record.cycle == cycle - 1 and record.how == "done"]
         if before is None or not done:
             return
@@ -178,7 +179,8 @@ class Job:
         blocks = self._journal.executed(cycle)
         lines = np.zeros(max(int(blocks.seq.max(initial=-1)), int(self._program.block.max())) + 1)
         np.add.at(lines, blocks.seq[blocks.contact], blocks.duration_s[blocks.contact])
-        return np.asarray(lines[self._program.block], dtype=np.float64)
+        until = np.cumsum(lines)[self._program.block]  # with what leads to a point: a dwell's own move
+        return np.asarray(np.diff(until, prepend=0.0), dtype=np.float64)
 
     def cycles(self) -> list[dict[str, Any]]:
         """One entry a measurement; what belongs to the pass after it is None where there was none."""
@@ -208,11 +210,12 @@ class Job:
         history = self._journal.history
         if not history:
             return
-        first, last = (self._load(record.cycle, record.sha256) for record in (history[0], history[-1]))
+        first = self._load(history[0].cycle, history[0].sha256)
         self._masks = (first.solve_mask, first.metric_mask)
         passes = self._journal.passes
         if passes:
-            self._previous = last
+            before = [record for record in history if record.cycle == passes[-1].cycle]
+            self._surfaces = {record.cycle: self._load(record.cycle, record.sha256) for record in before}
             facts = passes[-1].facts
             self._beliefs = Beliefs(float(facts["rate"]), float(facts["block_overhead_s"]))
 

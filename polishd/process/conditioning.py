@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
+from scipy import ndimage, sparse
 from scipy.sparse.linalg import spsolve
 
 from polishd.model.errors import BadMap, WrongPart
@@ -35,7 +35,7 @@ class Conditioned:
     solve_mask: BoolArray
     """(ny, nx) valid data within the aperture, as of the first cycle."""
     metric_mask: BoolArray
-    """(ny, nx) the same within the clear aperture: the aperture less its edge."""
+    """(ny, nx) the same within the clear aperture: the aperture, and the part as the map shows it, less the edge."""
     filled: int
     """Samples of ``solve_mask`` that had no data in this map."""
 
@@ -71,7 +71,8 @@ def condition(
     raw = resample(surface.height_nm, surface.grid, grid)
     radius = grid.radius_mm()
     aperture = radius <= aperture_mm / 2
-    solve, metric = _new_masks(raw, aperture, radius <= aperture_mm / 2 - edge_mm) if masks is None else masks
+    clear = (radius <= aperture_mm / 2 - edge_mm) & (from_outline_mm(raw, grid_mm) > edge_mm)
+    solve, metric = _new_masks(raw, aperture, clear) if masks is None else masks
     if solve.shape != grid.shape or metric.shape != grid.shape:
         raise BadMap(f"the masks of the first map are {solve.shape}, the process grid is {grid.shape}")
     missing = int(np.count_nonzero(solve & ~np.isfinite(raw)))
@@ -80,6 +81,14 @@ def condition(
     height = fill_holes(np.where(aperture | solve, raw, np.nan))
     height = height - polynomial(height, metric, 1 if tilt else 0)
     return Conditioned(grid, np.where(aperture | solve, height, np.nan), solve, metric, missing)
+
+
+def from_outline_mm(height_nm: FloatArray, pitch_mm: float) -> FloatArray:
+    """(ny, nx) distance of each sample from the outline of the data, mm; 0 outside it, holes are not outline."""
+    outline = ndimage.binary_fill_holes(np.isfinite(height_nm))
+    depth = ndimage.distance_transform_edt(np.pad(outline, 1))[1:-1, 1:-1]
+    # from the centre of the sample to the rim of the outermost one
+    return np.asarray(np.maximum(depth - 0.5, 0.0) * pitch_mm, dtype=np.float64)
 
 
 def process_grid(aperture_mm: float, grid_mm: float, margin_mm: float = MARGIN_MM) -> Grid:

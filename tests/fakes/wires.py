@@ -50,7 +50,7 @@ class Peer(ABC):
     def on_bytes(self, data: bytes) -> None:
         """Bytes came."""
 
-    def on_connect(self) -> None:
+    def on_connect(self) -> None:  # noqa: B027 - a peer may have nothing to say
         """A client came."""
 
     def send(self, data: bytes) -> None:

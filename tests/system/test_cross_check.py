@@ -141,7 +141,7 @@ def test_the_effect_matrix_is_what_the_plant_removes(name: str) -> None:
         ours = np.asarray(effect[:, [k]].todense()).reshape(grid.shape)
         # the plant integrates by midpoints 1/6 mm apart, the controller exactly
         assert ours.sum() == pytest.approx(theirs.sum(), rel=6e-3)
-        assert np.abs(ours - theirs).max() / theirs.max() < 0.02
+        assert np.abs(ours - theirs).max() / theirs.max() < 0.03
         row, column = np.unravel_index(np.argmax(theirs), theirs.shape)
         assert np.hypot(grid.x_mm[column] - POSES[k][0], grid.y_mm[row] - POSES[k][1]) < 2.0
 

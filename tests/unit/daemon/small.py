@@ -33,10 +33,10 @@ LIMITS = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, grace_s=0.3, l
 
 
 def gaussian_effect(request: RemovalRequest) -> RemovalAnswer:
-    """A spot of 100 nm/s at the middle of each block."""
+    """A spot of 20 nm/s at the middle of each block."""
     program = request.program
     middle = (program.start_mm + program.end_mm) / 2
-    effect = spot_effect(request.grid, middle, sigma_mm=1.5, rate_nm_s=100.0 * request.rate)
+    effect = spot_effect(request.grid, middle, sigma_mm=1.5, rate_nm_s=20.0 * request.rate)
     return RemovalAnswer(effect, np.full(program.n, 1.3), np.full(program.n, 0.9), ("a spot for tests",))
 
 

@@ -151,7 +151,7 @@ def test_solve_makes_the_surface_flat(solved: Solved) -> None:
 
 def test_a_path_that_covers_half_the_part_is_refused(measured: Measured) -> None:
     with pytest.raises(ProgramError, match=r"small\.rnc: the path reaches \d+% of the clear aperture"):
-        steps.solve(small_recipe(), small_program(6.0), measured, Beliefs())
+        steps.solve(small_recipe(), small_program(3.0), measured, Beliefs())
 
 
 def test_a_program_in_another_frame_is_refused(program: Program, measured: Measured) -> None:
@@ -169,10 +169,14 @@ def test_the_overhead_is_taken_off_what_is_asked(program: Program, measured: Mea
     assert solved.asked_s == pytest.approx(solved.dwell.time_s), "without overhead what is wanted is asked"
 
 
-def test_what_acceleration_delivers_is_known_to_the_optimum(solved: Solved) -> None:
-    late = solved.expected_s > solved.dwell.time_s * 1.02 + 1e-3
-    assert late.mean() < 0.1
-    assert solved.expected_s.sum() == pytest.approx(solved.dwell.time_s.sum(), rel=0.02)
+def test_what_acceleration_delivers_is_known_to_the_optimum(
+    program: Program, measured: Measured, solved: Solved, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(steps, "ENVELOPE_ROUNDS", 0)
+    naive = steps.solve(small_recipe(), program, measured, Beliefs())
+    wrong, known = (float(np.maximum(s.expected_s - s.dwell.time_s, 0).sum()) for s in (naive, solved))
+    assert known < 0.8 * wrong
+    assert solved.expected_s.sum() == pytest.approx(solved.dwell.time_s.sum(), rel=0.01)
 
 
 def test_beliefs_come_before_the_data_sheet(program: Program, measured: Measured) -> None:

@@ -1,0 +1,460 @@
+"""The drivers against the simulator's own processes, over real wires: what holds for the fakes holds for these too.
+
+Three cells serve the whole module: between them they have every wire that the simulator speaks.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import ExitStack, asynccontextmanager
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from polishd.api import DeviceRefused, Executed, ForceSample, LinkError, Robot, SpeedSample
+from polishd.drivers.robot_link import RobotLink
+from polishd.drivers.spindle_can import SpindleCan
+from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp, parse_address
+from polishd.drivers.voice_coil_modbus import voice_coil_modbus
+from polishd.drivers.voice_coil_serial import voice_coil_serial
+from tests.conformance.conftest import BOUND_S, PROMPT_S, seen, within
+from tests.conformance.rigs import ActuatorRig, Rig, RobotRig, SpindleRig
+from tests.conformance.test_device import (  # noqa: F401 -- the suite itself, with this module's any_device
+    test_a_cancelled_call_harms_no_later_one,
+    test_it_can_be_opened_again,
+    test_it_says_who_it_is,
+    test_make_safe_does_not_leave_it_open,
+    test_make_safe_is_allowed_at_any_time,
+    test_making_safe_by_many_at_once,
+    test_nothing_works_after_it_is_closed,
+    test_nothing_works_before_it_is_open,
+    test_opening_changes_nothing,
+    watch,
+)
+from tests.programs import plan_of
+from tests.system.sim_rig import Cell, alive, cell, wait_for
+
+pytestmark = pytest.mark.system
+
+# The robot stands with the tool's tip on the part, so that there is something to press on.
+BASE = """
+[plant]
+aperture_mm = 20.0
+speed = 20.0
+[robot]
+port = 0
+home = [0.0, 0.0, 0.0, 15.0, 0.0]
+"""
+CELLS = {
+    "rtu_slcan": BASE,
+    "tcp_socketcand": BASE + '[actuator]\nkind = "modbus_tcp"\n[spindle]\nkind = "socketcand"\n',
+    "ascii": BASE + '[actuator]\nkind = "serial"\n',
+}
+AT_REST = {
+    "robot": ("motion_started", {"motion_stopped", "boot", "lost"}),
+    "actuator": ("engage", {"retracted", "boot", "lost"}),
+    "spindle": ("spindle_ramping", {"spindle_stopped", "boot", "lost"}),
+}
+"""Device: the event that ends its rest, and those that begin it."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A device of one of the cells."""
+
+    cell: str
+    device: str
+
+    def __str__(self) -> str:
+        return f"{self.device}-{self.cell}"
+
+
+ROBOTS = [Place("rtu_slcan", "robot")]
+ACTUATORS = [Place(name, "actuator") for name in CELLS]
+SPINDLES = [Place("rtu_slcan", "spindle"), Place("tcp_socketcand", "spindle")]
+
+
+class Cells:
+    """Cells by name, started when first asked for."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.running: dict[str, Cell] = {}
+        self.booted: dict[tuple[str, str], int] = {}
+
+    def get(self, name: str) -> Cell:
+        """The running cell."""
+        return self.running[name]
+
+    def pid(self, place: Place) -> int:
+        """Process of a device, also one that was booted by hand."""
+        return self.booted.get((place.cell, place.device)) or self.get(place.cell).pids[place.device]
+
+    def kill(self, place: Place) -> None:
+        """Power off."""
+        os.kill(self.pid(place), signal.SIGKILL)
+
+    def boot(self, place: Place) -> None:
+        """Power on again, where it is off."""
+        if alive(self.pid(place)):
+            return
+        running = self.get(place.cell)
+        running.boot(place.device)
+        self.booted[place.cell, place.device] = running.booted[-1].pid
+
+    def history(self, place: Place) -> list[dict[str, Any]]:
+        """What the witness tells of the device; a line may just be being written."""
+        lines = (self.get(place.cell).state / "sim.log").read_text().splitlines(keepends=True)
+        told = [line for line in lines if f'"device": "{place.device}"' in line and line.endswith("\n")]
+        return [json.loads(line) for line in told]
+
+    def at_rest(self, place: Place) -> bool:
+        """Whether the machine itself exerts nothing and stands, as its witness says (it speaks a moment later)."""
+        begins, ends = AT_REST[place.device]
+
+        def rests() -> bool:
+            told = [event["event"] for event in self.history(place) if event["event"] in {begins, *ends}]
+            return bool(told) and told[-1] in ends
+
+        try:
+            return bool(wait_for(rests, "rest", 0.5))
+        except AssertionError:
+            return False
+
+
+@pytest.fixture(scope="module")
+def cells(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cells]:
+    """All of them, side by side."""
+    known = Cells(tmp_path_factory.mktemp("cells"))
+    with ExitStack() as stack:
+        for name, config in CELLS.items():
+            folder = known.folder / name
+            folder.mkdir()
+            known.running[name] = stack.enter_context(cell(folder, config))
+        yield known
+
+
+def connect(cells: Cells, place: Place) -> RobotLink | SpindleCan | Any:
+    """The driver that goes with the device's wire; opens nothing."""
+    running = cells.get(place.cell)
+    address = parse_address(running.endpoints[place.device], running.state)
+    match address:
+        case Tcp() if place.device == "robot":
+            return RobotLink(address)
+        case Slcan() | Socketcand():
+            return SpindleCan(address)
+        case SerialLine() if place.cell == "ascii":
+            return voice_coil_serial(address)
+        case SerialLine() | Tcp():
+            return voice_coil_modbus(address)
+    raise AssertionError(address)
+
+
+@asynccontextmanager
+async def sim_rig(cells: Cells, place: Place) -> AsyncIterator[Rig[Any]]:
+    """A device of a cell as a rig: cut is a power cut, mute a process that hangs. It is at rest before and after."""
+    cells.boot(place)
+    device = connect(cells, place)
+    stopped: list[int] = []
+
+    def mute() -> None:
+        stopped.append(cells.pid(place))
+        os.kill(stopped[-1], signal.SIGSTOP)
+
+    try:
+        yield Rig(device, lambda: cells.kill(place), mute, lambda: cells.at_rest(place))
+    finally:
+        for pid in stopped:
+            os.kill(pid, signal.SIGCONT)
+        await device.close()
+        wait_for(lambda: alive(cells.pid(place)) or not stopped, "the process to go on")
+        cells.boot(place)
+        await at_rest_again(connect(cells, place))
+
+
+async def at_rest_again(device: Any) -> None:
+    """Make safe; a process that hung for a while first works off what it was asked meanwhile."""
+    async with asyncio.timeout(5.0):
+        while True:
+            try:
+                await device.make_safe()
+            except (LinkError, DeviceRefused):
+                await asyncio.sleep(0.02)
+            else:
+                return
+
+
+@pytest.fixture(params=[*ROBOTS, *ACTUATORS, *SPINDLES], ids=str)
+async def any_device(request: pytest.FixtureRequest, cells: Cells) -> AsyncIterator[Rig[Any]]:
+    """Every device."""
+    async with sim_rig(cells, request.param) as rig:
+        yield rig
+
+
+@pytest.fixture(params=ROBOTS, ids=str)
+async def robot(request: pytest.FixtureRequest, cells: Cells) -> AsyncIterator[RobotRig]:
+    """An open robot."""
+    async with sim_rig(cells, request.param) as rig:
+        await rig.device.open()
+        yield rig
+
+
+@pytest.fixture(params=ACTUATORS, ids=str)
+async def actuator(request: pytest.FixtureRequest, cells: Cells) -> AsyncIterator[ActuatorRig]:
+    """An open actuator."""
+    async with sim_rig(cells, request.param) as rig:
+        await rig.device.open()
+        yield rig
+
+
+@pytest.fixture(params=SPINDLES, ids=str)
+async def spindle(request: pytest.FixtureRequest, cells: Cells) -> AsyncIterator[SpindleRig]:
+    """An open spindle."""
+    async with sim_rig(cells, request.param) as rig:
+        await rig.device.open()
+        yield rig
+
+
+async def first(device: Any, condition: Callable[[Any], bool] = lambda one: True) -> Any:
+    """The first sample of that kind."""
+    async with asyncio.timeout(4.0):
+        async for sample in device.samples():
+            if condition(sample):
+                return sample
+    raise AssertionError("samples ended")
+
+
+# every device: power cuts, and processes that hang
+
+
+async def test_a_power_cut_is_known_at_once(any_device: Rig[Any]) -> None:
+    await any_device.device.open()
+    any_device.cut()
+    with within(PROMPT_S), pytest.raises(LinkError):
+        await watch(any_device.device)
+    with within(BOUND_S), pytest.raises(LinkError):
+        await any_device.device.make_safe()
+
+
+async def test_a_process_that_hangs_is_known_at_once(any_device: Rig[Any]) -> None:
+    await any_device.device.open()
+    any_device.mute()
+    with within(PROMPT_S), pytest.raises(LinkError):
+        await watch(any_device.device)
+    with within(BOUND_S), pytest.raises(LinkError):
+        await any_device.device.make_safe()
+
+
+async def test_a_device_that_was_booted_again_says_so(any_device: Rig[Any], cells: Cells, request: Any) -> None:
+    place = request.node.callspec.params["any_device"]
+    await any_device.device.open()
+    before = await any_device.device.identify()
+    any_device.cut()
+    wait_for(lambda: not alive(cells.pid(place)), "the power cut")
+    cells.boot(place)
+    device = connect(cells, place)
+    try:
+        await device.open()
+        after = await device.identify()
+        assert (await device.status()).safe
+    finally:
+        await device.close()
+    assert after.boot_id != before.boot_id
+    assert (after.vendor, after.model, after.serial) == (before.vendor, before.model, before.serial)
+
+
+# the robot
+
+
+async def executed(robot: Robot, count: int) -> list[Executed]:
+    """The first records."""
+    found = []
+    async with asyncio.timeout(15.0):
+        async for one in robot.executed():
+            found.append(one)
+            if len(found) == count:
+                break
+    return found
+
+
+LINES = [b"G21 G90 G94", *(b"G1 X%.1f Z%.1f F300" % (0.1 * k, 20 + 0.1 * k) for k in range(1, 60)), b"M2"]
+
+
+async def test_the_robot_executes_all_in_order_and_once(robot: RobotRig) -> None:
+    plan = plan_of(LINES)
+    await robot.device.prepare(plan)
+    await robot.device.send(plan.segments)
+    progress = await robot.device.progress()
+    assert (progress.state, progress.accepted, progress.executed) == ("held", len(LINES), 0)
+    assert progress.program_sha256 == plan.program.sha256
+    await robot.device.resume()
+    found = [one async for one in robot.device.executed()]
+    assert [one.seq for one in found] == list(range(len(LINES)))
+    assert all(a.end_s <= b.start_s + 1e-9 for a, b in pairwise(found))
+    # 0.1 mm a block both ways at 5 mm/s, and the machine's own overhead
+    middle = [one.end_s - one.start_s for one in found[10:50]]
+    assert sum(middle) / len(middle) == pytest.approx(0.1 * 2**0.5 / 5.0, abs=0.012)
+    assert (await robot.device.progress()).state == "done"
+    assert robot.safe()
+
+
+async def test_the_robot_stops_where_it_is_told_and_goes_on_from_there(robot: RobotRig) -> None:
+    plan = plan_of(LINES)
+    await robot.device.prepare(plan)
+    await robot.device.send(plan.segments)
+    await robot.device.resume(until=20)
+    assert [one.seq for one in await executed(robot.device, 20)] == list(range(20))
+    await asyncio.wait_for(seen(robot.safe), 3.0)
+    assert (await robot.device.progress()).executed == 20
+    await robot.device.resume()
+    assert [one.seq for one in await executed(robot.device, len(LINES))] == list(range(len(LINES)))
+
+
+async def test_the_robot_holds_and_resumes_without_losing_or_repeating(robot: RobotRig) -> None:
+    slow = [line.replace(b"F300", b"F60") for line in LINES]
+    plan = plan_of(slow)
+    await robot.device.prepare(plan)
+    await robot.device.send(plan.segments)
+    await robot.device.resume()
+    await executed(robot.device, 5)
+    await robot.device.hold()
+    held = await robot.device.progress()
+    assert held.state == "held"
+    assert 5 <= held.executed < len(slow)
+    assert (await robot.device.status()).safe
+    await robot.device.hold()
+    assert (await robot.device.progress()).executed == held.executed
+    await robot.device.resume()
+    assert [one.seq for one in await executed(robot.device, len(slow))] == list(range(len(slow)))
+
+
+@pytest.mark.parametrize("how", ["cut", "mute"])
+async def test_all_who_wait_for_a_dead_robot_hear_of_it(robot: RobotRig, how: str) -> None:
+    plan = plan_of([b"G21 G90 G94", b"G1 X1 Z20 F300", b"G4 P500", b"M2"])
+    await robot.device.prepare(plan)
+    await robot.device.send(plan.segments)
+    await robot.device.resume()
+    await executed(robot.device, 1)
+    getattr(robot, how)()
+    with within(PROMPT_S):
+        ends = await asyncio.gather(executed(robot.device, 99), watch(robot.device), return_exceptions=True)
+    assert [type(end) for end in ends] == [LinkError, LinkError]
+    assert robot.device.buffer_s == 0.0
+
+
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [(b"G1 X9999 F60", "limits"), (b"G1 X1 Z-50 F60", "limits"), (b"G2 X1 Y1 I1 F60", "syntax"), (b"G4 X1", "syntax")],
+)
+async def test_the_robot_refuses_what_it_cannot_do(robot: RobotRig, line: bytes, why: str) -> None:
+    plan = plan_of([b"G21 G90 G94", line, b"M2"])
+    await robot.device.prepare(plan)
+    with pytest.raises(DeviceRefused, match="block 1") as caught:
+        await robot.device.send(plan.segments)
+        await watch(robot.device)
+    assert why in str(caught.value)
+    assert robot.safe()
+
+
+# the actuator
+
+
+async def test_the_actuator_lands_regulates_and_lets_go(actuator: ActuatorRig) -> None:
+    for force_n in (12.0, 6.5):
+        await actuator.device.set_force(force_n)
+        sample: ForceSample = await first(actuator.device, lambda one, n=force_n: abs(one.force_n - n) < 0.05 * n)
+        assert sample.in_contact
+        assert not sample.retracted
+        assert sample.setpoint_n == pytest.approx(force_n)
+        assert sample.fault == 0
+        assert abs(sample.at_s - time.monotonic()) < 0.5
+    assert not (await actuator.device.status()).safe
+    await actuator.device.set_force(0.0)
+    assert (await first(actuator.device, lambda one: abs(one.force_n) < 0.1)).in_contact
+    await actuator.device.retract()
+    assert (await first(actuator.device)).retracted
+    assert (await actuator.device.status()).safe
+    assert actuator.safe()
+
+
+async def test_make_safe_in_contact_takes_the_force_off_before_it_lifts(
+    actuator: ActuatorRig, cells: Cells, request: Any
+) -> None:
+    place = request.node.callspec.params["actuator"]
+    await actuator.device.set_force(12.0)
+    before = len(cells.history(place))
+    await actuator.device.make_safe()
+    await actuator.device.make_safe()
+    assert actuator.safe()
+    told = [event["event"] for event in cells.history(place)[before:]]
+    order = [name for name in told if name in {"force_zero", "tool_lifted", "retracted"}]
+    assert order == ["force_zero", "tool_lifted", "retracted"]
+
+
+async def test_an_actuator_that_nobody_cares_for_lets_go_by_itself(actuator: ActuatorRig) -> None:
+    await actuator.device.set_force(12.0)
+    await asyncio.wait_for(seen(actuator.safe), 4.0)
+    status = await actuator.device.status()
+    assert (status.ready, status.detail) == (False, "watchdog ran out")
+    with pytest.raises(DeviceRefused):
+        await actuator.device.set_force(12.0)
+    await actuator.device.make_safe()
+    assert (await actuator.device.status()).ready
+
+
+@pytest.mark.parametrize("how", ["cut", "mute"])
+async def test_samples_of_a_dead_actuator_end_and_it_is_not_taken_up_again(actuator: ActuatorRig, how: str) -> None:
+    await actuator.device.set_force(12.0)
+    await first(actuator.device)
+    getattr(actuator, how)()
+    with within(PROMPT_S), pytest.raises(LinkError):
+        await first(actuator.device, lambda one: False)
+    for _ in range(2):
+        with within(BOUND_S), pytest.raises(LinkError):
+            await actuator.device.set_force(13.0)
+
+
+# the spindle
+
+
+async def test_the_spindle_runs_changes_and_stops(spindle: SpindleRig) -> None:
+    for rpm in (600.0, -400.0):
+        await spindle.device.set_speed(rpm)
+        sample: SpeedSample = await first(spindle.device)
+        assert sample.rpm == pytest.approx(rpm, rel=0.02)
+        assert (sample.setpoint_rpm, sample.fault) == (rpm, 0)
+    assert not (await spindle.device.status()).safe
+    await spindle.device.set_speed(0.0)
+    assert (await spindle.device.status()).safe
+    assert spindle.safe()
+
+
+async def test_the_spindle_refuses_what_its_drive_says_it_cannot(spindle: SpindleRig) -> None:
+    with pytest.raises(DeviceRefused):
+        await spindle.device.set_speed(3001.0)
+    assert spindle.safe()
+
+
+async def test_a_spindle_that_nobody_cares_for_stops_and_says_why(spindle: SpindleRig) -> None:
+    await spindle.device.set_speed(500.0)
+    await asyncio.wait_for(seen(spindle.safe), 4.0)
+    assert (await first(spindle.device, lambda one: one.fault != 0)).fault == 1
+    await spindle.device.make_safe()
+    assert (await first(spindle.device, lambda one: one.fault == 0)).rpm == 0.0
+
+
+@pytest.mark.parametrize("how", ["cut", "mute"])
+async def test_samples_of_a_dead_spindle_end(spindle: SpindleRig, how: str) -> None:
+    await spindle.device.set_speed(500.0)
+    await first(spindle.device)
+    getattr(spindle, how)()
+    with within(PROMPT_S), pytest.raises(LinkError):
+        await first(spindle.device, lambda one: False)

@@ -1,0 +1,296 @@
+"""The whole cycle on a cell in memory: what happens in which order, how it ends, and what stops it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from polishd.daemon import steps
+from polishd.daemon.cycle import polish
+from polishd.daemon.journal import Journal
+from polishd.hookspecs import DwellSolver
+from polishd.model.cycle import Outcome
+from polishd.model.dwell import DwellSolution
+from polishd.model.errors import BadMap, ComputeError, DeviceFault, LinkError, PlanRefused, SafetyStop
+from polishd.model.program import Segment
+from polishd.model.surface import SurfaceMap
+from polishd.process.dwell import newton_cg
+from polishd.process.dwell.problem import DwellProblem
+from tests.fakes.devices import FakeCell
+from tests.unit.daemon.small import as_map, open_journal, small_job, small_map, small_program, small_recipe
+
+SAFE = ["actuator.make_safe", "robot.make_safe", "spindle.make_safe"]
+MOVES = ("robot.prepare", "robot.send", "robot.resume", "actuator.set_force", "spindle.set_speed")
+
+
+class Bench:
+    """A part that is really polished: each map is the one before, less what the last pass's blocks removed."""
+
+    def __init__(self, tmp_path: Path, journal: Journal, rate: float = 1.0) -> None:
+        self.fake = FakeCell()
+        self.journal = journal
+        self.tmp_path = tmp_path
+        self.rate = rate
+        self.surface = small_map()
+        self.fake.robot.block_s = self.block_s
+        self.fake.metrology.measure = self.measure
+        self._cycle = -1
+        self._timed: dict[bytes, float] = {}
+
+    def job(self, **changes: Any) -> Any:
+        return small_job(self.tmp_path, self.journal, **changes)
+
+    async def polish(self, job: Any = None) -> Outcome:
+        return await polish(self.fake.cell, job or self.job(), self.journal)
+
+    def block_s(self, block: Segment) -> float:
+        """Each block takes what is written in it: 1.5 mm or so at its own feed."""
+        feed = next((float(word[1:]) for word in block.text.split() if word.startswith(b"F")), None)
+        return 0.0 if feed is None else 1.5 / (feed / 60)
+
+    def measure(self) -> SurfaceMap:
+        """What the passes so far have left."""
+        passes = self.journal.passes
+        if passes and passes[-1].cycle != self._cycle:
+            self._cycle = passes[-1].cycle
+            program, blocks = small_program(), self.journal.executed(self._cycle)
+            time_s = np.zeros(program.n)
+            index = {int(block): k for k, block in enumerate(program.block)}
+            for seq, seconds in zip(blocks.seq, blocks.duration_s, strict=True):
+                if int(seq) in index:
+                    time_s[index[int(seq)]] = seconds
+            answer = steps.effect_of(small_recipe(), program, self.surface.grid, self.rate)
+            self.surface = as_map(self.surface.height_nm - answer.effect.removal_nm(time_s))
+        return self.surface
+
+    def phases(self) -> list[str]:
+        return [f"{record.cycle} {record.phase} {record.outcome}" for record in self.journal.phases]
+
+    def moved(self) -> list[str]:
+        return self.fake.of(*MOVES)
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    with open_journal(tmp_path) as journal:
+        yield Bench(tmp_path, journal)
+
+
+def whole(cycle: int) -> list[str]:
+    return [f"{cycle} {phase} done" for phase in ("measure", "learn", "solve", "plan", "run")]
+
+
+# how it ends
+
+
+async def test_a_part_is_polished_into_tolerance(bench: Bench) -> None:
+    assert await bench.polish(bench.job(recipe=small_recipe(tolerance_nm=1.5))) is Outcome.IN_TOLERANCE
+    history = bench.journal.history
+    assert history[-1].stats["rms_nm"] <= 1.5 < 15 < history[0].stats["rms_nm"]
+    runs = len(bench.journal.passes)
+    assert bench.phases() == [line for cycle in range(runs) for line in whole(cycle)] + [f"{runs} measure done"]
+    assert bench.fake.metrology.afters == [None, *(record.sha256 for record in history[:-1])]
+
+
+async def test_a_pass_in_time_order(bench: Bench) -> None:
+    await bench.polish(bench.job(max_cycles=1))
+    calls = bench.fake.of("metrology.next_map", "robot.prepare", "robot.resume", *MOVES[3:], "retract", "make_safe")
+    first, last = int(small_program().block[0]), int(small_program().block[-1])
+    assert calls == [
+        "metrology.next_map",
+        "robot.prepare",
+        f"robot.resume {first}",
+        "spindle.set_speed 1000",
+        "actuator.set_force 12",
+        f"robot.resume {last + 1}",
+        "actuator.set_force 0",
+        "actuator.retract",
+        "robot.resume None",
+        "spindle.set_speed 0",
+        "metrology.next_map",
+    ]
+
+
+async def test_a_part_that_is_in_tolerance_is_not_touched(bench: Bench) -> None:
+    assert await bench.polish(bench.job(recipe=small_recipe(tolerance_nm=50.0))) is Outcome.IN_TOLERANCE
+    assert bench.fake.events == ["metrology.next_map"]
+    assert bench.phases() == ["0 measure done"]
+
+
+async def test_cycles_used_after_one_measurement_more_than_passes(bench: Bench) -> None:
+    job = bench.job(recipe=small_recipe(tolerance_nm=1e-6), max_cycles=2)
+    bench.rate = 0.9
+    assert await bench.polish(job) is Outcome.CYCLES_USED
+    assert [record.cycle for record in bench.journal.passes] == [0, 1]
+    assert [record.cycle for record in bench.journal.history] == [0, 1, 2]
+    assert bench.phases()[-1] == "2 measure done"
+
+
+async def test_a_surface_that_gets_worse_ends_the_job(bench: Bench) -> None:
+    worse = [as_map(small_map().height_nm * factor) for factor in (1.0, 2.0)]
+    bench.fake.metrology.measure = lambda: worse.pop(0)
+    assert await bench.polish() is Outcome.DIVERGED
+    assert bench.phases() == [*whole(0), "1 measure done"]
+
+
+# what is journalled
+
+
+async def test_what_was_executed_is_journalled_not_what_was_asked(bench: Bench) -> None:
+    job = bench.job(max_cycles=1)
+    plain = bench.block_s
+    bench.fake.robot.block_s = lambda block: plain(block) and plain(block) + 0.05
+    await bench.polish(job)
+    (record,) = bench.journal.passes
+    blocks = bench.journal.executed(0)
+    assert record.how == "done"
+    assert list(blocks.seq) == list(range(record.contact_from, record.contact_to)), "each once, in order"
+    assert blocks.contact.all()
+    assert not blocks.recovered.any()
+    assert job.executed_s(0).sum() > record.facts["dwell_s"] + 0.04 * small_program().n
+    names = [event.name for event in job.told if event.name != "progress"]
+    assert names == ["measured", "solved", "pass_begun", "pass_ended", "measured", *names[5:]]
+
+
+async def test_the_intent_is_durable_before_the_robot_moves(bench: Bench) -> None:
+    known: list[int] = []
+    bench.fake.robot.acts.before["resume"] = lambda: known.append(len(bench.journal.passes))
+    await bench.polish(bench.job(max_cycles=1))
+    assert known == [1, 1, 1]
+
+
+async def test_the_rate_of_the_last_pass_is_used_in_the_next(bench: Bench) -> None:
+    bench.rate = 0.8
+    await bench.polish(bench.job(recipe=small_recipe(tolerance_nm=1e-6), max_cycles=2))
+    assert bench.journal.passes[1].facts["rate"] == pytest.approx(0.8, rel=0.1)
+
+
+# what is refused before anything moves
+
+
+def bad_solver(**wrong: float) -> DwellSolver:
+    def solve(problem: DwellProblem, within_s: float) -> DwellSolution:
+        found = newton_cg.solve(problem, within_s)
+        return replace(found, certificate=replace(found.certificate, **wrong))
+
+    return DwellSolver("bad", solve)
+
+
+async def test_a_dwell_without_a_certificate_moves_nothing(bench: Bench, tmp_path: Path) -> None:
+    job = bench.job(recipe=small_recipe(solver=bad_solver(kkt_residual=0.5)))
+    with pytest.raises(ComputeError, match="no valid certificate"):
+        await bench.polish(job)
+    assert bench.phases() == ["0 measure done", "0 learn done", "0 solve failed"]
+    assert bench.moved() == []
+    assert bench.journal.passes == ()
+    assert (tmp_path / "run/cycle-00/certificate.json").exists(), "for people"
+
+
+async def test_a_veto_moves_nothing(bench: Bench) -> None:
+    with pytest.raises(PlanRefused, match="guard: too deep"):
+        await bench.polish(bench.job(check_plan=lambda plan, envelope: ["guard: too deep"]))
+    assert bench.phases()[-1] == "0 plan failed"
+    assert bench.moved() == []
+    assert bench.journal.passes == ()
+
+
+async def test_a_map_that_is_refused_moves_nothing(bench: Bench) -> None:
+    bench.fake.metrology.acts.fails["next_map"] = BadMap("all holes")
+    with pytest.raises(BadMap):
+        await bench.polish()
+    assert bench.phases() == ["0 measure failed"]
+    assert bench.moved() == []
+
+
+async def test_a_rate_that_nobody_believes_stops_before_the_next_pass(bench: Bench) -> None:
+    bench.rate = 0.3
+    with pytest.raises(ComputeError, match="max_rate_change"):
+        await bench.polish()
+    assert bench.phases() == [*whole(0), "1 measure done", "1 learn failed"]
+
+
+# what ends a pass
+
+
+async def test_force_lost_in_contact(bench: Bench) -> None:
+    """The tool leaves first; the journal says what was done; the pass has not ended."""
+    lost = lambda s: replace(s, force_n=0.0) if bench.fake.robot.done > 100 else s  # noqa: E731
+    bench.fake.actuator.reads = lost
+    with pytest.raises(SafetyStop, match="force"):
+        await bench.polish()
+    assert bench.fake.events[-3:] == SAFE
+    assert bench.phases()[-1] == "0 run failed"
+    unfinished = bench.journal.unfinished()
+    assert unfinished is not None
+    assert unfinished.last_seq == bench.fake.robot.done - 1
+
+
+async def test_the_feeder_dies_in_contact(bench: Bench) -> None:
+    bench.fake.robot.acts.before["send"] = lambda: bench.fake.robot.acts.fails.update(
+        {"send": LinkError("cut")} if bench.fake.robot.done > 5 else {}
+    )
+    with pytest.raises(LinkError, match="cut"):
+        await bench.polish()
+    assert bench.fake.events[-3:] == SAFE
+
+
+async def test_a_program_that_the_robot_drops_in_contact(bench: Bench) -> None:
+    bench.fake.robot.ends_at = 60
+    with pytest.raises(DeviceFault, match="ended the program at block 60"):
+        await bench.polish()
+    assert bench.fake.events[-3:] == SAFE
+
+
+async def test_a_journal_that_cannot_keep_up_with_the_truth_ends_contact(bench: Bench) -> None:
+    job = bench.job()
+    job.executed = lambda cycle, block: (_ for _ in ()).throw(SafetyStop("the journal is lost"))
+    with pytest.raises(SafetyStop, match="journal is lost"):
+        await bench.polish(job)
+    assert bench.fake.events[-3:] == SAFE
+
+
+async def test_cancelled_in_contact(bench: Bench) -> None:
+    task = asyncio.ensure_future(bench.polish())
+    job_events = bench.fake.events
+    while bench.fake.robot.done < 100:  # noqa: ASYNC110  pytest's timeout is the limit
+        await asyncio.sleep(0)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert job_events[-3:] == SAFE
+    assert bench.phases()[-1] == "0 run cancelled"
+    assert bench.journal.unfinished() is not None
+
+
+async def test_the_spindle_that_will_not_stop_fails_the_run_but_the_tool_is_off(bench: Bench) -> None:
+    bench.fake.spindle.acts.before["set_speed"] = lambda: bench.fake.spindle.acts.fails.update(
+        {"set_speed": DeviceFault("spindle: runs on")} if "actuator.retract" in bench.fake.events else {}
+    )
+    with pytest.raises(DeviceFault, match="runs on"):
+        await bench.polish()
+    assert bench.fake.actuator.retracted
+    assert bench.journal.passes[0].how is None
+
+
+# links
+
+
+async def test_a_link_that_was_lost_out_of_contact_is_opened_again_before_the_run(bench: Bench) -> None:
+    bench.fake.spindle.acts.fails["status"] = LinkError("sleeping")
+    await bench.polish(bench.job(max_cycles=1))
+    calls = bench.fake.of("spindle.close", "spindle.open", "spindle.make_safe", "robot.prepare")
+    assert calls == ["spindle.close", "spindle.open", "spindle.make_safe", "robot.prepare"]
+
+
+async def test_a_link_that_stays_lost_moves_nothing(bench: Bench) -> None:
+    bench.fake.spindle.acts.fails |= {"status": LinkError("sleeping"), "open": LinkError("nobody there")}
+    with pytest.raises(LinkError, match="nobody there"):
+        await bench.polish()
+    assert bench.moved() == []
+    assert bench.journal.passes == ()

@@ -1,0 +1,342 @@
+"""A job: what it keeps, what it makes of what was executed, and what it knows again after a restart."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from polishd.daemon import steps
+from polishd.daemon.job import DIVERGED_RATIO, PROGRESS_BLOCKS, Job, require_certificate
+from polishd.daemon.journal import Journal
+from polishd.daemon.steps import Measured
+from polishd.model.devices import Executed, RobotProgress
+from polishd.model.dwell import Certificate
+from polishd.model.errors import ComputeError, PlanRefused
+from polishd.model.program import Plan
+from polishd.model.surface import SurfaceMap
+from polishd.plugins.rnc_robot.rs274 import RS274
+from tests.unit.daemon.small import as_map, open_journal, small_job, small_map, small_program, small_recipe
+
+ROBOT = RobotProgress("held", "", 0, 0, 0.0, "boot-1")
+CERTIFICATE = Certificate(
+    "newton_cg", 1.0, 1e-6, 0.0, 0.5, 3.0, 60.0, 50.0, at_lower=1, at_upper=0, iterations=9, seconds=0.1, stopped="x"
+)
+
+
+@pytest.fixture
+def journal(tmp_path: Path) -> Iterator[Journal]:
+    with open_journal(tmp_path) as found:
+        yield found
+
+
+@pytest.fixture
+def job(tmp_path: Path, journal: Journal) -> Job:
+    return small_job(tmp_path, journal)
+
+
+def scaled(surface: SurfaceMap, factor: float) -> SurfaceMap:
+    return as_map(surface.height_nm * factor)
+
+
+async def measure(job: Job, cycle: int, rms_nm: float) -> Measured:
+    return await job.measured(cycle, scaled(small_map(), rms_nm / 20.0))
+
+
+async def planned(job: Job, cycle: int, surface: Measured) -> Plan:
+    return await job.plan(cycle, await job.solve(cycle, surface))
+
+
+async def run(job: Job, cycle: int, plan: Plan, *, late_s: float = 0.0, end: bool = True, blocks: int = 10**6) -> None:
+    """The pass, as expected and this much later a block."""
+    await job.begin_pass(cycle, plan, ROBOT)
+    at_s = 100.0
+    for seq, time_s in list(zip(plan.program.block, plan.expected_time_s, strict=True))[:blocks]:
+        job.executed(cycle, Executed(int(seq), at_s, at_s + float(time_s) + late_s))
+        at_s += float(time_s) + late_s
+    if end:
+        job.end_pass(cycle)
+
+
+async def whole_cycle(job: Job, cycle: int, surface: SurfaceMap, rate: float = 1.0) -> SurfaceMap:
+    """Measure, learn, plan and run; the surface afterwards, on the map's own grid."""
+    measured = await job.measured(cycle, surface)
+    await job.learn(cycle, measured)
+    plan = await planned(job, cycle, measured)
+    await run(job, cycle, plan)
+    answer = steps.effect_of(small_recipe(), small_program(), surface.grid, rate)
+    return as_map(surface.height_nm - answer.effect.removal_nm(plan.expected_time_s))
+
+
+# what a cycle leaves
+
+
+async def test_a_measurement_is_journalled_kept_and_told(job: Job, journal: Journal, tmp_path: Path) -> None:
+    raw = tmp_path / "scan.dat"
+    raw.write_bytes(b"raw")
+    surface = replace(small_map(), path=raw)
+    measured = await job.measured(0, surface)
+    assert journal.last_map_id == surface.sha256
+    assert journal.history[0].stats["rms_nm"] == measured.stats.rms_nm
+    folder = tmp_path / "run" / "cycle-00"
+    assert (folder / "map.dat").read_bytes() == b"raw"
+    with np.load(folder / "surface.npz") as kept:
+        assert np.array_equal(np.isfinite(kept["height_nm"]), measured.solve_mask)
+    (event,) = job.told  # type: ignore[attr-defined]
+    assert (event.name, event.cycle, event.data["rms_nm"]) == ("measured", 0, measured.stats.rms_nm)
+
+
+async def test_masks_are_those_of_the_first_map(job: Job) -> None:
+    first = await job.measured(0, small_map())
+    holed = small_map(seed=1)
+    holed.height_nm[24:27, 24:27] = np.nan
+    second = await job.measured(1, holed)
+    assert np.array_equal(second.solve_mask, first.solve_mask)
+
+
+async def test_a_plan_leaves_program_dwell_and_certificate(job: Job, tmp_path: Path) -> None:
+    plan = await planned(job, 0, await job.measured(0, small_map()))
+    folder = tmp_path / "run" / "cycle-00"
+    assert (folder / "program.rnc").read_bytes() == plan.program.text
+    header, *rows = (folder / "dwell.csv").read_text().splitlines()
+    assert header.split(",") == ["point", "line", "x_mm", "y_mm", "dwell_s", "asked_s", "expected_s"]
+    assert len(rows) == plan.program.n
+    assert json.loads((folder / "certificate.json").read_text())["solver"] == "newton_cg"
+
+
+async def test_a_pass_is_journalled_before_it_moves(job: Job, journal: Journal) -> None:
+    plan = await planned(job, 0, await job.measured(0, small_map()))
+    await job.begin_pass(0, plan, ROBOT)
+    unfinished = journal.unfinished()
+    assert unfinished is not None
+    assert (unfinished.program_sha256, unfinished.boot_id) == (plan.program.sha256, "boot-1")
+    (record,) = journal.passes
+    assert (record.contact_from, record.contact_to) == (plan.approach_blocks, plan.contact_blocks)
+    assert set(record.facts) == {"predicted_rms_nm", "dwell_s", "rate", "block_overhead_s"}
+
+
+async def test_a_pass_that_ended_is_kept_for_people(job: Job, journal: Journal, tmp_path: Path) -> None:
+    plan = await planned(job, 0, await job.measured(0, small_map()))
+    await run(job, 0, plan)
+    assert journal.passes[0].how == "done"
+    rows = (tmp_path / "run/cycle-00/executed.csv").read_text().splitlines()
+    assert rows[0] == "seq,start_s,end_s,contact"
+    assert len(rows) - 1 == plan.program.n
+    names = [event.name for event in job.told]  # type: ignore[attr-defined]
+    progress = plan.program.n // PROGRESS_BLOCKS
+    assert progress > 2
+    assert names == ["measured", "solved", "pass_begun", *["progress"] * progress, "pass_ended"]
+    assert job.told[-1].data["executed_s"] == pytest.approx(plan.total_s)  # type: ignore[attr-defined]
+
+
+# what was executed
+
+
+async def test_executed_time_lies_at_the_points_that_had_it(job: Job) -> None:
+    plan = await planned(job, 0, await job.measured(0, small_map()))
+    await run(job, 0, plan, late_s=0.01)
+    assert job.executed_s(0) == pytest.approx(plan.expected_time_s + 0.01)
+
+
+async def test_blocks_that_were_not_run_have_no_time(job: Job) -> None:
+    plan = await planned(job, 0, await job.measured(0, small_map()))
+    await run(job, 0, plan, end=False, blocks=100)
+    found = job.executed_s(0)
+    assert found[:100] == pytest.approx(plan.expected_time_s[:100])
+    assert not found[100:].any()
+    assert not job.executed_s(1).any(), "a pass that never was"
+
+
+async def test_time_out_of_contact_does_not_count(job: Job, journal: Journal) -> None:
+    plan = await planned(job, 0, await job.measured(0, small_map()))
+    await job.begin_pass(0, plan, ROBOT)
+    journal.executed_segment(0, Executed(int(plan.program.block[0]), 0.0, 5.0), contact=False)
+    journal.flush()
+    assert not job.executed_s(0).any()
+
+
+async def test_the_move_to_a_dwell_counts_for_its_point(tmp_path: Path, journal: Journal) -> None:
+    text = b"G21 G90 G94\nG0 X0 Y0\nG1 X1 F600\nG4 P1\n(a comment)\nG1 X2\nG4 P2\nM2\n"
+    program = RS274.read(text, "dwell.rnc")
+    job = small_job(tmp_path, journal, program=program)
+    journal.begin_pass(0, "sha", "boot", 8, contact=(3, 7))
+    for seq, start_s, end_s in [(2, 0, 9), (3, 10, 11.5), (5, 11.5, 11.75), (6, 11.75, 14)]:
+        journal.executed_segment(0, Executed(seq, start_s, end_s))
+    journal.flush()
+    assert job.executed_s(0) == pytest.approx([1.5, 2.5])
+
+
+# when it ends
+
+
+@pytest.mark.parametrize(("rms_nm", "accepted"), [(0.4, True), (0.7, False)])
+async def test_accepts(job: Job, rms_nm: float, accepted: bool) -> None:
+    assert job.accepts(await measure(job, 0, rms_nm)) is accepted
+
+
+async def test_the_tolerance_may_be_for_a_band(tmp_path: Path, journal: Journal) -> None:
+    job = small_job(tmp_path, journal, recipe=small_recipe(tolerance_period_mm=18.0, tolerance_nm=18.0))
+    measured = await job.measured(0, small_map())
+    assert measured.stats.band_rms_nm is not None
+    assert measured.stats.band_rms_nm < 18.0 < measured.stats.rms_nm
+    assert job.accepts(measured)
+
+
+async def test_diverges_against_the_best_so_far(job: Job) -> None:
+    assert not job.diverges(await measure(job, 0, 20.0)), "the first has nothing to be worse than"
+    assert not job.diverges(await measure(job, 1, 10.0))
+    assert not job.diverges(await measure(job, 2, 10.0 * DIVERGED_RATIO * 0.99))
+    assert job.diverges(await measure(job, 3, 10.0 * DIVERGED_RATIO * 1.01))
+
+
+async def test_a_pass_that_was_torn_off_is_nobodys_divergence(job: Job, journal: Journal) -> None:
+    await measure(job, 0, 10.0)
+    journal.begin_pass(0, "sha", "boot", 10)
+    journal.end_pass(0, "interrupted")
+    assert not job.diverges(await measure(job, 1, 30.0)), "it left a step"
+    assert job.diverges(await measure(job, 2, 60.0)), "but from there on it counts"
+
+
+@pytest.mark.parametrize("how", ["done", "interrupted"])
+async def test_only_whole_passes_use_up_cycles(job: Job, journal: Journal, how: str) -> None:
+    journal.begin_pass(0, "sha", "boot", 10)
+    journal.end_pass(0, how)
+    assert job.last_cycle == 3 + (how == "interrupted")
+
+
+# the entries
+
+
+async def test_one_entry_a_measurement(job: Job) -> None:
+    plan = await planned(job, 0, await job.measured(0, small_map()))
+    await run(job, 0, plan)
+    await measure(job, 1, 2.0)
+    first, last = job.cycles()
+    assert first["rms_nm"] > last["rms_nm"]
+    assert first["dwell_s"] == pytest.approx(plan.total_s)
+    assert first["executed_s"] == pytest.approx(plan.total_s)
+    assert first["rate"] == 1.0
+    assert [last[key] for key in ("predicted_rms_nm", "dwell_s", "rate", "executed_s")] == [None] * 4
+    summary = job.summary()
+    assert (summary["part_id"], summary["tolerance_nm"], len(summary["cycles"])) == ("P-1", 0.5, 2)
+    json.dumps(summary)
+
+
+# learning
+
+
+async def test_the_first_cycle_learns_nothing(job: Job) -> None:
+    await job.learn(0, await job.measured(0, small_map()))
+    assert [event.name for event in job.told] == ["measured"]  # type: ignore[attr-defined]
+
+
+async def test_the_rate_is_learned_and_used(job: Job, journal: Journal, tmp_path: Path) -> None:
+    surface = await whole_cycle(job, 0, small_map(), rate=0.8)
+    await whole_cycle(job, 1, surface, rate=0.8)
+    assert journal.passes[0].facts["rate"] == 1.0
+    assert journal.passes[1].facts["rate"] == pytest.approx(0.8, rel=0.05)
+    learned = json.loads((tmp_path / "run/cycle-01/learned.json").read_text())
+    assert learned["beliefs"]["rate"] == journal.passes[1].facts["rate"]
+
+
+async def test_nothing_is_learned_from_a_pass_that_was_torn_off(job: Job, journal: Journal) -> None:
+    plan = await planned(job, 0, await job.measured(0, small_map()))
+    await run(job, 0, plan, end=False, blocks=50)
+    journal.end_pass(0, "interrupted")
+    await job.learn(1, await measure(job, 1, 30.0))
+    assert "learned" not in [event.name for event in job.told]  # type: ignore[attr-defined]
+
+
+async def test_a_cycle_that_is_measured_again_learns_from_the_pass_not_from_itself(job: Job) -> None:
+    """Held while it solved, after learning: resume measures that cycle again."""
+    surface = await whole_cycle(job, 0, small_map(), rate=0.8)
+    for _ in range(2):
+        await job.learn(1, await job.measured(1, surface))
+    last = job.told[-1]  # type: ignore[attr-defined]
+    assert last.name == "learned"
+    assert last.data["rate"] == pytest.approx(0.8, rel=0.05)
+
+
+# after a restart
+
+
+async def test_restored_after_a_restart(job: Job, tmp_path: Path) -> None:
+    surface = await whole_cycle(job, 0, small_map(), rate=0.8)
+    again = await whole_cycle(job, 1, surface, rate=0.8)
+    with open_journal(tmp_path) as journal:
+        other = small_job(tmp_path, journal)
+        assert other.cycles() == job.cycles()
+        assert np.array_equal(other.executed_s(1), job.executed_s(1))
+        await other.learn(2, await other.measured(2, again))
+        told = other.told[-1]  # type: ignore[attr-defined]
+        assert told.name == "learned"
+        assert told.data["rate"] == pytest.approx(0.8, rel=0.1), "what the first run had learned"
+
+
+async def test_restored_amid_a_cycle_that_had_been_measured(job: Job, tmp_path: Path) -> None:
+    surface = await whole_cycle(job, 0, small_map(), rate=0.8)
+    await job.learn(1, await job.measured(1, surface))
+    with open_journal(tmp_path) as journal:
+        other = small_job(tmp_path, journal)
+        await other.learn(1, await other.measured(1, surface))
+        assert other.told[-1].data["rate"] == pytest.approx(0.8, rel=0.05)  # type: ignore[attr-defined]
+
+
+async def test_restored_before_any_pass_keeps_the_masks(job: Job, tmp_path: Path) -> None:
+    first = await job.measured(0, small_map())
+    with open_journal(tmp_path) as journal:
+        other = small_job(tmp_path, journal)
+        holed = small_map()
+        holed.height_nm[24:27, 24:27] = np.nan
+        assert np.array_equal((await other.measured(0, holed)).solve_mask, first.solve_mask)
+
+
+# what is refused
+
+
+async def test_every_violation_is_told(tmp_path: Path, journal: Journal) -> None:
+    job = small_job(tmp_path, journal, check_plan=lambda plan, envelope: ["too fast", "too far"])
+    plan = await planned(job, 0, await job.measured(0, small_map()))
+    with pytest.raises(PlanRefused, match="nothing moved:\n  too fast\n  too far"):
+        job.refuse_unsafe(plan)
+
+
+async def test_a_landing_on_the_part_is_refused(tmp_path: Path, journal: Journal) -> None:
+    job = small_job(tmp_path, journal)
+    plan = await planned(job, 0, await job.measured(0, small_map()))
+    job.refuse_unsafe(plan)
+    job.recipe = small_recipe(aperture_mm=60.0)
+    with pytest.raises(PlanRefused, match="contact starts at .*\n.*contact ends at"):
+        job.refuse_unsafe(plan)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"kkt_residual": 2e-4}, "KKT residual 2.00e-04 is above 1.00e-04"),
+        ({"kkt_residual": float("nan")}, "KKT residual nan"),
+        ({"bound_violation_s": 1e-6}, "a bound is violated by 1.00e-06 s"),
+        ({"bound_violation_s": float("nan")}, "a bound is violated"),
+        ({"cross_check": "qp", "cross_check_gap": 2e-3}, "qp found an objective that is 2.00e-03 lower"),
+        ({"cross_check": "qp", "cross_check_gap": float("nan")}, "qp found"),
+    ],
+)
+def test_a_dwell_without_a_certificate_is_not_used(wrong: dict[str, float], says: str) -> None:
+    with pytest.raises(ComputeError, match=says) as refused:
+        require_certificate(replace(CERTIFICATE, **wrong), small_recipe())
+    assert "nothing was sent" in str(refused.value)
+
+
+@pytest.mark.parametrize("fine", [{}, {"kkt_residual": 1e-4}, {"cross_check": "qp", "cross_check_gap": -0.5}])
+def test_a_valid_certificate(fine: dict[str, float]) -> None:
+    require_certificate(replace(CERTIFICATE, **fine), small_recipe())
+
+
+def test_all_that_is_wrong_is_told() -> None:
+    bad = replace(CERTIFICATE, kkt_residual=1.0, bound_violation_s=1.0)
+    with pytest.raises(ComputeError, match=r"KKT residual .*; a bound is violated"):
+        require_certificate(bad, small_recipe())
