@@ -116,7 +116,7 @@ class ProcessSection(Section):
 
     removal_model: Text = "hertz_preston"
     correction: AvailableCorrection = "exact"
-    grid_mm: Annotated[float, Field(gt=0, le=20)] = 1.0
+    grid_mm: Annotated[float, Field(gt=0, le=20)] = 0.5
     tool_radius_mm: Positive = 20.0
     force_n: Annotated[float, Field(gt=0, le=500)] = 12.0
     rpm: Annotated[float, Field(gt=0, le=20000)] = 1000.0

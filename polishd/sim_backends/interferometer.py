@@ -69,8 +69,7 @@ class Interferometer:
         while_writing = self.folder / (name + config.temporary_suffix)
         with while_writing.open("wb") as file:
             if config.faults.preallocate:
-                file.write(bytes(len(data)))
-                file.seek(0)
+                file.truncate(len(data))  # at once: its full length, all zeros
             step = -(-len(data) // CHUNKS)
             for start in range(0, len(data), step):
                 await asyncio.sleep(config.write_s / CHUNKS)

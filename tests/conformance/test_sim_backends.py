@@ -9,12 +9,14 @@ import asyncio
 import json
 import os
 import signal
+import sys
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import ExitStack, asynccontextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from subprocess import PIPE, Popen
 from typing import Any
 
 import pytest
@@ -40,7 +42,7 @@ from tests.conformance.test_device import (  # noqa: F401 -- the suite itself, w
     watch,
 )
 from tests.programs import plan_of
-from tests.system.sim_rig import Cell, alive, cell, wait_for
+from tests.system.sim_rig import ROOT, Cell, alive, cell, wait_for
 
 pytestmark = pytest.mark.system
 
@@ -82,11 +84,21 @@ ACTUATORS = [Place(name, "actuator") for name in CELLS]
 SPINDLES = [Place("rtu_slcan", "spindle"), Place("tcp_socketcand", "spindle")]
 
 
+STARTER = """
+import json, subprocess, sys
+for line in sys.stdin:
+    child = subprocess.Popen(json.loads(line), stdout=subprocess.PIPE, text=True)
+    print(child.pid, child.stdout.readline().strip(), flush=True)
+"""
+"""Starts devices that are to outlive the test which boots them; they end with it."""
+
+
 class Cells:
     """Cells by name, started when first asked for."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, starter: Popen[str]) -> None:
         self.folder = folder
+        self.starter = starter
         self.running: dict[str, Cell] = {}
         self.booted: dict[tuple[str, str], int] = {}
 
@@ -98,17 +110,18 @@ class Cells:
         """Process of a device, also one that was booted by hand."""
         return self.booted.get((place.cell, place.device)) or self.get(place.cell).pids[place.device]
 
-    def kill(self, place: Place) -> None:
-        """Power off."""
-        os.kill(self.pid(place), signal.SIGKILL)
-
     def boot(self, place: Place) -> None:
         """Power on again, where it is off."""
         if alive(self.pid(place)):
             return
-        running = self.get(place.cell)
-        running.boot(place.device)
-        self.booted[place.cell, place.device] = running.booted[-1].pid
+        command = [sys.executable, "-m", "polishd.sim_backends", *self.get(place.cell).arguments]
+        assert self.starter.stdin is not None
+        assert self.starter.stdout is not None
+        self.starter.stdin.write(json.dumps([*command, "--device", place.device]) + "\n")
+        self.starter.stdin.flush()
+        pid, ready = self.starter.stdout.readline().split(maxsplit=1)
+        assert json.loads(ready)["ready"] == place.device
+        self.booted[place.cell, place.device] = int(pid)
 
     def history(self, place: Place) -> list[dict[str, Any]]:
         """What the witness tells of the device; a line may just be being written."""
@@ -133,8 +146,11 @@ class Cells:
 @pytest.fixture(scope="module")
 def cells(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cells]:
     """All of them, side by side."""
-    known = Cells(tmp_path_factory.mktemp("cells"))
     with ExitStack() as stack:
+        starter = stack.enter_context(
+            Popen([sys.executable, "-c", STARTER], stdin=PIPE, stdout=PIPE, text=True, cwd=ROOT)
+        )
+        known = Cells(tmp_path_factory.mktemp("cells"), starter)
         for name, config in CELLS.items():
             folder = known.folder / name
             folder.mkdir()
@@ -164,20 +180,26 @@ async def sim_rig(cells: Cells, place: Place) -> AsyncIterator[Rig[Any]]:
     cells.boot(place)
     device = connect(cells, place)
     stopped: list[int] = []
+    cut: list[int] = []
+
+    def kill() -> None:
+        cut.append(cells.pid(place))
+        os.kill(cut[-1], signal.SIGKILL)
 
     def mute() -> None:
         stopped.append(cells.pid(place))
         os.kill(stopped[-1], signal.SIGSTOP)
 
     try:
-        yield Rig(device, lambda: cells.kill(place), mute, lambda: cells.at_rest(place))
+        yield Rig(device, kill, mute, lambda: cells.at_rest(place))
     finally:
         for pid in stopped:
             os.kill(pid, signal.SIGCONT)
         await device.close()
-        wait_for(lambda: alive(cells.pid(place)) or not stopped, "the process to go on")
-        cells.boot(place)
-        await at_rest_again(connect(cells, place))
+        for pid in cut:
+            wait_for(lambda pid=pid: not alive(pid), "the power cut")
+        if not cut:
+            await at_rest_again(connect(cells, place))
 
 
 async def at_rest_again(device: Any) -> None:
@@ -285,7 +307,8 @@ async def executed(robot: Robot, count: int) -> list[Executed]:
     return found
 
 
-LINES = [b"G21 G90 G94", *(b"G1 X%.1f Z%.1f F300" % (0.1 * k, 20 + 0.1 * k) for k in range(1, 60)), b"M2"]
+# along the part, so that the actuator still finds it
+LINES = [b"G21 G90 G94", b"G0 X0 Y0 Z0", *(b"G1 X%.1f Y%.1f F300" % (0.1 * k, -0.1 * k) for k in range(1, 60)), b"M2"]
 
 
 async def test_the_robot_executes_all_in_order_and_once(robot: RobotRig) -> None:
@@ -338,7 +361,7 @@ async def test_the_robot_holds_and_resumes_without_losing_or_repeating(robot: Ro
 
 @pytest.mark.parametrize("how", ["cut", "mute"])
 async def test_all_who_wait_for_a_dead_robot_hear_of_it(robot: RobotRig, how: str) -> None:
-    plan = plan_of([b"G21 G90 G94", b"G1 X1 Z20 F300", b"G4 P500", b"M2"])
+    plan = plan_of([b"G21 G90 G94", b"G1 X1 Z0 F300", b"G4 P500", b"M2"])
     await robot.device.prepare(plan)
     await robot.device.send(plan.segments)
     await robot.device.resume()
@@ -357,10 +380,8 @@ async def test_all_who_wait_for_a_dead_robot_hear_of_it(robot: RobotRig, how: st
 async def test_the_robot_refuses_what_it_cannot_do(robot: RobotRig, line: bytes, why: str) -> None:
     plan = plan_of([b"G21 G90 G94", line, b"M2"])
     await robot.device.prepare(plan)
-    with pytest.raises(DeviceRefused, match="block 1") as caught:
+    with pytest.raises(DeviceRefused, match=f"block 1.*{why}|{why}.*block 1"):
         await robot.device.send(plan.segments)
-        await watch(robot.device)
-    assert why in str(caught.value)
     assert robot.safe()
 
 
@@ -443,9 +464,13 @@ async def test_the_spindle_refuses_what_its_drive_says_it_cannot(spindle: Spindl
     assert spindle.safe()
 
 
-async def test_a_spindle_that_nobody_cares_for_stops_and_says_why(spindle: SpindleRig) -> None:
+async def test_a_spindle_that_nobody_cares_for_stops_and_says_why(
+    spindle: SpindleRig, cells: Cells, request: Any
+) -> None:
+    place = request.node.callspec.params["spindle"]
     await spindle.device.set_speed(500.0)
-    await asyncio.wait_for(seen(spindle.safe), 4.0)
+    before = len(cells.history(place))
+    await asyncio.wait_for(seen(lambda: any(e["event"] == "watchdog" for e in cells.history(place)[before:])), 4.0)
     assert (await first(spindle.device, lambda one: one.fault != 0)).fault == 1
     await spindle.device.make_safe()
     assert (await first(spindle.device, lambda one: one.fault == 0)).rpm == 0.0

@@ -27,7 +27,9 @@ class ExecutionRecord:
         """Add what is new. LinkError where records were lost: the robot gives them again after a reconnect."""
         for one in executed:
             if one.seq > len(self):
-                raise LinkError(f"records of blocks {len(self)} to {one.seq - 1} were lost on the wire: reconnect")
+                raise LinkError(
+                    f"robot: records of blocks {len(self)} to {one.seq - 1} were lost on the wire: reconnect"
+                )
             if one.seq == len(self):
                 self._start_s.append(one.start_s)
                 self._end_s.append(one.end_s)

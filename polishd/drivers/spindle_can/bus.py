@@ -20,7 +20,9 @@ OPEN_S = 2.0
 GREETING_S = 1.0
 SLCAN_SETTLE_S = 0.05
 POLL_S = 0.05
-SEND_S = 0.1
+SEND_S = 0.3
+EMPTY_READS = 3
+"""A serial line that was readable and then had nothing: on a loaded machine once, on a dead one for ever."""
 
 OnFrame = Callable[[CanFrame], None]
 
@@ -72,6 +74,7 @@ class CanBus:
         self._bus = bus
         self.garbled = 0
         """Times that nonsense came from the adapter and was dropped."""
+        self._empty = 0
 
     def send(self, frame: CanFrame) -> None:
         """Hand over a frame; LinkError where the adapter takes none."""
@@ -128,6 +131,11 @@ class CanBus:
                 on_frame(frame)
                 frame = self._next(0.0)
 
+    def _was_nothing(self, error: Exception) -> bool:
+        """Whether a read merely found nothing, a few times in a row at most."""
+        self._empty += 1
+        return "returned no data" in str(error.__cause__) and self._empty <= EMPTY_READS
+
     def _next(self, within_s: float) -> CanFrame | None:
         try:
             message = self._bus.recv(within_s)
@@ -135,13 +143,16 @@ class CanBus:
             self.garbled += 1  # slcan: a line that is no frame
             return None
         except (can.CanError, OSError) as error:
+            if self._was_nothing(error):
+                return None
             if not (isinstance(self._bus, slcanBus) and isinstance(error.__cause__, UnicodeDecodeError)):
-                raise LinkError(f"{self._name}: {error}") from error
+                raise LinkError(f"{self._name}: {error} ({error.__cause__})") from error
             self.garbled += 1
             self._flush(self._bus)
             return None
         if message is None or message.is_extended_id or message.is_remote_frame or message.is_error_frame:
             return None
+        self._empty = 0
         return CanFrame(message.arbitration_id, bytes(message.data))
 
     def _flush(self, bus: slcanBus) -> None:

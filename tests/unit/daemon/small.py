@@ -11,24 +11,32 @@ from typing import Any
 
 import numpy as np
 
+from polishd.daemon import steps
+from polishd.daemon.cycle import polish
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.recipe import Recipe
 from polishd.daemon.run_folder import RunFolder
 from polishd.daemon.safety import ContactLimits
 from polishd.hookspecs import DwellSolver, RemovalAnswer, RemovalModel, RemovalRequest
-from polishd.model.cycle import Event
+from polishd.model.cycle import Event, Outcome
+from polishd.model.dwell import Certificate
 from polishd.model.limits import Envelope
 from polishd.model.process import HybridRobot, Placement, ToolProcess
-from polishd.model.program import Plan, Program
+from polishd.model.program import Plan, Program, Segment
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.plugins.rnc_robot.make import raster_program
 from polishd.plugins.rnc_robot.rs274 import RS274
 from polishd.process.dwell import newton_cg
 from polishd.process.raster import raster
+from tests.fakes.devices import FakeCell
 from tests.unit.process.gaussian import envelope, rough, spot_effect
 
 APERTURE_MM = 24.0
+CERTIFICATE = Certificate(
+    "newton_cg", 1.0, 1e-6, 0.0, 0.5, 3.0, 60.0, 50.0, at_lower=1, at_upper=0, iterations=9, seconds=0.1, stopped="x"
+)
+MOVES = ("robot.prepare", "robot.send", "robot.resume", "actuator.set_force", "spindle.set_speed")
 LIMITS = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, grace_s=0.3, landing_s=5.0)
 
 
@@ -130,3 +138,50 @@ def small_job(
 def open_journal(tmp_path: Path) -> Journal:
     """The journal of this job."""
     return Journal(tmp_path, job="small", part_id="P-1")
+
+
+class Bench:
+    """A part that is really polished: each map is the one before, less what the last pass's blocks removed."""
+
+    def __init__(self, tmp_path: Path, journal: Journal, rate: float = 1.0) -> None:
+        self.fake = FakeCell()
+        self.journal = journal
+        self.tmp_path = tmp_path
+        self.rate = rate
+        self.surface = small_map()
+        self.fake.robot.block_s = self.block_s
+        self.fake.metrology.measure = self.measure
+        self._cycle = -1
+        self._timed: dict[bytes, float] = {}
+
+    def job(self, **changes: Any) -> Any:
+        return small_job(self.tmp_path, self.journal, **changes)
+
+    async def polish(self, job: Any = None) -> Outcome:
+        return await polish(self.fake.cell, job or self.job(), self.journal)
+
+    def block_s(self, block: Segment) -> float:
+        """Each block takes what is written in it: 1.5 mm or so at its own feed."""
+        feed = next((float(word[1:]) for word in block.text.split() if word.startswith(b"F")), None)
+        return 0.0 if feed is None else 1.5 / (feed / 60)
+
+    def measure(self) -> SurfaceMap:
+        """What the passes so far have left."""
+        passes = self.journal.passes
+        if passes and passes[-1].cycle != self._cycle:
+            self._cycle = passes[-1].cycle
+            program, blocks = small_program(), self.journal.executed(self._cycle)
+            time_s = np.zeros(program.n)
+            index = {int(block): k for k, block in enumerate(program.block)}
+            for seq, seconds in zip(blocks.seq, blocks.duration_s, strict=True):
+                if int(seq) in index:
+                    time_s[index[int(seq)]] = seconds
+            answer = steps.effect_of(small_recipe(), program, self.surface.grid, self.rate)
+            self.surface = as_map(self.surface.height_nm - answer.effect.removal_nm(time_s))
+        return self.surface
+
+    def phases(self) -> list[str]:
+        return [f"{record.cycle} {record.phase} {record.outcome}" for record in self.journal.phases]
+
+    def moved(self) -> list[str]:
+        return self.fake.of(*MOVES)

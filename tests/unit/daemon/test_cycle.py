@@ -6,74 +6,18 @@ import asyncio
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 
-from polishd.daemon import steps
-from polishd.daemon.cycle import polish
-from polishd.daemon.journal import Journal
 from polishd.hookspecs import DwellSolver
 from polishd.model.cycle import Outcome
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import BadMap, ComputeError, DeviceFault, LinkError, PlanRefused, SafetyStop
-from polishd.model.program import Segment
-from polishd.model.surface import SurfaceMap
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
-from tests.fakes.devices import FakeCell
-from tests.unit.daemon.small import as_map, open_journal, small_job, small_map, small_program, small_recipe
+from tests.unit.daemon.small import MOVES, Bench, as_map, open_journal, small_map, small_program, small_recipe
 
 SAFE = ["actuator.make_safe", "robot.make_safe", "spindle.make_safe"]
-MOVES = ("robot.prepare", "robot.send", "robot.resume", "actuator.set_force", "spindle.set_speed")
-
-
-class Bench:
-    """A part that is really polished: each map is the one before, less what the last pass's blocks removed."""
-
-    def __init__(self, tmp_path: Path, journal: Journal, rate: float = 1.0) -> None:
-        self.fake = FakeCell()
-        self.journal = journal
-        self.tmp_path = tmp_path
-        self.rate = rate
-        self.surface = small_map()
-        self.fake.robot.block_s = self.block_s
-        self.fake.metrology.measure = self.measure
-        self._cycle = -1
-        self._timed: dict[bytes, float] = {}
-
-    def job(self, **changes: Any) -> Any:
-        return small_job(self.tmp_path, self.journal, **changes)
-
-    async def polish(self, job: Any = None) -> Outcome:
-        return await polish(self.fake.cell, job or self.job(), self.journal)
-
-    def block_s(self, block: Segment) -> float:
-        """Each block takes what is written in it: 1.5 mm or so at its own feed."""
-        feed = next((float(word[1:]) for word in block.text.split() if word.startswith(b"F")), None)
-        return 0.0 if feed is None else 1.5 / (feed / 60)
-
-    def measure(self) -> SurfaceMap:
-        """What the passes so far have left."""
-        passes = self.journal.passes
-        if passes and passes[-1].cycle != self._cycle:
-            self._cycle = passes[-1].cycle
-            program, blocks = small_program(), self.journal.executed(self._cycle)
-            time_s = np.zeros(program.n)
-            index = {int(block): k for k, block in enumerate(program.block)}
-            for seq, seconds in zip(blocks.seq, blocks.duration_s, strict=True):
-                if int(seq) in index:
-                    time_s[index[int(seq)]] = seconds
-            answer = steps.effect_of(small_recipe(), program, self.surface.grid, self.rate)
-            self.surface = as_map(self.surface.height_nm - answer.effect.removal_nm(time_s))
-        return self.surface
-
-    def phases(self) -> list[str]:
-        return [f"{record.cycle} {record.phase} {record.outcome}" for record in self.journal.phases]
-
-    def moved(self) -> list[str]:
-        return self.fake.of(*MOVES)
 
 
 @pytest.fixture

@@ -15,17 +15,21 @@ from polishd.daemon.job import DIVERGED_RATIO, PROGRESS_BLOCKS, Job, require_cer
 from polishd.daemon.journal import Journal
 from polishd.daemon.steps import Measured
 from polishd.model.devices import Executed, RobotProgress
-from polishd.model.dwell import Certificate
 from polishd.model.errors import ComputeError, PlanRefused
 from polishd.model.program import Plan
 from polishd.model.surface import SurfaceMap
 from polishd.plugins.rnc_robot.rs274 import RS274
-from tests.unit.daemon.small import as_map, open_journal, small_job, small_map, small_program, small_recipe
+from tests.unit.daemon.small import (
+    CERTIFICATE,
+    as_map,
+    open_journal,
+    small_job,
+    small_map,
+    small_program,
+    small_recipe,
+)
 
 ROBOT = RobotProgress("held", "", 0, 0, 0.0, "boot-1")
-CERTIFICATE = Certificate(
-    "newton_cg", 1.0, 1e-6, 0.0, 0.5, 3.0, 60.0, 50.0, at_lower=1, at_upper=0, iterations=9, seconds=0.1, stopped="x"
-)
 
 
 @pytest.fixture
@@ -310,7 +314,7 @@ async def test_a_landing_on_the_part_is_refused(tmp_path: Path, journal: Journal
     plan = await planned(job, 0, await job.measured(0, small_map()))
     job.refuse_unsafe(plan)
     job.recipe = small_recipe(aperture_mm=60.0)
-    with pytest.raises(PlanRefused, match="contact starts at .*\n.*contact ends at"):
+    with pytest.raises(PlanRefused, match=r"contact starts at .*\n.*contact ends at"):
         job.refuse_unsafe(plan)
 
 

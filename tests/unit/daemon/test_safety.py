@@ -10,6 +10,7 @@ import pytest
 
 from polishd.daemon import safety
 from polishd.daemon.safety import ContactLimits, contact, make_safe, most_telling, within
+from polishd.model.devices import ForceSample
 from polishd.model.errors import ConfigError, DeviceFault, LinkError, PolishdError, SafetyStop
 from tests.fakes.devices import FakeCell, blank
 
@@ -29,7 +30,7 @@ async def polish_for(fake: FakeCell, seconds: float = 1.0, limits: ContactLimits
     async with contact(fake.cell, limits):
         fake.events.append("pressing")
         end_s = fake.clock.at_s + seconds
-        while fake.clock.at_s < end_s:
+        while fake.clock.at_s < end_s:  # noqa: ASYNC110
             await asyncio.sleep(0)
 
 
@@ -109,7 +110,7 @@ async def test_a_device_that_refuses(fake: FakeCell, device: str, call: str, exp
 @pytest.mark.parametrize("force_n", [8.9, 15.1, 0.0, -12.0, float("nan")])
 async def test_force_outside_its_band(fake: FakeCell, force_n: float) -> None:
     fake.actuator.reads = lambda s: replace(s, force_n=force_n) if "pressing" in fake.events else s
-    with pytest.raises(SafetyStop, match="force .* is outside 12 N"):
+    with pytest.raises(SafetyStop, match=r"force .* is outside 12 N"):
         await polish_for(fake)
     assert fake.events == [*INTO, "pressing", *SAFE]
 
@@ -131,7 +132,7 @@ async def test_force_within_its_band(fake: FakeCell, force_n: float) -> None:
 async def test_force_out_of_band_for_less_and_more_than_its_grace(fake: FakeCell, lasts_s: float, stops: bool) -> None:
     begun: list[float] = []
 
-    def reads(sample: safety.ForceSample) -> safety.ForceSample:
+    def reads(sample: ForceSample) -> ForceSample:
         if "pressing" not in fake.events:
             return sample
         begun.append(sample.at_s)
@@ -200,7 +201,7 @@ async def test_leaving_slowly_is_not_a_force_out_of_band(fake: FakeCell) -> None
     task = asyncio.ensure_future(polish_for(fake, 0.1))
     await until(fake, LIFTED[0])
     late_s = fake.clock.at_s + 1.0
-    while fake.clock.at_s < late_s and not task.done():
+    while fake.clock.at_s < late_s and not task.done():  # noqa: ASYNC110
         await asyncio.sleep(0)
     gate.set()
     await task
@@ -247,11 +248,10 @@ async def test_within_passes_samples_on() -> None:
         yield 1
         yield 2
 
-    found = []
+    samples = within(two(), "scale")
+    assert [await anext(samples), await anext(samples)] == [1, 2]
     with pytest.raises(LinkError, match="scale"):
-        async for value in within(two(), "scale"):
-            found.append(value)  # noqa: PERF401
-    assert found == [1, 2]
+        await anext(samples)
 
 
 # make_safe
@@ -318,7 +318,7 @@ async def test_a_second_cancellation_does_not_abort_make_safe(fake: FakeCell) ->
 
 async def test_make_safe_hands_on_a_cancellation_that_came_meanwhile(fake: FakeCell) -> None:
     task = asyncio.ensure_future(make_safe(fake.cell))
-    fake.actuator.acts.before["make_safe"] = lambda: task.cancel()
+    fake.actuator.acts.before["make_safe"] = task.cancel
     with pytest.raises(asyncio.CancelledError):
         await task
     assert fake.events == SAFE
@@ -342,13 +342,15 @@ def test_most_telling(errors: list[BaseException], told: type[BaseException]) ->
 
 
 async def test_two_faults_at_once_tell_the_safety_stop(fake: FakeCell) -> None:
-    fake.spindle.reads = lambda s: replace(s, fault=3) if fake.clock.at_s > 0.5 else s
-
-    with pytest.raises(PolishdError) as told:
+    async def starves() -> None:
         async with contact(fake.cell, LIMITS):
             try:
                 await asyncio.Event().wait()
             finally:
                 raise SafetyStop("and the stream starves")
+
+    fake.spindle.reads = lambda s: replace(s, fault=3) if fake.clock.at_s > 0.5 else s
+    with pytest.raises(PolishdError) as told:
+        await starves()
     assert type(told.value) is SafetyStop
     assert fake.events[-3:] == SAFE

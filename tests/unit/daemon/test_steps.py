@@ -304,9 +304,7 @@ def removed(program: Program, measured: Measured, solved: Solved, rate: float) -
 
 
 @pytest.mark.parametrize(("believed", "true"), [(1.0, 0.9), (0.9, 0.95), (1.0, 1.3)])
-def test_learn_the_rate(
-    program: Program, measured: Measured, solved: Solved, believed: float, true: float
-) -> None:
+def test_learn_the_rate(program: Program, measured: Measured, solved: Solved, believed: float, true: float) -> None:
     after = polished(measured, removed(program, measured, solved, true))
     times = (solved.asked_s, solved.expected_s)
     beliefs, learned = steps.learn(small_recipe(), program, (measured, after), times, Beliefs(rate=believed))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
-from polishd.daemon.stream import CHUNK, STANDS, WATCH_S, Stream, streaming
+from polishd.daemon.stream import CHUNK, STANDS, WATCH_S, streaming
 from polishd.model.errors import DeviceFault, DeviceRefused, LinkError, SafetyStop
 from polishd.model.program import Plan, Segment
 from tests.fakes.devices import FakeCell
@@ -24,26 +24,25 @@ def small_plan(blocks: int = 20, approach: int = 3, retreat: int = 2) -> Plan:
 
 
 @pytest.fixture
-def fake() -> Iterator[FakeCell]:
-    yield FakeCell()
+def fake() -> FakeCell:
+    return FakeCell()
 
 
-@asynccontextmanager
-async def fed(fake: FakeCell, plan: Plan, lookahead_s: float = 1.0) -> AsyncIterator[Stream]:
-    """The stream, with time passing of itself, as it does while readings come."""
+async def whole_pass(
+    fake: FakeCell, plan: Plan, lookahead_s: float = 1.0, each: Callable[[int], object] = int
+) -> list[int]:
+    """All of a pass; ``each`` is told of every block in contact."""
+    seqs = []
     async with streaming(plan, fake.robot, fake.clock, lookahead_s) as stream:
-        yield stream
-
-
-async def whole_pass(fake: FakeCell, plan: Plan, lookahead_s: float = 1.0) -> list[int]:
-    async with fed(fake, plan, lookahead_s) as stream:
         await stream.approach()
-        seqs = [block.seq async for block in stream.polish()]
+        async for block in stream.polish():
+            each(block.seq)
+            seqs.append(block.seq)
         await stream.retreat()
     return seqs
 
 
-async def time_passes(fake: FakeCell, seconds: float, until: asyncio.Future[object]) -> None:
+async def time_passes(fake: FakeCell, seconds: float, until: asyncio.Future[Any]) -> None:
     """The fake clock goes on in small steps, and everybody gets a turn, until that is done or the time is over."""
     end_s = fake.clock.at_s + seconds
     while fake.clock.at_s < end_s and not until.done():
@@ -64,7 +63,7 @@ async def test_contact_is_what_lies_between_the_landing_points(fake: FakeCell) -
 
 
 async def test_the_robot_stands_at_each_landing_point_until_it_is_told(fake: FakeCell) -> None:
-    async with fed(fake, small_plan()) as stream:
+    async with streaming(small_plan(), fake.robot, fake.clock, 1.0) as stream:
         await stream.approach()
         assert (fake.robot.done, (await fake.robot.progress()).state) == (3, "held")
         async for _ in stream.polish():
@@ -93,11 +92,7 @@ async def test_the_look_ahead_is_bounded_and_replenished(fake: FakeCell) -> None
     plan = small_plan(1000)
     fake.robot.block_s = 0.01
     least: list[float] = []
-    async with fed(fake, plan, 2.0) as stream:
-        await stream.approach()
-        async for block in stream.polish():
-            if block.seq < 800:
-                least.append(fake.robot.buffer_s)
+    await whole_pass(fake, plan, 2.0, lambda seq: least.append(fake.robot.buffer_s) if seq < 800 else None)
     assert fake.robot.most_buffered_s <= 2 * 2.0 + CHUNK * 0.01
     assert min(least) > 2.0, "fed again before a look-ahead is used up"
     sent = [event.split()[1] for event in fake.of("robot.send")]
@@ -120,12 +115,9 @@ async def test_a_robot_that_holds_less_than_the_look_ahead_starts_when_it_is_ful
 async def test_starvation_ends_the_pass_while_there_still_is_motion(fake: FakeCell) -> None:
     fake.robot.takes = 2 * CHUNK
     fake.robot.block_s = 0.01
-    seqs = []
+    seqs: list[int] = []
     with pytest.raises(SafetyStop, match=r"only 0\.\d+ s of motion are left in the robot at block 256"):
-        async with fed(fake, small_plan(1000), 1.0) as stream:
-            await stream.approach()
-            async for block in stream.polish():
-                seqs.append(block.seq)  # noqa: PERF401
+        await whole_pass(fake, small_plan(1000), 1.0, seqs.append)
     assert seqs == list(range(3, len(seqs) + 3))
     assert 0.2 < fake.robot.buffer_s < 0.25
 
@@ -160,7 +152,7 @@ async def test_a_program_that_ends_early(fake: FakeCell, at: int) -> None:
 
 async def test_an_error_in_the_block_comes_out_as_itself(fake: FakeCell) -> None:
     with pytest.raises(KeyError, match="mine"):
-        async with fed(fake, small_plan()):
+        async with streaming(small_plan(), fake.robot, fake.clock, 1.0):
             raise KeyError("mine")
 
 
@@ -174,7 +166,7 @@ async def test_a_robot_that_stands_in_contact(fake: FakeCell) -> None:
 
 
 async def test_a_robot_that_waits_at_a_landing_point_does_not_stand(fake: FakeCell) -> None:
-    async with fed(fake, small_plan()) as stream:
+    async with streaming(small_plan(), fake.robot, fake.clock, 1.0) as stream:
         await stream.approach()
         landing = asyncio.get_running_loop().create_future()
         await time_passes(fake, 10.0, landing)

@@ -1,0 +1,172 @@
+"""A whole job through bad wires, a nasty instrument and a broken actuator: it gets there, or it ends safe and says why.
+
+Whatever happens, no block is polished twice, and force and tool are off the part before motion stops.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import sqlite3
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from polishd.console.demo_files import DemoFiles
+from polishd.console.simulator import simulated_cell
+from tests.system.cell_rig import Daemon, account, events, summary, write_small
+from tests.system.sim_rig import wait_for
+from tests.system.test_daemon import require_safe_order
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+
+DEVICE, SAFETY = 5, 7
+ONE_PASS = {"tolerance_nm": 5.0, "max_cycles": 2}
+"""So that a job is a pass or two."""
+
+LIFTING_S = 0.6
+"""Longest from noticing a fault to a lifted tool, wall time."""
+
+Faults = Mapping[str, Mapping[str, Any]]
+
+
+def with_faults(sim: str, faults: Faults) -> str:
+    """SIM.toml with other fault sections than its own."""
+    for device, values in faults.items():
+        header = rf"^\[{device}\.faults\][^\[]*"
+        sim = re.sub(header, "", sim, flags=re.MULTILINE)
+        lines = [f"{key} = {json.dumps(value)}" for key, value in values.items()]
+        sim = "\n".join([sim.rstrip(), "", f"[{device}.faults]", *lines, ""])
+    told = tomllib.loads(sim)
+    assert all(told[device]["faults"] == values for device, values in faults.items())
+    return sim
+
+
+@contextlib.contextmanager
+def faulty_cell(out: Path, faults: Faults, seed: int = 1, speed: float = 40.0, **job: Any) -> Iterator[DemoFiles]:
+    """A running simulator for the small part, with these faults."""
+    files = write_small(out, **{**ONE_PASS, **job})
+    files.sim.write_text(with_faults(files.sim.read_text(), faults))
+    options = ["--state", str(files.sim_dir), "--seed", str(seed), "--speed", f"{speed:g}"]
+    with simulated_cell(files.sim, options, files.out / "sim.stderr"):
+        yield files
+
+
+def require_off_the_part(files: DemoFiles) -> None:
+    """In the simulator's own log: force off, tool lifted, and motion, where there was any in contact, stopped last."""
+    wait_for(lambda: events(files, "tool_landed", "tool_lifted")[-1]["event"] == "tool_lifted", "the tool to be lifted")
+    log = events(files)
+    last = {event["event"]: k for k, event in enumerate(log)}
+    assert last["tool_landed"] < last["force_zero"] < last["tool_lifted"], log[-12:]
+    if last.get("motion_started", -1) > last["tool_landed"]:
+        wait_for(
+            lambda: events(files, "motion_started", "motion_stopped")[-1]["event"] == "motion_stopped", "standstill"
+        )
+        require_safe_order(events(files))
+
+
+def require_contact_once(files: DemoFiles, speed: float) -> None:
+    """The plant's account beside the journal: what was in contact was run once, in order, and the rest is the way out.
+
+    Blocks that ran while the tool was being lifted are not journalled: contact with them is as short as lifting is.
+    """
+    with contextlib.closing(sqlite3.connect(files.state_dir / "journal.sqlite")) as journal:
+        for program in account(files)["programs"]:
+            assert program["loads"] == 1, "a program that was loaded twice may have been run twice"
+            rows = journal.execute(
+                "SELECT seq, end_s - start_s FROM segment JOIN pass USING (job, cycle) WHERE program_sha256 = ?",
+                (program["sha256"],),
+            ).fetchall()
+            assert len({seq for seq, _ in rows}) == len(rows), "a block is executed once"
+            contact, run = np.array(program["contact_s"]), np.zeros(program["blocks"])
+            for seq, seconds in rows:
+                run[seq] = seconds
+            beyond = int(max((seq for seq, _ in rows), default=-1)) + 1
+            assert (contact[:beyond] <= run[:beyond] * 1.02 + 0.002).all()
+            assert contact[beyond:].sum() < LIFTING_S * speed
+
+
+def test_faults_are_put_into_the_simulators_file() -> None:
+    text = '[a]\nx = 1\n[actuator.faults]  # c\njitter_s = 0.1\n\n[spindle]\nkind = "slcan"\n'
+    found = tomllib.loads(with_faults(text, {"actuator": {"late_rate": 0.5}, "robot": {"drop_rate": 0.1}}))
+    assert found == {
+        "a": {"x": 1},
+        "actuator": {"faults": {"late_rate": 0.5}},
+        "robot": {"faults": {"drop_rate": 0.1}},
+        "spindle": {"kind": "slcan"},
+    }
+
+
+NASTY = {
+    "robot": {"jitter_s": 0.01, "late_rate": 0.02, "late_s": 0.15},
+    "actuator": {"jitter_s": 0.004, "late_rate": 0.02, "late_s": 0.1},
+    "spindle": {"jitter_s": 0.004, "late_rate": 0.02, "late_s": 0.1},
+    "interferometer": {"preallocate": True, "duplicate_first": True, "wrong_part_first": True},
+}
+
+
+def test_a_nasty_instrument_and_late_replies_do_not_keep_a_job_from_its_tolerance(tmp_path: Path) -> None:
+    """Each map comes after another part's and after the last one again, in files of full length from the start."""
+    with faulty_cell(tmp_path / "cell", NASTY, seed=3, speed=80.0) as files:
+        with Daemon(files) as daemon:
+            assert daemon.process.wait(90.0) == 0, daemon.output.read_text()
+        require_contact_once(files, 80.0)
+        dropped = [event["file"] for event in events(files, "map_dropped")]
+        measured = [event["true_rms_nm"] for event in events(files, "measured")]
+    end = summary(files)
+    assert end["outcome"] == "in_tolerance"
+    told = [cycle["rms_nm"] for cycle in end["cycles"]]
+    assert len(told) == len(dropped) >= 2, "one map a request, and only the right ones are taken"
+    # neither an old map, nor another part's (it is the negative), nor one with a tail of zeros
+    # (to a tenth: the rim of the clear aperture is drawn on another grid)
+    assert told == pytest.approx(measured[: len(told)], rel=0.1, abs=0.2)
+
+
+BAD_WIRES: dict[str, Faults] = {
+    "robot": {"robot": {"garble_rate": 0.01, "drop_rate": 0.005}},
+    "actuator": {"actuator": {"garble_rate": 0.01, "drop_rate": 0.01}},
+    "spindle": {"spindle": {"garble_rate": 0.02, "drop_rate": 0.02}},
+}
+
+
+@pytest.mark.parametrize("device", BAD_WIRES)
+def test_a_bad_wire_ends_in_tolerance_or_safe_with_a_device_error(tmp_path: Path, device: str) -> None:
+    with faulty_cell(tmp_path / "cell", BAD_WIRES[device], seed=2, speed=80.0) as files:
+        with Daemon(files) as daemon:
+            code = daemon.process.wait(90.0)
+            said = daemon.output.read_text()
+        assert "Traceback" not in said
+        assert code in (0, DEVICE, SAFETY), said
+        if code == 0:
+            assert summary(files)["outcome"] == "in_tolerance"
+        else:
+            assert device in said
+        if events(files, "tool_landed"):
+            require_off_the_part(files)
+        require_contact_once(files, 80.0)
+
+
+def test_a_force_that_sticks_is_a_safety_stop_and_a_person_decides(tmp_path: Path) -> None:
+    with faulty_cell(tmp_path / "cell", {"actuator": {"stuck_force_after_s": 1.5}}, seed=4, speed=20.0) as files:
+        with Daemon(files) as daemon:
+            assert daemon.process.wait(90.0) == SAFETY, daemon.output.read_text()
+            said = daemon.output.read_text()
+        assert "force" in said
+        assert "outside" in said
+        require_off_the_part(files)
+        require_contact_once(files, 20.0)
+        landed, off = events(files, "tool_landed")[-1], events(files, "force_zero")[-1]
+        # stuck for the grace time, and then acted upon
+        assert 0.2 < off["mono_s"] - landed["mono_s"] - 1.5 < 2.0
+        assert summary(files)["outcome"] != "in_tolerance"
+        before = len(events(files))
+        with Daemon(files) as daemon:
+            assert daemon.wait_for_state("held")["reason"]
+            assert daemon.end() != 0
+        moved = [e for e in events(files)[before:] if e["event"] in ("motion_started", "engage", "force_on")]
+        assert not moved, "nothing starts by itself after a safety stop"

@@ -1,0 +1,433 @@
+"""The daemon around the cycle: orders, interruptions, and what it leaves whichever way it ends."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Self
+
+import pytest
+
+from polishd.daemon import app, cell
+from polishd.daemon.app import Daemon, run_cell, run_folder
+from polishd.daemon.client import request_async
+from polishd.daemon.events import EventBus
+from polishd.daemon.journal import Journal
+from polishd.model.cycle import Event, Outcome
+from polishd.model.devices import Executed
+from polishd.model.errors import BadMap, ConfigError, LinkError, PolishdError, SafetyStop
+from tests.unit.daemon.small import (
+    LIMITS,
+    MOVES,
+    Bench,
+    accept,
+    compute,
+    open_journal,
+    small_map,
+    small_program,
+    small_recipe,
+)
+
+SAFE = ["actuator.make_safe", "robot.make_safe", "spindle.make_safe"]
+CLOSED = ["actuator.close", "robot.close", "spindle.close", "metrology.close"]
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    with open_journal(tmp_path) as journal:
+        yield Bench(tmp_path, journal)
+
+
+class Running:
+    """A daemon on the bench's cell, and the run of it."""
+
+    def __init__(self, bench: Bench, **changes: Any) -> None:
+        self.bench = bench
+        self.told: list[Event] = []
+        job = bench.job(**{"recipe": small_recipe(tolerance_nm=1.5)} | changes)
+        self.daemon = Daemon(bench.fake.cell, job, bench.journal, EventBus(sinks=(self.told.append,)))
+        self.task: asyncio.Task[Outcome] | None = None
+
+    async def __aenter__(self) -> Self:
+        self.task = asyncio.ensure_future(self.daemon.run())
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        assert self.task is not None
+        self.task.cancel()
+        with suppress(asyncio.CancelledError, PolishdError, OSError):
+            await self.task
+
+    async def outcome(self) -> Outcome:
+        assert self.task is not None
+        return await self.task
+
+    async def in_contact(self, done: int = 100) -> None:
+        """pytest's timeout is the limit."""
+        while "actuator.set_force 12" not in self.bench.fake.events or self.bench.fake.robot.done < done:  # noqa: ASYNC110
+            await asyncio.sleep(0)
+
+    async def held(self) -> None:
+        while self.daemon.state != "held":  # noqa: ASYNC110
+            await asyncio.sleep(0)
+
+    def states(self) -> list[str]:
+        return [event.data["state"] for event in self.told if event.name == "state"]
+
+
+def begin_earlier(tmp_path: Path, *, interrupted: bool) -> None:
+    """An earlier run of the daemon, which was killed."""
+    with open_journal(tmp_path) as journal:
+        if interrupted:
+            journal.begin_pass(0, "sha", "boot-0", 300, contact=(4, 290))
+            journal.executed_segment(0, Executed(4, 0.0, 1.0))
+
+
+# its end
+
+
+async def test_a_job_to_its_end(bench: Bench) -> None:
+    async with Running(bench) as running:
+        assert await running.outcome() is Outcome.IN_TOLERANCE
+    calls = bench.fake.of("make_safe", "close", "open")
+    assert calls[:4] == [f"{name}.open" for name in ("actuator", "robot", "spindle", "metrology")]
+    assert calls[4:] == [*SAFE, *SAFE, *CLOSED], "safe before anything else, and after everything"
+    opened = running.told[0]
+    assert (opened.name, opened.data["robot"]["model"]) == ("opened", "robot")
+    assert running.states() == ["polishing"]
+
+
+async def test_an_error_in_contact_leaves_the_cell_safe_and_closed(bench: Bench) -> None:
+    bench.fake.robot.acts.before["send"] = lambda: bench.fake.robot.acts.fails.update(
+        {"send": LinkError("cut")} if bench.fake.robot.done > 5 else {}
+    )
+    async with Running(bench) as running:
+        with pytest.raises(LinkError, match="cut"):
+            await running.outcome()
+    assert bench.fake.events[-7:] == [*SAFE, *CLOSED]
+
+
+async def test_a_cell_that_cannot_be_made_safe_is_closed_and_told(bench: Bench) -> None:
+    bench.fake.spindle.acts.fails["make_safe"] = LinkError("deaf")
+    async with Running(bench) as running:
+        await running.outcome()
+        assert (await running.daemon.status())["unsafe"] == ["spindle: deaf"]
+    assert bench.fake.events[-4:] == CLOSED
+
+
+async def test_a_device_that_is_not_there(bench: Bench) -> None:
+    bench.fake.spindle.acts.fails["open"] = LinkError("spindle: nobody answers")
+    async with Running(bench) as running:
+        with pytest.raises(LinkError, match="spindle: nobody answers"):
+            await running.outcome()
+    assert bench.fake.events[-4:] == CLOSED
+    assert bench.fake.of(*MOVES, "metrology.next_map", "metrology.open") == []
+
+
+@pytest.mark.parametrize("call", ["open", "identify"])
+async def test_a_device_that_never_answers_is_a_lost_link(
+    bench: Bench, call: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cell, "OPEN_S", 0.02)
+    bench.fake.robot.acts.hangs.add(call)
+    async with Running(bench) as running:
+        with pytest.raises(LinkError, match="robot: no answer"):
+            await running.outcome()
+    assert bench.fake.events[-4:] == CLOSED
+
+
+async def test_a_device_that_hangs_when_it_is_opened_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench.fake.spindle.acts.hangs.add("status")
+
+    def lost() -> None:
+        monkeypatch.setattr(cell, "OPEN_S", 0.02)
+        bench.fake.spindle.acts.hangs.add("open")
+
+    bench.fake.metrology.acts.before["next_map"] = lost
+    async with Running(bench) as running:
+        with pytest.raises(LinkError, match="spindle: no answer"):
+            await running.outcome()
+    assert bench.moved() == []
+
+
+async def test_all_devices_are_closed_though_one_will_not(bench: Bench) -> None:
+    bench.fake.actuator.acts.fails["close"] = OSError("stuck")
+    async with Running(bench) as running:
+        with pytest.raises(OSError, match="stuck"):
+            await running.outcome()
+    assert bench.fake.events[-4:] == CLOSED
+
+
+async def test_a_lost_journal_ends_contact(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    gone = asyncio.Event()
+
+    async def lost() -> None:
+        await gone.wait()
+        raise SafetyStop("journal: no space left on device")
+
+    monkeypatch.setattr(bench.journal, "lost", lost)
+    async with Running(bench) as running:
+        await running.in_contact()
+        gone.set()
+        with pytest.raises(SafetyStop, match="no space"):
+            await running.outcome()
+    assert bench.fake.of("make_safe", "robot.close")[3:] == [*SAFE, *SAFE, "robot.close"]
+
+
+# orders
+
+
+async def test_hold_leaves_contact_and_resume_measures_first(bench: Bench) -> None:
+    async with Running(bench) as running:
+        verbs = running.daemon.verbs
+        await running.in_contact()
+        answer = await verbs["hold"]()
+        assert answer["state"] == "held"
+        assert "pass 0 was interrupted" in answer["reason"]
+        assert bench.fake.actuator.retracted
+        contact = bench.fake.events.index("actuator.set_force 12")
+        assert bench.fake.of("make_safe")[3:6] == SAFE
+        assert "robot.make_safe" in bench.fake.events[contact:]
+        assert bench.journal.passes[0].how == "interrupted"
+        count = len(bench.fake.events)
+        assert (await verbs["resume"]())["state"] == "polishing"
+        assert await running.outcome() is Outcome.IN_TOLERANCE
+    assert bench.fake.events[count] == "metrology.next_map", "nothing moves before a new measurement"
+    assert [record.cycle for record in bench.journal.passes][:2] == [0, 1], "pass 0 is not run again"
+    assert running.states() == ["polishing", "held", "polishing"]
+
+
+async def test_hold_between_passes_goes_on_with_the_same_cycle(bench: Bench) -> None:
+    waiting = asyncio.Event()
+
+    async def slow(function: Any, *arguments: Any, within_s: float = 600.0) -> Any:
+        if function.__name__ == "solve" and len(bench.journal.passes) == 1 and not waiting.is_set():
+            waiting.set()
+            await asyncio.Event().wait()
+        return await compute(function, *arguments)
+
+    async with Running(bench, compute=slow, recipe=small_recipe(tolerance_nm=1e-6), max_cycles=2) as running:
+        await waiting.wait()
+        answer = await running.daemon.verbs["hold"]()
+        assert answer["reason"].startswith("held by order")
+        await running.daemon.verbs["resume"]()
+        assert await running.outcome() is Outcome.CYCLES_USED
+    assert [record.how for record in bench.journal.passes] == ["done", "done"]
+
+
+async def test_stop_in_contact(bench: Bench) -> None:
+    async with Running(bench) as running:
+        await running.in_contact()
+        running.daemon.stop()
+        assert await running.outcome() is Outcome.STOPPED
+    assert bench.fake.events[-7:] == [*SAFE, *CLOSED]
+    assert bench.journal.finished() is None, "it can be gone on with"
+
+
+@pytest.mark.parametrize("order", ["resume", "stop"])
+async def test_orders_while_held(bench: Bench, order: str) -> None:
+    async with Running(bench) as running:
+        await running.in_contact()
+        await running.daemon.verbs["hold"]()
+        assert (await running.daemon.verbs["hold"]())["state"] == "held", "held already"
+        if order == "stop":
+            running.daemon.stop()
+            assert await running.outcome() is Outcome.STOPPED
+        else:
+            await running.daemon.verbs["resume"]()
+            assert await running.outcome() is Outcome.IN_TOLERANCE
+
+
+async def test_resume_while_polishing_changes_nothing(bench: Bench) -> None:
+    async with Running(bench) as running:
+        await running.in_contact()
+        assert (await running.daemon.verbs["resume"]())["state"] == "polishing"
+        assert await running.outcome() is Outcome.IN_TOLERANCE
+    assert running.states() == ["polishing"]
+
+
+async def test_status(bench: Bench) -> None:
+    async with Running(bench) as running:
+        assert (await running.daemon.status())["state"] == "starting"
+        await running.in_contact()
+        status = await running.daemon.status()
+        await running.outcome()
+    assert (status["state"], status["phase"], status["cycle"], len(status["cycles"])) == ("polishing", "run", 0, 1)
+
+
+# after an earlier run
+
+
+async def test_an_interrupted_pass_comes_up_held(tmp_path: Path) -> None:
+    begin_earlier(tmp_path, interrupted=True)
+    with open_journal(tmp_path) as journal:
+        async with Running(Bench(tmp_path, journal)) as running:
+            await running.held()
+            assert "pass 0 was interrupted: 1 of 300" in running.daemon.reason
+            assert running.bench.moved() == []
+            assert "metrology.next_map" not in running.bench.fake.events
+        assert journal.passes[0].how == "interrupted"
+
+
+async def test_a_job_that_was_begun_earlier_comes_up_held(tmp_path: Path) -> None:
+    begin_earlier(tmp_path, interrupted=False)
+    with open_journal(tmp_path) as journal:
+        async with Running(Bench(tmp_path, journal)) as running:
+            await running.held()
+            assert "begun earlier" in running.daemon.reason
+            await running.daemon.verbs["resume"]()
+            assert await running.outcome() is Outcome.IN_TOLERANCE
+
+
+# run_cell: what is left for people
+
+
+class Site:
+    """A config, hooks and a cell in memory for ``run_cell``."""
+
+    def __init__(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.path = tmp_path / "cell.toml"
+        self.path.write_text("# a cell")
+        self.told: list[Event] = []
+        self.bench: Bench | None = None
+        self.measure: Any = None
+        self.recipe = small_recipe(tolerance_nm=1.5)
+        self.config: Any = SimpleNamespace(
+            path=self.path,
+            sha256="config",
+            state_dir=tmp_path / "state",
+            run_dir=tmp_path / "run",
+            program_path=tmp_path / "program.rnc",
+            part=SimpleNamespace(id="P-1"),
+            job=SimpleNamespace(id="small", max_cycles=3, lookahead_s=1.0),
+            resolve=lambda text: tmp_path / text,
+        )
+        self.hooks: Any = SimpleNamespace(on_event=self.told.append, check_plan=accept)
+        journal = app._journal
+
+        def kept(config: Any) -> Journal:
+            found = journal(config)
+            assert self.bench is not None
+            self.bench.journal = found
+            return found
+
+        monkeypatch.setattr(app, "make_recipe", lambda config, hooks: self.recipe)
+        monkeypatch.setattr(app, "read_program", lambda recipe, path: small_program())
+        monkeypatch.setattr(app, "build_cell", self.build)
+        monkeypatch.setattr(app, "contact_limits", lambda config: LIMITS)
+        monkeypatch.setattr(app, "Compute", InProcess)
+        monkeypatch.setattr(app, "_journal", kept)
+
+    def build(self, config: Any, hooks: Any) -> cell.Cell:
+        self.bench = Bench(self.path.parent, None)  # type: ignore[arg-type]
+        if self.measure is not None:
+            self.bench.fake.metrology.measure = self.measure
+        return self.bench.fake.cell
+
+    def summary(self) -> dict[str, Any]:
+        return dict(json.loads((self.config.run_dir / "summary.json").read_text()))
+
+    async def in_contact(self) -> None:
+        while self.bench is None or self.bench.fake.robot.done < 100:  # noqa: ASYNC110
+            await asyncio.sleep(0)
+
+
+class InProcess:
+    """Compute without a worker process."""
+
+    async def __aenter__(self) -> Any:
+        return compute
+
+    async def __aexit__(self, *error: object) -> None:
+        return None
+
+
+@pytest.fixture
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Site:
+    return Site(tmp_path, monkeypatch)
+
+
+async def test_run_cell_leaves_a_whole_folder(site: Site) -> None:
+    summary = await run_cell(site.config, site.hooks)
+    assert summary["outcome"] == "in_tolerance"
+    assert site.summary() == json.loads(json.dumps(summary))
+    assert summary["notes"] == []
+    assert (site.config.run_dir / "cell.toml").read_text() == "# a cell"
+    assert (site.config.run_dir / "journal.sqlite").stat().st_size > 0
+    assert not (site.config.state_dir / "polishd.sock").exists()
+    finished = next(event for event in site.told if event.name == "job_finished")
+    assert finished.data["run_dir"] == str(site.config.run_dir)
+    assert [e.data["state"] for e in site.told if e.name == "state"][-1] == "finished"
+    with Journal(site.config.state_dir, job="small", part_id="P-1") as journal:
+        assert not journal.resumed, "the job is over: the next one is a new one"
+
+
+async def test_run_cell_tells_what_failed_and_leaves_the_summary(site: Site) -> None:
+    def refuse() -> None:
+        raise BadMap("all holes")
+
+    site.measure = refuse
+    with pytest.raises(BadMap, match="all holes"):
+        await run_cell(site.config, site.hooks)
+    summary = site.summary()
+    assert (summary["outcome"], summary["notes"]) == ("failed", ["BadMap: all holes"])
+    failed = next(event for event in site.told if event.name == "failed")
+    assert failed.data == {"error": "all holes", "kind": "BadMap"}
+    with Journal(site.config.state_dir, job="small", part_id="P-1") as journal:
+        assert journal.resumed, "it may be gone on with"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+async def test_a_signal_stops_safely(site: Site, number: int) -> None:
+    async with asyncio.TaskGroup() as group:
+        task = group.create_task(run_cell(site.config, site.hooks))
+        await site.in_contact()
+        os.kill(os.getpid(), number)
+    assert task.result()["outcome"] == "stopped"
+    assert site.bench is not None
+    assert site.bench.fake.events[-7:] == [*SAFE, *CLOSED]
+
+
+async def test_stop_over_the_socket_is_answered(site: Site) -> None:
+    async with asyncio.TaskGroup() as group:
+        task = group.create_task(run_cell(site.config, site.hooks))
+        await site.in_contact()
+        assert (await request_async(site.config.state_dir, "stop"))["state"] == "finished"
+    assert task.result()["outcome"] == "stopped"
+
+
+async def test_one_daemon_a_cell(site: Site) -> None:
+    async with asyncio.TaskGroup() as group:
+        task = group.create_task(run_cell(site.config, site.hooks))
+        await site.in_contact()
+        bench = site.bench
+        with pytest.raises(ConfigError, match="another polishd runs this cell"):
+            await run_cell(site.config, site.hooks)
+        assert site.bench is not None
+        assert site.bench.fake.events == [], "the second opened nothing"
+        site.bench = bench
+        os.kill(os.getpid(), signal.SIGTERM)
+    assert task.result()["outcome"] == "stopped"
+
+
+def test_the_run_folder_of_a_job_that_goes_on_is_the_same(site: Site, tmp_path: Path) -> None:
+    with Journal(tmp_path, job="small", part_id="P-1") as journal:
+        first = run_folder(site.config, journal)
+        journal.record_map(0, small_map().sha256, "", {"run_dir": str(first.path)})
+    site.config.run_dir = tmp_path / "another"
+    with Journal(tmp_path, job="small", part_id="P-1") as journal:
+        assert run_folder(site.config, journal).path == first.path
+
+
+def test_a_new_job_without_a_run_dir_has_a_folder_of_its_own(site: Site, tmp_path: Path) -> None:
+    site.config.run_dir = None
+    with Journal(tmp_path, job="small", part_id="P-1") as journal:
+        path = run_folder(site.config, journal).path
+    assert path.parent == site.config.state_dir / "runs"
+    assert path.name.startswith("small-")

@@ -1,0 +1,179 @@
+"""From a config to devices, recipe and limits; and ``check`` and ``probe``, which use no more than that."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from polishd.console.demo_files import demo_program, with_values
+from polishd.daemon import checking
+from polishd.daemon.assembly import build_cell, contact_limits, make_recipe
+from polishd.daemon.config import CellConfig, load_config
+from polishd.daemon.lock import StateLock
+from polishd.daemon.plugins import Hooks, load_own, load_plugins
+from polishd.model.errors import ConfigError, DeviceFault, LinkError, ProgramError
+from polishd.ports.devices import ForceActuator, Robot, Spindle
+from tests.fakes.devices import FakeCell
+
+
+@pytest.fixture(scope="module")
+def hooks() -> Hooks:
+    return load_own()
+
+
+@pytest.fixture
+def configured(tmp_path: Path, example: str) -> Any:
+    """``configured(section={key: value})``: the shipped example with changes."""
+
+    def make(**sections: dict[str, Any]) -> CellConfig:
+        path = tmp_path / "cell.toml"
+        path.write_text(with_values(example, sections))
+        return load_config(path)
+
+    return make
+
+
+# the recipe
+
+
+def test_the_recipe_is_the_configs(configured: Any, hooks: Hooks) -> None:
+    config = configured(
+        part={"aperture_mm": 60.0, "alignment": "tilt", "id": "P-9"},
+        program={"offset_mm": [1.0, 2.0, 0.0], "rotation_deg": 90.0},
+        process={"correction": "linear", "grid_mm": 0.8},
+        job={"tolerance_nm": 3.0, "tolerance_period_mm": 12.0},
+        dwell={"within_s": 7.0, "kkt_tolerance": 1e-5},
+        limits={"max_rate_change": 0.2},
+    )
+    recipe = make_recipe(config, hooks)
+    assert (recipe.part_id, recipe.aperture_mm, recipe.tilt_is_alignment, recipe.grid_mm) == ("P-9", 60.0, True, 0.8)
+    assert (recipe.program_offset_mm, recipe.program_rotation_deg) == ((1.0, 2.0, 0.0), 90.0)
+    assert (recipe.correction, recipe.solve_s, recipe.kkt_tolerance) == ("linear", 7.0, 1e-5)
+    assert (recipe.tolerance_nm, recipe.tolerance_period_mm, recipe.max_rate_change) == (3.0, 12.0, 0.2)
+    assert (recipe.format.name, recipe.model.name, recipe.solver.name) == ("rs274", "hertz_preston", "newton_cg")
+    assert recipe.cross_check is not None
+    assert recipe.cross_check.name == "qp"
+
+
+def test_alignment_is_piston_by_default(configured: Any, hooks: Hooks) -> None:
+    assert make_recipe(configured(), hooks).tilt_is_alignment is False
+
+
+def test_the_recipe_travels_to_the_worker(configured: Any, hooks: Hooks) -> None:
+    recipe = pickle.loads(pickle.dumps(make_recipe(configured(), hooks)))
+    assert recipe.solver.name == "newton_cg"
+
+
+def test_no_cross_check(configured: Any, hooks: Hooks) -> None:
+    assert make_recipe(configured(dwell={"cross_check": ""}), hooks).cross_check is None
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "name", "says"),
+    [
+        ("program", "format", "rs247", "rs274"),
+        ("process", "removal_model", "preston", "hertz_preston"),
+        ("dwell", "solver", "newton", "newton_cg"),
+        ("dwell", "cross_check", "pq", "qp"),
+    ],
+)
+def test_what_no_plugin_serves_is_named(
+    configured: Any, hooks: Hooks, section: str, key: str, name: str, says: str
+) -> None:
+    with pytest.raises(ConfigError) as refused:
+        make_recipe(configured(**{section: {key: name}}), hooks)
+    message = str(refused.value)
+    assert f"{section}.{key}" in message
+    assert repr(name) in message
+    assert says in message
+    assert "cell.toml" in message
+
+
+def test_a_plugin_that_is_not_loaded_serves_nothing(configured: Any) -> None:
+    with pytest.raises(ConfigError, match=r"dwell\.solver"):
+        make_recipe(configured(), load_plugins(["rnc_robot", "removal_models"]))
+
+
+# the cell
+
+
+def test_the_cell_has_what_the_config_names_and_opens_nothing(configured: Any, hooks: Hooks) -> None:
+    cell = build_cell(configured(), hooks)
+    assert isinstance(cell.robot, Robot)
+    assert isinstance(cell.actuator, ForceActuator)
+    assert isinstance(cell.spindle, Spindle)
+    assert list(cell.devices) == ["actuator", "robot", "spindle", "metrology"]
+
+
+@pytest.mark.parametrize(
+    ("section", "values", "says"),
+    [
+        ("robot", {"type": "robot_lnik"}, "robot_link"),
+        ("robot", {"type": "spindle_can"}, "robot"),
+        ("actuator", {"unit": 999}, "unit"),
+        ("spindle", {"node": "five"}, "node"),
+    ],
+)
+def test_a_device_that_the_config_gets_wrong(
+    configured: Any, hooks: Hooks, section: str, values: dict[str, Any], says: str
+) -> None:
+    with pytest.raises(ConfigError) as refused:
+        build_cell(configured(**{section: values}), hooks)
+    assert section in str(refused.value)
+    assert says in str(refused.value)
+
+
+def test_contact_limits(configured: Any) -> None:
+    limits = contact_limits(
+        configured(process={"force_n": 9.0, "rpm": 800.0}, limits={"force_band": 0.1, "force_grace_s": 0.2})
+    )
+    assert (limits.force_n, limits.rpm, limits.force_band, limits.grace_s) == (9.0, 800.0, 0.1, 0.2)
+
+
+# check and probe
+
+
+def test_check_reads_and_computes(configured: Any, hooks: Hooks) -> None:
+    config = configured(part={"aperture_mm": 30.0}, process={"grid_mm": 2.0})
+    config.program_path.write_bytes(demo_program(config))
+    facts = checking.check_cell(config, hooks)
+    assert facts["program"].startswith("program.rnc: ")
+    low, high = map(float, facts["compliance_um_per_n"].split(" to "))
+    assert 0.5 < low < high < 3.0
+    assert not config.state_dir.exists(), "nothing was opened"
+
+
+def test_check_needs_the_program(configured: Any, hooks: Hooks) -> None:
+    with pytest.raises(ProgramError, match=r"program\.rnc"):
+        checking.check_cell(configured(), hooks)
+
+
+@pytest.fixture
+def fake(monkeypatch: pytest.MonkeyPatch) -> FakeCell:
+    found = FakeCell()
+    monkeypatch.setattr(checking, "build_cell", lambda config, hooks: found.cell)
+    return found
+
+
+async def test_probe_identifies_all_and_leaves_them_safe(configured: Any, hooks: Hooks, fake: FakeCell) -> None:
+    found = await checking.probe_cell(configured(), hooks)
+    assert [found[name].model for name in found] == ["actuator", "robot", "spindle", "metrology"]
+    assert fake.of("make_safe", "close")[:3] == ["actuator.make_safe", "robot.make_safe", "spindle.make_safe"]
+    assert fake.events[-4:] == [f"{name}.close" for name in found]
+
+
+async def test_probe_tells_what_is_not_safe(configured: Any, hooks: Hooks, fake: FakeCell) -> None:
+    fake.actuator.acts.fails["make_safe"] = LinkError("deaf")
+    with pytest.raises(DeviceFault, match="not confirmed safe: actuator: deaf"):
+        await checking.probe_cell(configured(), hooks)
+    assert fake.events[-1] == "metrology.close"
+
+
+async def test_probe_does_not_disturb_a_running_daemon(configured: Any, hooks: Hooks, fake: FakeCell) -> None:
+    config = configured()
+    with StateLock(config.state_dir), pytest.raises(ConfigError, match="another polishd"):
+        await checking.probe_cell(config, hooks)
+    assert fake.events == []
