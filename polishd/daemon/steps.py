@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from polishd.daemon.files import read_program_bytes
@@ -263,12 +264,11 @@ def _stats(recipe: Recipe, height_nm: FloatArray, mask: BoolArray, pitch_mm: flo
 def _on_map(surface: SurfaceMap, grid: Grid, mask: BoolArray) -> BoolArray:
     """The frozen clear aperture on the map's own pixels: figures are stated there, where the raster's ripple shows."""
     own = surface.grid
-    row = np.rint((grid.y_mm[0] - own.y_mm) / grid.pitch_mm).astype(int)
-    column = np.rint((own.x_mm - grid.x_mm[0]) / grid.pitch_mm).astype(int)
-    inside = np.ix_((row >= 0) & (row < grid.ny), (column >= 0) & (column < grid.nx))
-    on = np.zeros(own.shape, dtype=np.bool_)
-    on[inside] = mask[np.ix_(row[(row >= 0) & (row < grid.ny)], column[(column >= 0) & (column < grid.nx)])]
-    return on & surface.valid
+    row = (grid.y_mm[0] - own.y_mm) / grid.pitch_mm
+    column = (own.x_mm - grid.x_mm[0]) / grid.pitch_mm
+    # the two grids may lie half a sample apart: the nearest one would move the rim by that much
+    share = ndimage.map_coordinates(mask.astype(np.float64), np.meshgrid(row, column, indexing="ij"), order=1)
+    return np.asarray(share >= 0.5 - 1e-6, dtype=np.bool_) & surface.valid
 
 
 def _require_coverage(program: Program, answer: RemovalAnswer, measured: Measured) -> None:

@@ -14,11 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.api import Program
+from polishd.daemon import steps
 from polishd.model.errors import ProgramError
 from polishd.model.process import HybridRobot, Placement, ToolProcess
-from polishd.model.surface import FloatArray, Grid
+from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.plugins.rnc_robot.rs274 import read
-from polishd.process import contact
+from polishd.process import conditioning, contact
 from polishd.process import frames as controller_frames
 from polishd.process.compliance import depth_ratio
 from polishd.process.compliance import equivalent_compliance as controller_compliance
@@ -27,6 +28,7 @@ from polishd.process.robot import tip_compliance_mm_per_n
 from polishd.sim_backends import truth
 from polishd.sim_backends.config import Plant, Truth
 from polishd.sim_backends.placement import Frames, rotation_rpy, tool_axis
+from polishd.sim_backends.plant import part as parts
 from polishd.sim_backends.plant.removal import equivalent_compliance, hertz_depth_mm, wear, worn_depth_mm
 from polishd.sim_backends.robot.rnc import Reader
 from tests.unit.plugins.test_rnc_traps import BAD, GOOD, Bad, Good
@@ -183,6 +185,19 @@ def test_compliance_projection_on_random_poses_placements_and_robots(seed: int |
         ours = controller_compliance(tip_compliance_mm_per_n(robot, base_tips, base_axes), base_axes, normals)
         assert (theirs > 0).all(), "all of these poses are within reach"
         np.testing.assert_allclose(ours, theirs, rtol=1e-9)
+
+
+@pytest.mark.parametrize("pitch_mm", [0.5, 0.50000002, 0.49999998, 0.3])
+@pytest.mark.parametrize("aperture_mm", [30.0, 50.0])
+def test_the_stated_rms_is_the_plants_own(aperture_mm: float, pitch_mm: float) -> None:
+    """Over the same clear aperture, although the process grid lies half a sample beside the map's."""
+    plant = Plant(aperture_mm=aperture_mm, pv_nm=100.0, pitch_mm=pitch_mm)
+    part = parts.make(plant, 3)
+    shown = SurfaceMap(height_nm=part.map_nm(), pitch_mm=pitch_mm)
+    conditioned = conditioning.condition(shown, aperture_mm=aperture_mm, edge_mm=plant.edge_mm, grid_mm=0.5)
+    clear = steps._on_map(shown, conditioned.grid, conditioned.metric_mask)
+    assert clear.sum() == pytest.approx(part.clear.sum(), rel=0.03)
+    assert part.map_nm()[clear].std() == pytest.approx(part.stats()[0], rel=0.015)
 
 
 @given(a=st.floats(-60, 60), c=st.floats(-360, 360))
