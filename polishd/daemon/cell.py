@@ -1,4 +1,4 @@
-"""A cell: its devices behind their ports, the hooks, the worker and the clock. It knows nothing of a job."""
+"""A cell: its devices behind their ports, and the clock. It knows nothing of a job."""
 
 from __future__ import annotations
 
@@ -6,27 +6,14 @@ import asyncio
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from typing import Protocol, TypeVar
 
 from polishd.model.devices import Identity
 from polishd.model.errors import LinkError
-from polishd.model.limits import Envelope
-from polishd.model.program import Plan
 from polishd.ports.clock import Clock
 from polishd.ports.devices import Device, ForceActuator, Metrology, Robot, Spindle
 
-R = TypeVar("R")
-
 OPEN_S = 15.0
 """Longest that opening and identifying one device may take."""
-
-
-class PlanChecks(Protocol):
-    """The part of the hooks that a pass needs."""
-
-    def check_plan(self, plan: Plan, envelope: Envelope) -> list[str]:
-        """All violations, each naming its plugin."""
-        ...
 
 
 class MonotonicClock:
