@@ -34,8 +34,9 @@ from polishd.model.errors import (
     WrongPart,
 )
 from polishd.model.limits import Envelope
-from polishd.model.process import Correction, HybridRobot, Placement, ToolProcess
+from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Optic, Placement, ToolProcess
 from polishd.model.program import Plan, Program, Segment
+from polishd.model.robot import HybridRobot, MeasuredCompliance, SerialRobot
 from polishd.model.surface import Grid, SurfaceMap, SurfaceStats
 from polishd.ports import ByteStream, Clock, Device, ForceActuator, Metrology, Robot, Spindle
 from polishd.process.dwell.problem import DwellProblem
@@ -46,6 +47,7 @@ __all__ = [
     "BadMap",
     "ByteStream",
     "Certificate",
+    "ComplianceOptions",
     "Clock",
     "ComputeError",
     "ConfigError",
@@ -70,7 +72,10 @@ __all__ = [
     "HybridRobot",
     "Identity",
     "LinkError",
+    "MeasuredCompliance",
+    "MeasuredTif",
     "Metrology",
+    "Optic",
     "Placement",
     "Plan",
     "PlanRefused",
@@ -87,6 +92,7 @@ __all__ = [
     "RobotProgress",
     "SafetyStop",
     "Segment",
+    "SerialRobot",
     "SparseEffect",
     "SpeedSample",
     "Spindle",

@@ -21,6 +21,18 @@ app = typer.Typer(
 )
 
 Cell = Annotated[Path, typer.Argument(metavar="CELL.toml", help="The cell's configuration.", show_default=False)]
+Picture = Annotated[
+    Optional[Path],  # noqa: UP045
+    typer.Option("--out", metavar="PNG", help="Draw it, too.", show_default=False),
+]
+Fragment = Annotated[
+    Optional[Path],  # noqa: UP045
+    typer.Option("--out", metavar="FRAGMENT.toml", help="Write what a cell includes.", show_default=False),
+]
+OfCell = Annotated[
+    Optional[Path],  # noqa: UP045
+    typer.Option("--cell", metavar="CELL.toml", help="The cell; default: the shipped values.", show_default=False),
+]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout, for programs.")]
 
 
@@ -28,8 +40,18 @@ class CorrectionChoice(StrEnum):
     """What ``--correction`` takes."""
 
     none = "none"
+    pointwise = "pointwise"
     linear = "linear"
+    power = "power"
     exact = "exact"
+
+
+class ProjectionChoice(StrEnum):
+    """What ``--projection`` takes."""
+
+    normal = "normal"
+    linear = "linear"
+    quadratic = "quadratic"
 
 
 CorrectionOption = Annotated[
@@ -147,6 +169,107 @@ def sim(
 
 
 @app.command()
+def tif(
+    cell: Cell,
+    depth_ratio: Annotated[float, typer.Option(metavar="G", help="Gamma: depth over the rigid robot's.")] = 1.0,
+    out: Picture = None,
+    as_json: Json = False,
+) -> None:
+    """The tool influence function of a cell: depth, pressure, peak, volume, profiles."""
+    from polishd.console.physics import tif_verb
+
+    tif_verb(cell, depth_ratio, out, as_json=as_json)
+
+
+@app.command()
+def compliance(
+    cell: Cell,
+    program: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(metavar="P.rnc", help="Along this program, too.", show_default=False),
+    ] = None,
+    out: Picture = None,
+    as_json: Json = False,
+) -> None:
+    """The robot's equivalent compliance over the workspace and along a program, and the gamma that follows."""
+    from polishd.console.physics import compliance_verb
+
+    compliance_verb(cell, program, out, as_json=as_json)
+
+
+@app.command()
+def study(
+    file: Annotated[Path, typer.Argument(metavar="STUDY.toml", show_default=False)],
+    out: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(metavar="DIR", help="Folder for pictures and tables.", show_default=False),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """A simulation without a cell: corrections compared, spots of a table, passes of equal dwell."""
+    from polishd.console.study import study_verb
+
+    study_verb(file, out, as_json=as_json)
+
+
+calibrate = typer.Typer(help="Fit the cell's numbers to measurements; writes fragments that a cell includes.")
+app.add_typer(calibrate, name="calibrate", no_args_is_help=True)
+
+
+@calibrate.command("stiffness")
+def calibrate_stiffness(  # noqa: PLR0917 - typer reads the options off the signature
+    tests: Annotated[Path, typer.Argument(metavar="TESTS.csv", help="Static loading tests.", show_default=False)],
+    cell: OfCell = None,
+    held_out: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(metavar="CSV", help="Further tests, which are only predicted.", show_default=False),
+    ] = None,
+    projection: Annotated[ProjectionChoice, typer.Option(help="What a test measures.")] = ProjectionChoice.normal,
+    out: Fragment = None,
+    as_json: Json = False,
+) -> None:
+    """Fit the robot's stiffnesses to loading tests: pose, direction, um/N."""
+    from polishd.console.calibrate import stiffness_verb
+
+    stiffness_verb(tests, cell, held_out, projection.value, out, as_json=as_json)
+
+
+@calibrate.command("tif")
+def calibrate_tif(  # noqa: PLR0917 - typer reads the options off the signature
+    before: Annotated[Path, typer.Argument(metavar="BEFORE", help="Map before the spot.", show_default=False)],
+    after: Annotated[Path, typer.Argument(metavar="AFTER", help="Map after it.", show_default=False)],
+    seconds: Annotated[float, typer.Option(metavar="S", help="Time on the spot.", show_default=False)],
+    cell: OfCell = None,
+    depth_ratio: Annotated[float, typer.Option(metavar="G", help="Gamma where the spot was made.")] = 1.0,
+    azimuth_deg: Annotated[float, typer.Option(help="Where the spindle leaned, from the map's x.")] = 0.0,
+    radius_mm: Annotated[
+        Optional[float],  # noqa: UP045
+        typer.Option(help="The spot's rim; default: found.", show_default=False),
+    ] = None,
+    out: Fragment = None,
+    as_json: Json = False,
+) -> None:
+    """Make a measured TIF, and the Preston constant, out of a spot's maps."""
+    from polishd.console.calibrate import SpotPlace, tif_verb
+
+    tif_verb((before, after), seconds, cell, SpotPlace(depth_ratio, azimuth_deg, radius_mm), out, as_json=as_json)
+
+
+@calibrate.command("exponent")
+def calibrate_exponent(
+    spots: Annotated[
+        Path, typer.Argument(metavar="SPOTS.csv", help="Spots at several depths: depth_ratio, volume_mm3_min.")
+    ],
+    out: Fragment = None,
+    as_json: Json = False,
+) -> None:
+    """Fit gamma's exponent, for the correction "power"."""
+    from polishd.console.calibrate import exponent_verb
+
+    exponent_verb(spots, out, as_json=as_json)
+
+
+@app.command()
 def version() -> None:
     """Print the version."""
     typer.echo(__version__)
@@ -172,6 +295,7 @@ def _plugin_commands() -> None:
     """Commands that polishd's own plugins add; loaded only where no verb of ours is asked for."""
     asked = next((word for word in sys.argv[1:] if not word.startswith("-")), None)
     own = {command.name or getattr(command.callback, "__name__", "") for command in app.registered_commands}
+    own |= {group.name or "" for group in app.registered_groups}
     if asked is not None and asked not in own:
         from polishd.daemon.plugins import load_own
 

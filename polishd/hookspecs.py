@@ -16,8 +16,18 @@ import pluggy
 from polishd.model.cycle import Event
 from polishd.model.dwell import DwellSolution
 from polishd.model.limits import Envelope
-from polishd.model.process import Correction, HybridRobot, Placement, ToolProcess
+from polishd.model.process import (
+    FLAT,
+    SHIPPED_OPTIONS,
+    ComplianceOptions,
+    Correction,
+    MeasuredTif,
+    Optic,
+    Placement,
+    ToolProcess,
+)
 from polishd.model.program import Plan, Program
+from polishd.model.robot import Robot
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.ports.devices import Device
 from polishd.process.dwell.problem import DwellProblem
@@ -86,11 +96,15 @@ class RemovalRequest:
     program: Program
     grid: Grid
     process: ToolProcess
-    robot: HybridRobot
+    robot: Robot
     placement: Placement
     correction: Correction
     rate: float
     """Learned removal rate, relative to the model's own."""
+    options: ComplianceOptions = SHIPPED_OPTIONS
+    optic: Optic = FLAT
+    tif: MeasuredTif | None = None
+    """The cell's measured TIF (``process.tif``), for models that use one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +117,12 @@ class RemovalAnswer:
     gamma: FloatArray
     """(n,) depth ratio (paper eq. 48) as the robot's compliance gives it, whatever the correction uses."""
     notes: tuple[str, ...] = ()
+    divide_by: FloatArray | None = None
+    """(n,) for "pointwise": ``effect`` is the static one, and the dwell solved with it is divided by this."""
+
+    def removal_nm(self, time_s: FloatArray) -> FloatArray:
+        """(ny, nx) nm that the model says (n,) seconds in the machine remove."""
+        return self.effect.removal_nm(time_s if self.divide_by is None else time_s * self.divide_by)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,9 +21,9 @@ from polishd.model.errors import BadMap
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.make import raster_program
 from polishd.process import contact, frames
-from polishd.process.compliance import depth_ratio, equivalent_compliance
+from polishd.process.compliance import depth_ratio
+from polishd.process.path_compliance import compliance_at
 from polishd.process.raster import quiet_step_mm, raster
-from polishd.process.robot import tip_compliance_mm_per_n
 
 RASTER_MM = 1.0
 """Length of a block, and most distance of the lines: the step that leaves no ripple is a little less."""
@@ -99,30 +99,36 @@ def write_demo(out: Path, surface: Path | None, tolerance_nm: float, cycles: int
 
 
 def demo_program(config: CellConfig) -> bytes:
-    """A boustrophedon raster over the clear aperture and a little more, dipped radially inward, as RNC text."""
+    """A boustrophedon raster over the clear aperture and a little more, as RNC text."""
     radius = config.part.aperture_mm / 2 + OVERRUN_MM
     landing = config.part.aperture_mm / 2 + LANDING_MM - radius
     step = quiet_step_mm(_contact_radius_mm(config), RASTER_MM)
     points = raster(radius, step, RASTER_MM, landing_mm=landing)
-    axis = _inward(config, points) @ np.asarray(config.placement().rotation)  # base to part: transposed, on rows
-    return raster_program(points, axis, FEED_MM_MIN, f"polishd demo raster, phi {config.part.aperture_mm:g} mm")
+    return raster_program(points, _axes(config, points), FEED_MM_MIN, f"polishd demo raster, phi {config.part.aperture_mm:g} mm")
 
 
-def _inward(config: CellConfig, points_mm: FloatArray) -> FloatArray:
-    """(n, 3) tool axes in the base frame, dipped radially inward."""
-    placement = config.placement()
+def _axes(config: CellConfig, points_mm: FloatArray) -> FloatArray:
+    """(n, 3) tool axes in the part's frame, dipped as the cell dips."""
+    placement, options = config.placement(), config.compliance_options()
     base = frames.points_to_base(placement, points_mm)
-    return frames.inward_axis(base, frames.surface_normals(placement, len(base)), config.process.dip_deg)
+    normals = frames.surface_normals(placement, points_mm, config.optic())
+    axes = frames.dipped_axes(options, placement, base, normals, config.process.dip_deg)
+    return np.asarray(axes @ placement.rotation, dtype=np.float64)  # base to part: transposed, on rows
 
 
 def _contact_radius_mm(config: CellConfig) -> float:
     """Radius of the contact that acts at the part's centre."""
-    centre, placement, process = np.zeros((1, 3)), config.placement(), config.tool_process()
-    axis = _inward(config, centre)
-    matrix = tip_compliance_mm_per_n(config.hybrid_robot(), frames.points_to_base(placement, centre), axis)
-    compliance = equivalent_compliance(matrix, axis, frames.surface_normals(placement, 1))
+    centre, process = np.zeros((1, 3)), config.tool_process()
+    found = compliance_at(
+        (centre, _axes(config, centre)),
+        process,
+        config.robot_model(),
+        config.placement(),
+        options=config.compliance_options(),
+        optic=config.optic(),
+    )
     depth = contact.hertz_depth_mm(process)
-    gamma = depth_ratio(compliance, process, depth)
+    gamma = depth_ratio(found.compliance_mm_per_n, process, depth)
     return float(contact.contact_radius_mm(process, gamma * depth)[0])
 
 

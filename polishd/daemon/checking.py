@@ -26,6 +26,11 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
     compliance, gamma = answer.compliance_um_per_n, answer.gamma
     return {
         "config": str(config.path),
+        **(
+            {"included": ", ".join(f"{k} from {file}" for k, file in config.included.items())}
+            if config.included
+            else {}
+        ),
         "plugins": ", ".join(plugin.name for plugin in hooks.report.loaded),
         "program": f"{program.name}: {program.n} timed points, {program.lines} lines, time in the {program.encoding}",
         "reach": f"all {program.n} points",

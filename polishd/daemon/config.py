@@ -5,32 +5,40 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
-from collections.abc import Mapping
-from dataclasses import fields
+from collections.abc import Callable, Mapping
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import BaseModel, PrivateAttr, ValidationError
 
-from polishd.daemon.config_errors import Source, did_you_mean, listed, problems
+from polishd.daemon.config_errors import Source, did_you_mean, key_lines, listed, problems
+from polishd.daemon.config_process import (
+    ComplianceSection,
+    HybridSection,
+    KinematicsSection,
+    ProcessSection,
+    SerialSection,
+)
 from polishd.daemon.config_sections import (
     CellSection,
     DeviceSection,
     DwellSection,
     JobSection,
-    KinematicsSection,
     LimitsSection,
     MachineSection,
     PartSection,
     PluginsSection,
-    ProcessSection,
     ProgramSection,
     Section,
+    Texts,
 )
+from polishd.daemon.process_files import read_compliance_table, read_tif
 from polishd.hookspecs import DeviceType
 from polishd.model.errors import ConfigError
 from polishd.model.limits import Envelope
-from polishd.model.process import HybridRobot, Placement, ToolProcess
+from polishd.model.process import ComplianceOptions, MeasuredTif, Optic, Placement, ToolProcess
+from polishd.model.robot import HybridRobot, Robot, SerialRobot
 from polishd.process.frames import rotation_from_rpy_deg
 
 PortSection = Literal["robot", "actuator", "spindle", "metrology"]
@@ -39,6 +47,7 @@ PortSection = Literal["robot", "actuator", "spindle", "metrology"]
 class CellConfig(Section):
     """All of a cell's configuration; made by ``load_config``."""
 
+    include: Texts = ()
     cell: CellSection
     plugins: PluginsSection
     robot: DeviceSection
@@ -46,7 +55,8 @@ class CellConfig(Section):
     spindle: DeviceSection
     metrology: DeviceSection
     part: PartSection
-    kinematics: KinematicsSection = KinematicsSection()
+    kinematics: KinematicsSection = HybridSection()
+    compliance: ComplianceSection = ComplianceSection()
     process: ProcessSection = ProcessSection()
     program: ProgramSection
     machine: MachineSection
@@ -103,13 +113,31 @@ class CellConfig(Section):
         """A ConfigError about a dotted key, with its place: for checks that need more than this file."""
         return ConfigError(self._source.error(tuple(key.split(".")), problem))
 
+    @property
+    def included(self) -> dict[str, str]:
+        """Dotted keys that came from an included fragment, and the file."""
+        keys = [(".".join(key), part.file) for part in self._source.included for key in key_lines(part.text) if key[1:]]
+        return dict(keys)
+
     def tool_process(self) -> ToolProcess:
         """Tool, contact and Preston constant."""
-        return ToolProcess(**{item.name: getattr(self.process, item.name) for item in fields(ToolProcess)})
+        return tool_process(self.process)
 
-    def hybrid_robot(self) -> HybridRobot:
-        """The robot's geometry and stiffness."""
-        return HybridRobot(**{item.name: getattr(self.kinematics, item.name) for item in fields(HybridRobot)})
+    def robot_model(self) -> Robot:
+        """The robot's geometry and stiffness; ConfigError where its table cannot be read."""
+        return robot_model(self.kinematics, self.resolve)
+
+    def compliance_options(self) -> ComplianceOptions:
+        """How the robot's compliance is read."""
+        return ComplianceOptions(**dict(self.compliance))
+
+    def optic(self) -> Optic:
+        """The nominal surface."""
+        return Optic(self.part.curvature_radius_mm, self.part.conic)
+
+    def measured_tif(self) -> MeasuredTif | None:
+        """The cell's measured TIF, where it names one; ConfigError where that cannot be read."""
+        return None if self.process.tif is None else read_tif(self.resolve(self.process.tif))
 
     def placement(self) -> Placement:
         """Where the part lies in the robot's base frame."""
@@ -124,17 +152,37 @@ class CellConfig(Section):
         )
 
 
+def tool_process(section: ProcessSection) -> ToolProcess:
+    """The noun of a process section."""
+    shared = {item.name for item in fields(ToolProcess)} & set(ProcessSection.model_fields)
+    return ToolProcess(preston_cm2_per_n=section.preston, **{name: getattr(section, name) for name in shared})
+
+
+def robot_model(section: KinematicsSection, resolve: Callable[[str], Path]) -> Robot:
+    """The noun of a kinematics section; ``resolve`` makes its paths absolute."""
+    values = {name: value for name, value in section if name != "type"}
+    if isinstance(section, HybridSection):
+        return HybridRobot(**values)
+    if isinstance(section, SerialSection):
+        return SerialRobot(**values)
+    return read_compliance_table(resolve(section.table))
+
+
 def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> CellConfig:
     """Read a cell's TOML; ``overrides`` are values by dotted key, such as ``{"process.correction": "none"}``.
 
+    The fragments that ``include`` names are laid over it: what they say replaces what the file says.
     Raises ConfigError with one line per problem: ``FILE:LINE: section.key: what is wrong; what to do``.
     """
-    text = _read(path)
-    source = Source(str(path), text, frozenset(overrides or {}))
-    try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(_syntax(path, text, str(error))) from error
+    raw, source = _parse(path)
+    fragments = [_parse(path.parent / Path(name).expanduser()) for name in _included(raw, source)]
+    source = replace(source, overrides=frozenset(overrides or {}), included=tuple(part for _, part in fragments))
+    for fragment, part in fragments:
+        if "include" in fragment:
+            raise ConfigError(
+                part.error(("include",), "a fragment includes no other; name all in the cell's file")
+            )
+        _lay_over(raw, fragment)
     for key, value in (overrides or {}).items():
         _override(raw, key, value, source)
     try:
@@ -186,6 +234,30 @@ def _unknown_options(
         for key in given
         if key not in known
     ]
+
+
+def _parse(path: Path) -> tuple[dict[str, Any], Source]:
+    text = _read(path)
+    try:
+        return tomllib.loads(text), Source(str(path), text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(_syntax(path, text, str(error))) from error
+
+
+def _included(raw: Mapping[str, Any], source: Source) -> list[str]:
+    names = raw.get("include", [])
+    if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
+        raise ConfigError(source.error(("include",), 'must be a list of file names, such as ["calibration.toml"]'))
+    return names
+
+
+def _lay_over(raw: dict[str, Any], fragment: Mapping[str, Any]) -> None:
+    """Keys of the fragment's tables replace those of the file's."""
+    for name, value in fragment.items():
+        if isinstance(value, dict) and isinstance(raw.get(name), dict):
+            _lay_over(raw[name], value)
+        else:
+            raw[name] = value
 
 
 def _read(path: Path) -> str:

@@ -6,9 +6,9 @@ import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, get_args
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Tag, ValidationError, create_model
 
 Location = tuple[str, ...]
 
@@ -43,12 +43,17 @@ class Source:
     text: str = field(repr=False)
     overrides: frozenset[str] = frozenset()
     """Dotted keys that came from the command line instead."""
+    included: tuple[Source, ...] = ()
+    """Fragments that the text includes; a key that one of them has comes from the last of those."""
 
     def where(self, key: Location) -> str:
         """``FILE:LINE`` of the key, of its section where it is missing, or ``override`` for one from outside."""
         dotted = ".".join(key)
         if any(dotted == name or name.startswith(f"{dotted}.") for name in self.overrides):
             return f"{self.file} (override)"
+        for fragment in reversed(self.included):
+            if len(key) > 1 and key in key_lines(fragment.text):
+                return fragment.where(key)
         lines = key_lines(self.text)
         for size in range(len(key), 0, -1):
             if key[:size] in lines:
@@ -111,8 +116,10 @@ def problems(error: ValidationError, model: type[BaseModel], source: Source, sec
     """One line per finding of pydantic, in the order of the file."""
     lines = []
     for found in error.errors(include_url=False):
-        key = (*section, *_location(found["loc"], found["msg"]))
-        line = source.error(key, _say(found, model, key[len(section) :]))
+        path, owner = _location(found["loc"], found["msg"]), model
+        if len(path) > 1 and (chosen := _variants(model, path[0]).get(path[1])):
+            path, owner = path[:1] + path[2:], _as_section(path[0], chosen)  # a union's tag is no key of the file
+        line = source.error((*section, *path), _say(found, owner, path))
         if line not in lines:
             lines.append(line)
     return lines
@@ -176,6 +183,21 @@ def _model_at(model: type[BaseModel], section: Location) -> type[BaseModel] | No
         kind = found.model_fields[name].annotation if found is not None and name in found.model_fields else None
         found = kind if isinstance(kind, type) and issubclass(kind, BaseModel) else None
     return found
+
+
+def _variants(model: type[BaseModel], name: str) -> dict[str, type[BaseModel]]:
+    """The models of a section that is one of several kinds, by tag."""
+    found: dict[str, type[BaseModel]] = {}
+    kinds = get_args(model.model_fields[name].annotation) if name in model.model_fields else ()
+    for kind in kinds:
+        tags = [item.tag for item in getattr(kind, "__metadata__", ()) if isinstance(item, Tag)]
+        found.update((tag, get_args(kind)[0]) for tag in tags)
+    return found
+
+
+def _as_section(name: str, kind: type[BaseModel]) -> type[BaseModel]:
+    """A model whose only section is of that kind."""
+    return create_model("Chosen", **{name: (kind, ...)})  # type: ignore[call-overload, no-any-return]
 
 
 def _near(given: Any, expected: str) -> str:

@@ -17,9 +17,14 @@ from pydantic import (
 )
 
 
-def _as_tuple(value: Any) -> Any:
+def as_tuple(value: Any) -> Any:
     """TOML has lists, frozen models have tuples."""
     return tuple(value) if isinstance(value, list) else value
+
+
+def as_tuples(value: Any) -> Any:
+    """The same for a list of lists."""
+    return tuple(map(as_tuple, value)) if isinstance(value, list) else value
 
 
 def _ordered(value: tuple[float, float]) -> tuple[float, float]:
@@ -32,15 +37,13 @@ def _ordered(value: tuple[float, float]) -> tuple[float, float]:
 
 Name = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
 Text = Annotated[str, StringConstraints(min_length=1)]
+Texts = Annotated[tuple[Text, ...], BeforeValidator(as_tuple)]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Angle = Annotated[float, Field(ge=-360, le=360)]
-Poisson = Annotated[float, Field(ge=0, le=0.5)]
-Vector = Annotated[tuple[float, float, float], BeforeValidator(_as_tuple)]
-Angles = Annotated[tuple[Angle, Angle, Angle], BeforeValidator(_as_tuple)]
-Range = Annotated[tuple[float, float], BeforeValidator(_as_tuple), AfterValidator(_ordered)]
-AvailableCorrection = Literal["none", "linear", "exact"]
-LATER_CORRECTIONS = ("pointwise", "power")
+Vector = Annotated[tuple[float, float, float], BeforeValidator(as_tuple)]
+Angles = Annotated[tuple[Angle, Angle, Angle], BeforeValidator(as_tuple)]
+Range = Annotated[tuple[float, float], BeforeValidator(as_tuple), AfterValidator(_ordered)]
 
 
 class Section(BaseModel):
@@ -67,7 +70,7 @@ class CellSection(Section):
 class PluginsSection(Section):
     """The plugins to load, by entry-point name."""
 
-    load: Annotated[tuple[Text, ...], BeforeValidator(_as_tuple), Field(min_length=1)]
+    load: Annotated[tuple[Text, ...], BeforeValidator(as_tuple), Field(min_length=1)]
 
     @field_validator("load")
     @classmethod
@@ -87,55 +90,17 @@ class PartSection(Section):
     alignment: Literal["piston", "tilt"] = "piston"
     origin_mm: Vector
     rotation_rpy_deg: Angles
+    curvature_radius_mm: float | None = None
+    conic: float = 0.0
 
     @model_validator(mode="after")
     def _has_clear_aperture(self) -> Self:
         if 2 * self.edge_mm >= self.aperture_mm:
             raise ValueError("edge_mm: no clear aperture is left; edge_mm must be less than half of aperture_mm")
+        radius = self.curvature_radius_mm
+        if radius is not None and (1 + self.conic) * (self.aperture_mm / 2) ** 2 >= radius**2:
+            raise ValueError(f"curvature_radius_mm: {radius:g} mm is no surface of {self.aperture_mm:g} mm aperture")
         return self
-
-
-class KinematicsSection(Section):
-    """The robot's geometry and stiffness: the keys and defaults of ``model.process.HybridRobot``."""
-
-    base_radius_mm: Positive = 250.0
-    platform_radius_mm: Positive = 120.0
-    first_limb_deg: Angle = 90.0
-    wrist_length_mm: Positive = 250.0
-    tool_length_mm: Positive = 420.0
-    stroke_mm: Range = (950.0, 1750.0)
-    limb_stiffness_n_per_mm: Positive = 20.1e3
-    up_bending_n_mm2: Positive = 4.4e12
-    up_torsion_n_mm2: Positive = 1.5e12
-    a_stiffness_n_mm_per_rad: Positive = 4.36e7
-    c_stiffness_n_mm_per_rad: Positive = 9.0e7
-
-
-class ProcessSection(Section):
-    """The process: the keys and defaults of ``model.process.ToolProcess``, and how removal is computed."""
-
-    removal_model: Text = "hertz_preston"
-    correction: AvailableCorrection = "exact"
-    grid_mm: Annotated[float, Field(gt=0, le=20)] = 0.5
-    tool_radius_mm: Positive = 20.0
-    force_n: Annotated[float, Field(gt=0, le=500)] = 12.0
-    rpm: Annotated[float, Field(gt=0, le=20000)] = 1000.0
-    dip_deg: Annotated[float, Field(ge=0, lt=90)] = 15.0
-    preston_cm2_per_n: Annotated[float, Field(gt=0, lt=1e-3)] = 1.49e-9
-    tool_modulus_mpa: Positive = 29.6
-    tool_poisson: Poisson = 0.40
-    part_modulus_mpa: Positive = 70.5e3
-    part_poisson: Poisson = 0.16
-    viscosity_mpa_s: NotNegative = 2.0e-4
-    second_viscosity_mpa_s: NotNegative = 0.8e-4
-    lame_mpa: Positive = 42.29
-
-    @field_validator("correction", mode="before")
-    @classmethod
-    def _available(cls, value: Any) -> Any:
-        if value in LATER_CORRECTIONS:
-            raise ValueError(f"{value!r} is not in this version; use 'none', 'linear' or 'exact'")
-        return value
 
 
 class ProgramSection(Section):

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from polishd.hookspecs import DwellSolver, ProgramFormat, RemovalModel
 from polishd.model.limits import Envelope
-from polishd.model.process import Correction, HybridRobot, Placement, ToolProcess
+from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Optic, Placement, ToolProcess
+from polishd.model.robot import Robot
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,8 +22,11 @@ class Recipe:
     program_offset_mm: tuple[float, float, float]
     program_rotation_deg: float
     process: ToolProcess
-    robot: HybridRobot
+    robot: Robot
     placement: Placement
+    options: ComplianceOptions
+    optic: Optic
+    tif: MeasuredTif | None
     correction: Correction
     envelope: Envelope
     format: ProgramFormat

@@ -109,17 +109,17 @@ def in_part_frame(recipe: Recipe, program: Program) -> Program:
 def as_polished(recipe: Recipe, program: Program) -> Program:
     """The program in the part's frame, as the tool meets the part.
 
-    A dwell acts where its move ends. A program that states no tool axis is taken as dipped radially inward, the
-    default of a cell; ``run`` refuses it (``violations``), since the robot would not know.
+    A dwell acts where its move ends. A program that states no tool axis is taken as dipped the way the cell dips;
+    ``run`` refuses it (``violations``), since the robot would not know.
     """
     part = in_part_frame(recipe, program)
     if program.encoding == "dwell":
         part = replace(part, start_mm=part.end_mm)
     if _states_no_axis(recipe, program):
         base = frames.points_to_base(recipe.placement, part.end_mm)
-        normals = frames.surface_normals(recipe.placement, part.n)
-        inward = frames.inward_axis(base, normals, recipe.process.dip_deg)
-        part = replace(part, axis=inward @ np.asarray(recipe.placement.rotation))
+        normals = frames.surface_normals(recipe.placement, part.end_mm, recipe.optic)
+        axis = frames.dipped_axes(recipe.options, recipe.placement, base, normals, recipe.process.dip_deg)
+        part = replace(part, axis=axis @ np.asarray(recipe.placement.rotation))
     return part
 
 
@@ -137,6 +137,9 @@ def effect_of(recipe: Recipe, program: Program, grid: Grid, rate: float) -> Remo
         placement=recipe.placement,
         correction=recipe.correction,
         rate=rate,
+        options=recipe.options,
+        optic=recipe.optic,
+        tif=recipe.tif,
     )
     return recipe.model.effect(request)
 
@@ -153,7 +156,7 @@ def learn(
     ``surfaces`` are before and after it, ``times`` asked and executed, (n,) s.
     """
     (before, after), (asked_s, executed_s) = surfaces, times
-    predicted = effect_of(recipe, program, before.grid, beliefs.rate).effect.removal_nm(executed_s)
+    predicted = effect_of(recipe, program, before.grid, beliefs.rate).removal_nm(executed_s)
     learned = learning.learn_rate(
         predicted, before.height_nm - after.height_nm, before.metric_mask, tilt=recipe.tilt_is_alignment
     )
@@ -161,7 +164,7 @@ def learn(
     if not 1 - recipe.max_rate_change <= rate <= 1 + recipe.max_rate_change:
         raise ComputeError(
             f"the last pass removed {rate:.2f} times what the model says (limits.max_rate_change = "
-            f"{recipe.max_rate_change:g}); check force, speed, slurry and process.preston_cm2_per_n, then resume"
+            f"{recipe.max_rate_change:g}); check force, speed, slurry and process.preston, then resume"
         )
     overhead = motion.learn_overhead_s(program, asked_s, executed_s, _envelope(recipe, program, beliefs))
     return Beliefs(rate, overhead, learned.notes), learned
@@ -202,7 +205,7 @@ def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan
         approach_blocks=int(rewritten.block[0]),
         contact_blocks=int(rewritten.block[-1]) + 1,
         expected_time_s=expected,
-        predicted_removal_nm=solved.answer.effect.removal_nm(expected),
+        predicted_removal_nm=solved.answer.removal_nm(expected),
         segments=tuple(Segment(seq, line.rstrip(b"\r")) for seq, line in enumerate(blocks)),
     )
 
@@ -279,7 +282,7 @@ def _require_coverage(program: Program, answer: RemovalAnswer, measured: Measure
             f"{program.name}: only {on_part:.0%} of its timed points touch the part: is it the program of this part, "
             "and are program.offset_mm and program.rotation_deg right?"
         )
-    reached = answer.effect.removal_nm(np.ones(program.n)) > 0
+    reached = answer.removal_nm(np.ones(program.n)) > 0
     share = float(reached[measured.metric_mask].mean())
     if share < LEAST_COVERAGE:
         raise ProgramError(
@@ -296,7 +299,7 @@ def _solve_within(
     envelope: Envelope,
 ) -> tuple[DwellProblem, DwellSolution, FloatArray, FloatArray]:
     problem = _problem(recipe, *given, *bounds)
-    dwell = recipe.solver.solve(problem, recipe.solve_s)
+    dwell = _in_machine_time(recipe.solver.solve(problem, recipe.solve_s), given[1].divide_by)
     unasked = motion.least_time_s(program, envelope) if program.encoding == "dwell" else envelope.block_overhead_s
     asked = np.maximum(dwell.time_s - unasked, 0.0)
     return problem, dwell, asked, motion.delivered_time_s(program, asked, envelope)
@@ -305,7 +308,10 @@ def _solve_within(
 def _problem(
     recipe: Recipe, measured: Measured, answer: RemovalAnswer, lower: FloatArray, upper: FloatArray
 ) -> DwellProblem:
-    piston = choose_piston_nm(measured.height_nm, measured.metric_mask, answer.effect.removal_nm(lower))
+    """What the solver is given; for "pointwise" the static problem, bounded so that the quotient keeps its bounds."""
+    piston = choose_piston_nm(measured.height_nm, measured.metric_mask, answer.removal_nm(lower))
+    if answer.divide_by is not None:
+        lower, upper = lower * answer.divide_by, upper * answer.divide_by
     return DwellProblem(
         effect=answer.effect,
         target_nm=np.where(measured.solve_mask, measured.height_nm + piston, 0.0),
@@ -314,6 +320,20 @@ def _problem(
         lower_s=lower,
         upper_s=upper,
         regularisation=regularisation_from_rho(answer.effect, measured.solve_mask, recipe.regularisation),
+    )
+
+
+def _in_machine_time(dwell: DwellSolution, divide_by: FloatArray | None) -> DwellSolution:
+    """The correction "pointwise" (paper ref. 17): the dwell of the static problem, divided point by point."""
+    if divide_by is None:
+        return dwell
+    time_s = dwell.time_s / divide_by
+    return replace(
+        dwell,
+        time_s=time_s,
+        lower_s=dwell.lower_s / divide_by,
+        upper_s=dwell.upper_s / divide_by,
+        certificate=replace(dwell.certificate, dwell_total_s=float(time_s.sum())),
     )
 
 

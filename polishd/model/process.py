@@ -1,4 +1,4 @@
-"""The process as configured: tool, contact, where the part lies, and the robot that carries the tool."""
+"""The process as configured: tool and contact, how the robot's compliance is read, the part's shape and place."""
 
 from __future__ import annotations
 
@@ -9,6 +9,12 @@ from polishd.model.surface import FloatArray
 
 Correction = Literal["none", "pointwise", "linear", "power", "exact"]
 """How the dwell accounts for the robot's compliance (physics: paper eq. 45-49)."""
+NormalForce = Literal["axial", "resolved"]
+"""Force that Hertz is given: the actuator's, or ``force / cos(dip)`` (eq. 44)."""
+Projection = Literal["linear", "quadratic", "normal"]
+NormalFrame = Literal["surface", "frenet", "tool_axis"]
+Moment = Literal["full", "paper"]
+DipDirection = Literal["inward", "fixed", "along", "across"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +34,57 @@ class ToolProcess:
     viscosity_mpa_s: float = 2.0e-4
     second_viscosity_mpa_s: float = 0.8e-4
     lame_mpa: float = 42.29
+    normal_force: NormalForce = "axial"
+    depth_exponent: float = 1.5
+    """m of the correction "power": volume goes as depth to this power, 1.5 for Hertz."""
+    spot_offset_mm: tuple[float, float] = (0.0, 0.0)
+    """Where the spot's centre lies from the programmed point, in the tool's frame: y where the spindle leans."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComplianceOptions:
+    """How the robot's compliance matrix becomes one number a point (paper eq. 34-43)."""
+
+    projection: Projection = "linear"
+    """``linear`` sums lambda_k |<X_k, b>| (eq. 43), ``quadratic`` its squares, ``normal`` is b' C b."""
+    frame: NormalFrame = "surface"
+    """The normal b: the nominal optic's, the path's binormal (eq. 34-38), or the tool axis turned back by the dip."""
+    moment: Moment = "full"
+    """``full``: compliance of the tip; ``paper``: eq. 41, without the force's own moment about the wrist."""
+    dip_direction: DipDirection = "inward"
+    """Where the spindle leans: towards the base's z axis, one way on the part, along or across the path."""
+    dip_azimuth_deg: float = 0.0
+    """For ``fixed``: counterclockwise from the part's x."""
+
+
+SHIPPED_OPTIONS = ComplianceOptions()
+
+
+@dataclass(frozen=True, slots=True)
+class Optic:
+    """The nominal surface, for its normals: flat, spherical or conic about the part's z."""
+
+    radius_mm: float | None = None
+    """Vertex radius of curvature, positive = concave (the rim rises towards +z); None is flat."""
+    conic: float = 0.0
+
+
+FLAT = Optic()
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredTif:
+    """A removal rate that was measured instead of modelled: map before minus map after, over the time."""
+
+    rate_nm_s: FloatArray
+    """(ny, nx) nm/s, row 0 the top, centred on the centroid; 0 beyond the rim."""
+    pitch_mm: float
+    azimuth_deg: float = 0.0
+    """Where the spindle leaned, counterclockwise from the map's x."""
+    depth_ratio: float = 1.0
+    """Gamma at the place where it was measured."""
+    rotates: bool = True
+    """Whether it turns with the direction in which the spindle leans."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,26 +94,3 @@ class Placement:
     origin_mm: tuple[float, float, float]
     rotation: FloatArray
     """(3, 3) proper rotation, part to base."""
-
-
-@dataclass(frozen=True, slots=True)
-class HybridRobot:
-    """3UPS-UP parallel section with a C/A wrist (paper section II-B).
-
-    Defaults are polishd's fit to the paper's published compliance and stroke ranges; radii and stiffnesses are not
-    published, so they are not the paper's.
-
-    The base frame's origin is the centre of the UP limb's universal joint, z down, x along the outer U axis.
-    """
-
-    base_radius_mm: float = 250.0
-    platform_radius_mm: float = 120.0
-    first_limb_deg: float = 90.0
-    wrist_length_mm: float = 250.0
-    tool_length_mm: float = 420.0
-    stroke_mm: tuple[float, float] = (950.0, 1750.0)
-    limb_stiffness_n_per_mm: float = 20.1e3
-    up_bending_n_mm2: float = 4.4e12
-    up_torsion_n_mm2: float = 1.5e12
-    a_stiffness_n_mm_per_rad: float = 4.36e7
-    c_stiffness_n_mm_per_rad: float = 9.0e7

@@ -7,6 +7,8 @@ Depths (mm) may be a number or any array that broadcasts with x and y.
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from polishd.model.errors import ComputeError
@@ -25,6 +27,7 @@ def check_process(process: ToolProcess) -> None:
     """Raise ComputeError that names the first number of the process which cannot be."""
     moduli = {"tool_modulus_mpa": "MPa", "part_modulus_mpa": "MPa", "lame_mpa": "MPa"}
     units = {"tool_radius_mm": "mm", "force_n": "N", "rpm": "1/min", "preston_cm2_per_n": "cm2/N", **moduli}
+    units |= {"depth_exponent": ""}
     for name, unit in units.items():
         require_number(f"the process's {name}", getattr(process, name), unit, above=0.0)
     require_number("the process's dip_deg", process.dip_deg, "deg", above=-1e-12, below=90.0)
@@ -32,6 +35,12 @@ def check_process(process: ToolProcess) -> None:
         require_number(f"the process's {name}", getattr(process, name), "", above=-1.0, below=0.5 + 1e-12)
     for name in ("viscosity_mpa_s", "second_viscosity_mpa_s"):
         require_number(f"the process's {name}", getattr(process, name), "MPa s", above=-1e-12)
+    for value in process.spot_offset_mm:
+        require_number(
+            "the process's spot_offset_mm", value, "mm", above=-process.tool_radius_mm, below=process.tool_radius_mm
+        )
+    if process.normal_force not in ("axial", "resolved"):
+        raise ComputeError(f"the process's normal_force is {process.normal_force!r}, it must be axial or resolved")
 
 
 def reduced_modulus_mpa(process: ToolProcess) -> float:
@@ -40,17 +49,24 @@ def reduced_modulus_mpa(process: ToolProcess) -> float:
     return float(1 / (tool + (1 - process.part_poisson**2) / process.part_modulus_mpa))
 
 
+def normal_force_n(process: ToolProcess) -> float:
+    """Force that Hertz is given, N: the actuator's ("axial"), or ``force / cos(dip)`` as eq. 44 has it ("resolved")."""
+    if process.normal_force == "axial":
+        return process.force_n
+    return float(process.force_n / np.cos(np.radians(process.dip_deg)))
+
+
 def hertz_depth_mm(process: ToolProcess) -> float:
-    """Depth d at which Hertz gives the actuator's force, taken along the axis (eq. 28 solved for d), mm.
+    """Depth d at which Hertz gives the normal force (eq. 28 solved for d), mm.
 
     Raises ComputeError for an impossible process, or where the bonnet would be pressed in by a quarter of its radius.
     """
     check_process(process)
-    radius = process.tool_radius_mm
-    depth = float((0.75 * process.force_n / (reduced_modulus_mpa(process) * np.sqrt(radius))) ** (2 / 3))
+    radius, force = process.tool_radius_mm, normal_force_n(process)
+    depth = float((0.75 * force / (reduced_modulus_mpa(process) * np.sqrt(radius))) ** (2 / 3))
     if depth > radius / 4:
         raise ComputeError(
-            f"the contact's depth is {depth:.5g} mm at {process.force_n:g} N: too deep for Hertz on a bonnet of radius "
+            f"the contact's depth is {depth:.5g} mm at {force:.4g} N: too deep for Hertz on a bonnet of radius "
             f"{radius:g} mm"
         )
     return depth
@@ -85,6 +101,43 @@ def dissipative_shift_mm(process: ToolProcess, depth_mm: Depth) -> FloatArray:
     return np.asarray(alpha_s * entering * (process.tool_radius_mm - np.asarray(depth_mm)), dtype=np.float64)
 
 
+def dissipative_fraction(process: ToolProcess, depth_mm: Depth) -> FloatArray:
+    """Size of the dissipative stress: the shift that has its moment, over the contact's radius (eq. 29-33).
+
+    It is the moment of the dissipative stress over force x contact radius; see `dissipative_ratio` for a point.
+    """
+    return np.asarray(dissipative_shift_mm(process, depth_mm) / contact_radius_mm(process, depth_mm), dtype=np.float64)
+
+
+def dissipative_ratio(process: ToolProcess, depth_mm: Depth, rho: Depth) -> FloatArray:
+    """Dissipative over elastic stress as eq. 29 and 32 print them, ``rho`` contact radii from the centre along x.
+
+    ``dissipative_fraction * rho / (1 - rho^2)``: infinite at the rim, which is why the pressure is shifted instead.
+    Eq. 32's last term, fifty times smaller at the paper's numbers, is left out.
+    """
+    rho = np.asarray(rho, dtype=np.float64)
+    return np.asarray(dissipative_fraction(process, depth_mm) * rho / (1 - rho**2), dtype=np.float64)
+
+
+def pressure_mpa(process: ToolProcess, depth_mm: Depth, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+    """Pressure at (x, y) of the tool's frame, 0 outside the contact, dissipative shift included, MPa (eq. 27-32)."""
+    shifted = np.hypot(x_mm - dissipative_shift_mm(process, depth_mm), y_mm)
+    rho = shifted / contact_radius_mm(process, depth_mm)
+    return np.asarray(peak_pressure_mpa(process, depth_mm) * np.sqrt(np.clip(1 - rho**2, 0.0, None)))
+
+
+def force_and_moment(process: ToolProcess, depth_mm: float) -> tuple[float, float]:
+    """Force, N, and moment about the tool frame's y axis, N mm: integrals of ``p`` and ``x p`` (eq. 33).
+
+    The force is Hertz's (eq. 28) and the moment shift x force: the check of how the dissipative stress is read.
+    """
+    rho, angle, weight = _disc()
+    radius, shift = float(contact_radius_mm(process, depth_mm)), float(dissipative_shift_mm(process, depth_mm))
+    x = shift + radius * rho * np.cos(angle)
+    load = weight * radius**2 * pressure_mpa(process, depth_mm, x, radius * rho * np.sin(angle))
+    return float(load.sum()), float((x * load).sum())
+
+
 def preston_nm_s(process: ToolProcess) -> float:
     """Removal rate in nm/s per MPa of pressure and mm/s of speed (eq. 16; the paper prints no unit, cm2/N is taken)."""
     return process.preston_cm2_per_n * CM2_PER_N * NM_PER_MM
@@ -92,25 +145,30 @@ def preston_nm_s(process: ToolProcess) -> float:
 
 def removal_rate_nm_s(process: ToolProcess, depth_mm: Depth, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
     """Removal rate at (x, y) of the tool's frame, nm/s, 0 outside the contact: ``k p v`` (eq. 16)."""
-    shifted = np.hypot(x_mm - dissipative_shift_mm(process, depth_mm), y_mm)
-    rho = shifted / contact_radius_mm(process, depth_mm)
-    pressure = peak_pressure_mpa(process, depth_mm) * np.sqrt(np.clip(1 - rho**2, 0.0, None))
+    pressure = pressure_mpa(process, depth_mm, x_mm, y_mm)
     return np.asarray(preston_nm_s(process) * pressure * sliding_speed_mm_s(process, depth_mm, x_mm, y_mm))
 
 
 def volume_rate_nm_mm2_s(process: ToolProcess, depth_mm: Depth) -> FloatArray:
-    """(n,) volume removed per second at (n,) depths, nm mm^2/s (1e-6 mm^3/s): the integral of `removal_rate_nm_s`.
-
-    Gauss-Legendre in psi with ``rho = a sin(psi)``, where pressure and speed are smooth, and equal angles.
-    """
+    """(n,) volume removed per second at (n,) depths, nm mm^2/s (1e-6 mm^3/s): the integral of `removal_rate_nm_s`."""
     depth = np.atleast_1d(depth_mm)[:, None, None]
-    node, weight = np.polynomial.legendre.leggauss(16)
-    psi, weight = (node + 1) * np.pi / 4, weight * np.pi / 4
-    angle = (np.arange(32) + 0.5) * (2 * np.pi / 32)
+    rho, angle, weight = _disc()
     radius = contact_radius_mm(process, depth)
-    rho = radius * np.sin(psi)[:, None]
-    x = rho * np.cos(angle) + dissipative_shift_mm(process, depth)
-    speed = sliding_speed_mm_s(process, depth, x, rho * np.sin(angle)).mean(axis=2)
-    load = 2 * np.pi * radius**2 * peak_pressure_mpa(process, depth)
-    mean = speed @ (weight * np.cos(psi) ** 2 * np.sin(psi))
-    return np.asarray(preston_nm_s(process) * load[:, 0, 0] * mean, dtype=np.float64)
+    x = radius * rho * np.cos(angle) + dissipative_shift_mm(process, depth)
+    speed = sliding_speed_mm_s(process, depth, x, radius * rho * np.sin(angle)).mean(axis=2)
+    mean = speed @ (weight * np.sqrt(1 - rho**2)).sum(axis=1)
+    scale = radius**2 * peak_pressure_mpa(process, depth)
+    return np.asarray(preston_nm_s(process) * scale[:, 0, 0] * mean, dtype=np.float64)
+
+
+@cache
+def _disc() -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Nodes of the unit disc: (16, 1) radii, (32,) angles and (16, 32) weights, for what goes as ``sqrt(1 - rho^2)``.
+
+    Gauss-Legendre in psi with ``rho = sin(psi)``, where pressure and speed are smooth, and equal angles.
+    """
+    node, weight = np.polynomial.legendre.leggauss(16)
+    psi = np.asarray(((node + 1) * np.pi / 4)[:, None], dtype=np.float64)
+    angle = np.asarray((np.arange(32) + 0.5) * (2 * np.pi / 32), dtype=np.float64)
+    area = np.asarray((weight * np.pi / 4)[:, None] * np.sin(psi) * np.cos(psi) * np.full(32, 2 * np.pi / 32))
+    return np.sin(psi), angle, area

@@ -1,4 +1,4 @@
-"""Frames: part and base, the surface normal, the tool's dip, and tool axes as A/C angles of a program.
+"""Frames: part and base, the surface normal, the path's Frenet frame, the tool's dip, and axes as A/C of a program.
 
 A tool axis is a unit vector from the tip into the spindle. The dip is its angle from the surface normal, and its
 azimuth is where the spindle leans.
@@ -9,9 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from polishd.model.errors import ComputeError
-from polishd.model.process import Placement
-from polishd.model.surface import FloatArray
+from polishd.model.process import FLAT, SHIPPED_OPTIONS, ComplianceOptions, Optic, Placement
+from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.robot.refusal import refuse_where, require_number, require_unit_vectors, require_vectors
+
+STRAIGHT_DEG = 0.05
+"""A path that turns by less from point to point is straight: the rounding of a program turns it by as much."""
 
 
 def rotation_from_rpy_deg(roll: float, pitch: float, yaw: float) -> FloatArray:
@@ -38,26 +41,109 @@ def directions_to_base(placement: Placement, part: FloatArray) -> FloatArray:
     return np.asarray(require_vectors("direction in the part's frame", part, "") @ rotation.T, dtype=np.float64)
 
 
-def surface_normals(placement: Placement, n: int) -> FloatArray:
-    """(n, 3) unit normals of a flat part in the base frame, out of the part: its frame's z."""
-    return directions_to_base(placement, np.tile([0.0, 0.0, 1.0], (n, 1)))
+def surface_normals(placement: Placement, part_mm: FloatArray, optic: Optic = FLAT) -> FloatArray:
+    """(n, 3) unit normals of the nominal optic, out of the part, in the base frame.
+
+    ``part_mm`` (n, 3) are points of the part's frame, of which x and y count.
+    Raises ComputeError for a point that lies beyond the conic's rim.
+    """
+    points = require_vectors("point in the part's frame", part_mm, "mm")
+    slope = np.zeros((len(points), 2))
+    if optic.radius_mm is not None:
+        if not (np.isfinite(optic.radius_mm) and optic.radius_mm != 0):
+            raise ComputeError(f"the part's radius of curvature is {optic.radius_mm} mm, it must be finite and not 0")
+        inside = 1 - (1 + optic.conic) * (points[:, :2] ** 2).sum(axis=1) / optic.radius_mm**2
+        distance = np.hypot(points[:, 0], points[:, 1])
+        refuse_where(
+            inside <= 0, distance, "the distance from the part's axis", "mm", "the nominal optic ends before it"
+        )
+        slope = points[:, :2] / (optic.radius_mm * np.sqrt(inside)[:, None])
+    normal = np.concatenate([-slope, np.ones((len(points), 1))], axis=1)
+    return directions_to_base(placement, normal / np.linalg.norm(normal, axis=1)[:, None])
+
+
+def dipped_axes(
+    options: ComplianceOptions, placement: Placement, tip_mm: FloatArray, normal: FloatArray, dip_deg: float
+) -> FloatArray:
+    """(n, 3) tool axes at ``tip_mm`` (n, 3) mm with the dip off ``normal`` (n, 3) unit that the options ask for.
+
+    All in the base frame. Raises ComputeError for a point where the direction of the dip is not defined.
+    """
+    require_number("the dip", dip_deg, "deg", above=-90.0, below=90.0)
+    normal = require_unit_vectors("surface normal", normal)
+    lean = lean_directions(options, placement, require_vectors("tool tip", tip_mm, "mm"), normal)
+    dip = np.radians(dip_deg)
+    return np.asarray(np.cos(dip) * normal + np.sin(dip) * lean, dtype=np.float64)
 
 
 def inward_axis(tip_mm: FloatArray, normal: FloatArray, dip_deg: float) -> FloatArray:
-    """(n, 3) tool axes dipped so that the spindle leans towards the base's z axis, along the surface.
+    """The same for a dip towards the base's z axis, which needs no placement."""
+    return dipped_axes(SHIPPED_OPTIONS, Placement((0.0, 0.0, 0.0), np.eye(3)), tip_mm, normal, dip_deg)
 
-    ``tip_mm`` (n, 3) mm and ``normal`` (n, 3) unit, out of the part, base frame. Raises ComputeError for a point where
-    that direction is not defined: on the base's z axis, or where the inward direction is the normal itself.
-    """
-    require_number("the dip", dip_deg, "deg", above=-90.0, below=90.0)
-    tip = require_vectors("tool tip", tip_mm, "mm")
-    normal = require_unit_vectors("surface normal", normal)
-    inward = tip * [-1.0, -1.0, 0.0]
-    inward = inward - np.einsum("ni,ni->n", inward, normal)[:, None] * normal
-    length = np.linalg.norm(inward, axis=1)
-    refuse_where(length < 1e-6, length, "the way to the base's z axis along the surface", "mm", "it has no direction")
+
+def lean_directions(
+    options: ComplianceOptions, placement: Placement, tip_mm: FloatArray, normal: FloatArray
+) -> FloatArray:
+    """(n, 3) unit directions along the surface in which the spindle leans; arguments as for `dipped_axes`."""
+    match options.dip_direction:
+        case "inward":
+            way, what = tip_mm * [-1.0, -1.0, 0.0], "the way to the base's z axis along the surface"
+        case "fixed":
+            azimuth = np.radians(options.dip_azimuth_deg)
+            one = np.array([[np.cos(azimuth), np.sin(azimuth), 0.0]])
+            way, what = np.repeat(directions_to_base(placement, one), len(tip_mm), axis=0), "the dip's fixed direction"
+        case "along":
+            way, what = path_tangents(tip_mm), "the path's direction"
+        case "across":
+            way, what = np.cross(normal, path_tangents(tip_mm)), "the direction across the path"
+        case _:
+            raise ComputeError(f"the dip's direction {options.dip_direction!r} is none of inward, fixed, along, across")
+    way = way - np.einsum("ni,ni->n", way, normal)[:, None] * normal
+    length = np.linalg.norm(way, axis=1)
+    refuse_where(length < 1e-6, length, what, "mm", "it has no direction")
+    return np.asarray(way / length[:, None], dtype=np.float64)
+
+
+def turned_back(axis: FloatArray, lean: FloatArray, dip_deg: float) -> FloatArray:
+    """(n, 3) unit normals: tool axes (n, 3) turned back by the dip, against the way they ``lean`` (n, 3), unit."""
+    against = lean - np.einsum("ni,ni->n", lean, axis)[:, None] * axis
+    length = np.linalg.norm(against, axis=1)
+    refuse_where(length < 1e-6, length, "the sine between the tool axis and its lean", "", "it must be above 0")
     dip = np.radians(dip_deg)
-    return np.asarray(np.cos(dip) * normal + np.sin(dip) * inward / length[:, None], dtype=np.float64)
+    return np.asarray(np.cos(dip) * axis - np.sin(dip) * against / length[:, None], dtype=np.float64)
+
+
+def path_tangents(point_mm: FloatArray) -> FloatArray:
+    """(n, 3) unit tangents of the path through (n, 3) points by central differences (paper eq. 34).
+
+    Where points coincide the path has the direction that it had before.
+    """
+    if len(point_mm) < 2:
+        raise ComputeError(f"a path of {len(point_mm)} points has no direction")
+    way = np.gradient(point_mm, axis=0)
+    length = np.linalg.norm(way, axis=1)
+    moving = np.flatnonzero(length > 1e-9)
+    if moving.size == 0:
+        raise ComputeError("the path has no direction: all of its points coincide")
+    last = np.searchsorted(moving, np.arange(len(way)), side="right") - 1
+    taken = moving[np.maximum(last, 0)]
+    return np.asarray(way[taken] / length[taken][:, None], dtype=np.float64)
+
+
+def frenet_binormals(point_mm: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """(n, 3) unit binormals of the path through (n, 3) points, and where they are defined (paper eq. 34-38).
+
+    Central differences; ``d x dd`` normalised (eq. 38's last line is the curvature times the binormal). The path has no
+    binormal at its ends, nor where it turns by less than `STRAIGHT_DEG` from point to point: there the result is 0.
+    """
+    before, after = np.zeros_like(point_mm), np.zeros_like(point_mm)
+    before[1:-1] = point_mm[1:-1] - point_mm[:-2]
+    after[1:-1] = point_mm[2:] - point_mm[1:-1]
+    cross = np.cross(before, after)  # of d and dd: (after + before) / 2 x (after - before)
+    size = np.linalg.norm(cross, axis=1)
+    lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
+    defined = size > np.sin(np.radians(STRAIGHT_DEG)) * np.maximum(lengths, 1e-18)
+    return np.where(defined[:, None], cross / np.maximum(size, 1e-300)[:, None], 0.0), np.asarray(defined)
 
 
 def dips_deg(axis: FloatArray, normal: FloatArray) -> FloatArray:

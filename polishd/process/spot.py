@@ -1,12 +1,14 @@
 """The removal spot on a fine patch, and its integral over the cells of a sample grid.
 
-The patch is ``PATCH`` x ``PATCH`` squares that cover the pressed area exactly, parallel to the part's x and y, row 0
-at the largest y. Its squares are shared out among the grid's cells by area, so that nothing is lost or counted twice.
+A patch is a square of squares, parallel to the part's x and y, row 0 at the largest y, that covers the spot exactly.
+Its squares are shared out among the grid's cells by area, so that nothing is lost or counted twice.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
+from typing import Protocol
 
 import numpy as np
 
@@ -15,41 +17,104 @@ from polishd.model.surface import FloatArray
 from polishd.process import contact
 
 PATCH = 32
-"""Squares across the contact: 0.11 mm each in the paper's process, fine enough for cells of 0.5 mm and more."""
+"""Squares across a Hertz contact: 0.11 mm each in the paper's process, fine enough for cells of 0.5 mm and more."""
 
 
-def spot_patch(process: ToolProcess, depth_mm: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
-    """(n, PATCH, PATCH) volume rate of each square of the patch, nm mm^2/s, at (n,) depths (mm).
+class Spot(Protocol):
+    """A removal spot as it changes with the contact's depth and with where the spindle leans.
 
-    ``azimuth_rad`` (n,) is where the spindle leans, counterclockwise from the part's x. The pressure is averaged over
-    each square, the speed taken at its centre, and the whole scaled to the exact volume rate.
+    ``depth_ratio`` (n,) is gamma of eq. 48, the contact's depth over the rigid robot's; ``azimuth_rad`` (n,) is where
+    the spindle leans, counterclockwise from the part's x.
     """
-    depth = np.asarray(depth_mm, dtype=np.float64)[:, None, None]
-    radius = contact.contact_radius_mm(process, depth)
-    sine, cosine = np.sin(azimuth_rad)[:, None, None], np.cos(azimuth_rad)[:, None, None]
-    centre = radius * ((np.arange(PATCH) + 0.5) * 2 / PATCH - 1)
-    right, up = centre, -centre.transpose(0, 2, 1)
-    x = right * sine - up * cosine + contact.dissipative_shift_mm(process, depth)
-    y = right * cosine + up * sine
-    patch = _pressure_squares() * contact.sliding_speed_mm_s(process, depth, x, y)
-    volume = contact.volume_rate_nm_mm2_s(process, np.asarray(depth_mm))
-    return np.asarray(patch * (volume / patch.sum(axis=(1, 2)))[:, None, None], dtype=np.float64)
+
+    def half_width_mm(self, depth_ratio: FloatArray) -> FloatArray:
+        """(n,) half the side of the patch."""
+        ...
+
+    def step_mm(self, depth_ratio: FloatArray) -> FloatArray:
+        """(n,) how far two Gauss points carry the spot when it moves: about half the radius of its core."""
+        ...
+
+    def offset_mm(self, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
+        """(n, 2) the patch's centre from the programmed point, part's x and y."""
+        ...
+
+    def patch(self, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
+        """(n, squares, squares) volume rate of each square of the patch, nm mm^2/s, not negative."""
+        ...
 
 
-def overlap(centre_mm: FloatArray, radius_mm: FloatArray, pitch_mm: float) -> tuple[FloatArray, FloatArray]:
+@dataclass(frozen=True, slots=True)
+class HertzSpot:
+    """Hertz pressure and Preston's law (paper eq. 16-33, 45)."""
+
+    process: ToolProcess
+
+    def depth_mm(self, depth_ratio: FloatArray) -> FloatArray:
+        """(n,) contact depth, mm."""
+        return contact.hertz_depth_mm(self.process) * np.asarray(depth_ratio, dtype=np.float64)
+
+    def half_width_mm(self, depth_ratio: FloatArray) -> FloatArray:
+        """(n,) the contact's radius."""
+        return contact.contact_radius_mm(self.process, self.depth_mm(depth_ratio))
+
+    def step_mm(self, depth_ratio: FloatArray) -> FloatArray:
+        """(n,) half the contact's radius."""
+        return self.half_width_mm(depth_ratio) / 2
+
+    def offset_mm(self, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
+        """(n, 2) the configured offset, and the dissipative shift of the pressure."""
+        x_mm, y_mm = self.process.spot_offset_mm
+        return turned(x_mm + contact.dissipative_shift_mm(self.process, self.depth_mm(depth_ratio)), y_mm, azimuth_rad)
+
+    def patch(self, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
+        """(n, PATCH, PATCH) nm mm^2/s.
+
+        The pressure is averaged over each square, the speed taken at its centre, and the whole scaled to the exact
+        volume rate.
+        """
+        depth = self.depth_mm(depth_ratio)
+        x, y = self._centres(depth[:, None, None], azimuth_rad[:, None, None])
+        patch = _pressure_squares() * contact.sliding_speed_mm_s(self.process, depth[:, None, None], x, y)
+        volume = contact.volume_rate_nm_mm2_s(self.process, depth)
+        return np.asarray(patch * (volume / patch.sum(axis=(1, 2)))[:, None, None], dtype=np.float64)
+
+    def _centres(self, depth: FloatArray, azimuth: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """X and y of the tool's frame, (n, PATCH, PATCH) mm, of the squares' centres at (n, 1, 1) depths."""
+        sine, cosine = np.sin(azimuth), np.cos(azimuth)
+        right = contact.contact_radius_mm(self.process, depth) * ((np.arange(PATCH) + 0.5) * 2 / PATCH - 1)
+        up = -right.transpose(0, 2, 1)
+        x = right * sine - up * cosine + contact.dissipative_shift_mm(self.process, depth)
+        return x, right * cosine + up * sine
+
+
+def turned(x_mm: float | FloatArray, y_mm: float | FloatArray, azimuth_rad: FloatArray) -> FloatArray:
+    """(n, 2) part's x and y of a vector in the tool's frame (y where the spindle leans), mm."""
+    sine, cosine = np.sin(azimuth_rad), np.cos(azimuth_rad)
+    return np.stack([x_mm * sine + y_mm * cosine, y_mm * sine - x_mm * cosine], axis=-1)
+
+
+def overlap(
+    centre_mm: FloatArray, half_mm: FloatArray, pitch_mm: float, squares: int = PATCH
+) -> tuple[FloatArray, FloatArray]:
     """How squares of the patch fall on cells of a row, along one coordinate.
 
-    ``centre_mm`` (n,) is the patch's centre, measured from the row's outer edge; ``radius_mm`` (n,) half its side.
-    Returns the (n,) first cell (whole numbers, may lie outside the row) and the (n, cells, PATCH) shares: how much of
+    ``centre_mm`` (n,) is the patch's centre, measured from the row's outer edge; ``half_mm`` (n,) half its side.
+    Returns the (n,) first cell (whole numbers, may lie outside the row) and the (n, cells, squares) shares: how much of
     each square lies in each cell; over the cells they add up to 1.
     """
-    first = np.floor((centre_mm - radius_mm) / pitch_mm)
-    cells = int(np.ceil(2 * radius_mm.max(initial=0.0) / pitch_mm)) + 1
-    side = (2 * radius_mm / PATCH)[:, None, None]
-    start = (centre_mm - radius_mm - first * pitch_mm)[:, None, None] + side * np.arange(PATCH)
+    first = np.floor((centre_mm - half_mm) / pitch_mm)
+    cells = int(np.ceil(2 * half_mm.max(initial=0.0) / pitch_mm)) + 1
+    return first, shares(centre_mm - first * pitch_mm, half_mm, pitch_mm, cells, squares)
+
+
+def shares(centre_mm: FloatArray, half_mm: FloatArray, pitch_mm: float, cells: int, squares: int) -> FloatArray:
+    """(n, cells, squares) how much of each square lies in each cell; the (n,) centres from the first cell's edge."""
+    side = (2 * half_mm / squares)[:, None, None]
+    start = (centre_mm - half_mm)[:, None, None] + side * np.arange(squares)
     edge = pitch_mm * np.arange(cells)[:, None]
     inside = np.minimum(start + side, edge + pitch_mm) - np.maximum(start, edge)
-    return first, np.asarray(np.clip(inside, 0.0, None) / side, dtype=np.float64)
+    return np.asarray(np.clip(inside, 0.0, None) / side, dtype=np.float64)
 
 
 @cache

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from polishd.model.process import HybridRobot
+from polishd.model.robot import HybridRobot
 from polishd.sim_backends.config import Truth
 
 STIFFNESSES = (

@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from polishd.api import Program
 from polishd.daemon import steps
 from polishd.model.errors import ProgramError
-from polishd.model.process import HybridRobot, Placement, ToolProcess
+from polishd.model.process import Placement, ToolProcess
+from polishd.model.robot import HybridRobot
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.plugins.rnc_robot.rs274 import read
 from polishd.process import conditioning, contact

@@ -1,96 +1,114 @@
-"""Compliance of the hybrid robot at the tool tip (paper eq. 2-15, exact beam for the UP limb).
+"""Compliance of the hybrid robot at the tool tip in closed form, for programs of any length (paper eq. 2-15, 39-41).
 
-Twists are ``[translation mm; rotation rad]`` and wrenches ``[force N; moment N mm]``, all in the base frame.
+Three limbs, three motions that the UP limb resists and two wrist joints are eight springs in series: with all but one
+rigid the mechanism has one freedom, in which the tip moves by m per unit of that spring's deflection, and the
+compliance is the sum of m m' / k. Each m follows from a 3 x 3 inverse, since the UP limb leaves the platform three
+motions only. `stiffness` has the same as the paper writes it, 6 x 6.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from polishd.model.process import HybridRobot
+from polishd.model.process import Moment
+from polishd.model.robot import HybridRobot
 from polishd.model.surface import FloatArray
-from polishd.process.robot.kinematics import Pose, inverse_kinematics
-from polishd.process.robot.refusal import require_number
+from polishd.process.robot.parallel import cross, dot, geometry_of
+from polishd.process.robot.refusal import refuse_where
+from polishd.process.robot.stiffness import Stiffnesses, limb_stiffness_n_per_mm, stiffnesses_of
+from polishd.process.robot.workspace import Placed, faults, flip, place, refuse_unreachable, require_poses
 
-_E_X = np.array([1.0, 0.0, 0.0])
-
-
-def tip_compliance_mm_per_n(robot: HybridRobot, tip_mm: FloatArray, axis: FloatArray) -> FloatArray:
-    """(n, 3, 3) displacement of the tip per force at the tip, mm/N, base frame; symmetric positive definite.
-
-    The translational block of eq. 39, with the moment of the force about the wrist (which eq. 41 drops).
-    ``tip_mm`` (n, 3) mm and ``axis`` (n, 3) unit, from the tip into the spindle, base frame.
-    Raises ComputeError that names the first pose which cannot be taken.
-    """
-    return tip_compliance(robot, inverse_kinematics(robot, tip_mm, axis))[:, :3, :3]
+CHUNK = 4096
+"""Poses worked on at once: what they need stays in the cache."""
+SPRINGS = 8
+"""Three limbs, the UP limb's three, C and A."""
 
 
-def tip_compliance(robot: HybridRobot, pose: Pose) -> FloatArray:
-    """(n, 6, 6) compliance at the tool tip: the platform's, carried to the tip, and the wrist's (eq. 13-15)."""
-    for name in ("a_stiffness_n_mm_per_rad", "c_stiffness_n_mm_per_rad"):
-        require_number(f"the robot's {name}", getattr(robot, name), "N mm/rad", above=0.0)
-    shift = np.broadcast_to(np.eye(6), (len(pose.tip_mm), 6, 6)).copy()
-    shift[:, :3, 3:] = -_cross_matrix(pose.tip_mm - pose.platform_mm)
-    total = shift @ np.linalg.inv(platform_stiffness(robot, pose)) @ shift.transpose(0, 2, 1)
-    arm = pose.tip_mm - pose.wrist_mm
-    drives = (
-        (pose.frame[:, :, 2], robot.c_stiffness_n_mm_per_rad),
-        (pose.hinge, robot.a_stiffness_n_mm_per_rad),
-    )
-    for direction, stiffness in drives:
-        twist = np.concatenate([np.cross(direction, arm), direction], axis=1)
-        total = total + twist[:, :, None] * twist[:, None, :] / stiffness
-    return np.asarray((total + total.transpose(0, 2, 1)) / 2, dtype=np.float64)
+def hybrid_tip_compliance_mm_per_n(
+    robot: HybridRobot, tip_mm: FloatArray, axis: FloatArray, *, moment: Moment, path: bool
+) -> FloatArray:
+    """(n, 3, 3) mm/N, see `interface.tip_compliance_mm_per_n`; in memory the components come first."""
+    tip, axis = require_poses(tip_mm, axis)
+    geometry, elastic = geometry_of(robot), stiffnesses_of(robot)
+    matrix, tool = np.empty((3, 3, len(tip))), np.empty((2, len(tip)))
+    for start in range(0, len(tip), CHUNK):
+        part = slice(start, start + CHUNK)
+        placed = place(robot, geometry, np.ascontiguousarray(tip[part].T), np.ascontiguousarray(axis[part].T))
+        if any(fault.bad.any() for fault in faults(robot, placed)):
+            refuse_unreachable(robot, place(robot, geometry, tip.T, axis.T))  # its message counts over all points
+        matrix[:, :, part] = _compliance(robot, elastic, placed, moment)
+        tool[:, part] = placed.tool[:2]
+    if path:
+        refuse_where(*flip(tool, axis))
+    return matrix.transpose(2, 0, 1)
 
 
-def platform_stiffness(robot: HybridRobot, pose: Pose) -> FloatArray:
-    """(n, 6, 6) stiffness of the parallel section at the platform's centre: ``J_a' K_a J_a + J_c' C_c^-1 J_c``.
-
-    Departs from eq. 6-12: the UP limb is an Euler-Bernoulli beam whose U joint carries no moment about its axes.
-    """
-    require_number("the robot's limb_stiffness_n_per_mm", robot.limb_stiffness_n_per_mm, "N/mm", above=0.0)
-    direction = pose.limbs_mm / pose.limb_mm[:, :, None]
-    active = np.concatenate([direction, np.cross(pose.joints_mm, direction)], axis=2)
-    passive = _constraint_rows(pose)
-    stiffness = robot.limb_stiffness_n_per_mm * active.transpose(0, 2, 1) @ active
-    return np.asarray(
-        stiffness + passive.transpose(0, 2, 1) @ np.linalg.solve(_constraint_compliance(robot, pose), passive),
-        dtype=np.float64,
-    )
-
-
-def _constraint_rows(pose: Pose) -> FloatArray:
-    """(n, 3, 6) rows ``[u, -L v]``, ``[v, L u]``, ``[0, n]`` (eq. 4): motions that the UP limb resists."""
-    u, v = pose.frame[:, :, 0], pose.frame[:, :, 1]
-    length = _beam_length(pose)[:, None]
-    rows = np.zeros((len(u), 3, 6))
-    rows[:, 0] = np.concatenate([u, -length * v], axis=1)
-    rows[:, 1] = np.concatenate([v, length * u], axis=1)
-    rows[:, 2, 3:] = np.cross(_E_X, v)
-    return rows
-
-
-def _constraint_compliance(robot: HybridRobot, pose: Pose) -> FloatArray:
-    """(n, 3, 3) the UP limb's deflection in those motions per unit of its reactions (the tip moment is -F L)."""
-    for name in ("up_bending_n_mm2", "up_torsion_n_mm2"):
-        require_number(f"the robot's {name}", getattr(robot, name), "N mm^2", above=0.0)
-    bending, torsion = robot.up_bending_n_mm2, robot.up_torsion_n_mm2
-    length = _beam_length(pose)
-    n_u, _, n_w = np.einsum("nij,ni->jn", pose.frame, np.cross(_E_X, pose.frame[:, :, 1]))  # n is perpendicular to v
-    matrix = np.zeros((len(length), 3, 3))
-    matrix[:, 0, 0] = matrix[:, 1, 1] = length**3 / (3 * bending)
-    matrix[:, 1, 2] = matrix[:, 2, 1] = n_u * length**2 / (2 * bending)
-    matrix[:, 2, 2] = n_u**2 * length / bending + n_w**2 * length / torsion
+def _compliance(robot: HybridRobot, elastic: Stiffnesses, placed: Placed, moment: Moment) -> FloatArray:
+    """(3, 3, n) in the base frame, mm/N."""
+    turn, wrist = _screws(robot, elastic, placed)
+    soft = _softness(robot, elastic, placed)
+    tip = wrist - robot.tool_length_mm * cross(turn, placed.tool[:, None])
+    pushed = tip if moment == "full" else wrist
+    local = np.empty((3, 3, soft.shape[1]))
+    for i, row in enumerate(soft * tip):
+        for j, column in enumerate(pushed):
+            local[i, j] = (row * column).sum(axis=0) if moment == "paper" or j >= i else local[j, i]
+    matrix = _in_base(placed.parallel.frame, local)
+    if moment == "full":  # to the last bit
+        for i, j in ((1, 0), (2, 0), (2, 1)):
+            matrix[i, j] = matrix[j, i]
     return matrix
 
 
-def _beam_length(pose: Pose) -> FloatArray:
-    """(n,) ``L = |r|``, mm."""
-    return np.asarray(np.linalg.norm(pose.platform_mm, axis=1), dtype=np.float64)
+def _screws(robot: HybridRobot, elastic: Stiffnesses, placed: Placed) -> tuple[FloatArray, FloatArray]:
+    """Turn, rad, and displacement of the wrist centre, mm: (3, 8, n), in the platform's frame, per unit of each spring.
+
+    Springs 0 to 2: limbs (unit: growth of ``q^2 / 2``); 3 to 5: the UP limb (shear along u; along v, with the turn that
+    it brings; torsion); 6 and 7: C and A (unit of A: 1 / sin A). In the UP limb's own frame n is (-e.w, 0, e.u): a
+    constraint n.Omega = 1 is a turn about w by 1 / e.u, and the compliance C_c ties it to shear along v. Its square
+    completed, the two are independent springs.
+    """
+    parallel = placed.parallel
+    turn, wrist = np.zeros((2, 3, SPRINGS, parallel.limb_mm.shape[1]))
+    twist = parallel.turns[2] / parallel.sine
+    brought = -elastic.beam.cross / elastic.beam.shear * parallel.cosine / parallel.length_mm
+    held = (parallel.limbs_mm[0], parallel.limbs_mm[1] + brought * twist, twist)
+    free = np.empty((3, 6, turn.shape[2]))  # turn about e, turn about v, slide along w
+    free[:, :3] = parallel.cofactors / parallel.determinant
+    for k, growth in enumerate(held, start=3):
+        for motion in free:
+            motion[k] = -dot(motion, growth)
+    turn[0, :6] = parallel.sine * free[0]
+    turn[1, :6] = free[1]
+    turn[2, :6] = parallel.cosine * free[0]
+    turn[2, 4] += brought / parallel.sine
+    turn[2, 5] += 1 / parallel.sine
+    turn[2, 6] = 1
+    turn[0, 7], turn[1, 7] = -placed.tool[1], placed.tool[0]
+    distance = parallel.length_mm + robot.wrist_length_mm
+    wrist[0, :6] = distance * turn[1, :6]
+    wrist[1, :6] = -distance * turn[0, :6]
+    wrist[2, :6] = free[2]
+    wrist[0, 3] += 1
+    wrist[1, 4] += 1
+    return turn, wrist
 
 
-def _cross_matrix(vector: FloatArray) -> FloatArray:
-    """(n, 3, 3) matrices S with ``S x = vector cross x``."""
-    x, y, z = vector.T
-    zero = np.zeros_like(x)
-    return np.stack([np.stack(row, axis=1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))], axis=1)
+def _softness(robot: HybridRobot, elastic: Stiffnesses, placed: Placed) -> FloatArray:
+    """(8, n) deflection of each spring per unit of its load: their units are those of `_screws`."""
+    parallel, beam = placed.parallel, elastic.beam
+    length, limb = parallel.length_mm, parallel.limb_mm
+    soft = np.empty((SPRINGS, len(length)))
+    soft[:3] = limb * limb / limb_stiffness_n_per_mm(robot, limb)
+    soft[3] = soft[4] = beam.shear * length**3 / elastic.bending_n_mm2
+    bending = (beam.turn - beam.cross**2 / beam.shear) / elastic.bending_n_mm2
+    soft[5] = length * (bending * parallel.cosine**2 + parallel.sine**2 / elastic.torsion_n_mm2)
+    soft[6] = 1 / elastic.c_n_mm_per_rad
+    soft[7] = 1 / (elastic.a_n_mm_per_rad * placed.sine**2)
+    return soft
+
+
+def _in_base(frame: FloatArray, local: FloatArray) -> FloatArray:
+    """(3, 3, n) matrices turned from the platform's frame, (3, 3, n) axis and component, into the base's."""
+    half = [sum(local[i, j] * frame[j] for j in range(3)) for i in range(3)]
+    return np.stack([sum(frame[i, k] * half[i] for i in range(3)) for k in range(3)])

@@ -21,7 +21,8 @@ def refuse_where(bad: BoolArray, value: FloatArray, what: str, unit: str, limit:
 def require_number(what: str, value: float, unit: str, *, above: float, below: float = np.inf) -> None:
     """Raise ComputeError unless ``above < value < below``; NaN never is."""
     if not above < value < below:
-        wanted = f"above {above:g}" + (f" and below {below:g}" if np.isfinite(below) else " and finite")
+        lowest = f"above {above:g} and " if np.isfinite(above) else ""
+        wanted = lowest + (f"below {below:g}" if np.isfinite(below) else "finite")
         raise ComputeError(f"{what} is {value:.6g} {unit}, it must be {wanted}")
 
 
@@ -30,15 +31,16 @@ def require_vectors(what: str, value: FloatArray, unit: str) -> FloatArray:
     array = np.asarray(value, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise ComputeError(f"{what} has the shape {array.shape}, it must be (n, 3) in {unit}")
-    broken = ~np.isfinite(array)
-    first = np.take_along_axis(array, broken.argmax(axis=1)[:, None], axis=1)[:, 0]
-    refuse_where(np.asarray(broken.any(axis=1)), first, what, unit, "it must be finite")
+    finite = np.isfinite(array)
+    if not finite.all():
+        first = np.take_along_axis(array, finite.argmin(axis=1)[:, None], axis=1)[:, 0]
+        refuse_where(np.asarray(~finite.all(axis=1)), first, what, unit, "it must be finite")
     return array
 
 
 def require_unit_vectors(what: str, value: FloatArray) -> FloatArray:
     """The (n, 3) array as float64; raise ComputeError where a length is not 1 within 1e-6."""
     array = require_vectors(what, value, "(unit vector)")
-    length = np.asarray(np.linalg.norm(array, axis=1), dtype=np.float64)
+    length = np.sqrt(np.einsum("ni,ni->n", array, array))
     refuse_where(np.abs(length - 1.0) > 1e-6, length, f"the length of {what}", "", "it must be 1")
     return array

@@ -9,7 +9,8 @@ import math
 
 import numpy as np
 
-from polishd.model.process import HybridRobot, ToolProcess
+from polishd.model.process import ToolProcess
+from polishd.model.robot import HybridRobot
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.robot import reachable, tip_compliance_mm_per_n
 

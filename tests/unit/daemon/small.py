@@ -22,8 +22,9 @@ from polishd.hookspecs import DwellSolver, RemovalAnswer, RemovalModel, RemovalR
 from polishd.model.cycle import Event, Outcome
 from polishd.model.dwell import Certificate
 from polishd.model.limits import Envelope
-from polishd.model.process import HybridRobot, Placement, ToolProcess
+from polishd.model.process import FLAT, SHIPPED_OPTIONS, Placement, ToolProcess
 from polishd.model.program import Plan, Program, Segment
+from polishd.model.robot import HybridRobot
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.plugins.rnc_robot.make import raster_program
 from polishd.plugins.rnc_robot.rs274 import RS274
@@ -48,6 +49,13 @@ def gaussian_effect(request: RemovalRequest) -> RemovalAnswer:
     return RemovalAnswer(effect, np.full(program.n, 1.3), np.full(program.n, 0.9), ("a spot for tests",))
 
 
+def pointwise_effect(request: RemovalRequest) -> RemovalAnswer:
+    """The same, static, with a gamma that falls along x: the dwell is divided by it."""
+    answer = gaussian_effect(request)
+    gamma = 0.8 + 0.1 * request.program.end_mm[:, 0] / APERTURE_MM
+    return replace(answer, gamma=gamma, divide_by=gamma)
+
+
 def small_recipe(**changes: Any) -> Recipe:
     """The recipe, with changes."""
     recipe = Recipe(
@@ -61,6 +69,9 @@ def small_recipe(**changes: Any) -> Recipe:
         process=ToolProcess(dip_deg=0.0),
         robot=HybridRobot(),
         placement=Placement((300.0, 220.0, 2315.0), np.diag([1.0, -1.0, -1.0])),
+        options=SHIPPED_OPTIONS,
+        optic=FLAT,
+        tif=None,
         correction="none",
         envelope=envelope(),
         format=RS274,

@@ -12,15 +12,27 @@ import pytest
 from polishd.daemon import steps
 from polishd.daemon.recipe import Recipe
 from polishd.daemon.steps import Beliefs, Measured, Solved
-from polishd.hookspecs import DwellSolver, ProgramFormat
+from polishd.hookspecs import DwellSolver, ProgramFormat, RemovalModel
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import BadMap, ComputeError, ProgramError
+from polishd.model.process import ComplianceOptions, MeasuredTif, Optic, Placement
 from polishd.model.program import Program
 from polishd.plugins.dwell_solvers import qp
 from polishd.plugins.rnc_robot.rs274 import RS274
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
-from tests.unit.daemon.small import APERTURE_MM, small_map, small_program, small_recipe, small_text
+from polishd.process.frames import dips_deg, surface_normals
+from tests.unit.daemon.small import (
+    APERTURE_MM,
+    gaussian_effect,
+    pointwise_effect,
+    small_map,
+    small_program,
+    small_recipe,
+    small_text,
+)
+
+HOME = Placement((0.0, 0.0, 0.0), np.eye(3))
 
 
 @pytest.fixture(scope="module")
@@ -147,6 +159,75 @@ def test_solve_makes_the_surface_flat(solved: Solved) -> None:
     assert certificate.kkt_residual <= 1e-4
     assert certificate.predicted_rms_nm < 2.0
     assert certificate.cross_check is certificate.cross_check_gap is None
+
+
+# pointwise: the static problem, divided by gamma
+
+POINTWISE = RemovalModel("pointwise", pointwise_effect)
+
+
+def test_pointwise_is_the_static_dwell_divided_by_gamma_within_the_real_bounds(
+    program: Program, measured: Measured
+) -> None:
+    recipe = small_recipe(model=POINTWISE, envelope=replace(small_recipe().envelope, accel_mm_s2=1e9))
+    solved = steps.solve(recipe, program, measured, Beliefs())
+    gamma, dwell = solved.answer.gamma, solved.dwell
+    least = program.length_mm / recipe.envelope.max_feed_mm_s
+    np.testing.assert_allclose(dwell.lower_s, least, rtol=1e-5)
+    assert (dwell.time_s >= dwell.lower_s * (1 - 1e-12)).all()
+    assert (dwell.time_s <= dwell.upper_s * (1 + 1e-12)).all()
+    assert (np.abs(dwell.time_s / dwell.lower_s - 1) < 1e-6).any(), (
+        "the bound is met somewhere"
+    )
+    static = solved.answer.effect.removal_nm(dwell.time_s * gamma)
+    np.testing.assert_allclose(dwell.removal_nm, static, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(solved.answer.removal_nm(dwell.time_s), static, rtol=1e-12)
+    assert dwell.certificate.dwell_total_s == pytest.approx(dwell.time_s.sum())
+
+
+def test_pointwise_asks_for_the_same_flat_surface_in_more_time(
+    program: Program, measured: Measured, solved: Solved
+) -> None:
+    pointwise = steps.solve(small_recipe(model=POINTWISE), program, measured, Beliefs())
+    assert pointwise.dwell.certificate.predicted_rms_nm < 1.5 * solved.dwell.certificate.predicted_rms_nm
+    more = pointwise.dwell.certificate.dwell_total_s / solved.dwell.certificate.dwell_total_s
+    assert 1.1 < more < 1.4
+
+
+def test_what_was_planned_and_learned_pointwise_knows_of_the_division(program: Program, measured: Measured) -> None:
+    recipe = small_recipe(model=POINTWISE)
+    solved = steps.solve(recipe, program, measured, Beliefs())
+    plan = steps.rewrite(recipe, program, solved, "p.rnc")
+    np.testing.assert_allclose(plan.predicted_removal_nm, solved.answer.removal_nm(plan.expected_time_s), rtol=1e-12)
+    after = replace(measured, height_nm=measured.height_nm - 0.93 * plan.predicted_removal_nm)
+    times = (solved.asked_s, plan.expected_time_s)
+    beliefs, _ = steps.learn(recipe, program, (measured, after), times, Beliefs())
+    assert beliefs.rate == pytest.approx(0.93, rel=1e-3)
+
+
+def test_the_physics_of_the_recipe_reaches_the_removal_model(program: Program, measured: Measured) -> None:
+    asked: list[object] = []
+
+    def ask(request: object) -> object:
+        asked.append(request)
+        return gaussian_effect(request)  # type: ignore[arg-type]
+
+    options = ComplianceOptions(projection="normal", dip_direction="fixed")
+    tif = MeasuredTif(np.ones((3, 3)), 0.1)
+    recipe = small_recipe(model=RemovalModel("asked", ask), options=options, optic=Optic(800.0), tif=tif)  # type: ignore[arg-type]
+    steps.effect_of(recipe, program, measured.grid, 1.0)
+    (request,) = asked
+    assert (request.options, request.optic, request.tif) == (options, Optic(800.0), tif)  # type: ignore[attr-defined]
+
+
+def test_a_program_without_an_axis_is_dipped_as_the_cell_dips(program: Program) -> None:
+    process = replace(small_recipe().process, dip_deg=15.0)
+    fixed = ComplianceOptions(dip_direction="fixed", dip_azimuth_deg=40.0)
+    part = steps.as_polished(small_recipe(process=process, options=fixed, optic=Optic(500.0)), program)
+    normal = surface_normals(HOME, part.end_mm, Optic(500.0))
+    assert dips_deg(part.axis, normal) == pytest.approx(15.0)
+    middle = np.argmin(np.hypot(*part.end_mm[:, :2].T))
+    assert np.degrees(np.arctan2(part.axis[middle, 1], part.axis[middle, 0])) == pytest.approx(40.0, abs=1.0)
 
 
 def test_a_path_that_covers_half_the_part_is_refused(measured: Measured) -> None:

@@ -11,8 +11,21 @@ import pluggy
 import pytest
 
 from polishd import hookspecs
-from polishd.api import ComputeError, Grid, HybridRobot, Placement, Program, RemovalModel, RemovalRequest, ToolProcess
+from polishd.api import (
+    ComplianceOptions,
+    ComputeError,
+    Correction,
+    Grid,
+    HybridRobot,
+    MeasuredTif,
+    Placement,
+    Program,
+    RemovalModel,
+    RemovalRequest,
+    ToolProcess,
+)
 from polishd.plugins import removal_models
+from polishd.process import contact
 
 DIP = np.radians(15.0)
 
@@ -32,21 +45,30 @@ def request(**changes: Any) -> RemovalRequest:
     return dataclasses.replace(whole, **changes)
 
 
-def the_model() -> RemovalModel:
+def the_model(name: str = "hertz_preston") -> RemovalModel:
     manager = pluggy.PluginManager(hookspecs.PROJECT)
     manager.add_hookspecs(hookspecs)
     manager.register(removal_models)
     manager.check_pending()
-    ((model,),) = manager.hook.polishd_removal_models()
-    return model
+    (models,) = manager.hook.polishd_removal_models()
+    return {model.name: model for model in models}[name]
 
 
-def test_it_is_found_by_its_name_and_can_go_to_the_worker() -> None:
-    model = the_model()
-    assert model.name == "hertz_preston"
+def spot(pitch: float = 0.05) -> MeasuredTif:
+    """The shipped process's spot as measured where gamma was 0.87, the spindle leaning along the map's x."""
+    line = np.arange(-40, 41) * pitch
+    right, up = np.meshgrid(line, -line)
+    process = ToolProcess()
+    rate = contact.removal_rate_nm_s(process, 0.87 * contact.hertz_depth_mm(process), -up, right)
+    return MeasuredTif(rate, pitch, 0.0, 0.87)
+
+
+@pytest.mark.parametrize("name", ["hertz_preston", "measured_tif"])
+def test_it_is_found_by_its_name_and_can_go_to_the_worker(name: str) -> None:
+    model = the_model(name)
     assert removal_models.POLISHD_API == hookspecs.API_VERSION
     assert pickle.loads(pickle.dumps(model)) == model
-    answer = pickle.loads(pickle.dumps(model.effect(request())))
+    answer = pickle.loads(pickle.dumps(model.effect(request(tif=spot()))))
     assert answer.effect.n == 4
 
 
@@ -87,6 +109,68 @@ def test_the_learned_rate_scales_the_effect_only() -> None:
     np.testing.assert_array_equal(half.gamma, one.gamma)
 
 
+def test_pointwise_is_the_rigid_spot_with_the_dwell_to_be_divided_by_gamma() -> None:
+    none, pointwise, linear = (the_model().effect(request(correction=c)) for c in ("none", "pointwise", "linear"))
+    assert none.divide_by is linear.divide_by is None
+    assert abs(pointwise.effect.matrix - none.effect.matrix).max() == 0
+    np.testing.assert_array_equal(pointwise.divide_by, pointwise.gamma)
+    # against a plant that is eq. 49 alone it ties with "linear"
+    dwell = np.array([1.0, 2.0, 3.0, 4.0])
+    removal = linear.effect.removal_nm(dwell / pointwise.divide_by)
+    np.testing.assert_allclose(removal, pointwise.effect.removal_nm(dwell), rtol=1e-12)
+
+
+def test_power_takes_the_exponent_of_the_process() -> None:
+    process = ToolProcess(depth_exponent=1.8)
+    none, power = (the_model().effect(request(correction=c, process=process)) for c in ("none", "power"))
+    ratio = power.effect.matrix.sum(axis=0) / none.effect.matrix.sum(axis=0)
+    np.testing.assert_allclose(ratio, none.gamma**1.8, rtol=1e-9)
+
+
+def test_how_the_compliance_is_read_changes_gamma() -> None:
+    plain, normal = (the_model().effect(request(options=ComplianceOptions(projection=p))) for p in ("linear", "normal"))
+    assert np.abs(plain.gamma - normal.gamma).min() > 1e-3
+
+
+def test_what_is_to_be_known_of_the_compliance_is_in_the_notes() -> None:
+    answer = the_model().effect(request(options=ComplianceOptions(frame="frenet")))
+    assert any("no Frenet frame at" in note for note in answer.notes)
+    assert not any("Frenet" in note for note in the_model().effect(request()).notes)
+
+
+def test_the_measured_model_needs_a_measured_tif() -> None:
+    with pytest.raises(ComputeError, match="measured_tif needs a measured TIF"):
+        the_model("measured_tif").effect(request())
+
+
+def test_a_measured_tif_that_is_none_is_refused() -> None:
+    with pytest.raises(ComputeError, match="runs from 0 to 0 nm/s"):
+        the_model("measured_tif").effect(request(tif=MeasuredTif(np.zeros((5, 5)), 0.1)))
+
+
+@pytest.mark.parametrize("correction", ["none", "linear", "power", "exact", "pointwise"])
+def test_the_measured_spot_acts_as_the_model_that_it_was_made_with(correction: Correction) -> None:
+    """Each correction is relative to the depth ratio of the measurement, 0.87, where the model's is to the rigid."""
+    measured = the_model("measured_tif").effect(request(correction=correction, tif=spot()))
+    exact = the_model().effect(request(correction="exact"))
+    np.testing.assert_array_equal(measured.gamma, exact.gamma)
+    over = measured.gamma / 0.87
+    rigid = contact.volume_rate_nm_mm2_s(ToolProcess(), 0.87 * contact.hertz_depth_mm(ToolProcess()))
+    want = {"none": over**0, "linear": over, "power": over**1.5, "exact": over**1.5, "pointwise": over**0}[correction]
+    np.testing.assert_allclose(measured.effect.matrix.sum(axis=0), want * rigid, rtol=2e-3)
+    if correction == "exact":
+        assert abs(measured.effect.matrix - exact.effect.matrix).max() < 0.03 * exact.effect.matrix.max()
+    if correction == "pointwise":
+        np.testing.assert_allclose(measured.divide_by, over, rtol=1e-12)
+    else:
+        assert measured.divide_by is None
+
+
+def test_the_learned_rate_scales_the_measured_spot_too() -> None:
+    one, half = (the_model("measured_tif").effect(request(tif=spot(), rate=r)) for r in (1.0, 0.5))
+    np.testing.assert_allclose(half.effect.matrix.toarray(), 0.5 * one.effect.matrix.toarray(), rtol=1e-12)
+
+
 def test_an_empty_program_has_an_empty_effect() -> None:
     moves = request().program
     none = {name: getattr(moves, name)[:0] for name in ("line", "block", "start_mm", "end_mm", "axis", "time_s")}
@@ -105,8 +189,12 @@ def test_an_empty_program_has_an_empty_effect() -> None:
         ({"process": ToolProcess(force_n=-1.0)}, "force_n is -1 N"),
         ({"process": ToolProcess(dip_deg=95.0)}, "dip_deg is 95 deg"),
         ({"process": ToolProcess(dip_deg=10.0)}, "point 0: .*dip is 15 deg, the process says 10"),
-        ({"correction": "pointwise"}, "'pointwise' has no effect matrix"),
-        ({"robot": HybridRobot(a_stiffness_n_mm_per_rad=1e5)}, "point 0: .*um/N, at 12 N takes all"),
+        ({"correction": "guess"}, "no correction 'guess'"),
+        ({"process": ToolProcess(depth_exponent=-1.0)}, "depth_exponent is -1"),
+        (
+            {"robot": HybridRobot(a_stiffness_n_mm_per_rad=1e5)},
+            r"point 0: .*um/N at 12 N\): gamma would not be above 0",
+        ),
         ({"placement": Placement((0.0, 0.0, 0.0), np.diag([1.0, -1.0, -1.0]))}, "point 0: .*out of the workspace"),
     ],
 )

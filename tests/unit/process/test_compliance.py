@@ -9,8 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from polishd.model.errors import ComputeError
-from polishd.model.process import HybridRobot, ToolProcess
-from polishd.process.compliance import depth_ratio, equivalent_compliance, jumps
+from polishd.model.process import ToolProcess
+from polishd.model.robot import HybridRobot
+from polishd.model.surface import FloatArray
+from polishd.process.compliance import complex_eigenvalues, depth_ratio, equivalent_compliance, jumps
 from polishd.process.robot import tip_compliance_mm_per_n
 
 DIP = np.radians(15.0)
@@ -92,7 +94,80 @@ def test_the_offset_grows_with_force_and_with_the_dip() -> None:
     assert depth_ratio(np.zeros(1), process, 0.15)[0] == 1.0
 
 
-@pytest.mark.parametrize("soft", [0.012, np.nan])
-def test_nothing_left_of_the_depth_is_refused_with_the_point_and_the_values(soft: float) -> None:
-    with pytest.raises(ComputeError, match=r"point 1: .*compliance is (12|nan) um/N, at 12 N takes all .*0.14835 mm"):
+@pytest.mark.parametrize(("soft", "by"), [(0.012, "0.149"), (np.nan, "nan")])
+def test_nothing_left_of_the_depth_is_refused_with_the_point_and_the_values(soft: float, by: str) -> None:
+    says = rf"point 1: the way that the robot gives is {by}\d* mm, the contact is only 0.14835 .*(12|nan) um/N at 12 N"
+    with pytest.raises(ComputeError, match=says):
         depth_ratio(np.array([1e-3, soft]), ToolProcess(), 0.14835)
+
+
+def test_a_dip_of_90_deg_is_refused() -> None:
+    with pytest.raises(ComputeError, match="dip_deg is 90 deg"):
+        depth_ratio(np.array([1e-3]), dataclasses.replace(ToolProcess(), dip_deg=90.0), 0.14835)
+
+
+def by_lapack(matrix: FloatArray, axis: FloatArray, normal: FloatArray, squared: bool) -> FloatArray:
+    """Eq. 43 as it reads, from LAPACK's eigenvectors."""
+    values, vectors = np.linalg.eigh(matrix)
+    skipped = np.abs(np.einsum("nij,ni->nj", vectors, axis)).argmax(axis=1)
+    share = np.abs(np.einsum("nij,ni->nj", vectors, normal))
+    kept = values * (share**2 if squared else share)
+    kept[np.arange(len(kept)), skipped] = 0.0
+    return np.asarray(kept.sum(axis=1))
+
+
+def unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1)[:, None])
+
+
+def random_case(seed: int, spread: FloatArray, lean: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Symmetric matrices with eigenvalues 1 + spread (n, 3), axes about an eigenvector, normals about the axes."""
+    rng = np.random.default_rng(seed)
+    n = len(spread)
+    turn = Rotation.random(n, random_state=seed).as_matrix()
+    matrix = (turn * (1 + spread)[:, None, :]) @ turn.transpose(0, 2, 1)
+    axis = unit(turn[:, :, 0] + lean * rng.standard_normal((n, 3)))
+    return (matrix + matrix.transpose(0, 2, 1)) / 2, axis, unit(axis + 0.25 * rng.standard_normal((n, 3)))
+
+
+@pytest.mark.parametrize("lean", [0.05, 0.3, 10.0])
+def test_the_closed_form_agrees_with_lapack(lean: float) -> None:
+    spread = np.random.default_rng(5).uniform(0, 5, (20000, 3))
+    matrix, axis, normal = random_case(2, spread, lean)
+    np.testing.assert_allclose(
+        equivalent_compliance(matrix, axis, normal, "quadratic"), by_lapack(matrix, axis, normal, True), atol=1e-10
+    )
+    np.testing.assert_allclose(
+        equivalent_compliance(matrix, axis, normal), by_lapack(matrix, axis, normal, False), atol=1e-7
+    )
+
+
+def test_near_degenerate_matrices_lose_no_digits() -> None:
+    """Squares of the cosines do not depend on how LAPACK turns a pair, unless the axis is in it."""
+    spread = 10 ** np.random.default_rng(6).uniform(-14, 0, (20000, 3))
+    matrix, axis, normal = random_case(3, spread, 0.05)
+    got = equivalent_compliance(matrix, axis, normal, "quadratic")
+    np.testing.assert_allclose(got, by_lapack(matrix, axis, normal, True), atol=1e-9)
+
+
+def test_what_lies_along_the_axis_gives_nothing() -> None:
+    np.testing.assert_array_equal(equivalent_compliance(SOFT, AXIS, AXIS), [0.0])
+    np.testing.assert_array_equal(equivalent_compliance(np.eye(3)[None], AXIS, AXIS), [0.0])
+    assert equivalent_compliance(np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 3))).shape == (0,)
+
+
+def test_a_matrix_that_is_not_symmetric_is_projected_by_its_own_eigenvectors() -> None:
+    oblique = unit(np.array([[1.0, 0.0, 0.0], [0.6, 0.8, 0.0], [0.1, 0.0, 1.0]])).T
+    matrix = (oblique @ np.diag([3.0, 2.0, 1.0]) @ np.linalg.inv(oblique))[None]
+    normal = unit(np.array([[0.3, 0.2, 1.0]]))
+    want = 3 * abs(oblique[:, 0] @ normal[0]) + 2 * abs(oblique[:, 1] @ normal[0])
+    assert equivalent_compliance(matrix, AXIS, normal)[0] == pytest.approx(want)
+    assert not complex_eigenvalues(matrix)[0]
+
+
+def test_complex_eigenvalues_are_refused_and_counted() -> None:
+    spiral = np.array([[1.0, -0.5, 0.0], [0.5, 1.0, 0.0], [0.0, 0.0, 2.0]])
+    matrix = np.stack([SOFT[0], spiral, SOFT[0], spiral])
+    np.testing.assert_array_equal(complex_eigenvalues(matrix), [False, True, False, True])
+    with pytest.raises(ComputeError, match=r'point 1: with moment = "paper" .* 500 um/N, .*\(so at 2 of 4 points'):
+        equivalent_compliance(matrix, np.tile(AXIS, (4, 1)), np.tile(AXIS, (4, 1)))

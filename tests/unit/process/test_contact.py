@@ -10,7 +10,7 @@ import pytest
 from scipy import integrate
 
 from polishd.model.errors import ComputeError
-from polishd.model.process import ToolProcess
+from polishd.model.process import NormalForce, ToolProcess
 from polishd.process import contact
 
 PAPER = ToolProcess()
@@ -37,8 +37,11 @@ def test_hertz_at_the_figures_of_the_paper() -> None:
 
 
 def test_the_resolved_force_presses_deeper() -> None:
-    resolved = dataclasses.replace(PAPER, force_n=12 / np.cos(np.radians(15)))
+    resolved = dataclasses.replace(PAPER, normal_force="resolved")
+    assert contact.normal_force_n(resolved) == pytest.approx(12.42, abs=5e-3)
     assert contact.hertz_depth_mm(resolved) == pytest.approx(0.1518, abs=5e-5)
+    by_hand = dataclasses.replace(PAPER, force_n=12 / np.cos(np.radians(15)))
+    assert contact.hertz_depth_mm(resolved) == pytest.approx(contact.hertz_depth_mm(by_hand), rel=1e-12)
 
 
 @pytest.mark.parametrize("force", [0.5, 12.0, 60.0])
@@ -116,6 +119,49 @@ def test_the_shift_keeps_the_force_and_gives_the_moment_of_eq_33() -> None:
     assert integral(thick, DEPTH, lambda x, y, r: x * pressure(x, y, r)) == pytest.approx(shift * force, rel=1e-6)
 
 
+@pytest.mark.parametrize("normal_force", ["axial", "resolved"])
+@pytest.mark.parametrize("thick", [False, True])
+def test_force_and_moment_are_hertz_and_shift_times_force(normal_force: NormalForce, thick: bool) -> None:
+    """Eq. 33, against an adaptive integral on squares that knows nothing of the contact's middle."""
+    viscous = {"second_viscosity_mpa_s": 0.02, "viscosity_mpa_s": 0.05} if thick else {}
+    process = dataclasses.replace(PAPER, normal_force=normal_force, **viscous)
+    depth = contact.hertz_depth_mm(process)
+    force, moment = contact.force_and_moment(process, depth)
+    assert force == pytest.approx(12.0 / (np.cos(np.radians(15)) if normal_force == "resolved" else 1), rel=1e-9)
+    assert moment == pytest.approx(float(contact.dissipative_shift_mm(process, depth)) * force, rel=1e-9)
+    line, step = np.linspace(-2.5, 2.5, 2001, retstep=True)
+    x, y = np.meshgrid(line, line)
+    pressure = contact.pressure_mpa(process, depth, x, y)
+    assert pressure.sum() * step**2 == pytest.approx(force, rel=1e-4)
+    assert (x * pressure).sum() * step**2 == pytest.approx(moment, rel=1e-3)
+
+
+def test_the_dissipative_stress_is_below_a_thousandth_up_to_0_72_radii() -> None:
+    """The size physics.md gives to it; at the rim eq. 32 as printed is infinite."""
+    fraction = float(contact.dissipative_fraction(PAPER, DEPTH))
+    assert fraction == pytest.approx(6.70e-4, rel=2e-3)
+    low, high = contact.dissipative_ratio(PAPER, DEPTH, np.array([0.715, 0.725]))
+    assert low < 1e-3 < high
+    assert contact.dissipative_ratio(PAPER, DEPTH, 1 - 1e-9) > 1e4
+
+
+def test_the_dissipative_ratio_is_the_shift_of_the_elastic_pressure() -> None:
+    """To first order the pressure moved by the shift is the pressure and the dissipative stress of eq. 32."""
+    still = dataclasses.replace(PAPER, dip_deg=0.0)  # same pressure, not shifted
+    radius = float(contact.contact_radius_mm(PAPER, DEPTH))
+    rho = np.array([-0.6, -0.2, 0.3, 0.7])
+    moved, elastic = (contact.pressure_mpa(p, DEPTH, rho * radius, np.zeros(4)) for p in (PAPER, still))
+    np.testing.assert_allclose(moved / elastic - 1, contact.dissipative_ratio(PAPER, DEPTH, rho), rtol=5e-3)
+
+
+def test_without_dip_there_is_no_moment() -> None:
+    upright = dataclasses.replace(PAPER, dip_deg=0.0)
+    force, moment = contact.force_and_moment(upright, DEPTH)
+    assert force == pytest.approx(12.0, rel=1e-6)
+    assert moment == pytest.approx(0.0, abs=1e-12)
+    assert contact.dissipative_fraction(upright, DEPTH) == 0
+
+
 @pytest.mark.parametrize(
     ("name", "value", "says"),
     [
@@ -130,8 +176,12 @@ def test_the_shift_keeps_the_force_and_gives_the_moment_of_eq_33() -> None:
         ("lame_mpa", 0.0, "lame_mpa is 0 MPa"),
         ("viscosity_mpa_s", -1.0, "viscosity_mpa_s is -1 MPa s"),
         ("force_n", 1e4, "too deep for Hertz"),
+        ("depth_exponent", 0.0, "depth_exponent is 0"),
+        ("spot_offset_mm", (0.0, np.nan), "spot_offset_mm is nan mm"),
+        ("spot_offset_mm", (25.0, 0.0), "spot_offset_mm is 25 mm, it must be above -20 and below 20"),
+        ("normal_force", "vertical", "normal_force is 'vertical', it must be axial or resolved"),
     ],
 )
-def test_a_process_that_cannot_be_is_refused_by_name(name: str, value: float, says: str) -> None:
+def test_a_process_that_cannot_be_is_refused_by_name(name: str, value: object, says: str) -> None:
     with pytest.raises(ComputeError, match=says):
         contact.hertz_depth_mm(dataclasses.replace(PAPER, **{name: value}))

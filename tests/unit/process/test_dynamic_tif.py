@@ -7,54 +7,26 @@ import time
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
-from scipy import sparse
+from scipy import integrate, sparse
 
 from polishd.model.errors import ComputeError
-from polishd.model.process import HybridRobot, Placement, ToolProcess
+from polishd.model.process import Correction, ToolProcess
 from polishd.model.program import Program
 from polishd.model.surface import Grid
 from polishd.process import contact
-from polishd.process.dynamic_tif import corrected_spot, effect_matrix, path_compliance
-from polishd.process.frames import rotation_from_rpy_deg
-from polishd.process.robot import inverse_kinematics
+from polishd.process.dynamic_tif import corrected_spot, effect_matrix
+from polishd.process.spot import HertzSpot
+from tests.unit.process.paths import program, raster
 
 PAPER = ToolProcess()
-DEPTH = 0.14834891
-DIP = np.radians(15.0)
-ROBOT = HybridRobot()
+DEPTH = contact.hertz_depth_mm(PAPER)
 Point = tuple[float, float]
-PLACEMENT = Placement((300.0, 220.0, 2315.0), rotation_from_rpy_deg(180.0, 0.0, 0.0))
-
-
-def program(start: ArrayLike, end: ArrayLike, azimuth: ArrayLike = 0.0) -> Program:
-    """A program of moves from (n, 2) to (n, 2) mm with the spindle leaning towards the (n,) azimuth, rad."""
-    start, end = (np.column_stack([a, np.zeros(len(a))]) for a in np.broadcast_arrays(*np.atleast_2d(start, end)))
-    n = len(end)
-    azimuth = np.broadcast_to(azimuth, n)
-    axis = np.stack([np.cos(azimuth) * np.sin(DIP), np.sin(azimuth) * np.sin(DIP), np.full(n, np.cos(DIP))], axis=1)
-    index = np.arange(n)
-    return Program(b"", "", "p", "rs274", "feed", index + 1, index, start, end, axis, np.ones(n), n, 600.0)
-
-
-def inward_program(start: ArrayLike, end: ArrayLike) -> Program:
-    """The same on the shipped part with the spindle leaning towards the base's z axis."""
-    moves = program(start, end)
-    base = moves.end_mm * [1, -1, -1] + np.array(PLACEMENT.origin_mm)
-    return program(start, end, np.arctan2(base[:, 1], -base[:, 0]))
-
-
-def raster(step: float, half: float = 50.0) -> Program:
-    line = np.arange(-half, half + 1e-9, step)
-    x, y = np.meshgrid(line, line)
-    start, end = (np.stack([a.ravel(), b.ravel()], axis=1) for a, b in ((x[:, :-1], y[:, :-1]), (x[:, 1:], y[:, 1:])))
-    return inward_program(start, end)
 
 
 def effect(
-    grid: Grid, moves: Program, depth: float = DEPTH, factor: float = 1.0, process: ToolProcess = PAPER
+    grid: Grid, moves: Program, gamma: float = 1.0, factor: float = 1.0, process: ToolProcess = PAPER
 ) -> sparse.csr_array:
-    return effect_matrix(grid, process, moves, np.full(moves.n, depth), np.full(moves.n, factor))
+    return effect_matrix(grid, HertzSpot(process), moves, np.full(moves.n, gamma), np.full(moves.n, factor))
 
 
 def brute_force(
@@ -77,23 +49,23 @@ def brute_force(
 
 
 @pytest.mark.parametrize(
-    ("pitch", "start", "end", "azimuth", "depth"),
+    ("pitch", "start", "end", "azimuth", "gamma"),
     [
-        (1.0, (0.0, 0.0), (0.0, 0.0), 0.0, DEPTH),
-        (1.0, (0.3, -0.2), (1.1, 0.4), 0.9, 0.87 * DEPTH),
-        (0.5, (-0.61, 0.17), (0.39, 0.17), -2.2, 0.8 * DEPTH),
-        (1.0, (-3.0, 1.0), (3.5, -1.5), 2.0, DEPTH),
-        (0.25, (0.1, 0.0), (0.0, 0.25), 3.0, DEPTH),
-        (3.0, (0.4, 0.3), (1.4, 0.3), 1.0, DEPTH),
+        (1.0, (0.0, 0.0), (0.0, 0.0), 0.0, 1.0),
+        (1.0, (0.3, -0.2), (1.1, 0.4), 0.9, 0.87),
+        (0.5, (-0.61, 0.17), (0.39, 0.17), -2.2, 0.8),
+        (1.0, (-3.0, 1.0), (3.5, -1.5), 2.0, 1.0),
+        (0.25, (0.1, 0.0), (0.0, 0.25), 3.0, 1.0),
+        (3.0, (0.4, 0.3), (1.4, 0.3), 1.0, 1.0),
     ],
 )
 def test_a_column_is_what_brute_force_says(
-    pitch: float, start: Point, end: Point, azimuth: float, depth: float
+    pitch: float, start: Point, end: Point, azimuth: float, gamma: float
 ) -> None:
     cells = int(13 / pitch)
     grid = Grid(cells, cells + 1, pitch)
-    want = brute_force(grid, start, end, azimuth, depth)
-    got = effect(grid, program([start], [end], azimuth), depth).toarray().reshape(grid.shape)
+    want = brute_force(grid, start, end, azimuth, gamma * DEPTH)
+    got = effect(grid, program([start], [end], azimuth), gamma).toarray().reshape(grid.shape)
     assert np.abs(got - want).max() < (3e-3 if pitch >= 0.5 else 2e-2) * want.max()
 
 
@@ -112,10 +84,10 @@ def test_the_sum_of_a_column_is_the_volume_rate(pitch: float) -> None:
     rng = np.random.default_rng(4)
     start = rng.uniform(-8, 8, (300, 2))
     moves = program(start, start + rng.uniform(-4, 4, (300, 2)), rng.uniform(-4, 4, 300))
-    depth = rng.uniform(0.8, 1.0, 300) * DEPTH
+    gamma = rng.uniform(0.8, 1.0, 300)
     grid = Grid(int(40 / pitch), int(40 / pitch), pitch)
-    matrix = effect_matrix(grid, PAPER, moves, depth, np.ones(300))
-    want = contact.volume_rate_nm_mm2_s(PAPER, depth)
+    matrix = effect_matrix(grid, HertzSpot(PAPER), moves, gamma, np.ones(300))
+    want = contact.volume_rate_nm_mm2_s(PAPER, gamma * DEPTH)
     np.testing.assert_allclose(matrix.sum(axis=0) * pitch**2, want, rtol=1e-9)
 
 
@@ -184,72 +156,96 @@ def test_a_raster_of_ten_thousand_blocks_takes_well_below_two_seconds(pitch: flo
     assert even.std() < 0.02 * even.mean()
 
 
+def volume_ratio(correction: Correction, gamma: np.ndarray) -> np.ndarray:
+    """Volume of the corrected spot over the rigid robot's."""
+    spots = corrected_spot(correction, gamma)
+    volume = contact.volume_rate_nm_mm2_s(PAPER, spots.depth_ratio * DEPTH)
+    return spots.factor * volume / contact.volume_rate_nm_mm2_s(PAPER, DEPTH)
+
+
 def test_corrections_stand_for_what_they_say() -> None:
     gamma = np.array([0.85, 0.91])
-    volume = contact.volume_rate_nm_mm2_s(PAPER, np.array([DEPTH]))[0]
-    ratio = {}
-    for name in ("exact", "none", "linear", "power"):
-        depth, factor = corrected_spot(name, DEPTH, gamma)
-        ratio[name] = factor * contact.volume_rate_nm_mm2_s(PAPER, depth) / volume
-        assert (depth == (gamma * DEPTH if name == "exact" else DEPTH)).all()
-    np.testing.assert_allclose(ratio["none"], 1, rtol=1e-12)
-    np.testing.assert_allclose(ratio["linear"], gamma, rtol=1e-12)
-    np.testing.assert_allclose(ratio["power"], gamma**1.5, rtol=1e-12)
-    np.testing.assert_allclose(ratio["exact"], gamma**1.5, rtol=2e-3)  # nearly: the speed changes with the depth too
+    np.testing.assert_allclose(volume_ratio("none", gamma), 1, rtol=1e-12)
+    np.testing.assert_allclose(volume_ratio("pointwise", gamma), 1, rtol=1e-12)
+    np.testing.assert_allclose(volume_ratio("linear", gamma), gamma, rtol=1e-12)
+    np.testing.assert_allclose(volume_ratio("power", gamma), gamma**1.5, rtol=1e-12)
+    # nearly: the speed changes with the depth too
+    np.testing.assert_allclose(volume_ratio("exact", gamma), gamma**1.5, rtol=2e-3)
+    assert (corrected_spot("exact", gamma).depth_ratio == gamma).all()
 
 
-@pytest.mark.parametrize("name", ["pointwise", "guess"])
-def test_a_correction_without_a_matrix_is_refused(name: str) -> None:
-    with pytest.raises(ComputeError, match=f"{name}.* has no effect matrix of its own; use exact"):
-        corrected_spot(name, DEPTH, np.ones(1))
+def test_only_pointwise_divides_the_dwell() -> None:
+    gamma = np.array([0.85, 0.91])
+    every: tuple[Correction, ...] = ("none", "linear", "power", "exact", "pointwise")
+    *others, pointwise = (corrected_spot(name, gamma).divide_by for name in every)
+    assert others == [None] * 4
+    np.testing.assert_array_equal(pointwise, gamma)
 
 
-def test_the_compliance_along_the_shipped_part_varies_as_documented() -> None:
-    angle = np.linspace(0, 2 * np.pi, 60)
-    rim = 50 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    compliance, jumps = path_compliance(inward_program(rim, rim), PAPER, ROBOT, PLACEMENT)
-    gamma = 1 - compliance * 12 / np.cos(DIP) / DEPTH
-    assert (gamma.min(), gamma.max()) == pytest.approx((0.8658, 0.8778), abs=3e-4)
-    assert jumps == 0
+def test_pointwise_and_linear_give_one_removal() -> None:
+    """The trap in the paper's comparison: ``R_0 diag(gamma) (t / gamma) = R_0 t``."""
+    grid, moves = Grid(40, 40, 1.0), raster(4.0, 12.0)
+    rng = np.random.default_rng(8)
+    gamma, dwell = rng.uniform(0.83, 0.92, moves.n), rng.uniform(0, 5, moves.n)
+    linear, pointwise = (corrected_spot(name, gamma) for name in ("linear", "pointwise"))
+    plant = effect_matrix(grid, HertzSpot(PAPER), moves, linear.depth_ratio, linear.factor)
+    believed = effect_matrix(grid, HertzSpot(PAPER), moves, pointwise.depth_ratio, pointwise.factor)
+    assert pointwise.divide_by is not None
+    np.testing.assert_allclose(plant @ (dwell / pointwise.divide_by), believed @ dwell, rtol=1e-12)
 
 
-def test_the_wrist_stays_on_one_branch_and_off_its_singularity_over_the_shipped_part() -> None:
-    moves = raster(10.0, 55.0)
-    base = moves.end_mm * [1, -1, -1] + np.array(PLACEMENT.origin_mm)
-    pose = inverse_kinematics(ROBOT, base, moves.axis * [1, -1, -1])
-    assert np.degrees(pose.a_rad).min() > 4.5
-    assert np.degrees(np.ptp(pose.c_rad)) < 60
+def test_the_exponent_of_power_is_the_process_s() -> None:
+    gamma = np.array([0.8, 0.9])
+    np.testing.assert_allclose(corrected_spot("power", gamma, 1.8).factor, gamma**1.8, rtol=1e-15)
 
 
-def test_a_block_is_as_soft_as_the_robot_is_at_its_middle() -> None:
-    resting = inward_program([[1.0, 2.0]], [[1.0, 2.0]])
-    half = np.array([5.0, 0.0, 0.0])
-    moving = dataclasses.replace(resting, start_mm=resting.start_mm - half, end_mm=resting.end_mm + half)
-    (moving, _), (resting, _) = (path_compliance(p, PAPER, ROBOT, PLACEMENT) for p in (moving, resting))
-    assert moving[0] == pytest.approx(resting[0], rel=1e-12)
+def test_a_spot_of_another_depth_ratio_can_stand_for_all() -> None:
+    """One measured at gamma 0.9, or the static spot calibrated at the mean pose."""
+    gamma = np.array([0.81, 0.9])
+    for name, factor in (("none", [1, 1]), ("linear", [0.9, 1]), ("power", [0.9**2, 1]), ("pointwise", [1, 1])):
+        spots = corrected_spot(name, gamma, 2.0, 0.9)
+        np.testing.assert_allclose(spots.factor, factor, rtol=1e-12)
+        assert (spots.depth_ratio == 0.9).all()
+    np.testing.assert_allclose(corrected_spot("pointwise", gamma, 2.0, 0.9).divide_by, [0.9, 1], rtol=1e-12)
+    assert (corrected_spot("exact", gamma, 2.0, 0.9).depth_ratio == gamma).all()
 
 
-def test_an_axis_that_is_not_dipped_as_the_process_says_is_refused() -> None:
-    steep = dataclasses.replace(PAPER, dip_deg=20.0)
-    with pytest.raises(ComputeError, match=r"point 0: .*the dip is 15 deg, the process says 20"):
-        path_compliance(program([[0.0, 0.0]], [[0.0, 0.0]]), steep, ROBOT, PLACEMENT)
+def test_an_unknown_correction_is_refused() -> None:
+    with pytest.raises(ComputeError, match="no correction 'guess'; use exact"):
+        corrected_spot("guess", np.ones(1))  # type: ignore[arg-type]
 
 
-def test_points_out_of_reach_or_not_finite_are_refused_by_number() -> None:
-    far = Placement((900.0, 0.0, 2335.0), PLACEMENT.rotation)
-    with pytest.raises(ComputeError, match=r"point 0: the longest limb is .* mm, out of stroke"):
-        path_compliance(program([[0.0, 0.0]], [[0.0, 0.0]], np.pi), PAPER, ROBOT, far)
-    with pytest.raises(ComputeError, match="point 1: start of block is nan mm"):
-        path_compliance(program([[0.0, 0.0], [np.nan, 0.0]], [[0.0, 0.0]] * 2), PAPER, ROBOT, PLACEMENT)
+@pytest.mark.parametrize("azimuth", [0.0, 1.0, -2.5])
+def test_the_spots_offset_turns_with_the_spindle(azimuth: float) -> None:
+    """y of the tool's frame is where the spindle leans, x is to its right seen from above."""
+    grid, moves = Grid(81, 81, 0.25), program([[0.5, -1.0]], [[0.5, -1.0]], azimuth)
+    along, right = 3.0, 1.2
+    offset = dataclasses.replace(PAPER, spot_offset_mm=(right, along))
+    lean = np.array([np.cos(azimuth), np.sin(azimuth)])
+    want = along * lean + right * np.array([lean[1], -lean[0]])
+    centre = []
+    for process in (PAPER, offset):
+        spot = effect(grid, moves, process=process).toarray().reshape(grid.shape)
+        centre.append(np.array([(spot.sum(axis=0) @ grid.x_mm), spot.sum(axis=1) @ grid.y_mm]) / spot.sum())
+    np.testing.assert_allclose(centre[1] - centre[0], want, atol=1e-4)
 
 
-def test_columns_of_different_lengths_are_refused() -> None:
-    moves = dataclasses.replace(program([[0.0, 0.0]], [[0.0, 0.0]]), start_mm=np.zeros((2, 3)))
-    with pytest.raises(ComputeError, match="2 starts, 1 ends and 1 axes"):
-        path_compliance(moves, PAPER, ROBOT, PLACEMENT)
+def test_the_cells_hold_the_volume_of_an_adaptive_integral() -> None:
+    """Volume conserved to 1e-6, against an integral that shares no code with the patch."""
+    radius, shift = (float(f(PAPER, DEPTH)) for f in (contact.contact_radius_mm, contact.dissipative_shift_mm))
+
+    def ring(rho: float, angle: float) -> float:
+        x, y = shift + rho * np.cos(angle), rho * np.sin(angle)
+        return rho * float(contact.removal_rate_nm_s(PAPER, DEPTH, np.array(x), np.array(y)))
+
+    want = integrate.dblquad(ring, 0, 2 * np.pi, 0, radius, epsrel=1e-9)[0]
+    moves = program([[0.21, -0.4], [-3.0, 2.0]], [[0.21, -0.4], [3.0, 2.5]], 0.6)
+    for pitch in (0.2, 1.0, 1.7):
+        got = effect(Grid(31, 32, pitch), moves).sum(axis=0) * pitch**2
+        np.testing.assert_allclose(got if pitch > 0.5 else got[:1], want, rtol=1e-6)
 
 
-@pytest.mark.parametrize(("depth", "factor"), [(np.nan, 1.0), (0.0, 1.0), (DEPTH, np.nan), (DEPTH, -1.0)])
-def test_an_impossible_depth_or_factor_is_refused(depth: float, factor: float) -> None:
-    with pytest.raises(ComputeError, match=r"point 0: the (depth|factor on the removal) is"):
-        effect(Grid(3, 3, 1.0), program([[0.0, 0.0]], [[0.0, 0.0]]), depth, factor)
+@pytest.mark.parametrize(("gamma", "factor"), [(np.nan, 1.0), (0.0, 1.0), (-0.2, 1.0), (1.0, np.nan), (1.0, -1.0)])
+def test_an_impossible_depth_or_factor_is_refused(gamma: float, factor: float) -> None:
+    with pytest.raises(ComputeError, match=r"point 0: the (depth ratio gamma|factor on the removal) is"):
+        effect(Grid(3, 3, 1.0), program([[0.0, 0.0]], [[0.0, 0.0]]), gamma, factor)

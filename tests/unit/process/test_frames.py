@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from polishd.model.errors import ComputeError
-from polishd.model.process import Placement
+from polishd.model.process import ComplianceOptions, Optic, Placement
 from polishd.model.surface import FloatArray
 from polishd.process import frames
 
@@ -29,7 +29,7 @@ def shipped() -> Placement:
 def test_the_shipped_part_lies_face_up() -> None:
     points = frames.points_to_base(shipped(), np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 5.0]]))
     np.testing.assert_allclose(points, [[300, 220, 2315], [310, 220, 2315], [300, 210, 2310]], atol=1e-9)
-    np.testing.assert_allclose(frames.surface_normals(shipped(), 2), [[0, 0, -1]] * 2, atol=1e-12)
+    np.testing.assert_allclose(frames.surface_normals(shipped(), np.zeros((2, 3))), [[0, 0, -1]] * 2, atol=1e-12)
 
 
 def test_directions_turn_but_do_not_move() -> None:
@@ -46,7 +46,7 @@ def test_a_placement_that_is_not_a_rotation_is_refused(rotation: FloatArray) -> 
 
 def test_a_placement_or_point_that_is_not_finite_is_refused() -> None:
     with pytest.raises(ComputeError, match="finite origin"):
-        frames.surface_normals(Placement((0.0, np.inf, 0.0), np.eye(3)), 1)
+        frames.surface_normals(Placement((0.0, np.inf, 0.0), np.eye(3)), np.zeros((1, 3)))
     with pytest.raises(ComputeError, match="point 1: point in the part's frame is inf mm"):
         frames.points_to_base(shipped(), np.array([[0.0, 0.0, 0.0], [0.0, np.inf, 0.0]]))
 
@@ -114,3 +114,117 @@ def test_c_stays_where_it_is_not_defined() -> None:
 def test_an_axis_that_is_not_a_unit_vector_is_refused() -> None:
     with pytest.raises(ComputeError, match="point 0: the length of tool axis is 2"):
         frames.angles_from_axis(np.array([[0.0, 0.0, 2.0]]))
+
+
+HOME = Placement((0.0, 0.0, 0.0), np.eye(3))
+
+
+@pytest.mark.parametrize(("radius", "conic"), [(800.0, 0.0), (-800.0, 0.0), (500.0, -1.0), (500.0, -1.7), (900.0, 0.6)])
+def test_normals_of_a_conic_are_those_of_its_sag(radius: float, conic: float) -> None:
+    rng = np.random.default_rng(4)
+    points = np.column_stack([rng.uniform(-150, 150, (50, 2)), np.zeros(50)])
+
+    def sag(x: FloatArray, y: FloatArray) -> FloatArray:
+        r2 = x**2 + y**2
+        return np.asarray(r2 / (radius * (1 + np.sqrt(1 - (1 + conic) * r2 / radius**2))))
+
+    x, y, h = points[:, 0], points[:, 1], 1e-3
+    slope = [(sag(x + h, y) - sag(x - h, y)) / (2 * h), (sag(x, y + h) - sag(x, y - h)) / (2 * h)]
+    want = np.column_stack([-slope[0], -slope[1], np.ones(50)])
+    want /= np.linalg.norm(want, axis=1)[:, None]
+    np.testing.assert_allclose(frames.surface_normals(HOME, points, Optic(radius, conic)), want, atol=1e-8)
+
+
+def test_a_concave_sphere_looks_at_its_centre() -> None:
+    points = np.array([[30.0, -40.0, 0.0]])
+    centre = np.array([0.0, 0.0, 250.0])
+    on_sphere = np.array([30.0, -40.0, 250 - np.sqrt(250**2 - 2500)])
+    want = (centre - on_sphere) / 250
+    np.testing.assert_allclose(frames.surface_normals(HOME, points, Optic(250.0))[0], want, atol=1e-12)
+
+
+def test_a_point_beyond_the_sphere_is_named() -> None:
+    points = np.array([[0.0, 0.0, 0.0], [60.0, 0.0, 0.0]])
+    with pytest.raises(ComputeError, match=r"point 1: the distance from the part's axis is 60 mm"):
+        frames.surface_normals(HOME, points, Optic(50.0))
+    with pytest.raises(ComputeError, match="radius of curvature is 0"):
+        frames.surface_normals(HOME, points, Optic(0.0))
+
+
+def meander() -> FloatArray:
+    """A path to the right, up, and to the left, that rests twice at one point."""
+    return np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [2, 0, 0], [2, 0, 0], [2, 1, 0], [2, 2, 0], [1, 2, 0.0]])
+
+
+def test_tangents_are_central_differences_and_survive_rests() -> None:
+    r = np.sqrt(0.5)
+    want = [[1, 0, 0], [1, 0, 0], [1, 0, 0], [1, 0, 0], [0, 1, 0], [0, 1, 0], [-r, r, 0], [-1, 0, 0]]
+    np.testing.assert_allclose(frames.path_tangents(meander()), want, atol=1e-12)
+
+
+def test_a_path_without_direction_is_refused() -> None:
+    with pytest.raises(ComputeError, match="coincide"):
+        frames.path_tangents(np.ones((3, 3)))
+    with pytest.raises(ComputeError, match="1 points"):
+        frames.path_tangents(np.ones((1, 3)))
+
+
+@pytest.mark.parametrize(
+    ("options", "lean"),
+    [
+        (ComplianceOptions(dip_direction="along"), [1.0, 0.0, 0.0]),
+        (ComplianceOptions(dip_direction="across"), [0.0, 1.0, 0.0]),
+        (ComplianceOptions(dip_direction="fixed", dip_azimuth_deg=30.0), [np.sqrt(0.75), 0.5, 0.0]),
+        (ComplianceOptions(dip_direction="inward"), [-0.6, 0.8, 0.0]),
+    ],
+)
+def test_where_the_spindle_leans(options: ComplianceOptions, lean: list[float]) -> None:
+    tip = np.array([[30.0, -40.0, 0.0], [30.001, -40.0, 0.0]])
+    normal = np.tile([0.0, 0.0, 1.0], (2, 1))
+    axis = frames.dipped_axes(options, HOME, tip, normal, 20.0)
+    want = np.sin(np.radians(20)) * np.array(lean) + [0, 0, np.cos(np.radians(20))]
+    np.testing.assert_allclose(axis[0], want, atol=1e-4)
+    np.testing.assert_allclose(frames.dips_deg(axis, normal), 20.0, atol=1e-9)
+    back = frames.turned_back(axis, frames.lean_directions(options, HOME, tip, normal), 20.0)
+    np.testing.assert_allclose(back, normal, atol=1e-12)
+
+
+def test_a_fixed_lean_is_fixed_on_the_part_wherever_it_lies() -> None:
+    turned = Placement((300.0, 0.0, 2000.0), frames.rotation_from_rpy_deg(180.0, 0.0, 40.0))
+    options = ComplianceOptions(dip_direction="fixed", dip_azimuth_deg=70.0)
+    part = np.random.default_rng(1).uniform(-50, 50, (5, 3))
+    normal = frames.surface_normals(turned, part)
+    axis = frames.dipped_axes(options, turned, frames.points_to_base(turned, part), normal, 10.0) @ turned.rotation
+    np.testing.assert_allclose(np.degrees(np.arctan2(axis[:, 1], axis[:, 0])), 70.0, atol=1e-9)
+
+
+def test_a_dip_that_nobody_knows_is_refused() -> None:
+    tip, normal = np.ones((1, 3)), np.array([[0.0, 0.0, 1.0]])
+    with pytest.raises(ComputeError, match="none of inward"):
+        frames.dipped_axes(ComplianceOptions(dip_direction="up"), HOME, tip, normal, 15.0)  # type: ignore[arg-type]
+    with pytest.raises(ComputeError, match="the dip is 90 deg"):
+        frames.dipped_axes(ComplianceOptions(), HOME, tip, normal, 90.0)
+
+
+def test_binormals_of_a_helix_are_those_of_the_books() -> None:
+    t = np.linspace(0, 6, 4001)
+    r, c = 20.0, 5.0
+    path = np.column_stack([r * np.cos(t), r * np.sin(t), c * t])
+    got, defined = frames.frenet_binormals(path)
+    want = np.column_stack([c * np.sin(t), -c * np.cos(t), np.full_like(t, r)]) / np.hypot(r, c)
+    assert defined[1:-1].all()
+    assert not defined[[0, -1]].any()
+    np.testing.assert_allclose(got[1:-1], want[1:-1], atol=2e-6)
+
+
+def test_a_raster_has_binormals_at_its_corners_only() -> None:
+    binormal, defined = frames.frenet_binormals(meander())
+    np.testing.assert_array_equal(np.flatnonzero(defined), [6])
+    np.testing.assert_allclose(binormal[6], [0, 0, 1], atol=1e-12)
+
+
+def test_the_rounding_of_a_program_is_not_a_curve() -> None:
+    x = np.arange(200.0)
+    y = np.round(0.3 * x + 0.00004 * np.random.default_rng(0).standard_normal(200), 4)
+    _, defined = frames.frenet_binormals(np.column_stack([x, y, np.zeros(200)]))
+    assert not defined.any()

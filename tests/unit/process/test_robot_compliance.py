@@ -6,42 +6,34 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from polishd.model.errors import ComputeError
-from polishd.model.process import HybridRobot
-from polishd.model.surface import FloatArray
-from polishd.process.compliance import equivalent_compliance
+from polishd.model.process import ToolProcess
+from polishd.model.robot import HybridRobot
+from polishd.process.compliance import depth_ratio, equivalent_compliance
 from polishd.process.robot import (
     Pose,
     inverse_kinematics,
     platform_stiffness,
-    reachable,
     tip_compliance,
     tip_compliance_mm_per_n,
 )
+from tests.unit.process.hybrid_poses import CROOKED, DIP, ROBOT, SLANTED, cylinder, workspace
 
-ROBOT = HybridRobot()
-DIP = np.radians(15.0)
 UP = np.array([0.0, 0.0, -1.0])
+EXACT = (ROBOT, SLANTED, dataclasses.replace(CROOKED, limb_ea_n=2.7e7))
 
 
-def workspace(n: int) -> tuple[FloatArray, FloatArray]:
-    """Tips in reach within Table I's cylinder, spindle leaning inward by 15 degrees, as (tips, axes)."""
-    grid, height = np.linspace(-660, 660, n), np.linspace(200, 910, n)
-    x, y, h = (a.ravel() for a in np.meshgrid(grid, grid, height))
-    radius = np.hypot(x, y)
-    keep = radius <= 660
-    x[radius < 1], radius[radius < 1] = 1e-3, 1e-3  # inward is not defined on the base's z axis itself
-    tip = np.stack([x, y, 2535 - h], axis=1)[keep]
-    lean = -tip[:, :2] / radius[keep][:, None] * np.sin(DIP)
-    axis = np.column_stack([lean, np.full(len(tip), -np.cos(DIP))])
-    reach = reachable(ROBOT, tip, axis)
-    return tip[reach], axis[reach]
+def poses(n: int = 5, robot: HybridRobot = ROBOT) -> Pose:
+    return inverse_kinematics(robot, *workspace(n, robot))
 
 
-def poses(n: int = 5) -> Pose:
-    tip, axis = workspace(n)
-    return inverse_kinematics(ROBOT, tip, axis)
+def limb_stiffness(robot: HybridRobot, pose: Pose, k: int) -> np.ndarray:
+    """(3,) N/mm at pose k."""
+    if robot.limb_ea_n is None:
+        return np.full(3, robot.limb_stiffness_n_per_mm)
+    return robot.limb_ea_n / np.linalg.norm(pose.limbs_mm[k], axis=1)
 
 
 def beam_elements(length: float, bending: float, torsion: float, free_turns: np.ndarray, count: int = 3) -> np.ndarray:
@@ -77,19 +69,20 @@ def limb_springs(robot: HybridRobot, pose: Pose, k: int) -> np.ndarray:
     for j, move in enumerate(np.eye(6)):
         step = 1e-30j * (move[:3] + np.cross(move[3:], pose.joints_mm[k]))
         slope[:, j] = np.sqrt(((pose.limbs_mm[k] + step) ** 2).sum(axis=1)).imag / 1e-30
-    return robot.limb_stiffness_n_per_mm * slope.T @ slope
+    return slope.T @ np.diag(limb_stiffness(robot, pose, k)) @ slope
 
 
-def test_the_platform_is_as_stiff_as_beam_elements_and_springs() -> None:
-    pose = poses()
-    got = platform_stiffness(ROBOT, pose)
+@pytest.mark.parametrize("robot", EXACT)
+def test_the_platform_is_as_stiff_as_beam_elements_and_springs(robot: HybridRobot) -> None:
+    pose = poses(robot=robot)
+    got = platform_stiffness(robot, pose)
     assert len(got) > 30
     for k, frame in enumerate(pose.frame):
-        released = np.linalg.solve(frame, np.column_stack([[1.0, 0.0, 0.0], frame[:, 1]]))
+        released = np.linalg.solve(frame, np.column_stack([pose.outer, frame[:, 1]]))
         length = float(np.linalg.norm(pose.platform_mm[k]))
-        beam = beam_elements(length, ROBOT.up_bending_n_mm2, ROBOT.up_torsion_n_mm2, released)
+        beam = beam_elements(length, robot.up_bending_n_mm2, robot.up_torsion_n_mm2, released)
         turn = np.kron(np.eye(2), frame)
-        want = turn @ beam @ turn.T + limb_springs(ROBOT, pose, k)
+        want = turn @ beam @ turn.T + limb_springs(robot, pose, k)
         scale = np.sqrt(np.outer(np.diag(want), np.diag(want)))
         assert (np.abs(got[k] - want) / scale).max() < 1e-9
 
@@ -98,14 +91,14 @@ def stored_energy(robot: HybridRobot, pose: Pose, k: int, force: np.ndarray) -> 
     """Twice the strain energy under a force at the tip: reactions by statics, moments integrated along the limb."""
     frame = pose.frame[k]
     u, v, w = frame.T
-    n = np.cross([1.0, 0.0, 0.0], v)
+    n = np.cross(pose.outer, v)
     direction = pose.limbs_mm[k] / np.linalg.norm(pose.limbs_mm[k], axis=1)[:, None]
     base = pose.platform_mm[k] + pose.joints_mm[k] - pose.limbs_mm[k]
     # columns: three limbs' pushes, the U joint's shear along u and v, its moment about n; all act on the moving part
     pushes = np.vstack([direction.T, np.cross(base, direction).T])
     balance = np.column_stack([pushes, [*u, 0, 0, 0], [*v, 0, 0, 0], [0, 0, 0, *n]])
     reaction = np.linalg.solve(balance, -np.concatenate([force, np.cross(pose.tip_mm[k], force)]))
-    energy = (reaction[:3] ** 2).sum() / robot.limb_stiffness_n_per_mm
+    energy = (reaction[:3] ** 2 / limb_stiffness(robot, pose, k)).sum()
     length = float(np.linalg.norm(pose.platform_mm[k]))
     node, weight = np.polynomial.legendre.leggauss(4)
     for z, share in zip((node + 1) * length / 2, weight * length / 2, strict=True):
@@ -118,21 +111,61 @@ def stored_energy(robot: HybridRobot, pose: Pose, k: int, force: np.ndarray) -> 
     return energy + (torque @ hinge) ** 2 / (hinge @ hinge) / robot.a_stiffness_n_mm_per_rad
 
 
-def test_the_tip_gives_way_as_the_strain_energy_says() -> None:
-    pose = poses()
-    compliance = tip_compliance_mm_per_n(ROBOT, pose.tip_mm, pose.axis)
+@pytest.mark.parametrize("robot", EXACT)
+def test_the_tip_gives_way_as_the_strain_energy_says(robot: HybridRobot) -> None:
+    pose = poses(robot=robot)
+    compliance = tip_compliance_mm_per_n(robot, pose.tip_mm, pose.axis)
     for k, matrix in enumerate(compliance):
         for force in np.random.default_rng(k).normal(size=(4, 3)):
-            assert force @ matrix @ force == pytest.approx(stored_energy(ROBOT, pose, k, force), rel=1e-9)
+            assert force @ matrix @ force == pytest.approx(stored_energy(robot, pose, k, force), rel=1e-9)
 
 
-def test_it_is_symmetric_and_positive_definite_over_the_workspace() -> None:
-    tip, axis = workspace(9)
-    whole = tip_compliance(ROBOT, inverse_kinematics(ROBOT, tip, axis))
+def moved_energy(robot: HybridRobot, pose: Pose, k: int, move: np.ndarray) -> tuple[float, np.ndarray]:
+    """Strain energy and the tip's place when the platform moves by (6,), then C and A turn: lengths by geometry."""
+    frame, centre = pose.frame[k], pose.platform_mm[k]
+    turn = Rotation.from_rotvec(move[3:6])
+    growth = np.linalg.norm(pose.limbs_mm[k] + move[:3] + turn.apply(pose.joints_mm[k]) - pose.joints_mm[k], axis=1)
+    growth -= np.linalg.norm(pose.limbs_mm[k], axis=1)
+    released = np.linalg.solve(frame, np.column_stack([pose.outer, frame[:, 1]]))
+    length = float(np.linalg.norm(centre))
+    beam = beam_elements(length, robot.up_bending_n_mm2, robot.up_torsion_n_mm2, released)
+    bent = np.concatenate([frame.T @ move[:3], frame.T @ move[3:6]])
+    stiffness = np.array([robot.c_stiffness_n_mm_per_rad, robot.a_stiffness_n_mm_per_rad])
+    energy = (limb_stiffness(robot, pose, k) @ growth**2 + bent @ beam @ bent + stiffness @ move[6:] ** 2) / 2
+    hinge = np.cross(frame[:, 2], pose.axis[k])
+    wrist = Rotation.from_rotvec(move[6] * frame[:, 2]) * Rotation.from_rotvec(move[7] * hinge / np.linalg.norm(hinge))
+    tip = pose.wrist_mm[k] - centre + wrist.apply(pose.tip_mm[k] - pose.wrist_mm[k])
+    return energy, centre + move[:3] + turn.apply(tip)
+
+
+@pytest.mark.parametrize("robot", EXACT)
+def test_it_is_the_curvature_of_the_whole_structures_energy(robot: HybridRobot) -> None:
+    """By finite differences over eight freedoms, and of where the tip goes; nothing is linearised by hand."""
+    pose = poses(3, robot)
+    steps = np.diag([1e-2] * 3 + [1e-5] * 5)
+    assert len(pose.tip_mm) >= 10
+    for k, matrix in enumerate(tip_compliance_mm_per_n(robot, pose.tip_mm, pose.axis)):
+        curvature, slope = np.empty((8, 8)), np.empty((3, 8))
+        for i, a in enumerate(steps):
+            slope[:, i] = (moved_energy(robot, pose, k, a)[1] - moved_energy(robot, pose, k, -a)[1]) / 2
+            for j, b in enumerate(steps):
+                corners = [(s * t, moved_energy(robot, pose, k, s * a + t * b)[0]) for s in (1, -1) for t in (1, -1)]
+                curvature[i, j] = sum(sign * energy for sign, energy in corners) / 4
+        want = slope @ np.linalg.solve(curvature, slope.T)
+        scale = np.sqrt(np.outer(np.diag(want), np.diag(want)))
+        assert (np.abs(matrix - want) / scale).max() < 1e-6
+
+
+@pytest.mark.parametrize("robot", EXACT)
+def test_it_is_symmetric_and_positive_definite_over_the_workspace(robot: HybridRobot) -> None:
+    tip, axis = workspace(9, robot)
+    whole = tip_compliance(robot, inverse_kinematics(robot, tip, axis))
     scale = np.sqrt(np.einsum("nii,njj->nij", whole, whole))
     assert (np.abs(whole - whole.transpose(0, 2, 1)) / scale).max() < 1e-12
     assert np.linalg.eigvalsh(whole / scale).min() > 0
-    np.testing.assert_array_equal(whole[:, :3, :3], tip_compliance_mm_per_n(ROBOT, tip, axis))
+    matrix = tip_compliance_mm_per_n(robot, tip, axis)
+    np.testing.assert_array_equal(matrix, matrix.transpose(0, 2, 1))
+    assert np.linalg.eigvalsh(matrix).min() > 1e-5
 
 
 def test_a_mirrored_pose_has_the_mirrored_compliance() -> None:
@@ -150,17 +183,39 @@ def test_renaming_the_limbs_changes_nothing() -> None:
     np.testing.assert_allclose(tip_compliance_mm_per_n(renamed, tip, axis), want, rtol=0, atol=1e-14)
 
 
-def test_the_whole_compliance_moves_with_its_point_of_reference() -> None:
+def test_a_turned_robot_gives_way_alike() -> None:
+    turn = Rotation.from_euler("Z", -52.0, degrees=True)
+    assert CROOKED.base_joints_mm
+    assert CROOKED.platform_joints_mm
+    turned = dataclasses.replace(
+        CROOKED,
+        base_joints_mm=tuple(map(tuple, turn.apply(CROOKED.base_joints_mm))),
+        platform_joints_mm=tuple(map(tuple, turn.apply(CROOKED.platform_joints_mm))),
+        outer_axis=tuple(turn.apply(CROOKED.outer_axis)),
+    )
+    tip, axis = workspace(7, CROOKED)
+    rotation = turn.as_matrix()
+    want = rotation @ tip_compliance_mm_per_n(CROOKED, tip, axis) @ rotation.T
+    got = tip_compliance_mm_per_n(turned, turn.apply(tip), turn.apply(axis))
+    np.testing.assert_allclose(got, want, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("robot", EXACT)
+def test_the_whole_compliance_moves_with_its_point_of_reference(robot: HybridRobot) -> None:
     """A longer tool on the same wrist: carrying the 6 x 6 by hand to the new tip must give what the robot gives."""
-    pose = poses()
+    roomy = dataclasses.replace(robot, workspace_height_mm=(0.0, 1000.0))
+    pose = poses(robot=robot)
     step = -50.0 * pose.axis
-    longer = dataclasses.replace(ROBOT, tool_length_mm=ROBOT.tool_length_mm + 50.0)
+    longer = dataclasses.replace(roomy, tool_length_mm=roomy.tool_length_mm + 50.0, workspace_radius_mm=700.0)
     got = tip_compliance(longer, inverse_kinematics(longer, pose.tip_mm + step, pose.axis))
-    for k, matrix in enumerate(tip_compliance(ROBOT, pose)):
+    tips = tip_compliance_mm_per_n(longer, pose.tip_mm + step, pose.axis)
+    for k, matrix in enumerate(tip_compliance(robot, pose)):
         carry = np.eye(6)
         carry[:3, 3:] = -np.cross(step[k], np.eye(3)).T
         want = carry @ matrix @ carry.T
-        np.testing.assert_allclose(got[k], want, rtol=1e-9, atol=1e-18)
+        scale = np.sqrt(np.outer(np.diag(want), np.diag(want)))
+        assert (np.abs(got[k] - want) / scale).max() < 1e-10
+        assert (np.abs(tips[k] - want[:3, :3]) / scale[:3, :3]).max() < 1e-10
 
 
 def test_twice_as_stiff_members_give_way_half_as_much() -> None:
@@ -174,6 +229,8 @@ def test_twice_as_stiff_members_give_way_half_as_much() -> None:
 
 def test_the_figures_published_for_the_workspace() -> None:
     tip, axis = workspace(25)
+    out = len(cylinder(25)[0]) - len(tip)
+    assert out == pytest.approx(0.05 * len(cylinder(25)[0]), rel=0.3)  # of the stroke, and so not in the range
     angle = np.linspace(0, 2 * np.pi, 16)  # where the spindle leans matters on the base's own axis too
     lean = np.column_stack([np.sin(DIP) * np.cos(angle), np.sin(DIP) * np.sin(angle), np.full(16, -np.cos(DIP))])
     tip, axis = np.vstack([tip, np.tile([0.0, 0.0, 2335.0], (16, 1))]), np.vstack([axis, lean])
@@ -184,6 +241,9 @@ def test_the_figures_published_for_the_workspace() -> None:
     worst = np.linalg.eigvalsh(matrix)[:, 2]
     assert worst.min() == pytest.approx(5.4, abs=0.05)
     assert worst.max() == pytest.approx(7.3, abs=0.05)
+    gamma = depth_ratio(compliance / 1e3, ToolProcess(), 0.14834891)
+    assert 0.83 < gamma.min() < 0.84
+    assert 0.91 < gamma.max() < 0.92
 
 
 def test_a_tenth_off_the_torsion_of_a_shows_in_the_compliance() -> None:
@@ -196,10 +256,22 @@ def test_a_tenth_off_the_torsion_of_a_shows_in_the_compliance() -> None:
     assert change.max() < 0.13
 
 
+def test_limbs_of_one_cross_section_are_stiffer_where_they_are_short() -> None:
+    tip, axis = np.array([[0.0, 300.0, 2000.0]]), np.array([[0.0, -np.sin(DIP), -np.cos(DIP)]])
+    lengths = inverse_kinematics(ROBOT, tip, axis).limb_mm[0]
+    soft, stiff = (
+        dataclasses.replace(ROBOT, limb_stiffness_n_per_mm=2.7e7 / length) for length in (max(lengths), min(lengths))
+    )
+    rod = dataclasses.replace(ROBOT, limb_ea_n=2.7e7, limb_stiffness_n_per_mm=1.0)
+    low, got, high = (np.trace(tip_compliance_mm_per_n(r, tip, axis)[0]) for r in (stiff, rod, soft))
+    assert low < got < high
+
+
 @pytest.mark.parametrize(
     ("name", "unit"),
     [
         ("limb_stiffness_n_per_mm", "N/mm"),
+        ("limb_ea_n", "N"),
         ("up_bending_n_mm2", r"N mm\^2"),
         ("up_torsion_n_mm2", r"N mm\^2"),
         ("a_stiffness_n_mm_per_rad", "N mm/rad"),
@@ -208,6 +280,12 @@ def test_a_tenth_off_the_torsion_of_a_shows_in_the_compliance() -> None:
 )
 def test_a_member_without_stiffness_is_refused_by_name(name: str, unit: str) -> None:
     tip, axis = workspace(5)
+    pose = inverse_kinematics(ROBOT, tip, axis)
     for value in (0.0, np.nan, -1.0, np.inf):
-        with pytest.raises(ComputeError, match=f"{name} is .* {unit}, it must be above 0"):
-            tip_compliance_mm_per_n(dataclasses.replace(ROBOT, **{name: value}), tip, axis)
+        robot = dataclasses.replace(ROBOT, **{name: value})
+        for compute in (
+            lambda r=robot: tip_compliance_mm_per_n(r, tip, axis),
+            lambda r=robot: tip_compliance(r, pose),
+        ):
+            with pytest.raises(ComputeError, match=f"{name} is .* {unit}, it must be above 0"):
+                compute()

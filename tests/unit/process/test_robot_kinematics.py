@@ -11,81 +11,98 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from polishd.model.errors import ComputeError
-from polishd.model.process import HybridRobot
+from polishd.model.robot import HybridRobot
 from polishd.model.surface import FloatArray
-from polishd.process.robot import forward_kinematics, inverse_kinematics, limb_lengths_mm, reachable
+from polishd.process.robot import forward_kinematics, inverse_kinematics, reachable
+from tests.unit.process.hybrid_poses import CROOKED, DIP, ROBOT, ROBOTS, SLANTED, cylinder, random_poses, workspace
 
-ROBOT = HybridRobot()
-TIP = np.array([[300.0, 220.0, 2315.0]])
-DOWN = np.array([[0.0, 0.0, -1.0]])
-DIP = np.radians(15.0)
+ROOMY = dataclasses.replace(
+    ROBOT, stroke_mm=(300.0, 3000.0), workspace_radius_mm=2500.0, workspace_height_mm=(-2000.0, 3000.0)
+)
+CENTRE = [0.0, 0.0, 2000.0]
 
 
-def workspace(n: int = 13) -> tuple[FloatArray, FloatArray]:
-    """Tips in Table I's cylinder with the spindle leaning inward by 15 degrees, as (tips, axes), in reach or not."""
-    grid, height = np.linspace(-660, 660, n), np.linspace(200, 910, n)
-    x, y, h = (a.ravel() for a in np.meshgrid(grid, grid, height))
-    radius = np.hypot(x, y)
-    keep = (radius <= 660) & (radius > 1)
-    tip = np.stack([x, y, 2535 - h], axis=1)[keep]
-    lean = -tip[:, :2] / radius[keep][:, None] * np.sin(DIP)
-    return tip, np.column_stack([lean, np.full(len(tip), -np.cos(DIP))])
+def circle(robot: HybridRobot, radius_mm: float) -> FloatArray:
+    """(3, 3) joints on a circle, by turning the first one."""
+    turns = Rotation.from_euler("Z", robot.first_limb_deg + 120.0 * np.arange(3)[:, None], degrees=True)
+    return np.asarray(turns.apply([radius_mm, 0.0, 0.0]))
 
 
 def assemble(
     robot: HybridRobot, alpha: float, beta: float, length: float, c: float, a: float
 ) -> tuple[FloatArray, ...]:
     """Tip, axis and limb lengths of the mechanism put together from its joints, U joint first."""
-    platform = Rotation.from_euler("XY", [alpha, beta])
-    spindle = platform * Rotation.from_euler("ZX", [c, a])
+    outer = np.array(robot.outer_axis) / np.linalg.norm(robot.outer_axis)
+    inner = np.cross([0.0, 0.0, 1.0], outer)
+    inner /= np.linalg.norm(inner)  # as it lies at home, where the UP limb points along z
+    platform = Rotation.from_rotvec(alpha * outer) * Rotation.from_rotvec(beta * inner)
+    home = Rotation.from_matrix(np.column_stack([np.cross(inner, [0.0, 0.0, 1.0]), inner, [0.0, 0.0, 1.0]]))
+    spindle = platform * home * Rotation.from_euler("ZX", [c, a])
     centre = platform.apply([0, 0, length])
     tip = platform.apply([0, 0, length + robot.wrist_length_mm]) + spindle.apply([0, 0, robot.tool_length_mm])
-    limbs = []
-    for k in range(3):
-        turn = Rotation.from_euler("Z", robot.first_limb_deg + 120 * k, degrees=True)
-        below = centre + platform.apply(turn.apply([robot.platform_radius_mm, 0, 0]))
-        limbs.append(np.linalg.norm(below - turn.apply([robot.base_radius_mm, 0, 0])))
-    return tip, spindle.apply([0, 0, -1.0]), np.array(limbs)
+    ends = np.asarray(robot.platform_joints_mm or circle(robot, robot.platform_radius_mm))
+    limbs = centre + platform.apply(ends) - np.asarray(robot.base_joints_mm or circle(robot, robot.base_radius_mm))
+    return tip, spindle.apply([0, 0, -1.0]), np.linalg.norm(limbs, axis=1)
 
 
 angles = st.floats(-0.4, 0.4)
+components = st.floats(-1, 1)
+outer_axes = st.tuples(components, components, components).filter(lambda e: np.hypot(e[0], e[1]) > 0.5)
 
 
 @given(angles, angles, st.floats(1000, 1650), st.floats(-3.1, 3.1), st.floats(0.02, 0.8), st.floats(0, 90))
 def test_inverse_undoes_an_assembly_from_joint_values(
     alpha: float, beta: float, length: float, c: float, a: float, first: float
 ) -> None:
-    robot = dataclasses.replace(ROBOT, first_limb_deg=first, stroke_mm=(500.0, 2500.0))
+    robot = dataclasses.replace(ROOMY, first_limb_deg=first)
     tip, axis, limbs = assemble(robot, alpha, beta, length, c, a)
     pose = inverse_kinematics(robot, tip[None], axis[None])
     np.testing.assert_allclose(pose.limb_mm[0], limbs, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(limb_lengths_mm(robot, tip[None], axis[None])[0], limbs, rtol=0, atol=1e-9)
     assert np.linalg.norm(pose.platform_mm[0]) == pytest.approx(length, abs=1e-9)
     assert pose.a_rad[0] == pytest.approx(a, abs=1e-9)
     assert np.exp(1j * pose.c_rad[0]) == pytest.approx(np.exp(1j * c), abs=1e-9)
 
 
-def test_forward_finds_the_assembly() -> None:
-    tip, axis, limbs = assemble(ROBOT, 0.2, -0.15, 1400.0, 2.0, 0.4)
-    got_tip, got_axis = forward_kinematics(ROBOT, limbs[None], np.array([2.0]), np.array([0.4]))
+@given(outer_axes, angles, angles, st.floats(1000, 1650), st.floats(-3.1, 3.1), st.floats(0.02, 0.8))
+def test_any_geometry_is_assembled_from_the_same_joint_values(
+    outer: tuple[float, float, float], alpha: float, beta: float, length: float, c: float, a: float
+) -> None:
+    robot = dataclasses.replace(
+        ROOMY,
+        outer_axis=outer,
+        base_joints_mm=CROOKED.base_joints_mm,
+        platform_joints_mm=CROOKED.platform_joints_mm,
+        a_branch="negative",
+    )
+    tip, axis, limbs = assemble(robot, alpha, beta, length, c, -a)
+    pose = inverse_kinematics(robot, tip[None], axis[None])
+    np.testing.assert_allclose(pose.limb_mm[0], limbs, rtol=0, atol=1e-9)
+    assert pose.a_rad[0] == pytest.approx(-a, abs=1e-9)
+    assert np.exp(1j * pose.c_rad[0]) == pytest.approx(np.exp(1j * c), abs=1e-9)
+
+
+@pytest.mark.parametrize("robot", [ROBOT, CROOKED, SLANTED])
+def test_forward_finds_the_assembly(robot: HybridRobot) -> None:
+    tip, axis, limbs = assemble(robot, 0.2, -0.15, 1400.0, 2.0, 0.4)
+    got_tip, got_axis = forward_kinematics(robot, limbs[None], np.array([2.0]), np.array([0.4]))
     np.testing.assert_allclose(got_tip[0], tip, rtol=0, atol=1e-9)
     np.testing.assert_allclose(got_axis[0], axis, rtol=0, atol=1e-12)
 
 
-def test_round_trip_over_the_workspace() -> None:
-    tip, axis = workspace()
-    reach = reachable(ROBOT, tip, axis)
-    assert reach.sum() > 1000
-    pose = inverse_kinematics(ROBOT, tip[reach], axis[reach])
-    got_tip, got_axis = forward_kinematics(ROBOT, pose.limb_mm, pose.c_rad, pose.a_rad)
-    assert np.abs(got_tip - tip[reach]).max() < 1e-9
-    assert np.abs(got_axis - axis[reach]).max() < 1e-12
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_round_trip_over_a_hundred_thousand_poses(robot: HybridRobot) -> None:
+    tip, axis = random_poses(100_000, robot)
+    assert len(tip) == 100_000
+    pose = inverse_kinematics(robot, tip, axis)
+    got_tip, got_axis = forward_kinematics(robot, pose.limb_mm, pose.c_rad, pose.a_rad)
+    assert np.abs(got_tip - tip).max() < 1e-9
+    assert np.abs(got_axis - axis).max() < 1e-11
 
 
 def test_the_published_workspace_fits_the_published_stroke_but_for_its_rim() -> None:
-    tip, axis = workspace(27)
+    tip, axis = cylinder(27)
     reach = reachable(ROBOT, tip, axis)
-    length = limb_lengths_mm(ROBOT, tip[reach], axis[reach])
+    length = inverse_kinematics(ROBOT, tip[reach], axis[reach]).limb_mm
     assert 0.94 < reach.mean() < 0.97
     assert length.min() == pytest.approx(953, abs=1.0)
     assert length.max() == pytest.approx(1750, abs=1.0)
@@ -95,77 +112,105 @@ def test_the_published_workspace_fits_the_published_stroke_but_for_its_rim() -> 
     assert not reach[lowest & (radius > 520)].any()
 
 
-def test_the_platform_turns_about_both_axes_of_the_u_joint_only() -> None:
-    tip, axis = workspace(9)
-    reach = reachable(ROBOT, tip, axis)
-    pose = inverse_kinematics(ROBOT, tip[reach], axis[reach])
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_every_member_is_where_the_joints_let_it_be(robot: HybridRobot) -> None:
+    tip, axis = workspace(9, robot)
+    pose = inverse_kinematics(robot, tip, axis)
     u, v, w = pose.frame.transpose(2, 0, 1)
-    assert np.abs(v[:, 0]).max() < 1e-15
+    assert np.abs(v @ pose.outer).max() < 1e-15
     np.testing.assert_allclose(np.cross(u, v), w, atol=1e-14)
+    np.testing.assert_allclose(np.cross(pose.platform_mm, w), 0, atol=1e-10)
     for other in (w, pose.axis):
         assert np.abs(np.einsum("ni,ni->n", pose.hinge, other)).max() < 1e-12
+    base = np.asarray(robot.base_joints_mm or circle(robot, robot.base_radius_mm))
+    ends = np.asarray(robot.platform_joints_mm or circle(robot, robot.platform_radius_mm))
+    from_base, from_platform = base + pose.limbs_mm, pose.platform_mm[:, None] + pose.joints_mm
+    np.testing.assert_allclose(from_base, from_platform, rtol=0, atol=1e-10)
+    spread = pose.joints_mm @ pose.joints_mm.transpose(0, 2, 1)
+    np.testing.assert_allclose(spread, np.broadcast_to(ends @ ends.T, spread.shape), rtol=0, atol=1e-9)
+
+
+def test_a_turned_robot_is_the_same_robot() -> None:
+    turn = Rotation.from_euler("Z", 37.0, degrees=True)
+    assert CROOKED.base_joints_mm
+    assert CROOKED.platform_joints_mm
+    turned = dataclasses.replace(
+        CROOKED,
+        base_joints_mm=tuple(map(tuple, turn.apply(CROOKED.base_joints_mm))),
+        platform_joints_mm=tuple(map(tuple, turn.apply(CROOKED.platform_joints_mm))),
+        outer_axis=tuple(3 * turn.apply(CROOKED.outer_axis)),
+    )
+    tip, axis = workspace(7, CROOKED)
+    want = inverse_kinematics(CROOKED, tip, axis)
+    got = inverse_kinematics(turned, turn.apply(tip), turn.apply(axis))
+    np.testing.assert_allclose(got.limb_mm, want.limb_mm, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(got.c_rad, want.c_rad, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(got.a_rad, want.a_rad, rtol=0, atol=1e-12)
+
+
+def test_joints_on_circles_may_be_given_as_vectors() -> None:
+    tip, axis = workspace(5)
+    given_out = dataclasses.replace(
+        ROBOT,
+        base_joints_mm=tuple(map(tuple, circle(ROBOT, 250.0))),
+        platform_joints_mm=tuple(map(tuple, circle(ROBOT, 120.0))),
+        base_radius_mm=1.0,
+        platform_radius_mm=1.0,
+    )
+    want = inverse_kinematics(ROBOT, tip, axis).limb_mm
+    np.testing.assert_allclose(inverse_kinematics(given_out, tip, axis).limb_mm, want, rtol=0, atol=1e-9)
 
 
 def test_c_turns_on_past_half_a_turn() -> None:
     angle = np.linspace(0, 4 * np.pi, 200)
-    tip = np.tile([0.0, 0.0, 2000.0], (200, 1))
+    tip = np.tile(CENTRE, (200, 1))
     axis = np.stack([np.cos(angle) * np.sin(DIP), np.sin(angle) * np.sin(DIP), np.full(200, -np.cos(DIP))], axis=1)
     pose = inverse_kinematics(ROBOT, tip, axis)
     assert abs(pose.c_rad[-1] - pose.c_rad[0]) == pytest.approx(4 * np.pi, abs=1e-9)
     assert (pose.a_rad > 0).all()
 
 
-def test_the_branch_stays_continuous_where_the_axis_passes_through_the_limb() -> None:
+@pytest.mark.parametrize(("branch", "sign"), [("positive", 1), ("negative", -1)])
+def test_the_branch_stays_continuous_where_the_axis_passes_through_the_limb(branch: str, sign: int) -> None:
     lean = np.radians(np.linspace(5, -5, 20))
-    tip = np.tile([0.0, 0.0, 2000.0], (20, 1))
-    pose = inverse_kinematics(ROBOT, tip, np.stack([np.sin(lean), 0 * lean, -np.cos(lean)], axis=1))
+    axis = np.stack([np.sin(lean), 0 * lean, -np.cos(lean)], axis=1)
+    robot = dataclasses.replace(ROBOT, a_branch=branch)
+    pose = inverse_kinematics(robot, np.tile(CENTRE, (20, 1)), axis, path=True)
     assert np.abs(np.diff(pose.c_rad)).max() < 0.02
-    assert pose.a_rad[0] > 0 > pose.a_rad[-1]
-    assert (np.diff(pose.a_rad) < 0).all()
+    assert sign * pose.a_rad[0] > 0 > sign * pose.a_rad[-1]
+    assert (sign * np.diff(pose.a_rad) < 0).all()
+
+
+def test_the_two_branches_hold_the_tool_alike() -> None:
+    tip, axis = random_poses(500)
+    other = dataclasses.replace(ROBOT, a_branch="negative")
+    here, there = inverse_kinematics(ROBOT, tip, axis), inverse_kinematics(other, tip, axis)
+    np.testing.assert_allclose(there.a_rad, -here.a_rad, atol=1e-15)
+    np.testing.assert_allclose(np.cos(there.c_rad - here.c_rad), -1, atol=1e-12)
+    for robot, pose in ((ROBOT, here), (other, there)):
+        got, _ = forward_kinematics(robot, pose.limb_mm, pose.c_rad, pose.a_rad)
+        np.testing.assert_allclose(got, tip, rtol=0, atol=1e-9)
+
+
+def test_the_machine_reads_from_its_own_zeros() -> None:
+    robot = dataclasses.replace(ROBOT, c_zero_deg=-30.0, a_zero_deg=90.0)
+    tip, axis, _ = assemble(robot, 0.1, 0.05, 1400.0, np.radians(50.0), np.radians(12.0))
+    c, a = inverse_kinematics(robot, tip[None], axis[None]).readings_deg(robot)
+    assert (c[0], a[0]) == pytest.approx((20.0, 102.0), abs=1e-9)
 
 
 def test_no_points_are_no_points() -> None:
     nothing = np.empty((0, 3))
-    assert inverse_kinematics(ROBOT, nothing, nothing).limb_mm.shape == (0, 3)
+    assert inverse_kinematics(ROBOT, nothing, nothing, path=True).limb_mm.shape == (0, 3)
     assert reachable(ROBOT, nothing, nothing).shape == (0,)
-
-
-@pytest.mark.parametrize(
-    ("tip", "axis", "says"),
-    [
-        ([0.0, 100.0, 2600.0], [0.0, -np.sin(DIP), -np.cos(DIP)], r"longest limb is .* mm, out of stroke 950 to 1750"),
-        ([0.0, 100.0, 1500.0], [0.0, -np.sin(DIP), -np.cos(DIP)], r"shortest limb is .* mm, out of stroke"),
-        ([0.0, 0.0, 2000.0], [0.0, 0.0, -1.0], r"wrist \|A\| is 0 deg, singular"),
-        ([0.0, 0.0, -500.0], [0.0, 0.0, -1.0], r"below the U joint is -920 mm, out of the workspace"),
-        ([0.0, 0.0, 600.0], [0.0, 0.0, -1.0], r"distance from the U joint is 180 mm, out of the workspace"),
-        ([np.nan, 0.0, 2000.0], [0.0, 0.0, -1.0], r"tool tip is nan mm"),
-        ([0.0, 0.0, 2000.0], [0.0, 0.0, -1.1], r"length of tool axis is 1.1"),
-        ([0.0, 0.0, 420.0], [0.0, 0.0, -1.0], r"distance from the U joint is 0 mm"),
-    ],
-)
-def test_a_refusal_names_the_point_the_value_and_the_unit(tip: list[float], axis: list[float], says: str) -> None:
-    tips = np.vstack([TIP, TIP, [tip]])
-    axes = np.vstack([DOWN, DOWN, [axis]])
-    with pytest.raises(ComputeError, match="point 2: .*" + says):
-        inverse_kinematics(ROBOT, tips, axes)
-
-
-def test_reachable_says_no_where_the_inverse_refuses() -> None:
-    tips = np.array([TIP[0], [0, 100, 2600.0], [0, 0, 2000.0], [0, 0, -500.0], [0, 0, 600.0]])
-    assert reachable(ROBOT, tips, np.tile(DOWN, (5, 1))).tolist() == [True, False, False, False, False]
-
-
-def test_shapes_and_robots_that_cannot_be_are_refused() -> None:
-    with pytest.raises(ComputeError, match=r"shape \(3,\), it must be \(n, 3\) in mm"):
-        inverse_kinematics(ROBOT, TIP[0], DOWN)
-    with pytest.raises(ComputeError, match="1 tool tips come with 2 tool axes"):
-        inverse_kinematics(ROBOT, TIP, np.vstack([DOWN, DOWN]))
-    with pytest.raises(ComputeError, match="longest limb allowed is 900 mm"):
-        inverse_kinematics(dataclasses.replace(ROBOT, stroke_mm=(950.0, 900.0)), TIP, DOWN)
-    with pytest.raises(ComputeError, match="tool_length_mm is -1 mm"):
-        inverse_kinematics(dataclasses.replace(ROBOT, tool_length_mm=-1.0), TIP, DOWN)
+    assert forward_kinematics(ROBOT, nothing, np.empty(0), np.empty(0))[0].shape == (0, 3)
 
 
 def test_limb_lengths_without_a_pose_are_refused() -> None:
-    with pytest.raises(ComputeError, match="no platform pose"):
-        forward_kinematics(ROBOT, np.array([[1000.0, 1000.0, 2500.0]]), np.zeros(1), np.ones(1))
+    lengths = np.array([[1200.0, 1200.0, 1200.0], [1000.0, 1000.0, 2500.0]])
+    with pytest.raises(ComputeError, match=r"point 1: the limb lengths' misfit is .* mm, no platform pose"):
+        forward_kinematics(ROBOT, lengths, np.zeros(2), np.ones(2))
+    with pytest.raises(ComputeError, match=r"point 0: .* no platform pose"):
+        forward_kinematics(ROBOT, np.zeros((1, 3)), np.zeros(1), np.ones(1))
+    with pytest.raises(ComputeError, match=r"2 x 3 limb lengths come with \(1,\) C and \(2,\) A angles"):
+        forward_kinematics(ROBOT, lengths, np.zeros(1), np.ones(2))

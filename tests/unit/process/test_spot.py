@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from polishd.model.process import ToolProcess
 from polishd.process import contact
-from polishd.process.spot import PATCH, overlap, spot_patch
+from polishd.process.spot import PATCH, HertzSpot, overlap, turned
 
 PAPER = ToolProcess()
-DEPTH = 0.14834891
+DEPTH = contact.hertz_depth_mm(PAPER)
 
 
 def moments(patch: np.ndarray, radius: float) -> tuple[float, float]:
@@ -27,9 +27,10 @@ def moments(patch: np.ndarray, radius: float) -> tuple[float, float]:
 @pytest.mark.parametrize("dip", [0.0, 3.0, 15.0, 45.0])
 def test_the_patch_holds_the_volume_of_its_depth(dip: float) -> None:
     process = dataclasses.replace(PAPER, dip_deg=dip)
-    depth = np.array([0.12, 0.13, DEPTH])
-    patch = spot_patch(process, depth, np.array([0.0, 1.0, 4.0]))
-    np.testing.assert_allclose(patch.sum(axis=(1, 2)), contact.volume_rate_nm_mm2_s(process, depth), rtol=1e-12)
+    gamma = np.array([0.82, 0.9, 1.0])
+    patch = HertzSpot(process).patch(gamma, np.array([0.0, 1.0, 4.0]))
+    want = contact.volume_rate_nm_mm2_s(process, gamma * DEPTH)
+    np.testing.assert_allclose(patch.sum(axis=(1, 2)), want, rtol=1e-12)
     assert (patch >= 0).all()
 
 
@@ -43,14 +44,14 @@ def test_each_square_holds_what_a_fine_sum_over_it_holds() -> None:
     shift = float(contact.dissipative_shift_mm(PAPER, DEPTH))
     rate = contact.removal_rate_nm_s(PAPER, DEPTH, x + shift, y)  # the patch is centred on the pressure
     want = rate.reshape(PATCH, fine, PATCH, fine).sum(axis=(1, 3)) * (2 * radius / PATCH / fine) ** 2
-    got = spot_patch(PAPER, np.array([DEPTH]), np.array([azimuth]))[0]
+    got = HertzSpot(PAPER).patch(np.ones(1), np.array([azimuth]))[0]
     assert np.abs(got - want).max() < 1e-3 * want.max()
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 1.0, 2.5, -2.0])
 def test_the_centre_of_removal_lies_where_the_spindle_leans(azimuth: float) -> None:
     radius = float(contact.contact_radius_mm(PAPER, DEPTH))
-    x, y = moments(spot_patch(PAPER, np.array([DEPTH]), np.array([azimuth]))[0], radius)
+    x, y = moments(HertzSpot(PAPER).patch(np.ones(1), np.array([azimuth]))[0], radius)
     assert np.hypot(x, y) > 0.05
     assert np.arctan2(y, x) == pytest.approx(azimuth, abs=0.01)
 
@@ -73,3 +74,31 @@ def test_patches_of_several_sizes_share_one_window() -> None:
     assert first.tolist() == [-1.0, 3.0]
     assert share.shape == (2, 5, PATCH)
     np.testing.assert_allclose(share.sum(axis=(1, 2)), PATCH, rtol=1e-12)
+
+
+def test_the_hertz_spot_is_as_wide_as_its_contact() -> None:
+    gamma = np.array([0.25, 1.0])
+    radius = float(contact.contact_radius_mm(PAPER, DEPTH))
+    np.testing.assert_allclose(HertzSpot(PAPER).half_width_mm(gamma), [radius / 2, radius], rtol=1e-12)
+    np.testing.assert_allclose(HertzSpot(PAPER).step_mm(gamma), [radius / 4, radius / 2], rtol=1e-12)
+
+
+def test_the_resolved_force_makes_the_hertz_spot_wider() -> None:
+    resolved = dataclasses.replace(PAPER, normal_force="resolved")
+    wide, narrow = (HertzSpot(p).half_width_mm(np.ones(1))[0] for p in (resolved, PAPER))
+    assert wide / narrow == pytest.approx(np.cos(np.radians(15)) ** (-1 / 3), rel=1e-9)
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 0.4, 3.0, -1.9])
+def test_the_tools_frame_is_right_handed_with_y_where_the_spindle_leans(azimuth: float) -> None:
+    x, y = turned(1.0, 0.0, np.array([azimuth]))[0], turned(0.0, 1.0, np.array([azimuth]))[0]
+    np.testing.assert_allclose(y, [np.cos(azimuth), np.sin(azimuth)], atol=1e-15)
+    assert x[0] * y[1] - x[1] * y[0] == pytest.approx(1.0)
+
+
+def test_the_offset_of_the_hertz_spot_holds_the_dissipative_shift() -> None:
+    azimuth = np.array([0.0, 2.0])
+    moved = dataclasses.replace(PAPER, spot_offset_mm=(0.3, -0.1))
+    shift = contact.dissipative_shift_mm(PAPER, DEPTH)
+    np.testing.assert_allclose(HertzSpot(PAPER).offset_mm(np.ones(2), azimuth), turned(shift, 0.0, azimuth))
+    np.testing.assert_allclose(HertzSpot(moved).offset_mm(np.ones(2), azimuth), turned(0.3 + shift, -0.1, azimuth))

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from polishd.model.process import HybridRobot, ToolProcess
+from polishd.model.process import ToolProcess
+from polishd.model.robot import HybridRobot
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.robot import tip_compliance_mm_per_n
 from polishd.sim_backends.config import Plant

@@ -1,0 +1,44 @@
+"""The effect of dwelling along a program with any spot: from the request to the answer of a removal model."""
+
+from __future__ import annotations
+
+from polishd.api import ComputeError, Grid, RemovalAnswer, RemovalRequest, SparseEffect
+from polishd.process.compliance import depth_ratio
+from polishd.process.contact import contact_radius_mm, hertz_depth_mm
+from polishd.process.dynamic_tif import corrected_spot, effect_matrix
+from polishd.process.path_compliance import path_compliance
+from polishd.process.robot.refusal import require_number
+from polishd.process.spot import Spot
+
+
+def effect_along_path(request: RemovalRequest, spot: Spot, reference: float) -> RemovalAnswer:
+    """Effect matrix, compliance and gamma along the request's program (paper eq. 43-49).
+
+    ``reference`` is the depth ratio of the one spot that the corrections other than "exact" take for all points.
+    Raises ComputeError that names what is impossible, its value with the unit, and the first point it happens at.
+    """
+    _check(request.grid, request.rate)
+    process, program = request.process, request.program
+    depth = hertz_depth_mm(process)
+    at = (request.robot, request.placement)
+    path = path_compliance(program, process, *at, options=request.options, optic=request.optic)
+    gamma = depth_ratio(path.compliance_mm_per_n, process, depth)
+    spots = corrected_spot(request.correction, gamma, process.depth_exponent, reference)
+    matrix = effect_matrix(request.grid, spot, program, spots.depth_ratio, spots.factor * request.rate)
+    notes = [f"rigid contact: depth {depth:.5f} mm, radius {float(contact_radius_mm(process, depth)):.4f} mm"]
+    if gamma.size:
+        notes.append(f"gamma {gamma.min():.4f} to {gamma.max():.4f}, mean {gamma.mean():.4f}")
+    return RemovalAnswer(
+        effect=SparseEffect(request.grid, matrix),
+        compliance_um_per_n=path.compliance_mm_per_n * 1e3,
+        gamma=gamma,
+        divide_by=spots.divide_by,
+        notes=(*notes, *path.notes),
+    )
+
+
+def _check(grid: Grid, rate: float) -> None:
+    require_number("the learned removal rate", rate, "(relative)", above=0.0)
+    require_number("the grid's pitch", grid.pitch_mm, "mm", above=0.0)
+    if grid.ny < 1 or grid.nx < 1:
+        raise ComputeError(f"the grid has {grid.ny} rows and {grid.nx} columns, it needs one of each")

@@ -1,0 +1,207 @@
+"""A robot's stiffnesses from static loading tests: bounded least squares, and how far each of them can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from polishd.model.errors import ComputeError
+from polishd.model.process import Projection
+from polishd.model.surface import BoolArray, FloatArray
+from polishd.process.calibration.elastic import Elastic, compliance_of, elastic_numbers, with_elastic
+from polishd.process.calibration.loading import LoadingTests, PercentErrors, percent_errors, require_tests
+
+BOUND = 100.0
+"""A stiffness is looked for between the given one over this and times this."""
+UNDETERMINED = 0.5
+"""Relative 1-sigma uncertainty above which the tests do not determine a stiffness."""
+FOLDS = 5
+"""The tests are cut into this many parts, each predicted from the others."""
+BEST_TEST = 1e-3
+"""No loading test is taken to be better than this (relative), however well the fit goes through the points."""
+PULL = 0.01
+"""Relative residual that a factor of e from the given stiffness counts as, until it is known which are determined."""
+NOTHING = 1e-9
+"""What a factor of e in a stiffness changes in all tests together (relative), to be told from rounding errors."""
+CONTRADICTED = 16.0
+"""Rise of chi squared (4 sigma) at which the tests speak against a stiffness, even if they do not determine it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stiffness:
+    """One of the robot's elastic numbers, as given and as found."""
+
+    name: str
+    unit: str
+    given: float
+    value: float
+    sigma: float
+    """Relative 1-sigma uncertainty; of a stiffness that is not determined: when it was given up, inf at a bound."""
+    determined: bool
+    """False: the tests do not say what it is, and ``value`` is held while the others were fitted."""
+
+    @property
+    def note(self) -> str:
+        """What a user should know of it, if anything."""
+        if self.determined:
+            return ""
+        why = f"1-sigma {100 * self.sigma:.0f} %" if self.sigma < 10 else "1-sigma over 1000 %"
+        what = "kept as given" if self.value == self.given else f"held, as the tests speak against {self.given:.4g}"
+        return f"the tests do not determine {self.name} ({why}): {self.value:.4g} {self.unit} is {what}"
+
+
+@dataclass(frozen=True, slots=True)
+class StiffnessFit(Generic[Elastic]):
+    """The robot that the tests are best explained by, and what to think of it."""
+
+    robot: Elastic
+    stiffnesses: tuple[Stiffness, ...]
+    fitted: PercentErrors
+    """Of the fitted robot on the tests that it was fitted to."""
+    cross_validated: PercentErrors | None
+    """Of each test as predicted from the other folds; None with too few tests for that."""
+    held_out: PercentErrors | None
+    """On tests that the fit has not seen; None without any."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know of the fit."""
+        return tuple(stiffness.note for stiffness in self.stiffnesses if stiffness.note)
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """Stiffnesses as natural logarithms over the given ones."""
+
+    log: FloatArray
+    """(p,)."""
+    sigma: FloatArray
+    """(p,) 1-sigma uncertainty; inf at a bound."""
+    free: BoolArray
+    """(p,) True where fitted, False where held."""
+    chi2: float
+    """Sum of the squared relative residuals."""
+    variance: float
+    """Of a relative residual."""
+
+
+Relative = Callable[[FloatArray], FloatArray]
+"""From stiffnesses (p,), as logarithms over the given ones, to those of model over measured compliance, (n,)."""
+
+
+def fit_stiffness(
+    robot: Elastic,
+    tests: LoadingTests,
+    *,
+    projection: Projection = "normal",
+    hold_out: LoadingTests | None = None,
+) -> StiffnessFit[Elastic]:
+    """Fit a robot's stiffnesses to static loading tests, as the paper checks its model (section IV-A, fig. 10).
+
+    Relative residuals (logarithms of model over measured) are least in the mean square. A stiffness that the tests do
+    not determine is kept as given and the others are fitted again; where the given one contradicts the tests, it is
+    held where the fit had it.
+
+    Args:
+        robot: geometry, and stiffnesses to start from: the true ones lie within a factor of 100 of them.
+        tests: more tests than stiffnesses, at poses and along directions in which every member gives way.
+        projection: what a test measures: "normal" is ``b' C b`` along its direction b, which is what a force and a
+            displacement sensor see; "linear" and "quadratic" are the paper's (see `equivalent_compliance`).
+        hold_out: tests that the fit must not see, to judge it by.
+
+    Raises:
+        ComputeError: names the row of a test that is none, or whose pose the robot cannot take; too few tests; tests
+            that determine nothing.
+    """
+    tests = require_tests(tests, "loading test")
+    given = elastic_numbers(robot)
+    if len(tests) <= len(given):
+        raise ComputeError(f"{len(tests)} loading tests are too few for {len(given)} stiffnesses and their uncertainty")
+    start, predict = np.array([number.value for number in given]), compliance_of(robot, tests, projection)
+
+    def relative(log: FloatArray) -> FloatArray:
+        return np.log(predict(start * np.exp(log)) / tests.compliance_um_per_n)
+
+    found = _fit(relative, len(given))
+    if not found.free.any():
+        raise ComputeError(f"the {len(tests)} loading tests determine none of the {len(given)} stiffnesses")
+    values = np.where(found.log == 0, start, start * np.exp(found.log))
+    rows = zip(given, values, found.sigma, found.free, strict=True)
+    unseen = None
+    if hold_out is not None:
+        hold_out = require_tests(hold_out, "held-out loading test")
+        predicted = compliance_of(robot, hold_out, projection)(values)
+        unseen = percent_errors(predicted / hold_out.compliance_um_per_n - 1)
+    return StiffnessFit(
+        robot=with_elastic(robot, values),
+        stiffnesses=tuple(Stiffness(*number, float(v), float(s), bool(free)) for number, v, s, free in rows),
+        fitted=percent_errors(np.expm1(relative(found.log))),
+        cross_validated=_cross_validated(relative, len(tests), len(given)),
+        held_out=unseen,
+    )
+
+
+def _cross_validated(relative: Relative, tests: int, unknowns: int) -> PercentErrors | None:
+    """Errors of each fold's tests as predicted from the others, with the choice of what to fit made anew."""
+    if tests - -(-tests // FOLDS) <= unknowns:
+        return None
+    fold = np.random.default_rng(0).permutation(tests) % FOLDS
+    off = np.empty(tests)
+    for k in range(FOLDS):
+        unseen = fold == k
+
+        def seen(log: FloatArray, rows: BoolArray = ~unseen) -> FloatArray:
+            return relative(log)[rows]
+
+        off[unseen] = relative(_fit(seen, unknowns).log)[unseen]
+    return percent_errors(np.expm1(off))
+
+
+def _fit(relative: Relative, unknowns: int) -> _Found:
+    """Fit, and hold the stiffness that is determined least, until all that are free are determined; then fit these.
+
+    While it is not settled which are determined, all are pulled to the given ones a little: else two of which the
+    tests see but the sum would go to opposite bounds.
+    """
+    log, sigma, free = np.zeros(unknowns), np.zeros(unknowns), np.ones(unknowns, dtype=np.bool_)
+    found = _optimum(relative, log, sigma, free, PULL)
+    while free.any() and (found.sigma[free] > UNDETERMINED).any():
+        worst = int(np.where(free, found.sigma, -1.0).argmax())
+        log, sigma, free = found.log.copy(), found.sigma.copy(), free.copy()
+        log[worst], free[worst] = 0.0, False
+        kept = _optimum(relative, log, sigma, free, PULL)
+        if kept.chi2 > found.chi2 + CONTRADICTED * found.variance:
+            log[worst] = found.log[worst]
+            kept = _optimum(relative, log, sigma, free, PULL)
+        found = kept
+    return _optimum(relative, found.log, found.sigma, free, 0.0)
+
+
+def _optimum(relative: Relative, log: FloatArray, sigma: FloatArray, free: BoolArray, pull: float) -> _Found:
+    """Least squares over the free ones; (p,) ``log`` starts them, and holds the others with their ``sigma``."""
+
+    def full(some: FloatArray) -> FloatArray:
+        whole = log.copy()
+        whole[free] = some
+        return whole
+
+    def residual(some: FloatArray) -> FloatArray:
+        return np.concatenate([relative(full(some)), pull * some])
+
+    if not free.any():
+        return _Found(log, sigma, free, float(relative(log) @ relative(log)), 0.0)
+    edge = np.log(BOUND)
+    result = least_squares(residual, log[free], bounds=(-edge, edge), xtol=1e-9, ftol=1e-9)
+    tests = len(result.fun) - len(result.x)
+    chi2 = float(result.fun[:tests] @ result.fun[:tests])
+    variance = max(chi2 / (tests - len(result.x)), BEST_TEST**2)
+    _, singular, turns = np.linalg.svd(result.jac[:tests], full_matrices=False)
+    spread = turns.T / np.maximum(singular, NOTHING)
+    uncertain = sigma.copy()
+    uncertain[free] = np.sqrt(variance * (spread**2).sum(axis=1))
+    uncertain[free] = np.where(np.abs(result.x) > 0.99 * edge, np.inf, uncertain[free])
+    return _Found(full(result.x), uncertain, free, chi2, variance)

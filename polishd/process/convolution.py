@@ -1,0 +1,123 @@
+"""The effect of dwell points on the grid's nodes as a low-rank sum of convolutions: ``sum_k Conv(U_k) diag(c_k)``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from polishd.model.program import Program
+from polishd.model.surface import FloatArray, Grid
+from polishd.process.dynamic_tif import lean_azimuth_rad
+from polishd.process.robot.refusal import refuse_where
+from polishd.process.spot import Spot
+from polishd.process.tif_family import tif_family
+
+NODE_TOLERANCE = 1e-6
+"""How far a dwell point may lie from a node, over the pitch."""
+TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class ConvolutionEffect:
+    """An Effect (paper eq. 47) by FFT: each point's exact TIF but for the truncation; made by `convolution_effect`."""
+
+    grid: Grid
+    truncation: float
+    """Largest relative error of a column (Euclidean norm)."""
+    node: NDArray[np.int64]
+    """(n,) index of each point on the lattice that holds grid and points, C order."""
+    lattice: tuple[int, int]
+    corner: tuple[int, int]
+    """Row and column of the grid's first sample in a full convolution of the lattice with the kernels."""
+    coefficients: FloatArray
+    """(n, k) nm/s: the learned or corrected factor is in them."""
+    spectra: NDArray[np.complex128]
+    """(k, ...) transforms of the kernels."""
+    size: tuple[int, int]
+    """Shape of what is transformed: the full convolution's at least, so that nothing wraps round."""
+
+    @property
+    def n(self) -> int:
+        """Number of timed points."""
+        return int(self.node.size)
+
+    @property
+    def rank(self) -> int:
+        """Number of convolutions."""
+        return int(self.coefficients.shape[1])
+
+    def removal_nm(self, time_s: FloatArray) -> FloatArray:
+        """(n,) s -> (ny, nx) nm."""
+        rows, columns = self.lattice
+        total = np.zeros(self.spectra.shape[1:], dtype=np.complex128)
+        for k in range(self.rank):
+            dwell = np.bincount(self.node, self.coefficients[:, k] * time_s, rows * columns).reshape(self.lattice)
+            total += self.spectra[k] * fft.rfft2(dwell, self.size)
+        return np.asarray(fft.irfft2(total, self.size)[self._on_grid()], dtype=np.float64)
+
+    def adjoint(self, weight: FloatArray) -> FloatArray:
+        """(ny, nx) -> (n,)."""
+        spread = np.zeros(self.size)
+        spread[self._on_grid()] = weight
+        spectrum = fft.rfft2(spread)
+        total = np.zeros(self.n)
+        for k in range(self.rank):
+            back = fft.irfft2(self.spectra[k].conj() * spectrum, self.size)[: self.lattice[0], : self.lattice[1]]
+            total += self.coefficients[:, k] * back.ravel()[self.node]
+        return total
+
+    def _on_grid(self) -> tuple[slice, slice]:
+        row, column = self.corner
+        return slice(row, row + self.grid.ny), slice(column, column + self.grid.nx)
+
+
+def convolution_effect(
+    grid: Grid,
+    spot: Spot,
+    program: Program,
+    depth_ratio: FloatArray,
+    factor: FloatArray,
+    *,
+    tolerance: float = TOLERANCE,
+) -> ConvolutionEffect:
+    """The effect of dwells at rest on nodes of the grid, or of its lattice beyond its edge.
+
+    ``depth_ratio`` and ``factor`` (n,) as of `corrected_spot`. Raises ComputeError for a point that moves or lies off
+    the nodes; use `effect_matrix` there.
+    """
+    refuse_where(~((factor >= 0) & np.isfinite(factor)), factor, "the factor on the removal", "", "it must be finite")
+    moved = program.length_mm
+    refuse_where(
+        moved > NODE_TOLERANCE * grid.pitch_mm, moved, "the block's length", "mm", "a convolution needs dwells at rest"
+    )
+    column = (program.end_mm[:, 0] - grid.x_mm[0]) / grid.pitch_mm
+    row = (grid.y_mm[0] - program.end_mm[:, 1]) / grid.pitch_mm
+    off = np.maximum(np.abs(row - np.round(row)), np.abs(column - np.round(column)))
+    refuse_where(
+        ~(off <= NODE_TOLERANCE), off * grid.pitch_mm, "the distance to the grid's nearest node", "mm", "it must be 0"
+    )
+    family = tif_family(spot, grid.pitch_mm, depth_ratio, lean_azimuth_rad(program), tolerance)
+    reach = family.kernels.shape[1] // 2
+    (top, rows), (left, columns) = _lattice(row, grid.ny), _lattice(column, grid.nx)
+    node = (np.round(row).astype(np.int64) - top) * columns + np.round(column).astype(np.int64) - left
+    size = (fft.next_fast_len(rows + 2 * reach, True), fft.next_fast_len(columns + 2 * reach, True))
+    return ConvolutionEffect(
+        grid=grid,
+        truncation=family.truncation,
+        node=node,
+        lattice=(rows, columns),
+        corner=(reach - top, reach - left),
+        coefficients=family.coefficients * factor[:, None],
+        spectra=np.asarray(fft.rfft2(family.kernels, size), dtype=np.complex128),
+        size=size,
+    )
+
+
+def _lattice(index: FloatArray, n: int) -> tuple[int, int]:
+    """First index and length of a row of nodes that holds the points' and the grid's n."""
+    nodes = np.round(index).astype(np.int64)
+    first = min(0, int(nodes.min(initial=0)))
+    return first, max(n - 1, int(nodes.max(initial=0))) - first + 1

@@ -1,0 +1,241 @@
+"""A six-axis arm: inverse kinematics by damped Gauss-Newton, and compliance at the tool tip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from polishd.model.errors import ComputeError
+from polishd.model.robot import SerialRobot
+from polishd.model.surface import BoolArray, FloatArray
+from polishd.process.robot.dh_chain import JOINTS, Chain, chain, reach_mm, require_arm, require_joints, twist_scale
+from polishd.process.robot.refusal import refuse_where, require_number, require_unit_vectors, require_vectors
+
+SINGULAR = 1e-3
+"""Ratio of the Jacobian's smallest to its largest singular value, lengths over reach, below which it is singular."""
+FLIP_DEG = 45.0
+"""A joint that turns by more than this between neighbours of a path has taken another branch."""
+MISS_MM = 1e-7
+MISS_RAD = 1e-9
+"""A pose counts as reached within these."""
+
+_RATIO = "the Jacobian's ratio of smallest to largest singular value"
+_EXACT = 1e-13
+"""Residual, relative to the reach, below which another step only stirs the rounding errors."""
+_STEP = 0.1
+"""Longest step towards the pose, rad or parts of the reach: short enough to stay on the branch."""
+_STEPS = 100
+_SEEDS = 400
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class _Solution:
+    """Joint angles for n poses, and all that can be wrong with them."""
+
+    joints: FloatArray
+    """(n, 6) rad."""
+    miss_mm: FloatArray
+    miss_rad: FloatArray
+    regular: FloatArray
+    """(n,) ratio of the Jacobian's smallest to its largest singular value."""
+    turned_over: FloatArray
+    """(n,) the Jacobian's determinant over that at home: negative beyond a singular pose."""
+
+    @property
+    def reached(self) -> BoolArray:
+        """(n,) True where the pose is reached."""
+        return np.asarray((self.miss_mm < MISS_MM) & (self.miss_rad < MISS_RAD), dtype=np.bool_)
+
+
+def serial_forward_kinematics(robot: SerialRobot, joints_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Tool tips (n, 3) mm and unit tool axes (n, 3), from the tip into the spindle, of (n, 6) joint angles, rad."""
+    require_arm(robot)
+    at = chain(robot, require_joints(joints_rad))
+    return at.tip_mm, at.axis
+
+
+def serial_inverse_kinematics(
+    robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray, *, path: bool = False
+) -> FloatArray:
+    """(n, 6) joint angles, rad, for (n, 3) tool tips (mm, base frame) and (n, 3) unit tool axes.
+
+    The flange's z is opposite to the tool axis and its x as near to ``robot.flange_x`` as it goes. Every pose is
+    followed from home without passing a singular one, so that all are on home's branch.
+
+    Args:
+        robot: the arm; its joint stiffnesses are not used.
+        tip_mm: (n, 3) mm.
+        axis: (n, 3) unit, from the tip into the spindle.
+        path: whether the poses are neighbours, between which no joint may jump.
+
+    Raises:
+        ComputeError: names the first pose which is out of reach, near-singular, on another branch than home or out of
+            a joint's limits, or (``path``) to which a joint jumps.
+    """
+    tip, axis = _require_poses(robot, tip_mm, axis)
+    solution = _solve(robot, tip, _flange(robot, axis))
+    _refuse(robot, solution)
+    if path:
+        _refuse_flips(solution.joints)
+    return solution.joints
+
+
+def serial_reachable(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray) -> BoolArray:
+    """(n,) True where `serial_inverse_kinematics` would accept the pose; arguments as there."""
+    tip, axis = _require_poses(robot, tip_mm, axis)
+    reach = _flange_sine(robot, axis) > SINGULAR
+    solution = _solve(robot, tip[reach], _flange(robot, axis[reach]))
+    low, high = np.radians(robot.joint_limits_deg).T
+    inside = ((solution.joints >= low) & (solution.joints <= high)).all(axis=1)
+    reach[reach] = solution.reached & (solution.regular > SINGULAR) & (solution.turned_over > 0) & inside
+    return reach
+
+
+def serial_tip_compliance_mm_per_n(
+    robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray, *, path: bool = False
+) -> FloatArray:
+    """(n, 3, 3) displacement of the tip per force at the tip, mm/N, base frame; symmetric positive semidefinite.
+
+    ``J_v diag(1/k) J_v'`` of the joints' stiffnesses k; links and bearings count as rigid. Arguments and refusals as
+    for `serial_inverse_kinematics`, and ComputeError for a stiffness that is not above 0.
+    """
+    return serial_joint_compliance_mm_per_n(robot, serial_inverse_kinematics(robot, tip_mm, axis, path=path))
+
+
+def serial_joint_compliance_mm_per_n(robot: SerialRobot, joints_rad: FloatArray) -> FloatArray:
+    """(n, 3, 3) the same from (n, 6) joint angles, rad."""
+    require_arm(robot)
+    if len(robot.joint_stiffness_n_mm_per_rad) != JOINTS:
+        raise ComputeError(f"the arm has {len(robot.joint_stiffness_n_mm_per_rad)} joint stiffnesses, it must have 6")
+    for j, stiffness in enumerate(robot.joint_stiffness_n_mm_per_rad, 1):
+        require_number(f"the stiffness of joint {j}", stiffness, "N mm/rad", above=0.0)
+    arm = chain(robot, require_joints(joints_rad)).twists[:, :, :3]
+    softened = arm / np.asarray(robot.joint_stiffness_n_mm_per_rad)[:, None]
+    matrix = arm.transpose(0, 2, 1) @ softened
+    return np.asarray((matrix + matrix.transpose(0, 2, 1)) / 2, dtype=np.float64)
+
+
+def _solve(robot: SerialRobot, tip: FloatArray, flange: FloatArray) -> _Solution:
+    """Joint angles for every pose: a few are followed from home, the others from their nearest solved neighbour."""
+    joints = np.tile(np.radians(robot.home_deg), (len(tip), 1))
+    place = np.concatenate([tip / reach_mm(robot), flange[:, :, 0], flange[:, :, 2]], axis=1)
+    trying = np.arange(0, len(tip), max(1, len(tip) // _SEEDS))
+    start, solution = joints[trying], _judge(robot, joints, tip, flange)
+    for _ in range(_ROUNDS):
+        joints[trying] = _follow(robot, start, tip[trying], flange[trying])
+        solution = _judge(robot, joints, tip, flange)
+        good = solution.reached & (solution.turned_over > 0)
+        trying = np.flatnonzero(~good)
+        if good.all() or not good.any():
+            break
+        start = joints[good][cKDTree(place[good]).query(place[trying])[1]]
+    return solution
+
+
+def _follow(robot: SerialRobot, start: FloatArray, tip: FloatArray, flange: FloatArray) -> FloatArray:
+    """(n, 6) joints that were led from (n, 6) ``start`` straight towards the poses in short damped Gauss-Newton steps.
+
+    The damping goes with the square of what is left (Sugihara), so that the last steps are Newton's, and a pose out of
+    reach is approached rather than overshot.
+    """
+    joints = start.copy()
+    left = np.arange(len(joints))
+    for _ in range(_STEPS):
+        at = chain(robot, joints[left])
+        error = _error(robot, at, tip[left], flange[left])
+        size = np.linalg.norm(error, axis=1)
+        going = size > _EXACT
+        if not going.any():
+            break
+        left, error, size = left[going], error[going], size[going]
+        error = error * np.minimum(1.0, _STEP / size)[:, None]
+        twists = at.twists[going] / twist_scale(robot)
+        damping = (1e-14 + np.minimum(size, _STEP) ** 2 * 0.1)[:, None, None] * np.eye(JOINTS)
+        normal = twists @ twists.transpose(0, 2, 1) + damping
+        joints[left] += np.linalg.solve(normal, twists @ error[:, :, None])[:, :, 0]
+    return joints
+
+
+def _error(robot: SerialRobot, at: Chain, tip: FloatArray, flange: FloatArray) -> FloatArray:
+    """(n, 6) twist that is left to the pose: translation over the reach, and rotation vector, rad."""
+    turn = Rotation.from_matrix(flange @ at.flange.transpose(0, 2, 1)).as_rotvec()
+    return np.concatenate([(tip - at.tip_mm) / reach_mm(robot), turn], axis=1)
+
+
+def _judge(robot: SerialRobot, joints: FloatArray, tip: FloatArray, flange: FloatArray) -> _Solution:
+    at = chain(robot, joints)
+    error = _error(robot, at, tip, flange)
+    twists = at.twists / twist_scale(robot)
+    miss = np.linalg.norm(error.reshape(-1, 2, 3), axis=2)
+    return _Solution(
+        joints=joints,
+        miss_mm=miss[:, 0] * reach_mm(robot),
+        miss_rad=miss[:, 1],
+        regular=_regular(twists),
+        turned_over=np.linalg.det(twists) / _home_determinant(robot),
+    )
+
+
+def _regular(twists: FloatArray) -> FloatArray:
+    """(n,) ratio of the smallest to the largest singular value."""
+    singular = np.linalg.svd(twists, compute_uv=False)
+    return np.asarray(singular[:, -1] / singular[:, 0], dtype=np.float64)
+
+
+def _home_determinant(robot: SerialRobot) -> float:
+    twists = chain(robot, np.radians([robot.home_deg])).twists / twist_scale(robot)
+    ratio = float(_regular(twists)[0])
+    require_number(f"home is near-singular: {_RATIO}", ratio, "", above=SINGULAR)
+    return float(np.linalg.det(twists[0]))
+
+
+def _refuse(robot: SerialRobot, solution: _Solution) -> None:
+    """Raise ComputeError for the first pose that is not reached, not regular, not on home's branch or not in limits."""
+    miss = solution.miss_mm
+    refuse_where(~(miss < MISS_MM), miss, "the tool tip is out of reach: the least miss found", "mm", "it must be 0")
+    turn = np.degrees(solution.miss_rad)
+    refuse_where(~solution.reached, turn, "the tool axis is out of reach: the least miss found", "deg", "it must be 0")
+    refuse_where(solution.regular < SINGULAR, solution.regular, _RATIO, "", f"near-singular below {SINGULAR:g}")
+    what = "the Jacobian's determinant over that at home"
+    says = "below 0 the arm has turned over on the way from home: choose home_deg on the branch wanted"
+    refuse_where(solution.turned_over < 0, solution.turned_over, what, "", says)
+    for j, (low, high) in enumerate(robot.joint_limits_deg):
+        angle = np.degrees(solution.joints[:, j])
+        says = f"out of its limits {low:g} to {high:g} deg"
+        refuse_where((angle < low) | (angle > high), angle, f"joint {j + 1}", "deg", says)
+
+
+def _refuse_flips(joints: FloatArray) -> None:
+    leap = np.degrees(np.abs(np.diff(joints, axis=0, prepend=joints[:1])))
+    for j in range(JOINTS):
+        what, says = f"the turn of joint {j + 1} from the point before", f"beyond {FLIP_DEG:g} deg it is a flip"
+        refuse_where(leap[:, j] > FLIP_DEG, leap[:, j], what, "deg", says)
+
+
+def _flange(robot: SerialRobot, axis: FloatArray) -> FloatArray:
+    """(n, 3, 3) the flange wanted, as columns x, y, z, for (n, 3) unit tool axes."""
+    sine = _flange_sine(robot, axis)
+    what, says = "the sine between the tool axis and flange_x", f"parallel below {SINGULAR:g}: choose another flange_x"
+    refuse_where(~(sine > SINGULAR), sine, what, "", says)
+    wanted = np.asarray(robot.flange_x) / np.linalg.norm(robot.flange_x)
+    x = wanted - (axis @ wanted)[:, None] * axis
+    x = x / np.linalg.norm(x, axis=1)[:, None]
+    return np.stack([x, np.cross(-axis, x), -axis], axis=2)
+
+
+def _flange_sine(robot: SerialRobot, axis: FloatArray) -> FloatArray:
+    wanted = np.asarray(robot.flange_x) / np.linalg.norm(robot.flange_x)
+    return np.asarray(np.linalg.norm(np.cross(axis, wanted), axis=1), dtype=np.float64)
+
+
+def _require_poses(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
+    require_arm(robot)
+    tip = require_vectors("tool tip", tip_mm, "mm")
+    axis = require_unit_vectors("tool axis", axis)
+    if tip.shape != axis.shape:
+        raise ComputeError(f"{len(tip)} tool tips come with {len(axis)} tool axes")
+    return tip, axis

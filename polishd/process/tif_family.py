@@ -1,0 +1,118 @@
+"""The family of one spot over a range of depths and azimuths, as few cell averages as a stated tolerance needs.
+
+On a dwell point that lies on a node of the grid a spot is a window of cell averages. The windows of all depth ratios
+and azimuths lie near a space of few dimensions: its basis comes from a singular value decomposition.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from polishd.model.surface import FloatArray
+from polishd.process.robot.refusal import refuse_where, require_number
+from polishd.process.spot import Spot, shares
+
+RATIOS = 33
+"""Depth ratios that the basis is taken from, evenly over their range."""
+AZIMUTH_STEP = np.radians(2.0)
+"""And azimuths, at most this far apart."""
+CHUNK = 512
+"""Windows worked on at a time: bounds memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class TifFamily:
+    """A basis of the windows of a spot, and how near each point's own window comes to it."""
+
+    kernels: FloatArray
+    """(k, m, m) orthonormal windows, m odd, row 0 the top."""
+    coefficients: FloatArray
+    """(n, k) nm/s: the window of point i is about ``sum_k coefficients[i, k] kernels[k]``."""
+    truncation: float
+    """Largest relative error of a point's window (Euclidean norm), over all n points: at most the tolerance."""
+
+
+def tif_family(
+    spot: Spot, pitch_mm: float, depth_ratio: FloatArray, azimuth_rad: FloatArray, tolerance: float
+) -> TifFamily:
+    """The smallest basis that holds the spot within ``tolerance`` over the range of the points' ratios and azimuths.
+
+    ``depth_ratio`` and ``azimuth_rad`` (n,). The basis is taken from a mesh over the range; where a point's own window
+    is still missed by more than the tolerance, what is missed is added to it.
+    """
+    require_number("the tolerance of the TIF's family", tolerance, "", above=0.0, below=1.0)
+    require_number("the grid's pitch", pitch_mm, "mm", above=0.0)
+    impossible = ~((depth_ratio > 0) & np.isfinite(depth_ratio))
+    refuse_where(impossible, depth_ratio, "the depth ratio gamma", "", "it must be above 0")
+    reach = _reach(spot, pitch_mm, depth_ratio, azimuth_rad)
+    size = 2 * reach + 1
+    if depth_ratio.size == 0:
+        return TifFamily(np.zeros((1, size, size)), np.zeros((0, 1)), 0.0)
+
+    def project(basis: FloatArray) -> tuple[FloatArray, float, FloatArray]:
+        """Coefficients, the largest relative error, and what is left, relative, of windows missed by too much."""
+        parts, worst, missed = [], 0.0, []
+        for part in _chunks(depth_ratio.size):
+            window = windows(spot, pitch_mm, depth_ratio[part], azimuth_rad[part], reach)
+            parts.append(window @ basis)
+            left = (window - parts[-1] @ basis.T) / np.linalg.norm(window, axis=1)[:, None]
+            error = np.linalg.norm(left, axis=1)
+            worst = max(worst, float(error.max()))
+            missed.append(left[error > tolerance])
+        return np.concatenate(parts), worst, np.concatenate(missed)
+
+    ratio, azimuth = _samples(depth_ratio, azimuth_rad)
+    mesh = np.concatenate([windows(spot, pitch_mm, ratio[p], azimuth[p], reach) for p in _chunks(ratio.size)])
+    basis = _basis(mesh / np.linalg.norm(mesh, axis=1)[:, None], tolerance)
+    coefficients, worst, missed = project(basis)
+    if len(missed):
+        # what was missed is orthogonal to the basis only as far as rounding allows
+        basis = np.linalg.qr(np.hstack([basis, _basis(missed, tolerance)]))[0]
+        coefficients, worst, _ = project(basis)
+    return TifFamily(basis.T.reshape(-1, size, size), coefficients, worst)
+
+
+def windows(spot: Spot, pitch_mm: float, depth_ratio: FloatArray, azimuth_rad: FloatArray, reach: int) -> FloatArray:
+    """(n, (2 reach + 1)^2) nm/s averages over cells round a point that lies in the middle of one, row 0 the top."""
+    half = spot.half_width_mm(depth_ratio)
+    offset = spot.offset_mm(depth_ratio, azimuth_rad)
+    patch = spot.patch(depth_ratio, azimuth_rad)
+    size, middle = 2 * reach + 1, (reach + 0.5) * pitch_mm
+    across = shares(middle + offset[:, 0], half, pitch_mm, size, patch.shape[2])
+    down = shares(middle - offset[:, 1], half, pitch_mm, size, patch.shape[1])
+    return np.asarray(down @ patch @ across.transpose(0, 2, 1) / pitch_mm**2).reshape(len(patch), -1)
+
+
+def _reach(spot: Spot, pitch_mm: float, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> int:
+    """Cells on either side of a point that hold every spot, whichever way it lies."""
+    offset = np.linalg.norm(spot.offset_mm(depth_ratio, azimuth_rad), axis=1)
+    return int(np.ceil((spot.half_width_mm(depth_ratio) + offset).max(initial=0.0) / pitch_mm - 0.5 + 1e-9))
+
+
+def _samples(depth_ratio: FloatArray, azimuth_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Depth ratios and azimuths, (s,) each, of a mesh over the range of the points'."""
+    mean = np.angle(np.exp(1j * azimuth_rad).sum())
+    turn = np.angle(np.exp(1j * (azimuth_rad - mean)))
+    count = 1 + int(np.ceil(np.ptp(turn) / AZIMUTH_STEP - 1e-9))
+    ratios = RATIOS if np.ptp(depth_ratio) > 1e-12 else 1
+    ratio = np.linspace(depth_ratio.min(), depth_ratio.max(), ratios)
+    azimuth = mean + np.linspace(turn.min(), turn.max(), count)
+    return np.repeat(ratio, count), np.tile(azimuth, ratios)
+
+
+def _basis(shape: FloatArray, tolerance: float) -> FloatArray:
+    """(m^2, k) orthonormal columns with which each of the (s, m^2) shapes is held within the tolerance (absolute)."""
+    square = np.linalg.qr(shape, mode="r")  # has the shapes' right singular vectors, and no more rows than it needs
+    vectors = np.linalg.svd(square, full_matrices=False)[2].T
+    # what is left of a shape after k vectors, summed from the small end: no cancellation
+    left = np.sqrt(np.cumsum((shape @ vectors)[:, ::-1] ** 2, axis=1)[:, ::-1])
+    enough = np.append(left[:, 1:].max(axis=0), 0.0) <= tolerance
+    return np.asarray(vectors[:, : int(enough.argmax()) + 1], dtype=np.float64)
+
+
+def _chunks(n: int) -> Iterator[slice]:
+    for first in range(0, n, CHUNK):
+        yield slice(first, min(first + CHUNK, n))
