@@ -13,7 +13,6 @@ from benchmarks.harness import Progress, Row, race
 from polishd.model.process import ToolProcess
 from polishd.model.program import Program
 from polishd.model.surface import FloatArray, Grid
-from polishd.process.contact import hertz_depth_mm
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import Quadratic, quadratic
@@ -21,6 +20,7 @@ from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rh
 from polishd.process.dynamic_tif import effect_matrix
 from polishd.process.effect import SparseEffect
 from polishd.process.raster import raster
+from polishd.process.spot import HertzSpot
 
 GAP = 1e-6
 RADII_MM = (50.0, 150.0)
@@ -103,7 +103,7 @@ def part(radius_mm: float) -> DwellProblem:
     grid = Grid(n, n, 1.0)
     process = ToolProcess()
     gamma = 0.875 + 0.035 * np.sin(points[1:, 0] / 30)
-    matrix = effect_matrix(grid, process, program, gamma * hertz_depth_mm(process), np.ones(program.n))
+    matrix = effect_matrix(grid, HertzSpot(process), program, gamma, np.ones(program.n))
     effect, solve = SparseEffect(grid, matrix), grid.radius_mm() <= radius_mm
     height = surface(grid, solve)
     lower = program.length_mm / FEED_MM_S

@@ -39,6 +39,7 @@ from polishd.model.program import Plan, Program, Segment
 from polishd.model.robot import HybridRobot, MeasuredCompliance, SerialRobot
 from polishd.model.surface import Grid, SurfaceMap, SurfaceStats
 from polishd.ports import ByteStream, Clock, Device, ForceActuator, Metrology, Robot, Spindle
+from polishd.process.convolution import ConvolutionEffect
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.effect import Effect, SparseEffect
 
@@ -47,10 +48,11 @@ __all__ = [
     "BadMap",
     "ByteStream",
     "Certificate",
-    "ComplianceOptions",
     "Clock",
+    "ComplianceOptions",
     "ComputeError",
     "ConfigError",
+    "ConvolutionEffect",
     "Correction",
     "Device",
     "DeviceContext",

@@ -113,6 +113,16 @@ def turned_back(axis: FloatArray, lean: FloatArray, dip_deg: float) -> FloatArra
     return np.asarray(np.cos(dip) * axis - np.sin(dip) * against / length[:, None], dtype=np.float64)
 
 
+def upright(axis: FloatArray, normal: FloatArray) -> FloatArray:
+    """(n, 3) axes as seen where the surface lies level: turned with their (n, 3) unit normals the short way to z."""
+    both = normal + [0.0, 0.0, 1.0]
+    size = 1 + normal[:, 2]
+    refuse_where(size < 1e-6, size, "1 + the cosine between the normal and the part's z", "", "the surface looks down")
+    turned = axis - (np.einsum("ni,ni->n", both, axis) / size)[:, None] * both
+    turned[:, 2] += 2 * np.einsum("ni,ni->n", normal, axis)
+    return np.asarray(turned, dtype=np.float64)
+
+
 def path_tangents(point_mm: FloatArray) -> FloatArray:
     """(n, 3) unit tangents of the path through (n, 3) points by central differences (paper eq. 34).
 

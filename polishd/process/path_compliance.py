@@ -41,9 +41,7 @@ class PathCompliance:
                 f"the linear equivalent compliance jumps {self.jumps} times by over 5 % where the robot's does not"
             )
         if self.fallbacks:
-            found.append(
-                f"no Frenet frame at {self.fallbacks} of {n} points (straight path): surface normal taken"
-            )
+            found.append(f"no Frenet frame at {self.fallbacks} of {n} points (straight path): surface normal taken")
         return tuple(found)
 
 

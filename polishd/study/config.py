@@ -54,8 +54,8 @@ class SolveSection(Section):
     """How the dwell is solved: eq. 50 with ``t >= 0``."""
 
     regularisation_nm2_s2: NotNegative = 1e-9
-    unreached: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    kkt_tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-6
+    unreached: Annotated[float, Field(ge=0, lt=1)] = 0.005
+    kkt_tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-5
     within_s: Annotated[float, Field(gt=0, le=3600)] = 60.0
 
 

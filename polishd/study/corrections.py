@@ -101,9 +101,9 @@ def compare_corrections(study: CorrectionsStudy, read: ReadMap, tell: Tell) -> C
     tell("removing with both plants")
     plants = {"eq49": scene.effect(spots["linear"]), "depth": scene.effect(spots["exact"])}
     rows = [
-        make_row((plant, correction), target - effect.removal_nm(time_s), start, (float(time_s.sum()), wall[correction]), study)
+        make_row((plant, name), target - effect.removal_nm(time_s), start, (float(time_s.sum()), wall[name]), study)
         for plant, effect in plants.items()
-        for correction, time_s in dwell.items()
+        for name, time_s in dwell.items()
     ]
     return Comparison(scene, start, tuple(rows), dwell, tuple(notes))
 

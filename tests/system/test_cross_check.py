@@ -24,8 +24,10 @@ from polishd.process import conditioning, contact
 from polishd.process import frames as controller_frames
 from polishd.process.compliance import depth_ratio
 from polishd.process.compliance import equivalent_compliance as controller_compliance
-from polishd.process.dynamic_tif import corrected_spot, effect_matrix, path_compliance
+from polishd.process.dynamic_tif import corrected_spot, effect_matrix
+from polishd.process.path_compliance import path_compliance
 from polishd.process.robot import tip_compliance_mm_per_n
+from polishd.process.spot import HertzSpot
 from polishd.sim_backends import truth
 from polishd.sim_backends.config import Plant, Truth
 from polishd.sim_backends.placement import Frames, rotation_rpy, tool_axis
@@ -109,7 +111,7 @@ def test_volume_peak_and_extent_of_the_spot(process: ToolProcess, gamma: float) 
 @pytest.mark.parametrize("process", PROCESSES.values(), ids=PROCESSES.keys())
 def test_gamma_at_poses_over_the_part(process: ToolProcess) -> None:
     program = program_at(POSES, process.dip_deg)
-    compliance, jumps = path_compliance(program, process, ROBOT, PLACEMENT)
+    compliance = path_compliance(program, process, ROBOT, PLACEMENT).compliance_mm_per_n
     ours = depth_ratio(compliance, process, contact.hertz_depth_mm(process))
     pose = np.array([[x, y, 0.0, process.dip_deg, c] for x, y, c in POSES])
     world = Frames(PLANT)
@@ -121,7 +123,6 @@ def test_gamma_at_poses_over_the_part(process: ToolProcess) -> None:
     np.testing.assert_allclose(ours, theirs, rtol=1e-6)
     assert (theirs < 0.99).all(), "the robot gives way, or nothing is compared here"
     assert np.ptp(theirs) > 0.002
-    assert jumps >= 0
 
 
 @pytest.mark.parametrize("name", ["the paper's", "hard", "small bonnet"])
@@ -130,10 +131,9 @@ def test_the_effect_matrix_is_what_the_plant_removes(name: str) -> None:
     process = PROCESSES[name]
     grid = Grid(221, 221, 0.5)
     program = program_at(POSES, process.dip_deg)
-    compliance, _ = path_compliance(program, process, ROBOT, PLACEMENT)
-    rigid = contact.hertz_depth_mm(process)
-    depth, factor = corrected_spot("exact", rigid, depth_ratio(compliance, process, rigid))
-    effect = effect_matrix(grid, process, program, depth, factor)
+    compliance = path_compliance(program, process, ROBOT, PLACEMENT).compliance_mm_per_n
+    spots = corrected_spot("exact", depth_ratio(compliance, process, contact.hertz_depth_mm(process)))
+    effect = effect_matrix(grid, HertzSpot(process), program, spots.depth_ratio, spots.factor)
     world = Frames(PLANT)
     tips, axes = world.in_part(np.array([[x, y, 0.0, process.dip_deg, c] for x, y, c in POSES]))
     theirs_c = equivalent_compliance(ROBOT, *world.in_base(tips, axes), world.to_base[:, 2])
@@ -154,13 +154,13 @@ def test_a_moving_block_removes_what_many_short_stops_along_it_remove() -> None:
     text = b"G21 G90 G94\nG0 X-5 Y2 Z0 A15 C60\nG1 X7 Y-3 F120\nM2\n"
     program = read(text, "move.rnc")
     grid = Grid(81, 81, 0.5)
-    depth = np.array([contact.hertz_depth_mm(process)])
-    effect = effect_matrix(grid, process, program, depth, ONE)
+    effect = effect_matrix(grid, HertzSpot(process), program, ONE, ONE)
     ours = np.asarray(effect @ program.time_s).reshape(grid.shape)
     share = (np.arange(260) + 0.5) / 260
     xy = program.start_mm[:, :2] + share[:, None] * (program.end_mm - program.start_mm)[:, :2]
     axis = np.tile(tool_axis(np.array([15.0]), np.array([60.0])), (260, 1))
-    theirs = worn_nm_s(process, grid, axis, np.tile(depth, 260), xy) * program.time_s[0] / 260
+    depth = np.full(260, contact.hertz_depth_mm(process))
+    theirs = worn_nm_s(process, grid, axis, depth, xy) * program.time_s[0] / 260
     assert ours.sum() == pytest.approx(theirs.sum(), rel=2e-3)
     assert np.abs(ours - theirs).max() < 0.015 * theirs.max()
 
@@ -182,7 +182,7 @@ def test_compliance_projection_on_random_poses_placements_and_robots(seed: int |
         np.testing.assert_allclose(controller_frames.points_to_base(placement, tips), base_tips, atol=1e-9)
         np.testing.assert_allclose(controller_frames.directions_to_base(placement, axes), base_axes, atol=1e-12)
         theirs = equivalent_compliance(robot, base_tips, base_axes, world.to_base[:, 2])
-        normals = controller_frames.surface_normals(placement, len(tips))
+        normals = controller_frames.surface_normals(placement, np.zeros_like(tips))
         ours = controller_compliance(tip_compliance_mm_per_n(robot, base_tips, base_axes), base_axes, normals)
         assert (theirs > 0).all(), "all of these poses are within reach"
         np.testing.assert_allclose(ours, theirs, rtol=1e-9)

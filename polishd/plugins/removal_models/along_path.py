@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-from polishd.api import ComputeError, Grid, RemovalAnswer, RemovalRequest, SparseEffect
+from dataclasses import replace
+
+import numpy as np
+
+from polishd.api import ComputeError, Grid, Placement, RemovalAnswer, RemovalRequest, SparseEffect
+from polishd.model.surface import FloatArray
 from polishd.process.compliance import depth_ratio
 from polishd.process.contact import contact_radius_mm, hertz_depth_mm
 from polishd.process.dynamic_tif import corrected_spot, effect_matrix
+from polishd.process.frames import surface_normals, upright
 from polishd.process.path_compliance import path_compliance
 from polishd.process.robot.refusal import require_number
 from polishd.process.spot import Spot
@@ -24,7 +30,8 @@ def effect_along_path(request: RemovalRequest, spot: Spot, reference: float) -> 
     path = path_compliance(program, process, *at, options=request.options, optic=request.optic)
     gamma = depth_ratio(path.compliance_mm_per_n, process, depth)
     spots = corrected_spot(request.correction, gamma, process.depth_exponent, reference)
-    matrix = effect_matrix(request.grid, spot, program, spots.depth_ratio, spots.factor * request.rate)
+    level = replace(program, axis=upright(program.axis, _normals_in_part(request)))
+    matrix = effect_matrix(request.grid, spot, level, spots.depth_ratio, spots.factor * request.rate)
     notes = [f"rigid contact: depth {depth:.5f} mm, radius {float(contact_radius_mm(process, depth)):.4f} mm"]
     if gamma.size:
         notes.append(f"gamma {gamma.min():.4f} to {gamma.max():.4f}, mean {gamma.mean():.4f}")
@@ -35,6 +42,12 @@ def effect_along_path(request: RemovalRequest, spot: Spot, reference: float) -> 
         divide_by=spots.divide_by,
         notes=(*notes, *path.notes),
     )
+
+
+def _normals_in_part(request: RemovalRequest) -> FloatArray:
+    """(n, 3) unit normals of the nominal optic where each block ends, part frame."""
+    here = Placement((0.0, 0.0, 0.0), np.eye(3))
+    return surface_normals(here, request.program.end_mm, request.optic)
 
 
 def _check(grid: Grid, rate: float) -> None:

@@ -2,50 +2,19 @@
 
 from __future__ import annotations
 
-import json
-import sys
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from polishd import cli
 from polishd.console.demo_files import demo_program
 from polishd.daemon.config import load_config
 from polishd.daemon.process_files import write_tif
 from polishd.model.process import MeasuredTif
+from tests.unit.console.said import Polishd
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "cell.toml"
-
-
-@dataclass(frozen=True)
-class Said:
-    code: int
-    out: str
-    err: str
-
-    @property
-    def answer(self) -> dict:  # type: ignore[type-arg]
-        assert self.code == 0, self.err
-        return dict(json.loads(self.out))
-
-
-Polishd = Callable[..., Said]
-
-
-@pytest.fixture
-def polishd(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Polishd:
-    def call(*words: object) -> Said:
-        monkeypatch.setattr(sys, "argv", ["polishd", *map(str, words)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        captured = capsys.readouterr()
-        return Said(int(ended.value.code or 0), captured.out, captured.err)
-
-    return call
 
 
 def changed(tmp_path: Path, *changes: tuple[str, str]) -> Path:

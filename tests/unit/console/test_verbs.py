@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
-import sys
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from polishd import __version__, cli
+from polishd import __version__
 from polishd.console import demo, verbs
 from polishd.console.demo_files import DemoFiles, demo_program, with_values, write_demo
 from polishd.daemon import app as daemon_app
@@ -19,32 +16,9 @@ from polishd.daemon import client
 from polishd.daemon.config import load_config
 from polishd.model import errors
 from polishd.model.errors import DeviceFault, PolishdError
+from tests.unit.console.said import Polishd, Said
 
 SUMMARY = {"outcome": "in_tolerance", "job": "demo", "cycles": [], "notes": []}
-
-
-@dataclass(frozen=True)
-class Said:
-    code: int
-    out: str
-    err: str
-
-
-Polishd = Callable[..., Said]
-
-
-@pytest.fixture
-def polishd(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Polishd:
-    """``polishd("check", path)``: as from the shell, in this process."""
-
-    def call(*words: object) -> Said:
-        monkeypatch.setattr(sys, "argv", ["polishd", *map(str, words)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        captured = capsys.readouterr()
-        return Said(int(ended.value.code or 0), captured.out, captured.err)
-
-    return call
 
 
 @pytest.fixture(scope="module")

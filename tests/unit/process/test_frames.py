@@ -228,3 +228,24 @@ def test_the_rounding_of_a_program_is_not_a_curve() -> None:
     y = np.round(0.3 * x + 0.00004 * np.random.default_rng(0).standard_normal(200), 4)
     _, defined = frames.frenet_binormals(np.column_stack([x, y, np.zeros(200)]))
     assert not defined.any()
+
+
+def test_an_axis_seen_upright_keeps_its_dip_and_its_lean() -> None:
+    rng = np.random.default_rng(8)
+    points = np.column_stack([rng.uniform(-100, 100, (40, 2)), np.zeros(40)])
+    optic = Optic(300.0, -0.5)
+    normal = frames.surface_normals(HOME, points, optic)
+    options = ComplianceOptions(dip_direction="fixed", dip_azimuth_deg=50.0)
+    seen = frames.upright(frames.dipped_axes(options, HOME, points, normal, 15.0), normal)
+    np.testing.assert_allclose(seen[:, 2], np.cos(np.radians(15)), atol=1e-12)
+    azimuth = np.degrees(np.arctan2(seen[:, 1], seen[:, 0]))
+    np.testing.assert_allclose(azimuth, 50.0, atol=3.0)  # the lean is level in the part's frame, not in the surface's
+    np.testing.assert_allclose(frames.upright(normal, normal), np.tile([0, 0, 1.0], (40, 1)), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(seen, axis=1), 1.0, atol=1e-12)
+
+
+def test_on_a_flat_part_an_axis_is_seen_as_it_is() -> None:
+    axis = np.array([[0.2, -0.1, np.sqrt(0.95)]])
+    np.testing.assert_array_equal(frames.upright(axis, np.array([[0.0, 0.0, 1.0]])), axis)
+    with pytest.raises(ComputeError, match="looks down"):
+        frames.upright(axis, np.array([[0.0, 0.0, -1.0]]))

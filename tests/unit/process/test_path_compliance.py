@@ -6,40 +6,20 @@ import dataclasses
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 
 from polishd.model.errors import ComputeError
 from polishd.model.process import ComplianceOptions, Optic, Placement, ToolProcess
-from polishd.model.program import Program
 from polishd.model.robot import HybridRobot, MeasuredCompliance
 from polishd.model.surface import FloatArray
 from polishd.process import frames
 from polishd.process.compliance import equivalent_compliance
 from polishd.process.path_compliance import compliance_at, path_compliance
 from polishd.process.robot import inverse_kinematics, tip_compliance_mm_per_n
+from tests.unit.process.paths import DIP, PLACEMENT, inward_program, program
 
 PAPER = ToolProcess()
 DEPTH = 0.14834891
-DIP = np.radians(15.0)
 ROBOT = HybridRobot()
-PLACEMENT = Placement((300.0, 220.0, 2315.0), frames.rotation_from_rpy_deg(180.0, 0.0, 0.0))
-
-
-def program(start: ArrayLike, end: ArrayLike, azimuth: ArrayLike = 0.0) -> Program:
-    """A program of moves from (n, 2) to (n, 2) mm with the spindle leaning towards the (n,) azimuth, rad."""
-    start, end = (np.column_stack([a, np.zeros(len(a))]) for a in np.broadcast_arrays(*np.atleast_2d(start, end)))
-    n = len(end)
-    azimuth = np.broadcast_to(azimuth, n)
-    axis = np.stack([np.cos(azimuth) * np.sin(DIP), np.sin(azimuth) * np.sin(DIP), np.full(n, np.cos(DIP))], axis=1)
-    index = np.arange(n)
-    return Program(b"", "", "p", "rs274", "feed", index + 1, index, start, end, axis, np.ones(n), n, 600.0)
-
-
-def inward_program(start: ArrayLike, end: ArrayLike) -> Program:
-    """The same on the shipped part with the spindle leaning towards the base's z axis."""
-    moves = program(start, end)
-    base = moves.end_mm * [1, -1, -1] + np.array(PLACEMENT.origin_mm)
-    return program(start, end, np.arctan2(base[:, 1], -base[:, 0]))
 
 
 def test_the_compliance_along_the_shipped_part_varies_as_documented() -> None:

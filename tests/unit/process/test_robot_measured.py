@@ -123,9 +123,7 @@ def test_a_place_measured_twice_alike_counts_once() -> None:
 
 def test_a_place_measured_twice_otherwise_is_refused() -> None:
     value = np.append(affine(box()), 1.77)
-    with pytest.raises(
-        ComputeError, match=r"point 60: .* place that was measured before is 1.77 um/N"
-    ):
+    with pytest.raises(ComputeError, match=r"point 60: .* place that was measured before is 1.77 um/N"):
         measured_compliance(table(np.vstack([box(), box()[:1]]), value), box())
 
 
