@@ -27,7 +27,7 @@ from polishd.model.process import (
     ToolProcess,
 )
 from polishd.model.program import Plan, Program
-from polishd.model.robot import Robot
+from polishd.model.robot import RobotModel
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.ports.devices import Device
 from polishd.process.dwell.problem import DwellProblem
@@ -96,7 +96,7 @@ class RemovalRequest:
     program: Program
     grid: Grid
     process: ToolProcess
-    robot: Robot
+    robot: RobotModel
     placement: Placement
     correction: Correction
     rate: float

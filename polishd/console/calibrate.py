@@ -18,7 +18,7 @@ from polishd.daemon.config import CellConfig, load_config
 from polishd.daemon.files import read_map
 from polishd.daemon.plugins import load_own
 from polishd.daemon.process_files import PLACE, read_columns, write_tif
-from polishd.model.errors import BadMap, ConfigError
+from polishd.model.errors import BadMap, ComputeError, ConfigError
 from polishd.model.process import MeasuredTif, Projection, ToolProcess
 from polishd.model.robot import HybridRobot, MeasuredCompliance, SerialRobot
 from polishd.model.surface import SurfaceMap
@@ -37,7 +37,10 @@ def stiffness_verb(
     """Fit the robot's stiffnesses to loading tests."""
     _require_new_kind(out)
     unseen = None if held_out is None else _loading_tests(held_out)
-    fit = fit_stiffness(_elastic_robot(cell), _loading_tests(tests), projection=projection, hold_out=unseen)
+    try:
+        fit = fit_stiffness(_elastic_robot(cell), _loading_tests(tests), projection=projection, hold_out=unseen)
+    except ComputeError as error:
+        raise ComputeError(f"{tests}: {error}") from error
     if out is not None:
         _write_fragment(out, "kinematics", _stiffness_keys(fit.robot, fit), f"stiffnesses fitted to {tests.name}")
     answer = {

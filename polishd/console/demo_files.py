@@ -104,7 +104,9 @@ def demo_program(config: CellConfig) -> bytes:
     landing = config.part.aperture_mm / 2 + LANDING_MM - radius
     step = quiet_step_mm(_contact_radius_mm(config), RASTER_MM)
     points = raster(radius, step, RASTER_MM, landing_mm=landing)
-    return raster_program(points, _axes(config, points), FEED_MM_MIN, f"polishd demo raster, phi {config.part.aperture_mm:g} mm")
+    return raster_program(
+        points, _axes(config, points), FEED_MM_MIN, f"polishd demo raster, phi {config.part.aperture_mm:g} mm"
+    )
 
 
 def _axes(config: CellConfig, points_mm: FloatArray) -> FloatArray:

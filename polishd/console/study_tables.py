@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rich.table import Table
 
-from polishd.console.tables import key_table
+from polishd.console.tables import figure_table, key_table
 from polishd.study.config import PassesStudy, SpotsStudy
 from polishd.study.corrections import PLANTS, Comparison, Row, tie_words
 from polishd.study.paper import DIVERGENCE_BASE, TABLE_IV, TABLE_IV_RATIO
@@ -20,15 +20,13 @@ def correction_tables(title: str, compared: Comparison) -> list[Table]:
 
 
 def _correction_table(title: str, compared: Comparison, plant: str) -> Table:
-    table = Table(title=title, title_justify="left")
-    table.add_column("correction")
-    columns = ("PV nm", "RMS nm", "RMS/none", "less piston nm", "LSF nm", "dwell s", "wall s", "paper PV", "paper RMS")
-    for name in columns:
-        table.add_column(name, justify="right")
-    for row in compared.rows:
-        if row.plant == plant:
-            table.add_row(row.correction, *_correction_cells(row, compared.ratio(plant, row.correction)))
-    return table
+    columns = ("correction", "PV nm", "RMS nm", "/ none", "less piston", "LSF nm", "dwell s", "wall s")
+    rows = [
+        (row.correction, *_correction_cells(row, compared.ratio(plant, row.correction)))
+        for row in compared.rows
+        if row.plant == plant
+    ]
+    return figure_table(title, (*columns, "paper PV", "RMS"), rows)
 
 
 def _correction_cells(row: Row, ratio: float) -> list[str]:
@@ -50,8 +48,8 @@ def correction_notes(compared: Comparison) -> list[str]:
     ours = ", ".join(f"{name} {compared.ratio('depth', name):.3g}" for name in ("linear", "power", "exact"))
     return [
         *tie_words(compared),
-        f"RMS over that of none, plant depth: {ours}; the paper's Table IV has {TABLE_IV_RATIO:g} for its own, "
-        "which is linear here; its start and its plant are not published",
+        f"RMS over that of none, plant depth: {ours}; the paper's Table IV has {TABLE_IV_RATIO:g} for linear",
+        "the paper publishes neither its start nor its plant: its rows are printed beside ours, not reproduced",
         *compared.notes,
     ]
 
@@ -65,13 +63,8 @@ def spot_tables(study: SpotsStudy, rows: tuple[SpotRow, ...]) -> list[Table]:
 
 
 def _spot_table(title: str, rows: list[SpotRow]) -> Table:
-    table = Table(title=title, title_justify="left")
-    ours = ("#", "size mm", "rpm", "N", "dip", "contact um", "a mm", "peak nm", "mm3", "pole/a", "x", "JSD x-y")
-    for name in (*ours, "D-PE %", "V-PE %", "JSD"):
-        table.add_column(name, justify="right")
-    for row in rows:
-        table.add_row(*_spot_cells(row))
-    return table
+    ours = ("#", "mm", "rpm", "N", "dip", "depth um", "a mm", "peak nm", "mm3", "pole/a", "x", "JSD x-y")
+    return figure_table(title, (*ours, "D-PE %", "V-PE %", "JSD"), map(_spot_cells, rows))
 
 
 def _spot_cells(row: SpotRow) -> list[str]:
@@ -99,22 +92,20 @@ def spot_notes(rows: tuple[SpotRow, ...]) -> list[str]:
     return [
         *shape_words(rows),
         f"JSD x-y is the Jensen-Shannon divergence of our x profile from our y profile, log base {DIVERGENCE_BASE:g}",
-        "D-PE, V-PE and JSD are the paper's, of its measured spots from its own model: they are no figures of a spot, "
-        "and nothing here can be held against them; it does not state its log base",
+        "D-PE, V-PE and JSD are the paper's, of its measured spots from its own model; it does not state its log base",
+        "it prints no depth, volume or profile of a spot: nothing here can be held against those three",
     ]
 
 
 def passes_table(study: PassesStudy, passes: Passes) -> Table:
     """Removal and how it goes with gamma."""
     inside = passes.gamma[passes.metric_mask]
+    uneven = f"PV {passes.pv_nm:.3f} nm ({passes.pv_nm / passes.mean_nm:.2%}), RMS {passes.rms_nm:.3f} nm"
     rows = [
         ("passes", f"{passes.passes} of {study.dwell_s:g} s at each point"),
         ("gamma", f"{inside.min():.4f} to {inside.max():.4f} over the clear aperture"),
         ("removal", f"mean {passes.mean_nm:.2f} nm, where equal dwell should remove evenly"),
-        (
-            "nonuniformity",
-            f"PV {passes.pv_nm:.3f} nm ({passes.pv_nm / passes.mean_nm:.2%}), RMS {passes.rms_nm:.3f} nm",
-        ),
+        ("nonuniformity", uneven),
         ("correlation with gamma", f"{passes.correlation:.6f}"),
         ("slope of log removal on log gamma", f"{passes.slope:.4f} (Hertz 1.5; eq. 48-49 take it for 1)"),
     ]

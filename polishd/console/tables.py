@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+WIDE = 160
+"""Columns where stdout is no terminal: a file or a pipe should lose no figure."""
+
 stderr = Console(stderr=True)
-stdout = Console()
+stdout = Console(width=None if sys.stdout.isatty() else WIDE)
 
 
 def cycle_table(summary: Mapping[str, Any]) -> Table:
@@ -52,3 +57,13 @@ def record_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[obj
 
 def _figure(value: object, digits: int) -> str:
     return "" if value is None else f"{float(str(value)):.{digits}f}"
+
+
+def figure_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
+    """Many columns of figures after a first one of names: without rules between them, to fit a terminal."""
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    for number, column in enumerate(columns):
+        table.add_column(column, justify="right" if number else "left")
+    for row in rows:
+        table.add_row(*row)
+    return table

@@ -38,7 +38,7 @@ from polishd.hookspecs import DeviceType
 from polishd.model.errors import ConfigError
 from polishd.model.limits import Envelope
 from polishd.model.process import ComplianceOptions, MeasuredTif, Optic, Placement, ToolProcess
-from polishd.model.robot import HybridRobot, Robot, SerialRobot
+from polishd.model.robot import HybridRobot, RobotModel, SerialRobot
 from polishd.process.frames import rotation_from_rpy_deg
 
 PortSection = Literal["robot", "actuator", "spindle", "metrology"]
@@ -123,7 +123,7 @@ class CellConfig(Section):
         """Tool, contact and Preston constant."""
         return tool_process(self.process)
 
-    def robot_model(self) -> Robot:
+    def robot_model(self) -> RobotModel:
         """The robot's geometry and stiffness; ConfigError where its table cannot be read."""
         return robot_model(self.kinematics, self.resolve)
 
@@ -158,7 +158,7 @@ def tool_process(section: ProcessSection) -> ToolProcess:
     return ToolProcess(preston_cm2_per_n=section.preston, **{name: getattr(section, name) for name in shared})
 
 
-def robot_model(section: KinematicsSection, resolve: Callable[[str], Path]) -> Robot:
+def robot_model(section: KinematicsSection, resolve: Callable[[str], Path]) -> RobotModel:
     """The noun of a kinematics section; ``resolve`` makes its paths absolute."""
     values = {name: value for name, value in section if name != "type"}
     if isinstance(section, HybridSection):
@@ -174,14 +174,12 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> CellC
     The fragments that ``include`` names are laid over it: what they say replaces what the file says.
     Raises ConfigError with one line per problem: ``FILE:LINE: section.key: what is wrong; what to do``.
     """
-    raw, source = _parse(path)
-    fragments = [_parse(path.parent / Path(name).expanduser()) for name in _included(raw, source)]
+    raw, source = parse_toml(path)
+    fragments = [parse_toml(path.parent / Path(name).expanduser()) for name in _included(raw, source)]
     source = replace(source, overrides=frozenset(overrides or {}), included=tuple(part for _, part in fragments))
     for fragment, part in fragments:
         if "include" in fragment:
-            raise ConfigError(
-                part.error(("include",), "a fragment includes no other; name all in the cell's file")
-            )
+            raise ConfigError(part.error(("include",), "a fragment includes no other; name all in the cell's file"))
         _lay_over(raw, fragment)
     for key, value in (overrides or {}).items():
         _override(raw, key, value, source)
@@ -236,7 +234,8 @@ def _unknown_options(
     ]
 
 
-def _parse(path: Path) -> tuple[dict[str, Any], Source]:
+def parse_toml(path: Path) -> tuple[dict[str, Any], Source]:
+    """A TOML file's values, and the text that says where they stand; ConfigError with file and line."""
     text = _read(path)
     try:
         return tomllib.loads(text), Source(str(path), text)
@@ -264,7 +263,7 @@ def _read(path: Path) -> str:
     try:
         return path.read_bytes().decode("utf-8").replace("\r\n", "\n")
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}; name the cell's TOML file") from error
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}; name a TOML file") from error
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
 

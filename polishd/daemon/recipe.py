@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from polishd.hookspecs import DwellSolver, ProgramFormat, RemovalModel
 from polishd.model.limits import Envelope
 from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Optic, Placement, ToolProcess
-from polishd.model.robot import Robot
+from polishd.model.robot import RobotModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class Recipe:
     program_offset_mm: tuple[float, float, float]
     program_rotation_deg: float
     process: ToolProcess
-    robot: Robot
+    robot: RobotModel
     placement: Placement
     options: ComplianceOptions
     optic: Optic

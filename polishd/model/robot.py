@@ -97,5 +97,5 @@ class MeasuredCompliance:
     """Where the table came from, for messages."""
 
 
-Robot = HybridRobot | SerialRobot | MeasuredCompliance
+RobotModel = HybridRobot | SerialRobot | MeasuredCompliance
 """What a cell's compliance is computed from."""

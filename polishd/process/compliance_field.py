@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polishd.model.process import ComplianceOptions, Placement, ToolProcess
-from polishd.model.robot import HybridRobot, MeasuredCompliance, Robot
+from polishd.model.robot import HybridRobot, MeasuredCompliance, RobotModel
 from polishd.model.surface import FloatArray
 from polishd.process import frames
 from polishd.process.compliance import complex_eigenvalues, equivalent_compliance
@@ -42,7 +42,7 @@ class ComplianceField:
 
 
 def compliance_field(
-    robot: Robot,
+    robot: RobotModel,
     process: ToolProcess,
     placement: Placement,
     options: ComplianceOptions,
@@ -81,7 +81,9 @@ def compliance_field(
     )
 
 
-def _axes(robot: Robot, placement: Placement, planes: int, across: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _axes(
+    robot: RobotModel, placement: Placement, planes: int, across: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     if isinstance(robot, HybridRobot):
         reach = robot.workspace_radius_mm
         low, high = (robot.joint_height_mm - height for height in robot.workspace_height_mm[::-1])
@@ -95,7 +97,7 @@ def _axes(robot: Robot, placement: Placement, planes: int, across: int) -> tuple
     return x, y, np.unique(z)
 
 
-def _inside(robot: Robot, tip_mm: FloatArray) -> np.ndarray:
+def _inside(robot: RobotModel, tip_mm: FloatArray) -> np.ndarray:
     """(n,) True within the workspace: the hybrid robot's is a cylinder."""
     if isinstance(robot, HybridRobot):
         return np.asarray(np.hypot(tip_mm[:, 0], tip_mm[:, 1]) <= robot.workspace_radius_mm)

@@ -115,7 +115,7 @@ def turned_back(axis: FloatArray, lean: FloatArray, dip_deg: float) -> FloatArra
 
 def upright(axis: FloatArray, normal: FloatArray) -> FloatArray:
     """(n, 3) axes as seen where the surface lies level: turned with their (n, 3) unit normals the short way to z."""
-    both = normal + [0.0, 0.0, 1.0]
+    both = normal + np.array([0.0, 0.0, 1.0])
     size = 1 + normal[:, 2]
     refuse_where(size < 1e-6, size, "1 + the cosine between the normal and the part's z", "", "the surface looks down")
     turned = axis - (np.einsum("ni,ni->n", both, axis) / size)[:, None] * both

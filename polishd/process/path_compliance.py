@@ -9,7 +9,7 @@ import numpy as np
 from polishd.model.errors import ComputeError
 from polishd.model.process import FLAT, SHIPPED_OPTIONS, ComplianceOptions, Optic, Placement, ToolProcess
 from polishd.model.program import Program
-from polishd.model.robot import MeasuredCompliance, Robot
+from polishd.model.robot import MeasuredCompliance, RobotModel
 from polishd.model.surface import FloatArray
 from polishd.process import frames
 from polishd.process.compliance import equivalent_compliance, jumps
@@ -48,7 +48,7 @@ class PathCompliance:
 def path_compliance(
     program: Program,
     process: ToolProcess,
-    robot: Robot,
+    robot: RobotModel,
     placement: Placement,
     *,
     options: ComplianceOptions = SHIPPED_OPTIONS,
@@ -70,7 +70,7 @@ def path_compliance(
 def compliance_at(
     path: tuple[FloatArray, FloatArray],
     process: ToolProcess,
-    robot: Robot,
+    robot: RobotModel,
     placement: Placement,
     *,
     options: ComplianceOptions = SHIPPED_OPTIONS,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,13 +9,13 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
-from polishd.daemon.config import robot_model, tool_process
+from polishd.daemon.config import parse_toml, robot_model, tool_process
 from polishd.daemon.config_errors import Source, did_you_mean, listed, problems
 from polishd.daemon.config_process import ComplianceSection, HybridSection, KinematicsSection, ProcessSection
 from polishd.daemon.config_sections import Name, NotNegative, PartSection, Positive, Range, Section, Text
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.model.process import ComplianceOptions, Optic, Placement, ToolProcess
-from polishd.model.robot import Robot
+from polishd.model.robot import RobotModel
 from polishd.process.frames import rotation_from_rpy_deg
 
 MOST_SAMPLES = 1_000_000
@@ -75,15 +74,19 @@ class StudyFile(Section):
         """Tool, contact and Preston constant."""
         return tool_process(self.process)
 
+    def error(self, key: str, problem: str) -> ConfigError:
+        """A ConfigError about a dotted key, with its place: for checks that need more than this file."""
+        return ConfigError(self._source.error(tuple(key.split(".")), problem))
+
     @contextmanager
-    def blame(self, *key: str) -> Iterator[None]:
-        """What cannot be computed in this block is the file's fault, and is said with the place of this key."""
+    def blame(self, key: str) -> Iterator[None]:
+        """What cannot be computed in this block is the file's fault, and is said with the place of this dotted key."""
         try:
             yield
         except ConfigError:
             raise
         except PolishdError as error:
-            raise ConfigError(self._source.error(key, str(error))) from error
+            raise self.error(key, str(error)) from error
 
 
 class PartStudy(StudyFile):
@@ -102,7 +105,7 @@ class PartStudy(StudyFile):
             raise ValueError(f"path: {samples:.3g} dwell points or samples; at most {MOST_SAMPLES:.0e} can be studied")
         return self
 
-    def robot_model(self) -> Robot:
+    def robot_model(self) -> RobotModel:
         """The robot's geometry and stiffness; ConfigError where its table cannot be read."""
         return robot_model(self.kinematics, self.resolve)
 
@@ -162,7 +165,7 @@ KINDS: dict[str, type[Study]] = {"corrections": CorrectionsStudy, "spots": Spots
 
 def load_study(path: Path) -> Study:
     """Read a study's TOML; ConfigError with one line per problem: ``FILE:LINE: key: what is wrong; what to do``."""
-    raw, source = _parse(path)
+    raw, source = parse_toml(path)
     kind = raw.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         near = did_you_mean(kind, KINDS) if isinstance(kind, str) else "."
@@ -187,15 +190,3 @@ def _spot_problems(raw: Mapping[str, Any], source: Source) -> list[str]:
         except ValidationError as error:
             found += problems(error, SpotSection, source, ("spots", name))
     return found
-
-
-def _parse(path: Path) -> tuple[dict[str, Any], Source]:
-    try:
-        text = path.read_bytes().decode("utf-8").replace("\r\n", "\n")
-        return tomllib.loads(text), Source(str(path), text)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}; name the study's TOML file") from error
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: this is not TOML: {error}; mend that line") from error

@@ -28,7 +28,6 @@ from polishd.study.config import CorrectionsStudy
 from polishd.study.scene import Scene, make_scene
 from polishd.study.surface import ReadMap, start_surface
 
-BELIEFS: tuple[Correction, ...] = ("none", "pointwise", "linear", "power", "exact")
 PLANTS = ("eq49", "depth")
 TIE = 2e-3
 """Two residuals tie that differ by less than this share of the uncorrected one."""
@@ -110,13 +109,15 @@ def compare_corrections(study: CorrectionsStudy, read: ReadMap, tell: Tell) -> C
 
 def believed_spots(scene: Scene, exponent: float) -> dict[str, CorrectedSpot]:
     """What each correction believes of the spot; "calibrated" takes one at the mean pose for all, uncorrected."""
-    spots = {name: corrected_spot(name, scene.gamma, exponent) for name in BELIEFS}
-    calibrated = corrected_spot("none", scene.gamma, reference=float(scene.gamma.mean()))
-    return {"none": spots.pop("none"), "calibrated": calibrated, **spots}
+    gamma = scene.gamma
+    calibrated = corrected_spot("none", gamma, reference=float(gamma.mean()))
+    corrected: list[Correction] = ["pointwise", "linear", "power", "exact"]
+    spots: dict[str, CorrectedSpot] = {name: corrected_spot(name, gamma, exponent) for name in corrected}
+    return {"none": corrected_spot("none", gamma), "calibrated": calibrated, **spots}
 
 
 def solver_model(scene: Scene, correction: str, spot: CorrectedSpot) -> Effect:
-    """The solver's effect: "exact" as a low-rank convolution where the points are nodes, so not the plant's own matrix."""
+    """The solver's effect; "exact" is a sum of convolutions where points are nodes: not the plant's own matrix."""
     if correction == "exact" and scene.on_nodes:
         return convolution_effect(scene.grid, scene.spot, scene.program, spot.depth_ratio, spot.factor)
     return scene.effect(spot)
@@ -146,8 +147,8 @@ def solver_notes(effect: Effect, certificate: Certificate) -> list[str]:
     found = []
     if isinstance(effect, ConvolutionEffect):
         found.append(
-            f"the solver's model is a sum of {effect.rank} convolutions, truncated to {effect.truncation:.1e} of a spot; "
-            "the plant is the direct matrix"
+            f"the solver's model is a sum of {effect.rank} convolutions, truncated to {effect.truncation:.1e} of a "
+            "spot; the plant is the direct matrix"
         )
     if certificate.stopped != "converged":
         found.append(f"stopped at the {certificate.stopped}, KKT residual {certificate.kkt_residual:.1e}: no minimum")

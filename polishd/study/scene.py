@@ -31,9 +31,19 @@ class Scene:
     compliance_um_per_n: FloatArray
     """(n,) linear equivalent compliance."""
     spot: HertzSpot
+    lattice: Grid
+    """The dwell points are its nodes, those within the path's radius."""
     on_nodes: bool
     """Whether the dwell points are nodes of the grid: then a convolution is exact but for its truncation."""
     notes: tuple[str, ...]
+
+    def on_lattice(self, values: FloatArray) -> FloatArray:
+        """(n,) values of the dwell points as a map of the lattice, NaN where there is no point."""
+        found = np.full(self.lattice.shape, np.nan)
+        column = (self.program.end_mm[:, 0] - self.lattice.x_mm[0]) / self.lattice.pitch_mm
+        row = (self.lattice.y_mm[0] - self.program.end_mm[:, 1]) / self.lattice.pitch_mm
+        found[np.rint(row).astype(np.intp), np.rint(column).astype(np.intp)] = values
+        return found
 
     def effect(self, corrected: CorrectedSpot) -> SparseEffect:
         """The effect matrix of these spots, each laid down on its own."""
@@ -46,7 +56,8 @@ def make_scene(study: PartStudy) -> Scene:
     process, robot = study.tool_process(), study.robot_model()
     placement, options, optic = study.placement(), study.compliance_options(), study.optic()
     radius = study.part.aperture_mm / 2 + study.path.extension_mm
-    points = lattice_points(study_grid(study, study.path.step_mm), radius)
+    lattice = study_grid(study, study.path.step_mm)
+    points = lattice_points(lattice, radius)
     with study.blame("part"):
         tip, normal = frames.points_to_base(placement, points), frames.surface_normals(placement, points, optic)
         axis = frames.dipped_axes(options, placement, tip, normal, process.dip_deg) @ np.asarray(placement.rotation)
@@ -63,6 +74,7 @@ def make_scene(study: PartStudy) -> Scene:
         gamma=gamma,
         compliance_um_per_n=found.compliance_mm_per_n * 1e3,
         spot=HertzSpot(process),
+        lattice=lattice,
         on_nodes=study.path.step_mm == study.process.grid_mm,
         notes=(words, *found.notes),
     )

@@ -52,7 +52,7 @@ def compute_spots(study: SpotsStudy, tell: Callable[[str], None]) -> tuple[SpotR
     for reading in READINGS:
         for name, section in study.spots.items():
             tell(f"spot {name}, size is the {reading}")
-            with study.blame("spots", name):
+            with study.blame(f"spots.{name}"):
                 rows.append(compute_spot(study, (name, reading), section))
     return tuple(rows)
 

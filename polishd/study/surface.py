@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
-from polishd.process.conditioning import MARGIN_MM, Conditioned, condition, process_grid
+from polishd.process.conditioning import MARGIN_MM, MIN_SAMPLES, Conditioned, condition, process_grid
 from polishd.study.config import CorrectionsStudy, PartStudy
 
 WAVES = 96
@@ -25,11 +25,11 @@ def study_grid(study: PartStudy, pitch_mm: float) -> Grid:
 def start_surface(study: CorrectionsStudy, read: ReadMap) -> Conditioned:
     """The surface on the process grid with its masks; ConfigError where the map cannot be used."""
     part, wanted = study.part, study.surface
-    if wanted.file is None or wanted.rms_nm is not None or wanted.period_mm is not None:
-        return drawn_surface(study)
-    with study.blame("surface", "file"):
+    if wanted.rms_nm is not None and wanted.period_mm is not None:
+        return drawn_surface(study, wanted.rms_nm, wanted.period_mm)
+    with study.blame("surface.file"):
         return condition(
-            read(study.resolve(wanted.file)),
+            read(study.resolve(wanted.file or "")),
             aperture_mm=part.aperture_mm,
             edge_mm=part.edge_mm,
             grid_mm=study.process.grid_mm,
@@ -38,16 +38,19 @@ def start_surface(study: CorrectionsStudy, read: ReadMap) -> Conditioned:
         )
 
 
-def drawn_surface(study: CorrectionsStudy) -> Conditioned:
-    """A round surface without mean, of the stated RMS over the clear aperture."""
-    part, wanted = study.part, study.surface
+def drawn_surface(study: CorrectionsStudy, rms_nm: float, period_mm: tuple[float, float]) -> Conditioned:
+    """A round surface without mean, of this RMS over the clear aperture."""
+    part = study.part
     grid = study_grid(study, study.process.grid_mm)
     radius = grid.radius_mm()
     solve = radius <= part.aperture_mm / 2
     metric = radius <= part.aperture_mm / 2 - part.edge_mm
-    height = random_waves(grid, wanted.period_mm or (1.0, 2.0), wanted.seed)
+    if np.count_nonzero(metric) < MIN_SAMPLES:
+        samples = f"{np.count_nonzero(metric)} samples of process.grid_mm = {grid.pitch_mm:g}"
+        raise study.error("part", f"the clear aperture has {samples}; at least {MIN_SAMPLES} are needed")
+    height = random_waves(grid, period_mm, study.surface.seed)
     height -= height[metric].mean()
-    height *= (wanted.rms_nm or 0.0) / height[metric].std()
+    height *= rms_nm / height[metric].std()
     return Conditioned(grid, np.where(solve, height, np.nan), solve, metric, 0)
 
 
@@ -57,7 +60,7 @@ def random_waves(grid: Grid, period_mm: tuple[float, float], seed: int) -> Float
     A function of place alone: a finer grid samples the same surface.
     """
     rng = np.random.default_rng(seed)
-    period = np.exp(rng.uniform(*np.log(period_mm), WAVES))
+    period = np.exp(rng.uniform(np.log(period_mm[0]), np.log(period_mm[1]), WAVES))
     direction, phase = rng.uniform(0, 2 * np.pi, (2, WAVES))
     x, y = grid.x_mm[None, :], grid.y_mm[:, None]
     height = np.zeros(grid.shape)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from tests.arch import code_rules, repository_rules
 from tests.arch.source import Rule
 
 ROOT = Path(__file__).resolve().parents[2]
-# Configs of cells; the simulator's own is loaded by tests/system/test_sim_cell.py.
+# Configs of cells and studies; the simulator's own is loaded by tests/system/test_sim_cell.py.
 EXAMPLES = sorted(
     path for path in (ROOT / "examples").rglob("*.toml") if path.name not in ("pyproject.toml", "sim.toml")
 )
@@ -38,5 +39,7 @@ def test_there_are_examples() -> None:
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_the_example_loads(path: Path) -> None:
     from polishd.daemon.config import load_config  # not at the top: the rules should run while this does not
+    from polishd.study.config import load_study
 
-    load_config(path)
+    load = load_study if "kind" in tomllib.loads(path.read_text()) else load_config
+    load(path)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from polishd.model.errors import ComputeError
 from polishd.model.process import Moment
-from polishd.model.robot import HybridRobot, Robot, SerialRobot
+from polishd.model.robot import HybridRobot, RobotModel, SerialRobot
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.robot.compliance import hybrid_tip_compliance_mm_per_n
 from polishd.process.robot.measured import measured_reachable
@@ -35,7 +35,7 @@ def tip_compliance_mm_per_n(
     return serial_tip_compliance_mm_per_n(robot, tip_mm, axis, path=path)
 
 
-def reachable(robot: Robot, tip_mm: FloatArray, axis: FloatArray) -> BoolArray:
+def reachable(robot: RobotModel, tip_mm: FloatArray, axis: FloatArray) -> BoolArray:
     """(n,) True where the robot takes the pose by itself, or the table of a measured one covers it.
 
     Arguments as for `tip_compliance_mm_per_n`; raises ComputeError only for what is not a pose or not a robot.

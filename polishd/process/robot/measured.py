@@ -81,7 +81,7 @@ def measured_reachable(table: MeasuredCompliance, tip_mm: FloatArray) -> BoolArr
 
 
 def _require_table(table: MeasuredCompliance) -> _Table:
-    """The table in its own dimension, with places that were measured twice taken once."""
+    """The table in its own dimension; raise ComputeError where it cannot be one."""
     tip = require_vectors("place measured", table.tip_mm, "mm")
     value = np.asarray(table.compliance_um_per_n, dtype=np.float64)
     if value.shape != (len(tip),):
@@ -98,17 +98,14 @@ def _require_table(table: MeasuredCompliance) -> _Table:
         says = f"extends over {extent.max():.3g} mm, it must be above {FLAT_MM:g} mm"
         raise ComputeError(f"the table {table.source} {says}")
     local = (tip - centre) @ along.T
-    first = _first_of_the_same(local, value)
-    local, value = local[first], value[first] * 1e-3
+    _refuse_contradictions(local, value)
     order = np.argsort(local[:, 0])
-    return _Table(centre, along, local[order], value[order])
+    return _Table(centre, along, local[order], value[order] * 1e-3)
 
 
-def _first_of_the_same(place: FloatArray, value: FloatArray) -> BoolArray:
-    """(m,) True for the first of places that are one; raise ComputeError where they differ in their compliance."""
+def _refuse_contradictions(place: FloatArray, value: FloatArray) -> None:
+    """Raise ComputeError for the first place that was measured before, with another compliance."""
     earlier, later = cKDTree(place).query_pairs(_SAME_MM, output_type="ndarray").T
-    differ, first = np.zeros(len(place), dtype=np.bool_), np.ones(len(place), dtype=np.bool_)
+    differ = np.zeros(len(place), dtype=np.bool_)
     differ[later] = np.abs(value[later] - value[earlier]) > 1e-9 * value[later]
     refuse_where(differ, value, "the compliance of a place that was measured before", "um/N", "and differs from then")
-    first[later] = False
-    return first

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,7 +71,8 @@ def serial_inverse_kinematics(
         robot: the arm; its joint stiffnesses are not used.
         tip_mm: (n, 3) mm.
         axis: (n, 3) unit, from the tip into the spindle.
-        path: whether the poses are neighbours, between which no joint may jump.
+        path: whether the poses are neighbours, between which no joint may jump: a joint then turns on past half a turn
+            from home, if its limits let it.
 
     Raises:
         ComputeError: names the first pose which is out of reach, near-singular, on another branch than home or out of
@@ -78,6 +80,8 @@ def serial_inverse_kinematics(
     """
     tip, axis = _require_poses(robot, tip_mm, axis)
     solution = _solve(robot, tip, _flange(robot, axis))
+    if path:
+        solution = dataclasses.replace(solution, joints=np.unwrap(solution.joints, axis=0))
     _refuse(robot, solution)
     if path:
         _refuse_flips(solution.joints)
@@ -133,7 +137,16 @@ def _solve(robot: SerialRobot, tip: FloatArray, flange: FloatArray) -> _Solution
         if good.all() or not good.any():
             break
         start = joints[good][cKDTree(place[good]).query(place[trying])[1]]
-    return solution
+    return dataclasses.replace(solution, joints=_wound(robot, joints))
+
+
+def _wound(robot: SerialRobot, joints: FloatArray) -> FloatArray:
+    """(n, 6) the same angles within half a turn of home, or one turn on where only that is in the joint's limits."""
+    home, (low, high) = np.radians(robot.home_deg), np.radians(robot.joint_limits_deg).T
+    near = home + (joints - home + np.pi) % (2 * np.pi) - np.pi
+    other = near + np.where(near < low, 2 * np.pi, -2 * np.pi)
+    outside = (near < low) | (near > high)
+    return np.where(outside & (low <= other) & (other <= high), other, near)
 
 
 def _follow(robot: SerialRobot, start: FloatArray, tip: FloatArray, flange: FloatArray) -> FloatArray:

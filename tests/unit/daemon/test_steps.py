@@ -176,9 +176,7 @@ def test_pointwise_is_the_static_dwell_divided_by_gamma_within_the_real_bounds(
     np.testing.assert_allclose(dwell.lower_s, least, rtol=1e-5)
     assert (dwell.time_s >= dwell.lower_s * (1 - 1e-12)).all()
     assert (dwell.time_s <= dwell.upper_s * (1 + 1e-12)).all()
-    assert (np.abs(dwell.time_s / dwell.lower_s - 1) < 1e-6).any(), (
-        "the bound is met somewhere"
-    )
+    assert (np.abs(dwell.time_s / dwell.lower_s - 1) < 1e-6).any(), "the bound is met somewhere"
     static = solved.answer.effect.removal_nm(dwell.time_s * gamma)
     np.testing.assert_allclose(dwell.removal_nm, static, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(solved.answer.removal_nm(dwell.time_s), static, rtol=1e-12)

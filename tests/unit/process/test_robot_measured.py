@@ -115,9 +115,10 @@ def test_outside_of_the_hull_is_refused_by_name() -> None:
     assert measured_reachable(table(box()), tip).tolist() == [True, True, False]
 
 
-def test_a_place_measured_twice_alike_counts_once() -> None:
-    twice = np.vstack([box(), box()[:7]])
-    tip = np.array([[10.0, 20, 1900]])
+@pytest.mark.parametrize("places", [box(), box(nz=1), box(nx=1, nz=1)])
+def test_a_place_measured_twice_alike_counts_once(places: FloatArray) -> None:
+    twice = np.vstack([places, places[: len(places) // 2]])
+    tip = places[:1] / 3 + 2 * places[-1:] / 3
     np.testing.assert_allclose(measured_compliance(table(twice), tip), affine(tip) * 1e-3, rtol=1e-12)
 
 

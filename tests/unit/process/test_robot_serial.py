@@ -204,6 +204,37 @@ def test_neighbours_on_a_path_stay_neighbours() -> None:
     np.testing.assert_allclose(joints[0], joints[-1], rtol=0, atol=1e-9)
 
 
+def test_a_path_around_the_base_turns_on_where_single_poses_go_the_shorter_way() -> None:
+    t = np.radians(np.linspace(0, 270, 200))
+    tip = np.column_stack([-450 * np.cos(t), -450 * np.sin(t), np.full(200, 150.0)])
+    axis = np.tile(UP, (200, 1))
+    single = serial_inverse_kinematics(UR5, tip, axis)
+    path = serial_inverse_kinematics(UR5, tip, axis, path=True)
+    assert np.abs(single[:, 0]).max() < np.pi
+    assert np.degrees(np.abs(np.diff(single[:, 0])).max()) > 350
+    assert np.degrees(path[-1, 0] - path[0, 0]) == pytest.approx(270, abs=1e-6)
+    np.testing.assert_allclose(serial_forward_kinematics(UR5, path)[0], tip, rtol=0, atol=1e-9)
+    limited = dataclasses.replace(UR5, joint_limits_deg=((-180.0, 180.0), *TURNS[1:]))
+    serial_inverse_kinematics(limited, tip, axis)
+    with pytest.raises(ComputeError, match=r"joint 1 is 181.[\d]+ deg, out of its limits -180 to 180 deg"):
+        serial_inverse_kinematics(limited, tip, axis, path=True)
+
+
+def test_a_turn_that_the_limits_ask_for_is_taken() -> None:
+    tip, axis = np.array([[80.0, -450.0, 150.0]]), np.array([UP])
+    near_home = serial_inverse_kinematics(UR5, tip, axis)[0, 0]
+    assert np.radians(60) < near_home < np.radians(120)
+    other = dataclasses.replace(UR5, joint_limits_deg=((-350.0, 60.0), *TURNS[1:]))
+    assert serial_reachable(other, tip, axis)[0]
+    assert serial_inverse_kinematics(other, tip, axis)[0, 0] == pytest.approx(near_home - 2 * np.pi, abs=1e-9)
+
+
+def test_homes_branch_is_followed_far() -> None:
+    """The flange turned by 120 degrees from home, over a field that goes to the wrist's singular poses."""
+    robot = dataclasses.replace(PUMA, flange_x=(-0.5, np.sqrt(0.75), 0.0))
+    assert serial_reachable(robot, *serial_forward_kinematics(PUMA, near(PUMA, 1000, 35.0))).mean() > 0.93
+
+
 @pytest.mark.parametrize("robot", [UR5, PUMA])
 def test_compliance_is_that_of_the_tip_moved_joint_by_joint(robot: SerialRobot) -> None:
     joints, h = near(robot, 10), 1e-5

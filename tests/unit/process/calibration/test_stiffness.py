@@ -163,6 +163,7 @@ def test_a_stiffness_that_no_test_feels_is_kept_and_said_so() -> None:
         "the tests do not determine c_stiffness_n_mm_per_rad (1-sigma over 1000 %): 9e+07 N mm/rad is kept as given"
     ]
     assert len(fit.notes) == sum(not found.determined for found in fit.stiffnesses)
+    assert all(found.value == found.given for found in fit.stiffnesses if not found.determined)
 
 
 def test_the_tests_along_other_ways_find_it() -> None:
@@ -185,6 +186,15 @@ def test_a_given_stiffness_that_the_tests_speak_against_is_not_kept() -> None:
     assert value_of(fit, "a_stiffness_n_mm_per_rad") > 20 * HYBRID.a_stiffness_n_mm_per_rad
     assert fit.held_out is not None
     assert fit.held_out.mean_percent < PAPER_MEAN
+
+
+def test_two_of_which_the_tests_see_but_the_sum_do_not_run_apart() -> None:
+    """Stiff limbs on a soft wrist: limbs without end on a beam 30 times softer would fit as well."""
+    rng = np.random.default_rng(0)
+    truth = dataclasses.replace(HYBRID, limb_stiffness_n_per_mm=8e4, a_stiffness_n_mm_per_rad=8.7e6)
+    fit = fit_stiffness(HYBRID, load(truth, 40, rng, NOISE))
+    assert value_of(fit, "up_bending_n_mm2") == HYBRID.up_bending_n_mm2
+    assert value_of(fit, "a_stiffness_n_mm_per_rad") == pytest.approx(8.7e6, rel=0.05)
 
 
 def test_a_start_that_is_off_by_far_gets_there() -> None:
