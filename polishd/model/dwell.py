@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
+
+from numpy.typing import NDArray
 
 from polishd.model.surface import FloatArray
 
@@ -33,6 +37,8 @@ class Certificate:
     cross_check_gap: float | None = None
     """(our objective - its objective) / its objective; at most a small positive number."""
     notes: tuple[str, ...] = ()
+    predicted_band_rms_nm: float | None = None
+    """RMS of the periods above the problem's ``band_period_mm`` in the clear aperture; None: none was asked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,3 +54,5 @@ class DwellSolution:
     certificate: Certificate
     lower_s: FloatArray = field(repr=False)
     upper_s: FloatArray = field(repr=False)
+    state: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
+    """What its solver can start from again, by name; kept with the run."""

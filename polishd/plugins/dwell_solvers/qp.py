@@ -61,11 +61,13 @@ def _program(problem: DwellProblem) -> qpsolvers.Problem:
         raise ComputeError(f"{NAME} needs the effect as a matrix, not as {type(problem.effect).__name__}")
     matrix = sparse.csr_array(problem.effect.matrix)[np.flatnonzero(problem.solve_mask.ravel())]
     m, n = matrix.shape
-    weights = np.concatenate([np.full(n, 2 * problem.regularisation), np.full(m, 2 / m)])
+    inside = problem.solve_mask
+    weight = np.ones(m) if problem.weight is None else problem.weight[inside]
+    weights = np.concatenate([np.full(n, 2 * problem.regularisation), 2 / m * weight])
     unbounded: FloatArray = np.full(m, np.inf)
     return qpsolvers.Problem(
         sparse.diags_array(weights, format="csc"),
-        np.zeros(n + m),
+        np.concatenate([np.full(n, problem.price_nm2_per_s), np.zeros(m)]),
         A=sparse.hstack([matrix, -sparse.eye_array(m)], format="csc"),
         b=problem.target_nm[problem.solve_mask],
         lb=np.concatenate([problem.lower_s, -unbounded]),

@@ -9,6 +9,7 @@ from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import projected_gradient, quadratic, safe_step
+from polishd.process.metrics import band_rms
 
 
 def certified(
@@ -45,6 +46,10 @@ def certified(
     residual = np.where(problem.solve_mask, problem.target_nm - removal, np.nan)
     residual = residual - residual[problem.metric_mask].mean()
     inside = residual[problem.metric_mask]
+    band = None
+    if problem.band_period_mm is not None:
+        pitch, mask = problem.effect.grid.pitch_mm, problem.metric_mask
+        band = band_rms(residual, mask, pitch, problem.band_period_mm)
     certificate = Certificate(
         solver=solver,
         objective=quadratic(problem).value(t),
@@ -60,6 +65,7 @@ def certified(
         seconds=seconds,
         stopped=stopped,
         notes=notes,
+        predicted_band_rms_nm=band,
     )
     return DwellSolution(t, removal, residual, certificate, problem.lower_s, problem.upper_s)
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from polishd.model.dwell import DwellSolution
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.effect import Effect
 
 
 @dataclass(frozen=True, slots=True)
 class DwellProblem:
-    """``min ||R t - h||^2 / N_r + P ||t||^2`` over ``solve_mask``, ``lower_s <= t <= upper_s``.
+    """``min sum_k weight_k (R t - h)_k^2 / N_r + P ||t||^2 + price sum(t)`` over ``solve_mask``, within bounds.
 
-    N_r is the number of samples in ``solve_mask``.
+    N_r is the number of samples in ``solve_mask``; without weights and price it is paper eq. 50 with bounds.
     """
 
     effect: Effect
@@ -28,3 +29,11 @@ class DwellProblem:
     """(n,) most time."""
     regularisation: float
     """P of eq. 50, nm^2/s^2."""
+    weight: FloatArray | None = None
+    """(ny, nx) how much a sample counts, not negative; None: all alike."""
+    price_nm2_per_s: float = 0.0
+    """What a second of total time costs: the multiplier of a time budget, and what walks a residual-time curve."""
+    band_period_mm: float | None = None
+    """The certificate states the RMS of periods above it, too."""
+    warm: DwellSolution | None = field(default=None, repr=False)
+    """A solution of a problem much like this one (the last cycle's, the last point of a curve) to start from."""

@@ -17,9 +17,9 @@ Product = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True, slots=True)
 class Quadratic:
-    """``f(t) = |R t - h|^2 / N_r + P |t|^2`` (paper eq. 50, its square outside the sum over j as it must be).
+    """``f(t) = |R t - h|^2 / N_r + P |t|^2 + price sum(t)`` (paper eq. 50, its square outside the sum as it must be).
 
-    R is restricted to the m = N_r samples that count.
+    R is restricted to the m = N_r samples that count; with weights its rows, and h, carry their square roots.
     """
 
     forward: Product
@@ -30,16 +30,19 @@ class Quadratic:
     """(m,) nm: h."""
     regularisation: float
     """P, nm^2/s^2."""
+    price: float = 0.0
+    """Of a second of total time, nm^2/s."""
 
     def value(self, time_s: FloatArray) -> float:
         """f(t), nm^2."""
         miss = self.forward(time_s) - self.target
-        return float(miss @ miss) / self.target.size + self.regularisation * float(time_s @ time_s)
+        held = self.regularisation * float(time_s @ time_s) + self.price * float(time_s.sum())
+        return float(miss @ miss) / self.target.size + held
 
     def gradient(self, time_s: FloatArray) -> FloatArray:
-        """(n,) nm^2/s: ``2 R'(R t - h) / N_r + 2 P t``."""
+        """(n,) nm^2/s: ``2 R'(R t - h) / N_r + 2 P t + price``."""
         miss = self.forward(time_s) - self.target
-        return 2 / self.target.size * self.backward(miss) + 2 * self.regularisation * time_s
+        return 2 / self.target.size * self.backward(miss) + 2 * self.regularisation * time_s + self.price
 
     def curvature(self, direction: FloatArray) -> FloatArray:
         """(n,) Hessian times a direction: ``2 R'R d / N_r + 2 P d``."""
@@ -56,18 +59,21 @@ def quadratic(problem: DwellProblem) -> Quadratic:
     effect is used through its own two products.
     """
     mask, effect = problem.solve_mask, problem.effect
-    target = problem.target_nm[mask]
+    root = np.ones(int(mask.sum())) if problem.weight is None else np.sqrt(problem.weight[mask])
+    target, rest = root * problem.target_nm[mask], (problem.regularisation, problem.price_nm2_per_s)
     if isinstance(effect, SparseEffect):
         rows = narrow(sparse.csr_array(sparse.csr_array(effect.matrix)[np.flatnonzero(mask.ravel())]))
+        if problem.weight is not None:
+            rows = narrow(sparse.csr_array(sparse.diags_array(root) @ rows))
         columns = narrow(sparse.csr_array(rows.T))
-        return Quadratic(rows.__matmul__, columns.__matmul__, target, problem.regularisation)
+        return Quadratic(rows.__matmul__, columns.__matmul__, target, *rest)
 
     def backward(weight: FloatArray) -> FloatArray:
         spread = np.zeros(mask.shape)
-        spread[mask] = weight
+        spread[mask] = root * weight
         return np.array(effect.adjoint(spread), dtype=np.float64)
 
-    return Quadratic(lambda time_s: effect.removal_nm(time_s)[mask], backward, target, problem.regularisation)
+    return Quadratic(lambda time_s: root * effect.removal_nm(time_s)[mask], backward, target, *rest)
 
 
 def narrow(matrix: sparse.csr_array) -> sparse.csr_array:

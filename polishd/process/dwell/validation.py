@@ -24,7 +24,20 @@ def check(problem: DwellProblem) -> None:
     _check_bounds(problem)
     if not (np.isfinite(problem.regularisation) and problem.regularisation >= 0):
         raise ComputeError(f"regularisation must be finite and not negative, not {problem.regularisation}")
+    if not (np.isfinite(problem.price_nm2_per_s) and problem.price_nm2_per_s >= 0):
+        raise ComputeError(f"the price of time must be finite and not negative, not {problem.price_nm2_per_s}")
+    _check_weight(problem)
     _check_effect(problem)
+
+
+def _check_weight(problem: DwellProblem) -> None:
+    if problem.weight is None:
+        return
+    if problem.weight.shape != problem.effect.grid.shape:
+        raise ComputeError(f"weight is {problem.weight.shape}, the effect's grid is {problem.effect.grid.shape}")
+    inside = problem.weight[problem.solve_mask]
+    if not (np.isfinite(inside).all() and (inside >= 0).all() and inside.any()):
+        raise ComputeError("weight must be finite, not negative, and above 0 somewhere in solve_mask")
 
 
 def _check_shapes(problem: DwellProblem) -> None:

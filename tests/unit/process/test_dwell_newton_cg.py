@@ -14,6 +14,7 @@ from scipy import optimize, sparse
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.dwell import newton_cg
+from polishd.process.dwell.certificate import certified
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import quadratic
 from polishd.process.effect import SparseEffect
@@ -225,3 +226,45 @@ def test_an_effect_that_is_no_matrix_gives_the_same_dwell() -> None:
     opaque = newton_cg.solve(replace(problem, effect=Opaque(problem.effect)), 10, 1e-9)
     assert opaque.time_s == pytest.approx(newton_cg.solve(problem, 10, 1e-9).time_s, abs=1e-6)
     assert opaque.certificate.kkt_residual <= 1e-9
+
+
+def test_weights_and_price_enter_as_written() -> None:
+    problem = dwell_problem(radius_mm=8)
+    rng = np.random.default_rng(3)
+    weight = rng.uniform(0.2, 3.0, problem.solve_mask.shape)
+    priced = replace(problem, weight=weight, price_nm2_per_s=0.3, band_period_mm=8.0)
+    solution = newton_cg.solve(priced, 30.0, 1e-9)
+    t, mask = solution.time_s, problem.solve_mask
+    miss = (problem.effect.removal_nm(t) - problem.target_nm)[mask]
+    written = float(weight[mask] @ miss**2) / mask.sum() + problem.regularisation * float(t @ t) + 0.3 * float(t.sum())
+    assert solution.certificate.objective == pytest.approx(written, rel=1e-12)
+    for _ in range(20):  # no feasible dwell nearby is better
+        near = np.clip(t + 1e-3 * rng.standard_normal(t.size), problem.lower_s, problem.upper_s)
+        assert certified(priced, near, solver="x", iterations=0, seconds=0, stopped="x").certificate.objective > written
+    assert solution.certificate.predicted_band_rms_nm is not None
+    assert 0 < solution.certificate.predicted_band_rms_nm < solution.certificate.predicted_rms_nm
+
+
+def test_a_higher_price_buys_less_time_and_leaves_more() -> None:
+    problem = dwell_problem(radius_mm=8)
+    found = [newton_cg.solve(replace(problem, price_nm2_per_s=price), 30.0, 1e-8).certificate for price in (0.0, 0.1, 1.0, 10.0)]
+    totals, misses = [c.dwell_total_s for c in found], [c.objective for c in found]
+    assert totals == sorted(totals, reverse=True)
+    assert totals[0] > 1.05 * totals[-1]
+    assert misses == sorted(misses)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"price_nm2_per_s": -1.0}, "price of time"),
+        ({"price_nm2_per_s": np.nan}, "price of time"),
+        ({"weight": np.ones((2, 2))}, "weight is"),
+        ({"weight": np.zeros((26, 26))}, "above 0 somewhere"),
+        ({"weight": np.full((26, 26), -1.0)}, "not negative"),
+        ({"weight": np.full((26, 26), np.inf)}, "finite"),
+    ],
+)
+def test_impossible_weights_and_prices_are_refused(changes: dict[str, object], says: str) -> None:
+    with pytest.raises(ComputeError, match=says):
+        newton_cg.solve(replace(dwell_problem(radius_mm=8), **changes), 1.0)
