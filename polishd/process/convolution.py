@@ -37,7 +37,7 @@ class ConvolutionEffect:
     spectra: NDArray[np.complex128]
     """(k, ...) transforms of the kernels."""
     size: tuple[int, int]
-    """Shape of what is transformed: the full convolution's at least, so that nothing wraps round."""
+    """Shape of what is transformed: so large that nothing wraps round into the grid."""
 
     @property
     def n(self) -> int:
@@ -56,12 +56,12 @@ class ConvolutionEffect:
         for k in range(self.rank):
             dwell = np.bincount(self.node, self.coefficients[:, k] * time_s, rows * columns).reshape(self.lattice)
             total += self.spectra[k] * fft.rfft2(dwell, self.size)
-        return np.asarray(fft.irfft2(total, self.size)[self._on_grid()], dtype=np.float64)
+        return np.asarray(fft.irfft2(total, self.size)[self.on_grid], dtype=np.float64)
 
     def adjoint(self, weight: FloatArray) -> FloatArray:
         """(ny, nx) -> (n,)."""
         spread = np.zeros(self.size)
-        spread[self._on_grid()] = weight
+        spread[self.on_grid] = weight
         spectrum = fft.rfft2(spread)
         total = np.zeros(self.n)
         for k in range(self.rank):
@@ -69,7 +69,9 @@ class ConvolutionEffect:
             total += self.coefficients[:, k] * back.ravel()[self.node]
         return total
 
-    def _on_grid(self) -> tuple[slice, slice]:
+    @property
+    def on_grid(self) -> tuple[slice, slice]:
+        """Where the grid lies in what is transformed."""
         row, column = self.corner
         return slice(row, row + self.grid.ny), slice(column, column + self.grid.nx)
 
@@ -103,16 +105,21 @@ def convolution_effect(
     reach = family.kernels.shape[1] // 2
     (top, rows), (left, columns) = _lattice(row, grid.ny), _lattice(column, grid.nx)
     node = (np.round(row).astype(np.int64) - top) * columns + np.round(column).astype(np.int64) - left
-    size = (fft.next_fast_len(rows + 2 * reach, True), fft.next_fast_len(columns + 2 * reach, True))
+    corner = (reach - top, reach - left)
+    # of a full convolution, rows + 2 reach, as much may wrap round as lies before the grid's first row
+    size = tuple(
+        fft.next_fast_len(max(n, n + 2 * reach - first, first + grid_n), True)
+        for n, first, grid_n in zip((rows, columns), corner, grid.shape, strict=True)
+    )
     return ConvolutionEffect(
         grid=grid,
         truncation=family.truncation,
         node=node,
         lattice=(rows, columns),
-        corner=(reach - top, reach - left),
+        corner=corner,
         coefficients=family.coefficients * factor[:, None],
         spectra=np.asarray(fft.rfft2(family.kernels, size), dtype=np.complex128),
-        size=size,
+        size=(size[0], size[1]),
     )
 
 
