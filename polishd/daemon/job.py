@@ -17,7 +17,7 @@ from polishd.daemon.safety import ContactLimits
 from polishd.daemon.steps import Beliefs, Measured, Solved
 from polishd.model.cycle import Event
 from polishd.model.devices import Executed, RobotProgress
-from polishd.model.dwell import Certificate
+from polishd.model.dwell import Certificate, KeptStart
 from polishd.model.errors import ComputeError, PlanRefused
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program
@@ -25,6 +25,8 @@ from polishd.model.surface import FloatArray, SurfaceMap
 
 DIVERGED_RATIO, DIVERGED_NM = 1.3, 1.0
 """A surface that is worse than the best one so far by this ratio, and by more than noise and ripple, ends the job."""
+START = "start.npz"
+"""What a cycle's solution leaves for the next solve to start from."""
 PROGRESS_BLOCKS = 50
 """Blocks between two progress events."""
 
@@ -118,16 +120,27 @@ class Job:
             self._program,
             surface,
             self._beliefs,
+            self._kept_start(cycle - 1),
             within_s=6 * self.recipe.solve_s + 30.0,
         )
         self._folder.cycle(cycle).json("certificate.json", solved.dwell.certificate)
         self._publish(Event("solved", cycle, asdict(solved.dwell.certificate)))
         return solved
 
+    def _kept_start(self, cycle: int) -> KeptStart | None:
+        """What an earlier cycle's solution left to start from; None where there is none that fits this program."""
+        if cycle < 0 or not (self._folder.cycle(cycle).path / START).exists():
+            return None
+        arrays = self._folder.cycle(cycle).load_arrays(START)
+        time_s = arrays.pop("time_s")
+        return KeptStart(time_s, arrays) if time_s.shape == (self._program.n,) else None
+
     async def plan(self, cycle: int, solved: Solved) -> Plan:
-        """The rewritten program, kept in the run folder."""
+        """The rewritten program, kept in the run folder with what the next solve can start from."""
         plan = await self._compute(steps.rewrite, self.recipe, self._program, solved, self._program.name)
-        save_plan(self._folder.cycle(cycle), self.recipe, plan, solved)
+        folder = self._folder.cycle(cycle)
+        save_plan(folder, self.recipe, plan, solved)
+        folder.arrays(START, {"time_s": solved.dwell.time_s, **solved.dwell.state})
         return plan
 
     def refuse_unsafe(self, plan: Plan) -> None:

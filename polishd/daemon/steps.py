@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from polishd.daemon.files import read_program_bytes
 from polishd.daemon.recipe import Recipe
 from polishd.hookspecs import RemovalAnswer, RemovalRequest
-from polishd.model.dwell import DwellSolution
+from polishd.model.dwell import DwellSolution, KeptStart, Start
 from polishd.model.errors import ComputeError, ProgramError
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program, Segment
@@ -170,24 +170,28 @@ def learn(
     return Beliefs(rate, overhead, learned.notes), learned
 
 
-def solve(recipe: Recipe, program: Program, measured: Measured, beliefs: Beliefs) -> Solved:
+def solve(
+    recipe: Recipe, program: Program, measured: Measured, beliefs: Beliefs, warm: KeptStart | None = None
+) -> Solved:
     """Dwell for the removal that the measured surface wants, within what the machine can deliver.
 
     What acceleration delivers late becomes the lower bound of the next round, so that the optimum knows of it.
+    ``warm`` is what was kept of the last cycle's solution.
     """
     envelope = _envelope(recipe, program, beliefs)
     answer = effect_of(recipe, program, measured.grid, beliefs.rate)
     _require_coverage(program, answer, measured)
     lower = motion.least_time_s(program, envelope)
     upper = np.maximum(motion.most_time_s(program, envelope), lower)
-    problem, dwell, asked, expected = _solve_within(recipe, program, (measured, answer), (lower, upper), envelope)
+    given = Given(measured, answer, envelope)
+    problem, dwell, asked, expected = _solve_within(recipe, program, given, (lower, upper), warm)
     for _ in range(ENVELOPE_ROUNDS):
         late = expected > dwell.time_s * 1.001 + 1e-4
         if not late.any():
             break
         lower = np.where(late, np.maximum(lower, expected), lower)
         upper = np.maximum(upper, lower)
-        problem, dwell, asked, expected = _solve_within(recipe, program, (measured, answer), (lower, upper), envelope)
+        problem, dwell, asked, expected = _solve_within(recipe, program, given, (lower, upper), dwell)
     return Solved(_cross_checked(recipe, problem, dwell), answer, asked, expected, beliefs)
 
 
@@ -291,35 +295,40 @@ def _require_coverage(program: Program, answer: RemovalAnswer, measured: Measure
         )
 
 
+class Given(NamedTuple):
+    """What the rounds of a solve have in common."""
+
+    measured: Measured
+    answer: RemovalAnswer
+    envelope: Envelope
+
+
 def _solve_within(
-    recipe: Recipe,
-    program: Program,
-    given: tuple[Measured, RemovalAnswer],
-    bounds: tuple[FloatArray, FloatArray],
-    envelope: Envelope,
+    recipe: Recipe, program: Program, given: Given, bounds: tuple[FloatArray, FloatArray], warm: Start | None
 ) -> tuple[DwellProblem, DwellSolution, FloatArray, FloatArray]:
-    problem = _problem(recipe, *given, *bounds)
-    dwell = _in_machine_time(recipe.solver.solve(problem, recipe.solve_s), given[1].divide_by)
+    problem = _problem(recipe, given, bounds, warm)
+    envelope = given.envelope
+    dwell = _in_machine_time(recipe.solver.solve(problem, recipe.solve_s), given.answer.divide_by)
     unasked = motion.least_time_s(program, envelope) if program.encoding == "dwell" else envelope.block_overhead_s
     asked = np.maximum(dwell.time_s - unasked, 0.0)
     return problem, dwell, asked, motion.delivered_time_s(program, asked, envelope)
 
 
-def _problem(
-    recipe: Recipe, measured: Measured, answer: RemovalAnswer, lower: FloatArray, upper: FloatArray
-) -> DwellProblem:
+def _problem(recipe: Recipe, given: Given, bounds: tuple[FloatArray, FloatArray], warm: Start | None) -> DwellProblem:
     """What the solver is given; for "pointwise" the static problem, bounded so that the quotient keeps its bounds."""
-    piston = choose_piston_nm(measured.height_nm, measured.metric_mask, answer.removal_nm(lower))
-    if answer.divide_by is not None:
-        lower, upper = lower * answer.divide_by, upper * answer.divide_by
+    measured, answer, _ = given
+    piston = choose_piston_nm(measured.height_nm, measured.metric_mask, answer.removal_nm(bounds[0]))
+    scale = 1.0 if answer.divide_by is None else answer.divide_by
     return DwellProblem(
         effect=answer.effect,
         target_nm=np.where(measured.solve_mask, measured.height_nm + piston, 0.0),
         solve_mask=measured.solve_mask,
         metric_mask=measured.metric_mask,
-        lower_s=lower,
-        upper_s=upper,
+        lower_s=bounds[0] * scale,
+        upper_s=bounds[1] * scale,
         regularisation=regularisation_from_rho(answer.effect, measured.solve_mask, recipe.regularisation),
+        band_period_mm=recipe.lsf_period_mm,
+        warm=None if warm is None else KeptStart(warm.time_s * scale, warm.state),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
@@ -39,6 +39,28 @@ class Certificate:
     notes: tuple[str, ...] = ()
     predicted_band_rms_nm: float | None = None
     """RMS of the periods above the problem's ``band_period_mm`` in the clear aperture; None: none was asked for."""
+
+
+class Start(Protocol):
+    """Where a solver can start: a solution of a problem much like its own, or what was kept of one."""
+
+    @property
+    def time_s(self) -> FloatArray:
+        """(n,) dwell."""
+        ...
+
+    @property
+    def state(self) -> Mapping[str, NDArray[Any]]:
+        """What its solver can start from again, by name."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class KeptStart:
+    """A start that was kept with a run."""
+
+    time_s: FloatArray
+    state: Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, slots=True)

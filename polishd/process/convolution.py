@@ -95,9 +95,7 @@ def convolution_effect(
     refuse_where(
         moved > NODE_TOLERANCE * grid.pitch_mm, moved, "the block's length", "mm", "a convolution needs dwells at rest"
     )
-    column = (program.end_mm[:, 0] - grid.x_mm[0]) / grid.pitch_mm
-    row = (grid.y_mm[0] - program.end_mm[:, 1]) / grid.pitch_mm
-    off = np.maximum(np.abs(row - np.round(row)), np.abs(column - np.round(column)))
+    row, column, off = _nearest_nodes(grid, program)
     refuse_where(
         ~(off <= NODE_TOLERANCE), off * grid.pitch_mm, "the distance to the grid's nearest node", "mm", "it must be 0"
     )
@@ -121,6 +119,20 @@ def convolution_effect(
         spectra=np.asarray(fft.rfft2(family.kernels, size), dtype=np.complex128),
         size=(size[0], size[1]),
     )
+
+
+def on_nodes(grid: Grid, program: Program) -> bool:
+    """Whether all points rest on nodes of the grid, or of its lattice beyond its edge, each on one of its own."""
+    row, column, off = _nearest_nodes(grid, program)
+    resting = bool((program.length_mm <= NODE_TOLERANCE * grid.pitch_mm).all()) and bool((off <= NODE_TOLERANCE).all())
+    return resting and len(np.unique(np.round(np.stack([row, column])), axis=1).T) == program.n
+
+
+def _nearest_nodes(grid: Grid, program: Program) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n,) row and column of each point on the grid's lattice, and how far it lies from a node, over the pitch."""
+    column = (program.end_mm[:, 0] - grid.x_mm[0]) / grid.pitch_mm
+    row = (grid.y_mm[0] - program.end_mm[:, 1]) / grid.pitch_mm
+    return row, column, np.maximum(np.abs(row - np.round(row)), np.abs(column - np.round(column)))
 
 
 def _lattice(index: FloatArray, n: int) -> tuple[int, int]:

@@ -6,15 +6,28 @@ from dataclasses import replace
 
 import numpy as np
 
-from polishd.api import ComputeError, Grid, Placement, RemovalAnswer, RemovalRequest, SparseEffect
+from polishd.api import (
+    ComputeError,
+    Effect,
+    Grid,
+    Placement,
+    Program,
+    RemovalAnswer,
+    RemovalRequest,
+    SparseEffect,
+)
 from polishd.model.surface import FloatArray
 from polishd.process.compliance import depth_ratio
 from polishd.process.contact import contact_radius_mm, hertz_depth_mm
+from polishd.process.convolution import convolution_effect, on_nodes
 from polishd.process.dynamic_tif import corrected_spot, effect_matrix
 from polishd.process.frames import surface_normals, upright
 from polishd.process.path_compliance import path_compliance
 from polishd.process.robot.refusal import require_number
 from polishd.process.spot import Spot
+
+MOST_CONVOLUTIONS = 6
+"""A family of higher rank (the azimuth turns over the part) costs more as convolutions than as a matrix."""
 
 
 def effect_along_path(request: RemovalRequest, spot: Spot, reference: float) -> RemovalAnswer:
@@ -31,17 +44,31 @@ def effect_along_path(request: RemovalRequest, spot: Spot, reference: float) -> 
     gamma = depth_ratio(path.compliance_mm_per_n, process, depth)
     spots = corrected_spot(request.correction, gamma, process.depth_exponent, reference)
     level = replace(program, axis=upright(program.axis, _normals_in_part(request)))
-    matrix = effect_matrix(request.grid, spot, level, spots.depth_ratio, spots.factor * request.rate)
+    effect, how = _effect(request.grid, spot, level, (spots.depth_ratio, spots.factor * request.rate))
     notes = [f"rigid contact: depth {depth:.5f} mm, radius {float(contact_radius_mm(process, depth)):.4f} mm"]
     if gamma.size:
         notes.append(f"gamma {gamma.min():.4f} to {gamma.max():.4f}, mean {gamma.mean():.4f}")
     return RemovalAnswer(
-        effect=SparseEffect(request.grid, matrix),
+        effect=effect,
         compliance_um_per_n=path.compliance_mm_per_n * 1e3,
         gamma=gamma,
         divide_by=spots.divide_by,
-        notes=(*notes, *path.notes),
+        notes=(*notes, *how, *path.notes),
     )
+
+
+def _effect(
+    grid: Grid, spot: Spot, program: Program, strength: tuple[FloatArray, FloatArray]
+) -> tuple[Effect, tuple[str, ...]]:
+    """Few convolutions where all points rest on nodes of the grid, else a matrix; and a note that says which."""
+    if on_nodes(grid, program):
+        found = convolution_effect(grid, spot, program, *strength)
+        if found.rank <= MOST_CONVOLUTIONS:
+            note = (
+                f"the TIF's family is a sum of {found.rank} convolutions, truncated to {found.truncation:.1e} of a spot"
+            )
+            return found, (note,)
+    return SparseEffect(grid, effect_matrix(grid, spot, program, *strength)), ()
 
 
 def _normals_in_part(request: RemovalRequest) -> FloatArray:

@@ -17,7 +17,7 @@ from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.certificate import certified
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadratic, safe_step
+from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadratic, safe_step, warm_start_s
 from polishd.process.dwell.validation import check
 
 NAME = "newton_cg"
@@ -43,7 +43,8 @@ def solve(
         within_s: wall seconds for the whole call; when they are over, the best dwell so far is returned. It is
             always inside the bounds, and its certificate says ``deadline`` and how far from the minimum it is.
         kkt_tolerance: the KKT residual (see Certificate) to stop at.
-        start_s: (n,) where to start, for instance the last cycle's dwell; clipped to the bounds. Default: ``lower_s``.
+        start_s: (n,) where to start, for instance the last cycle's dwell; clipped to the bounds. Default: the
+            problem's warm start where that is better than ``lower_s``, else ``lower_s``.
 
     Returns:
         The dwell with its certificate.
@@ -54,10 +55,11 @@ def solve(
     begin = time.perf_counter()
     check(problem)
     lower, upper = problem.lower_s, problem.upper_s
-    start = lower if start_s is None else start_s
+    f = quadratic(problem)
+    start = warm_start_s(problem, f) if start_s is None else start_s
+    start = lower if start is None else start
     if start.shape != lower.shape or not np.isfinite(start).all():
         raise ComputeError(f"start_s must be {lower.size} finite seconds")
-    f = quadratic(problem)
     step = safe_step(f, lower.size)
     enough = kkt_tolerance * float(np.abs(f.gradient(lower)).max())
 

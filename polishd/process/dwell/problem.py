@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from polishd.model.dwell import DwellSolution
+from polishd.model.dwell import Start
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.effect import Effect
 
@@ -35,5 +35,5 @@ class DwellProblem:
     """What a second of total time costs: the multiplier of a time budget, and what walks a residual-time curve."""
     band_period_mm: float | None = None
     """The certificate states the RMS of periods above it, too."""
-    warm: DwellSolution | None = field(default=None, repr=False)
+    warm: Start | None = field(default=None, repr=False)
     """A solution of a problem much like this one (the last cycle's, the last point of a curve) to start from."""

@@ -99,3 +99,13 @@ def safe_step(f: Quadratic, n: int) -> float:
     """s^2/nm^2: 1 / an upper bound of the Hessian's eigenvalues (its largest row sum: R is not negative)."""
     largest = float(f.curvature(np.ones(n)).max())
     return 1 / largest if largest > 0 else 1.0
+
+
+def warm_start_s(problem: DwellProblem, f: Quadratic) -> FloatArray | None:
+    """(n,) s of the problem's warm start, within the bounds; None without one, or where the lower bound is better."""
+    if problem.warm is None or problem.warm.time_s.shape != problem.lower_s.shape:
+        return None
+    start = np.clip(problem.warm.time_s, problem.lower_s, problem.upper_s)
+    if not np.isfinite(start).all() or f.value(start) > f.value(problem.lower_s):
+        return None
+    return np.asarray(start, dtype=np.float64)

@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from polishd.model.dwell import DwellSolution
+from polishd.model.dwell import Start
 from polishd.model.surface import FloatArray
 from polishd.process.convolution import ConvolutionEffect
 from polishd.process.dwell.problem import DwellProblem
+from polishd.process.dwell.quadratic import quadratic, warm_start_s
 
 RELAXATION = 1.9
 MISFIT_STEP = 0.06
@@ -194,8 +195,9 @@ def splitting(problem: DwellProblem, effect: ConvolutionEffect, real: type = np.
         w=np.zeros((effect.rank, *size), dtype=real),
         dwell=np.zeros(size, dtype=real),
     )
-    if problem.warm is not None:
-        _start_warm(found, problem, problem.warm)
+    start = warm_start_s(problem, quadratic(problem))
+    if problem.warm is not None and start is not None:
+        _start_warm(found, problem.warm, start)
     return found
 
 
@@ -211,17 +213,15 @@ def _mean_square(effect: ConvolutionEffect) -> float:
     return float((effect.coefficients**2).sum(axis=1).mean())
 
 
-def _start_warm(found: Splitting, problem: DwellProblem, warm: DwellSolution) -> None:
-    """From the state of a solution where it fits; else from its dwell; else from nothing."""
+def _start_warm(found: Splitting, warm: Start, time_s: FloatArray) -> None:
+    """From the state of a solution where it fits; else from its dwell, (n,) within the bounds."""
     state = warm.state
     if "w" in state and state["w"].shape == found.w.shape and state["y"].shape == found.y.shape:
         found.y, found.w = (np.array(state[name], dtype=found.y.dtype) for name in ("y", "w"))
         found.rho, found.mu = (float(value) for value in state["steps"])
-    elif warm.time_s.shape == problem.lower_s.shape:
-        dwell = np.zeros(found.size)
-        dwell[np.divmod(found.effect.node, found.effect.lattice[1])] = np.clip(
-            warm.time_s, problem.lower_s, problem.upper_s
-        )
-        found.w = (found.coefficient * dwell).astype(found.w.dtype)
-        total = sum(kernel * fft.rfft2(w) for kernel, w in zip(found.spectra, found.w, strict=True))
-        found.y = np.asarray(fft.irfft2(total, found.size), dtype=found.y.dtype)
+        return
+    dwell = np.zeros(found.size)
+    dwell[np.divmod(found.effect.node, found.effect.lattice[1])] = time_s
+    found.w = (found.coefficient * dwell).astype(found.w.dtype)
+    total = sum(kernel * fft.rfft2(w) for kernel, w in zip(found.spectra, found.w, strict=True))
+    found.y = np.asarray(fft.irfft2(total, found.size), dtype=found.y.dtype)
