@@ -51,6 +51,8 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
         part_id=config.part.id,
         aperture_mm=config.part.aperture_mm,
         edge_mm=config.part.edge_mm,
+        free_rim=config.part.rim == "free",
+        extension=config.dwell.extension,
         tilt_is_alignment=config.part.alignment == "tilt",
         grid_mm=config.process.grid_mm,
         program_offset_mm=config.program.offset_mm,

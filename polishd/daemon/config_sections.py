@@ -87,6 +87,7 @@ class PartSection(Section):
     id: Text
     aperture_mm: Annotated[float, Field(gt=0, le=5000)]
     edge_mm: NotNegative = 3.0
+    rim: Literal["ring", "free"] = "ring"
     alignment: Literal["piston", "tilt"] = "piston"
     origin_mm: Vector
     rotation_rpy_deg: Angles
@@ -134,9 +135,10 @@ class MachineSection(Section):
 class DwellSection(Section):
     """How the dwell is solved, and by whom it is checked."""
 
-    solver: Text = "newton_cg"
+    solver: Text = "auto"
     cross_check: str = "qp"
     regularisation: NotNegative = 1e-4
+    extension: Literal["none", "nearest", "c1", "gerchberg_papoulis"] = "c1"
     within_s: Annotated[float, Field(gt=0, le=3600)] = 30.0
     kkt_tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-4
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from polishd.daemon import steps
+from polishd.daemon import dwell_step, steps
 from polishd.daemon.compute import Compute
 from polishd.daemon.journal import Journal
 from polishd.daemon.recipe import Recipe
@@ -115,7 +115,7 @@ class Job:
     async def solve(self, cycle: int, surface: Measured) -> Solved:
         """Dwell with a certificate, kept in the run folder whether it will be used or not."""
         solved = await self._compute(
-            steps.solve,
+            dwell_step.solve,
             self.recipe,
             self._program,
             surface,

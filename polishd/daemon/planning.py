@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from polishd.daemon import steps
+from polishd.daemon import dwell_step, steps
 from polishd.daemon.assembly import make_recipe
 from polishd.daemon.config import CellConfig
 from polishd.daemon.files import read_map
@@ -37,7 +37,7 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
     notes = _require_part(surface, config.part.id, map_path)
     program = steps.read_program(recipe, program_path)
     measured = steps.condition(recipe, surface, None)
-    solved = steps.solve(recipe, program, measured, Beliefs(block_overhead_s=recipe.envelope.block_overhead_s))
+    solved = dwell_step.solve(recipe, program, measured, Beliefs(block_overhead_s=recipe.envelope.block_overhead_s))
     require_certificate(solved.dwell.certificate, recipe)
     plan = steps.rewrite(recipe, program, solved, program_path.name)
     vetoes = hooks.check_plan(plan, recipe.envelope)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from polishd.hookspecs import DwellSolver, ProgramFormat, RemovalModel
 from polishd.model.limits import Envelope
 from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Optic, Placement, ToolProcess
 from polishd.model.robot import RobotModel
+from polishd.process.edge.extension import Extension
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,6 +19,8 @@ class Recipe:
     part_id: str
     aperture_mm: float
     edge_mm: float
+    free_rim: bool
+    extension: Extension | Literal["none"]
     tilt_is_alignment: bool
     grid_mm: float
     program_offset_mm: tuple[float, float, float]

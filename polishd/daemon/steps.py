@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,21 +15,13 @@ from scipy.spatial.transform import Rotation
 from polishd.daemon.files import read_program_bytes
 from polishd.daemon.recipe import Recipe
 from polishd.hookspecs import RemovalAnswer, RemovalRequest
-from polishd.model.dwell import DwellSolution, KeptStart, Start
-from polishd.model.errors import ComputeError, ProgramError
+from polishd.model.dwell import DwellSolution
+from polishd.model.errors import ComputeError
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program, Segment
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap, SurfaceStats
 from polishd.process import conditioning, frames, learning, metrics, motion
-from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
-
-LEAST_COVERAGE = 0.9
-"""A program that works less of the clear aperture than this is taken for another part's."""
-LEAST_ON_PART = 0.5
-"""So is one that mostly works beside it."""
-ENVELOPE_ROUNDS = 2
-"""Re-solves with what acceleration delivers as the lower bound."""
+from polishd.process.edge.rim import round_rim
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +132,7 @@ def effect_of(recipe: Recipe, program: Program, grid: Grid, rate: float) -> Remo
         options=recipe.options,
         optic=recipe.optic,
         tif=recipe.tif,
+        rim=round_rim(recipe.aperture_mm / 2) if recipe.free_rim else None,
     )
     return recipe.model.effect(request)
 
@@ -166,33 +159,8 @@ def learn(
             f"the last pass removed {rate:.2f} times what the model says (limits.max_rate_change = "
             f"{recipe.max_rate_change:g}); check force, speed, slurry and process.preston, then resume"
         )
-    overhead = motion.learn_overhead_s(program, asked_s, executed_s, _envelope(recipe, program, beliefs))
+    overhead = motion.learn_overhead_s(program, asked_s, executed_s, envelope_of(recipe, program, beliefs))
     return Beliefs(rate, overhead, learned.notes), learned
-
-
-def solve(
-    recipe: Recipe, program: Program, measured: Measured, beliefs: Beliefs, warm: KeptStart | None = None
-) -> Solved:
-    """Dwell for the removal that the measured surface wants, within what the machine can deliver.
-
-    What acceleration delivers late becomes the lower bound of the next round, so that the optimum knows of it.
-    ``warm`` is what was kept of the last cycle's solution.
-    """
-    envelope = _envelope(recipe, program, beliefs)
-    answer = effect_of(recipe, program, measured.grid, beliefs.rate)
-    _require_coverage(program, answer, measured)
-    lower = motion.least_time_s(program, envelope)
-    upper = np.maximum(motion.most_time_s(program, envelope), lower)
-    given = Given(measured, answer, envelope)
-    problem, dwell, asked, expected = _solve_within(recipe, program, given, (lower, upper), warm)
-    for _ in range(ENVELOPE_ROUNDS):
-        late = expected > dwell.time_s * 1.001 + 1e-4
-        if not late.any():
-            break
-        lower = np.where(late, np.maximum(lower, expected), lower)
-        upper = np.maximum(upper, lower)
-        problem, dwell, asked, expected = _solve_within(recipe, program, given, (lower, upper), dwell)
-    return Solved(_cross_checked(recipe, problem, dwell), answer, asked, expected, beliefs)
 
 
 def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan:
@@ -201,7 +169,7 @@ def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan
     rewritten = _with_moves(recipe.format.read(text, name))
     if rewritten.n != program.n or not np.array_equal(rewritten.end_mm, program.end_mm):
         raise ComputeError(f"{name}: the rewritten program does not read back as the same path; nothing was sent")
-    expected = motion.delivered_time_s(rewritten, rewritten.time_s, _envelope(recipe, program, solved.beliefs))
+    expected = motion.delivered_time_s(rewritten, rewritten.time_s, envelope_of(recipe, program, solved.beliefs))
     blocks = rewritten.blocks
     return Plan(
         program=rewritten,
@@ -214,7 +182,7 @@ def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan
     )
 
 
-def _envelope(recipe: Recipe, program: Program, beliefs: Beliefs) -> Envelope:
+def envelope_of(recipe: Recipe, program: Program, beliefs: Beliefs) -> Envelope:
     """The machine's limits with the overhead that was learned; moves to a dwell run at the program's own feed."""
     envelope = replace(recipe.envelope, block_overhead_s=beliefs.block_overhead_s or recipe.envelope.block_overhead_s)
     feed = program.max_feed_mm_min / 60
@@ -276,86 +244,3 @@ def _on_map(surface: SurfaceMap, grid: Grid, mask: BoolArray) -> BoolArray:
     # the two grids may lie half a sample apart: the nearest one would move the rim by that much
     share = ndimage.map_coordinates(mask.astype(np.float64), np.meshgrid(row, column, indexing="ij"), order=1)
     return np.asarray(share >= 0.5 - 1e-6, dtype=np.bool_) & surface.valid
-
-
-def _require_coverage(program: Program, answer: RemovalAnswer, measured: Measured) -> None:
-    """ProgramError unless the path works nearly all of the clear aperture, and mostly the part."""
-    on_part = float(np.mean(answer.effect.adjoint(measured.solve_mask.astype(np.float64)) > 0))
-    if on_part < LEAST_ON_PART:
-        raise ProgramError(
-            f"{program.name}: only {on_part:.0%} of its timed points touch the part: is it the program of this part, "
-            "and are program.offset_mm and program.rotation_deg right?"
-        )
-    reached = answer.removal_nm(np.ones(program.n)) > 0
-    share = float(reached[measured.metric_mask].mean())
-    if share < LEAST_COVERAGE:
-        raise ProgramError(
-            f"{program.name}: the path reaches {share:.0%} of the clear aperture; is it the program of this part, "
-            "and are program.offset_mm and program.rotation_deg right?"
-        )
-
-
-class Given(NamedTuple):
-    """What the rounds of a solve have in common."""
-
-    measured: Measured
-    answer: RemovalAnswer
-    envelope: Envelope
-
-
-def _solve_within(
-    recipe: Recipe, program: Program, given: Given, bounds: tuple[FloatArray, FloatArray], warm: Start | None
-) -> tuple[DwellProblem, DwellSolution, FloatArray, FloatArray]:
-    problem = _problem(recipe, given, bounds, warm)
-    envelope = given.envelope
-    dwell = _in_machine_time(recipe.solver.solve(problem, recipe.solve_s), given.answer.divide_by)
-    unasked = motion.least_time_s(program, envelope) if program.encoding == "dwell" else envelope.block_overhead_s
-    asked = np.maximum(dwell.time_s - unasked, 0.0)
-    return problem, dwell, asked, motion.delivered_time_s(program, asked, envelope)
-
-
-def _problem(recipe: Recipe, given: Given, bounds: tuple[FloatArray, FloatArray], warm: Start | None) -> DwellProblem:
-    """What the solver is given; for "pointwise" the static problem, bounded so that the quotient keeps its bounds."""
-    measured, answer, _ = given
-    piston = choose_piston_nm(measured.height_nm, measured.metric_mask, answer.removal_nm(bounds[0]))
-    scale = 1.0 if answer.divide_by is None else answer.divide_by
-    return DwellProblem(
-        effect=answer.effect,
-        target_nm=np.where(measured.solve_mask, measured.height_nm + piston, 0.0),
-        solve_mask=measured.solve_mask,
-        metric_mask=measured.metric_mask,
-        lower_s=bounds[0] * scale,
-        upper_s=bounds[1] * scale,
-        regularisation=regularisation_from_rho(answer.effect, measured.solve_mask, recipe.regularisation),
-        band_period_mm=recipe.lsf_period_mm,
-        warm=None if warm is None else KeptStart(warm.time_s * scale, warm.state),
-    )
-
-
-def _in_machine_time(dwell: DwellSolution, divide_by: FloatArray | None) -> DwellSolution:
-    """The correction "pointwise" (paper ref. 17): the dwell of the static problem, divided point by point."""
-    if divide_by is None:
-        return dwell
-    time_s = dwell.time_s / divide_by
-    return replace(
-        dwell,
-        time_s=time_s,
-        lower_s=dwell.lower_s / divide_by,
-        upper_s=dwell.upper_s / divide_by,
-        certificate=replace(dwell.certificate, dwell_total_s=float(time_s.sum())),
-    )
-
-
-def _cross_checked(recipe: Recipe, problem: DwellProblem, dwell: DwellSolution) -> DwellSolution:
-    """The same solution with an independent solver's word on it in the certificate."""
-    other = recipe.cross_check
-    if other is None:
-        return dwell
-    certificate = dwell.certificate
-    try:
-        theirs = other.solve(problem, recipe.solve_s).certificate
-    except ComputeError as error:
-        note = f"cross-check by {other.name} failed: {error}"
-        return replace(dwell, certificate=replace(certificate, notes=(*certificate.notes, note)))
-    gap = (certificate.objective - theirs.objective) / max(theirs.objective, 1e-12)
-    return replace(dwell, certificate=replace(certificate, cross_check=other.name, cross_check_gap=gap))

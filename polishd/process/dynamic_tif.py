@@ -67,18 +67,32 @@ def effect_matrix(
     start to end. What falls beyond the grid is lost; a spot that does not touch it leaves an empty column.
     A column's sum is exact; a Hertz spot's cell of 0.5 mm or more is right within 0.6 % of the peak (0.3 % in motion).
     """
+    ends = (program.start_mm[:, :2], program.end_mm[:, :2])
+    return effect_columns(grid, spot, ends, lean_azimuth_rad(program), depth_ratio=depth_ratio, factor=factor)
+
+
+def effect_columns(
+    grid: Grid,
+    spot: Spot,
+    ends_mm: tuple[FloatArray, FloatArray],
+    azimuth_rad: FloatArray,
+    *,
+    depth_ratio: FloatArray,
+    factor: FloatArray,
+) -> sparse.csr_array:
+    """`effect_matrix` of blocks from (n, 2) to (n, 2) mm, the spindle leaning towards (n,) ``azimuth_rad``."""
     refuse_where(~((factor >= 0) & np.isfinite(factor)), factor, "the factor on the removal", "", "it must be finite")
     impossible = ~((depth_ratio > 0) & np.isfinite(depth_ratio))
     refuse_where(impossible, depth_ratio, "the depth ratio gamma", "", "it must be above 0")
-    azimuth = lean_azimuth_rad(program)
     half = spot.half_width_mm(depth_ratio)
-    offset = spot.offset_mm(depth_ratio, azimuth)
-    start, end = program.start_mm[:, :2] + offset, program.end_mm[:, :2] + offset
-    pieces = np.ceil(program.length_mm / spot.step_mm(depth_ratio)).astype(np.int64)
+    offset = spot.offset_mm(depth_ratio, azimuth_rad)
+    start, end = (at + offset for at in ends_mm)
+    length = np.linalg.norm(end - start, axis=1)
+    pieces = np.ceil(length / spot.step_mm(depth_ratio)).astype(np.int64)
     parts = []
     for part in _chunks(np.maximum(2 * pieces, 1)):
         block, position = _positions(start[part], end[part], pieces[part])
-        patch = spot.patch(depth_ratio[part], azimuth[part])
+        patch = spot.patch(depth_ratio[part], azimuth_rad[part])
         patch *= (factor[part] / np.bincount(block, minlength=len(patch)))[:, None, None]
         parts.append(_columns(grid, block, position, half[part], patch))
     if not parts:

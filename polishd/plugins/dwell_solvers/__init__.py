@@ -1,12 +1,18 @@
-"""polishd's own dwell solvers: ``newton_cg`` (the default) and ``qp`` (an independent cross-check)."""
+"""polishd's own dwell solvers.
+
+``auto`` takes the fastest for the effect at hand: ``douglas_rachford`` for sums of convolutions, ``newton_cg`` else.
+``qp`` is an independent cross-check, with ``qp:clarabel`` and so on for each backend of qpsolvers that is installed;
+``lucy_richardson`` is the literature's baseline.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from polishd.api import DwellSolver, hookimpl
 from polishd.plugins.dwell_solvers import qp
-from polishd.process.dwell import newton_cg
+from polishd.process.dwell import automatic, douglas_rachford, lucy_richardson, newton_cg
 
 POLISHD_API = 1
 
@@ -14,4 +20,8 @@ POLISHD_API = 1
 @hookimpl
 def polishd_dwell_solvers() -> Sequence[DwellSolver]:
     """The default solver first."""
-    return [DwellSolver(newton_cg.NAME, newton_cg.solve), DwellSolver(qp.NAME, qp.solve)]
+    return [
+        *(DwellSolver(own.NAME, own.solve) for own in (automatic, newton_cg, douglas_rachford, lucy_richardson)),
+        DwellSolver(qp.NAME, qp.solve),
+        *(DwellSolver(f"{qp.NAME}:{name}", partial(qp.solve, backend=name)) for name in qp.installed()),
+    ]

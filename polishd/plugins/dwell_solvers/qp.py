@@ -1,82 +1,144 @@
-"""The dwell problem as a sparse quadratic program, for whichever interior-point backend qpsolvers finds.
+"""The dwell problem as a sparse quadratic program, for any backend of qpsolvers that takes sparse matrices.
 
-It shares only the problem and the certificate with the default solver, so that their agreement means something.
+It shares only the problem and the certificate with the other solvers, so that their agreement means something.
 """
 
 from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import qpsolvers
 from scipy import sparse
 
-from polishd.api import ComputeError, DwellProblem, DwellSolution, SparseEffect
+from polishd.api import ComputeError, DwellProblem, DwellSolution
 from polishd.model.surface import FloatArray
+from polishd.plugins.dwell_solvers.matrix import matrix_of
 from polishd.process.dwell.certificate import certified
 from polishd.process.dwell.validation import check
 
 NAME = "qp"
-# In order of preference; each takes sparse matrices and is accurate enough to certify with.
-BACKENDS = ("clarabel", "piqp", "proxqp", "highs")
+ENOUGH = 1e-5
+"""KKT residual (see Certificate) up to which an answer counts as converged, whatever the backend says of it."""
+DENSE_POINTS = 1.5
+"""Points for each sample above which ``R'R`` costs more than R. At one a sample it halves clarabel's time; measured."""
 
 
-def solve(problem: DwellProblem, within_s: float) -> DwellSolution:
-    """Solve by an interior-point method; needs the effect as a matrix.
+@dataclass(frozen=True, slots=True)
+class Backend:
+    """How one backend is asked, for a relative gap of 1e-8 or better on a program in natural units."""
 
-    An interior-point method has no feasible best so far: where the time runs out, what it has is clipped to the
-    bounds and certified as it is, and refused only if there is nothing. The backend does not tell its iterations.
+    options: Mapping[str, Any] = field(default_factory=dict)
+    time_limit: str | None = None
+    """Its option for a limit in seconds."""
+    takes_hessian: bool = True
+
+
+BACKENDS = {
+    "clarabel": Backend({"tol_gap_abs": 1e-14, "tol_gap_rel": 1e-14, "tol_feas": 1e-12}, "time_limit"),
+    "piqp": Backend({"eps_abs": 1e-12, "eps_rel": 1e-12, "eps_duality_gap_abs": 1e-14, "eps_duality_gap_rel": 1e-14}),
+    "scs": Backend({"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iters": 1_000_000}, "time_limit_secs"),
+    "qpalm": Backend({"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 100_000}, "time_limit"),
+    "osqp": Backend({"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 1_000_000, "polishing": True}, "time_limit"),
+    "proxqp": Backend({"eps_abs": 1e-9, "eps_rel": 0.0}),
+    "highs": Backend(time_limit="time_limit", takes_hessian=False),  # it errs on a full Hessian as qpsolvers passes it
+}
+"""In order of preference; any other is asked as it comes, and its certificate says how far it got."""
+
+
+def installed() -> list[str]:
+    """The backends that are installed and take sparse matrices, those preferred first."""
+    there = [name for name in qpsolvers.available_solvers if name in qpsolvers.sparse_solvers]
+    return [*(name for name in BACKENDS if name in there), *sorted(set(there) - set(BACKENDS))]
+
+
+def solve(problem: DwellProblem, within_s: float, backend: str | None = None) -> DwellSolution:
+    """Solve as a quadratic program; needs the effect as a matrix, or one that can be written out.
+
+    A backend has no feasible best so far: where the time runs out, what it has is clipped to the bounds and certified
+    as it is, and refused only if there is nothing. Some know no time limit; the one who asked must end those. It does
+    not tell its iterations.
 
     Args:
-        problem: what to solve; its effect must be a SparseEffect.
-        within_s: wall seconds for the backend.
+        problem: what to solve; its effect must be a SparseEffect, or a ConvolutionEffect of moderate size.
+        within_s: wall seconds for the whole call.
+        backend: its name in qpsolvers; None for the best that is installed.
 
     Raises:
-        ComputeError: the problem is malformed, its effect is no matrix, no backend is installed, or it found nothing.
+        ComputeError: the problem is malformed, its effect has no matrix, the backend is not installed or found nothing.
     """
     begin = time.perf_counter()
     check(problem)
-    backend = next((name for name in BACKENDS if name in qpsolvers.available_solvers), None)
-    if backend is None:
+    there = installed()
+    if not there:
         raise ComputeError(f"no QP backend is installed: one of {', '.join(BACKENDS)} is needed")
-    found = _run(_program(problem), backend, max(within_s - (time.perf_counter() - begin), 1e-3))
+    name = backend or there[0]
+    if name not in there:
+        raise ComputeError(f"QP backend {name} is not installed; there are: {', '.join(there)}")
+    how = BACKENDS.get(name, Backend())
+    program, unit_s = _program(problem, how)
+    found = _run(program, name, how, max(within_s - (time.perf_counter() - begin), 1e-3))
     n = problem.effect.n
-    if found.x is None or not np.isfinite(found.x[:n]).all():
-        raise ComputeError(f"{backend} found no dwell within {within_s:g} s")
-    return certified(
-        problem,
-        np.clip(found.x[:n], problem.lower_s, problem.upper_s),
-        solver=f"{NAME}:{backend}",
-        iterations=0,
-        seconds=time.perf_counter() - begin,
-        stopped="converged" if found.found else "deadline",
-    )
+    if found is None or not np.isfinite(found[:n]).all():
+        raise ComputeError(f"{name} found no dwell within {within_s:g} s")
+    dwell = np.clip(problem.lower_s + unit_s * found[:n], problem.lower_s, problem.upper_s)
+    seconds = time.perf_counter() - begin
+    answer = certified(problem, dwell, solver=f"{NAME}:{name}", iterations=0, seconds=seconds, stopped="converged")
+    if answer.certificate.kkt_residual <= ENOUGH:
+        return answer
+    short = "deadline" if seconds >= within_s else "iterations"
+    return replace(answer, certificate=replace(answer.certificate, stopped=short))
 
 
-def _program(problem: DwellProblem) -> qpsolvers.Problem:
-    """Minimise over (t, y) with ``y = R t - h`` as an equality: R'R, which is dense, never appears."""
-    if not isinstance(problem.effect, SparseEffect):
-        raise ComputeError(f"{NAME} needs the effect as a matrix, not as {type(problem.effect).__name__}")
-    matrix = sparse.csr_array(problem.effect.matrix)[np.flatnonzero(problem.solve_mask.ravel())]
+def _program(problem: DwellProblem, how: Backend) -> tuple[qpsolvers.Problem, float]:
+    """The program in u = (t - lower) / unit, and the unit in s, with which a point's curvature is about 1.
+
+    In u alone, with ``R'R`` written out, or in (u, v) with the misfit v as an equality, so that it never appears.
+    """
+    matrix, lower = matrix_of(problem), problem.lower_s
     m, n = matrix.shape
-    inside = problem.solve_mask
-    weight = np.ones(m) if problem.weight is None else problem.weight[inside]
-    weights = np.concatenate([np.full(n, 2 * problem.regularisation), 2 / m * weight])
-    unbounded: FloatArray = np.full(m, np.inf)
+    weight = np.ones(m) if problem.weight is None else problem.weight[problem.solve_mask]
+    rows = sparse.csr_array(sparse.diags_array(np.sqrt(2 / m * weight)) @ matrix)
+    miss = rows @ lower - np.sqrt(2 / m * weight) * problem.target_nm[problem.solve_mask]
+    p = 2 * problem.regularisation
+    curvature = np.asarray(rows.multiply(rows).sum(axis=0)).ravel() + p
+    unit = float(1 / np.sqrt(np.median(curvature[curvature > 0])))
+    rows = sparse.csr_array(unit * rows)
+    linear, most = unit * (p * lower + problem.price_nm2_per_s), (problem.upper_s - lower) / unit
+    if how.takes_hessian and n <= DENSE_POINTS * m:
+        hessian = _csc(rows.T @ rows + p * unit**2 * sparse.eye_array(n))
+        return qpsolvers.Problem(hessian, linear + rows.T @ miss, lb=np.zeros(n), ub=most), unit
+    free: FloatArray = np.full(m, np.inf)
     return qpsolvers.Problem(
-        sparse.diags_array(weights, format="csc"),
-        np.concatenate([np.full(n, problem.price_nm2_per_s), np.zeros(m)]),
-        A=sparse.hstack([matrix, -sparse.eye_array(m)], format="csc"),
-        b=problem.target_nm[problem.solve_mask],
-        lb=np.concatenate([problem.lower_s, -unbounded]),
-        ub=np.concatenate([problem.upper_s, unbounded]),
-    )
+        _csc(sparse.diags_array(np.concatenate([np.full(n, p * unit**2), np.ones(m)]))),
+        np.concatenate([linear, np.zeros(m)]),
+        A=_csc(sparse.hstack([rows, -sparse.eye_array(m)])),
+        b=-miss,
+        lb=np.concatenate([np.zeros(n), -free]),
+        ub=np.concatenate([most, free]),
+    ), unit
 
 
-def _run(program: qpsolvers.Problem, backend: str, within_s: float) -> qpsolvers.Solution:
-    options: dict[str, Any] = {"time_limit": within_s} if backend == "clarabel" else {}
+def _csc(matrix: Any) -> sparse.csc_matrix:
+    """As every backend takes it: piqp answers nonsense where a column's rows are out of order."""
+    made = sparse.csc_matrix(matrix)
+    made.sort_indices()
+    return made
+
+
+def _run(program: qpsolvers.Problem, name: str, how: Backend, within_s: float) -> FloatArray | None:
+    """What the backend found, certain or not."""
+    options = dict(how.options)
+    if how.time_limit is not None:
+        options[how.time_limit] = within_s
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a backend's advice on matrix formats is nobody's business
-        return qpsolvers.solve_problem(program, solver=backend, **options)
+        try:
+            found = qpsolvers.solve_problem(program, solver=name, **options).x
+        except (qpsolvers.QPError, ValueError) as error:
+            raise ComputeError(f"{name} failed: {error}") from error
+    return None if found is None else np.asarray(found, dtype=np.float64)

@@ -6,7 +6,12 @@ import numpy as np
 
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
+from polishd.process.dwell.problem import DwellProblem
+from polishd.process.dwell.quadratic import quadratic, safe_step
 from polishd.process.effect import Effect
+
+# Beyond it, float64 leaves fewer than four digits of what P alone holds.
+ILL_CONDITIONED = 1e12
 
 
 def choose_piston_nm(
@@ -74,3 +79,23 @@ def regularisation_from_rho(effect: Effect, solve_mask: BoolArray, rho: float) -
     if samples == 0:
         raise ComputeError("solve_mask is empty: no surface sample to polish")
     return rho * sigma_max(effect, solve_mask) ** 2 / samples
+
+
+def condition(problem: DwellProblem) -> float:
+    """Condition number of the Hessian, ``sigma_max^2 / (N_r P) + 1``, at most; infinite for P = 0.
+
+    sigma_max by its bound, the largest row sum of ``R'R``: one product, and a few per cent above for wide parts.
+    """
+    held = 2 * problem.regularisation
+    return 1 / (safe_step(quadratic(problem), problem.effect.n) * held) if held > 0 else float("inf")
+
+
+def conditioning_note(problem: DwellProblem) -> str | None:
+    """What a certificate has to say of P where it is too small for float64; None where it is not."""
+    number = condition(problem)
+    if number <= ILL_CONDITIONED:
+        return None
+    return (
+        f"ill-conditioned: P = {problem.regularisation:.3g} nm^2/s^2 gives a condition number of {number:.3g} "
+        f"(above {ILL_CONDITIONED:.0e}); where the residual hardly depends on a dwell, its time is arbitrary"
+    )

@@ -180,7 +180,9 @@ def test_plugins(polishd: Polishd) -> None:
     assert {"rnc_robot", "voice_coil", "spindle", "interferometer", "run_report"} <= set(names)
     assert said["refused"] == []
     brings = {plugin["name"]: plugin["brings"] for plugin in said["loaded"]}
-    assert brings["dwell_solvers"]["polishd_dwell_solvers"] == ["newton_cg", "qp"]
+    solvers = brings["dwell_solvers"]["polishd_dwell_solvers"]
+    assert solvers[:5] == ["auto", "newton_cg", "douglas_rachford", "lucy_richardson", "qp"]
+    assert "qp:clarabel" in solvers
     assert "checks and events" in polishd("plugins").out
 
 

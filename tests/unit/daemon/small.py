@@ -62,6 +62,8 @@ def small_recipe(**changes: Any) -> Recipe:
         part_id="P-1",
         aperture_mm=APERTURE_MM,
         edge_mm=2.0,
+        free_rim=False,
+        extension="none",
         tilt_is_alignment=False,
         grid_mm=1.0,
         program_offset_mm=(0.0, 0.0, 0.0),

@@ -53,7 +53,7 @@ def test_the_recipe_is_the_configs(configured: Any, hooks: Hooks) -> None:
     assert (recipe.program_offset_mm, recipe.program_rotation_deg) == ((1.0, 2.0, 0.0), 90.0)
     assert (recipe.correction, recipe.solve_s, recipe.kkt_tolerance) == ("linear", 7.0, 1e-5)
     assert (recipe.tolerance_nm, recipe.tolerance_period_mm, recipe.max_rate_change) == (3.0, 12.0, 0.2)
-    assert (recipe.format.name, recipe.model.name, recipe.solver.name) == ("rs274", "hertz_preston", "newton_cg")
+    assert (recipe.format.name, recipe.model.name, recipe.solver.name) == ("rs274", "hertz_preston", "auto")
     assert recipe.cross_check is not None
     assert recipe.cross_check.name == "qp"
 
@@ -64,7 +64,7 @@ def test_alignment_is_piston_by_default(configured: Any, hooks: Hooks) -> None:
 
 def test_the_recipe_travels_to_the_worker(configured: Any, hooks: Hooks) -> None:
     recipe = pickle.loads(pickle.dumps(make_recipe(configured(), hooks)))
-    assert recipe.solver.name == "newton_cg"
+    assert recipe.solver.name == "auto"
 
 
 def test_no_cross_check(configured: Any, hooks: Hooks) -> None:

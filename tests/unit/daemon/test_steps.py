@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.daemon import steps
+from polishd.daemon import dwell_step, steps
 from polishd.daemon.recipe import Recipe
 from polishd.daemon.steps import Beliefs, Measured, Solved
 from polishd.hookspecs import DwellSolver, ProgramFormat, RemovalModel
@@ -47,7 +47,7 @@ def measured() -> Measured:
 
 @pytest.fixture(scope="module")
 def solved(program: Program, measured: Measured) -> Solved:
-    return steps.solve(small_recipe(), program, measured, Beliefs())
+    return dwell_step.solve(small_recipe(), program, measured, Beliefs())
 
 
 def dwelling(text: bytes = b"") -> bytes:
@@ -170,7 +170,7 @@ def test_pointwise_is_the_static_dwell_divided_by_gamma_within_the_real_bounds(
     program: Program, measured: Measured
 ) -> None:
     recipe = small_recipe(model=POINTWISE, envelope=replace(small_recipe().envelope, accel_mm_s2=1e9))
-    solved = steps.solve(recipe, program, measured, Beliefs())
+    solved = dwell_step.solve(recipe, program, measured, Beliefs())
     gamma, dwell = solved.answer.gamma, solved.dwell
     least = program.length_mm / recipe.envelope.max_feed_mm_s
     np.testing.assert_allclose(dwell.lower_s, least, rtol=1e-5)
@@ -186,7 +186,7 @@ def test_pointwise_is_the_static_dwell_divided_by_gamma_within_the_real_bounds(
 def test_pointwise_asks_for_the_same_flat_surface_in_more_time(
     program: Program, measured: Measured, solved: Solved
 ) -> None:
-    pointwise = steps.solve(small_recipe(model=POINTWISE), program, measured, Beliefs())
+    pointwise = dwell_step.solve(small_recipe(model=POINTWISE), program, measured, Beliefs())
     assert pointwise.dwell.certificate.predicted_rms_nm < 1.5 * solved.dwell.certificate.predicted_rms_nm
     more = pointwise.dwell.certificate.dwell_total_s / solved.dwell.certificate.dwell_total_s
     assert 1.1 < more < 1.4
@@ -194,7 +194,7 @@ def test_pointwise_asks_for_the_same_flat_surface_in_more_time(
 
 def test_what_was_planned_and_learned_pointwise_knows_of_the_division(program: Program, measured: Measured) -> None:
     recipe = small_recipe(model=POINTWISE)
-    solved = steps.solve(recipe, program, measured, Beliefs())
+    solved = dwell_step.solve(recipe, program, measured, Beliefs())
     plan = steps.rewrite(recipe, program, solved, "p.rnc")
     np.testing.assert_allclose(plan.predicted_removal_nm, solved.answer.removal_nm(plan.expected_time_s), rtol=1e-12)
     after = replace(measured, height_nm=measured.height_nm - 0.93 * plan.predicted_removal_nm)
@@ -230,18 +230,18 @@ def test_a_program_without_an_axis_is_dipped_as_the_cell_dips(program: Program) 
 
 def test_a_path_that_covers_half_the_part_is_refused(measured: Measured) -> None:
     with pytest.raises(ProgramError, match=r"small\.rnc: the path reaches \d+% of the clear aperture"):
-        steps.solve(small_recipe(), small_program(3.0), measured, Beliefs())
+        dwell_step.solve(small_recipe(), small_program(3.0), measured, Beliefs())
 
 
 def test_a_program_in_another_frame_is_refused(program: Program, measured: Measured) -> None:
     away = small_recipe(program_offset_mm=(15.0, 0.0, 0.0))
     with pytest.raises(ProgramError, match="offset_mm"):
-        steps.solve(away, program, measured, Beliefs())
+        dwell_step.solve(away, program, measured, Beliefs())
 
 
 def test_the_overhead_is_taken_off_what_is_asked(program: Program, measured: Measured, solved: Solved) -> None:
     overhead = 0.02
-    late = steps.solve(small_recipe(), program, measured, Beliefs(block_overhead_s=overhead))
+    late = dwell_step.solve(small_recipe(), program, measured, Beliefs(block_overhead_s=overhead))
     assert late.asked_s == pytest.approx(np.maximum(late.dwell.time_s - overhead, 0.0))
     assert (late.dwell.lower_s >= overhead).all(), "no block is done sooner"
     assert (late.expected_s >= overhead).all()
@@ -251,8 +251,8 @@ def test_the_overhead_is_taken_off_what_is_asked(program: Program, measured: Mea
 def test_what_acceleration_delivers_is_known_to_the_optimum(
     program: Program, measured: Measured, solved: Solved, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(steps, "ENVELOPE_ROUNDS", 0)
-    naive = steps.solve(small_recipe(), program, measured, Beliefs())
+    monkeypatch.setattr(dwell_step, "ENVELOPE_ROUNDS", 0)
+    naive = dwell_step.solve(small_recipe(), program, measured, Beliefs())
     wrong, known = (float(np.maximum(s.expected_s - s.dwell.time_s, 0).sum()) for s in (naive, solved))
     assert known < 0.8 * wrong
     assert solved.expected_s.sum() == pytest.approx(solved.dwell.time_s.sum(), rel=0.01)
@@ -260,8 +260,8 @@ def test_what_acceleration_delivers_is_known_to_the_optimum(
 
 def test_beliefs_come_before_the_data_sheet(program: Program, measured: Measured) -> None:
     recipe = small_recipe(envelope=replace(small_recipe().envelope, block_overhead_s=0.05))
-    stated = steps.solve(recipe, program, measured, Beliefs())
-    learned = steps.solve(recipe, program, measured, Beliefs(block_overhead_s=0.01))
+    stated = dwell_step.solve(recipe, program, measured, Beliefs())
+    learned = dwell_step.solve(recipe, program, measured, Beliefs(block_overhead_s=0.01))
     assert stated.dwell.lower_s.min() >= 0.05 > learned.dwell.lower_s.min() >= 0.01
 
 
@@ -269,7 +269,7 @@ def test_beliefs_come_before_the_data_sheet(program: Program, measured: Measured
 
 
 def checked(recipe: Recipe, program: Program, measured: Measured) -> DwellSolution:
-    return steps.solve(recipe, program, measured, Beliefs()).dwell
+    return dwell_step.solve(recipe, program, measured, Beliefs()).dwell
 
 
 def test_an_independent_solver_agrees(program: Program, measured: Measured) -> None:
@@ -313,7 +313,7 @@ def test_rewrite_reads_back(program: Program, solved: Solved) -> None:
 
 def test_segments_have_no_line_ends(measured: Measured) -> None:
     program = RS274.read(small_text().replace(b"\n", b"\r\n"), "dos.rnc")
-    solved = steps.solve(small_recipe(), program, measured, Beliefs())
+    solved = dwell_step.solve(small_recipe(), program, measured, Beliefs())
     plan = steps.rewrite(small_recipe(), program, solved, "dos.rnc")
     assert not any(segment.text.endswith((b"\r", b"\n")) for segment in plan.segments)
 

@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 
 from polishd.model.errors import ComputeError
 from polishd.process.dwell.newton_cg import solve
-from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho, sigma_max
+from polishd.process.dwell.setup import (
+    choose_piston_nm,
+    condition,
+    conditioning_note,
+    regularisation_from_rho,
+    sigma_max,
+)
 from tests.unit.process.gaussian import dwell_problem, rough
 
 PROBLEM = dwell_problem(radius_mm=10)
@@ -98,3 +104,21 @@ def test_effects_without_effect() -> None:
         regularisation_from_rho(EFFECT.scaled(float("nan")), MASK, 1e-4)
     with pytest.raises(ComputeError, match="solve_mask is empty"):
         regularisation_from_rho(EFFECT, MASK & ~MASK, 1e-4)
+
+
+def test_the_condition_number_is_never_understated() -> None:
+    rows = EFFECT.matrix.toarray()[MASK.ravel()]
+    hessian = rows.T @ rows / len(rows) + PROBLEM.regularisation * np.eye(EFFECT.n)
+    exact = np.linalg.cond(hessian)
+    assert exact <= condition(PROBLEM) < 1.5 * exact
+    assert condition(replace(PROBLEM, regularisation=0.0)) == np.inf
+
+
+def test_an_ill_conditioned_p_is_noted_with_the_number() -> None:
+    assert conditioning_note(PROBLEM) is None
+    small = replace(PROBLEM, regularisation=regularisation_from_rho(EFFECT, MASK, 1e-13))
+    note = conditioning_note(small)
+    assert note is not None
+    assert f"condition number of {condition(small):.3g}" in note
+    assert f"P = {small.regularisation:.3g}" in note
+    assert "inf" in str(conditioning_note(replace(PROBLEM, regularisation=0.0)))

@@ -1,0 +1,86 @@
+"""Dwell problems of full size: discs at 1 mm with a dwell point on every sample, and an analytic tool influence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from benchmarks.bench_dwell import surface
+from polishd.model.surface import FloatArray, Grid
+from polishd.process.convolution import ConvolutionEffect
+from polishd.process.dwell.problem import DwellProblem
+from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
+
+PEAK_NM_S = 160.0
+FINE = 8
+"""Squares across a sample over which the spot is averaged."""
+GAMMAS = 33
+UNREACHED = 0.02
+RMS_NM = 18.0 / 18.5
+"""On the surface of `surface`, and its noise of 0.3 nm is made 0.5."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A disc and a spot."""
+
+    diameter_mm: float
+    spot_radius_mm: float
+    rho: float
+
+    @property
+    def name(self) -> str:
+        return f"phi {self.diameter_mm:g} mm, TIF radius {self.spot_radius_mm:g} mm"
+
+
+def build(case: Case, rank: int = 0, change: float = 0.0, seed: int = 1) -> DwellProblem:
+    """The problem with a static spot times gamma (rank 0), or with each point's own spot at that rank.
+
+    ``change`` moves gamma by up to that share, differently over the part.
+    """
+    n = int(case.diameter_mm)
+    grid = Grid(n, n, 1.0)
+    disc = grid.radius_mm() <= case.diameter_mm / 2
+    x, y = np.meshgrid(grid.x_mm, grid.y_mm)
+    gamma = 0.874 + 0.03 * np.sin(x / 60 + 1) + 0.014 * np.cos(y / 45)  # 0.83 to 0.918
+    gamma *= 1 + change * np.sin(x / 80 + y / 110)
+    effect = convolutions(grid, np.flatnonzero(disc.ravel()), gamma[disc], case.spot_radius_mm, rank)
+    rng = np.random.default_rng(seed + 1)
+    height = RMS_NM * surface(grid, disc) + 0.4 * rng.standard_normal(grid.shape)
+    target = height + choose_piston_nm(height, disc, np.zeros(grid.shape), UNREACHED)
+    points = effect.n
+    p = regularisation_from_rho(effect, disc, case.rho)
+    clear = grid.radius_mm() <= case.diameter_mm / 2 - 3
+    return DwellProblem(effect, target, disc, clear, np.zeros(points), np.full(points, np.inf), p)
+
+
+def convolutions(
+    grid: Grid, node: NDArray[np.int64], gamma: FloatArray, radius_mm: float, rank: int
+) -> ConvolutionEffect:
+    """The effect of spots at these nodes: rank 0 is one spot times gamma, else each one's own, to that rank."""
+    reach = int(np.ceil(radius_mm))
+    if rank == 0:
+        kernels, coefficients = spot(float(gamma.mean()), radius_mm, reach)[None] / gamma.mean(), gamma[:, None]
+    else:
+        mesh = np.linspace(gamma.min(), gamma.max(), GAMMAS)
+        shapes = np.stack([spot(value, radius_mm, reach).ravel() for value in mesh])
+        _, _, basis = np.linalg.svd(shapes, full_matrices=False)
+        kernels = basis[:rank].reshape(rank, 2 * reach + 1, 2 * reach + 1)
+        coefficients = np.stack([np.interp(gamma, mesh, column) for column in (shapes @ basis[:rank].T).T], axis=1)
+    size = (fft.next_fast_len(grid.ny + 2 * reach, True), fft.next_fast_len(grid.nx + 2 * reach, True))
+    spectra = np.asarray(fft.rfft2(kernels, size), dtype=np.complex128)
+    return ConvolutionEffect(grid, 0.0, node, grid.shape, (reach, reach), coefficients, spectra, size)
+
+
+def spot(gamma: float, radius_mm: float, reach: int) -> FloatArray:
+    """(2 reach + 1, ...) nm/s: Hertz pressure under a dipped spindle, whose speed grows across the contact."""
+    fine = (np.arange((2 * reach + 1) * FINE) + 0.5) / FINE - reach - 0.5
+    x, y = np.meshgrid(fine, fine)
+    contact_mm = radius_mm * np.sqrt(gamma)
+    pressure = np.sqrt(np.maximum(1 - (x**2 + y**2) / contact_mm**2, 0.0) * gamma)
+    rate = PEAK_NM_S * pressure * np.hypot(1 + 0.3 * y / radius_mm, 0.3 * x / radius_mm)
+    side = 2 * reach + 1
+    return np.asarray(rate.reshape(side, FINE, side, FINE).mean(axis=(1, 3)))

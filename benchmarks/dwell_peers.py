@@ -1,0 +1,135 @@
+"""Dwell solvers of others, and our own two, each run until the problem's objective is at most the goal."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import fft, optimize
+from scipy.sparse.linalg import LinearOperator
+
+from benchmarks.bench_dwell import Goal, lbfgsb, require
+from polishd.model.surface import FloatArray
+from polishd.plugins.dwell_solvers import qp
+from polishd.process.convolution import ConvolutionEffect
+from polishd.process.dwell import douglas_rachford, newton_cg
+from polishd.process.dwell.problem import DwellProblem
+from polishd.process.dwell.quadratic import Quadratic
+from polishd.process.dwell.splitting import Splitting, splitting
+
+QP_ENTRIES = 4_000_000
+"""Of the effect's matrix, above which no backend is even asked: its factors would not fit into memory."""
+
+
+def lean(problem: DwellProblem) -> Quadratic:
+    """The objective in float64 for an effect of one convolution, with nothing but the transforms to pay for."""
+    effect, mask = problem.effect, problem.solve_mask
+    assert isinstance(effect, ConvolutionEffect)
+    assert effect.rank == 1
+    kernel, size, (top, left) = effect.spectra[0], effect.size, effect.corner
+    back, factor = kernel.conj(), effect.coefficients[:, 0]
+    row, column = np.divmod(effect.node, effect.lattice[1])
+    point = row * size[1] + column
+    i, j = np.nonzero(mask)
+    sample = (i + top) * size[1] + j + left
+
+    def through(values: FloatArray, come_in: FloatArray, spectrum: FloatArray, go_out: FloatArray) -> FloatArray:
+        domain = np.zeros(size)
+        domain.ravel()[come_in] = values
+        image = fft.rfft2(domain, overwrite_x=True)
+        image *= spectrum
+        return np.asarray(fft.irfft2(image, size, overwrite_x=True).ravel()[go_out])
+
+    return Quadratic(
+        lambda t: through(factor * t, point, kernel, sample),
+        lambda w: factor * through(w, sample, back, point),
+        problem.target_nm[mask],
+        problem.regularisation,
+    )
+
+
+def ours(problem: DwellProblem, value: Callable[[FloatArray], float], goal: Goal) -> None:
+    """Douglas-Rachford as its `solve` runs it; the objective is asked in float64, at the solver's own interval."""
+    work, stop = started(problem, value, goal)
+    douglas_rachford.minimise(work, stop, lambda: False)
+    if value(work.time_s) > goal.objective or (work.time_s < 0).any():
+        raise RuntimeError(f"reached {value(work.time_s):g} of {goal.objective:g}")
+
+
+def started(
+    problem: DwellProblem, value: Callable[[FloatArray], float], goal: Goal
+) -> tuple[Splitting, douglas_rachford.Stop]:
+    assert isinstance(problem.effect, ConvolutionEffect)
+    return splitting(problem, problem.effect), lambda t: "reached" if value(t) <= goal.objective else None
+
+
+def iterations(problem: DwellProblem, value: Callable[[FloatArray], float], goal: Goal) -> int:
+    """How many of ours it takes, looked at after each."""
+    work, stop = started(problem, value, goal)
+    if douglas_rachford.minimise(work, stop, lambda: False, ask_every=1) != "reached":
+        raise RuntimeError("the goal was not reached")
+    return work.iterations
+
+
+def newton(problem: DwellProblem, f: Quadratic, goal: Goal) -> None:
+    zero = np.zeros(problem.effect.n)
+    value, slope = f.value(zero), f.gradient(zero)
+
+    def stop(t: FloatArray, gradient: FloatArray) -> str | None:
+        return "reached" if float(t @ (gradient + slope)) / 2 + value <= goal.objective else None
+
+    t, _, _ = newton_cg.minimise(f, (problem.lower_s, problem.upper_s), problem.lower_s, stop)
+    require(f, t, problem, goal)
+
+
+def lsq_linear(problem: DwellProblem, f: Quadratic, goal: Goal) -> None:
+    """It has no way to be stopped at an objective: run at ever smaller tolerances until it gets there."""
+    m, n = f.target.size, problem.effect.n
+    root = np.sqrt(m * f.regularisation)
+    whole = LinearOperator(
+        (m + n, n),
+        matvec=lambda t: np.concatenate([f.forward(t.ravel()), root * t.ravel()]),
+        rmatvec=lambda w: f.backward(w.ravel()[:m]) + root * w.ravel()[m:],
+        dtype=np.float64,
+    )
+    wanted = np.concatenate([f.target, np.zeros(n)])
+    tolerance = 1e-8
+    while True:
+        found = optimize.lsq_linear(
+            whole, wanted, (0, np.inf), tol=tolerance, lsmr_tol="auto", max_iter=100_000, lsq_solver="lsmr"
+        )
+        if f.value(np.maximum(found.x, 0)) <= goal.objective:
+            return
+        tolerance /= 100
+
+
+def backend(problem: DwellProblem, name: str, goal: Goal, within_s: float) -> None:
+    certificate = qp.solve(problem, within_s, name).certificate
+    if certificate.objective > goal.objective:
+        give_up()
+
+
+def give_up() -> None:
+    """A peer that will not get there is left to the race's cap: it did not finish."""
+    signal.pause()
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What counts as the minimum."""
+
+    goal: Goal
+    kkt_residual: float
+
+
+def reference(problem: DwellProblem, gap: float, within_s: float = 900.0, kkt_tolerance: float = 1e-9) -> Reference:
+    """The goal at this relative gap from a minimum found to that KKT residual."""
+    found = douglas_rachford.solve(replace(problem, warm=None), within_s, kkt_tolerance).certificate
+    if not found.kkt_residual <= kkt_tolerance:
+        raise RuntimeError(f"the reference has a KKT residual of {found.kkt_residual:g}")
+    return Reference(Goal(found.objective * (1 + gap)), found.kkt_residual)
+
+
+__all__ = ["backend", "iterations", "lbfgsb", "lean", "lsq_linear", "newton", "ours", "reference"]

@@ -1,0 +1,181 @@
+"""The computing step that solves the dwell: problem, solver, what the machine delivers, and a second opinion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from polishd.daemon.recipe import Recipe
+from polishd.daemon.steps import Beliefs, Measured, Solved, effect_of, envelope_of
+from polishd.hookspecs import RemovalAnswer
+from polishd.model.dwell import DwellSolution, KeptStart, Start
+from polishd.model.errors import ComputeError, ProgramError
+from polishd.model.limits import Envelope
+from polishd.model.program import Program
+from polishd.model.surface import BoolArray, FloatArray
+from polishd.process import motion
+from polishd.process.dwell.problem import DwellProblem
+from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
+from polishd.process.edge.extension import extend
+from polishd.process.metrics import split_bands
+
+LEAST_COVERAGE = 0.9
+"""A program that works less of the clear aperture than this is taken for another part's."""
+LEAST_ON_PART = 0.5
+"""So is one that mostly works beside it."""
+ENVELOPE_ROUNDS = 2
+"""Re-solves with what acceleration delivers as the lower bound."""
+EXTENDED_WEIGHT = 0.01
+"""What an extended sample counts beside a measured one: enough to hold the rim, too little to cost the data."""
+LEAST_SAMPLES = 3.0
+"""The extension's cut-off spans this many samples at least."""
+
+
+def solve(
+    recipe: Recipe, program: Program, measured: Measured, beliefs: Beliefs, warm: KeptStart | None = None
+) -> Solved:
+    """Dwell for the removal that the measured surface wants, within what the machine can deliver.
+
+    What acceleration delivers late becomes the lower bound of the next round, so that the optimum knows of it.
+    ``warm`` is what was kept of the last cycle's solution.
+    """
+    envelope = envelope_of(recipe, program, beliefs)
+    answer = effect_of(recipe, program, measured.grid, beliefs.rate)
+    _require_coverage(program, answer, measured)
+    lower = motion.least_time_s(program, envelope)
+    upper = np.maximum(motion.most_time_s(program, envelope), lower)
+    given = Given(measured, answer, envelope)
+    problem, dwell, asked, expected = _solve_within(recipe, program, given, (lower, upper), warm)
+    for _ in range(ENVELOPE_ROUNDS):
+        late = expected > dwell.time_s * 1.001 + 1e-4
+        if not late.any():
+            break
+        lower = np.where(late, np.maximum(lower, expected), lower)
+        upper = np.maximum(upper, lower)
+        problem, dwell, asked, expected = _solve_within(recipe, program, given, (lower, upper), dwell)
+    checked = _noted(measured, answer, _cross_checked(recipe, problem, dwell))
+    return Solved(checked, answer, asked, expected, beliefs)
+
+
+def _require_coverage(program: Program, answer: RemovalAnswer, measured: Measured) -> None:
+    """ProgramError unless the path works nearly all of the clear aperture, and mostly the part."""
+    on_part = float(np.mean(answer.effect.adjoint(measured.solve_mask.astype(np.float64)) > 0))
+    if on_part < LEAST_ON_PART:
+        raise ProgramError(
+            f"{program.name}: only {on_part:.0%} of its timed points touch the part: is it the program of this part, "
+            "and are program.offset_mm and program.rotation_deg right?"
+        )
+    reached = answer.removal_nm(np.ones(program.n)) > 0
+    share = float(reached[measured.metric_mask].mean())
+    if share < LEAST_COVERAGE:
+        raise ProgramError(
+            f"{program.name}: the path reaches {share:.0%} of the clear aperture; is it the program of this part, "
+            "and are program.offset_mm and program.rotation_deg right?"
+        )
+
+
+class Given(NamedTuple):
+    """What the rounds of a solve have in common."""
+
+    measured: Measured
+    answer: RemovalAnswer
+    envelope: Envelope
+
+
+def _solve_within(
+    recipe: Recipe, program: Program, given: Given, bounds: tuple[FloatArray, FloatArray], warm: Start | None
+) -> tuple[DwellProblem, DwellSolution, FloatArray, FloatArray]:
+    problem = _problem(recipe, given, bounds, warm)
+    envelope = given.envelope
+    dwell = _in_machine_time(recipe.solver.solve(problem, recipe.solve_s), given.answer.divide_by)
+    unasked = motion.least_time_s(program, envelope) if program.encoding == "dwell" else envelope.block_overhead_s
+    asked = np.maximum(dwell.time_s - unasked, 0.0)
+    return problem, dwell, asked, motion.delivered_time_s(program, asked, envelope)
+
+
+def _problem(recipe: Recipe, given: Given, bounds: tuple[FloatArray, FloatArray], warm: Start | None) -> DwellProblem:
+    """What the solver is given; for "pointwise" the static problem, bounded so that the quotient keeps its bounds."""
+    measured, answer, _ = given
+    surface = _with_rim(recipe, measured, answer)
+    piston = choose_piston_nm(measured.height_nm, measured.metric_mask, answer.removal_nm(bounds[0]))
+    scale = 1.0 if answer.divide_by is None else answer.divide_by
+    return DwellProblem(
+        effect=answer.effect,
+        target_nm=np.where(surface.mask, surface.height_nm + piston, 0.0),
+        solve_mask=surface.mask,
+        weight=surface.weight,
+        metric_mask=measured.metric_mask,
+        lower_s=bounds[0] * scale,
+        upper_s=bounds[1] * scale,
+        regularisation=regularisation_from_rho(answer.effect, measured.solve_mask, recipe.regularisation),
+        band_period_mm=recipe.lsf_period_mm,
+        warm=None if warm is None else KeptStart(warm.time_s * scale, warm.state),
+    )
+
+
+class Whole(NamedTuple):
+    """A surface to solve for: what was measured, and what stands for the part's rim where nothing was."""
+
+    height_nm: FloatArray
+    mask: BoolArray
+    weight: FloatArray | None
+
+
+def _with_rim(recipe: Recipe, measured: Measured, answer: RemovalAnswer) -> Whole:
+    """The part's samples without data get extended heights at a small weight: else the dwell there is nobody's.
+
+    Only as far as the part goes: beyond it nothing has to be right, and asking for it costs time.
+    """
+    mask, pitch = measured.solve_mask, measured.grid.pitch_mm
+    gap = (measured.grid.radius_mm() <= recipe.aperture_mm / 2) & ~mask
+    if recipe.extension == "none" or not gap.any():
+        return Whole(measured.height_nm, mask, None)
+    reach = max(float(ndimage.distance_transform_edt(~mask)[gap].max()) * pitch, pitch)
+    cutoff = max(answer.cutoff_period_mm or 0.0, LEAST_SAMPLES * pitch)
+    wider = extend(measured.height_nm, mask, pitch, reach, recipe.extension, cutoff_period_mm=cutoff)
+    whole = mask | (wider.mask & gap)
+    return Whole(np.where(whole, wider.height_nm, 0.0), whole, np.where(mask, 1.0, EXTENDED_WEIGHT))
+
+
+def _noted(measured: Measured, answer: RemovalAnswer, dwell: DwellSolution) -> DwellSolution:
+    """The same solution; its certificate says what of the surface is out of the spot's reach."""
+    cutoff, pitch = answer.cutoff_period_mm, measured.grid.pitch_mm
+    if cutoff is None or cutoff <= 2 * pitch:
+        return dwell
+    below = split_bands(measured.height_nm, measured.metric_mask, pitch, (cutoff,))[1]
+    left = float(below[measured.metric_mask].std())
+    note = f"{left:.2f} nm RMS of the surface has periods below {cutoff:.2f} mm: no dwell with this spot removes it"
+    certificate = dwell.certificate
+    return replace(dwell, certificate=replace(certificate, notes=(*certificate.notes, note)))
+
+
+def _in_machine_time(dwell: DwellSolution, divide_by: FloatArray | None) -> DwellSolution:
+    """The correction "pointwise" (paper ref. 17): the dwell of the static problem, divided point by point."""
+    if divide_by is None:
+        return dwell
+    time_s = dwell.time_s / divide_by
+    return replace(
+        dwell,
+        time_s=time_s,
+        lower_s=dwell.lower_s / divide_by,
+        upper_s=dwell.upper_s / divide_by,
+        certificate=replace(dwell.certificate, dwell_total_s=float(time_s.sum())),
+    )
+
+
+def _cross_checked(recipe: Recipe, problem: DwellProblem, dwell: DwellSolution) -> DwellSolution:
+    """The same solution with an independent solver's word on it in the certificate."""
+    other = recipe.cross_check
+    if other is None:
+        return dwell
+    certificate = dwell.certificate
+    try:
+        theirs = other.solve(problem, recipe.solve_s).certificate
+    except ComputeError as error:
+        note = f"cross-check by {other.name} failed: {error}"
+        return replace(dwell, certificate=replace(certificate, notes=(*certificate.notes, note)))
+    gap = (certificate.objective - theirs.objective) / max(theirs.objective, 1e-12)
+    return replace(dwell, certificate=replace(certificate, cross_check=other.name, cross_check_gap=gap))

@@ -1,0 +1,165 @@
+"""A dwell for a time budget or for a target residual, and what the dwell floor costs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from polishd.model.errors import ComputeError
+from polishd.process.dwell.curve import Row, Solve, Solved, highest_price, solved
+from polishd.process.dwell.problem import DwellProblem
+from polishd.process.dwell.validation import check
+
+BUDGET_TOLERANCE = 1e-3
+TARGET_TOLERANCE = 1e-2
+MAX_SOLVES = 60
+# Of the highest price: below it the price is lost in rounding beside the gradient.
+LEAST_PRICE = 1e-13
+
+
+def within_budget(problem: DwellProblem, budget_s: float, solve: Solve, tolerance: float = BUDGET_TOLERANCE) -> Solved:
+    """The best residual with ``sum(t) <= budget_s``: the price of time at which the budget is just used up.
+
+    Args:
+        problem: the problem; a price of its own is the least that is tried.
+        budget_s: total time, s.
+        solve: the solver; each solve starts from the last.
+        tolerance: how much of the budget may stay unused, as a fraction of it, where it binds.
+
+    Returns:
+        The problem with its price, and the solution. Never over budget; a note says whether the budget binds.
+
+    Raises:
+        ComputeError: the problem is malformed, or the lower bounds alone take more than the budget.
+    """
+    check(problem)
+    least = float(problem.lower_s.sum())
+    if not least <= budget_s:
+        raise ComputeError(f"the budget is {budget_s:.6g} s, but the dwell floor alone takes {least:.6g} s")
+    cheap = solved(problem, solve)
+    if cheap.total_s <= budget_s:
+        return _noted(cheap, f"the budget of {budget_s:.6g} s does not bind")
+    aim = (1 - tolerance / 2) * budget_s
+    found = _search(
+        cheap,
+        solve,
+        lambda point: aim - point.total_s,
+        accept=lambda point: (1 - tolerance) * budget_s <= point.total_s <= budget_s,
+        feasible=lambda point: point.total_s <= budget_s,
+    )
+    return _noted(found, f"the budget of {budget_s:.6g} s binds at {found.problem.price_nm2_per_s:.6g} nm^2/s")
+
+
+def to_target(problem: DwellProblem, rms_nm: float, solve: Solve, tolerance: float = TARGET_TOLERANCE) -> Solved:
+    """The least total time whose residual RMS in the clear aperture is at most ``rms_nm``.
+
+    As `within_budget`: the highest price of time at which the target is met, to ``tolerance`` of the target.
+
+    Raises:
+        ComputeError: the problem is malformed, or even without a price of time the residual stays above the target.
+    """
+    check(problem)
+    cheap = solved(problem, solve)
+    if not 0 < cheap.rms_nm <= rms_nm:
+        raise ComputeError(
+            f"{rms_nm:.6g} nm RMS is out of reach: the least is {cheap.rms_nm:.6g} nm in {cheap.total_s:.6g} s"
+        )
+    aim = (1 - tolerance / 2) * rms_nm
+    return _search(
+        cheap,
+        solve,
+        lambda point: math.log(point.rms_nm / aim),
+        accept=lambda point: (1 - tolerance) * rms_nm <= point.rms_nm <= rms_nm,
+        feasible=lambda point: point.rms_nm <= rms_nm,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class FloorCost:
+    """A problem with its dwell floor, without it, and with it and as much more to remove as the floor itself takes."""
+
+    bounded: Solved
+    free: Solved
+    raised: Solved
+
+    def row(self) -> Row:
+        """What JSON can hold of it; a cost is what the floor adds to the free dwell's (0.02 is 2 %)."""
+        bounded, free, raised = self.bounded, self.free, self.raised
+        return {
+            "floor_s": float(bounded.problem.lower_s.sum()),
+            "at_floor": bounded.solution.certificate.at_lower,
+            "free_rms_nm": free.rms_nm,
+            "free_total_s": free.total_s,
+            "rms_nm": bounded.rms_nm,
+            "total_s": bounded.total_s,
+            "rms_cost": bounded.rms_nm / free.rms_nm - 1,
+            "time_cost_s": bounded.total_s - free.total_s,
+            "raised_by_nm": raised.solution.certificate.piston_nm - bounded.solution.certificate.piston_nm,
+            "raised_rms_nm": raised.rms_nm,
+            "raised_total_s": raised.total_s,
+            "raised_rms_cost": raised.rms_nm / free.rms_nm - 1,
+            "raised_time_cost_s": raised.total_s - free.total_s,
+        }
+
+
+def floor_cost(problem: DwellProblem, solve: Solve) -> FloorCost:
+    """What ``lower_s`` as a bound costs against ``t >= 0``, and what it costs where time may be spent on it.
+
+    At the same target the floor digs where nothing is to be removed, which no solver mends. With the target raised by
+    the most that the floor removes anywhere, that is wanted, and the residual comes back for the time it takes.
+
+    Raises:
+        ComputeError: the problem is malformed, or the solver fails.
+    """
+    check(problem)
+    bounded = solved(problem, solve)
+    free = solved(replace(problem, lower_s=0 * problem.lower_s), solve, bounded.solution)
+    dug = float(problem.effect.removal_nm(problem.lower_s)[problem.solve_mask].max())
+    raised = solved(replace(problem, target_nm=problem.target_nm + dug), solve, bounded.solution)
+    return FloorCost(bounded, free, raised)
+
+
+def _search(
+    cheap: Solved,
+    solve: Solve,
+    miss: Callable[[Solved], float],
+    *,
+    accept: Callable[[Solved], bool],
+    feasible: Callable[[Solved], bool],
+) -> Solved:
+    """The price at which ``miss``, which rises with it and is negative for ``cheap``, is about 0.
+
+    False position on the logarithm of the price, after Illinois: a residual far above its neighbour's is halved.
+    Ends with the accepted point, or the feasible one of the least miss.
+    """
+    if accept(cheap):
+        return cheap
+    top = highest_price(cheap.problem)
+    low, high = np.log(max(cheap.problem.price_nm2_per_s, LEAST_PRICE * top)), np.log(top)
+    dear = solved(replace(cheap.problem, price_nm2_per_s=float(np.exp(high))), solve)
+    seen, last = [cheap, dear], cheap
+    at_low, at_high, side = miss(cheap), miss(dear), 0
+    for _ in range(MAX_SOLVES):
+        if accept(seen[-1]) or not (at_low < 0 < at_high and high - low > 1e-12):
+            break
+        share = -at_low / (at_high - at_low)
+        where = low + min(max(share, 0.02), 0.98) * (high - low)
+        last = solved(replace(cheap.problem, price_nm2_per_s=float(np.exp(where))), solve, last.solution)
+        seen.append(last)
+        here = miss(last)
+        if here < 0:
+            low, at_low, at_high = where, here, at_high / (2 if side < 0 else 1)
+        else:
+            high, at_high, at_low = where, here, at_low / (2 if side > 0 else 1)
+        side = -1 if here < 0 else 1
+    accepted = [point for point in seen if accept(point)]
+    return min(accepted or filter(feasible, seen), key=lambda point: abs(miss(point)))
+
+
+def _noted(point: Solved, note: str) -> Solved:
+    certificate = point.solution.certificate
+    noted = replace(certificate, notes=(*certificate.notes, note))
+    return Solved(point.problem, replace(point.solution, certificate=noted))

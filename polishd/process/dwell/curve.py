@@ -1,0 +1,213 @@
+"""Residual against time: a path of solved problems, and the rules that choose one point of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from polishd.model.dwell import DwellSolution
+from polishd.model.errors import ComputeError
+from polishd.model.surface import FloatArray
+from polishd.process.dwell.problem import DwellProblem
+from polishd.process.dwell.quadratic import quadratic
+from polishd.process.dwell.setup import choose_piston_nm, conditioning_note, regularisation_from_rho
+from polishd.process.dwell.validation import check
+
+Solve = Callable[[DwellProblem], DwellSolution]
+"""A solver with its deadline and tolerance bound; ``problem.warm`` is the last solution of the path."""
+Row = dict[str, float | int | str | list[str] | None]
+
+# Of the price at which polishing stops altogether: two a decade, and last no price at all.
+PRICES = (*np.logspace(-1, -8, 15).tolist(), 0.0)
+RHOS = tuple(np.logspace(-2, -12, 11).tolist())
+UNREACHED = (0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """A problem and its solution: the certificate is to be read against this problem's price and P."""
+
+    problem: DwellProblem
+    solution: DwellSolution = field(repr=False)
+
+    @property
+    def total_s(self) -> float:
+        """Total time."""
+        return self.solution.certificate.dwell_total_s
+
+    @property
+    def rms_nm(self) -> float:
+        """RMS (mean removed) of the predicted residual in the clear aperture."""
+        return self.solution.certificate.predicted_rms_nm
+
+    def row(self) -> Row:
+        """What JSON can hold of it: figures, certificate, and what was asked for; units in the keys."""
+        c = self.solution.certificate
+        return {
+            "total_s": c.dwell_total_s,
+            "rms_nm": c.predicted_rms_nm,
+            "pv_nm": c.predicted_pv_nm,
+            "band_rms_nm": c.predicted_band_rms_nm,
+            "price_nm2_per_s": self.problem.price_nm2_per_s,
+            "regularisation": self.problem.regularisation,
+            "piston_nm": c.piston_nm,
+            "objective": c.objective,
+            "kkt_residual": c.kkt_residual,
+            "at_lower": c.at_lower,
+            "at_upper": c.at_upper,
+            "solver": c.solver,
+            "iterations": c.iterations,
+            "seconds": c.seconds,
+            "stopped": c.stopped,
+            "notes": list(c.notes),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """A path of solved problems, in the order they were solved, each certified by itself."""
+
+    knob: str
+    """What falls or rises along it: ``price_nm2_per_s``, ``regularisation`` or ``piston_nm``."""
+    points: tuple[Solved, ...]
+
+    def rows(self) -> list[Row]:
+        """One JSON-able object a point, ``knob`` among its keys."""
+        return [point.row() for point in self.points]
+
+    def at_target(self, rms_nm: float) -> Solved:
+        """The shortest total time whose residual RMS is at or below ``rms_nm``.
+
+        Raises:
+            ComputeError: no point is that good; names the best.
+        """
+        good = [point for point in self.points if point.rms_nm <= rms_nm]
+        if not good:
+            best = min(self.points, key=lambda point: point.rms_nm)
+            raise ComputeError(
+                f"no point of the curve reaches {rms_nm:.6g} nm RMS: the best is {best.rms_nm:.6g} nm "
+                f"in {best.total_s:.6g} s"
+            )
+        return min(good, key=lambda point: point.total_s)
+
+    def within(self, budget_s: float) -> Solved:
+        """The least residual RMS whose total time is at most ``budget_s``.
+
+        Raises:
+            ComputeError: no point is that quick; names the quickest.
+        """
+        quick = [point for point in self.points if point.total_s <= budget_s]
+        if not quick:
+            least = min(point.total_s for point in self.points)
+            raise ComputeError(f"no point of the curve takes at most {budget_s:.6g} s: the quickest takes {least:.6g}")
+        return min(quick, key=lambda point: point.rms_nm)
+
+    def knee(self) -> Solved:
+        """Where more time stops to pay: beyond it, 1 % more time buys less than 1 % of the residual.
+
+        Walks back from the longest total time as long as ``residual RMS * total time`` falls. Unlike the largest
+        curvature, or the largest distance from a chord, that does not depend on where the curve ends, nor on its being
+        convex on logarithmic axes, which those of real maps are not.
+        """
+        back = sorted(self.points, key=lambda point: -point.total_s)
+        knee = back[0]
+        for point in back[1:]:
+            if point.rms_nm * point.total_s > knee.rms_nm * knee.total_s:
+                break
+            knee = point
+        return knee
+
+
+def price_curve(problem: DwellProblem, solve: Solve, prices_nm2_per_s: Sequence[float] | None = None) -> Curve:
+    """Walk the price of time down: the Pareto front itself.
+
+    Where ``min residual + P |t|^2 + price sum(t)`` is solved, no dwell of the same P takes less time for the same
+    residual: the price is the multiplier of a time budget. So this is the curve to choose on; P only conditions.
+
+    Args:
+        problem: the problem; its own price does not count.
+        solve: the solver.
+        prices_nm2_per_s: the prices, falling (each point starts from the last). Default: from a tenth of the price at
+            which nothing is worth polishing down by two a decade to 1e-8 of it, and last 0.
+
+    Raises:
+        ComputeError: the problem or a price is impossible, or the solver fails.
+    """
+    check(problem)
+    prices = highest_price(problem) * np.array(PRICES) if prices_nm2_per_s is None else prices_nm2_per_s
+    return Curve(
+        "price_nm2_per_s", _walk((replace(problem, price_nm2_per_s=float(price)) for price in prices), problem, solve)
+    )
+
+
+def regularisation_curve(problem: DwellProblem, solve: Solve, regularisations: Sequence[float] | None = None) -> Curve:
+    """Walk P down: what it costs in residual, and from where on it only buys time in places where nothing is gained.
+
+    Args:
+        problem: the problem; its own P does not count.
+        solve: the solver.
+        regularisations: P, nm^2/s^2, falling. Default: rho = 1e-2 to 1e-12 by decades (see regularisation_from_rho).
+
+    Raises:
+        ComputeError: the problem or a P is impossible, or the solver fails.
+    """
+    check(problem)
+    if regularisations is None:
+        one = regularisation_from_rho(problem.effect, problem.solve_mask, 1.0)
+        regularisations = [rho * one for rho in RHOS]
+    return Curve("regularisation", _walk((replace(problem, regularisation=p) for p in regularisations), problem, solve))
+
+
+def piston_curve(problem: DwellProblem, solve: Solve, unreached: Sequence[float] = UNREACHED) -> Curve:
+    """Walk the mean removal up: it moves the residual more than any solver does.
+
+    Args:
+        problem: the problem; of its target, only the shape counts.
+        solve: the solver.
+        unreached: shares of the samples that may lie too deep, falling: each gives a piston by choose_piston_nm.
+
+    Raises:
+        ComputeError: the problem or a share is impossible, or the solver fails.
+    """
+    check(problem)
+    least = problem.effect.removal_nm(problem.lower_s)
+
+    def shifted(share: float) -> DwellProblem:
+        piston = choose_piston_nm(problem.target_nm, problem.solve_mask, least, share)
+        return replace(problem, target_nm=problem.target_nm + piston)
+
+    return Curve("piston_nm", _walk((shifted(share) for share in unreached), problem, solve))
+
+
+def highest_price(problem: DwellProblem) -> float:
+    """nm^2/s: the price of time from which on every point stays at its lower bound."""
+    downhill = -quadratic(replace(problem, price_nm2_per_s=0.0)).gradient(problem.lower_s)
+    return max(float(downhill.max()), 0.0)
+
+
+def solved(problem: DwellProblem, solve: Solve, warm: DwellSolution | None = None) -> Solved:
+    """Solve once, from ``warm`` (default: the problem's own); an ill-conditioned problem is noted."""
+    solution = solve(problem if warm is None else replace(problem, warm=warm))
+    note = conditioning_note(problem)
+    if note is not None and note not in solution.certificate.notes:
+        notes = (*solution.certificate.notes, note)
+        solution = replace(solution, certificate=replace(solution.certificate, notes=notes))
+    return Solved(replace(problem, warm=None), solution)
+
+
+def _walk(problems: Iterable[DwellProblem], first: DwellProblem, solve: Solve) -> tuple[Solved, ...]:
+    points: list[Solved] = []
+    for problem in problems:
+        check(problem)
+        points.append(solved(problem, solve, points[-1].solution if points else first.warm))
+    if not points:
+        raise ComputeError("a curve needs at least one point")
+    return tuple(points)
+
+
+def total_and_rms(curve: Curve) -> FloatArray:
+    """(points, 2) s and nm, by rising total time: what to draw."""
+    pairs = sorted((point.total_s, point.rms_nm) for point in curve.points)
+    return np.array(pairs, dtype=np.float64)

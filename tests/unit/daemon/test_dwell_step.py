@@ -1,0 +1,104 @@
+"""The dwell step's rim, extension and reach: what the solver is given where the map ends before the part."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from polishd.daemon import dwell_step, steps
+from polishd.daemon.dwell_step import EXTENDED_WEIGHT
+from polishd.daemon.recipe import Recipe
+from polishd.daemon.steps import Beliefs, Measured
+from polishd.hookspecs import DwellSolver, RemovalAnswer, RemovalModel, RemovalRequest
+from polishd.model.dwell import DwellSolution
+from polishd.process.dwell import newton_cg
+from polishd.process.dwell.problem import DwellProblem
+from tests.unit.daemon.small import APERTURE_MM, gaussian_effect, small_map, small_program, small_recipe
+
+
+def short_sighted(recipe: Recipe, lost_mm: float) -> Measured:
+    """A measurement whose map ends so far before the part's rim."""
+    surface = small_map()
+    seen = surface.grid.radius_mm() <= APERTURE_MM / 2 - lost_mm
+    return steps.condition(recipe, surface.with_height(np.where(seen, surface.height_nm, np.nan)), None)
+
+
+def asked(recipe: Recipe, measured: Measured) -> DwellProblem:
+    """The problem that the recipe's solver is given first."""
+    given: list[DwellProblem] = []
+
+    def solve(problem: DwellProblem, within_s: float) -> DwellSolution:
+        given.append(problem)
+        return newton_cg.solve(problem, within_s)
+
+    dwell_step.solve(replace(recipe, solver=DwellSolver("seen", solve)), small_program(), measured, Beliefs())
+    return given[0]
+
+
+@pytest.mark.parametrize("method", ["nearest", "c1", "gerchberg_papoulis"])
+def test_a_rim_without_data_is_extended_at_a_small_weight(method: str) -> None:
+    recipe = small_recipe(extension=method)
+    measured = short_sighted(recipe, 1.0)
+    problem = asked(recipe, measured)
+    part = measured.grid.radius_mm() <= APERTURE_MM / 2
+    assert not measured.solve_mask[part].all()
+    assert problem.solve_mask[part].all()
+    assert not problem.solve_mask[~part & ~measured.solve_mask].any(), "beyond the part nothing is asked for"
+    assert problem.weight is not None
+    np.testing.assert_array_equal(problem.weight[measured.solve_mask], 1.0)
+    np.testing.assert_array_equal(problem.weight[problem.solve_mask & ~measured.solve_mask], EXTENDED_WEIGHT)
+    kept = problem.target_nm - measured.height_nm
+    np.testing.assert_allclose(kept[measured.solve_mask], kept[measured.solve_mask][0])
+    assert (problem.metric_mask == measured.metric_mask).all(), "figures are of data only"
+
+
+def test_the_extended_rim_is_nearer_to_the_truth() -> None:
+    truth = steps.condition(small_recipe(), small_map(), None)
+    left = {}
+    for method in ("none", "c1"):
+        recipe = small_recipe(extension=method)
+        measured = short_sighted(recipe, 1.0)
+        found = dwell_step.solve(recipe, small_program(), measured, Beliefs())
+        rim = truth.solve_mask & ~measured.solve_mask
+        after = truth.height_nm - found.answer.removal_nm(found.dwell.time_s)
+        left[method] = float((after[rim] - after[measured.metric_mask].mean()).std())
+    assert left["c1"] < left["none"]
+
+
+@pytest.mark.parametrize(("method", "lost_mm"), [("none", 1.0), ("c1", 0.0)])
+def test_nothing_is_extended_unasked_or_where_the_data_reach_the_rim(method: str, lost_mm: float) -> None:
+    recipe = small_recipe(extension=method)
+    measured = short_sighted(recipe, lost_mm)
+    problem = asked(recipe, measured)
+    assert problem.weight is None
+    assert (problem.solve_mask == measured.solve_mask).all()
+
+
+def test_a_free_rim_reaches_the_removal_model() -> None:
+    seen: list[RemovalRequest] = []
+
+    def ask(request: RemovalRequest) -> RemovalAnswer:
+        seen.append(request)
+        return gaussian_effect(request)
+
+    for free in (False, True):
+        recipe = small_recipe(model=RemovalModel("asked", ask), free_rim=free)
+        steps.effect_of(recipe, small_program(), steps.process_grid(recipe), 1.0)
+    ring, rim = (request.rim for request in seen)
+    assert ring is None
+    assert rim is not None
+    np.testing.assert_allclose(rim.inside_mm(np.array([[0.0, 0.0], [APERTURE_MM / 2 + 1, 0.0]])), [12.0, -1.0])
+
+
+def test_the_certificate_says_what_is_out_of_reach() -> None:
+    def short(request: RemovalRequest) -> RemovalAnswer:
+        return replace(gaussian_effect(request), cutoff_period_mm=5.0)
+
+    recipe = small_recipe(model=RemovalModel("short", short))
+    measured = steps.condition(recipe, small_map(), None)
+    (note,) = dwell_step.solve(recipe, small_program(), measured, Beliefs()).dwell.certificate.notes
+    assert "nm RMS of the surface has periods below 5.00 mm" in note
+    plain = dwell_step.solve(small_recipe(), small_program(), measured, Beliefs())
+    assert plain.dwell.certificate.notes == ()

@@ -1,0 +1,108 @@
+"""What edge TIF and extension are for: the dwell near a rim, judged by what it leaves there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from polishd.model.process import ToolProcess
+from polishd.model.surface import BoolArray, FloatArray, Grid
+from polishd.process.dwell import newton_cg
+from polishd.process.dwell.problem import DwellProblem
+from polishd.process.dwell.setup import regularisation_from_rho
+from polishd.process.dynamic_tif import effect_matrix
+from polishd.process.edge.edge_tif import contact_centres_mm, rim_contact
+from polishd.process.edge.extension import Extension, extend
+from polishd.process.edge.overrun import Overrun, overrun
+from polishd.process.edge.rim import round_rim
+from polishd.process.effect import SparseEffect
+from polishd.process.raster import raster
+from polishd.process.spot import HertzSpot
+from tests.unit.process.gaussian import rough
+from tests.unit.process.paths import program
+
+RADIUS = 14.0
+GRID = Grid(42, 42, 1.0)
+PART = GRID.radius_mm() <= RADIUS
+BLANK = 3.0
+"""Width of the rim that a map may lack."""
+SPOT = HertzSpot(ToolProcess())
+POINTS = raster(RADIUS, 1.0, 1.0, overrun_mm=2.0)[:, :2]
+PATH = program(POINTS[:-1], POINTS[1:], 0.3)
+GAMMA, ONE = np.full(PATH.n, 0.87), np.ones(PATH.n)
+RIM = round_rim(RADIUS)
+SUNK = rim_contact(ToolProcess(), RIM, contact_centres_mm(SPOT, PATH, GAMMA), GAMMA).depth_ratio
+PLAIN = SparseEffect(GRID, effect_matrix(GRID, SPOT, PATH, GAMMA, ONE))
+FREE = SparseEffect(GRID, effect_matrix(GRID, SPOT, PATH, SUNK, ONE))
+METHODS: tuple[Extension, ...] = ("nearest", "c1", "gerchberg_papoulis")
+LEAST = PATH.length_mm / 50
+
+
+def surface(seed: int, cut_mm: float = 6.0) -> FloatArray:
+    """A target that can be reached by removing."""
+    height = rough(GRID, seed=seed, cut_mm=cut_mm)
+    return np.asarray(height - height[PART].min() + 10.0, dtype=np.float64)
+
+
+def dwell(effect: SparseEffect, target: FloatArray, mask: BoolArray, weight: FloatArray | None = None) -> FloatArray:
+    regularisation = regularisation_from_rho(effect, PART, 1e-6)
+    most = np.full(PATH.n, 1e3)
+    problem = DwellProblem(effect, np.where(mask, target, 0.0), mask, mask, LEAST, most, regularisation, weight)
+    return newton_cg.solve(problem, 30.0, 1e-4).time_s
+
+
+@dataclass(frozen=True)
+class Left:
+    """RMS that a dwell leaves, nm, from the mean inside the rim's 3 mm."""
+
+    inner: float
+    rim: float
+
+
+def left(target: FloatArray, plant: SparseEffect, time_s: FloatArray, inner: BoolArray) -> Left:
+    residual = target - plant.removal_nm(time_s)
+    residual = residual - residual[inner].mean()
+    rim = PART & ~inner
+    return Left(float(residual[inner].std()), float(np.sqrt(np.mean(residual[rim] ** 2))))
+
+
+def test_a_free_rim_must_be_known() -> None:
+    target = surface(3)
+    inner = GRID.radius_mm() <= RADIUS - BLANK
+    unaware = left(target, FREE, dwell(PLAIN, target, PART), inner)
+    aware = left(target, FREE, dwell(FREE, target, PART), inner)
+    assert unaware.rim > 5
+    assert aware.rim < 0.1 * unaware.rim
+    assert aware.inner < 1.1 * unaware.inner
+
+
+def test_the_sunk_spot_takes_less_time_at_the_rim() -> None:
+    target = surface(3)
+    figures: list[Overrun] = []
+    for effect, depth in ((PLAIN, GAMMA), (FREE, SUNK)):
+        time = dwell(effect, target, PART)
+        figures.append(overrun(effect, PART, time, program=PATH, spot=SPOT, depth_ratio=depth, factor=ONE, rim=RIM))
+    plain, free = figures
+    assert free.total_s < plain.total_s
+    assert 0.05 < plain.off_part < free.off_part < 0.5
+    assert plain.reached_mm > plain.wanted_mm
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_where_the_map_ends_before_the_part_the_extension_saves_the_rim(seed: int) -> None:
+    """The data end 3 mm before the rim: what the dwell does there is judged against the truth."""
+    target = surface(seed, cut_mm=12.0)
+    data = GRID.radius_mm() <= RADIUS - BLANK
+    bare = left(target, PLAIN, dwell(PLAIN, target, data), data)
+    rims: dict[str, float] = {"none": bare.rim}
+    for method in METHODS:
+        wider = extend(np.where(data, target, np.nan), data, 1.0, BLANK, method, cutoff_period_mm=12.0)
+        time = dwell(PLAIN, wider.height_nm, wider.mask, np.where(data, 1.0, 0.01))
+        found = left(target, PLAIN, time, data)
+        rims[method] = found.rim
+        assert found.inner < 1.2 * bare.inner + 0.05
+    assert rims["nearest"] < 0.5 * rims["none"]
+    assert rims["c1"] < rims["nearest"]
+    assert rims["gerchberg_papoulis"] < 0.7 * rims["c1"]
