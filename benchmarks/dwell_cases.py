@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from benchmarks.bench_dwell import surface
-from polishd.model.surface import FloatArray, Grid
+from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.convolution import ConvolutionEffect
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
@@ -19,8 +18,9 @@ FINE = 8
 """Squares across a sample over which the spot is averaged."""
 GAMMAS = 33
 UNREACHED = 0.02
-RMS_NM = 18.0 / 18.5
-"""On the surface of `surface`, and its noise of 0.3 nm is made 0.5."""
+RMS_NM, NOISE_NM = 18.0, 0.5
+CORRELATION_MM = 100.0
+"""With it a spot of 20 mm radius leaves 1.4 nm RMS, one of 1.7 mm 1.0 nm: the figure is one that they can correct."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +48,22 @@ def build(case: Case, rank: int = 0, change: float = 0.0, seed: int = 1) -> Dwel
     gamma = 0.874 + 0.03 * np.sin(x / 60 + 1) + 0.014 * np.cos(y / 45)  # 0.83 to 0.918
     gamma *= 1 + change * np.sin(x / 80 + y / 110)
     effect = convolutions(grid, np.flatnonzero(disc.ravel()), gamma[disc], case.spot_radius_mm, rank)
-    rng = np.random.default_rng(seed + 1)
-    height = RMS_NM * surface(grid, disc) + 0.4 * rng.standard_normal(grid.shape)
+    height = surface(grid, disc, seed)
     target = height + choose_piston_nm(height, disc, np.zeros(grid.shape), UNREACHED)
     points = effect.n
     p = regularisation_from_rho(effect, disc, case.rho)
     clear = grid.radius_mm() <= case.diameter_mm / 2 - 3
     return DwellProblem(effect, target, disc, clear, np.zeros(points), np.full(points, np.inf), p)
+
+
+def surface(grid: Grid, inside: BoolArray, seed: int) -> FloatArray:
+    """(ny, nx) nm: a figure that falls with the fourth power of the frequency, and noise."""
+    rng = np.random.default_rng(seed)
+    f = np.hypot(np.fft.fftfreq(grid.ny)[:, None], np.fft.rfftfreq(grid.nx)[None, :]) / grid.pitch_mm
+    size = np.where(f > 0, (1 + (CORRELATION_MM * f) ** 2) ** -2.0, 0.0)
+    height = np.fft.irfft2(size * np.exp(2j * np.pi * rng.random(f.shape)), grid.shape)
+    height = (height - height[inside].mean()) * RMS_NM / height[inside].std()
+    return np.asarray(height + NOISE_NM * rng.standard_normal(grid.shape), dtype=np.float64)
 
 
 def convolutions(

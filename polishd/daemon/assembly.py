@@ -72,6 +72,8 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
         cross_check_gap=CROSS_CHECK_GAP,
         regularisation=config.dwell.regularisation,
         solve_s=config.dwell.within_s,
+        budget_s=config.dwell.budget_s,
+        curve=config.dwell.curve,
         kkt_tolerance=config.dwell.kkt_tolerance,
         tolerance_nm=config.job.tolerance_nm,
         tolerance_period_mm=config.job.tolerance_period_mm,

@@ -141,6 +141,8 @@ class DwellSection(Section):
     extension: Literal["none", "nearest", "c1", "gerchberg_papoulis"] = "c1"
     within_s: Annotated[float, Field(gt=0, le=3600)] = 30.0
     kkt_tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-4
+    budget_s: Positive | None = None
+    curve: bool = False
 
     @model_validator(mode="after")
     def _independent(self) -> Self:

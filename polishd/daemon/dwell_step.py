@@ -17,6 +17,8 @@ from polishd.model.limits import Envelope
 from polishd.model.program import Program
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process import motion
+from polishd.process.dwell.budget import within_budget
+from polishd.process.dwell.curve import price_curve
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
 from polishd.process.edge.extension import extend
@@ -57,7 +59,8 @@ def solve(
         upper = np.maximum(upper, lower)
         problem, dwell, asked, expected = _solve_within(recipe, program, given, (lower, upper), dwell)
     checked = _noted(measured, answer, _cross_checked(recipe, problem, dwell))
-    return Solved(checked, answer, asked, expected, beliefs)
+    curve = price_curve(problem, _solver(recipe)).rows() if recipe.curve else ()
+    return Solved(checked, answer, asked, expected, beliefs, tuple(curve))
 
 
 def _require_coverage(program: Program, answer: RemovalAnswer, measured: Measured) -> None:
@@ -88,12 +91,22 @@ class Given(NamedTuple):
 def _solve_within(
     recipe: Recipe, program: Program, given: Given, bounds: tuple[FloatArray, FloatArray], warm: Start | None
 ) -> tuple[DwellProblem, DwellSolution, FloatArray, FloatArray]:
-    problem = _problem(recipe, given, bounds, warm)
+    problem, found = _solved(recipe, _problem(recipe, given, bounds, warm), given.answer.divide_by)
     envelope = given.envelope
-    dwell = _in_machine_time(recipe.solver.solve(problem, recipe.solve_s), given.answer.divide_by)
+    dwell = _in_machine_time(found, given.answer.divide_by)
     unasked = motion.least_time_s(program, envelope) if program.encoding == "dwell" else envelope.block_overhead_s
     asked = np.maximum(dwell.time_s - unasked, 0.0)
     return problem, dwell, asked, motion.delivered_time_s(program, asked, envelope)
+
+
+def _solved(recipe: Recipe, problem: DwellProblem, divide_by: FloatArray | None) -> tuple[DwellProblem, DwellSolution]:
+    """The solver's answer; within the time budget, if there is one: then with the price of time that it takes."""
+    solve = _solver(recipe)
+    if recipe.budget_s is None:
+        return problem, solve(problem)
+    static = 1.0 if divide_by is None else float(divide_by.mean())  # "pointwise" takes so much longer than it solves
+    found = within_budget(problem, recipe.budget_s * static, solve)
+    return found.problem, found.solution
 
 
 def _problem(recipe: Recipe, given: Given, bounds: tuple[FloatArray, FloatArray], warm: Start | None) -> DwellProblem:

@@ -270,6 +270,8 @@ def save_surface(folder: RunFolder, surface: SurfaceMap, measured: Measured) -> 
 def save_plan(folder: RunFolder, recipe: Recipe, plan: Plan, solved: Solved) -> None:
     """Program, dwell and arrays of a plan, in the part's frame."""
     program = steps.in_part_frame(recipe, plan.program)
+    if solved.curve:
+        folder.json("curve.json", list(solved.curve))
     folder.bytes("program.rnc", plan.program.text)
     folder.table(
         "dwell.csv",
@@ -297,6 +299,8 @@ def save_plan(folder: RunFolder, recipe: Recipe, plan: Plan, solved: Solved) -> 
             "end_mm": program.end_mm,
             "predicted_removal_nm": plan.predicted_removal_nm,
             "residual_nm": solved.dwell.residual_nm,
+            "curve_s": np.array([row["total_s"] for row in solved.curve]),
+            "curve_nm": np.array([row["rms_nm"] for row in solved.curve]),
         },
     )
 

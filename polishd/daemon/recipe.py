@@ -41,6 +41,10 @@ class Recipe:
     regularisation: float
     """rho = P N_r / sigma_max^2."""
     solve_s: float
+    budget_s: float | None
+    """Most time in contact; None: as long as it takes."""
+    curve: bool
+    """Whether each plan comes with its curve of residual against time."""
     kkt_tolerance: float
     tolerance_nm: float
     tolerance_period_mm: float

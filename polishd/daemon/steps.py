@@ -57,6 +57,8 @@ class Solved:
     expected_s: FloatArray
     """(n,) time that the machine is expected to deliver."""
     beliefs: Beliefs
+    curve: tuple[Mapping[str, Any], ...] = ()
+    """Residual against time where it was asked for: a certified optimum a row (`dwell.curve.Solved.row`)."""
 
 
 def read_program(recipe: Recipe, path: Path) -> Program:

@@ -82,9 +82,9 @@ def test_a_whole_job_is_polished_and_left_for_people_to_see(tmp_path: Path) -> N
 
 def test_what_was_learned_predicts_the_time_that_is_delivered(tmp_path: Path) -> None:
     """Acceleration and overhead are hidden: after one pass the total is known to 1 %, each block to 5 ms."""
-    with small_cell(tmp_path / "cell", seed=5, speed=40.0, tolerance_nm=0.01, max_cycles=2) as files:
-        with Daemon(files) as daemon:
-            assert daemon.process.wait(120.0) == 1, daemon.output.read_text()
+    cell = small_cell(tmp_path / "cell", seed=5, speed=40.0, tolerance_nm=0.01, max_cycles=2)
+    with cell as files, Daemon(files) as daemon:
+        assert daemon.process.wait(120.0) == 1, daemon.output.read_text()
     expected, executed = [], []
     for cycle in (0, 1):
         folder = files.run_dir / f"cycle-{cycle:02d}"

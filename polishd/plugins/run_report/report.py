@@ -152,6 +152,11 @@ def path_pictures(folder: RunFolder, index: int, album: Album) -> None:
         album.add(f"{cycle.name}-compliance", caption, lambda: along_path.compliance_and_gamma(plan))
     caption = "Solved dwell over the part (values above the 99.5th percentile in the last colour), and its spread."
     album.add(f"{cycle.name}-dwell", caption, lambda: along_path.dwell(plan))
+    if plan.get("curve_s", np.empty(0)).size:
+        caption = "Each point is an optimum with a certificate of its own; more time buys less and less."
+        stand = float(plan["time_s"].sum()), float((cycle.certificate or {}).get("predicted_rms_nm", np.nan))
+        curve = plan["curve_s"], plan["curve_nm"]
+        album.add(f"{cycle.name}-curve", caption, lambda: trend.residual_against_time(*curve, *stand), wide=False)
     if cycle.executed is None:
         return
     done_s = cycle.executed.per_point(plan)

@@ -49,6 +49,19 @@ def rms_per_measurement(rows: Rows, tolerance_nm: float | None, period_mm: float
     return fig
 
 
+def residual_against_time(curve_s: Any, curve_nm: Any, plan_s: float, plan_nm: float) -> Figure:
+    """The least residual for each total time, and where the plan stands."""
+    fig = figure(5.2, 3.7)
+    ax = fig.add_subplot()
+    ax.plot(curve_s, curve_nm, color=BLUE, marker="o", markersize=4, label="least residual in that time")
+    ax.plot([plan_s], [plan_nm], "D", color=ORANGE, markersize=7, fillstyle="none", label="this plan")
+    ax.set(title="Residual against time", xlabel="total dwell (s)", ylabel="predicted RMS, mean removed (nm)")
+    plain_log(ax, "y")
+    ax.legend(loc="best")
+    ruled(ax)
+    return fig
+
+
 def line(ax: Axes, rows: Rows, key: str, label: str, **look: Any) -> list[float]:
     """Plot one figure of each measurement; returns what was plotted."""
     values = [number(row, key) for row in rows]

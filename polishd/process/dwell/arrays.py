@@ -233,7 +233,7 @@ def _refuse_outside(points: FloatArray, axes: MapAxes, mask: BoolArray, reach_mm
 def _noted(problem: DwellProblem, solution: DwellSolution) -> DwellSolution:
     """With what a person should know of the arrays: points without effect, a map that is too low to be reached."""
     notes = list(solution.certificate.notes)
-    idle = int(np.count_nonzero(problem.effect.adjoint(problem.solve_mask.astype(np.float64)) == 0))
+    idle = int(np.count_nonzero(problem.effect.adjoint(problem.solve_mask.astype(np.float64)) <= 0))
     if idle:
         notes.append(f"{idle} points reach no sample that counts; they are left at their lower bound")
     low = (problem.target_nm < problem.effect.removal_nm(problem.lower_s))[problem.solve_mask].mean()

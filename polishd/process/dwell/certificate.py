@@ -9,6 +9,7 @@ from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import projected_gradient, quadratic, safe_step
+from polishd.process.dwell.setup import conditioning_note
 from polishd.process.metrics import band_rms
 
 
@@ -50,6 +51,7 @@ def certified(
     if problem.band_period_mm is not None:
         pitch, mask = problem.effect.grid.pitch_mm, problem.metric_mask
         band = band_rms(residual, mask, pitch, problem.band_period_mm)
+    ill = conditioning_note(problem)
     certificate = Certificate(
         solver=solver,
         objective=quadratic(problem).value(t),
@@ -64,7 +66,7 @@ def certified(
         iterations=iterations,
         seconds=seconds,
         stopped=stopped,
-        notes=notes,
+        notes=notes if ill is None else (*notes, ill),
         predicted_band_rms_nm=band,
     )
     return DwellSolution(t, removal, residual, certificate, problem.lower_s, problem.upper_s)

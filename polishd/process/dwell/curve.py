@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from polishd.model.dwell import DwellSolution
+from polishd.model.dwell import DwellSolution, Start
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import quadratic
-from polishd.process.dwell.setup import choose_piston_nm, conditioning_note, regularisation_from_rho
+from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
 from polishd.process.dwell.validation import check
 
 Solve = Callable[[DwellProblem], DwellSolution]
@@ -187,14 +187,9 @@ def highest_price(problem: DwellProblem) -> float:
     return max(float(downhill.max()), 0.0)
 
 
-def solved(problem: DwellProblem, solve: Solve, warm: DwellSolution | None = None) -> Solved:
-    """Solve once, from ``warm`` (default: the problem's own); an ill-conditioned problem is noted."""
-    solution = solve(problem if warm is None else replace(problem, warm=warm))
-    note = conditioning_note(problem)
-    if note is not None and note not in solution.certificate.notes:
-        notes = (*solution.certificate.notes, note)
-        solution = replace(solution, certificate=replace(solution.certificate, notes=notes))
-    return Solved(replace(problem, warm=None), solution)
+def solved(problem: DwellProblem, solve: Solve, warm: Start | None = None) -> Solved:
+    """Solve once, from ``warm`` (default: the problem's own)."""
+    return Solved(replace(problem, warm=None), solve(problem if warm is None else replace(problem, warm=warm)))
 
 
 def _walk(problems: Iterable[DwellProblem], first: DwellProblem, solve: Solve) -> tuple[Solved, ...]:

@@ -61,7 +61,8 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-8) -
     check(problem)
     f = quadratic(problem)
     lower, upper = problem.lower_s, problem.upper_s
-    free = lower < upper
+    reaches = problem.effect.adjoint(problem.solve_mask.astype(np.float64)) > 0
+    free = reaches & (lower < upper)  # no tolerance may spend time where nothing is removed
     best, rounds, stopped, gap = lower, 0, "converged", 0.0
     if free.any():
         hessian = BandedHessian.of(problem, free)

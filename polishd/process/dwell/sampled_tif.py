@@ -119,20 +119,21 @@ def check_points(points_mm: FloatArray) -> FloatArray:
 def sampled_effect(axes: MapAxes, tif_nm_s: FloatArray, tif_pitch_mm: float, points_mm: FloatArray) -> Effect:
     """The effect of dwells at (n, 2) points: the TIF's cubic spline at each sample of the map, less the point.
 
-    It is taken at the samples, not integrated over their cells: where the TIF bends much within a cell, give the map a
-    finer pitch. The spline is cut at 0 below, and is 0 beyond the outermost samples. A matrix, unless the points are
-    many samples of the map itself: then a convolution with the same values.
+    The TIF is taken at the samples, not integrated over their cells: where it bends much within a cell, give the map a
+    finer pitch. The spline is cut at 0 below, and is 0 beyond the outermost samples and where all samples about are 0.
+    A matrix, unless the points are many samples of the map itself: then a convolution with the same values.
 
     Raises:
         ComputeError: the matrix would not fit into memory.
     """
-    spline = ndimage.spline_filter(tif_nm_s, order=3, mode="mirror")
-    reach = (np.array(spline.shape[::-1]) - 1) / 2 * tif_pitch_mm
+    coefficients = ndimage.spline_filter(tif_nm_s, order=3, mode="mirror")
+    spline = _Spline(coefficients, (tif_nm_s > 0).astype(np.float64), tif_pitch_mm)
+    reach = spline.reach_mm
     place = (points_mm - axes.first_mm) / axes.step_mm
     width = np.floor(2 * reach / axes.grid.pitch_mm + 2 * ON_NODE).astype(int) + 1
     entries = len(points_mm) * int(width.prod())
     if entries > MATRIX_ENTRIES and bool((np.abs(place - np.rint(place)) < ON_NODE).all()):
-        return _convolution(axes.grid, np.rint(place).astype(np.int64), spline, reach, tif_pitch_mm)
+        return _convolution(axes.grid, np.rint(place).astype(np.int64), spline)
     if entries > MOST_ENTRIES:
         raise ComputeError(
             f"{len(points_mm)} points of {width[1]} x {width[0]} samples each are too many for a matrix: "
@@ -146,21 +147,36 @@ def sampled_effect(axes: MapAxes, tif_nm_s: FloatArray, tif_pitch_mm: float, poi
         here = slice(k, k + size)
         row, column = (first[here, axis, None] + np.arange(width[axis]) for axis in (1, 0))
         dx, dy = (column - place[here, 0, None]) * pitch, (row - place[here, 1, None]) * pitch
-        patch = _at(spline, dx[:, None, :], dy[:, :, None], tif_pitch_mm)
+        patch = spline.at(dx[:, None, :], dy[:, :, None])
         parts.append(_columns(axes.grid, row, column, patch))
     return SparseEffect(axes.grid, sparse.csr_array(sparse.hstack(parts, format="csr")))
 
 
-def _at(spline: FloatArray, dx_mm: FloatArray, dy_mm: FloatArray, pitch_mm: float) -> FloatArray:
-    """nm/s at these distances from the dwell point along rows and columns, broadcast against each other."""
-    place = []
-    for distance, samples in ((dy_mm, spline.shape[0]), (dx_mm, spline.shape[1])):
-        at = distance / pitch_mm + (samples - 1) / 2
-        beyond = (at < -ON_NODE) | (at > samples - 1 + ON_NODE)
-        place.append(np.where(beyond, -1.0, np.clip(at, 0, samples - 1)))  # rounding costs no sample on the rim
-    where = np.stack(np.broadcast_arrays(*place))
-    value = ndimage.map_coordinates(spline, where, order=3, mode="constant", cval=0.0, prefilter=False)
-    return np.asarray(np.maximum(value, 0.0), dtype=np.float64)
+@dataclass(frozen=True, slots=True)
+class _Spline:
+    """A TIF between its samples."""
+
+    coefficients: FloatArray
+    support: FloatArray
+    """1 where a sample is above 0: where none near is, a spline would ring about a TIF that is cut off."""
+    pitch_mm: float
+
+    @property
+    def reach_mm(self) -> FloatArray:
+        """(2,) from the middle to the outermost sample, in x and y."""
+        return np.asarray((np.array(self.support.shape[::-1]) - 1) / 2 * self.pitch_mm)
+
+    def at(self, dx_mm: FloatArray, dy_mm: FloatArray) -> FloatArray:
+        """nm/s at these distances from the dwell point along rows and columns, broadcast against each other."""
+        place = []
+        for distance, samples in ((dy_mm, self.support.shape[0]), (dx_mm, self.support.shape[1])):
+            at = distance / self.pitch_mm + (samples - 1) / 2
+            beyond = (at < -ON_NODE) | (at > samples - 1 + ON_NODE)
+            place.append(np.where(beyond, -1.0, np.clip(at, 0, samples - 1)))  # rounding costs no sample on the rim
+        where = np.stack(np.broadcast_arrays(*place))
+        value = ndimage.map_coordinates(self.coefficients, where, order=3, mode="constant", prefilter=False)
+        near = ndimage.map_coordinates(self.support, where, order=1, mode="constant")
+        return np.where(near > ON_NODE, np.maximum(value, 0.0), 0.0)
 
 
 def _columns(grid: Grid, row: Indices, column: Indices, patch: FloatArray) -> sparse.csc_array:
@@ -171,13 +187,11 @@ def _columns(grid: Grid, row: Indices, column: Indices, patch: FloatArray) -> sp
     return sparse.csc_array((patch[keep], (sample, np.nonzero(keep)[0])), shape=(grid.ny * grid.nx, len(patch)))
 
 
-def _convolution(
-    grid: Grid, node: Indices, spline: FloatArray, reach_mm: FloatArray, pitch_mm: float
-) -> ConvolutionEffect:
+def _convolution(grid: Grid, node: Indices, spline: _Spline) -> ConvolutionEffect:
     """The same for points on (n, 2) samples, column and row, of the map's lattice."""
-    half = np.floor(reach_mm / grid.pitch_mm + ON_NODE).astype(int)
+    half = np.floor(spline.reach_mm / grid.pitch_mm + ON_NODE).astype(int)
     dx, dy = (np.arange(-n, n + 1) * grid.pitch_mm for n in half)
-    kernel = _at(spline, dx[None, :], dy[:, None], pitch_mm)
+    kernel = spline.at(dx[None, :], dy[:, None])
     first = np.minimum(node.min(axis=0), 0)
     columns, rows = np.maximum(node.max(axis=0), np.array([grid.nx, grid.ny]) - 1) - first + 1
     high, wide = (fft.next_fast_len(int(n + 2 * h), True) for n, h in ((rows, half[1]), (columns, half[0])))

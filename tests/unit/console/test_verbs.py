@@ -181,7 +181,8 @@ def test_plugins(polishd: Polishd) -> None:
     assert said["refused"] == []
     brings = {plugin["name"]: plugin["brings"] for plugin in said["loaded"]}
     solvers = brings["dwell_solvers"]["polishd_dwell_solvers"]
-    assert solvers[:5] == ["auto", "newton_cg", "douglas_rachford", "lucy_richardson", "qp"]
+    own = ["auto", "newton_cg", "douglas_rachford", "interior_point", "lucy_richardson"]
+    assert solvers[:6] == [*own, "qp"]
     assert "qp:clarabel" in solvers
     assert "checks and events" in polishd("plugins").out
 

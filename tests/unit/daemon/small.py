@@ -83,6 +83,8 @@ def small_recipe(**changes: Any) -> Recipe:
         cross_check_gap=1e-3,
         regularisation=1e-4,
         solve_s=30.0,
+        budget_s=None,
+        curve=False,
         kkt_tolerance=1e-4,
         tolerance_nm=0.5,
         tolerance_period_mm=0.0,

@@ -13,6 +13,7 @@ from polishd.daemon.recipe import Recipe
 from polishd.daemon.steps import Beliefs, Measured
 from polishd.hookspecs import DwellSolver, RemovalAnswer, RemovalModel, RemovalRequest
 from polishd.model.dwell import DwellSolution
+from polishd.model.errors import ComputeError
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from tests.unit.daemon.small import APERTURE_MM, gaussian_effect, small_map, small_program, small_recipe
@@ -102,3 +103,30 @@ def test_the_certificate_says_what_is_out_of_reach() -> None:
     assert "nm RMS of the surface has periods below 5.00 mm" in note
     plain = dwell_step.solve(small_recipe(), small_program(), measured, Beliefs())
     assert plain.dwell.certificate.notes == ()
+
+
+def test_a_time_budget_is_kept_and_costs_residual() -> None:
+    measured = steps.condition(small_recipe(), small_map(), None)
+    free = dwell_step.solve(small_recipe(), small_program(), measured, Beliefs()).dwell.certificate
+    budget = 0.8 * free.dwell_total_s
+    kept = dwell_step.solve(small_recipe(budget_s=budget), small_program(), measured, Beliefs())
+    c = kept.dwell.certificate
+    assert 0.95 * budget < c.dwell_total_s <= budget * 1.0001
+    assert c.predicted_rms_nm > free.predicted_rms_nm
+    assert c.kkt_residual <= 1e-4
+
+
+def test_a_budget_below_what_motion_takes_is_refused_with_both_numbers() -> None:
+    measured = steps.condition(small_recipe(), small_map(), None)
+    with pytest.raises(ComputeError, match=r"0\.5 s"):
+        dwell_step.solve(small_recipe(budget_s=0.5), small_program(), measured, Beliefs())
+
+
+def test_a_curve_comes_with_the_plan_if_asked_for() -> None:
+    measured = steps.condition(small_recipe(), small_map(), None)
+    solved = dwell_step.solve(small_recipe(curve=True), small_program(), measured, Beliefs())
+    totals, left = ([row[key] for row in solved.curve] for key in ("total_s", "rms_nm"))
+    assert totals == sorted(totals)
+    assert left[-1] < 0.5 * left[0]
+    assert left[-1] == pytest.approx(solved.dwell.certificate.predicted_rms_nm, rel=0.05)
+    assert dwell_step.solve(small_recipe(), small_program(), measured, Beliefs()).curve == ()

@@ -139,6 +139,16 @@ def test_points_without_room() -> None:
     assert (solution.certificate.stopped, solution.certificate.kkt_residual) == ("converged", 0)
 
 
+def test_points_without_effect_stay_at_their_lower_bound() -> None:
+    problem = dwell_problem(radius_mm=6)
+    matrix = problem.effect.matrix.copy()
+    idle = np.arange(problem.effect.n) % 7 == 0
+    matrix = sparse.csr_array(matrix @ sparse.diags_array(np.where(idle, 0.0, 1.0)))
+    solution = interior_point.solve(replace(problem, effect=SparseEffect(problem.effect.grid, matrix)), 10, 1e-2)
+    np.testing.assert_array_equal(solution.time_s[idle], problem.lower_s[idle])
+    assert (solution.time_s[~idle] > problem.lower_s[~idle]).any()
+
+
 def test_a_singular_hessian_is_survived() -> None:
     problem = dwell_problem(radius_mm=6)
     twice = sparse.csr_array(sparse.hstack([problem.effect.matrix, problem.effect.matrix]))

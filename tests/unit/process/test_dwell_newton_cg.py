@@ -247,7 +247,10 @@ def test_weights_and_price_enter_as_written() -> None:
 
 def test_a_higher_price_buys_less_time_and_leaves_more() -> None:
     problem = dwell_problem(radius_mm=8)
-    found = [newton_cg.solve(replace(problem, price_nm2_per_s=price), 30.0, 1e-8).certificate for price in (0.0, 0.1, 1.0, 10.0)]
+    found = [
+        newton_cg.solve(replace(problem, price_nm2_per_s=price), 30.0, 1e-8).certificate
+        for price in (0.0, 0.1, 1.0, 10.0)
+    ]
     totals, misses = [c.dwell_total_s for c in found], [c.objective for c in found]
     assert totals == sorted(totals, reverse=True)
     assert totals[0] > 1.05 * totals[-1]

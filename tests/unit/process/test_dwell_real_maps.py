@@ -80,7 +80,7 @@ def test_the_curve_is_exact_from_end_to_end(named: tuple[str, DwellCase]) -> Non
     assert misses == sorted(misses, reverse=True)
 
 
-@pytest.mark.parametrize("rho", [1e-3, 1e-8, 1e-12])
+@pytest.mark.parametrize("rho", [1e-8, 1e-12])
 def test_it_agrees_with_nnls_which_starts_from_nothing(shared_data: Path, rho: float) -> None:
     problem, _ = array_problem(replace(mirror(shared_data, "elongated"), rho=rho))
     found = Solved(problem, solve(problem))
@@ -98,6 +98,7 @@ def figures(problem: DwellProblem, time_s: FloatArray) -> tuple[float, float]:
     return float((problem.target_nm - problem.effect.removal_nm(time_s)).std()), float(time_s.sum())
 
 
+@pytest.mark.slow
 def test_fista_is_not_better_in_its_own_time(named: tuple[str, DwellCase]) -> None:
     problem, _ = array_problem(replace(named[1], rho=1e-10))
     rms_nm, total_s = figures(problem, fista(problem, 200))
@@ -114,6 +115,7 @@ def test_nor_is_any_other_method_of_the_literature(named: tuple[str, DwellCase])
         assert within_budget(problem, total_s, solve, tolerance=1e-2).rms_nm < 0.95 * rms_nm
 
 
+@pytest.mark.slow
 def test_the_knee_is_a_sensible_choice(shared_data: Path) -> None:
     problem, _ = array_problem(mirror(shared_data, "elongated"))
     curve = price_curve(problem, solve, highest_price(problem) * np.array([1e-2, 1e-4, 1e-5, 1e-6, 0.0]))

@@ -1,0 +1,123 @@
+"""Dwell solves of full-size optics to a relative objective gap of 1e-6: ours, and everybody else's."""
+
+from __future__ import annotations
+
+import tracemalloc
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+
+from benchmarks import dwell_peers as peers
+from benchmarks.bench_dwell import Goal, lbfgsb
+from benchmarks.dwell_cases import Case, build
+from benchmarks.harness import Progress, Row, Runner, cpu_seconds, race
+from polishd.plugins.dwell_solvers import qp
+from polishd.process.convolution import ConvolutionEffect
+from polishd.process.dwell import douglas_rachford
+from polishd.process.dwell.problem import DwellProblem
+
+GAP = 1e-6
+SMALL = Case(50, 5, 1e-4)
+LARGE = (Case(450, 1.7, 1e-4), Case(450, 10, 3e-4), Case(450, 20, 3e-4))
+LARGEST = Case(1130, 20, 3e-4)
+QUICK_CAP_S = 60.0
+"""For a peer that has never come to its end within it."""
+CAP_S = 240.0
+MOST_MB = 400.0
+MOST_QP_ENTRIES = 3_000_000
+"""Of R, above which no QP backend is asked: the factor alone would be tens of gigabytes."""
+
+
+def rows(progress: Progress) -> Iterator[Row]:
+    """Cold starts with one spot times gamma; then what the exact spots, a warm start and memory cost."""
+    for case in (SMALL, *LARGE, LARGEST):
+        progress(f"dwell, large: preparing {case.name}")
+        problem = build(case)
+        yield cold(case, problem, peers.reference(problem, GAP), progress)
+    for case in LARGE:
+        yield dynamic(case, progress)
+        yield warm(case, progress)
+    yield memory(LARGE[0])
+
+
+def cold(case: Case, problem: DwellProblem, goal: Goal, progress: Progress) -> Row:
+    """CPU seconds, all from the lower bound."""
+    f = peers.lean(problem)
+    others: dict[str, Runner] = {
+        "scipy L-BFGS-B (m = 10)": partial(lbfgsb, problem, f, goal),
+        "projected Newton-CG": partial(peers.newton, problem, f, goal),
+    }
+    slow: dict[str, Runner] = {"scipy lsq_linear": partial(peers.lsq_linear, problem, f, goal)}
+    for name in qp.installed():
+        slow[f"qpsolvers {name}"] = partial(peers.backend, problem, name, goal, QUICK_CAP_S)
+    too_large = entries(problem) > MOST_QP_ENTRIES
+    capped: dict[str, float | None] = {}
+    for name, run in slow.items():
+        progress(f"{case.name}: does {name} finish?")
+        if (too_large and name.startswith("qpsolvers")) or not finishes(run):
+            capped[name] = None
+        else:
+            others[name] = run
+    row = race(
+        f"dwell solve, {case.name}, {problem.effect.n} points, gap {GAP:g}",
+        partial(peers.ours, problem, f.value, goal),
+        others,
+        progress=progress,
+        peer_cap_s=CAP_S,
+    )
+    return replace(row, peers={**row.peers, **capped})
+
+
+def finishes(run: Runner) -> bool:
+    """Whether a peer gets there at all within `QUICK_CAP_S`; one that dies of its memory does not."""
+    try:
+        return cpu_seconds(run, QUICK_CAP_S) is not None
+    except RuntimeError:
+        return False
+
+
+def entries(problem: DwellProblem) -> float:
+    """About how many the effect's matrix has."""
+    effect = problem.effect
+    assert isinstance(effect, ConvolutionEffect)
+    return effect.n * (2 * effect.corner[0] + 1) ** 2 * 0.785
+
+
+def dynamic(case: Case, progress: Progress) -> Row:
+    """Each point's own spot at rank 3 beside one spot times gamma: the ratio is to be at least 1/2.2."""
+    progress(f"dynamic spot, {case.name}")
+    exact, static = (
+        partial(peers.ours, problem, peers.lean(problem).value, peers.reference(problem, GAP))
+        for problem in (build(case, rank=3), build(case))
+    )
+    return race(f"dynamic spot of rank 3, {case.name}", exact, {"ours, one spot": static}, progress=progress)
+
+
+def warm(case: Case, progress: Progress) -> Row:
+    """Convolutions after gamma moved by up to 1 %, from the last solution's state: the ratio is to be at least 5."""
+    progress(f"warm start, {case.name}")
+    before, after = build(case), build(case, change=0.01)
+    goal, value = peers.reference(after, GAP), peers.lean(after).value
+    started = replace(after, warm=douglas_rachford.solve(before, 600.0))
+    again, anew = (2.0 * peers.iterations(problem, value, goal) for problem in (started, after))
+    return Row(f"warm start, gamma moved 1 %, {case.name}", again, {"cold": anew}, "convolutions")
+
+
+def memory(case: Case) -> Row:
+    """Most that a solve to a KKT residual of 1e-6 holds beyond its problem."""
+    problem = build(case)
+    f, goal = peers.lean(problem), peers.reference(problem, GAP)
+    of_ours = peak_mb(lambda: douglas_rachford.solve(problem, 600.0))
+    if of_ours > MOST_MB:
+        raise RuntimeError(f"{of_ours:.0f} MB are more than {MOST_MB:g} MB")
+    rest: Mapping[str, float] = {"scipy L-BFGS-B (m = 10)": peak_mb(partial(lbfgsb, problem, f, goal))}
+    return Row(f"dwell solve, {case.name}, memory", of_ours, rest, "MB")
+
+
+def peak_mb(run: Callable[[], object]) -> float:
+    tracemalloc.start()
+    try:
+        run()
+        return tracemalloc.get_traced_memory()[1] / 1e6
+    finally:
+        tracemalloc.stop()
