@@ -99,6 +99,11 @@ def _solve_within(
     return problem, dwell, asked, motion.delivered_time_s(program, asked, envelope)
 
 
+def _solver(recipe: Recipe) -> Solve:
+    """The recipe's solver with its deadline."""
+    return lambda problem: recipe.solver.solve(problem, recipe.solve_s)
+
+
 def _solved(recipe: Recipe, problem: DwellProblem, divide_by: FloatArray | None) -> tuple[DwellProblem, DwellSolution]:
     """The solver's answer; within the time budget, if there is one: then with the price of time that it takes."""
     solve = _solver(recipe)
