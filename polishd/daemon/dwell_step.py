@@ -18,7 +18,7 @@ from polishd.model.program import Program
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process import motion
 from polishd.process.dwell.budget import within_budget
-from polishd.process.dwell.curve import price_curve
+from polishd.process.dwell.curve import Solve, price_curve
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
 from polishd.process.edge.extension import extend

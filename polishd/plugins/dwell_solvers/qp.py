@@ -79,7 +79,7 @@ def solve(problem: DwellProblem, within_s: float, backend: str | None = None) ->
     name = backend or there[0]
     if name not in there:
         raise ComputeError(f"QP backend {name} is not installed; there are: {', '.join(there)}")
-    answers = []
+    answers: list[DwellSolution] = []
     for with_hessian in _forms(problem, BACKENDS.get(name, Backend())):
         left = within_s - (time.perf_counter() - begin)
         if answers and left <= 0:
