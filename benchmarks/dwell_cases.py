@@ -79,7 +79,8 @@ def convolutions(
         _, _, basis = np.linalg.svd(shapes, full_matrices=False)
         kernels = basis[:rank].reshape(rank, 2 * reach + 1, 2 * reach + 1)
         coefficients = np.stack([np.interp(gamma, mesh, column) for column in (shapes @ basis[:rank].T).T], axis=1)
-    size = (fft.next_fast_len(grid.ny + 2 * reach, True), fft.next_fast_len(grid.nx + 2 * reach, True))
+    # what wraps round falls beside the grid
+    size = (fft.next_fast_len(grid.ny + reach, True), fft.next_fast_len(grid.nx + reach, True))
     spectra = np.asarray(fft.rfft2(kernels, size), dtype=np.complex128)
     return ConvolutionEffect(grid, 0.0, node, grid.shape, (reach, reach), coefficients, spectra, size)
 

@@ -45,7 +45,9 @@ class Splitting:
     effect: ConvolutionEffect
     size: tuple[int, int]
     spectra: Array
-    """(k, ...) K_k."""
+    """(k, ...) K_k, times the balance."""
+    balance: FloatArray
+    """(k,) by which the effect's kernels are multiplied, and its coefficients divided."""
     strength: Array
     """(...) sum_k |K_k|^2."""
     coefficient: Array
@@ -80,7 +82,7 @@ class Splitting:
     @property
     def state(self) -> Mapping[str, Array]:
         """What a later problem on the same domain can start from."""
-        return {"y": self.y, "w": self.w, "steps": np.array([self.rho, self.mu])}
+        return {"y": self.y, "w": self.w, "balance": self.balance, "steps": np.array([self.rho, self.mu])}
 
     def _where(self) -> tuple[Array, Array]:
         return np.divmod(self.effect.node, self.effect.lattice[1])
@@ -91,7 +93,9 @@ class Splitting:
         self.iterations += 1
         spectrum = fft.rfft2(self.y)
         for kernel, w in zip(self.spectra, self.w, strict=True):
-            spectrum -= kernel * fft.rfft2(w)
+            part = fft.rfft2(w)
+            part *= kernel
+            spectrum -= part
         spectrum *= fixed["gain"]
         moved = [fft.irfft2(kernel * spectrum, self.size, overwrite_x=True) for kernel in fixed["back"]]
         met = [w + change for w, change in zip(self.w, moved, strict=True)]  # with y they fulfil y = sum K w
@@ -118,8 +122,11 @@ class Splitting:
 
     def _dwell_nearest_to(self, wanted: list[Array]) -> None:
         """The dwell within its bounds, point by point, that the (ny, nx) of each w, P and the price agree on."""
-        total = wanted[0] if self.rank == 1 else sum(c * w for c, w in zip(self.coefficient, wanted, strict=True))
-        np.multiply(total, self._fixed["t_gain"], out=self.dwell)
+        gain, scratch = self._fixed["t_gain"], self._fixed["scratch"]
+        np.multiply(wanted[0], gain[0], out=self.dwell)
+        for k in range(1, self.rank):
+            np.multiply(wanted[k], gain[k], out=scratch)
+            self.dwell += scratch
         if self.price:
             self.dwell -= self._fixed["t_price"]
         np.clip(self.dwell, *self.bounds, out=self.dwell)
@@ -130,15 +137,14 @@ class Splitting:
         kept = self.pull / (self.pull + self.rho)
         square = (self.coefficient.astype(np.float64) ** 2).sum(axis=0)
         firm = 1 / np.where(square > 0, 2 * self.regularisation + self.mu * square, np.inf)
-        # with one convolution the dwell is found from w itself, else from the sum of c_k w_k
-        t_gain = self.mu * firm * (self.coefficient[0] if self.rank == 1 else 1.0)
         self._fixed = {
             "gain": (1 / (1 + self.strength * (self.rho / self.mu))).astype(real),
             "back": (self.spectra.conj() * (self.rho / self.mu)).astype(self.spectra.dtype),
             "y_keep": (1 - RELAXATION * kept).astype(real),
             "y_change": (RELAXATION * (2 * kept - 1)).astype(real),
             "y_add": (RELAXATION * kept * self.target).astype(real),
-            "t_gain": t_gain.astype(real),
+            "t_gain": (self.mu * firm * self.coefficient).astype(real),
+            "scratch": np.empty_like(self.dwell),
             "t_price": (self.price * firm).astype(real),
         }
         return self._fixed
@@ -173,15 +179,20 @@ def splitting(problem: DwellProblem, effect: ConvolutionEffect, real: type = np.
     coefficient[(slice(None), *where)] = effect.coefficients.T
     lower, upper = np.zeros(size), np.zeros(size)
     lower[where], upper[where] = problem.lower_s, problem.upper_s
-    strength = (np.abs(effect.spectra) ** 2).sum(axis=0)
+    balance = _balance(effect)
+    coefficient /= balance[:, None, None]
+    spectra = effect.spectra * balance[:, None, None]
+    strength = (np.abs(spectra) ** 2).sum(axis=0)
+    square = float(((effect.coefficients / balance) ** 2).sum(axis=1).mean())  # how P, which is of t, weighs on w
     scale = float(pull.max())
-    held = max(2 * problem.regularisation, LEAST_P * scale * float(strength.max()) * _mean_square(effect))
-    rho, mu = MISFIT_STEP * scale, float(np.sqrt(held / _mean_square(effect) * scale * strength.max()))
+    held = max(2 * problem.regularisation, LEAST_P * scale * float(strength.max()) * square)
+    rho, mu = MISFIT_STEP * scale, float(np.sqrt(held / square * scale * strength.max()))
     complex_type = np.complex64 if real is np.float32 else np.complex128
     found = Splitting(
         effect=effect,
         size=size,
-        spectra=effect.spectra.astype(complex_type),
+        spectra=spectra.astype(complex_type),
+        balance=balance,
         strength=strength,
         coefficient=coefficient.astype(real),
         pull=pull,
@@ -208,16 +219,22 @@ def continued(last: Splitting, anew: Splitting) -> Splitting:
     return anew
 
 
-def _mean_square(effect: ConvolutionEffect) -> float:
-    """Mean of sum_k c_k^2 over the points: how P, which is of t, weighs on w."""
-    return float((effect.coefficients**2).sum(axis=1).mean())
+def _balance(effect: ConvolutionEffect) -> FloatArray:
+    """(k,) square roots of the coefficients' sizes over the first's: kernel and coefficient of each share alike.
+
+    A family's kernels come with coefficients that fall by an order of magnitude each. Left so, three convolutions take
+    a third more iterations than one; so balanced they take as many.
+    """
+    size = np.sqrt((effect.coefficients**2).mean(axis=0))
+    return np.asarray(np.sqrt(np.maximum(size, 1e-12 * size.max()) / size.max()), dtype=np.float64)
 
 
 def _start_warm(found: Splitting, warm: Start, time_s: FloatArray) -> None:
     """From the state of a solution where it fits; else from its dwell, (n,) within the bounds."""
     state = warm.state
     if "w" in state and state["w"].shape == found.w.shape and state["y"].shape == found.y.shape:
-        found.y, found.w = (np.array(state[name], dtype=found.y.dtype) for name in ("y", "w"))
+        found.y = np.array(state["y"], dtype=found.y.dtype)
+        found.w = (state["w"] * (state["balance"] / found.balance)[:, None, None]).astype(found.w.dtype)
         found.rho, found.mu = (float(value) for value in state["steps"])
         return
     dwell = np.zeros(found.size)

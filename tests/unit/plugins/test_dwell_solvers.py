@@ -43,7 +43,8 @@ def test_the_plugin_declares_the_default_first_and_each_backend_by_name() -> Non
 
 @pytest.mark.parametrize("solver", EXACT, ids=lambda solver: solver.name)
 def test_each_pickles_and_solves(solver: DwellSolver) -> None:
-    problem = pickle.loads(pickle.dumps(lattice_problem(radius_mm=8)))
+    made = lattice_problem(radius_mm=8)
+    problem = pickle.loads(pickle.dumps(as_matrix(made) if solver.name == "interior_point" else made))
     solution = pickle.loads(pickle.dumps(solver)).solve(problem, 20.0)
     certificate = solution.certificate
     assert certificate.stopped == "converged"
@@ -216,7 +217,6 @@ def test_a_backend_that_fails_is_an_error(monkeypatch: pytest.MonkeyPatch) -> No
         qp.solve(dwell_problem(radius_mm=6), 5, "clarabel")
 
 
-@pytest.mark.parametrize("within_s", [100.0, 0.0])
 @pytest.mark.parametrize(("within_s", "stopped", "asked"), [(100.0, "iterations", 2), (0.0, "deadline", 1)])
 def test_what_a_backend_believes_of_its_answer_does_not_count(
     within_s: float, stopped: str, asked: int, monkeypatch: pytest.MonkeyPatch

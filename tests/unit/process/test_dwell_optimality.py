@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import ModuleType
 
 import clarabel
 import numpy as np
@@ -14,8 +15,8 @@ from scipy import optimize, sparse
 
 from polishd.model.dwell import DwellSolution
 from polishd.model.surface import FloatArray, Grid
-from polishd.process.convolution import ConvolutionEffect, convolution_effect
-from polishd.process.dwell import automatic, douglas_rachford, interior_point, newton_cg
+from polishd.process.convolution import convolution_effect
+from polishd.process.dwell import douglas_rachford, interior_point, lucy_richardson, newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import quadratic
 from polishd.process.effect import SparseEffect
@@ -37,11 +38,7 @@ def by_interior_point(problem: DwellProblem, kkt_tolerance: float) -> DwellSolut
     return interior_point.solve(as_matrix(problem), 30, kkt_tolerance)
 
 
-def by_default(problem: DwellProblem, kkt_tolerance: float) -> DwellSolution:
-    return automatic.solve(problem, 30, kkt_tolerance)
-
-
-SOLVERS = [by_newton, by_transforms, by_interior_point, by_default]
+SOLVERS = [by_newton, by_transforms, by_interior_point]
 each = pytest.mark.parametrize("solve", SOLVERS, ids=lambda solve: solve.__name__)
 
 
@@ -114,8 +111,10 @@ def test_clarabel_finds_the_same_objective(solve: Solve, seed: int) -> None:
     assert certificate.bound_violation_s == 0
 
 
-@each
-@pytest.mark.parametrize("rho", [1e-2, 1e-6])
+@pytest.mark.parametrize(
+    ("solve", "rho"),
+    [(solve, rho) for solve in SOLVERS for rho in (1e-2, 1e-5)] + [(by_newton, 1e-6), (by_interior_point, 1e-8)],
+)
 def test_whatever_the_regularisation(solve: Solve, rho: float) -> None:
     problem = lattice_problem(radius_mm=7, rho=rho)
     certificate = solve(problem, 1e-9).certificate
@@ -123,27 +122,32 @@ def test_whatever_the_regularisation(solve: Solve, rho: float) -> None:
     assert certificate.kkt_residual <= 1e-6
 
 
+def test_transforms_that_give_up_on_an_ill_conditioned_problem_say_so() -> None:
+    found = by_transforms(lattice_problem(radius_mm=5, rho=1e-8), 1e-9).certificate
+    assert found.stopped == "iterations"
+    assert 1e-9 < found.kkt_residual <= 1e-6
+
+
 # how a minimum answers
 
 SEED = st.integers(0, 2**16)
-few = settings(max_examples=8, deadline=None, database=None)
+few = settings(max_examples=4, deadline=None, database=None)
 
 
 def small(seed: int) -> DwellProblem:
-    """A part of 100 points, another for each seed."""
-    return lattice_problem(radius_mm=5.0, seed=seed)
+    """A part of 81 points, another for each seed."""
+    return lattice_problem(radius_mm=4.0, seed=seed)
 
 
-@each
+@pytest.mark.parametrize("solver", [newton_cg, douglas_rachford, lucy_richardson], ids=lambda solver: solver.NAME)
 @few
 @given(seed=SEED, within_s=st.sampled_from([0.0, 1e-3, 30.0]), tightest=st.floats(0.0, 0.2))
-def test_bounds_are_never_violated(solve: Solve, seed: int, within_s: float, tightest: float) -> None:
+def test_bounds_are_never_violated(solver: ModuleType, seed: int, within_s: float, tightest: float) -> None:
     rng = np.random.default_rng(seed)
     problem = small(seed)
     lower = rng.choice([0.0, 0.01, 0.1], problem.effect.n)
     problem = replace(problem, lower_s=lower, upper_s=lower + rng.choice([0.0, tightest, np.inf], problem.effect.n))
-    module = {"by_newton": newton_cg, "by_transforms": douglas_rachford, "by_default": automatic}.get(solve.__name__)
-    found = module.solve(problem, within_s) if module else solve(problem, 1e-6)
+    found = solver.solve(problem, within_s)
     assert (found.time_s >= problem.lower_s).all()
     assert (found.time_s <= problem.upper_s).all()
     assert found.certificate.bound_violation_s == 0
@@ -201,14 +205,13 @@ def test_a_constant_weight_is_another_regularisation(solve: Solve, seed: int, fa
 
 
 def laid(row: int, column: int, seed: int) -> DwellProblem:
-    """A part of 11 mm with its dwell points, its map and its mask laid elsewhere on a grid of 40 mm."""
+    """A part of 8 mm with its dwell points, its map and its mask laid elsewhere on a grid of 40 mm."""
     part = small(seed)
-    grid, points = Grid(40, 40, 1.0), resting(5.0)
-    moved = replace(points, start_mm=points.start_mm + [column, -row, 0], end_mm=points.end_mm + [column, -row, 0])
-    # the part's grid has an odd number of samples, so that its middle is one; an even one has it half a sample off
-    start = replace(moved, start_mm=moved.start_mm - [0.5, -0.5, 0], end_mm=moved.end_mm - [0.5, -0.5, 0])
-    effect = convolution_effect(grid, HertzSpot(PAPER), start, np.full(points.n, 0.87), np.ones(points.n))
-    assert isinstance(effect, ConvolutionEffect)
+    grid, points = Grid(40, 40, 1.0), resting(4.0)
+    # the part's grid has a sample in its middle, this one has not
+    shift = np.array([column - 0.5, 0.5 - row, 0.0])
+    points = replace(points, start_mm=points.start_mm + shift, end_mm=points.end_mm + shift)
+    effect = convolution_effect(grid, HertzSpot(PAPER), points, np.full(points.n, 0.87), np.ones(points.n))
     n = part.effect.grid.ny
     top, left = 20 - (n + 1) // 2 + row, 20 - (n + 1) // 2 + column
     here = (slice(top, top + n), slice(left, left + n))
