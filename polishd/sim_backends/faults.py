@@ -46,10 +46,14 @@ class Outlet:
     mischief: Mischief
     byte_s: float = 0.0
     chunk: int = 16
+    closed: bool = False
+    """Nobody is at the other end any more."""
     _queue: asyncio.Queue[tuple[float, bytes]] = field(default_factory=asyncio.Queue)
 
     def send(self, frame: bytes, delay_s: float = 0.0) -> None:
         """Send after a delay; never waits."""
+        if self.closed:
+            return
         if self.mischief.idle and not self.byte_s and not delay_s and self._queue.empty():
             self.write(frame)
         else:

@@ -53,11 +53,6 @@ class Wire:
         """A TCP port on loopback; returns ``host:port``."""
         return f"{LOOPBACK}:{await self.runtime.serve(lambda: _Connection(self, greeting), port)}"
 
-    def broadcast(self, data: bytes) -> None:
-        """Send to whoever is connected."""
-        for outlet in self.outlets if data else []:
-            outlet.send(data)
-
     def add(self, write: Callable[[bytes], None], cut: Callable[[], None]) -> Outlet:
         """A new connection's outlet."""
         outlet = Outlet(write, self._mischief)
@@ -96,5 +91,6 @@ class _Connection(asyncio.Protocol):
     def connection_lost(self, _exc: Exception | None) -> None:
         """Forget it."""
         self._worker.cancel()
+        self._outlet.closed = True
         self._wire.outlets.remove(self._outlet)
         self._wire.cuts.remove(self._cut)

@@ -243,6 +243,16 @@ def test_other_protocols(tmp_path: Path) -> None:
             while b"585" not in got:
                 got += bus.recv(4096)
             assert b"4318100439300000" in got.replace(b" ", b"")
+            while b"frame 705" not in got:  # the heartbeat, which the whole bus hears
+                got += bus.recv(4096)
+            with socket.create_connection((host, int(port)), timeout=5.0) as newcomer:
+                heard, beats = b"", got.count(b"frame 705")
+                while got.count(b"frame 705") < beats + 3:
+                    got += bus.recv(4096)
+                newcomer.sendall(b"< open can0 >")
+                while not heard.endswith(b"< ok >"):
+                    heard += newcomer.recv(4096)
+            assert heard == b"< hi >< ok >", "who has not opened the bus in raw mode hears nothing of it"
 
 
 def test_modbus_tcp(tmp_path: Path) -> None:

@@ -24,8 +24,10 @@ from polishd.process.dwell.validation import check
 
 NAME = "douglas_rachford"
 MAX_ITERATIONS = 5000
-ASK_EVERY = 20
+ASK_EVERY = 40
 """Iterations between two looks at the KKT residual, which cost as much as four of them."""
+ASK_FIRST = 20
+"""And the first look: a warm start may be there."""
 STALLED = 0.9
 """A residual above this share of what it was three looks ago has met float32's floor."""
 
@@ -80,7 +82,7 @@ def minimise(work: Splitting, stop: Stop, expired: Callable[[], bool], ask_every
     """Iterate until ``stop``, asked every so many iterations, says why to, or time is up, or for `MAX_ITERATIONS`."""
     for count in range(1, MAX_ITERATIONS + 1):
         work.iterate()
-        if count % ask_every == 0 and (reason := stop(work.time_s)) is not None:
+        if (count % ask_every == 0 or count == ASK_FIRST) and (reason := stop(work.time_s)) is not None:
             return reason
         if expired():
             return "deadline"

@@ -29,7 +29,7 @@ async def main(runtime: Runtime) -> None:
         report=lambda name, at_s: runtime.link.event(name, at_s, rpm=round(drive.rpm, 1)),
         now_s=time.monotonic(),
     )
-    hosts: list[Slcan | Socketcand] = []
+    hosts: list[tuple[Slcan | Socketcand, Send]] = []
     wire = Wire(runtime, config.faults, lambda: _feed(config.kind, drive, hosts))
     if config.kind == "slcan":
         wire.open_pty(ADAPTER_BAUD)
@@ -38,19 +38,22 @@ async def main(runtime: Runtime) -> None:
         runtime.ready(f"socketcand://{await wire.open_tcp(config.port, Socketcand.greeting)}/can0")
     runtime.group.create_task(wire.cut_now_and_then())
     runtime.group.create_task(runtime.reboot_later(config.faults.reboot_after_s))
-    await _tick(runtime, drive, wire, hosts)
+    await _tick(runtime, drive, hosts)
 
 
-def _feed(kind: str, drive: Drive, hosts: list[Slcan | Socketcand]) -> Feed:
+def _feed(kind: str, drive: Drive, hosts: list[tuple[Slcan | Socketcand, Send]]) -> Feed:
     """The receiver of one connection."""
 
     def on_frame(identifier: int, data: bytes) -> list[Frame]:
         return drive.on_frame(identifier, data)
 
     host = Slcan(on_frame) if kind == "slcan" else Socketcand(on_frame)
-    hosts.append(host)
+    known: list[Send] = []
 
     def feed(data: bytes, send: Send) -> None:
+        if not known:
+            known.append(send)
+            hosts.append((host, send))
         answer = host.feed(data)
         if answer:
             send(answer)
@@ -58,13 +61,14 @@ def _feed(kind: str, drive: Drive, hosts: list[Slcan | Socketcand]) -> Feed:
     return feed
 
 
-async def _tick(runtime: Runtime, drive: Drive, wire: Wire, hosts: list[Slcan | Socketcand]) -> None:
+async def _tick(runtime: Runtime, drive: Drive, hosts: list[tuple[Slcan | Socketcand, Send]]) -> None:
     while True:
         frames = drive.step(time.monotonic())
-        # all hosts of one bus speak the same dialect: whoever has opened it hears everything
-        speaker = next((host for host in hosts if host.opened), None)
-        for frame in frames if speaker is not None else []:
-            wire.broadcast(speaker.send([frame]) if speaker is not None else b"")
+        for host, send in hosts if frames else []:
+            # each hears the bus once it has opened it: before that, a client waits for an answer
+            for frame in frames:
+                if heard := host.send([frame]):
+                    send(heard)
         runtime.link.samples(drive.samples, drive.now_s)
         drive.samples = []
         await asyncio.sleep(TICK_S)
