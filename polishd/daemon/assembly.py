@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, TypeVar, cast
 
@@ -72,7 +73,9 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
         cross_check_gap=CROSS_CHECK_GAP,
         regularisation=config.dwell.regularisation,
         solve_s=config.dwell.within_s,
-        budget_s=config.dwell.budget_s,
+        choose=config.dwell.choose,
+        budget_s=config.dwell.budget_s or math.inf,
+        target_nm=config.dwell.target_nm or 0.0,
         curve=config.dwell.curve,
         kkt_tolerance=config.dwell.kkt_tolerance,
         tolerance_nm=config.job.tolerance_nm,

@@ -16,6 +16,8 @@ from pydantic import (
     model_validator,
 )
 
+from polishd.model.dwell import Choice
+
 
 def as_tuple(value: Any) -> Any:
     """TOML has lists, frozen models have tuples."""
@@ -141,8 +143,17 @@ class DwellSection(Section):
     extension: Literal["none", "nearest", "c1", "gerchberg_papoulis"] = "c1"
     within_s: Annotated[float, Field(gt=0, le=3600)] = 30.0
     kkt_tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-4
+    choose: Choice = "least"
     budget_s: Positive | None = None
+    target_nm: Positive | None = None
     curve: bool = False
+
+    @model_validator(mode="after")
+    def _chosen(self) -> Self:
+        for rule, key in (("budget", "budget_s"), ("target", "target_nm")):
+            if (self.choose == rule) != (getattr(self, key) is not None):
+                raise ValueError(f'{key}: goes with choose = "{rule}", and only with it')
+        return self
 
     @model_validator(mode="after")
     def _independent(self) -> Self:

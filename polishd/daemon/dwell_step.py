@@ -17,7 +17,7 @@ from polishd.model.limits import Envelope
 from polishd.model.program import Program
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process import motion
-from polishd.process.dwell.budget import within_budget
+from polishd.process.dwell.budget import to_target, within_budget
 from polishd.process.dwell.curve import Solve, price_curve
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
@@ -105,12 +105,19 @@ def _solver(recipe: Recipe) -> Solve:
 
 
 def _solved(recipe: Recipe, problem: DwellProblem, divide_by: FloatArray | None) -> tuple[DwellProblem, DwellSolution]:
-    """The solver's answer; within the time budget, if there is one: then with the price of time that it takes."""
+    """The solver's answer, or the point of the residual-against-time curve that the recipe's rule takes."""
     solve = _solver(recipe)
-    if recipe.budget_s is None:
-        return problem, solve(problem)
-    static = 1.0 if divide_by is None else float(divide_by.mean())  # "pointwise" takes so much longer than it solves
-    found = within_budget(problem, recipe.budget_s * static, solve)
+    match recipe.choose:
+        case "knee":
+            found = price_curve(problem, solve).knee()
+        case "target":
+            found = to_target(problem, recipe.target_nm, solve)
+        case "budget":
+            # "pointwise" takes so much longer than it solves
+            static = 1.0 if divide_by is None else float(divide_by.mean())
+            found = within_budget(problem, recipe.budget_s * static, solve)
+        case _:
+            return problem, solve(problem)
     return found.problem, found.solution
 
 

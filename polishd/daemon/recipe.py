@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from polishd.hookspecs import DwellSolver, ProgramFormat, RemovalModel
+from polishd.model.dwell import Choice
 from polishd.model.limits import Envelope
 from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Optic, Placement, ToolProcess
 from polishd.model.robot import RobotModel
@@ -41,8 +42,12 @@ class Recipe:
     regularisation: float
     """rho = P N_r / sigma_max^2."""
     solve_s: float
-    budget_s: float | None
-    """Most time in contact; None: as long as it takes."""
+    choose: Choice
+    """The least residual, or a point of the residual-against-time curve: `model.dwell.Choice`."""
+    budget_s: float
+    """Most time in contact, where that is chosen."""
+    target_nm: float
+    """Predicted RMS to reach, where that is chosen."""
     curve: bool
     """Whether each plan comes with its curve of residual against time."""
     kkt_tolerance: float

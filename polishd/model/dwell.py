@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 from numpy.typing import NDArray
 
 from polishd.model.surface import FloatArray
+
+Choice = Literal["least", "knee", "target", "budget"]
+"""The least residual; where 1 % more time buys less than 1 % of it; the least time for a target; the best in a time."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -81,6 +81,17 @@ def test_defaults_are_those_of_the_example(example: str, section: str) -> None:
         assert field.is_required() or field.default == shown, f"{section}.{key}"
 
 
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        ('choose = "budget"', 'dwell.budget_s: goes with choose = "budget", and only with it'),
+        ('choose = "least"\ntarget_nm = 1.0', 'dwell.target_nm: goes with choose = "target", and only with it'),
+    ],
+)
+def test_a_rule_of_the_curve_goes_with_its_figure(tmp_path: Path, example: str, keys: str, says: str) -> None:
+    assert says in refused(tmp_path, replaced(example, "choose", keys, "dwell"))
+
+
 def test_values_of_a_config_never_change(tmp_path: Path, example: str) -> None:
     path = tmp_path / "cell.toml"
     path.write_text(example)

@@ -109,7 +109,7 @@ def test_a_time_budget_is_kept_and_costs_residual() -> None:
     measured = steps.condition(small_recipe(), small_map(), None)
     free = dwell_step.solve(small_recipe(), small_program(), measured, Beliefs()).dwell.certificate
     budget = 0.8 * free.dwell_total_s
-    kept = dwell_step.solve(small_recipe(budget_s=budget), small_program(), measured, Beliefs())
+    kept = dwell_step.solve(small_recipe(choose="budget", budget_s=budget), small_program(), measured, Beliefs())
     c = kept.dwell.certificate
     assert 0.95 * budget < c.dwell_total_s <= budget * 1.0001
     assert c.predicted_rms_nm > free.predicted_rms_nm
@@ -119,7 +119,7 @@ def test_a_time_budget_is_kept_and_costs_residual() -> None:
 def test_a_budget_below_what_motion_takes_is_refused_with_both_numbers() -> None:
     measured = steps.condition(small_recipe(), small_map(), None)
     with pytest.raises(ComputeError, match=r"0\.5 s"):
-        dwell_step.solve(small_recipe(budget_s=0.5), small_program(), measured, Beliefs())
+        dwell_step.solve(small_recipe(choose="budget", budget_s=0.5), small_program(), measured, Beliefs())
 
 
 def test_a_curve_comes_with_the_plan_if_asked_for() -> None:
@@ -130,3 +130,22 @@ def test_a_curve_comes_with_the_plan_if_asked_for() -> None:
     assert left[-1] < 0.5 * left[0]
     assert left[-1] == pytest.approx(solved.dwell.certificate.predicted_rms_nm, rel=0.05)
     assert dwell_step.solve(small_recipe(), small_program(), measured, Beliefs()).curve == ()
+
+
+def test_a_target_is_met_in_the_least_time() -> None:
+    measured = steps.condition(small_recipe(), small_map(), None)
+    free = dwell_step.solve(small_recipe(), small_program(), measured, Beliefs()).dwell.certificate
+    aim = 1.5 * free.predicted_rms_nm
+    c = dwell_step.solve(
+        small_recipe(choose="target", target_nm=aim), small_program(), measured, Beliefs()
+    ).dwell.certificate
+    assert 0.95 * aim < c.predicted_rms_nm <= aim * 1.001
+    assert c.dwell_total_s < free.dwell_total_s
+
+
+def test_the_knee_is_a_point_of_the_curve() -> None:
+    measured = steps.condition(small_recipe(), small_map(), None)
+    found = dwell_step.solve(small_recipe(choose="knee", curve=True), small_program(), measured, Beliefs())
+    product = found.dwell.certificate.dwell_total_s * found.dwell.certificate.predicted_rms_nm
+    longest = max(found.curve, key=lambda row: row["total_s"])
+    assert product <= longest["total_s"] * longest["rms_nm"] * 1.01
