@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import tracemalloc
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
 
-from benchmarks.harness import Progress, Row, race
+from benchmarks.harness import Progress, Row, peak_mb, race
 from polishd.model.process import ToolProcess
 from polishd.model.robot import HybridRobot
 from polishd.model.surface import FloatArray
@@ -39,16 +38,6 @@ def rows(progress: Progress) -> Iterator[Row]:
 def gamma(tip_mm: FloatArray, axis: FloatArray, normal: FloatArray, depth_mm: float) -> FloatArray:
     matrix = tip_compliance_mm_per_n(ROBOT, tip_mm, axis, path=True)
     return depth_ratio(equivalent_compliance(matrix, axis, normal), PROCESS, depth_mm)
-
-
-def peak_mb(run: Callable[[], object]) -> float:
-    """Most that a run holds beyond what it was given."""
-    tracemalloc.start()
-    try:
-        run()
-        return tracemalloc.get_traced_memory()[1] / 1e6
-    finally:
-        tracemalloc.stop()
 
 
 def poses() -> tuple[FloatArray, FloatArray]:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import tracemalloc
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
 from benchmarks import dwell_peers as peers
 from benchmarks.bench_dwell import Goal, lbfgsb
 from benchmarks.dwell_cases import Case, build
-from benchmarks.harness import Progress, Row, Runner, cpu_seconds, race
+from benchmarks.harness import Progress, Row, Runner, cpu_seconds, peak_mb, race
 from polishd.plugins.dwell_solvers import qp
 from polishd.process.convolution import ConvolutionEffect
 from polishd.process.dwell import douglas_rachford
@@ -112,12 +111,3 @@ def memory(case: Case) -> Row:
         raise RuntimeError(f"{of_ours:.0f} MB are more than {MOST_MB:g} MB")
     rest: Mapping[str, float] = {"scipy L-BFGS-B (m = 10)": peak_mb(partial(lbfgsb, problem, f, goal))}
     return Row(f"dwell solve, {case.name}, memory", of_ours, rest, "MB")
-
-
-def peak_mb(run: Callable[[], object]) -> float:
-    tracemalloc.start()
-    try:
-        run()
-        return tracemalloc.get_traced_memory()[1] / 1e6
-    finally:
-        tracemalloc.stop()

@@ -9,6 +9,7 @@ import signal
 import statistics
 import time
 import traceback
+import tracemalloc
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -135,3 +136,13 @@ def _kill_group(process: multiprocessing.process.BaseProcess) -> None:
         process.kill()  # it has no group of its own yet, or nothing is left of it
     process.join()
     process.close()
+
+
+def peak_mb(run: Callable[[], object]) -> float:
+    """Most that a run holds beyond what it was given, MB."""
+    tracemalloc.start()
+    try:
+        run()
+        return tracemalloc.get_traced_memory()[1] / 1e6
+    finally:
+        tracemalloc.stop()

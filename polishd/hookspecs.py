@@ -31,6 +31,7 @@ from polishd.model.robot import RobotModel
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.ports.devices import Device
 from polishd.process.dwell.problem import DwellProblem
+from polishd.process.edge.correctable import Transfer
 from polishd.process.edge.rim import Rim
 from polishd.process.effect import Effect
 
@@ -122,8 +123,8 @@ class RemovalAnswer:
     notes: tuple[str, ...] = ()
     divide_by: FloatArray | None = None
     """(n,) for "pointwise": ``effect`` is the static one, and the dwell solved with it is divided by this."""
-    cutoff_period_mm: float | None = None
-    """Surface periods below it are out of the spot's reach; None: not known."""
+    transfer: Transfer | None = None
+    """The spot's transfer function: what of a surface is out of its reach; None: not known."""
 
     def removal_nm(self, time_s: FloatArray) -> FloatArray:
         """(ny, nx) nm that the model says (n,) seconds in the machine remove."""

@@ -21,8 +21,8 @@ from polishd.process.dwell.budget import to_target, within_budget
 from polishd.process.dwell.curve import Solve, price_curve
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
+from polishd.process.edge.correctable import correctable
 from polishd.process.edge.extension import extend
-from polishd.process.metrics import split_bands
 
 LEAST_COVERAGE = 0.9
 """A program that works less of the clear aperture than this is taken for another part's."""
@@ -159,7 +159,8 @@ def _with_rim(recipe: Recipe, measured: Measured, answer: RemovalAnswer) -> Whol
     if recipe.extension == "none" or not gap.any():
         return Whole(measured.height_nm, mask, None)
     reach = max(float(ndimage.distance_transform_edt(~mask)[gap].max()) * pitch, pitch)
-    cutoff = max(answer.cutoff_period_mm or 0.0, LEAST_SAMPLES * pitch)
+    own = 0.0 if answer.transfer is None else answer.transfer.cutoff_period_mm
+    cutoff = max(own, LEAST_SAMPLES * pitch)
     wider = extend(measured.height_nm, mask, pitch, reach, recipe.extension, cutoff_period_mm=cutoff)
     whole = mask | (wider.mask & gap)
     return Whole(np.where(whole, wider.height_nm, 0.0), whole, np.where(mask, 1.0, EXTENDED_WEIGHT))
@@ -167,11 +168,12 @@ def _with_rim(recipe: Recipe, measured: Measured, answer: RemovalAnswer) -> Whol
 
 def _noted(measured: Measured, answer: RemovalAnswer, dwell: DwellSolution) -> DwellSolution:
     """The same solution; its certificate says what of the surface is out of the spot's reach."""
-    cutoff, pitch = answer.cutoff_period_mm, measured.grid.pitch_mm
-    if cutoff is None or cutoff <= 2 * pitch:
+    if answer.transfer is None:
         return dwell
-    below = split_bands(measured.height_nm, measured.metric_mask, pitch, (cutoff,))[1]
-    left = float(below[measured.metric_mask].std())
+    found = correctable(measured.height_nm, measured.metric_mask, measured.grid.pitch_mm, answer.transfer)
+    if not found.resolved:
+        return dwell
+    left, cutoff = found.beyond_reach_rms_nm, answer.transfer.cutoff_period_mm
     note = f"{left:.2f} nm RMS of the surface has periods below {cutoff:.2f} mm: no dwell with this spot removes it"
     certificate = dwell.certificate
     return replace(dwell, certificate=replace(certificate, notes=(*certificate.notes, note)))

@@ -59,7 +59,7 @@ def effect_along_path(request: RemovalRequest, spot: Spot, reference: float) -> 
         gamma=gamma,
         divide_by=spots.divide_by,
         notes=(*notes, *how, *edge, *path.notes),
-        cutoff_period_mm=transfer(spot, float(gamma.mean())).cutoff_period_mm if gamma.size else None,
+        transfer=transfer(spot, float(gamma.mean())) if gamma.size else None,
     )
 
 

@@ -8,7 +8,7 @@ from polishd.model.dwell import Certificate, DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import projected_gradient, quadratic, safe_step
+from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadratic, safe_step
 from polishd.process.dwell.setup import conditioning_note
 from polishd.process.metrics import band_rms
 
@@ -51,11 +51,12 @@ def certified(
     if problem.band_period_mm is not None:
         pitch, mask = problem.effect.grid.pitch_mm, problem.metric_mask
         band = band_rms(residual, mask, pitch, problem.band_period_mm)
-    ill = conditioning_note(problem)
+    f = quadratic(problem)
+    ill = conditioning_note(problem, f)
     certificate = Certificate(
         solver=solver,
-        objective=quadratic(problem).value(t),
-        kkt_residual=kkt_residual(problem, t),
+        objective=f.value(t),
+        kkt_residual=kkt_residual(problem, t, f),
         bound_violation_s=float(max(0.0, (problem.lower_s - t).max(), (t - problem.upper_s).max())),
         predicted_rms_nm=float(inside.std()),
         predicted_pv_nm=float(np.ptp(inside)),
@@ -72,13 +73,13 @@ def certified(
     return DwellSolution(t, removal, residual, certificate, problem.lower_s, problem.upper_s)
 
 
-def kkt_residual(problem: DwellProblem, time_s: FloatArray) -> float:
+def kkt_residual(problem: DwellProblem, time_s: FloatArray, f: Quadratic | None = None) -> float:
     """Largest projected gradient at ``time_s`` (n,), relative to the largest gradient at the lower bound.
 
     0 exactly at the minimum, at most about 1 at the lower bound. Where the lower bound itself has no gradient, 0 for a
-    minimum and infinity for anything else.
+    minimum and infinity for anything else. ``f`` is the problem's objective where it is at hand.
     """
-    f, lower = quadratic(problem), problem.lower_s
+    f, lower = f or quadratic(problem), problem.lower_s
     step = safe_step(f, lower.size)
     left = float(np.abs(projected_gradient(f.gradient(time_s), time_s, lower, problem.upper_s, step)).max())
     scale = float(np.abs(f.gradient(lower)).max())

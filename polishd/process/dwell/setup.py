@@ -7,7 +7,7 @@ import numpy as np
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import quadratic, safe_step
+from polishd.process.dwell.quadratic import Quadratic, quadratic, safe_step
 from polishd.process.effect import Effect
 
 # Beyond it, float64 leaves fewer than four digits of what P alone holds.
@@ -81,18 +81,19 @@ def regularisation_from_rho(effect: Effect, solve_mask: BoolArray, rho: float) -
     return rho * sigma_max(effect, solve_mask) ** 2 / samples
 
 
-def condition(problem: DwellProblem) -> float:
+def condition(problem: DwellProblem, f: Quadratic | None = None) -> float:
     """Condition number of the Hessian, ``sigma_max^2 / (N_r P) + 1``, at most; infinite for P = 0.
 
     sigma_max by its bound, the largest row sum of ``R'R``: one product, and a few per cent above for wide parts.
+    ``f`` is the problem's objective where it is at hand.
     """
     held = 2 * problem.regularisation
-    return 1 / (safe_step(quadratic(problem), problem.effect.n) * held) if held > 0 else float("inf")
+    return 1 / (safe_step(f or quadratic(problem), problem.effect.n) * held) if held > 0 else float("inf")
 
 
-def conditioning_note(problem: DwellProblem) -> str | None:
+def conditioning_note(problem: DwellProblem, f: Quadratic | None = None) -> str | None:
     """What a certificate has to say of P where it is too small for float64; None where it is not."""
-    number = condition(problem)
+    number = condition(problem, f)
     if number <= ILL_CONDITIONED:
         return None
     return (

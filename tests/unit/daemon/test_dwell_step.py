@@ -16,6 +16,7 @@ from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
+from polishd.process.edge.correctable import Transfer
 from tests.unit.daemon.small import APERTURE_MM, gaussian_effect, small_map, small_program, small_recipe
 
 
@@ -95,7 +96,7 @@ def test_a_free_rim_reaches_the_removal_model() -> None:
 
 def test_the_certificate_says_what_is_out_of_reach() -> None:
     def short(request: RemovalRequest) -> RemovalAnswer:
-        return replace(gaussian_effect(request), cutoff_period_mm=5.0)
+        return replace(gaussian_effect(request), transfer=Transfer(np.zeros(1), np.ones(1), 0.05, 5.0, None))
 
     recipe = small_recipe(model=RemovalModel("short", short))
     measured = steps.condition(recipe, small_map(), None)

@@ -18,25 +18,12 @@ from polishd.process.calibration.stiffness import StiffnessFit, fit_stiffness
 from polishd.process.compliance import equivalent_compliance
 from polishd.process.frames import inward_axis
 from polishd.process.robot import reachable, tip_compliance_mm_per_n
+from tests.unit.process.arms import UR5
 
 NOISE = 0.03
 PAPER_MEAN, PAPER_MAX = 4.19, 6.38
 """Percent, paper section IV-A: its model against its measurements."""
 HYBRID = HybridRobot()
-SERIAL = SerialRobot(
-    dh=(
-        (0.0, 90.0, 89.159, 0.0),
-        (-425.0, 0.0, 0.0, 0.0),
-        (-392.25, 0.0, 0.0, 0.0),
-        (0.0, 90.0, 109.15, 0.0),
-        (0.0, -90.0, 94.65, 0.0),
-        (0.0, 0.0, 82.3, 0.0),
-    ),
-    joint_stiffness_n_mm_per_rad=(4.1e7, 3.8e7, 2.9e7, 1.1e7, 1.0e7, 0.9e7),
-    joint_limits_deg=((-360.0, 360.0),) * 6,
-    home_deg=(0.0, -110.0, 110.0, -90.0, -90.0, 0.0),
-    tool_length_mm=150.0,
-)
 ALL_WAYS = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 DOWN = np.array([[0.0, 0.0, -1.0]])
 
@@ -90,7 +77,7 @@ def value_of(fit: StiffnessFit, name: str) -> float:
 def campaign(kind: str, ways: str, seed: int) -> tuple[HybridRobot | SerialRobot, StiffnessFit, float]:
     """Truth, fit from 40 tests with noise and judged by 200 without, and the mean error of the robot as given."""
     rng = np.random.default_rng(seed)
-    start = {"hybrid": HYBRID, "serial": SERIAL}[kind]
+    start = {"hybrid": HYBRID, "serial": UR5}[kind]
     along = {"down": DOWN, "all ways": ALL_WAYS}[ways]
     truth = changed(start, rng)
     tests, judge = load(truth, 40, rng, NOISE, along), load(truth, 200, rng)
@@ -146,8 +133,8 @@ def test_against_noisy_tests_the_largest_error_is_the_noises() -> None:
 
 def test_without_noise_what_is_determined_is_exact() -> None:
     rng = np.random.default_rng(5)
-    truth = with_elastic(SERIAL, np.array([5e7, 3e7, 2e7, 1.5e7, 0.8e7, 0.9e7]))
-    fit = fit_stiffness(SERIAL, load(truth, 30, rng, 0.0, ALL_WAYS))
+    truth = with_elastic(UR5, np.array([5e7, 3e7, 2e7, 1.5e7, 0.8e7, 0.9e7]))
+    fit = fit_stiffness(UR5, load(truth, 30, rng, 0.0, ALL_WAYS))
     assert [found.determined for found in fit.stiffnesses] == [True] * 5 + [False]
     np.testing.assert_allclose(fit.robot.joint_stiffness_n_mm_per_rad, truth.joint_stiffness_n_mm_per_rad, rtol=1e-6)
     assert fit.fitted.max_percent < 1e-5
@@ -199,8 +186,8 @@ def test_two_of_which_the_tests_see_but_the_sum_do_not_run_apart() -> None:
 
 def test_a_start_that_is_off_by_far_gets_there() -> None:
     rng = np.random.default_rng(8)
-    truth = with_elastic(SERIAL, np.array(SERIAL.joint_stiffness_n_mm_per_rad) * [5, 0.2, 6, 0.3, 4, 1])
-    fit = fit_stiffness(SERIAL, load(truth, 60, rng, 0.01, ALL_WAYS), hold_out=load(truth, 100, rng, 0.0, ALL_WAYS))
+    truth = with_elastic(UR5, np.array(UR5.joint_stiffness_n_mm_per_rad) * [5, 0.2, 6, 0.3, 4, 1])
+    fit = fit_stiffness(UR5, load(truth, 60, rng, 0.01, ALL_WAYS), hold_out=load(truth, 100, rng, 0.0, ALL_WAYS))
     assert fit.held_out is not None
     assert fit.held_out.mean_percent < 2.0
 
@@ -290,10 +277,10 @@ def test_a_hold_out_is_looked_at_as_closely() -> None:
 def test_tests_that_determine_nothing_are_refused() -> None:
     """Every value is off by some factor of ten: a wrong unit in half of the rows."""
     rng = np.random.default_rng(16)
-    tests = load(SERIAL, 8, rng)
+    tests = load(UR5, 8, rng)
     wild = dataclasses.replace(tests, compliance_um_per_n=tests.compliance_um_per_n * 10 ** rng.uniform(-2, 2, 8))
     with pytest.raises(ComputeError, match="the 8 loading tests determine none of the 6 stiffnesses"):
-        fit_stiffness(SERIAL, wild)
+        fit_stiffness(UR5, wild)
 
 
 def test_one_pose_determines_a_sum_and_no_more() -> None:
