@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
 from polishd.model.surface import BoolArray, FloatArray, Grid
-from polishd.process.convolution import ConvolutionEffect
+from polishd.process.convolution import ConvolutionEffect, sum_of_convolutions
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
 
@@ -79,10 +78,7 @@ def convolutions(
         _, _, basis = np.linalg.svd(shapes, full_matrices=False)
         kernels = basis[:rank].reshape(rank, 2 * reach + 1, 2 * reach + 1)
         coefficients = np.stack([np.interp(gamma, mesh, column) for column in (shapes @ basis[:rank].T).T], axis=1)
-    # what wraps round falls beside the grid
-    size = (fft.next_fast_len(grid.ny + reach, True), fft.next_fast_len(grid.nx + reach, True))
-    spectra = np.asarray(fft.rfft2(kernels, size), dtype=np.complex128)
-    return ConvolutionEffect(grid, 0.0, node, grid.shape, (reach, reach), coefficients, spectra, size)
+    return sum_of_convolutions(grid, np.divmod(node, grid.nx), kernels, coefficients)
 
 
 def spot(gamma: float, radius_mm: float, reach: int) -> FloatArray:

@@ -19,6 +19,8 @@ NODE_TOLERANCE = 1e-6
 """How far a dwell point may lie from a node, over the pitch."""
 TOLERANCE = 1e-4
 
+Index = FloatArray | NDArray[np.int64]
+
 
 @dataclass(frozen=True, slots=True)
 class ConvolutionEffect:
@@ -100,24 +102,39 @@ def convolution_effect(
         ~(off <= NODE_TOLERANCE), off * grid.pitch_mm, "the distance to the grid's nearest node", "mm", "it must be 0"
     )
     family = tif_family(spot, grid.pitch_mm, depth_ratio, lean_azimuth_rad(program), tolerance)
-    reach = family.kernels.shape[1] // 2
-    (top, rows), (left, columns) = _lattice(row, grid.ny), _lattice(column, grid.nx)
-    node = (np.round(row).astype(np.int64) - top) * columns + np.round(column).astype(np.int64) - left
-    corner = (reach - top, reach - left)
+    coefficients = family.coefficients * factor[:, None]
+    return sum_of_convolutions(grid, (row, column), family.kernels, coefficients, family.truncation)
+
+
+def sum_of_convolutions(
+    grid: Grid,
+    place: tuple[Index, Index],
+    kernels: FloatArray,
+    coefficients: FloatArray,
+    truncation: float = 0.0,
+) -> ConvolutionEffect:
+    """The effect of points on nodes with (k, ...) kernels of odd sides, row 0 the top, and (n, k) coefficients, nm/s.
+
+    ``place`` is each point's (n,) row and column on the grid's lattice, whole but for rounding; it may lie beyond it.
+    """
+    (top, rows), (left, columns) = (_lattice(at, n) for at, n in zip(place, grid.shape, strict=True))
+    row, column = (np.round(at).astype(np.int64) for at in place)
+    down, across = (side // 2 for side in kernels.shape[1:])
+    corner = (down - top, across - left)
     # of a full convolution, rows + 2 reach, as much may wrap round as lies before the grid's first row
-    size = tuple(
+    high, wide = (
         fft.next_fast_len(max(n, n + 2 * reach - first, first + grid_n), True)
-        for n, first, grid_n in zip((rows, columns), corner, grid.shape, strict=True)
+        for n, reach, first, grid_n in zip((rows, columns), (down, across), corner, grid.shape, strict=True)
     )
     return ConvolutionEffect(
         grid=grid,
-        truncation=family.truncation,
-        node=node,
+        truncation=truncation,
+        node=(row - top) * columns + column - left,
         lattice=(rows, columns),
         corner=corner,
-        coefficients=family.coefficients * factor[:, None],
-        spectra=np.asarray(fft.rfft2(family.kernels, size), dtype=np.complex128),
-        size=(size[0], size[1]),
+        coefficients=coefficients,
+        spectra=np.asarray(fft.rfft2(kernels, (high, wide)), dtype=np.complex128),
+        size=(high, wide),
     )
 
 
@@ -135,7 +152,7 @@ def _nearest_nodes(grid: Grid, program: Program) -> tuple[FloatArray, FloatArray
     return row, column, np.maximum(np.abs(row - np.round(row)), np.abs(column - np.round(column)))
 
 
-def _lattice(index: FloatArray, n: int) -> tuple[int, int]:
+def _lattice(index: Index, n: int) -> tuple[int, int]:
     """First index and length of a row of nodes that holds the points' and the grid's n."""
     nodes = np.round(index).astype(np.int64)
     first = min(0, int(nodes.min(initial=0)))

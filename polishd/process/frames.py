@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from polishd.model.errors import ComputeError
-from polishd.model.process import FLAT, SHIPPED_OPTIONS, ComplianceOptions, Optic, Placement
+from polishd.model.process import FLAT, ComplianceOptions, Optic, Placement
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.robot.refusal import refuse_where, require_number, require_unit_vectors, require_vectors
 
@@ -74,11 +74,6 @@ def dipped_axes(
     lean = lean_directions(options, placement, require_vectors("tool tip", tip_mm, "mm"), normal)
     dip = np.radians(dip_deg)
     return np.asarray(np.cos(dip) * normal + np.sin(dip) * lean, dtype=np.float64)
-
-
-def inward_axis(tip_mm: FloatArray, normal: FloatArray, dip_deg: float) -> FloatArray:
-    """The same for a dip towards the base's z axis, which needs no placement."""
-    return dipped_axes(SHIPPED_OPTIONS, Placement((0.0, 0.0, 0.0), np.eye(3)), tip_mm, normal, dip_deg)
 
 
 def lean_directions(

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage, sparse
+from scipy import ndimage, sparse
 
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray, Grid
-from polishd.process.convolution import ConvolutionEffect
+from polishd.process.convolution import ConvolutionEffect, sum_of_convolutions
 from polishd.process.effect import Effect, SparseEffect
 from polishd.process.robot.refusal import refuse_where, require_number
 
@@ -192,16 +192,4 @@ def _convolution(grid: Grid, node: Indices, spline: _Spline) -> ConvolutionEffec
     half = np.floor(spline.reach_mm / grid.pitch_mm + ON_NODE).astype(int)
     dx, dy = (np.arange(-n, n + 1) * grid.pitch_mm for n in half)
     kernel = spline.at(dx[None, :], dy[:, None])
-    first = np.minimum(node.min(axis=0), 0)
-    columns, rows = np.maximum(node.max(axis=0), np.array([grid.nx, grid.ny]) - 1) - first + 1
-    high, wide = (fft.next_fast_len(int(n + 2 * h), True) for n, h in ((rows, half[1]), (columns, half[0])))
-    return ConvolutionEffect(
-        grid=grid,
-        truncation=0.0,
-        node=(node[:, 1] - first[1]) * columns + node[:, 0] - first[0],
-        lattice=(int(rows), int(columns)),
-        corner=(int(half[1] - first[1]), int(half[0] - first[0])),
-        coefficients=np.ones((len(node), 1)),
-        spectra=np.asarray(fft.rfft2(kernel[None], (high, wide)), dtype=np.complex128),
-        size=(high, wide),
-    )
+    return sum_of_convolutions(grid, (node[:, 1], node[:, 0]), kernel[None], np.ones((len(node), 1)))

@@ -12,11 +12,11 @@ from polishd.daemon.config import load_config
 from polishd.model.process import ToolProcess
 from polishd.model.robot import HybridRobot
 from polishd.model.surface import FloatArray
-from polishd.process import frames
 from polishd.process.contact import hertz_depth_mm, removal_rate_nm_s, volume_rate_nm_mm2_s
 from polishd.process.robot import tip_compliance_mm_per_n
 from polishd.sim_backends.metropro import DatMap, pack
 from tests.unit.console.said import Polishd
+from tests.unit.process.paths import inward_axis
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "cell.toml"
 TRUE = dataclasses.replace(
@@ -31,7 +31,7 @@ def loading_tests(path: Path, n: int, noise: float, seed: int) -> Path:
     radius, angle = rng.uniform(50, 400, n), rng.uniform(0, 2 * np.pi, n)
     tip = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(1750, 2250, n)])
     normal = np.tile([0.0, 0.0, -1.0], (n, 1))
-    axis = frames.inward_axis(tip, normal, 15.0)
+    axis = inward_axis(tip, normal, 15.0)
     side = rng.standard_normal((n, 3))
     direction = np.where(np.arange(n)[:, None] % 2 == 0, normal, side / np.linalg.norm(side, axis=1)[:, None])
     matrix = tip_compliance_mm_per_n(TRUE, tip, axis) * 1e3

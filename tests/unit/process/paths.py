@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polishd.model.process import Placement
+from polishd.model.process import SHIPPED_OPTIONS, Placement
 from polishd.model.program import Program
-from polishd.process.frames import rotation_from_rpy_deg
+from polishd.model.surface import FloatArray
+from polishd.process.frames import dipped_axes, rotation_from_rpy_deg
 
 DIP = np.radians(15.0)
 PLACEMENT = Placement((300.0, 220.0, 2315.0), rotation_from_rpy_deg(180.0, 0.0, 0.0))
@@ -35,3 +36,8 @@ def raster(step: float, half: float = 50.0) -> Program:
     x, y = np.meshgrid(line, line)
     start, end = (np.stack([a.ravel(), b.ravel()], axis=1) for a, b in ((x[:, :-1], y[:, :-1]), (x[:, 1:], y[:, 1:])))
     return inward_program(start, end)
+
+
+def inward_axis(tip_mm: FloatArray, normal: FloatArray, dip_deg: float) -> FloatArray:
+    """(n, 3) tool axes dipped towards the base's z axis, all in the base frame."""
+    return dipped_axes(SHIPPED_OPTIONS, Placement((0.0, 0.0, 0.0), np.eye(3)), tip_mm, normal, dip_deg)

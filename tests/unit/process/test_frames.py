@@ -12,6 +12,7 @@ from polishd.model.errors import ComputeError
 from polishd.model.process import ComplianceOptions, Optic, Placement
 from polishd.model.surface import FloatArray
 from polishd.process import frames
+from tests.unit.process.paths import inward_axis
 
 TURN = st.floats(-360, 360)
 
@@ -53,7 +54,7 @@ def test_a_placement_or_point_that_is_not_finite_is_refused() -> None:
 
 def test_the_spindle_leans_towards_the_base_axis() -> None:
     tip = np.array([[300.0, 0.0, 2000.0], [0.0, -50.0, 2100.0], [-30.0, 40.0, 1900.0]])
-    axis = frames.inward_axis(tip, np.tile([0.0, 0.0, -1.0], (3, 1)), 30.0)
+    axis = inward_axis(tip, np.tile([0.0, 0.0, -1.0], (3, 1)), 30.0)
     s, c = 0.5, np.sqrt(0.75)
     np.testing.assert_allclose(axis, [[-s, 0, -c], [0, s, -c], [0.6 * s, -0.8 * s, -c]], atol=1e-12)
     np.testing.assert_allclose(frames.dips_deg(axis, np.tile([0.0, 0.0, -1.0], (3, 1))), 30.0, atol=1e-12)
@@ -65,7 +66,7 @@ def test_on_a_tilted_part_the_dip_is_still_from_the_normal_and_inward(seed: int)
     tip = rng.uniform(100, 600, (4, 3))
     normal = rng.normal(size=(4, 3)) * [0.3, 0.3, 0.1] + [0, 0, -1.0]
     normal /= np.linalg.norm(normal, axis=1)[:, None]
-    axis = frames.inward_axis(tip, normal, 15.0)
+    axis = inward_axis(tip, normal, 15.0)
     np.testing.assert_allclose(np.linalg.norm(axis, axis=1), 1.0, atol=1e-12)
     np.testing.assert_allclose(np.einsum("ni,ni->n", axis, normal), np.cos(np.radians(15)), atol=1e-12)
     lean = axis - np.cos(np.radians(15)) * normal
@@ -77,9 +78,9 @@ def test_on_a_tilted_part_the_dip_is_still_from_the_normal_and_inward(seed: int)
 def test_no_inward_direction_is_a_refusal() -> None:
     up = np.array([[0.0, 0.0, -1.0]] * 2)
     with pytest.raises(ComputeError, match=r"point 1: the way to the base's z axis .* is 0 mm"):
-        frames.inward_axis(np.array([[100.0, 0, 2000], [0, 0, 2000.0]]), up, 15.0)
+        inward_axis(np.array([[100.0, 0, 2000], [0, 0, 2000.0]]), up, 15.0)
     with pytest.raises(ComputeError, match="the dip is 90 deg, it must be above -90 and below 90"):
-        frames.inward_axis(np.array([[100.0, 0, 2000]] * 2), up, 90.0)
+        inward_axis(np.array([[100.0, 0, 2000]] * 2), up, 90.0)
 
 
 def test_angles_to_axes_by_hand() -> None:
