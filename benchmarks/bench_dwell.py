@@ -19,7 +19,8 @@ from polishd.process.dwell.quadratic import Quadratic, quadratic
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
 from polishd.process.dynamic_tif import effect_matrix
 from polishd.process.effect import SparseEffect
-from polishd.process.raster import raster
+from polishd.process.paths.apertures import circle
+from polishd.process.paths.raster import raster
 from polishd.process.spot import HertzSpot
 
 GAP = 1e-6
@@ -97,7 +98,7 @@ def require(f: Quadratic, t: FloatArray, problem: DwellProblem, goal: Goal) -> N
 
 def part(radius_mm: float) -> DwellProblem:
     """A disc at 1 mm, 18.5 nm RMS, the paper's process with a compliance that varies, a raster at 50 mm/s at most."""
-    points = raster(radius_mm, 1.0, 1.0)
+    points = raster(circle(2 * radius_mm), 1.0, 1.0)
     program = path(points)
     n = int(2 * radius_mm + 10)
     grid = Grid(n, n, 1.0)

@@ -10,6 +10,7 @@ from typing import Annotated, Optional
 import typer
 
 from polishd import __version__
+from polishd.console.program_cli import program as program_verbs
 from polishd.model.errors import PolishdError
 
 app = typer.Typer(
@@ -214,6 +215,7 @@ def study(
 
 calibrate = typer.Typer(help="Fit the cell's numbers to measurements; writes fragments that a cell includes.")
 app.add_typer(calibrate, name="calibrate", no_args_is_help=True)
+app.add_typer(program_verbs, name="program", no_args_is_help=True)
 
 
 @calibrate.command("stiffness")

@@ -157,8 +157,8 @@ def polishd_device_types() -> Sequence[DeviceType]:
 
 
 @hookspec
-def polishd_program_formats() -> Sequence[ProgramFormat]:
-    """Declare program formats."""
+def polishd_program_formats(profiles: Sequence[Path]) -> Sequence[ProgramFormat]:
+    """Declare program formats; ``profiles`` are dialects of the user's own (``[program] dialects``), to use or not."""
     raise AssertionError("a hook specification is not called")
 
 

@@ -13,11 +13,11 @@ import numpy as np
 
 from polishd.console.tables import key_table, record_table, stdout
 from polishd.console.verbs import emit
-from polishd.daemon.atomic import write_atomic
 from polishd.daemon.config import CellConfig, load_config
 from polishd.daemon.files import read_map
 from polishd.daemon.plugins import load_own
 from polishd.daemon.process_files import PLACE, read_columns, write_tif
+from polishd.files import write_atomic
 from polishd.model.errors import BadMap, ComputeError, ConfigError
 from polishd.model.process import MeasuredTif, Projection, ToolProcess
 from polishd.model.robot import HybridRobot, MeasuredCompliance, SerialRobot

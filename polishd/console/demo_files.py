@@ -19,11 +19,13 @@ from polishd.daemon.files import read_map
 from polishd.daemon.plugins import load_own
 from polishd.model.errors import BadMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.rnc_robot.make import raster_program
-from polishd.process import contact, frames
+from polishd.plugins.rnc_robot.make import path_program
+from polishd.process import contact
 from polishd.process.compliance import depth_ratio
 from polishd.process.path_compliance import compliance_at
-from polishd.process.raster import quiet_step_mm, raster
+from polishd.process.paths.apertures import circle
+from polishd.process.paths.raster import quiet_step_mm, raster
+from polishd.process.paths.wrist import tool_axes
 
 RASTER_MM = 1.0
 """Length of a block, and most distance of the lines: the step that leaves no ripple is a little less."""
@@ -100,22 +102,17 @@ def write_demo(out: Path, surface: Path | None, tolerance_nm: float, cycles: int
 
 def demo_program(config: CellConfig) -> bytes:
     """A boustrophedon raster over the clear aperture and a little more, as RNC text."""
-    radius = config.part.aperture_mm / 2 + OVERRUN_MM
-    landing = config.part.aperture_mm / 2 + LANDING_MM - radius
+    covered = circle(config.part.aperture_mm + 2 * OVERRUN_MM)
     step = quiet_step_mm(_contact_radius_mm(config), RASTER_MM)
-    points = raster(radius, step, RASTER_MM, landing_mm=landing)
-    return raster_program(
+    points = raster(covered, step, RASTER_MM, optic=config.optic(), landing_mm=LANDING_MM - OVERRUN_MM)
+    return path_program(
         points, _axes(config, points), FEED_MM_MIN, f"polishd demo raster, phi {config.part.aperture_mm:g} mm"
     )
 
 
 def _axes(config: CellConfig, points_mm: FloatArray) -> FloatArray:
     """(n, 3) tool axes in the part's frame, dipped as the cell dips."""
-    placement, options = config.placement(), config.compliance_options()
-    base = frames.points_to_base(placement, points_mm)
-    normals = frames.surface_normals(placement, points_mm, config.optic())
-    axes = frames.dipped_axes(options, placement, base, normals, config.process.dip_deg)
-    return np.asarray(axes @ placement.rotation, dtype=np.float64)  # base to part: transposed, on rows
+    return tool_axes(points_mm, config.optic(), config.process.dip_deg, config.compliance_options(), config.placement())
 
 
 def _contact_radius_mm(config: CellConfig) -> float:

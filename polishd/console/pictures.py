@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from polishd.daemon.atomic import write_atomic
+from polishd.files import write_atomic
 from polishd.model.errors import ConfigError
 from polishd.model.surface import FloatArray
 from polishd.plugins.run_report.style import BLUE, NO_DATA, ORANGE, SEQUENTIAL, figure, png, polishd_style

@@ -14,9 +14,9 @@ from rich.table import Table
 from polishd.console import study_pictures as pictures
 from polishd.console import study_tables as tables
 from polishd.console.tables import stderr, stdout
-from polishd.daemon.atomic import write_atomic
 from polishd.daemon.files import read_map
 from polishd.daemon.plugins import load_own
+from polishd.files import write_atomic
 from polishd.model.errors import ConfigError
 from polishd.model.surface import SurfaceMap
 from polishd.study.config import CorrectionsStudy, SpotsStudy, Study, load_study

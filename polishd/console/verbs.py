@@ -88,7 +88,7 @@ def order_verb(cell: Path, verb: str, *, as_json: bool) -> None:
 
 def plugins_verb(cell: Path | None, *, as_json: bool) -> None:
     """What is loaded, what each plugin brings, and what is refused and why."""
-    hooks = load_own() if cell is None else load_plugins(load_config(cell).plugins.load)
+    hooks = load_own() if cell is None else _plugins_of(load_config(cell))
     loaded = [
         {
             "name": plugin.name,
@@ -110,10 +110,14 @@ def plugins_verb(cell: Path | None, *, as_json: bool) -> None:
         raise typer.Exit(3)
 
 
+def _plugins_of(config: CellConfig) -> Hooks:
+    return load_plugins(config.plugins.load, config.dialect_paths)
+
+
 def load_cell(cell: Path, correction: str | None = None) -> tuple[CellConfig, Hooks]:
     """Config and plugins; ConfigError or PluginError where anything that the config names is missing or broken."""
     config = load_config(cell, {"process.correction": correction} if correction else None)
-    hooks = load_plugins(config.plugins.load)
+    hooks = _plugins_of(config)
     hooks.report.require()
     return config, hooks
 

@@ -92,6 +92,11 @@ class CellConfig(Section):
         return None if self.cell.run_dir is None else self.resolve(self.cell.run_dir)
 
     @property
+    def dialect_paths(self) -> list[Path]:
+        """Program dialects of the user's own."""
+        return [self.resolve(path) for path in self.program.dialects]
+
+    @property
     def program_path(self) -> Path:
         """The part program."""
         return self.resolve(self.program.path)
@@ -133,7 +138,7 @@ class CellConfig(Section):
 
     def optic(self) -> Optic:
         """The nominal surface."""
-        return Optic(self.part.curvature_radius_mm, self.part.conic)
+        return Optic(self.part.curvature_radius_mm, self.part.conic, self.part.even, self.part.off_axis_mm)
 
     def measured_tif(self) -> MeasuredTif | None:
         """The cell's measured TIF, where it names one; ConfigError where that cannot be read."""

@@ -95,6 +95,8 @@ class PartSection(Section):
     rotation_rpy_deg: Angles
     curvature_radius_mm: float | None = None
     conic: float = 0.0
+    even: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = ()
+    off_axis_mm: Annotated[tuple[float, float], BeforeValidator(as_tuple)] = (0.0, 0.0)
 
     @model_validator(mode="after")
     def _has_clear_aperture(self) -> Self:
@@ -111,6 +113,8 @@ class ProgramSection(Section):
 
     path: Text
     format: Text = "rs274"
+    dialects: tuple[Text, ...] = ()
+    """Profiles of the user's own (TOML), which ``format`` may then name."""
     offset_mm: Vector = (0.0, 0.0, 0.0)
     rotation_deg: Angle = 0.0
 

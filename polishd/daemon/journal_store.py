@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from polishd.daemon.atomic import sync_folder
+from polishd.files import sync_folder
 from polishd.model.errors import ConfigError, SafetyStop
 
 SCHEMA_VERSION = 1

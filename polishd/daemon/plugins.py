@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
+from pathlib import Path
 from typing import Any
 
 import pluggy
@@ -123,9 +124,12 @@ class Hooks:
         return [plugin for plugin in self.report.loaded if plugin.implements(hook)]
 
 
-def load_plugins(names: Iterable[str]) -> Hooks:
-    """Load the named plugins, in that order. Broken ones are in ``report.refused``; others go on."""
-    return _load(list(names), list(importlib.metadata.entry_points(group=GROUP)))
+def load_plugins(names: Iterable[str], profiles: Sequence[Path] = ()) -> Hooks:
+    """Load the named plugins, in that order. Broken ones are in ``report.refused``; others go on.
+
+    ``profiles`` are the user's program dialects.
+    """
+    return _load(list(names), list(importlib.metadata.entry_points(group=GROUP)), profiles)
 
 
 def load_own() -> Hooks:
@@ -142,11 +146,11 @@ def installed() -> dict[str, list[str]]:
     return found
 
 
-def _load(names: Sequence[str], points: Sequence[EntryPoint]) -> Hooks:
+def _load(names: Sequence[str], points: Sequence[EntryPoint], profiles: Sequence[Path] = ()) -> Hooks:
     loaded: list[Loaded] = []
     refused: list[Refused] = []
     for name in names:
-        found = _load_one(name, [point for point in points if point.name == name], points)
+        found = _load_one(name, [point for point in points if point.name == name], points, profiles)
         if isinstance(found, Loaded):
             reason = _taken(found, loaded)
             found = Refused(name, reason) if reason else found
@@ -158,7 +162,9 @@ def _load(names: Sequence[str], points: Sequence[EntryPoint]) -> Hooks:
     return Hooks(PluginReport(tuple(loaded), tuple(refused)))
 
 
-def _load_one(name: str, candidates: Sequence[EntryPoint], points: Sequence[EntryPoint]) -> Loaded | Refused:
+def _load_one(
+    name: str, candidates: Sequence[EntryPoint], points: Sequence[EntryPoint], profiles: Sequence[Path]
+) -> Loaded | Refused:
     if not candidates:
         known = {point.name for point in points}
         return Refused(name, f"it is not installed{did_you_mean(name, known)} Installed: {listed(known)}")
@@ -172,7 +178,7 @@ def _load_one(name: str, candidates: Sequence[EntryPoint], points: Sequence[Entr
         if reason:
             return Refused(name, reason)
         manager = _manager(name, plugin)
-        records = {hook: _declared(manager, hook) for hook in DECLARATIONS}
+        records = {hook: _declared(manager, hook, profiles) for hook in DECLARATIONS}
     except (Exception, SystemExit) as error:
         log.debug("plugin %s", name, exc_info=True)
         return Refused(name, f"{_distribution(point)}, {point.value}: {type(error).__name__}: {error}")
@@ -187,10 +193,10 @@ def _manager(name: str, plugin: Any) -> pluggy.PluginManager:
     return manager
 
 
-def _declared(manager: pluggy.PluginManager, hook: str) -> tuple[Any, ...]:
+def _declared(manager: pluggy.PluginManager, hook: str, profiles: Sequence[Path]) -> tuple[Any, ...]:
     found: list[Any] = []
     caller = getattr(manager.hook, hook)
-    answers = caller()
+    answers = caller(profiles=profiles) if hook == "polishd_program_formats" else caller()
     if len(answers) < len(caller.get_hookimpls()):
         raise PluginError(f"{hook} returned None; return a list")
     for answer in answers:

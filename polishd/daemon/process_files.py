@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from polishd.daemon.atomic import write_atomic
 from polishd.daemon.config_errors import did_you_mean, listed
+from polishd.files import write_atomic
 from polishd.model.errors import ConfigError
 from polishd.model.process import MeasuredTif
 from polishd.model.robot import MeasuredCompliance

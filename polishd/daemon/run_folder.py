@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polishd.daemon.atomic import write_atomic
+from polishd.files import write_atomic
 
 
 class RunFolder:

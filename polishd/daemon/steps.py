@@ -20,8 +20,9 @@ from polishd.model.errors import ComputeError
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program, Segment
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap, SurfaceStats
-from polishd.process import conditioning, frames, learning, metrics, motion
+from polishd.process import conditioning, learning, metrics, motion
 from polishd.process.edge.rim import round_rim
+from polishd.process.paths.wrist import tool_axes
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,10 +111,8 @@ def as_polished(recipe: Recipe, program: Program) -> Program:
     if program.encoding == "dwell":
         part = replace(part, start_mm=part.end_mm)
     if _states_no_axis(recipe, program):
-        base = frames.points_to_base(recipe.placement, part.end_mm)
-        normals = frames.surface_normals(recipe.placement, part.end_mm, recipe.optic)
-        axis = frames.dipped_axes(recipe.options, recipe.placement, base, normals, recipe.process.dip_deg)
-        part = replace(part, axis=axis @ np.asarray(recipe.placement.rotation))
+        dip_deg = recipe.process.dip_deg
+        part = replace(part, axis=tool_axes(part.end_mm, recipe.optic, dip_deg, recipe.options, recipe.placement))
     return part
 
 

@@ -62,11 +62,20 @@ SHIPPED_OPTIONS = ComplianceOptions()
 
 @dataclass(frozen=True, slots=True)
 class Optic:
-    """The nominal surface, for its normals: flat, spherical or conic about the part's z."""
+    """The nominal surface: flat, sphere, conic or even asphere, about its own axis or a piece off it.
+
+    The parent's height over its vertex is ``r^2 / (R (1 + sqrt(1 - (1 + k) (r / R)^2))) + A4 r^4 + A6 r^6 ...``.
+    The part's frame has its origin on the surface, at the part's centre, and its z along the normal there; its x and
+    y are the parent's, turned with z the short way. So a piece on the axis keeps the parent's frame.
+    """
 
     radius_mm: float | None = None
-    """Vertex radius of curvature, positive = concave (the rim rises towards +z); None is flat."""
+    """Vertex radius of curvature R, positive = concave (the rim rises towards +z); None is flat."""
     conic: float = 0.0
+    even: tuple[float, ...] = ()
+    """A4, A6, ...: mm^-3, mm^-5, ..., positive = up."""
+    offset_mm: tuple[float, float] = (0.0, 0.0)
+    """Where the part's centre lies, in the parent's x and y from its vertex."""
 
 
 FLAT = Optic()

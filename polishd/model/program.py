@@ -43,6 +43,10 @@ class Program:
     max_feed_mm_min: float
     """Largest feed that the program itself asks for in a timed block."""
     warnings: tuple[str, ...] = ()
+    feed_mm_min: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(n,) feed of the move that leads to each point; NaN where unknown; empty where nobody asked."""
+    unit: str = "s"
+    """Unit of the numbers that carry the time, as they are written: "s", "ms", "mm/min", "1/min", ..."""
 
     @property
     def n(self) -> int:

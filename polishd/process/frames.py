@@ -11,6 +11,7 @@ import numpy as np
 from polishd.model.errors import ComputeError
 from polishd.model.process import FLAT, ComplianceOptions, Optic, Placement
 from polishd.model.surface import BoolArray, FloatArray
+from polishd.process.optics import unit_normals
 from polishd.process.robot.refusal import refuse_where, require_number, require_unit_vectors, require_vectors
 
 STRAIGHT_DEG = 0.05
@@ -45,21 +46,10 @@ def surface_normals(placement: Placement, part_mm: FloatArray, optic: Optic = FL
     """(n, 3) unit normals of the nominal optic, out of the part, in the base frame.
 
     ``part_mm`` (n, 3) are points of the part's frame, of which x and y count.
-    Raises ComputeError for a point that lies beyond the conic's rim.
+    Raises ComputeError for a point that lies beyond the optic's rim.
     """
     points = require_vectors("point in the part's frame", part_mm, "mm")
-    slope = np.zeros((len(points), 2))
-    if optic.radius_mm is not None:
-        if not (np.isfinite(optic.radius_mm) and optic.radius_mm != 0):
-            raise ComputeError(f"the part's radius of curvature is {optic.radius_mm} mm, it must be finite and not 0")
-        inside = 1 - (1 + optic.conic) * (points[:, :2] ** 2).sum(axis=1) / optic.radius_mm**2
-        distance = np.hypot(points[:, 0], points[:, 1])
-        refuse_where(
-            inside <= 0, distance, "the distance from the part's axis", "mm", "the nominal optic ends before it"
-        )
-        slope = points[:, :2] / (optic.radius_mm * np.sqrt(inside)[:, None])
-    normal = np.concatenate([-slope, np.ones((len(points), 1))], axis=1)
-    return directions_to_base(placement, normal / np.linalg.norm(normal, axis=1)[:, None])
+    return directions_to_base(placement, unit_normals(optic, points[:, :2]))
 
 
 def dipped_axes(
@@ -164,9 +154,11 @@ def axis_from_angles(a_deg: FloatArray, c_deg: FloatArray) -> FloatArray:
 
 
 def angles_from_axis(axis: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(A, C) in degrees, (n,) each, of (n, 3) unit tool axes: A from 0 to 180, C without jumps of a turn.
+    """(A, C) in degrees, (n,) each, of (n, 3) unit tool axes: without jumps of a turn.
 
-    Where A is 0 (or 180) C is not defined: it stays what it was, and starts as what it becomes.
+    The wrist's other solution (-A, C + 180) is taken from where it is the nearer one: a path that passes over A = 0
+    changes A's sign. A starts from 0 to 180. Where A is 0 (or 180) C is not defined: it stays what it was, and
+    starts as what it becomes.
     """
     axis = require_unit_vectors("tool axis", axis)
     sine = np.hypot(axis[:, 0], axis[:, 1])
@@ -174,7 +166,18 @@ def angles_from_axis(axis: FloatArray) -> tuple[FloatArray, FloatArray]:
     c_deg = np.zeros(len(axis))
     defined = np.flatnonzero(sine > 1e-9)
     if defined.size:
-        turning = np.unwrap(np.degrees(np.arctan2(axis[defined, 0], -axis[defined, 1])), period=360.0)
-        last = np.searchsorted(defined, np.arange(len(axis)), side="right") - 1
-        c_deg = turning[np.maximum(last, 0)]
+        raw = np.degrees(np.arctan2(axis[defined, 0], -axis[defined, 1]))
+        other = _on_other_branch(a_deg[defined], raw)
+        turning = np.unwrap(raw + 180.0 * other, period=360.0)
+        last = np.maximum(np.searchsorted(defined, np.arange(len(axis)), side="right") - 1, 0)
+        c_deg = turning[last]
+        a_deg = np.where(other[last], -a_deg, a_deg)
     return a_deg, c_deg
+
+
+def _on_other_branch(a_deg: FloatArray, c_deg: FloatArray) -> BoolArray:
+    """Where (-A, C + 180) is taken instead of (A, C), (m,): the wrist moves the least from each to the next."""
+    turn = np.abs((np.diff(c_deg) + 180.0) % 360.0 - 180.0)
+    stay = np.hypot(np.diff(a_deg), turn)
+    change = np.hypot(a_deg[1:] + a_deg[:-1], 180.0 - turn)
+    return np.concatenate([[False], np.cumsum(change < stay) % 2 == 1])

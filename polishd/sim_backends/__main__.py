@@ -68,7 +68,8 @@ async def _run(start: Start, device: str | None) -> int:
 
         await plant(start)
         return 0
-    await run_device(device, start, _device(device))
+    name = "linuxcnc" if device == "robot" and start.config.robot.kind == "linuxcnc" else device
+    await run_device(device, start, _device(name))
     return 0
 
 
@@ -76,7 +77,11 @@ def _device(name: str) -> Any:
     """A device's coroutine, loaded late: a drive needs no scipy."""
     from importlib import import_module
 
-    module = {"robot": "robot.server", "interferometer": "interferometer"}.get(name, f"{name}.device")
+    module = {
+        "robot": "robot.server",
+        "linuxcnc": "linuxcnc.server",
+        "interferometer": "interferometer",
+    }.get(name, f"{name}.device")
     return import_module(f"polishd.sim_backends.{module}").main
 
 

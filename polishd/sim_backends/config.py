@@ -88,6 +88,8 @@ class MapFaults(Section):
 class Robot(Section):
     """The robot controller."""
 
+    kind: Literal["link", "linuxcnc"] = "link"
+    """``linuxcnc``: a real LinuxCNC, in real time, in a network of its own (docs/protocols/linuxcnc.md)."""
     port: int = Field(28500, ge=0, le=65535)
     watchdog_s: float = Field(1.0, gt=0.0)
     window: int = Field(4096, ge=1)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from polishd.api import ForceActuator, Robot, Spindle
+from polishd.drivers.linuxcnc.driver import LinuxCnc
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
@@ -19,6 +20,7 @@ from polishd.drivers.voice_coil_modbus import voice_coil_modbus
 from polishd.drivers.voice_coil_serial import voice_coil_serial
 from tests.fakes.actuator import AsciiCoil, Coil, ModbusCoil
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
+from tests.fakes.linuxcnc import FakeLinuxCnc
 from tests.fakes.robot import FakeRobot
 from tests.fakes.wires import PtyWire, TcpWire, dribbled
 
@@ -36,6 +38,8 @@ class Rig(Generic[D]):
     """The peer goes on living and says nothing more: a half-open link."""
     safe: Callable[[], bool]
     """The machine itself, not the driver: it exerts nothing and stands still."""
+    whole_file: bool = False
+    """A robot that takes its program in one piece: nobody waits for credit."""
 
 
 RobotRig = Rig[Robot]
@@ -68,6 +72,34 @@ async def _robot(fake: FakeRobot) -> AsyncIterator[RobotRig]:
     finally:
         await device.close()
         await fake.close()
+
+
+@asynccontextmanager
+async def linuxcnc(folder: Path) -> AsyncIterator[RobotRig]:
+    """LinuxCNC over linuxcncrsh."""
+    async with _linuxcnc(FakeLinuxCnc(), folder) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def linuxcnc_dribbled(folder: Path) -> AsyncIterator[RobotRig]:
+    """LinuxCNC over linuxcncrsh, byte by byte, with garbage and blank lines between."""
+    fake = FakeLinuxCnc()
+    fake.filter = lambda data: [b"\r\n\xff*\r\n", *dribbled(data)]
+    async with _linuxcnc(fake, folder) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def _linuxcnc(fake: FakeLinuxCnc, folder: Path) -> AsyncIterator[RobotRig]:
+    wire = await TcpWire(fake).start()
+    device = LinuxCnc(Tcp("127.0.0.1", wire.port), folder)
+    try:
+        mute = lambda: setattr(fake, "silent", True)  # noqa: E731
+        yield Rig(device, wire.cut, mute, lambda: fake.status != "RUNNING", whole_file=True)
+    finally:
+        await device.close()
+        await wire.close()
 
 
 @asynccontextmanager
@@ -144,7 +176,12 @@ async def _spindle(drive: Drive, wire: PtyWire | TcpWire, device: Spindle) -> As
         await wire.close()
 
 
-ROBOTS: list[Callable[[Path], AbstractAsyncContextManager[RobotRig]]] = [robot_tcp, robot_dribbled]
+ROBOTS: list[Callable[[Path], AbstractAsyncContextManager[RobotRig]]] = [
+    robot_tcp,
+    robot_dribbled,
+    linuxcnc,
+    linuxcnc_dribbled,
+]
 ACTUATORS: list[Callable[[Path], AbstractAsyncContextManager[ActuatorRig]]] = [
     actuator_rtu,
     actuator_tcp,

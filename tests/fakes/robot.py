@@ -20,12 +20,15 @@ class FakeRobot:
     def __init__(self, *, window: int = 64, block_s: float = 0.005, watchdog_s: float = 1.5) -> None:
         self.window, self.block_s, self.watchdog_s = window, block_s, watchdog_s
         self.boots = 1
+        self.stops = 0
         self.port = 0
         self.silent = False
         self.brake_s = 0.02
         self.outgoing: Callable[[int, bytes], Iterable[bytes]] = lambda kind, frame: [frame]
         self.ignores: Callable[[int, bytes], bool] = lambda kind, payload: False
         self.heard: list[int] = []
+        self.hellos: list[dict[str, Any]] = []
+        self.loads: list[dict[str, Any]] = []
         self.clients: list[_Client] = []
         self.writer: _Client | None = None
         self.forget()
@@ -87,6 +90,7 @@ class FakeRobot:
             "executed": len(self.done),
             "buffer_s": ahead * self.block_s,
             "boot_id": f"boot-{self.boots}",
+            "stops": self.stops,
             "detail": self.detail,
             "time_s": self.clock_s,
         }
@@ -123,7 +127,7 @@ class FakeRobot:
 
     def accepted(self) -> bytes:
         credit = self.window - (len(self.lines) - len(self.done))
-        return struct.pack(">II", len(self.lines), credit)
+        return struct.pack(">IId", len(self.lines), credit, (len(self.lines) - len(self.done)) * self.block_s)
 
     def say_all(self, kind: int, payload: Any) -> None:
         for client in self.clients:
@@ -131,6 +135,7 @@ class FakeRobot:
                 client.say(kind, payload)
 
     def _hello(self, client: _Client, content: dict[str, Any]) -> None:
+        self.hellos.append(content)
         if content["role"] == "writer":
             if self.writer is not None:
                 client.say(NAK, {"of": HELLO, "code": "busy", "text": "somebody writes"})
@@ -139,12 +144,14 @@ class FakeRobot:
         client.welcome = True
         hello = {"vendor": "Fake", "model": "UPU", "serial": "R1", "firmware": "0.1", "boot_id": f"boot-{self.boots}"}
         hello |= {"protocol": 1, "watchdog_s": self.watchdog_s, "window": self.window, "status": self.status()}
+        hello |= {"lease": "" if content["role"] == "reader" else f"lease of {content['client']}"}
         client.say(WELCOME, hello)
         client.say(ACCEPTED, self.accepted())
         if records := self.done[content["executed_from"] :]:
             client.say(EXECUTED, _records(records))
 
     def _load(self, client: _Client, content: dict[str, Any]) -> None:
+        self.loads.append(content)
         if self.state == "running":
             client.say(NAK, {"of": LOAD, "code": "running", "text": "hold first"})
             return
@@ -176,11 +183,15 @@ class FakeRobot:
         if not self.sha:
             client.say(NAK, {"of": RESUME, "code": "no_program", "text": "load one"})
             return
+        if content["stops"] != self.stops:
+            client.say(NAK, {"of": RESUME, "code": "stale", "text": f"{self.stops} stops"})
+            return
         self.until, self.detail = content["until"], ""
         self.state, self.stops_at = "running", None
         client.say(ACK, {"of": RESUME, "status": self.status()})
 
     def _hold(self, client: _Client) -> None:
+        self.stops += 1
         if self.state == "running":
             self.stops_at = time.monotonic() + self.brake_s
             client.waits_for_stop = True
@@ -267,7 +278,8 @@ class _Client(asyncio.Protocol):
 def frame(kind: int, payload: Any) -> bytes:
     """A frame's bytes; what is not bytes becomes JSON."""
     content = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
-    body = struct.pack(">2sBBI", b"PL", kind, 0, len(content)) + content
+    check = crc32(struct.pack(">BI", kind, len(content))) & 0xFF
+    body = struct.pack(">2sBBI", b"PL", kind, check, len(content)) + content
     return body + struct.pack(">I", crc32(body))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import signal
@@ -11,7 +12,7 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -145,10 +146,16 @@ def cell(folder: Path, config: str = SMALL, *arguments: str) -> Iterator[Cell]:
             wait_for(lambda pid=pid: not alive(pid), f"process {pid} to end", 5.0)
 
 
+def announced(lines: Sequence[bytes], sha256: str = "ab" * 32) -> dict[str, Any]:
+    """What LOAD says of a program."""
+    blocks_sha256 = hashlib.sha256(b"".join(line + b"\n" for line in lines)).hexdigest()
+    return {"program_sha256": sha256, "blocks_sha256": blocks_sha256, "blocks": len(lines), "approach_blocks": 0}
+
+
 class RobotClient:
     """The robot link, raw."""
 
-    def __init__(self, endpoint: str, role: str = "writer", executed_from: int = 0) -> None:
+    def __init__(self, endpoint: str, role: str = "writer", executed_from: int = 0, lease: str = "") -> None:
         host, port = endpoint.removeprefix("tcp://").split(":")
         self.socket = socket.create_connection((host, int(port)), timeout=5.0)
         self.socket.settimeout(0.02)
@@ -158,7 +165,9 @@ class RobotClient:
         self.credit = (0, 0)
         self.others: list[tuple[int, bytes]] = []
         self.closed = False
-        self.say(f.HELLO, {"protocol": 1, "role": role, "client": "test", "executed_from": executed_from})
+        self.lease = lease
+        hello = {"protocol": 1, "role": role, "client": "test", "executed_from": executed_from, "lease": lease}
+        self.say(f.HELLO, hello)
 
     def say(self, kind: int, message: dict[str, Any]) -> None:
         """Send a frame with a JSON payload."""
@@ -180,14 +189,15 @@ class RobotClient:
         if kind == f.EXECUTED:
             self.executed += f.unpack_executed(payload)
         elif kind == f.ACCEPTED:
-            accepted, room = struct.unpack(">II", payload)
+            accepted, room, _ = struct.unpack(">IId", payload)
             self.credit = (accepted, room)
         else:
             self.others.append((kind, payload))
         if kind == f.STATUS:
             self.status = json.loads(payload)
         elif kind in {f.ACK, f.WELCOME}:
-            self.status = json.loads(payload)["status"]
+            message = json.loads(payload)
+            self.status, self.lease = message["status"], message.get("lease", self.lease)
 
     def until(self, condition: Callable[[], Any], what: str, *, ping: bool = True) -> Any:
         """Pump until the condition holds."""
@@ -213,14 +223,14 @@ class RobotClient:
 
     def load(self, lines: list[bytes], sha256: str = "ab" * 32) -> None:
         """Load a program that fits into the window, and wait until it is accepted."""
-        self.say(f.LOAD, {"program_sha256": sha256, "blocks": len(lines), "approach_blocks": 0})
+        self.say(f.LOAD, announced(lines, sha256))
         self.wait(f.ACK)
         self.socket.sendall(f.pack_blocks(0, lines))
         self.until(lambda: self.credit[0] == len(lines), "blocks accepted")
 
     def resume(self, until: int | None = None) -> None:
         """Run."""
-        self.say(f.RESUME, {"until": until})
+        self.say(f.RESUME, {"until": until, "stops": self.status["stops"]})
         self.wait(f.ACK)
 
     def close(self) -> None:

@@ -19,7 +19,6 @@ from polishd.model.errors import ProgramError
 from polishd.model.process import Placement, ToolProcess
 from polishd.model.robot import HybridRobot
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
-from polishd.plugins.rnc_robot.rs274 import read
 from polishd.process import conditioning, contact
 from polishd.process import frames as controller_frames
 from polishd.process.compliance import depth_ratio
@@ -34,7 +33,8 @@ from polishd.sim_backends.placement import Frames, rotation_rpy, tool_axis
 from polishd.sim_backends.plant import part as parts
 from polishd.sim_backends.plant.removal import equivalent_compliance, hertz_depth_mm, wear, worn_depth_mm
 from polishd.sim_backends.robot.rnc import Reader
-from tests.unit.plugins.test_rnc_traps import BAD, GOOD, Bad, Good
+from tests.rs274 import read
+from tests.unit.plugins.rnc_robot.test_traps_rs274 import BAD, GOOD, Bad, Good
 
 ROBOT = HybridRobot()
 PLANT = Plant(origin_mm=(60.0, -40.0, 2080.0))

@@ -58,6 +58,7 @@ STATUS = st.fixed_dictionaries(
         "accepted": U32,
         "executed": U32,
         "buffer_s": st.floats(0.0, 1e5),
+        "stops": U32,
         "boot_id": TEXT,
         "detail": TEXT,
         "time_s": SECONDS,
@@ -80,7 +81,7 @@ def test_link_vectors_from_the_robot(name: str, kind: Kind) -> None:
     payload = frame[8:-4]
     assert f.pack(kind, payload) == encode(kind, payload) == frame
     if kind == Kind.ACCEPTED:
-        assert messages.accepted(payload) == (9, 512)
+        assert messages.accepted(payload) == (9, 512, 2.5)
     else:
         assert f.pack_executed([(7, 1.0, 1.5)]) == frame
         assert messages.executed(payload) == [Executed(7, 1.0, 1.5)]
@@ -88,7 +89,7 @@ def test_link_vectors_from_the_robot(name: str, kind: Kind) -> None:
 
 def test_link_vectors_to_the_robot() -> None:
     page = {name: bytes.fromhex(value) for name, value in vectors("robot_link").items()}
-    hello = {"protocol": 1, "role": "writer", "client": "t", "executed_from": 0}
+    hello = {"protocol": 1, "role": "writer", "client": "t", "executed_from": 0, "lease": ""}
     assert messages.command(Kind.HELLO, hello) == f.pack_json(f.HELLO, hello) == page["HELLO"]
     assert messages.blocks(7, [b"G1 X1 F60", b"M2"]) == f.pack_blocks(7, [b"G1 X1 F60", b"M2"]) == page["BLOCKS"]
 

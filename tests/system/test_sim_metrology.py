@@ -9,7 +9,7 @@ import pytest
 
 from polishd.sim_backends import metropro
 from polishd.sim_backends.robot import frames as f
-from tests.system.sim_rig import SMALL, Cell, cell, wait_for
+from tests.system.sim_rig import SMALL, Cell, announced, cell, wait_for
 
 pytestmark = pytest.mark.system
 
@@ -93,7 +93,7 @@ def test_blocks_arrive_once_and_in_order_through_a_bad_line(tmp_path: Path) -> N
     lines = [b"G21 G90 G94", b"G0 X0 Y0 Z30 A15 C0", *[f"G1 X{k / 100:.2f} F3000".encode() for k in range(1, 1500)]]
     with cell(tmp_path, SMALL + faults, "--speed", "20") as running:
         robot = running.robot()
-        robot.say(f.LOAD, {"program_sha256": "ee" * 32, "blocks": len(lines)})
+        robot.say(f.LOAD, announced(lines))
         done: list[tuple[int, float, float]] = []
         reconnects = 0
 
@@ -107,9 +107,9 @@ def test_blocks_arrive_once_and_in_order_through_a_bad_line(tmp_path: Path) -> N
                 if state and robot.status["program_sha256"] and accepted < len(lines):
                     robot.socket.sendall(f.pack_blocks(accepted, lines[accepted : accepted + 200]))
                 if state == "held" and accepted > 1000:
-                    robot.say(f.RESUME, {"until": None})
+                    robot.say(f.RESUME, {"until": None, "stops": robot.status["stops"]})
                 if state == "idle":
-                    robot.say(f.LOAD, {"program_sha256": "ee" * 32, "blocks": len(lines)})
+                    robot.say(f.LOAD, announced(lines))
             except OSError:
                 robot.closed = True
             expected = len(done)
@@ -120,7 +120,7 @@ def test_blocks_arrive_once_and_in_order_through_a_bad_line(tmp_path: Path) -> N
             robot.executed.clear()
             if robot.closed:
                 robot.close()
-                robot = running.robot(executed_from=len(done))
+                robot = running.robot(executed_from=len(done), lease=robot.lease)
                 reconnects += 1
             return len(done) == len(lines)
 

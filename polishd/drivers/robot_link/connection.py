@@ -8,9 +8,9 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
-from polishd.api import ByteStream, DeviceRefused, LinkError, ProtocolError, RobotProgress, Segment
+from polishd.api import ByteStream, DeviceRefused, LinkError, ProtocolError, Segment
 from polishd.drivers.robot_link.frames import Kind, encode
-from polishd.drivers.robot_link.messages import PROTOCOL, Ack, Nak, Welcome, command
+from polishd.drivers.robot_link.messages import PROTOCOL, Ack, Nak, Progress, Welcome, command
 from polishd.drivers.robot_link.record import ExecutionRecord
 from polishd.drivers.robot_link.session import Session
 from polishd.drivers.transport.address import Tcp
@@ -32,10 +32,12 @@ Role = Literal["writer", "reader"]
 class Connection:
     """From HELLO to the end of the link; never opened again. Whoever waits hears of its end by LinkError."""
 
-    def __init__(self, address: Tcp, role: Role, record: ExecutionRecord | None) -> None:
+    def __init__(self, address: Tcp, role: Role, record: ExecutionRecord | None, lease: str = "") -> None:
         self.session = Session(record)
         self._address = address
         self._role = role
+        self._lease = lease
+        self._silence_s = CONNECT_S
         self._background = Background(str(address))
         self._pulse = Pulse()
         self._stream: ByteStream | None = None
@@ -54,7 +56,7 @@ class Connection:
         return self.session.welcome
 
     @property
-    def progress(self) -> RobotProgress:
+    def progress(self) -> Progress:
         """The robot's last word; LinkError once the link is down."""
         self._background.check()
         return self.session.present()
@@ -68,6 +70,7 @@ class Connection:
                 "role": self._role,
                 "client": client,
                 "executed_from": self.session.executed_from,
+                "lease": self._lease,
             }
             await self._stream.write(command(Kind.HELLO, hello))
             await self._background.start(self._run, CONNECT_S)
@@ -82,13 +85,16 @@ class Connection:
             await self._stream.close()
 
     async def command(self, kind: Kind, content: Mapping[str, Any], within_s: float = ANSWER_S) -> Ack:
-        """Send once and wait for its ACK. DeviceRefused on NAK, LinkError without an answer."""
+        """Send once and wait for its ACK; ``within_s`` comes on top of the silence that the link is allowed.
+
+        DeviceRefused on NAK, LinkError without an answer.
+        """
         answer: asyncio.Future[Ack] = asyncio.get_running_loop().create_future()
         waiting = self._pending.setdefault(kind, deque())
         waiting.append(answer)
         try:
             await self._write(command(kind, content))
-            return await self._background.result(answer, within_s)
+            return await self._background.result(answer, within_s + self._silence_s)
         finally:
             answer.cancel()
             if answer in waiting:
@@ -110,7 +116,7 @@ class Connection:
                 accepted = credit.accepted
                 in_vain = await self._deliver_once(segments, refusal)
                 if credit is not self.session.credit:
-                    raise DeviceRefused(f"{self._address}: another program was loaded")
+                    raise DeviceRefused(f"{self._address}: the program was dropped while its blocks were being sent")
                 rounds = 0 if credit.accepted > accepted else rounds + in_vain
                 if rounds > RESENDS:
                     raise ProtocolError(f"{self._address}: does not accept block {credit.accepted}")
@@ -124,16 +130,17 @@ class Connection:
         credit = self.session.credit
         while frame := self.session.next_blocks(segments):
             await self._write(frame)
-        sent, known = credit.sent, (credit.accepted, credit.limit)
+        sent, known, before = credit.sent, (credit.accepted, credit.limit), self.session.heard
 
         def changed() -> bool:
-            return refusal.done() or credit.sent < sent or (credit.accepted, credit.limit) != known
+            dropped = credit is not self.session.credit
+            return dropped or refusal.done() or credit.sent < sent or (credit.accepted, credit.limit) != known
 
         in_flight = sent > credit.accepted
         heard = await self.until(changed, RESEND_S if in_flight else None)
         if refusal.done():
             refusal.result()
-        if not heard:
+        if not heard and self.session.heard > before:  # else it may not have had them yet: the link stalls
             credit.go_back()
         return credit.sent < sent
 
@@ -155,17 +162,17 @@ class Connection:
                 await self._stream.write(encode(Kind.PING))
 
     async def _receive(self, ready: Ready) -> None:
-        heard, limit_s = time.monotonic(), CONNECT_S
+        heard = time.monotonic()
         while self._stream is not None:
-            left_s = heard + limit_s - time.monotonic()
+            left_s = heard + self._silence_s - time.monotonic()
             data = await self._stream.read(1 << 16, max(left_s, 0.0))
             if self.session.receive(data):
                 heard = time.monotonic()
-            elif time.monotonic() > heard + limit_s:
-                raise LinkError(f"{self._address}: nothing sound within {limit_s:g} s")
+            elif time.monotonic() > heard + self._silence_s:
+                raise LinkError(f"{self._address}: nothing sound within {self._silence_s:g} s")
             self._match_answers()
             if self.session.welcome is not None:
-                limit_s = SILENCE_SHARE * self.session.welcome.watchdog_s
+                self._silence_s = SILENCE_SHARE * self.session.welcome.watchdog_s
                 ready()
             self._pulse.fire()
 

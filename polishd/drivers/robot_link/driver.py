@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import hashlib
 from collections.abc import AsyncIterator, Callable, Sequence
 
 from polishd.api import (
@@ -37,6 +38,7 @@ class RobotLink:
         self._client = client
         self._role = role
         self._record = ExecutionRecord()
+        self._lease = ""
         self._connection: Connection | None = None
         self._sending = asyncio.Lock()
 
@@ -96,7 +98,8 @@ class RobotLink:
         sha256 = plan.program.sha256
         load = {
             "program_sha256": sha256,
-            "blocks": len(plan.segments) or len(plan.program.blocks),
+            "blocks_sha256": hashlib.sha256(b"".join(segment.text + b"\n" for segment in plan.segments)).hexdigest(),
+            "blocks": len(plan.segments),
             "approach_blocks": plan.approach_blocks,
         }
         answer = await self._open_connection().command(Kind.LOAD, load)
@@ -141,8 +144,9 @@ class RobotLink:
         await _hold(self._open_connection())
 
     async def resume(self, until: int | None = None) -> None:
-        """See Robot. Returns when the robot has taken the command."""
-        await self._open_connection().command(Kind.RESUME, {"until": until})
+        """See Robot. Returns when the robot has taken the command; DeviceRefused where it was stopped meanwhile."""
+        connection = self._open_connection()
+        await connection.command(Kind.RESUME, {"until": until, "stops": connection.progress.stops})
 
     async def abort(self) -> None:
         """Hold, then make the robot forget its program."""
@@ -154,8 +158,9 @@ class RobotLink:
         return self._connection
 
     async def _connect(self, record: ExecutionRecord) -> Connection:
-        connection = Connection(self._address, self._role, record)
+        connection = Connection(self._address, self._role, record, self._lease)
         await connection.open(self._client)
+        self._lease = connection.welcome.lease
         return connection
 
 

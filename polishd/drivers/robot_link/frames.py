@@ -10,6 +10,7 @@ from zlib import crc32
 MAGIC = b"PL"
 MAX_PAYLOAD = 1 << 20
 _HEADER = struct.Struct(">2sBBI")
+_CHECKED = struct.Struct(">BI")
 _CRC = struct.Struct(">I")
 _OVERHEAD = _HEADER.size + _CRC.size
 
@@ -41,9 +42,14 @@ class Frame:
     payload: bytes
 
 
+def header_check(kind: int, length: int) -> int:
+    """A header's check: with a wrong length a receiver would wait for what never comes."""
+    return crc32(_CHECKED.pack(kind, length)) & 0xFF
+
+
 def encode(kind: Kind, payload: bytes = b"{}") -> bytes:
     """A frame's bytes."""
-    body = _HEADER.pack(MAGIC, kind, 0, len(payload)) + payload
+    body = _HEADER.pack(MAGIC, kind, header_check(kind, len(payload)), len(payload)) + payload
     return body + _CRC.pack(crc32(body))
 
 
@@ -85,8 +91,8 @@ class FrameReader:
         """Size of the frame at ``start`` (0 where its header is impossible); None while it is incomplete."""
         if len(self._bytes) - start < _HEADER.size:
             return None
-        _, _, zero, length = _HEADER.unpack_from(self._bytes, start)
-        if zero or length > MAX_PAYLOAD:
+        _, kind, check, length = _HEADER.unpack_from(self._bytes, start)
+        if length > MAX_PAYLOAD or check != header_check(kind, length):
             return 0
         size = _OVERHEAD + int(length)
         return size if len(self._bytes) - start >= size else None

@@ -17,9 +17,17 @@ LONGEST_LINE = 0xFFFF
 
 _BLOCKS = struct.Struct(">IH")
 _LENGTH = struct.Struct(">H")
-_ACCEPTED = struct.Struct(">II")
+_ACCEPTED = struct.Struct(">IId")
 _RECORD = struct.Struct(">Idd")
 _SEQ = struct.Struct(">I")
+
+
+@dataclass(frozen=True, slots=True)
+class Progress(RobotProgress):
+    """The robot's word on itself, with what only this link has."""
+
+    stops: int = 0
+    """HOLD, ABORT and watchdog, counted by the robot; RESUME names the last that its sender knows of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +37,9 @@ class Welcome:
     identity: Identity
     watchdog_s: float
     window: int
-    progress: RobotProgress
+    lease: str
+    """Names the right to write; brings it back on the next connection. Empty for readers."""
+    progress: Progress
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +47,7 @@ class Ack:
     """The robot did as asked."""
 
     of: int
-    progress: RobotProgress
+    progress: Progress
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +81,8 @@ def welcome(payload: bytes) -> Welcome:
     window, watchdog_s = content.get("window"), content.get("watchdog_s")
     if not isinstance(window, int) or not isinstance(watchdog_s, int | float) or window < 1 or watchdog_s <= 0:
         raise ProtocolError(f"WELCOME with window {window!r}, watchdog_s {watchdog_s!r}")
-    return Welcome(Identity(**texts), float(watchdog_s), window, _progress(content.get("status")))
+    lease = _text(content, "lease")
+    return Welcome(Identity(**texts), float(watchdog_s), window, lease, _progress(content.get("status")))
 
 
 def ack(payload: bytes) -> Ack:
@@ -86,15 +97,15 @@ def nak(payload: bytes) -> Nak:
     return Nak(_of(content), _text(content, "code"), _text(content, "text"))
 
 
-def status(payload: bytes) -> RobotProgress:
+def status(payload: bytes) -> Progress:
     """Content of STATUS."""
     return _progress(_object(payload))
 
 
-def accepted(payload: bytes) -> tuple[int, int]:
-    """Content of ACCEPTED: next sequence number, credit."""
-    next_seq, credit = _unpack(_ACCEPTED, payload)
-    return next_seq, credit
+def accepted(payload: bytes) -> tuple[int, int, float]:
+    """Content of ACCEPTED: next sequence number, credit, seconds of motion held."""
+    next_seq, credit, buffer_s = _unpack(_ACCEPTED, payload)
+    return next_seq, credit, buffer_s
 
 
 def executed(payload: bytes) -> list[Executed]:
@@ -106,11 +117,11 @@ def executed(payload: bytes) -> list[Executed]:
 
 def resend(payload: bytes) -> int:
     """Content of RESEND: the sequence number to send again from."""
-    (seq,) = _unpack(_SEQ, payload)
+    seq: int = _unpack(_SEQ, payload)[0]
     return seq
 
 
-def _unpack(form: struct.Struct, payload: bytes) -> tuple[int, ...]:
+def _unpack(form: struct.Struct, payload: bytes) -> tuple[Any, ...]:
     if len(payload) != form.size:
         raise ProtocolError(f"{len(payload)} bytes where {form.size} are due")
     return form.unpack(payload)
@@ -140,20 +151,21 @@ def _of(content: Mapping[str, Any]) -> int:
     return of
 
 
-def _progress(content: Any) -> RobotProgress:
+def _progress(content: Any) -> Progress:
     if not isinstance(content, dict):
         raise ProtocolError(f"no status: {content!r}")
     state, buffer_s = content.get("state"), content.get("buffer_s")
-    counts = content.get("accepted"), content.get("executed")
+    counts = content.get("accepted"), content.get("executed"), content.get("stops")
     if state not in get_args(RobotState) or not isinstance(buffer_s, int | float):
         raise ProtocolError(f"status with state {state!r}, buffer_s {buffer_s!r}")
     if not all(isinstance(count, int) and count >= 0 for count in counts):
-        raise ProtocolError(f"status with accepted, executed {counts!r}")
+        raise ProtocolError(f"status with accepted, executed, stops {counts!r}")
     texts = {key: _text(content, key) for key in ("program_sha256", "boot_id", "detail")}
-    return RobotProgress(
+    return Progress(
         state=cast("RobotState", state),
         accepted=cast("int", counts[0]),
         executed=cast("int", counts[1]),
+        stops=cast("int", counts[2]),
         buffer_s=float(buffer_s),
         **texts,
     )

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from polishd.api import LinkError, RobotProgress, Segment
+from polishd.api import LinkError, Segment
 from polishd.drivers.robot_link import messages
 from polishd.drivers.robot_link.frames import Frame, FrameReader, Kind
-from polishd.drivers.robot_link.messages import Ack, Nak, Welcome
+from polishd.drivers.robot_link.messages import Ack, Nak, Progress, Welcome
 from polishd.drivers.robot_link.record import ExecutionRecord
 
 MAX_BLOCKS = 256
@@ -50,11 +50,13 @@ class Session:
             Kind.RESEND: lambda payload: self.credit.go_back(messages.resend(payload)),
         }
         self.welcome: Welcome | None = None
-        self.progress: RobotProgress | None = None
+        self.progress: Progress | None = None
         self.credit = Credit()
         self.record = ExecutionRecord() if record is None else record
         self.follows = record is not None
         """Records of executed blocks are wanted."""
+        self.heard = 0
+        """Sound frames so far."""
         self.answers: list[Ack | Nak] = []
         """To be taken by the driver, in order."""
 
@@ -68,7 +70,7 @@ class Session:
         """What HELLO asks for."""
         return len(self.record) if self.follows else 0xFFFF_FFFF
 
-    def present(self) -> RobotProgress:
+    def present(self) -> Progress:
         """The last STATUS, with what ACCEPTED and EXECUTED have said since."""
         if self.progress is None:
             raise LinkError("the robot has said nothing yet")
@@ -80,6 +82,7 @@ class Session:
     def receive(self, data: bytes) -> int:
         """Take bytes; number of sound frames among them."""
         frames = self._frames.feed(data)
+        self.heard += len(frames)
         for frame in frames:
             self._handle(frame)
         return len(frames)
@@ -125,17 +128,21 @@ class Session:
         self.answers.append(answer)
 
     def _accepted(self, payload: bytes) -> None:
-        next_seq, credit = messages.accepted(payload)
+        next_seq, credit, buffer_s = messages.accepted(payload)
         self.credit.grant(next_seq, next_seq + credit)
+        if self.progress is not None and next_seq >= self.progress.accepted:
+            self.progress = replace(self.progress, accepted=next_seq, buffer_s=buffer_s)
 
     def _executed(self, payload: bytes) -> None:
         if self.follows:
             self.record.extend(messages.executed(payload))
 
-    def _progressed(self, progress: RobotProgress) -> None:
+    def _progressed(self, progress: Progress) -> None:
         boot_id = self.welcome.identity.boot_id if self.welcome is not None else ""
         if progress.boot_id and progress.boot_id != boot_id:
             raise LinkError(f"the robot was started anew (boot id {progress.boot_id}, not {boot_id})")
         self.progress = replace(progress, boot_id=boot_id)
         if progress.program_sha256 == self.record.program_sha256:
             self.credit.grant(progress.accepted, 0)
+        else:  # dropped, or another in its place: who sends blocks of the old one, or follows it, hears of that
+            self.record, self.credit = ExecutionRecord(progress.program_sha256, boot_id), Credit()

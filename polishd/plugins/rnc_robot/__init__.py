@@ -1,24 +1,27 @@
-"""The robot: the program format ``rs274``, and the device type ``robot_link``."""
+"""The robot: RNC programs in all dialects, and the device types ``robot_link`` and ``linuxcnc``."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from polishd.api import DeviceType, ProgramFormat, hookimpl
-from polishd.plugins.rnc_robot.rs274 import RS274
+from polishd.plugins.rnc_robot.dialect import DIALECTS, dialect
+from polishd.plugins.rnc_robot.formats import format_of
 
 POLISHD_API = 1
 
 
 @hookimpl
-def polishd_program_formats() -> Sequence[ProgramFormat]:
-    """``rs274``."""
-    return [RS274]
+def polishd_program_formats(profiles: Sequence[Path]) -> Sequence[ProgramFormat]:
+    """One a shipped dialect, and one a profile of the user's."""
+    return [*map(format_of, map(dialect, DIALECTS)), *map(format_of, map(dialect, profiles))]
 
 
 @hookimpl
 def polishd_device_types() -> Sequence[DeviceType]:
-    """``robot_link``. Imported late: the compute worker reads programs and needs no driver."""
+    """``robot_link`` and ``linuxcnc``. Imported late: the compute worker reads programs and needs no driver."""
     from polishd.plugins.rnc_robot.link import ROBOT_LINK
+    from polishd.plugins.rnc_robot.linuxcnc import LINUXCNC
 
-    return [ROBOT_LINK]
+    return [ROBOT_LINK, LINUXCNC]

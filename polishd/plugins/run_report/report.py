@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from polishd.files import write_atomic
 from polishd.plugins.run_report import along_path, maps, trend
 from polishd.plugins.run_report.folder import Cycle, RunFolder, Surface, read_folder
 from polishd.plugins.run_report.page import Picture, Section, render
 from polishd.plugins.run_report.style import png, polishd_style
-from polishd.plugins.run_report.whole import write_whole
 
 PAGE = "report.html"
 PICTURES = "pictures"
@@ -32,7 +32,7 @@ def write_report(run_dir: Path) -> Path:
             *(cycle_section(folder, index, album) for index in range(len(folder.cycles))),
         ]
     target = run_dir / PAGE
-    write_whole(target, render(folder, sections).encode())
+    write_atomic(target, render(folder, sections).encode())
     return target
 
 
@@ -52,7 +52,7 @@ class Album:
             self.missing.append(f"picture {name}: {type(error).__name__}: {error}")
             return
         self.folder.mkdir(exist_ok=True)
-        write_whole(self.folder / f"{name}.png", content)
+        write_atomic(self.folder / f"{name}.png", content)
         self.pictures.append(Picture(name, caption, content, wide=wide))
 
     def take(self) -> tuple[Picture, ...]:

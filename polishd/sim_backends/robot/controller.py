@@ -7,32 +7,20 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from polishd.model.errors import ProgramError
-from polishd.model.surface import BoolArray
 from polishd.sim_backends.config import Robot
 from polishd.sim_backends.robot import frames
+from polishd.sim_backends.robot.clients import Client, Lease
+from polishd.sim_backends.robot.intake import Intake, Reach
 from polishd.sim_backends.robot.motion import Motion
-from polishd.sim_backends.robot.rnc import Block, Reader
 
 WRITER_ONLY = {frames.LOAD, frames.BLOCKS, frames.RESUME, frames.ABORT}
 CHUNK = 2000
 """Blocks in one EXECUTED frame."""
+MAX_BLOCKS = 5_000_000
+BACKLOG = 1 << 19
+"""Bytes on their way to a client beyond which records wait for the next tick."""
 
 Report = Callable[..., None]
-
-
-@dataclass(eq=False, slots=True)
-class Client:
-    """One connection."""
-
-    send: Callable[[bytes], None]
-    role: str = ""
-    told: int = 0
-    """Executed blocks of the program that it was told of."""
-    credit: tuple[int, int] = (-1, -1)
-    broken: int = 0
-    awaits: list[int] = field(default_factory=list)
-    """Types (HOLD, ABORT) whose ACK waits for standstill."""
 
 
 @dataclass(slots=True)
@@ -42,29 +30,30 @@ class Controller:
     config: Robot
     motion: Motion
     identity: dict[str, str]
-    reach: Callable[[list[Block]], BoolArray]
-    """Which of these blocks end where the robot can be, (n,)."""
+    reach: Reach
     report: Report
     """Tells the witness: (event, at_s=now, **data)."""
     clients: list[Client] = field(default_factory=list)
-    writer: Client | None = None
-    heard_s: float = 0.0
-    """Wall time of the writer's last frame."""
+    lease: Lease = field(init=False)
     sha256: str = ""
-    _reader: Reader | None = None
-    _gap_told: int = -1
+    stops: int = 0
+    """HOLD, ABORT and the watchdog, counted since the start: a RESUME that does not know of the last is stale."""
+    _intake: Intake | None = None
     _was: str = "idle"
+
+    def __post_init__(self) -> None:
+        """Nobody writes yet."""
+        self.lease = Lease(self.config.watchdog_s)
 
     def on_frame(self, client: Client, kind: int, payload: bytes, now_s: float) -> None:
         """Act on one intact frame."""
-        if client is self.writer:
-            self.heard_s = now_s
+        self.lease.heard(client, now_s)
         if kind == frames.HELLO:
             self._hello(client, payload, now_s)
         elif not client.role:
-            self._nak(client, kind, "protocol", "the first frame must be HELLO")
-        elif kind in WRITER_ONLY and client.role != "writer":
-            self._nak(client, kind, "reader", "readers may only watch, ping and hold")
+            client.nak(kind, "protocol", "the first frame must be HELLO")
+        elif kind in WRITER_ONLY and client is not self.lease.writer:
+            client.nak(kind, "reader", "who has not the lease may only watch, ping and hold")
         elif kind == frames.BLOCKS:
             self._blocks(client, payload, now_s)
         else:
@@ -72,26 +61,19 @@ class Controller:
 
     def on_broken(self, client: Client) -> None:
         """A frame of this client was damaged: ask the writer to send again."""
-        if client is self.writer and self.motion.state != "idle":
-            client.send(frames.pack(frames.RESEND, struct.pack(">I", self.motion.accepted)))
+        if client is self.lease.writer and self._intake is not None:
+            self._ask_again(client, self._intake)
 
     def on_closed(self, client: Client) -> None:
         """A connection ended; the controller's state does not."""
         if client in self.clients:
             self.clients.remove(client)
-        if client is self.writer:
-            self.writer = None
+        self.lease.leave(client)
 
     def tick(self, now_s: float) -> None:
         """Execute up to the present, mind the watchdog, tell everyone."""
         self.motion.advance(now_s)
-        if (
-            self.motion.state == "running"
-            and not self.motion.stopping
-            and now_s - self.heard_s > self.config.watchdog_s
-        ):
-            self.report("watchdog", silent_s=round(now_s - self.heard_s, 3))
-            self.motion.hold(now_s, "watchdog")
+        self._watch(now_s)
         self._changes()
         for client in self.clients:
             self._tell(client)
@@ -106,6 +88,7 @@ class Controller:
             "executed": len(motion.executed),
             "buffer_s": round(motion.ahead_s, 6),
             "boot_id": self.identity["boot_id"],
+            "stops": self.stops,
             "detail": motion.detail,
             "time_s": round(motion.process_s, 6),
         }
@@ -120,86 +103,81 @@ class Controller:
         message = frames.unpack_json(payload)
         role = message.get("role") if message else None
         if message is None or message.get("protocol") != 1 or role not in {"writer", "reader"} or client.role:
-            self._nak(client, frames.HELLO, "protocol", "HELLO wants protocol 1, a role, and comes once")
+            client.nak(frames.HELLO, "protocol", "HELLO wants protocol 1, a role, and comes once")
             return
-        if role == "writer" and self.writer is not None:
-            self._nak(client, frames.HELLO, "busy", "another writer is connected")
+        self.motion.advance(now_s)
+        self._watch(now_s)  # what runs is not handed to a new writer
+        name, standing = str(message.get("lease", "")), self.motion.state != "running"
+        if role == "writer" and not self.lease.take(client, name, now_s, standing=standing):
+            client.nak(frames.HELLO, "busy", "another writer has the lease")
             return
         client.role = role
         self.clients.append(client)
-        if role == "writer":
-            self.writer, self.heard_s = client, now_s
-        self.motion.advance(now_s)
         start = message.get("executed_from", 0)
         client.told = start if isinstance(start, int) and start >= 0 else 0
         welcome = {"protocol": 1, **self.identity, "watchdog_s": self.config.watchdog_s, "window": self.config.window}
-        client.send(frames.pack_json(frames.WELCOME, {**welcome, "status": self.status()}))
+        lease = self.lease.name if role == "writer" else ""
+        client.send(frames.pack_json(frames.WELCOME, {**welcome, "lease": lease, "status": self.status()}))
         self.report("client", role=role, client=str(message.get("client", "")))
         self._tell(client)
 
+    def _watch(self, now_s: float) -> None:
+        """The watchdog: nobody cares for what runs."""
+        silent_s = self.lease.silent_s(now_s)
+        if self.motion.state == "running" and not self.motion.stopping and silent_s > self.config.watchdog_s:
+            self.report("watchdog", silent_s=round(silent_s, 3))
+            self._stop(now_s, "watchdog")
+
+    def _stop(self, now_s: float, why: str) -> None:
+        self.stops += 1
+        self.motion.hold(now_s, why)
+
     def _blocks(self, client: Client, payload: bytes, now_s: float) -> None:
         taken = frames.unpack_blocks(payload)
+        intake = self._intake
         if taken is None:
-            self._nak(client, frames.BLOCKS, "protocol", "malformed BLOCKS")
+            client.nak(frames.BLOCKS, "protocol", "malformed BLOCKS")
             return
-        if self._reader is None:
-            self._nak(client, frames.BLOCKS, "no_program", "LOAD first")
+        if intake is None:
+            client.nak(frames.BLOCKS, "no_program", "LOAD first")
+            return
+        if refusal := intake.refusal():
+            client.nak(frames.BLOCKS, *refusal)
             return
         first, lines = taken
+        self.motion.advance(now_s)
         expected = self.motion.accepted
         if first > expected:
-            if self._gap_told != expected:
-                self._gap_told = expected
-                client.send(frames.pack(frames.RESEND, struct.pack(">I", expected)))
+            self._ask_again(client, intake)
             return
-        self.motion.advance(now_s)
-        room = min(len(self.motion.executed) + self.config.window, self.motion.path.blocks) - expected
-        self._accept(client, lines[expected - first :][: max(room, 0)], now_s)
-
-    def _accept(self, client: Client, lines: list[bytes], now_s: float) -> None:
-        reader = self._reader
-        if reader is None or not lines:
+        new = lines[expected - first :][: self._room()]
+        if not new:
             return
-        read: list[Block] = []
-        for k, line in enumerate(lines):
-            try:
-                block = reader.read(line)
-            except ProgramError as error:
-                self._refuse(client, "syntax", f"block {self.motion.accepted + k}: {error}")
-                break
-            outside = self._outside(block)
-            if outside:
-                self._refuse(client, "limits", f"block {self.motion.accepted + k}: {outside}")
-                break
-            read.append(block)
-        can = self.reach(read)
-        if not can.all():
-            bad = int(can.argmin())
-            del read[bad:]
-            self._refuse(client, "limits", f"block {self.motion.accepted + bad}: out of the robot's reach")
-        if read:
-            self.motion.append(now_s, read)
+        if blocks := intake.take(expected, new):
+            self.motion.append(now_s, blocks)
+        if refusal := intake.refusal():
+            client.nak(frames.BLOCKS, *refusal)
         self._tell(client)
 
-    def _refuse(self, client: Client, code: str, text: str) -> None:
-        """Nothing after a refused block is accepted."""
-        self._reader = None
-        self._nak(client, frames.BLOCKS, code, text)
+    def _ask_again(self, client: Client, intake: Intake) -> None:
+        """RESEND, once for each gap: what follows it on the wire is no news."""
+        expected = self.motion.accepted
+        if intake.asked_from != expected:
+            intake.asked_from = expected
+            client.send(frames.pack(frames.RESEND, struct.pack(">I", expected)))
 
-    def _outside(self, block: Block) -> str:
-        limits = self.config
-        ranges = (limits.x_mm, limits.y_mm, limits.z_mm, limits.a_deg)
-        for axis, value, (low, high) in zip("XYZA", block.end, ranges, strict=False):
-            if not low <= value <= high:
-                return f"{axis} {value:g} is outside {low:g} to {high:g}"
-        return ""
+    def _room(self) -> int:
+        """Blocks that may be sent."""
+        motion = self.motion
+        return max(min(len(motion.executed) + self.config.window, motion.path.blocks) - motion.accepted, 0)
 
     def _command(self, client: Client, kind: int, payload: bytes, now_s: float) -> None:
         message = frames.unpack_json(payload)
         if message is None:
-            self._nak(client, kind, "protocol", "the payload is not a JSON object")
+            client.nak(kind, "protocol", "the payload is not a JSON object")
         elif kind == frames.PING:
             self.motion.advance(now_s)
+            client.credit = (-1, -1)  # an ACCEPTED that was lost is made good
             self._tell(client)
             client.send(frames.pack_json(frames.STATUS, self.status()))
         elif kind == frames.LOAD:
@@ -207,41 +185,45 @@ class Controller:
         elif kind == frames.RESUME:
             self._resume(client, message, now_s)
         elif kind in {frames.HOLD, frames.ABORT}:
-            self.motion.hold(now_s, "hold" if kind == frames.HOLD else "abort")
+            self._stop(now_s, "hold" if kind == frames.HOLD else "abort")
             client.awaits.append(kind)
             self._changes()
         else:
-            self._nak(client, kind, "protocol", f"unknown type 0x{kind:02x}")
+            client.nak(kind, "protocol", f"unknown type 0x{kind:02x}")
 
     def _load(self, client: Client, message: dict[str, Any], now_s: float) -> None:
         self.motion.advance(now_s)
-        blocks, sha256 = message.get("blocks"), message.get("program_sha256")
+        blocks, hashes = message.get("blocks"), [message.get(key) for key in ("program_sha256", "blocks_sha256")]
+        name, hashed = (value if isinstance(value, str) else "" for value in hashes)
         if self.motion.state == "running":
-            self._nak(client, frames.LOAD, "running", "hold first")
+            client.nak(frames.LOAD, "running", "hold first")
             return
-        if not isinstance(blocks, int) or not isinstance(sha256, str) or not 0 < blocks <= 5_000_000:
-            self._nak(client, frames.LOAD, "protocol", "LOAD wants program_sha256 and blocks")
+        if not name or not hashed or not isinstance(blocks, int) or not 0 < blocks <= MAX_BLOCKS:
+            client.nak(frames.LOAD, "protocol", "LOAD wants program_sha256, blocks_sha256 and blocks")
             return
         self.motion.load(blocks)
-        self.sha256, self._gap_told = sha256, -1
-        self._reader = Reader(self.motion.pose)
+        self.sha256 = name
+        self._intake = Intake(self.config, self.reach, blocks, hashed, self.motion.pose)
         for each in self.clients:
             each.told = 0
-        self.report("program_loaded", sha256=sha256, blocks=blocks)
-        self._ack(client, frames.LOAD)
+        self.report("program_loaded", sha256=self.sha256, blocks=blocks)
+        client.ack(frames.LOAD, self.status())
+        self.send_status()
         self._tell(client)
 
     def _resume(self, client: Client, message: dict[str, Any], now_s: float) -> None:
-        until = message.get("until")
-        if self.motion.state == "idle":
-            self._nak(client, frames.RESUME, "no_program", "LOAD first")
-            return
-        if until is not None and not isinstance(until, int):
-            self._nak(client, frames.RESUME, "protocol", "until is a sequence number or null")
-            return
-        self.motion.resume(now_s, until)
-        self._ack(client, frames.RESUME)
-        self._changes()
+        until, intake = message.get("until"), self._intake
+        refusal = intake.refusal() if intake is not None else ("", "LOAD first")
+        if refusal is not None:
+            client.nak(frames.RESUME, "no_program", refusal[1])
+        elif until is not None and not isinstance(until, int):
+            client.nak(frames.RESUME, "protocol", "until is a sequence number or null")
+        elif message.get("stops") != self.stops:
+            client.nak(frames.RESUME, "stale", f"{self.stops} stops, not {message.get('stops')}: look again")
+        else:
+            self.motion.resume(now_s, until)
+            client.ack(frames.RESUME, self.status())
+            self._changes()
 
     def _changes(self) -> None:
         """Report starts and stops; give the ACKs that waited for standstill."""
@@ -258,25 +240,19 @@ class Controller:
             for kind in client.awaits:
                 if kind == frames.ABORT:
                     motion.forget()
-                    self.sha256, self._reader, self._was = "", None, "idle"
-                self._ack(client, kind)
+                    self.sha256, self._intake, self._was = "", None, "idle"
+                    self.send_status()
+                client.ack(kind, self.status())
             client.awaits.clear()
 
     def _tell(self, client: Client) -> None:
-        """ACCEPTED where it changed, EXECUTED where there is more."""
+        """ACCEPTED where it changed, EXECUTED where there is more and the client takes it."""
         executed = self.motion.executed
-        accepted = self.motion.accepted
-        room = min(len(executed) + self.config.window, self.motion.path.blocks) - accepted
-        if client.credit != (accepted, room):
-            client.credit = (accepted, room)
-            client.send(frames.pack(frames.ACCEPTED, struct.pack(">II", accepted, max(room, 0))))
-        while client.told < len(executed):
+        credit = self.motion.accepted, self._room()
+        if client.credit != credit:
+            client.credit = credit
+            client.send(frames.pack(frames.ACCEPTED, struct.pack(">IId", *credit, self.motion.ahead_s)))
+        while client.told < len(executed) and client.backlog() < BACKLOG:
             part = executed[client.told : client.told + CHUNK]
             client.send(frames.pack_executed(part))
             client.told += len(part)
-
-    def _ack(self, client: Client, kind: int) -> None:
-        client.send(frames.pack_json(frames.ACK, {"of": kind, "status": self.status()}))
-
-    def _nak(self, client: Client, kind: int, code: str, text: str) -> None:
-        client.send(frames.pack_json(frames.NAK, {"of": kind, "code": code, "text": text}))

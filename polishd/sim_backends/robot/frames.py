@@ -20,8 +20,12 @@ Frame = tuple[int, bytes]
 
 def pack(kind: int, payload: bytes = b"") -> bytes:
     """A frame."""
-    body = _HEAD.pack(MAGIC, kind, 0, len(payload)) + payload
+    body = _HEAD.pack(MAGIC, kind, _check(kind, len(payload)), len(payload)) + payload
     return body + struct.pack(">I", zlib.crc32(body))
+
+
+def _check(kind: int, length: int) -> int:
+    return zlib.crc32(struct.pack(">BI", kind, length)) & 0xFF
 
 
 def pack_json(kind: int, message: dict[str, Any]) -> bytes:
@@ -87,9 +91,9 @@ class Splitter:
             del self._buffer[:start]
             if len(self._buffer) < _HEAD.size:
                 return
-            _, kind, zero, length = _HEAD.unpack_from(self._buffer)
+            _, kind, check, length = _HEAD.unpack_from(self._buffer)
             whole = _HEAD.size + length + 4
-            if zero or length > MAX_PAYLOAD:
+            if length > MAX_PAYLOAD or check != _check(kind, length):
                 self._skip()
                 continue
             if len(self._buffer) < whole:

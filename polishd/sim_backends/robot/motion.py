@@ -50,6 +50,8 @@ class Motion:
     _cursor: Cursor = field(default_factory=Cursor)
     _legs: Legs = field(init=False)
     _leg: int = 0
+    _stale: bool = False
+    """Blocks were accepted that the legs do not have."""
     _begun_s: float | None = None
     _origin: tuple[float, float] = (0.0, 0.0)
 
@@ -78,11 +80,10 @@ class Motion:
         self.state, self.detail = "idle", ""
 
     def append(self, wall_s: float, blocks: Sequence[Block]) -> None:
-        """Take blocks; the profile of what lies ahead is renewed."""
+        """Take blocks; the profile of what lies ahead is renewed when it is asked for."""
         self.advance(wall_s)
         self.path.append(blocks)
-        if not self.stopping:
-            self._plan()
+        self._stale = not self.stopping
 
     def resume(self, wall_s: float, until: int | None) -> None:
         """Run, to the end or up to ``until``."""
@@ -115,7 +116,7 @@ class Motion:
         """Execute up to the present."""
         if self.state != "running":
             return
-        legs, since = self._legs, self.process_s
+        legs, since = self._planned(), self.process_s
         now = max(self._origin[1] + (wall_s - self._origin[0]) * self.limits.speed, since)
         end = float(legs.end_s[legs.stop]) if legs.stop >= 0 else since
         self.process_s = min(now, end)
@@ -133,9 +134,15 @@ class Motion:
     @property
     def ahead_s(self) -> float:
         """Wall seconds of motion that are accepted and not executed."""
-        if not len(self._legs.end_s):
+        legs = self._planned()
+        if not len(legs.end_s):
             return 0.0
-        return max(float(self._legs.end_s[-1]) - self.process_s, 0.0) / self.limits.speed
+        return max(float(legs.end_s[-1]) - self.process_s, 0.0) / self.limits.speed
+
+    def _planned(self) -> Legs:
+        if self._stale:
+            self._plan()
+        return self._legs
 
     def _plan(self) -> None:
         limits = self.limits
@@ -147,7 +154,7 @@ class Motion:
             accel=limits.accel_mm_s2,
             overhead_s=limits.overhead_s,
         )
-        self._leg = 0
+        self._leg, self._stale = 0, False
 
     def _witness(self, legs: Legs, reached: int, since: float) -> None:
         if self.process_s <= since:

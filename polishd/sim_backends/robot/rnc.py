@@ -20,6 +20,7 @@ _COMMENT = re.compile(r"\([^()]*\)")
 _WORD = re.compile(r"([A-Z])([+-]?(?:\d+\.?\d*|\.\d+))")
 _NEUTRAL = {17.0, 40.0, 49.0, 54.0, 61.0, 64.0, 80.0}
 _GROUPS = ({0.0, 1.0}, {4.0}, {20.0, 21.0}, {90.0, 91.0}, {93.0, 94.0})
+_KNOWN = _NEUTRAL.union(*_GROUPS)
 _LETTERS = frozenset("NGMFPXYZAC")
 
 
@@ -123,10 +124,9 @@ class _Line:
                 raise ProgramError(f"{letter} twice")
             else:
                 line.values[letter] = value
-        known = _NEUTRAL.union(*_GROUPS)
-        if line.g - known or line.m - {0.0, 2.0, 30.0}:
+        if line.g - _KNOWN or line.m - {0.0, 2.0, 30.0}:
             raise ProgramError("a G or M word that this controller does not know")
-        if any(len(line.g & group) > 1 for group in _GROUPS):
+        if len(line.g) > 1 and any(len(line.g & group) > 1 for group in _GROUPS):
             raise ProgramError("two G words of one group")
         return line
 

@@ -16,7 +16,8 @@ from polishd.sim_backends.bus import ROW
 from polishd.sim_backends.faults import Mischief, Outlet
 from polishd.sim_backends.placement import Frames
 from polishd.sim_backends.robot import frames
-from polishd.sim_backends.robot.controller import Client, Controller
+from polishd.sim_backends.robot.clients import Client
+from polishd.sim_backends.robot.controller import Controller
 from polishd.sim_backends.robot.motion import Limits, Motion
 from polishd.sim_backends.robot.rnc import Block
 from polishd.sim_backends.runtime import LOOPBACK, Runtime
@@ -39,7 +40,7 @@ class Connection(asyncio.Protocol):
         if isinstance(transport, asyncio.Transport):
             self.transport = transport
         outlet = Outlet(self._write, self._server.mischief)
-        self.client = Client(outlet.send)
+        self.client = Client(outlet.send, self._backlog)
         self._worker = None if outlet.mischief.idle else self._server.runtime.group.create_task(outlet.run())
         self._server.connections.add(self)
 
@@ -59,8 +60,11 @@ class Connection(asyncio.Protocol):
         if self._worker is not None:
             self._worker.cancel()
 
+    def _backlog(self) -> int:
+        return self.transport.get_write_buffer_size()
+
     def _write(self, data: bytes) -> None:
-        if self.transport.get_write_buffer_size() > MAX_UNSENT:
+        if self._backlog() > MAX_UNSENT:
             self.transport.abort()
         elif not self.transport.is_closing():
             self.transport.write(data)

@@ -16,7 +16,7 @@ from polishd.process.contact import hertz_depth_mm, removal_rate_nm_s, volume_ra
 from polishd.process.robot import tip_compliance_mm_per_n
 from polishd.sim_backends.metropro import DatMap, pack
 from tests.unit.console.said import Polishd
-from tests.unit.process.paths import inward_axis
+from tests.unit.process.moves import inward_axis
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "cell.toml"
 TRUE = dataclasses.replace(

@@ -28,8 +28,8 @@ from polishd.daemon.config import CellConfig, load_config
 from polishd.daemon.plugins import load_own
 from polishd.model.errors import BadMap
 from polishd.model.program import Program
-from polishd.plugins.rnc_robot.rs274 import read
 from polishd.sim_backends.metropro import DatMap, pack
+from tests.rs274 import read
 
 TEMPLATE = """# top
 [one]

@@ -26,11 +26,12 @@ from polishd.model.process import FLAT, SHIPPED_OPTIONS, Placement, ToolProcess
 from polishd.model.program import Plan, Program, Segment
 from polishd.model.robot import HybridRobot
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
-from polishd.plugins.rnc_robot.make import raster_program
-from polishd.plugins.rnc_robot.rs274 import RS274
+from polishd.plugins.rnc_robot.make import path_program
 from polishd.process.dwell import newton_cg
-from polishd.process.raster import raster
+from polishd.process.paths.apertures import circle
+from polishd.process.paths.raster import raster
 from tests.fakes.devices import FakeCell
+from tests.rs274 import RS274
 from tests.unit.process.gaussian import envelope, rough, spot_effect
 
 APERTURE_MM = 24.0
@@ -98,8 +99,8 @@ def small_recipe(**changes: Any) -> Recipe:
 
 def small_text(radius_mm: float = APERTURE_MM / 2 + 1) -> bytes:
     """A raster over the part and a little more, as RNC text."""
-    points = raster(radius_mm, 1.5, 1.5)
-    return raster_program(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)), 900.0, "small")
+    points = raster(circle(2 * radius_mm), 1.5, 1.5)
+    return path_program(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)), 900.0, "small")
 
 
 def small_program(radius_mm: float = APERTURE_MM / 2 + 1) -> Program:

@@ -18,7 +18,7 @@ from polishd.model.devices import Executed, RobotProgress
 from polishd.model.errors import ComputeError, PlanRefused
 from polishd.model.program import Plan
 from polishd.model.surface import SurfaceMap
-from polishd.plugins.rnc_robot.rs274 import RS274
+from tests.rs274 import RS274
 from tests.unit.daemon.small import (
     CERTIFICATE,
     as_map,

@@ -18,10 +18,10 @@ from polishd.model.errors import BadMap, ComputeError, ProgramError
 from polishd.model.process import ComplianceOptions, MeasuredTif, Optic, Placement
 from polishd.model.program import Program
 from polishd.plugins.dwell_solvers import qp
-from polishd.plugins.rnc_robot.rs274 import RS274
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.frames import dips_deg, surface_normals
+from tests.rs274 import RS274
 from tests.unit.daemon.small import (
     APERTURE_MM,
     gaussian_effect,

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
+import hashlib
 import random
 import time
 from collections.abc import AsyncIterator, Callable, Iterable
 
 import pytest
 
-from polishd.api import DeviceFault, DeviceRefused, Executed, LinkError, ProtocolError
-from polishd.drivers.robot_link import RobotLink, connection, driver, session
+from polishd.api import DeviceFault, Executed, LinkError, ProtocolError
+from polishd.drivers.robot_link import RobotLink, connection, session
 from polishd.drivers.transport.address import Tcp
 from tests.fakes import robot as wire
 from tests.fakes.robot import FakeRobot
@@ -46,20 +48,6 @@ async def test_nobody_listens() -> None:
     with pytest.raises(LinkError):
         await robot.make_safe()
     assert robot.buffer_s == 0.0
-
-
-async def test_one_writer_only(pair: Pair) -> None:
-    _, fake = pair
-    second = RobotLink(Tcp("127.0.0.1", fake.port))
-    with pytest.raises(DeviceRefused, match="busy"):
-        await second.open()
-    reader = RobotLink(Tcp("127.0.0.1", fake.port), role="reader")
-    await reader.open()
-    assert (await reader.progress()).state == "idle"
-    with pytest.raises(DeviceRefused, match="reader"):
-        await reader.prepare(PLAN)
-    await reader.hold()
-    await reader.close()
 
 
 async def test_readers_see_it_all(pair: Pair) -> None:
@@ -303,45 +291,6 @@ async def test_another_program_than_announced(pair: Pair) -> None:
         await robot.prepare(PLAN)
 
 
-async def test_hold_is_known_from_status_where_its_answer_is_lost(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
-    robot, fake = pair
-    monkeypatch.setattr(driver, "HOLD_ANSWER_S", 0.1)
-    fake.outgoing = lambda kind, frame: [] if kind == wire.ACK and fake.heard[-1] == wire.HOLD else [frame]
-    fake.block_s = 0.1
-    await robot.prepare(PLAN)
-    await robot.send(PLAN.segments[:30])
-    await robot.resume()
-    await robot.hold()
-    assert fake.state == "held"
-
-
-async def test_a_robot_that_does_not_stop_is_a_fault(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
-    robot, fake = pair
-    monkeypatch.setattr(driver, "HOLD_ANSWER_S", 0.1)
-    monkeypatch.setattr(driver, "HOLD_S", 0.2)
-    fake.brake_s, fake.block_s = 60.0, 0.1
-    await robot.prepare(PLAN)
-    await robot.send(PLAN.segments[:30])
-    await robot.resume()
-    with pytest.raises(DeviceFault, match="goes on running"):
-        await robot.hold()
-
-
-async def test_make_safe_reaches_a_robot_whose_link_was_cut(pair: Pair) -> None:
-    robot, fake = pair
-    fake.block_s, fake.watchdog_s = 0.1, 60.0
-    await robot.prepare(PLAN)
-    await robot.send(PLAN.segments[:30])
-    await robot.resume()
-    fake.drop()
-    with pytest.raises(LinkError):
-        await robot.hold()
-    await robot.make_safe()
-    assert fake.state == "held"
-    with pytest.raises(LinkError):
-        await robot.progress()
-
-
 async def test_records_come_before_the_fault(pair: Pair) -> None:
     robot, fake = pair
     await robot.prepare(PLAN)
@@ -359,25 +308,24 @@ async def test_records_come_before_the_fault(pair: Pair) -> None:
     assert (status.ready, status.safe, status.detail) == (False, False, "servo")
 
 
-async def test_abort_ends_what_is_followed(pair: Pair) -> None:
-    robot, fake = pair
-    fake.block_s = 0.05
-    await robot.prepare(PLAN)
-    await robot.send(PLAN.segments[:40])
-    await robot.resume()
-    following = asyncio.create_task(collect(robot, []))
-    await asyncio.sleep(0)
-    await robot.abort()
-    await following
-    assert (await robot.progress()).state == "idle"
-
-
 async def test_many_commands_at_once(pair: Pair) -> None:
     robot, fake = pair
     await robot.prepare(PLAN)
     await robot.send(PLAN.segments[:40])
-    await asyncio.gather(*(robot.hold() for _ in range(5)), *(robot.resume(until=0) for _ in range(5)))
+    await asyncio.gather(*(robot.hold() for _ in range(5)))
+    await asyncio.gather(*(robot.resume(until=0) for _ in range(5)))
     assert fake.heard.count(wire.RESUME) == 5
+
+
+async def test_load_names_the_program_and_the_blocks(pair: Pair) -> None:
+    robot, fake = pair
+    plan = plan_of([b"G1 X1 F60", b"M2", b""])
+    await robot.prepare(dataclasses.replace(plan, segments=plan.segments[:2]))
+    assert fake.loads[-1]["program_sha256"] == hashlib.sha256(b"G1 X1 F60\nM2\n").hexdigest()
+    assert fake.loads[-1]["blocks_sha256"] == hashlib.sha256(b"G1 X1 F60\nM2\n").hexdigest()
+    assert fake.loads[-1]["blocks"] == 2
+    await robot.prepare(plan)
+    assert fake.loads[-1]["blocks_sha256"] == hashlib.sha256(b"G1 X1 F60\nM2\n\n").hexdigest()
 
 
 async def test_a_cancelled_send_goes_on_where_it_was(pair: Pair) -> None:

@@ -16,6 +16,7 @@ from tests.fakes import robot as wire
 
 def status(**changes: Any) -> dict[str, Any]:
     base = {"state": "held", "program_sha256": "sha", "accepted": 0, "executed": 0, "buffer_s": 0.0, "boot_id": "b1"}
+    base["stops"] = 0
     return base | changes
 
 
@@ -25,8 +26,8 @@ def welcome(**changes: Any) -> bytes:
     return wire.frame(wire.WELCOME, content)
 
 
-def accepted(next_seq: int, credit: int) -> bytes:
-    return wire.frame(wire.ACCEPTED, struct.pack(">II", next_seq, credit))
+def accepted(next_seq: int, credit: int, buffer_s: float = 0.0) -> bytes:
+    return wire.frame(wire.ACCEPTED, struct.pack(">IId", next_seq, credit, buffer_s))
 
 
 def executed(*seqs: int) -> bytes:
@@ -117,9 +118,22 @@ def test_a_lost_accepted_is_made_good_by_status() -> None:
 
 def test_present_is_what_was_said_last() -> None:
     session = loaded(8)
-    session.receive(accepted(5, 3) + executed(0, 1))
+    session.receive(accepted(5, 3, 1.25) + executed(0, 1))
     present = session.present()
-    assert (present.accepted, present.executed) == (5, 2)
+    assert (present.accepted, present.executed, present.buffer_s) == (5, 2, 1.25)
+    session.receive(accepted(4, 4, 1.0))
+    assert session.present().buffer_s == 1.25, "an old word"
+
+
+def test_a_program_that_is_gone_takes_record_and_credit_with_it() -> None:
+    session = loaded(8)
+    session.receive(accepted(5, 3) + executed(0, 1))
+    credit, record = session.credit, session.record
+    session.receive(wire.frame(wire.STATUS, status(program_sha256="", state="idle", stops=4)))
+    assert session.credit is not credit
+    assert session.record is not record
+    assert (session.credit.limit, len(session.record), session.present().stops) == (0, 0, 4)
+    assert len(record) == 2
 
 
 def test_load_starts_from_nothing() -> None:

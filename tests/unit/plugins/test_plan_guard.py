@@ -10,7 +10,7 @@ import pytest
 
 from polishd.api import Envelope, Plan, Program, Segment
 from polishd.plugins.plan_guard import polishd_check_plan
-from polishd.plugins.rnc_robot.rs274 import read
+from tests.rs274 import read
 
 ENVELOPE = Envelope(
     max_feed_mm_s=50.0, min_feed_mm_s=0.5, accel_mm_s2=800.0, block_overhead_s=0.0, corner_deg=30.0,

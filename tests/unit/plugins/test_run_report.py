@@ -23,7 +23,6 @@ from polishd.plugins.run_report.page import render
 from polishd.plugins.run_report.psd import radial_psd
 from polishd.plugins.run_report.report import write_report
 from polishd.plugins.run_report.values import duration, plain, when
-from polishd.plugins.run_report.whole import write_whole
 
 N = 24
 PITCH_MM = 1.0
@@ -361,23 +360,6 @@ class TestSpectrum:
         np.testing.assert_allclose(radial_psd(tilted, mask, 1.0)[1], radial_psd(height, mask, 1.0)[1], rtol=0.3)
         tilted[40:44, 50:53] = np.nan
         assert np.isfinite(radial_psd(tilted, mask, 1.0)[1]).all()
-
-
-class TestWhole:
-    def test_a_failed_write_leaves_the_old_file_and_nothing_else(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        target = tmp_path / "report.html"
-        write_whole(target, b"old")
-
-        def full(_: int) -> None:
-            raise OSError(28, "No space left on device")
-
-        monkeypatch.setattr("os.fsync", full)
-        with pytest.raises(OSError, match="No space"):
-            write_whole(target, b"new")
-        assert target.read_bytes() == b"old"
-        assert [file.name for file in tmp_path.iterdir()] == ["report.html"]
 
 
 def test_a_surface_lies_where_its_grid_does() -> None:

@@ -11,7 +11,8 @@ from polishd.model.surface import FloatArray, Grid
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
 from polishd.process.effect import SparseEffect
-from polishd.process.raster import raster
+from polishd.process.paths.apertures import circle
+from polishd.process.paths.raster import raster
 
 
 def spot_effect(
@@ -51,7 +52,7 @@ def dwell_problem(
     """A disc polished along a raster at 1 mm: 110 x 110 and 8,000 points at radius 50."""
     n = int(2 * radius_mm + 10)
     grid = Grid(n, n, 1.0)
-    points = raster(radius_mm - 1, 1.0, 1.0)
+    points = raster(circle(2 * radius_mm - 2), 1.0, 1.0)
     middle, length = (points[1:] + points[:-1]) / 2, np.linalg.norm(np.diff(points, axis=0), axis=1)
     effect = spot_effect(grid, middle, rate_nm_s=100 * (1 + 0.05 * np.sin(middle[:, 0] / 20)))
     solve, metric = grid.radius_mm() <= radius_mm, grid.radius_mm() <= radius_mm - 3

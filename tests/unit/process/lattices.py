@@ -17,7 +17,7 @@ from polishd.process.dynamic_tif import effect_matrix
 from polishd.process.effect import SparseEffect
 from polishd.process.spot import HertzSpot
 from tests.unit.process.gaussian import rough
-from tests.unit.process.paths import program
+from tests.unit.process.moves import program
 
 PAPER = ToolProcess()
 

@@ -15,7 +15,7 @@ from polishd.process.convolution import ConvolutionEffect, convolution_effect
 from polishd.process.dynamic_tif import effect_matrix
 from polishd.process.effect import Effect, SparseEffect
 from polishd.process.spot import HertzSpot
-from tests.unit.process.paths import inward_program, program
+from tests.unit.process.moves import inward_program, program
 
 SPOT = HertzSpot(ToolProcess())
 GRID = Grid(33, 40, 1.0)

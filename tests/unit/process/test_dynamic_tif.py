@@ -16,7 +16,7 @@ from polishd.model.surface import Grid
 from polishd.process import contact
 from polishd.process.dynamic_tif import corrected_spot, effect_matrix
 from polishd.process.spot import HertzSpot
-from tests.unit.process.paths import program, raster
+from tests.unit.process.moves import program, raster
 
 PAPER = ToolProcess()
 DEPTH = contact.hertz_depth_mm(PAPER)

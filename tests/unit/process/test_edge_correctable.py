@@ -14,9 +14,9 @@ from polishd.process.dynamic_tif import effect_matrix
 from polishd.process.edge import correctable as module
 from polishd.process.edge.correctable import SHARE, Transfer, correctable, transfer
 from polishd.process.measured_spot import MeasuredSpot, measured_spot
-from polishd.process.raster import quiet_step_mm
+from polishd.process.paths.raster import quiet_step_mm
 from polishd.process.spot import HertzSpot
-from tests.unit.process.paths import program
+from tests.unit.process.moves import program
 
 # At a dip of 89 deg the speed hardly varies over the contact, and the rate goes as the pressure.
 EVEN = ToolProcess(dip_deg=89.0, viscosity_mpa_s=0.0, second_viscosity_mpa_s=0.0)

@@ -18,10 +18,11 @@ from polishd.process.edge.extension import Extension, extend
 from polishd.process.edge.overrun import Overrun, overrun
 from polishd.process.edge.rim import round_rim
 from polishd.process.effect import SparseEffect
-from polishd.process.raster import raster
+from polishd.process.paths.apertures import circle
+from polishd.process.paths.raster import raster
 from polishd.process.spot import HertzSpot
 from tests.unit.process.gaussian import rough
-from tests.unit.process.paths import program
+from tests.unit.process.moves import program
 
 RADIUS = 14.0
 GRID = Grid(42, 42, 1.0)
@@ -29,7 +30,7 @@ PART = GRID.radius_mm() <= RADIUS
 BLANK = 3.0
 """Width of the rim that a map may lack."""
 SPOT = HertzSpot(ToolProcess())
-POINTS = raster(RADIUS, 1.0, 1.0, overrun_mm=2.0)[:, :2]
+POINTS = raster(circle(2 * RADIUS), 1.0, 1.0, overrun_mm=2.0)[:, :2]
 PATH = program(POINTS[:-1], POINTS[1:], 0.3)
 GAMMA, ONE = np.full(PATH.n, 0.87), np.ones(PATH.n)
 RIM = round_rim(RADIUS)

@@ -18,7 +18,7 @@ from polishd.process.edge.edge_tif import EdgeTif, carried, measured_edge_effect
 from polishd.process.edge.rim import Rim, mask_rim, round_rim
 from polishd.process.measured_spot import measured_spot
 from polishd.process.spot import Spot
-from tests.unit.process.paths import program
+from tests.unit.process.moves import program
 
 PAPER = ToolProcess()
 PITCH = 0.05

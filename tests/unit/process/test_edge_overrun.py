@@ -18,7 +18,7 @@ from polishd.process.edge.overrun import Overrun, overrun, wanted_overrun_mm
 from polishd.process.edge.rim import round_rim
 from polishd.process.effect import SparseEffect
 from polishd.process.spot import HertzSpot
-from tests.unit.process.paths import program
+from tests.unit.process.moves import program
 
 PROCESS = ToolProcess(viscosity_mpa_s=0.0, second_viscosity_mpa_s=0.0)
 SPOT = HertzSpot(PROCESS)

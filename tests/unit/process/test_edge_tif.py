@@ -15,7 +15,7 @@ from polishd.process.dynamic_tif import effect_matrix
 from polishd.process.edge.edge_tif import MOST_SUNK, carried, contact_centres_mm, rim_contact, sinking
 from polishd.process.edge.rim import mask_rim, round_rim
 from polishd.process.spot import HertzSpot
-from tests.unit.process.paths import program
+from tests.unit.process.moves import program
 
 PAPER = ToolProcess()
 DEPTH = contact.hertz_depth_mm(PAPER)

@@ -12,7 +12,7 @@ from polishd.model.errors import ComputeError
 from polishd.model.process import ComplianceOptions, Optic, Placement
 from polishd.model.surface import FloatArray
 from polishd.process import frames
-from tests.unit.process.paths import inward_axis
+from tests.unit.process.moves import inward_axis
 
 TURN = st.floats(-360, 360)
 

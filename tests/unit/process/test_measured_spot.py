@@ -15,7 +15,7 @@ from polishd.process import contact
 from polishd.process.dynamic_tif import effect_matrix
 from polishd.process.measured_spot import SQUARES, measured_spot
 from polishd.process.spot import HertzSpot, Spot
-from tests.unit.process.paths import program, raster
+from tests.unit.process.moves import program, raster
 
 PAPER = ToolProcess()
 DEPTH = contact.hertz_depth_mm(PAPER)

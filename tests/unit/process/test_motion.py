@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.motion import delivered_time_s, learn_overhead_s, least_time_s, most_time_s
-from polishd.process.raster import raster
+from polishd.process.paths.apertures import circle
+from polishd.process.paths.raster import raster
 from tests.unit.process.gaussian import envelope, program
 
 A, V = 800.0, 50.0
@@ -140,7 +141,7 @@ def test_never_sooner_than_asked_nor_than_the_largest_feed(blocks: list[tuple[fl
 
 
 def test_overhead_is_learned_from_what_was_executed() -> None:
-    points = raster(10, 1.0, 1.0)
+    points = raster(circle(20), 1.0, 1.0)
     path = program(points)
     rng = np.random.default_rng(0)
     asked = 0.05 + 0.1 * rng.random(path.n)
@@ -163,7 +164,7 @@ def test_times_that_cannot_be(asked: FloatArray) -> None:
 
 @pytest.mark.parametrize(("radius_mm", "at_least", "cpu_s"), [(50.0, 8_000, 0.05), (224.0, 158_000, 2.0)])
 def test_it_is_quick(radius_mm: float, at_least: int, cpu_s: float) -> None:
-    path = program(raster(radius_mm, 1.0, 1.0))
+    path = program(raster(circle(2 * radius_mm), 1.0, 1.0))
     assert path.n > at_least
     asked = np.full(path.n, 0.1)
     best = np.inf

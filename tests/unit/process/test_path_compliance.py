@@ -15,7 +15,7 @@ from polishd.process import frames
 from polishd.process.compliance import equivalent_compliance
 from polishd.process.path_compliance import compliance_at, path_compliance
 from polishd.process.robot import inverse_kinematics, tip_compliance_mm_per_n
-from tests.unit.process.paths import DIP, PLACEMENT, inward_program, program
+from tests.unit.process.moves import DIP, PLACEMENT, inward_program, program
 
 PAPER = ToolProcess()
 DEPTH = 0.14834891

@@ -12,7 +12,7 @@ from polishd.process.dynamic_tif import effect_matrix
 from polishd.process.measured_spot import measured_spot
 from polishd.process.spot import HertzSpot
 from polishd.process.tif_family import TifFamily, tif_family, windows
-from tests.unit.process.paths import program
+from tests.unit.process.moves import program
 
 PAPER = HertzSpot(ToolProcess())
 NARROW, WIDE = (0.835, 0.913), (0.75, 1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import struct
 from typing import Any
@@ -11,7 +12,8 @@ import pytest
 
 from polishd.sim_backends.config import Robot
 from polishd.sim_backends.robot import frames as f
-from polishd.sim_backends.robot.controller import Client, Controller
+from polishd.sim_backends.robot.clients import Client
+from polishd.sim_backends.robot.controller import Controller
 from polishd.sim_backends.robot.motion import Limits, Motion
 
 LIMITS = Limits(accel_mm_s2=1000.0, overhead_s=0.0, corner_deg=30.0, rapid_mm_s=100.0, max_feed_mm_s=100.0, speed=1.0)
@@ -35,11 +37,20 @@ class Bench:
         )
         self.now = 0.0
 
-    def client(self, role: str = "writer", executed_from: int = 0) -> tuple[Client, Frames]:
+    def client(self, role: str = "writer", executed_from: int = 0, lease: str = "") -> tuple[Client, Frames]:
         client = Client(lambda frame: client_frames.extend(f.Splitter().feed(frame)))
         client_frames = []
-        self.say(client, f.HELLO, {"protocol": 1, "role": role, "client": "t", "executed_from": executed_from})
+        hello = {"protocol": 1, "role": role, "client": "t", "executed_from": executed_from, "lease": lease}
+        self.say(client, f.HELLO, hello)
         return client, client_frames
+
+    def load(self, client: Client, lines: list[Any] = LINES, **changes: Any) -> None:
+        blocks_sha256 = hashlib.sha256(b"".join(line + b"\n" for line in lines)).hexdigest()
+        message = {"program_sha256": "ab", "blocks_sha256": blocks_sha256, "blocks": len(lines)}
+        self.say(client, f.LOAD, message | changes)
+
+    def resume(self, client: Client, until: int | None = None) -> None:
+        self.say(client, f.RESUME, {"until": until, "stops": self.controller.stops})
 
     def say(self, client: Any, kind: int, message: Any) -> None:
         payload = message if isinstance(message, bytes) else json.dumps(message).encode()
@@ -51,7 +62,7 @@ class Bench:
 
     def loaded(self, lines: list[Any] = LINES, **config: Any) -> tuple[Client, Frames]:
         client, got = self.client()
-        self.say(client, f.LOAD, {"program_sha256": "ab", "blocks": len(lines), "approach_blocks": 0})
+        self.load(client, lines)
         self.blocks(client, 0, lines)
         return client, got
 
@@ -76,6 +87,10 @@ def naks(got: Frames) -> list[tuple[int, str]]:
     return [(m["of"], m["code"]) for m in (json.loads(p) for k, p in got if k == f.NAK)]
 
 
+def credits_told(got: Frames) -> list[tuple[int, int]]:
+    return [struct.unpack(">IId", payload)[:2] for kind, payload in got if kind == f.ACCEPTED]
+
+
 def executed(got: Frames) -> list[tuple[int, float, float]]:
     return [block for kind, payload in got if kind == f.EXECUTED for block in f.unpack_executed(payload)]
 
@@ -88,7 +103,7 @@ def test_hello_is_answered_by_welcome_and_credit() -> None:
     assert welcome["boot_id"] == "b1"
     assert welcome["window"] == 4096
     assert welcome["status"]["state"] == "idle"
-    assert got[1][1] == struct.pack(">II", 0, 0)
+    assert credits_told(got) == [(0, 0)]
 
 
 def test_nothing_before_hello_and_hello_once() -> None:
@@ -121,8 +136,11 @@ def test_load_send_run_done() -> None:
     bench = Bench()
     client, got = bench.loaded()
     assert last(got, f.ACK)["of"] == f.LOAD
-    assert got[-1] == (f.ACCEPTED, struct.pack(">II", 20, 0))
-    bench.say(client, f.RESUME, {"until": None})
+    assert credits_told(got)[-1] == (20, 0)
+    held_s = struct.unpack(">IId", got[-1][1])[2]
+    assert held_s == pytest.approx(bench.controller.status()["buffer_s"], abs=1e-6)
+    assert held_s == pytest.approx(2.0, rel=0.05), "20 mm at 10 mm/s"
+    bench.resume(client)
     bench.until(3.0, client)
     assert bench.controller.status()["state"] == "done"
     assert [seq for seq, _, _ in executed(got)] == list(range(20))
@@ -132,7 +150,7 @@ def test_load_send_run_done() -> None:
 def test_blocks_taken_already_are_ignored_and_gaps_asked_for_once() -> None:
     bench = Bench()
     client, got = bench.client()
-    bench.say(client, f.LOAD, {"program_sha256": "ab", "blocks": 20})
+    bench.load(client)
     bench.blocks(client, 0, LINES[:5])
     bench.blocks(client, 3, LINES[3:8])
     assert bench.controller.motion.accepted == 8
@@ -149,19 +167,21 @@ def test_a_damaged_frame_is_asked_for_again() -> None:
     bench = Bench()
     client, got = bench.loaded(LINES[:5])
     bench.controller.on_broken(client)
+    bench.controller.on_broken(client)
     assert got[-1] == (f.RESEND, struct.pack(">I", 5))
+    assert kinds(got).count(f.RESEND) == 1
 
 
 def test_the_window_bounds_what_is_taken_and_moves_with_execution() -> None:
     bench = Bench(window=6)
     client, got = bench.client()
-    bench.say(client, f.LOAD, {"program_sha256": "ab", "blocks": 20})
-    assert got[-1] == (f.ACCEPTED, struct.pack(">II", 0, 6))
+    bench.load(client)
+    assert credits_told(got)[-1] == (0, 6)
     bench.blocks(client, 0, LINES)
-    assert got[-1] == (f.ACCEPTED, struct.pack(">II", 6, 0))
-    bench.say(client, f.RESUME, {"until": 4})
+    assert credits_told(got)[-1] == (6, 0)
+    bench.resume(client, 4)
     bench.until(2.0, client)
-    assert (f.ACCEPTED, struct.pack(">II", 6, 4)) in got
+    assert (6, 4) in credits_told(got)
 
 
 @pytest.mark.parametrize(
@@ -180,7 +200,7 @@ def test_a_bad_block_is_refused_and_nothing_after_it_is_taken(line: bytes, code:
 def test_the_writers_silence_leads_to_hold() -> None:
     bench = Bench()
     client, _got = bench.loaded()
-    bench.say(client, f.RESUME, {})
+    bench.resume(client)
     bench.until(0.5, client)
     bench.until(1.45)
     assert bench.controller.status()["state"] == "running"
@@ -193,10 +213,12 @@ def test_the_writers_silence_leads_to_hold() -> None:
 def test_a_lost_connection_does_not_stop_the_state_and_a_new_one_hears_it_all() -> None:
     bench = Bench()
     client, _ = bench.loaded()
-    bench.say(client, f.RESUME, {})
+    bench.resume(client)
     bench.until(0.6, client)
     bench.controller.on_closed(client)
-    _, got = bench.client(executed_from=2)
+    lease = bench.controller.lease.name
+    _, got = bench.client(executed_from=2, lease=lease)
+    assert last(got, f.WELCOME)["lease"] == lease
     assert [seq for seq, _, _ in executed(got)] == list(range(2, len(bench.controller.motion.executed)))
     assert bench.controller.status()["state"] == "running"
 
@@ -205,7 +227,7 @@ def test_hold_by_a_reader_is_acknowledged_at_standstill() -> None:
     bench = Bench()
     client, _ = bench.loaded()
     reader, got = bench.client("reader")
-    bench.say(client, f.RESUME, {})
+    bench.resume(client)
     bench.until(0.5, client)
     bench.say(reader, f.HOLD, {})
     assert f.ACK not in kinds(got)
@@ -217,27 +239,27 @@ def test_hold_by_a_reader_is_acknowledged_at_standstill() -> None:
 def test_abort_forgets() -> None:
     bench = Bench()
     client, got = bench.loaded()
-    bench.say(client, f.RESUME, {})
+    bench.resume(client)
     bench.until(0.5, client)
     bench.say(client, f.ABORT, {})
     bench.until(0.6, client)
     assert last(got, f.ACK)["of"] == f.ABORT
     assert last(got, f.ACK)["status"]["state"] == "idle"
     assert bench.controller.status()["state"] == "idle"
-    bench.say(client, f.RESUME, {})
+    bench.resume(client)
     assert naks(got) == [(f.RESUME, "no_program")]
 
 
 def test_load_is_refused_while_running_and_when_it_is_nonsense() -> None:
     bench = Bench()
     client, got = bench.loaded()
-    bench.say(client, f.RESUME, {})
-    bench.say(client, f.LOAD, {"program_sha256": "cd", "blocks": 3})
+    bench.resume(client)
+    bench.load(client)
     bench.until(3.0, client)
-    bench.say(client, f.LOAD, {"program_sha256": 5, "blocks": 3})
-    bench.say(client, f.LOAD, {"program_sha256": "cd", "blocks": 0})
+    for nonsense in ({"program_sha256": 5}, {"blocks_sha256": ""}, {"blocks": 0}, {"blocks": "3"}):
+        bench.load(client, **nonsense)
     bench.say(client, f.LOAD, b"nonsense")
-    assert naks(got) == [(f.LOAD, "running")] + [(f.LOAD, "protocol")] * 3
+    assert naks(got) == [(f.LOAD, "running")] + [(f.LOAD, "protocol")] * 5
 
 
 def test_unknown_types_are_refused() -> None:

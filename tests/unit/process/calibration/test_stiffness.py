@@ -18,7 +18,7 @@ from polishd.process.calibration.stiffness import StiffnessFit, fit_stiffness
 from polishd.process.compliance import equivalent_compliance
 from polishd.process.robot import reachable, tip_compliance_mm_per_n
 from tests.unit.process.arms import UR5
-from tests.unit.process.paths import inward_axis
+from tests.unit.process.moves import inward_axis
 
 NOISE = 0.03
 PAPER_MEAN, PAPER_MAX = 4.19, 6.38

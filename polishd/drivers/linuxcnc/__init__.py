@@ -1,0 +1,1 @@
+"""LinuxCNC: docs/protocols/linuxcnc.md. ``driver`` moves it over linuxcncrsh, ``interpreter`` only reads programs."""

@@ -1,0 +1,128 @@
+"""One TCP connection to linuxcncrsh: one request at a time, each with its answer, LinkError without one."""
+
+from __future__ import annotations
+
+import time
+
+from polishd.api import ByteStream, DeviceRefused, LinkError, ProtocolError
+from polishd.drivers.linuxcnc.dialogue import AXES, Answer, Snapshot, asks, line_of, numbers_of, parse, status_of
+from polishd.drivers.transport.address import Tcp
+from polishd.drivers.transport.requests import RequestQueue
+from polishd.drivers.transport.streams import LineReader, close_quietly, open_stream
+
+CONNECT_S = 0.8
+ANSWER_S = 0.6
+"""It answers a question within a millisecond, an order after 0.1 s."""
+MESSAGES = 50
+"""More old messages than that are no accident."""
+
+
+class Connection:
+    """From hello to the end of the link; never opened again.
+
+    Requests never overlap: linuxcncrsh takes words apart with strtok in one thread a connection, and its answers carry
+    no number. So what is late or cut breaks the link rather than answer the next request.
+    """
+
+    def __init__(self, address: Tcp, passwords: tuple[str, str]) -> None:
+        self._address = address
+        self._passwords = passwords
+        self._queue = RequestQueue(str(address))
+        self._stream: ByteStream | None = None
+        self._lines: LineReader | None = None
+        self._controls = False
+        self.server = ""
+
+    async def open(self) -> None:
+        """Connect and say hello. Asks for no control, so that whoever has it keeps it."""
+        self._stream = await open_stream(self._address, CONNECT_S)
+        self._lines = LineReader(self._stream, longest=1024)
+        try:
+            await self._queue.start()
+            self.server = (await self._queue.ask(lambda: self._ask(f"hello {self._passwords[0]} polishd 1.0"))).value
+            await self._queue.ask(lambda: self._tell("set echo off"))
+            await self.set("set verbose on")
+        except BaseException:
+            await self.close()
+            raise
+
+    async def close(self) -> None:
+        """Hang up; idempotent."""
+        await self._queue.stop()
+        if self._stream is not None:
+            await close_quietly(self._stream)
+
+    async def get(self, name: str) -> str:
+        """A value; ProtocolError where linuxcncrsh does not know it."""
+        return (await self._queue.ask(lambda: self._ask(f"get {name}"))).value
+
+    async def set(self, command: str, *, urgent: bool = False, within_s: float = ANSWER_S) -> None:
+        """Give an order and wait until LinuxCNC has received it. DeviceRefused where it does not take it."""
+        await self._queue.ask(lambda: self._ask(command, within_s), urgent=urgent)
+
+    async def control(self) -> None:
+        """Ask for the right to give orders, once a connection. It is taken from whoever had it."""
+        if not self._controls:
+            await self.set(f"set enable {self._passwords[1]}", urgent=True)
+            await self.set("set set_wait received", urgent=True)
+            self._controls = True
+
+    async def look(self) -> Snapshot:
+        """What LinuxCNC is doing."""
+        return await self._queue.ask(self._look)
+
+    async def errors(self) -> str:
+        """What it has to complain of since it was last asked; forgets operator messages with it."""
+        return await self._queue.ask(self._drain)
+
+    async def _look(self) -> Snapshot:
+        time_s = numbers_of(await self._get("time"), 1)[0]
+        # line before status: after an abort the line jumps to the last one read, and the status says so
+        line = line_of(await self._get("program_line"))
+        position = numbers_of(await self._get("abs_cmd_pos"), AXES)
+        status = status_of(await self._get("program_status"))
+        # after the status: a message comes before the pause that it announces
+        display = await self._get("operator_display")
+        return Snapshot(time_s, line, status, position, "" if display == "OK" else display)
+
+    async def _drain(self) -> str:
+        found: list[str] = []
+        for _ in range(MESSAGES):
+            said = [await self._get(name) for name in ("error", "operator_text", "operator_display")]
+            if said[0] != "OK":
+                found.append(said[0])
+            if said == ["OK"] * 3:
+                break
+        return "; ".join(found)
+
+    async def _get(self, name: str) -> str:
+        return (await self._ask(f"get {name}")).value
+
+    async def _tell(self, request: str) -> None:
+        if self._stream is None:
+            raise LinkError(f"{self._address}: is not open")
+        await self._stream.write(request.encode() + b"\r\n")
+
+    async def _ask(self, request: str, within_s: float = ANSWER_S) -> Answer:
+        """Send and wait for the answer; whatever goes wrong ends the link."""
+        try:
+            await self._tell(request)
+            answer = await self._answer(asks(request), within_s)
+        except LinkError:
+            if self._stream is not None:
+                await close_quietly(self._stream)
+            raise
+        if not answer.ok:
+            verb, name = (*asks(request).split(), "")[:2]
+            error = ProtocolError if verb == "get" else DeviceRefused
+            raise error(f"{self._address}: LinuxCNC refuses {verb} {name}".rstrip())
+        return answer
+
+    async def _answer(self, to: str, within_s: float) -> Answer:
+        deadline = time.monotonic() + within_s
+        while self._lines is not None:
+            line = await self._lines.next(max(deadline - time.monotonic(), 0.0))
+            answer = parse(line)
+            if answer is not None and answer.to == to:
+                return answer
+        raise LinkError(f"{self._address}: is not open")

@@ -1,0 +1,83 @@
+"""Prints a program's canonical calls as ``rs274 -g`` does, but with doubles and line numbers.
+
+A script of its own: run by the Python that LinuxCNC's module ``gcode`` is built for, not by polishd's. Lengths are in
+inches, whatever the program says: so the module has it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from collections.abc import Callable
+from typing import Any
+
+
+class Canon:
+    """What the interpreter calls: a machine without tools that prints what it hears."""
+
+    parameter_file = "program.var"
+
+    def __init__(self) -> None:
+        self._line = 0
+        self._count = 0
+
+    def __getattr__(self, name: str) -> Callable[..., None]:
+        def call(*arguments: object) -> None:
+            self._count += 1
+            shown = ", ".join(map(repr, arguments)).replace("\n", " ")
+            sys.stdout.write(f"{self._count} N{self._line} {name.upper()}({shown})\n")
+
+        setattr(self, name, call)  # the next call of this name finds it at once
+        return call
+
+    def next_line(self, state: Any) -> None:
+        """The interpreter begins a line."""
+        self._line = state.sequence_number
+
+    def check_abort(self) -> bool:
+        """Nobody aborts."""
+        return False
+
+    def get_external_length_units(self) -> float:
+        """Millimetres a machine unit."""
+        return 1.0
+
+    def get_external_angular_units(self) -> float:
+        """Degrees a machine unit."""
+        return 1.0
+
+    def get_axis_mask(self) -> int:
+        """X, Y, Z, A, B, C."""
+        return 0x3F
+
+    def get_block_delete(self) -> bool:
+        """The switch is off: a line that begins with / is read, as ``rs274 -g`` does."""
+        return False
+
+    def get_tool(self, pocket: int) -> tuple[float, ...]:
+        """The tool in a pocket: of length 0."""
+        return (pocket, *(0.0,) * 12, 0)
+
+
+def load_tools() -> None:
+    """Put the tools of tool.tbl where the interpreter looks for them: it dies at ``G43 H1`` where nobody has."""
+    data = ctypes.CDLL("libtooldata.so.0")
+    data["_Z17tool_mmap_creatorPK13EMC_TOOL_STATi"](None, 0)
+    data["_Z13tooldata_loadPKcPPc"](b"tool.tbl", None)
+
+
+def main(path: str) -> int:
+    """Interpret a file; 1, and the reason on stderr, where the interpreter refuses it."""
+    import gcode  # type: ignore[import-not-found]  # LinuxCNC's, in the system's Python
+
+    load_tools()
+    result, line = gcode.parse(path, Canon(), "G21", "G90")
+    if result <= gcode.MIN_ERROR:
+        return 0
+    # a line that cannot be read counts already, one that cannot be run does not
+    sys.stderr.write(f"at or before line {line}: {gcode.strerror(result)}\n")
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))

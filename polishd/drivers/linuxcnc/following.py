@@ -1,0 +1,137 @@
+"""A connection that is looked through all the time, so that what LinuxCNC does is known, and standstill seen."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
+
+from polishd.api import DeviceFault, DeviceRefused, LinkError
+from polishd.drivers.linuxcnc.connection import Connection
+from polishd.drivers.linuxcnc.dialogue import Snapshot
+from polishd.drivers.transport.address import Tcp
+from polishd.drivers.transport.background import Background, Pulse, Ready
+
+LOOK_S = 0.005
+"""Between two looks while a program runs: LinuxCNC renews its own word every [TASK] CYCLE_TIME, 1 to 10 ms."""
+IDLE_LOOK_S = 0.02
+OPEN_S = 2.0
+STAND_S = 2.0
+"""Within the daemon's own patience with a device that is to become safe."""
+
+OnLook = Callable[[Snapshot], Awaitable[bool]]
+"""Takes a look; tells whether the next one is urgent."""
+
+
+class Following:
+    """From ``open`` to ``close``; may be opened again. Whoever waits hears of the link's end by LinkError."""
+
+    def __init__(self, address: Tcp, passwords: tuple[str, str], on_look: OnLook) -> None:
+        self._address = address
+        self._passwords = passwords
+        self._on_look = on_look
+        self._connection: Connection | None = None
+        self._background = Background(str(address))
+        self._pulse = Pulse()
+        self._looks: tuple[Snapshot, ...] = ()
+        """The last two."""
+        self._count = 0
+
+    @property
+    def alive(self) -> bool:
+        """The link is up."""
+        return self._background.running
+
+    @property
+    def connection(self) -> Connection:
+        """LinkError while it is not open, or once it is lost."""
+        if self._connection is None:
+            raise LinkError(f"{self._address}: is not open")
+        self._background.check()
+        return self._connection
+
+    @property
+    def last(self) -> Snapshot:
+        """What LinuxCNC was doing last."""
+        return self._looks[-1]
+
+    async def open(self) -> None:
+        """Connect, and look twice."""
+        connection = Connection(self._address, self._passwords)
+        await connection.open()
+        self._connection = connection
+        try:
+            await self._background.start(self._follow, OPEN_S)
+        except BaseException:
+            await self.close()
+            raise
+
+    async def close(self) -> None:
+        """Hang up; idempotent."""
+        await self._background.stop()
+        connection, self._connection = self._connection, None
+        self._looks = ()
+        if connection is not None:
+            await connection.close()
+
+    def stands(self) -> bool:
+        """Two looks in a row at one place, and no program under way."""
+        return (
+            len(self._looks) > 1
+            and not self._looks[1].moved_since(self._looks[0])
+            and all(look.status != "running" for look in self._looks)
+        )
+
+    def tell(self) -> None:
+        """Wake those who wait: something has changed."""
+        self._pulse.fire()
+
+    async def until(self, condition: Callable[[], bool], within_s: float | None = None) -> bool:
+        """Wait for the condition, looked at after each look; False when the time is up."""
+        return await self._background.until(self._pulse, condition, within_s)
+
+    async def standstill(self, order: str) -> None:
+        """Seen by two looks that are later than the order; DeviceFault otherwise."""
+        count = self._count
+        if not await self.until(lambda: self._count >= count + 2 and self.stands(), STAND_S):
+            raise DeviceFault(f"{self._address}: LinuxCNC goes on moving after {order}")
+
+    async def _follow(self, ready: Ready) -> None:
+        connection = self.connection
+        while True:
+            look = await connection.look()
+            self._looks = (*self._looks[-1:], look)
+            self._count += 1
+            if len(self._looks) > 1:
+                ready()
+            urgent = await self._on_look(look)
+            self._pulse.fire()
+            await asyncio.sleep(LOOK_S if urgent else IDLE_LOOK_S)
+
+
+async def abort(connection: Connection) -> None:
+    """Abort and see that it stands. A machine that is off refuses the order, and stands."""
+    await connection.control()
+    try:
+        await connection.set("set abort", urgent=True)
+    except DeviceRefused:
+        if not await obstacle(connection):
+            raise
+    deadline = time.monotonic() + STAND_S
+    last = await connection.look()
+    while time.monotonic() < deadline:
+        await asyncio.sleep(LOOK_S)
+        look = await connection.look()
+        if look.status == "idle" and not look.moved_since(last):
+            return
+        last = look
+    raise DeviceFault("LinuxCNC goes on moving after abort")
+
+
+async def obstacle(connection: Connection) -> str:
+    """Why LinuxCNC would run nothing; empty where it would."""
+    if await connection.get("estop") != "OFF":
+        return "LinuxCNC is in e-stop"
+    if await connection.get("machine") != "ON":
+        return "LinuxCNC is switched off"
+    return ""

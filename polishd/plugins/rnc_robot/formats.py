@@ -1,0 +1,37 @@
+"""All program formats: what a dialect's profile is, decides who reads it."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from polishd.api import Program, ProgramError, ProgramFormat
+from polishd.model.program import Encoding
+from polishd.model.surface import FloatArray
+from polishd.plugins.rnc_robot import languages
+from polishd.plugins.rnc_robot.dialect import AnyDialect, Dialect
+from polishd.plugins.rnc_robot.nc import reader, rewriter
+from polishd.plugins.rnc_robot.nc.recode import recode
+
+
+def read(dialect: AnyDialect, text: bytes, name: str) -> Program:
+    """Read a program; ``name`` is for messages. ProgramError names the line and the reason."""
+    return reader.read(dialect, text, name) if isinstance(dialect, Dialect) else languages.read(dialect, text, name)
+
+
+def rewrite(dialect: AnyDialect, program: Program, time_s: FloatArray, encoding: Encoding | None = None) -> bytes:
+    """The program with (n,) seconds at its points; only numbers that carry time change. ProgramError.
+
+    ``encoding``: where the time is to sit; as in the program by default.
+    """
+    if isinstance(dialect, Dialect):
+        if encoding in (None, program.encoding):
+            return rewriter.rewrite(dialect, program, time_s)
+        return recode(dialect, program, time_s, encoding)
+    if encoding not in (None, "dwell"):
+        raise ProgramError(f"{program.name}: in {dialect.name} time sits in dwells. To do: leave the encoding away.")
+    return languages.rewrite(dialect, program, time_s)
+
+
+def format_of(dialect: AnyDialect) -> ProgramFormat:
+    """What the daemon knows of a dialect."""
+    return ProgramFormat(dialect.name, partial(read, dialect), partial(rewrite, dialect))

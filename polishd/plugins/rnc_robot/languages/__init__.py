@@ -1,0 +1,12 @@
+"""Robot languages (RAPID, KRL, FANUC TP, URScript, and a user's own), read and rewritten by profiles that are data.
+
+A profile says in templates which statement moves, which waits, and which changes neither place nor time; everything
+else is refused. Time sits in the dwells: ``encoding`` is always ``"dwell"``.
+"""
+
+from polishd.plugins.rnc_robot.languages.profile import Profile, parse
+from polishd.plugins.rnc_robot.languages.reader import read
+from polishd.plugins.rnc_robot.languages.rewriter import rewrite
+from polishd.plugins.rnc_robot.languages.splitter import split
+
+__all__ = ["Profile", "parse", "read", "rewrite", "split"]

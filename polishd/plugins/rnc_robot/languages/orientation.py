@@ -1,0 +1,44 @@
+"""From how a robot language writes an orientation to the tool axis."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from polishd.model.surface import FloatArray
+
+Convention = Literal["quaternion", "euler_deg", "rotation_vector_rad"]
+
+UNIT_WITHIN = 1e-3
+"""How far a quaternion's norm may be from 1: the rounding of three or more written digits, and no more."""
+
+
+def is_rotation(convention: Convention, values: Sequence[float]) -> bool:
+    """Whether the numbers (3 or 4) of one orientation are one: finite, and a quaternion of unit length."""
+    if not all(map(math.isfinite, values)):
+        return False
+    return convention != "quaternion" or abs(math.hypot(*values) - 1) <= UNIT_WITHIN
+
+
+def tool_axis(convention: Convention, axes: str, values: FloatArray, *, tool_z_into_part: bool) -> FloatArray:
+    """Unit tool axis (n, 3), from the tip into the spindle, of n orientations.
+
+    ``values`` is (n, 4) for quaternions (scalar first) and (n, 3) otherwise; ``axes`` are those of Euler angles in
+    degrees, in the order of ``values``, upper case for turned axes (``ZYX``: KUKA's A, B, C), lower for fixed ones
+    (``xyz``: FANUC's W, P, R). The tool's z is the rotation's third column; it
+    mostly points from the tip into the part.
+    """
+    if not len(values):
+        return np.zeros((0, 3))
+    if convention == "quaternion":
+        rotation = Rotation.from_quat(values[:, [1, 2, 3, 0]])
+    elif convention == "euler_deg":
+        rotation = Rotation.from_euler(axes, values, degrees=True)
+    else:
+        rotation = Rotation.from_rotvec(values)
+    tool_z = np.asarray(rotation.as_matrix()[:, :, 2], dtype=np.float64)
+    return -tool_z if tool_z_into_part else tool_z

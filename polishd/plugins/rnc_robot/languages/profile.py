@@ -1,0 +1,239 @@
+"""The profile of a robot language: everything in which one differs from another, as strict data."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from typing import Annotated, Any, Literal, NamedTuple, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from polishd.api import ConfigError
+from polishd.plugins.rnc_robot.languages.orientation import Convention
+from polishd.plugins.rnc_robot.languages.template import Writing, compiled
+
+Kind = Literal[
+    "move", "dwell", "dwell_in_position", "approach", "position", "neutral", "begin", "end", "run", "finish",
+    "assumed", "refused",
+]  # fmt: skip
+TAKEN: tuple[Kind, ...] = get_args(Kind)[:-2]
+"""What a language's statements may be, in the order in which their templates are tried."""
+Text = Annotated[str, Field(min_length=1)]
+Templates = list[Text]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class Orientation(_Strict):
+    """How an orientation is written."""
+
+    convention: Convention
+    fields: list[Text]
+    """Names of the fields: scalar first for a quaternion, in the order of ``axes`` for Euler angles."""
+    axes: str = ""
+    """Of Euler angles: three of XYZ about turned axes, or of xyz about fixed ones."""
+    tool_z: Literal["into_part", "out_of_part"] = "into_part"
+    """Where the tool frame's z points."""
+
+    @model_validator(mode="after")
+    def _complete(self) -> Orientation:
+        count = 4 if self.convention == "quaternion" else 3
+        if len(self.fields) != count:
+            raise ValueError(f"{self.convention} has {count} fields")
+        if (self.convention == "euler_deg") != bool(re.fullmatch(r"[XYZ]{3}|[xyz]{3}", self.axes)):
+            raise ValueError("axes: three of XYZ (turned) or xyz (fixed), with euler_deg and only with it")
+        return self
+
+
+class Dwell(_Strict):
+    """What a dwell's number means, and how finely and how far it may be written."""
+
+    unit_s: float = Field(1.0, gt=0)
+    quantum_s: float = Field(gt=0)
+    """Smallest step of time that is written; a power of ten of the unit."""
+    max_s: float = Field(float("inf"), gt=0)
+    fly_by: Literal["refuse", "warn"] = "refuse"
+    """What to do with a dwell after a move that need not stop: ``warn`` where the controller stops there anyway."""
+
+    @model_validator(mode="after")
+    def _decimal(self) -> Dwell:
+        if abs(self.unit_s / self.quantum_s - 10**self.decimals) > 1e-6 * self.unit_s / self.quantum_s:
+            raise ValueError("quantum_s: 1, 0.1, 0.01, ... of unit_s")
+        return self
+
+    @property
+    def decimals(self) -> int:
+        """Decimals of a number that resolves one quantum."""
+        ratio, decimals = self.unit_s / self.quantum_s, 0
+        while 10**decimals < ratio * (1 - 1e-6):
+            decimals += 1
+        return decimals
+
+
+class Statements(_Strict):
+    """Templates by what the statement is; in each list they are tried from the top."""
+
+    move: Templates = []
+    """A feed move: x, y, z and the orientation's fields, or ``target``: a declared position (dx, dy, dz added).
+
+    It may have ``zone``, ``tool``, ``frame``, ``feed`` with ``feed_unit``, and ``t``: seconds that it takes itself.
+    """
+    dwell: Templates = []
+    """A wait for ``time``."""
+    dwell_in_position: Templates = []
+    """A wait that begins only when the robot stands still."""
+    approach: Templates = []
+    """Any other motion: it leads to no point."""
+    position: Templates = []
+    """A position declared under the name ``target``."""
+    neutral: Templates = []
+    """What changes neither place nor time. ``tool`` and ``frame`` must be the same at all moves."""
+    begin: Templates = []
+    end: Templates = []
+    """Begin and end of a routine; there may be several, but only one may move."""
+    run: Templates = []
+    """The call of routine ``program``, outside of any."""
+    finish: Templates = []
+    """End of the file: nothing but comments may follow."""
+
+
+NUMBERS = frozenset({"x", "y", "z", "dx", "dy", "dz", "t", "time"})
+"""Fields that are numbers in any language, as the orientation's are; ``feed`` is one unless the profile narrows it."""
+
+
+class Refused(_Strict):
+    """Statements that are known and refused, with the reason."""
+
+    reason: str
+    advice: str = "have it posted without"
+    templates: Templates
+
+
+class Assumed(_Strict):
+    """Statements that are read over, at the price of a warning."""
+
+    warning: str
+    templates: Templates
+
+
+class Pattern(NamedTuple):
+    """One template, ready to match."""
+
+    kind: Kind
+    regex: re.Pattern[bytes]
+    note: str = ""
+    advice: str = ""
+
+
+class Profile(_Strict):
+    """A robot language."""
+
+    name: str
+    kind: Literal["template"]
+    summary: str = ""
+    comments: list[Text]
+    """What begins a comment that runs to the end of the line."""
+    ignore_case: bool = False
+    span_lines: bool = False
+    """Whether a statement may run over several lines."""
+    unit_mm: float = Field(1.0, gt=0)
+    """Length of a written unit of x, y, z."""
+    feed_units_mm_min: dict[str, Annotated[float, Field(gt=0)]] = Field(default_factory=dict)
+    """One written unit of ``feed`` by what the field ``feed_unit`` holds (lower case; "" where there is none)."""
+    exact_stop: list[Text] = []
+    """What the field ``zone`` of a move that stops holds (lower case); no zone and a zone of 0 stop too."""
+    declare_before_use: bool = False
+    line_limit: int = Field(0, ge=0)
+    """Lines of a routine that the controller takes; 0: any number."""
+    orientation: Orientation
+    dwell: Dwell
+    fields: dict[str, Text] = Field(default_factory=dict)
+    """Regular expressions of the templates' fields."""
+    statements: Statements
+    added: Statements = Statements()
+    """Of a profile that extends another: templates that are tried before the other's of the same kind."""
+    refused: list[Refused] = []
+    assumed: list[Assumed] = []
+
+    @model_validator(mode="after")
+    def _usable(self) -> Profile:
+        """A language whose templates cannot give a point is refused before a program is."""
+        for name, regex in self.fields.items():
+            if name in self.numbers:
+                raise ValueError(f"fields.{name}: is a number, and no regular expression makes it another")
+            try:
+                re.compile(regex.encode())
+            except re.error as error:
+                raise ValueError(f"fields.{name}: {error.msg}") from error
+        for pattern in self.patterns:
+            lacking = _lacking(pattern, {"x", "y", "z", *self.orientation.fields})
+            if lacking:
+                raise ValueError(f"statements.{pattern.kind}: a template lacks <{'>, <'.join(sorted(lacking))}>")
+            if pattern.regex.match(b""):
+                raise ValueError(f"statements.{pattern.kind}: a template fits where nothing is written")
+        if "move" not in self.kinds or not self.kinds & {"dwell", "dwell_in_position"}:
+            raise ValueError("statements: a language needs a move and a dwell")
+        return self
+
+    @property
+    def numbers(self) -> frozenset[str]:
+        """Names of the fields that must be numbers."""
+        return NUMBERS | set(self.orientation.fields)
+
+    @cached_property
+    def patterns(self) -> tuple[Pattern, ...]:
+        """All templates, in the order in which they are tried."""
+        return tuple(_patterns(self))
+
+    @cached_property
+    def kinds(self) -> frozenset[Kind]:
+        """What the language's statements may be at all."""
+        return frozenset(pattern.kind for pattern in self.patterns)
+
+
+def parse(content: Mapping[str, Any], source: str) -> Profile:
+    """The profile in a parsed TOML document, ``extends`` already carried out. ConfigError names file and key."""
+    try:
+        return Profile.model_validate(content)
+    except ValidationError as error:
+        found = [f"{source}: {_key(entry['loc'])}{entry['msg']}" for entry in error.errors()]
+        raise ConfigError("\n".join(found) + ". To do: see docs/robot-languages.md for its form.") from error
+
+
+def _key(location: tuple[int | str, ...]) -> str:
+    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
+    return f"{key}: " if key else ""
+
+
+def _patterns(profile: Profile) -> Iterator[Pattern]:
+    writing = Writing(
+        profile.ignore_case,
+        profile.span_lines,
+        profile.comments,
+        profile.numbers | {"feed"},
+        profile.fields,
+    )
+    listed: list[tuple[Kind, str, str, Templates]] = [
+        (kind, "", "", [*getattr(profile.added, kind), *getattr(profile.statements, kind)]) for kind in TAKEN
+    ]
+    listed += [("assumed", assumed.warning, "", assumed.templates) for assumed in profile.assumed]
+    listed += [("refused", refused.reason, refused.advice, refused.templates) for refused in profile.refused]
+    for kind, note, advice, templates in listed:
+        for template in templates:
+            try:
+                yield Pattern(kind, compiled(template, writing), note, advice)
+            except re.error as error:
+                raise ValueError(f"statements.{kind}: {template!r}, or a field in it: {error.msg}") from error
+
+
+def _lacking(pattern: Pattern, place: set[str]) -> set[str]:
+    """Fields without which the template's statement cannot be read."""
+    fields = set(pattern.regex.groupindex)
+    if pattern.kind == "move" and "target" not in fields:
+        return place - fields
+    if pattern.kind == "position":
+        return {*place, "target"} - fields
+    return {"time"} - fields if pattern.kind.startswith("dwell") else set()

@@ -1,0 +1,268 @@
+"""What a program in a robot language says: its moves, its dwells and its positions, with all refusals."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+from polishd.api import ProgramError
+from polishd.plugins.rnc_robot.languages.orientation import is_rotation
+from polishd.plugins.rnc_robot.languages.profile import Profile
+from polishd.plugins.rnc_robot.languages.statements import Source, Statement, statements
+
+LARGEST_MM = 1e6
+POSTED = "have it posted again with the positions written out"
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A pose as written: position in mm, orientation in the profile's convention, tool and frame of a declared one."""
+
+    xyz_mm: tuple[float, float, float]
+    turn: tuple[float, ...]
+    context: tuple[str | None, str | None] = (None, None)
+
+
+@dataclass(slots=True)
+class Move:
+    """A feed move: where to, as a pose or as a declared position's name with an offset."""
+
+    statement: Statement
+    place: Place | None
+    target: str | None
+    offset_mm: tuple[float, float, float]
+    stops: bool
+    feed_mm_min: float
+    context: tuple[str | None, str | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Dwell:
+    """A dwell, its time as written, and the move it follows (None: no feed move leads to it)."""
+
+    statement: Statement
+    time: float
+    move: Move | None
+
+
+@dataclass(slots=True)
+class Scan:
+    """A whole program."""
+
+    profile: Profile
+    source: Source
+    statements: list[Statement] = field(default_factory=list)
+    moves: list[Move] = field(default_factory=list)
+    dwells: list[Dwell] = field(default_factory=list)
+    positions: dict[str, tuple[Place, int]] = field(default_factory=dict)
+    """By name (folded where the language ignores case): pose, and line of its declaration."""
+    warnings: dict[str, None] = field(default_factory=dict)
+    modal: dict[str, str] = field(default_factory=dict)
+    at: Move | None = None
+    """The feed move at whose end the robot stands."""
+    dwelled: bool = False
+    routine: str | None = None
+    """Name of the routine that is open."""
+    moving: Statement | None = None
+    """Begin of the routine that moves."""
+    begun: Statement | None = None
+    finished: bool = False
+
+    def refuse(self, statement: Statement, reason: str, advice: str) -> ProgramError:
+        """The error at a statement."""
+        return self.source.refuse(statement.line, reason, advice)
+
+    def folded(self, name: str) -> str:
+        """A name as the language compares it."""
+        return name.lower() if self.profile.ignore_case else name
+
+
+def scan(profile: Profile, text: bytes, name: str) -> Scan:
+    """Read a program through. ProgramError where it may mean several things, or none."""
+    found = Scan(profile, Source(text, name))
+    for statement in statements(profile, found.source):
+        if found.finished:
+            raise found.refuse(statement, "a statement after the end of the program", "remove it")
+        found.statements.append(statement)
+        _TAKE[statement.kind](found, statement)
+    unfinished = "finish" in profile.kinds and not found.finished
+    if found.statements and (unfinished or found.routine is not None):
+        raise found.refuse(found.statements[-1], "the program breaks off: its end is missing", "check that it is whole")
+    return found
+
+
+def _move(found: Scan, statement: Statement) -> None:
+    _inside(found, statement)
+    target = statement.text("target")
+    move = Move(
+        statement,
+        place_of(found, statement) if target is None else None,
+        None if target is None else found.folded(target),
+        _offset(found, statement),
+        _stops(found.profile, statement.text("zone")),
+        _feed(found, statement),
+        _context(found, statement),
+    )
+    if target is not None and found.profile.declare_before_use and move.target not in found.positions:
+        raise found.refuse(statement, f"the position {target} is not declared before its use", POSTED)
+    found.moves.append(move)
+    found.at, found.dwelled = move, False
+
+
+def _offset(found: Scan, statement: Statement) -> tuple[float, float, float]:
+    if "dx" not in statement.match.re.groupindex:
+        return 0.0, 0.0, 0.0
+    dx, dy, dz = ((statement.number(axis) or 0.0) * found.profile.unit_mm for axis in ("dx", "dy", "dz"))
+    if not max(abs(dx), abs(dy), abs(dz)) <= LARGEST_MM:
+        raise found.refuse(statement, "an offset beyond any robot", "correct it")
+    return dx, dy, dz
+
+
+def _approach(found: Scan, statement: Statement) -> None:
+    _inside(found, statement)
+    found.at = None
+
+
+def _dwell(found: Scan, statement: Statement) -> None:
+    _inside(found, statement)
+    time = statement.number("time")
+    if time is None or not 0 <= time < math.inf:
+        raise found.refuse(statement, "a dwell is a time of zero or more", "correct it")
+    move = found.at
+    if move is not None:
+        if found.dwelled:
+            raise found.refuse(statement, "two dwells at one point", "write their sum in one")
+        if not move.stops and statement.kind == "dwell":
+            _fly_by(found, statement, move)
+        found.dwelled = True
+    found.dwells.append(Dwell(statement, time, move))
+
+
+def _fly_by(found: Scan, statement: Statement, move: Move) -> None:
+    line = move.statement.line
+    if found.profile.dwell.fly_by == "refuse":
+        raise found.refuse(
+            statement,
+            f"a dwell after the fly-by move of line {line}: it need not be spent at the point",
+            "end the move with an exact stop",
+        )
+    found.warnings[
+        "dwells after fly-by moves: the controller stops there all the same, as it plans no further than a wait"
+    ] = None
+
+
+def _position(found: Scan, statement: Statement) -> None:
+    name = statement.text("target") or ""
+    if found.folded(name) in found.positions:
+        other = found.positions[found.folded(name)][1]
+        raise found.refuse(statement, f"the position {name} is declared in line {other} too", "keep one of them")
+    place = replace(place_of(found, statement), context=(statement.text("tool"), statement.text("frame")))
+    found.positions[found.folded(name)] = place, statement.line
+
+
+def _neutral(found: Scan, statement: Statement) -> None:
+    for name in ("tool", "frame", "feed"):
+        text = statement.text(name)
+        if text is not None:
+            found.modal[name] = text
+
+
+def _assumed(found: Scan, statement: Statement) -> None:
+    found.warnings[statement.note] = None
+
+
+def _begin(found: Scan, statement: Statement) -> None:
+    if found.routine is not None:
+        raise found.refuse(statement, "a routine inside a routine", "have it posted as one routine")
+    found.routine, found.begun = found.folded(statement.text("program") or ""), statement
+
+
+def _end(found: Scan, statement: Statement) -> None:
+    if found.routine is None:
+        raise found.refuse(statement, "the end of a routine that has not begun", "remove it")
+    found.routine, found.at = None, None
+
+
+def _run(found: Scan, statement: Statement) -> None:
+    if found.routine is not None:
+        raise found.refuse(statement, "calls are not read", "have it posted as one routine")
+    moving = found.moving.text("program") if found.moving else None
+    if found.folded(statement.text("program") or "") != found.folded(moving or ""):
+        raise found.refuse(statement, "a call of something else than the routine that moves", "remove it")
+    found.finished = True
+
+
+def _finish(found: Scan, statement: Statement) -> None:
+    if found.routine is not None:
+        raise found.refuse(statement, "the end of the file inside a routine", "check that it is whole")
+    found.finished = True
+
+
+_TAKE = {
+    "move": _move, "approach": _approach, "dwell": _dwell, "dwell_in_position": _dwell, "position": _position,
+    "neutral": _neutral, "assumed": _assumed, "begin": _begin, "end": _end, "run": _run, "finish": _finish,
+}  # fmt: skip
+
+
+def _inside(found: Scan, statement: Statement) -> None:
+    """A motion or dwell stands in the one routine that moves."""
+    if "begin" not in found.profile.kinds:
+        return
+    if found.begun is None or found.routine is None:
+        raise found.refuse(statement, "a motion or dwell outside any routine", "check that the program is whole")
+    if found.moving is None:
+        found.moving = found.begun
+    if found.moving is not found.begun:
+        raise found.refuse(
+            statement,
+            f"a second routine that moves (the first begins in line {found.moving.line}): which runs when is not read",
+            "have it posted as one routine",
+        )
+
+
+def place_of(found: Scan, statement: Statement) -> Place:
+    """The pose that a statement writes out."""
+    profile = found.profile
+    names = ("x", "y", "z", *profile.orientation.fields)
+    written = [statement.number(name) for name in names]
+    if None in written:
+        raise found.refuse(statement, "the position is not complete", POSTED)
+    x, y, z, *turn = (value or 0.0 for value in written)
+    xyz_mm = x * profile.unit_mm, y * profile.unit_mm, z * profile.unit_mm
+    if not max(map(abs, xyz_mm)) <= LARGEST_MM:
+        raise found.refuse(statement, "a position beyond any robot", "correct it")
+    if not is_rotation(profile.orientation.convention, turn):
+        raise found.refuse(statement, "the orientation is no rotation", "correct it")
+    return Place(xyz_mm, tuple(turn))
+
+
+def _stops(profile: Profile, zone: str | None) -> bool:
+    if zone is None or zone.lower() in profile.exact_stop:
+        return True
+    try:
+        return float(zone) == 0
+    except ValueError:
+        return False
+
+
+def _feed(found: Scan, statement: Statement) -> float:
+    """Feed in mm/min, of the move itself or as it was set before; NaN where neither is a number, or a time rules."""
+    units = found.profile.feed_units_mm_min
+    own = "feed" in statement.match.re.groupindex
+    text = statement.text("feed") if own else found.modal.get("feed")
+    factor = units.get((statement.text("feed_unit") or "").lower())
+    if text is None or factor is None or statement.number("t"):
+        return math.nan
+    try:
+        return float(text) * factor
+    except ValueError:
+        return math.nan
+
+
+def _context(found: Scan, statement: Statement) -> tuple[str | None, str | None]:
+    """Tool and frame that the move is written for."""
+    tool, frame = (
+        statement.text(name) if name in statement.match.re.groupindex else found.modal.get(name)
+        for name in ("tool", "frame")
+    )
+    return tool, frame

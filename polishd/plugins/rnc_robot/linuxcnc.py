@@ -1,0 +1,39 @@
+"""The device type ``linuxcnc``: a robot behind LinuxCNC's linuxcncrsh (docs/protocols/linuxcnc.md)."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from polishd.api import ConfigError, DeviceContext, DeviceType
+from polishd.drivers.linuxcnc.driver import LinuxCnc
+from polishd.drivers.transport.address import Tcp, parse_address
+
+
+class LinuxCncOptions(BaseModel):
+    """Keys of ``[robot]`` with ``type = "linuxcnc"``."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    address: str
+    """``tcp://host:port`` of linuxcncrsh."""
+    program_dir: str
+    """Folder that programs are written to, and that LinuxCNC can read."""
+    controller_dir: str = ""
+    """How LinuxCNC calls that folder, where it lies on another machine."""
+    password: str = Field("EMC", pattern=r"^\S+$")
+    enable_password: str = Field("EMCTOO", pattern=r"^\S+$")
+
+
+def _build(options: LinuxCncOptions, context: DeviceContext) -> LinuxCnc:
+    address = parse_address(options.address, context.base_dir)
+    if not isinstance(address, Tcp):
+        raise ConfigError(f"[robot] address {options.address!r}: linuxcnc runs over tcp:// only")
+    return LinuxCnc(
+        address,
+        (context.base_dir / options.program_dir).absolute(),
+        controller_dir=options.controller_dir,
+        passwords=(options.password, options.enable_password),
+    )
+
+
+LINUXCNC = DeviceType("linuxcnc", "robot", LinuxCncOptions, _build)

@@ -1,0 +1,78 @@
+"""All that a program moves, and where its times stand: what two programs are compared by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polishd.api import Program
+from polishd.model.program import IntArray
+from polishd.model.surface import FloatArray
+from polishd.plugins.rnc_robot import formats
+from polishd.plugins.rnc_robot.dialect import AnyDialect, Dialect
+from polishd.plugins.rnc_robot.languages.profile import Profile
+from polishd.plugins.rnc_robot.languages.reader import points
+from polishd.plugins.rnc_robot.languages.scan import scan
+from polishd.plugins.rnc_robot.nc import codes as c
+from polishd.plugins.rnc_robot.nc.reader import Read, parse
+
+COLUMNS = ("x", "y", "z", "a", "b", "c", "i", "j", "k")
+"""Of NC text: mm, degrees, and the tool vector as written."""
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """A program's moves in order, m of them."""
+
+    program: Program
+    line: IntArray
+    """(m,) 1-based."""
+    kind: IntArray
+    """(m,) rapid, straight, arc: what the dialect tells apart; the same numbers for both programs."""
+    places: FloatArray
+    """(m, k) where each move ends, as far as the program has said it (NaN)."""
+    point: IntArray
+    """(n,) 0-based move that each timed point belongs to."""
+    spans: IntArray
+    """(s, 2) byte offsets of the numbers that carry the points' time, rising."""
+
+
+def motion(dialect: AnyDialect, text: bytes, name: str) -> Motion:
+    """Read a program. ProgramError names the line and the reason."""
+    program = formats.read(dialect, text, name)
+    if isinstance(dialect, Dialect):
+        return _of_nc(program, parse(dialect, text, name))
+    return _of_language(program, dialect)
+
+
+def _of_nc(program: Program, found: Read) -> Motion:
+    moves = np.vstack([piece.moves for piece in found.pieces])
+    spans, owners, begin = [], [], 0
+    for piece, timed in zip(found.pieces, found.points, strict=True):
+        mine = timed.start >= 0  # an F of an earlier line carries no time of its own
+        spans.append(np.column_stack([timed.start, timed.end])[mine] + begin)
+        owners.append(piece.dwells[piece.dwells[:, c.D_MOVE] >= 0, c.D_MOVE])
+        begin += len(piece.text)
+    dwells = found.encoding == "dwell"
+    return Motion(
+        program=program,
+        line=moves[:, c.M_LINE],
+        kind=moves[:, c.M_KIND] & ~c.K_INVERSE,
+        places=np.vstack([piece.places[:, : c.AXES] for piece in found.pieces]),
+        point=np.concatenate(owners) if dwells else np.searchsorted(moves[:, c.M_LINE], program.line),
+        spans=np.vstack(spans),
+    )
+
+
+def _of_language(program: Program, profile: Profile) -> Motion:
+    """Moves without a dwell are left to the text: what they say may stand in positions declared elsewhere."""
+    timed = points(scan(profile, program.text, program.name))
+    return Motion(
+        program=program,
+        line=program.line,
+        kind=np.zeros(program.n, dtype=np.int64),
+        places=np.hstack([program.end_mm, program.axis]),
+        point=np.arange(program.n),
+        spans=np.array(sorted(dwell.statement.match.span("time") for _, dwell in timed), dtype=np.int64).reshape(-1, 2),
+    )

@@ -1,0 +1,73 @@
+"""The scanner and the writer, compiled by numba where a program is large.
+
+Small programs are run by the interpreter itself: the same functions, no compiler to wait for. Compiled code is kept in
+the user's cache, in a folder named after the sources, so that no change of them meets code of before.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from polishd.plugins.rnc_robot.nc import block, moves, scan, words, write
+
+LARGE_BYTES = 100_000
+"""From here on compiled code, loaded in 0.2 s, is the quicker way."""
+_PARTS = (words, moves, block, scan, write)
+
+
+def kernel(function: Callable[..., Any], size: int) -> Callable[..., Any]:
+    """The function, compiled where it is to work on so many bytes."""
+    return function if size < LARGE_BYTES else _compiled(function)
+
+
+@cache
+def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    import numba
+
+    _register_parts()
+    # Without reference counts: nothing here allocates, and counting every array at every call takes 40 times the time.
+    settings: Any = numba.config
+    before, settings.CACHE_DIR = settings.CACHE_DIR, _folder(numba.__version__)
+    options: dict[str, Any] = {"cache": True, "nogil": True, "_nrt": False}
+    try:
+        compiled: Callable[..., Any] = numba.njit(**options)(function)
+    finally:
+        settings.CACHE_DIR = before
+    return compiled
+
+
+@cache
+def _register_parts() -> None:
+    """Let compiled functions call those of all parts."""
+    from numba.extending import register_jitable
+
+    jitable: Any = register_jitable(_nrt=False)
+    for part in _PARTS:
+        for name, value in vars(part).items():
+            if callable(value) and getattr(value, "__module__", "") == part.__name__ and name not in _ENTRIES:
+                jitable(value)
+
+
+_ENTRIES = ("scan", "direct", "reciprocal", "splice")
+
+
+def _folder(version: str) -> str:
+    """Where compiled code of these sources is kept; a folder for this process alone where there is no home."""
+    digest = hashlib.sha256(version.encode())
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.read_bytes())
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
+    folder = base / "polishd" / digest.hexdigest()[:16]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError:
+        return tempfile.mkdtemp(prefix="polishd-")
+    return str(folder)

@@ -1,0 +1,208 @@
+"""Which numbers of a program carry time: in dwells, in feeds, or in feeds that count time (G93)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from polishd.api import ProgramError
+from polishd.model.program import Encoding, IntArray
+from polishd.model.surface import BoolArray, FloatArray
+from polishd.plugins.rnc_robot.dialect import Dialect
+from polishd.plugins.rnc_robot.nc import codes as c
+from polishd.plugins.rnc_robot.nc.pieces import Piece
+from polishd.plugins.rnc_robot.nc.refusals import refuse
+
+
+@dataclass(slots=True)
+class Tally:
+    """What of moves and dwells a program has, so far."""
+
+    moves: int = 0
+    """Feed moves."""
+    dwelled: int = 0
+    """Dwells that a feed move leads to."""
+    stray: int = 0
+    inverse: int = 0
+    """Feed moves under G93."""
+    first_without: int = 0
+    """Line of the first feed move without a dwell."""
+
+    def add(self, piece: Piece) -> None:
+        """Count a piece."""
+        kind = piece.moves[:, c.M_KIND]
+        feed = kind != c.RAPID
+        owned = int(np.count_nonzero(piece.dwells[:, c.D_MOVE] >= 0))
+        self.moves += int(np.count_nonzero(feed))
+        self.dwelled += owned
+        self.stray += len(piece.dwells) - owned
+        self.inverse += int(np.count_nonzero(kind >= c.K_INVERSE))
+        if not self.first_without:
+            alone = feed.copy()
+            alone[piece.dwells[piece.dwells[:, c.D_MOVE] >= piece.first_move, c.D_MOVE] - piece.first_move] = False
+            self.first_without = int(piece.moves[np.argmax(alone), c.M_LINE]) if alone.any() else 0
+
+    def encoding(self, name: str) -> Encoding:
+        """Where the time sits. ProgramError where nothing carries any, or where it sits in two places."""
+        if self.dwelled:
+            without = self.moves - self.dwelled
+            if without > max(4, self.dwelled):
+                raise ProgramError(
+                    f"{name}, line {self.first_without}: {self.dwelled} feed moves have a dwell of their own and "
+                    f"{without} have none, this one the first: time sits in two places. "
+                    "To do: have it posted with dwells at all points or at none."
+                )
+            return "dwell"
+        if not self.moves:
+            raise ProgramError(
+                f"{name}: nothing in it carries time: it needs feed moves (G1), with or without their own dwell "
+                "(G4 P) each. To do: check that this is the polishing program."
+            )
+        return "inverse" if self.inverse else "feed"
+
+
+class Points(NamedTuple):
+    """Timed points of a piece, n of them, in order."""
+
+    line: IntArray
+    """1-based line of the dwell, or of the feed move."""
+    start: IntArray
+    """Where the number begins in the piece's text; -1: its F stands in an earlier line."""
+    end: IntArray
+    style: IntArray
+    f_line: IntArray
+    """Line of the F that governs a feed move; for dwells the line itself."""
+    tail: IntArray
+    """Where the last word of a feed move's line ends."""
+    lower: IntArray
+    """1 where that word is in lower case."""
+    scale: FloatArray
+    """Seconds of a number of 1: times the number for dwells and F in seconds, over the number for other feeds."""
+    number: FloatArray
+    time_s: FloatArray
+    before: FloatArray
+    """(n, AXES) where the tool is before."""
+    after: FloatArray
+    """(n, AXES) where it is after it."""
+    feed_mm_min: FloatArray
+    still: int
+    """Feed moves that go nowhere: no points."""
+
+
+class PointReader:
+    """Points of piece after piece, in an encoding that is known."""
+
+    def __init__(self, dialect: Dialect, name: str, encoding: Encoding) -> None:
+        self.dialect = dialect
+        self.name = name
+        self.encoding = encoding
+        self._feeds = np.zeros(0)
+        self._per_minute = 60.0 if dialect.feed.unit == "mm/s" else 1.0
+        self._counts_time = counts_time(dialect, encoding)
+
+    def read(self, piece: Piece) -> Points:
+        """Points of the next piece; ProgramError names the line."""
+        places = np.vstack([piece.before, piece.places[:, : c.AXES]])
+        return self._dwelled(piece, places) if self.encoding == "dwell" else self._fed(piece, places)
+
+    def _dwelled(self, piece: Piece, places: FloatArray) -> Points:
+        mine = piece.dwells[:, c.D_MOVE] >= 0
+        dwells, times = piece.dwells[mine], piece.times[mine]
+        at = places[dwells[:, c.D_MOVE] - piece.first_move + 1]
+        feeds = np.concatenate([self._feeds[-1:] if len(self._feeds) else [np.nan], self._feed_mm_min(piece, places)])
+        self._feeds = feeds
+        none = np.zeros(len(dwells), dtype=np.int64)
+        return Points(
+            dwells[:, c.D_LINE], dwells[:, c.D_START], dwells[:, c.D_END], dwells[:, c.D_STYLE], dwells[:, c.D_LINE],
+            none, none, times[:, c.D_SCALE], times[:, c.D_SECONDS] / times[:, c.D_SCALE],
+            times[:, c.D_SECONDS], at, at, feeds[dwells[:, c.D_MOVE] - piece.first_move + 1], 0,
+        )  # fmt: skip
+
+    def _feed_mm_min(self, piece: Piece, places: FloatArray) -> FloatArray:
+        """Feed of each move; NaN for rapids, and where the length of an inverse-time move is not known."""
+        kind = piece.moves[:, c.M_KIND]
+        feed = piece.places[:, c.V_FEED] * piece.places[:, c.V_UNIT] * self._per_minute
+        feed[kind == c.RAPID] = np.nan
+        inverse = kind >= c.K_INVERSE
+        if inverse.any():
+            number = piece.places[inverse, c.V_FEED]
+            time_s = number if self.dialect.feed.g93 == "s" else 60.0 / number
+            length = np.linalg.norm(places[1:, :3] - places[:-1, :3], axis=1)[inverse]
+            feed[inverse] = np.where((kind[inverse] & c.K_ARC) != 0, np.nan, 60.0 * length / time_s)
+        return feed
+
+    def _fed(self, piece: Piece, places: FloatArray) -> Points:
+        feed = _mask(piece.moves[:, c.M_KIND] != c.RAPID)
+        moves, number = piece.moves[feed], piece.places[feed, c.V_FEED]
+        before, after = places[:-1][feed], places[1:][feed]
+        self._check_feeds(piece, moves)
+        length_mm = self._length_mm(piece, moves, before, after)
+        turns = length_mm == 0
+        turns[turns] = ~_same(before[turns, 3:], after[turns, 3:]).all(axis=1)
+        going = (length_mm > 0) | turns
+        inverse = self.encoding == "inverse"
+        if inverse:
+            scale = np.full(len(moves), 1.0 if self._counts_time else 60.0)
+        else:
+            self._refuse_first(piece, moves, turns, "the tool turns on the spot, at a feed in deg/min",
+                               "have it posted with G93")  # fmt: skip
+            scale = 60.0 * length_mm / (piece.places[feed, c.V_UNIT] * self._per_minute)
+        time_s = number * scale if self._counts_time else scale / number
+        with np.errstate(divide="ignore", invalid="ignore"):
+            feed_mm_min = 60.0 * length_mm / time_s
+        found = Points(
+            moves[:, c.M_LINE], moves[:, c.M_START], moves[:, c.M_END], moves[:, c.M_STYLE], moves[:, c.M_F_LINE],
+            moves[:, c.M_TAIL], moves[:, c.M_LOWER], scale, number, time_s, before, after, feed_mm_min, 0,
+        )  # fmt: skip
+        kept = _mask(going)
+        columns = [column[kept] for column in found[:-1]]
+        return Points._make([*columns, int(np.count_nonzero(~going))])
+
+    def _check_feeds(self, piece: Piece, moves: IntArray) -> None:
+        kind = moves[:, c.M_KIND]
+        inverse = self.encoding == "inverse"
+        self._refuse_first(
+            piece, moves, (kind >= c.K_INVERSE) != inverse, "G93 and G94 in one program: time sits in two places",
+            "have it posted with one",
+        )  # fmt: skip
+        self._refuse_first(
+            piece, moves, (kind & c.K_ARC) != 0, "an arc, and time sits in the feed: it is no straight move",
+            "have it posted with straight moves (G1), or with dwells",
+        )  # fmt: skip
+
+    def _length_mm(self, piece: Piece, moves: IntArray, before: FloatArray, after: FloatArray) -> FloatArray:
+        step = after[:, :3] - before[:, :3]
+        squares = np.einsum("ij,ij->i", step, step)
+        if not np.isnan(squares).any():
+            return np.asarray(np.sqrt(squares))
+        for axis in range(3):
+            lost = np.isnan(before[:, axis]) & ~np.isnan(after[:, axis])
+            self._refuse_first(
+                piece, moves, lost, f"a feed move from nobody knows what {'XYZ'[axis]}", "go to its start with G0 first"
+            )
+        return np.asarray(np.linalg.norm(np.nan_to_num(step, nan=0.0), axis=1))
+
+    def _refuse_first(self, piece: Piece, moves: IntArray, bad: BoolArray, reason: str, advice: str) -> None:
+        if bad.any():
+            raise self.refusal(piece, int(moves[int(np.argmax(bad)), c.M_LINE]), reason, advice)
+
+    def refusal(self, piece: Piece, line: int, reason: str, advice: str) -> ProgramError:
+        """The error for a line of the piece."""
+        text = piece.text.split(b"\n", line - piece.first_line + 1)[line - piece.first_line]
+        return refuse(self.name, line, text, reason, advice)
+
+
+def counts_time(dialect: Dialect, encoding: Encoding) -> bool:
+    """Whether a number is the time, and not what it is divided by."""
+    return encoding == "dwell" or (encoding == "inverse" and dialect.feed.g93 == "s")
+
+
+def _mask(chosen: BoolArray) -> BoolArray | slice:
+    """An index of the chosen rows; without a copy where that is all of them."""
+    return slice(None) if chosen.all() else chosen
+
+
+def _same(one: FloatArray, other: FloatArray) -> BoolArray:
+    return np.asarray((one == other) | (np.isnan(one) & np.isnan(other)))

@@ -1,0 +1,207 @@
+"""Moves a program's time into another encoding: dwells, a feed a block, or inverse time."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+
+from polishd.api import Program, ProgramError
+from polishd.model.program import Encoding, IntArray
+from polishd.model.surface import FloatArray
+from polishd.plugins.rnc_robot.dialect import Dialect
+from polishd.plugins.rnc_robot.nc import codes as c
+from polishd.plugins.rnc_robot.nc import compiled
+from polishd.plugins.rnc_robot.nc.pieces import Piece, Scanner
+from polishd.plugins.rnc_robot.nc.points import PointReader, Points, counts_time
+from polishd.plugins.rnc_robot.nc.reader import doubts
+from polishd.plugins.rnc_robot.nc.refusals import refuse
+from polishd.plugins.rnc_robot.nc.rewriter import Edits, Numbers, refuse_times, spliced
+from polishd.plugins.rnc_robot.nc.write import direct, reciprocal
+
+_OTHER_WORDS = re.compile(rb"[BCDHIJKLOQRVWYZ]|M\\s*\\d", re.IGNORECASE)
+"""What neither says N, G, nor a time: P, X, U, F, S, T, TIME are told apart by the reader."""
+_TEXTS = [b"", b" F", b" f", b"93", b"94", b"G93\n", b"G93\r\n"]
+_NOTHING, _F, _, _93, _94, _LINE_93, _LINE_93_CRLF, _DWELL, _DWELL_CRLF = range(9)
+
+
+def recode(dialect: Dialect, program: Program, time_s: FloatArray, encoding: Encoding) -> bytes:
+    """The program with ``time_s`` (n,) seconds at its points, said as ``encoding``.
+
+    To dwells: a dwell block is added behind each point's move, which keeps its feed. To feeds or inverse time: each
+    point's move gets an F of its own, and its dwell's block goes. Everything else stays. ProgramError where the
+    dialect or a move does not allow it.
+    """
+    whole = program.text.endswith(b"\n")
+    scanner = Scanner(dialect, program.name)
+    (piece,) = scanner.pieces(iter([program.text if whole else program.text + b"\n"]))
+    times = np.array(time_s, dtype=np.float64)
+    if times.shape != (program.n,):
+        raise ProgramError(f"{program.name}: {program.n} points need as many times, not an array of {times.shape}.")
+    refuse_times(dialect, encoding, program.name, program.line, times)
+    if encoding == "inverse" and dialect.feed.g93 == "refuse":
+        raise ProgramError(f"{program.name}: {dialect.title} knows no inverse time (G93). To do: ask for another.")
+    points = PointReader(dialect, program.name, program.encoding).read(piece)
+    texts = [*_TEXTS, *_dwell_blocks(dialect)]
+    if encoding == "dwell":
+        _refuse_in_last_block(program, scanner)
+        parts = [_dwells(dialect, piece, points, times)]
+    else:
+        parts = _feeds(scanner, piece, points, times, old=program.encoding, new=encoding)
+    text = spliced(piece.text, _sorted(parts), texts)
+    return text if whole else text[:-1]
+
+
+def _refuse_in_last_block(program: Program, scanner: Scanner) -> None:
+    """Behind the program's end no dwell would run."""
+    if program.line[-1] == scanner.at[c.ENDED]:
+        line = int(program.line[-1])
+        raise refuse(
+            program.name, line, program.text.split(b"\n", line)[line - 1], "the program ends in a point's block",
+            "give M2 or M30 a block of its own",
+        )  # fmt: skip
+
+
+def _feeds(
+    scanner: Scanner, piece: Piece, points: Points, times: FloatArray, *, old: Encoding, new: Encoding
+) -> list[Edits]:
+    doubts(scanner, new)
+    moves = _Moves(scanner.dialect, piece, scanner.name)
+    parts = [moves.feeds(new, moves.times(points, times, old == "dwell")), _modes(piece, new)]
+    return [*parts, _no_dwells(piece, points, scanner)] if old == "dwell" else parts
+
+
+def _sorted(parts: list[Edits]) -> Edits:
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    order = np.lexsort((columns[2], columns[0]))
+    return Edits(*(column[order] for column in columns))
+
+
+def _plain(start: IntArray, end: IntArray, prefix: IntArray | int) -> Edits:
+    """Edits without a number."""
+    count = len(start)
+    none = np.zeros(count, dtype=np.int64)
+    return Edits(start, end, np.broadcast_to(np.asarray(prefix), (count,)), none, none - 1, none)
+
+
+def _dwell_blocks(dialect: Dialect) -> list[bytes]:
+    written = dialect.dwell.written.encode("ascii")
+    return [b"\n" + written, b"\r\n" + written]
+
+
+def _dwells(dialect: Dialect, piece: Piece, points: Points, times: FloatArray) -> Edits:
+    """A block for each point, behind its move's line."""
+    word = dialect.dwell.words[dialect.dwell.written.split()[-1].lstrip("G0123456789")]
+    decimal = word.decimal != "refuse"
+    scale = 0.001 if (word.decimal if decimal else word.whole) == "ms" else 1.0
+    style = (c.S_POINT if decimal else 0) | (c.S_KEEP if word.decimal != word.whole else 0)
+    count = len(times)
+    numbers = Numbers(np.zeros(count, dtype=np.int64), np.full(count, -1))
+    styles = np.full(count, style)
+    run = compiled.kernel(direct, len(piece.text))
+    run(times, np.full(count, np.nan), np.full(count, scale), styles, dialect.dwell.decimals, 0.0, numbers)
+    at, crlf = _line_ends(piece.text, points.tail)
+    return Edits(at, at, np.where(crlf, _DWELL_CRLF, _DWELL), numbers.mantissa, numbers.decimals, styles)
+
+
+def _line_ends(text: bytes, inside: IntArray) -> tuple[IntArray, IntArray]:
+    """Where the lines that these places are in end, and whether in CRLF."""
+    data = np.frombuffer(text, dtype=np.uint8)
+    ends = np.append(np.flatnonzero(data == 10), len(data))
+    at = ends[np.searchsorted(ends, inside)]
+    crlf = (at > 0) & (data[at - 1] == 13)
+    return at - crlf, crlf
+
+
+def _no_dwells(piece: Piece, points: Points, scanner: Scanner) -> Edits:
+    """Their blocks go, with the line end."""
+    names = "|".join(re.escape(word) for word in scanner.dialect.dwell.words if len(word) > 1)
+    passed_over = re.compile(rb"\([^)]*\)|;.*" + (b"|" + names.encode() if names else b""), re.IGNORECASE)
+    data = np.frombuffer(piece.text, dtype=np.uint8)
+    ends = np.concatenate([[-1], np.flatnonzero(data == 10), [len(data)]])
+    begin = ends[points.line - 1] + 1
+    end = np.minimum(ends[points.line] + 1, len(data))
+    for k in range(len(begin)):
+        line = piece.text[begin[k] : end[k]]
+        if _OTHER_WORDS.search(passed_over.sub(b"", line)):
+            raise refuse(
+                scanner.name, int(points.line[k]), line, "the dwell's block says something else, too",
+                "keep the program's own encoding, or give the dwell a block of its own",
+            )  # fmt: skip
+    return _plain(begin, end, _NOTHING)
+
+
+def _modes(piece: Piece, encoding: Encoding) -> Edits:
+    """G94 becomes G93, or the other way round; where nobody says either before the first feed move, G93 is said."""
+    start, end = piece.modes[:, c.E_START], piece.modes[:, c.E_END]
+    words = _plain(start, end, _93 if encoding == "inverse" else _94)
+    first = int(piece.moves[np.argmax(piece.moves[:, c.M_KIND] != c.RAPID), c.M_TAIL])
+    if encoding != "inverse" or (len(start) and int(start[0]) < first):
+        return words
+    begin = np.array([piece.text.rfind(b"\n", 0, first) + 1])
+    crlf = begin[0] >= 2 and piece.text[begin[0] - 2] == 13
+    return _sorted([_plain(begin, begin, _LINE_93_CRLF if crlf else _LINE_93), words])
+
+
+class _Moves:
+    """The feed moves of a program, each with the time it is to take."""
+
+    def __init__(self, dialect: Dialect, piece: Piece, name: str) -> None:
+        self._dialect = dialect
+        self._piece = piece
+        self._name = name
+        places = np.vstack([piece.before, piece.places[:, : c.AXES]])
+        self._feed = np.flatnonzero(piece.moves[:, c.M_KIND] != c.RAPID)
+        self._rows = piece.moves[self._feed]
+        step = (places[1:, :3] - places[:-1, :3])[self._feed]
+        self._length_mm = np.linalg.norm(np.nan_to_num(step, nan=0.0), axis=1)
+        self._refuse((self._rows[:, c.M_KIND] & c.K_ARC) != 0, "an arc cannot carry its time in the feed")
+        self._refuse(np.isnan(places[1:, :3][self._feed]).any(axis=1), "where this move ends is not said")
+        per_minute = 60.0 if dialect.feed.unit == "mm/s" else 1.0
+        self._unit = piece.places[self._feed, c.V_UNIT] * per_minute
+        self._number = piece.places[self._feed, c.V_FEED]
+
+    def times(self, points: Points, new_s: FloatArray, dwelled: bool) -> FloatArray:
+        """(m,) seconds of each feed move: new ones for points, its own for the others."""
+        inverse = self._rows[:, c.M_KIND] >= c.K_INVERSE
+        own: FloatArray = 60.0 * self._length_mm / (self._number * self._unit)
+        own[inverse] = self._number[inverse] if self._dialect.feed.g93 == "s" else 60.0 / self._number[inverse]
+        if dwelled:
+            dwells = self._piece.dwells[self._piece.dwells[:, c.D_MOVE] >= 0]
+            which = np.searchsorted(self._feed, dwells[:, c.D_MOVE] - self._piece.first_move)
+        else:
+            which = np.searchsorted(self._rows[:, c.M_LINE], points.line)
+        own[which] = new_s
+        self._refuse(own <= 0, "a feed move that goes nowhere has no time in another encoding")
+        return own
+
+    def feeds(self, encoding: Encoding, times: FloatArray) -> Edits:
+        """An F for each feed move, in its place or at the end of its block."""
+        count = len(times)
+        numbers = Numbers(np.zeros(count, dtype=np.int64), np.full(count, -1))
+        style = self._rows[:, c.M_STYLE]
+        nothing = np.full(count, np.nan)
+        if encoding == "feed":
+            self._refuse(self._length_mm == 0, "the tool turns on the spot: its feed would be in deg/min")
+        if counts_time(self._dialect, encoding):
+            run = compiled.kernel(direct, len(self._piece.text))
+            run(times, nothing, np.ones(count), style, self._dialect.dwell.decimals, 0.0, numbers)
+        else:
+            scale = np.full(count, 60.0) if encoding == "inverse" else 60.0 * self._length_mm / self._unit
+            lines = np.stack([self._rows[:, c.M_LINE]] * 2, axis=1)
+            most, state = self._dialect.feed.most_decimals, np.zeros(3)
+            run = compiled.kernel(reciprocal, len(self._piece.text))
+            run(times, nothing, scale, style, lines, self._number, most, state, numbers)
+        own = self._rows[:, c.M_START] >= 0
+        return Edits(
+            np.where(own, self._rows[:, c.M_START], self._rows[:, c.M_TAIL]),
+            np.where(own, self._rows[:, c.M_END], self._rows[:, c.M_TAIL]),
+            np.where(own, _NOTHING, _F + self._rows[:, c.M_LOWER]), numbers.mantissa, numbers.decimals, style,
+        )  # fmt: skip
+
+    def _refuse(self, bad: Any, reason: str) -> None:
+        if bad.any():
+            line = int(self._rows[int(np.argmax(bad)), c.M_LINE])
+            text = self._piece.text.split(b"\n", line)[line - 1]
+            raise refuse(self._name, line, text, reason, "keep the program's own encoding, or have it posted again")

@@ -1,0 +1,155 @@
+"""Programs of any size in bounded memory: looked through, or rewritten from one file into another."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import BinaryIO, Protocol
+
+import numpy as np
+
+from polishd.api import ProgramError
+from polishd.model.program import Encoding
+from polishd.model.surface import FloatArray
+from polishd.plugins.rnc_robot.dialect import Dialect
+from polishd.plugins.rnc_robot.nc.pieces import PIECE_BYTES, Piece, Scanner
+from polishd.plugins.rnc_robot.nc.points import PointReader, Points, Tally
+from polishd.plugins.rnc_robot.nc.reader import Checks, unit, warnings
+from polishd.plugins.rnc_robot.nc.rewriter import Writer, refuse_times
+
+ENOUGH_MOVES = 10_000
+"""So many feed moves without a dwell, and the time sits in the feed."""
+
+Progress = Callable[[int], None]
+"""Hears of bytes read."""
+
+
+class Times(Protocol):
+    """New times, in the order of the points."""
+
+    def take(self, count: int) -> FloatArray:
+        """The next so many, s; ProgramError where there are fewer."""
+        ...
+
+    def finish(self) -> None:
+        """ProgramError where there are more."""
+        ...
+
+
+@dataclass(slots=True)
+class Passed:
+    """What went by."""
+
+    dialect: str
+    encoding: Encoding = "feed"
+    unit: str = ""
+    sha256: str = ""
+    lines: int = 0
+    points: int = 0
+    time_s: float = 0.0
+    """Sum of the points' times as the program has them."""
+    range_s: tuple[float, float] = (np.inf, -np.inf)
+    """The shortest and the longest of them."""
+    changed: int = 0
+    low_mm: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
+    high_mm: FloatArray = field(default_factory=lambda: np.full(3, -np.inf))
+    feed_mm_min: tuple[float, float] = (np.inf, -np.inf)
+    warnings: tuple[str, ...] = ()
+
+
+def look_through(dialect: Dialect, file: BinaryIO, name: str, progress: Progress | None = None) -> Passed:
+    """Read a program without keeping it. ``progress`` hears of bytes read. ProgramError as ``reader.read``."""
+    encoding = _guessed(dialect, file, name)
+    return _pass(PointReader(dialect, name, encoding), file, progress, lambda _piece, _points: None)
+
+
+def rewrite_stream(
+    dialect: Dialect,
+    file: BinaryIO,
+    name: str,
+    times: Times,
+    out: BinaryIO,
+    *,
+    progress: Progress | None = None,
+) -> Passed:
+    """Write the program with other times to ``out``, as ``rewriter.rewrite`` would; what it was before.
+
+    ``file`` must be seekable: where its time sits is found out first. ProgramError leaves half a program in ``out``.
+    """
+    encoding = _guessed(dialect, file, name)
+    writer, changed = Writer(dialect, name, encoding), 0
+
+    def write(piece: Piece, points: Points) -> None:
+        nonlocal changed
+        new = times.take(len(points.line))
+        refuse_times(dialect, encoding, name, points.line, new)
+        changed += int(np.count_nonzero(new != points.time_s))
+        out.write(writer.write(piece, points, new))
+
+    passed = _pass(PointReader(dialect, name, encoding), file, progress, write)
+    times.finish()
+    passed.changed = changed
+    return passed
+
+
+def _chunks(file: BinaryIO, digest: hashlib._Hash, progress: Progress | None) -> Iterator[bytes]:
+    file.seek(0)
+    while chunk := file.read(PIECE_BYTES):
+        digest.update(chunk)
+        yield chunk
+        if progress is not None:
+            progress(len(chunk))
+
+
+def _guessed(dialect: Dialect, file: BinaryIO, name: str) -> Encoding:
+    """Where the time sits: in dwells from the first dwell on; the whole program must bear it out."""
+    scanner, tally = Scanner(dialect, name), Tally()
+    for piece in scanner.pieces(_chunks(file, hashlib.sha256(), None)):
+        tally.add(piece)
+        if tally.dwelled or tally.moves > ENOUGH_MOVES:
+            break
+    return tally.encoding(name)
+
+
+def _pass(
+    reader: PointReader, file: BinaryIO, progress: Progress | None, each: Callable[[Piece, Points], None]
+) -> Passed:
+    dialect, name, encoding = reader.dialect, reader.name, reader.encoding
+    scanner, tally, checks = Scanner(dialect, name), Tally(), Checks(dialect, name)
+    passed, digest, still = Passed(dialect.name, encoding), hashlib.sha256(), 0
+    for piece in scanner.pieces(_chunks(file, digest, progress)):
+        tally.add(piece)
+        points = reader.read(piece)
+        checks.add(points)
+        still += points.still
+        each(piece, points)
+        _note(passed, dialect, points)
+    if tally.encoding(name) != encoding or not passed.points:
+        raise ProgramError(
+            f"{name}: its time sits in the {encoding} at first, and in the {tally.encoding(name)} further on. "
+            "To do: have it posted with one of them."
+        )
+    checks.finish(scanner)
+    passed.lines, passed.sha256 = scanner.lines, digest.hexdigest()
+    passed.warnings = tuple(warnings(scanner, tally, encoding, still))
+    return passed
+
+
+def _note(passed: Passed, dialect: Dialect, points: Points) -> None:
+    if not len(points.line):
+        return
+    places = np.nan_to_num(points.after[:, :3], nan=0.0)
+    passed.low_mm = np.minimum(passed.low_mm, places.min(axis=0))
+    passed.high_mm = np.maximum(passed.high_mm, places.max(axis=0))
+    low, high = passed.feed_mm_min
+    passed.feed_mm_min = (
+        float(np.nanmin(points.feed_mm_min, initial=low)),
+        float(np.nanmax(points.feed_mm_min, initial=high)),
+    )
+    shortest, longest = passed.range_s
+    passed.range_s = (min(shortest, float(points.time_s.min())), max(longest, float(points.time_s.max())))
+    passed.points += len(points.line)
+    passed.time_s += float(points.time_s.sum())
+    found = unit(dialect, passed.encoding, points.scale)
+    passed.unit = found if passed.unit in ("", found) else "s and ms"

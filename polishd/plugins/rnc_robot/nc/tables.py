@@ -1,0 +1,188 @@
+"""A dialect as the scanner looks things up: lists for the interpreter, arrays once it is compiled."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from polishd.api import ConfigError
+from polishd.plugins.rnc_robot.dialect import Dialect
+from polishd.plugins.rnc_robot.nc import codes as c
+
+_ACTIONS = {
+    "neutral": c.NEUTRAL, "rapid": c.RAPID, "line": c.LINE_TO, "arc_cw": c.ARC_CW, "arc_ccw": c.ARC_CCW,
+    "cancel": c.CANCEL, "plane_xy": c.PLANE_XY, "plane_zx": c.PLANE_ZX, "plane_yz": c.PLANE_YZ, "inch": c.INCH,
+    "mm": c.MM, "inch_lengths": c.INCH_LENGTHS, "absolute": c.ABSOLUTE, "incremental": c.INCREMENTAL,
+    "inverse": c.INVERSE, "per_minute": c.PER_MINUTE, "offset": c.OFFSET, "machine": c.MACHINE, "home": c.HOME,
+    "path": c.PATH, "vectors_on": c.VECTORS_ON, "vectors_off": c.VECTORS_OFF,
+}  # fmt: skip
+_M_ACTIONS = {"neutral": c.M_NEUTRAL, "ends": c.M_ENDS, "stops": c.M_STOPS}
+_UNITS = {"s": c.U_S, "ms": c.U_MS, "refuse": c.U_REFUSE}
+_WHOLE = {"mm": c.WHOLE_MM, "um": c.WHOLE_UM, "unsure": c.WHOLE_UNSURE}
+_DELETE = {"refuse": c.DELETE_REFUSE, "run": c.DELETE_RUN, "skip": c.DELETE_SKIP}
+_G93 = {"refuse": c.G93_REFUSE, "1/min": c.G93_PER_MINUTE, "s": c.G93_SECONDS}
+_AXES = "XYZABC"
+
+
+class Tables(NamedTuple):
+    """See ``codes.py`` for what the numbers mean."""
+
+    flags: Sequence[int]
+    g: Sequence[int]
+    """Action by G code times ten."""
+    m: Sequence[int]
+    role: Sequence[int]
+    """By word code, as are ``whole`` and ``decimal``, the units of a dwell's number."""
+    whole: Sequence[int]
+    decimal: Sequence[int]
+    axis_word: Sequence[int]
+    """Word code of each axis x y z a b c i j k; -1: the dialect has none."""
+    longest_s: float
+    names: int
+    name_at: Sequence[int]
+    name_bytes: Sequence[int]
+
+
+def tables(dialect: Dialect) -> Tables:
+    """The dialect's tables; ConfigError names the key that makes no sense."""
+    names = _names(dialect)
+    role = [c.R_UNKNOWN] * c.WORDS
+    for letter, what in {"N": c.R_N, "G": c.R_G, "M": c.R_M, "F": c.R_F, "R": c.R_ARC}.items():
+        role[_code(letter, names, dialect)] = what
+    vector = dialect.axes.vector
+    axes = [*_AXES[:3], *(_AXES[k] if any(_AXES[k] in pair for pair in dialect.axes.rotary) else "" for k in (3, 4, 5))]
+    axes += vector or ["", "", ""]
+    if len(axes) != c.AXES:
+        raise ConfigError(f"dialect {dialect.name}: axes.vector: needs three words. To do: name them, or none.")
+    axis_word = [_code(word, names, dialect) if word else -1 for word in axes]
+    for axis in axis_word:
+        if axis >= 0:
+            role[axis] = c.R_AXIS
+    for letter in "IJK":
+        role[_code(letter, names, dialect)] = c.R_ARC
+    for letter in "PQ" if dialect.g.get("path") else ():
+        role[_code(letter, names, dialect)] = c.R_P
+    for word in dialect.words.neutral:
+        role[_code(word, names, dialect)] = c.R_NEUTRAL
+    for word in dialect.words.keywords:
+        role[_code(word, names, dialect)] = c.R_KEYWORD
+    if dialect.text.program_number:
+        role[_code("O", names, dialect)] = c.R_PROGRAM
+    whole, decimal = _dwell_words(dialect, names, role)
+    return Tables(
+        _flags(dialect), _g_codes(dialect), _m_codes(dialect), role, whole, decimal, axis_word,
+        dialect.dwell.longest_s, len(names), *_packed(names),
+    )  # fmt: skip
+
+
+def _names(dialect: Dialect) -> list[str]:
+    """Words of more than one letter, the longest first."""
+    words = [*dialect.dwell.words, *dialect.axes.vector, *dialect.words.neutral, *dialect.words.keywords]
+    found = {word.upper() for word in words if len(word) > 1 and word != "number"}
+    if len(found) > c.WORDS - c.NAMES:
+        raise ConfigError(f"dialect {dialect.name}: more than {c.WORDS - c.NAMES} names. To do: name fewer.")
+    return sorted(found, key=len, reverse=True)
+
+
+def _code(word: str, names: list[str], dialect: Dialect) -> int:
+    if word == "number":
+        return c.BARE
+    upper = word.upper()
+    if upper in names:
+        return c.NAMES + names.index(upper)
+    if len(upper) != 1 or not "A" <= upper <= "Z":
+        raise ConfigError(f"dialect {dialect.name}: {word!r} is no word. To do: give a letter, or a name.")
+    return ord(upper) - 65
+
+
+def _dwell_words(dialect: Dialect, names: list[str], role: list[int]) -> tuple[list[int], list[int]]:
+    whole, decimal = [c.U_NONE] * c.WORDS, [c.U_NONE] * c.WORDS
+    for letter in dialect.dwell.refused:
+        code = _code(letter, names, dialect)
+        whole[code] = decimal[code] = c.U_REFUSE
+        if role[code] == c.R_UNKNOWN:
+            role[code] = c.R_TIME
+    for word, unit in dialect.dwell.words.items():
+        code = _code(word, names, dialect)
+        whole[code], decimal[code] = _UNITS[unit.whole], _UNITS[unit.decimal]
+        if role[code] == c.R_UNKNOWN:
+            role[code] = c.R_STATEMENT if word.startswith("#") else c.R_TIME
+    return whole, decimal
+
+
+def _flags(dialect: Dialect) -> list[int]:
+    flags, text = [0] * c.FLAGS, dialect.text
+    flags[c.PARENS] = "()" in text.comments
+    flags[c.SEMICOLON] = ";" in text.comments
+    flags[c.EOB] = text.end_of_block
+    flags[c.BLANKS] = text.blanks_in_numbers
+    flags[c.ASSIGN] = text.assign
+    flags[c.DELETE] = _DELETE[text.block_delete]
+    flags[c.WHOLE] = _WHOLE[text.whole_positions]
+    flags[c.TAPE_NAME] = text.tape == "name"
+    flags[c.NUMBERED] = text.program_number
+    flags[c.OWN_BLOCK] = dialect.dwell.own_block
+    flags[c.LONGEST] = text.longest_line
+    flags[c.FEED_UNSURE] = dialect.feed.whole == "unsure"
+    flags[c.G93] = _G93[dialect.feed.g93]
+    return [int(flag) for flag in flags]
+
+
+def _g_codes(dialect: Dialect) -> list[int]:
+    found = [0] * 10_000
+    for does, numbers in {**dialect.g, "dwell": dialect.dwell.codes}.items():
+        if does != "dwell" and does not in _ACTIONS:
+            raise ConfigError(f"dialect {dialect.name}: g.{does}: is not known. To do: one of {', '.join(_ACTIONS)}.")
+        for number in numbers:
+            _set(found, number * 10, _ACTIONS.get(does, c.DWELL), f"dialect {dialect.name}: g.{does}")
+    return found
+
+
+def _m_codes(dialect: Dialect) -> list[int]:
+    found = [0] * 1000
+    for does, numbers in dialect.m.items():
+        if does not in _M_ACTIONS:
+            raise ConfigError(f"dialect {dialect.name}: m.{does}: is not known. To do: one of {', '.join(_M_ACTIONS)}.")
+        for number in numbers:
+            _set(found, number, _M_ACTIONS[does], f"dialect {dialect.name}: m.{does}")
+    return found
+
+
+def _set(found: list[int], number: float, does: int, where: str) -> None:
+    code = round(number)
+    if abs(code - number) > 1e-6 or not 0 <= code < len(found):
+        raise ConfigError(f"{where}: {number:g} is no code. To do: correct it.")
+    if found[code] not in (0, does):
+        raise ConfigError(f"{where}: {number:g} does two things. To do: take it out of one of them.")
+    found[code] = does
+
+
+def _packed(names: list[str]) -> tuple[list[int], list[int]]:
+    """Where each name begins among all names' bytes, and the bytes."""
+    starts = [0]
+    for name in names:
+        starts.append(starts[-1] + len(name))
+    return starts, list("".join(names).encode("ascii")) or [0]
+
+
+Row = Any
+"""A list, or an array."""
+
+
+class Scratch(NamedTuple):
+    """The words of a line."""
+
+    i: Row
+    f: Row
+    at: Row
+    """By word code: which word of the line it is; -1: not in it."""
+
+
+class Found(NamedTuple):
+    """Columns to fill, row by row, flat."""
+
+    moves: Row
+    places: Row
+    dwells: Row
+    times: Row
+    modes: Row

@@ -1,0 +1,125 @@
+"""A HAL component between polishd and linuxcncrsh: when polishd falls silent, motion is held.
+
+    loadusr -Wn polishd-gate /usr/bin/python3 gate.py 0.0.0.0:5008 127.0.0.1:5007 2.0
+    net polishd-idle  halui.program.is-idle => polishd-gate.idle
+    net polishd-hold  polishd-gate.hold     => motion.feed-hold
+
+Bytes pass unchanged. ``hold`` comes up when no client has sent anything for so long while a program runs that was under
+way with a client; it goes only when the program is over, so that a client that comes back moves nothing. Needs nothing
+but LinuxCNC's own Python.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import selectors
+import socket
+import sys
+import time
+from dataclasses import dataclass
+from typing import Any
+
+LOOK_S = 0.02
+
+
+@dataclass
+class Watchdog:
+    """Whether motion is to be held."""
+
+    silent_s: float
+    heard_s: float = float("-inf")
+    armed: bool = False
+    hold: bool = False
+
+    def look(self, now_s: float, idle: bool) -> bool:
+        """``hold``, from now on."""
+        alive = now_s - self.heard_s < self.silent_s
+        if idle:
+            self.armed = self.hold = False
+        elif not alive and self.armed:
+            self.hold = True
+        else:
+            self.armed = self.armed or alive
+        return self.hold
+
+
+class Gate:
+    """Passes bytes between clients and linuxcncrsh."""
+
+    def __init__(self, listen: tuple[str, int], to: tuple[str, int], watchdog: Watchdog) -> None:
+        self.watchdog = watchdog
+        self._to = to
+        self._selector = selectors.DefaultSelector()
+        self._listener = socket.create_server(listen)
+        self._selector.register(self._listener, selectors.EVENT_READ)
+        self._clients: set[socket.socket] = set()
+        self.port = int(self._listener.getsockname()[1])
+
+    def turn(self, within_s: float) -> None:
+        """Serve what is there, waiting for so long at most."""
+        for key, _ in self._selector.select(within_s):
+            source = key.fileobj
+            if source is self._listener:
+                self._accept()
+            elif isinstance(source, socket.socket) and isinstance(key.data, socket.socket):
+                self._pass(source, key.data)
+
+    def close(self) -> None:
+        """Hang up on all."""
+        for key in list(self._selector.get_map().values()):
+            if isinstance(key.fileobj, socket.socket):
+                key.fileobj.close()
+        self._selector.close()
+
+    def _accept(self) -> None:
+        client, _ = self._listener.accept()
+        try:
+            server = socket.create_connection(self._to, timeout=1.0)
+        except OSError:
+            client.close()
+            return
+        for end in (client, server):
+            end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            end.settimeout(1.0)
+        self._clients.add(client)
+        self._selector.register(client, selectors.EVENT_READ, server)
+        self._selector.register(server, selectors.EVENT_READ, client)
+
+    def _pass(self, source: socket.socket, sink: socket.socket) -> None:
+        try:
+            data = source.recv(1 << 16)
+            sink.sendall(data)
+        except OSError:
+            data = b""
+        if data and source in self._clients:
+            self.watchdog.heard_s = time.monotonic()
+        if not data:
+            for end in (source, sink):
+                self._clients.discard(end)
+                with contextlib.suppress(KeyError, ValueError):
+                    self._selector.unregister(end)
+                end.close()
+
+
+def address(text: str) -> tuple[str, int]:
+    """``host:port``."""
+    host, _, port = text.rpartition(":")
+    return host, int(port)
+
+
+def main(listen: str, to: str, silent_s: str) -> None:
+    """As a HAL component, until LinuxCNC ends it."""
+    hal: Any = importlib.import_module("hal")  # comes with LinuxCNC
+    component = hal.component("polishd-gate")
+    component.newpin("idle", hal.HAL_BIT, hal.HAL_IN)
+    component.newpin("hold", hal.HAL_BIT, hal.HAL_OUT)
+    gate = Gate(address(listen), address(to), Watchdog(float(silent_s)))
+    component.ready()
+    while True:
+        gate.turn(LOOK_S)
+        component["hold"] = gate.watchdog.look(time.monotonic(), bool(component["idle"]))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

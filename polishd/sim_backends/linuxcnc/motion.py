@@ -1,0 +1,81 @@
+"""What the sampler tells of the motion, as the plant wants it. Pure of I/O; wall times are handed in."""
+
+from __future__ import annotations
+
+import hashlib
+from bisect import bisect_left
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from polishd.model.surface import FloatArray
+
+LINE, RUNS, PAUSED, HELD = range(5, 9)
+COLUMNS = 9
+STILL_SAMPLES = 4
+"""So many alike, with no program under way, are a standstill."""
+MARK = b"(MSG,polishd "
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded:
+    """A program file, without the lines that polishd's driver put between."""
+
+    sha256: str
+    blocks: int
+    inserted: tuple[int, ...]
+
+    @classmethod
+    def read(cls, path: Path) -> Loaded:
+        """Take the file apart."""
+        lines = path.read_bytes().removesuffix(b"\n").split(b"\n")
+        own = [line for line in lines if not line.startswith(MARK)]
+        inserted = tuple(at for at, line in enumerate(lines) if line.startswith(MARK))
+        return cls(hashlib.sha256(b"\n".join(own)).hexdigest(), len(own), inserted)
+
+    def block_at(self, line: int) -> int:
+        """0-based block of a 1-based line; -1 for none."""
+        return line - 1 - bisect_left(self.inserted, line - 1) if line > 0 else -1
+
+
+@dataclass(slots=True)
+class Sampled:
+    """Samples in, rows for the plant out (``bus.ROW``)."""
+
+    pose: tuple[float, ...]
+    wall_s: float
+    """When the last samples came."""
+    program: Loaded | None = None
+    moving: bool = False
+    running: bool = False
+    _still: int = 0
+    _rest: bytes = b""
+    rows: list[list[float]] = field(default_factory=list)
+
+    def feed(self, data: bytes, now_s: float) -> None:
+        """Samples that came now; they are spread over the time since the last ones."""
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        samples = [s for s in (line.split() for line in lines) if len(s) == COLUMNS]
+        edges = np.linspace(self.wall_s, now_s, len(samples) + 1).tolist()
+        for sample, begin, end in zip(samples, edges[:-1], edges[1:], strict=True):
+            self._take([float(value) for value in sample], begin, end)
+        if samples:
+            self.wall_s = now_s
+
+    def take_rows(self) -> FloatArray:
+        """(n, 9) since the last call."""
+        rows, self.rows = self.rows, []
+        return np.array(rows).reshape(-1, 9)
+
+    def _take(self, sample: list[float], begin_s: float, end_s: float) -> None:
+        here = tuple(sample[:5])
+        changed = here != self.pose
+        self.running = bool(sample[RUNS]) and not sample[PAUSED] and not sample[HELD]
+        self._still = 0 if changed or self.running else self._still + 1
+        self.moving = self._still < STILL_SAMPLES
+        if self.moving:
+            seq = self.program.block_at(int(sample[LINE])) if self.program is not None else -1
+            middle = [(a + b) / 2 for a, b in zip(self.pose, here, strict=True)]
+            self.rows.append([seq, begin_s, end_s, end_s - begin_s, *middle])
+        self.pose = here

@@ -1,0 +1,7 @@
+G90 G17
+G0 X0 Y0 Z0
+G1 X10 F10
+G4 Time=0.5
+G1 X20
+G4 Time=2
+M30

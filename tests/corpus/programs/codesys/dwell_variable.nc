@@ -1,0 +1,5 @@
+G90 G17
+G0 X0 Y0 Z0
+G1 X10 F10
+G4 T$g_wait$
+M30

@@ -1,0 +1,6 @@
+G21 G90 G94
+G0 X0 Y0 Z0
+G1 X10 F600 (G4 P9) ; G4 P8 (open
+(G4 P7)
+G4 P1 (G4 P6)
+M2

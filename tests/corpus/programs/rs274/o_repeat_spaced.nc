@@ -1,0 +1,7 @@
+G21 G90 G94
+G0 X0 Y0 Z0
+G1 X10 F600
+  O 100 repeat [3]
+G4 P1
+O100 endrepeat
+M2

@@ -1,0 +1,7 @@
+G21 G90 G94
+G0 X0 Y0 Z0
+o100 while [#1 LT 3]
+G1 X10 F600
+G4 P1
+o100 endwhile
+M2

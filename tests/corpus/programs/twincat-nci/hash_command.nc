@@ -1,0 +1,6 @@
+G71 G90 G17
+G0 X0 Y0 Z0
+#set paramRadius#
+G01 X10 F600
+G04 X0.5
+M30

@@ -1,0 +1,13 @@
+"""Programs in the default dialect."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from polishd.plugins.rnc_robot import formats
+from polishd.plugins.rnc_robot.dialect import dialect
+
+DIALECT = dialect("rs274")
+RS274 = formats.format_of(DIALECT)
+read = partial(formats.read, DIALECT)
+rewrite = partial(formats.rewrite, DIALECT)

@@ -1,0 +1,126 @@
+"""A small simulated cell whose robot is a real LinuxCNC, all of it in one network of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from polishd.console.demo_files import DemoFiles, demo_program, with_values, write_demo
+from polishd.daemon.config import load_config
+from tests.system.cell_rig import Daemon
+from tests.system.sim_rig import LIMIT_S, ROOT, alive, wait_for
+
+PART = {"aperture_mm": 9.0, "edge_mm": 1.0}
+"""A pass over it takes some ten seconds: LinuxCNC knows real time only."""
+APART = ("unshare", "--map-root-user", "--net", "sh", "-c", 'ip link set lo up && exec "$@"', "sh")
+"""Run a command in a network that has nothing but loopback."""
+
+
+def require_linuxcnc() -> None:
+    """Skip where there is no LinuxCNC, or no namespaces to run it in."""
+    if shutil.which("linuxcnc") is None:
+        pytest.skip("linuxcnc is not installed (apt-get install linuxcnc-uspace)")
+    tried = subprocess.run([*APART, "unshare", "--pid", "--fork", "--mount", "true"], capture_output=True, check=False)
+    if tried.returncode:
+        pytest.skip(f"no namespaces here: {tried.stderr.decode().strip()}")
+
+
+class Cell:
+    """The running simulator, and how to get at its network."""
+
+    def __init__(self, files: DemoFiles, process: subprocess.Popen[str]) -> None:
+        self.files = files
+        self.process = process
+
+    @property
+    def inside(self) -> list[str]:
+        """Prefix of a command that is to run in the cell's network."""
+        return ["nsenter", "--preserve-credentials", "--user", "--net", "-t", str(self.process.pid)]
+
+    def daemon(self) -> Daemon:
+        """``polishd run``."""
+        return _Daemon(self)
+
+    def moves(self) -> dict[str, Any]:
+        """What ``linuxcnc_moves`` tells."""
+        programs = str(self.files.sim_dir / "linuxcnc" / "nc")
+        command = [*self.inside, sys.executable, "-m", "tests.system.linuxcnc_moves", str(_port(self.files)), programs]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=2 * LIMIT_S, cwd=ROOT, check=False)
+        assert done.returncode == 0, done.stderr
+        return dict(json.loads(done.stdout))
+
+    def linuxcncrsh(self, *lines: str) -> list[str]:
+        """Say hello, then these lines, on a connection of our own; all that it answers."""
+        talk = (
+            "import socket,sys\n"
+            "s=socket.create_connection(('127.0.0.1',int(sys.argv[1])),5);s.settimeout(0.3)\n"
+            "s.sendall(('\\r\\n'.join(['hello EMC test 1.0',*sys.argv[2:]])+'\\r\\n').encode())\n"
+            "try:\n"
+            " while d:=s.recv(4096): sys.stdout.write(d.decode())\n"
+            "except TimeoutError: pass\n"
+        )
+        command = [*self.inside, sys.executable, "-c", talk, str(_port(self.files)), *lines]
+        said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=LIMIT_S).stdout
+        return said.split("\n")
+
+
+class _Daemon(Daemon):
+    def __init__(self, cell: Cell) -> None:
+        self.files = cell.files
+        self.output = cell.files.daemon_log
+        with self.output.open("ab") as log:
+            command = [*cell.inside, sys.executable, "-m", "polishd.cli", "run", str(cell.files.cell), "--json"]
+            self.process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
+
+
+def write_files(out: Path, **job: Any) -> DemoFiles:
+    """The demo's files with a tiny part and LinuxCNC for a robot."""
+    files = write_demo(out, None, 2.0, 4, None)
+    cell = with_values(files.cell.read_text(), {"part": PART, "job": job})
+    robot = 'type = "linuxcnc"\nprogram_dir = "sim/linuxcnc/nc"\ncontroller_dir = "/mnt/nc"'
+    cell = cell.replace(', "run_report"', "")  # takes seconds, and knows nothing of robots
+    files.cell.write_text(cell.replace('type = "robot_link"', robot))
+    plant = {**PART, "pv_nm": 40.0, "rms_nm": 8.0, "speed": 1.0}
+    sim = with_values(files.sim.read_text(), {"plant": plant})
+    files.sim.write_text(sim.replace("[robot]\n", '[robot]\nkind = "linuxcnc"\n'))
+    config = load_config(files.cell)
+    config.program_path.write_bytes(demo_program(config))
+    return files
+
+
+@contextlib.contextmanager
+def linuxcnc_cell(out: Path, **job: Any) -> Iterator[Cell]:
+    """The simulator with LinuxCNC, up, on and homed, for the time of the block."""
+    require_linuxcnc()
+    files = write_files(out, **job)
+    command = [*APART, sys.executable, "-m", "polishd.sim_backends", str(files.sim), "--state", str(files.sim_dir)]
+    with (files.out / "sim.stderr").open("wb") as stderr:
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True)
+    try:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        assert line.startswith("READY"), (files.out / "sim.stderr").read_text() + _log(files)
+        yield Cell(files, process)
+    finally:
+        process.terminate()
+        process.wait(LIMIT_S)
+        if process.stdout is not None:
+            process.stdout.close()
+        wait_for(lambda: not alive(process.pid), "the simulator's end")
+
+
+def _log(files: DemoFiles) -> str:
+    path = files.sim_dir / "linuxcnc" / "linuxcnc.log"
+    return path.read_text() if path.exists() else ""
+
+
+def _port(files: DemoFiles) -> int:
+    return int(load_config(files.cell).robot.model_dump()["address"].rpartition(":")[2])

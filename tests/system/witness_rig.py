@@ -1,0 +1,65 @@
+"""The simulated robot's controller on a real socket, and what it would tell the plant: the motion itself."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from polishd.sim_backends.config import SimConfig
+from polishd.sim_backends.robot.server import Connection, RobotServer
+from polishd.sim_backends.runtime import Runtime, Start
+
+
+class Witness:
+    """Stands in for the link to the plant."""
+
+    def __init__(self) -> None:
+        self.welcome: dict[str, Any] = {}
+        self.port = 0
+        self.server: RobotServer
+        self._rows: list[np.ndarray] = []
+        self.events: list[tuple[str, dict[str, Any]]] = []
+
+    def rows(self, rows: np.ndarray, mark_s: float, pose: tuple[float, ...]) -> None:
+        """Motion since the last call."""
+        if len(rows):
+            self._rows.append(rows)
+
+    def event(self, name: str, at_s: float | None = None, **data: Any) -> None:
+        """What happened."""
+        self.events.append((name, data))
+
+    @property
+    def moved(self) -> np.ndarray:
+        """All motion, (n, 9): seq, wall0, wall1, dt, x, y, z, a, c."""
+        return np.concatenate(self._rows)
+
+    def of(self, name: str) -> list[dict[str, Any]]:
+        """Events of that name."""
+        return [data for event, data in self.events if event == name]
+
+
+@asynccontextmanager
+async def witnessed_robot(folder: Path, speed: float, **robot: Any) -> AsyncIterator[Witness]:
+    """A robot for the time of the block."""
+    witness = Witness()
+    config = SimConfig.model_validate({"robot": {"port": 0, **robot}})
+    async with asyncio.TaskGroup() as group:
+        runtime = Runtime("robot", Start(config, folder, 1, speed), 1, witness, group)  # type: ignore[arg-type]
+        witness.server = RobotServer(runtime)
+        loop = asyncio.get_running_loop()
+        listening = await loop.create_server(lambda: Connection(witness.server), "127.0.0.1", 0)
+        witness.port = listening.sockets[0].getsockname()[1]
+        ticking = group.create_task(witness.server.run())
+        try:
+            yield witness
+        finally:
+            ticking.cancel()
+            listening.close()
+            for connection in list(witness.server.connections):
+                connection.transport.abort()

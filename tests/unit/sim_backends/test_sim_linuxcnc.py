@@ -1,0 +1,157 @@
+"""The simulated LinuxCNC cell: its configuration, its samples, and the gate that holds motion when nobody is heard."""
+
+from __future__ import annotations
+
+import configparser
+import hashlib
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from polishd.model.errors import ConfigError
+from polishd.sim_backends.config import Robot
+from polishd.sim_backends.linuxcnc import server
+from polishd.sim_backends.linuxcnc.gate import Gate, Watchdog, address
+from polishd.sim_backends.linuxcnc.machine import AXES, Machine
+from polishd.sim_backends.linuxcnc.motion import STILL_SAMPLES, Loaded, Sampled
+
+POSE = (1.0, -2.0, 60.0, 15.0, -90.0)
+
+
+@pytest.fixture
+def machine() -> Machine:
+    return Machine(Robot(kind="linuxcnc", port=28999, z_mm=(-3.0, 130.0), watchdog_s=1.5), POSE, 950.0)
+
+
+def test_the_configuration_has_five_joints_that_stand_where_the_robot_stood(machine: Machine) -> None:
+    ini = configparser.ConfigParser()
+    ini.read_string(machine.ini())
+    for joint, axis in enumerate(AXES):
+        section = ini[f"JOINT_{joint}"]
+        assert float(section["HOME"]) == float(section["HOME_OFFSET"]) == POSE[joint]
+        assert section["TYPE"] == ("ANGULAR" if axis in "AC" else "LINEAR")
+        assert float(section["MAX_ACCELERATION"]) == float(ini[f"AXIS_{axis}"]["MAX_ACCELERATION"]) == 950.0
+    assert (float(ini["AXIS_Z"]["MIN_LIMIT"]), float(ini["AXIS_Z"]["MAX_LIMIT"])) == (-3.0, 130.0)
+    assert ini["KINS"]["JOINTS"] == "5"
+    assert "linuxcncrsh" in ini["DISPLAY"]["DISPLAY"]
+
+
+def test_the_gate_stands_before_linuxcncrsh_and_holds_motion(machine: Machine, tmp_path: Path) -> None:
+    machine.write(tmp_path / "machine")
+    hal = (tmp_path / "machine" / "machine.hal").read_text()
+    assert "gate.py 127.0.0.1:28999 127.0.0.1:5007 1.5" in hal
+    assert "polishd-gate.hold => motion.feed-hold" in hal
+    assert (tmp_path / "machine" / "gate.py").exists()
+    assert (tmp_path / "machine" / "nc").is_dir()
+
+
+def sample(x: float, line: int = 0, runs: int = 0, paused: int = 0, held: int = 0) -> bytes:
+    return f"{x:.6f} 0.000000 0.000000 0.000000 0.000000 {line} {runs} {paused} {held} \n".encode()
+
+
+def test_samples_become_rows_that_fill_the_time() -> None:
+    sampled = Sampled((0.0,) * 5, 10.0)
+    sampled.feed(sample(1.0, 1, 1) + sample(2.0, 1, 1) + b"overrun\n" + sample(3.0, 2, 1)[:9], 10.2)
+    sampled.feed(sample(3.0, 2, 1)[9:], 10.3)
+    rows = sampled.take_rows()
+    assert rows[:, 1:4] == pytest.approx(np.array([[10.0, 10.1, 0.1], [10.1, 10.2, 0.1], [10.2, 10.3, 0.1]]))
+    assert rows[:, 4] == pytest.approx([0.5, 1.5, 2.5]), "pose half-way"
+    assert rows[:, 0].tolist() == [-1, -1, -1], "no program is known"
+    assert sampled.take_rows().shape == (0, 9)
+
+
+def test_it_moves_while_a_program_runs_and_until_it_stands() -> None:
+    sampled = Sampled((0.0,) * 5, 0.0)
+    sampled.feed(sample(0.0) * STILL_SAMPLES, 1.0)
+    assert not sampled.moving
+    sampled.feed(sample(0.0, 3, 1) * 9, 2.0)
+    assert sampled.moving, "a dwell is no standstill"
+    sampled.feed(sample(0.0, 3, 1, 1) * STILL_SAMPLES, 3.0)
+    assert not sampled.moving, "a pause is"
+    sampled.feed(sample(0.0, 3, 1), 4.0)
+    sampled.feed(sample(0.0, 3, 1, 0, 1) * STILL_SAMPLES, 5.0)
+    assert not sampled.moving, "and so is the gate's hold"
+    sampled.feed(sample(0.1), 6.0)
+    assert sampled.moving, "somebody jogs"
+
+
+def test_a_program_file_is_known_without_what_the_driver_put_between(tmp_path: Path) -> None:
+    own = [b"G21", b"G1 X1", b"G1 X2", b"M2"]
+    path = tmp_path / "p.ngc"
+    path.write_bytes(b"\n".join([*own[:2], b"(MSG,polishd ab 2) M0", own[2], b"(MSG,polishd ab 4)", own[3], b""]))
+    program = Loaded.read(path)
+    assert (program.sha256, program.blocks) == (hashlib.sha256(b"\n".join(own)).hexdigest(), 4)
+    assert [program.block_at(line) for line in (0, 1, 2, 4, 6)] == [-1, 0, 1, 2, 3]
+
+
+def test_the_watchdog_wakes_with_a_client_holds_without_and_lets_go_when_the_program_is_over() -> None:
+    dog = Watchdog(silent_s=1.0)
+    assert not dog.look(0.0, idle=False), "a program that nobody watched from afar is the operator's"
+    assert not dog.look(9.0, idle=False)
+    dog.heard_s = 10.0
+    assert not dog.look(10.5, idle=False)
+    assert dog.look(11.1, idle=False)
+    dog.heard_s = 12.0
+    assert dog.look(12.1, idle=False), "a client that is back moves nothing"
+    assert not dog.look(12.2, idle=True)
+    assert not dog.look(99.0, idle=True)
+
+
+@pytest.fixture
+def served() -> Iterator[tuple[Gate, socket.socket]]:
+    server_side = socket.create_server(("127.0.0.1", 0))
+    server_side.settimeout(2.0)
+    gate = Gate(("127.0.0.1", 0), ("127.0.0.1", server_side.getsockname()[1]), Watchdog(1.0))
+    yield gate, server_side
+    gate.close()
+    server_side.close()
+
+
+def turn(gate: Gate, times: int = 5) -> None:
+    for _ in range(times):
+        gate.turn(0.02)
+
+
+def test_the_gate_passes_bytes_both_ways_and_hears_clients_only(served: tuple[Gate, socket.socket]) -> None:
+    gate, server_side = served
+    with socket.create_connection(("127.0.0.1", gate.port), timeout=2.0) as client:
+        turn(gate)
+        behind, _ = server_side.accept()
+        with behind:
+            behind.settimeout(2.0)
+            behind.sendall(b"unasked\r\n")
+            turn(gate)
+            assert client.recv(99) == b"unasked\r\n"
+            assert gate.watchdog.heard_s == float("-inf"), "a server that talks is no client that lives"
+            client.sendall(b"get time\r\n")
+            turn(gate)
+            assert behind.recv(99) == b"get time\r\n"
+            assert gate.watchdog.heard_s > 0.0
+            client.close()
+            turn(gate)
+            assert behind.recv(99) == b"", "and hangs up with it"
+
+
+def test_the_gate_hangs_up_where_nobody_is_behind() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as nobody:
+        port = nobody.getsockname()[1]
+    gate = Gate(("127.0.0.1", 0), ("127.0.0.1", port), Watchdog(1.0))
+    with socket.create_connection(("127.0.0.1", gate.port), timeout=2.0) as client:
+        turn(gate)
+        assert client.recv(1) == b""
+    gate.close()
+
+
+def test_addresses() -> None:
+    assert address("0.0.0.0:5008") == ("0.0.0.0", 5008)
+
+
+def test_linuxcnc_is_not_started_where_others_could_reach_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(socket, "if_nameindex", lambda: [(1, "lo"), (2, "eth0")])
+    with pytest.raises(ConfigError, match=r"every interface.*eth0.*To do: unshare"):
+        server.require_alone()
+    monkeypatch.setattr(socket, "if_nameindex", lambda: [(1, "lo")])
+    server.require_alone()

@@ -1,0 +1,59 @@
+"""Files are written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from polishd.files import write_atomic
+
+
+def test_writes_and_replaces(tmp_path: Path) -> None:
+    path = tmp_path / "file.bin"
+    write_atomic(path, b"old")
+    write_atomic(path, b"new \x00 content")
+    assert path.read_bytes() == b"new \x00 content"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_mode_is_as_asked(tmp_path: Path) -> None:
+    write_atomic(tmp_path / "open", b"")
+    write_atomic(tmp_path / "secret", b"", mode=0o600)
+    assert (tmp_path / "open").stat().st_mode & 0o777 == 0o644
+    assert (tmp_path / "secret").stat().st_mode & 0o777 == 0o600
+
+
+def test_failure_leaves_the_old_file_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "file"
+    write_atomic(path, b"old")
+
+    def full(handle: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        write_atomic(path, b"new")
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_content_is_synced_before_the_rename_and_the_folder_after(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, order = tmp_path / "file", []
+    fsync = os.fsync
+
+    def watched(handle: int) -> None:
+        order.append(("file" if Path(f"/proc/self/fd/{handle}").is_file() else "folder", path.exists()))
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", watched)
+    write_atomic(path, b"x")
+    assert order == [("file", False), ("folder", True)]
+
+
+def test_missing_folder_is_the_callers_error(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        write_atomic(tmp_path / "no" / "file", b"")
