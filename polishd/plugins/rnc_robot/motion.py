@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from io import BytesIO
 
 import numpy as np
 
@@ -15,7 +16,10 @@ from polishd.plugins.rnc_robot.languages.profile import Profile
 from polishd.plugins.rnc_robot.languages.reader import points
 from polishd.plugins.rnc_robot.languages.scan import scan
 from polishd.plugins.rnc_robot.nc import codes as c
-from polishd.plugins.rnc_robot.nc.reader import Read, parse
+from polishd.plugins.rnc_robot.nc.checks import Checks
+from polishd.plugins.rnc_robot.nc.pieces import Piece
+from polishd.plugins.rnc_robot.nc.points import Points
+from polishd.plugins.rnc_robot.nc.stream import run_through
 
 COLUMNS = ("x", "y", "z", "a", "b", "c", "i", "j", "k")
 """Of NC text: mm, degrees, and the tool vector as written."""
@@ -41,26 +45,30 @@ class Motion:
 def motion(dialect: AnyDialect, text: bytes, name: str) -> Motion:
     """Read a program. ProgramError names the line and the reason."""
     program = formats.read(dialect, text, name)
-    if isinstance(dialect, Dialect):
-        return _of_nc(program, parse(dialect, text, name))
-    return _of_language(program, dialect)
+    return _of_nc(program, dialect) if isinstance(dialect, Dialect) else _of_language(program, dialect)
 
 
-def _of_nc(program: Program, found: Read) -> Motion:
-    moves = np.vstack([piece.moves for piece in found.pieces])
-    spans, owners, begin = [], [], 0
-    for piece, timed in zip(found.pieces, found.points, strict=True):
+def _of_nc(program: Program, dialect: Dialect) -> Motion:
+    moves, places, spans, owners = [], [], [], []
+    begin = 0
+
+    def keep(piece: Piece, timed: Points, _checks: Checks) -> None:
+        nonlocal begin
+        moves.append(piece.moves)
+        places.append(piece.places[:, : c.AXES])
         mine = timed.start >= 0  # an F of an earlier line carries no time of its own
         spans.append(np.column_stack([timed.start, timed.end])[mine] + begin)
         owners.append(piece.dwells[piece.dwells[:, c.D_MOVE] >= 0, c.D_MOVE])
         begin += len(piece.text)
-    dwells = found.encoding == "dwell"
+
+    run_through(dialect, BytesIO(program.text), program.name, keep)
+    line = np.concatenate([rows[:, c.M_LINE] for rows in moves])
     return Motion(
         program=program,
-        line=moves[:, c.M_LINE],
-        kind=moves[:, c.M_KIND] & ~c.K_INVERSE,
-        places=np.vstack([piece.places[:, : c.AXES] for piece in found.pieces]),
-        point=np.concatenate(owners) if dwells else np.searchsorted(moves[:, c.M_LINE], program.line),
+        line=line,
+        kind=np.concatenate([rows[:, c.M_KIND] for rows in moves]) & ~c.K_INVERSE,
+        places=np.vstack(places),
+        point=np.concatenate(owners) if program.encoding == "dwell" else np.searchsorted(line, program.line),
         spans=np.vstack(spans),
     )
 

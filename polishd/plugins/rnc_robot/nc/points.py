@@ -44,8 +44,12 @@ class Tally:
             alone[piece.dwells[piece.dwells[:, c.D_MOVE] >= piece.first_move, c.D_MOVE] - piece.first_move] = False
             self.first_without = int(piece.moves[np.argmax(alone), c.M_LINE]) if alone.any() else 0
 
+    def sits_in(self) -> Encoding:
+        """Where the time of these moves sits."""
+        return "dwell" if self.dwelled else "inverse" if self.inverse else "feed"
+
     def encoding(self, name: str) -> Encoding:
-        """Where the time sits. ProgramError where nothing carries any, or where it sits in two places."""
+        """The same of a whole program. ProgramError where nothing carries any, or where it sits in two places."""
         if self.dwelled:
             without = self.moves - self.dwelled
             if without > max(4, self.dwelled):
@@ -54,13 +58,12 @@ class Tally:
                     f"{without} have none, this one the first: time sits in two places. "
                     "To do: have it posted with dwells at all points or at none."
                 )
-            return "dwell"
-        if not self.moves:
+        elif not self.moves:
             raise ProgramError(
                 f"{name}: nothing in it carries time: it needs feed moves (G1), with or without their own dwell "
                 "(G4 P) each. To do: check that this is the polishing program."
             )
-        return "inverse" if self.inverse else "feed"
+        return self.sits_in()
 
 
 class Points(NamedTuple):

@@ -13,12 +13,13 @@ from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.dialect import Dialect
 from polishd.plugins.rnc_robot.nc import codes as c
 from polishd.plugins.rnc_robot.nc import compiled
+from polishd.plugins.rnc_robot.nc.checks import doubts
 from polishd.plugins.rnc_robot.nc.pieces import Piece, Scanner
 from polishd.plugins.rnc_robot.nc.points import PointReader, Points, counts_time
-from polishd.plugins.rnc_robot.nc.reader import doubts
 from polishd.plugins.rnc_robot.nc.refusals import refuse
-from polishd.plugins.rnc_robot.nc.rewriter import Edits, Numbers, refuse_times, spliced
+from polishd.plugins.rnc_robot.nc.rewriter import Row
 from polishd.plugins.rnc_robot.nc.write import direct, reciprocal
+from polishd.plugins.rnc_robot.nc.writer import Edits, Numbers, refuse_times, spliced
 
 _OTHER_WORDS = re.compile(rb"[BCDHIJKLOQRVWYZ]|M\\s*\\d", re.IGNORECASE)
 """What neither says N, G, nor a time: P, X, U, F, S, T, TIME are told apart by the reader."""
@@ -36,9 +37,7 @@ def recode(dialect: Dialect, program: Program, time_s: FloatArray, encoding: Enc
     whole = program.text.endswith(b"\n")
     scanner = Scanner(dialect, program.name)
     (piece,) = scanner.pieces(iter([program.text if whole else program.text + b"\n"]))
-    times = np.array(time_s, dtype=np.float64)
-    if times.shape != (program.n,):
-        raise ProgramError(f"{program.name}: {program.n} points need as many times, not an array of {times.shape}.")
+    times = Row(program, time_s).times
     refuse_times(dialect, encoding, program.name, program.line, times)
     if encoding == "inverse" and dialect.feed.g93 == "refuse":
         raise ProgramError(f"{program.name}: {dialect.title} knows no inverse time (G93). To do: ask for another.")

@@ -13,10 +13,12 @@ from polishd.api import ProgramError
 from polishd.model.program import Encoding
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.dialect import Dialect
+from polishd.plugins.rnc_robot.nc.checks import Checks, unit, warnings
 from polishd.plugins.rnc_robot.nc.pieces import PIECE_BYTES, Piece, Scanner
 from polishd.plugins.rnc_robot.nc.points import PointReader, Points, Tally
-from polishd.plugins.rnc_robot.nc.reader import Checks, unit, warnings
-from polishd.plugins.rnc_robot.nc.rewriter import Writer, refuse_times
+from polishd.plugins.rnc_robot.nc.writer import Writer, refuse_times
+
+Each = Callable[[Piece, Points, Checks], None]
 
 ENOUGH_MOVES = 10_000
 """So many feed moves without a dwell, and the time sits in the feed."""
@@ -59,9 +61,8 @@ class Passed:
 
 
 def look_through(dialect: Dialect, file: BinaryIO, name: str, progress: Progress | None = None) -> Passed:
-    """Read a program without keeping it. ``progress`` hears of bytes read. ProgramError as ``reader.read``."""
-    encoding = _guessed(dialect, file, name)
-    return _pass(PointReader(dialect, name, encoding), file, progress, lambda _piece, _points: None)
+    """Read a program without keeping it. ProgramError names the line and the reason."""
+    return run_through(dialect, file, name, lambda _piece, _points, _checks: None, progress)
 
 
 def rewrite_stream(
@@ -73,21 +74,25 @@ def rewrite_stream(
     *,
     progress: Progress | None = None,
 ) -> Passed:
-    """Write the program with other times to ``out``, as ``rewriter.rewrite`` would; what it was before.
+    """Write the program with other times to ``out``; what it was before.
 
+    No byte changes outside numbers that carry time. Where F still holds from an earlier block and must differ, an F
+    word is added. What rounding leaves is carried to the next point, so that the total is exact to one quantum.
     ``file`` must be seekable: where its time sits is found out first. ProgramError leaves half a program in ``out``.
     """
-    encoding = _guessed(dialect, file, name)
-    writer, changed = Writer(dialect, name, encoding), 0
+    writer: Writer | None = None
+    changed = 0
 
-    def write(piece: Piece, points: Points) -> None:
-        nonlocal changed
+    def write(piece: Piece, points: Points, checks: Checks) -> None:
+        nonlocal writer, changed
+        if writer is None:
+            writer = Writer(dialect, name, checks.encoding)
         new = times.take(len(points.line))
-        refuse_times(dialect, encoding, name, points.line, new)
+        refuse_times(dialect, checks.encoding, name, points.line, new)
         changed += int(np.count_nonzero(new != points.time_s))
         out.write(writer.write(piece, points, new))
 
-    passed = _pass(PointReader(dialect, name, encoding), file, progress, write)
+    passed = run_through(dialect, file, name, write, progress)
     times.finish()
     passed.changed = changed
     return passed
@@ -108,22 +113,26 @@ def _guessed(dialect: Dialect, file: BinaryIO, name: str) -> Encoding:
     for piece in scanner.pieces(_chunks(file, hashlib.sha256(), None)):
         tally.add(piece)
         if tally.dwelled or tally.moves > ENOUGH_MOVES:
-            break
+            return tally.sits_in()
     return tally.encoding(name)
 
 
-def _pass(
-    reader: PointReader, file: BinaryIO, progress: Progress | None, each: Callable[[Piece, Points], None]
-) -> Passed:
-    dialect, name, encoding = reader.dialect, reader.name, reader.encoding
-    scanner, tally, checks = Scanner(dialect, name), Tally(), Checks(dialect, name)
-    passed, digest, still = Passed(dialect.name, encoding), hashlib.sha256(), 0
+def run_through(dialect: Dialect, file: BinaryIO, name: str, each: Each, progress: Progress | None = None) -> Passed:
+    """Give ``each`` piece of a program with its points away, and check the whole. ProgramError names the line."""
+    encoding = _guessed(dialect, file, name)
+    scanner, tally, checks = Scanner(dialect, name), Tally(), Checks(dialect, name, encoding)
+    reader, passed, digest, still = (
+        PointReader(dialect, name, encoding),
+        Passed(dialect.name, encoding),
+        hashlib.sha256(),
+        0,
+    )
     for piece in scanner.pieces(_chunks(file, digest, progress)):
         tally.add(piece)
         points = reader.read(piece)
-        checks.add(points)
+        checks.add(points, scanner)
         still += points.still
-        each(piece, points)
+        each(piece, points, checks)
         _note(passed, dialect, points)
     if tally.encoding(name) != encoding or not passed.points:
         raise ProgramError(

@@ -10,7 +10,7 @@ import pytest
 from polishd.api import Program, ProgramError
 from polishd.plugins.rnc_robot import formats
 from polishd.plugins.rnc_robot.dialect import dialect
-from polishd.plugins.rnc_robot.nc import compiled, reader
+from polishd.plugins.rnc_robot.nc import compiled, stream
 from tests.corpus.changes import quanta_s, strayed
 from tests.corpus.fuzz import GRAMMARS, program
 from tests.corpus.table import reason
@@ -25,7 +25,7 @@ PIECE = 97
 def outcome(name: str, text: bytes, patch: pytest.MonkeyPatch, size: int = NEVER, piece: int = WHOLE) -> Program | str:
     """The program, or why it is refused; compiled from ``size`` bytes on, in pieces of so many."""
     patch.setattr(compiled, "LARGE_BYTES", size)
-    patch.setattr(reader, "PIECE_BYTES", piece)
+    patch.setattr(stream, "PIECE_BYTES", piece)
     try:
         return formats.read(dialect(name), text, "f.nc")
     except ProgramError as error:
@@ -53,7 +53,7 @@ def check(name: str, text: bytes, rng: Random, patch: pytest.MonkeyPatch) -> boo
     written = set()
     for size, cut in ((0, WHOLE), (NEVER, WHOLE), (NEVER, piece)):
         patch.setattr(compiled, "LARGE_BYTES", size)
-        patch.setattr(reader, "PIECE_BYTES", cut)
+        patch.setattr(stream, "PIECE_BYTES", cut)
         assert formats.rewrite(dialect(name), found, found.time_s) == text
         written.add(formats.rewrite(dialect(name), found, asked))
     assert len(written) == 1

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from polishd.api import Program, ProgramError
 from polishd.plugins.rnc_robot import polishd_program_formats
-from polishd.plugins.rnc_robot.nc.reader import tool_axis
+from polishd.plugins.rnc_robot.nc.checks import tool_axis
 from tests.rs274 import read
 
 HEAD = "G21 G90 G94\nG0 X0 Y0 Z0\n"

@@ -125,7 +125,7 @@ def test_an_f_that_holds_carries_no_time_of_later_moves() -> None:
 
 
 def test_a_program_read_in_pieces_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("polishd.plugins.rnc_robot.nc.reader.PIECE_BYTES", 32)
+    monkeypatch.setattr("polishd.plugins.rnc_robot.nc.stream.PIECE_BYTES", 32)
     found = compared(DWELL, DWELL.replace("P.5", "P.75").replace("P2", "P12"))
     assert (found.identical_motion, found.changed_points, found.largest_change_s) == (True, 2, 10.0)
     assert not compared(DWELL, DWELL.replace("G0 Z5\nM2", "G0 Z6\nM2")).identical_motion

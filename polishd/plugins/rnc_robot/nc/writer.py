@@ -1,0 +1,124 @@
+"""New numbers in old places of a piece of text, and the rounding residue carried forward."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from polishd.api import ProgramError
+from polishd.model.program import Encoding, IntArray
+from polishd.model.surface import FloatArray
+from polishd.plugins.rnc_robot.dialect import Dialect
+from polishd.plugins.rnc_robot.nc import compiled
+from polishd.plugins.rnc_robot.nc.pieces import Piece
+from polishd.plugins.rnc_robot.nc.points import Points, counts_time
+from polishd.plugins.rnc_robot.nc.refusals import refuse
+from polishd.plugins.rnc_robot.nc.write import direct, reciprocal, splice
+
+
+class Numbers(NamedTuple):
+    """New numbers of n points; ``decimals`` -1: the number stays."""
+
+    mantissa: Any
+    decimals: Any
+
+
+class Edits(NamedTuple):
+    """Places in a text, in order, and what comes there; see ``write.splice``."""
+
+    start: Any
+    end: Any
+    prefix: Any
+    mantissa: Any
+    decimals: Any
+    style: Any
+
+
+class Prefixes(NamedTuple):
+    """Texts that an edit may put before its number, one after the other."""
+
+    at: Any
+    bytes: Any
+
+
+class Writer:
+    """Writes piece after piece; what rounding leaves goes on to the next one."""
+
+    def __init__(self, dialect: Dialect, name: str, encoding: Encoding) -> None:
+        self._dialect = dialect
+        self._name = name
+        self._counts_time = counts_time(dialect, encoding)
+        self._usual = min(dialect.dwell.decimals, dialect.dwell.most_decimals)
+        self._state = np.zeros(3)
+        self._texts = [b"", b" F", b" f"]
+
+    def write(self, piece: Piece, points: Points, times_s: FloatArray) -> bytes:
+        """The piece's text with these times, (n,) s."""
+        numbers, own = self._numbers(points, times_s, len(piece.text)), points.start >= 0
+        keep = numbers.decimals >= 0
+        if not keep.any():
+            return piece.text
+        place = np.where(own, points.start, points.tail)
+        edits = Edits(
+            place, np.where(own, points.end, points.tail), np.where(own, 0, 1 + points.lower), numbers.mantissa,
+            numbers.decimals, points.style,
+        )  # fmt: skip
+        text = spliced(piece.text, Edits(*(column[keep] for column in edits)), self._texts)
+        self._refuse_long(piece, text)
+        return text
+
+    def _refuse_long(self, piece: Piece, text: bytes) -> None:
+        """A longer number may make a line longer than the controller takes."""
+        longest = self._dialect.text.longest_line
+        ends = np.flatnonzero(np.frombuffer(text, dtype=np.uint8) == 10)
+        sizes = np.diff(ends, prepend=-1, append=len(text)) - 1
+        if (sizes > longest).any():
+            index = int(np.argmax(sizes > longest))
+            line = text.split(b"\n", index + 1)[index]
+            raise refuse(
+                self._name, piece.first_line + index, line, f"longer than {longest} bytes once its time is changed",
+                "split the line, or shorten its comment",
+            )  # fmt: skip
+
+    def _numbers(self, points: Points, times_s: FloatArray, size: int) -> Numbers:
+        count = len(times_s)
+        numbers = Numbers(np.zeros(count, dtype=np.int64), np.full(count, -1))
+        if self._counts_time:
+            run = compiled.kernel(direct, size)
+            self._state[0] = run(
+                times_s, points.time_s, points.scale, points.style, self._usual, self._state[0], numbers
+            )
+        else:
+            run = compiled.kernel(reciprocal, size)
+            lines = np.stack([points.line, points.f_line], axis=1)
+            most = self._dialect.feed.most_decimals
+            run(times_s, points.time_s, points.scale, points.style, lines, points.number, most, self._state, numbers)
+        return numbers
+
+
+def spliced(text: bytes, edits: Edits, texts: list[bytes]) -> bytes:
+    """The text with the edits in it; their ``prefix`` counts in ``texts``."""
+    prefixes = Prefixes(np.cumsum([0, *map(len, texts)]), np.frombuffer(b"".join(texts) or b" ", dtype=np.uint8))
+    size = len(text) + len(edits.start) * (24 + max(map(len, texts)))
+    run = compiled.kernel(splice, len(text))
+    if run is splice:
+        out = bytearray(size)
+        used = run(text, Edits(*(column.tolist() for column in edits)), Prefixes(*(p.tolist() for p in prefixes)), out)
+        return bytes(out[:used])
+    room = np.empty(size, dtype=np.uint8)
+    used = run(np.frombuffer(text, dtype=np.uint8), edits, prefixes, room)
+    return room[:used].tobytes()
+
+
+def refuse_times(dialect: Dialect, encoding: Encoding, name: str, line: IntArray, times: FloatArray) -> None:
+    """ProgramError at the first time that the encoding cannot hold."""
+    longest = dialect.dwell.longest_s
+    good = np.isfinite(times) & (times <= longest) & ((times >= 0) if encoding == "dwell" else (times > 0))
+    if not good.all():
+        index = int(np.argmin(good))
+        limit = f"at most {longest:g}, " if times[index] > longest else ""
+        raise ProgramError(
+            f"{name}, line {line[index]}: a time of {times[index]} s cannot be written as {encoding}. "
+            f"To do: solve again with times that are {limit}{'not below' if encoding == 'dwell' else 'above'} zero."
+        )
