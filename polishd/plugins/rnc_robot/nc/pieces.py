@@ -65,9 +65,10 @@ class Scanner:
         left = b""
         for chunk in chunks:
             cut = chunk.rfind(b"\n") + 1
-            if not cut:
+            if not cut and len(left) <= self.dialect.text.longest_line:
                 left += chunk
                 continue
+            cut = cut or len(chunk)  # a line without end: refused, not gathered
             yield self._piece(left + chunk[:cut] if left else chunk[:cut])
             left = chunk[cut:]
         if left:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -12,7 +13,8 @@ from hypothesis import strategies as st
 from polishd.api import Program, ProgramError
 from polishd.plugins.rnc_robot import polishd_program_formats
 from polishd.plugins.rnc_robot.nc.checks import tool_axis
-from tests.rs274 import read
+from polishd.plugins.rnc_robot.nc.pieces import Scanner
+from tests.rs274 import DIALECT, read
 
 HEAD = "G21 G90 G94\nG0 X0 Y0 Z0\n"
 
@@ -166,6 +168,20 @@ def test_the_format_is_picklable() -> None:
     again = formats[0]
     assert again.name == "rs274"
     assert again.read(HEAD.encode() + b"G1 X1 F60\nM2", "x").n == 1
+
+
+def test_a_line_without_end_is_refused_before_it_is_gathered() -> None:
+    taken = 0
+
+    def chunks() -> Iterator[bytes]:
+        nonlocal taken
+        for _ in range(1000):
+            taken += 1
+            yield b"G1 X1 " * 100
+
+    with pytest.raises(ProgramError, match="line 1: the line is longer"):
+        list(Scanner(DIALECT, "t.rnc").pieces(chunks()))
+    assert taken <= 2
 
 
 WORDS = st.sampled_from(
