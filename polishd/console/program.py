@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -13,7 +14,7 @@ import numpy as np
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from polishd.console.dwell_csv import DwellTable
-from polishd.console.program_files import content, opened, rewrite_file
+from polishd.console.program_files import content, not_over, opened, rewrite_file
 from polishd.console.tables import key_table, stderr, stdout
 from polishd.console.verbs import emit
 from polishd.model.errors import ProgramError
@@ -32,6 +33,8 @@ SHOWN = 20
 def inspect_verb(file: Path, dialect: str, picture: Path | None, *, as_json: bool) -> None:
     """What a program says: points, times, feeds, bounds, and what was assumed."""
     profile = dialect_named(dialect)
+    if picture is not None:
+        not_over(picture, file)
     answer = _inspected(file, profile)
     if picture is not None:
         from polishd.console.pictures import save_picture
@@ -124,16 +127,20 @@ def rewrite_verb(
     rows = [
         ("points", f"{written.points}, time in {ENCODINGS[written.encoding]}"),
         ("asked for", f"{written.asked_total_s:.9g} s"),
-        ("written", f"{written.dwell_total_s:.9g} s"),
+        ("written", f"{written.dwell_total_s:.9g} s{_kept(written.points - written.rows)}"),
         *(("to", path) for path in written.out),
     ]
     emit(answer, as_json=as_json, table=lambda: key_table(f"{file.name}, rewritten", rows))
 
 
+def _kept(moves: int) -> str:
+    return f", with {moves} moves that had no dwell and keep their time" if moves else ""
+
+
 @contextmanager
 def _bar(what: str, file: Path) -> Iterator[Callable[[int], None]]:
     """A bar on stderr for as long as a file is read; hears of bytes."""
-    size = file.stat().st_size if file.is_file() else None
+    size = os.path.getsize(file) if os.path.isfile(file) else None  # noqa: PTH113, PTH202 - Path's raise
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
         task = bar.add_task(f"{what} {file.name}", total=size)

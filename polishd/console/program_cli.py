@@ -11,7 +11,8 @@ from polishd.console.program_make_cli import make
 
 program = typer.Typer(help="RNC programs: inspect, rewrite the dwell, prove that the motion stayed, make new ones.")
 
-File = Annotated[Path, typer.Argument(metavar="FILE", help="The RNC program.", show_default=False)]
+# readable=False: what cannot be read is exit code 9, as what is not there is; typer would make it 2
+File = Annotated[Path, typer.Argument(metavar="FILE", help="The RNC program.", readable=False, show_default=False)]
 Dialect = Annotated[
     str,
     typer.Option(metavar="NAME|D.toml", help="Its dialect (polishd program dialects), or a profile of your own."),
@@ -43,7 +44,12 @@ def rewrite(  # noqa: PLR0917 - typer reads the options off the signature
     file: File,
     dwell: Annotated[
         Path,
-        typer.Option(metavar="CSV", help="One dwell in seconds a row, no header, one row a point.", show_default=False),
+        typer.Option(
+            metavar="CSV",
+            help="One dwell in seconds a row, no header, one row a point.",
+            readable=False,
+            show_default=False,
+        ),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="The new program; not FILE itself.", show_default=False)],
     dialect: Dialect = "rs274",
@@ -62,8 +68,12 @@ def rewrite(  # noqa: PLR0917 - typer reads the options off the signature
 
 @program.command()
 def verify(
-    old: Annotated[Path, typer.Argument(metavar="OLD", help="The program as it was.", show_default=False)],
-    new: Annotated[Path, typer.Argument(metavar="NEW", help="The program as it is.", show_default=False)],
+    old: Annotated[
+        Path, typer.Argument(metavar="OLD", help="The program as it was.", readable=False, show_default=False)
+    ],
+    new: Annotated[
+        Path, typer.Argument(metavar="NEW", help="The program as it is.", readable=False, show_default=False)
+    ],
     dialect: Dialect = "rs274",
     interpreter: Annotated[
         Optional[Literal["rs274"]],  # noqa: UP045 - typer reads it

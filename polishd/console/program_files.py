@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import errno
-import os
 import re
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, cast
 
@@ -37,6 +37,8 @@ class Written:
     out: tuple[Path, ...]
     encoding: Encoding
     points: int
+    rows: int
+    """Times asked for; fewer than points where moves without a dwell now carry their time, too."""
     asked_total_s: float
     dwell_total_s: float
 
@@ -60,13 +62,19 @@ def rewrite_file(
     Raises:
         ProgramError: Anything is wrong with program, table or output. Nothing was written.
     """
-    for source in (file, table.path):
-        if out.exists() and source.exists() and out.samefile(source):
-            raise ProgramError(f"{out}: is what is read. To do: name another file with --out.")
+    not_over(out, file, table.path)
     mark = _comment(dialect) if comment else b""
     if isinstance(dialect, Dialect) and encoding is None:
         return _streamed(file, table, out, dialect, mark=mark, progress=progress)
     return _held(read(dialect, content(file), file.name), table, out, dialect, encoding, mark=mark)
+
+
+def not_over(out: Path, *sources: Path) -> None:
+    """ProgramError where ``out`` is one of the files that are read, under whatever name."""
+    for source in sources:
+        with suppress(OSError):  # what is not there, or cannot be looked at, is refused where it is opened
+            if out.samefile(source):
+                raise ProgramError(f"{out}: is what is read. To do: name another file.")
 
 
 def content(file: Path) -> bytes:
@@ -77,9 +85,9 @@ def content(file: Path) -> bytes:
 
 @contextmanager
 def opened(file: Path) -> Iterator[BinaryIO]:
-    """A program's file, for reading; ProgramError where it cannot be read."""
+    """A program's file, for reading, more than once; ProgramError where it cannot be read."""
     try:
-        source = file.open("rb")
+        source = _rereadable(file)
     except OSError as error:
         raise _unreadable(file, error) from error
     with source:
@@ -87,6 +95,15 @@ def opened(file: Path) -> Iterator[BinaryIO]:
             yield source
         except OSError as error:
             raise _unreadable(file, error) from error
+
+
+def _rereadable(file: Path) -> BinaryIO:
+    """The open file; what comes through a pipe is held in memory."""
+    source = file.open("rb")
+    if source.seekable():
+        return source
+    with source:
+        return BytesIO(source.read())
 
 
 def _unreadable(file: Path, error: OSError) -> ProgramError:
@@ -100,7 +117,7 @@ def _streamed(
         sink = cast(BinaryIO, _Marked(target, mark)) if mark else target
         passed = rewrite_stream(dialect, source, file.name, table, sink, progress=progress)
         found = look_through(dialect, target, out.name)
-    return Written((out,), passed.encoding, found.points, table.total_s, found.time_s)
+    return Written((out,), passed.encoding, found.points, found.points, table.total_s, found.time_s)
 
 
 def _held(
@@ -118,15 +135,15 @@ def _held(
         for path, part in zip(outs, parts, strict=True):
             stack.enter_context(target_file(path)).write(part)
     written = program.encoding if encoding is None else encoding
-    return Written(tuple(outs), written, proof.points, table.total_s, proof.time_after_s)
+    return Written(tuple(outs), written, proof.points, program.n, table.total_s, proof.time_after_s)
 
 
 @contextmanager
 def target_file(path: Path) -> Iterator[BinaryIO]:
     """A file that gets its name when the block ends; ProgramError where it cannot be written."""
     try:
-        if path.is_dir():  # only the last step would find out, and other parts may have their names by then
-            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if path.exists() and not path.is_file():  # the last step would put a file in the place of a device or pipe
+            raise OSError(errno.EINVAL, "it is there, and is no file")
         with whole_file(path) as file:
             yield file
     except OSError as error:

@@ -12,18 +12,18 @@ import typer
 from scipy.spatial.transform import Rotation
 
 from polishd.console.pictures import save_picture
+from polishd.console.program_files import not_over, target_file
 from polishd.console.program_make_picture import path_picture
 from polishd.console.tables import key_table, stderr, stdout
 from polishd.console.verbs import emit
 from polishd.daemon.config import CellConfig, load_config
 from polishd.daemon.files import read_map
 from polishd.daemon.plugins import load_own
-from polishd.files import write_atomic
-from polishd.model.errors import ProgramError
 from polishd.model.process import FLAT, ComplianceOptions, Optic, Placement
 from polishd.model.program import Encoding
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.dialect import DEFAULT
+from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
 from polishd.plugins.rnc_robot.make import path_program
 from polishd.process.optics import unit_normals
 from polishd.process.paths import apertures
@@ -92,7 +92,7 @@ def make_verb(options: MakeOptions, *, as_json: bool) -> None:
     """Make the path, write the program whole, say what it is. Nothing is written where anything is refused."""
     encoding = _encoding(options)
     config = None if options.cell is None else load_config(options.cell)
-    dialect = options.dialect or (config.program.format if config else DEFAULT)
+    dialect = options.dialect or (DEFAULT if config is None else _dialect_of(config))
     with stderr.status("making the path"):
         made = make_path(options, config)
         feed, time_s = _timing(options, encoding, made.length_mm)
@@ -103,7 +103,7 @@ def make_verb(options: MakeOptions, *, as_json: bool) -> None:
     _write(options, made, text)
     answer = {
         "shape": options.shape,
-        "dialect": dialect,
+        "dialect": dialect_named(dialect).name,
         "encoding": encoding,
         "points": len(points) - 1,
         "length_mm": float(made.length_mm.sum()),
@@ -117,6 +117,12 @@ def make_verb(options: MakeOptions, *, as_json: bool) -> None:
         stdout.print(f"written to {options.out}", markup=False)
 
 
+def _dialect_of(config: CellConfig) -> str:
+    """The cell's: a shipped name, or the path of a profile of its own."""
+    own = {dialect_named(path).name: str(path) for path in config.dialect_paths}
+    return own.get(config.program.format, config.program.format)
+
+
 def _encoding(options: MakeOptions) -> Encoding:
     """Where the time is written; BadParameter for times that are none."""
     for name, value in (("--feed", options.feed_mm_min), ("--dwell", options.dwell_s)):
@@ -128,10 +134,10 @@ def _encoding(options: MakeOptions) -> Encoding:
 
 
 def _write(options: MakeOptions, made: MadePath, text: bytes) -> None:
-    try:
-        write_atomic(options.out, text)
-    except OSError as error:
-        raise ProgramError(f"{options.out}: cannot be written: {error.strerror}. To do: check --out.") from error
+    if options.cell is not None:
+        not_over(options.out, options.cell)
+    with target_file(options.out) as file:
+        file.write(text)
     if options.picture is not None:
         normals = unit_normals(made.optic, made.points_mm[:, :2])
         save_picture(options.picture, path_picture(made.points_mm, normals, made.aperture, _title(options)))

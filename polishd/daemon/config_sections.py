@@ -113,7 +113,7 @@ class ProgramSection(Section):
 
     path: Text
     format: Text = "rs274"
-    dialects: tuple[Text, ...] = ()
+    dialects: Texts = ()
     """Profiles of the user's own (TOML), which ``format`` may then name."""
     offset_mm: Vector = (0.0, 0.0, 0.0)
     rotation_deg: Angle = 0.0

@@ -1,4 +1,4 @@
-"""Programs for the fuzz: valid lines of each dialect in many styles, lines of the corpus, and damaged ones."""
+"""Programs for the fuzz: valid lines of each profile in many styles, lines of the corpus, and damaged ones."""
 
 from __future__ import annotations
 
@@ -54,6 +54,8 @@ GRAMMARS = {
 
 def program(dialect: str, rng: Random, lines: int, damage: float) -> bytes:
     """A program of about so many lines, of which a share was damaged or taken from the corpus."""
+    if dialect in LANGUAGES:
+        return _language_program(dialect, rng, lines, damage)
     grammar = GRAMMARS[dialect]
     encoding = rng.choice(["dwell", "dwell", "feed", "inverse"] if grammar.inverse else ["dwell", "dwell", "feed"])
     end = rng.choice(["\n", "\n", "\r\n"])
@@ -132,8 +134,103 @@ def _number(value: float, rng: Random, point: bool) -> str:
     return text if any(char.isdigit() for char in text) else "0."
 
 
+@dataclass(frozen=True)
+class Language:
+    """How a valid program of a robot language looks; {x}, {y} are mm, {mx}, {my} metres."""
+
+    head: str
+    moves: tuple[str, ...]
+    dwells: tuple[str, ...]
+    neutral: tuple[str, ...]
+    odd: tuple[str, ...]
+    """Statements that no program survives, or that mean something only elsewhere."""
+    tail: str
+    comment: str
+
+
+_POSE = "[0,1,0,0],[0,0,-1,0],[9E9,9E9,9E9,9E9,9E9,9E9]"
+_PLACE = (
+    "P[{n}]{{\n   GP1:\n\tUF : 1, UT : 1,\t\tCONFIG : 'N U T, 0, 0, 0',\n\tX = {x} mm,\tY = -4.5 mm,\tZ = 7 mm,\n"
+    "\tW = 180.0 deg,\tP = 0 deg,\tR = 90.000 deg\n}};\n"
+)
+LANGUAGES = {
+    "rapid": Language(
+        f"MODULE M\n  CONST robtarget p1:=[[1,0,0],{_POSE}];\n  PROC main()\n    MoveJ p1,v500,z10,tPad;\n",
+        (f"MoveL [[{{x}},{{y}},0],{_POSE}],v100,fine,tPad;", "MoveL p1, v50, fine, tPad;", "movel P1,v20,fine,tPad ;",
+         "MoveL Offs(p1,{x},{y},0),v200,fine,tPad;", "MoveL p1,v100\\T:=2,fine,tPad;"),
+        ("WaitTime {s};", "waittime {s} ;", "WaitTime \\InPos,{s};", "WaitTime\\InPos , {s};"),
+        ("SetDO doA,1;", 'TPWrite "WaitTime 9;";', "! WaitTime 9;", "ConfL\\Off;", "AccSet 50,50;"),
+        ("WaitTime t1;", "MoveL p2,v100,fine,tPad;", "MoveL p1,v100,z50,tPad;", "ENDPROC", "FOR i FROM 1 TO 9 DO",
+         "WaitDI di1,1;", "p1.trans.x:=5;", "Stop;", "WaitTime 1E3;", "MoveC p1,p1,v100,fine,tPad;", "grind;"),
+        "  ENDPROC\nENDMODULE\n", "! WaitTime 9;",
+    ),
+    "krl": Language(
+        "DEF M()\nXP1={X 1,Y 0,Z 0,A 0,B 0,C 180}\n$VEL.CP=0.1\nPTP XHOME\n",
+        ("LIN {{X {x}, Y {y}, Z 5.0, A 0.0, B 0.0, C 180.0}}", "LIN XP1", "lin xp1",
+         "LIN {{X {x},Y {y},Z 5,A 1,B 2,C 3}} C_DIS"),
+        ("WAIT SEC {s}", "wait sec {s}", "WAIT  SEC  {s}"),
+        ("$OUT[3]=TRUE", "; WAIT SEC 9", "$VEL.CP=0.05", ";FOLD x"),
+        ("WAIT SEC T", "LIN XP2", "LIN_REL {X 1}", "FOR I=1 TO 9", "WAIT FOR $IN[1]", "XP1.X=5", "END", "HALT",
+         "WAIT SEC 1E3", "CIRC XP1,XP1", "GRIND()"),
+        "END\n", "; WAIT SEC 9",
+    ),
+    "fanuc-tp": Language(
+        "/PROG M\n/ATTR\nCOMMENT = \"WAIT 9.00(sec)\";\n/MN\n   1:J P[3] 100% CNT50    ;\n",
+        ("{n:4d}:L P[1] 100mm/sec FINE ;", "{n:4d}:L P[2:two] 50cm/min FINE ACC10 ;", "{n}:L P[3] 2.0sec FINE ;"),
+        ("{n:4d}:  WAIT    {s}(sec) ;", "{n}:WAIT {s}(sec);"),
+        ("{n:4d}:  !WAIT 9.00(sec) ;", "{n:4d}:  DO[1]=OFF ;", "{n:4d}:  ;", "{n:4d}:  //L P[9] 1mm/sec FINE ;"),
+        ("  9:  WAIT R[1] ;", "  9:L P[9] 100mm/sec FINE ;", "  9:L P[1] 100mm/sec CNT100 ;", "  9:  JMP LBL[1] ;",
+         "  9:  CALL GRIND ;", "  9:  WAIT DI[1]=ON ;", "  9:  R[1]=R[1]+1 ;", "/POS", "  9:  WAIT 999.00(sec) ;"),
+        "/POS\n" + "".join(_PLACE.format(n=n, x=1.5 * n) for n in (1, 2, 3)) + "/END\n", "!WAIT 9.00(sec)",
+    ),
+    "urscript": Language(
+        "def m():\n  global p1 = p[0.1, 0.2, 0.3, 3.14, 0, 0]\n  set_tcp(p[0,0,0.1,0,0,0])\n  movej([0,0,0,0,0,0])\n",
+        ("  movel(p[{mx}, {my}, 0.3, 0, 3.14, 0], a=1.2, v=0.1)", "  movel(p1, a=1.2, v=0.25, r=0)",
+         "  movel(p1, 1.2, 0.1, 0, 0)"),
+        ("  sleep({s})", "  sleep( {s} )", "sleep({s})"),
+        ("  set_standard_digital_out(1, False)", '  textmsg("# sleep(9)")', "  # sleep(9)", '  $ 3 "Waypoint_2"'),
+        ("  sleep(t)", "  movel(p2)", "  movel(p1, r=0.05)", "  while True:", "  p1 = p[0,0,0,0,0,0]", "end",
+         "  sync()", "  sleep(1e3)", "  movec(p1, p1)", "  stopl(1)"),
+        "end\nm()\n", "# sleep(9)",
+    ),
+}  # fmt: skip
+
+
+def _language_program(dialect: str, rng: Random, lines: int, damage: float) -> bytes:
+    language = LANGUAGES[dialect]
+    body: list[bytes] = []
+    wordy = rng.random() * 0.4
+    while len(body) < lines:
+        body += [_spoilt(dialect, line, rng) if rng.random() < damage else line
+                 for line in _language_point(language, rng, len(body), wordy)]  # fmt: skip
+    text = b"\n".join([language.head.encode().rstrip(b"\n"), *body, language.tail.encode()])
+    text = text if rng.random() < 0.7 else text.replace(b"\n", b"\r\n")
+    return text if rng.random() < 0.8 else text.rstrip(b"\r\n")
+
+
+def _language_point(language: Language, rng: Random, number: int, wordy: float) -> list[bytes]:
+    """A move, its dwell, and perhaps something between the points."""
+    x, y, seconds = (round(rng.uniform(-90, 90), rng.randrange(4)) for _ in range(3))
+    said = {"n": number + 2, "x": x, "y": y, "mx": x / 1e3, "my": y / 1e3, "s": _seconds(abs(seconds), rng)}
+    found = [rng.choice(language.moves), rng.choice(language.dwells)]
+    if rng.random() < wordy:
+        found.insert(rng.choice([0, 2]), rng.choice(language.neutral))
+    lines = [line.format(**said) for line in found]
+    if rng.random() < wordy and language.comment[0] != "!":
+        lines[0] += f" {language.comment}"
+    return [line.encode() for line in lines]
+
+
+def _seconds(value: float, rng: Random) -> str:
+    """As somebody may write a dwell."""
+    text = f"{value:.{rng.choice([0, 1, 2, 2, 3])}f}"
+    return text.removeprefix("0") if text.startswith("0.") and rng.random() < 0.5 else text
+
+
 @cache
 def _corpus(dialect: str) -> list[bytes]:
+    if dialect in LANGUAGES:
+        return [line.encode() for line in LANGUAGES[dialect].odd]
     return [line for case in cases() if case.dialect == dialect for line in case.text.splitlines() if line.strip()]
 
 

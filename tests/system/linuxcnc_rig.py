@@ -14,23 +14,37 @@ from typing import Any
 import pytest
 
 from polishd.console.demo_files import DemoFiles, demo_program, with_values, write_demo
-from polishd.daemon.config import load_config
+from polishd.daemon.config import CellConfig, load_config
+from polishd.model.program import Encoding
+from polishd.plugins.rnc_robot.make import path_program
+from polishd.process.paths.apertures import circle
+from polishd.process.paths.raster import raster
+from polishd.process.paths.wrist import tool_axes
+from polishd.sim_backends.linuxcnc.server import ISOLATE
 from tests.system.cell_rig import Daemon
 from tests.system.sim_rig import LIMIT_S, ROOT, alive, wait_for
 
-PART = {"aperture_mm": 9.0, "edge_mm": 1.0}
-"""A pass over it takes some ten seconds: LinuxCNC knows real time only."""
-APART = ("unshare", "--map-root-user", "--net", "sh", "-c", 'ip link set lo up && exec "$@"', "sh")
-"""Run a command in a network that has nothing but loopback."""
+PART = {"aperture_mm": 7.0, "edge_mm": 0.5}
+"""A pass over it takes some seconds: LinuxCNC knows real time only."""
+DWELL_PITCH_MM = 1.75
+RAPID_MM_MIN = 3000.0
+APART = (
+    *("unshare", "--map-root-user", "--net", "sh", "-c"),
+    *('ip link set lo up && exec setpriv --pdeathsig TERM "$@"', "sh"),
+)
+"""Run a command in a network that has nothing but loopback; it ends with whoever started it."""
+TOOLS = {"linuxcnc": "linuxcnc-uspace", "ip": "iproute2", "unshare": "util-linux", "nsenter": "util-linux"}
+"""Programs that the rig needs, and the packages that they come from."""
 
 
 def require_linuxcnc() -> None:
     """Skip where there is no LinuxCNC, or no namespaces to run it in."""
-    if shutil.which("linuxcnc") is None:
-        pytest.skip("linuxcnc is not installed (apt-get install linuxcnc-uspace)")
-    tried = subprocess.run([*APART, "unshare", "--pid", "--fork", "--mount", "true"], capture_output=True, check=False)
+    for tool, package in TOOLS.items():
+        if shutil.which(tool) is None:
+            pytest.skip(f"{tool} is not installed (apt-get install {package})")
+    tried = subprocess.run([*APART, *ISOLATE, "mount -t tmpfs none /tmp"], capture_output=True, text=True, check=False)
     if tried.returncode:
-        pytest.skip(f"no namespaces here: {tried.stderr.decode().strip()}")
+        pytest.skip(f"no namespaces here: {tried.stderr.strip()}")
 
 
 class Cell:
@@ -81,26 +95,34 @@ class _Daemon(Daemon):
             self.process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
 
 
-def write_files(out: Path, **job: Any) -> DemoFiles:
-    """The demo's files with a tiny part and LinuxCNC for a robot."""
+def write_files(out: Path, encoding: Encoding, **job: Any) -> DemoFiles:
+    """The demo's files with a tiny part and LinuxCNC for a robot; its program has time in feeds or in dwells."""
     files = write_demo(out, None, 2.0, 4, None)
     cell = with_values(files.cell.read_text(), {"part": PART, "job": job})
     robot = 'type = "linuxcnc"\nprogram_dir = "sim/linuxcnc/nc"\ncontroller_dir = "/mnt/nc"'
     cell = cell.replace(', "run_report"', "")  # takes seconds, and knows nothing of robots
     files.cell.write_text(cell.replace('type = "robot_link"', robot))
-    plant = {**PART, "pv_nm": 40.0, "rms_nm": 8.0, "speed": 1.0}
+    high = 1.0 if encoding == "feed" else 5.0  # for long dwells
+    plant = {**PART, "pv_nm": high * 30.0, "rms_nm": high * 6.0, "speed": 1.0}
     sim = with_values(files.sim.read_text(), {"plant": plant})
     files.sim.write_text(sim.replace("[robot]\n", '[robot]\nkind = "linuxcnc"\n'))
     config = load_config(files.cell)
-    config.program_path.write_bytes(demo_program(config))
+    config.program_path.write_bytes(demo_program(config) if encoding == "feed" else dwell_program(config))
     return files
 
 
+def dwell_program(config: CellConfig) -> bytes:
+    """A coarse raster with a dwell at each point."""
+    points = raster(circle(config.part.aperture_mm), DWELL_PITCH_MM, DWELL_PITCH_MM)
+    axes = tool_axes(points, config.optic(), config.process.dip_deg, config.compliance_options(), config.placement())
+    return path_program(points, axes, RAPID_MM_MIN, "dwells", encoding="dwell", dwell_s=0.2)
+
+
 @contextlib.contextmanager
-def linuxcnc_cell(out: Path, **job: Any) -> Iterator[Cell]:
+def linuxcnc_cell(out: Path, encoding: Encoding = "feed", **job: Any) -> Iterator[Cell]:
     """The simulator with LinuxCNC, up, on and homed, for the time of the block."""
     require_linuxcnc()
-    files = write_files(out, **job)
+    files = write_files(out, encoding, **job)
     command = [*APART, sys.executable, "-m", "polishd.sim_backends", str(files.sim), "--state", str(files.sim_dir)]
     with (files.out / "sim.stderr").open("wb") as stderr:
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
+import contextlib
 import signal
+import sqlite3
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,9 +20,8 @@ from tests.system.test_daemon import require_safe_order
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 
-
-def last(files: DemoFiles, name: str) -> dict[str, Any]:
-    return events(files, name)[-1]
+LONG_S = 0.6
+"""A dwell so long is not over before a hold comes."""
 
 
 def require_times_agree(files: DemoFiles, cycle: int) -> None:
@@ -36,25 +35,92 @@ def require_times_agree(files: DemoFiles, cycle: int) -> None:
     assert np.median(np.abs(told - was)[polished]) < 0.015
 
 
-def test_linuxcnc_polishes_is_held_resumed_and_stopped(tmp_path: Path) -> None:
+def require_safe_end(files: DemoFiles) -> None:
+    """Out of contact before the robot goes up, and at rest in the end."""
+    names = [event["event"] for event in events(files)]
+    last = {name: k for k, name in enumerate(names)}
+    assert last["force_zero"] < last["tool_lifted"] < last["motion_started"] < last["motion_stopped"], names
+
+
+def test_linuxcnc_polishes_by_feed(tmp_path: Path) -> None:
     with linuxcnc_cell(tmp_path / "cell", tolerance_nm=0.01, max_cycles=1) as cell:
         files = cell.files
         with cell.daemon() as daemon:
-            daemon.wait_in_contact(30)
-            assert client.request(files.state_dir, "hold", 10.0)["state"] == "held"
-            require_safe_order(events(files))
-            stood = last(files, "motion_stopped")["mono_s"]
-            assert not [e for e in events(files, "motion_started") if e["mono_s"] > stood]
-            assert client.request(files.state_dir, "resume", 10.0)["ok"]
-            wait_for((files.run_dir / "cycle-01" / "map.dat").exists, "a new measurement")
             assert daemon.process.wait(60.0) == 1, daemon.output.read_text()
+        require_safe_end(files)
         polished = summary(files)
         assert polished["outcome"] == "cycles_used"
-        require_times_agree(files, 1)
-    first, *_, final = polished["cycles"]
+        require_times_agree(files, 0)
+        programs = account(files)["programs"]
+    first, final = polished["cycles"]
     assert final["rms_nm"] < 0.8 * first["rms_nm"]
-    programs = json.loads((files.sim_dir / "dwell_account.json").read_text())["programs"]
-    assert [program["loads"] for program in programs] == [1] * len(programs)
+    assert [program["loads"] for program in programs] == [1]
+
+
+def test_a_dwell_is_left_before_it_is_held_and_a_silent_daemon_is_noticed_by_the_gate(tmp_path: Path) -> None:
+    """LinuxCNC's dwell clock knows no pause: the tool is off before motion is held, and comes back by order only."""
+    with linuxcnc_cell(tmp_path / "cell", "dwell", tolerance_nm=0.01, max_cycles=3) as cell:
+        files = cell.files
+        with cell.daemon() as daemon:
+            point, began_s = in_a_long_dwell(files)
+            held = client.request(files.state_dir, "hold", 10.0)
+            require_left_within_the_dwell(files, began_s)
+            require_uncertain(files, point, held["reason"])
+            stood = len(events(files))
+            assert client.request(files.state_dir, "resume", 10.0)["ok"]
+            came = wait_for(lambda: dwells_in_contact(files, stood), "the next pass", 30.0)
+            assert came.index("measured") < came.index("motion_started"), "a new map comes first"
+            daemon.end(signal.SIGKILL)
+        wait_for(lambda: events(files)[-1]["event"] == "motion_stopped", "the gate's hold", 10.0)
+        require_safe_order(events(files))
+        before = len(events(files))
+        assert _status(cell) == "RUNNING", "held by the gate, not ended"
+        with cell.daemon() as daemon:
+            assert "uncertain" in daemon.wait_for_state("held")["reason"]
+            assert not [e for e in events(files)[before:] if e["event"] in ("motion_started", "force_on")]
+            daemon.end()
+        assert _status(cell) == "IDLE", "what was under way is aborted"
+
+
+def in_a_long_dwell(files: DemoFiles) -> tuple[int, float]:
+    """Returns early in the first long dwell of the next pass: its block, and when it began."""
+    before, rests = len(events(files)), len(events(files, "rest_begun"))
+    wait_for(lambda: "program_loaded" in [e["event"] for e in events(files)[before:]], "a pass", 30.0)
+    lines = (files.sim_dir / "linuxcnc" / "nc" / "polishd.ngc").read_bytes().split(b"\n")
+    blocks = [line for line in lines if not line.startswith(b"(MSG")]
+    seq = next(k for k, block in enumerate(blocks) if block.startswith(b"G4 P") and float(block[4:]) > LONG_S)
+
+    def began() -> list[float]:
+        return [e["mono_s"] for e in events(files, "rest_begun")[rests:] if e["at_seq"] == seq - 1]
+
+    return seq, wait_for(began, "a long dwell", 30.0)[0]
+
+
+def dwells_in_contact(files: DemoFiles, since: int) -> list[str]:
+    """Names of the events since then, once a dwell of a pass has begun."""
+    names = [e["event"] for e in events(files)[since:]]
+    return names if "force_on" in names and "rest_begun" in names[names.index("force_on") :] else []
+
+
+def require_left_within_the_dwell(files: DemoFiles, began_s: float) -> None:
+    """Force off and tool lifted while the dwell's clock ran, and nothing moved any more."""
+    wait_for(lambda: events(files, "motion_stopped")[-1]["mono_s"] > began_s, "standstill")
+    log = events(files)
+    require_safe_order(log)
+    after = [e["event"] for e in log if e["mono_s"] > began_s]
+    assert after.index("force_zero") < after.index("tool_lifted") < after.index("rest_ended")
+    assert not {"rest_begun", "motion_started"} & set(after)
+
+
+def require_uncertain(files: DemoFiles, dwell: int, reason: str) -> None:
+    """The plant knows that the part lost something in that dwell; the daemon claims nothing, and says which block."""
+    assert f"uncertain: blocks {dwell - 1} to" in reason
+    was = account(files)["programs"][-1]["contact_s"]
+    assert sum(was[dwell - 1 : dwell + 1]) > 0.02
+    assert not any(was[dwell + 1 :])
+    with contextlib.closing(sqlite3.connect(files.state_dir / "journal.sqlite")) as journal:
+        told = [row[0] for row in journal.execute("SELECT seq FROM segment WHERE in_contact")]
+    assert max(told) == dwell - 2
 
 
 def test_it_stops_where_it_is_told_and_is_held_aborted_and_refuses(tmp_path: Path) -> None:
@@ -73,22 +139,6 @@ def test_it_stops_where_it_is_told_and_is_held_aborted_and_refuses(tmp_path: Pat
         assert "Bad character '?'" in said["refused"]
         positions = [line for line in cell.linuxcncrsh("get abs_act_pos") if line.startswith("ABS_ACT_POS")]
         assert positions, "and it still answers others"
-
-
-def test_a_silent_daemon_is_noticed_by_the_gate_and_nothing_moves_when_it_is_back(tmp_path: Path) -> None:
-    with linuxcnc_cell(tmp_path / "cell", tolerance_nm=0.01, max_cycles=1) as cell:
-        files = cell.files
-        with cell.daemon() as daemon:
-            daemon.wait_in_contact(40)
-            daemon.end(signal.SIGKILL)
-        wait_for(lambda: events(files)[-1]["event"] == "motion_stopped", "the gate's hold", 10.0)
-        require_safe_order(events(files))
-        before = len(events(files))
-        assert _status(cell) == "RUNNING", "held by the gate, not ended"
-        with cell.daemon() as daemon:
-            assert "uncertain" in daemon.wait_for_state("held")["reason"]
-            assert not [e for e in events(files)[before:] if e["event"] in ("motion_started", "force_on")]
-            daemon.end()
 
 
 def _status(cell: Cell) -> str:

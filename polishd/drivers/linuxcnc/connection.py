@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 from polishd.api import ByteStream, DeviceRefused, LinkError, ProtocolError
 from polishd.drivers.linuxcnc.dialogue import AXES, Answer, Snapshot, asks, line_of, numbers_of, parse, status_of
@@ -59,6 +60,15 @@ class Connection:
     async def set(self, command: str, *, urgent: bool = False, within_s: float = ANSWER_S) -> None:
         """Give an order and wait until LinuxCNC has received it. DeviceRefused where it does not take it."""
         await self._queue.ask(lambda: self._ask(command, within_s), urgent=urgent)
+
+    async def set_if(self, wanted: Callable[[], bool], command: str) -> None:
+        """The same, if it is still wanted when its turn comes: urgent orders overtake it until then."""
+
+        async def order() -> None:
+            if wanted():
+                await self._ask(command)
+
+        await self._queue.ask(order)
 
     async def control(self) -> None:
         """Ask for the right to give orders, once a connection. It is taken from whoever had it."""

@@ -62,6 +62,8 @@ class LinuxCnc:
         """Blocks below it are to be run; None for all."""
         self._pending = False
         """Told to run before the program was complete."""
+        self._stays = 0
+        """How often it was told to stay: a start from before counts no more."""
 
     @property
     def buffer_s(self) -> float:
@@ -207,15 +209,19 @@ class LinuxCnc:
 
     async def _start(self, plan: Plan, watch: Watch) -> None:
         """From the beginning, or on from where it stands."""
-        connection = self._following.connection
+        connection, stays = self._following.connection, self._stays
         self._pending = False
         if watch.file is None or (not watch.started and self._target not in (None, *watch.file.stops)):
             await self._load(plan, watch)
         await connection.control()
         now = await connection.look()
-        order = "set resume" if watch.started else "set run"
-        watch.go(now.time_s)
-        await connection.set(order)
+
+        def goes() -> bool:
+            if stays == self._stays:
+                watch.go(now.time_s)
+            return stays == self._stays
+
+        await connection.set_if(goes, "set resume" if watch.started else "set run")
 
     async def _seen(self, look: Snapshot) -> bool:
         """What LinuxCNC does is booked; a stop that nobody asked for is passed."""
@@ -239,6 +245,7 @@ class LinuxCnc:
         if self._pending and self._watch is not None:
             self._watch.state, self._watch.detail = "held", ""
         self._pending, self._target = False, 0
+        self._stays += 1
 
     def _drop(self) -> None:
         if self._watch is not None and not self._watch.ended:

@@ -88,15 +88,13 @@ class Watch:
         if self.file is None or self.ended:
             return
         if self.state != "running":
-            if self.started and look.status == "running":
-                self.go(look.time_s, "started at the controller")
+            self._told_while_held(look)
             return
         self._clock_s += max(look.time_s - self._seen_s, 0.0)
         self._seen_s = look.time_s
         if moved:
             self._rest_s = self._clock_s
-        reached = self.file.reached(look.display)
-        self._reached = self._reached if reached is None else reached
+        self._hear(self.file, look)
         if look.status == "idle":
             self._idle()
             return
@@ -105,6 +103,20 @@ class Watch:
             self._runs = True
         elif not moved:
             self._paused()
+
+    def _told_while_held(self, look: Snapshot) -> None:
+        """Somebody else starts it; or our message comes after the pause, since others stood before it."""
+        if not self.started or self.file is None:
+            return
+        if look.status == "running":
+            self.go(look.time_s, "started at the controller")
+        if self._hear(self.file, look) and look.status == "paused":
+            self._paused()
+
+    def _hear(self, file: ProgramFile, look: Snapshot) -> bool:
+        reached = file.reached(look.display)
+        self._reached = self._reached if reached is None else reached
+        return reached is not None
 
     def _idle(self) -> None:
         """It ended, or has not begun. The line that it tells now is the one last read, far ahead of the motion."""

@@ -17,6 +17,7 @@ from polishd.drivers.transport.background import open_blocking
 from polishd.drivers.transport.streams import open_stream
 
 OPEN_S = 2.0
+OPEN_TRIES = 3
 GREETING_S = 1.0
 SLCAN_SETTLE_S = 0.05
 POLL_S = 0.05
@@ -56,7 +57,7 @@ async def _greeted(address: Socketcand) -> None:
 
 def _make(address: Slcan | Socketcand) -> can.BusABC:
     if isinstance(address, Socketcand):
-        return SocketCanDaemonBus(channel=address.channel, host=address.host, port=address.port)  # type: ignore[no-untyped-call]
+        return _socketcand(address)
     return slcanBus(
         str(address.path),
         tty_baudrate=address.baud,
@@ -64,6 +65,17 @@ def _make(address: Slcan | Socketcand) -> can.BusABC:
         sleep_after_open=SLCAN_SETTLE_S,
         timeout=0.0,
     )
+
+
+def _socketcand(address: Socketcand) -> can.BusABC:
+    """python-can takes a frame that comes along with the server's last ok for a refusal: by chance, so ask again."""
+    for left in reversed(range(OPEN_TRIES)):
+        try:
+            return SocketCanDaemonBus(channel=address.channel, host=address.host, port=address.port)  # type: ignore[no-untyped-call]
+        except can.CanError as error:
+            if not left or "< ok >< frame" not in str(error):
+                raise
+    raise LinkError(f"{address}: did not open")
 
 
 class CanBus:

@@ -74,6 +74,8 @@ class TextRules(_Strict):
     assign: bool
     block_delete: Literal["refuse", "run", "skip"]
     whole_positions: Literal["mm", "um", "unsure"]
+    commands: list[str]
+    """What a comment begins with that the controller runs."""
     realtime: str
     """Characters that the controller acts on wherever they stand; with any, bytes beyond ASCII are such, too."""
     longest_line: Annotated[int, Field(ge=20, le=4096)]
@@ -133,8 +135,14 @@ def dialect(name_or_path: str | Path) -> AnyDialect:
     content = _content(path, ())
     if content.get("kind") == "template":
         return parse(content, str(path))
+    from polishd.plugins.rnc_robot.nc.tables import tables  # which knows what a dialect is
+
     try:
-        return Dialect.model_validate(content)
+        found = Dialect.model_validate(content)
+        tables(found)
+        return found
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])

@@ -19,15 +19,25 @@ TIME = b"\0"
 AHEAD = 64
 """Lines looked ahead for the place where two texts agree again."""
 
-_NUMBER = rb"[-+]?[ \t]*(?:[0-9][0-9 \t]*\.?[0-9 \t]*|\.[ \t]*[0-9][0-9 \t]*)"
-_F = rb"[ \t]*(?<![A-Za-z_])[Ff][ \t]*=?[ \t]*"
+_NUMBER = rb"[-+]?[ \t]*+(?:[0-9][0-9 \t]*+\.?[0-9 \t]*+|\.[ \t]*+[0-9][0-9 \t]*+)"
+# Possessive, and from the first blank of a run on: a long run of blanks is gone over once
+_GAP = rb"(?:(?<![ \t])[ \t]++)?"
+_F = _GAP + rb"(?<![A-Za-z_])[Ff][ \t]*+=?[ \t]*+"
 _G4 = rb"[Gg][ \t]*0*4(?:\.0*)?(?![0-9.])"
-_WORD = rb"[ \t]*[A-Za-z]*[ \t]*=?[ \t]*\0[ \t]*"
+_WORD = rb"[ \t]*+[A-Za-z]*+[ \t]*+=?[ \t]*+\0[ \t]*+"
 _ADDED_F = re.compile(_F + rb"\0")
 _TIMING = re.compile(
-    rb"^[ \t]*(?:[Nn][0-9 \t]+)?(?:" + _G4 + _WORD + rb"|" + _WORD + _G4 + rb"[ \t]*|#TIME" + _WORD + rb");?[ \t]*$"
+    rb"^[ \t]*+(?:[Nn][0-9 \t]++)?(?:"
+    + _G4
+    + _WORD
+    + rb"|"
+    + _WORD
+    + _G4
+    + rb"[ \t]*+|#[Tt][Ii][Mm][Ee]"
+    + _WORD
+    + rb");?[ \t]*$"
     rb"|" + _F + rb"(?:\0|" + _NUMBER + rb")"
-    rb"|[ \t]*(?<![A-Za-z_])[Gg][ \t]*9[345](?![0-9.])"
+    rb"|" + _GAP + rb"(?<![A-Za-z_])[Gg][ \t]*+9[345](?![0-9.])"
 )
 
 

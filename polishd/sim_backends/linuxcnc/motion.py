@@ -14,7 +14,7 @@ from polishd.model.surface import FloatArray
 LINE, RUNS, PAUSED, HELD = range(5, 9)
 COLUMNS = 9
 STILL_SAMPLES = 4
-"""So many alike, with no program under way, are a standstill."""
+"""So many alike are a rest; with no program under way, a standstill."""
 MARK = b"(MSG,polishd "
 
 
@@ -49,9 +49,16 @@ class Sampled:
     program: Loaded | None = None
     moving: bool = False
     running: bool = False
-    _still: int = 0
+    seq: int = -1
+    """Block of the last motion; LinuxCNC tells none for a dwell, whose time is booked with the move before it."""
+    _still: int = STILL_SAMPLES
     _rest: bytes = b""
     rows: list[list[float]] = field(default_factory=list)
+
+    @property
+    def rests(self) -> bool:
+        """It stands while its program runs: a dwell."""
+        return self.running and self._still >= STILL_SAMPLES
 
     def feed(self, data: bytes, now_s: float) -> None:
         """Samples that came now; they are spread over the time since the last ones."""
@@ -72,10 +79,15 @@ class Sampled:
         here = tuple(sample[:5])
         changed = here != self.pose
         self.running = bool(sample[RUNS]) and not sample[PAUSED] and not sample[HELD]
-        self._still = 0 if changed or self.running else self._still + 1
-        self.moving = self._still < STILL_SAMPLES
+        self._still = 0 if changed else self._still + 1
+        self.moving = self.running or self._still < STILL_SAMPLES
         if self.moving:
-            seq = self.program.block_at(int(sample[LINE])) if self.program is not None else -1
+            self.seq = self._block(int(sample[LINE]))
             middle = [(a + b) / 2 for a, b in zip(self.pose, here, strict=True)]
-            self.rows.append([seq, begin_s, end_s, end_s - begin_s, *middle])
+            self.rows.append([self.seq, begin_s, end_s, end_s - begin_s, *middle])
         self.pose = here
+
+    def _block(self, line: int) -> int:
+        if self.program is None or not (line or self.running):
+            return -1
+        return self.program.block_at(line) if line else self.seq

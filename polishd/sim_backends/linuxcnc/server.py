@@ -42,7 +42,7 @@ class LinuxCncServer:
         self.sampled = Sampled(pose, time.monotonic())
         self._runtime = runtime
         self._process: asyncio.subprocess.Process | None = None
-        self._moved = False
+        self._moved = self._rested = False
 
     async def run(self) -> None:
         """Until it is cancelled."""
@@ -73,15 +73,18 @@ class LinuxCncServer:
             self._see_program()
             link.event("motion_started", sampled.wall_s if not len(rows) else float(rows[0, 1]))
         link.rows(rows, sampled.wall_s, sampled.pose)
+        if sampled.rests != self._rested:
+            link.event("rest_begun" if sampled.rests else "rest_ended", sampled.wall_s, at_seq=sampled.seq)
         if self._moved and not sampled.moving:
             link.event("motion_stopped", sampled.wall_s)
-        self._moved = sampled.moving
+        self._moved, self._rested = sampled.moving, sampled.rests
 
     def _see_program(self) -> None:
         found = sorted((self.folder / PROGRAMS).glob("*.ngc"), key=lambda path: path.stat().st_mtime_ns)
         program = Loaded.read(found[-1]) if found else None
         if program is not None and program != self.sampled.program:
             self._runtime.link.event("program_loaded", sha256=program.sha256, blocks=program.blocks)
+            self.sampled.seq = -1
         self.sampled.program = program
 
     async def _start(self) -> None:

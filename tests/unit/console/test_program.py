@@ -164,7 +164,7 @@ def test_what_is_read_is_not_overwritten(polishd: Polishd, program: Path, tmp_pa
     (tmp_path / "link.rnc").symlink_to(program)
     said = polishd("program", "rewrite", program, "--dwell", rows, "--out", out)
     assert said.code == 9
-    assert "name another file with --out" in said.err
+    assert "name another file" in said.err
     assert program.read_bytes() == DWELL
     assert rows.read_text() == "1\n2\n3\n"
 
@@ -355,3 +355,40 @@ def test_a_large_program_comes_back_as_asked(polishd: Polishd, tmp_path: Path) -
     assert answer["dwell_total_s"] == pytest.approx(times.sum(), abs=1e-4)
     assert np.abs(read(dialect("rs274"), out.read_bytes(), "new").time_s - times).max() <= 1e-4
     assert polishd("program", "verify", path, out, "--json").answer["identical_motion"] is True
+
+
+def test_a_picture_does_not_take_the_programs_place(polishd: Polishd, program: Path) -> None:
+    said = polishd("program", "inspect", program, "--picture", program)
+    assert (said.code, program.read_bytes()) == (9, DWELL)
+    assert "is what is read" in said.err
+
+
+@pytest.mark.parametrize("verb", ["inspect", "rewrite", "verify"])
+def test_what_cannot_be_looked_at_is_a_program_error(polishd: Polishd, tmp_path: Path, verb: str) -> None:
+    long = tmp_path / ("x" * 300)
+    words: dict[str, list[object]] = {
+        "inspect": [long],
+        "rewrite": [long, "--dwell", table(tmp_path / "d.csv", 1), "--out", long],
+        "verify": [long, long],
+    }
+    said = polishd("program", verb, *words[verb])
+    assert said.code == 9
+    assert "cannot be read: File name too long" in said.err
+
+
+def test_what_may_not_be_read_is_a_program_error(
+    polishd: Polishd, program: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "access", lambda *_, **__: False)  # what typer asks, and is yes to root
+    for words in (("inspect", program), ("verify", program, program)):
+        assert polishd("program", *words).code == 0
+    assert polishd("program", "rewrite", program, "--dwell", program, "--out", program.with_name("n")).code == 9
+
+
+def test_rewrite_says_which_moves_keep_their_time(polishd: Polishd, program: Path, tmp_path: Path) -> None:
+    program.write_bytes(DWELL.replace(b"M2", b"G1 X5 F60\r\nM2"))
+    rows = table(tmp_path / "d.csv", 1, 2, 3)
+    said = polishd("program", "rewrite", program, "--dwell", rows, "--out", tmp_path / "n.rnc", "--encoding", "inverse")
+    assert "1 moves that had no dwell and keep their time" in said.out
+    plain = polishd("program", "rewrite", program, "--dwell", rows, "--out", tmp_path / "m.rnc")
+    assert "keep their time" not in plain.out

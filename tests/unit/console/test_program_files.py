@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 from polishd.api import ProgramError
 from polishd.console import program_files
 from polishd.console.dwell_csv import DwellTable
-from polishd.console.program_files import Written, rewrite_file, target_file
+from polishd.console.program_files import Written, not_over, rewrite_file, target_file
 from polishd.model.program import Encoding
 from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.formats import read, rewrite
@@ -191,3 +192,50 @@ def test_a_file_gets_its_name_at_the_end_only(tmp_path: Path) -> None:
     assert left(tmp_path) == ["a"]
     with pytest.raises(ProgramError, match="cannot be written: No such file"), target_file(tmp_path / "none" / "a"):
         pass
+
+
+@pytest.mark.parametrize("encoding", [None, "dwell"])
+def test_nothing_takes_the_place_of_a_pipe(tmp_path: Path, encoding: Encoding | None) -> None:
+    os.mkfifo(tmp_path / "new.rnc")
+    with pytest.raises(ProgramError, match=r"new\.rnc: cannot be written: it is there, and is no file"):
+        rewritten(tmp_path, DWELL, [1.0, 2.0], encoding=encoding)
+    assert (tmp_path / "new.rnc").is_fifo()
+    assert left(tmp_path) == ["d.csv", "new.rnc", "p.rnc"]
+
+
+@pytest.mark.parametrize("encoding", [None, "dwell"])
+def test_a_program_comes_through_a_pipe(tmp_path: Path, encoding: Encoding | None) -> None:
+    _, want = rewritten(tmp_path, DWELL, [2.0, 4.0], encoding=encoding)
+    read_end, write_end = os.pipe()
+    os.write(write_end, DWELL)
+    os.close(write_end)
+    table = DwellTable(tmp_path / "d.csv")
+    try:
+        rewrite_file(Path(f"/dev/fd/{read_end}"), table, tmp_path / "new.rnc", dialect("rs274"), encoding)
+    finally:
+        os.close(read_end)
+    assert (tmp_path / "new.rnc").read_bytes() == want
+
+
+def test_moves_that_become_points_are_told_from_the_times_asked_for(tmp_path: Path) -> None:
+    text = DWELL.replace(b"M2", b"X9 F120\nM2")
+    done, _ = rewritten(tmp_path, text, [2.0, 4.0], encoding="feed")
+    assert (done.rows, done.points) == (2, 3)
+    assert done.dwell_total_s == pytest.approx(6.0 + 3.0, rel=1e-4)
+    kept, _ = rewritten(tmp_path, text, [2.0, 4.0])
+    assert (kept.rows, kept.points) == (2, 2)
+
+
+def test_a_file_that_is_read_is_known_under_every_name(tmp_path: Path) -> None:
+    one, other = tmp_path / "one", tmp_path / "other"
+    one.write_bytes(b"1")
+    other.write_bytes(b"1")
+    (tmp_path / "link").symlink_to(one)
+    (tmp_path / "hard").hardlink_to(one)
+    for name in ("one", "link", "hard", "./one"):
+        with pytest.raises(ProgramError, match="is what is read"):
+            not_over(tmp_path / name, other, one)
+    not_over(other, one)
+    not_over(tmp_path / "new", one)
+    not_over(one, tmp_path / "none")
+    not_over(tmp_path / ("x" * 300), one)  # whoever opens it says why not

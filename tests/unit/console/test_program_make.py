@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import typer
 from PIL import Image
 from typer.testing import CliRunner, Result
 
-from polishd.console.program_make import MakeOptions, make_path
+from polishd.console.program_make import MakeOptions, _dialect_of, make_path
 from polishd.console.program_make_cli import make
 from polishd.daemon import steps
 from polishd.daemon.assembly import make_recipe
@@ -273,3 +274,34 @@ def test_what_the_page_says_runs(polishd: Polishd, tmp_path: Path, monkeypatch: 
     assert len(commands) == 3
     for option in ("aperture", "optic", "pitch", "direction", "inwards", "overrun", "dip", "turn-limit", "encoding"):
         assert f"--{option}" in page
+
+
+def test_a_cells_own_dialect_is_found_by_its_name(tmp_path: Path) -> None:
+    (tmp_path / "shop.toml").write_text('extends = "fanuc"\nname = "shop"\n')
+    config = load_config(EXAMPLE)
+    own = config.program.model_copy(update={"format": "shop", "dialects": (str(tmp_path / "shop.toml"),)})
+    assert _dialect_of(config.model_copy(update={"program": own})) == str(tmp_path / "shop.toml")
+    other = own.model_copy(update={"format": "haas"})
+    assert _dialect_of(config.model_copy(update={"program": other})) == "haas"
+    assert _dialect_of(config) == "rs274"
+
+
+def test_a_dialect_of_ones_own_is_said_by_name(tmp_path: Path) -> None:
+    (tmp_path / "shop.toml").write_text('extends = "fanuc"\nname = "shop"\n')
+    said, program = made(tmp_path, "spiral", "--aperture", "circle:9", to=str(tmp_path / "shop.toml"))
+    assert said["dialect"] == program.dialect == "shop"
+
+
+def test_the_cell_is_not_written_over(tmp_path: Path) -> None:
+    cell = tmp_path / "cell.toml"
+    cell.write_bytes(EXAMPLE.read_bytes())
+    said = call("spiral", "--cell", cell, "--out", cell)
+    assert isinstance(said.exception, ProgramError)
+    assert cell.read_bytes() == EXAMPLE.read_bytes()
+
+
+def test_nothing_takes_the_place_of_a_pipe(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "made.nc")
+    error, _ = refused(tmp_path, "spiral", "--aperture", "circle:9")
+    assert "is no file" in str(error)
+    assert (tmp_path / "made.nc").is_fifo()

@@ -78,6 +78,23 @@ def test_it_moves_while_a_program_runs_and_until_it_stands() -> None:
     assert sampled.moving, "somebody jogs"
 
 
+def test_a_dwell_is_a_rest_within_the_program_and_is_booked_with_the_move_before_it() -> None:
+    sampled = Sampled((0.0,) * 5, 0.0, Loaded("ab", 3, ()))
+    sampled.feed(sample(1.0, 1, 1) + sample(2.0, 1, 1), 1.0)
+    assert not sampled.rests
+    sampled.feed(sample(2.0, 0, 1) * (STILL_SAMPLES - 1), 2.0)
+    assert not sampled.rests, "a corner is none"
+    sampled.feed(sample(2.0, 0, 1), 3.0)
+    assert sampled.rests
+    sampled.feed(sample(3.0, 3, 1), 4.0)
+    assert not sampled.rests
+    assert sampled.take_rows()[:, 0].tolist() == [0.0] * (2 + STILL_SAMPLES) + [2.0]
+    sampled.feed(sample(3.0, 0, 0) + sample(3.5, 0, 0) + sample(3.5, 0, 0) * STILL_SAMPLES, 5.0)
+    assert set(sampled.take_rows()[:, 0]) == {-1.0}, "no program runs"
+    assert not sampled.rests
+    assert not sampled.moving
+
+
 def test_a_program_file_is_known_without_what_the_driver_put_between(tmp_path: Path) -> None:
     own = [b"G21", b"G1 X1", b"G1 X2", b"M2"]
     path = tmp_path / "p.ngc"

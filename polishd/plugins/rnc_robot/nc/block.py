@@ -20,7 +20,7 @@ def take_block(count: int, t: Any, at: Any, now: Any, line: Any, out: Any) -> No
         code = line.i[word * c.W_INTS + c.W_CODE]
         role = t.role[code]
         if role == c.R_G:
-            _add_g(line.f[word], t, at)
+            _add_g(line.f[word], t, at, now)
         elif role == c.R_M:
             ends += _ends(line.f[word], t, at)
         else:
@@ -34,7 +34,7 @@ def take_block(count: int, t: Any, at: Any, now: Any, line: Any, out: Any) -> No
     else:
         _no_stray(at)
         _feed_word(t, at, now, line)
-        if at[c.LETTERS] & c.HAS_AXIS or (at[c.LETTERS] & c.HAS_ARC and at[c.VECTORING] == 0):
+        if at[c.LETTERS] & (c.HAS_AXIS | c.HAS_ARC):
             move(t, at, now, line, out)
         elif (at[c.GROUPS] >> c.HOME) & 1:
             leave(t, at, now, line, out)
@@ -65,7 +65,7 @@ def _add_word(code: int, role: int, word: int, count: int, at: Any, line: Any) -
         at[c.LETTERS] |= c.HAS_ARC
 
 
-def _add_g(value: float, t: Any, at: Any) -> None:
+def _add_g(value: float, t: Any, at: Any, now: Any) -> None:
     code = int(math.floor(value * 10 + 0.5))
     at[c.CODE] = code
     if code < 0 or code > 9999 or abs(value * 10 - code) > 1e-6 or t.g[code] == 0:
@@ -80,6 +80,9 @@ def _add_g(value: float, t: Any, at: Any) -> None:
     if does == c.OFFSET:
         if at[c.WCS] != code and at[c.FED]:
             raise ProgramError("the work offset changes in mid-program", "have it posted with one work offset")
+        if at[c.WCS] not in (0, code):
+            for axis in range(6):  # where the tool is in the other offset, the program does not say
+                now[axis] = math.nan
         at[c.WCS] = code
 
 
@@ -102,6 +105,8 @@ def _modes(count: int, t: Any, at: Any, now: Any, line: Any, out: Any) -> None:
         _feed_mode((groups >> c.INVERSE) & 1, count, t, at, now, line, out)
     if (groups >> c.INCH) & 1 or (groups >> c.MM) & 1 or (groups >> c.INCH_LENGTHS) & 1:
         _units(groups, at, now, line)
+    if (groups >> c.CANCEL) & 1:  # a motion code beside it wins
+        at[c.MOTION] = 0
     for does in range(len(c.GROUP)):
         if (groups >> does) & 1 and c.SLOT[does] >= 0:
             at[c.SLOT[does]] = c.VALUE_OF[does]
@@ -153,8 +158,8 @@ def _feed_word(t: Any, at: Any, now: Any, line: Any) -> None:
     if line.f[word] <= 0:
         raise ProgramError("F is not above zero", "correct it")
     style = line.i[word * c.W_INTS + c.W_STYLE]
-    whole = not style & c.S_POINT and (t.flags[c.FEED_UNSURE] or now[c.FEED_UNIT_MM] != 1.0)
-    if (whole and t.flags[c.WHOLE] == c.WHOLE_UNSURE) or now[c.FEED_UNIT_MM] != now[c.UNIT_MM]:
+    inch = now[c.FEED_UNIT_MM] != 1.0 and t.flags[c.WHOLE] == c.WHOLE_UNSURE
+    if (not style & c.S_POINT and (t.flags[c.FEED_UNSURE] or inch)) or now[c.FEED_UNIT_MM] != now[c.UNIT_MM]:
         at[c.UNSURE_FEED] = at[c.UNSURE_FEED] or at[c.LINE]
     now[c.FEED] = line.f[word]
     at[c.F_LINE], at[c.F_STYLE] = at[c.LINE], style
@@ -178,7 +183,11 @@ def _dwell(count: int, t: Any, at: Any, now: Any, line: Any, out: Any) -> None:
     scale = 0.001 if unit == c.U_MS else 1.0
     if line.f[time] * scale > t.longest_s:
         raise ProgramError("a dwell longer than the controller takes", "correct it")
-    _add_dwell(time, scale, keep, at, line, out)
+    # What else the block says, beside its number, the time and the dwell code
+    others = count - 1 - int(line.at[c.L_N] >= 0) - ((at[c.GROUPS] >> c.DWELL) & 1)
+    if others and t.flags[c.OWN_BLOCK]:
+        raise ProgramError("another word beside a dwell", "give the dwell a block of its own")
+    _add_dwell(time, scale, keep, others, at, line, out)
 
 
 def _time_word(count: int, t: Any, at: Any, line: Any) -> int:
@@ -194,9 +203,10 @@ def _time_word(count: int, t: Any, at: Any, line: Any) -> int:
                 raise ProgramError("two times in one dwell", "leave one")
             time = word
         elif t.role[code] == c.R_G:
-            dwell = word
+            if t.g[int(math.floor(line.f[word] * 10 + 0.5))] == c.DWELL:
+                dwell = word
         else:
-            _beside_dwell(t.role[code], t)
+            _beside_dwell(t.role[code])
     if time < 0:
         raise ProgramError("a dwell without its time", "")
     role = t.role[line.i[time * c.W_INTS + c.W_CODE]]
@@ -205,16 +215,16 @@ def _time_word(count: int, t: Any, at: Any, line: Any) -> int:
     return time
 
 
-def _beside_dwell(role: int, t: Any) -> None:
+def _beside_dwell(role: int) -> None:
     if role == c.R_AXIS or role == c.R_ARC:
         raise ProgramError(
             "dwell and axes in one block: some controllers dwell first, some take X for the time", "split the block"
         )
-    if role == c.R_P or (t.flags[c.OWN_BLOCK] and role != c.R_N):
+    if role == c.R_P:
         raise ProgramError("another word beside a dwell", "give the dwell a block of its own")
 
 
-def _add_dwell(time: int, scale: float, keep: int, at: Any, line: Any, out: Any) -> None:
+def _add_dwell(time: int, scale: float, keep: int, others: int, at: Any, line: Any, out: Any) -> None:
     if at[c.DWELLED] and at[c.DWELLS_FOR] < 0:
         raise ProgramError("two dwells at one point: which of them to change is not known", "make them one")
     row = at[c.N_DWELLS] * c.DWELL_INTS
@@ -223,6 +233,7 @@ def _add_dwell(time: int, scale: float, keep: int, at: Any, line: Any, out: Any)
     out.dwells[row + c.D_END] = line.i[time * c.W_INTS + c.W_END]
     out.dwells[row + c.D_STYLE] = line.i[time * c.W_INTS + c.W_STYLE] + keep
     out.dwells[row + c.D_MOVE] = at[c.DWELLS_FOR]
+    out.dwells[row + c.D_OTHERS] = others
     out.times[at[c.N_DWELLS] * c.DWELL_FLOATS + c.D_SECONDS] = line.f[time] * scale
     out.times[at[c.N_DWELLS] * c.DWELL_FLOATS + c.D_SCALE] = scale
     at[c.N_DWELLS] += 1

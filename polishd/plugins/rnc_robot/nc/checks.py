@@ -38,6 +38,10 @@ class Checks:
     def add(self, points: Points, scanner: Scanner) -> None:
         """Look at further points, which ``scanner`` has just read."""
         self._turned_by = self._turning(scanner)
+        zero = (points.after[:, 6:9] == 0).all(axis=1)
+        if zero.any():
+            line = int(points.line[int(np.argmax(zero))])
+            raise ProgramError(f"{self._name}, line {line}: the tool vector is zero. To do: correct it.")
         lost = np.isnan(points.after).any(axis=0)
         for axis in np.flatnonzero(lost):
             if not self._lost[axis]:
@@ -57,12 +61,9 @@ class Checks:
         """Unit tool axis (n, 3) of the points added last, tip to spindle: (0, 0, 1) where nothing turns it."""
         if self._turned_by != "vector":
             return tool_axis(self._turned_by, *np.nan_to_num(points.after[:, 3:6], nan=0.0).T)
-        vector = points.after[:, 6:9]
-        length = np.linalg.norm(vector, axis=1, keepdims=True)
-        if not (length > 0).all():
-            line = int(points.line[int(np.argmin(length > 0))])
-            raise ProgramError(f"{self._name}, line {line}: the tool vector is zero. To do: correct it.")
-        return np.asarray(vector / length)
+        vector = np.nan_to_num(points.after[:, 6:9], nan=0.0)
+        with np.errstate(invalid="ignore"):  # one that is said too late: ``finish`` refuses it
+            return np.asarray(vector / np.linalg.norm(vector, axis=1, keepdims=True))
 
     def _turning(self, scanner: Scanner) -> str:
         """Which rotary axes have turned the tool so far, outermost first; "vector" for a tool vector."""

@@ -8,15 +8,17 @@ PLANE_XY, PLANE_ZX, PLANE_YZ, INCH, MM, INCH_LENGTHS = 8, 9, 10, 11, 12, 13
 ABSOLUTE, INCREMENTAL, INVERSE, PER_MINUTE, OFFSET = 14, 15, 16, 17, 18
 MACHINE, HOME, PATH, VECTORS_ON, VECTORS_OFF = 19, 20, 21, 22, 23
 # G codes of one group exclude each other in a block. Indexed by what they do.
-GROUP = (0, 0, 1, 1, 1, 1, 1, 2, 3, 3, 3, 4, 4, 4, 5, 5, 6, 6, 7, 2, 2, 8, 9, 9)
+GROUP = (0, 0, 1, 1, 1, 1, 10, 2, 3, 3, 3, 4, 4, 4, 5, 5, 6, 6, 7, 2, 2, 8, 9, 9)
 M_NEUTRAL, M_ENDS, M_STOPS = 1, 2, 3
 
 # What a word is.
-R_UNKNOWN, R_N, R_G, R_M, R_F, R_AXIS, R_NEUTRAL, R_ARC, R_P, R_TIME, R_PROGRAM, R_KEYWORD, R_STATEMENT = range(13)
+R_UNKNOWN, R_N, R_G, R_M, R_F, R_AXIS, R_NEUTRAL, R_ARC, R_P, R_TIME, R_PROGRAM, R_KEYWORD, R_STATEMENT, R_CALL = range(
+    14
+)
 WORDS = 64
 BARE, NAMES = 26, 27
 """Code of a number without a letter, and of the first name; letters are 0 to 25."""
-L_F, L_R = 5, 17
+L_F, L_N, L_R = 5, 13, 17
 
 # Units of a dwell's number.
 U_NONE, U_S, U_MS, U_REFUSE = 0, 1, 2, 3
@@ -50,7 +52,7 @@ G93_REFUSE, G93_PER_MINUTE, G93_SECONDS = 0, 1, 2
 ) = range(34)  # fmt: skip
 # Which slot an action sets, and to what; -1: what it does is more than that. Indexed by action.
 SLOT = (
-    -1, -1, MOTION, MOTION, MOTION, MOTION, MOTION, -1, PLANE, PLANE, PLANE, -1, -1, -1, DISTANCE, DISTANCE, -1, -1, -1,
+    -1, -1, MOTION, MOTION, MOTION, MOTION, -1, -1, PLANE, PLANE, PLANE, -1, -1, -1, DISTANCE, DISTANCE, -1, -1, -1,
     -1, -1, -1, VECTORING, VECTORING,
 )  # fmt: skip
 VALUE_OF = (0, 0, 2, 3, 4, 5, 0, 0, 8, 9, 10, 0, 0, 0, 1, 2, 0, 0, 0, 0, 0, 0, 1, 0)
@@ -62,7 +64,7 @@ AXES, FEED, UNIT_MM, FEED_UNIT_MM, VALUE, NOW_SIZE = 9, 9, 10, 11, 12, 13
 # Columns of what is found.
 M_LINE, M_KIND, M_START, M_END, M_STYLE, M_TAIL, M_F_LINE, M_LOWER, MOVE_INTS = range(8 + 1)
 V_FEED, V_UNIT, MOVE_FLOATS = 9, 10, 11
-D_LINE, D_START, D_END, D_STYLE, D_MOVE, DWELL_INTS = 0, 1, 2, 3, 4, 5
+D_LINE, D_START, D_END, D_STYLE, D_MOVE, D_OTHERS, DWELL_INTS = range(7)
 D_SECONDS, D_SCALE, DWELL_FLOATS = 0, 1, 2
 E_START, E_END, E_CODE, MODE_INTS = 0, 1, 2, 3
 K_ARC, K_INVERSE = 4, 8
@@ -73,7 +75,7 @@ HAS_AXIS, HAS_TIME, HAS_P, HAS_ARC = 1, 2, 4, 8
 
 # A number's style: decimals, then flags (KEEP: with and without a point it means something else), and the width of its
 # whole part where that is padded with zeros.
-S_POINT, S_PLUS, S_BARE, S_KEEP, S_WIDTH = 16, 32, 64, 128, 256
+MOST_DECIMALS, S_POINT, S_PLUS, S_BARE, S_KEEP, S_WIDTH = 15, 16, 32, 64, 128, 256
 
 W_CODE, W_START, W_END, W_STYLE, W_INTS, MOST_WORDS = 0, 1, 2, 3, 4, 48
 X_WORD, I_WORD = 23, 8

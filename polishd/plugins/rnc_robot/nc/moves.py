@@ -63,10 +63,10 @@ def _go(t: Any, at: Any, now: Any, line: Any) -> None:
         at[c.CODE] = t.axis_word[axis]
         at[c.NAMED] |= 1 << axis
         value = line.f[word]
-        if axis < 6 and t.flags[c.WHOLE] != c.WHOLE_MM and value != 0:
-            value = _whole(value, line.i[word * c.W_INTS + c.W_STYLE], t, at)
         if axis < 3:
-            value *= now[c.UNIT_MM]
+            value = _length_mm(word, t, at, now, line)
+        elif axis < 6:
+            value = _as_meant(value, line.i[word * c.W_INTS + c.W_STYLE], 1.0, t, at)
         if axis < 6 and at[c.DISTANCE] == c.SAID_INCREMENTAL:
             value += now[axis]
             if math.isnan(value):
@@ -74,12 +74,12 @@ def _go(t: Any, at: Any, now: Any, line: Any) -> None:
         now[axis] = value
 
 
-def _whole(value: float, style: int, t: Any, at: Any) -> float:
-    """A position as the dialect takes one without a decimal point."""
-    if style & c.S_POINT:
+def _as_meant(value: float, style: int, unit_mm: float, t: Any, at: Any) -> float:
+    """A length or an angle as the dialect takes one without a decimal point: 0.001 mm or deg, 0.0001 inch, unsure."""
+    if style & c.S_POINT or t.flags[c.WHOLE] == c.WHOLE_MM or value == 0:
         return value
     if t.flags[c.WHOLE] == c.WHOLE_UM:
-        return value / 1000.0
+        return value / (1000.0 if unit_mm == 1.0 else 10000.0)
     if abs(value) >= c.FAR:
         raise ProgramError(
             "a position without a decimal point, too far for a machine in mm", "say whole_positions in the dialect"
@@ -111,7 +111,7 @@ def _check_arc(t: Any, at: Any, now: Any, line: Any) -> None:
         first, second = 2, 0
     elif at[c.PLANE] == c.PLANE_YZ:
         first, second = 1, 2
-    ends = (_end(first, ahead, now, line), _end(second, ahead, now, line))
+    ends = (_end(first, ahead, t, at, now, line), _end(second, ahead, t, at, now, line))
     chord = math.hypot(ends[0], ends[1])
     if math.isnan(chord):
         raise ProgramError("an arc from nobody knows where", "go to its start with G0 or G1 first")
@@ -119,7 +119,7 @@ def _check_arc(t: Any, at: Any, now: Any, line: Any) -> None:
     if word >= 0:
         if line.at[c.I_WORD] >= 0 or line.at[c.I_WORD + 1] >= 0 or line.at[c.I_WORD + 2] >= 0:
             raise ProgramError("an arc with R and a centre", "leave one of them")
-        if abs(line.f[word]) * now[c.UNIT_MM] * 2 < chord - c.ARC_TOLERANCE_MM or chord == 0:
+        if abs(_length_mm(word, t, at, now, line)) * 2 < chord - c.ARC_TOLERANCE_MM or chord == 0:
             raise ProgramError("an arc whose R does not reach its end", "correct it")
         return
     centre = (_offset(first, t, at, now, line), _offset(second, t, at, now, line))
@@ -130,10 +130,10 @@ def _check_arc(t: Any, at: Any, now: Any, line: Any) -> None:
         raise ProgramError("an arc whose centre does not fit its ends", "correct it")
 
 
-def _end(axis: int, ahead: float, now: Any, line: Any) -> float:
+def _end(axis: int, ahead: float, t: Any, at: Any, now: Any, line: Any) -> float:
     """The arc's end from its start along an axis, mm."""
     word = line.at[c.X_WORD + axis]
-    offset: float = 0.0 * now[axis] if word < 0 else line.f[word] * now[c.UNIT_MM] - (1.0 - ahead) * now[axis]
+    offset: float = 0.0 * now[axis] if word < 0 else _length_mm(word, t, at, now, line) - (1.0 - ahead) * now[axis]
     return offset
 
 
@@ -142,8 +142,10 @@ def _offset(axis: int, t: Any, at: Any, now: Any, line: Any) -> float:
     word = line.at[c.I_WORD + axis]
     if word < 0:
         return 0.0
-    value: float = line.f[word]
-    if t.flags[c.WHOLE] != c.WHOLE_MM and value != 0:
-        value = _whole(value, line.i[word * c.W_INTS + c.W_STYLE], t, at)
-    offset: float = value * now[c.UNIT_MM]
-    return offset
+    return _length_mm(word, t, at, now, line)
+
+
+def _length_mm(word: int, t: Any, at: Any, now: Any, line: Any) -> float:
+    """The length that a word says."""
+    unit_mm: float = now[c.UNIT_MM]
+    return _as_meant(line.f[word], line.i[word * c.W_INTS + c.W_STYLE], unit_mm, t, at) * unit_mm

@@ -29,6 +29,8 @@ class Tally:
     """Feed moves under G93."""
     first_without: int = 0
     """Line of the first feed move without a dwell."""
+    _last: int = 0
+    """Line of a move without a dwell that the last piece ended with."""
 
     def add(self, piece: Piece) -> None:
         """Count a piece."""
@@ -39,10 +41,23 @@ class Tally:
         self.dwelled += owned
         self.stray += len(piece.dwells) - owned
         self.inverse += int(np.count_nonzero(kind >= c.K_INVERSE))
-        if not self.first_without:
-            alone = feed.copy()
-            alone[piece.dwells[piece.dwells[:, c.D_MOVE] >= piece.first_move, c.D_MOVE] - piece.first_move] = False
-            self.first_without = int(piece.moves[np.argmax(alone), c.M_LINE]) if alone.any() else 0
+        self._find_first_without(piece, feed)
+
+    def _find_first_without(self, piece: Piece, feed: BoolArray) -> None:
+        """A move at a piece's end may have its dwell in the next one."""
+        if self.first_without or not (feed.any() or len(piece.dwells)):
+            return
+        owners = piece.dwells[piece.dwells[:, c.D_MOVE] >= 0, c.D_MOVE] - piece.first_move
+        if self._last and not (len(owners) and owners[0] < 0):
+            self.first_without = self._last
+            return
+        alone = feed.copy()
+        alone[owners[owners >= 0]] = False
+        at = np.flatnonzero(alone)
+        ends = len(at) > 0 and at[-1] == len(feed) - 1
+        self._last = int(piece.moves[at[-1], c.M_LINE]) if ends else 0
+        if len(at) > ends:
+            self.first_without = int(piece.moves[at[0], c.M_LINE])
 
     def sits_in(self) -> Encoding:
         """Where the time of these moves sits."""
@@ -143,7 +158,7 @@ class PointReader:
         self._check_feeds(piece, moves)
         length_mm = self._length_mm(piece, moves, before, after)
         turns = length_mm == 0
-        turns[turns] = ~_same(before[turns, 3:], after[turns, 3:]).all(axis=1)
+        turns[turns] = ~same_places(before[turns, 3:], after[turns, 3:]).all(axis=1)
         going = (length_mm > 0) | turns
         inverse = self.encoding == "inverse"
         if inverse:
@@ -207,5 +222,6 @@ def _mask(chosen: BoolArray) -> BoolArray | slice:
     return slice(None) if chosen.all() else chosen
 
 
-def _same(one: FloatArray, other: FloatArray) -> BoolArray:
+def same_places(one: FloatArray, other: FloatArray) -> BoolArray:
+    """Which coordinates are the same; two that nobody has said are."""
     return np.asarray((one == other) | (np.isnan(one) & np.isnan(other)))

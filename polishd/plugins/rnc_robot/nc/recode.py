@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
 import numpy as np
@@ -15,14 +14,13 @@ from polishd.plugins.rnc_robot.nc import codes as c
 from polishd.plugins.rnc_robot.nc import compiled
 from polishd.plugins.rnc_robot.nc.checks import doubts
 from polishd.plugins.rnc_robot.nc.pieces import Piece, Scanner
-from polishd.plugins.rnc_robot.nc.points import PointReader, Points, counts_time
+from polishd.plugins.rnc_robot.nc.points import PointReader, Points, counts_time, same_places
 from polishd.plugins.rnc_robot.nc.refusals import refuse
 from polishd.plugins.rnc_robot.nc.rewriter import Row
+from polishd.plugins.rnc_robot.nc.tables import written_word
 from polishd.plugins.rnc_robot.nc.write import direct, reciprocal
-from polishd.plugins.rnc_robot.nc.writer import Edits, Numbers, refuse_times, spliced
+from polishd.plugins.rnc_robot.nc.writer import Edits, Numbers, refuse_times, refuse_unwritable, spliced
 
-_OTHER_WORDS = re.compile(rb"[BCDHIJKLOQRVWYZ]|M\\s*\\d", re.IGNORECASE)
-"""What neither says N, G, nor a time: P, X, U, F, S, T, TIME are told apart by the reader."""
 _TEXTS = [b"", b" F", b" f", b"93", b"94", b"G93\n", b"G93\r\n"]
 _NOTHING, _F, _, _93, _94, _LINE_93, _LINE_93_CRLF, _DWELL, _DWELL_CRLF = range(9)
 
@@ -45,11 +43,24 @@ def recode(dialect: Dialect, program: Program, time_s: FloatArray, encoding: Enc
     texts = [*_TEXTS, *_dwell_blocks(dialect)]
     if encoding == "dwell":
         _refuse_in_last_block(program, scanner)
-        parts = [_dwells(dialect, piece, points, times)]
+        parts = [_dwells(dialect, piece, points, times, program.name)]
     else:
         parts = _feeds(scanner, piece, points, times, old=program.encoding, new=encoding)
     text = spliced(piece.text, _sorted(parts), texts)
+    _refuse_long(dialect, scanner, text)
     return text if whole else text[:-1]
+
+
+def _refuse_long(dialect: Dialect, scanner: Scanner, text: bytes) -> None:
+    """A line may have become longer than the controller takes; behind the program's end any line may stand."""
+    behind = scanner.lines - scanner.at[c.ENDED] if scanner.at[c.ENDED] else 0
+    lines = text.split(b"\n")[:-1]
+    for number, line in enumerate(lines[: len(lines) - behind], 1):
+        if len(line) > dialect.text.longest_line:
+            raise refuse(
+                scanner.name, number, line, f"longer than {dialect.text.longest_line} bytes once its time is in it",
+                "shorten its comment, or keep the program's own encoding",
+            )  # fmt: skip
 
 
 def _refuse_in_last_block(program: Program, scanner: Scanner) -> None:
@@ -89,9 +100,9 @@ def _dwell_blocks(dialect: Dialect) -> list[bytes]:
     return [b"\n" + written, b"\r\n" + written]
 
 
-def _dwells(dialect: Dialect, piece: Piece, points: Points, times: FloatArray) -> Edits:
+def _dwells(dialect: Dialect, piece: Piece, points: Points, times: FloatArray, name: str) -> Edits:
     """A block for each point, behind its move's line."""
-    word = dialect.dwell.words[dialect.dwell.written.split()[-1].lstrip("G0123456789")]
+    word = dialect.dwell.words[written_word(dialect)]
     decimal = word.decimal != "refuse"
     scale = 0.001 if (word.decimal if decimal else word.whole) == "ms" else 1.0
     style = (c.S_POINT if decimal else 0) | (c.S_KEEP if word.decimal != word.whole else 0)
@@ -99,7 +110,8 @@ def _dwells(dialect: Dialect, piece: Piece, points: Points, times: FloatArray) -
     numbers = Numbers(np.zeros(count, dtype=np.int64), np.full(count, -1))
     styles = np.full(count, style)
     run = compiled.kernel(direct, len(piece.text))
-    run(times, np.full(count, np.nan), np.full(count, scale), styles, dialect.dwell.decimals, 0.0, numbers)
+    run(times, np.full(count, np.nan), np.full(count, scale), styles, dialect.dwell.decimals, 0, 0.0, numbers)
+    refuse_unwritable(name, points.line, times, numbers)
     at, crlf = _line_ends(piece.text, points.tail)
     return Edits(at, at, np.where(crlf, _DWELL_CRLF, _DWELL), numbers.mantissa, numbers.decimals, styles)
 
@@ -115,19 +127,18 @@ def _line_ends(text: bytes, inside: IntArray) -> tuple[IntArray, IntArray]:
 
 def _no_dwells(piece: Piece, points: Points, scanner: Scanner) -> Edits:
     """Their blocks go, with the line end."""
-    names = "|".join(re.escape(word) for word in scanner.dialect.dwell.words if len(word) > 1)
-    passed_over = re.compile(rb"\([^)]*\)|;.*" + (b"|" + names.encode() if names else b""), re.IGNORECASE)
     data = np.frombuffer(piece.text, dtype=np.uint8)
     ends = np.concatenate([[-1], np.flatnonzero(data == 10), [len(data)]])
     begin = ends[points.line - 1] + 1
     end = np.minimum(ends[points.line] + 1, len(data))
-    for k in range(len(begin)):
-        line = piece.text[begin[k] : end[k]]
-        if _OTHER_WORDS.search(passed_over.sub(b"", line)):
-            raise refuse(
-                scanner.name, int(points.line[k]), line, "the dwell's block says something else, too",
-                "keep the program's own encoding, or give the dwell a block of its own",
-            )  # fmt: skip
+    others = piece.dwells[piece.dwells[:, c.D_MOVE] >= 0, c.D_OTHERS]
+    if others.any():
+        k = int(np.argmax(others > 0))
+        raise refuse(
+            scanner.name, int(points.line[k]), piece.text[begin[k] : end[k]],
+            "the dwell's block says something else, too",
+            "keep the program's own encoding, or give the dwell a block of its own",
+        )  # fmt: skip
     return _plain(begin, end, _NOTHING)
 
 
@@ -155,8 +166,11 @@ class _Moves:
         self._rows = piece.moves[self._feed]
         step = (places[1:, :3] - places[:-1, :3])[self._feed]
         self._length_mm = np.linalg.norm(np.nan_to_num(step, nan=0.0), axis=1)
+        same = same_places(places[:-1], places[1:])[self._feed].all(axis=1)
         self._refuse((self._rows[:, c.M_KIND] & c.K_ARC) != 0, "an arc cannot carry its time in the feed")
         self._refuse(np.isnan(places[1:, :3][self._feed]).any(axis=1), "where this move ends is not said")
+        self._refuse(np.isnan(step).any(axis=1), "a feed move from nobody knows where")
+        self._refuse(same, "a feed move that goes nowhere has no time in another encoding")
         per_minute = 60.0 if dialect.feed.unit == "mm/s" else 1.0
         self._unit = piece.places[self._feed, c.V_UNIT] * per_minute
         self._number = piece.places[self._feed, c.V_FEED]
@@ -172,26 +186,28 @@ class _Moves:
         else:
             which = np.searchsorted(self._rows[:, c.M_LINE], points.line)
         own[which] = new_s
-        self._refuse(own <= 0, "a feed move that goes nowhere has no time in another encoding")
+        self._refuse(own <= 0, "the tool turns on the spot: how long it takes is not said")
         return own
 
     def feeds(self, encoding: Encoding, times: FloatArray) -> Edits:
         """An F for each feed move, in its place or at the end of its block."""
         count = len(times)
         numbers = Numbers(np.zeros(count, dtype=np.int64), np.full(count, -1))
-        style = self._rows[:, c.M_STYLE]
+        unsure = self._dialect.feed.whole == "unsure"
+        style = self._rows[:, c.M_STYLE] | (c.S_POINT if unsure else 0)
         nothing = np.full(count, np.nan)
         if encoding == "feed":
             self._refuse(self._length_mm == 0, "the tool turns on the spot: its feed would be in deg/min")
         if counts_time(self._dialect, encoding):
             run = compiled.kernel(direct, len(self._piece.text))
-            run(times, nothing, np.ones(count), style, self._dialect.dwell.decimals, 0.0, numbers)
+            run(times, nothing, np.ones(count), style, self._dialect.dwell.decimals, 1, 0.0, numbers)
         else:
             scale = np.full(count, 60.0) if encoding == "inverse" else 60.0 * self._length_mm / self._unit
             lines = np.stack([self._rows[:, c.M_LINE]] * 2, axis=1)
             most, state = self._dialect.feed.most_decimals, np.zeros(3)
             run = compiled.kernel(reciprocal, len(self._piece.text))
             run(times, nothing, scale, style, lines, self._number, most, state, numbers)
+        refuse_unwritable(self._name, self._rows[:, c.M_LINE], times, numbers)
         own = self._rows[:, c.M_START] >= 0
         return Edits(
             np.where(own, self._rows[:, c.M_START], self._rows[:, c.M_TAIL]),

@@ -52,8 +52,20 @@ def refuse_binary(text: bytes, name: str, lines: int, rules: TextRules) -> None:
                 f"{name}, line {lines + text.count(10, 0, text.index(acted_on[0])) + 1}: byte {acted_on[0]:#04x}: the "
                 "controller acts on it at once, even in a comment. To do: take it out."
             )
+    lower = text.lower() if rules.commands else b""
+    for word in rules.commands:
+        if word.encode("ascii") in lower:
+            _refuse_command(text, name, lines, word)
     if b"\r" in text and text.count(b"\r") != text.count(b"\r\n"):
         raise ProgramError(f"{name}: carriage returns without line feeds. To do: save it with LF or CRLF line ends.")
+
+
+def _refuse_command(text: bytes, name: str, lines: int, word: str) -> None:
+    found = re.search(rb"[;(][ \t]*" + word.encode("ascii"), text, re.IGNORECASE)
+    if found is not None:
+        number = text.count(b"\n", 0, found.start()) + 1
+        line = text.split(b"\n", number)[number - 1]
+        raise refuse(name, lines + number, line, "a comment that the controller runs", "take it out")
 
 
 def explained(error: ProgramError, dialect: Dialect, name: str, lines: list[bytes], at: list[int]) -> ProgramError:
@@ -117,6 +129,8 @@ def _why_no_word(reason: str, dialect: Dialect, line: str, column: int) -> tuple
     if not name:
         at = line[column : column + 1]
         return _CHARACTERS.get(at, (f"column {column + 1} holds {at!r}, which is no word", "remove it"))
+    if len(name) > 1 and name.upper() != name[0].upper() and not re.match(r"[A-Za-z_]+\s*[-+.\d]", line[column:]):
+        return f"the word {name} is not known", "take it out, or have it posted without it"
     if reason.startswith("is a word without"):
         return f"{name if len(name) > 1 else letter} without a number", "correct the word, or take it out"
     return f"the word {letter} is not known", "take it out, or have it posted without it"

@@ -98,10 +98,11 @@ def rewrite_stream(
     return passed
 
 
-def _chunks(file: BinaryIO, digest: hashlib._Hash, progress: Progress | None) -> Iterator[bytes]:
+def _chunks(file: BinaryIO, digest: hashlib._Hash | None, progress: Progress | None) -> Iterator[bytes]:
     file.seek(0)
     while chunk := file.read(PIECE_BYTES):
-        digest.update(chunk)
+        if digest is not None:
+            digest.update(chunk)
         yield chunk
         if progress is not None:
             progress(len(chunk))
@@ -110,7 +111,7 @@ def _chunks(file: BinaryIO, digest: hashlib._Hash, progress: Progress | None) ->
 def _guessed(dialect: Dialect, file: BinaryIO, name: str) -> Encoding:
     """Where the time sits: in dwells from the first dwell on; the whole program must bear it out."""
     scanner, tally = Scanner(dialect, name), Tally()
-    for piece in scanner.pieces(_chunks(file, hashlib.sha256(), None)):
+    for piece in scanner.pieces(_chunks(file, None, None)):
         tally.add(piece)
         if tally.dwelled or tally.moves > ENOUGH_MOVES:
             return tally.sits_in()
@@ -121,12 +122,8 @@ def run_through(dialect: Dialect, file: BinaryIO, name: str, each: Each, progres
     """Give ``each`` piece of a program with its points away, and check the whole. ProgramError names the line."""
     encoding = _guessed(dialect, file, name)
     scanner, tally, checks = Scanner(dialect, name), Tally(), Checks(dialect, name, encoding)
-    reader, passed, digest, still = (
-        PointReader(dialect, name, encoding),
-        Passed(dialect.name, encoding),
-        hashlib.sha256(),
-        0,
-    )
+    reader, passed = PointReader(dialect, name, encoding), Passed(dialect.name, encoding)
+    digest, still = hashlib.sha256(), 0
     for piece in scanner.pieces(_chunks(file, digest, progress)):
         tally.add(piece)
         points = reader.read(piece)
@@ -134,11 +131,13 @@ def run_through(dialect: Dialect, file: BinaryIO, name: str, each: Each, progres
         still += points.still
         each(piece, points, checks)
         _note(passed, dialect, points)
-    if tally.encoding(name) != encoding or not passed.points:
+    if tally.encoding(name) != encoding:
         raise ProgramError(
             f"{name}: its time sits in the {encoding} at first, and in the {tally.encoding(name)} further on. "
             "To do: have it posted with one of them."
         )
+    if not passed.points:
+        raise ProgramError(f"{name}: all its feed moves go nowhere. To do: check that this is the polishing program.")
     checks.finish(scanner)
     passed.lines, passed.sha256 = scanner.lines, digest.hexdigest()
     passed.warnings = tuple(warnings(scanner, tally, encoding, still))

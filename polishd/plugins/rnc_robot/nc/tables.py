@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -45,6 +47,7 @@ class Tables(NamedTuple):
 
 def tables(dialect: Dialect) -> Tables:
     """The dialect's tables; ConfigError names the key that makes no sense."""
+    _check_words(dialect)
     names = _names(dialect)
     role = [c.R_UNKNOWN] * c.WORDS
     for letter, what in {"N": c.R_N, "G": c.R_G, "M": c.R_M, "F": c.R_F, "R": c.R_ARC}.items():
@@ -65,7 +68,7 @@ def tables(dialect: Dialect) -> Tables:
     for word in dialect.words.neutral:
         role[_code(word, names, dialect)] = c.R_NEUTRAL
     for word in dialect.words.keywords:
-        role[_code(word, names, dialect)] = c.R_KEYWORD
+        role[_code(word, names, dialect)] = c.R_CALL if word.endswith("(") else c.R_KEYWORD
     if dialect.text.program_number:
         role[_code("O", names, dialect)] = c.R_PROGRAM
     whole, decimal = _dwell_words(dialect, names, role)
@@ -73,6 +76,35 @@ def tables(dialect: Dialect) -> Tables:
         _flags(dialect), _g_codes(dialect), _m_codes(dialect), role, whole, decimal, axis_word,
         dialect.dwell.longest_s, len(names), *_packed(names),
     )  # fmt: skip
+
+
+def _check_words(dialect: Dialect) -> None:
+    """ConfigError for words that no text can hold, or that mean something else already."""
+    where = f"dialect {dialect.name}"
+    named = {"axes.vector": dialect.axes.vector, "words.neutral": dialect.words.neutral,
+             "words.keywords": dialect.words.keywords, "dwell.words": [*dialect.dwell.words],
+             "dwell.written": [dialect.dwell.written], "text.realtime": [dialect.text.realtime],
+             "text.commands": dialect.text.commands}  # fmt: skip
+    for key, words in named.items():
+        for word in words:
+            if not word.isascii():
+                raise ConfigError(f"{where}: {key}: {word!r} is no ASCII text. To do: correct it.")
+    taken = {*"NGMFXYZ", *(letter for pair in dialect.axes.rotary for letter in pair)}
+    for key, word in _neutral(dialect):
+        if word.upper() in taken:
+            raise ConfigError(f"{where}: {key}: {word!r} means something already. To do: take it out.")
+    if written_word(dialect) not in dialect.dwell.words:
+        raise ConfigError(f"{where}: dwell.written: ends in no word of dwell.words. To do: end it as in 'G4 P'.")
+
+
+def _neutral(dialect: Dialect) -> list[tuple[str, str]]:
+    neutral = [("words.neutral", word) for word in dialect.words.neutral]
+    return neutral + [("words.keywords", word) for word in dialect.words.keywords]
+
+
+def written_word(dialect: Dialect) -> str:
+    """The word of a new dwell's time: ``number`` where the number stands bare."""
+    return re.sub(r"^.*[Gg]0*[0-9]+\.?[0-9]*\s*", "", dialect.dwell.written).strip() or "number"
 
 
 def _names(dialect: Dialect) -> list[str]:
@@ -149,7 +181,7 @@ def _m_codes(dialect: Dialect) -> list[int]:
 
 
 def _set(found: list[int], number: float, does: int, where: str) -> None:
-    code = round(number)
+    code = round(number) if math.isfinite(number) else -1
     if abs(code - number) > 1e-6 or not 0 <= code < len(found):
         raise ConfigError(f"{where}: {number:g} is no code. To do: correct it.")
     if found[code] not in (0, does):

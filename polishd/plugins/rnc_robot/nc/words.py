@@ -25,7 +25,9 @@ def read_words(text: Any, begin: int, end: int, t: Any, at: Any, now: Any, line:
         i = _identifier(text, i, end, t, at)
         code = at[c.CODE]
         line.i[count * c.W_INTS + c.W_CODE] = code
-        if t.role[code] != c.R_KEYWORD:
+        if t.role[code] == c.R_CALL:
+            i = _arguments(text, i, end)
+        elif t.role[code] != c.R_KEYWORD:
             i = _number(text, i, end, t, at, now, line, count * c.W_INTS)
             line.f[count] = now[c.VALUE]
             if at[c.GAPPED] and (t.role[code] == c.R_G or t.role[code] == c.R_M):
@@ -106,10 +108,21 @@ def _is_name(text: Any, i: int, end: int, t: Any, name: int) -> bool:
         if byte != t.name_bytes[k]:
             return False
     after = i + last - first
-    if t.name_bytes[last - 1] == 61 or after == end:
+    if t.name_bytes[last - 1] == 61 or t.name_bytes[last - 1] == 40 or after == end:
         return True
     byte = text[after] & 0xDF
     return not (text[after] >= 65 and byte >= 65 and byte <= 90) and text[after] != 95
+
+
+def _arguments(text: Any, i: int, end: int) -> int:
+    """Past the ) of a call; one in quotes is text."""
+    quoted = False
+    while i < end and (quoted or text[i] != 41):
+        quoted = quoted != (text[i] == 34)
+        i += 1
+    if i == end:
+        raise ProgramError("a call is not closed", "close it with ) on the same line")
+    return i + 1
 
 
 def _number(text: Any, i: int, end: int, t: Any, at: Any, now: Any, line: Any, word: int) -> int:
@@ -145,7 +158,7 @@ def _digits(text: Any, i: int, end: int, blanks: int, at: Any) -> tuple[int, int
     while i < end:
         byte = text[i]
         if byte >= 48 and byte <= 57:
-            if kept < 17:
+            if kept < 17 and decimals < c.MOST_DECIMALS:
                 mantissa = mantissa * 10 + (byte - 48)
                 decimals += point
                 kept += int(mantissa > 0)

@@ -9,13 +9,19 @@ from polishd.plugins.rnc_robot.nc import codes as c
 
 RELATIVE = 1e-4
 """Largest relative error of a feed, as long as the controller takes the digits."""
-HIGHEST = 4e18
+HIGHEST = 9e15
+"""Largest mantissa: up to here doubles know every whole number."""
+FEWEST = 50
+"""A feed of fewer units of its last digit would be off by more than 1 %."""
+UNWRITABLE = -2
+"""``decimals`` of a time that no number of the dialect says."""
 
 
-def direct(times: Any, old: Any, scale: Any, style: Any, usual: int, residue: float, out: Any) -> float:
+def direct(times: Any, old: Any, scale: Any, style: Any, usual: int, least: int, residue: float, out: Any) -> float:
     """Numbers that count the time: mantissas and decimals for those times that change.
 
     What rounding leaves is carried to the next number, half a quantum at most. Returns what is left after the last, s.
+    ``least``: the smallest mantissa, 1 where a number may not be zero. Times of old digits beyond a double's get fewer.
     """
     for k in range(len(times)):
         if times[k] == old[k]:
@@ -23,11 +29,16 @@ def direct(times: Any, old: Any, scale: Any, style: Any, usual: int, residue: fl
             continue
         own = style[k] & 15
         decimals = own if style[k] & c.S_KEEP and not style[k] & c.S_POINT else max(own, usual)
-        power = c.POW10[decimals]
         asked = times[k] / scale[k]
+        while decimals > 0 and asked * c.POW10[decimals] > HIGHEST:
+            decimals -= 1
+        power = c.POW10[decimals]
+        if asked * power > HIGHEST:
+            out.decimals[k] = UNWRITABLE
+            continue
         carried = max(-0.5 / power, min(0.5 / power, residue / scale[k]))
         mantissa = int(math.floor((asked + carried) * power + 0.5))
-        mantissa = max(mantissa, 0)
+        mantissa = max(mantissa, least)
         residue += times[k] - mantissa / power * scale[k]
         out.mantissa[k] = mantissa
         out.decimals[k] = decimals
@@ -53,13 +64,18 @@ def reciprocal(
         changed = times[k] != old[k]
         feed = scale[k] / times[k] if changed else number[k]
         decimals = style[k] & 15
+        while decimals > 0 and c.POW10[decimals] * feed > HIGHEST:
+            decimals -= 1
         while decimals < most and c.POW10[decimals] * feed * RELATIVE < 1.0:
             decimals += 1
         power = c.POW10[decimals]
         if changed:
             half_s = 0.5 * times[k] / feed / power
             feed = scale[k] / (times[k] + max(-half_s, min(half_s, state[0])))
-        mantissa = max(1, int(math.floor(feed * power + 0.5)))
+        if feed > c.LARGEST or feed * power < FEWEST:
+            out.decimals[k] = UNWRITABLE
+            continue
+        mantissa = int(math.floor(feed * power + 0.5))
         written = mantissa / power
         if changed:
             state[0] += times[k] - scale[k] / written
@@ -106,7 +122,7 @@ def _digits(mantissa: int, decimals: int, style: int, out: Any, n: int) -> int:
     places = 1
     while places < 19 and c.TEN[places] <= mantissa:
         places += 1
-    places = max(places, decimals + 1, decimals + style // c.S_WIDTH)
+    places = max(places, decimals + 1, min(decimals + style // c.S_WIDTH, 19))
     if style & c.S_BARE and places == decimals + 1 and mantissa < c.TEN[decimals] and mantissa > 0:
         places = decimals
     for place in range(places - 1, -1, -1):

@@ -14,7 +14,7 @@ from polishd.plugins.rnc_robot.nc import compiled
 from polishd.plugins.rnc_robot.nc.pieces import Piece
 from polishd.plugins.rnc_robot.nc.points import Points, counts_time
 from polishd.plugins.rnc_robot.nc.refusals import refuse
-from polishd.plugins.rnc_robot.nc.write import direct, reciprocal, splice
+from polishd.plugins.rnc_robot.nc.write import UNWRITABLE, direct, reciprocal, splice
 
 
 class Numbers(NamedTuple):
@@ -50,12 +50,14 @@ class Writer:
         self._name = name
         self._counts_time = counts_time(dialect, encoding)
         self._usual = min(dialect.dwell.decimals, dialect.dwell.most_decimals)
+        self._least = int(encoding != "dwell")
         self._state = np.zeros(3)
         self._texts = [b"", b" F", b" f"]
 
     def write(self, piece: Piece, points: Points, times_s: FloatArray) -> bytes:
         """The piece's text with these times, (n,) s."""
         numbers, own = self._numbers(points, times_s, len(piece.text)), points.start >= 0
+        refuse_unwritable(self._name, points.line, times_s, numbers)
         keep = numbers.decimals >= 0
         if not keep.any():
             return piece.text
@@ -65,19 +67,19 @@ class Writer:
             numbers.decimals, points.style,
         )  # fmt: skip
         text = spliced(piece.text, Edits(*(column[keep] for column in edits)), self._texts)
-        self._refuse_long(piece, text)
+        self._refuse_long(piece, text, points.line[keep])
         return text
 
-    def _refuse_long(self, piece: Piece, text: bytes) -> None:
+    def _refuse_long(self, piece: Piece, text: bytes, changed: IntArray) -> None:
         """A longer number may make a line longer than the controller takes."""
         longest = self._dialect.text.longest_line
         ends = np.flatnonzero(np.frombuffer(text, dtype=np.uint8) == 10)
-        sizes = np.diff(ends, prepend=-1, append=len(text)) - 1
+        sizes = (np.diff(ends, prepend=-1, append=len(text)) - 1)[changed - piece.first_line]
         if (sizes > longest).any():
-            index = int(np.argmax(sizes > longest))
-            line = text.split(b"\n", index + 1)[index]
+            number = int(changed[int(np.argmax(sizes > longest))])
+            line = text.split(b"\n", number - piece.first_line + 1)[number - piece.first_line]
             raise refuse(
-                self._name, piece.first_line + index, line, f"longer than {longest} bytes once its time is changed",
+                self._name, number, line, f"longer than {longest} bytes once its time is changed",
                 "split the line, or shorten its comment",
             )  # fmt: skip
 
@@ -87,7 +89,7 @@ class Writer:
         if self._counts_time:
             run = compiled.kernel(direct, size)
             self._state[0] = run(
-                times_s, points.time_s, points.scale, points.style, self._usual, self._state[0], numbers
+                times_s, points.time_s, points.scale, points.style, self._usual, self._least, self._state[0], numbers
             )
         else:
             run = compiled.kernel(reciprocal, size)
@@ -111,9 +113,20 @@ def spliced(text: bytes, edits: Edits, texts: list[bytes]) -> bytes:
     return room[:used].tobytes()
 
 
+def refuse_unwritable(name: str, line: IntArray, times: FloatArray, numbers: Numbers) -> None:
+    """ProgramError at the first time that no number says: too large, or a feed of zero."""
+    bad = numbers.decimals == UNWRITABLE
+    if bad.any():
+        index = int(np.argmax(bad))
+        raise ProgramError(
+            f"{name}, line {line[index]}: no number that the controller takes says a time of {times[index]} s. "
+            "To do: solve again with times that the feed can hold."
+        )
+
+
 def refuse_times(dialect: Dialect, encoding: Encoding, name: str, line: IntArray, times: FloatArray) -> None:
     """ProgramError at the first time that the encoding cannot hold."""
-    longest = dialect.dwell.longest_s
+    longest = dialect.dwell.longest_s if encoding == "dwell" else np.inf
     good = np.isfinite(times) & (times <= longest) & ((times >= 0) if encoding == "dwell" else (times > 0))
     if not good.all():
         index = int(np.argmin(good))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 from polishd.api import DeviceFault, DeviceRefused, Executed, LinkError, ProtocolError
+from polishd.drivers.linuxcnc.connection import Connection
 from polishd.drivers.linuxcnc.driver import LinuxCnc
 from polishd.drivers.transport.address import Tcp
 from tests.fakes.linuxcnc import FakeLinuxCnc
@@ -213,6 +214,32 @@ async def test_a_hold_at_such_a_stop_stays_a_hold(rig: Rig) -> None:
     await asyncio.sleep(0.1)
     assert rig.fake.status == "PAUSED"
     assert "set resume" not in rig.fake.heard
+
+
+@pytest.mark.parametrize("how", ["hold", "make_safe"])
+@pytest.mark.parametrize("approach_blocks", [0, 8])
+async def test_what_is_told_to_stay_while_it_is_being_started_stays(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, how: str, approach_blocks: int
+) -> None:
+    """By order, and past a stop that nobody asked for: the stay overtakes the start, which then counts no more."""
+    await load(rig.robot, approach_blocks)
+    stays: asyncio.Queue[asyncio.Task[None]] = asyncio.Queue()
+    plain = Connection.set_if
+
+    async def late(self: Connection, wanted: Callable[[], bool], command: str) -> None:
+        if (command == "set resume") == bool(approach_blocks):
+            stays.put_nowait(asyncio.create_task(getattr(rig.robot, how)()))
+            await asyncio.sleep(0)
+        await plain(self, wanted, command)
+
+    monkeypatch.setattr(Connection, "set_if", late)
+    await rig.robot.resume()
+    await (await stays.get())
+    await asyncio.sleep(0.05)
+    assert rig.fake.status != "RUNNING"
+    assert rig.fake.heard.count("set run") == bool(approach_blocks)
+    assert "set resume" not in rig.fake.heard
+    assert (await rig.robot.progress()).state == "held"
 
 
 async def test_it_says_where_it_can_stop(rig: Rig) -> None:

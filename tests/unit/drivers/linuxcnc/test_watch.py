@@ -134,6 +134,28 @@ def test_who_starts_it_at_the_controller_is_seen() -> None:
     assert (watch.state, watch.detail) == ("running", "started at the controller")
 
 
+def test_words_of_the_program_itself_hide_no_stop() -> None:
+    """linuxcncrsh tells one message a look."""
+    watch = watch_of(4, stops=(2,))
+    watch.go(0.0)
+    watch.update(look(0.1, 2, x=1.0, display="look out"))
+    watch.update(look(0.2, 2, "paused", 1.0, "another"))
+    assert (watch.state, watch.held_at, len(watch)) == ("held", None, 1)
+    watch.update(look(0.3, 2, "paused", 1.0, "polishd t 2"))
+    assert (watch.state, watch.held_at, len(watch)) == ("held", 2, 2)
+    assert watch[1].end_s == pytest.approx(0.2)
+
+
+def test_a_stop_right_after_a_start_at_the_controller_is_seen() -> None:
+    watch = watch_of(4, stops=(1, 2))
+    watch.go(0.0)
+    watch.update(look(0.1, 1, "paused", 1.0, "polishd t 1"))
+    watch.update(look(0.2, 1, "paused", 1.0))
+    watch.update(look(5.0, 2, "running", 1.0, "polishd t 2"))
+    watch.update(look(5.1, 2, "paused", 1.0))
+    assert (watch.state, watch.held_at, len(watch)) == ("held", 2, 2)
+
+
 def test_nothing_counts_before_it_is_told_to_run() -> None:
     watch = watch_of(3)
     watch.update(look(0.1, 3))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -40,7 +42,16 @@ class Run:
 
 def interpret(path: Path) -> Run:
     command = ["rs274", "-g", path.name]
-    done = subprocess.run(command, cwd=path.parent, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    # a home of its own: two at once share ~/.tool.mmap, and die of SIGBUS now and then
+    with TemporaryDirectory() as home:
+        done = subprocess.run(
+            command,
+            cwd=path.parent,
+            env={**os.environ, "HOME": home},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            check=False,
+        )
     assert done.returncode == 0, done.stderr[-500:]
     motion, dwells, feeds, feed = [], [], [], np.nan
     for line in done.stdout.decode("latin-1").splitlines():

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 from random import Random
-from typing import cast
+from typing import Self, cast
 
 import numpy as np
 import pytest
@@ -15,14 +16,16 @@ import pytest
 from polishd.api import Program, ProgramError
 from polishd.console.dwell_csv import DwellTable
 from polishd.console.program_files import rewrite_file
-from polishd.plugins.rnc_robot.dialect import Dialect, dialect
+from polishd.plugins.rnc_robot.dialect import Dialect
+from polishd.plugins.rnc_robot.dialect import dialect as load
 from polishd.plugins.rnc_robot.nc import reader, rewriter, stream
 from polishd.plugins.rnc_robot.nc.stream import Passed, look_through, rewrite_stream
 from tests.corpus.fuzz import GRAMMARS, program
 from tests.corpus.table import Case, cases, reason
 
+dialect = cache(load)
 WHOLE = 1 << 20
-SIZES = (1, 2, 3, 5, 7, 11, 16, 23, 37, 64, 101, 500)
+SIZES = (1, 3, 16, 37)
 """Bytes a piece: from cuts behind every byte to few cuts."""
 RS274 = cast(Dialect, dialect("rs274"))
 HEAD = "G21 G90 G94\nG0 X0 Y0 Z0 A0 C0\n"
@@ -151,7 +154,7 @@ WRITTEN = [case for case in cases() if case.refused is None and "unwritable" not
 
 @pytest.mark.parametrize("case", WRITTEN, ids=str)
 def test_the_corpus(case: Case, cut: Callable[[int], None]) -> None:
-    check_all(case.dialect, case.text, (9, 40), cut)
+    check_all(case.dialect, case.text, (13,), cut)
 
 
 @pytest.mark.parametrize("case", [case for case in cases() if case.refused is not None], ids=str)
@@ -171,7 +174,7 @@ def test_the_corpus_is_refused(case: Case, cut: Callable[[int], None]) -> None:
 @pytest.mark.parametrize("name", GRAMMARS)
 def test_programs_of_every_dialect(name: str, cut: Callable[[int], None]) -> None:
     rng = Random(name)
-    for _ in range(4):
+    for _ in range(2):
         check_all(name, program(name, rng, 60, 0.0), (rng.randrange(20, 60), rng.randrange(60, 600)), cut)
 
 
@@ -250,6 +253,15 @@ def test_the_line_of_the_first_move_without_a_dwell(cut: Callable[[int], None]) 
 # Times, and what is left of a refusal.
 
 
+def test_a_time_that_stays_need_not_be_writable() -> None:
+    """Longer than any time that may be asked for: whoever asks for no change gets none."""
+    text = whole("G93\nG1 X1 F0.00000001\nX2 F60\n")
+    found = reader.read(RS274, text, "t.nc")
+    assert found.time_s[0] == pytest.approx(6e9)
+    new, _ = streamed(RS274, text, np.array([found.time_s[0], 2.0]))
+    assert new == text.replace(b"F60", b"F30")
+
+
 @pytest.mark.parametrize("size", [16, WHOLE])
 @pytest.mark.parametrize(("count", "why"), [(1, "too few"), (2, "too few"), (4, "too many"), (9, "too many")])
 def test_too_few_or_too_many_times(size: int, count: int, why: str, cut: Callable[[int], None]) -> None:
@@ -260,7 +272,8 @@ def test_too_few_or_too_many_times(size: int, count: int, why: str, cut: Callabl
 
 def test_progress_hears_of_every_byte_once(cut: Callable[[int], None]) -> None:
     cut(10)
-    text, heard = TEXTS["dwell"], []
+    text = TEXTS["dwell"]
+    heard: list[int] = []
     look_through(RS274, BytesIO(text), "t.nc", heard.append)
     assert sum(heard) == len(text)
     assert max(heard) == 10
@@ -280,7 +293,7 @@ def test_nothing_is_kept_of_what_went_by(cut: Callable[[int], None], monkeypatch
     alive = [0, 0]
 
     class Counted(bytes):
-        def __new__(cls, data: bytes) -> Counted:
+        def __new__(cls, data: bytes) -> Self:
             alive[0] += 1
             alive[1] = max(alive)
             return super().__new__(cls, data)

@@ -1,0 +1,199 @@
+"""Compiled and interpreted are one: the same numbers to the last bit, the same bytes, the same refusals."""
+
+from __future__ import annotations
+
+import os
+import pwd
+import shutil
+from functools import cache
+from pathlib import Path
+from random import Random
+from typing import cast
+
+import numpy as np
+import pytest
+
+from polishd.api import Program, ProgramError
+from polishd.plugins.rnc_robot import formats
+from polishd.plugins.rnc_robot.dialect import Dialect, dialect
+from polishd.plugins.rnc_robot.nc import compiled, scan, stream, write
+from tests.corpus.fuzz import GRAMMARS, program
+from tests.corpus.table import Case, cases
+
+NEVER = 1 << 60
+Patch = pytest.MonkeyPatch
+
+
+@cache
+def profile(name: str) -> Dialect:
+    return cast(Dialect, dialect(name))
+
+
+def outcome(name: str, text: bytes, patch: Patch, size: int) -> Program | str:
+    """The program, or why it is refused; compiled from ``size`` bytes on."""
+    patch.setattr(compiled, "LARGE_BYTES", size)
+    try:
+        return formats.read(profile(name), text, "t.nc")
+    except ProgramError as error:
+        return str(error)
+
+
+def bits(values: np.ndarray) -> bytes:
+    """Zeros have signs, and NaNs are equal."""
+    return values.tobytes()
+
+
+def same(one: Program | str, other: Program | str) -> None:
+    if isinstance(one, str) or isinstance(other, str):
+        assert one == other
+        return
+    for field in Program.__dataclass_fields__:
+        mine, theirs = getattr(one, field), getattr(other, field)
+        if isinstance(mine, np.ndarray):
+            assert (mine.dtype, mine.shape) == (theirs.dtype, theirs.shape), field
+            assert bits(mine) == bits(theirs), field
+        else:
+            assert mine == theirs, field
+
+
+def written(name: str, found: Program, times: np.ndarray, patch: Patch, size: int) -> list[bytes | str]:
+    """The program with these times in every encoding, or why it cannot be."""
+    patch.setattr(compiled, "LARGE_BYTES", size)
+    texts: list[bytes | str] = []
+    for encoding in (None, "dwell", "feed", "inverse"):
+        try:
+            texts.append(formats.rewrite(profile(name), found, times, encoding))
+        except ProgramError as error:
+            texts.append(str(error))
+    return texts
+
+
+def agree(name: str, text: bytes, patch: Patch) -> None:
+    found = outcome(name, text, patch, NEVER)
+    same(found, outcome(name, text, patch, 0))
+    if not isinstance(found, str):
+        times = found.time_s * np.random.default_rng(len(text)).choice([1.0, 0.37, 2.6], found.n) + 0.0123456789
+        assert written(name, found, times, patch, NEVER) == written(name, found, times, patch, 0)
+
+
+@pytest.mark.parametrize("case", cases(), ids=str)
+def test_the_corpus(case: Case, monkeypatch: Patch) -> None:
+    agree(case.dialect, case.text, monkeypatch)
+
+
+@pytest.mark.parametrize("name", GRAMMARS)
+def test_in_pieces(name: str, monkeypatch: Patch) -> None:
+    """Arrays are kept from piece to piece; a larger one needs larger arrays."""
+    rng = Random(name)
+    for share in (0.0, 0.0, 0.02):
+        text = program(name, rng, 120, share)
+        head, gap = text.partition(b"\n")[::2]
+        text = head + b"\n" + b"\n" * 300 + gap
+        for size in (41, 200):
+            monkeypatch.setattr(stream, "PIECE_BYTES", size)
+            agree(name, text, monkeypatch)
+
+
+@pytest.mark.parametrize(
+    ("body", "line"),
+    [
+        ("G1 X#1\n", 3),
+        ("G1 X1 F60\n" * 5 + "G4 P1 P2\n", 8),
+        ("G1 X1 F0\n", 3),
+        ("G1 X1e5 F9\n", 3),
+        ("G1 X12345678901234567890 F9\n", 3),
+        ("G1 X1 F9 " + "S1 " * 60 + "\n", 3),
+        ("(a (b)\n", 3),
+        ("\nG2 X1 F9\n", 4),
+        ("M60\n", 3),
+        ("G1 X1 F9\n%\n", 4),
+    ],
+)
+def test_the_same_line_and_reason(body: str, line: int, monkeypatch: Patch) -> None:
+    text = f"G21 G90\nG0 X0 Y0 Z0\n{body}M2\n".encode()
+    found = outcome("rs274", text, monkeypatch, 0)
+    assert isinstance(found, str)
+    assert found.startswith(f"t.nc, line {line}: ")
+    assert found == outcome("rs274", text, monkeypatch, NEVER)
+
+
+def test_large_programs_are_compiled() -> None:
+    size = compiled.LARGE_BYTES
+    assert compiled.kernel(scan.scan, size - 1) is scan.scan
+    assert hasattr(compiled.kernel(scan.scan, size), "py_func")
+    assert compiled.kernel(scan.scan, size) is compiled.kernel(scan.scan, size + 1)
+    assert vars(compiled.kernel(write.splice, size))["py_func"] is write.splice
+
+
+def test_across_the_limit(monkeypatch: Patch) -> None:
+    """A program whose pieces are of both kinds."""
+    lines = "".join(f"G1 X{i % 90} F60\nG4 P0.{i % 900 + 100}\n" for i in range(300))
+    text = f"G21 G90\nG0 X0 Y0 Z0\n{lines}M2\n".encode()
+    whole = outcome("rs274", text, monkeypatch, NEVER)
+    assert isinstance(whole, Program)
+    expected = written("rs274", whole, whole.time_s + 0.25, monkeypatch, NEVER)
+    monkeypatch.setattr(stream, "PIECE_BYTES", 1000)
+    same(whole, outcome("rs274", text, monkeypatch, 990))
+    assert written("rs274", whole, whole.time_s + 0.25, monkeypatch, 990)[0] == expected[0]
+
+
+# Where compiled code is kept.
+
+
+@pytest.fixture
+def sources(tmp_path: Path, monkeypatch: Patch) -> Path:
+    """A copy of the sources, in place of the real ones."""
+    folder = tmp_path / "nc"
+    shutil.copytree(Path(compiled.__file__).parent, folder, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(compiled, "__file__", str(folder / "compiled.py"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return folder
+
+
+def test_the_folder_is_named_after_the_sources(sources: Path, tmp_path: Path) -> None:
+    first = compiled._folder("0.61")
+    assert Path(first).parent == tmp_path / "cache" / "polishd"
+    assert Path(first).is_dir()
+    assert compiled._folder("0.61") == first
+    assert compiled._folder("0.62") != first
+    for path in sorted(sources.glob("*.py")):
+        before = path.read_bytes()
+        path.write_bytes(before + b"\n")
+        assert compiled._folder("0.61") != first, path.name
+        path.write_bytes(before)
+    assert compiled._folder("0.61") == first
+
+
+def test_the_users_cache(sources: Path, tmp_path: Path, monkeypatch: Patch) -> None:
+    assert sources.is_dir()
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert Path(compiled._folder("1")).parent == tmp_path / "home" / ".cache" / "polishd"
+
+
+def test_no_home_is_writable(sources: Path, tmp_path: Path, monkeypatch: Patch) -> None:
+    """A service's user: the folder lasts as long as the process, and is its own."""
+    (tmp_path / "home").write_text("no folder")
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
+    for name, value in (("XDG_CACHE_HOME", tmp_path / "home" / "cache"), ("XDG_CACHE_HOME", sources / "codes.py")):
+        monkeypatch.setenv(name, str(value))
+        folder = Path(compiled._folder("1"))
+        assert folder.parent == tmp_path / "tmp"
+        assert folder.stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.skipif(os.name != "posix", reason="users without a home are a Unix matter")
+def test_nobody_has_a_home(sources: Path, tmp_path: Path, monkeypatch: Patch) -> None:
+    """A container's user without a name: there is no ~ at all."""
+    assert sources.is_dir()
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.delenv("HOME")
+
+    def unknown(_uid: int) -> None:
+        raise KeyError("uid not found")
+
+    monkeypatch.setattr(pwd, "getpwuid", unknown)
+    assert Path(compiled._folder("1")).parent == tmp_path / "tmp"
