@@ -15,7 +15,7 @@ WIDE = 160
 """Columns where stdout is no terminal: a file or a pipe should lose no figure."""
 
 stderr = Console(stderr=True)
-stdout = Console(width=None if sys.stdout.isatty() else WIDE)
+stdout = Console(width=None if sys.stdout is not None and sys.stdout.isatty() else WIDE)
 
 
 def cycle_table(summary: Mapping[str, Any]) -> Table:

@@ -33,8 +33,9 @@ def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     _register_parts()
     # Without reference counts: nothing here allocates, and counting every array at every call takes 40 times the time.
     settings: Any = numba.config
-    before, settings.CACHE_DIR = settings.CACHE_DIR, _folder(numba.__version__)
-    options: dict[str, Any] = {"cache": True, "nogil": True, "_nrt": False}
+    folder = _folder(numba.__version__)
+    before, settings.CACHE_DIR = settings.CACHE_DIR, folder or ""
+    options: dict[str, Any] = {"cache": folder is not None, "nogil": True, "_nrt": False}
     try:
         compiled: Callable[..., Any] = numba.njit(**options)(function)
     finally:
@@ -57,8 +58,8 @@ def _register_parts() -> None:
 _ENTRIES = ("scan", "direct", "reciprocal", "splice")
 
 
-def _folder(version: str) -> str:
-    """Where compiled code of these sources is kept; a folder for this process alone where there is no home."""
+def _folder(version: str) -> str | None:
+    """Where compiled code of these sources is kept; None where there is no home: then each process compiles."""
     digest = hashlib.sha256(version.encode())
     for source in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(source.read_bytes())
@@ -69,5 +70,5 @@ def _folder(version: str) -> str:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except (OSError, RuntimeError):  # nobody's home
-        return tempfile.mkdtemp(prefix="polishd-")
+        return None
     return str(folder)
