@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from polishd.files import write_atomic
+from polishd.files import whole_file, write_atomic
 
 
 def test_writes_and_replaces(tmp_path: Path) -> None:
@@ -57,3 +57,21 @@ def test_content_is_synced_before_the_rename_and_the_folder_after(
 def test_missing_folder_is_the_callers_error(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         write_atomic(tmp_path / "no" / "file", b"")
+
+
+def test_a_device_stays_one(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(OSError, match="no file"):
+        write_atomic(pipe, b"new")
+    assert pipe.is_fifo()
+    assert [path.name for path in tmp_path.iterdir()] == ["pipe"]
+
+
+def test_what_is_written_can_be_read_back_before_it_has_its_name(tmp_path: Path) -> None:
+    with whole_file(tmp_path / "a") as file:
+        file.write(b"new")
+        file.seek(0)
+        assert file.read() == b"new"
+        assert not (tmp_path / "a").exists()
+    assert (tmp_path / "a").read_bytes() == b"new"

@@ -75,7 +75,7 @@ class TextRules(_Strict):
     block_delete: Literal["refuse", "run", "skip"]
     whole_positions: Literal["mm", "um", "unsure"]
     commands: list[str]
-    """What a comment begins with that the controller runs."""
+    """What comments begin with that the controller runs, before a comma."""
     realtime: str
     """Characters that the controller acts on wherever they stand; with any, bytes beyond ASCII are such, too."""
     longest_line: Annotated[int, Field(ge=20, le=4096)]

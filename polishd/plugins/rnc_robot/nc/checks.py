@@ -38,11 +38,11 @@ class Checks:
     def add(self, points: Points, scanner: Scanner) -> None:
         """Look at further points, which ``scanner`` has just read."""
         self._turned_by = self._turning(scanner)
-        zero = (points.after[:, 6:9] == 0).all(axis=1)
+        zero = (points.after[:, 6:9] == 0).all(axis=1) if self._turned_by == "vector" else np.zeros(0, dtype=np.bool_)
         if zero.any():
             line = int(points.line[int(np.argmax(zero))])
             raise ProgramError(f"{self._name}, line {line}: the tool vector is zero. To do: correct it.")
-        lost = np.isnan(points.after).any(axis=0)
+        lost = np.isnan(points.after.sum(axis=0))
         for axis in np.flatnonzero(lost):
             if not self._lost[axis]:
                 self._lost[axis] = int(points.line[int(np.argmax(np.isnan(points.after[:, axis])))])

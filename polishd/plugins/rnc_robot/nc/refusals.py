@@ -52,16 +52,15 @@ def refuse_binary(text: bytes, name: str, lines: int, rules: TextRules) -> None:
                 f"{name}, line {lines + text.count(10, 0, text.index(acted_on[0])) + 1}: byte {acted_on[0]:#04x}: the "
                 "controller acts on it at once, even in a comment. To do: take it out."
             )
-    lower = text.lower() if rules.commands else b""
-    for word in rules.commands:
-        if word.encode("ascii") in lower:
-            _refuse_command(text, name, lines, word)
+    if rules.commands and b"," in text:
+        _refuse_commands(text, name, lines, rules.commands)
     if b"\r" in text and text.count(b"\r") != text.count(b"\r\n"):
         raise ProgramError(f"{name}: carriage returns without line feeds. To do: save it with LF or CRLF line ends.")
 
 
-def _refuse_command(text: bytes, name: str, lines: int, word: str) -> None:
-    found = re.search(rb"[;(][ \t]*" + word.encode("ascii"), text, re.IGNORECASE)
+def _refuse_commands(text: bytes, name: str, lines: int, commands: list[str]) -> None:
+    words = "|".join(re.escape(word) for word in commands).encode("ascii")
+    found = re.search(rb"[;(][ \t]*(?:" + words + rb")[ \t]*,", text, re.IGNORECASE)
     if found is not None:
         number = text.count(b"\n", 0, found.start()) + 1
         line = text.split(b"\n", number)[number - 1]

@@ -147,9 +147,9 @@ def run_through(dialect: Dialect, file: BinaryIO, name: str, each: Each, progres
 def _note(passed: Passed, dialect: Dialect, points: Points) -> None:
     if not len(points.line):
         return
-    places = np.nan_to_num(points.after[:, :3], nan=0.0)
-    passed.low_mm = np.minimum(passed.low_mm, places.min(axis=0))
-    passed.high_mm = np.maximum(passed.high_mm, places.max(axis=0))
+    places = points.after[:, :3]  # NaN: never said, which is 0
+    passed.low_mm = np.minimum(passed.low_mm, np.nan_to_num(np.fmin.reduce(places, axis=0), nan=0.0))
+    passed.high_mm = np.maximum(passed.high_mm, np.nan_to_num(np.fmax.reduce(places, axis=0), nan=0.0))
     low, high = passed.feed_mm_min
     passed.feed_mm_min = (
         float(np.nanmin(points.feed_mm_min, initial=low)),

@@ -1,0 +1,6 @@
+G21 G90 G94
+G0 X0 Y0 Z0
+;py,this.params[5241]=10
+G1 X10 F600
+G4 P1
+M2

@@ -1,0 +1,5 @@
+G21 G90 G94
+G0 X0 Y0 Z0
+G1 X10 F600 (happy, a comma)
+G4 P1
+M2
