@@ -12,9 +12,9 @@ GROUP = (0, 0, 1, 1, 1, 1, 10, 2, 3, 3, 3, 4, 4, 4, 5, 5, 6, 6, 7, 2, 2, 8, 9, 9
 M_NEUTRAL, M_ENDS, M_STOPS = 1, 2, 3
 
 # What a word is.
-R_UNKNOWN, R_N, R_G, R_M, R_F, R_AXIS, R_NEUTRAL, R_ARC, R_P, R_TIME, R_PROGRAM, R_KEYWORD, R_STATEMENT, R_CALL = range(
-    14
-)
+(
+    R_UNKNOWN, R_N, R_G, R_M, R_F, R_AXIS, R_NEUTRAL, R_ARC, R_P, R_TIME, R_PROGRAM, R_KEYWORD, R_STATEMENT, R_CALL,
+) = range(14)  # fmt: skip
 WORDS = 64
 BARE, NAMES = 26, 27
 """Code of a number without a letter, and of the first name; letters are 0 to 25."""
@@ -25,21 +25,9 @@ U_NONE, U_S, U_MS, U_REFUSE = 0, 1, 2, 3
 
 # A dialect's flags.
 (
-    PARENS,
-    SEMICOLON,
-    EOB,
-    BLANKS,
-    ASSIGN,
-    DELETE,
-    WHOLE,
-    TAPE_NAME,
-    NUMBERED,
-    OWN_BLOCK,
-    LONGEST,
-    G93,
-    FEED_UNSURE,
+    PARENS, SEMICOLON, EOB, BLANKS, ASSIGN, DELETE, WHOLE, TAPE_NAME, NUMBERED, OWN_BLOCK, LONGEST, G93, FEED_UNSURE,
     FLAGS,
-) = range(14)
+) = range(14)  # fmt: skip
 DELETE_REFUSE, DELETE_RUN, DELETE_SKIP = 0, 1, 2
 WHOLE_MM, WHOLE_UM, WHOLE_UNSURE = 0, 1, 2
 G93_REFUSE, G93_PER_MINUTE, G93_SECONDS = 0, 1, 2
@@ -50,14 +38,17 @@ G93_REFUSE, G93_PER_MINUTE, G93_SECONDS = 0, 1, 2
     OPENED, ENDED, VECTORING, NAMED, FED, PROGRAM, UNSURE, UNSURE_FEED, COLUMN, CODE, NEXT, N_MOVES, N_DWELLS, N_MODES,
     GROUPS, LETTERS, TAIL, GAPPED, PADDED, LOWER, AT_SIZE,
 ) = range(34)  # fmt: skip
+SAID_INVERSE, SAID_PER_MINUTE = 1, 2
+SAID_ABSOLUTE, SAID_INCREMENTAL = 1, 2
 # Which slot an action sets, and to what; -1: what it does is more than that. Indexed by action.
 SLOT = (
     -1, -1, MOTION, MOTION, MOTION, MOTION, -1, -1, PLANE, PLANE, PLANE, -1, -1, -1, DISTANCE, DISTANCE, -1, -1, -1,
     -1, -1, -1, VECTORING, VECTORING,
 )  # fmt: skip
-VALUE_OF = (0, 0, 2, 3, 4, 5, 0, 0, 8, 9, 10, 0, 0, 0, 1, 2, 0, 0, 0, 0, 0, 0, 1, 0)
-SAID_INVERSE, SAID_PER_MINUTE = 1, 2
-SAID_ABSOLUTE, SAID_INCREMENTAL = 1, 2
+VALUE_OF = (
+    0, 0, RAPID, LINE_TO, ARC_CW, ARC_CCW, 0, 0, PLANE_XY, PLANE_ZX, PLANE_YZ, 0, 0, 0, SAID_ABSOLUTE, SAID_INCREMENTAL,
+    0, 0, 0, 0, 0, 0, 1, 0,
+)  # fmt: skip
 # ``now``: x y z mm, a b c deg, i j k; then F as written, and mm per unit of lengths and of feeds.
 AXES, FEED, UNIT_MM, FEED_UNIT_MM, VALUE, NOW_SIZE = 9, 9, 10, 11, 12, 13
 

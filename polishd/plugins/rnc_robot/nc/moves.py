@@ -105,13 +105,12 @@ def _check_arc(t: Any, at: Any, now: Any, line: Any) -> None:
     """Refuse an arc whose centre does not fit its ends."""
     if at[c.VECTORING] and t.axis_word[6] == c.I_WORD:
         raise ProgramError("an arc while I, J, K are a tool vector", "have it posted with straight moves")
-    ahead = 1.0 if at[c.DISTANCE] == c.SAID_INCREMENTAL else 0.0
     first, second = 0, 1
     if at[c.PLANE] == c.PLANE_ZX:
         first, second = 2, 0
     elif at[c.PLANE] == c.PLANE_YZ:
         first, second = 1, 2
-    ends = (_end(first, ahead, t, at, now, line), _end(second, ahead, t, at, now, line))
+    ends = (_end(first, t, at, now, line), _end(second, t, at, now, line))
     chord = math.hypot(ends[0], ends[1])
     if math.isnan(chord):
         raise ProgramError("an arc from nobody knows where", "go to its start with G0 or G1 first")
@@ -130,11 +129,14 @@ def _check_arc(t: Any, at: Any, now: Any, line: Any) -> None:
         raise ProgramError("an arc whose centre does not fit its ends", "correct it")
 
 
-def _end(axis: int, ahead: float, t: Any, at: Any, now: Any, line: Any) -> float:
+def _end(axis: int, t: Any, at: Any, now: Any, line: Any) -> float:
     """The arc's end from its start along an axis, mm."""
     word = line.at[c.X_WORD + axis]
-    offset: float = 0.0 * now[axis] if word < 0 else _length_mm(word, t, at, now, line) - (1.0 - ahead) * now[axis]
-    return offset
+    start: float = now[axis]
+    if word < 0:
+        return 0.0 * start  # NaN where the start is not said
+    end = _length_mm(word, t, at, now, line)
+    return end if at[c.DISTANCE] == c.SAID_INCREMENTAL else end - start
 
 
 def _offset(axis: int, t: Any, at: Any, now: Any, line: Any) -> float:

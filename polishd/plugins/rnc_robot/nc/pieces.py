@@ -43,6 +43,11 @@ class Piece:
     modes: IntArray
     """(m, MODE_INTS): the numbers of G93 and G94."""
 
+    def line(self, number: int) -> bytes:
+        """The text of the program's line of that 1-based number."""
+        index = number - self.first_line
+        return self.text.split(b"\n", index + 1)[index]
+
 
 class Scanner:
     """Takes a program's bytes in order; its modal state goes from piece to piece."""

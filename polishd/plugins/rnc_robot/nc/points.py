@@ -204,12 +204,8 @@ class PointReader:
 
     def _refuse_first(self, piece: Piece, moves: IntArray, bad: BoolArray, reason: str, advice: str) -> None:
         if bad.any():
-            raise self.refusal(piece, int(moves[int(np.argmax(bad)), c.M_LINE]), reason, advice)
-
-    def refusal(self, piece: Piece, line: int, reason: str, advice: str) -> ProgramError:
-        """The error for a line of the piece."""
-        text = piece.text.split(b"\n", line - piece.first_line + 1)[line - piece.first_line]
-        return refuse(self.name, line, text, reason, advice)
+            line = int(moves[int(np.argmax(bad)), c.M_LINE])
+            raise refuse(self.name, line, piece.line(line), reason, advice)
 
 
 def counts_time(dialect: Dialect, encoding: Encoding) -> bool:

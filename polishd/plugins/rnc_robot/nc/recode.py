@@ -19,7 +19,7 @@ from polishd.plugins.rnc_robot.nc.refusals import refuse
 from polishd.plugins.rnc_robot.nc.rewriter import Row
 from polishd.plugins.rnc_robot.nc.tables import written_word
 from polishd.plugins.rnc_robot.nc.write import direct, reciprocal
-from polishd.plugins.rnc_robot.nc.writer import Edits, Numbers, refuse_times, refuse_unwritable, spliced
+from polishd.plugins.rnc_robot.nc.writer import Edits, Numbers, refuse_long, refuse_times, refuse_unwritable, spliced
 
 _TEXTS = [b"", b" F", b" f", b"93", b"94", b"G93\n", b"G93\r\n"]
 _NOTHING, _F, _, _93, _94, _LINE_93, _LINE_93_CRLF, _DWELL, _DWELL_CRLF = range(9)
@@ -42,33 +42,21 @@ def recode(dialect: Dialect, program: Program, time_s: FloatArray, encoding: Enc
     points = PointReader(dialect, program.name, program.encoding).read(piece)
     texts = [*_TEXTS, *_dwell_blocks(dialect)]
     if encoding == "dwell":
-        _refuse_in_last_block(program, scanner)
+        _refuse_in_last_block(piece, scanner, int(program.line[-1]))
         parts = [_dwells(dialect, piece, points, times, program.name)]
     else:
         parts = _feeds(scanner, piece, points, times, old=program.encoding, new=encoding)
     text = spliced(piece.text, _sorted(parts), texts)
-    _refuse_long(dialect, scanner, text)
+    behind = scanner.lines - scanner.at[c.ENDED] if scanner.at[c.ENDED] else 0  # there any line may stand
+    refuse_long(dialect, program.name, text, 1, np.arange(1, text.count(b"\n") - behind + 1))
     return text if whole else text[:-1]
 
 
-def _refuse_long(dialect: Dialect, scanner: Scanner, text: bytes) -> None:
-    """A line may have become longer than the controller takes; behind the program's end any line may stand."""
-    behind = scanner.lines - scanner.at[c.ENDED] if scanner.at[c.ENDED] else 0
-    lines = text.split(b"\n")[:-1]
-    for number, line in enumerate(lines[: len(lines) - behind], 1):
-        if len(line) > dialect.text.longest_line:
-            raise refuse(
-                scanner.name, number, line, f"longer than {dialect.text.longest_line} bytes once its time is in it",
-                "shorten its comment, or keep the program's own encoding",
-            )  # fmt: skip
-
-
-def _refuse_in_last_block(program: Program, scanner: Scanner) -> None:
+def _refuse_in_last_block(piece: Piece, scanner: Scanner, last: int) -> None:
     """Behind the program's end no dwell would run."""
-    if program.line[-1] == scanner.at[c.ENDED]:
-        line = int(program.line[-1])
+    if last == scanner.at[c.ENDED]:
         raise refuse(
-            program.name, line, program.text.split(b"\n", line)[line - 1], "the program ends in a point's block",
+            scanner.name, last, piece.line(last), "the program ends in a point's block",
             "give M2 or M30 a block of its own",
         )  # fmt: skip
 
@@ -218,5 +206,10 @@ class _Moves:
     def _refuse(self, bad: Any, reason: str) -> None:
         if bad.any():
             line = int(self._rows[int(np.argmax(bad)), c.M_LINE])
-            text = self._piece.text.split(b"\n", line)[line - 1]
-            raise refuse(self._name, line, text, reason, "keep the program's own encoding, or have it posted again")
+            raise refuse(
+                self._name,
+                line,
+                self._piece.line(line),
+                reason,
+                "keep the program's own encoding, or have it posted again",
+            )

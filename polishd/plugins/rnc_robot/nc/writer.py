@@ -67,21 +67,8 @@ class Writer:
             numbers.decimals, points.style,
         )  # fmt: skip
         text = spliced(piece.text, Edits(*(column[keep] for column in edits)), self._texts)
-        self._refuse_long(piece, text, points.line[keep])
+        refuse_long(self._dialect, self._name, text, piece.first_line, points.line[keep])
         return text
-
-    def _refuse_long(self, piece: Piece, text: bytes, changed: IntArray) -> None:
-        """A longer number may make a line longer than the controller takes."""
-        longest = self._dialect.text.longest_line
-        ends = np.flatnonzero(np.frombuffer(text, dtype=np.uint8) == 10)
-        sizes = (np.diff(ends, prepend=-1, append=len(text)) - 1)[changed - piece.first_line]
-        if (sizes > longest).any():
-            number = int(changed[int(np.argmax(sizes > longest))])
-            line = text.split(b"\n", number - piece.first_line + 1)[number - piece.first_line]
-            raise refuse(
-                self._name, number, line, f"longer than {longest} bytes once its time is changed",
-                "split the line, or shorten its comment",
-            )  # fmt: skip
 
     def _numbers(self, points: Points, times_s: FloatArray, size: int) -> Numbers:
         count = len(times_s)
@@ -111,6 +98,20 @@ def spliced(text: bytes, edits: Edits, texts: list[bytes]) -> bytes:
     room = np.empty(size, dtype=np.uint8)
     used = run(np.frombuffer(text, dtype=np.uint8), edits, prefixes, room)
     return room[:used].tobytes()
+
+
+def refuse_long(dialect: Dialect, name: str, text: bytes, first_line: int, lines: IntArray) -> None:
+    """ProgramError where one of the ``lines``, in a text that begins at ``first_line``, has become too long."""
+    longest = dialect.text.longest_line
+    ends = np.flatnonzero(np.frombuffer(text, dtype=np.uint8) == 10)
+    sizes = (np.diff(ends, prepend=-1, append=len(text)) - 1)[lines - first_line]
+    if (sizes > longest).any():
+        number = int(lines[int(np.argmax(sizes > longest))])
+        line = text.split(b"\n", number - first_line + 1)[number - first_line]
+        raise refuse(
+            name, number, line, f"longer than {longest} bytes once its time is changed",
+            "split the line, or shorten its comment",
+        )  # fmt: skip
 
 
 def refuse_unwritable(name: str, line: IntArray, times: FloatArray, numbers: Numbers) -> None:
