@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import re
-import tempfile
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from polishd.api import DeviceRefused
+from polishd.files import write_atomic
 
 _COMMENT = re.compile(rb"\([^()]*\)|;.*")
 _END = re.compile(rb"(?<![A-Z#])M0*(?:2|30)(?:\.0*)?(?![0-9.])")
@@ -58,17 +56,7 @@ class ProgramFile:
         """Put it there whole: temp, fsync, rename. DeviceRefused where that fails."""
         path = folder / name
         try:
-            with tempfile.NamedTemporaryFile(dir=folder, prefix=".", delete=False) as file:
-                try:
-                    file.write(self.text)
-                    file.flush()
-                    os.fchmod(file.fileno(), 0o644)  # LinuxCNC may be another user
-                    os.fsync(file.fileno())
-                    Path(file.name).replace(path)
-                except OSError:
-                    with contextlib.suppress(OSError):
-                        Path(file.name).unlink()
-                    raise
+            write_atomic(path, self.text)  # readable by all: LinuxCNC may be another user
         except OSError as error:
             raise DeviceRefused(f"{path}: {error.strerror or error}. To do: look at [robot] program_dir") from error
         return path

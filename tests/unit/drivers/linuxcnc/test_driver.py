@@ -311,7 +311,7 @@ async def test_a_hold_takes_such_a_resume_back(rig: Rig) -> None:
 async def test_a_line_too_long_for_linuxcnc_is_refused(rig: Rig) -> None:
     plan = plan_of([b"G1 X1 (" + b"x" * 300 + b")"])
     await rig.robot.prepare(plan)
-    with pytest.raises(DeviceRefused, match="255"):
+    with pytest.raises(DeviceRefused, match="252"):
         await rig.robot.send(plan.segments)
 
 
