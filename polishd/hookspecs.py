@@ -15,6 +15,7 @@ import pluggy
 
 from polishd.model.cycle import Event
 from polishd.model.dwell import DwellSolution
+from polishd.model.instrument import Instrument
 from polishd.model.limits import Envelope
 from polishd.model.process import (
     FLAT,
@@ -66,6 +67,8 @@ class DeviceContext:
     part_id: str
     readers: Sequence[SurfaceReader]
     """All surface readers of the loaded plugins, for metrology devices."""
+    instrument: Instrument | None = None
+    """The instrument's profile, for metrology devices; None: the config names none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,11 +87,19 @@ class ProgramFormat:
 
 @dataclass(frozen=True, slots=True)
 class SurfaceReader:
-    """A surface-map format. ``sniff`` sees the first 4096 bytes and the path; ``read`` raises BadMap."""
+    """A surface-map format. ``sniff`` sees the first 4096 bytes and the path; ``read`` raises BadMap.
+
+    Readers are asked in the order in which they are declared: those that know a magic number before those that
+    judge by name.
+    """
 
     name: str
     sniff: Callable[[bytes, Path], bool]
     read: Callable[[Path], SurfaceMap]
+    suffixes: tuple[str, ...] = ()
+    """Usual endings of such files (".dat"), lower case: what ``write`` is chosen by."""
+    write: Callable[[SurfaceMap], bytes] | None = None
+    """Content of a file that holds the map; raises BadMap where the format cannot hold it. None: read only."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,6 +53,8 @@ class SurfaceMap:
     ``height_nm`` is (ny, nx), row 0 the top as displayed, x right, y up. ``pitch_mm`` is None where the file
     has no lateral scale; such a map can be shown, but not drive polishing.
     ``factors`` records each sign, scale and unit factor that the reader applied, once.
+    ``unsaid`` names what the file does not say and the instrument's profile must, before the map may drive polishing:
+    "pitch", "unit" (of heights: they are shown as if nm), "surface" (it may be a wavefront), "orientation".
     """
 
     height_nm: FloatArray
@@ -65,6 +67,12 @@ class SurfaceMap:
     format: str = ""
     factors: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    unsaid: frozenset[str] = frozenset()
+    orientation: str = "row 0 at the top, as displayed"
+    """How the file's own order was turned into this one."""
+    fiducials_px: tuple[tuple[float, float], ...] = ()
+    """(row, column) of the marks that the file lists, in this array's own pixels."""
+    reader_version: int = 0
 
     @property
     def grid(self) -> Grid:

@@ -36,7 +36,7 @@ from polishd.drivers.transport.voice_coil import State
 from polishd.drivers.voice_coil_modbus import registers
 from polishd.drivers.voice_coil_serial import codec as ascii_codec
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer import metropro as reader
+from polishd.plugins.interferometer.formats import metropro as reader
 from polishd.sim_backends import metropro as writer
 from polishd.sim_backends.actuator.ascii import AsciiSlave, body, line
 from polishd.sim_backends.actuator.coil import VoiceCoil

@@ -28,7 +28,7 @@ from polishd.api import (
 )
 from polishd.plugins.interferometer import polishd_device_types, polishd_surface_readers
 from polishd.plugins.interferometer.folder import WATCHED_FOLDER, FolderOptions, WatchedFolder
-from polishd.plugins.interferometer.metropro import METROPRO
+from polishd.plugins.interferometer.formats.metropro import METROPRO
 
 PART = "DEMO-100"
 

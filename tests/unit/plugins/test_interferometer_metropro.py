@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.api import BadMap
-from polishd.plugins.interferometer.metropro import METROPRO, read, sniff
+from polishd.plugins.interferometer.formats.metropro import METROPRO, read, sniff
 
 PROTOCOL = Path(__file__).resolve().parents[3] / "docs" / "protocols" / "metropro_dat.md"
 MISSING = 0x7FFFFFF8

@@ -1,0 +1,65 @@
+"""What an instrument's files do not say, and what a shop has proved of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any, Literal
+
+RegisterBy = Literal["none", "aperture", "fiducials", "both"]
+
+
+@dataclass(frozen=True, slots=True)
+class Commissioned:
+    """The proof of a profile: an artefact with an asymmetric bump was measured and found the right way round."""
+
+    at: datetime
+    artefact: str
+    """Name of the artefact."""
+    map_sha256: str
+    correlation: float
+    """Of the map, as the profile turns it, with the artefact."""
+    next_best: float
+    """The best correlation of any other of the 8 turns and flips, plain or negated."""
+    profile_sha256: str
+    """Of the profile's values that were proved: a profile that was edited since is not commissioned."""
+
+
+@dataclass(frozen=True, slots=True)
+class Instrument:
+    """An instrument's profile: how its arrays lie on the part, and what its numbers mean.
+
+    A map is flipped left-right where ``mirror``, then turned by ``rotation_deg`` counter-clockwise; its heights are
+    multiplied by ``sign`` and ``factor``. The result is the part as the tool sees it: x right, y up, high positive.
+    """
+
+    name: str
+    mirror: bool = False
+    rotation_deg: Literal[0, 90, 180, 270] = 0
+    sign: Literal[1, -1] = 1
+    factor: float = 1.0
+    """Multiplies every height: 0.5 for wavefronts in reflection that a file gives as they are."""
+    unit_nm: float | None = None
+    """nm per unit of heights in files that name no unit."""
+    pitch_mm: float | None = None
+    """Pitch of files that give none. One that a file gives must agree within ``pitch_tolerance``."""
+    pitch_tolerance: float = 0.02
+    gives: frozenset[str] = frozenset()
+    """Which of ``SurfaceMap.unsaid`` the profile answers although it needs no number ("surface", "orientation")."""
+    serials: tuple[str, ...] = ()
+    """Instruments (``SurfaceMap.instrument``) that this profile is of; empty: any."""
+    aperture_mm: float | None = None
+    """Diameter of the outline that maps of the part show; None: the part's own aperture."""
+    aperture_tolerance_mm: float = 1.0
+    fiducials_mm: tuple[tuple[float, float], ...] = ()
+    """(x, y) on the part of at least three marks in no symmetric arrangement."""
+    fiducial_tolerance_mm: float = 0.5
+    register_by: RegisterBy = "none"
+    max_shift_mm: float = 2.0
+    max_turn_deg: float = 2.0
+    max_drift_mm: float = 0.5
+    """Most shift against the last map of the same part."""
+    commissioned: Commissioned | None = None
+    raw: Mapping[str, Any] = field(default_factory=dict)
+    """The values as the file gives them."""

@@ -1,0 +1,1 @@
+"""Map formats, one module each; every one ends in its ``SurfaceReader``."""
