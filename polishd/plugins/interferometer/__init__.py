@@ -1,4 +1,4 @@
-"""The interferometer: the map format ``metropro``, and the device type ``watched_folder``."""
+"""The interferometer: its map formats, and the device type ``watched_folder``."""
 
 from __future__ import annotations
 
@@ -6,15 +6,30 @@ from collections.abc import Sequence
 
 from polishd.api import DeviceType, SurfaceReader, hookimpl
 from polishd.plugins.interferometer.folder import WATCHED_FOLDER
-from polishd.plugins.interferometer.metropro import METROPRO
+from polishd.plugins.interferometer.formats.codev import CODEV
+from polishd.plugins.interferometer.formats.datx import DATX
+from polishd.plugins.interferometer.formats.fits import FITS
+from polishd.plugins.interferometer.formats.fourd import FOURD
+from polishd.plugins.interferometer.formats.gwy import GWY
+from polishd.plugins.interferometer.formats.metropro import METROPRO
+from polishd.plugins.interferometer.formats.npy import NPY
+from polishd.plugins.interferometer.formats.points import POINTS
+from polishd.plugins.interferometer.formats.sdf import SDF
+from polishd.plugins.interferometer.formats.tail import TAIL
+from polishd.plugins.interferometer.formats.tiff import TIFF
+from polishd.plugins.interferometer.formats.x3p import X3P
+from polishd.plugins.interferometer.formats.zygo_ascii import ZYGO_ASCII
+from polishd.plugins.interferometer.formats.zygo_xyz import ZYGO_XYZ
 
 POLISHD_API = 1
+READERS = (METROPRO, DATX, FOURD, X3P, SDF, GWY, FITS, TIFF, NPY, ZYGO_ASCII, ZYGO_XYZ, CODEV, POINTS, TAIL)
+"""Formats with a magic number first, then texts, then those that judge by name."""
 
 
 @hookimpl
 def polishd_surface_readers() -> Sequence[SurfaceReader]:
-    """``metropro``."""
-    return [METROPRO]
+    """All map formats."""
+    return READERS
 
 
 @hookimpl

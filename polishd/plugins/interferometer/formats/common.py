@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import os
+from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
-from polishd.api import BadMap
+from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
 
 MOST_BYTES = 2**30
 """No map of a camera is larger."""
 MOST_SAMPLES = 64_000_000
+OPTICS = {"IntfScaleFactor": (0.01, 100.0), "Wavelength (m)": (1e-7, 2e-5), "Obliquity": (0.01, 100.0)}
+"""What the factors of an interferometer's heights may be."""
 
 
 def content_of(path: Path) -> bytes:
     """All bytes of a file; BadMap where it cannot be read, is empty, or is larger than any map."""
     try:
         with path.open("rb") as file:
-            content = file.read(MOST_BYTES + 1)
+            # what is asked for is allocated first: no more than there is
+            content = file.read(min(os.fstat(file.fileno()).st_size, MOST_BYTES) + 1)
     except OSError as error:
         raise BadMap(f"{path}: cannot be read: {error.strerror}") from error
     if not content:
@@ -43,3 +50,37 @@ def require_data(path: Path, height_nm: FloatArray) -> FloatArray:
     if np.isnan(height_nm).all():
         raise BadMap(f"{path}: no sample holds data")
     return height_nm
+
+
+def require_optics(path: Path, factors: Mapping[str, float]) -> None:
+    """BadMap where one of the named factors (``OPTICS``) is no number or out of its range."""
+    for name, value in factors.items():
+        low, high = OPTICS[name]
+        if not low <= value <= high:
+            raise BadMap(f"{path}: {name} is {value:g}, outside {low:g} to {high:g}: the height's scale is not known")
+
+
+def require_size(path: Path, rows: int, columns: int, most: float = MOST_SAMPLES) -> None:
+    """BadMap where an array is empty, larger than a camera, or larger than the file can hold (``most`` samples)."""
+    if rows <= 0 or columns <= 0:
+        raise BadMap(f"{path}: has no phase data ({rows} rows x {columns} columns)")
+    if rows * columns > MOST_SAMPLES:
+        raise BadMap(f"{path}: {rows} rows x {columns} columns is no interferometer's camera")
+    if rows * columns > most:
+        raise BadMap(f"{path}: is too short for {rows} rows x {columns} columns: torn, or still being written")
+
+
+def require_said(surface: SurfaceMap, *also: str) -> None:
+    """BadMap where a written file would say what nobody knows; ``also`` names what that format can leave open."""
+    open_ones = sorted(surface.unsaid - set(also))
+    if open_ones:
+        raise BadMap(f"{surface.path}: does not say its {' and '.join(open_ones)}, and the file to be written would: "
+                     "read it with the instrument's profile")  # fmt: skip
+
+
+def time_of(seconds: float) -> datetime | None:
+    """The instant of a time stamp in seconds since 1970; None for 0 and for what is no time."""
+    try:
+        return datetime.fromtimestamp(seconds, UTC) if seconds > 0 else None
+    except (OverflowError, ValueError, OSError):
+        return None

@@ -5,12 +5,10 @@ What a file does not warrant is not allocated: its length must be the one that i
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
 import struct
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +16,15 @@ import numpy as np
 
 from polishd.api import BadMap, SurfaceMap, SurfaceReader
 from polishd.model.surface import FloatArray
+from polishd.plugins.interferometer.formats.common import MOST_BYTES, require_optics, require_size, sha256_of, time_of
 
 NAME = "metropro"
-VERSION = 1
+VERSION = 2
 HEADER_BYTES = {b"\x88\x1b\x03\x6f": 834, b"\x88\x1b\x03\x70": 834, b"\x88\x1b\x03\x71": 4096}
 RESOLUTION = {0: 4096, 1: 32768, 2: 131072}
 MISSING = 2147483640
-MOST_SAMPLES = 64_000_000
-MOST_BYTES = 2**30
+MOST_FIDUCIALS = 7
+NOT_CALIBRATED = "CameraRes is 0: the instrument was not calibrated, the map has no lateral scale"
 ZERO_TAIL = 4
 """So many samples of exactly zero at the very end are not measured: the file was preallocated."""
 
@@ -49,6 +48,8 @@ class Header:
     system: int
     part: str
     serial: str
+    fiducials: tuple[float, ...]
+    """x, y, x, y ... of up to seven marks, on the camera."""
 
     @property
     def file_bytes(self) -> int:
@@ -79,18 +80,22 @@ def read(path: Path) -> SurfaceMap:
         raise BadMap(f"{path}: cannot be read: {error.strerror}") from error
     _check_length(path, header, len(content))
     height_nm = _height_nm(path, header, content)
-    pitch_mm, warnings = _pitch_mm(path, header)
+    pitch, warnings = pitch_mm(path, header.camera_res_m)
+    fiducials, odd = _fiducials_px(header)
     return SurfaceMap(
         height_nm=height_nm,
-        pitch_mm=pitch_mm,
+        pitch_mm=pitch,
         part_id=header.serial or header.part,
         instrument=f"Zygo MetroPro, system {header.system}",
-        taken_at=datetime.fromtimestamp(header.timestamp, UTC) if header.timestamp > 0 else None,
-        sha256=hashlib.sha256(content).hexdigest(),
+        taken_at=time_of(header.timestamp),
+        sha256=sha256_of(content),
         path=path,
         format=NAME,
         factors=_factors(header),
-        warnings=warnings,
+        warnings=warnings + odd,
+        unsaid=frozenset({"pitch"}) if pitch is None else frozenset(),
+        fiducials_px=fiducials,
+        reader_version=VERSION,
     )
 
 
@@ -124,6 +129,7 @@ def _header(path: Path, head: bytes) -> Header:
         system=struct.unpack_from(">H", head, 242)[0],
         part=_text(head[258:298]),
         serial=_text(head[320:360]),
+        fiducials=_marks(head),
     )
     _check_fields(path, header)
     return header
@@ -133,24 +139,28 @@ def _text(field: bytes) -> str:
     return field.partition(b"\0")[0].decode("latin-1").strip()
 
 
+def _marks(head: bytes) -> tuple[float, ...]:
+    (count,) = struct.unpack_from(">h", head, 428)
+    return struct.unpack_from(f">{2 * count}f", head, 430) if 0 < count <= MOST_FIDUCIALS else ()
+
+
+def _fiducials_px(header: Header) -> tuple[tuple[tuple[float, float], ...], tuple[str, ...]]:
+    """(row, column) of the marks in the phase block, or none and a warning where one lies outside it."""
+    x0, y0 = header.origin
+    marks = tuple((y - y0, x - x0) for x, y in zip(header.fiducials[::2], header.fiducials[1::2], strict=True))
+    if all(-0.5 <= row <= header.rows - 0.5 and -0.5 <= column <= header.columns - 0.5 for row, column in marks):
+        return marks, ()
+    return (), (f"its {len(marks)} fiducials are not used: they do not all lie on the map",)
+
+
 def _check_fields(path: Path, header: Header) -> None:
-    samples = header.columns * header.rows
-    if samples == 0:
-        raise BadMap(f"{path}: has no phase data ({header.rows} rows x {header.columns} columns)")
-    if samples > MOST_SAMPLES:
-        raise BadMap(f"{path}: {header.rows} rows x {header.columns} columns is no interferometer's camera")
+    require_size(path, header.rows, header.columns)
     if header.file_bytes > MOST_BYTES:
         raise BadMap(f"{path}: its header asks for {header.file_bytes} bytes, more than {MOST_BYTES}")
     if header.resolution not in RESOLUTION:
         raise BadMap(f"{path}: PhaseRes is {header.resolution}, not 0, 1 or 2: the height's scale is not known")
-    ranges = {
-        "IntfScaleFactor": (header.scale, 0.01, 100.0),
-        "Wavelength (m)": (header.wavelength_m, 1e-7, 2e-5),
-        "Obliquity": (header.obliquity, 0.01, 100.0),
-    }
-    for name, (value, low, high) in ranges.items():
-        if not low <= value <= high:
-            raise BadMap(f"{path}: {name} is {value:g}, outside {low:g} to {high:g}: the height's scale is not known")
+    optics = {"IntfScaleFactor": header.scale, "Wavelength (m)": header.wavelength_m, "Obliquity": header.obliquity}
+    require_optics(path, optics)
 
 
 def _check_length(path: Path, header: Header, size: int) -> None:
@@ -172,10 +182,10 @@ def _height_nm(path: Path, header: Header, content: bytes) -> FloatArray:
     return height_nm.reshape(header.rows, header.columns)
 
 
-def _pitch_mm(path: Path, header: Header) -> tuple[float | None, tuple[str, ...]]:
-    metres = header.camera_res_m
+def pitch_mm(path: Path, metres: float) -> tuple[float | None, tuple[str, ...]]:
+    """Pitch of a CameraRes in m a pixel, and warnings; None where the instrument was not calibrated (0)."""
     if metres == 0:
-        return None, ("CameraRes is 0: the instrument was not calibrated, the map has no lateral scale",)
+        return None, (NOT_CALIBRATED,)
     if not (math.isfinite(metres) and 1e-8 <= metres <= 0.1):
         raise BadMap(f"{path}: CameraRes is {metres:g} m a pixel")
     return metres * 1e3, ()
@@ -183,7 +193,6 @@ def _pitch_mm(path: Path, header: Header) -> tuple[float | None, tuple[str, ...]
 
 def _factors(header: Header) -> dict[str, Any]:
     return {
-        "reader_version": VERSION,
         "scale": header.scale,
         "wavelength_nm": header.wavelength_m * 1e9,
         "obliquity": header.obliquity,
@@ -194,4 +203,10 @@ def _factors(header: Header) -> dict[str, Any]:
     }
 
 
-METROPRO = SurfaceReader(name=NAME, sniff=sniff, read=read)
+def _write(surface: SurfaceMap) -> bytes:
+    from polishd.plugins.interferometer.formats.metropro_writer import write
+
+    return write(surface)
+
+
+METROPRO = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=(".dat",), write=_write)

@@ -1,0 +1,141 @@
+"""CODE V interferogram files of grid data (``.int``): a title, one line of parameters, integers row by row.
+
+Sources: the format as reference/metrology gives it, and prysm's reader, which divides by the wavelength instead of
+multiplying. The file gives no lateral size.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.plugins.interferometer.formats.common import (
+    content_of,
+    require_data,
+    require_optics,
+    require_size,
+    sha256_of,
+)
+from polishd.plugins.interferometer.formats.numbers import block
+
+NAME = "codev"
+VERSION = 1
+MISSING = 32767
+"""Of files that state no ``NDA``."""
+HEADER_LINES = 100
+"""So many lines of comments, title and parameters are looked through."""
+GRID = re.compile(rb"^[ \t]*GRD[ \t]+\d+[ \t]+\d+[ \t]", re.IGNORECASE | re.MULTILINE)
+COMMENT = re.compile(rb"^[ \t]*![^\n]*\n?", re.MULTILINE)
+WITH_NUMBER = {"WVL", "SSZ", "NDA", "XSC"}
+NO_PITCH = "a CODE V file has no lateral scale"
+WAVEFRONT = "holds a wavefront (WFR), shown as it is: half of it is surface only in reflection at normal incidence"
+
+
+@dataclass(slots=True)
+class Header:
+    """The line of parameters."""
+
+    rows: int = 0
+    columns: int = 0
+    kind: str = ""
+    number: dict[str, float] = field(default_factory=dict)
+
+
+def sniff(head: bytes, path: Path) -> bool:
+    """True where a line starts like a grid's parameters, or for a text called ``.int``."""
+    return b"\0" not in head and (GRID.search(head) is not None or path.suffix.lower() == ".int")
+
+
+def read(path: Path) -> SurfaceMap:
+    """Read a grid of surface or wavefront values. BadMap for whatever is torn, of another kind, or out of range."""
+    content = content_of(path)
+    line, start = _parameters(path, content)
+    header = _header(path, line)
+    require_size(path, header.rows, header.columns, (len(content) - start + 1) / 2)  # a digit and a blank each
+    body = COMMENT.sub(b"", content[start:]) if content.find(b"!", start) >= 0 else content
+    span = (start, len(content)) if body is content else (0, len(body))
+    values = block(path, body, span, (header.rows, header.columns))
+    nm = header.number["WVL"] * 1e3 / header.number["SSZ"]
+    missing = values == header.number.get("NDA", MISSING)
+    values *= nm
+    values[missing] = np.nan
+    warnings, unsaid = _unsaid(header)
+    return SurfaceMap(
+        height_nm=require_data(path, values),
+        pitch_mm=None,
+        sha256=sha256_of(content),
+        path=path,
+        format=NAME,
+        factors={"nm_per_count": nm, "kind": header.kind, "x_over_y": header.number.get("XSC", 1.0)},
+        warnings=warnings,
+        unsaid=unsaid,
+        orientation="the file's first row is the top (it does not say: prove it with an artefact)",
+        reader_version=VERSION,
+    )
+
+
+def _parameters(path: Path, content: bytes) -> tuple[bytes, int]:
+    """The parameters' line, continuations ("&") joined, and where the values start."""
+    start, line = 0, b""
+    for _ in range(HEADER_LINES):
+        end = content.find(b"\n", start)
+        if end < 0:
+            break
+        text = content[start:end].strip()
+        start = end + 1
+        if text.startswith(b"!"):
+            continue
+        line = line.removesuffix(b"&") + b" " + text if line.endswith(b"&") else text
+        word = line.upper().split(None, 1)[:1]
+        if word in ([b"ZFR"], [b"ZRN"]):
+            raise BadMap(f"{path}: holds Zernike coefficients, not a grid: write it out of CODE V as GRD")
+        if word == [b"GRD"] and GRID.match(line + b" ") and not line.endswith(b"&"):
+            return line, start
+    raise BadMap(f"{path}: no CODE V grid: no line 'GRD columns rows SUR|WFR WVL um SSZ counts' at its start")
+
+
+def _header(path: Path, line: bytes) -> Header:
+    words = line.decode("latin-1").upper().split()
+    header = Header(columns=int(words[1]), rows=int(words[2]))
+    rest = iter(words[3:])
+    for word in rest:
+        if word in ("SUR", "WFR") and not header.kind:
+            header.kind = word
+        elif word in WITH_NUMBER and word not in header.number:
+            header.number[word] = _number(path, word, next(rest, ""))
+        elif word != "NNB":  # nearest neighbour: how CODE V interpolates
+            raise BadMap(f"{path}: {word!r} in its parameters is not known, or stands there twice")
+    if not header.kind or not {"WVL", "SSZ"} <= header.number.keys():
+        raise BadMap(f"{path}: needs SUR or WFR, WVL and SSZ in its parameters, and has {' '.join(words[3:])!r}")
+    require_optics(path, {"Wavelength (m)": header.number["WVL"] / 1e6})
+    if not 1e-3 <= header.number["SSZ"] <= 1e12:
+        raise BadMap(f"{path}: SSZ is {header.number['SSZ']:g} counts a wave: the height's scale is not known")
+    return header
+
+
+def _number(path: Path, word: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value) or (word == "XSC" and value <= 0):
+        raise BadMap(f"{path}: {word} is {text!r} in its parameters")
+    return value
+
+
+def _unsaid(header: Header) -> tuple[tuple[str, ...], frozenset[str]]:
+    warnings, unsaid = [NO_PITCH], {"pitch"}
+    if header.kind == "WFR":
+        warnings.append(WAVEFRONT)
+        unsaid.add("surface")
+    if header.number.get("XSC", 1.0) != 1.0:
+        warnings.append(f"XSC is {header.number['XSC']:g}: its pixels are not square")
+        unsaid.add("square pixels")
+    return tuple(warnings), frozenset(unsaid)
+
+
+CODEV = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=(".int",))

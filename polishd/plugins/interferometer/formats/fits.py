@@ -1,0 +1,118 @@
+"""FITS images through astropy: the primary array, or the first image extension, of two dimensions.
+
+FITS counts rows from the bottom as displayed, so they are turned. What the numbers are (surface or wavefront) and how
+the part lay, no keyword of the standard says: that is left to the instrument's profile.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.model.surface import FloatArray
+from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, sha256_of
+from polishd.plugins.interferometer.formats.library import extra, parsing
+from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
+
+NAME = "fits"
+VERSION = 1
+BITPIX = (8, 16, 32, 64, -32, -64)
+MOST_EXTENSIONS = 64
+
+
+def sniff(head: bytes, path: Path) -> bool:  # noqa: ARG001  a reader may also judge by name
+    """True where the file starts with FITS' first keyword."""
+    return head.startswith(b"SIMPLE  =")
+
+
+def read(path: Path) -> SurfaceMap:
+    """Read the first image. BadMap without astropy, for torn files, tables, cubes and compressed images."""
+    fits = extra(path, "astropy.io.fits", "fits")
+    content = content_of(path)
+    if not content.startswith(b"SIMPLE  ="):
+        raise BadMap(f"{path}: no FITS file: it starts with {content[:9]!r}")
+    with parsing(path, "astropy"):
+        options = {"memmap": False, "lazy_load_hdus": True, "disable_image_compression": True}
+        with fits.open(io.BytesIO(content), do_not_scale_image_data=True, **options) as hdus:
+            hdu = _image(path, hdus)
+            header = hdu.header
+            _check_size(path, hdu, len(content))
+            height = height_unit(str(header.get("BUNIT", "")))
+            lateral = _pitch(path, header)
+            height_nm, factors = _scaled(path, header, hdu.data)
+    height_nm *= height.nm
+    height_nm[np.isinf(height_nm)] = np.inf  # both signs alike: refused below
+    return SurfaceMap(
+        height_nm=checked(path, height_nm),
+        pitch_mm=lateral.mm,
+        part_id=str(header.get("OBJECT", "")).strip(),
+        instrument=str(header.get("INSTRUME", "")).strip(),
+        sha256=sha256_of(content),
+        path=path,
+        format=NAME,
+        factors=factors | {"nm_per_unit": height.nm},
+        warnings=(*height.warnings, *lateral.warnings, "the file does not say that this is a surface"),
+        unsaid=height.unsaid | lateral.unsaid | {"surface", "orientation"},
+        orientation="rows turned upside down: FITS counts them from the bottom",
+        reader_version=VERSION,
+    )
+
+
+def _image(path: Path, hdus: Any) -> Any:
+    """The first header-and-data unit that is an image with data."""
+    for number, hdu in enumerate(hdus):
+        if number == MOST_EXTENSIONS:
+            break
+        header = hdu.header
+        if header.get("NAXIS", 0) > 0 and header.get("XTENSION", "IMAGE").strip() == "IMAGE":
+            if header["NAXIS"] != 2 or header.get("GROUPS") is True:
+                raise BadMap(f"{path}: its image has {header['NAXIS']} axes, not two")
+            return hdu
+    raise BadMap(f"{path}: holds no image (tables and compressed images are none)")
+
+
+def _check_size(path: Path, hdu: Any, length: int) -> None:
+    """Refuse what states more samples than the file holds, before anything is allocated."""
+    header = hdu.header
+    columns, rows, bits = header["NAXIS1"], header["NAXIS2"], header["BITPIX"]
+    if bits not in BITPIX or not all(isinstance(side, int) and side > 0 for side in (columns, rows)):
+        raise BadMap(f"{path}: BITPIX {bits}, {rows} rows x {columns} columns: no image")
+    offset = int(hdu.fileinfo()["datLoc"])
+    if rows * columns > MOST_SAMPLES or offset + rows * columns * abs(bits) // 8 > length:
+        raise BadMap(f"{path}: {rows} x {columns} samples do not fit into {length} bytes: torn, or still being written")
+
+
+def _scaled(path: Path, header: Any, data: Any) -> tuple[FloatArray, dict[str, Any]]:
+    """BZERO + BSCALE x value, BLANK as NaN, rows turned: in float64, where astropy would take float32."""
+    scale, zero = float(header.get("BSCALE", 1.0)), float(header.get("BZERO", 0.0))
+    if not (math.isfinite(scale) and math.isfinite(zero) and scale != 0):
+        raise BadMap(f"{path}: BSCALE {scale:g} and BZERO {zero:g}: the height's scale is not known")
+    raw = np.asarray(data)[::-1]
+    values = np.array(raw, dtype=np.float64, order="C")
+    blank = header.get("BLANK")
+    if raw.dtype.kind in "iu" and isinstance(blank, int):
+        values[raw == blank] = np.nan
+    values *= scale
+    values += zero
+    return values, {"bscale": scale, "bzero": zero}
+
+
+def _pitch(path: Path, header: Any) -> Pitch:
+    """Pitch of CDELTn or CDn_n where CUNITn is a length; turned axes are refused."""
+    turned = [name for name in ("CD1_2", "CD2_1", "PC1_2", "PC2_1", "CROTA2") if header.get(name, 0)]
+    if turned:
+        raise BadMap(f"{path}: {turned[0]} turns its axes: write it along the rows and columns")
+    steps = [header.get(f"CD{axis}_{axis}", header.get(f"CDELT{axis}")) for axis in (1, 2)]
+    units = [nm_per(str(header.get(f"CUNIT{axis}", ""))) for axis in (1, 2)]
+    if not all(isinstance(step, int | float) for step in steps) or None in units:
+        return NO_PITCH
+    x_mm, y_mm = (abs(float(step)) * (unit or 0.0) / 1e6 for step, unit in zip(steps, units, strict=True))
+    return pitch(path, x_mm, y_mm)
+
+
+FITS = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=(".fits", ".fit", ".fts"))

@@ -1,0 +1,145 @@
+"""4D Technology ``.h5``: waves in ``/measurement0/genraw/data``, and attributes that are texts with units.
+
+``wedge`` is the factor from waves of the wavefront to waves of the surface: 0.5 in reflection, 1.0 where the data are
+surface already. Public readers leave it out.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.plugins.interferometer.formats import hdf5
+from polishd.plugins.interferometer.formats.common import content_of, require_data, require_optics, sha256_of
+from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, nm_per, pitch
+
+NAME = "4d"
+VERSION = 1
+GENRAW = "/measurement0/genraw"
+MISSING = 1e37
+WITH_UNIT = re.compile(r"([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(.*)", re.DOTALL)
+NO_WEDGE = "has no wedge factor: shown as if its waves were of the surface, and they may be of the wavefront"
+ODD_FIDUCIALS = "its fiducials are not used: they are not pairs of x and y on the map"
+PARTS = ("part_serial", "part_id", "part", "partname", "part_name", "serial_number")
+
+
+class Measure(NamedTuple):
+    """A number and the word after it."""
+
+    value: float
+    unit: str
+
+
+def sniff(head: bytes, path: Path) -> bool:
+    """True for an HDF5 file with 4D's first measurement."""
+    return hdf5.holds(head, path, ".h5", "measurement0")
+
+
+def read(path: Path) -> SurfaceMap:
+    """Read a map. BadMap for whatever is torn, linked elsewhere, or without a wavelength; no wedge is ``unsaid``."""
+    content = content_of(path)
+    with hdf5.opened(path, content) as file:
+        data = hdf5.member(path, file, f"{GENRAW}/data")
+        if data is None:
+            raise BadMap(f"{path}: has no {GENRAW}/data")
+        nodes = [data, hdf5.member(path, file, GENRAW), hdf5.member(path, file, "/measurement0"), file]
+        waves = hdf5.samples(path, data, content)
+        wavelength_nm = _wavelength_nm(path, nodes)
+        wedge = _wedge(path, nodes)
+        scale = _pitch(path, nodes)
+        fiducials, odd = _fiducials(path, nodes, waves.shape)
+        part = next((found for found in (_text(path, nodes, name) for name in PARTS) if found), "")
+        instrument = _text(path, nodes, "instrument")
+    waves[~(np.abs(waves) < MISSING)] = np.nan
+    waves *= wavelength_nm * (1.0 if wedge is None else wedge)
+    return SurfaceMap(
+        height_nm=require_data(path, waves),
+        pitch_mm=scale.mm,
+        part_id=part,
+        instrument=f"4D {instrument}".strip(),
+        sha256=sha256_of(content),
+        path=path,
+        format=NAME,
+        factors={"wavelength_nm": wavelength_nm, "wedge": wedge},
+        warnings=scale.warnings + odd + (() if wedge else (NO_WEDGE,)),
+        unsaid=scale.unsaid | (frozenset() if wedge else frozenset({"surface"})),
+        fiducials_px=fiducials,
+        reader_version=VERSION,
+    )
+
+
+def _text(path: Path, nodes: list[Any], name: str) -> str:
+    return next((found for node in nodes if node is not None and (found := hdf5.text(path, node, name))), "")
+
+
+def _measure(path: Path, nodes: list[Any], name: str) -> Measure | None:
+    """A number and its unit ("632.8 nm"), or None where it is absent or empty; BadMap where it is no number."""
+    text = _text(path, nodes, name)
+    if not text:
+        return None
+    found = WITH_UNIT.fullmatch(text)
+    try:
+        value = float(found[1]) if found else np.nan
+    except ValueError:
+        value = np.nan
+    if found is None or not np.isfinite(value):
+        raise BadMap(f"{path}: its {name} is {text!r}, not a number with a unit")
+    return Measure(value, found[2].strip())
+
+
+def _wavelength_nm(path: Path, nodes: list[Any]) -> float:
+    found = _measure(path, nodes, "wavelength")
+    if found is None:
+        raise BadMap(f"{path}: is in waves and does not say its wavelength")
+    factor = nm_per(found.unit)
+    if factor is None:
+        raise BadMap(f"{path}: its wavelength is {found.value:g} {found.unit or '(no unit)'}: the unit is not known")
+    require_optics(path, {"Wavelength (m)": found.value * factor / 1e9})
+    return found.value * factor
+
+
+def _wedge(path: Path, nodes: list[Any]) -> float | None:
+    found = _measure(path, nodes, "wedge")
+    if found is None:
+        return None
+    require_optics(path, {"IntfScaleFactor": found.value})
+    return found.value
+
+
+def _pitch(path: Path, nodes: list[Any]) -> Pitch:
+    """From ``xpix`` and ``ypix``, where they are lengths; pixels, 0 or nothing: no lateral scale."""
+    sides = [found for name in ("xpix", "ypix") if (found := _measure(path, nodes, name))]
+    factors = [nm_per(side.unit.partition("/")[0]) for side in sides]
+    lengths = [side.value * factor / 1e6 for side, factor in zip(sides, factors, strict=True) if factor]
+    if not any(lengths) or len(lengths) < len(sides):
+        return NO_PITCH
+    return pitch(path, lengths[0], lengths[-1])
+
+
+def _fiducials(
+    path: Path, nodes: list[Any], shape: tuple[int, ...]
+) -> tuple[tuple[tuple[float, float], ...], tuple[str, ...]]:
+    """(row, column) of the marks, listed as x, y; none and a warning where they are not that."""
+    value = next((found for node in nodes if (found := _listed(path, node)) is not None), None)
+    if value is None:
+        return (), ()
+    marks = tuple((float(y), float(x)) for x, y in value.reshape(-1, 2)) if value.size % 2 == 0 else ()
+    on_map = all(-0.5 <= row <= shape[0] - 0.5 and -0.5 <= column <= shape[1] - 0.5 for row, column in marks)
+    return (marks, ()) if marks and on_map else ((), (ODD_FIDUCIALS,))
+
+
+def _listed(path: Path, node: Any) -> Any:
+    value = hdf5.attribute(path, node, "fiducials") if node is not None else None
+    if value is None or (np.asarray(value).dtype.kind not in "fiu" and not hdf5.text(path, node, "fiducials")):
+        return None
+    if np.asarray(value).dtype.kind in "fiu":
+        return np.asarray(value, dtype=np.float64).ravel()
+    words = re.findall(r"[-+]?\d+(?:\.\d+)?", hdf5.text(path, node, "fiducials"))
+    return np.array(words or [np.nan], dtype=np.float64)
+
+
+FOURD = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=(".h5",))

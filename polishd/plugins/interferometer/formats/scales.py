@@ -1,0 +1,102 @@
+"""Units of heights and pitches, and what is said of a map whose file leaves them open."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from polishd.api import BadMap
+from polishd.model.surface import FloatArray
+from polishd.plugins.interferometer.formats.common import require_data
+
+NM_PER = {
+    "m": 1e9,
+    "meter": 1e9,
+    "metre": 1e9,
+    "cm": 1e7,
+    "mm": 1e6,
+    "millimeter": 1e6,
+    "millimetre": 1e6,
+    "um": 1e3,
+    "micrometer": 1e3,
+    "micrometre": 1e3,
+    "micron": 1e3,
+    "nm": 1.0,
+    "nanometer": 1.0,
+    "nanometre": 1.0,
+    "angstrom": 0.1,
+    "pm": 1e-3,
+    "in": 2.54e7,
+    "inch": 2.54e7,
+}
+SQUARE_WITHIN = 1e-3
+"""Relative difference of the pitches in x and y that still counts as square pixels."""
+PITCH_MM = (1e-7, 1e3)
+MOST_NM = 1e12
+"""A kilometre: what is higher is no height, but a marker of missing data that the file does not declare."""
+
+
+class Pitch(NamedTuple):
+    """A pitch, or None; what to warn of; what the file leaves to the profile."""
+
+    mm: float | None
+    warnings: tuple[str, ...] = ()
+    unsaid: frozenset[str] = frozenset()
+
+
+class HeightUnit(NamedTuple):
+    """How many nm a unit of height is; what to warn of; what the file leaves to the profile."""
+
+    nm: float
+    warnings: tuple[str, ...] = ()
+    unsaid: frozenset[str] = frozenset()
+
+
+NO_PITCH = Pitch(None, ("the file gives no lateral scale",), frozenset({"pitch"}))
+
+
+def nm_per(unit: str) -> float | None:
+    """How many nm the unit is, by its usual names; None where it is none of length or not known."""
+    name = unit.strip().strip("[]()").replace("\N{MICRO SIGN}", "u").replace("\N{GREEK SMALL LETTER MU}", "u")
+    if name in {"\N{LATIN CAPITAL LETTER A WITH RING ABOVE}", "A", "\N{ANGSTROM SIGN}"}:
+        return NM_PER["angstrom"]
+    known = NM_PER.get(name)  # as it is first: Mm is no mm
+    if known is None and len(name) > 2:
+        known = NM_PER.get(name.lower()) or NM_PER.get(name.lower().removesuffix("s"))
+    return known
+
+
+def height_unit(unit: str) -> HeightUnit:
+    """The unit of heights. One that is not known, or none: 1.0, a warning, and "unit" is left to the profile."""
+    factor = nm_per(unit)
+    if factor is not None:
+        return HeightUnit(factor)
+    found = f"the unit of heights, {unit.strip()!r}, is not known" if unit.strip() else "the heights have no unit"
+    return HeightUnit(1.0, (f"{found}: shown as if nm",), frozenset({"unit"}))
+
+
+def pitch(path: Path, x_mm: float, y_mm: float) -> Pitch:
+    """The one pitch of square pixels. BadMap where either is no length.
+
+    Pixels that are not square can be shown, but have no pitch: no profile mends that, so "square pixels" is unsaid.
+    """
+    low, high = PITCH_MM
+    for axis, value in (("x", x_mm), ("y", y_mm)):
+        if not (math.isfinite(value) and low <= value <= high):
+            raise BadMap(f"{path}: the pitch in {axis} is {value:g} mm, outside {low:g} to {high:g}")
+    if abs(x_mm - y_mm) > SQUARE_WITHIN * max(x_mm, y_mm):
+        warning = f"pixels are {x_mm:.6g} mm wide and {y_mm:.6g} mm high: not square, so the map has no pitch"
+        return Pitch(None, (warning,), frozenset({"square pixels"}))
+    return Pitch((x_mm + y_mm) / 2)
+
+
+def checked(path: Path, height_nm: FloatArray) -> FloatArray:
+    """The heights, where ``require_data`` takes them and none is beyond belief; BadMap otherwise."""
+    require_data(path, height_nm)
+    worst = float(max(np.nanmax(height_nm), -np.nanmin(height_nm)))
+    if worst > MOST_NM:
+        raise BadMap(f"{path}: has heights of {worst:g} nm: a marker of missing data that the file does not declare?")
+    return height_nm

@@ -1,0 +1,73 @@
+"""SDF (ISO 25178-71, ASCII and binary) through sdfio; heights and scales are metres.
+
+The standard's coordinates are right-handed with y growing along the rows, so the first row is the lowest: it is turned
+(BCR files, which list them from the top, are brought to the same order by sdfio).
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from pathlib import Path
+
+import numpy as np
+
+from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.plugins.interferometer.formats.common import content_of, sha256_of
+from polishd.plugins.interferometer.formats.library import parsing
+from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, pitch
+from polishd.plugins.interferometer.formats.x3p import TURNED
+
+NAME = "sdf"
+VERSION = 1
+MAGIC = (b"AISO-", b"BISO-", b"ABCR-", b"BBCR-")
+MOST_ASCII_BYTES = 2**26
+MARKER = 1e37
+"""Counts beyond this are the largest number of a floating type, not heights."""
+
+
+def sniff(head: bytes, path: Path) -> bool:  # noqa: ARG001  a reader may also judge by name
+    """True where the file starts with the magic of ISO 25178-71 or of its forerunner."""
+    return head.removeprefix(b"\xef\xbb\xbf")[:5].upper() in MAGIC
+
+
+def read(path: Path) -> SurfaceMap:
+    """Read a surface. BadMap for profiles, for whatever is torn, and for scales that are no number."""
+    import sdfio
+
+    content = content_of(path)
+    if content[:1] in b"aA\xef" and len(content) > MOST_ASCII_BYTES:
+        raise BadMap(f"{path}: more than {MOST_ASCII_BYTES} bytes of ASCII: write it as binary SDF")
+    with parsing(path, "sdfio"):
+        file = sdfio.read(io.BytesIO(content))
+    header = file.header
+    if not (math.isfinite(header.z_scale) and header.z_scale > 0):
+        raise BadMap(f"{path}: Zscale is {header.z_scale:g}: the height's scale is not known")
+    if min(file.data.shape) < 2:
+        raise BadMap(f"{path}: holds a profile of {file.data.size} points, not a surface")
+    with np.errstate(over="ignore", invalid="ignore"):
+        # ISO marks with a type's minimum, its forerunner with the maximum, and writers mix them up
+        marked = (np.abs(file.data) > MARKER * header.z_scale) & np.isfinite(file.data)
+        height_nm = np.where(marked, np.nan, file.data)[::-1] * 1e9
+    scale = _pitch(path, header.x_scale, header.y_scale)
+    return SurfaceMap(
+        height_nm=checked(path, height_nm),
+        pitch_mm=scale.mm,
+        instrument=header.manufacturer_id.strip(),
+        taken_at=header.create_date,
+        sha256=sha256_of(content),
+        path=path,
+        format=NAME,
+        factors={"nm_per_unit": 1e9, "z_scale": header.z_scale},
+        warnings=scale.warnings,
+        unsaid=scale.unsaid,
+        orientation=TURNED,
+        reader_version=VERSION,
+    )
+
+
+def _pitch(path: Path, x_m: float, y_m: float) -> Pitch:
+    return NO_PITCH if x_m == 0 and y_m == 0 else pitch(path, x_m * 1e3, y_m * 1e3)
+
+
+SDF = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=(".sdf",))

@@ -1,0 +1,103 @@
+"""Zygo XYZ data files: the header of Zygo's ASCII files, then a line ``column row height_um`` for each pixel.
+
+The heights are micrometres of surface: sign, scale and obliquity are already in them. Columns and rows count on the
+camera, from the phase frame's corner, or from 0.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.model.surface import FloatArray
+from polishd.plugins.interferometer.formats.common import content_of, require_data, sha256_of
+from polishd.plugins.interferometer.formats.numbers import floats, pieces
+from polishd.plugins.interferometer.formats.zygo_text import HASH, Header, header_of
+
+NAME = "zygo_xyz"
+VERSION = 1
+MAGIC = b"Zygo XYZ Data File"
+NO_DATA = b"No Data"
+NM_PER_UM = 1e3
+SIGNED = "its header says an inverted sign, and the heights are taken as they stand: the program that wrote them did it"
+
+
+def sniff(head: bytes, path: Path) -> bool:  # noqa: ARG001  a reader may also judge by name
+    """True where the first line is the format's name."""
+    return head.lstrip().startswith(MAGIC)
+
+
+def read(path: Path) -> SurfaceMap:
+    """Read a map: each pixel must be listed exactly once. BadMap for whatever is torn, broken or absurd."""
+    content = content_of(path)
+    if not sniff(content[:4096], path):
+        raise BadMap(f"{path}: no Zygo XYZ file: its first line is not '{MAGIC.decode()} ...'")
+    header = header_of(path, content, smallest=6)
+    height_nm = _heights_um(path, content, header) * NM_PER_UM
+    common: dict[str, Any] = header.common(path)
+    if header.sign:
+        common["warnings"] = (*common["warnings"], SIGNED)
+    return SurfaceMap(
+        height_nm=require_data(path, height_nm),
+        sha256=sha256_of(content),
+        format=NAME,
+        factors={"nm_per_unit": NM_PER_UM, "origin_px": header.origin},
+        reader_version=VERSION,
+        **common,
+    )
+
+
+def _end(path: Path, content: bytes, start: int) -> int:
+    """Where the lines end: at a line of ``#`` with nothing after it, or at the end of a whole line."""
+    mark = HASH.search(content, start)
+    if mark is None:
+        if not content.endswith(b"\n"):
+            raise BadMap(f"{path}: ends inside a line: torn, or still being written")
+        return len(content)
+    if content[mark.end() :].strip():
+        raise BadMap(f"{path}: something follows the end of its points: {content[mark.end() :].strip()[:20]!r}")
+    return mark.start()
+
+
+def _heights_um(path: Path, content: bytes, header: Header) -> FloatArray:
+    grid = np.full(header.rows * header.columns, np.nan)
+    seen = np.zeros(grid.size, dtype=np.bool_)
+    corner: tuple[int, int] | None = None
+    count = 0
+    for piece in pieces(path, content, (header.end, _end(path, content, header.end)), (b"\n",)):
+        points = _points(path, piece)
+        if corner is None and len(points):
+            corner = _corner(path, points[0], header)
+        column, row = points[:, 0] - (corner or (0, 0))[0], points[:, 1] - (corner or (0, 0))[1]
+        inside = (column >= 0) & (column < header.columns) & (row >= 0) & (row < header.rows)
+        if not (inside & (column == np.trunc(column)) & (row == np.trunc(row))).all():
+            raise BadMap(f"{path}: a point lies outside its {header.rows} rows x {header.columns} columns")
+        index = (row * header.columns + column).astype(np.intp)
+        grid[index] = points[:, 2]
+        seen[index] = True
+        count += len(points)
+    if count != grid.size or not seen.all():
+        raise BadMap(f"{path}: lists {count} points, {np.count_nonzero(seen)} of {grid.size} pixels: torn, or doubled")
+    return grid.reshape(header.rows, header.columns)
+
+
+def _points(path: Path, piece: bytes) -> FloatArray:
+    """(n, 3) of a piece's lines, NaN where there is no data; every line must be one point."""
+    text = piece.replace(NO_DATA, b"nan")
+    if b"nan" in piece or any(len(line.split()) not in (0, 3) for line in text.split(b"\n")):
+        raise BadMap(f"{path}: a line is not 'column row height'")
+    return floats(path, text, but=b"na").reshape(-1, 3)
+
+
+def _corner(path: Path, first: FloatArray, header: Header) -> tuple[int, int]:
+    """What columns and rows count from, by the first point, which is a corner of the frame."""
+    for x, y in (header.origin, (0, 0)):
+        if first[0] in (x, x + header.columns - 1) and first[1] in (y, y + header.rows - 1):
+            return x, y
+    raise BadMap(f"{path}: its first point ({first[0]:g}, {first[1]:g}) is no corner of its phase frame")
+
+
+ZYGO_XYZ = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=(".xyz",))
