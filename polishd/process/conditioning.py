@@ -11,11 +11,13 @@ from scipy.sparse.linalg import spsolve
 from polishd.model.errors import BadMap, WrongPart
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
 from polishd.process.metrics import polynomial
+from polishd.process.metrics.spread import power
+from polishd.process.registration.record import Registration
+from polishd.process.registration.resampling import resample_registered
+from polishd.process.spikes import without_islands, without_spikes
 
 MARGIN_MM = 5.0
 """How far the process grid reaches beyond the aperture: where the path turns."""
-COVERED = 0.5
-"""Share of a cell's area that must have data for the cell to be valid."""
 MOST_DATA = 1.6
 """Area with data, relative to the aperture's, beyond which a map shows another part (a full square frame has 1.27)."""
 MIN_SAMPLES = 100
@@ -38,6 +40,8 @@ class Conditioned:
     """(ny, nx) the same within the clear aperture: the aperture, and the part as the map shows it, less the edge."""
     filled: int
     """Samples of ``solve_mask`` that had no data in this map."""
+    spikes: int = 0
+    """Samples of the map that stood off its surface and were taken out with their neighbours."""
 
 
 def condition(
@@ -49,8 +53,12 @@ def condition(
     masks: tuple[BoolArray, BoolArray] | None = None,
     tilt: bool = False,
     margin_mm: float = MARGIN_MM,
+    registration: Registration | None = None,
+    spike_mads: float | None = None,
+    without_power: bool = False,
+    nominal_nm: FloatArray | None = None,
 ) -> Conditioned:
-    """Bring a map onto the process grid. The centre of the map's array is the part's centre.
+    """Bring a map onto the process grid.
 
     Args:
         surface: the map as its reader gave it.
@@ -60,6 +68,11 @@ def condition(
         masks: ``(solve_mask, metric_mask)`` of an earlier map, to be kept; None for the first map.
         tilt: whether tilt is alignment, to be removed as piston always is, or figure, to be polished.
         margin_mm: reach of the grid beyond the aperture.
+        registration: where the part lies in the map; None: its centre is the centre of the map's array.
+        spike_mads: how far off the Zernike fit a sample is a spike, see `without_spikes`, which also drops islands of
+            data beside the part; None leaves both.
+        without_power: whether power is removed with piston and tilt.
+        nominal_nm: (ny, nx) on the process grid, the form wanted, to be taken off; None for none.
 
     Raises:
         BadMap: no lateral scale, no data, a map smaller than the aperture, too few samples or too many holes in it,
@@ -68,7 +81,8 @@ def condition(
     """
     _check(surface, aperture_mm)
     grid = process_grid(aperture_mm, grid_mm, margin_mm)
-    raw = resample(surface.height_nm, surface.grid, grid)
+    measured, spikes = _cleaned(surface.height_nm, spike_mads)
+    raw = resample_registered(measured, surface.grid, grid, registration)
     radius = grid.radius_mm()
     aperture = radius <= aperture_mm / 2
     clear = (radius <= aperture_mm / 2 - edge_mm) & (from_outline_mm(raw, grid_mm) > edge_mm)
@@ -79,8 +93,24 @@ def condition(
     if missing > MAX_FILLED * np.count_nonzero(solve):
         raise BadMap(f"{missing} of {np.count_nonzero(solve)} samples that the first map had are missing in this one")
     height = fill_holes(np.where(aperture | solve, raw, np.nan))
-    height = height - polynomial(height, metric, 1 if tilt else 0)
-    return Conditioned(grid, np.where(aperture | solve, height, np.nan), solve, metric, missing)
+    if nominal_nm is not None:
+        height = height - _fitting(nominal_nm, grid)
+    height = height - (power(height, metric)[0] if without_power else polynomial(height, metric, 1 if tilt else 0))
+    return Conditioned(grid, np.where(aperture | solve, height, np.nan), solve, metric, missing, spikes)
+
+
+def _cleaned(height_nm: FloatArray, spike_mads: float | None) -> tuple[FloatArray, int]:
+    """The map without spikes and islands, and the number of spikes."""
+    if spike_mads is None:
+        return height_nm, 0
+    despiked = without_spikes(height_nm, spike_mads)
+    return without_islands(despiked.height_nm)[0], despiked.spikes
+
+
+def _fitting(nominal_nm: FloatArray, grid: Grid) -> FloatArray:
+    if nominal_nm.shape != grid.shape:
+        raise BadMap(f"the nominal form is {nominal_nm.shape}, the process grid is {grid.shape}")
+    return nominal_nm
 
 
 def from_outline_mm(height_nm: FloatArray, pitch_mm: float) -> FloatArray:
@@ -98,23 +128,8 @@ def process_grid(aperture_mm: float, grid_mm: float, margin_mm: float = MARGIN_M
 
 
 def resample(height_nm: FloatArray, source: Grid, target: Grid) -> FloatArray:
-    """Area average of a map onto another grid with the same centre: volume is conserved.
-
-    Args:
-        height_nm: (source.ny, source.nx), NaN = no data.
-        source: the map's grid.
-        target: the grid wanted.
-
-    Returns:
-        (target.ny, target.nx) mean of the data in each cell; NaN where they cover less than half of it.
-    """
-    valid = np.isfinite(height_nm)
-    rows = _overlap(source.ny, source.pitch_mm, target.ny, target.pitch_mm)
-    columns = _overlap(source.nx, source.pitch_mm, target.nx, target.pitch_mm).T
-    area = rows @ (valid.astype(np.float64) @ columns)
-    volume = rows @ (np.where(valid, height_nm, 0.0) @ columns)
-    enough = area >= COVERED * target.pitch_mm**2 * (1 - 1e-9)
-    return np.where(enough, volume / np.where(enough, area, 1.0), np.nan)
+    """Area average of a map onto another grid with the same centre: see `resample_registered`."""
+    return resample_registered(height_nm, source, target)
 
 
 def fill_holes(height_nm: FloatArray) -> FloatArray:
@@ -176,12 +191,3 @@ def _new_masks(raw: FloatArray, aperture: BoolArray, clear: BoolArray) -> tuple[
         share = np.count_nonzero(solve) / np.count_nonzero(aperture)
         raise BadMap(f"only {share:.0%} of the aperture has data, less than {MIN_VALID:.0%}")
     return solve, metric
-
-
-def _overlap(n_source: int, pitch_source: float, n_target: int, pitch_target: float) -> sparse.csr_array:
-    """(n_target, n_source) mm: how much of each target cell's side each source cell covers, centres aligned."""
-    left_t = (np.arange(n_target) - n_target / 2) * pitch_target
-    left_s = (np.arange(n_source) - n_source / 2) * pitch_source
-    start = np.maximum(left_t[:, None], left_s[None, :])
-    end = np.minimum(left_t[:, None] + pitch_target, left_s[None, :] + pitch_source)
-    return sparse.csr_array(np.maximum(end - start, 0.0))

@@ -1,0 +1,113 @@
+"""Surface form figures of ISO 10110-5:2015, as ISO 14999-4:2015 evaluates them: 3/A(B/C), RMSt, RMSi, RMSa."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial.legendre import legval, legvander
+
+from polishd.model.surface import BoolArray, FloatArray
+from polishd.process.metrics import zernike
+from polishd.process.metrics.fitting import points, triangle
+from polishd.process.metrics.spread import inside, power, pv_rms, without
+
+WAVELENGTH_NM = 546.07
+"""Of the green mercury line: that of fringe spacings where a drawing states none."""
+RADIAL_DEGREE = 20
+"""Highest power of r in the rotationally symmetric part."""
+
+
+@dataclass(frozen=True, slots=True)
+class Iso10110:
+    """Figures in nm of the surface, not of the wavefront; piston and tilt are removed from all."""
+
+    a_nm: float
+    """A, sagitta error: PV of the approximating sphere."""
+    b_nm: float
+    """B, irregularity: PV of what the sphere leaves."""
+    c_nm: float
+    """C, rotationally symmetric irregularity: PV of the irregularity's part that depends on the radius only."""
+    rms_t_nm: float
+    """RMSt: of the whole deviation, sphere included."""
+    rms_i_nm: float
+    """RMSi: of the irregularity."""
+    rms_a_nm: float
+    """RMSa: of the irregularity less its rotationally symmetric part."""
+    wavelength_nm: float
+    centre_px: tuple[float, float]
+    """(row, column) of the axis of rotation."""
+    samples: int
+
+    def fringes(self, value_nm: float) -> float:
+        """A figure in fringe spacings: one is half the wavelength in height of the surface."""
+        return value_nm / (self.wavelength_nm / 2)
+
+    def __str__(self) -> str:
+        a, b, c = (self.fringes(value) for value in (self.a_nm, self.b_nm, self.c_nm))
+        return (
+            f"3/{self.a_nm:.1f} nm ({self.b_nm:.1f} nm/{self.c_nm:.1f} nm); RMSt {self.rms_t_nm:.2f} nm; "
+            f"RMSi {self.rms_i_nm:.2f} nm; RMSa {self.rms_a_nm:.2f} nm; "
+            f"3/{a:.2f}({b:.2f}/{c:.2f}) fringe spacings at {self.wavelength_nm:g} nm"
+        )
+
+
+def irregularity(
+    height_nm: FloatArray,
+    mask: BoolArray,
+    wavelength_nm: float = WAVELENGTH_NM,
+    *,
+    centre_px: tuple[float, float] | None = None,
+) -> Iso10110:
+    """Figures of a map of deviation from the nominal surface.
+
+    The approximating sphere is the least-squares r^2, fitted with piston and tilt over the mask: right for deviations
+    that are small beside the radius of curvature. The rotationally symmetric part is the least-squares polynomial in
+    even powers of the radius up to ``RADIAL_DEGREE`` of the irregularity, fitted over the mask.
+
+    Args:
+        height_nm: (ny, nx), positive = high, finite inside ``mask``.
+        mask: (ny, nx) samples that count.
+        wavelength_nm: that of fringe spacings.
+        centre_px: (row, column) of the part's axis; None for the middle of the mask's box.
+
+    Raises:
+        BadMap: the mask is empty, or the surface not finite inside it.
+        ValueError: a wavelength that is not positive.
+    """
+    if not wavelength_nm > 0:
+        raise ValueError(f"a wavelength of {wavelength_nm:g} nm")
+    inside(height_nm, mask)
+    row, column, _ = zernike.enclosing(mask)
+    centre = (row, column) if centre_px is None else centre_px
+    sphere, curvature = power(height_nm, mask)
+    irregular = (height_nm - sphere)[mask]
+    squares = _squared_radius_px(mask, centre)
+    symmetric = _symmetric(irregular, squares)
+    return Iso10110(
+        a_nm=float(abs(curvature) * np.ptp(squares)),
+        b_nm=float(np.ptp(irregular)),
+        c_nm=float(np.ptp(symmetric)),
+        rms_t_nm=pv_rms(without(height_nm, mask, "tilt"), mask)[1],
+        rms_i_nm=float(irregular.std()),
+        rms_a_nm=float((irregular - symmetric).std()),
+        wavelength_nm=wavelength_nm,
+        centre_px=centre,
+        samples=irregular.size,
+    )
+
+
+def _squared_radius_px(mask: BoolArray, centre_px: tuple[float, float]) -> FloatArray:
+    """(m,) of the mask's samples, about the axis."""
+    x, y = points(mask, np.arange(mask.shape[1]) - centre_px[1], np.arange(mask.shape[0]) - centre_px[0])
+    return np.asarray(x**2 + y**2, dtype=np.float64)
+
+
+def _symmetric(heights_nm: FloatArray, squares: FloatArray) -> FloatArray:
+    """(m,) least-squares polynomial in r^2, in Legendre's polynomials over the range that the mask has."""
+    span = float(np.ptp(squares)) or 1.0
+    place = np.asarray(2 * (squares - squares.min()) / span - 1, dtype=np.float64)
+    degree = RADIAL_DEGREE // 2
+    found = triangle(lambda u, _: np.asarray(legvander(u, degree).T, dtype=np.float64), place, place, heights_nm)
+    factors = np.linalg.lstsq(found[:, :-1], found[:, -1], rcond=None)[0]
+    return np.asarray(legval(place, factors), dtype=np.float64)

@@ -1,0 +1,141 @@
+"""Zernike terms of a masked surface by least squares over its valid samples, whatever the mask's shape.
+
+Never by the inner product with each term, which is right on a whole circle only (25 % off on ellipses).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polishd.model.errors import BadMap
+from polishd.model.surface import BoolArray, FloatArray
+from polishd.process.metrics.fitting import BLOCK, points, triangle
+from polishd.process.metrics.spread import inside
+from polishd.process.metrics.zernike_terms import FIRST, USUAL_NORM, Norm, Ordering, order, values
+
+WORST_CONDITION = 1e8
+"""Condition of the terms over the mask beyond which they cannot be told apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class ZernikeFit:
+    """Zernike terms of a surface, and all that is needed to name and to evaluate them."""
+
+    coefficients_nm: FloatArray
+    """(k,) of the terms in their order and norm."""
+    over_mask_nm: FloatArray
+    """(k,) of the same terms made orthonormal over the mask itself, in their order (Gram-Schmidt): each is the RMS
+    that its term adds; the first is the mean, and the squares of the others sum to the fit's variance."""
+    terms: tuple[tuple[int, int], ...]
+    """(n, m) of each; m > 0 is a cosine, m < 0 a sine of the angle from x (right) towards y (up)."""
+    ordering: Ordering
+    norm: Norm
+    centre_px: tuple[float, float]
+    """(row, column) of the unit circle's centre."""
+    radius_px: float
+    residual_rms_nm: float
+    """What the fit leaves, over the mask."""
+    condition: float
+    """Of the terms over the mask: near 1 to 3 on a circle."""
+    samples: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Such as "Noll 4 (2, 0)"."""
+        title = {"noll": "Noll", "fringe": "Fringe", "ansi": "ANSI"}[self.ordering]
+        first = FIRST[self.ordering]
+        return tuple(f"{title} {index} ({n}, {m})" for index, (n, m) in enumerate(self.terms, first))
+
+
+def fit(
+    height_nm: FloatArray,
+    mask: BoolArray,
+    terms: int = 37,
+    ordering: Ordering = "noll",
+    *,
+    norm: Norm | None = None,
+    circle_px: tuple[float, float, float] | None = None,
+) -> ZernikeFit:
+    """Fit Zernike terms over the mask (QR in blocks; the whole design matrix is never in memory).
+
+    Args:
+        height_nm: (ny, nx), positive = high, finite inside ``mask``.
+        mask: (ny, nx) samples that count.
+        terms: how many, from piston on. 36 and 37 differ by a spherical term: say which.
+        ordering: "noll" and "fringe" count from 1, "ansi" from 0.
+        norm: None for the usual one of the ordering: "edge" for fringe, else "rms".
+        circle_px: (row, column, radius) of the unit circle; None for the least that ``enclosing`` finds.
+
+    Raises:
+        BadMap: the surface is not finite inside the mask, there are fewer samples than terms, or the mask's shape does
+            not tell the terms apart (condition above ``WORST_CONDITION``).
+        ValueError: no such ordering, no terms, or a circle without radius.
+    """
+    heights = inside(height_nm, mask)
+    pairs = order(ordering, terms)
+    norm = USUAL_NORM[ordering] if norm is None else norm
+    row, column, radius = circle = enclosing(mask) if circle_px is None else circle_px
+    if not radius > 0:
+        raise ValueError(f"a unit circle of radius {radius:g} pixels")
+    if heights.size < terms:
+        raise BadMap(f"{heights.size} samples are too few for {terms} Zernike terms: fit fewer, or mend the mask")
+    found = triangle(lambda x, y: values(pairs, norm, x, y), *_unit(mask, circle), heights)
+    own, projected = found[:terms, :terms], found[:terms, terms]
+    condition = float(np.linalg.cond(own))
+    if not condition <= WORST_CONDITION:
+        raise BadMap(
+            f"{terms} Zernike terms cannot be told apart over this mask (condition {condition:.1e}, at most "
+            f"{WORST_CONDITION:.0e}): fit fewer terms, or a circle that lies closer around the mask"
+        )
+    sign = np.where(np.diag(own) < 0, -1.0, 1.0)
+    root = np.sqrt(heights.size)
+    return ZernikeFit(
+        coefficients_nm=np.asarray(np.linalg.solve(own, projected), dtype=np.float64),
+        over_mask_nm=sign * projected / root,
+        terms=pairs,
+        ordering=ordering,
+        norm=norm,
+        centre_px=(row, column),
+        radius_px=radius,
+        residual_rms_nm=float(abs(found[terms, terms]) / root),
+        condition=condition,
+        samples=heights.size,
+    )
+
+
+def surface(fitted: ZernikeFit, mask: BoolArray, without: int = 0) -> FloatArray:
+    """(ny, nx) the fitted surface in nm over a mask, less its first ``without`` terms; NaN outside the mask."""
+    x, y = _unit(mask, (*fitted.centre_px, fitted.radius_px))
+    pairs, factors = fitted.terms[without:], fitted.coefficients_nm[without:]
+    heights = np.zeros(x.size)
+    for start in range(0, x.size if pairs else 0, BLOCK):
+        part = slice(start, start + BLOCK)
+        heights[part] = factors @ values(pairs, fitted.norm, x[part], y[part])
+    found = np.full(mask.shape, np.nan)
+    found[mask] = heights
+    return found
+
+
+def enclosing(mask: BoolArray) -> tuple[float, float, float]:
+    """(row, column, radius) in pixels of a circle around a mask: the middle of its box, out to its furthest sample.
+
+    Raises:
+        BadMap: an empty mask.
+    """
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if rows.size == 0:
+        raise BadMap("no sample of the surface lies inside the mask")
+    row, column = (rows[0] + rows[-1]) / 2, (columns[0] + columns[-1]) / 2
+    # in each row the furthest sample is its first or its last
+    first, last = mask[rows].argmax(axis=1), mask.shape[1] - 1 - mask[rows, ::-1].argmax(axis=1)
+    across = np.maximum(np.abs(first - column), np.abs(last - column))
+    return float(row), float(column), max(float(np.hypot(rows - row, across).max()), 0.5)
+
+
+def _unit(mask: BoolArray, circle_px: tuple[float, float, float]) -> tuple[FloatArray, FloatArray]:
+    """Coordinates of the mask's samples, 1 = the circle's radius, y up."""
+    row, column, radius = circle_px
+    x = (np.arange(mask.shape[1]) - column) / radius
+    return points(mask, x, (row - np.arange(mask.shape[0])) / radius)

@@ -1,0 +1,140 @@
+"""Repeated measurements of one surface: their mean, what does not belong to it, and how sure it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from polishd.model.errors import BadMap
+from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
+from polishd.process.metrics import Removal, without
+
+FEWEST = 3
+"""Maps that must be left: of two that differ nobody knows which is wrong."""
+MAP_SIGMAS = 5.0
+SAMPLE_SIGMAS = 5.0
+SIGMA_PER_MAD = 1.4826
+"""Standard deviation over median absolute deviation, of a normal distribution."""
+ALIKE = 1.5
+"""A map within this many times the usual deviation is never an outlier, however alike the others are."""
+
+
+@dataclass(frozen=True, slots=True)
+class Repeats:
+    """The mean of the repeats that agree, with its uncertainties (one standard deviation of the mean)."""
+
+    height_nm: FloatArray
+    """(ny, nx) mean of the samples kept, levelled; NaN outside ``mask``."""
+    mask: BoolArray
+    """(ny, nx) samples that all maps have."""
+    uncertainty_nm: FloatArray
+    """(ny, nx) standard error of each sample's mean, from its own scatter; NaN outside ``mask``."""
+    rms_nm: float
+    """RMS of the mean map, which holds the noise that averaging left."""
+    rms_uncertainty_nm: float
+    """Its standard error: the mean is repeated without each map in turn (jackknife)."""
+    used: tuple[str, ...]
+    rejected: Mapping[str, float]
+    """Names of the maps left out, and the RMS in nm by which each deviates from the median map."""
+    samples_rejected: int
+    """Single samples left out of maps that were used."""
+
+
+def average(surfaces: Sequence[SurfaceMap], mask: BoolArray | None = None, removal: Removal = "tilt") -> Repeats:
+    """Mean of repeated maps, registered to each other, without those that deviate.
+
+    A map is left out where its RMS deviation from the median map is more than ``MAP_SIGMAS`` robust standard
+    deviations above the usual one; a sample of a map, where it is as far off the median of that sample, by the scatter
+    of the sample or of all samples, whichever is larger.
+
+    Args:
+        surfaces: the maps; alike in shape and pitch.
+        mask: (ny, nx) samples that count; None for those that all maps have.
+        removal: taken off each over the mask before they are compared: alignment differs from one to the next.
+
+    Raises:
+        BadMap: fewer than ``FEWEST`` maps, before or after the rejection; shapes or pitches that differ; a map that
+            lacks samples of ``mask``, or no sample that all have.
+    """
+    common = _common(surfaces, mask)
+    heights = np.stack([without(surface.height_nm, common, removal)[common] for surface in surfaces])
+    names = _names(surfaces)
+    deviation = np.sqrt(np.mean((heights - np.median(heights, axis=0)) ** 2, axis=1))
+    good = ~_outliers(deviation)
+    rejected = {name: float(d) for name, d, kept in zip(names, deviation, good, strict=True) if not kept}
+    if np.count_nonzero(good) < FEWEST:
+        raise BadMap(
+            f"only {np.count_nonzero(good)} of {len(good)} repeats agree ({', '.join(rejected)} deviate), fewer than "
+            f"{FEWEST}: measure again"
+        )
+    heights = heights[good]
+    kept = _samples_kept(heights)
+    mean, error = _mean(heights, kept)
+    without_one = [_mean(np.delete(heights, i, 0), np.delete(kept, i, 0))[0].std() for i in range(len(heights))]
+    return Repeats(
+        height_nm=_spread(mean, common),
+        mask=common,
+        uncertainty_nm=_spread(error, common),
+        rms_nm=float(mean.std()),
+        rms_uncertainty_nm=float(np.std(without_one) * np.sqrt(len(heights) - 1)),
+        used=tuple(name for name in names if name not in rejected),
+        rejected=rejected,
+        samples_rejected=int(np.count_nonzero(~kept)),
+    )
+
+
+def _common(surfaces: Sequence[SurfaceMap], mask: BoolArray | None) -> BoolArray:
+    if len(surfaces) < FEWEST:
+        raise BadMap(f"{len(surfaces)} repeats are too few: at least {FEWEST} tell which of them deviates")
+    first, *others = surfaces
+    for name, other in zip(_names(surfaces)[1:], others, strict=True):
+        if other.height_nm.shape != first.height_nm.shape or other.pitch_mm != first.pitch_mm:
+            raise BadMap(
+                f"{name} is {other.height_nm.shape} at {other.pitch_mm} mm, the first repeat "
+                f"{first.height_nm.shape} at {first.pitch_mm} mm: repeats are of one set-up"
+            )
+    everywhere: BoolArray = np.logical_and.reduce([surface.valid for surface in surfaces])
+    if mask is not None and mask.shape != everywhere.shape:
+        raise BadMap(f"the mask is {mask.shape}, the repeats are {everywhere.shape}")
+    if mask is not None and (mask & ~everywhere).any():
+        raise BadMap(f"{np.count_nonzero(mask & ~everywhere)} samples of the mask are missing in some repeat")
+    return everywhere if mask is None else mask
+
+
+def _names(surfaces: Sequence[SurfaceMap]) -> tuple[str, ...]:
+    """The files' names, or else numbers; unlike each other."""
+    names = [surface.path.name if surface.path is not None else "repeat" for surface in surfaces]
+    return tuple(name if names.count(name) == 1 else f"{name} #{number}" for number, name in enumerate(names, start=1))
+
+
+def _outliers(deviation_nm: FloatArray) -> BoolArray:
+    """(n,) whether each is too far above the median of all."""
+    usual = np.median(deviation_nm)
+    scatter = SIGMA_PER_MAD * np.median(np.abs(deviation_nm - usual))
+    return np.asarray(deviation_nm > np.maximum(usual + MAP_SIGMAS * scatter, ALIKE * usual), dtype=np.bool_)
+
+
+def _samples_kept(heights: FloatArray) -> BoolArray:
+    """(n, m) whether each is near its sample's median; at least half of each sample's always are."""
+    off = np.abs(heights - np.median(heights, axis=0))
+    own = np.median(off, axis=0)
+    # of three values the own scatter is often far too small by chance
+    scatter = SIGMA_PER_MAD * np.maximum(own, np.median(own))
+    return np.asarray(off <= SAMPLE_SIGMAS * scatter, dtype=np.bool_)
+
+
+def _mean(heights: FloatArray, kept: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """(m,) mean of what is kept of each sample, and its standard error; infinite where one value alone is kept."""
+    count = kept.sum(axis=0)
+    mean = np.where(kept, heights, 0.0).sum(axis=0) / np.maximum(count, 1)
+    square = np.where(kept, (heights - mean) ** 2, 0.0).sum(axis=0)
+    error = np.sqrt(square / np.maximum(count - 1, 1) / np.maximum(count, 1))
+    return mean, np.where(count > 1, error, np.inf)
+
+
+def _spread(values: FloatArray, mask: BoolArray) -> FloatArray:
+    found = np.full(mask.shape, np.nan)
+    found[mask] = values
+    return found
