@@ -1,0 +1,221 @@
+"""Proof of an instrument's profile: a map of an artefact with asymmetric bumps must show it as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import optimize
+
+from polishd.model.errors import BadMap, ConfigError
+from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
+from polishd.process.explanation import Explanation, explanations
+from polishd.process.orientation import ORIENTATIONS, Orientation
+from polishd.process.registration.resampling import resample_registered
+from polishd.process.removal_fit import levelled
+
+ACROSS = 120
+"""Samples a side of the grid that a map is proved on."""
+SEARCH = 64
+"""The same of the grid that its orientation and size are searched on."""
+LEAST_CORRELATION = 0.9
+MARGIN = 0.1
+"""By how much the artefact as it is must correlate better than in any other orientation."""
+SCALE_TOLERANCE = 0.05
+PITCH_TOLERANCE = 0.02
+MAX_TURN_DEG = 10.0
+SETTLED = 0.95
+"""Correlation at which no further size is tried: least squares find what is left."""
+RATIOS = tuple(float(2 ** (k / 5)) for k in range(-7, 8))
+"""Sizes of the artefact in the map, relative to its own, that are tried."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bump:
+    """A Gaussian bump (a dimple where the height is negative) on a flat base."""
+
+    x_mm: float
+    y_mm: float
+    sigma_x_mm: float
+    sigma_y_mm: float
+    height_nm: float
+    angle_deg: float = 0.0
+    """Counter-clockwise turn of its axes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """How a map shows the artefact."""
+
+    correlation: float
+    next_best: float
+    """Of any other of the 8 turns and flips, plain or negated."""
+    next_best_name: str
+    scale: float
+    """Height in the map over the artefact's own."""
+    shift_mm: tuple[float, float]
+    turn_deg: float
+    pitch_ratio: float
+    """Size in the map over the artefact's own: by this the pitch is too large."""
+
+
+def artefact_heights(bumps: Sequence[Bump], grid: Grid) -> FloatArray:
+    """(ny, nx) nm, the sum of the bumps."""
+    x, y = np.meshgrid(grid.x_mm, grid.y_mm)
+    return _heights(bumps, x, y)
+
+
+def require_asymmetric(bumps: Sequence[Bump]) -> None:
+    """Refuse an artefact that looks about the same turned, flipped or negated: it would prove nothing.
+
+    Raises:
+        ConfigError: no bumps, bumps without size, or a symmetric arrangement, named.
+    """
+    if not bumps or any(min(b.sigma_x_mm, b.sigma_y_mm) <= 0 or b.height_nm == 0 for b in bumps):
+        raise ConfigError("the artefact needs bumps with sigma_x_mm, sigma_y_mm > 0 and a height_nm")
+    half = max(float(np.hypot(b.x_mm, b.y_mm)) + 3 * max(b.sigma_x_mm, b.sigma_y_mm) for b in bumps)
+    grid = Grid(SEARCH, SEARCH, 2 * half / SEARCH)
+    mask = np.ones(grid.shape, dtype=np.bool_)
+    height = levelled(artefact_heights(bumps, grid), mask)
+    same = _others(list(explanations(height, height, mask, mask, grid.pitch_mm)), ORIENTATIONS[0], negated=False)
+    if same.correlation > 1 - MARGIN:
+        raise ConfigError(f"the artefact looks like itself {same.name} (correlation {same.correlation:.2f}): it "
+                          "cannot prove a profile; move a bump, or give it another height or shape")  # fmt: skip
+
+
+def prove(
+    surface: SurfaceMap,
+    bumps: Sequence[Bump],
+    *,
+    scale_tolerance: float = SCALE_TOLERANCE,
+    pitch_tolerance: float = PITCH_TOLERANCE,
+) -> Proof:
+    """Show that a map shows the artefact as it is: not turned, flipped or negated, and of its height and size.
+
+    Args:
+        surface: the map of the artefact, as the profile turns and scales it (`process.instrument.as_profiled`).
+        bumps: the artefact.
+        scale_tolerance: how far the height may be off.
+        pitch_tolerance: how far the size may be off.
+
+    Raises:
+        BadMap: it does not; what it shows instead is named, with the profile's values that would mend it.
+        ConfigError: the artefact is symmetric.
+    """
+    require_asymmetric(bumps)
+    ratio, found = _best_ratio(*_on_square(surface, SEARCH), bumps)
+    seen, mask, grid = _on_square(surface, ACROSS)
+    best = max(found, key=lambda e: e.correlation)
+    upright = best.orientation.undone.turn(-seen if best.negated else seen)
+    own_mask = np.asarray(best.orientation.undone.turn(mask), dtype=np.bool_)
+    start = best.orientation.undone.turn_vector(best.shift_mm)
+    proof = _placed(upright, own_mask, grid, bumps, (*start, ratio))
+    rival = _others(found, best.orientation, negated=best.negated)
+    proof = replace(proof, next_best=rival.correlation, next_best_name=rival.name)
+    if proof.correlation < LEAST_CORRELATION or abs(proof.turn_deg) > MAX_TURN_DEG:
+        raise BadMap(f"the map does not show the artefact: {best.name} and {proof.pitch_ratio:.2f} times as large it "
+                     f"correlates best, with {proof.correlation:.2f}, and {LEAST_CORRELATION:g} is needed; centre and "
+                     "seat the artefact, and check its bumps")  # fmt: skip
+    if proof.next_best > proof.correlation - MARGIN:
+        raise BadMap(f"the map shows the artefact {rival.name} about as well as {best.name} ({rival.correlation:.2f} "
+                     f"and {proof.correlation:.2f}): bring all its bumps into view")  # fmt: skip
+    wrong, mend = _mistakes(surface, best, proof, scale_tolerance, pitch_tolerance)
+    if wrong:
+        raise BadMap(f"the map shows the artefact {' and '.join(wrong)}: set {', '.join(mend)} in the instrument's "
+                     "profile and prove it again")  # fmt: skip
+    return proof
+
+
+def _heights(bumps: Sequence[Bump], x: FloatArray, y: FloatArray) -> FloatArray:
+    height = np.zeros(np.broadcast(x, y).shape)
+    for b in bumps:
+        turn = np.radians(b.angle_deg)
+        along = (x - b.x_mm) * np.cos(turn) + (y - b.y_mm) * np.sin(turn)
+        across = -(x - b.x_mm) * np.sin(turn) + (y - b.y_mm) * np.cos(turn)
+        height += b.height_nm * np.exp(-0.5 * ((along / b.sigma_x_mm) ** 2 + (across / b.sigma_y_mm) ** 2))
+    return height
+
+
+def _on_square(surface: SurfaceMap, across: int) -> tuple[FloatArray, BoolArray, Grid]:
+    """The map on a square grid, so that all eight orientations can be tried, without piston and tilt."""
+    if surface.pitch_mm is None:
+        raise BadMap("the map has no lateral scale: give the instrument's profile a pitch")
+    side = max(surface.height_nm.shape) * surface.pitch_mm
+    grid = Grid(across, across, side / across)
+    height = resample_registered(surface.height_nm, surface.grid, grid)
+    mask = np.isfinite(height)
+    if np.count_nonzero(mask) < across:
+        raise BadMap("the map holds no data")
+    return levelled(height, mask), mask, grid
+
+
+def _best_ratio(
+    seen: FloatArray, mask: BoolArray, grid: Grid, bumps: Sequence[Bump]
+) -> tuple[float, list[Explanation]]:
+    """The size of the artefact that fits best in any orientation, and all the orientations at that size."""
+    tried = []
+    for ratio in sorted(RATIOS, key=lambda ratio: abs(np.log(ratio))):
+        scaled = levelled(artefact_heights(bumps, Grid(grid.ny, grid.nx, grid.pitch_mm / ratio)), mask)
+        tried.append((ratio, list(explanations(scaled, seen, mask, mask, grid.pitch_mm))))
+        if max(e.correlation for e in tried[-1][1]) > SETTLED:
+            break
+    return max(tried, key=lambda pair: max(e.correlation for e in pair[1]))
+
+
+def _others(found: Sequence[Explanation], orientation: Orientation, *, negated: bool) -> Explanation:
+    """The best of all explanations but this one."""
+    others = (e for e in found if (e.orientation, e.negated) != (orientation, negated))
+    return max(others, key=lambda e: e.correlation)
+
+
+def _placed(
+    seen: FloatArray, mask: BoolArray, grid: Grid, bumps: Sequence[Bump], start: tuple[float, float, float]
+) -> Proof:
+    """Least squares of shift, turn and size; height and plane follow linearly from each (variable projection)."""
+    x, y = (v[mask] for v in np.meshgrid(grid.x_mm, grid.y_mm))
+    plane = np.linalg.qr(np.column_stack([np.ones(x.size), x, y]))[0]
+    measured = seen[mask] - plane @ (plane.T @ seen[mask])
+
+    def model(values: FloatArray) -> FloatArray:
+        dx, dy, turn, size = values[0], values[1], values[2], np.exp(values[3])
+        u, v = (x - dx) / size, (y - dy) / size
+        height = _heights(bumps, u * np.cos(turn) + v * np.sin(turn), -u * np.sin(turn) + v * np.cos(turn))
+        return np.asarray(height - plane @ (plane.T @ height), dtype=np.float64)
+
+    def left(values: FloatArray) -> FloatArray:
+        height = model(values)
+        return np.asarray(measured - height * float(height @ measured) / max(float(height @ height), 1e-300))
+
+    first, steps = [start[0], start[1], 0.0, np.log(start[2])], [1.0, 1.0, 0.02, 0.02]
+    found = optimize.least_squares(left, first, x_scale=steps, max_nfev=40).x
+    height = model(found)
+    own, energy = float(height @ measured), float(height @ height)
+    correlation = own / float(np.sqrt(energy * (measured @ measured))) if energy > 0 and measured.any() else 0.0
+    turn = float(np.degrees(found[2]))
+    return Proof(
+        correlation, 0.0, "", own / max(energy, 1e-300), (float(found[0]), float(found[1])), turn,
+        float(np.exp(found[3])),
+    )  # fmt: skip
+
+
+def _mistakes(
+    surface: SurfaceMap, best: Explanation, proof: Proof, scale_tolerance: float, pitch_tolerance: float
+) -> tuple[list[str], list[str]]:
+    """What the map shows amiss, and the profile's values that would mend it."""
+    profile = surface.factors.get("profile", {})
+    wrong, mend = [], []
+    if not best.as_it_is:
+        was = Orientation(profile.get("mirror", False), profile.get("rotation_deg", 0))
+        right = was.then(best.orientation.undone)
+        wrong.append(best.name)
+        mend += [f"mirror = {str(right.mirror).lower()}", f"rotation_deg = {right.rotation_deg}",
+                 f"sign = {profile.get('sign', 1) * (-1 if best.negated else 1)}"]  # fmt: skip
+    if abs(proof.scale - 1) > scale_tolerance:
+        known = next((f for f in (0.5, 2.0) if abs(proof.scale / f - 1) <= scale_tolerance), proof.scale)
+        wrong.append(f"{proof.scale:.3f} times as high")
+        mend.append(f"factor = {profile.get('factor', 1.0) / known:.4g}")
+    if abs(proof.pitch_ratio - 1) > pitch_tolerance:
+        wrong.append(f"{proof.pitch_ratio:.3f} times as large")
+        mend.append(f"pitch_mm = {surface.grid.pitch_mm / proof.pitch_ratio:.6g}")
+    return wrong, mend

@@ -1,0 +1,107 @@
+"""A map as its instrument's profile says it lies and counts: applied once, and recorded."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from polishd.model.errors import BadMap
+from polishd.model.instrument import Instrument
+from polishd.model.surface import SurfaceMap
+from polishd.process.orientation import Orientation
+
+ANSWERS = {
+    "pitch": "pitch_mm, the width of a pixel on the part",
+    "unit": "unit_nm, the nanometres in one unit of its heights",
+    "surface": '"surface" in gives, with factor = 0.5 where its heights are of the wavefront',
+    "orientation": '"orientation" in gives, with mirror and rotation_deg as they are',
+}
+"""What a profile answers, and with which key."""
+
+
+def as_profiled(surface: SurfaceMap, instrument: Instrument | None) -> SurfaceMap:
+    """The map as it lies on the part, in nm of surface: flipped, turned, signed and scaled as the profile says.
+
+    Args:
+        surface: the map as its reader gave it.
+        instrument: the profile; None where there is none, and then only a map whose file says all is taken.
+
+    Returns:
+        The map with nothing ``unsaid``; what was applied stands in ``factors["profile"]``.
+
+    Raises:
+        BadMap: what the file does not say the profile does not either, they contradict each other, the map is of
+            another instrument, or a profile was applied before.
+    """
+    name = surface.path.name if surface.path is not None else "the map"
+    if "profile" in surface.factors:
+        raise BadMap(f"{name} had the profile applied before: a second time would turn and scale it twice")
+    if instrument is None:
+        _all_said(name, surface)
+        return surface
+    _of_this_instrument(name, surface, instrument)
+    unanswered = sorted(_asked(surface) - _answered(instrument))
+    if unanswered:
+        raise BadMap(f"{name}: its file does not say its {_words(unanswered)} and neither does the profile "
+                     f"{instrument.name!r}: give it {_answers(unanswered)}")  # fmt: skip
+    pitch = _pitch_mm(name, surface, instrument)
+    unit = (instrument.unit_nm or 1.0) if "unit" in surface.unsaid else 1.0
+    orientation = Orientation(instrument.mirror, instrument.rotation_deg)
+    scaled = orientation.turn(surface.height_nm) * (instrument.sign * instrument.factor * unit)
+    applied = {
+        "name": instrument.name, "mirror": instrument.mirror, "rotation_deg": instrument.rotation_deg,
+        "sign": instrument.sign, "factor": instrument.factor, "unit_nm": unit, "pitch_mm": pitch,
+    }  # fmt: skip
+    return replace(
+        surface,
+        height_nm=np.ascontiguousarray(scaled),
+        pitch_mm=pitch,
+        factors={**surface.factors, "profile": applied},
+        unsaid=frozenset(),
+        orientation=f"{surface.orientation}; {orientation.name} by the profile {instrument.name}",
+        fiducials_px=tuple(orientation.turn_point(mark, surface.height_nm.shape) for mark in surface.fiducials_px),
+    )
+
+
+def _asked(surface: SurfaceMap) -> frozenset[str]:
+    return surface.unsaid | ({"pitch"} if surface.pitch_mm is None else frozenset())
+
+
+def _answered(instrument: Instrument) -> frozenset[str]:
+    numbers = {"pitch": instrument.pitch_mm, "unit": instrument.unit_nm}
+    return instrument.gives - set(numbers) | {key for key, number in numbers.items() if number is not None}
+
+
+def _all_said(name: str, surface: SurfaceMap) -> None:
+    asked = sorted(_asked(surface))
+    if asked:
+        raise BadMap(f"{name}: its file does not say its {_words(asked)}, and there is no instrument's profile: "
+                     f"add an [instrument] that gives {_answers(asked)}")  # fmt: skip
+
+
+def _of_this_instrument(name: str, surface: SurfaceMap, instrument: Instrument) -> None:
+    if instrument.serials and surface.instrument not in instrument.serials:
+        raise BadMap(f"{name} is of the instrument {surface.instrument!r}, the profile {instrument.name!r} of "
+                     f"{', '.join(instrument.serials)}: choose its own profile, or add it to serials and commission it "
+                     "again")  # fmt: skip
+
+
+def _pitch_mm(name: str, surface: SurfaceMap, instrument: Instrument) -> float | None:
+    """The file's pitch where it gives one that the profile does not contradict, else the profile's."""
+    given, own = surface.pitch_mm, instrument.pitch_mm
+    if given is None or own is None or "pitch" in surface.unsaid:
+        return own if own is not None else given
+    if not abs(given / own - 1) <= instrument.pitch_tolerance:
+        raise BadMap(f"{name} has a pitch of {given:g} mm, the profile {instrument.name!r} {own:g} mm, "
+                     f"{abs(given / own - 1):.1%} apart and {instrument.pitch_tolerance:.1%} allowed: another zoom or "
+                     "camera mode, or a wrong calibration; measure again, or mend the profile")  # fmt: skip
+    return given
+
+
+def _words(keys: list[str]) -> str:
+    return " and ".join(keys)
+
+
+def _answers(keys: list[str]) -> str:
+    return "; ".join(ANSWERS.get(key, f"{key!r} in gives") for key in keys)
