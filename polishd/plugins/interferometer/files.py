@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-import json
+import hashlib
 import os
 import stat
+import tempfile
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.files import sync_folder, write_atomic
 
 SNIFFED_BYTES = 4096
 UNFINISHED = (".tmp", ".part", ".partial", ".filepart", ".crdownload", ".swp", "~")
@@ -17,6 +22,11 @@ UNFINISHED = (".tmp", ".part", ".partial", ".filepart", ".crdownload", ".swp", "
 
 READER_FAULTS = (OSError, ValueError, LookupError, ArithmeticError, TypeError)
 """What a reader of somebody else may raise over a broken file instead of BadMap."""
+
+ZERO_TAIL_BYTES = 4096
+"""So many zeros at the end were not measured: FITS pads with 2880 at most, and readers look closer for their own."""
+HDF5, HDF5_ZERO_TAIL = b"\x89HDF\r\n\x1a\n", 1 / 16
+"""HDF5 may leave room at its end: 3478 bytes of 131,672 in a sound ``.datx``."""
 
 
 class Identity(NamedTuple):
@@ -39,29 +49,57 @@ def identity(path: Path) -> Identity | None:
 
 
 def candidates(folder: Path, but: Iterable[Path]) -> dict[Path, Identity]:
-    """Files that may be maps, oldest first: none hidden, unfinished, or in ``but``. OSError as it comes."""
+    """Files that may be maps, by name: none hidden, unfinished, or in ``but``. OSError as it comes."""
     left_out = set(but)
     found = {}
-    for path in folder.iterdir():
+    for path in sorted(folder.iterdir()):
         if path.name.startswith(".") or path.name.lower().endswith(UNFINISHED) or path in left_out:
             continue
         seen = identity(path)
         if seen is not None:
             found[path] = seen
-    return dict(sorted(found.items(), key=lambda item: (item[1].mtime_ns, item[0].name)))
+    return found
+
+
+def clock_of(folder: Path) -> datetime:
+    """What the clock that dates new files in ``folder`` says: on a share that is the server's, not ours."""
+    with tempfile.NamedTemporaryFile(dir=folder, prefix=".clock.", suffix=".tmp") as probe:
+        probe.write(b"\n")
+        probe.flush()
+        return datetime.fromtimestamp(os.fstat(probe.fileno()).st_mtime, UTC)
+
+
+def sha256_of(path: Path) -> str:
+    """Hash of a file's whole content. OSError as it comes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_map(path: Path, readers: Sequence[SurfaceReader]) -> SurfaceMap:
-    """Read with the first reader that knows the format. BadMap where nobody does, or the reader refuses."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(SNIFFED_BYTES)
-    except OSError as error:
-        raise BadMap(f"{path}: cannot be read: {error.strerror}") from error
+    """Read with the first reader that knows the format; the map's ``sha256`` is of the file as it was read.
+
+    BadMap where nobody knows the format, the reader refuses, or the file was written to meanwhile. OSError where the
+    file cannot be got at: that says nothing about the map.
+    """
+    sha256 = sha256_of(path)
+    surface = _read(path, readers)
+    if surface.sha256 not in ("", sha256):
+        raise BadMap(f"{path}: it was written to while it was read")
+    return replace(surface, sha256=sha256, path=path)
+
+
+def _read(path: Path, readers: Sequence[SurfaceReader]) -> SurfaceMap:
+    with path.open("rb") as file:
+        head = file.read(SNIFFED_BYTES)
+        _check_tail(path, head, file.seek(0, os.SEEK_END), _zeros_at_end(file.fileno()))
     for reader in readers:
         try:
             if reader.sniff(head, path):
                 return reader.read(path)
+        except BadMap as error:
+            if isinstance(error.__cause__, OSError) and error.__cause__.errno:
+                raise error.__cause__ from None  # the share, not the map
+            raise
         except READER_FAULTS as error:
             raise BadMap(f"{path}: the reader {reader.name} failed: {type(error).__name__}: {error}") from error
     state = "is empty" if not head else "is in no format that is known"
@@ -69,28 +107,56 @@ def read_map(path: Path, readers: Sequence[SurfaceReader]) -> SurfaceMap:
     raise BadMap(f"{path}: {state} (known: {known})")
 
 
-def claim(path: Path, seen: Identity, folder: Path, sha256: str) -> Path | None:
-    """Move a file to ``folder`` under its content's name, at one stroke; None where it changed meanwhile."""
-    folder.mkdir(exist_ok=True)
-    target = free(folder / f"{sha256}{path.suffix}")
-    if identity(path) != seen:
-        return None
+def _zeros_at_end(handle: int, block: int = 1 << 16) -> int:
+    """How many bytes of exact zero a file ends with."""
+    zeros, end = 0, os.fstat(handle).st_size
+    while end > 0:
+        start = max(0, end - block)
+        content = os.pread(handle, end - start, start)
+        kept = len(content.rstrip(b"\0"))
+        zeros += len(content) - kept
+        if kept or not content:
+            break
+        end = start
+    return zeros
+
+
+def _check_tail(path: Path, head: bytes, size: int, zeros: int) -> None:
+    allowed = max(ZERO_TAIL_BYTES, HDF5_ZERO_TAIL * size) if head.startswith(HDF5) else ZERO_TAIL_BYTES
+    if zeros > allowed or (size and zeros == size):
+        raise BadMap(f"{path}: ends in a tail of zeros, {zeros} of {size} bytes: preallocated, not written to its end")
+
+
+def claim(path: Path, seen: Identity, target: Path, sha256: str) -> bool:
+    """Move a file at one stroke, if it is still the one that was read: False where it changed, and stays watched.
+
+    OSError as it comes; whether the file was moved then shows in what lies at ``target``.
+    """
+    target.parent.mkdir(exist_ok=True)
+    if identity(path) != seen or os.path.lexists(target):
+        return False
     path.rename(target)
-    if identity(target) == seen:
-        return target
+    _settle(path.parent, target.parent)
+    return identity(target) == seen and still_is(target, sha256, path)
+
+
+def still_is(target: Path, sha256: str, path: Path) -> bool:
+    """Whether a claimed file holds what its name says. Where somebody wrote on, it goes back to be watched."""
+    if sha256_of(target) == sha256:
+        return True
     target.rename(free(path))
-    return None
+    return False
 
 
 def quarantine(path: Path, folder: Path, reason: str) -> Path | None:
-    """Move a refused file to ``folder`` with its reason beside it; None where it is gone."""
+    """Move a refused file to ``folder``, its reason beside it first; None where it is gone. OSError as it comes."""
     folder.mkdir(exist_ok=True)
-    target = free(folder / path.name)
-    try:
-        path.rename(target)
-    except FileNotFoundError:
+    if not os.path.lexists(path):
         return None
-    write_whole(target.with_name(target.name + ".reason.txt"), (reason + "\n").encode())
+    target = free(folder / path.name)
+    write_atomic(target.with_name(target.name + ".reason.txt"), (reason + "\n").encode())
+    path.rename(target)
+    _settle(path.parent, folder)
     return target
 
 
@@ -104,21 +170,8 @@ def free(path: Path) -> Path:
     return found
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file so that nobody ever sees a part of it: temp, fsync, rename."""
-    temp = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with temp.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    temp.replace(path)
-    handle = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-def write_json(path: Path, value: Any) -> None:
-    """``write_whole`` of a value as JSON."""
-    write_whole(path, json.dumps(value, indent=1).encode() + b"\n")
+def _settle(*folders: Path) -> None:
+    """Make a move durable. Some shares cannot: the record tells what was meant."""
+    for folder in folders:
+        with suppress(OSError):
+            sync_folder(folder)

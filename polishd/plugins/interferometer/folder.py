@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+import json
 import os
+import threading
 import time
-from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -24,15 +25,21 @@ from polishd.api import (
     StaleMap,
     SurfaceError,
     SurfaceMap,
-    SurfaceReader,
-    WrongPart,
 )
+from polishd.files import write_atomic
 from polishd.plugins.interferometer import files
+from polishd.plugins.interferometer.judge import Rules, measured_at, require_new, require_plausible, source_of
 from polishd.plugins.interferometer.settled import Settled
-from polishd.plugins.interferometer.taken import Taken
+from polishd.plugins.interferometer.taken import Ask, Given, Taken
 
 TORN_AFTER = 10
 """An unreadable file may still grow: it is refused only after so many times ``stable_s`` without a change."""
+MOST_TIMES = 3
+"""A claimed map that the journal never names is handed on again after a restart, so often in all."""
+PERMANENT = {
+    errno.EXDEV, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.EROFS, errno.EINVAL, errno.ENAMETOOLONG, errno.ELOOP,
+}  # fmt: skip
+"""What waiting does not mend. All else may pass: a share that is away, a file that is locked, a full disk."""
 
 ConfigPath = Annotated[Path, Field(strict=False)]
 Seconds = Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)]
@@ -47,14 +54,15 @@ class FolderOptions(BaseModel):
     """Where maps appear. Relative to the config file's folder."""
     request_file: ConfigPath | None = None
     """Written to ask the instrument for a map; relative to ``folder``. None: nobody listens."""
-    poll_s: Seconds = 0.5
+    poll_s: Seconds = 0.25
     stable_polls: Annotated[int, Field(ge=2, le=1000)] = 3
     stable_s: Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)] = 2.0
-    """A file is read once it has not changed for so many polls and so long."""
+    """A file is read once it has not changed for so many polls and so long: taken ``stable_s`` + ``poll_s`` after its
+    last byte, and the time that reading takes."""
     timeout_s: Seconds = 3600.0
     """How long to wait for a map."""
     clock_tolerance_s: Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)] = 2.0
-    """How far the instrument's clock may lag behind ours; files hold whole seconds only."""
+    """How far the instrument's clock may lag behind the folder's; files hold whole seconds only."""
     accept_unnamed: bool = False
     """Accept files that do not say whose map they hold."""
     claimed: ConfigPath = Path("taken")
@@ -63,13 +71,17 @@ class FolderOptions(BaseModel):
     """Where refused files are kept, each with a ``.reason.txt``; relative to ``folder``, same file system."""
 
 
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """What a map is judged by."""
+@dataclass(slots=True)
+class Waiting:
+    """One wait for a map."""
 
     after: str | None
-    since: datetime | None
-    """Maps measured earlier are stale; None where no pass has been run and nobody was asked."""
+    settled: Settled
+    ask: Ask | None = None
+    requested: bool = False
+    refused: list[str] = field(default_factory=list)
+    trouble: str = ""
+    """What keeps the folder from being served now."""
 
 
 class WatchedFolder:
@@ -77,20 +89,25 @@ class WatchedFolder:
 
     def __init__(self, options: FolderOptions, context: DeviceContext) -> None:
         self._options = options
-        self._part_id = context.part_id
-        self._readers: Sequence[SurfaceReader] = context.readers
+        self._readers = context.readers
+        self._rules = Rules(
+            context.part_id, options.accept_unnamed, options.clock_tolerance_s, instrument=context.instrument
+        )
         self._folder = context.base_dir / options.folder
         self._claimed = self._folder / options.claimed
         self._refused = self._folder / options.refused
         self._request = self._folder / options.request_file if options.request_file else None
-        self._taken = Taken(context.state_dir / "maps_taken.json")
+        self._taken: Taken | None = None
+        self._record = context.state_dir / "maps_taken.json"
+        self._polling = threading.Lock()
+        self._trouble = ""
 
     async def open(self) -> None:
         """Check the folder and read which maps were taken before. LinkError where the folder cannot be used."""
         problem = await asyncio.to_thread(self._problem)
         if problem:
             raise LinkError(f"{problem}. To do: make it, mount it, or correct [metrology] folder.")
-        await asyncio.to_thread(self._taken.load, self._claimed)
+        await asyncio.to_thread(self._load)
 
     async def close(self) -> None:
         """Nothing is held open."""
@@ -100,32 +117,36 @@ class WatchedFolder:
         return Identity(vendor="", model="watched folder", serial=str(self._folder), firmware="")
 
     async def status(self) -> DeviceStatus:
-        """Ready where the folder is there and can be written to; always safe."""
+        """Ready where the folder is there, can be written to, and has room; always safe."""
         problem = await asyncio.to_thread(self._problem)
-        return DeviceStatus(ready=not problem, safe=True, state="absent" if problem else "watching", detail=problem)
+        state = "absent" if problem else "in trouble" if self._trouble else "watching"
+        return DeviceStatus(ready=state == "watching", safe=True, state=state, detail=problem or self._trouble)
 
     async def make_safe(self) -> None:
         """An instrument that only looks is always safe."""
 
     async def next_map(self, after: str | None) -> SurfaceMap:
-        """Ask for a map and wait for it. SurfaceError, naming what was refused, when none came in time."""
+        """Ask for a map and wait for it. SurfaceError, naming what was refused, when none came in time.
+
+        A map that was claimed for the same ``after`` and not handed on by this process (it was killed in between, or
+        the wait was cancelled) comes first.
+        """
         options = self._options
-        asked = await asyncio.to_thread(self._ask, after)
-        settled = Settled(options.stable_polls, options.stable_s)
-        refused: list[str] = []
+        wait = Waiting(after, Settled(options.stable_polls, options.stable_s))
         start_s = time.monotonic()
         try:
             while (now_s := time.monotonic()) - start_s < options.timeout_s:
-                found = await asyncio.to_thread(self._poll, settled, asked, now_s, refused)
+                found = await asyncio.to_thread(self._poll, wait, now_s)
                 if found is not None:
+                    self._load().handed(found.sha256)
                     return found
-                await asyncio.sleep(options.poll_s)
+                await asyncio.sleep(wait.settled.rest_s(time.monotonic(), options.poll_s))
         finally:
             self._withdraw()
-        told = "; ".join(refused) or "no file came"
+        told = "; ".join([*wait.refused, *([wait.trouble] if wait.trouble else [])]) or "no file came"
         raise SurfaceError(
-            f"{self._folder}: no map of part {self._part_id!r} in {options.timeout_s:g} s: {told}. "
-            f"To do: look at the instrument{f' and into {self._refused}' if refused else ''}, then resume."
+            f"{self._folder}: no map of part {self._rules.part_id!r} in {options.timeout_s:g} s: {told}. "
+            f"To do: look at the instrument{f' and into {self._refused}' if wait.refused else ''}, then resume."
         )
 
     def _problem(self) -> str:
@@ -135,15 +156,12 @@ class WatchedFolder:
             return f"{self._folder}: the folder cannot be read and written to"
         return ""
 
-    def _ask(self, after: str | None) -> Asked:
-        now = datetime.now(UTC)
-        if self._request is not None:
-            request = {"part": self._part_id, "asked_at": now.isoformat(), "after": after}
-            try:
-                files.write_json(self._request, request)
-            except OSError as error:
-                raise SurfaceError(f"{self._request}: the request cannot be written: {error.strerror}") from error
-        return Asked(after, now if self._request is not None or after is not None else None)
+    def _load(self) -> Taken:
+        if self._taken is None:
+            taken = Taken(self._record, self._claimed)
+            taken.load()
+            self._taken = taken
+        return self._taken
 
     def _withdraw(self) -> None:
         """A request that nobody took must not be served when nobody waits for its map."""
@@ -151,71 +169,140 @@ class WatchedFolder:
             with suppress(OSError):
                 self._request.unlink(missing_ok=True)
 
-    def _poll(self, settled: Settled, asked: Asked, now_s: float, refused: list[str]) -> SurfaceMap | None:
-        """One full scan: the first trusted map, claimed; what is refused is put away and noted."""
-        try:
-            found = files.candidates(self._folder, [self._request] if self._request else [])
-        except OSError:
-            return None  # a share that is away for a while; the timeout ends this
-        for path in settled.poll(found, now_s):
+    def _poll(self, wait: Waiting, now_s: float) -> SurfaceMap | None:
+        """One full scan: the first trusted map, claimed; what is refused is put away and noted.
+
+        A wait that is cancelled leaves its last poll running: the lock keeps the next one out of its way.
+        """
+        with self._polling:
+            wait.trouble = ""
             try:
+                ask = self._asked(wait)
+                return self._claimed_before(wait, ask) or self._scan(wait, ask, now_s)
+            except OSError as error:
+                wait.trouble = f"{error.filename or self._folder}: {error.strerror or error}"
+                if error.errno in PERMANENT:
+                    raise SurfaceError(
+                        f"{self._folder}: maps cannot be moved to {self._claimed} or {self._refused}, or be recorded "
+                        f"in {self._record}: {wait.trouble}. To do: the first three must be folders on one file "
+                        "system, with room and the right to write."
+                    ) from error
+                return None
+            finally:
+                self._trouble = wait.trouble
+
+    def _asked(self, wait: Waiting) -> Ask:
+        """What is asked for; the same as before where no map has been taken since. The request is written last."""
+        if wait.ask is None:
+            taken, demanding = self._load(), self._request is not None or wait.after is not None
+            wait.ask = taken.ask(wait.after)
+            if wait.ask is None:
+                since = files.clock_of(self._folder) if demanding else None
+                present = {path.name: seen for path, seen in self._candidates().items()} if demanding else {}
+                wait.ask = taken.begin(wait.after, since, present)
+        return wait.ask
+
+    def _demand(self, wait: Waiting, ask: Ask) -> None:
+        if self._request is None or wait.requested:
+            return
+        request = {"part": self._rules.part_id, "after": ask.after, "token": ask.token}
+        request["asked_at"] = ask.since.isoformat() if ask.since else None
+        if self._folder.is_dir() and not self._request.parent.is_dir():
+            raise SurfaceError(f"{self._request}: the request cannot be written: its folder is not there")
+        write_atomic(self._request, json.dumps(request, indent=1).encode() + b"\n")
+        wait.requested = True
+
+    def _candidates(self) -> dict[Path, files.Identity]:
+        return files.candidates(self._folder, [self._request] if self._request else [])
+
+    def _claimed_before(self, wait: Waiting, ask: Ask) -> SurfaceMap | None:
+        """A map that was claimed and has not come further: the daemon was killed, or the share lost the answer."""
+        for given in self._load().pending(ask):
+            path = self._claimed / given.claimed
+            if not files.still_is(path, given.sha256, self._folder / given.name):
+                continue
+            try:
+                if given.times >= MOST_TIMES:
+                    raise BadMap(f"it was handed on {given.times} times and never journalled: the log says why")
                 surface = files.read_map(path, self._readers)
-            except BadMap as error:
-                if settled.quiet_s(path, now_s) >= self._torn_s:
-                    self._put_away(path, error, refused)
-                continue
-            if files.identity(path) != found[path]:
-                continue  # it was written to while it was read
-            try:
-                self._judge(surface, found[path], asked)
+                require_plausible(surface, self._rules)
             except SurfaceError as error:
-                self._put_away(path, error, refused)
+                self._put_away(path, error, wait)
                 continue
-            claimed = self._claim(path, found[path], surface.sha256)
-            if claimed is not None:
-                return replace(surface, path=claimed)
+            self._load().hand_on(ask, given)
+            return surface
         return None
+
+    def _scan(self, wait: Waiting, ask: Ask, now_s: float) -> SurfaceMap | None:
+        """The trusted map that was measured first, claimed."""
+        self._demand(wait, ask)
+        found = self._candidates()
+        best: tuple[tuple[float, int, str], Path, SurfaceMap] | None = None
+        for path in wait.settled.poll(found, now_s):
+            surface = self._judged(path, found[path], wait, ask, now_s)
+            if surface is not None:
+                at = measured_at(surface)
+                seen = found[path]
+                key = (at.timestamp() if at else seen.mtime_ns / 1e9, seen.mtime_ns, path.name)
+                best = min(filter(None, (best, (key, path, surface))), key=lambda one: one[0])
+        return self._claim(best[1], found[best[1]], best[2], ask) if best else None
+
+    def _judged(self, path: Path, seen: files.Identity, wait: Waiting, ask: Ask, now_s: float) -> SurfaceMap | None:
+        """The map where it is to be taken; None where it is put away, or cannot be told yet."""
+        try:
+            surface = files.read_map(path, self._readers)
+        except BadMap as error:
+            wait.settled.put_off(path, now_s)
+            if wait.settled.quiet_s(path, now_s) >= self._torn_s and files.identity(path) == seen:
+                self._put_away(path, error, wait)
+            return None
+        except OSError as error:
+            wait.settled.put_off(path, now_s)
+            wait.trouble = f"{path}: {error.strerror or error}"
+            return None
+        if files.identity(path) != seen:
+            return None  # it was written to while it was read
+        try:
+            require_plausible(surface, self._rules)
+            require_new(surface, (path, seen), ask, self._load(), self._rules)
+            if os.path.lexists(self._target(path, surface)):
+                raise StaleMap(f"duplicate: the same content lies in {self._claimed} (sha256 {surface.sha256[:12]}…)")
+        except SurfaceError as error:
+            self._put_away(path, error, wait)
+            return None
+        return surface
 
     @property
     def _torn_s(self) -> float:
         return TORN_AFTER * max(self._options.stable_s, self._options.poll_s)
 
-    def _claim(self, path: Path, seen: files.Identity, sha256: str) -> Path | None:
-        try:
-            claimed = files.claim(path, seen, self._claimed, sha256)
-            if claimed is not None:
-                self._taken.add(sha256)
-        except FileNotFoundError:
+    def _target(self, path: Path, surface: SurfaceMap) -> Path:
+        return self._claimed / f"{surface.sha256}{path.suffix}"
+
+    def _claim(self, path: Path, seen: files.Identity, surface: SurfaceMap, ask: Ask) -> SurfaceMap | None:
+        target, taken = self._target(path, surface), self._load()
+        given = Given(
+            sha256=surface.sha256,
+            name=path.name,
+            claimed=target.name,
+            source=source_of(surface),
+            measured=measured_at(surface),
+        )
+        taken.give(ask, given)
+        if not files.claim(path, seen, target, surface.sha256):
             return None
-        except OSError as error:
-            raise SurfaceError(
-                f"{path}: cannot be moved to {self._claimed} and recorded: {error.strerror}. "
-                "To do: both must be on one file system, with room and the right to write."
-            ) from error
-        return claimed
+        taken.hand_on(ask, given)
+        return replace(surface, path=target)
 
-    def _judge(self, surface: SurfaceMap, seen: files.Identity, asked: Asked) -> None:
-        if surface.sha256 == asked.after or surface.sha256 in self._taken:
-            raise StaleMap(f"the same content was taken before (sha256 {surface.sha256[:12]}…)")
-        if not surface.part_id and not self._options.accept_unnamed:
-            raise WrongPart(f"it does not say whose map it is; the part is {self._part_id!r}")
-        if surface.part_id and surface.part_id != self._part_id:
-            raise WrongPart(f"it shows part {surface.part_id!r}, the part is {self._part_id!r}")
-        measured = surface.taken_at or datetime.fromtimestamp(seen.mtime_ns / 1e9, UTC)
-        tolerance = timedelta(seconds=self._options.clock_tolerance_s)
-        if asked.since is not None and measured < asked.since - tolerance:
-            raise StaleMap(f"measured at {measured.isoformat()}, before it was asked for at {asked.since.isoformat()}")
-        if surface.pitch_mm is None:
-            raise BadMap("it has no lateral scale: such a map cannot drive polishing")
-
-    def _put_away(self, path: Path, error: SurfaceError, refused: list[str]) -> None:
+    def _put_away(self, path: Path, error: SurfaceError, wait: Waiting) -> None:
         reason = f"{path.name}: {type(error).__name__}: {str(error).removeprefix(f'{path}: ')}"
         try:
             files.quarantine(path, self._refused, reason)
         except OSError as problem:
-            reason += f" (and it cannot be moved to {self._refused}: {problem.strerror})"
-        if reason not in refused:
-            refused.append(reason)
+            wait.trouble = f"{path} cannot be moved to {self._refused}: {problem.strerror or problem}"
+            reason += f" (and it cannot be moved to {self._refused}: {problem.strerror or problem})"
+        if reason not in wait.refused:
+            wait.refused.append(reason)
 
 
 WATCHED_FOLDER = DeviceType(name="watched_folder", port="metrology", options=FolderOptions, build=WatchedFolder)

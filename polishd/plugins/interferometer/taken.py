@@ -1,42 +1,154 @@
-"""Which maps have been taken, by content; outlives restarts."""
+"""Which maps were asked for, claimed, handed on and taken, by content; outlives restarts and lost renames.
+
+A file is claimed in three steps: the record names it (``given``), it is renamed, it is handed on. Whatever is torn
+off in between, the record and the names in the folder of claimed files tell how far it came.
+"""
 
 from __future__ import annotations
 
-import json
+import secrets
+from datetime import datetime
 from pathlib import Path
 
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
 from polishd.api import DeviceFault
-from polishd.plugins.interferometer.files import write_json
+from polishd.files import write_atomic
+from polishd.plugins.interferometer.files import Identity
+
+SHA256_DIGITS = 64
+
+
+class Given(BaseModel):
+    """A file that is to be handed on, recorded before it is moved."""
+
+    model_config = ConfigDict(frozen=True)
+
+    sha256: str
+    name: str
+    """As it lay in the folder."""
+    claimed: str
+    """Its name among the claimed files."""
+    source: str
+    """Part and instrument: what ``measured`` may be compared within."""
+    measured: datetime | None
+    """By the instrument's clock."""
+    times: int = 0
+    """How often it was handed on."""
+
+
+class Ask(BaseModel):
+    """What is waited for; the same until another map has been taken, also across restarts."""
+
+    after: str | None
+    token: str
+    """A file with this in its name is an answer, whatever the clocks say."""
+    since: datetime | None
+    """By the folder's clock: maps measured earlier are stale; None: any map will do."""
+    present: dict[str, Identity] = Field(default_factory=dict)
+    """What lay in the folder when it was asked."""
+    given: dict[str, Given] = Field(default_factory=dict)
+    """By sha256: what was claimed for it."""
+
+
+class Record(BaseModel):
+    """The content of the file."""
+
+    ask: Ask | None = None
+    taken: list[str] = Field(default_factory=list)
+    last: dict[str, datetime] = Field(default_factory=dict)
+    """By source: when the last map that was taken was measured, by the instrument's clock."""
 
 
 class Taken:
     """The sha256 of every map ever taken, in a file of the state folder and in the names of the claimed files."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, claimed: Path) -> None:
         self._path = path
-        self._hashes: list[str] = []
+        self._claimed = claimed
+        self._record = Record()
+        self._taken: set[str] = set()
+        self._handed: set[str] = set()
+        self._handed_before: set[str] = set()
+        """By an earlier process, as far as the record knows."""
 
-    def load(self, claimed: Path) -> None:
-        """Read the record, and the names in ``claimed``: a file may be claimed and not yet recorded."""
-        hashes: list[str] = []
-        if self._path.exists():
-            try:
-                record = json.loads(self._path.read_bytes())
-                hashes = [str(sha256) for sha256 in record["taken"]]
-            except (OSError, ValueError, TypeError, KeyError) as error:
-                raise DeviceFault(
-                    f"{self._path}: the record of the maps taken cannot be read ({error}). "
-                    "To do: mend it, or remove it and empty the maps folder of old maps."
-                ) from error
-        if claimed.is_dir():
-            hashes += sorted(path.name[:64] for path in claimed.iterdir() if len(path.stem) >= 64)
-        self._hashes = list(dict.fromkeys(hashes))
+    def load(self) -> None:
+        """Read the record, and the names of the claimed files. DeviceFault where the record cannot be read."""
+        try:
+            self._record = Record.model_validate_json(self._path.read_bytes())
+        except FileNotFoundError:
+            self._record = Record()
+        except (OSError, ValidationError) as error:
+            raise DeviceFault(
+                f"{self._path}: the record of the maps taken cannot be read ({error}). "
+                "To do: mend it, or remove it and empty the maps folder of old maps."
+            ) from error
+        self._taken = set(self._record.taken)
+        given = self._record.ask.given if self._record.ask else {}
+        self._handed_before = {one.sha256 for one in given.values() if one.times}
+        if self._claimed.is_dir():
+            names = (path.name[:SHA256_DIGITS] for path in self._claimed.iterdir() if not path.name.startswith("."))
+            self._taken |= {name for name in names if len(name) == SHA256_DIGITS and name not in given}
 
     def __contains__(self, sha256: str) -> bool:
-        return sha256 in self._hashes
+        return sha256 in self._taken or sha256 in self._handed
 
-    def add(self, sha256: str) -> None:
-        """Record one, durably."""
-        self._hashes.append(sha256)
+    def last(self, source: str) -> datetime | None:
+        """When the last map that was taken of this part with this instrument was measured; None: not known."""
+        return self._record.last.get(source)
+
+    def ask(self, after: str | None) -> Ask | None:
+        """What is asked already for the map after ``after``; None: nothing."""
+        ask = self._record.ask
+        return ask if ask is not None and ask.after == after else None
+
+    def begin(self, after: str | None, since: datetime | None, present: dict[str, Identity]) -> Ask:
+        """Ask anew, durably: what was claimed for the ask before is taken for good."""
+        ask = Ask(after=after, token=secrets.token_hex(4), since=since, present=present)
+        before = self._record.ask.given.values() if self._record.ask else ()
+        done = [one.sha256 for one in before if one.sha256 in (*self._handed, after) or self._lies(one)]
+        self._taken.update(done)
+        self._save(Record(ask=ask, taken=[*dict.fromkeys([*self._record.taken, *done])], last=self._record.last))
+        return ask
+
+    def pending(self, ask: Ask) -> list[Given]:
+        """What was claimed for this ask, and has not come into the daemon's hands. OSError where that cannot be told.
+
+        One that an earlier process handed on counts, for the journal does not name it; not so where the journal names
+        no map at all: it may be a new one.
+        """
+        but = self._handed if ask.after is not None else self._handed | self._handed_before
+        return [one for one in ask.given.values() if one.sha256 not in but and self._lies(one)]
+
+    def give(self, ask: Ask, given: Given) -> None:
+        """Record, durably, that a file is about to be claimed."""
+        self._update(ask, given)
+
+    def hand_on(self, ask: Ask, given: Given) -> None:
+        """Record, durably, that a claimed map is handed on now."""
+        last = dict(self._record.last)
+        if given.measured is not None:
+            last[given.source] = given.measured
+        self._update(ask, given.model_copy(update={"times": given.times + 1}), last)
+
+    def handed(self, sha256: str) -> None:
+        """The map is in the daemon's hands."""
+        self._handed.add(sha256)
+
+    def _lies(self, given: Given) -> bool:
+        try:
+            (self._claimed / given.claimed).lstat()
+        except (FileNotFoundError, NotADirectoryError):
+            return False
+        return True
+
+    def _update(self, ask: Ask, given: Given, last: dict[str, datetime] | None = None) -> None:
+        kept = {**ask.given, given.sha256: given}
+        new = ask.model_copy(update={"given": kept})
+        self._save(Record(ask=new, taken=self._record.taken, last=self._record.last if last is None else last))
+        ask.given = kept
+
+    def _save(self, record: Record) -> None:
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        write_json(self._path, {"taken": self._hashes})
+        write_atomic(self._path, record.model_dump_json(indent=1).encode() + b"\n")
+        self._record = record

@@ -17,7 +17,7 @@ def test_a_changed_file_is_not_claimed(tmp_path: Path) -> None:
     seen = files.identity(path)
     assert seen
     path.write_bytes(b"another")
-    assert files.claim(path, seen, tmp_path / "taken", "f" * 64) is None
+    assert not files.claim(path, seen, tmp_path / "taken" / "x.dat", "f" * 64)
     assert path.read_bytes() == b"another"
 
 
@@ -43,7 +43,7 @@ def test_a_reader_that_breaks_is_named(tmp_path: Path) -> None:
         files.read_map(path, [reader])
     with pytest.raises(BadMap, match="no reader is loaded"):
         files.read_map(path, [])
-    with pytest.raises(BadMap, match="cannot be read"):
+    with pytest.raises(FileNotFoundError):
         files.read_map(tmp_path / "gone", [reader])
 
 
@@ -55,9 +55,18 @@ def test_settled_counts_polls_and_seconds() -> None:
     assert settled.poll({a: one}, 5.0) == []
     assert settled.poll({a: one, b: one}, 5.1) == [a]
     assert settled.quiet_s(a, 6.0) == 6.0
+    assert settled.rest_s(5.1, 0.5) == 0.5
+    assert settled.rest_s(5.9, 0.5) == pytest.approx(0.2)
+    assert settled.rest_s(6.1, 0.5) == 0.5
     assert settled.poll({a: other, b: one}, 5.2) == []
     assert settled.poll({a: other, b: one}, 5.3) == []
     assert settled.poll({a: other, b: one}, 5.4) == []
     assert settled.poll({a: other, b: one}, 6.3) == [a, b]
-    assert settled.poll({}, 7.0) == []
+    settled.put_off(a, 6.3)
+    assert settled.poll({a: other, b: one}, 7.0) == [b]
+    assert settled.poll({a: other, b: one}, 7.3) == [a, b]
+    settled.put_off(a, 7.3)
+    assert settled.poll({a: one, b: one}, 7.4) == [b]
+    assert settled.poll({}, 7.5) == []
+    settled.put_off(a, 7.5)
     assert settled.quiet_s(a, 7.0) == 0.0

@@ -91,7 +91,7 @@ def reasons(folder: Path) -> str:
 async def test_it_is_a_metrology_device(make: Callable[..., WatchedFolder], folder: Path) -> None:
     (device_type,) = polishd_device_types()
     assert (device_type.name, device_type.port) == ("watched_folder", "metrology")
-    assert [reader.name for reader in polishd_surface_readers()] == ["metropro"]
+    assert METROPRO in polishd_surface_readers()
     device = make()
     assert isinstance(device, Metrology)
     await device.make_safe()
@@ -211,7 +211,7 @@ async def test_files_of_one_chunk_after_another_under_another_suffix(
 REFUSED = {
     "wrong part": (lambda: dat(1, part="OTHER"), "WrongPart: it shows part 'OTHER', the part is 'DEMO-100'"),
     "unnamed": (lambda: dat(1, part=""), "WrongPart: it does not say whose map it is"),
-    "stale": (lambda: dat(1, at=time.time() - 60), "StaleMap: measured at"),
+    "stale": (lambda: dat(1, at=time.time() - 60), "StaleMap: stale: measured at"),
     "no scale": (lambda: dat(1, pitch_m=0.0), "BadMap: it has no lateral scale"),
     "torn": (lambda: dat(1)[:-7], "BadMap: has 7227 bytes of 7234: torn"),
     "preallocated": (lambda: dat(1)[:-80] + bytes(80), "BadMap: ends in a tail of zeros"),
@@ -264,7 +264,7 @@ async def test_the_same_content_is_never_taken_twice_also_after_a_restart(
     again = make(timeout_s=0.8)
     await again.open()
     (folder / "b.dat").write_bytes(content)
-    with pytest.raises(SurfaceError, match=r"b\.dat: StaleMap: the same content"):
+    with pytest.raises(SurfaceError, match=r"b\.dat: StaleMap: duplicate: the same content"):
         await again.next_map(None)
     assert (folder / "quarantine" / "b.dat").read_bytes() == content
 
@@ -297,7 +297,7 @@ async def test_maps_from_before_the_pass_are_stale_only_after_a_pass(
     (folder / "old.dat").write_bytes(dat(1, at=time.time() - 3600))
     first = await device.next_map(None)
     (folder / "older.dat").write_bytes(dat(2, at=time.time() - 60))
-    with pytest.raises(SurfaceError, match=r"older\.dat: StaleMap: measured at"):
+    with pytest.raises(SurfaceError, match=r"older\.dat: StaleMap: stale: measured at"):
         await device.next_map(first.sha256)
 
 

@@ -1,0 +1,79 @@
+"""Whether a map that is whole is the one that is waited for: of this part, new, in order, and plausible."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from polishd.api import BadMap, StaleMap, SurfaceMap, WrongPart
+from polishd.model.instrument import Instrument
+from polishd.plugins.interferometer.files import Identity
+from polishd.plugins.interferometer.taken import Ask, Taken
+from polishd.process.instrument import as_profiled
+
+LATEST_S = 2.0**35
+"""Some file systems can date a file later than datetime can hold; that is a thousand years from now."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """What every map is held against."""
+
+    part_id: str
+    accept_unnamed: bool
+    clock_tolerance_s: float
+    instrument: Instrument | None
+
+
+def measured_at(surface: SurfaceMap) -> datetime | None:
+    """When the instrument says that it measured, with a zone: UTC where it names none."""
+    taken_at = surface.taken_at
+    return taken_at.replace(tzinfo=UTC) if taken_at is not None and taken_at.tzinfo is None else taken_at
+
+
+def source_of(surface: SurfaceMap) -> str:
+    """Part and instrument: times are in order only among maps of the same."""
+    return f"{surface.part_id} | {surface.instrument}"
+
+
+def require_plausible(surface: SurfaceMap, rules: Rules) -> None:
+    """WrongPart where it shows another part; BadMap where the instrument's profile contradicts it."""
+    if not surface.part_id and not rules.accept_unnamed:
+        raise WrongPart(f"it does not say whose map it is; the part is {rules.part_id!r}")
+    if surface.part_id and surface.part_id != rules.part_id:
+        raise WrongPart(f"it shows part {surface.part_id!r}, the part is {rules.part_id!r}")
+    if rules.instrument is not None:
+        as_profiled(surface, rules.instrument)  # its answer is the daemon's business, a refusal is ours
+    elif surface.pitch_mm is None:
+        raise BadMap("it has no lateral scale: such a map cannot drive polishing")
+
+
+def require_new(surface: SurfaceMap, seen: tuple[Path, Identity], ask: Ask, taken: Taken, rules: Rules) -> None:
+    """StaleMap, in words for: duplicate, out of order, stale. A name with the token of the ask is new in any case."""
+    path, identity = seen
+    if surface.sha256 == ask.after or surface.sha256 in taken:
+        raise StaleMap(f"duplicate: the same content was taken before (sha256 {surface.sha256[:12]}…)")
+    if ask.token in path.name:
+        return
+    nevertheless = (
+        f". If that is a clock's mistake and the map is the one to use, move it back as {path.stem}-{ask.token}"
+        f"{path.suffix} while it is waited for; else measure again"
+    )
+    measured, last = measured_at(surface), taken.last(source_of(surface))
+    if measured is not None and last is not None and measured < last:
+        raise StaleMap(
+            f"out of order: measured at {measured.isoformat()}, before the last map that was taken, of "
+            f"{last.isoformat()}, both by the instrument's clock{nevertheless}"
+        )
+    if ask.since is None:
+        return
+    tolerance = timedelta(seconds=rules.clock_tolerance_s)
+    written = datetime.fromtimestamp(min(max(identity.mtime_ns / 1e9, 0), LATEST_S), UTC)
+    if (measured or written) < ask.since - tolerance:
+        raise StaleMap(
+            f"stale: measured at {(measured or written).isoformat()}, before it was asked for at "
+            f"{ask.since.isoformat()} by the folder's clock{nevertheless}"
+        )
+    if ask.present.get(path.name) == identity and abs(written - ask.since) > tolerance:
+        raise StaleMap(f"stale: it lay there when the map was asked for, at {ask.since.isoformat()}{nevertheless}")
