@@ -18,8 +18,9 @@ from pathlib import Path
 import typer
 
 from polishd.console.demo_files import DemoFiles, write_demo
+from polishd.console.map_commission import prove_profile
 from polishd.console.progress import progress
-from polishd.console.simulator import last_words, simulated_cell
+from polishd.console.simulator import last_words, measure_artefact, simulated_cell
 from polishd.console.tables import cycle_table, stderr, stdout
 from polishd.daemon import client
 from polishd.daemon.sockets import SOCKET_NAME
@@ -52,6 +53,7 @@ def run_demo(options: DemoOptions, *, as_json: bool) -> int:
     simulator = ["--state", str(files.sim_dir), "--seed", str(options.seed), "--speed", f"{options.speed:g}"]
     simulator += ["--surface", str(options.surface.absolute())] if options.surface else []
     signal.signal(signal.SIGTERM, _raise_exit)  # ended from outside, it still ends what it started
+    commission_demo(files)
     with simulated_cell(files.sim, simulator, files.out / "sim.log"):
         code = _daemon(files)
     summary_path = files.run_dir / "summary.json"
@@ -66,6 +68,12 @@ def run_demo(options: DemoOptions, *, as_json: bool) -> int:
             stdout.print(note, markup=False)
         stdout.print(f"report: {files.run_dir / 'report.html'}", markup=False, soft_wrap=True)
     return code
+
+
+def commission_demo(files: DemoFiles) -> None:
+    """Have the simulated instrument measure its artefact, and prove its profile with that; errors as of the verb."""
+    measure_artefact(files.sim, files.artefact)
+    prove_profile(files.profile, files.artefact)
 
 
 def _daemon(files: DemoFiles) -> int:

@@ -55,6 +55,16 @@ class DemoFiles:
         return self.out / "sim.toml"
 
     @property
+    def profile(self) -> Path:
+        """The profile of the simulated instrument."""
+        return self.out / "instrument.toml"
+
+    @property
+    def artefact(self) -> Path:
+        """A map of the artefact that proves the profile."""
+        return self.out / "artefact.dat"
+
+    @property
     def sim_dir(self) -> Path:
         """The simulator's state: device nodes, maps, its own log."""
         return self.out / "sim"
@@ -95,6 +105,7 @@ def write_demo(out: Path, surface: Path | None, tolerance_nm: float, cycles: int
     files.cell.write_text(
         with_values(files.cell.read_text(), {"robot": {"address": f"tcp://127.0.0.1:{_port(files.sim)}"}})
     )
+    files.profile.write_text(_shipped("instrument.toml"))
     config = load_config(files.cell)
     config.program_path.write_bytes(demo_program(config))
     return files
@@ -171,6 +182,8 @@ def _port(sim: Path) -> int:
 
 
 def _toml(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
     return f'"{value}"' if isinstance(value, str) else str(value)
 
 

@@ -47,6 +47,14 @@ def simulated_cell(config: Path, options: Sequence[str], log: Path) -> Iterator[
                 process.stdout.close()
 
 
+def measure_artefact(config: Path, target: Path) -> None:
+    """Have the simulated instrument write one map of its artefact; DeviceFault where it does not."""
+    command = [sys.executable, "-m", MODULE, str(config), "--artefact", str(target)]
+    done = subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False)
+    if done.returncode:
+        raise DeviceFault(f"the simulated instrument did not measure its artefact: {done.stderr.strip()}")
+
+
 def last_words(log: Path, lines: int = 5) -> str:
     """The end of a log, for an error message."""
     return "\n".join(log.read_text(errors="replace").splitlines()[-lines:]) or "it said nothing"

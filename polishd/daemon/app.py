@@ -14,7 +14,7 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any, Literal
 
-from polishd.daemon.assembly import build_cell, contact_limits, make_recipe
+from polishd.daemon.assembly import build_cell, contact_limits, make_recipe, require_commissioned
 from polishd.daemon.cell import Cell
 from polishd.daemon.compute import Compute
 from polishd.daemon.config import CellConfig
@@ -160,6 +160,7 @@ async def run_cell(config: CellConfig, hooks: Hooks, show: Callable[[Event], Non
     Raises PolishdError for what ended it otherwise; the summary and the report are written then too.
     """
     recipe = make_recipe(config, hooks)
+    require_commissioned(config, recipe)
     program = read_program(recipe, config.program_path)
     cell = build_cell(config, hooks)
     with StateLock(config.state_dir), logging_to(config.state_dir), _journal(config) as journal:
@@ -221,6 +222,8 @@ def run_folder(config: CellConfig, journal: Journal) -> RunFolder:
     folder = RunFolder(path)
     folder.create()
     folder.bytes("cell.toml", config.path.read_bytes())
+    if config.profile_path is not None:
+        folder.bytes("instrument.toml", config.profile_path.read_bytes())
     return folder
 
 

@@ -9,10 +9,13 @@ from typing import Any, TypeVar, cast
 from polishd.daemon.cell import Cell, MonotonicClock
 from polishd.daemon.config import CellConfig, PortSection, device_options
 from polishd.daemon.config_errors import did_you_mean, listed
+from polishd.daemon.instrument_file import load_profile
 from polishd.daemon.plugins import Hooks
 from polishd.daemon.recipe import Recipe
 from polishd.daemon.safety import ContactLimits
 from polishd.hookspecs import DeviceContext
+from polishd.model.errors import ConfigError
+from polishd.model.instrument import Instrument
 from polishd.ports.devices import Device, ForceActuator, Metrology, Robot, Spindle
 
 CROSS_CHECK_GAP = 1e-3
@@ -28,6 +31,7 @@ def build_cell(config: CellConfig, hooks: Hooks) -> Cell:
         state_dir=config.state_dir,
         part_id=config.part.id,
         readers=tuple(hooks.surface_readers().values()),
+        instrument=instrument_of(config),
     )
     types = hooks.device_types()
 
@@ -44,12 +48,32 @@ def build_cell(config: CellConfig, hooks: Hooks) -> Cell:
     )
 
 
+def instrument_of(config: CellConfig) -> Instrument | None:
+    """The instrument's profile, commissioned or not; None where the cell names none. ConfigError names file and key."""
+    return None if config.profile_path is None else load_profile(config.profile_path).instrument
+
+
+def why_not_commissioned(config: CellConfig) -> str:
+    """Why no map may drive polishing in this cell; empty where maps may."""
+    if config.profile_path is None:
+        problem = "the cell names no instrument's profile; write one (docs/instruments.md), commission it, name it here"
+        return str(config.error("instrument.profile", problem))
+    return load_profile(config.profile_path).unproved
+
+
+def require_commissioned(config: CellConfig, recipe: Recipe) -> None:
+    """ConfigError unless the recipe's instrument is commissioned."""
+    if recipe.instrument is None or recipe.instrument.commissioned is None:
+        raise ConfigError(f"{why_not_commissioned(config)} (nothing was opened)")
+
+
 def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
     """Everything that the computing steps need; ConfigError names the key that no loaded plugin serves."""
     solvers = hooks.dwell_solvers()
     cross_check = config.dwell.cross_check
     return Recipe(
         part_id=config.part.id,
+        instrument=instrument_of(config),
         aperture_mm=config.part.aperture_mm,
         edge_mm=config.part.edge_mm,
         free_rim=config.part.rim == "free",

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from polishd.daemon import steps
-from polishd.daemon.assembly import build_cell, make_recipe
+from polishd.daemon.assembly import build_cell, make_recipe, why_not_commissioned
 from polishd.daemon.config import CellConfig
 from polishd.daemon.lock import StateLock
 from polishd.daemon.plugins import Hooks
+from polishd.daemon.recipe import Recipe
 from polishd.daemon.safety import make_safe
 from polishd.model.devices import Identity
 from polishd.model.errors import DeviceFault
@@ -32,6 +33,7 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
             else {}
         ),
         "plugins": ", ".join(plugin.name for plugin in hooks.report.loaded),
+        "instrument": _instrument(config, recipe),
         "program": f"{program.name}: {program.n} timed points, {program.lines} lines, time in the {program.encoding}",
         "reach": f"all {program.n} points",
         "compliance_um_per_n": f"{compliance.min():.3f} to {compliance.max():.3f}",
@@ -39,6 +41,14 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
         "correction": recipe.correction,
         "removal of the program as it is": f"{np.max(answer.effect.removal_nm(program.time_s)):.1f} nm at most",
     }
+
+
+def _instrument(config: CellConfig, recipe: Recipe) -> str:
+    instrument = recipe.instrument
+    if instrument is None or instrument.commissioned is None:
+        return f"run will refuse: {why_not_commissioned(config)}"
+    record = instrument.commissioned
+    return f"{instrument.name}: commissioned {record.at:%Y-%m-%d %H:%M} with {record.artefact}"
 
 
 async def probe_cell(config: CellConfig, hooks: Hooks) -> dict[str, Identity]:

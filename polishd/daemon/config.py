@@ -24,6 +24,7 @@ from polishd.daemon.config_sections import (
     CellSection,
     DeviceSection,
     DwellSection,
+    InstrumentSection,
     JobSection,
     LimitsSection,
     MachineSection,
@@ -54,6 +55,7 @@ class CellConfig(Section):
     actuator: DeviceSection
     spindle: DeviceSection
     metrology: DeviceSection
+    instrument: InstrumentSection = InstrumentSection()
     part: PartSection
     kinematics: KinematicsSection = HybridSection()
     compliance: ComplianceSection = ComplianceSection()
@@ -100,6 +102,11 @@ class CellConfig(Section):
     def program_path(self) -> Path:
         """The part program."""
         return self.resolve(self.program.path)
+
+    @property
+    def profile_path(self) -> Path | None:
+        """The instrument's profile, or None where the cell names none."""
+        return None if self.instrument.profile is None else self.resolve(self.instrument.profile)
 
     @property
     def sha256(self) -> str:

@@ -83,6 +83,13 @@ class PluginsSection(Section):
         return names
 
 
+class InstrumentSection(Section):
+    """The instrument whose maps the cell polishes by."""
+
+    profile: Text | None = None
+    """Its profile's file; without one `run` refuses."""
+
+
 class PartSection(Section):
     """The part, and where it lies in the robot's base frame."""
 

@@ -21,12 +21,12 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
             surface = await job.measured(cycle, await cell.metrology.next_map(after=journal.last_map_id))
         if job.accepts(surface):
             return Outcome.IN_TOLERANCE
+        async with journal.phase(cycle, Phase.LEARN):
+            await job.learn(cycle, surface)  # first: where a flipped map made the part worse, the gate says so
         if job.diverges(surface):
             return Outcome.DIVERGED
         if cycle == job.last_cycle:
             return Outcome.CYCLES_USED
-        async with journal.phase(cycle, Phase.LEARN):
-            await job.learn(cycle, surface)
         async with journal.phase(cycle, Phase.SOLVE):
             solved = await job.solve(cycle, surface)
             require_certificate(solved.dwell.certificate, job.recipe)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from polishd.daemon.journal import Journal
 from polishd.daemon.recipe import Recipe
 from polishd.daemon.run_folder import RunFolder
 from polishd.daemon.safety import ContactLimits
-from polishd.daemon.steps import Beliefs, Measured, Solved
+from polishd.daemon.steps import Beliefs, Measured, Solved, Taught
 from polishd.model.cycle import Event
 from polishd.model.devices import Executed, RobotProgress
 from polishd.model.dwell import Certificate, KeptStart
@@ -22,6 +22,8 @@ from polishd.model.errors import ComputeError, PlanRefused
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
+from polishd.process.gate import Verdict
+from polishd.process.registration.record import Registration
 
 DIVERGED_RATIO, DIVERGED_NM = 1.3, 1.0
 """A surface that is worse than the best one so far by this ratio, and by more than noise and ripple, ends the job."""
@@ -61,6 +63,8 @@ class Job:
         self._beliefs = Beliefs(block_overhead_s=recipe.envelope.block_overhead_s)
         self._surfaces: dict[int, Measured] = {}
         self._masks: tuple[Any, Any] | None = None
+        self._lay: Registration | None = None
+        """Where the part lay in the last map."""
         self._blocks = 0
         self._restore()
 
@@ -73,8 +77,8 @@ class Job:
 
     async def measured(self, cycle: int, surface: SurfaceMap) -> Measured:
         """The map on the process grid; journalled and kept in the run folder."""
-        measured = await self._compute(steps.condition, self.recipe, surface, self._masks)
-        self._masks = (measured.solve_mask, measured.metric_mask)
+        measured = await self._compute(steps.condition, self.recipe, surface, self._masks, self._lay)
+        self._masks, self._lay = (measured.solve_mask, measured.metric_mask), measured.registration
         save_surface(self._folder.cycle(cycle), surface, measured)
         stats = {**asdict(measured.stats), "run_dir": str(self._folder.path)}
         self._journal.record_map(cycle, surface.sha256, surface.path or "", stats)
@@ -106,10 +110,16 @@ class Job:
             return
         asked = self._folder.cycle(cycle - 1).load_arrays("plan.npz")["asked_s"]
         executed = self.executed_s(cycle - 1)
-        self._beliefs, learned = await self._compute(
+        taught: Taught = await self._compute(
             steps.learn, self.recipe, self._program, (before, surface), (asked, executed), self._beliefs
         )
-        self._folder.cycle(cycle).json("learned.json", {"beliefs": asdict(self._beliefs), **asdict(learned)})
+        folder = self._folder.cycle(cycle)
+        save_verdict(folder, taught.verdict, surface)
+        if taught.learned is None:
+            self._publish(Event("gate_stopped", cycle, {"stop": taught.verdict.stop, "cycle_dir": str(folder.path)}))
+            raise ComputeError(f"{taught.verdict.stop} (see {folder.path / 'gate.png'})")
+        self._beliefs = taught.beliefs
+        folder.json("learned.json", {"beliefs": asdict(self._beliefs), **asdict(taught.learned)})
         self._publish(Event("learned", cycle, asdict(self._beliefs)))
 
     async def solve(self, cycle: int, surface: Measured) -> Solved:
@@ -225,6 +235,7 @@ class Job:
             return
         first = self._load(history[0].cycle, history[0].sha256)
         self._masks = (first.solve_mask, first.metric_mask)
+        self._lay = self._load(history[-1].cycle, history[-1].sha256).registration
         passes = self._journal.passes
         if passes:
             before = [record for record in history if record.cycle == passes[-1].cycle]
@@ -263,8 +274,20 @@ def save_surface(folder: RunFolder, surface: SurfaceMap, measured: Measured) -> 
             "solve_mask": measured.solve_mask,
             "metric_mask": measured.metric_mask,
             "pitch_mm": measured.grid.pitch_mm,
+            "lies": np.array([*measured.registration.shift_mm, measured.registration.rotation_deg]),
         },
     )
+    folder.json("registration.json", measured.registration)
+
+
+def save_verdict(folder: RunFolder, verdict: Verdict, surface: Measured) -> None:
+    """What the gate found and, where it stops, the maps that it compared: for the picture."""
+    plain = {item.name: getattr(verdict, item.name) for item in fields(verdict)}
+    maps = {key: value for key, value in plain.items() if isinstance(value, np.ndarray)}
+    words = {key: value for key, value in plain.items() if key not in maps}
+    folder.json("gate.json", {**words, "best": {**asdict(verdict.best), "name": verdict.best.name}})
+    if verdict.stop:
+        folder.arrays("gate.npz", {**maps, "metric_mask": surface.metric_mask, "pitch_mm": surface.grid.pitch_mm})
 
 
 def save_plan(folder: RunFolder, recipe: Recipe, plan: Plan, solved: Solved) -> None:

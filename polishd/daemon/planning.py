@@ -43,6 +43,8 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
     vetoes = hooks.check_plan(plan, recipe.envelope)
     if vetoes:
         raise PlanRefused("the plan was refused, nothing was written:\n" + "\n".join(f"  {v}" for v in vetoes))
+    if recipe.instrument is None or recipe.instrument.commissioned is None:
+        notes.append("run will refuse: the cell has no commissioned instrument's profile (polishd check says more)")
     notes += [*surface.warnings, *program.warnings, *steps.violations(recipe, plan), *solved.answer.notes]
     summary = {
         **_figures(recipe, measured, solved, plan),

@@ -7,6 +7,7 @@ from typing import Literal
 
 from polishd.hookspecs import DwellSolver, ProgramFormat, RemovalModel
 from polishd.model.dwell import Choice
+from polishd.model.instrument import Instrument
 from polishd.model.limits import Envelope
 from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Optic, Placement, ToolProcess
 from polishd.model.robot import RobotModel
@@ -18,6 +19,8 @@ class Recipe:
     """One part, one process, one robot, one way of solving."""
 
     part_id: str
+    instrument: Instrument | None
+    """The profile of the instrument that the maps come from; None: maps must say everything themselves."""
     aperture_mm: float
     edge_mm: float
     free_rim: bool

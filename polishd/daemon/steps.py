@@ -20,9 +20,16 @@ from polishd.model.errors import ComputeError
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program, Segment
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap, SurfaceStats
-from polishd.process import conditioning, learning, metrics, motion
+from polishd.process import conditioning, gate, learning, metrics, motion
 from polishd.process.edge.rim import round_rim
+from polishd.process.gate import Verdict
+from polishd.process.instrument import as_profiled
 from polishd.process.paths.wrist import tool_axes
+from polishd.process.registration.record import Registration
+from polishd.process.registration.register import register
+
+
+CENTRED = Registration()
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +43,8 @@ class Measured:
     metric_mask: BoolArray
     stats: SurfaceStats
     sha256: str
+    registration: Registration = CENTRED
+    """Where the part lay in the map."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +54,16 @@ class Beliefs:
     rate: float = 1.0
     block_overhead_s: float = 0.0
     notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Taught:
+    """What a pass taught, or why nothing is believed of it."""
+
+    beliefs: Beliefs
+    learned: learning.Learned | None
+    """None where the gate stops."""
+    verdict: Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,19 +93,33 @@ def _with_moves(program: Program) -> Program:
     return replace(program, start_mm=np.vstack([program.end_mm[:1], program.end_mm[:-1]]))
 
 
-def condition(recipe: Recipe, surface: SurfaceMap, masks: tuple[BoolArray, BoolArray] | None) -> Measured:
-    """Bring a map onto the process grid and state its figures; BadMap where it cannot be trusted."""
+def condition(
+    recipe: Recipe,
+    surface: SurfaceMap,
+    masks: tuple[BoolArray, BoolArray] | None,
+    last: Registration | None = None,
+) -> Measured:
+    """Bring a map onto the process grid and state its figures; BadMap where it cannot be trusted.
+
+    ``masks`` and ``last`` are of earlier maps of the part: its frozen masks, and where it lay in the last one.
+    """
+    profiled = as_profiled(surface, recipe.instrument)
+    lies = CENTRED
+    if recipe.instrument is not None:
+        lies = register(profiled, recipe.instrument, recipe.aperture_mm, last)
     part = conditioning.condition(
-        surface,
+        profiled,
         aperture_mm=recipe.aperture_mm,
         edge_mm=recipe.edge_mm,
         grid_mm=recipe.grid_mm,
         masks=masks,
         tilt=recipe.tilt_is_alignment,
+        registration=lies,
     )
-    stats = _stats(recipe, surface.height_nm, _on_map(surface, part.grid, part.metric_mask), surface.grid.pitch_mm)
+    clear = _on_map(profiled, part.grid, part.metric_mask, lies)
+    stats = _stats(recipe, profiled.height_nm, clear, profiled.grid.pitch_mm)
     height = np.where(part.solve_mask, part.height_nm, 0.0)
-    return Measured(part.grid, height, part.solve_mask, part.metric_mask, stats, surface.sha256)
+    return Measured(part.grid, height, part.solve_mask, part.metric_mask, stats, surface.sha256, lies)
 
 
 def in_part_frame(recipe: Recipe, program: Program) -> Program:
@@ -144,16 +177,18 @@ def learn(
     surfaces: tuple[Measured, Measured],
     times: tuple[FloatArray, FloatArray],
     beliefs: Beliefs,
-) -> tuple[Beliefs, learning.Learned]:
-    """Compare predicted with measured removal of the last pass; refuse what a flip explains better.
+) -> Taught:
+    """Compare predicted with measured removal of the last pass; where the gate stops, nothing is learned from it.
 
     ``surfaces`` are before and after it, ``times`` asked and executed, (n,) s.
     """
     (before, after), (asked_s, executed_s) = surfaces, times
     predicted = effect_of(recipe, program, before.grid, beliefs.rate).removal_nm(executed_s)
-    learned = learning.learn_rate(
-        predicted, before.height_nm - after.height_nm, before.metric_mask, tilt=recipe.tilt_is_alignment
-    )
+    measured = before.height_nm - after.height_nm
+    verdict = gate.judge(predicted, measured, before.metric_mask, before.grid.pitch_mm)
+    if verdict.stop:
+        return Taught(beliefs, None, verdict)
+    learned = learning.learn_rate(predicted, measured, before.metric_mask, tilt=recipe.tilt_is_alignment)
     rate = beliefs.rate * learned.rate
     if not 1 - recipe.max_rate_change <= rate <= 1 + recipe.max_rate_change:
         raise ComputeError(
@@ -161,7 +196,7 @@ def learn(
             f"{recipe.max_rate_change:g}); check force, speed, slurry and process.preston, then resume"
         )
     overhead = motion.learn_overhead_s(program, asked_s, executed_s, envelope_of(recipe, program, beliefs))
-    return Beliefs(rate, overhead, learned.notes), learned
+    return Taught(Beliefs(rate, overhead, learned.notes), learned, verdict)
 
 
 def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan:
@@ -222,9 +257,13 @@ def process_grid(recipe: Recipe) -> Grid:
 def load_measured(recipe: Recipe, arrays: Mapping[str, NDArray[Any]], sha256: str) -> Measured:
     """A measurement as the run folder keeps it (``surface.npz``)."""
     height = np.asarray(arrays["height_nm"], dtype=np.float64)
+    x, y, turn = map(float, arrays.get("lies", np.zeros(3)))  # a job of an earlier polishd had none
     grid = Grid(height.shape[0], height.shape[1], float(arrays["pitch_mm"]))
     solve, metric = (np.asarray(arrays[key], dtype=np.bool_) for key in ("solve_mask", "metric_mask"))
-    return Measured(grid, np.nan_to_num(height), solve, metric, _stats(recipe, height, metric, grid.pitch_mm), sha256)
+    stats = _stats(recipe, height, metric, grid.pitch_mm)
+    by = recipe.instrument.register_by if recipe.instrument is not None else "none"
+    lay = Registration(turn, (x, y), by=by)
+    return Measured(grid, np.nan_to_num(height), solve, metric, stats, sha256, lay)
 
 
 def _stats(recipe: Recipe, height_nm: FloatArray, mask: BoolArray, pitch_mm: float) -> SurfaceStats:
@@ -237,11 +276,13 @@ def _stats(recipe: Recipe, height_nm: FloatArray, mask: BoolArray, pitch_mm: flo
     )
 
 
-def _on_map(surface: SurfaceMap, grid: Grid, mask: BoolArray) -> BoolArray:
+def _on_map(surface: SurfaceMap, grid: Grid, mask: BoolArray, lies: Registration) -> BoolArray:
     """The frozen clear aperture on the map's own pixels: figures are stated there, where the raster's ripple shows."""
-    own = surface.grid
-    row = (grid.y_mm[0] - own.y_mm) / grid.pitch_mm
-    column = (own.x_mm - grid.x_mm[0]) / grid.pitch_mm
+    own, turn = surface.grid, np.radians(lies.rotation_deg)
+    right, up = own.x_mm[None, :] - lies.shift_mm[0], own.y_mm[:, None] - lies.shift_mm[1]
+    x = np.cos(turn) * right + np.sin(turn) * up
+    y = np.cos(turn) * up - np.sin(turn) * right
+    places = [(grid.y_mm[0] - y) / grid.pitch_mm, (x - grid.x_mm[0]) / grid.pitch_mm]
     # the two grids may lie half a sample apart: the nearest one would move the rim by that much
-    share = ndimage.map_coordinates(mask.astype(np.float64), np.meshgrid(row, column, indexing="ij"), order=1)
+    share = ndimage.map_coordinates(mask.astype(np.float64), places, order=1)
     return np.asarray(share >= 0.5 - 1e-6, dtype=np.bool_) & surface.valid

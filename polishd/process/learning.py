@@ -1,4 +1,4 @@
-"""What a pass teaches: the removal rate, and whether map and machine agree on what is left, right, up and down."""
+"""What a pass teaches: the removal rate. Whether map and machine agree on left and right is the gate's to judge."""
 
 from __future__ import annotations
 
@@ -13,13 +13,8 @@ TILES = 4
 """The mask is cut into this many tiles a side for the standard error: residuals are correlated over a spot."""
 SIGNIFICANT = 2.0
 """A rate is applied only if it is this many standard errors from 1."""
-FLIP_MARGIN = 0.1
-"""By how much the correlation of another orientation must exceed that of the map as it is."""
 MIN_SIGNAL_NM = 1.5
 """RMS of the predicted removal below which it teaches nothing: the map's noise is in what was predicted, too."""
-
-ORIENTATIONS = ("as it is", "turned 90", "turned 180", "turned 270")
-FLIPPED = ("flipped left-right", "transposed", "flipped up-down", "transposed across")
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,9 +31,6 @@ class Learned:
     """Of measured with predicted removal, both without piston and tilt."""
     explained: float
     """Share of the measured removal's variance that the scaled prediction explains."""
-    best_orientation: str
-    """Orientation of the predicted map that correlates best with the measured one; "as it is" when all is well."""
-    best_correlation: float
     notes: tuple[str, ...] = ()
 
 
@@ -49,7 +41,6 @@ def learn_rate(
     *,
     weight: FloatArray | None = None,
     tilt: bool = True,
-    refuse_flips: bool = True,
 ) -> Learned:
     """Fit ``measured = rate * predicted + piston (+ tilt)`` by weighted least squares.
 
@@ -59,10 +50,9 @@ def learn_rate(
         mask: (ny, nx) samples to compare.
         weight: (ny, nx) not negative; None for ones.
         tilt: whether a tilt is fitted and forgotten, as interferometer maps need.
-        refuse_flips: raise rather than report where another orientation explains the measurement better.
 
     Raises:
-        ComputeError: shapes that do not fit, no data, or (``refuse_flips``) a map that is flipped, turned or negated.
+        ComputeError: shapes that do not fit, or no data.
     """
     _check(predicted_nm, measured_nm, mask, weight)
     w = np.ones(mask.shape) if weight is None else weight
@@ -72,15 +62,10 @@ def learn_rate(
     weights, measured = w[mask], measured_nm[mask]
     signal = _without(columns_nm[:, 0], columns_nm[:, 1:], weights)
     left = _without(measured, columns_nm[:, 1:], weights)
-    orientation, best, own = _best_orientation(_spread(signal, mask), _spread(left, mask), mask)
+    own = _correlation(signal, left)
     if _rms(signal, weights) < MIN_SIGNAL_NM:
         note = f"the predicted removal varies by less than {MIN_SIGNAL_NM:g} nm RMS: it teaches nothing of the rate"
-        return Learned(1.0, float("nan"), float("inf"), own, 0.0, ORIENTATIONS[0], own, (note,))
-    if orientation != ORIENTATIONS[0] and refuse_flips:
-        raise ComputeError(
-            f"the measured removal looks like the predicted one {orientation} (correlation {best:.2f}, as it is "
-            f"{own:.2f}): check the instrument's profile and the program's offset and rotation before going on"
-        )
+        return Learned(1.0, float("nan"), float("inf"), own, 0.0, (note,))
     rate = _slope(signal, left, weights)
     sigma = _jackknife(columns_nm, measured, weights, _tiles(rows, columns, mask.shape))
     spread = _rms(left, weights) ** 2
@@ -89,7 +74,7 @@ def learn_rate(
     applied = rate
     if not abs(rate - 1) > SIGNIFICANT * sigma:
         applied, notes = 1.0, (f"a rate of {rate:.3f} +- {sigma:.3f} is not significant: the rate stays",)
-    return Learned(applied, rate, sigma, own, explained, orientation, best, notes)
+    return Learned(applied, rate, sigma, own, explained, notes)
 
 
 def _check(predicted: FloatArray, measured: FloatArray, mask: BoolArray, weight: FloatArray | None) -> None:
@@ -111,13 +96,6 @@ def _without(values: FloatArray, nuisance: FloatArray, weights: FloatArray) -> F
     root = np.sqrt(weights)
     fit = np.linalg.lstsq(nuisance * root[:, None], values * root, rcond=None)[0]
     return np.asarray(values - nuisance @ fit, dtype=np.float64)
-
-
-def _spread(values: FloatArray, mask: BoolArray) -> FloatArray:
-    """The mask's samples back on the grid, zero elsewhere."""
-    grid = np.zeros(mask.shape)
-    grid[mask] = values
-    return grid
 
 
 def _slope(signal: FloatArray, left: FloatArray, weights: FloatArray) -> float:
@@ -142,24 +120,6 @@ def _jackknife(columns: FloatArray, measured: FloatArray, weights: FloatArray, t
     without = np.linalg.pinv(normal.sum(0) - normal, hermitian=True) @ (right.sum(0) - right)[..., None]
     rates = without[:, 0, 0]
     return float(np.sqrt((len(rates) - 1) * np.mean((rates - rates.mean()) ** 2)))
-
-
-def _best_orientation(predicted: FloatArray, measured: FloatArray, mask: BoolArray) -> tuple[str, float, float]:
-    """Name and correlation of the best of 8 turns and flips, plain or negated, and the correlation as it is.
-
-    Another orientation counts only where it is better by ``FLIP_MARGIN``. Maps that are not square have 4.
-    """
-    square = mask.shape[0] == mask.shape[1]
-    found = {}
-    for names, values, where in ((ORIENTATIONS, predicted, mask), (FLIPPED, predicted[:, ::-1], mask[:, ::-1])):
-        for k in range(0, 4, 1 if square else 2):
-            both = np.rot90(where, k) & mask
-            found[names[k]] = _correlation(np.rot90(values, k)[both], measured[both])
-    own = found[ORIENTATIONS[0]]
-    best = max(found, key=lambda name: abs(found[name]))
-    if abs(found[best]) < max(own, 0.0) + FLIP_MARGIN:
-        return ORIENTATIONS[0], own, own
-    return (best if found[best] > 0 else f"{best} and negated"), found[best], own
 
 
 def _correlation(a: FloatArray, b: FloatArray) -> float:

@@ -13,6 +13,7 @@ from polishd.model.errors import PolishdError
 from polishd.sim_backends.config import load
 from polishd.sim_backends.runtime import Start, run_device
 from polishd.sim_backends.supervisor import DEVICES, Supervisor
+from polishd.sim_backends.truth import stream
 
 
 def parser() -> argparse.ArgumentParser:
@@ -23,6 +24,7 @@ def parser() -> argparse.ArgumentParser:
     parse.add_argument("--seed", type=int, help="overrides plant.seed")
     parse.add_argument("--speed", type=float, help="process seconds per wall second; overrides plant.speed")
     parse.add_argument("--surface", type=Path, help="start from this MetroPro map")
+    parse.add_argument("--artefact", type=Path, metavar="FILE", help="write one map of the artefact, and end")
     parse.add_argument("--device", choices=("plant", *DEVICES), help="run one device of the cell in this state folder")
     parse.add_argument("--rebooted", action="store_true", help=argparse.SUPPRESS)
     return parse
@@ -46,6 +48,8 @@ def main() -> int:
     options = parser().parse_args()
     code = 0
     try:
+        if options.artefact is not None:
+            return _artefact(options)
         start = start_of(options)
         if options.surface is not None and options.device in {None, "plant"}:
             _check(options.surface)
@@ -83,6 +87,15 @@ def _device(name: str) -> Any:
         "interferometer": "interferometer",
     }.get(name, f"{name}.device")
     return import_module(f"polishd.sim_backends.{module}").main
+
+
+def _artefact(options: argparse.Namespace) -> int:
+    from polishd.sim_backends.interferometer import write_artefact
+
+    config = load(options.config)
+    seed = config.plant.seed if options.seed is None else options.seed
+    write_artefact(config, options.artefact, stream(seed, "artefact"))
+    return 0
 
 
 def _check(surface: Path) -> None:

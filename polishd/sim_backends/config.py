@@ -83,6 +83,32 @@ class MapFaults(Section):
     """Drops the last map again, under a new name, before each map but the first."""
     wrong_part_first: bool = False
     """Drops a map of another part before each map."""
+    mirror: bool = False
+    """Its arrays are flipped left-right, ..."""
+    rotation_deg: Literal[0, 90, 180, 270] = 0
+    """... then turned counter-clockwise."""
+    sign: Literal[1, -1] = 1
+    """-1: high is negative."""
+    factor: float = Field(1.0, gt=0.0)
+    """2: it gives wavefronts for surfaces."""
+
+
+class Bump(Section):
+    """A Gaussian bump of the artefact."""
+
+    x_mm: float
+    y_mm: float
+    sigma_x_mm: float = Field(gt=0.0)
+    sigma_y_mm: float = Field(gt=0.0)
+    height_nm: float
+
+
+class Artefact(Section):
+    """A round flat with bumps, for ``--artefact``."""
+
+    part_id: str = "ARTEFACT"
+    diameter_mm: float = Field(100.0, gt=5.0)
+    bumps: tuple[Bump, ...] = ()
 
 
 class Robot(Section):
@@ -133,6 +159,7 @@ class Interferometer(Section):
     """Wall seconds that writing a file takes."""
     temporary_suffix: str = ".part"
     """Suffix while writing; empty: it writes slowly under the final name."""
+    artefact: Artefact = Artefact()
     faults: MapFaults = MapFaults()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import math
 import os
 import time
 from dataclasses import dataclass, field
@@ -12,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from polishd.model.surface import FloatArray
+from polishd.model.surface import FloatArray, Grid
 from polishd.sim_backends import metropro
 from polishd.sim_backends.bus import Message
-from polishd.sim_backends.runtime import Runtime
+from polishd.sim_backends.config import MapFaults, SimConfig
+from polishd.sim_backends.runtime import Runtime, replace
 from polishd.sim_backends.truth import stream
 
 POLL_S = 0.03
@@ -80,18 +82,44 @@ class Interferometer:
         return name
 
     def _file(self, height_nm: FloatArray, part: str) -> bytes:
-        now = int(time.time())
-        return metropro.pack(
-            metropro.DatMap(
-                height_nm=height_nm,
-                pitch_mm=self.pitch_mm,
-                part=part,
-                taken_s=now,
-                comment="simulated",
-                origin_px=self.origin,
-                software=time.ctime(now),
-            )
+        seen = as_seen(height_nm, self.runtime.start.config.interferometer.faults)
+        return _pack(seen, self.pitch_mm, part, self.origin)
+
+
+def as_seen(height_nm: FloatArray, faults: MapFaults) -> FloatArray:
+    """What an instrument with these faults gives for true heights, (rows, columns)."""
+    lying = np.rot90(height_nm[:, ::-1] if faults.mirror else height_nm, faults.rotation_deg // 90)
+    return np.asarray(lying * (faults.sign * faults.factor))
+
+
+def write_artefact(config: SimConfig, path: Path, rng: np.random.Generator) -> None:
+    """One map of the artefact, as this instrument sees it."""
+    artefact, pitch = config.interferometer.artefact, config.plant.pitch_mm
+    n = 2 * math.ceil(artefact.diameter_mm / 2 / pitch) + 1
+    grid = Grid(n, n, pitch)
+    height = config.truth.map_noise_nm * rng.standard_normal(grid.shape)
+    for bump in artefact.bumps:
+        across = (grid.x_mm - bump.x_mm) / bump.sigma_x_mm
+        down = (grid.y_mm - bump.y_mm) / bump.sigma_y_mm
+        height += bump.height_nm * np.outer(np.exp(-0.5 * down**2), np.exp(-0.5 * across**2))
+    height[grid.radius_mm() > artefact.diameter_mm / 2] = np.nan
+    seen = as_seen(height, config.interferometer.faults)
+    replace(path, _pack(seen, pitch, artefact.part_id, (0, 0)))
+
+
+def _pack(height_nm: FloatArray, pitch_mm: float, part: str, origin_px: tuple[int, int]) -> bytes:
+    now = int(time.time())
+    return metropro.pack(
+        metropro.DatMap(
+            height_nm=height_nm,
+            pitch_mm=pitch_mm,
+            part=part,
+            taken_s=now,
+            comment="simulated",
+            origin_px=origin_px,
+            software=time.ctime(now),
         )
+    )
 
 
 async def main(runtime: Runtime) -> None:

@@ -16,6 +16,7 @@ from polishd.console.simulator import simulated_cell
 from polishd.daemon import client
 from polishd.daemon.config import load_config
 from polishd.model.errors import PolishdError
+from tests.commissioned import forged
 from tests.system.sim_rig import wait_for
 
 APERTURE_MM = 30.0
@@ -30,6 +31,7 @@ def write_small(out: Path, **job: Any) -> DemoFiles:
     files.cell.write_text(with_values(files.cell.read_text(), part))
     sim = {"plant": {"aperture_mm": APERTURE_MM, "pv_nm": 100.0}}
     files.sim.write_text(with_values(files.sim.read_text(), sim))
+    forged(files.profile)
     config = load_config(files.cell)
     config.program_path.write_bytes(demo_program(config))
     return files

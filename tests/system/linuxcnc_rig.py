@@ -21,6 +21,7 @@ from polishd.process.paths.apertures import circle
 from polishd.process.paths.raster import raster
 from polishd.process.paths.wrist import tool_axes
 from polishd.sim_backends.linuxcnc.server import ISOLATE
+from tests.commissioned import forged
 from tests.system.cell_rig import Daemon
 from tests.system.sim_rig import LIMIT_S, ROOT, alive, wait_for
 
@@ -106,6 +107,7 @@ def write_files(out: Path, encoding: Encoding, **job: Any) -> DemoFiles:
     plant = {**PART, "pv_nm": high * 30.0, "rms_nm": high * 6.0, "speed": 1.0}
     sim = with_values(files.sim.read_text(), {"plant": plant})
     files.sim.write_text(sim.replace("[robot]\n", '[robot]\nkind = "linuxcnc"\n'))
+    forged(files.profile)
     config = load_config(files.cell)
     config.program_path.write_bytes(demo_program(config) if encoding == "feed" else dwell_program(config))
     return files

@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.console.demo_files import DemoFiles
+from polishd.console.demo_files import DemoFiles, with_values, write_demo
+from polishd.console.simulator import measure_artefact, simulated_cell
 from polishd.daemon import client
 from polishd.daemon.sockets import SOCKET_NAME
-from tests.system.cell_rig import Daemon, account, events, small_cell, summary
+from tests.system.cell_rig import Daemon, account, events, small_cell, summary, write_small
 from tests.system.sim_rig import wait_for
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
@@ -177,3 +178,40 @@ def test_a_device_that_is_not_there_is_named(tmp_path: Path) -> None:
     assert answer.returncode == 5
     assert "actuator" in answer.stderr
     assert not files.run_dir.joinpath("cycle-00").exists()
+
+
+def test_an_instrument_that_was_turned_over_is_stopped_by_the_gate_with_a_picture(tmp_path: Path) -> None:
+    """Its profile was proved before; whoever turned it over told nobody. The first pass shows it."""
+    files = write_small(tmp_path / "cell")
+    files.sim.write_text(with_values(files.sim.read_text(), {"interferometer.faults": {"mirror": True}}))
+    with simulated_cell(files.sim, ["--state", str(files.sim_dir), "--seed", "3", "--speed", "40"], tmp_path / "log"):
+        with Daemon(files) as daemon:
+            assert daemon.process.wait(120.0) == 10, daemon.output.read_text()
+        require_safe_order(events(files))
+    assert len(events(files, "map_dropped")) == 2, "one pass, and no more"
+    picture = files.run_dir / "cycle-01" / "gate.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert str(picture) in daemon.output.read_text().replace("\n", "")
+    assert json.loads((picture.parent / "gate.json").read_text())["best"]["name"] == "flipped left-right"
+    assert summary(files)["outcome"] == "failed"
+
+
+@pytest.mark.parametrize(
+    ("fault", "mends"),
+    [({"mirror": True}, "mirror = true"), ({"rotation_deg": 90}, "rotation_deg = 270"), ({"factor": 2.0}, "factor = 0.5"),
+     ({"sign": -1}, "sign = -1")],
+)  # fmt: skip
+def test_a_wrong_profile_is_not_commissioned_and_does_not_run(
+    tmp_path: Path, fault: dict[str, Any], mends: str
+) -> None:
+    files = write_demo(tmp_path / "cell", None, 2.0, 4, None)
+    files.sim.write_text(with_values(files.sim.read_text(), {"interferometer.faults": fault}))
+    before = files.profile.read_bytes()
+    measure_artefact(files.sim, files.artefact)
+    said = polishd("map", "commission", files.profile, files.artefact)
+    assert (said.returncode, files.profile.read_bytes()) == (8, before)
+    assert mends in said.stderr.replace("\n", " ")
+    refused = polishd("run", files.cell)
+    assert refused.returncode == 3
+    assert "never commissioned" in refused.stderr
+    assert not files.state_dir.exists(), "nothing was opened"

@@ -14,11 +14,18 @@ POLISHD_API = 1
 
 REPORTED = frozenset({"job_finished", "plan_written"})
 """Events that end with a report; their data names the folder as ``run_dir``."""
+STOPPED = "gate_stopped"
+"""The gate's: its data names the cycle's folder as ``cycle_dir``."""
 
 
 @hookimpl
 def polishd_on_event(event: Event) -> None:
-    """Write the report of the folder that the event names; other events, and events without a folder, pass by."""
+    """Write the report, or the gate's picture, into the folder that the event names; other events pass by."""
+    if event.name == STOPPED:
+        from polishd.plugins.run_report.gate import write_gate
+
+        write_gate(Path(event.data["cycle_dir"]))
+        return
     run_dir = event.data.get("run_dir")
     if event.name not in REPORTED or not run_dir:
         return

@@ -61,6 +61,7 @@ def small_recipe(**changes: Any) -> Recipe:
     """The recipe, with changes."""
     recipe = Recipe(
         part_id="P-1",
+        instrument=None,
         aperture_mm=APERTURE_MM,
         edge_mm=2.0,
         free_rim=False,

@@ -304,6 +304,7 @@ class Site:
             state_dir=tmp_path / "state",
             run_dir=tmp_path / "run",
             program_path=tmp_path / "program.rnc",
+            profile_path=None,
             part=SimpleNamespace(id="P-1"),
             job=SimpleNamespace(id="small", max_cycles=3, lookahead_s=1.0),
             resolve=lambda text: tmp_path / text,
@@ -317,6 +318,7 @@ class Site:
             self.bench.journal = found
             return found
 
+        monkeypatch.setattr(app, "require_commissioned", lambda config, recipe: None)
         monkeypatch.setattr(app, "make_recipe", lambda config, hooks: self.recipe)
         monkeypatch.setattr(app, "read_program", lambda recipe, path: small_program())
         monkeypatch.setattr(app, "build_cell", self.build)

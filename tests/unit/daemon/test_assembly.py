@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,14 @@ import pytest
 
 from polishd.console.demo_files import demo_program, with_values
 from polishd.daemon import checking
-from polishd.daemon.assembly import build_cell, contact_limits, make_recipe
+from polishd.daemon.assembly import build_cell, contact_limits, make_recipe, require_commissioned
 from polishd.daemon.config import CellConfig, load_config
 from polishd.daemon.lock import StateLock
 from polishd.daemon.plugins import Hooks, load_own, load_plugins
+from polishd.hookspecs import DeviceContext
 from polishd.model.errors import ConfigError, DeviceFault, LinkError, ProgramError
 from polishd.ports.devices import ForceActuator, Robot, Spindle
+from tests.commissioned import commissioned
 from tests.fakes.devices import FakeCell
 
 
@@ -31,6 +34,7 @@ def configured(tmp_path: Path, example: str) -> Any:
     def make(**sections: dict[str, Any]) -> CellConfig:
         path = tmp_path / "cell.toml"
         path.write_text(with_values(example, sections))
+        commissioned(tmp_path)
         return load_config(path)
 
     return make
@@ -177,3 +181,47 @@ async def test_probe_does_not_disturb_a_running_daemon(configured: Any, hooks: H
     with StateLock(config.state_dir), pytest.raises(ConfigError, match="another polishd"):
         await checking.probe_cell(config, hooks)
     assert fake.events == []
+
+
+# the instrument
+
+
+def test_the_instrument_reaches_recipe_and_devices(
+    configured: Any, hooks: Hooks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    contexts: list[DeviceContext] = []
+    kinds = {
+        name: replace(kind, build=lambda options, context: contexts.append(context))
+        for name, kind in hooks.device_types().items()
+    }
+    monkeypatch.setattr(hooks, "device_types", lambda: kinds)
+    config = configured()
+    build_cell(config, hooks)
+    recipe = make_recipe(config, hooks)
+    assert recipe.instrument is not None
+    assert [context.instrument for context in contexts] == [recipe.instrument] * 4
+    require_commissioned(config, recipe)
+
+
+def test_an_edited_profile_is_refused_and_check_says_so(configured: Any, hooks: Hooks) -> None:
+    config = configured()
+    assert config.profile_path is not None
+    text = config.profile_path.read_text()
+    config.profile_path.write_text(text.replace("mirror = false", "mirror = true"))
+    recipe = make_recipe(config, hooks)
+    assert recipe.instrument is not None
+    assert recipe.instrument.mirror
+    with pytest.raises(ConfigError, match="edited after it was commissioned"):
+        require_commissioned(config, recipe)
+    config.program_path.write_bytes(demo_program(config))
+    assert "run will refuse" in checking.check_cell(config, hooks)["instrument"]
+
+
+def test_a_cell_without_a_profile_is_refused(configured: Any, hooks: Hooks) -> None:
+    config = configured()
+    config.path.write_text(config.path.read_text().replace('profile = "instrument.toml"', ""))
+    bare = load_config(config.path)
+    recipe = make_recipe(bare, hooks)
+    assert recipe.instrument is None
+    with pytest.raises(ConfigError, match=r"cell.toml:\d+: instrument.profile: the cell names no"):
+        require_commissioned(bare, recipe)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import asyncio
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from polishd.hookspecs import DwellSolver
@@ -16,6 +18,7 @@ from polishd.model.errors import BadMap, ComputeError, DeviceFault, LinkError, P
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from tests.unit.daemon.small import MOVES, Bench, as_map, open_journal, small_map, small_program, small_recipe
+from tests.unit.process.gaussian import rough
 
 SAFE = ["actuator.make_safe", "robot.make_safe", "spindle.make_safe"]
 
@@ -73,12 +76,13 @@ async def test_cycles_used_after_one_measurement_more_than_passes(bench: Bench) 
     assert await bench.polish(job) is Outcome.CYCLES_USED
     assert [record.cycle for record in bench.journal.passes] == [0, 1]
     assert [record.cycle for record in bench.journal.history] == [0, 1, 2]
-    assert bench.phases()[-1] == "2 measure done"
+    assert bench.phases()[-1] == "2 learn done"
 
 
 async def test_a_surface_that_gets_worse_ends_the_job(bench: Bench) -> None:
-    worse = [as_map(small_map().height_nm * factor) for factor in (1.0, 2.0)]
-    bench.fake.metrology.measure = lambda: worse.pop(0)
+    measure, grid = bench.measure, small_map().grid
+    scratches = [np.zeros(grid.shape), rough(grid, rms_nm=40.0, seed=5, cut_mm=3.0)]
+    bench.fake.metrology.measure = lambda: as_map(measure().height_nm + scratches.pop(0))
     assert await bench.polish() is Outcome.DIVERGED
     assert bench.phases() == [*whole(0), "1 measure done"]
 
@@ -153,10 +157,28 @@ async def test_a_map_that_is_refused_moves_nothing(bench: Bench) -> None:
 
 
 async def test_a_rate_that_nobody_believes_stops_before_the_next_pass(bench: Bench) -> None:
-    bench.rate = 0.3
+    bench.rate = 0.8
     with pytest.raises(ComputeError, match="max_rate_change"):
-        await bench.polish()
+        await bench.polish(bench.job(recipe=small_recipe(max_rate_change=0.1)))
     assert bench.phases() == [*whole(0), "1 measure done", "1 learn failed"]
+
+
+async def test_a_map_that_is_turned_over_stops_at_the_gate_and_leaves_what_it_compared(bench: Bench) -> None:
+    measure = bench.measure
+    bench.fake.metrology.measure = lambda: as_map(measure().height_nm[:, ::-1])
+    job = bench.job()
+    with pytest.raises(ComputeError, match=r"flipped left-right.*gate\.png"):
+        await bench.polish(job)
+    assert bench.phases() == [*whole(0), "1 measure done", "1 learn failed"]
+    folder = bench.tmp_path / "run" / "cycle-01"
+    (stopped,) = [event for event in job.told if event.name == "gate_stopped"]
+    assert stopped.data["cycle_dir"] == str(folder)
+    verdict = json.loads((folder / "gate.json").read_text())
+    assert verdict["stop"] == stopped.data["stop"]
+    assert verdict["best"]["name"] == "flipped left-right"
+    with np.load(folder / "gate.npz") as arrays:
+        assert {"predicted_nm", "measured_nm", "explained_nm", "metric_mask", "pitch_mm"} <= set(arrays)
+    assert not (folder / "learned.json").exists()
 
 
 # what ends a pass

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +19,7 @@ from polishd.hookspecs import DwellSolver, SurfaceReader
 from polishd.model.cycle import Event
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import BadMap, ComputeError, ConfigError, PlanRefused, PolishdError, ProgramError, WrongPart
+from polishd.model.instrument import Commissioned, Instrument
 from polishd.model.program import Plan
 from polishd.model.surface import SurfaceMap
 from polishd.process.dwell.problem import DwellProblem
@@ -72,7 +74,9 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Desk:
     return Desk(tmp_path, monkeypatch)
 
 
-FILES = ["certificate.json", "dwell.csv", "map.map", "plan.npz", "program.rnc", "summary.json", "surface.npz"]
+UNPROVED = "run will refuse: the cell has no commissioned instrument's profile (polishd check says more)"
+FILES = ["certificate.json", "dwell.csv", "map.map", "plan.npz", "program.rnc"]
+FILES += ["registration.json", "summary.json", "surface.npz"]
 
 
 def test_the_folder_is_whole(desk: Desk) -> None:
@@ -87,7 +91,7 @@ def test_the_folder_is_whole(desk: Desk) -> None:
     assert cycle["rms_nm"] > 10 > cycle["predicted_rms_nm"]
     assert cycle["executed_s"] is None
     assert kept["certificate"]["kkt_residual"] <= 1e-4
-    assert kept["notes"] == ["a spot for tests"]
+    assert kept["notes"] == [UNPROVED, "a spot for tests"]
 
 
 def test_the_program_in_the_folder_is_the_one_that_was_planned(desk: Desk) -> None:
@@ -206,3 +210,16 @@ def test_what_would_forbid_to_run_is_noted(desk: Desk) -> None:
 def test_warnings_of_the_map_are_noted(desk: Desk) -> None:
     desk.surface = replace(desk.surface, warnings=("the clock was wrong",))
     assert "the clock was wrong" in desk.plan()["notes"]
+
+
+def test_a_map_that_leaves_something_unsaid_needs_a_profile_that_gives_it(desk: Desk) -> None:
+    desk.surface = replace(desk.surface, unsaid=frozenset({"orientation"}))
+    desk.refused(BadMap, "orientation")
+    desk.recipe = small_recipe(instrument=Instrument("bench", gives=frozenset({"orientation"})))
+    assert UNPROVED in desk.plan()["notes"]
+
+
+def test_a_commissioned_profile_needs_no_note(desk: Desk) -> None:
+    proof = Commissioned(datetime(2026, 1, 1, tzinfo=UTC), "bumps", "0" * 64, 0.99, 0.4, "1" * 64)
+    desk.recipe = small_recipe(instrument=Instrument("bench", commissioned=proof))
+    assert desk.plan()["notes"] == ["a spot for tests"]

@@ -1,0 +1,27 @@
+"""A profile that is commissioned, for tests of what comes after."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from polishd.console.demo_files import with_values
+from polishd.daemon.instrument_file import load_profile, write_commissioned
+from polishd.model.instrument import Commissioned
+
+SHIPPED = Path(__file__).resolve().parents[1] / "examples" / "instrument.toml"
+AT = datetime(2026, 5, 4, 12, 0, tzinfo=UTC)
+
+
+def forged(path: Path) -> Path:
+    """The profile with a record of its values, as if they had been proved."""
+    write_commissioned(path, Commissioned(AT, "three bumps", "0" * 64, 0.99, 0.4, load_profile(path).sha256))
+    return path
+
+
+def commissioned(folder: Path, **tables: dict[str, Any]) -> Path:
+    """The shipped profile with changes, commissioned, as ``instrument.toml`` in the folder."""
+    path = folder / "instrument.toml"
+    path.write_text(with_values(SHIPPED.read_text(), tables))
+    return forged(path)
