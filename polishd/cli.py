@@ -10,6 +10,7 @@ from typing import Annotated, Optional
 import typer
 
 from polishd import __version__
+from polishd.console.map_cli import map_verbs
 from polishd.console.program_cli import program as program_verbs
 from polishd.model.errors import PolishdError
 
@@ -216,6 +217,7 @@ def study(
 calibrate = typer.Typer(help="Fit the cell's numbers to measurements; writes fragments that a cell includes.")
 app.add_typer(calibrate, name="calibrate", no_args_is_help=True)
 app.add_typer(program_verbs, name="program", no_args_is_help=True)
+app.add_typer(map_verbs, name="map", no_args_is_help=True)
 
 
 @calibrate.command("stiffness")

@@ -1,0 +1,83 @@
+"""How long what is imported and asked for at a shell takes, in fresh processes, beside Python with nothing and numpy.
+
+CPU time of the whole process, which on a free machine is the wall time, in turns with the peers, so that a busy spell
+of the machine hits all alike; the spread of the wall time stands in the name. The modules must stay below half a
+second. ``python -X importtime -c 'import polishd.api'`` says where it goes.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.harness import Progress, Row
+
+Cost = tuple[float, float]
+"""CPU and wall seconds."""
+TURNS = 15
+LIMIT_S = 0.5
+PEERS: dict[str, tuple[str, ...]] = {"python": ("-c", "pass"), "numpy": ("-c", "import numpy")}
+MODULES = ("polishd", "polishd.api", "polishd.plugins.interferometer")
+MAP = ("-m", "polishd.cli", "map")
+SAMPLES = 200
+
+
+def rows(progress: Progress) -> Iterator[Row]:
+    """Seconds from start to end of a process."""
+    with tempfile.TemporaryDirectory() as scratch:
+        surface = Path(scratch) / "map.npy"
+        np.save(surface, np.random.default_rng(1).normal(0.0, 1.0, (SAMPLES, SAMPLES)))
+        ours: dict[str, tuple[str, ...]] = {f"import {name}": ("-c", f"import {name}") for name in MODULES}
+        ours |= {"polishd map --help": (*MAP, "--help"), "polishd map FILE --json": (*MAP, str(surface), "--json")}
+        taken = measured({**ours, **PEERS}, progress)
+    cpu_s = {name: statistics.median(cpu for cpu, _ in costs) for name, costs in taken.items()}
+    for name in ours:
+        yield Row(f"{name} ({spread([wall for _, wall in taken[name]])})", cpu_s[name], {p: cpu_s[p] for p in PEERS})
+    late = {name: cpu_s[name] for name in ours if name.startswith("import ") and cpu_s[name] > LIMIT_S}
+    if late:
+        raise RuntimeError(f"above {LIMIT_S} s: " + ", ".join(f"{name} {cost:.2f} s" for name, cost in late.items()))
+
+
+def measured(commands: Mapping[str, Sequence[str]], progress: Progress) -> dict[str, list[Cost]]:
+    """What ``TURNS`` processes of each command cost; a first turn, which fills caches, does not count."""
+    taken: dict[str, list[Cost]] = {name: [] for name in commands}
+    for turn in range(TURNS + 1):
+        for name, words in commands.items():
+            progress(f"import: {name} {turn}/{TURNS}")
+            cost = cost_of(words)
+            if turn:
+                taken[name].append(cost)
+    return taken
+
+
+def cost_of(words: Sequence[str]) -> Cost:
+    """Of one fresh interpreter; RuntimeError where it fails."""
+    before, begin = _children_s(), time.perf_counter()
+    ended = subprocess.run(
+        [sys.executable, *words], check=False, capture_output=True, env={**os.environ, "OMP_NUM_THREADS": "1"}
+    )
+    wall_s = time.perf_counter() - begin
+    if ended.returncode:
+        raise RuntimeError(f"{' '.join(words)} failed:\n{ended.stderr.decode(errors='replace')}")
+    return _children_s() - before, wall_s
+
+
+def _children_s() -> float:
+    """CPU seconds of all ended child processes."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def spread(taken_s: Sequence[float]) -> str:
+    """The distribution of wall times, in words."""
+    low, _, high = statistics.quantiles(taken_s, n=4)
+    return f"{len(taken_s)} runs, wall: {min(taken_s):.3f}, quartiles {low:.3f} and {high:.3f}, {max(taken_s):.3f} s"
