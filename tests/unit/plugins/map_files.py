@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import h5py
@@ -61,8 +61,9 @@ def metropro(height: FloatArray = HEIGHT_NM, **fields: Any) -> bytes:
     nm = values["scale"] * float(np.float32(values["wavelength"])) * values["obliquity"] * 1e9
     nm *= (-1 if values.get("sign") else 1) / (4096, 32768, 131072)[values["resolution"]]
     width, tall, buckets = values["ac"]
-    phase = bytes(counts_of(height, nm).astype(">i4").tobytes())
-    return bytes(header) + b"\x07" * (2 * width * tall * buckets) + phase
+    phase: bytes = counts_of(height, nm).astype(">i4").tobytes()
+    intensity = b"\x07" * int(2 * width * tall * buckets)
+    return bytes(header) + intensity + phase
 
 
 GUID = "{1CE20D93-8A91-4847-9CEF-B83B2F42271E}"
@@ -159,11 +160,13 @@ def zygo_header(kind: str, shape: tuple[int, ...], **line: str) -> str:
 ASCII_NM = 0.5 * WAVELENGTH_M * 1e9 / 32768
 
 
-def zygo_ascii(height: FloatArray = HEIGHT_NM, *, nm: float = ASCII_NM, wrap: int = 10, **line: str) -> bytes:
+def zygo_ascii(
+    height: FloatArray = HEIGHT_NM, *, nm: float = ASCII_NM, wrap: int = 10, lines: Mapping[str, str] = {}, **line: str
+) -> bytes:
     """A Zygo ASCII file with an intensity block; ``nm`` a count must fit the header's lines."""
     counts = [str(count) for count in counts_of(height, nm).ravel()]
     phase = "\n".join(" ".join(counts[at : at + wrap]) for at in range(0, len(counts), wrap))
-    return (zygo_header("ASCII", height.shape, **line) + f"1 2 3\n4 5 6\n#\n{phase}\n#\n").encode("latin-1")
+    return (zygo_header("ASCII", height.shape, **lines, **line) + f"1 2 3\n4 5 6\n#\n{phase}\n#\n").encode("latin-1")
 
 
 def zygo_xyz(height: FloatArray = HEIGHT_NM, *, corner: tuple[int, int] = (12, 7), **line: str) -> bytes:

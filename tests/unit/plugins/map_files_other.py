@@ -26,7 +26,7 @@ FITS_BLOCK = 2880
 def heights_nm(missing: bool = True) -> FloatArray:
     """(9, 7) as displayed, row 0 on top: no two samples alike under any turn or flip; two holes at HOLES."""
     row, column = np.mgrid[:ROWS, :COLUMNS].astype(float)
-    z = 40.0 * row + 3.0 * column + row * column - 100.5
+    z: FloatArray = 40.0 * row + 3.0 * column + row * column - 100.5
     if missing:
         for place in HOLES:
             z[place] = np.nan
@@ -67,8 +67,8 @@ def sdf_binary(z_scale: float = 1e-9, pitch_m: tuple[float, float] = (PITCH_MM /
 def sdf_ascii(**options: Any) -> bytes:
     """By sdfio, as text."""
     file = io.BytesIO()
-    options = {"x_scale": PITCH_MM / 1e3, "y_scale": PITCH_MM / 1e3, "format": sdfio.FileFormat.ASCII} | options
-    sdfio.write(file, heights_nm()[::-1] / 1e9, **options)
+    words: dict[str, Any] = {"x_scale": PITCH_MM / 1e3, "y_scale": PITCH_MM / 1e3, "format": sdfio.FileFormat.ASCII}
+    sdfio.write(file, heights_nm()[::-1] / 1e9, **(words | options))
     return file.getvalue()
 
 

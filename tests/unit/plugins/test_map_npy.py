@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,9 +27,9 @@ def put(folder: Path, content: bytes, name: str = "map.npz") -> Path:
     return path
 
 
-def savez(**arrays: object) -> bytes:
+def savez(**arrays: Any) -> bytes:
     file = io.BytesIO()
-    np.savez(file, allow_pickle=True, **arrays)  # type: ignore[arg-type]
+    np.savez(file, allow_pickle=True, **arrays)
     return file.getvalue()
 
 
@@ -104,7 +105,7 @@ def test_coordinates_off_any_grid_are_refused(tmp_path: Path) -> None:
         (np.zeros((0, 4)), r"\(0, 4\)"),
     ],
 )
-def test_what_is_no_map_is_refused(tmp_path: Path, array: np.ndarray, said: str) -> None:  # type: ignore[type-arg]
+def test_what_is_no_map_is_refused(tmp_path: Path, array: np.ndarray, said: str) -> None:
     with pytest.raises(BadMap, match=said):
         npy.read(put(tmp_path, npy_file(array), "map.npy"))
 

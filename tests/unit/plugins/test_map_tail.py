@@ -105,7 +105,7 @@ def test_what_goes_wrong_there_is_refused_here(tmp_path: Path, library: Path, bo
 
 def test_a_worker_that_hangs_is_ended(tmp_path: Path, library: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tail, "WITHIN_S", 0.5)
-    with pytest.raises(BadMap, match="within 0.5 s"):
+    with pytest.raises(BadMap, match=r"within 0\.5 s"):
         tail.read(put(tmp_path, library, "import threading; threading.Event().wait()"))
 
 

@@ -87,7 +87,7 @@ def test_the_declared_marker_is_missing_and_an_undeclared_one_refused(tmp_path: 
     ],
     ids=["colours", "pages", "complex", "empty", "infinite"],
 )
-def test_what_is_no_map_is_refused(tmp_path: Path, array: np.ndarray) -> None:  # type: ignore[type-arg]
+def test_what_is_no_map_is_refused(tmp_path: Path, array: np.ndarray) -> None:
     with pytest.raises(BadMap):
         tiff.read(
             put(
@@ -114,7 +114,7 @@ def test_sizes_that_the_file_does_not_hold_are_refused(
 ) -> None:
     content = bytearray(tiff_file(compression=compression))
     with tifffile.TiffFile(io.BytesIO(bytes(content))) as file:
-        at = file.pages[0].tags[tag].offset
+        at = file.pages.first.tags[tag].offset
     struct.pack_into("<HHII", content, at, tag, 4, 1, size)
     with pytest.raises(BadMap):
         tiff.read(put(tmp_path, bytes(content)))

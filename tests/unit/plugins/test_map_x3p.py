@@ -77,7 +77,9 @@ def test_written_and_read_is_the_same_map(tmp_path: Path) -> None:
     back = x3p.read(path)
     np.testing.assert_allclose(back.height_nm, surface.height_nm, rtol=1e-15)
     assert (back.pitch_mm, back.instrument, back.taken_at) == (PITCH_MM, "Verifire", taken)
-    assert x3pio.read(path).metadata.comment == "part M1"
+    metadata = x3pio.read(path).metadata
+    assert metadata is not None
+    assert metadata.comment == "part M1"
 
 
 @pytest.mark.parametrize("unsaid", [{"unit"}, {"surface"}, {"orientation"}])

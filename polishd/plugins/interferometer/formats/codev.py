@@ -31,6 +31,7 @@ HEADER_LINES = 100
 GRID = re.compile(rb"^[ \t]*GRD[ \t]+\d+[ \t]+\d+[ \t]", re.IGNORECASE | re.MULTILINE)
 COMMENT = re.compile(rb"^[ \t]*![^\n]*\n?", re.MULTILINE)
 WITH_NUMBER = {"WVL", "SSZ", "NDA", "XSC"}
+CUT = "ends without a blank or line end: if the file is torn inside its last number, that one is wrong"
 NO_PITCH = "a CODE V file has no lateral scale"
 WAVEFRONT = "holds a wavefront (WFR), shown as it is: half of it is surface only in reflection at normal incidence"
 
@@ -64,6 +65,8 @@ def read(path: Path) -> SurfaceMap:
     values *= nm
     values[missing] = np.nan
     warnings, unsaid = _unsaid(header)
+    if not content[-1:].isspace():
+        warnings += (CUT,)
     return SurfaceMap(
         height_nm=require_data(path, values),
         pitch_mm=None,

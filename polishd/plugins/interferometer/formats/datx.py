@@ -78,8 +78,7 @@ def _links(path: Path, file: Any, size: int) -> dict[tuple[str, str], str]:
     table = hdf5.member(path, file, "MetaData")
     if table is None:
         return {}
-    names = getattr(getattr(table, "dtype", None), "names", None) or ()
-    if not {"Source", "Link", "Destination"} <= set(names) or table.ndim != 1 or table.external or table.is_virtual:
+    if not hdf5.is_plain(table, 1) or not {"Source", "Link", "Destination"} <= set(table.dtype.names or ()):
         raise BadMap(f"{path}: /MetaData is no table of Source, Link and Destination")
     if table.size > MOST_LINKS or table.dtype.itemsize > size:
         raise BadMap(f"{path}: /MetaData has {table.size} links: no map")

@@ -134,7 +134,12 @@ def _field(path: Path, gwyfile: Any, content: bytes, part: Part) -> Any:
     samples = inner.get("data")
     if samples is None or samples.type != "D":
         raise BadMap(f"{path}: its data field has no samples")
-    if part.end - part.start - (samples.end - samples.start) > MOST_SMALL:
+    small = part.end - part.start - (samples.end - samples.start)
+    # gwyfile does not look where a value ends: a broken one sends it round and round
+    nested = [value for value in inner.values() if value.type == "o"]
+    units = [_components(path, content, unit.start, unit.end, MOST_IN_FIELD) for unit in nested]
+    lists = {value.type for value in inner.values()} & {"S", "O"}
+    if small > MOST_SMALL or lists or {value.type for unit in units for value in unit.values()} - {"s"}:
         raise BadMap(f"{path}: its data field holds more than its samples and their units")
     with parsing(path, "gwyfile"):
         field = gwyfile.GwyObject.frombuffer(content[part.start : part.end])

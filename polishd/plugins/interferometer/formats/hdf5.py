@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 HEAP = b"GCOL\1\0\0\0"
+MOST_HEAPS = 1000
+NO_ADDRESS = 0xFFFFFFFF
+"""Half of HDF5's "nowhere", which may stand before a number that only looks like a heap's place."""
 MOST_RATIO = 32
 FREE_BYTES = 2**20
 """So much a file may always unpack to: overheads rule in small ones."""
@@ -63,21 +66,39 @@ def opened(path: Path, content: bytes) -> Iterator[h5py.File]:
 
 
 def _require_heaps(path: Path, content: bytes) -> None:
-    """BadMap where a heap of texts is broken: HDF5 2.0 walks some of those for ever.
+    """BadMap where a heap of texts is broken, or something in it is said to be longer than the file.
 
-    A heap is "GCOL", version, 3 zeros, its size (8 bytes), then objects: number, count, 4 zeros, size (2, 2, 4, 8
-    bytes, little-endian), and the object itself, filled up to 8 bytes; number 0 is the room that is left.
+    HDF5 2.0 walks some broken heaps for ever, and allocates the length of a text before it looks. A heap is "GCOL",
+    version, 3 zeros, its size (8 bytes), then objects: number, count, 4 zeros, size (2, 2, 4, 8 bytes, little-endian),
+    and the object itself, filled up to 8 bytes; number 0 is the room that is left. What refers to one is its length,
+    the heap's place and the number (4, 8, 4 bytes).
     """
-    at = content.find(HEAP)
+    at, heaps = content.find(HEAP), 0
     while at >= 0:
-        (size,) = struct.unpack_from("<Q", content, at + 8) if at + 16 <= len(content) else (0,)
-        place, end = at + 16, at + size
-        while place + 16 <= end <= len(content):
-            number, length = struct.unpack_from("<H6xQ", content, place)
-            place += 16 + -(-length // 8) * 8 if number else max(length, 16)
-        if not at + 16 <= place <= end + 15 or not size:
+        numbers, heaps = _walk(content, at), heaps + 1
+        if not numbers or heaps > MOST_HEAPS:
             raise BadMap(f"{path}: a heap of its texts is broken: torn, or not HDF5")
+        place = struct.pack("<Q", at)
+        used = content.find(place, 4)
+        while 4 <= used <= len(content) - 12:
+            length, _, number = struct.unpack_from("<IQI", content, used - 4)
+            if length > len(content) and (number in numbers or length != NO_ADDRESS):
+                raise BadMap(f"{path}: one of its texts is longer than the file: torn, or not HDF5")
+            used = content.find(place, used + 1)
         at = content.find(HEAP, at + 1)
+
+
+def _walk(content: bytes, at: int) -> set[int]:
+    """The numbers of the objects of the heap at this place; none where it does not end where it says."""
+    (size,) = struct.unpack_from("<Q", content, at + 8) if at + 16 <= len(content) else (0,)
+    place, end, numbers = at + 16, at + size, {0}
+    while place + 16 <= end <= len(content):
+        number, length = struct.unpack_from("<H6xQ", content, place)
+        if length < 16 and not number:
+            return set()
+        place += 16 + -(-length // 8) * 8 if number else length
+        numbers.add(number)
+    return numbers if end - 16 < place <= end else set()
 
 
 def member(path: Path, file: h5py.File, name: str) -> Any:
@@ -99,10 +120,12 @@ def attribute(path: Path, node: Any, name: str) -> Any:
     """The value of an attribute, or None where it is absent or empty."""
     if name not in node.attrs:
         return None
-    if node.attrs.get_id(name).get_storage_size() > MOST_ATTRIBUTE_BYTES:
+    kept = node.attrs.get_id(name)
+    if not kept.get_space().get_simple_extent_npoints():
+        return None
+    if kept.get_storage_size() > MOST_ATTRIBUTE_BYTES:
         raise BadMap(f"{path}: its attribute {name!r} is larger than {MOST_ATTRIBUTE_BYTES} bytes")
-    value = node.attrs[name]
-    return value if np.ndim(value) == 0 or np.size(value) else None
+    return node.attrs[name]
 
 
 def text(path: Path, node: Any, name: str) -> str:
@@ -124,6 +147,14 @@ def number(path: Path, node: Any, name: str) -> float | None:
         return float(np.ravel(value)[0])
     except (TypeError, ValueError) as error:
         raise BadMap(f"{path}: its attribute {name!r} is {value!r}, not a number") from error
+
+
+def is_plain(data: Any, dimensions: int) -> bool:
+    """True for a data set of so many dimensions whose samples lie in the file itself."""
+    import h5py
+
+    whole = isinstance(data, h5py.Dataset) and len(data.shape or ()) == dimensions
+    return whole and not data.is_virtual and not data.external
 
 
 def samples(path: Path, data: Any, content: bytes) -> FloatArray:

@@ -14,7 +14,7 @@ HEADER, RESOLVED = 834, 2
 SCALE = 0.5
 WAVELENGTH_M = float(np.float32(632.8e-9))
 COUNT_NM = SCALE * WAVELENGTH_M / RESOLUTION[RESOLVED] * 1e9
-"""Height of one count in the files written here: 1.2 pm."""
+"""Height of one count in the files written here: 2.4 pm."""
 TEXT_BYTES = 40
 MOST_SIDE = 65_535
 LATEST_S = 2**31 - 1
@@ -23,7 +23,7 @@ LATEST_S = 2**31 - 1
 def write(surface: SurfaceMap) -> bytes:
     """Content of a file that reads back to within half a count; NaN is a missing sample, no pitch is CameraRes 0.
 
-    BadMap for what the format cannot hold: heights beyond 2.6 mm, a part's name of more than 40 characters, a map that
+    BadMap for what the format cannot hold: heights beyond 5.2 mm, a part's name of more than 40 characters, a map that
     ends in exact zeros (readers take it for a file that was preallocated), or whose unit nobody has said.
     """
     require_said(surface, "pitch")

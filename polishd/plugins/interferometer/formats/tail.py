@@ -7,6 +7,7 @@ memory and time reads the file and hands back numbers, and what goes wrong there
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -77,7 +78,7 @@ def read(path: Path) -> SurfaceMap:
 
 def _run(path: Path, length: int) -> bytes:
     """The worker's standard output."""
-    limits = (str(MEMORY_BYTES + MEMORY_PER_BYTE * length), str(round(WITHIN_S)))
+    limits = (str(MEMORY_BYTES + MEMORY_PER_BYTE * length), str(math.ceil(WITHIN_S) + 1))
     # -P: the worker's folder, whose modules have everyday names, stays off its path
     command = [sys.executable, "-P", str(WORKER), str(path.absolute()), FORMAT_OF[path.suffix.lower()], *limits]
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
