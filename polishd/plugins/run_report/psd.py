@@ -17,7 +17,7 @@ def radial_psd(height_nm: FloatArray, mask: BoolArray, pitch_mm: float) -> tuple
     valid = mask & np.isfinite(height_nm)
     if np.count_nonzero(valid) < 16:
         raise ValueError("too few samples in the clear aperture for a spectrum")
-    psd = metrics.radial_psd(height_nm, valid, pitch_mm)
+    psd = metrics.radial_psd(height_nm, valid, pitch_mm, "taper")
     frequency, area = psd.frequency_per_mm, psd.area_per_mm2
     shown = frequency <= 0.5 / pitch_mm  # beyond it, only the corners of the square of frequencies
     band = np.floor(6 * np.log2(frequency[shown] / frequency[0])).astype(np.intp)

@@ -4,9 +4,11 @@ With weights w, the density is ``|FFT(z w)|^2 dx dy / sum(w^2)``, and its sum ov
 ``(z w)^2`` over that of ``w^2`` (Parseval). Those along x and y are its sums over the other direction: the mean of the
 rows' (or columns') own densities. Piston and tilt are removed over the mask first.
 
-What lies outside the mask is either nothing (window "mask": w is 1 inside, 0 outside; sums are exact, but the mask's
-edge spreads power, 13-20 % of a band's RMS), or (window "extended") the surface's continuation, tapered to zero: the
-shape of the spectrum is right, and ``sum(w^2)`` is chosen such that the sum is the variance inside the mask.
+Windows: "mask": w is 1 inside the mask and 0 outside; sums are exact, but the mask's edge spreads power, 13-20 % of a
+band's RMS. "taper": w falls to 0 towards the edge inside the mask; unbiased for what is alike everywhere, rim features
+count less, and the sum is the weighted variance. "extended": w is 1 inside, z is continued from the nearest edge and w
+tapered to zero outside, and ``sum(w^2)`` chosen such that the sum is the variance inside the mask; right for smooth
+figures, while noise at the edge is drawn out into lines (white noise on 128 x 128 reads 18 % too high).
 """
 
 from __future__ import annotations
@@ -15,13 +17,15 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from scipy import fft
+from scipy import fft, ndimage
 
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.metrics.extension import WORKERS, extended
 from polishd.process.metrics.spread import without_polynomial
 
-Window = Literal["extended", "mask"]
+Window = Literal["extended", "mask", "taper"]
+TAPER = 1 / 16
+"""Width of the tapers, of the map's longer side."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,16 +119,21 @@ def radial_psd(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: 
 def _density(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: Window) -> tuple[FloatArray, int, float]:
     """Density on the half plane of the real FFT, (ny, nx // 2 + 1); nx of the whole; area of a sample, 1/mm^2."""
     rest = without_polynomial(height_nm, mask, 1)
-    variance = float(np.var(rest[mask]))
+    width = int(max(mask.shape) * TAPER) + 1
     if window == "extended":
-        field, _ = extended(rest, mask, max(mask.shape) // 16 + 1)
+        field, _ = extended(rest, mask, width)
         field -= field.mean()
-    elif window == "mask":
+        # sum((z w)^2) / sum(w^2) is to be the variance inside the mask
+        variance = float(np.var(rest[mask]))
+        weight = float(np.vdot(field, field)) / variance if variance > 0 else 1.0
+    elif window in get_args(Window):
+        depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1] / (1 if window == "mask" else width)
+        weights = 0.5 - 0.5 * np.cos(np.pi * np.minimum(depth, 1.0))
         field = np.where(mask, rest, 0.0)
+        field = np.where(mask, field - np.average(field, weights=weights), 0.0) * weights
+        weight = float(np.vdot(weights, weights))
     else:
         raise ValueError(f"a window is one of {', '.join(get_args(Window))}, not {window!r}")
-    # sum((z w)^2) / sum(w^2) is to be the variance; for the window "mask" this is the number of its samples
-    weight = float(np.vdot(field, field)) / variance if variance > 0 else 1.0
     spectrum = fft.rfft2(field, workers=WORKERS)
     density = (spectrum.real**2 + spectrum.imag**2) * (pitch_mm**2 / weight)
     ny, nx = field.shape

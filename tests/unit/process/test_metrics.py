@@ -44,7 +44,7 @@ def test_a_wave_over_a_disc_is_in_its_band(period: float, above: float) -> None:
     wave = np.sin(2 * np.pi * (X * np.cos(0.4) + Y * np.sin(0.4)) / period)
     share = band_rms(wave, DISC, 1.0, 33.0) / wave[DISC].std()
     # three periods on the disc: a wave near the cut at 33 mm cannot be told better
-    assert share == pytest.approx(above, abs=0.015)
+    assert share == pytest.approx(above, abs=0.04)
 
 
 def test_a_rough_surface_splits_as_it_would_without_a_mask() -> None:
