@@ -74,7 +74,7 @@ def _write(path: Path, data: bytes) -> float:
     step = -(-len(data) // CHUNKS)
     with path.open("wb") as file:
         for start in range(0, len(data), step):
+            time.sleep(0.02)
             file.write(data[start : start + step])
             file.flush()
-            time.sleep(0.02)
     return time.monotonic()

@@ -66,7 +66,11 @@ def junk(world: World) -> Iterator[Step]:
 
 
 def step_clocks(world: World) -> None:
-    """Sometimes a clock is wrong for a map or two, by minutes or hours, forward or back."""
+    """Sometimes a clock is wrong for a map or two, by minutes or hours, forward or back; not for the very first map,
+    which has no other to be compared with.
+    """
+    if world.ask == 1:
+        return
     world.stepped = bool(world.instrument_off_s or world.folder_off_s)  # the last map may be dated by a wrong clock
     if world.stepped and world.rng.random() < 0.5:
         world.instrument_off_s = world.folder_off_s = 0.0
