@@ -28,7 +28,6 @@ from polishd.process.paths.wrist import tool_axes
 from polishd.process.registration.record import Registration
 from polishd.process.registration.register import register
 
-
 CENTRED = Registration()
 
 

@@ -184,7 +184,8 @@ def test_an_instrument_that_was_turned_over_is_stopped_by_the_gate_with_a_pictur
     """Its profile was proved before; whoever turned it over told nobody. The first pass shows it."""
     files = write_small(tmp_path / "cell")
     files.sim.write_text(with_values(files.sim.read_text(), {"interferometer.faults": {"mirror": True}}))
-    with simulated_cell(files.sim, ["--state", str(files.sim_dir), "--seed", "3", "--speed", "40"], tmp_path / "log"):
+    options = ["--state", str(files.sim_dir), "--seed", "3", "--speed", "40"]
+    with simulated_cell(files.sim, options, tmp_path / "log"):
         with Daemon(files) as daemon:
             assert daemon.process.wait(120.0) == 10, daemon.output.read_text()
         require_safe_order(events(files))
@@ -198,9 +199,13 @@ def test_an_instrument_that_was_turned_over_is_stopped_by_the_gate_with_a_pictur
 
 @pytest.mark.parametrize(
     ("fault", "mends"),
-    [({"mirror": True}, "mirror = true"), ({"rotation_deg": 90}, "rotation_deg = 270"), ({"factor": 2.0}, "factor = 0.5"),
-     ({"sign": -1}, "sign = -1")],
-)  # fmt: skip
+    [
+        ({"mirror": True}, "mirror = true"),
+        ({"rotation_deg": 90}, "rotation_deg = 270"),
+        ({"factor": 2.0}, "factor = 0.5"),
+        ({"sign": -1}, "sign = -1"),
+    ],
+)
 def test_a_wrong_profile_is_not_commissioned_and_does_not_run(
     tmp_path: Path, fault: dict[str, Any], mends: str
 ) -> None:
