@@ -7,7 +7,6 @@ second. ``python -X importtime -c 'import polishd.api'`` says where it goes.
 
 from __future__ import annotations
 
-import os
 import resource
 import statistics
 import subprocess
@@ -62,9 +61,7 @@ def measured(commands: Mapping[str, Sequence[str]], progress: Progress) -> dict[
 def cost_of(words: Sequence[str]) -> Cost:
     """Of one fresh interpreter; RuntimeError where it fails."""
     before, begin = _children_s(), time.perf_counter()
-    ended = subprocess.run(
-        [sys.executable, *words], check=False, capture_output=True, env={**os.environ, "OMP_NUM_THREADS": "1"}
-    )
+    ended = subprocess.run([sys.executable, *words], check=False, capture_output=True)
     wall_s = time.perf_counter() - begin
     if ended.returncode:
         raise RuntimeError(f"{' '.join(words)} failed:\n{ended.stderr.decode(errors='replace')}")

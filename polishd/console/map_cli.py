@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Any, Optional
 
@@ -40,6 +41,13 @@ class MapGroup(TyperGroup):
 
 
 map_verbs = typer.Typer(cls=MapGroup, help=HELP, subcommand_metavar="FILE... | COMMAND [ARGS]...")
+
+
+@map_verbs.callback()
+def one_thread() -> None:
+    """Before numpy is imported: on a busy machine two BLAS threads wait for each other for a minute."""
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
 
 
 @map_verbs.command(DEFAULT)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -87,6 +88,21 @@ def test_what_is_not_needed_is_not_imported(tmp_path: Path, words: tuple[str, ..
     ended = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, check=True, timeout=60)
     assert ended.stderr.decode().strip() == ""
     assert bool(ended.stdout) == bool(words)
+
+
+def test_blas_is_held_to_one_thread_unless_asked(tmp_path: Path) -> None:
+    """Before numpy looks; what the user set stays."""
+    code = (
+        "import sys, polishd.cli, polishd.console.map_formats as verbs, os\n"
+        "shown = [os.environ.get, 'OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS']\n"
+        "verbs.formats_verb = lambda as_json: print(*map(shown[0], shown[1:]))\n"
+        "sys.argv = ['polishd', 'map', 'formats']\npolishd.cli.main()"
+    )
+    clean = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    ended = subprocess.run(
+        [sys.executable, "-c", code], env={**clean, "OMP_NUM_THREADS": "2"}, capture_output=True, check=True, timeout=60
+    )
+    assert ended.stdout.decode().split() == ["2", "1"]
 
 
 def test_formats_are_those_of_the_plugin(polishd: Polishd) -> None:
