@@ -13,7 +13,7 @@ from tests.arch import code_rules, repository_rules
 from tests.arch.source import Rule
 
 ROOT = Path(__file__).resolve().parents[2]
-# Configs of cells and studies; the simulator's own is loaded by tests/system/test_sim_cell.py.
+# Cells, studies, instruments' profiles; the simulator's own config is loaded by tests/system/test_sim_cell.py.
 EXAMPLES = sorted(
     path for path in (ROOT / "examples").rglob("*.toml") if path.name not in ("pyproject.toml", "sim.toml")
 )
@@ -39,7 +39,9 @@ def test_there_are_examples() -> None:
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_the_example_loads(path: Path) -> None:
     from polishd.daemon.config import load_config  # not at the top: the rules should run while this does not
+    from polishd.daemon.instrument_file import load_profile
     from polishd.study.config import load_study
 
-    load = load_study if "kind" in tomllib.loads(path.read_text()) else load_config
+    keys = tomllib.loads(path.read_text()).keys()
+    load = load_study if "kind" in keys else load_profile if "artefact" in keys else load_config
     load(path)

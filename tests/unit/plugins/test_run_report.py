@@ -380,3 +380,14 @@ def test_times_as_text() -> None:
     assert when(None) == ""
     assert duration([{"dwell_s": 61.4}, {"dwell_s": None}], "dwell_s") == "1 min 01 s"
     assert duration([{}], "dwell_s") == ""
+
+
+def test_the_gates_picture_is_drawn_of_what_it_left(tmp_path: Path) -> None:
+    grid = np.linspace(-1, 1, 40)[None, :] * np.ones((40, 1))
+    mask = np.hypot(*np.meshgrid(grid[0], grid[0])) < 0.9
+    maps = dict.fromkeys(("predicted_nm", "measured_nm", "explained_nm", "residual_nm", "best_residual_nm"), grid)
+    np.savez(tmp_path / "gate.npz", **maps, metric_mask=mask, pitch_mm=0.5)
+    best = {"name": "flipped left-right", "shift_mm": [0.5, 0.0], "correlation": 0.97}
+    (tmp_path / "gate.json").write_text(json.dumps({"stop": "a flip", "correlation": 0.1, "best": best}))
+    run_report.polishd_on_event(Event("gate_stopped", 1, {"cycle_dir": str(tmp_path)}))
+    assert (tmp_path / "gate.png").read_bytes().startswith(b"\x89PNG")

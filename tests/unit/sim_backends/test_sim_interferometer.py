@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from polishd.sim_backends import metropro
+from polishd.sim_backends.config import Artefact, Bump, MapFaults, SimConfig, Truth
 from polishd.sim_backends.config import Interferometer as Section
-from polishd.sim_backends.config import MapFaults, SimConfig, Truth
-from polishd.sim_backends.interferometer import Interferometer
+from polishd.sim_backends.interferometer import Interferometer, as_seen, write_artefact
 from polishd.sim_backends.wire import Wire
 
 TRUE = np.where(np.hypot(*np.mgrid[-8:9, -8:9]) < 8.5, 10.0 * np.mgrid[-8:9, -8:9][0], np.nan)
@@ -192,3 +192,29 @@ async def test_a_wire_may_be_cut_now_and_then(tmp_path: Path) -> None:
         cutting.cancel()
         runtime.server.close()
     assert [name for name, _ in runtime.link.events][:2] == ["wire_cut", "wire_cut"]
+
+
+# the artefact, and an instrument that is not as its profile says
+
+
+def test_an_instrument_mirrors_first_and_turns_then() -> None:
+    height = np.array([[1.0, 2.0], [3.0, 4.0]])
+    assert as_seen(height, MapFaults()).tolist() == height.tolist()
+    assert as_seen(height, MapFaults(mirror=True)).tolist() == [[2.0, 1.0], [4.0, 3.0]]
+    assert as_seen(height, MapFaults(mirror=True, rotation_deg=90)).tolist() == [[1.0, 3.0], [2.0, 4.0]]
+    assert as_seen(height, MapFaults(sign=-1, factor=2.0)).tolist() == [[-2.0, -4.0], [-6.0, -8.0]]
+
+
+def test_the_artefact_has_its_bump_where_it_says(tmp_path: Path) -> None:
+    bump = Bump(x_mm=5.0, y_mm=8.0, sigma_x_mm=3.0, sigma_y_mm=1.5, height_nm=100.0)
+    section = Section(artefact=Artefact(diameter_mm=40.0, bumps=(bump,)))
+    config = SimConfig(truth=Truth(map_noise_nm=0.0), interferometer=section)
+    write_artefact(config, tmp_path / "a.dat", np.random.default_rng(1))
+    found = metropro.read(tmp_path / "a.dat")
+    row, column = np.unravel_index(int(np.nanargmax(found.height_nm)), found.height_nm.shape)
+    middle = (found.height_nm.shape[0] - 1) / 2
+    assert ((column - middle) * found.pitch_mm, (middle - row) * found.pitch_mm) == pytest.approx((5.0, 8.0))
+    assert np.nanmax(found.height_nm) == pytest.approx(100.0, abs=0.01)
+    assert found.height_nm[row, column + 6] == pytest.approx(100.0 * np.exp(-0.5), abs=0.1)
+    assert np.isnan(found.height_nm[0, 0])
+    assert found.part == "ARTEFACT"
