@@ -110,6 +110,12 @@ def test_a_field_stuffed_with_other_things_is_refused(tmp_path: Path) -> None:
         gwy.read(put(tmp_path, gwy_bytes(container)))
 
 
+def test_a_unit_that_the_library_would_read_for_ever_is_refused(tmp_path: Path) -> None:
+    endless = gwy_file().replace(b"unitstr\0sm\0", b"unitstr\0smm", 1)
+    with pytest.raises(BadMap, match="broken at byte"):
+        gwy.read(put(tmp_path, endless))
+
+
 def test_a_container_without_a_field_is_refused(tmp_path: Path) -> None:
     container = GwyContainer()
     container["/0/data"] = "a text"

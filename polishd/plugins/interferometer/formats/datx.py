@@ -50,7 +50,7 @@ def read(path: Path) -> SurfaceMap:
     """Read a map. BadMap for whatever is torn, linked elsewhere, or without scale; an unknown unit is ``unsaid``."""
     content = content_of(path)
     with hdf5.opened(path, content) as file:
-        links = _links(path, file, len(content))
+        links = _links(path, file, content)
         data = _surface(path, file, links)
         height = hdf5.samples(path, data, content)
         unit, optics = _unit(path, data)
@@ -73,20 +73,31 @@ def read(path: Path) -> SurfaceMap:
     )
 
 
-def _links(path: Path, file: Any, size: int) -> dict[tuple[str, str], str]:
+def _links(path: Path, file: Any, content: bytes) -> dict[tuple[str, str], str]:
     """(source, link) -> destination, the first of each; empty where there is no table."""
     table = hdf5.member(path, file, "MetaData")
     if table is None:
         return {}
     if not hdf5.is_plain(table, 1) or not {"Source", "Link", "Destination"} <= set(table.dtype.names or ()):
         raise BadMap(f"{path}: /MetaData is no table of Source, Link and Destination")
-    if table.size > MOST_LINKS or table.dtype.itemsize > size:
+    if table.size > MOST_LINKS or table.dtype.itemsize > len(content):
         raise BadMap(f"{path}: /MetaData has {table.size} links: no map")
+    _require_lengths(path, table, content)
     found: dict[tuple[str, str], str] = {}
     for row in table[()]:
         source, link, destination = (_plain(row[name]) for name in ("Source", "Link", "Destination"))
         found.setdefault((source, link), destination)
     return found
+
+
+def _require_lengths(path: Path, table: Any, content: bytes) -> None:
+    """BadMap where a text of the table states to be longer than the file: HDF5 allocates that before it looks."""
+    start, size = table.id.get_offset(), table.id.get_storage_size()
+    if start is None or start + size > len(content) or any(table.dtype[name].kind != "O" for name in table.dtype.names):
+        return
+    lengths = np.frombuffer(content, "<u4", size // 4, start)[::4]  # of each text: length, address (2), index
+    if (lengths > len(content)).any():
+        raise BadMap(f"{path}: a text of /MetaData is longer than the file: torn, or not HDF5")
 
 
 def _plain(value: Any) -> str:

@@ -71,7 +71,7 @@ def header_of(path: Path, content: bytes, smallest: int) -> Header:
         raise BadMap(f"{path}: its header has {len(lines)} lines, not 14")
     try:
         header = _fields(lines, end.end())
-    except (ValueError, IndexError) as error:
+    except (ValueError, IndexError, OverflowError) as error:
         raise BadMap(f"{path}: its header is not Zygo's: {error}") from error
     require_size(path, header.rows, header.columns, (len(content) - header.end) / smallest)
     optics = {"IntfScaleFactor": header.scale, "Wavelength (m)": header.wavelength_m, "Obliquity": header.obliquity}
