@@ -119,9 +119,8 @@ def _outliers(deviation_nm: FloatArray) -> BoolArray:
 def _samples_kept(heights: FloatArray) -> BoolArray:
     """(n, m) whether each is near its sample's median; at least half of each sample's always are."""
     off = np.abs(heights - np.median(heights, axis=0))
-    own = np.median(off, axis=0)
-    # of three values the own scatter is often far too small by chance
-    scatter = SIGMA_PER_MAD * np.maximum(own, np.median(own))
+    # of three values the own scatter is often far too small by chance; the usual one of all samples is not
+    scatter = np.maximum(SIGMA_PER_MAD * np.median(off, axis=0), np.median(heights.std(axis=0, ddof=1)))
     return np.asarray(off <= SAMPLE_SIGMAS * scatter, dtype=np.bool_)
 
 

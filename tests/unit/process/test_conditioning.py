@@ -196,3 +196,23 @@ def test_a_measured_map(shared_data: Path) -> None:
     assert part.metric_mask.sum() == there.sum()
     fine = height[surface.grid.radius_mm() <= size / 2 - 1]
     assert part.height_nm[part.metric_mask].std() == pytest.approx(np.nanstd(fine), rel=0.05)
+
+
+def test_power_is_removed_where_asked() -> None:
+    surface = disc_map()
+    x, y = np.meshgrid(FINE.x_mm, FINE.y_mm)
+    bowl = surface.with_height(surface.height_nm + 0.5 * (x**2 + y**2) + 2 * x)
+    plain, bent = conditioned(surface, without_power=True), conditioned(bowl, without_power=True)
+    np.testing.assert_allclose(bent.height_nm[bent.metric_mask], plain.height_nm[plain.metric_mask], atol=0.02)
+    assert conditioned(bowl, tilt=True).height_nm[bent.metric_mask].std() > 2 * bent.height_nm[bent.metric_mask].std()
+
+
+def test_the_nominal_form_is_taken_off() -> None:
+    surface = disc_map()
+    grid = process_grid(50.0, 1.0)
+    form = 20 * np.sin(grid.x_mm[None, :] / 4) * np.ones(grid.shape)
+    plain, relative = conditioned(surface), conditioned(surface, nominal_nm=form)
+    change = (plain.height_nm - relative.height_nm)[plain.metric_mask]
+    np.testing.assert_allclose(change, (form - form[plain.metric_mask].mean())[plain.metric_mask], atol=1e-9)
+    with pytest.raises(BadMap, match="the nominal form is"):
+        conditioned(surface, nominal_nm=form[1:])

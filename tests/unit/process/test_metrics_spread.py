@@ -110,9 +110,9 @@ def test_refusals() -> None:
     height, mask = surface(3), MASKS["circle"]
     with pytest.raises(BadMap, match="no sample"):
         metrics.spread(height, mask, trim_px=60)
+    broken = height.copy()
+    broken[tuple(np.argwhere(mask)[100])] = np.inf
     with pytest.raises(BadMap, match="1 samples inside the mask have no data"):
-        broken = height.copy()
-        broken[tuple(np.argwhere(mask)[100])] = np.inf
         metrics.pv_rms(broken, mask)
     with pytest.raises(BadMap, match="its mask"):
         metrics.without_polynomial(height[1:], mask, 1)
