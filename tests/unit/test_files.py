@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import os
 from pathlib import Path
 
 import pytest
 
-from polishd.files import whole_file, write_atomic
+from polishd.files import sync_folder, whole_file, write_atomic
 
 
 def test_writes_and_replaces(tmp_path: Path) -> None:
@@ -75,3 +77,15 @@ def test_what_is_written_can_be_read_back_before_it_has_its_name(tmp_path: Path)
         assert file.read() == b"new"
         assert not (tmp_path / "a").exists()
     assert (tmp_path / "a").read_bytes() == b"new"
+
+
+@pytest.mark.parametrize(("number", "raised"), [(errno.EINVAL, False), (errno.ENOTSUP, False), (errno.EIO, True)])
+def test_a_share_that_syncs_no_folders_is_no_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, raised: bool
+) -> None:
+    def refuse(_: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("polishd.files.os.fsync", refuse)
+    with pytest.raises(OSError, match=os.strerror(number)) if raised else contextlib.nullcontext():
+        sync_folder(tmp_path)
