@@ -16,6 +16,7 @@ ANSWERS = {
     "unit": "unit_nm, the nanometres in one unit of its heights",
     "surface": '"surface" in gives, with factor = 0.5 where its heights are of the wavefront',
     "orientation": '"orientation" in gives, with mirror and rotation_deg as they are',
+    "square pixels": "nothing: no profile mends pixels that are not square; resample the map",
 }
 """What a profile answers, and with which key."""
 
