@@ -96,6 +96,7 @@ def write_demo(out: Path, surface: Path | None, tolerance_nm: float, cycles: int
     out.mkdir(parents=True, exist_ok=True)
     values: dict[str, Mapping[str, Any]] = {
         "cell": {"run_dir": "run"},
+        "instrument": {"profile": files.profile.name},
         "part": part,
         "process": {"correction": correction} if correction else {},
         "job": {"tolerance_nm": tolerance_nm, "max_cycles": cycles, "tolerance_period_mm": period},

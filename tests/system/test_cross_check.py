@@ -25,6 +25,7 @@ from polishd.process.compliance import depth_ratio
 from polishd.process.compliance import equivalent_compliance as controller_compliance
 from polishd.process.dynamic_tif import corrected_spot, effect_matrix
 from polishd.process.path_compliance import path_compliance
+from polishd.process.registration.record import Registration
 from polishd.process.robot import tip_compliance_mm_per_n
 from polishd.process.spot import HertzSpot
 from polishd.sim_backends import truth
@@ -196,7 +197,7 @@ def test_the_stated_rms_is_the_plants_own(aperture_mm: float, pitch_mm: float) -
     part = parts.make(plant, 3)
     shown = SurfaceMap(height_nm=part.map_nm(), pitch_mm=pitch_mm)
     conditioned = conditioning.condition(shown, aperture_mm=aperture_mm, edge_mm=plant.edge_mm, grid_mm=0.5)
-    clear = steps._on_map(shown, conditioned.grid, conditioned.metric_mask)
+    clear = steps._on_map(shown, conditioned.grid, conditioned.metric_mask, Registration())
     assert clear.sum() == pytest.approx(part.clear.sum(), rel=0.03)
     assert part.map_nm()[clear].std() == pytest.approx(part.stats()[0], rel=0.015)
 

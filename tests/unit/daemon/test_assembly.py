@@ -33,7 +33,7 @@ def configured(tmp_path: Path, example: str) -> Any:
 
     def make(**sections: dict[str, Any]) -> CellConfig:
         path = tmp_path / "cell.toml"
-        path.write_text(with_values(example, sections))
+        path.write_text(with_values(example, {"instrument": {"profile": "instrument.toml"}, **sections}))
         commissioned(tmp_path)
         return load_config(path)
 
