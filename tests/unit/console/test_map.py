@@ -228,7 +228,7 @@ def test_a_name_that_is_no_text(polishd: Polishd, good: Path) -> None:
     odd = good.rename(good.with_name(os.fsdecode(b"m\xff[red]$x$.dat")))
     said = polishd("map", odd)
     assert said.code == 0, said.err
-    assert r"m\udcff[red]$x$.dat" in said.out
+    assert r"m\udcff[red]$x$.dat" in said.out.replace("\n", "")  # a long title is wrapped
     assert json.loads(polishd("map", odd, "--json").out)["path"] == str(odd)
 
 
