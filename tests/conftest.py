@@ -14,6 +14,8 @@ from pathlib import Path
 import hypothesis
 import pytest
 
+from polishd.plugins.interferometer.formats import apart
+
 ROOT = Path(__file__).resolve().parents[1]
 
 # What is ending when the test ends may take this long to be gone.
@@ -60,7 +62,7 @@ async def leaves_no_task() -> AsyncIterator[None]:
 
 def children() -> dict[int, str]:
     """Command lines of our live child processes by pid. Only Linux tells; elsewhere there seem to be none."""
-    # Python's own helpers, at most one each per process and meant to stay
+    # Python's own helpers and the reader of maps, at most one each per process and meant to stay
     helpers = {
         getattr(resource_tracker._resource_tracker, "_pid", None),
         getattr(forkserver._forkserver, "_forkserver_pid", None),
@@ -69,8 +71,9 @@ def children() -> dict[int, str]:
     for listing in Path("/proc/self/task").glob("*/children"):
         for pid in map(int, read(listing).split()):
             state = read(Path(f"/proc/{pid}/stat")).rpartition(")")[2].split()[:1]
-            if state not in ([], ["Z"]) and pid not in helpers:
-                found[pid] = read(Path(f"/proc/{pid}/cmdline")).replace("\0", " ").strip()
+            command = read(Path(f"/proc/{pid}/cmdline")).replace("\0", " ").strip()
+            if state not in ([], ["Z"]) and pid not in helpers and apart.WORKER not in command:
+                found[pid] = command
     return found
 
 

@@ -7,8 +7,10 @@ import os
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
@@ -48,6 +50,14 @@ def require_data(path: Path, height_nm: FloatArray) -> FloatArray:
         raise BadMap(f"{path}: {np.count_nonzero(np.isinf(height_nm))} samples are infinite")
     if np.isnan(height_nm).all():
         raise BadMap(f"{path}: no sample holds data")
+    return height_nm
+
+
+def scaled(values: NDArray[Any], nm_per_unit: float) -> FloatArray:
+    """A float64 copy of the values in nm; what is too large for it is infinite, and refused by ``require_data``."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        height_nm: FloatArray = np.array(values, dtype=np.float64, order="C")
+        height_nm *= nm_per_unit
     return height_nm
 
 

@@ -15,12 +15,10 @@ import numpy as np
 
 from polishd.api import BadMap, SurfaceMap, SurfaceReader
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats import hdf5
+from polishd.plugins.interferometer.formats import apart, hdf5
 from polishd.plugins.interferometer.formats.common import (
-    content_of,
     require_data,
     require_optics,
-    sha256_of,
     time_of,
 )
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, HeightUnit, Pitch, height_unit, pitch
@@ -43,26 +41,30 @@ PARAMETER = {"Wavelength (m)": 1, "IntfScaleFactor": 2, "Obliquity": 3}
 
 def sniff(head: bytes, path: Path) -> bool:
     """True for an HDF5 file with Mx's table of links, or its older measurement."""
-    return hdf5.holds(head, path, ".datx", "MetaData", OLD_PATH)
+    return hdf5.holds(head, path, ".datx")
 
 
 def read(path: Path) -> SurfaceMap:
     """Read a map. BadMap for whatever is torn, linked elsewhere, or without scale; an unknown unit is ``unsaid``."""
-    content = content_of(path)
-    with hdf5.opened(path, content) as file:
-        links = _links(path, file, content)
-        data = _surface(path, file, links)
-        height = hdf5.samples(path, data, content)
-        unit, optics = _unit(path, data)
-        height = _scaled(height, hdf5.number(path, data, "No Data"), unit.nm)
-        about = _about(path, file, links)
-        scale = _pitch(path, data)
-        origin = hdf5.attribute(path, data, "Coordinates")
-        factors = {"unit": hdf5.text(path, data, "Unit"), "nm_per_unit": unit.nm, **optics, "window": str(origin)}
+    return apart.read(__name__, path)
+
+
+def parse(path: Path) -> SurfaceMap:
+    """``read``, in this process: HDF5 may crash, hang or fill the memory on a broken file."""
+    with hdf5.opened(path) as source:
+        links = _links(source)
+        data = _surface(source, links)
+        height = hdf5.samples(source, data)
+        unit, optics = _unit(source, data)
+        height = _scaled(height, hdf5.number(source, data, "No Data"), unit.nm)
+        about = _about(source, links)
+        scale = _pitch(source, data)
+        origin = hdf5.attribute(source, data, "Coordinates")
+        factors = {"unit": hdf5.text(source, data, "Unit"), "nm_per_unit": unit.nm, **optics, "window": str(origin)}
     return SurfaceMap(
         height_nm=require_data(path, height),
         pitch_mm=scale.mm,
-        sha256=sha256_of(content),
+        sha256=source.sha256,
         path=path,
         format=NAME,
         factors=factors,
@@ -73,46 +75,35 @@ def read(path: Path) -> SurfaceMap:
     )
 
 
-def _links(path: Path, file: Any, content: bytes) -> dict[tuple[str, str], str]:
+def _links(source: hdf5.Opened) -> dict[tuple[str, str], str]:
     """(source, link) -> destination, the first of each; empty where there is no table."""
-    table = hdf5.member(path, file, "MetaData")
+    table = hdf5.member(source, "MetaData")
     if table is None:
         return {}
     if not hdf5.is_plain(table, 1) or not {"Source", "Link", "Destination"} <= set(table.dtype.names or ()):
-        raise BadMap(f"{path}: /MetaData is no table of Source, Link and Destination")
-    if table.size > MOST_LINKS or table.dtype.itemsize > len(content):
-        raise BadMap(f"{path}: /MetaData has {table.size} links: no map")
-    _require_lengths(path, table, content)
+        raise BadMap(f"{source.path}: /MetaData is no table of Source, Link and Destination")
+    if table.size > MOST_LINKS or table.dtype.itemsize > source.length:
+        raise BadMap(f"{source.path}: /MetaData has {table.size} links: no map")
     found: dict[tuple[str, str], str] = {}
     for row in table[()]:
-        source, link, destination = (_plain(row[name]) for name in ("Source", "Link", "Destination"))
-        found.setdefault((source, link), destination)
+        start, link, destination = (_plain(row[name]) for name in ("Source", "Link", "Destination"))
+        found.setdefault((start, link), destination)
     return found
-
-
-def _require_lengths(path: Path, table: Any, content: bytes) -> None:
-    """BadMap where a text of the table states to be longer than the file: HDF5 allocates that before it looks."""
-    start, size = table.id.get_offset(), table.id.get_storage_size()
-    if start is None or start + size > len(content) or any(table.dtype[name].kind != "O" for name in table.dtype.names):
-        return
-    lengths = np.frombuffer(content, "<u4", size // 4, start)[::4]  # of each text: length, address (2), index
-    if (lengths > len(content)).any():
-        raise BadMap(f"{path}: a text of /MetaData is longer than the file: torn, or not HDF5")
 
 
 def _plain(value: Any) -> str:
     return value.decode("latin-1") if isinstance(value, bytes) else str(value)
 
 
-def _surface(path: Path, file: Any, links: dict[tuple[str, str], str]) -> Any:
+def _surface(source: hdf5.Opened, links: dict[tuple[str, str], str]) -> Any:
     measurement = links.get(("Root", "Measurement"), "")
     surface = links.get((measurement, "Surface"), "")
     place = links.get((surface, "Path"), "" if links else OLD_PATH)
     if not place:
-        raise BadMap(f"{path}: /MetaData leads to no surface (Root -> Measurement -> Surface -> Path)")
-    data = hdf5.member(path, file, place)
+        raise BadMap(f"{source.path}: /MetaData leads to no surface (Root -> Measurement -> Surface -> Path)")
+    data = hdf5.member(source, place)
     if data is None:
-        raise BadMap(f"{path}: its surface {place} is missing")
+        raise BadMap(f"{source.path}: its surface {place} is missing")
     return data
 
 
@@ -125,9 +116,9 @@ def _scaled(height: FloatArray, no_data: float | None, nm: float) -> FloatArray:
     return height
 
 
-def _parameters(path: Path, data: Any, name: str) -> list[float]:
+def _parameters(source: hdf5.Opened, data: Any, name: str) -> list[float]:
     """The numbers of a converter: a record (category, unit, parameters), or in some versions the parameters alone."""
-    value = hdf5.attribute(path, data, name)
+    value = hdf5.attribute(source, data, name)
     if value is None:
         return []
     first = np.ravel(value)[0] if np.asarray(value).dtype.kind in "VO" else value
@@ -139,57 +130,57 @@ def _parameters(path: Path, data: Any, name: str) -> list[float]:
         return []
 
 
-def _unit(path: Path, data: Any) -> tuple[HeightUnit, dict[str, float]]:
+def _unit(source: hdf5.Opened, data: Any) -> tuple[HeightUnit, dict[str, float]]:
     """The unit of heights, and what of the optics it needed."""
-    name = hdf5.text(path, data, "Unit")
+    name = hdf5.text(source, data, "Unit")
     word = name.lower()
     if word in ALSO_NM:
         return HeightUnit(ALSO_NM[word]), {}
     if word not in {"fringes", "fringe", "waves", "wave"}:
         return height_unit(name), {}
-    given = _optics(path, data, {"Wavelength (m)", "Obliquity"} | ({"IntfScaleFactor"} if "f" in word else set()))
+    given = _optics(source, data, {"Wavelength (m)", "Obliquity"} | ({"IntfScaleFactor"} if "f" in word else set()))
     return HeightUnit(float(np.prod(list(given.values()))) * 1e9), given
 
 
-def _optics(path: Path, data: Any, names: set[str]) -> dict[str, float]:
-    again = _parameters(path, data, "Z Converter")
+def _optics(source: hdf5.Opened, data: Any, names: set[str]) -> dict[str, float]:
+    again = _parameters(source, data, "Z Converter")
     found: dict[str, float] = {}
     for name in sorted(names):
-        value = hdf5.number(path, data, OPTICS[name])
+        value = hdf5.number(source, data, OPTICS[name])
         if value is None and PARAMETER[name] < len(again):
             value = again[PARAMETER[name]]
         if value is None:
-            raise BadMap(f"{path}: is in {hdf5.text(path, data, 'Unit')} and does not say its {OPTICS[name]}")
+            raise BadMap(f"{source.path}: is in {hdf5.text(source, data, 'Unit')} and does not say its {OPTICS[name]}")
         found[name] = value
-    require_optics(path, found)
+    require_optics(source.path, found)
     return found
 
 
-def _pitch(path: Path, data: Any) -> Pitch:
-    sides = [_parameters(path, data, f"{axis} Converter")[1:2] for axis in "XY"]
+def _pitch(source: hdf5.Opened, data: Any) -> Pitch:
+    sides = [_parameters(source, data, f"{axis} Converter")[1:2] for axis in "XY"]
     metres = [side[0] for side in sides if side]
     if not any(metres):
         return NO_PITCH
-    return pitch(path, metres[0] * 1e3, metres[-1] * 1e3)
+    return pitch(source.path, metres[0] * 1e3, metres[-1] * 1e3)
 
 
-def _about(path: Path, file: Any, links: dict[tuple[str, str], str]) -> dict[str, Any]:
+def _about(source: hdf5.Opened, links: dict[tuple[str, str], str]) -> dict[str, Any]:
     """Part, instrument and time, from the attributes of the measurement."""
     place = links.get((links.get(("Root", "Measurement"), ""), "Attributes"), "/Measurement/Attributes")
-    node = hdf5.member(path, file, place)
+    node = hdf5.member(source, place)
     if node is None:
         return {}
     key = {name.rpartition(".")[2]: name for name in reversed(list(node.attrs))}
 
     def text(name: str) -> str:
-        return hdf5.text(path, node, key[name]) if name in key else ""
+        return hdf5.text(source, node, key[name]) if name in key else ""
 
     system = " ".join(["Zygo", text("System Type")]).strip()
     serial = text("System Serial Number")
     return {
         "part_id": text("Part Serial Number") or text("Part Number"),
         "instrument": f"{system}, system {serial}" if serial else system,
-        "taken_at": _time(hdf5.attribute(path, node, key["Time Stamp"])) if "Time Stamp" in key else None,
+        "taken_at": _time(hdf5.attribute(source, node, key["Time Stamp"])) if "Time Stamp" in key else None,
     }
 
 

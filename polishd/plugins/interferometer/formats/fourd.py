@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from polishd.api import BadMap, SurfaceMap, SurfaceReader
-from polishd.plugins.interferometer.formats import hdf5
-from polishd.plugins.interferometer.formats.common import content_of, require_data, require_optics, sha256_of
+from polishd.plugins.interferometer.formats import apart, hdf5
+from polishd.plugins.interferometer.formats.common import require_data, require_optics
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, nm_per, pitch
 
 NAME = "4d"
@@ -36,24 +36,28 @@ class Measure(NamedTuple):
 
 def sniff(head: bytes, path: Path) -> bool:
     """True for an HDF5 file with 4D's first measurement."""
-    return hdf5.holds(head, path, ".h5", "measurement0")
+    return hdf5.holds(head, path, ".h5")
 
 
 def read(path: Path) -> SurfaceMap:
     """Read a map. BadMap for whatever is torn, linked elsewhere, or without a wavelength; no wedge is ``unsaid``."""
-    content = content_of(path)
-    with hdf5.opened(path, content) as file:
-        data = hdf5.member(path, file, f"{GENRAW}/data")
+    return apart.read(__name__, path)
+
+
+def parse(path: Path) -> SurfaceMap:
+    """``read``, in this process: HDF5 may crash, hang or fill the memory on a broken file."""
+    with hdf5.opened(path) as source:
+        data = hdf5.member(source, f"{GENRAW}/data")
         if data is None:
             raise BadMap(f"{path}: has no {GENRAW}/data")
-        nodes = [data, hdf5.member(path, file, GENRAW), hdf5.member(path, file, "/measurement0"), file]
-        waves = hdf5.samples(path, data, content)
-        wavelength_nm = _wavelength_nm(path, nodes)
-        wedge = _wedge(path, nodes)
-        scale = _pitch(path, nodes)
-        fiducials, odd = _fiducials(path, nodes, waves.shape)
-        part = next((found for found in (_text(path, nodes, name) for name in PARTS) if found), "")
-        instrument = _text(path, nodes, "instrument")
+        nodes = [data, hdf5.member(source, GENRAW), hdf5.member(source, "/measurement0"), source.file]
+        waves = hdf5.samples(source, data)
+        wavelength_nm = _wavelength_nm(source, nodes)
+        wedge = _wedge(source, nodes)
+        scale = _pitch(source, nodes)
+        fiducials, odd = _fiducials(source, nodes, waves.shape)
+        part = next((found for found in (_text(source, nodes, name) for name in PARTS) if found), "")
+        instrument = _text(source, nodes, "instrument")
     waves[~(np.abs(waves) < MISSING)] = np.nan
     waves *= wavelength_nm * (1.0 if wedge is None else wedge)
     return SurfaceMap(
@@ -61,7 +65,7 @@ def read(path: Path) -> SurfaceMap:
         pitch_mm=scale.mm,
         part_id=part,
         instrument=f"4D {instrument}".strip(),
-        sha256=sha256_of(content),
+        sha256=source.sha256,
         path=path,
         format=NAME,
         factors={"wavelength_nm": wavelength_nm, "wedge": wedge},
@@ -72,13 +76,13 @@ def read(path: Path) -> SurfaceMap:
     )
 
 
-def _text(path: Path, nodes: list[Any], name: str) -> str:
-    return next((found for node in nodes if node is not None and (found := hdf5.text(path, node, name))), "")
+def _text(source: hdf5.Opened, nodes: list[Any], name: str) -> str:
+    return next((found for node in nodes if node is not None and (found := hdf5.text(source, node, name))), "")
 
 
-def _measure(path: Path, nodes: list[Any], name: str) -> Measure | None:
+def _measure(source: hdf5.Opened, nodes: list[Any], name: str) -> Measure | None:
     """A number and its unit ("632.8 nm"), or None where it is absent or empty; BadMap where it is no number."""
-    text = _text(path, nodes, name)
+    text = _text(source, nodes, name)
     if not text:
         return None
     found = WITH_UNIT.fullmatch(text)
@@ -87,44 +91,46 @@ def _measure(path: Path, nodes: list[Any], name: str) -> Measure | None:
     except ValueError:
         value = np.nan
     if found is None or not np.isfinite(value):
-        raise BadMap(f"{path}: its {name} is {text!r}, not a number with a unit")
+        raise BadMap(f"{source.path}: its {name} is {text!r}, not a number with a unit")
     return Measure(value, found[2].strip())
 
 
-def _wavelength_nm(path: Path, nodes: list[Any]) -> float:
-    found = _measure(path, nodes, "wavelength")
+def _wavelength_nm(source: hdf5.Opened, nodes: list[Any]) -> float:
+    found = _measure(source, nodes, "wavelength")
     if found is None:
-        raise BadMap(f"{path}: is in waves and does not say its wavelength")
+        raise BadMap(f"{source.path}: is in waves and does not say its wavelength")
     factor = nm_per(found.unit)
     if factor is None:
-        raise BadMap(f"{path}: its wavelength is {found.value:g} {found.unit or '(no unit)'}: the unit is not known")
-    require_optics(path, {"Wavelength (m)": found.value * factor / 1e9})
+        raise BadMap(
+            f"{source.path}: its wavelength is {found.value:g} {found.unit or '(no unit)'}: the unit is not known"
+        )
+    require_optics(source.path, {"Wavelength (m)": found.value * factor / 1e9})
     return found.value * factor
 
 
-def _wedge(path: Path, nodes: list[Any]) -> float | None:
-    found = _measure(path, nodes, "wedge")
+def _wedge(source: hdf5.Opened, nodes: list[Any]) -> float | None:
+    found = _measure(source, nodes, "wedge")
     if found is None:
         return None
-    require_optics(path, {"IntfScaleFactor": found.value})
+    require_optics(source.path, {"IntfScaleFactor": found.value})
     return found.value
 
 
-def _pitch(path: Path, nodes: list[Any]) -> Pitch:
+def _pitch(source: hdf5.Opened, nodes: list[Any]) -> Pitch:
     """From ``xpix`` and ``ypix``, where they are lengths; pixels, 0 or nothing: no lateral scale."""
-    sides = [found for name in ("xpix", "ypix") if (found := _measure(path, nodes, name))]
+    sides = [found for name in ("xpix", "ypix") if (found := _measure(source, nodes, name))]
     factors = [nm_per(side.unit.partition("/")[0]) for side in sides]
     lengths = [side.value * factor / 1e6 for side, factor in zip(sides, factors, strict=True) if factor]
     if not any(lengths) or len(lengths) < len(sides):
         return NO_PITCH
-    return pitch(path, lengths[0], lengths[-1])
+    return pitch(source.path, lengths[0], lengths[-1])
 
 
 def _fiducials(
-    path: Path, nodes: list[Any], shape: tuple[int, ...]
+    source: hdf5.Opened, nodes: list[Any], shape: tuple[int, ...]
 ) -> tuple[tuple[tuple[float, float], ...], tuple[str, ...]]:
     """(row, column) of the marks, listed as x, y; none and a warning where they are not that."""
-    value = next((found for node in nodes if (found := _listed(path, node)) is not None), None)
+    value = next((found for node in nodes if (found := _listed(source, node)) is not None), None)
     if value is None:
         return (), ()
     marks = tuple((float(y), float(x)) for x, y in value.reshape(-1, 2)) if value.size % 2 == 0 else ()
@@ -132,13 +138,13 @@ def _fiducials(
     return (marks, ()) if marks and on_map else ((), (ODD_FIDUCIALS,))
 
 
-def _listed(path: Path, node: Any) -> Any:
-    value = hdf5.attribute(path, node, "fiducials") if node is not None else None
-    if value is None or (np.asarray(value).dtype.kind not in "fiu" and not hdf5.text(path, node, "fiducials")):
+def _listed(source: hdf5.Opened, node: Any) -> Any:
+    value = hdf5.attribute(source, node, "fiducials") if node is not None else None
+    if value is None or (np.asarray(value).dtype.kind not in "fiu" and not hdf5.text(source, node, "fiducials")):
         return None
     if np.asarray(value).dtype.kind in "fiu":
         return np.asarray(value, dtype=np.float64).ravel()
-    words = re.findall(r"[-+]?\d+(?:\.\d+)?", hdf5.text(path, node, "fiducials"))
+    words = re.findall(r"[-+]?\d+(?:\.\d+)?", hdf5.text(source, node, "fiducials"))
     return np.array(words or [np.nan], dtype=np.float64)
 
 

@@ -60,7 +60,8 @@ def _places(path: Path, axis: str, values: FloatArray, spacing: float) -> tuple[
     steps = gaps[new]
     if not steps.size:
         raise BadMap(f"{path}: all points have nearly the same {axis}: no grid")
-    index = np.concatenate([[0.0], np.cumsum(np.round(steps / np.median(steps[steps < 1.5 * steps.min()])))])
+    with np.errstate(over="ignore"):  # what is infinite is no grid
+        index = np.concatenate([[0.0], np.cumsum(np.round(steps / np.median(steps[steps < 1.5 * steps.min()])))])
     levels = values[order][np.concatenate([[True], new])]
     if index[-1] > CELLS_PER_POINT * values.size or (np.diff(index) < 1).any():
         raise BadMap(f"{path}: {axis} is not evenly spaced: not on a regular grid")

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from polishd.api import BadMap, SurfaceMap, SurfaceReader
-from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, sha256_of
+from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, scaled, sha256_of
 from polishd.plugins.interferometer.formats.library import extra, parsing
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
 
@@ -56,8 +56,7 @@ def read(path: Path) -> SurfaceMap:
     field = _field(path, gwyfile, content, parts[f"{key}/data"])
     height = height_unit(_unit(field, "si_unit_z"))
     lateral = _pitch(path, field)
-    with np.errstate(over="ignore"):
-        height_nm = np.array(field.data, dtype=np.float64) * height.nm
+    height_nm = scaled(field.data, height.nm)
     warnings = list(height.warnings + lateral.warnings)
     if len(channels) > 1:
         warnings.append(f"channel {channels[0]} of {', '.join(map(str, channels))} is taken")

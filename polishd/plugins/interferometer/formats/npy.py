@@ -15,8 +15,7 @@ from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 
 from polishd.api import BadMap, SurfaceMap, SurfaceReader
-from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import MOST_BYTES, content_of, sha256_of
+from polishd.plugins.interferometer.formats.common import MOST_BYTES, content_of, scaled, sha256_of
 from polishd.plugins.interferometer.formats.gridded import ORIENTATION, gridded
 from polishd.plugins.interferometer.formats.library import parsing
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, checked, height_unit, pitch
@@ -103,7 +102,7 @@ def _with_coordinates(path: Path, arrays: dict[str, NDArray[np.generic]], sha256
     found = gridded(path, x.ravel(), y.ravel(), z.ravel())
     scale = pitch(path, found.pitch_x * 1e3, found.pitch_y * 1e3)
     return SurfaceMap(
-        height_nm=checked(path, _nm(found.z)),
+        height_nm=checked(path, scaled(found.z, 1e9)),
         pitch_mm=scale.mm,
         sha256=sha256,
         path=path,
@@ -114,11 +113,6 @@ def _with_coordinates(path: Path, arrays: dict[str, NDArray[np.generic]], sha256
         orientation=ORIENTATION,
         reader_version=VERSION,
     )
-
-
-def _nm(metres: FloatArray) -> FloatArray:
-    with np.errstate(over="ignore"):
-        return metres * 1e9
 
 
 NPY = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=(".npy", ".npz"))

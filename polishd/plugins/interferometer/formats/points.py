@@ -14,7 +14,7 @@ import numpy as np
 
 from polishd.api import BadMap, SurfaceMap, SurfaceReader
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import content_of, sha256_of
+from polishd.plugins.interferometer.formats.common import content_of, scaled, sha256_of
 from polishd.plugins.interferometer.formats.gridded import ORIENTATION, Gridded, gridded
 from polishd.plugins.interferometer.formats.library import parsing
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
@@ -55,8 +55,7 @@ def read(path: Path) -> SurfaceMap:
     found = gridded(path, table[:, 0], table[:, 1], table[:, 2])
     lateral = _pitch(path, header, found)
     height = height_unit(header.units[2])
-    with np.errstate(over="ignore"):
-        height_nm = found.z * height.nm
+    height_nm = scaled(found.z, height.nm)
     unsaid = lateral.unsaid | height.unsaid | ({"surface"} if header.wavefront else set())
     return SurfaceMap(
         height_nm=checked(path, height_nm),

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from polishd.api import BadMap, SurfaceMap, SurfaceReader
-from polishd.plugins.interferometer.formats.common import content_of, sha256_of
+from polishd.plugins.interferometer.formats.common import content_of, scaled, sha256_of
 from polishd.plugins.interferometer.formats.library import parsing
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, pitch
 from polishd.plugins.interferometer.formats.x3p import TURNED
@@ -45,10 +45,9 @@ def read(path: Path) -> SurfaceMap:
         raise BadMap(f"{path}: Zscale is {header.z_scale:g}: the height's scale is not known")
     if min(file.data.shape) < 2:
         raise BadMap(f"{path}: holds a profile of {file.data.size} points, not a surface")
-    with np.errstate(over="ignore", invalid="ignore"):
-        # ISO marks with a type's minimum, its forerunner with the maximum, and writers mix them up
-        marked = (np.abs(file.data) > MARKER * header.z_scale) & np.isfinite(file.data)
-        height_nm = np.where(marked, np.nan, file.data)[::-1] * 1e9
+    # ISO marks with a type's minimum, its forerunner with the maximum, and writers mix them up
+    marked = (np.abs(file.data) > MARKER * header.z_scale) & np.isfinite(file.data)
+    height_nm = scaled(np.where(marked, np.nan, file.data)[::-1], 1e9)
     scale = _pitch(path, header.x_scale, header.y_scale)
     return SurfaceMap(
         height_nm=checked(path, height_nm),

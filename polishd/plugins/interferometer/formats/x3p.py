@@ -14,7 +14,7 @@ import numpy as np
 
 from polishd.api import BadMap, SurfaceMap, SurfaceReader
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import MOST_BYTES, content_of, require_said, sha256_of
+from polishd.plugins.interferometer.formats.common import MOST_BYTES, content_of, require_said, scaled, sha256_of
 from polishd.plugins.interferometer.formats.gridded import ORIENTATION, gridded
 from polishd.plugins.interferometer.formats.library import parsing
 from polishd.plugins.interferometer.formats.scales import Pitch, checked, pitch
@@ -99,12 +99,11 @@ def _surface(path: Path, layer: object) -> tuple[FloatArray, Pitch, str]:
         raise BadMap(f"{path}: holds no surface")
     if layer.x is None and layer.y is None:
         scale = pitch(path, layer.header.x.increment * 1e3, layer.header.y.increment * 1e3)
-        with np.errstate(over="ignore"):
-            return layer.z[::-1] * 1e9, scale, TURNED
+        return scaled(layer.z[::-1], 1e9), scale, TURNED
     points = layer.points().reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
     found = gridded(path, points[:, 0], points[:, 1], points[:, 2])
-    return found.z * 1e9, pitch(path, found.pitch_x * 1e3, found.pitch_y * 1e3), ORIENTATION
+    return scaled(found.z, 1e9), pitch(path, found.pitch_x * 1e3, found.pitch_y * 1e3), ORIENTATION
 
 
 def _instrument(instrument: object) -> str:

@@ -1,0 +1,114 @@
+"""Reading in a process of its own: what C code does with a broken file never happens to the daemon.
+
+HDF5 2.0 allocates the length a text states before it looks, walks some broken heaps for ever, and crashes on others.
+A worker parses the file within bounds of memory and time and hands the map back; where it does not, the file is a
+BadMap, and the next file gets a new worker. One worker is kept, as it takes half a second to start.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import pickle
+import resource
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+from polishd.api import BadMap, SurfaceMap
+
+WORKER = "polishd.plugins.interferometer.formats.apart_worker"
+WITHIN_S = 60.0
+"""Wall time; the worker bounds its own CPU time more tightly."""
+_THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+_lock = threading.Lock()
+_kept: list[_Worker] = []
+
+
+def read(module: str, path: Path) -> SurfaceMap:
+    """What the module's ``parse(path)`` makes of a file, in the worker. BadMap where it raises that, dies or hangs."""
+    with _lock:
+        if not _kept or not _kept[0].is_alive:
+            _kept[:] = [_Worker(path)]
+        try:
+            return _kept[0].read(module, path)
+        except BaseException:
+            if not _kept[0].is_idle:  # it died, or what it would say now would be of this file
+                _kept.pop().kill()
+            raise
+
+
+def close() -> None:
+    """End the worker; the next file gets a new one."""
+    with _lock:
+        while _kept:
+            _kept.pop().kill()
+
+
+def make_room(size: int) -> None:
+    """Let a file take so many bytes more, once its samples are known to be there. Nothing outside the worker."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    if soft != resource.RLIM_INFINITY:
+        resource.setrlimit(resource.RLIMIT_AS, (soft + size, hard))
+
+
+class _Worker:
+    """The process and the line to it."""
+
+    def __init__(self, path: Path) -> None:
+        ours, theirs = socket.socketpair()
+        self.is_idle = True
+        with theirs:
+            # -P: the working folder stays off its path
+            command = [sys.executable, "-P", "-m", WORKER, str(theirs.fileno())]
+            try:
+                self._process = subprocess.Popen(
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,
+                    pass_fds=(theirs.fileno(),),
+                    env=os.environ | _THREADS,
+                )
+            except OSError as error:
+                ours.close()
+                raise BadMap(f"{path}: no process to read it in: {error.strerror}") from error
+        self._line = Connection(ours.detach())
+
+    @property
+    def is_alive(self) -> bool:
+        return self._process.poll() is None
+
+    def read(self, module: str, path: Path) -> SurfaceMap:
+        self.is_idle = False
+        try:
+            self._line.send((module, path))
+            if not self._line.poll(WITHIN_S):
+                raise BadMap(f"{path}: was not read within {WITHIN_S:g} s")
+            reason, head, sizes = self._line.recv()
+            buffers = [bytearray(size) for size in sizes]
+            for buffer in buffers:
+                self._line.recv_bytes_into(buffer)
+        except (EOFError, OSError) as error:
+            raise BadMap(f"{path}: the process that reads it {self._end()}: the file is broken") from error
+        self.is_idle = True
+        if reason:
+            raise BadMap(reason)
+        surface: SurfaceMap = pickle.loads(head, buffers=buffers)  # noqa: S301  our own process wrote it
+        return surface
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.wait()
+        self._line.close()
+
+    def _end(self) -> str:
+        code = self._process.wait()
+        return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with {code}"
+
+
+atexit.register(close)
