@@ -1,7 +1,7 @@
 """How long what is imported and asked for at a shell takes, in fresh processes, beside Python with nothing and numpy.
 
-CPU time of the whole process, which on a free machine is the wall time, in turns with the peers, so that a busy spell
-of the machine hits all alike; the spread of the wall time stands in the name. The modules must stay below half a
+Least CPU time of the whole process, which on a free machine is the wall time, in turns with the peers, so that a busy
+spell of the machine hits all alike; the spread of the wall time stands in the name. The modules must stay below half a
 second. ``python -X importtime -c 'import polishd.api'`` says where it goes.
 """
 
@@ -38,7 +38,7 @@ def rows(progress: Progress) -> Iterator[Row]:
         ours: dict[str, tuple[str, ...]] = {f"import {name}": ("-c", f"import {name}") for name in MODULES}
         ours |= {"polishd map --help": (*MAP, "--help"), "polishd map FILE --json": (*MAP, str(surface), "--json")}
         taken = measured({**ours, **PEERS}, progress)
-    cpu_s = {name: statistics.median(cpu for cpu, _ in costs) for name, costs in taken.items()}
+    cpu_s = {name: min(cpu for cpu, _ in costs) for name, costs in taken.items()}
     for name in ours:
         yield Row(f"{name} ({spread([wall for _, wall in taken[name]])})", cpu_s[name], {p: cpu_s[p] for p in PEERS})
     late = {name: cpu_s[name] for name in ours if name.startswith("import ") and cpu_s[name] > LIMIT_S}

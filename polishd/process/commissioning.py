@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from polishd.model.errors import BadMap, ConfigError
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
@@ -188,7 +188,7 @@ def _placed(
         return np.asarray(measured - height * float(height @ measured) / max(float(height @ height), 1e-300))
 
     first, steps = [start[0], start[1], 0.0, np.log(start[2])], [1.0, 1.0, 0.02, 0.02]
-    found = optimize.least_squares(left, first, x_scale=steps, max_nfev=40).x
+    found = scipy.optimize.least_squares(left, first, x_scale=steps, max_nfev=40).x
     height = model(found)
     own, energy = float(height @ measured), float(height @ height)
     correlation = own / float(np.sqrt(energy * (measured @ measured))) if energy > 0 and measured.any() else 0.0

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage, sparse
-from scipy.sparse.linalg import spsolve
+import scipy
 
 from polishd.model.errors import BadMap, WrongPart
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
@@ -115,8 +114,8 @@ def _fitting(nominal_nm: FloatArray, grid: Grid) -> FloatArray:
 
 def from_outline_mm(height_nm: FloatArray, pitch_mm: float) -> FloatArray:
     """(ny, nx) distance of each sample from the outline of the data, mm; 0 outside it, holes are not outline."""
-    outline = ndimage.binary_fill_holes(np.isfinite(height_nm))
-    depth = ndimage.distance_transform_edt(np.pad(outline, 1))[1:-1, 1:-1]
+    outline = scipy.ndimage.binary_fill_holes(np.isfinite(height_nm))
+    depth = scipy.ndimage.distance_transform_edt(np.pad(outline, 1))[1:-1, 1:-1]
     # from the centre of the sample to the rim of the outermost one
     return np.asarray(np.maximum(depth - 0.5, 0.0) * pitch_mm, dtype=np.float64)
 
@@ -158,10 +157,12 @@ def fill_holes(height_nm: FloatArray) -> FloatArray:
     known = np.bincount(a, np.where(flat[b], 0.0, height_nm.ravel()[b]), minlength=hole.size)[flat]
     number = np.cumsum(flat) - 1
     both = flat[b]
-    links = sparse.coo_array((np.ones(both.sum()), (number[a[both]], number[b[both]])), shape=(flat.sum(),) * 2)
+    links = scipy.sparse.coo_array((np.ones(both.sum()), (number[a[both]], number[b[both]])), shape=(flat.sum(),) * 2)
     count = np.bincount(a, minlength=hole.size)[flat]
     filled = height_nm.copy()
-    filled[hole] = spsolve(sparse.csc_array(sparse.diags_array(count.astype(np.float64)) - links), known)
+    filled[hole] = scipy.sparse.linalg.spsolve(
+        scipy.sparse.csc_array(scipy.sparse.diags_array(count.astype(np.float64)) - links), known
+    )
     return filled
 
 

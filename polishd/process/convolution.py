@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft
 
 from polishd.model.program import Program
 from polishd.model.surface import FloatArray, Grid
@@ -57,17 +57,17 @@ class ConvolutionEffect:
         total = np.zeros(self.spectra.shape[1:], dtype=np.complex128)
         for k in range(self.rank):
             dwell = np.bincount(self.node, self.coefficients[:, k] * time_s, rows * columns).reshape(self.lattice)
-            total += self.spectra[k] * fft.rfft2(dwell, self.size)
-        return np.asarray(fft.irfft2(total, self.size)[self.on_grid], dtype=np.float64)
+            total += self.spectra[k] * scipy.fft.rfft2(dwell, self.size)
+        return np.asarray(scipy.fft.irfft2(total, self.size)[self.on_grid], dtype=np.float64)
 
     def adjoint(self, weight: FloatArray) -> FloatArray:
         """(ny, nx) -> (n,)."""
         spread = np.zeros(self.size)
         spread[self.on_grid] = weight
-        spectrum = fft.rfft2(spread)
+        spectrum = scipy.fft.rfft2(spread)
         total = np.zeros(self.n)
         for k in range(self.rank):
-            back = fft.irfft2(self.spectra[k].conj() * spectrum, self.size)[: self.lattice[0], : self.lattice[1]]
+            back = scipy.fft.irfft2(self.spectra[k].conj() * spectrum, self.size)[: self.lattice[0], : self.lattice[1]]
             total += self.coefficients[:, k] * back.ravel()[self.node]
         return total
 
@@ -123,7 +123,7 @@ def sum_of_convolutions(
     corner = (down - top, across - left)
     # of a full convolution, rows + 2 reach, as much may wrap round as lies before the grid's first row
     high, wide = (
-        fft.next_fast_len(max(n, n + 2 * reach - first, first + grid_n), True)
+        scipy.fft.next_fast_len(max(n, n + 2 * reach - first, first + grid_n), True)
         for n, reach, first, grid_n in zip((rows, columns), (down, across), corner, grid.shape, strict=True)
     )
     return ConvolutionEffect(
@@ -133,7 +133,7 @@ def sum_of_convolutions(
         lattice=(rows, columns),
         corner=corner,
         coefficients=coefficients,
-        spectra=np.asarray(fft.rfft2(kernels, (high, wide)), dtype=np.complex128),
+        spectra=np.asarray(scipy.fft.rfft2(kernels, (high, wide)), dtype=np.complex128),
         size=(high, wide),
     )
 

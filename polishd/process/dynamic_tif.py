@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import sparse
 
 from polishd.model.errors import ComputeError
 from polishd.model.process import Correction
@@ -60,7 +60,7 @@ def corrected_spot(
 
 def effect_matrix(
     grid: Grid, spot: Spot, program: Program, depth_ratio: FloatArray, factor: FloatArray
-) -> sparse.csr_array:
+) -> scipy.sparse.csr_array:
     """(ny * nx, n) removal rate of each timed point averaged over each sample's cell, nm/s (eq. 47).
 
     ``depth_ratio`` and ``factor``, (n,), as of `corrected_spot`. A block that moves spreads its removal evenly from
@@ -79,7 +79,7 @@ def effect_columns(
     *,
     depth_ratio: FloatArray,
     factor: FloatArray,
-) -> sparse.csr_array:
+) -> scipy.sparse.csr_array:
     """`effect_matrix` of blocks from (n, 2) to (n, 2) mm, the spindle leaning towards (n,) ``azimuth_rad``."""
     refuse_where(~((factor >= 0) & np.isfinite(factor)), factor, "the factor on the removal", "", "it must be finite")
     impossible = ~((depth_ratio > 0) & np.isfinite(depth_ratio))
@@ -96,8 +96,8 @@ def effect_columns(
         patch *= (factor[part] / np.bincount(block, minlength=len(patch)))[:, None, None]
         parts.append(_columns(grid, block, position, half[part], patch))
     if not parts:
-        return sparse.csr_array((grid.ny * grid.nx, 0))
-    return sparse.csr_array(sparse.hstack(parts, format="csr"))
+        return scipy.sparse.csr_array((grid.ny * grid.nx, 0))
+    return scipy.sparse.csr_array(scipy.sparse.hstack(parts, format="csr"))
 
 
 def lean_azimuth_rad(program: Program) -> FloatArray:
@@ -131,7 +131,7 @@ def _positions(
 
 def _columns(
     grid: Grid, block: NDArray[np.int64], position_mm: FloatArray, half_mm: FloatArray, patch: FloatArray
-) -> sparse.csc_array:
+) -> scipy.sparse.csc_array:
     """(ny * nx, n) columns of n blocks: each block's patch laid down at each of its positions."""
     pitch, half, squares = grid.pitch_mm, half_mm[block], patch.shape[1]
     column, across = overlap(position_mm[:, 0] + grid.nx * pitch / 2, half, pitch, squares)
@@ -142,4 +142,6 @@ def _columns(
     on = (rows >= 0) & (rows < grid.ny) & (columns >= 0) & (columns < grid.nx) & (rate > 0)
     sample = (rows * grid.nx + columns)[on].astype(np.int32)
     owner = np.broadcast_to(block[:, None, None], rate.shape)[on].astype(np.int32)
-    return sparse.csc_array(sparse.coo_array((rate[on], (sample, owner)), shape=(grid.ny * grid.nx, len(patch))))
+    return scipy.sparse.csc_array(
+        scipy.sparse.coo_array((rate[on], (sample, owner)), shape=(grid.ny * grid.nx, len(patch)))
+    )

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from polishd.model.surface import FloatArray, Grid
 
@@ -38,7 +38,7 @@ class SparseEffect:
     """An effect matrix stored column by column: any path, any TIF a point, for spots small against the part."""
 
     grid: Grid
-    matrix: sparse.csr_array
+    matrix: scipy.sparse.csr_array
     """(ny * nx, n) nm/s."""
 
     @property
@@ -56,4 +56,4 @@ class SparseEffect:
 
     def scaled(self, factor: float) -> SparseEffect:
         """The same effect at a rate that is ``factor`` times as high (learned between cycles)."""
-        return SparseEffect(self.grid, sparse.csr_array(self.matrix * factor))
+        return SparseEffect(self.grid, scipy.sparse.csr_array(self.matrix * factor))

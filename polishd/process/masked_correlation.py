@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import fft
+import scipy
 
 from polishd.model.surface import BoolArray, FloatArray
 
@@ -21,22 +21,22 @@ def correlations(a: FloatArray, a_mask: BoolArray, b: FloatArray, b_mask: BoolAr
         (2 reach + 1, 2 reach + 1); [reach + i, reach + j] is for a moved down by i and right by j. 0 where too
         little overlaps, or where either is even.
     """
-    shape = [fft.next_fast_len(n + reach, real=True) for n in a.shape]
-    ones_a, ones_b = (fft.rfft2(mask.astype(np.float64), shape) for mask in (a_mask, b_mask))
+    shape = [scipy.fft.next_fast_len(n + reach, real=True) for n in a.shape]
+    ones_a, ones_b = (scipy.fft.rfft2(mask.astype(np.float64), shape) for mask in (a_mask, b_mask))
     a, b = np.where(a_mask, a, 0.0), np.where(b_mask, b, 0.0)
-    fa, fb = fft.rfft2(a, shape), fft.rfft2(b, shape)
+    fa, fb = scipy.fft.rfft2(a, shape), scipy.fft.rfft2(b, shape)
 
     def over_shifts(first: FloatArray, second: FloatArray) -> FloatArray:
         """Sum over x of first(x - s) second(x)."""
-        all_shifts = fft.irfft2(np.conj(first) * second, shape)
+        all_shifts = scipy.fft.irfft2(np.conj(first) * second, shape)
         near = np.arange(-reach, reach + 1)
         return np.asarray(all_shifts[np.ix_(near, near)])
 
     count = np.maximum(over_shifts(ones_a, ones_b), 1.0)
     sum_a, sum_b = over_shifts(fa, ones_b), over_shifts(ones_a, fb)
     cross = over_shifts(fa, fb) - sum_a * sum_b / count
-    square_a = over_shifts(fft.rfft2(a**2, shape), ones_b) - sum_a**2 / count
-    square_b = over_shifts(ones_a, fft.rfft2(b**2, shape)) - sum_b**2 / count
+    square_a = over_shifts(scipy.fft.rfft2(a**2, shape), ones_b) - sum_a**2 / count
+    square_b = over_shifts(ones_a, scipy.fft.rfft2(b**2, shape)) - sum_b**2 / count
     least_a, least_b = 1e-9 * (a**2).sum(), 1e-9 * (b**2).sum()
     fair = (square_a > least_a) & (square_b > least_b)
     fair &= count >= OVERLAP * min(a_mask.sum(), b_mask.sum())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from polishd.model.errors import ComputeError
 from polishd.model.process import MeasuredTif, ToolProcess
@@ -62,7 +62,7 @@ class MeasuredSpot:
         """The squares turned counterclockwise, by cubic splines, with their volume kept."""
         if degrees == 0:
             return self.squares
-        image = ndimage.rotate(self.squares, degrees, reshape=False, order=3)
+        image = scipy.ndimage.rotate(self.squares, degrees, reshape=False, order=3)
         image = np.clip(image, 0.0, None)
         return np.asarray(image * (self.squares.sum() / image.sum()), dtype=np.float64)
 

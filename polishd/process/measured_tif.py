@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from polishd.model.errors import ComputeError
 from polishd.model.process import MeasuredTif, ToolProcess
@@ -165,8 +165,8 @@ def _sigma(values: FloatArray) -> float:
 def _smooth(rate: FloatArray) -> FloatArray:
     """Gaussian mean over ``SMOOTH_PX``, of the samples that have data."""
     valid = np.isfinite(rate)
-    total = ndimage.gaussian_filter(np.where(valid, rate, 0.0), SMOOTH_PX)
-    weight = ndimage.gaussian_filter(valid.astype(np.float64), SMOOTH_PX)
+    total = scipy.ndimage.gaussian_filter(np.where(valid, rate, 0.0), SMOOTH_PX)
+    weight = scipy.ndimage.gaussian_filter(valid.astype(np.float64), SMOOTH_PX)
     return np.where(valid, total / np.maximum(weight, 1e-12), np.nan)
 
 
@@ -252,7 +252,9 @@ def _cleaned(rate: FloatArray, centre: tuple[float, float], rim: float) -> Float
     """Square map, odd, whose middle is the centroid; 0 beyond the rim and where the rate is negative."""
     reach = np.arange(-int(np.ceil(rim)), int(np.ceil(rim)) + 1)
     row, column = np.meshgrid(reach + centre[0], reach + centre[1], indexing="ij")
-    moved = ndimage.map_coordinates(np.where(np.isfinite(rate), rate, 0.0), [row, column], order=3, mode="nearest")
+    moved = scipy.ndimage.map_coordinates(
+        np.where(np.isfinite(rate), rate, 0.0), [row, column], order=3, mode="nearest"
+    )
     inside = np.hypot(reach[:, None], reach[None, :]) <= rim
     return np.asarray(np.where(inside, np.clip(moved, 0.0, None), 0.0), dtype=np.float64)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from polishd.model.surface import BoolArray, FloatArray
 
@@ -54,7 +54,7 @@ def fit(
     """
     down, right = samples or (0, 0)
     x_slope, y_slope = np.gradient(predicted_nm, axis=1) / pitch_mm, -np.gradient(predicted_nm, axis=0) / pitch_mm
-    inner = mask if samples is None else ndimage.binary_erosion(mask)  # slopes need both neighbours
+    inner = mask if samples is None else scipy.ndimage.binary_erosion(mask)  # slopes need both neighbours
     known = _moved(inner.astype(np.float64), down, right) > 0
     both = known & mask
     model = np.full(mask.shape, np.nan)

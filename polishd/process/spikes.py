@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from polishd.model.errors import BadMap
 from polishd.model.surface import BoolArray, FloatArray
@@ -67,7 +67,11 @@ def without_spikes(height_nm: FloatArray, mads: float = SPIKE_MADS, most: float 
             )
         if (spike == before).all():
             break
-    masked = valid & ndimage.binary_dilation(spike, structure=np.ones((3, 3), dtype=np.bool_)) if spike.any() else spike
+    masked = (
+        valid & scipy.ndimage.binary_dilation(spike, structure=np.ones((3, 3), dtype=np.bool_))
+        if spike.any()
+        else spike
+    )
     return Despiked(np.where(masked, np.nan, height_nm), masked, int(np.count_nonzero(spike)), threshold)
 
 
@@ -81,7 +85,7 @@ def without_islands(height_nm: FloatArray, smallest: float = SMALLEST_ISLAND) ->
     Returns:
         (ny, nx) what stays, and how many samples were taken out.
     """
-    pieces, count = ndimage.label(np.isfinite(height_nm))
+    pieces, count = scipy.ndimage.label(np.isfinite(height_nm))
     if count < 2:
         return height_nm.copy(), 0
     sizes = np.bincount(pieces.ravel())

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
-from scipy.spatial.distance import jensenshannon
+import scipy
 
 from polishd.model.errors import ComputeError
 from polishd.model.process import MeasuredTif, ToolProcess
@@ -126,7 +125,7 @@ def profile_divergence(p: FloatArray, q: FloatArray, base: float = 2.0) -> float
         if profile.size == 0 or profile.min() < 0 or not profile.sum() > 0:
             raise ComputeError(f"the {name} profile is not a distribution: it is negative somewhere, or zero all over")
     # scipy's distance comes out as nan where rounding makes its square a hair negative
-    return float(np.nan_to_num(jensenshannon(p, q, base=base))) ** 2
+    return float(np.nan_to_num(scipy.spatial.distance.jensenshannon(p, q, base=base))) ** 2
 
 
 def _depth_mm(process: ToolProcess, depth_ratio: float) -> float:
@@ -157,7 +156,7 @@ def _along(tif: MeasuredTif, right_mm: FloatArray, up_mm: FloatArray) -> FloatAr
     """Rate at places of the TIF's map, from its centre, nm/s; 0 beyond the map."""
     rows, columns = tif.rate_nm_s.shape
     row, column = (rows - 1) / 2 - up_mm / tif.pitch_mm, (columns - 1) / 2 + right_mm / tif.pitch_mm
-    return np.asarray(ndimage.map_coordinates(tif.rate_nm_s, [row, column], order=1), dtype=np.float64)
+    return np.asarray(scipy.ndimage.map_coordinates(tif.rate_nm_s, [row, column], order=1), dtype=np.float64)
 
 
 def _m_shaped(profile: FloatArray) -> bool:

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from polishd.model.errors import ComputeError
 from polishd.model.process import MeasuredTif, ToolProcess
@@ -117,7 +117,7 @@ def measured_edge_effect(
     process: ToolProcess,
     rim: Rim,
     edge: Sequence[EdgeTif],
-) -> sparse.csr_array:
+) -> scipy.sparse.csr_array:
     """`effect_matrix` with measured edge TIFs near the rim: (ny * nx, n) nm/s.
 
     Between two measured overhangs both act, weighted linearly and each laid so that its own rim falls on the part's.
@@ -148,9 +148,9 @@ def measured_edge_effect(
         columns = effect_columns(
             grid, shape, ends, outward[on], depth_ratio=depth_ratio[on], factor=(factor * weight)[on]
         )
-        chosen = sparse.coo_array((np.ones(on.size), (np.arange(on.size), on)), shape=(on.size, program.n))
-        total = total + columns @ sparse.csr_array(chosen)
-    return sparse.csr_array(total)
+        chosen = scipy.sparse.coo_array((np.ones(on.size), (np.arange(on.size), on)), shape=(on.size, program.n))
+        total = total + columns @ scipy.sparse.csr_array(chosen)
+    return scipy.sparse.csr_array(total)
 
 
 def _knots(spot: Spot, edge: Sequence[EdgeTif]) -> FloatArray:

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy import fft, ndimage, sparse
-from scipy.sparse.linalg import splu
+import scipy
 
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
@@ -69,7 +68,7 @@ def extend(
             below the Nyquist period.
     """
     _check(height_nm, mask, pitch_mm, reach_mm)
-    distance, nearest = ndimage.distance_transform_edt(~mask, return_indices=True)
+    distance, nearest = scipy.ndimage.distance_transform_edt(~mask, return_indices=True)
     reached = distance <= reach_mm / pitch_mm
     match method:
         case "nearest":
@@ -115,14 +114,16 @@ def _thin_plate(height_nm: FloatArray, mask: BoolArray, reached: BoolArray) -> F
     bending = _differences(reached, unknown)
     index = np.flatnonzero(unknown)
     held = bending @ np.where(mask, height_nm, 0.0).ravel()
-    free = sparse.csc_array(bending[:, index])
-    normal = sparse.csc_array(free.T @ free)
+    free = scipy.sparse.csc_array(bending[:, index])
+    normal = scipy.sparse.csc_array(free.T @ free)
     full = np.where(mask, height_nm, 0.0).ravel()
-    full[index] = splu(normal, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(-(free.T @ held))
+    full[index] = scipy.sparse.linalg.splu(normal, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(
+        -(free.T @ held)
+    )
     return np.asarray(full.reshape(mask.shape), dtype=np.float64)
 
 
-def _differences(within: BoolArray, touched: BoolArray) -> sparse.csr_array:
+def _differences(within: BoolArray, touched: BoolArray) -> scipy.sparse.csr_array:
     """(k, ny * nx) differences of samples that all lie ``within`` and of which one at least is ``touched``."""
     n = np.arange(within.size).reshape(within.shape)
     second, twist, slope = (1.0, -2.0, 1.0), tuple(2**0.5 * sign for sign in (1, -1, -1, 1)), (-SLACK, SLACK)
@@ -139,8 +140,8 @@ def _differences(within: BoolArray, touched: BoolArray) -> sparse.csr_array:
         samples = samples[:, within.ravel()[samples].all(axis=0) & touched.ravel()[samples].any(axis=0)]
         row = np.tile(np.arange(samples.shape[1]), len(weights))
         entries = (np.repeat(weights, samples.shape[1]), (row, samples.ravel()))
-        rows.append(sparse.coo_array(entries, shape=(samples.shape[1], within.size)))
-    return sparse.csr_array(sparse.vstack(rows, format="csr"))
+        rows.append(scipy.sparse.coo_array(entries, shape=(samples.shape[1], within.size)))
+    return scipy.sparse.csr_array(scipy.sparse.vstack(rows, format="csr"))
 
 
 def _band_limited(
@@ -160,7 +161,7 @@ def _band_limited(
     if scale <= 1e-12 * float(np.abs(height_nm[mask]).max()):
         return fit, 0, 0.0
     margin = int(np.ceil(cutoff))
-    shape = tuple(fft.next_fast_len(n + 2 * margin, True) for n in mask.shape)
+    shape = tuple(scipy.fft.next_fast_len(n + 2 * margin, True) for n in mask.shape)
     window = (slice(margin, margin + mask.shape[0]), slice(margin, margin + mask.shape[1]))
     inside, data = np.zeros(shape, dtype=np.bool_), np.zeros(shape)
     inside[window], data[window] = mask, rest
@@ -198,11 +199,13 @@ def _square(u: FloatArray) -> float:
 
 
 def _project(u: FloatArray, band: BoolArray) -> FloatArray:
-    return np.asarray(fft.irfft2(fft.rfft2(u) * band, u.shape), dtype=np.float64)
+    return np.asarray(scipy.fft.irfft2(scipy.fft.rfft2(u) * band, u.shape), dtype=np.float64)
 
 
 def _frequency(shape: tuple[int, ...]) -> FloatArray:
-    return np.asarray(np.hypot(fft.fftfreq(shape[0])[:, None], fft.rfftfreq(shape[1])[None, :]), dtype=np.float64)
+    return np.asarray(
+        np.hypot(scipy.fft.fftfreq(shape[0])[:, None], scipy.fft.rfftfreq(shape[1])[None, :]), dtype=np.float64
+    )
 
 
 def _tapered(
@@ -211,6 +214,6 @@ def _tapered(
     """The map on the larger array, beyond its reach that of the nearest sample times a raised cosine."""
     wide, known = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
     wide[window], known[window] = np.where(reached, height, 0.0), reached
-    distance, nearest = ndimage.distance_transform_edt(~known, return_indices=True)
+    distance, nearest = scipy.ndimage.distance_transform_edt(~known, return_indices=True)
     taper = 0.5 + 0.5 * np.cos(np.pi * np.minimum(distance / margin, 1.0))
     return np.asarray(wide[tuple(nearest)] * taper, dtype=np.float64)

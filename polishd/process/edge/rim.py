@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray, Grid
@@ -56,13 +56,13 @@ class MaskRim:
         row, column = _on_grid(self.grid, point_mm)
         near = np.clip(row, 0, self.grid.ny - 1), np.clip(column, 0, self.grid.nx - 1)
         beyond = np.hypot(row - near[0], column - near[1]) * self.grid.pitch_mm
-        return np.asarray(ndimage.map_coordinates(self.sample_mm, near, order=1) - beyond, dtype=np.float64)
+        return np.asarray(scipy.ndimage.map_coordinates(self.sample_mm, near, order=1) - beyond, dtype=np.float64)
 
     def outward_rad(self, point_mm: FloatArray) -> FloatArray:
         """(n,) down the smoothed distance."""
-        row, column = np.gradient(ndimage.gaussian_filter(self.sample_mm, SMOOTH, mode="nearest"))
+        row, column = np.gradient(scipy.ndimage.gaussian_filter(self.sample_mm, SMOOTH, mode="nearest"))
         at = _on_grid(self.grid, point_mm)
-        x, y = (ndimage.map_coordinates(slope, at, order=1, mode="nearest") for slope in (-column, row))
+        x, y = (scipy.ndimage.map_coordinates(slope, at, order=1, mode="nearest") for slope in (-column, row))
         return np.asarray(np.arctan2(y, x), dtype=np.float64)
 
 
@@ -83,7 +83,11 @@ def mask_rim(grid: Grid, mask: BoolArray) -> MaskRim:
         raise ComputeError("the part's mask is empty: there is no rim")
     part = np.pad(mask, 1)
     # the rim lies half way between the samples on either side of it
-    inside = ndimage.distance_transform_edt(part) - ndimage.distance_transform_edt(~part) - np.where(part, 0.5, -0.5)
+    inside = (
+        scipy.ndimage.distance_transform_edt(part)
+        - scipy.ndimage.distance_transform_edt(~part)
+        - np.where(part, 0.5, -0.5)
+    )
     return MaskRim(grid, np.asarray(inside[1:-1, 1:-1] * grid.pitch_mm, dtype=np.float64))
 
 

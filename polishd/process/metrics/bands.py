@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from scipy import fft
+import scipy
 
 from polishd.model.surface import BoolArray, FloatArray, SurfaceStats
 from polishd.process.metrics.extension import WORKERS, extended
@@ -84,7 +84,7 @@ def split_bands(
     fit = polynomial(height_nm, mask, FIT_DEGREE)
     margin = int(np.ceil(min(MARGIN * edges[0] / pitch_mm, max(mask.shape))))
     wide, window = extended(height_nm - fit, mask, margin)
-    spectrum = fft.rfft2(wide, workers=WORKERS)
+    spectrum = scipy.fft.rfft2(wide, workers=WORKERS)
     frequency = _frequency(wide.shape, pitch_mm)
     below = []
     for edge in edges:
@@ -92,12 +92,12 @@ def split_bands(
             below.append(height_nm)
             continue
         kept = np.where(frequency <= 1 / edge, spectrum, 0)
-        below.append(fit + fft.irfft2(kept, wide.shape, overwrite_x=True, workers=WORKERS)[window])
+        below.append(fit + scipy.fft.irfft2(kept, wide.shape, overwrite_x=True, workers=WORKERS)[window])
     steps = [below[0], *(b - a for a, b in pairwise(below)), height_nm - below[-1]]
     return tuple(np.where(mask, step, np.nan) for step in steps)
 
 
 def _frequency(shape: tuple[int, ...], pitch_mm: float) -> FloatArray:
     """Radial frequency of the real FFT's samples, 1/mm."""
-    y, x = fft.fftfreq(shape[0], pitch_mm), fft.rfftfreq(shape[1], pitch_mm)
+    y, x = scipy.fft.fftfreq(shape[0], pitch_mm), scipy.fft.rfftfreq(shape[1], pitch_mm)
     return np.asarray(np.hypot(y[:, None], x[None, :]), dtype=np.float64)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import fft, ndimage
+import scipy
 
 from polishd.model.surface import BoolArray, FloatArray
 
@@ -23,11 +23,11 @@ def extended(height_nm: FloatArray, mask: BoolArray, margin: int) -> tuple[Float
         The wider map, (ny + margin, nx + margin) or a little more, of a size that is fast to transform; and where the
         map is in it. It is periodic: what leaves on one side comes back on the other, where it has fallen to zero.
     """
-    shape = tuple(fft.next_fast_len(n + 2 * margin, real=True) for n in mask.shape)
+    shape = tuple(scipy.fft.next_fast_len(n + 2 * margin, real=True) for n in mask.shape)
     window = (slice(margin, margin + mask.shape[0]), slice(margin, margin + mask.shape[1]))
     wide = np.zeros(shape, dtype=np.bool_)
     wide[window] = mask
-    distance, (row, column) = ndimage.distance_transform_edt(~wide, return_indices=True)
+    distance, (row, column) = scipy.ndimage.distance_transform_edt(~wide, return_indices=True)
     taper = 0.5 + 0.5 * np.cos(np.pi * np.minimum(distance / margin, 1.0))
     found: FloatArray = height_nm[row - margin, column - margin] * taper
     return found, window

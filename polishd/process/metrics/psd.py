@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from scipy import fft, ndimage
+import scipy
 
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.metrics.extension import WORKERS, extended
@@ -84,16 +84,21 @@ def psd_2d(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: Wind
     ny = len(half)
     # a real surface: the density at (-fy, -fx) is that at (fy, fx)
     mirrored = half[-np.arange(ny) % ny][:, (nx - 1) // 2 : 0 : -1]
-    whole = fft.fftshift(np.hstack([half, mirrored]))
+    whole = scipy.fft.fftshift(np.hstack([half, mirrored]))
     # row 0 of a map has the largest y, so a wave along the rows' index runs against y
-    return PlanePsd(fft.fftshift(fft.fftfreq(nx, pitch_mm)), -fft.fftshift(fft.fftfreq(ny, pitch_mm)), whole, cell)
+    return PlanePsd(
+        scipy.fft.fftshift(scipy.fft.fftfreq(nx, pitch_mm)),
+        -scipy.fft.fftshift(scipy.fft.fftfreq(ny, pitch_mm)),
+        whole,
+        cell,
+    )
 
 
 def psd_x(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: Window = "extended") -> LinePsd:
     """One-dimensional density along x (the rows), nm^2 mm; arguments and errors are those of ``psd_2d``."""
     half, nx, cell = _density(height_nm, mask, pitch_mm, window)
     step = 1 / (nx * pitch_mm)
-    return LinePsd(fft.rfftfreq(nx, pitch_mm), half.sum(0) * _times(nx) * (cell / step), step)
+    return LinePsd(scipy.fft.rfftfreq(nx, pitch_mm), half.sum(0) * _times(nx) * (cell / step), step)
 
 
 def psd_y(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: Window = "extended") -> LinePsd:
@@ -105,7 +110,7 @@ def radial_psd(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: 
     """Radially averaged density, nm^2 mm^2; arguments and errors are those of ``psd_2d``."""
     half, nx, cell = _density(height_nm, mask, pitch_mm, window)
     ny = len(half)
-    frequency = np.hypot(fft.fftfreq(ny, pitch_mm)[:, None], fft.rfftfreq(nx, pitch_mm)[None, :])
+    frequency = np.hypot(scipy.fft.fftfreq(ny, pitch_mm)[:, None], scipy.fft.rfftfreq(nx, pitch_mm)[None, :])
     ring = np.rint(frequency * (max(ny, nx) * pitch_mm)).astype(np.intp).ravel()
     times = np.broadcast_to(_times(nx), half.shape)
     count = np.bincount(ring, times.ravel())
@@ -127,14 +132,14 @@ def _density(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: Wi
         variance = float(np.var(rest[mask]))
         weight = float(np.vdot(field, field)) / variance if variance > 0 else 1.0
     elif window in get_args(Window):
-        depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1] / (1 if window == "mask" else width)
+        depth = scipy.ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1] / (1 if window == "mask" else width)
         weights = 0.5 - 0.5 * np.cos(np.pi * np.minimum(depth, 1.0))
         field = np.where(mask, rest, 0.0)
         field = np.where(mask, field - np.average(field, weights=weights), 0.0) * weights
         weight = float(np.vdot(weights, weights))
     else:
         raise ValueError(f"a window is one of {', '.join(get_args(Window))}, not {window!r}")
-    spectrum = fft.rfft2(field, workers=WORKERS)
+    spectrum = scipy.fft.rfft2(field, workers=WORKERS)
     density = (spectrum.real**2 + spectrum.imag**2) * (pitch_mm**2 / weight)
     ny, nx = field.shape
     return density, nx, 1 / (ny * nx * pitch_mm**2)

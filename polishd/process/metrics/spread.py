@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from polishd.model.errors import BadMap
 from polishd.model.surface import BoolArray, FloatArray
@@ -67,7 +67,7 @@ def trimmed(mask: BoolArray, pixels: int) -> BoolArray:
         raise ValueError(f"a mask is trimmed by 0 or more pixels, not {pixels}")
     if pixels == 0:  # ndimage takes 0 for "until nothing changes"
         return mask.copy()
-    return np.asarray(ndimage.binary_erosion(mask, iterations=pixels), dtype=np.bool_)
+    return np.asarray(scipy.ndimage.binary_erosion(mask, iterations=pixels), dtype=np.bool_)
 
 
 def without(height_nm: FloatArray, mask: BoolArray, removal: Removal) -> FloatArray:

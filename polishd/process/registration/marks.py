@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from polishd.model.surface import FloatArray
 from polishd.process.registration.record import Point
@@ -16,7 +16,7 @@ MOST_ELONGATED = 2.0
 """Longest to shortest axis of a hole that may be a mark; scratches are longer."""
 LEAST_FULL = 0.7
 """Least share of its own ellipse that a hole fills: dirt has arms."""
-CROSS = ndimage.generate_binary_structure(2, 1)
+CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=np.bool_)
 
 
 def find(height_nm: FloatArray, pitch_mm: float) -> tuple[Point, ...]:
@@ -29,16 +29,18 @@ def find(height_nm: FloatArray, pitch_mm: float) -> tuple[Point, ...]:
         pitch_mm: of the map.
     """
     missing = ~np.isfinite(height_nm)
-    core = ndimage.binary_opening(missing, CROSS)  # without drop-outs; then with the marks' own outermost pixels again
-    missing &= ndimage.binary_dilation(core, CROSS)
-    labels, count = ndimage.label(missing)
+    core = scipy.ndimage.binary_opening(
+        missing, CROSS
+    )  # without drop-outs; then with the marks' own outermost pixels again
+    missing &= scipy.ndimage.binary_dilation(core, CROSS)
+    labels, count = scipy.ndimage.label(missing)
     if not count:
         return ()
     area = np.bincount(labels.ravel(), minlength=count + 1)
     edge = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
     fits = (area >= SMALLEST_PX) & (area <= np.pi / 4 * (LARGEST_MM / pitch_mm) ** 2)
     fits[np.append(edge, 0)] = False
-    boxes = ndimage.find_objects(labels)
+    boxes = scipy.ndimage.find_objects(labels)
     order = sorted(np.flatnonzero(fits), key=lambda label: -area[label])
     found = []
     for label in order:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from polishd.model.errors import BadMap
 from polishd.model.surface import FloatArray
@@ -66,12 +66,12 @@ def rim_px(height_nm: FloatArray) -> tuple[FloatArray, FloatArray]:
     Holes are no rim, nor is the edge of the array; crumbs of data beside the part do not count.
     """
     valid = np.isfinite(height_nm)
-    labels, count = ndimage.label(valid)
+    labels, count = scipy.ndimage.label(valid)
     if not count:
         return np.empty(0), np.empty(0)
     size = np.bincount(labels.ravel())
     size[0] = 0
-    part = ndimage.binary_fill_holes((size >= LEAST_PIECE * size.max())[labels])
+    part = scipy.ndimage.binary_fill_holes((size >= LEAST_PIECE * size.max())[labels])
     row, column = np.nonzero(part[:, 1:] != part[:, :-1])
     row_2, column_2 = np.nonzero(part[1:] != part[:-1])
     ny, nx = part.shape

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from math import ceil
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import sparse
 
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.registration.record import Registration
@@ -56,13 +56,15 @@ def _aligned(
     return rows @ (data @ columns), rows @ (valid.astype(np.float64) @ columns)
 
 
-def _overlap(n_source: int, pitch_source: float, n_target: int, pitch_target: float, offset: float) -> sparse.csr_array:
+def _overlap(
+    n_source: int, pitch_source: float, n_target: int, pitch_target: float, offset: float
+) -> scipy.sparse.csr_array:
     """(n_target, n_source) mm: how much of each target cell's side each source cell covers, moved by the offset."""
     left_t = (np.arange(n_target) - n_target / 2) * pitch_target
     left_s = (np.arange(n_source) - n_source / 2) * pitch_source + offset
     start = np.maximum(left_t[:, None], left_s[None, :])
     end = np.minimum(left_t[:, None] + pitch_target, left_s[None, :] + pitch_source)
-    return sparse.csr_array(np.maximum(end - start, 0.0))
+    return scipy.sparse.csr_array(np.maximum(end - start, 0.0))
 
 
 def _turned(

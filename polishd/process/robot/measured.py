@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import Delaunay, cKDTree
+import scipy
 
 from polishd.model.errors import ComputeError
 from polishd.model.robot import MeasuredCompliance
@@ -45,7 +45,7 @@ class _Table:
             place, ends = self.local_mm[:, 0], self.local_mm[[0, -1], 0]
             inside = (local[:, 0] >= ends[0] - _SAME_MM) & (local[:, 0] <= ends[1] + _SAME_MM)
             return np.where(inside, np.interp(local[:, 0], place, self.value), np.nan)
-        mesh = Delaunay(self.local_mm)
+        mesh = scipy.spatial.Delaunay(self.local_mm)
         simplex = mesh.find_simplex(local, tol=_RIM)
         affine = mesh.transform[simplex]
         weight = np.einsum("nij,nj->ni", affine[:, :-1], local - affine[:, -1])
@@ -67,7 +67,7 @@ def measured_compliance(table: MeasuredCompliance, tip_mm: FloatArray) -> FloatA
     source = f"the table {table.source}".rstrip()
     refuse_where(off > FLAT_MM, off, f"the tool tip's distance from the {kind} of {source}", "mm", "at most 1 mm")
     value = known.interpolate(tip)
-    nearest = cKDTree(table.tip_mm).query(tip)[0]
+    nearest = scipy.spatial.cKDTree(table.tip_mm).query(tip)[0]
     what = "the tool tip's distance from the nearest place measured"
     refuse_where(np.isnan(value), nearest, what, "mm", f"and it is outside of the hull of {source}: not extrapolated")
     return value
@@ -105,7 +105,7 @@ def _require_table(table: MeasuredCompliance) -> _Table:
 
 def _refuse_contradictions(place: FloatArray, value: FloatArray) -> None:
     """Raise ComputeError for the first place that was measured before, with another compliance."""
-    earlier, later = cKDTree(place).query_pairs(_SAME_MM, output_type="ndarray").T
+    earlier, later = scipy.spatial.cKDTree(place).query_pairs(_SAME_MM, output_type="ndarray").T
     differ = np.zeros(len(place), dtype=np.bool_)
     differ[later] = np.abs(value[later] - value[earlier]) > 1e-9 * value[later]
     refuse_where(differ, value, "the compliance of a place that was measured before", "um/N", "and differs from then")

@@ -6,8 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
+import scipy
 
 from polishd.model.errors import ComputeError
 from polishd.model.robot import SerialRobot
@@ -136,7 +135,7 @@ def _solve(robot: SerialRobot, tip: FloatArray, flange: FloatArray) -> _Solution
         trying = np.flatnonzero(~good)
         if good.all() or not good.any():
             break
-        start = joints[good][cKDTree(place[good]).query(place[trying])[1]]
+        start = joints[good][scipy.spatial.cKDTree(place[good]).query(place[trying])[1]]
     return dataclasses.replace(solution, joints=_wound(robot, joints))
 
 
@@ -175,7 +174,7 @@ def _follow(robot: SerialRobot, start: FloatArray, tip: FloatArray, flange: Floa
 
 def _error(robot: SerialRobot, at: Chain, tip: FloatArray, flange: FloatArray) -> FloatArray:
     """(n, 6) twist that is left to the pose: translation over the reach, and rotation vector, rad."""
-    turn = Rotation.from_matrix(flange @ at.flange.transpose(0, 2, 1)).as_rotvec()
+    turn = scipy.spatial.transform.Rotation.from_matrix(flange @ at.flange.transpose(0, 2, 1)).as_rotvec()
     return np.concatenate([(tip - at.tip_mm) / reach_mm(robot), turn], axis=1)
 
 
