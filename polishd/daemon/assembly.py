@@ -9,13 +9,15 @@ from typing import Any, TypeVar, cast
 from polishd.daemon.cell import Cell, MonotonicClock
 from polishd.daemon.config import CellConfig, PortSection, device_options
 from polishd.daemon.config_errors import did_you_mean, listed
+from polishd.daemon.files import read_map
 from polishd.daemon.instrument_file import load_profile
 from polishd.daemon.plugins import Hooks
 from polishd.daemon.recipe import Recipe
 from polishd.daemon.safety import ContactLimits
 from polishd.hookspecs import DeviceContext
-from polishd.model.errors import ConfigError
+from polishd.model.errors import ConfigError, SurfaceError
 from polishd.model.instrument import Instrument
+from polishd.model.surface import SurfaceMap
 from polishd.ports.devices import Device, ForceActuator, Metrology, Robot, Spindle
 
 CROSS_CHECK_GAP = 1e-3
@@ -53,6 +55,20 @@ def instrument_of(config: CellConfig) -> Instrument | None:
     return None if config.profile_path is None else load_profile(config.profile_path).instrument
 
 
+def nominal_of(config: CellConfig, hooks: Hooks) -> SurfaceMap | None:
+    """The form wanted; None where the cell names none. ConfigError where its file does not say all of itself."""
+    if config.part.nominal is None:
+        return None
+    try:
+        nominal = read_map(config.resolve(config.part.nominal), hooks.surface_readers().values())
+    except SurfaceError as error:
+        raise config.error("part.nominal", str(error)) from error
+    open_ones = sorted(nominal.unsaid - {"orientation"})  # it lies as the part's own frame does
+    if open_ones:
+        raise config.error("part.nominal", f"{nominal.path}: does not say its {' and '.join(open_ones)}")
+    return nominal
+
+
 def why_not_commissioned(config: CellConfig) -> str:
     """Why no map may drive polishing in this cell; empty where maps may."""
     if config.profile_path is None:
@@ -78,7 +94,9 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
         edge_mm=config.part.edge_mm,
         free_rim=config.part.rim == "free",
         extension=config.dwell.extension,
-        tilt_is_alignment=config.part.alignment == "tilt",
+        alignment=config.part.alignment,
+        nominal=nominal_of(config, hooks),
+        spike_mads=config.instrument.spike_mads,
         grid_mm=config.process.grid_mm,
         program_offset_mm=config.program.offset_mm,
         program_rotation_deg=config.program.rotation_deg,

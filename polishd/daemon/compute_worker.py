@@ -16,6 +16,8 @@ from typing import Any, BinaryIO
 from polishd.model.errors import ComputeError, PolishdError
 
 LENGTH = struct.Struct("<Q")
+EARLY = ("polishd.hookspecs", "scipy.fft", "scipy.ndimage", "scipy.sparse", "scipy.spatial")
+"""Imported before ready: no call's deadline pays for them."""
 _PR_SET_PDEATHSIG = 1
 
 
@@ -40,7 +42,8 @@ def unpack(pieces: list[bytes]) -> Any:
 def main() -> None:
     """Serve calls on stdin and stdout until stdin ends. What a call prints goes to stderr."""
     _die_with_parent()
-    importlib.import_module("polishd.hookspecs")  # numpy and scipy, before ready: no call's deadline pays for them
+    for name in EARLY:
+        importlib.import_module(name)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the daemon's to answer
     calls = sys.stdin.buffer
     with os.fdopen(os.dup(1), "wb") as answers:

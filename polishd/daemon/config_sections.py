@@ -88,6 +88,8 @@ class InstrumentSection(Section):
 
     profile: Text | None = None
     """Its profile's file; without one `run` refuses."""
+    spike_mads: NotNegative = 0.0
+    """How far off the surface a sample is a spike, in scaled median absolute deviations; 0: none is looked for."""
 
 
 class PartSection(Section):
@@ -97,7 +99,9 @@ class PartSection(Section):
     aperture_mm: Annotated[float, Field(gt=0, le=5000)]
     edge_mm: NotNegative = 3.0
     rim: Literal["ring", "free"] = "ring"
-    alignment: Literal["piston", "tilt"] = "piston"
+    alignment: Literal["piston", "tilt", "power"] = "piston"
+    nominal: Text | None = None
+    """A map of the form wanted, where that is not flat in the interferometer's eyes."""
     origin_mm: Vector
     rotation_rpy_deg: Angles
     curvature_radius_mm: float | None = None

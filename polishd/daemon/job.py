@@ -80,7 +80,7 @@ class Job:
         measured = await self._compute(steps.condition, self.recipe, surface, self._masks, self._lay)
         self._masks, self._lay = (measured.solve_mask, measured.metric_mask), measured.registration
         save_surface(self._folder.cycle(cycle), surface, measured)
-        stats = {**asdict(measured.stats), "run_dir": str(self._folder.path)}
+        stats = {**asdict(measured.stats), "spikes": measured.spikes, "run_dir": str(self._folder.path)}
         self._journal.record_map(cycle, surface.sha256, surface.path or "", stats)
         self._publish(Event("measured", cycle, stats))
         return measured

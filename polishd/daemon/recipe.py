@@ -11,7 +11,9 @@ from polishd.model.instrument import Instrument
 from polishd.model.limits import Envelope
 from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Optic, Placement, ToolProcess
 from polishd.model.robot import RobotModel
+from polishd.model.surface import SurfaceMap
 from polishd.process.edge.extension import Extension
+from polishd.process.metrics import Removal
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +27,12 @@ class Recipe:
     edge_mm: float
     free_rim: bool
     extension: Extension | Literal["none"]
-    tilt_is_alignment: bool
+    alignment: Removal
+    """What of a map is alignment, and not figure."""
+    nominal: SurfaceMap | None
+    """The form wanted, in the part's frame; None: a flat, or what the interferometer's null makes one."""
+    spike_mads: float
+    """How far off the surface a sample is a spike; 0: none is looked for."""
     grid_mm: float
     program_offset_mm: tuple[float, float, float]
     program_rotation_deg: float

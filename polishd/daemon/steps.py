@@ -24,9 +24,11 @@ from polishd.process import conditioning, gate, learning, metrics, motion
 from polishd.process.edge.rim import round_rim
 from polishd.process.gate import Verdict
 from polishd.process.instrument import as_profiled
+from polishd.process.nominal import less_nominal
 from polishd.process.paths.wrist import tool_axes
 from polishd.process.registration.record import Registration
 from polishd.process.registration.register import register
+from polishd.process.spikes import cleaned
 
 CENTRED = Registration()
 
@@ -44,6 +46,8 @@ class Measured:
     sha256: str
     registration: Registration = CENTRED
     """Where the part lay in the map."""
+    spikes: int = 0
+    """Samples of the map that were taken for spikes, and out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,19 +110,23 @@ def condition(
     lies = CENTRED
     if recipe.instrument is not None:
         lies = register(profiled, recipe.instrument, recipe.aperture_mm, last)
+    clean, spikes = cleaned(profiled, recipe.spike_mads)
+    if recipe.nominal is not None:
+        clean = less_nominal(clean, recipe.nominal, lies)
     part = conditioning.condition(
-        profiled,
+        clean,
         aperture_mm=recipe.aperture_mm,
         edge_mm=recipe.edge_mm,
         grid_mm=recipe.grid_mm,
         masks=masks,
-        tilt=recipe.tilt_is_alignment,
+        removal=recipe.alignment,
         registration=lies,
     )
-    clear = _on_map(profiled, part.grid, part.metric_mask, lies)
-    stats = _stats(recipe, profiled.height_nm, clear, profiled.grid.pitch_mm)
+    clear = _on_map(clean, part.grid, part.metric_mask, lies)
+    figure = metrics.without(clean.height_nm, clear, recipe.alignment)
+    stats = _stats(recipe, figure, clear, clean.grid.pitch_mm)
     height = np.where(part.solve_mask, part.height_nm, 0.0)
-    return Measured(part.grid, height, part.solve_mask, part.metric_mask, stats, surface.sha256, lies)
+    return Measured(part.grid, height, part.solve_mask, part.metric_mask, stats, surface.sha256, lies, spikes)
 
 
 def in_part_frame(recipe: Recipe, program: Program) -> Program:
@@ -184,10 +192,12 @@ def learn(
     (before, after), (asked_s, executed_s) = surfaces, times
     predicted = effect_of(recipe, program, before.grid, beliefs.rate).removal_nm(executed_s)
     measured = before.height_nm - after.height_nm
+    if recipe.alignment == "power":  # nobody knows how much of it was removed
+        predicted, measured = (_without_power(removal_nm, before.metric_mask) for removal_nm in (predicted, measured))
     verdict = gate.judge(predicted, measured, before.metric_mask, before.grid.pitch_mm)
     if verdict.stop:
         return Taught(beliefs, None, verdict)
-    learned = learning.learn_rate(predicted, measured, before.metric_mask, tilt=recipe.tilt_is_alignment)
+    learned = learning.learn_rate(predicted, measured, before.metric_mask, tilt=recipe.alignment != "piston")
     rate = beliefs.rate * learned.rate
     if not 1 - recipe.max_rate_change <= rate <= 1 + recipe.max_rate_change:
         raise ComputeError(
@@ -196,6 +206,10 @@ def learn(
         )
     overhead = motion.learn_overhead_s(program, asked_s, executed_s, envelope_of(recipe, program, beliefs))
     return Taught(Beliefs(rate, overhead, learned.notes), learned, verdict)
+
+
+def _without_power(removal_nm: FloatArray, mask: BoolArray) -> FloatArray:
+    return removal_nm - metrics.fitted(removal_nm, mask, "power")
 
 
 def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan:
@@ -277,10 +291,7 @@ def _stats(recipe: Recipe, height_nm: FloatArray, mask: BoolArray, pitch_mm: flo
 
 def _on_map(surface: SurfaceMap, grid: Grid, mask: BoolArray, lies: Registration) -> BoolArray:
     """The frozen clear aperture on the map's own pixels: figures are stated there, where the raster's ripple shows."""
-    own, turn = surface.grid, np.radians(lies.rotation_deg)
-    right, up = own.x_mm[None, :] - lies.shift_mm[0], own.y_mm[:, None] - lies.shift_mm[1]
-    x = np.cos(turn) * right + np.sin(turn) * up
-    y = np.cos(turn) * up - np.sin(turn) * right
+    x, y = lies.on_part_mm(surface.grid)
     places = [(grid.y_mm[0] - y) / grid.pitch_mm, (x - grid.x_mm[0]) / grid.pitch_mm]
     # the two grids may lie half a sample apart: the nearest one would move the rim by that much
     share = ndimage.map_coordinates(mask.astype(np.float64), places, order=1)

@@ -9,11 +9,9 @@ import scipy
 
 from polishd.model.errors import BadMap, WrongPart
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
-from polishd.process.metrics import polynomial
-from polishd.process.metrics.spread import power
+from polishd.process.metrics import Removal, fitted
 from polishd.process.registration.record import Registration
 from polishd.process.registration.resampling import resample_registered
-from polishd.process.spikes import without_islands, without_spikes
 
 MARGIN_MM = 5.0
 """How far the process grid reaches beyond the aperture: where the path turns."""
@@ -32,15 +30,13 @@ class Conditioned:
 
     grid: Grid
     height_nm: FloatArray
-    """(ny, nx) piston (and tilt, where asked) over ``metric_mask`` removed; holes filled; NaN outside the aperture."""
+    """(ny, nx) its alignment over ``metric_mask`` removed; holes filled; NaN outside the aperture."""
     solve_mask: BoolArray
     """(ny, nx) valid data within the aperture, as of the first cycle."""
     metric_mask: BoolArray
     """(ny, nx) the same within the clear aperture: the aperture, and the part as the map shows it, less the edge."""
     filled: int
     """Samples of ``solve_mask`` that had no data in this map."""
-    spikes: int = 0
-    """Samples of the map that stood off its surface and were taken out with their neighbours."""
 
 
 def condition(
@@ -50,12 +46,9 @@ def condition(
     edge_mm: float,
     grid_mm: float,
     masks: tuple[BoolArray, BoolArray] | None = None,
-    tilt: bool = False,
+    removal: Removal = "piston",
     margin_mm: float = MARGIN_MM,
     registration: Registration | None = None,
-    spike_mads: float | None = None,
-    without_power: bool = False,
-    nominal_nm: FloatArray | None = None,
 ) -> Conditioned:
     """Bring a map onto the process grid.
 
@@ -65,13 +58,9 @@ def condition(
         edge_mm: width of the rim outside the clear aperture.
         grid_mm: pitch of the process grid.
         masks: ``(solve_mask, metric_mask)`` of an earlier map, to be kept; None for the first map.
-        tilt: whether tilt is alignment, to be removed as piston always is, or figure, to be polished.
+        removal: what is alignment, to be removed, and not figure, to be polished.
         margin_mm: reach of the grid beyond the aperture.
         registration: where the part lies in the map; None: its centre is the centre of the map's array.
-        spike_mads: how far off the Zernike fit a sample is a spike, see `without_spikes`, which also drops islands of
-            data beside the part; None leaves both.
-        without_power: whether power is removed with piston and tilt.
-        nominal_nm: (ny, nx) on the process grid, the form wanted, to be taken off; None for none.
 
     Raises:
         BadMap: no lateral scale, no data, a map smaller than the aperture, too few samples or too many holes in it,
@@ -80,8 +69,7 @@ def condition(
     """
     _check(surface, aperture_mm)
     grid = process_grid(aperture_mm, grid_mm, margin_mm)
-    measured, spikes = _cleaned(surface.height_nm, spike_mads)
-    raw = resample_registered(measured, surface.grid, grid, registration)
+    raw = resample_registered(surface.height_nm, surface.grid, grid, registration)
     radius = grid.radius_mm()
     aperture = radius <= aperture_mm / 2
     clear = (radius <= aperture_mm / 2 - edge_mm) & (from_outline_mm(raw, grid_mm) > edge_mm)
@@ -92,24 +80,8 @@ def condition(
     if missing > MAX_FILLED * np.count_nonzero(solve):
         raise BadMap(f"{missing} of {np.count_nonzero(solve)} samples that the first map had are missing in this one")
     height = fill_holes(np.where(aperture | solve, raw, np.nan))
-    if nominal_nm is not None:
-        height = height - _fitting(nominal_nm, grid)
-    height = height - (power(height, metric)[0] if without_power else polynomial(height, metric, 1 if tilt else 0))
-    return Conditioned(grid, np.where(aperture | solve, height, np.nan), solve, metric, missing, spikes)
-
-
-def _cleaned(height_nm: FloatArray, spike_mads: float | None) -> tuple[FloatArray, int]:
-    """The map without spikes and islands, and the number of spikes."""
-    if spike_mads is None:
-        return height_nm, 0
-    despiked = without_spikes(height_nm, spike_mads)
-    return without_islands(despiked.height_nm)[0], despiked.spikes
-
-
-def _fitting(nominal_nm: FloatArray, grid: Grid) -> FloatArray:
-    if nominal_nm.shape != grid.shape:
-        raise BadMap(f"the nominal form is {nominal_nm.shape}, the process grid is {grid.shape}")
-    return nominal_nm
+    height = height - fitted(height, metric, removal)
+    return Conditioned(grid, np.where(aperture | solve, height, np.nan), solve, metric, missing)
 
 
 def from_outline_mm(height_nm: FloatArray, pitch_mm: float) -> FloatArray:

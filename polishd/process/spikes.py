@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from polishd.model.errors import BadMap
-from polishd.model.surface import BoolArray, FloatArray
+from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
 from polishd.process.metrics import zernike
 
 SPIKE_MADS = 12.0
@@ -37,6 +37,18 @@ class Despiked:
     """Samples beyond the threshold, before they were grown."""
     threshold_nm: float
     """Distance from the fit beyond which a sample was a spike."""
+
+
+def cleaned(surface: SurfaceMap, mads: float) -> tuple[SurfaceMap, int]:
+    """The map without spikes and islands, and the number of spikes; ``mads`` = 0 leaves it as it is.
+
+    Raises:
+        BadMap: see ``without_spikes``.
+    """
+    if not mads:
+        return surface, 0
+    despiked = without_spikes(surface.height_nm, mads)
+    return surface.with_height(without_islands(despiked.height_nm)[0]), despiked.spikes
 
 
 def without_spikes(height_nm: FloatArray, mads: float = SPIKE_MADS, most: float = MOST_SPIKES) -> Despiked:

@@ -9,6 +9,8 @@ import numpy as np
 
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.process.conditioning import MARGIN_MM, MIN_SAMPLES, Conditioned, condition, process_grid
+from polishd.process.nominal import less_nominal
+from polishd.process.registration.record import Registration
 from polishd.study.config import CorrectionsStudy, PartStudy
 
 WAVES = 96
@@ -28,12 +30,16 @@ def start_surface(study: CorrectionsStudy, read: ReadMap) -> Conditioned:
     if wanted.rms_nm is not None and wanted.period_mm is not None:
         return drawn_surface(study, wanted.rms_nm, wanted.period_mm)
     with study.blame("surface.file"):
+        surface = read(study.resolve(wanted.file or ""))
+        if part.nominal is not None:
+            with study.blame("part.nominal"):
+                surface = less_nominal(surface, read(study.resolve(part.nominal)), Registration())
         return condition(
-            read(study.resolve(wanted.file or "")),
+            surface,
             aperture_mm=part.aperture_mm,
             edge_mm=part.edge_mm,
             grid_mm=study.process.grid_mm,
-            tilt=part.alignment == "tilt",
+            removal=part.alignment,
             margin_mm=max(MARGIN_MM, study.path.extension_mm),
         )
 

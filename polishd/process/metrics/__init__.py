@@ -11,6 +11,7 @@ from polishd.process.metrics.slopes import Slope, slope
 from polishd.process.metrics.spread import (
     Removal,
     Spread,
+    fitted,
     polynomial,
     pv_rms,
     spread,
@@ -34,6 +35,7 @@ __all__ = [
     "band_rms",
     "compare",
     "figures",
+    "fitted",
     "iso10110",
     "polynomial",
     "psd_2d",

@@ -77,12 +77,19 @@ def without(height_nm: FloatArray, mask: BoolArray, removal: Removal) -> FloatAr
         BadMap: the mask is empty, or the surface not finite inside it.
         ValueError: no such removal.
     """
-    if removal == "power":
-        inside(height_nm, mask)
-        return np.where(mask, height_nm - power(height_nm, mask)[0], np.nan)
+    inside(height_nm, mask)
+    return np.where(mask, height_nm - fitted(height_nm, mask, removal), np.nan)
+
+
+def fitted(height_nm: FloatArray, mask: BoolArray, removal: Removal) -> FloatArray:
+    """(ny, nx) least-squares fit of these terms over the mask, evaluated everywhere.
+
+    Raises:
+        ValueError: no such removal.
+    """
     if removal not in get_args(Removal):
         raise ValueError(f"what can be removed is {', '.join(get_args(Removal))}, not {removal!r}")
-    return without_polynomial(height_nm, mask, 0 if removal == "piston" else 1)
+    return power(height_nm, mask)[0] if removal == "power" else polynomial(height_nm, mask, int(removal == "tilt"))
 
 
 def without_polynomial(height_nm: FloatArray, mask: BoolArray, degree: int) -> FloatArray:

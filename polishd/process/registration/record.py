@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from polishd.model.surface import FloatArray, Grid
+
 Point = tuple[float, float]
 
 
@@ -32,6 +34,12 @@ class Registration:
     def distance_mm(self) -> float:
         """Of the part's centre from the centre of the map's array."""
         return float(np.hypot(*self.shift_mm))
+
+    def on_part_mm(self, grid: Grid) -> tuple[FloatArray, FloatArray]:
+        """(ny, nx) x and y on the part of each sample of a map with this grid."""
+        turn = np.radians(self.rotation_deg)
+        right, up = grid.x_mm[None, :] - self.shift_mm[0], grid.y_mm[:, None] - self.shift_mm[1]
+        return np.cos(turn) * right + np.sin(turn) * up, np.cos(turn) * up - np.sin(turn) * right
 
     def drift_mm(self, last: Registration) -> float:
         """How far the part's centre has moved since another map."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from polishd.console.demo_files import demo_program, with_values
@@ -17,6 +18,7 @@ from polishd.daemon.lock import StateLock
 from polishd.daemon.plugins import Hooks, load_own, load_plugins
 from polishd.hookspecs import DeviceContext
 from polishd.model.errors import ConfigError, DeviceFault, LinkError, ProgramError
+from polishd.model.surface import SurfaceMap
 from polishd.ports.devices import ForceActuator, Robot, Spindle
 from tests.commissioned import commissioned
 from tests.fakes.devices import FakeCell
@@ -53,7 +55,7 @@ def test_the_recipe_is_the_configs(configured: Any, hooks: Hooks) -> None:
         limits={"max_rate_change": 0.2},
     )
     recipe = make_recipe(config, hooks)
-    assert (recipe.part_id, recipe.aperture_mm, recipe.tilt_is_alignment, recipe.grid_mm) == ("P-9", 60.0, True, 0.8)
+    assert (recipe.part_id, recipe.aperture_mm, recipe.alignment, recipe.grid_mm) == ("P-9", 60.0, "tilt", 0.8)
     assert (recipe.program_offset_mm, recipe.program_rotation_deg) == ((1.0, 2.0, 0.0), 90.0)
     assert (recipe.correction, recipe.solve_s, recipe.kkt_tolerance) == ("linear", 7.0, 1e-5)
     assert (recipe.tolerance_nm, recipe.tolerance_period_mm, recipe.max_rate_change) == (3.0, 12.0, 0.2)
@@ -63,7 +65,21 @@ def test_the_recipe_is_the_configs(configured: Any, hooks: Hooks) -> None:
 
 
 def test_alignment_is_piston_by_default(configured: Any, hooks: Hooks) -> None:
-    assert make_recipe(configured(), hooks).tilt_is_alignment is False
+    assert make_recipe(configured(), hooks).alignment == "piston"
+
+
+def test_the_form_wanted_is_read_with_the_recipe(configured: Any, hooks: Hooks, tmp_path: Path) -> None:
+    form = SurfaceMap(np.arange(12.0).reshape(3, 4), 0.5)
+    reader = hooks.surface_readers()["x3p"]
+    assert reader.write is not None
+    (tmp_path / "form.x3p").write_bytes(reader.write(form))
+    nominal = make_recipe(configured(part={"nominal": "form.x3p"}), hooks).nominal
+    assert nominal is not None
+    np.testing.assert_allclose(nominal.height_nm, form.height_nm)
+    np.save(tmp_path / "form.npy", form.height_nm)
+    for name, reason in (("none.x3p", "No such file"), ("form.npy", "does not say its pitch and surface and unit")):
+        with pytest.raises(ConfigError, match=rf"cell\.toml.*part\.nominal.*{reason}"):
+            make_recipe(configured(part={"nominal": name}), hooks)
 
 
 def test_the_recipe_travels_to_the_worker(configured: Any, hooks: Hooks) -> None:

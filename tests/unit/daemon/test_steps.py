@@ -134,8 +134,37 @@ def test_tilt_is_figure_unless_it_is_alignment() -> None:
     surface = small_map()
     tilted = surface.with_height(surface.height_nm + 10.0 * surface.grid.x_mm)
     assert steps.condition(small_recipe(), tilted, None).stats.rms_nm > 40
-    levelled = steps.condition(small_recipe(tilt_is_alignment=True), tilted, None)
+    levelled = steps.condition(small_recipe(alignment="tilt"), tilted, None)
     assert np.ptp(levelled.height_nm) < 200
+    plain = steps.condition(small_recipe(alignment="tilt"), surface, None)
+    assert levelled.stats.rms_nm == pytest.approx(plain.stats.rms_nm, rel=1e-6), "the figure has no alignment in it"
+
+
+def test_power_may_be_alignment_too(program: Program, measured: Measured, solved: Solved) -> None:
+    recipe = small_recipe(alignment="power")
+    surface = small_map()
+    bowl = surface.with_height(surface.height_nm + 3.0 * surface.grid.radius_mm() ** 2)
+    found, plain = (steps.condition(recipe, map_, None) for map_ in (bowl, surface))
+    assert found.stats.rms_nm == pytest.approx(plain.stats.rms_nm, rel=1e-6)
+    plan = steps.rewrite(recipe, program, solved, "p.rnc")
+    lost = 2.0 * measured.grid.radius_mm() ** 2  # the next alignment hides or shows as much
+    after = replace(measured, height_nm=measured.height_nm - 0.9 * plan.predicted_removal_nm + lost)
+    taught = steps.learn(recipe, program, (measured, after), (solved.asked_s, plan.expected_time_s), Beliefs())
+    assert not taught.verdict.stop
+    assert taught.beliefs.rate == pytest.approx(0.9, abs=0.01)
+
+
+def test_spikes_and_the_nominal_form_are_taken_off() -> None:
+    surface = small_map()
+    form = surface.with_height(40.0 * np.sin(surface.grid.x_mm / 3.0)[None, :] * np.ones(surface.grid.shape))
+    spiked = surface.height_nm + form.height_nm
+    spiked[surface.grid.ny // 2, surface.grid.nx // 2] += 1e5
+    recipe = small_recipe(nominal=form, spike_mads=50.0)
+    found = steps.condition(recipe, surface.with_height(spiked), None)
+    assert found.spikes == 1
+    plain = steps.condition(small_recipe(), surface, None)
+    assert found.stats.rms_nm == pytest.approx(plain.stats.rms_nm, rel=0.01)
+    assert steps.condition(small_recipe(), surface.with_height(spiked), None).stats.rms_nm > 10 * plain.stats.rms_nm
 
 
 def test_load_measured_gives_back_what_was_kept(measured: Measured) -> None:

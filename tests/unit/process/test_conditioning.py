@@ -78,8 +78,8 @@ def test_the_grid_covers_the_aperture_and_a_margin() -> None:
 def test_a_map_is_brought_onto_the_grid_and_levelled() -> None:
     surface = disc_map()
     x, y = np.meshgrid(FINE.x_mm, FINE.y_mm)
-    tilted = conditioned(surface.with_height(surface.height_nm + 500 + 3 * x - 7 * y), tilt=True)
-    part = conditioned(surface, tilt=True)
+    tilted = conditioned(surface.with_height(surface.height_nm + 500 + 3 * x - 7 * y), removal="tilt")
+    part = conditioned(surface, removal="tilt")
     assert part.grid == Grid(60, 60, 1.0)
     assert part.filled == 0
     np.testing.assert_allclose(tilted.height_nm, part.height_nm, atol=1e-9)
@@ -202,17 +202,8 @@ def test_power_is_removed_where_asked() -> None:
     surface = disc_map()
     x, y = np.meshgrid(FINE.x_mm, FINE.y_mm)
     bowl = surface.with_height(surface.height_nm + 0.5 * (x**2 + y**2) + 2 * x)
-    plain, bent = conditioned(surface, without_power=True), conditioned(bowl, without_power=True)
+    plain, bent = conditioned(surface, removal="power"), conditioned(bowl, removal="power")
     np.testing.assert_allclose(bent.height_nm[bent.metric_mask], plain.height_nm[plain.metric_mask], atol=0.02)
-    assert conditioned(bowl, tilt=True).height_nm[bent.metric_mask].std() > 2 * bent.height_nm[bent.metric_mask].std()
-
-
-def test_the_nominal_form_is_taken_off() -> None:
-    surface = disc_map()
-    grid = process_grid(50.0, 1.0)
-    form = 20 * np.sin(grid.x_mm[None, :] / 4) * np.ones(grid.shape)
-    plain, relative = conditioned(surface), conditioned(surface, nominal_nm=form)
-    change = (plain.height_nm - relative.height_nm)[plain.metric_mask]
-    np.testing.assert_allclose(change, (form - form[plain.metric_mask].mean())[plain.metric_mask], atol=1e-9)
-    with pytest.raises(BadMap, match="the nominal form is"):
-        conditioned(surface, nominal_nm=form[1:])
+    assert (
+        conditioned(bowl, removal="tilt").height_nm[bent.metric_mask].std() > 2 * bent.height_nm[bent.metric_mask].std()
+    )
