@@ -12,7 +12,7 @@ from typer.core import TyperGroup
 DEFAULT = "figures"
 """What ``polishd map FILE`` does."""
 BANDS_MM = "33,0.12"
-HELP = "Maps of surfaces: polishd map FILE... gives their figures; or compare, convert, commission."
+HELP = "Maps of surfaces: polishd map FILE... gives their figures; or compare, convert, average, commission."
 
 # readable=False: what cannot be read is exit code 8, as what is broken is; typer would make it 2
 Map = Annotated[Path, typer.Argument(metavar="MAP", help="A map.", readable=False, show_default=False)]
@@ -94,6 +94,23 @@ def convert(
     from polishd.console.map_convert import convert_verb
 
     convert_verb(source, target, profile, force=force, as_json=as_json)
+
+
+@map_verbs.command()
+def average(
+    files: Annotated[list[Path], typer.Argument(metavar="MAP...", help="Repeats.", readable=False, show_default=False)],
+    out: Annotated[
+        Optional[Path],  # noqa: UP045 - typer reads it
+        typer.Option("--out", metavar="MEAN", help="The new map; its ending says the format.", show_default=False),
+    ] = None,
+    profile: Profile = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace MEAN where it is there.")] = False,
+    as_json: Json = False,
+) -> None:
+    """The mean of repeated measurements, without maps and samples that deviate, and its uncertainty."""
+    from polishd.console.map_average import average_verb
+
+    average_verb(files, out, profile, force=force, as_json=as_json)
 
 
 @map_verbs.command()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,30 +27,37 @@ WITHIN = 1e-6
 def convert_verb(source: Path, target: Path, profile: Path | None, *, force: bool, as_json: bool) -> None:
     """Write ``source`` to ``target``, in the format of its ending. Nothing is written where anything is refused."""
     instrument, readers = profile_of(profile), own_readers()
-    writer = writer_for(target, readers)
-    _require_free(source, target, force=force)
+    writer_for(target, readers)
+    require_free(target, [source], force=force)
     surface = map_from(source, readers, instrument)
-    content = _content(surface, writer, target)
+    answer = {
+        "path": str(source),
+        "format": surface.format,
+        **store(surface, target, readers, profiled=instrument is not None),
+    }
+    if as_json:
+        typer.echo(json_line(answer))
+    else:
+        say_stored(answer)
+
+
+def store(surface: SurfaceMap, target: Path, readers: Mapping[str, SurfaceReader], *, profiled: bool) -> dict[str, Any]:
+    """Write a map, whole or not at all, once it reads back as it is; what there is to say of it."""
+    content = _content(surface, writer_for(target, readers), target)
     back = _read_back(content, target, readers)
     change_nm = require_same(surface, back, target)
     try:
         write_atomic(target, content)
     except OSError as error:
         raise ConfigError(f"{target}: cannot be written: {error.strerror}; name another file") from error
-    answer = {
-        "path": str(source),
-        "format": surface.format,
+    return {
         "out": str(target),
         "out_format": back.format,
         "bytes": len(content),
         "sha256": back.sha256,
         "largest_change_nm": change_nm,
-        "notes": _notes(surface, back, profiled=instrument is not None),
+        "notes": _notes(surface, back, profiled=profiled),
     }
-    if as_json:
-        typer.echo(json_line(answer))
-    else:
-        _say(answer)
 
 
 def writer_for(target: Path, readers: Mapping[str, SurfaceReader]) -> SurfaceReader:
@@ -82,10 +89,11 @@ def require_same(surface: SurfaceMap, back: SurfaceMap, target: Path) -> float:
     return change
 
 
-def _require_free(source: Path, target: Path, *, force: bool) -> None:
+def require_free(target: Path, sources: Sequence[Path], *, force: bool) -> None:
+    """ConfigError where the target is a source, or is there and may not be replaced."""
     if not target.exists():
         return
-    if source.exists() and target.samefile(source):
+    if any(source.exists() and target.samefile(source) for source in sources):
         raise ConfigError(f"{target}: is the map that is read; name another file")
     if not force:
         raise ConfigError(f"{target}: exists already; name another file, or say --force")
@@ -129,7 +137,8 @@ def _alike(surface: SurfaceMap, back: SurfaceMap, key: str) -> bool:
     return bool(before == after)
 
 
-def _say(answer: Mapping[str, Any]) -> None:
+def say_stored(answer: Mapping[str, Any]) -> None:
+    """For people."""
     changed = f"heights within {answer['largest_change_nm']:.2g} nm" if answer["largest_change_nm"] else "heights exact"
     for line in (
         f"written to {shown(answer['out'])} ({answer['out_format']}, {answer['bytes']} bytes); read back: {changed}",
