@@ -85,6 +85,22 @@ def test_a_measured_map_is_read_and_conditioned(tmp_path: Path) -> None:
     assert np.allclose(start.height_nm[inside], expected - expected.mean(), atol=1e-9)  # piston off, tilt is figure
 
 
+def test_the_form_wanted_is_taken_off_a_measured_map(tmp_path: Path) -> None:
+    study = corrections(
+        small(
+            tmp_path,
+            ("rms_nm = 18.5", 'file = "map.dat"'),
+            ("period_mm = [14.0, 40.0]", "# no period"),
+            ("[part]\n", '[part]\nnominal = "form.dat"\n'),
+        )
+    )
+    form = SurfaceMap(np.random.default_rng(1).normal(0.0, 9.0, (60, 60)), 0.5)
+    tilt = form.with_height(form.height_nm + form.grid.x_mm[None, :])
+    start = start_surface(study, lambda path: form if path.name == "form.dat" else tilt)
+    expected = np.broadcast_to(start.grid.x_mm[None, :], start.grid.shape)[start.metric_mask]
+    assert np.allclose(start.height_nm[start.metric_mask], expected - expected.mean(), atol=1e-9)
+
+
 def test_a_map_that_cannot_be_used_is_blamed_on_its_key(tmp_path: Path) -> None:
     path = variant(tmp_path, TABLE_IV, ("rms_nm = 18.5", 'file = "map.dat"'), ("period_mm = [33.0, 120.0]", ""))
 
