@@ -94,7 +94,7 @@ def test_the_form_wanted_is_taken_off_a_measured_map(tmp_path: Path) -> None:
             ("[part]\n", '[part]\nnominal = "form.dat"\n'),
         )
     )
-    form = SurfaceMap(np.random.default_rng(1).normal(0.0, 9.0, (60, 60)), 0.5)
+    form = SurfaceMap(np.random.default_rng(1).normal(0.0, 9.0, (52, 52)), 0.5)
     tilt = form.with_height(form.height_nm + form.grid.x_mm[None, :])
     start = start_surface(study, lambda path: form if path.name == "form.dat" else tilt)
     expected = np.broadcast_to(start.grid.x_mm[None, :], start.grid.shape)[start.metric_mask]
