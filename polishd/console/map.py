@@ -10,7 +10,7 @@ from typing import Any
 import typer
 
 from polishd.console.map_figures import Figured, figured, json_line
-from polishd.console.map_files import edges_mm, map_from, own_readers, profile_of, require_picture, shown
+from polishd.console.map_files import edges_mm, map_from, own_readers, profile_of, require_picture, shown, told_apart
 from polishd.console.tables import figure_table, key_table, stdout
 from polishd.model.errors import SurfaceError
 
@@ -67,24 +67,25 @@ def _draw(out: Path, drawn: Sequence[Figured], *, as_json: bool) -> None:
 
 def show(answers: Sequence[Mapping[str, Any]]) -> None:
     """For people: everything of one map, or a row each of several; then what is to be known of them."""
+    names = told_apart([answer["path"] for answer in answers])
     if len(answers) == 1:
         stdout.print(key_table(shown(answers[0]["path"]), _rows(answers[0])))
     else:
         columns = ("file", "samples", "pitch mm", "missing", "PV nm", "RMS nm", "PV level", "RMS level")
-        stdout.print(figure_table("maps", (*columns, *_band_columns(answers)), map(_row, answers)))
-    for answer in answers:
+        stdout.print(figure_table("maps", (*columns, *_band_columns(answers)), map(_row, names, answers)))
+    for name, answer in zip(names, answers, strict=True):
         for warning in answer["warnings"]:
-            stdout.print(f"warning: {shown(Path(answer['path']).name)}: {shown(warning)}", markup=False)
+            stdout.print(f"warning: {name}: {shown(warning)}", markup=False)
 
 
 def _band_columns(answers: Sequence[Mapping[str, Any]]) -> list[str]:
     return next(([band["name"] for band in answer["bands"]] for answer in answers if answer["bands"]), [])
 
 
-def _row(answer: Mapping[str, Any]) -> tuple[str, ...]:
+def _row(name: str, answer: Mapping[str, Any]) -> tuple[str, ...]:
     figures = ("pv_nm", "rms_nm", "pv_tilt_removed_nm", "rms_tilt_removed_nm")
     return (
-        shown(Path(answer["path"]).name),
+        name,
         f"{answer['rows']} x {answer['cols']}",
         _or_dash(answer["pitch_mm"], ".7g"),
         str(answer["missing"]),
@@ -124,7 +125,7 @@ def _pair(answer: Mapping[str, Any], which: str) -> str:
 def _band_words(band: Mapping[str, Any]) -> str:
     ends = (("below", band["from_mm"]), ("above", band["to_mm"]))
     periods = " and ".join(f"{word} {edge:g} mm" for word, edge in ends if edge is not None)
-    return _or_dash(band["rms_nm"], ".6f", " nm RMS") + f" (periods {periods})"
+    return _or_dash(band["rms_nm"], ".3f", " nm RMS") + f" (periods {periods})"
 
 
 def _or_dash(value: float | None, form: str, unit: str = "") -> str:

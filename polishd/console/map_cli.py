@@ -12,7 +12,10 @@ from typer.core import TyperGroup
 DEFAULT = "figures"
 """What ``polishd map FILE`` does."""
 BANDS_MM = "33,0.12"
-HELP = "Maps of surfaces: polishd map FILE... gives their figures; or compare, convert, average, commission."
+HELP = (
+    "Maps of surfaces: polishd map FILE... gives their figures (options: polishd map figures --help); or compare, "
+    "convert, average, commission."
+)
 
 # readable=False: what cannot be read is exit code 8, as what is broken is; typer would make it 2
 Map = Annotated[Path, typer.Argument(metavar="MAP", help="A map.", readable=False, show_default=False)]

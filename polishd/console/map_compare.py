@@ -12,7 +12,7 @@ import typer
 
 from polishd.console.map import FigureOptions
 from polishd.console.map_figures import band_records, json_line
-from polishd.console.map_files import edges_mm, map_from, own_readers, profile_of, require_picture, shown
+from polishd.console.map_files import edges_mm, map_from, own_readers, profile_of, require_picture, shown, told_apart
 from polishd.console.tables import figure_table, stdout
 from polishd.model.errors import BadMap
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
@@ -37,25 +37,26 @@ class Pair:
 
 
 def compare_verb(before: Path, after: Path, options: FigureOptions, *, as_json: bool) -> None:
-    """Figures of both, and by how much they fell."""
+    """Figures of both, and by how much they changed."""
     edges = edges_mm(options.bands)
     require_picture(options.out)
     instrument, readers = profile_of(options.profile), own_readers()
     maps = [map_from(path, readers, instrument) for path in (before, after)]
     pair = paired(*maps, trim=options.trim)
     found = _compared(pair, edges)
-    answer = {
+    answer: dict[str, Any] = {
         "before": {**_which(maps[0]), **_figures(pair, pair.before_nm, None if found is None else found.before, edges)},
         "after": {**_which(maps[1]), **_figures(pair, pair.after_nm, None if found is None else found.after, edges)},
     }
-    answer["reduction_percent"] = _reduction(answer["before"], answer["after"])
+    answer["change_percent"] = _changes(answer["before"], answer["after"])
     answer |= _common(pair, options.trim)
+    answer["psd"] = None if found is None else _psd(found)
     if as_json:
         typer.echo(json_line(answer))
     else:
         _show(answer)
     if options.out is not None:
-        _draw(options.out, pair, found)
+        _draw(options.out, pair, found, answer)
         if not as_json:
             stdout.print(f"drawn in {shown(options.out)}", markup=False)
 
@@ -145,8 +146,8 @@ def _figures(
     }
 
 
-def _reduction(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, Any]:
-    """Percent by which each figure fell; below 0 where it rose, None where it was 0 or is not known."""
+def _changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, Any]:
+    """Table V: change of each figure, percent of the one before; below 0 is better, None where that is 0 or none."""
     keys = ("pv_nm", "rms_nm", "pv_tilt_removed_nm", "rms_tilt_removed_nm")
     found = {key.removesuffix("_nm"): _percent(before[key], after[key]) for key in keys}
     pairs = zip(before["bands"] or (), after["bands"] or (), strict=True)
@@ -154,7 +155,17 @@ def _reduction(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str,
 
 
 def _percent(before: float | None, after: float | None) -> float | None:
-    return 100 * (1 - after / before) if before and after is not None else None
+    return 100 * (after / before - 1) if before and after is not None else None
+
+
+def _psd(found: metrics.Comparison) -> dict[str, Any]:
+    """Fig. 15: the radial spectra of both."""
+    before, after = found.before.psd, found.after.psd
+    return {
+        "frequency_per_mm": before.frequency_per_mm,
+        "before_nm2_mm2": before.density_nm2_mm2,
+        "after_nm2_mm2": after.density_nm2_mm2,
+    }
 
 
 def _common(pair: Pair, trim: int) -> dict[str, Any]:
@@ -162,8 +173,8 @@ def _common(pair: Pair, trim: int) -> dict[str, Any]:
     pv, rms = metrics.pv_rms(change, pair.mask)
     rows, columns = pair.mask.shape
     return {
-        "change_pv_nm": pv,
-        "change_rms_nm": rms,
+        "difference_pv_nm": pv,
+        "difference_rms_nm": rms,
         "rows": rows,
         "cols": columns,
         "pitch_mm": pair.pitch_mm,
@@ -173,31 +184,37 @@ def _common(pair: Pair, trim: int) -> dict[str, Any]:
     }
 
 
-def _draw(out: Path, pair: Pair, found: metrics.Comparison | None) -> None:
+def _draw(out: Path, pair: Pair, found: metrics.Comparison | None, answer: Mapping[str, Any]) -> None:
     from polishd.console.map_pictures import compared_picture
     from polishd.console.pictures import save_picture
 
     spectra = {} if found is None else {"before": found.before.psd, "after": found.after.psd}
     heights = {"before": pair.before_nm, "after": pair.after_nm}
-    save_picture(out, compared_picture(heights, spectra, pair.mask, pair.pitch_mm))
+    figures = {name: (was, now) for name, was, now, _ in _lines(answer) if was is not None and now is not None}
+    save_picture(out, compared_picture(heights, spectra, pair.mask, pair.pitch_mm, figures))
+
+
+def _lines(answer: Mapping[str, Any]) -> list[tuple[str, float | None, float | None, float | None]]:
+    """Name, before and after in nm, change in percent: Table V, and the bands."""
+    before, after, change = answer["before"], answer["after"], answer["change_percent"]
+    names = {"pv": "PV", "rms": "RMS", "pv_tilt_removed": "PV level", "rms_tilt_removed": "RMS level"}
+    bands = zip(before["bands"] or (), after["bands"] or (), strict=True)
+    return [(name, before[f"{key}_nm"], after[f"{key}_nm"], change[key]) for key, name in names.items()] + [
+        (f"{was['name']} RMS", was["rms_nm"], now["rms_nm"], change[was["name"]]) for was, now in bands
+    ]
 
 
 def _show(answer: Mapping[str, Any]) -> None:
-    before, after, reduction = answer["before"], answer["after"], answer["reduction_percent"]
-    names = {"pv": "PV", "rms": "RMS", "pv_tilt_removed": "PV level", "rms_tilt_removed": "RMS level"}
-    rows = [_row(name, before[f"{key}_nm"], after[f"{key}_nm"], reduction[key]) for key, name in names.items()]
-    rows += [
-        _row(f"{was['name']} RMS", was["rms_nm"], now["rms_nm"], reduction[was["name"]])
-        for was, now in zip(before["bands"] or (), after["bands"] or (), strict=True)
-    ]
-    title = f"{shown(Path(before['path']).name)} to {shown(Path(after['path']).name)}"
-    stdout.print(figure_table(title, ("nm", "before", "after", "fell by, %"), rows))
-    notes = [f"warning: {shown(warning)}" for which in (before, after) for warning in which["warnings"]]
+    names = told_apart([answer[which]["path"] for which in ("before", "after")])
+    rows = [_row(*line) for line in _lines(answer)]
+    stdout.print(figure_table(" to ".join(names), ("nm", "before", "after", "change, %"), rows))
+    notes = [f"warning: {name}: {shown(warning)}" for name, which in zip(names, ("before", "after"), strict=True)
+             for warning in answer[which]["warnings"]]  # fmt: skip
     notes.insert(0, f"over the {answer['samples']} samples that both have")
     for line in (*notes, *(f"note: {shown(note)}" for note in answer["notes"])):
         stdout.print(line, markup=False)
 
 
 def _row(name: str, *values: float | None) -> tuple[str, ...]:
-    forms = (".3f", ".3f", ".2f")
+    forms = (".3f", ".3f", "+.2f")
     return (name, *("-" if v is None else f"{v:{form}}" for v, form in zip(values, forms, strict=True)))

@@ -71,6 +71,17 @@ def shown(path: object) -> str:
     return str(path).encode("utf-8", "backslashreplace").decode()
 
 
+def told_apart(paths: Sequence[object]) -> list[str]:
+    """Short names for people: of each path the fewest last parts that tell all of them apart."""
+    parts = [Path(str(path)).parts for path in paths]
+    names = list(map(str, paths))
+    for depth in range(1, max(map(len, parts), default=0)):
+        tails = [str(Path(*own[-depth:])) for own in parts]
+        if len(set(tails)) == len(set(names)):
+            return list(map(shown, tails))
+    return list(map(shown, names))
+
+
 def band_names(count: int) -> Sequence[str]:
     """LSF, MSF and HSF for three bands; what lies between low and high is numbered where there are more."""
     middle = ["MSF"] if count == 3 else [f"MSF{number}" for number in range(1, count - 1)]

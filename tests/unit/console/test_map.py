@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from polishd.console.map_figures import json_line
+from polishd.console.map_files import told_apart
 from polishd.console.tables import stdout
 from tests.unit.console.maps import PITCH_MM, dat, surface
 from tests.unit.console.said import Polishd
@@ -252,6 +253,33 @@ def test_several_maps_for_people_are_a_row_each(polishd: Polishd, tmp_path: Path
     assert rows[1][4] == "0.5"
     assert "LSF" in said.out
     assert said.out.count("warning: bare.dat") == 1
+
+
+def test_maps_of_one_name_are_told_apart(polishd: Polishd, tmp_path: Path) -> None:
+    """A run's maps are all called map.dat: the table says which is which."""
+    folders = [tmp_path / name for name in ("cycle-00", "cycle-01")]
+    for folder in folders:
+        folder.mkdir()
+    maps = [dat(folder / "map.dat", surface(), pitch_mm=0.0) for folder in folders]
+    said = polishd("map", *maps)
+    for name in ("cycle-00/map.dat", "cycle-01/map.dat"):
+        assert said.out.count(name) == 2  # a row, and a warning
+    assert str(tmp_path) not in said.out
+
+
+@pytest.mark.parametrize(
+    ("paths", "names"),
+    [
+        (["/a/b.dat", "/a/c.dat"], ["b.dat", "c.dat"]),
+        (["/a/b.dat", "/c/b.dat"], ["a/b.dat", "c/b.dat"]),
+        (["b.dat", "a/b.dat"], ["b.dat", "a/b.dat"]),
+        (["a/b.dat", "a/b.dat"], ["b.dat", "b.dat"]),
+        (["/x/m", "/y/m", "/x/n"], ["x/m", "y/m", "x/n"]),
+        ([], []),
+    ],
+)
+def test_the_shortest_names_that_tell(paths: list[str], names: list[str]) -> None:
+    assert told_apart(paths) == names
 
 
 def test_a_profile_is_applied(polishd: Polishd, good: Path) -> None:

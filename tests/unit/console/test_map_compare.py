@@ -35,13 +35,13 @@ def written(path: Path, height_nm: Any, **options: Any) -> Path:
 def test_a_quarter_of_everything_is_left(polishd: Polishd, before: Path) -> None:
     after = written(before.with_name("after.dat"), 10 * surface() + 55)
     answer = polishd("map", "compare", before, after, "--json", "--bands", "10,2").answer
-    reduction = answer["reduction_percent"]
-    assert set(reduction) == {"pv", "rms", "pv_tilt_removed", "rms_tilt_removed", "LSF", "MSF", "HSF"}
-    assert list(reduction.values()) == pytest.approx([75.0] * 7, abs=0.01)
+    change = answer["change_percent"]
+    assert set(change) == {"pv", "rms", "pv_tilt_removed", "rms_tilt_removed", "LSF", "MSF", "HSF"}
+    assert list(change.values()) == pytest.approx([-75.0] * 7, abs=0.01)
     inside = surface()[np.isfinite(surface())]
     assert answer["before"]["rms_nm"] == pytest.approx(40 * inside.std(), rel=1e-5)
     assert answer["after"]["pv_nm"] == pytest.approx(10 * np.ptp(inside), rel=1e-5)
-    assert answer["change_rms_nm"] == pytest.approx(30 * inside.std(), rel=1e-5)
+    assert answer["difference_rms_nm"] == pytest.approx(30 * inside.std(), rel=1e-5)
     assert answer["samples"] == inside.size
     assert answer["notes"] == []
 
@@ -53,16 +53,20 @@ def test_one_band_only(polishd: Polishd, before: Path) -> None:
     first, second = (
         written(before.with_name(name), bowl + part * ripple) for name, part in (("a.dat", 1), ("b.dat", 0.1))
     )
-    reduction = polishd("map", "compare", first, second, "--json", "--bands", "10,2").answer["reduction_percent"]
-    assert reduction["MSF"] == pytest.approx(90.0, abs=1.0)
-    assert abs(reduction["LSF"]) < 10
+    answer = polishd("map", "compare", first, second, "--json", "--bands", "10,2").answer
+    change, psd = answer["change_percent"], answer["psd"]
+    assert change["MSF"] == pytest.approx(-90.0, abs=1.0)
+    assert abs(change["LSF"]) < 10
+    peak = int(np.argmin(np.abs(np.array(psd["frequency_per_mm"]) - 1 / 4)))  # 8 pixels of 0.5 mm
+    assert 0.005 < psd["after_nm2_mm2"][peak] / psd["before_nm2_mm2"][peak] < 0.02
+    assert np.argmax(psd["before_nm2_mm2"][2:]) + 2 == peak
 
 
-def test_what_rose_is_negative(polishd: Polishd, before: Path) -> None:
+def test_what_rose_is_positive(polishd: Polishd, before: Path) -> None:
     after = written(before.with_name("after.dat"), 60 * surface())
     answer = polishd("map", "compare", before, after, "--json").answer
-    assert answer["reduction_percent"]["rms"] == pytest.approx(-50.0, abs=0.01)
-    assert answer["reduction_percent"]["HSF"] is None
+    assert answer["change_percent"]["rms"] == pytest.approx(50.0, abs=0.01)
+    assert answer["change_percent"]["HSF"] is None
 
 
 def test_over_what_both_have(polishd: Polishd, before: Path) -> None:
@@ -77,7 +81,7 @@ def test_over_what_both_have(polishd: Polishd, before: Path) -> None:
     both = np.isfinite(after)
     assert answer["samples"] == np.count_nonzero(both)
     assert answer["before"]["pv_nm"] == pytest.approx(np.ptp(40 * surface()[both]), rel=1e-5)
-    assert answer["reduction_percent"]["rms"] == pytest.approx(75.0, abs=0.01)
+    assert answer["change_percent"]["rms"] == pytest.approx(-75.0, abs=0.01)
 
 
 def test_trimmed(polishd: Polishd, before: Path) -> None:
@@ -103,8 +107,8 @@ def test_other_grids_are_brought_onto_the_coarser(polishd: Polishd, tmp_path: Pa
         answer = polishd("map", "compare", *pair, "--json").answer
         assert (answer["rows"], answer["cols"], answer["pitch_mm"]) == (60, 60, pytest.approx(0.5, rel=1e-6))
         assert any("resampled" in note for note in answer["notes"])
-        expected = 80.0 if pair[0] is fine else -400.0
-        assert answer["reduction_percent"]["rms"] == pytest.approx(expected, rel=1e-2)
+        expected = -80.0 if pair[0] is fine else 400.0
+        assert answer["change_percent"]["rms"] == pytest.approx(expected, rel=1e-2)
     assert "note: resampled" in polishd("map", "compare", fine, coarse).out
 
 
@@ -128,7 +132,8 @@ def test_without_a_scale(polishd: Polishd, before: Path) -> None:
     bare = written(before.with_name("bare.dat"), 10 * surface(), pitch_mm=0.0)
     answer = polishd("map", "compare", bare, bare, "--json").answer
     assert (answer["pitch_mm"], answer["before"]["bands"]) == (None, None)
-    assert answer["reduction_percent"]["rms"] == 0
+    assert answer["change_percent"]["rms"] == 0
+    assert answer["psd"] is None
     answer = polishd("map", "compare", before, bare, "--json").answer
     assert answer["pitch_mm"] == pytest.approx(0.5, rel=1e-7)
     assert any("no lateral scale" in note for note in answer["notes"])
@@ -155,7 +160,7 @@ def test_for_people(polishd: Polishd, before: Path) -> None:
     said = polishd("map", "compare", before, after)
     assert said.code == 0
     assert "before.dat to after.dat" in said.out
-    assert said.out.count("75.00") >= 4
+    assert said.out.count("-75.00") >= 4
     assert "MSF RMS" in said.out
 
 

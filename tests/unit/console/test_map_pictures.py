@@ -43,6 +43,29 @@ def test_a_flat_map_is_drawn(polishd: Polishd, tmp_path: Path) -> None:
     assert out.read_bytes().startswith(PNG)
 
 
+def test_a_narrow_map_with_many_bands_is_drawn(polishd: Polishd, tmp_path: Path) -> None:
+    """Upright and lying, beside one without a scale: rows of unlike many panels."""
+    height = np.random.default_rng(2).normal(0.0, 5.0, (90, 12))
+    maps = [dat(tmp_path / "up.dat", height), dat(tmp_path / "flat.dat", height.T.copy())]
+    maps.append(dat(tmp_path / "bare.dat", height, pitch_mm=0.0))
+    out = tmp_path / "p.png"
+    assert polishd("map", *maps, "--bands", "20,10,5,2", "--out", out).code == 0
+    assert out.read_bytes().startswith(PNG)
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"), [((None, 33.0), "> 33 mm"), ((33.0, 0.12), "33 to 0.12 mm"), ((0.12, None), "< 0.12 mm")]
+)
+def test_periods_are_named(limits: tuple[float | None, float | None], words: str) -> None:
+    assert map_pictures._periods({"from_mm": limits[0], "to_mm": limits[1]}) == words
+
+
+def test_rounding_errors_are_no_heights() -> None:
+    assert map_pictures._nm(3e-13) == "0 nm"
+    assert map_pictures._nm(0.25) == "0.25 nm"
+    assert map_pictures._limit(np.full((3, 3), 2e-13)) == 1.0
+
+
 def test_a_picture_does_not_take_a_maps_place(polishd: Polishd, good: Path) -> None:
     before = good.read_bytes()
     said = polishd("map", good, "--out", good)
