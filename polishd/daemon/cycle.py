@@ -19,10 +19,10 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
     for cycle in journal.remaining(job.last_cycle + 1):  # one measurement more than passes
         async with journal.phase(cycle, Phase.MEASURE):
             surface = await job.measured(cycle, await cell.metrology.next_map(after=journal.last_map_id))
+        async with journal.phase(cycle, Phase.LEARN):
+            await job.learn(cycle, surface)  # first: no figure is believed of a map that the gate stops
         if job.accepts(surface):
             return Outcome.IN_TOLERANCE
-        async with journal.phase(cycle, Phase.LEARN):
-            await job.learn(cycle, surface)  # first: where a flipped map made the part worse, the gate says so
         if job.diverges(surface):
             return Outcome.DIVERGED
         if cycle == job.last_cycle:

@@ -31,6 +31,8 @@ from polishd.process.registration.register import register
 from polishd.process.spikes import cleaned
 
 CENTRED = Registration()
+ROUNDING = 1e-3
+"""Of a share of samples: files keep a pitch in seven digits, and a rim must not move with the last of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,4 +297,4 @@ def _on_map(surface: SurfaceMap, grid: Grid, mask: BoolArray, lies: Registration
     places = [(grid.y_mm[0] - y) / grid.pitch_mm, (x - grid.x_mm[0]) / grid.pitch_mm]
     # the two grids may lie half a sample apart: the nearest one would move the rim by that much
     share = ndimage.map_coordinates(mask.astype(np.float64), places, order=1)
-    return np.asarray(share >= 0.5 - 1e-6, dtype=np.bool_) & surface.valid
+    return np.asarray(share >= 0.5 - ROUNDING, dtype=np.bool_) & surface.valid

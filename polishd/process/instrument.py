@@ -82,7 +82,8 @@ def _all_said(name: str, surface: SurfaceMap) -> None:
 
 
 def _of_this_instrument(name: str, surface: SurfaceMap, instrument: Instrument) -> None:
-    if instrument.serials and surface.instrument not in instrument.serials:
+    words = {surface.instrument, *surface.instrument.replace(",", " ").split()}
+    if instrument.serials and not words & set(instrument.serials):
         raise BadMap(f"{name} is of the instrument {surface.instrument!r}, the profile {instrument.name!r} of "
                      f"{', '.join(instrument.serials)}: choose its own profile, or add it to serials and commission it "
                      "again")  # fmt: skip

@@ -30,14 +30,14 @@ def _draw(arrays: dict[str, Any], verdict: dict[str, Any]) -> Figure:
     measured = Surface(np.where(mask, arrays["measured_nm"], np.nan), mask, float(arrays["pitch_mm"]))
     limit = scale_nm(measured)
     best = verdict["best"]
-    x, y = best["shift_mm"]
+    x, y = (round(shift, 1) + 0.0 for shift in best["shift_mm"])  # never -0.0
     page = figure(WIDTH_IN, 0.75 * WIDTH_IN)
     page.suptitle(verdict["stop"], x=0.01, ha="left", wrap=True)
     axes = page.subplots(2, 3)
     panels = (
         ("predicted_nm", f"Predicted removal: correlates {verdict['correlation']:.2f}"),
         ("measured_nm", "Measured removal"),
-        ("explained_nm", f"Predicted, {best['name']}, {x:+.1f} {y:+.1f} mm: {best['correlation']:.2f}"),
+        ("explained_nm", f"Best: {best['name']}\n{best['correlation']:.2f} at ({x:+.1f}, {y:+.1f}) mm"),
         ("residual_nm", "Measured - predicted"),
         ("best_residual_nm", "Measured - best explanation"),
     )
@@ -47,5 +47,5 @@ def _draw(arrays: dict[str, Any], verdict: dict[str, Any]) -> Figure:
         for (key, title), ax in zip(panels, places, strict=True)
     ]
     axes[1, 1].set_axis_off()
-    colour_bar(page, images[0], list(places))
+    colour_bar(page, images[0], list(places), "removal (nm)")
     return page

@@ -12,7 +12,7 @@ from polishd.plugins.run_report.folder import Cycle, FloatArray, Surface
 from polishd.plugins.run_report.style import BLUE, DIVERGING, INK, MUTED, NO_DATA, ORANGE, figure, ruled
 
 WIDTH_IN = 10.6
-HEIGHT_LABEL = "height about the mean (nm)"
+HEIGHT_LABEL = "height on the process grid (nm)"
 
 
 def overview(surfaces: list[tuple[str, Surface]]) -> Figure:
@@ -124,10 +124,10 @@ def outline(ax: Axes, surface: Surface) -> None:
     ax.set_ylim(bottom, top)
 
 
-def colour_bar(fig: Figure, image: AxesImage, axes: list[Axes]) -> None:
+def colour_bar(fig: Figure, image: AxesImage, axes: list[Axes], label: str = HEIGHT_LABEL) -> None:
     """A slim scale beside the panels that share it."""
     bar = fig.colorbar(image, ax=axes, shrink=0.85, aspect=26, pad=0.02, extend="both", extendfrac=0.03)
-    bar.set_label(HEIGHT_LABEL)
+    bar.set_label(label)
     bar.outline.set_visible(False)
 
 

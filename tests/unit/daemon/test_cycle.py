@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from polishd.daemon import steps
 from polishd.hookspecs import DwellSolver
 from polishd.model.cycle import Outcome
 from polishd.model.dwell import DwellSolution
@@ -40,7 +41,10 @@ async def test_a_part_is_polished_into_tolerance(bench: Bench) -> None:
     history = bench.journal.history
     assert history[-1].stats["rms_nm"] <= 1.5 < 15 < history[0].stats["rms_nm"]
     runs = len(bench.journal.passes)
-    assert bench.phases() == [line for cycle in range(runs) for line in whole(cycle)] + [f"{runs} measure done"]
+    assert bench.phases() == [line for cycle in range(runs) for line in whole(cycle)] + [
+        f"{runs} measure done",
+        f"{runs} learn done",
+    ]
     assert bench.fake.metrology.afters == [None, *(record.sha256 for record in history[:-1])]
 
 
@@ -66,7 +70,16 @@ async def test_a_pass_in_time_order(bench: Bench) -> None:
 async def test_a_part_that_is_in_tolerance_is_not_touched(bench: Bench) -> None:
     assert await bench.polish(bench.job(recipe=small_recipe(tolerance_nm=50.0))) is Outcome.IN_TOLERANCE
     assert bench.fake.events == ["metrology.next_map"]
-    assert bench.phases() == ["0 measure done"]
+    assert bench.phases() == ["0 measure done", "0 learn done"]
+
+
+async def test_no_figure_is_believed_of_a_map_that_the_gate_stops(bench: Bench) -> None:
+    measure = bench.measure  # of an instrument whose maps are half as high: after a pass the part seems good enough
+    bench.fake.metrology.measure = lambda: as_map(0.5 * measure().height_nm)
+    seems_nm = 0.4 * steps.condition(small_recipe(), small_map(), None).stats.rms_nm
+    with pytest.raises(ComputeError, match="times the predicted one"):
+        await bench.polish(bench.job(recipe=small_recipe(tolerance_nm=seems_nm)))
+    assert bench.journal.history[1].stats["rms_nm"] < seems_nm < bench.journal.history[0].stats["rms_nm"]
 
 
 async def test_cycles_used_after_one_measurement_more_than_passes(bench: Bench) -> None:

@@ -118,6 +118,8 @@ def test_pitches_must_agree() -> None:
 
 def test_another_instrument_is_refused() -> None:
     assert as_profiled(MAP, replace(PROFILE, serials=("SN 6", "SN 7"))).instrument == "SN 7"
+    zygo = replace(MAP, instrument="Zygo MetroPro, system 62398")
+    assert as_profiled(zygo, replace(PROFILE, serials=("1", "62398"))).instrument == zygo.instrument
     for named in ("SN 8", ""):
         with pytest.raises(BadMap, match="serials"):
             as_profiled(replace(MAP, instrument=named), replace(PROFILE, serials=("SN 7",)))
