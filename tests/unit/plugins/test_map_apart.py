@@ -3,32 +3,40 @@
 from __future__ import annotations
 
 import os
+import select
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.plugins.interferometer.files import read_map
 from polishd.plugins.interferometer.formats import apart
 from tests.unit.plugins import parsers_apart
 
 ROOT = Path(__file__).resolve().parents[3]
 
 
-@pytest.fixture(autouse=True)
-def _fresh_worker(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    apart.close()
-    yield
-    apart.close()
+@pytest.fixture(autouse=True, scope="module")
+def _worker_that_finds_the_tests() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(ROOT))
+        apart.close()
+        yield
+        apart.close()
 
 
-def read(tmp_path: Path, what: str) -> SurfaceMap:
+def read(tmp_path: Path, what: str, **bounds: Any) -> SurfaceMap:
     path = tmp_path / "map.bin"
     path.write_text(what)
-    return apart.read(parsers_apart.__name__, path)
+    return apart.read(parsers_apart.__name__, path, apart.USUAL._replace(**bounds))
 
 
 def test_a_map_arrives_whole_and_can_be_changed(tmp_path: Path) -> None:
@@ -52,18 +60,14 @@ def test_a_map_arrives_whole_and_can_be_changed(tmp_path: Path) -> None:
 )
 def test_what_a_parser_does_is_a_bad_map(tmp_path: Path, what: str, reason: str) -> None:
     with pytest.raises(BadMap, match=reason) as caught:
-        read(tmp_path, what)
+        read(tmp_path, what, cpu_s=0.1)
     assert str(caught.value).startswith(f"{tmp_path / 'map.bin'}: ")
     assert read(tmp_path, "map").pitch_mm == 0.5
 
 
-def test_one_that_only_waits_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    read(tmp_path, "map")
-    monkeypatch.setattr(apart, "WITHIN_S", 0.1)
+def test_one_that_only_waits_is_ended(tmp_path: Path) -> None:
     with pytest.raises(BadMap, match=r"within 0\.1 s"):
-        read(tmp_path, "wait")
-    monkeypatch.undo()
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+        read(tmp_path, "wait", wall_s=0.1)
     assert read(tmp_path, "map").pitch_mm == 0.5
 
 
@@ -78,8 +82,16 @@ def test_the_worker_is_kept_and_replaced_when_it_has_gone(tmp_path: Path) -> Non
 
 
 def test_a_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(BadMap, match="No such file"):
+    with pytest.raises(BadMap, match="No such file") as caught:
         apart.read(parsers_apart.__name__, tmp_path / "none.bin")
+    assert isinstance(caught.value.__cause__, FileNotFoundError)  # that is of the share, not of the map
+
+
+def test_what_is_wrong_with_the_file_has_no_such_cause(tmp_path: Path) -> None:
+    for what in ("refuse", "raise"):
+        with pytest.raises(BadMap) as caught:
+            read(tmp_path, what)
+        assert caught.value.__cause__ is None
 
 
 def test_room_is_made_only_where_there_is_a_bound() -> None:
@@ -89,3 +101,85 @@ def test_room_is_made_only_where_there_is_a_bound() -> None:
     assert before[0] == RLIM_INFINITY
     apart.make_room(10)
     assert getrlimit(RLIMIT_AS) == before
+
+
+def test_a_worker_that_is_not_kept_ends_with_its_file(tmp_path: Path) -> None:
+    kept = int(read(tmp_path, "map").part_id)
+    own = int(read(tmp_path, "map", is_kept=False).part_id)
+    assert own != kept
+    assert not Path(f"/proc/{own}").exists()
+    assert int(read(tmp_path, "map").part_id) == kept
+
+
+def test_what_ends_the_daemon_does_not_make_a_bad_map(tmp_path: Path) -> None:
+    worker = int(read(tmp_path, "map").part_id)
+    for everybodys in (signal.SIGINT, signal.SIGTERM):  # a terminal and systemd send them to the whole group
+        os.kill(worker, everybodys)
+    assert int(read(tmp_path, "map").part_id) == worker
+
+
+def test_it_ends_when_nobody_is_left_to_read_for(tmp_path: Path) -> None:
+    (tmp_path / "map.bin").write_text("map")
+    script = (
+        "import os; from pathlib import Path; from polishd.plugins.interferometer.formats import apart\n"
+        f"surface = apart.read({parsers_apart.__name__!r}, Path({str(tmp_path / 'map.bin')!r}))\n"
+        "print(surface.part_id, flush=True); os.kill(os.getpid(), 9)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], stdout=subprocess.PIPE, check=False)
+    worker = int(done.stdout)
+    with suppress(ProcessLookupError):  # it may have gone already
+        gone = os.pidfd_open(worker)
+        assert select.select([gone], [], [], 30.0)[0]
+        os.close(gone)
+
+
+def test_a_worker_that_cannot_start_says_nothing_about_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(apart, "WORKER", "no_such_module")
+    reader = SurfaceReader("apart", lambda *_: True, lambda path: apart.read("any", path, apart.Bounds(is_kept=False)))
+    path = tmp_path / "map.bin"
+    path.write_text("map")
+    with pytest.raises(BadMap, match="ended with 1 before it read anything"):
+        reader.read(path)
+    with pytest.raises(OSError, match="before it read anything"):
+        read_map(path, [reader])
+
+
+def test_a_path_is_of_the_folder_where_it_was_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read(tmp_path, "map")
+    monkeypatch.chdir(tmp_path)
+    assert apart.read(parsers_apart.__name__, Path("map.bin")).pitch_mm == 0.5
+
+
+def test_an_interrupted_read_is_not_the_next_ones_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = int(read(tmp_path, "map").part_id)
+
+    def interrupted(*_: object) -> bool:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("multiprocessing.connection.Connection.poll", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            read(tmp_path, "refuse")
+    assert not Path(f"/proc/{first}").exists()
+    assert int(read(tmp_path, "map").part_id) != first
+
+
+def test_many_threads_get_each_their_own_map_and_no_files_stay_open(tmp_path: Path) -> None:
+    texts = ["map", "refuse", "raise", "map"] * 6
+    paths = [tmp_path / f"{number}.bin" for number in range(len(texts))]
+    for path, text in zip(paths, texts, strict=True):
+        path.write_text(text)
+    apart.read(parsers_apart.__name__, paths[0])
+    before = len(list(Path("/proc/self/fd").iterdir()))
+
+    def outcome(path: Path) -> str:
+        try:
+            return str(apart.read(parsers_apart.__name__, path).path)
+        except BadMap as error:
+            return str(error).partition(":")[0]
+
+    with ThreadPoolExecutor(6) as pool:
+        assert list(pool.map(outcome, paths)) == [str(path) for path in paths]
+    assert len(list(Path("/proc/self/fd").iterdir())) == before

@@ -158,3 +158,18 @@ def test_sniff() -> None:
     assert sniff(b"anything", Path("map.INT"))
     assert not sniff(b"anything", Path("map.txt"))
     assert not sniff(b"GRD 6 8 SUR\0", Path("map.int"))
+
+
+def test_a_last_number_that_begins_no_data_is_torn(tmp_path: Path) -> None:
+    content = make.codev().rstrip()
+    whole = content[: content.rfind(b" ") + 1] + b"-32768"
+    assert np.isnan(found(tmp_path, whole).height_nm[-1, -1])
+    assert not any("torn" in warning for warning in found(tmp_path, whole).warnings)
+    for cut in (1, 2, 3, 4):
+        with pytest.raises(BadMap, match="ends inside a number"):
+            found(tmp_path, whole[:-cut])
+
+
+def test_a_marker_that_nobody_declared_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadMap, match="marker of missing data"):
+        found(tmp_path, make.codev(words="SUR WVL 0.6328 SSZ 65536", nda=-32768))

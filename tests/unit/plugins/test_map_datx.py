@@ -87,7 +87,7 @@ def test_what_stands_in_a_file(tmp_path: Path) -> None:
     assert surface.pitch_mm == pytest.approx(make.PITCH_MM)
     assert (surface.part_id, surface.instrument) == (make.PART, "Zygo GPI, system 651365")
     assert surface.taken_at == datetime.fromtimestamp(make.TAKEN_S, UTC)
-    assert (surface.unsaid, surface.reader_version) == (frozenset(), 1)
+    assert (surface.unsaid, surface.reader_version) == (frozenset(), 2)
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ def test_no_unit_is_left_to_the_profile(tmp_path: Path) -> None:
     assert found(tmp_path, make.datx(nm=1.0, change=without("Unit"))).unsaid == {"unit"}
 
 
-@pytest.mark.parametrize("marker", [np.nan, 1.7e308, -1.7e308, 3e38, np.inf])
+@pytest.mark.parametrize("marker", [np.nan, 1.7e308, -1.7e308, 3e38, np.inf, 2147483640.0, 2147483647.0])
 def test_no_data_may_be_absent(tmp_path: Path, marker: float) -> None:
     def change(_: h5py.File, data: h5py.Dataset) -> None:
         del data.attrs["No Data"]
@@ -340,3 +340,62 @@ def test_what_nobody_said_is_not_written(tmp_path: Path) -> None:
     surface = found(tmp_path, make.datx(change=unit("Furlongs")))
     with pytest.raises(BadMap, match="unit"):
         DATX.write(surface)
+
+
+def test_a_lateral_converter_in_another_unit_is_no_pitch(tmp_path: Path) -> None:
+    lateral = make.converter("LateralCat", "MilliMeters", 0.0, make.PITCH_MM, 0.0, 0.0)
+    surface = found(tmp_path, make.datx(change=given("X Converter", lateral)))
+    assert (surface.pitch_mm, set(surface.unsaid)) == (None, {"pitch"})
+    assert "'MilliMeters' a pixel" in surface.warnings[0]
+
+
+@pytest.mark.parametrize("axis", ["X", "Y"])
+def test_one_converter_is_no_pitch(tmp_path: Path, axis: str) -> None:
+    assert found(tmp_path, make.datx(change=without(f"{axis} Converter"))).unsaid == {"pitch"}
+
+
+FRAME = np.array([(0, 0, 6, 8)], dtype=[(name, "<i4") for name in ("RowStart", "ColumnStart", "Width", "Height")])
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        (
+            "Z Converter",
+            make.converter("HeightCat", "Fringes", 0.0, make.WAVELENGTH_M, 1.0, 1.0),
+            "0.5, and 1",
+        ),
+        (
+            "Z Converter",
+            make.converter("HeightCat", "NanoMeters", 0.0, make.WAVELENGTH_M, 0.5, 1.0),
+            "in Nano",
+        ),
+        ("Coordinates", FRAME, r"a frame of \(8, 6\)"),
+    ],
+)
+def test_attributes_that_contradict_one_another(tmp_path: Path, name: str, value: Any, said: str) -> None:
+    surface = found(tmp_path, make.datx(change=given(name, value)))
+    same(surface)
+    assert re.search(said, surface.warnings[0])
+
+
+def test_two_surfaces_are_refused(tmp_path: Path) -> None:
+    links = [
+        ("Root", "Measurement", make.MEASUREMENT), (make.MEASUREMENT, "Surface", make.GUID),
+        (make.MEASUREMENT, "Surface", "{another}"), (make.GUID, "Path", f"/Data/Surface/{make.GUID}"),
+    ]  # fmt: skip
+    with pytest.raises(BadMap, match="two of 'Surface'"):
+        found(tmp_path, make.datx(links=links))
+
+
+def test_two_files_in_one_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadMap, match="two were written into one"):
+        found(tmp_path, make.datx() + make.datx())
+
+
+def test_samples_beyond_the_stated_shape_are_refused(tmp_path: Path) -> None:
+    content = make.datx()
+    shape = struct.pack("<2Q", make.ROWS, make.COLUMNS)
+    assert content.count(shape) >= 1
+    with pytest.raises(BadMap, match=r"384 bytes of .*, and its shape has 336: broken"):
+        found(tmp_path, content.replace(shape, struct.pack("<2Q", make.ROWS, make.COLUMNS - 1)))

@@ -129,3 +129,18 @@ def test_without_the_extra_it_says_so(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setitem(sys.modules, "astropy.io.fits", None)
     with pytest.raises(BadMap, match=r"pip install 'polishd\[fits\]'"):
         fits.read(put(tmp_path, fits_file()))
+
+
+def test_the_first_of_several_images_is_taken_with_a_warning(tmp_path: Path) -> None:
+    file = io.BytesIO()
+    images = [astropy_fits.PrimaryHDU(heights_nm()[::-1]), astropy_fits.ImageHDU(np.ones((2, 2)))]
+    astropy_fits.HDUList(images).writeto(file)
+    surface = fits.read(put(tmp_path, file.getvalue()))
+    np.testing.assert_array_equal(surface.height_nm, heights_nm())
+    assert "the first of 2 images is taken" in surface.warnings
+
+
+def test_a_preallocated_file_is_refused(tmp_path: Path) -> None:
+    torn = np.append(np.arange(1, 6), np.zeros(25)).astype(">i2")
+    with pytest.raises(BadMap, match="tail of zeros"):
+        fits.read(put(tmp_path, hand_made(torn.tobytes(), NAXIS1="15")))

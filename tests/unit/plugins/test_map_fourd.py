@@ -178,3 +178,16 @@ def test_torn(tmp_path: Path, cut: int) -> None:
 
 def test_it_cannot_be_written() -> None:
     assert FOURD.write is None
+
+
+@pytest.mark.parametrize("wedge", ["2.0", "0.25"])
+def test_an_odd_wedge_is_applied_with_a_warning(tmp_path: Path, wedge: str) -> None:
+    surface = found(tmp_path, make.fourd(wedge=wedge))
+    same(surface)
+    assert "neither" in surface.warnings[0]
+
+
+@pytest.mark.parametrize("name", ["xpix", "ypix"])
+def test_one_side_of_a_pixel_is_no_pitch(tmp_path: Path, name: str) -> None:
+    surface = found(tmp_path, make.fourd(change=given(name, None)))
+    assert (surface.pitch_mm, set(surface.unsaid)) == (None, {"pitch"})

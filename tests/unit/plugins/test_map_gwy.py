@@ -42,7 +42,7 @@ def test_units_are_the_files_own(tmp_path: Path, unit: str, lateral: str, nm: fl
     assert surface.pitch_mm == pytest.approx(0.5 * mm)
 
 
-@pytest.mark.parametrize("unit", ["V", "deg", "", "wave"])
+@pytest.mark.parametrize("unit", ["V", "deg", "", "wave", "A"])
 def test_a_unit_that_is_no_length_is_left_open(tmp_path: Path, unit: str) -> None:
     surface = gwy.read(put(tmp_path, gwy_file(unit, unit)))
     assert surface.unsaid == {"unit", "pitch"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -128,3 +129,14 @@ def test_the_same_map_in_every_variant(tmp_path: Path, fields: dict[str, Any]) -
     nm = abs(surface.factors["nm_per_count"])
     np.testing.assert_allclose(surface.height_nm, make.HEIGHT_NM, atol=0.5001 * nm)
     assert surface.unsaid == ({"pitch"} if fields == {"camera_res": 0.0} else frozenset())
+
+
+@pytest.mark.parametrize("magic", [b"\x88\x1b\x03\x6f", b"\x88\x1b\x03\x70", b"\x88\x1b\x03\x71"])
+@pytest.mark.parametrize("length", [834, 4096])
+def test_a_header_is_as_long_as_it_says(tmp_path: Path, magic: bytes, length: int) -> None:
+    content = make.metropro(magic=magic)
+    (usual,) = struct.unpack_from(">i", content, 6)
+    head = bytearray(content[:usual].ljust(length, b"\0")[:length])
+    struct.pack_into(">i", head, 6, length)
+    surface = found(tmp_path, bytes(head) + content[usual:])
+    np.testing.assert_allclose(surface.height_nm, make.HEIGHT_NM, atol=0.5001 * abs(surface.factors["nm_per_count"]))

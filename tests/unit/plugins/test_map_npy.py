@@ -40,7 +40,7 @@ def test_the_shared_map_is_read_exactly(shared_data: Path) -> None:
         assert truth["Y"][0, 0] > truth["Y"][-1, 0]  # row 0 on top already
         np.testing.assert_array_equal(surface.height_nm, truth["Z"] * 1e9)
     assert surface.pitch_mm == pytest.approx(0.361515)
-    assert surface.warnings == ("Z is taken, not Znoisy",)
+    assert surface.warnings == (npy.METRES, "Z is taken, not Znoisy")
     assert not surface.unsaid
 
 
@@ -150,3 +150,28 @@ def test_two_arrays_of_one_name_are_refused(tmp_path: Path) -> None:
     content = savez(a=heights_nm(), b=heights_nm()).replace(b"b.npy", b"a.npy")
     with pytest.raises(BadMap, match="two arrays"):
         npy.read(put(tmp_path, content))
+
+
+def test_a_preallocated_array_is_refused(tmp_path: Path) -> None:
+    z = heights_nm()
+    z.ravel()[-16:] = 0.0
+    with pytest.raises(BadMap, match="tail of zeros"):
+        npy.read(put(tmp_path, npy_file(z), "map.npy"))
+    with pytest.raises(BadMap, match="tail of zeros"):
+        npy.read(put(tmp_path, npy_file(np.zeros((9, 9))), "map.npy"))
+
+
+@pytest.mark.parametrize("ordered", [np.ascontiguousarray, np.asfortranarray])
+def test_a_background_of_zeros_is_no_tail(tmp_path: Path, ordered: Any) -> None:
+    z = np.zeros((20, 30))
+    z[2:5, 3:9] = 50.0
+    np.testing.assert_array_equal(npy.read(put(tmp_path, npy_file(ordered(z)), "map.npy")).height_nm, z)
+    content = npy_file(ordered(np.random.default_rng(1).normal(size=(20, 30))))
+    with pytest.raises(BadMap, match="tail of zeros"):
+        npy.read(put(tmp_path, content[: -8 * 40] + bytes(8 * 40), "map.npy"))
+
+
+def test_coordinates_that_can_be_no_metres_are_refused(tmp_path: Path) -> None:
+    x, y = coordinates_m()
+    with pytest.raises(BadMap, match="marker of missing data"):
+        npy.read(put(tmp_path, savez(X=x * 1e3, Y=y * 1e3, Z=heights_nm())))

@@ -19,7 +19,7 @@ def put(folder: Path, content: bytes, name: str = "map.csv") -> Path:
 
 
 @pytest.mark.parametrize("separator", [",", ";", "\t", " ", " , ", "   "])
-@pytest.mark.parametrize("missing", ["nan", "No Data", "NaN", "N/A"])
+@pytest.mark.parametrize("missing", ["nan", "No Data", "NaN", "N/A", "***", "null", "-1.#IND", "1.#QNAN", "nan(ind)"])
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_every_way_to_write_it_is_the_same_map(tmp_path: Path, separator: str, missing: str, end: str) -> None:
     surface = points.read(put(tmp_path, points_file(separator, missing=missing, end=end)))
@@ -52,8 +52,10 @@ def test_any_order_and_left_out_points_are_the_same_map(tmp_path: Path) -> None:
     [
         ("x_mm y_mm z_um\n", 1e3, 1.0),
         ('"X (um)","Y (um)","Z (nm)"\n', 1.0, 1e-3),
-        ("# made by hand\n# x[m],y[m],z[m]\n", 1e9, 1e3),
+        ("# made by hand\n# x[m],y[m],z[mm]\n", 1e6, 1e3),
         ("Report\n\nX/mm\tY/mm\tHeight/nm\n", 1.0, 1.0),
+        ("X / mm,Y / mm,Z / nm\n", 1.0, 1.0),
+        ("x mm,y mm,height um\n# made by hand, twice, or more\n", 1e3, 1.0),
     ],
 )
 def test_units_of_the_header_count(tmp_path: Path, header: str, nm: float, mm: float) -> None:
@@ -127,3 +129,51 @@ def test_only_text_with_points_is_claimed() -> None:
     assert not points.sniff(b"title\nno numbers\n", Path("a.txt"))
     assert not points.sniff(b"1 2 3\n", Path("a.dat"))
     assert not points.sniff(b"Zygo XYZ Data File\n1 2 3\n", Path("a.xyz"))
+
+
+@pytest.mark.parametrize("separator", ["\t", "  "])
+def test_a_decimal_comma_is_one_between_blanks(tmp_path: Path, separator: str) -> None:
+    surface = points.read(put(tmp_path, points_file(separator).replace(b".", b",")))
+    np.testing.assert_allclose(surface.height_nm, heights_nm(), atol=1e-9)
+
+
+def test_the_titles_say_which_column_is_which(tmp_path: Path) -> None:
+    lines = points_file(separator=",").splitlines()[1:]
+    swapped = b"\n".join(b",".join(line.split(b",")[at] for at in (1, 0, 2)) for line in lines) + b"\n"
+    surface = points.read(put(tmp_path, b"y_mm,x_mm,z_nm\n" + swapped))
+    np.testing.assert_allclose(surface.height_nm, heights_nm(), atol=1e-9)
+    assert surface.pitch_mm == pytest.approx(PITCH_MM)
+
+
+def test_rows_of_a_camera_count_from_the_top(tmp_path: Path) -> None:
+    lines = [f"{row},{column},{z}" for (row, column), z in np.ndenumerate(heights_nm())]
+    surface = points.read(put(tmp_path, "\n".join(["row,col,z_nm", *lines, ""]).encode()))
+    np.testing.assert_allclose(surface.height_nm, heights_nm())
+    assert surface.unsaid == {"pitch"}
+
+
+def test_titles_of_something_else_leave_the_order_open(tmp_path: Path) -> None:
+    surface = points.read(put(tmp_path, points_file(header="lon,lat,h\n")))
+    assert surface.unsaid == {"unit", "pitch", "orientation"}
+    assert points.ODD_TITLES in surface.warnings
+
+
+def test_a_list_that_stops_inside_a_row_is_torn(tmp_path: Path) -> None:
+    lines = points_file().splitlines(keepends=True)
+    by_columns = [lines[0], *sorted(lines[1:], key=lambda line: float(line.split()[0].split(b",")[0]))]
+    for listed in (lines, by_columns):
+        for cut in (1, 2, 3):
+            with pytest.raises(BadMap, match=rf"last (row|column) lacks {cut} points: torn"):
+                points.read(put(tmp_path, b"".join(listed[:-cut])))
+
+
+def test_a_list_that_ends_inside_a_line_is_read_with_a_warning(tmp_path: Path) -> None:
+    surface = points.read(put(tmp_path, points_file().rstrip(b"\n")))
+    np.testing.assert_allclose(surface.height_nm, heights_nm(), atol=1e-9)
+    assert surface.warnings == (points.CUT,)
+
+
+@pytest.mark.parametrize("marker", ["-9999", "32767", "99999.0"])
+def test_a_marker_that_nobody_declared_is_refused(tmp_path: Path, marker: str) -> None:
+    with pytest.raises(BadMap, match="marker of missing data"):
+        points.read(put(tmp_path, points_file(missing=marker)))

@@ -113,3 +113,22 @@ def test_only_its_own_magic_is_claimed() -> None:
     assert sdf.sniff(b"aISO-1.0", Path("a"))
     assert sdf.sniff(b"BBCR-1.0", Path("a"))
     assert not sdf.sniff(b"abc", Path("a.sdf"))
+
+
+def test_a_preallocated_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadMap, match="tail of zeros"):
+        sdf.read(put(tmp_path, sdf_binary()[: -8 * 20] + bytes(8 * 20)))
+
+
+@pytest.mark.parametrize("content", [sdf_binary(), sdf_ascii()], ids=["by hand", "ascii"])
+def test_two_files_in_one_are_refused(tmp_path: Path, content: bytes) -> None:
+    with pytest.raises(BadMap, match="two were written into one"):
+        sdf.read(put(tmp_path, content + content))
+
+
+def test_samples_beyond_those_stated_are_refused(tmp_path: Path) -> None:
+    assert sdf.read(put(tmp_path, sdf_binary() + b"a note\r\n*\r\n")).height_nm.shape == (ROWS, COLUMNS)
+    content = bytearray(sdf_binary())
+    struct.pack_into("<H", content, 42, COLUMNS - 1)
+    with pytest.raises(BadMap, match="more than its header asks for"):
+        sdf.read(put(tmp_path, bytes(content)))

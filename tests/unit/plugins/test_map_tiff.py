@@ -131,3 +131,44 @@ def test_without_the_extra_it_says_so(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setitem(sys.modules, "tifffile", None)
     with pytest.raises(BadMap, match=r"pip install 'polishd\[tiff\]'"):
         tiff.read(put(tmp_path, content))
+
+
+@pytest.mark.parametrize("photometric", ["miniswhite", "palette"])
+def test_pictures_of_one_channel_are_refused(tmp_path: Path, photometric: str) -> None:
+    options = {"colormap": np.zeros((3, 256), dtype="u2")} if photometric == "palette" else {}
+    content = tiff_file(np.arange(30, dtype="u1").reshape(5, 6), photometric=photometric, **options)
+    with pytest.raises(BadMap, match="is a picture"):
+        tiff.read(put(tmp_path, content))
+
+
+def test_a_preallocated_file_is_refused(tmp_path: Path) -> None:
+    z = heights_nm()
+    z.ravel()[-16:] = 0.0
+    with pytest.raises(BadMap, match="tail of zeros"):
+        tiff.read(put(tmp_path, tiff_file(z)))
+
+
+@pytest.mark.parametrize(
+    ("options", "tag", "index", "value"),
+    [
+        ({}, 256, 0, 19),
+        ({"tile": (16, 16)}, 324, 0, 8),
+        ({"tile": (16, 16)}, 325, 0, 0),
+        ({"rowsperstrip": 2}, 279, 1, 4),
+        ({"rowsperstrip": 2}, 273, 1, 400),
+    ],
+)
+def test_pieces_that_are_not_the_images_are_refused(
+    tmp_path: Path, options: dict[str, Any], tag: int, index: int, value: int
+) -> None:
+    content = bytearray(tiff_file(np.full((17, 20), 3.0), **options))
+    with tifffile.TiffFile(io.BytesIO(bytes(content))) as file:
+        found = file.pages.first.tags[tag]
+        struct.pack_into(
+            "<H" if found.dtype == 3 else "<I",
+            content,
+            found.valueoffset + index * (2 if found.dtype == 3 else 4),
+            value,
+        )
+    with pytest.raises(BadMap):
+        tiff.read(put(tmp_path, bytes(content)))

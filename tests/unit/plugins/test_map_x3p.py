@@ -82,6 +82,15 @@ def test_written_and_read_is_the_same_map(tmp_path: Path) -> None:
     assert metadata.comment == "part M1"
 
 
+def test_what_others_stumble_over_is_not_written(tmp_path: Path) -> None:
+    path = put(tmp_path, x3p.write(SurfaceMap(heights_nm(), PITCH_MM)))
+    back = x3p.read(path)
+    assert (back.taken_at, back.instrument) == (None, "")
+    text = unzipped(path.read_bytes())["main.xml"].decode()
+    assert "<Revision>ISO5436 - 2000</Revision>" in text
+    assert re.search("<(Manufacturer|Model|Serial|Version)></|<(Manufacturer|Model|Serial|Version)/>", text) is None
+
+
 @pytest.mark.parametrize("unsaid", [{"unit"}, {"surface"}, {"orientation"}])
 def test_what_nobody_knows_is_not_written(unsaid: set[str]) -> None:
     with pytest.raises(BadMap, match=unsaid.copy().pop()):
@@ -114,7 +123,9 @@ def test_a_broken_description_is_refused(tmp_path: Path, old: str, new: str, sai
 def test_a_rotated_placement_leaves_the_orientation_open(tmp_path: Path) -> None:
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     options = {"placement": x3pio.Placement(rotation=turn), "coordinate_system": x3pio.CoordinateSystem.VIEW}
-    assert x3p.read(put(tmp_path, x3p_file(**options))).unsaid == {"orientation"}
+    surface = x3p.read(put(tmp_path, x3p_file(**options)))
+    assert surface.unsaid == {"orientation"}
+    assert surface.warnings == (x3p.ROTATED,)
 
 
 def test_a_file_changed_after_it_was_written_is_refused(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ BadMap, and the next file gets a new worker. One worker is kept, as it takes hal
 from __future__ import annotations
 
 import atexit
+import errno
 import os
 import pickle
 import resource
@@ -18,24 +19,49 @@ import sys
 import threading
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import NamedTuple
 
 from polishd.api import BadMap, SurfaceMap
 
 WORKER = "polishd.plugins.interferometer.formats.apart_worker"
-WITHIN_S = 60.0
-"""Wall time; the worker bounds its own CPU time more tightly."""
+STARTS_WITHIN_S = 60.0
 _THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+class Bounds(NamedTuple):
+    """What a file may take, beside what the worker holds before it."""
+
+    memory_bytes: int = 64 * 2**20
+    """The library's own tables, and small files."""
+    memory_per_byte: int = 4
+    cpu_s: float = 2.0
+    bytes_per_cpu_s: int = 16 * 2**20
+    wall_s: float = 60.0
+    is_kept: bool = True
+    """Whether the worker may read the next file too."""
+
+
+USUAL = Bounds()
 _lock = threading.Lock()
 _kept: list[_Worker] = []
 
 
-def read(module: str, path: Path) -> SurfaceMap:
-    """What the module's ``parse(path)`` makes of a file, in the worker. BadMap where it raises that, dies or hangs."""
+def read(module: str, path: Path, bounds: Bounds = USUAL) -> SurfaceMap:
+    """What the module's ``parse(path)`` makes of a file, in a worker. BadMap where it raises that, dies or hangs.
+
+    What says nothing about the file (the share is away, the worker cannot start) has an OSError with a number as cause.
+    """
+    if not bounds.is_kept:
+        worker = _Worker(path)
+        try:
+            return worker.read(module, path, bounds)
+        finally:
+            worker.kill()
     with _lock:
         if not _kept or not _kept[0].is_alive:
             _kept[:] = [_Worker(path)]
         try:
-            return _kept[0].read(module, path)
+            return _kept[0].read(module, path, bounds)
         except BaseException:
             if not _kept[0].is_idle:  # it died, or what it would say now would be of this file
                 _kept.pop().kill()
@@ -51,9 +77,15 @@ def close() -> None:
 
 def make_room(size: int) -> None:
     """Let a file take so many bytes more, once its samples are known to be there. Nothing outside the worker."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    soft = resource.getrlimit(resource.RLIMIT_AS)[0]
     if soft != resource.RLIM_INFINITY:
-        resource.setrlimit(resource.RLIMIT_AS, (soft + size, hard))
+        limit(resource.RLIMIT_AS, soft + size)
+
+
+def limit(what: int, most: int) -> None:
+    """Set the soft limit of this process, as far as its hard one lets it."""
+    hard = resource.getrlimit(what)[1]
+    resource.setrlimit(what, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
 
 
 class _Worker:
@@ -78,18 +110,31 @@ class _Worker:
                 ours.close()
                 raise BadMap(f"{path}: no process to read it in: {error.strerror}") from error
         self._line = Connection(ours.detach())
+        self._await_start(path)
+
+    def _await_start(self, path: Path) -> None:
+        try:
+            if self._line.poll(STARTS_WITHIN_S):
+                self._line.recv_bytes()
+                return
+            why = f"did not start within {STARTS_WITHIN_S:g} s"
+        except (EOFError, OSError):
+            why = f"{self._end()} before it read anything: does {Path(sys.executable).name} -P find polishd?"
+        self.kill()
+        why = f"the process that would read it {why}"
+        raise BadMap(f"{path}: {why}") from ChildProcessError(errno.ECHILD, why, str(path))
 
     @property
     def is_alive(self) -> bool:
         return self._process.poll() is None
 
-    def read(self, module: str, path: Path) -> SurfaceMap:
+    def read(self, module: str, path: Path, bounds: Bounds) -> SurfaceMap:
         self.is_idle = False
         try:
-            self._line.send((module, path))
-            if not self._line.poll(WITHIN_S):
-                raise BadMap(f"{path}: was not read within {WITHIN_S:g} s")
-            reason, head, sizes = self._line.recv()
+            self._line.send((module, path.absolute(), bounds))  # the process may have moved since it started
+            if not self._line.poll(bounds.wall_s):
+                raise BadMap(f"{path}: was not read within {bounds.wall_s:g} s")
+            reason, number, head, sizes = self._line.recv()
             buffers = [bytearray(size) for size in sizes]
             for buffer in buffers:
                 self._line.recv_bytes_into(buffer)
@@ -97,7 +142,7 @@ class _Worker:
             raise BadMap(f"{path}: the process that reads it {self._end()}: the file is broken") from error
         self.is_idle = True
         if reason:
-            raise BadMap(reason)
+            raise BadMap(reason) from (OSError(number, os.strerror(number), str(path)) if number else None)
         surface: SurfaceMap = pickle.loads(head, buffers=buffers)  # noqa: S301  our own process wrote it
         return surface
 

@@ -13,14 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from polishd.api import BadMap, SurfaceMap, SurfaceReader
-from polishd.plugins.interferometer.formats.common import (
-    content_of,
-    require_data,
-    require_optics,
-    require_size,
-    sha256_of,
-)
+from polishd.plugins.interferometer.formats.common import content_of, require_optics, require_size, sha256_of
 from polishd.plugins.interferometer.formats.numbers import block
+from polishd.plugins.interferometer.formats.scales import checked
 
 NAME = "codev"
 VERSION = 1
@@ -61,14 +56,15 @@ def read(path: Path) -> SurfaceMap:
     span = (start, len(content)) if body is content else (0, len(body))
     values = block(path, body, span, (header.rows, header.columns))
     nm = header.number["WVL"] * 1e3 / header.number["SSZ"]
-    missing = values == header.number.get("NDA", MISSING)
+    no_data = header.number.get("NDA", MISSING)
+    missing = values == no_data
     values *= nm
     values[missing] = np.nan
     warnings, unsaid = _unsaid(header)
     if not content[-1:].isspace():
-        warnings += (CUT,)
+        warnings += _cut(path, content[-32:].split()[-1], b"%d" % no_data)
     return SurfaceMap(
-        height_nm=require_data(path, values),
+        height_nm=checked(path, values, nm),
         pitch_mm=None,
         sha256=sha256_of(content),
         path=path,
@@ -128,6 +124,13 @@ def _number(path: Path, word: str, text: str) -> float:
     if not np.isfinite(value) or (word == "XSC" and value <= 0):
         raise BadMap(f"{path}: {word} is {text!r} in its parameters")
     return value
+
+
+def _cut(path: Path, last: bytes, no_data: bytes) -> tuple[str, ...]:
+    """What to warn of where nothing follows the last number; BadMap where it is the first part of "no data"."""
+    if last != no_data and no_data.startswith(last):
+        raise BadMap(f"{path}: ends inside a number: {last.decode()} of {no_data.decode()}: torn")
+    return () if last == no_data else (CUT,)
 
 
 def _unsaid(header: Header) -> tuple[tuple[str, ...], frozenset[str]]:

@@ -18,6 +18,8 @@ from polishd.model.surface import FloatArray
 MOST_BYTES = 2**30
 """No map of a camera is larger."""
 MOST_SAMPLES = 64_000_000
+ZERO_TAIL, MOST_ZEROS = 16, 0.05
+"""So many samples of exactly zero at the very end are not measured where hardly any other is zero: preallocated."""
 OPTICS = {"IntfScaleFactor": (0.01, 100.0), "Wavelength (m)": (1e-7, 2e-5), "Obliquity": (0.01, 100.0)}
 """What the factors of an interferometer's heights may be."""
 
@@ -51,6 +53,19 @@ def require_data(path: Path, height_nm: FloatArray) -> FloatArray:
     if np.isnan(height_nm).all():
         raise BadMap(f"{path}: no sample holds data")
     return height_nm
+
+
+def require_tail(path: Path, values: NDArray[Any]) -> None:
+    """BadMap where the last samples, as they lie in memory, are all exactly zero, and hardly any other is.
+
+    A map on a background of zeros, as programs make them, has zeros elsewhere too.
+    """
+    flat = values.ravel("K")
+    if flat.size <= ZERO_TAIL or flat[-ZERO_TAIL:].any():
+        return
+    end = flat.size - int(np.argmax(flat[::-1] != 0)) if flat.any() else 0
+    if end - np.count_nonzero(flat) <= MOST_ZEROS * end:
+        raise BadMap(f"{path}: ends in a tail of zeros: preallocated, and not written to its end")
 
 
 def scaled(values: NDArray[Any], nm_per_unit: float) -> FloatArray:

@@ -7,6 +7,7 @@ fringes * scale * wavelength * obliquity.
 
 from __future__ import annotations
 
+import math
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -16,18 +17,16 @@ import numpy as np
 from polishd.api import BadMap, SurfaceMap, SurfaceReader
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats import apart, hdf5
-from polishd.plugins.interferometer.formats.common import (
-    require_data,
-    require_optics,
-    time_of,
-)
-from polishd.plugins.interferometer.formats.scales import NO_PITCH, HeightUnit, Pitch, height_unit, pitch
+from polishd.plugins.interferometer.formats.common import require_optics, time_of
+from polishd.plugins.interferometer.formats.scales import NO_PITCH, HeightUnit, Pitch, checked, height_unit, pitch
 
 NAME = "datx"
-VERSION = 1
+VERSION = 2
 MOST_LINKS = 10_000
 HUGE = 1e30
-"""Heights beyond it are "no data" in files that do not say what is."""
+"""Heights beyond it are "no data", whatever the file says is."""
+MISSING = 2147483640.0
+"""And from it on in files that do not say: it is MetroPro's."""
 OLD_PATH = "/Measurement/Surface"
 ALSO_NM = {"microinches": 25.4, "mils": 25_400.0, "inches": 2.54e7, "picometers": 1e-3, "centimeters": 1e7}
 OPTICS = {
@@ -35,6 +34,8 @@ OPTICS = {
     "Wavelength (m)": "Wavelength",
     "Obliquity": "Obliquity Factor",
 }
+PIXELS = {"", "pixels", "pixel", "meters", "meter"}
+"""Base units of a lateral converter whose parameter is m a pixel."""
 PARAMETER = {"Wavelength (m)": 1, "IntfScaleFactor": 2, "Obliquity": 3}
 """Where the Z converter of a file repeats them."""
 
@@ -60,15 +61,16 @@ def parse(path: Path) -> SurfaceMap:
         about = _about(source, links)
         scale = _pitch(source, data)
         origin = hdf5.attribute(source, data, "Coordinates")
+        odd = _contradictions(source, data, optics)
         factors = {"unit": hdf5.text(source, data, "Unit"), "nm_per_unit": unit.nm, **optics, "window": str(origin)}
     return SurfaceMap(
-        height_nm=require_data(path, height),
+        height_nm=checked(path, height, unit.nm),
         pitch_mm=scale.mm,
         sha256=source.sha256,
         path=path,
         format=NAME,
         factors=factors,
-        warnings=unit.warnings + scale.warnings,
+        warnings=unit.warnings + scale.warnings + odd,
         unsaid=unit.unsaid | scale.unsaid,
         reader_version=VERSION,
         **about,
@@ -76,7 +78,7 @@ def parse(path: Path) -> SurfaceMap:
 
 
 def _links(source: hdf5.Opened) -> dict[tuple[str, str], str]:
-    """(source, link) -> destination, the first of each; empty where there is no table."""
+    """(source, link) -> destination; empty where there is no table, BadMap where it leads to two surfaces."""
     table = hdf5.member(source, "MetaData")
     if table is None:
         return {}
@@ -87,12 +89,13 @@ def _links(source: hdf5.Opened) -> dict[tuple[str, str], str]:
     found: dict[tuple[str, str], str] = {}
     for row in table[()]:
         start, link, destination = (_plain(row[name]) for name in ("Source", "Link", "Destination"))
-        found.setdefault((start, link), destination)
+        if found.setdefault((start, link), destination) != destination and link in {"Measurement", "Surface", "Path"}:
+            raise BadMap(f"{source.path}: /MetaData leads from {start} to two of {link!r}: which one is meant?")
     return found
 
 
 def _plain(value: Any) -> str:
-    return value.decode("latin-1") if isinstance(value, bytes) else str(value)
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
 def _surface(source: hdf5.Opened, links: dict[tuple[str, str], str]) -> Any:
@@ -109,25 +112,31 @@ def _surface(source: hdf5.Opened, links: dict[tuple[str, str], str]) -> Any:
 
 def _scaled(height: FloatArray, no_data: float | None, nm: float) -> FloatArray:
     missing = ~(np.abs(height) < HUGE)
-    if no_data is not None:
+    if no_data is None:
+        missing |= height >= MISSING
+    else:
         missing |= (height >= no_data) if no_data > HUGE else (height == no_data)
     height[missing] = np.nan
     height *= nm
     return height
 
 
-def _parameters(source: hdf5.Opened, data: Any, name: str) -> list[float]:
-    """The numbers of a converter: a record (category, unit, parameters), or in some versions the parameters alone."""
+def _converter(source: hdf5.Opened, data: Any, name: str) -> tuple[str, list[float]]:
+    """Base unit and numbers of a converter: a record (category, unit, numbers), or in some versions the numbers alone.
+
+    "" and nothing where there is none.
+    """
     value = hdf5.attribute(source, data, name)
     if value is None:
-        return []
-    first = np.ravel(value)[0] if np.asarray(value).dtype.kind in "VO" else value
+        return "", []
+    first, unit = np.ravel(value)[0] if np.asarray(value).dtype.kind in "VO" else value, ""
     if isinstance(first, np.void) and first.dtype.names:
+        unit = _plain(first["BaseUnit"]) if "BaseUnit" in first.dtype.names else ""
         first = first["Parameters"] if "Parameters" in first.dtype.names else first[-1]
     try:
-        return [float(item) for item in np.ravel(first)]
+        return unit.strip("\0 "), [float(item) for item in np.ravel(first)]
     except (TypeError, ValueError):
-        return []
+        return unit, []
 
 
 def _unit(source: hdf5.Opened, data: Any) -> tuple[HeightUnit, dict[str, float]]:
@@ -143,7 +152,7 @@ def _unit(source: hdf5.Opened, data: Any) -> tuple[HeightUnit, dict[str, float]]
 
 
 def _optics(source: hdf5.Opened, data: Any, names: set[str]) -> dict[str, float]:
-    again = _parameters(source, data, "Z Converter")
+    _, again = _converter(source, data, "Z Converter")
     found: dict[str, float] = {}
     for name in sorted(names):
         value = hdf5.number(source, data, OPTICS[name])
@@ -156,12 +165,32 @@ def _optics(source: hdf5.Opened, data: Any, names: set[str]) -> dict[str, float]
     return found
 
 
+def _contradictions(source: hdf5.Opened, data: Any, optics: dict[str, float]) -> tuple[str, ...]:
+    """What to warn of: where the Z converter or the frame is another than the one that was used."""
+    unit, again = _converter(source, data, "Z Converter")
+    name = hdf5.text(source, data, "Unit")
+    pairs = [(field, own, again[PARAMETER[field]]) for field, own in optics.items() if PARAMETER[field] < len(again)]
+    unlike = [pair for pair in pairs if not math.isclose(pair[1], pair[2], rel_tol=1e-6)]
+    odd = [f"{field} {own:g}, and {other:g}" for field, own, other in unlike]
+    if unit and name and unit.lower() != name.lower():
+        odd.append(f"heights in {name}, and in {unit}")
+    frame = hdf5.attribute(source, data, "Coordinates")
+    first = np.ravel(frame)[0] if frame is not None else None
+    if isinstance(first, np.void) and {"Width", "Height"} <= set(first.dtype.names or ()):
+        frame_size = (int(first["Height"]), int(first["Width"]))
+        odd += [f"samples of {data.shape}, and a frame of {frame_size}"] if frame_size != data.shape else []
+    return tuple(f"its attributes contradict one another: {words}, of which the former is used" for words in odd)
+
+
 def _pitch(source: hdf5.Opened, data: Any) -> Pitch:
-    sides = [_parameters(source, data, f"{axis} Converter")[1:2] for axis in "XY"]
-    metres = [side[0] for side in sides if side]
-    if not any(metres):
+    sides = [_converter(source, data, f"{axis} Converter") for axis in "XY"]
+    metres = [numbers[1] for _, numbers in sides if len(numbers) > 1]
+    if len(metres) < len(sides) or not any(metres):
         return NO_PITCH
-    return pitch(source.path, metres[0] * 1e3, metres[-1] * 1e3)
+    odd = sorted({unit for unit, _ in sides if unit.lower() not in PIXELS})
+    if odd:
+        return NO_PITCH._replace(warnings=(f"its pitch is in {odd[0]!r} a pixel, not in m: it is not used",))
+    return pitch(source.path, metres[0] * 1e3, metres[1] * 1e3)
 
 
 def _about(source: hdf5.Opened, links: dict[tuple[str, str], str]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from polishd.api import BadMap, SurfaceMap, SurfaceReader
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, sha256_of
+from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, require_tail, sha256_of
 from polishd.plugins.interferometer.formats.library import extra, parsing
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
 
@@ -45,10 +45,11 @@ def read(path: Path) -> SurfaceMap:
             height = height_unit(str(header.get("BUNIT", "")))
             lateral = _pitch(path, header)
             height_nm, factors = _scaled(path, header, hdu.data)
+            others = sum(_is_image(other.header) for other in hdus) - 1
     height_nm *= height.nm
     height_nm[np.isinf(height_nm)] = np.inf  # both signs alike: refused below
     return SurfaceMap(
-        height_nm=checked(path, height_nm),
+        height_nm=checked(path, height_nm, height.nm),
         pitch_mm=lateral.mm,
         part_id=str(header.get("OBJECT", "")).strip(),
         instrument=str(header.get("INSTRUME", "")).strip(),
@@ -56,7 +57,8 @@ def read(path: Path) -> SurfaceMap:
         path=path,
         format=NAME,
         factors=factors | {"nm_per_unit": height.nm},
-        warnings=(*height.warnings, *lateral.warnings, "the file does not say that this is a surface"),
+        warnings=(*height.warnings, *lateral.warnings, "the file does not say that this is a surface")
+        + ((f"the first of {others + 1} images is taken",) if others else ()),
         unsaid=height.unsaid | lateral.unsaid | {"surface", "orientation"},
         orientation="rows turned upside down: FITS counts them from the bottom",
         reader_version=VERSION,
@@ -69,11 +71,15 @@ def _image(path: Path, hdus: Any) -> Any:
         if number == MOST_EXTENSIONS:
             break
         header = hdu.header
-        if header.get("NAXIS", 0) > 0 and header.get("XTENSION", "IMAGE").strip() == "IMAGE":
+        if _is_image(header):
             if header["NAXIS"] != 2 or header.get("GROUPS") is True:
                 raise BadMap(f"{path}: its image has {header['NAXIS']} axes, not two")
             return hdu
     raise BadMap(f"{path}: holds no image (tables and compressed images are none)")
+
+
+def _is_image(header: Any) -> bool:
+    return bool(header.get("NAXIS", 0) > 0 and header.get("XTENSION", "IMAGE").strip() == "IMAGE")
 
 
 def _check_size(path: Path, hdu: Any, length: int) -> None:
@@ -92,6 +98,7 @@ def _scaled(path: Path, header: Any, data: Any) -> tuple[FloatArray, dict[str, A
     scale, zero = float(header.get("BSCALE", 1.0)), float(header.get("BZERO", 0.0))
     if not (math.isfinite(scale) and math.isfinite(zero) and scale != 0):
         raise BadMap(f"{path}: BSCALE {scale:g} and BZERO {zero:g}: the height's scale is not known")
+    require_tail(path, np.asarray(data))
     raw = np.asarray(data)[::-1]
     values = np.array(raw, dtype=np.float64, order="C")
     blank = header.get("BLANK")

@@ -14,15 +14,16 @@ import numpy as np
 
 from polishd.api import BadMap, SurfaceMap, SurfaceReader
 from polishd.plugins.interferometer.formats import apart, hdf5
-from polishd.plugins.interferometer.formats.common import require_data, require_optics
-from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, nm_per, pitch
+from polishd.plugins.interferometer.formats.common import require_optics
+from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, nm_per, pitch
 
 NAME = "4d"
-VERSION = 1
+VERSION = 2
 GENRAW = "/measurement0/genraw"
 MISSING = 1e37
 WITH_UNIT = re.compile(r"([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(.*)", re.DOTALL)
 NO_WEDGE = "has no wedge factor: shown as if its waves were of the surface, and they may be of the wavefront"
+ODD_WEDGE = "its wedge is {:g}, neither 0.5 nor 1.0: is that what makes a surface of its waves?"
 ODD_FIDUCIALS = "its fiducials are not used: they are not pairs of x and y on the map"
 PARTS = ("part_serial", "part_id", "part", "partname", "part_name", "serial_number")
 
@@ -61,7 +62,7 @@ def parse(path: Path) -> SurfaceMap:
     waves[~(np.abs(waves) < MISSING)] = np.nan
     waves *= wavelength_nm * (1.0 if wedge is None else wedge)
     return SurfaceMap(
-        height_nm=require_data(path, waves),
+        height_nm=checked(path, waves, wavelength_nm),
         pitch_mm=scale.mm,
         part_id=part,
         instrument=f"4D {instrument}".strip(),
@@ -69,7 +70,7 @@ def parse(path: Path) -> SurfaceMap:
         path=path,
         format=NAME,
         factors={"wavelength_nm": wavelength_nm, "wedge": wedge},
-        warnings=scale.warnings + odd + (() if wedge else (NO_WEDGE,)),
+        warnings=scale.warnings + odd + _odd_wedge(wedge),
         unsaid=scale.unsaid | (frozenset() if wedge else frozenset({"surface"})),
         fiducials_px=fiducials,
         reader_version=VERSION,
@@ -116,14 +117,20 @@ def _wedge(source: hdf5.Opened, nodes: list[Any]) -> float | None:
     return found.value
 
 
+def _odd_wedge(wedge: float | None) -> tuple[str, ...]:
+    if wedge is None:
+        return (NO_WEDGE,)
+    return () if wedge in {0.5, 1.0} else (ODD_WEDGE.format(wedge),)
+
+
 def _pitch(source: hdf5.Opened, nodes: list[Any]) -> Pitch:
-    """From ``xpix`` and ``ypix``, where they are lengths; pixels, 0 or nothing: no lateral scale."""
+    """From ``xpix`` and ``ypix``, where both are lengths; pixels, 0 or nothing: no lateral scale."""
     sides = [found for name in ("xpix", "ypix") if (found := _measure(source, nodes, name))]
     factors = [nm_per(side.unit.partition("/")[0]) for side in sides]
     lengths = [side.value * factor / 1e6 for side, factor in zip(sides, factors, strict=True) if factor]
-    if not any(lengths) or len(lengths) < len(sides):
+    if not any(lengths) or len(lengths) < 2:
         return NO_PITCH
-    return pitch(source.path, lengths[0], lengths[-1])
+    return pitch(source.path, lengths[0], lengths[1])
 
 
 def _fiducials(

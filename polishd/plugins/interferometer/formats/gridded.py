@@ -27,11 +27,11 @@ class Gridded(NamedTuple):
     pitch_y: float
 
 
-def gridded(path: Path, x: FloatArray, y: FloatArray, z: FloatArray) -> Gridded:
+def gridded(path: Path, x: FloatArray, y: FloatArray, z: FloatArray, *, in_lines: bool = False) -> Gridded:
     """Put (n,) points on the grid that x and y span; places without a point are NaN.
 
     BadMap where the coordinates are not finite, lie more than 0.1 pixel off any regular grid, fall on one another, or
-    leave most of the grid empty.
+    leave most of the grid empty. ``in_lines``: and where the list stops short in the last of its rows or columns.
     """
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise BadMap(f"{path}: some points have no coordinates")
@@ -47,9 +47,18 @@ def gridded(path: Path, x: FloatArray, y: FloatArray, z: FloatArray) -> Gridded:
     counts = np.bincount(place, minlength=ny * nx)
     if counts.max() > 1:
         raise BadMap(f"{path}: {int((counts > 1).sum())} places have more than one point: not one map")
+    if in_lines:
+        _require_end(path, np.argwhere(counts.reshape(ny, nx) == 0), divmod(int(place[-1]), nx))
     grid = np.full(ny * nx, np.nan)
     grid[place] = z
     return Gridded(grid.reshape(ny, nx), pitch_x, pitch_y)
+
+
+def _require_end(path: Path, empty: NDArray[np.int64], last: tuple[int, int]) -> None:
+    """BadMap where all (n, 2) empty places are of the row, or of the column, of the point that was listed last."""
+    for axis, name in enumerate(("row", "column")):
+        if len(empty) and (empty[:, axis] == last[axis]).all() and np.ptp(empty[:, 1 - axis]) == len(empty) - 1:
+            raise BadMap(f"{path}: its last {name} lacks {len(empty)} points: torn, or still being written")
 
 
 def _places(path: Path, axis: str, values: FloatArray, spacing: float) -> tuple[NDArray[np.int64], float]:

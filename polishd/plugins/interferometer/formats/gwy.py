@@ -67,7 +67,7 @@ def read(path: Path) -> SurfaceMap:
         height_nm[mask > 0] = np.nan
         warnings.append(f"{int((mask > 0).sum())} samples under Gwyddion's mask are taken as missing")
     return SurfaceMap(
-        height_nm=checked(path, height_nm),
+        height_nm=checked(path, height_nm, height.nm),
         pitch_mm=lateral.mm,
         sha256=sha256_of(content),
         path=path,
@@ -151,7 +151,9 @@ def _field(path: Path, gwyfile: Any, content: bytes, part: Part) -> Any:
 def _unit(field: Any, name: str) -> str:
     unit = field.get(name)
     text = unit.get("unitstr", "") if hasattr(unit, "get") else ""
-    return text if isinstance(text, str) else ""
+    if not isinstance(text, str):
+        return ""
+    return "ampere" if text.strip() == "A" else text  # elsewhere it is the angstrom
 
 
 def _pitch(path: Path, field: Any) -> Pitch:

@@ -21,7 +21,7 @@ import numpy as np
 from polishd.api import BadMap
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats.apart import make_room
-from polishd.plugins.interferometer.formats.common import content_of, require_size, sha256_of
+from polishd.plugins.interferometer.formats.common import content_of, require_size, require_tail, sha256_of
 
 if TYPE_CHECKING:
     import h5py
@@ -34,8 +34,6 @@ MOST_RATIO = 32
 FREE_BYTES = 2**20
 """So much a file may always unpack to: overheads rule in small ones."""
 MOST_ATTRIBUTE_BYTES = 2**16
-ZERO_TAIL = 16
-"""So many samples of exactly zero at the very end are not measured: the file was preallocated."""
 
 
 def holds(head: bytes, path: Path, suffix: str) -> bool:
@@ -68,6 +66,8 @@ def opened(path: Path) -> Iterator[Opened]:
     content = content_of(path)
     if content[:8] != MAGIC:
         raise BadMap(f"{path}: no HDF5 file: it starts with {content[:8].hex(' ')}")
+    if content.find(MAGIC, 1) >= 0:
+        raise BadMap(f"{path}: holds another HDF5 file: two were written into one")
     _require_heaps(path, content)
     length, sha256 = len(content), sha256_of(content)
     try:
@@ -175,8 +175,7 @@ def samples(source: Opened, data: Any) -> FloatArray:
     make_room(8 * data.size + pieces)
     values = np.empty(data.shape)
     data.read_direct(values)
-    if values.size > ZERO_TAIL and not values.ravel()[-ZERO_TAIL:].any():
-        raise BadMap(f"{path}: ends in a tail of zeros: preallocated, and not written to its end")
+    require_tail(path, values)
     return values
 
 
@@ -190,12 +189,14 @@ def _is_usual(kind: Any) -> bool:
 
 
 def _require_written(path: Path, data: Any) -> None:
-    """BadMap where samples were never stored: HDF5 would show its fill value in their place."""
+    """BadMap where samples were never stored, and HDF5 would show its fill value, or more than the shape says."""
     if data.chunks:
         wanted = math.prod(-(-side // chunk) for side, chunk in zip(data.shape, data.chunks, strict=True))
         found = data.id.get_num_chunks()
     else:
         wanted, found = data.size * data.dtype.itemsize, data.id.get_storage_size()
+    unit = "chunks" if data.chunks else "bytes"
     if found < wanted:
-        unit = "chunks" if data.chunks else "bytes"
         raise BadMap(f"{path}: holds {found} of the {wanted} {unit} of {data.name}: not written to its end")
+    if found > wanted:
+        raise BadMap(f"{path}: holds {found} {unit} of {data.name}, and its shape has {wanted}: broken")

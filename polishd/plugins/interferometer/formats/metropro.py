@@ -20,7 +20,9 @@ from polishd.plugins.interferometer.formats.common import MOST_BYTES, require_op
 
 NAME = "metropro"
 VERSION = 2
-HEADER_BYTES = {b"\x88\x1b\x03\x6f": 834, b"\x88\x1b\x03\x70": 834, b"\x88\x1b\x03\x71": 4096}
+MAGIC = (b"\x88\x1b\x03\x6f", b"\x88\x1b\x03\x70", b"\x88\x1b\x03\x71")
+HEADER_BYTES = (834, 4096)
+"""The first two versions have the short one, the third the long one; each file states its own."""
 RESOLUTION = {0: 4096, 1: 32768, 2: 131072}
 MISSING = 2147483640
 MOST_FIDUCIALS = 7
@@ -65,14 +67,14 @@ class Header:
 
 def sniff(head: bytes, path: Path) -> bool:  # noqa: ARG001  a reader may also judge by name
     """True where the file starts with one of MetroPro's magic numbers."""
-    return head[:4] in HEADER_BYTES
+    return head[:4] in MAGIC
 
 
 def read(path: Path) -> SurfaceMap:
     """Read a map. BadMap with path and reason for whatever is torn, broken or absurd."""
     try:
         with path.open("rb") as file:
-            header = _header(path, file.read(max(HEADER_BYTES.values())))
+            header = _header(path, file.read(max(HEADER_BYTES)))
             _check_length(path, header, os.fstat(file.fileno()).st_size)
             file.seek(0)
             content = file.read(header.file_bytes + 1)
@@ -102,14 +104,13 @@ def read(path: Path) -> SurfaceMap:
 def _header(path: Path, head: bytes) -> Header:
     if not head:
         raise BadMap(f"{path}: the file is empty")
-    length = HEADER_BYTES.get(head[:4])
-    if length is None:
+    if head[:4] not in MAGIC:
         raise BadMap(f"{path}: no MetroPro file: it starts with {head[:4].hex(' ')}")
+    length = struct.unpack_from(">i", head, 6)[0] if len(head) >= min(HEADER_BYTES) else min(HEADER_BYTES)
+    if length not in HEADER_BYTES:
+        raise BadMap(f"{path}: states a header of {length} bytes, which no version has")
     if len(head) < length:
-        raise BadMap(f"{path}: ends inside its header, after {len(head)} of {length} bytes")
-    (stated,) = struct.unpack_from(">i", head, 6)
-    if stated != length:
-        raise BadMap(f"{path}: states a header of {stated} bytes where this version has {length}")
+        raise BadMap(f"{path}: ends inside its header of {length} bytes, after {len(head)}")
     width, height, buckets = struct.unpack_from(">HHH", head, 52)
     columns, rows = struct.unpack_from(">HH", head, 68)
     scale, wavelength_m = struct.unpack_from(">ff", head, 164)

@@ -15,7 +15,7 @@ from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 
 from polishd.api import BadMap, SurfaceMap, SurfaceReader
-from polishd.plugins.interferometer.formats.common import MOST_BYTES, content_of, scaled, sha256_of
+from polishd.plugins.interferometer.formats.common import MOST_BYTES, content_of, require_tail, scaled, sha256_of
 from polishd.plugins.interferometer.formats.gridded import ORIENTATION, gridded
 from polishd.plugins.interferometer.formats.library import parsing
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, checked, height_unit, pitch
@@ -25,6 +25,7 @@ VERSION = 1
 MAGIC = b"\x93NUMPY"
 HEADERS = {(1, 0): npy_format.read_array_header_1_0, (2, 0): npy_format.read_array_header_2_0}
 AS_STORED = "as stored: row 0 taken for the top"
+METRES = "X, Y and Z are taken for metres: the file does not say"
 UNSAID = frozenset({"unit", "pitch", "surface", "orientation"})
 
 
@@ -38,7 +39,7 @@ def read(path: Path) -> SurfaceMap:
     content = content_of(path)
     sha256 = sha256_of(content)
     if content.startswith(MAGIC):
-        return _bare(path, array_of(path, "", content), sha256)
+        return _bare(path, array_of(path, "the file", content), sha256)
     arrays = _arrays(path, content)
     if {"X", "Y", "Z"} <= arrays.keys():
         return _with_coordinates(path, arrays, sha256)
@@ -80,6 +81,7 @@ def _arrays(path: Path, content: bytes) -> dict[str, NDArray[np.generic]]:
 def _bare(path: Path, array: NDArray[np.generic], sha256: str) -> SurfaceMap:
     if array.ndim != 2 or not array.size:
         raise BadMap(f"{path}: holds an array of shape {array.shape}, not rows and columns")
+    require_tail(path, array)
     return SurfaceMap(
         height_nm=checked(path, np.array(array, dtype=np.float64, order="C")),
         pitch_mm=None,
@@ -108,7 +110,7 @@ def _with_coordinates(path: Path, arrays: dict[str, NDArray[np.generic]], sha256
         path=path,
         format=NAME,
         factors={"nm_per_unit": 1e9},
-        warnings=scale.warnings + (("Z is taken, not " + ", ".join(others),) if others else ()),
+        warnings=(METRES, *scale.warnings, *(("Z is taken, not " + ", ".join(others),) if others else ())),
         unsaid=scale.unsaid,
         orientation=ORIENTATION,
         reader_version=VERSION,

@@ -1,6 +1,6 @@
 """Lists of points, one x y z a line: .csv, .xyz, .txt; separated by commas, semicolons, tabs or blanks.
 
-A line of names before the first point may give units: ``x_mm,y_mm,z_nm`` or ``X [mm]; Y [mm]; Z [um]``.
+A line of names before the first point may give the order and units: ``x_mm,y_mm,z_nm`` or ``X [mm]; Y [mm]; Z [um]``.
 """
 
 from __future__ import annotations
@@ -20,21 +20,34 @@ from polishd.plugins.interferometer.formats.library import parsing
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
 
 NAME = "points"
-VERSION = 1
+VERSION = 2
 SUFFIXES = (".csv", ".xyz", ".txt", ".asc", ".pts")
 MOST_HEADER_LINES = 64
 NUMBER = rb"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?"
 POINT = re.compile(rb"[ \t]*" + NUMBER + rb"(?:[ \t]*[,;][ \t]*|[ \t]+)" + NUMBER + rb"(?:[ \t,;]|$)")
 TITLE = re.compile(r"^\W*([a-z]+)\W*?(?:[_\s]*[\[(/]\s*|[_\s]+)?([a-z\u00b5\u03bc\u00c5]*)[\])]?\W*$", re.IGNORECASE)
-NO_DATA = re.compile(rb"no[ _]?data|n/?a(?=[\s,;]|$)|bad|-{2,}", re.IGNORECASE)
+NO_DATA = re.compile(
+    rb"no[ _]?data|#?n/?a(?=[\s,;]|$)|bad|null|none|-{2,}|\*+|[-+]?1[.,]#[a-z]+\d*|[-+]?nan\(\w+\)", re.IGNORECASE
+)
+"""What programs write where there is no height; C libraries' spellings of NaN too ("-1.#IND", "nan(ind)")."""
+COMMENT = re.compile(rb"^[ \t]*[#!%][^\n]*", re.MULTILINE)
+DECIMAL_COMMA = re.compile(rb"[ \t]*[^\s,]*(?:,[^\s,]+)?(?:[ \t]+[^\s,]+(?:,[^\s,]+)?){2}[ \t]*\r?$")
+"""Three words between blanks, a comma at most inside each."""
 WAVEFRONT = re.compile(r"wave|opd|phase", re.IGNORECASE)
+CAMERA = {"col": "x", "column": "x", "row": "y", "line": "y"}
+"""Titles of pixels' numbers: rows count from the top."""
+CUT = "ends without a line end: if the file is torn inside its last number, that one is wrong"
+ODD_TITLES = "its titles are not x, y and z: its columns are taken in this order"
 
 
 class Header(NamedTuple):
-    """Units of the three columns as they stand there, and whether the third is a wavefront's."""
+    """Where x, y and z stand, their units, and what else the titles say."""
 
+    order: tuple[int, int, int] = (0, 1, 2)
     units: tuple[str, str, str] = ("", "", "")
     wavefront: bool = False
+    from_top: bool = False
+    unknown: bool = False
 
 
 def sniff(head: bytes, path: Path) -> bool:
@@ -47,25 +60,26 @@ def sniff(head: bytes, path: Path) -> bool:
 def read(path: Path) -> SurfaceMap:
     """Read points on a regular grid, in any order, with holes. BadMap where they are on none, or no such list."""
     content = content_of(path)
-    sha256 = sha256_of(content)
+    sha256, whole = sha256_of(content), content[-1:] == b"\n"
     header, body = _split(path, content)
     del content
-    table = _table(path, body)
+    table = _table(path, body)[:, header.order]
     del body
-    found = gridded(path, table[:, 0], table[:, 1], table[:, 2])
+    found = gridded(path, table[:, 0], -table[:, 1] if header.from_top else table[:, 1], table[:, 2], in_lines=True)
     lateral = _pitch(path, header, found)
     height = height_unit(header.units[2])
     height_nm = scaled(found.z, height.nm)
     unsaid = lateral.unsaid | height.unsaid | ({"surface"} if header.wavefront else set())
+    odd = ("its heights are a wavefront's",) * header.wavefront + (ODD_TITLES,) * header.unknown + (CUT,) * (not whole)
     return SurfaceMap(
-        height_nm=checked(path, height_nm),
+        height_nm=checked(path, height_nm, height.nm),
         pitch_mm=lateral.mm,
         sha256=sha256,
         path=path,
         format=NAME,
         factors={"nm_per_unit": height.nm, "points": len(table)},
-        warnings=height.warnings + lateral.warnings + (("its heights are a wavefront's",) if header.wavefront else ()),
-        unsaid=unsaid,
+        warnings=height.warnings + lateral.warnings + odd,
+        unsaid=unsaid | ({"orientation"} if header.unknown else set()),
         orientation=ORIENTATION,
         reader_version=VERSION,
     )
@@ -81,7 +95,9 @@ def _split(path: Path, content: bytes) -> tuple[Header, bytes]:
         line = content[at : end if end >= 0 else len(content)].rstrip(b"\r")
         if POINT.match(line):
             return header, content[at:]
-        header = _header(line.decode("utf-8", "replace")) or header
+        titles = _header(line.decode("utf-8", "replace"))
+        if titles and not (titles.unknown and header.units != ("", "", "")):
+            header = titles
         if end < 0:
             break
         at = end + 1
@@ -89,13 +105,21 @@ def _split(path: Path, content: bytes) -> tuple[Header, bytes]:
 
 
 def _header(line: str) -> Header | None:
-    """The header that a line of titles is, of which the first are x and y; None for any other line."""
-    titles = [title for title in re.split(r"[,;\t]|\s+(?![\[(])", line.strip().lstrip("#%! ")) if title]
+    """The header that a line of three titles is; None for any other line."""
+    text = line.strip().lstrip("#%! ")
+    between = r"[,;\t]" if re.search(r"[,;\t]", text) else r"\s+(?![\[(])"
+    titles = [title for title in re.split(between, text) if title]
     found = [TITLE.match(title.strip()) for title in titles]
-    if len(titles) != 3 or None in found or not titles[0].strip(" \"'").lower().startswith("x"):
+    if len(titles) != 3 or None in found:
         return None
     names, units = zip(*((match[1], match[2]) for match in found if match), strict=True)
-    return Header((units[0], units[1], units[2]), bool(WAVEFRONT.search(names[2])))
+    axes = [CAMERA.get(name.lower(), name[:1].lower()) for name in names]
+    if not {"x", "y"} <= set(axes):  # of a table, or any three words
+        return Header(unknown=True) if "," in between and text[0] == line.strip()[0] else None
+    x, y = axes.index("x"), axes.index("y")
+    z = 3 - x - y
+    from_top = names[y].lower() in CAMERA
+    return Header((x, y, z), (units[x], units[y], units[z]), bool(WAVEFRONT.search(names[z])), from_top)
 
 
 def _table(path: Path, body: bytes) -> FloatArray:
@@ -103,12 +127,15 @@ def _table(path: Path, body: bytes) -> FloatArray:
     first = body[: body.find(b"\n") if b"\n" in body else len(body)]
     if b";" in first:  # then a comma is a decimal one
         body = body.replace(b",", b".").replace(b";", b",")
+    elif DECIMAL_COMMA.match(first):
+        body = body.replace(b",", b".")
     if b"," in first or b";" in first:
         body = re.sub(rb",[ \t]*(?=[\r\n]|$)", b",nan", body).replace(b",", b" ")
+    body = COMMENT.sub(b"", body)
     body = NO_DATA.sub(b"nan", body)
     with parsing(path, "numpy"):
         lines = io.TextIOWrapper(io.BytesIO(body), encoding="latin-1")
-        table: FloatArray = np.loadtxt(lines, dtype=np.float64, ndmin=2, comments="#")
+        table: FloatArray = np.loadtxt(lines, dtype=np.float64, ndmin=2, comments=None)
     if table.shape[1] != 3:
         raise BadMap(f"{path}: has {table.shape[1]} columns, not x, y and z")
     return table

@@ -35,8 +35,10 @@ NM_PER = {
 SQUARE_WITHIN = 1e-3
 """Relative difference of the pitches in x and y that still counts as square pixels."""
 PITCH_MM = (1e-7, 1e3)
-MOST_NM = 1e12
-"""A kilometre: what is higher is no height, but a marker of missing data that the file does not declare."""
+MOST_NM = 1e9
+"""A metre: what is higher is no height, but in another unit, or a marker of missing data that nobody declared."""
+MARKERS = {9999.0, 99999.0, 999999.0, 32767.0, 32768.0, 2147483647.0, 2147483648.0}
+"""Numbers that programs write for missing data, in the unit of their file."""
 
 
 class Pitch(NamedTuple):
@@ -93,10 +95,16 @@ def pitch(path: Path, x_mm: float, y_mm: float) -> Pitch:
     return Pitch((x_mm + y_mm) / 2)
 
 
-def checked(path: Path, height_nm: FloatArray) -> FloatArray:
-    """The heights, where ``require_data`` takes them and none is beyond belief; BadMap otherwise."""
+def checked(path: Path, height_nm: FloatArray, nm: float = 1.0) -> FloatArray:
+    """The heights, where ``require_data`` takes them and none is beyond belief; BadMap otherwise.
+
+    Beyond belief are heights above ``MOST_NM``, and an extreme that stands there more than once and is one of
+    ``MARKERS`` in the file's unit of ``nm``.
+    """
     require_data(path, height_nm)
-    worst = float(max(np.nanmax(height_nm), -np.nanmin(height_nm)))
-    if worst > MOST_NM:
-        raise BadMap(f"{path}: has heights of {worst:g} nm: a marker of missing data that the file does not declare?")
+    for worst in (float(np.nanmin(height_nm)), float(np.nanmax(height_nm))):
+        marks = abs(round(worst / nm, 6)) in MARKERS and np.count_nonzero(height_nm == worst) > 1
+        if marks or abs(worst) > MOST_NM:
+            found = f"has heights of {worst / nm:.7g} x {nm:g} nm"
+            raise BadMap(f"{path}: {found}: a marker of missing data that the file does not declare?")
     return height_nm

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from polishd.api import BadMap, SurfaceMap, SurfaceReader
-from polishd.plugins.interferometer.formats.common import content_of, scaled, sha256_of
+from polishd.plugins.interferometer.formats.common import content_of, require_tail, scaled, sha256_of
 from polishd.plugins.interferometer.formats.library import parsing
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, pitch
 from polishd.plugins.interferometer.formats.x3p import TURNED
@@ -22,6 +22,9 @@ NAME = "sdf"
 VERSION = 1
 MAGIC = (b"AISO-", b"BISO-", b"ABCR-", b"BBCR-")
 MOST_ASCII_BYTES = 2**26
+HEADER_BYTES = 81
+"""Of binary files; the last byte but one is the type of the samples."""
+ITEM_BYTES = (1, 2, 4, 4, 1, 2, 4, 8)
 MARKER = 1e37
 """Counts beyond this are the largest number of a floating type, not heights."""
 
@@ -40,11 +43,16 @@ def read(path: Path) -> SurfaceMap:
         raise BadMap(f"{path}: more than {MOST_ASCII_BYTES} bytes of ASCII: write it as binary SDF")
     with parsing(path, "sdfio"):
         file = sdfio.read(io.BytesIO(content))
+    if content.find(content[:8], 8) >= 0:
+        raise BadMap(f"{path}: holds another SDF file: two were written into one")
     header = file.header
     if not (math.isfinite(header.z_scale) and header.z_scale > 0):
         raise BadMap(f"{path}: Zscale is {header.z_scale:g}: the height's scale is not known")
     if min(file.data.shape) < 2:
         raise BadMap(f"{path}: holds a profile of {file.data.size} points, not a surface")
+    if content[:1] in b"bB":
+        require_tail(path, file.data)
+        _require_text(path, content[HEADER_BYTES + file.data.size * ITEM_BYTES[content[HEADER_BYTES - 2]] :])
     # ISO marks with a type's minimum, its forerunner with the maximum, and writers mix them up
     marked = (np.abs(file.data) > MARKER * header.z_scale) & np.isfinite(file.data)
     height_nm = scaled(np.where(marked, np.nan, file.data)[::-1], 1e9)
@@ -63,6 +71,12 @@ def read(path: Path) -> SurfaceMap:
         orientation=TURNED,
         reader_version=VERSION,
     )
+
+
+def _require_text(path: Path, trailer: bytes) -> None:
+    """BadMap where what follows binary samples is no text: then they are more than the header says."""
+    if b"\0" in trailer or any(byte < 32 and byte not in b"\t\r\n\x1a" for byte in trailer[:256]):
+        raise BadMap(f"{path}: {len(trailer)} bytes follow its samples, and are no text: more than its header asks for")
 
 
 def _pitch(path: Path, x_m: float, y_m: float) -> Pitch:

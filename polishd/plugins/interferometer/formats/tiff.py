@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import math
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from polishd.api import BadMap, SurfaceMap, SurfaceReader
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, sha256_of
+from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, require_tail, sha256_of
 from polishd.plugins.interferometer.formats.library import extra, parsing
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
 
@@ -25,7 +26,8 @@ DEFLATE_AT_MOST = 1100
 """No compression of TIFF packs tighter: deflate's limit is 1032."""
 FLIPPED = {1: (1, 1), 2: (1, -1), 3: (-1, -1), 4: (-1, 1)}
 """Steps along rows and columns that put the tag Orientation's corner at the top left."""
-ORIENTATION, NODATA = 274, 42113
+PHOTOMETRIC, ORIENTATION, NODATA = 262, 274, 42113
+MIN_IS_BLACK = 1
 
 
 def sniff(head: bytes, path: Path) -> bool:  # noqa: ARG001  a reader may also judge by name
@@ -64,6 +66,9 @@ def _check_page(path: Path, page: Any, length: int) -> None:
         raise BadMap(f"{path}: holds {page.dtype}, not real numbers of at most 64 bits")
     if len(page.shape) != 2 or page.samplesperpixel != 1:
         raise BadMap(f"{path}: holds a picture of shape {page.shape}, not rows and columns of one number")
+    shown = int(page.tags[PHOTOMETRIC].value) if PHOTOMETRIC in page.tags else MIN_IS_BLACK
+    if shown != MIN_IS_BLACK:
+        raise BadMap(f"{path}: is a picture (photometric {shown}, not 1): a larger number need not be higher")
     samples = math.prod(page.shape)
     stored = sum(page.databytecounts)
     if stored > length or max(map(sum, zip(page.dataoffsets, page.databytecounts, strict=True)), default=0) > length:
@@ -71,6 +76,24 @@ def _check_page(path: Path, page: Any, length: int) -> None:
     room = stored * (1 if page.compression == 1 else DEFLATE_AT_MOST)
     if samples > MOST_SAMPLES or samples * page.bitspersample > 8 * room:
         raise BadMap(f"{path}: {page.shape[0]} x {page.shape[1]} samples do not fit into {stored} bytes of data")
+    _check_pieces(path, page)
+
+
+def _check_pieces(path: Path, page: Any) -> None:
+    """BadMap where strips or tiles are not those that the size asks for: tifffile would show zeros in their place."""
+    rows, columns = page.shape
+    if page.is_tiled:
+        count = -(-rows // page.tilelength) * -(-columns // page.tilewidth)
+        samples = [page.tilelength * page.tilewidth] * count if count <= len(page.dataoffsets) else []
+    else:
+        tall = min(max(page.rowsperstrip, 1), rows)
+        samples = [min(tall, rows - at) * columns for at in range(0, rows, tall)]
+    stored, spans = list(page.databytecounts), sorted(zip(page.dataoffsets, page.databytecounts, strict=True))
+    whole = len(stored) == len(samples) and min(stored, default=0) > 0
+    if whole and page.compression == 1:
+        whole = stored == [size * page.bitspersample // 8 for size in samples]
+    if not whole or any(at + size > following for (at, size), (following, _) in pairwise(spans)):
+        raise BadMap(f"{path}: its {len(stored)} pieces of data are not those of {rows} x {columns} samples: broken")
 
 
 def _heights(path: Path, page: Any) -> tuple[FloatArray, int]:
@@ -80,6 +103,7 @@ def _heights(path: Path, page: Any) -> tuple[FloatArray, int]:
         raise BadMap(f"{path}: its orientation {turned} swaps rows and columns: write it with 1")
     rows, columns = FLIPPED[turned]
     raw = page.asarray(maxworkers=1)
+    require_tail(path, raw)
     height_nm = np.array(raw[::rows, ::columns], dtype=np.float64, order="C")
     if NODATA in page.tags:
         height_nm[height_nm == float(str(page.tags[NODATA].value).strip("\0 "))] = np.nan

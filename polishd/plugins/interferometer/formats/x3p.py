@@ -22,6 +22,9 @@ from polishd.plugins.interferometer.formats.scales import Pitch, checked, pitch
 NAME = "x3p"
 VERSION = 1
 MOST_XML_BYTES = 2**26
+NO_DATE, NOT_KNOWN = datetime.fromtimestamp(0, UTC), "not known"
+"""What stands for them where the format needs something: others stumble over an empty field."""
+ROTATED = "its layer is rotated, which is not undone here: how the rows lie is left open"
 TURNED = "rows turned upside down: the standard's y grows with the row"
 
 
@@ -47,12 +50,12 @@ def read(path: Path) -> SurfaceMap:
         height_nm=checked(path, height_nm),
         pitch_mm=scale.mm,
         instrument=_instrument(made.instrument) if made else "",
-        taken_at=made.date if made and made.date and made.date.year > 1970 else None,
+        taken_at=made.date if made and made.date and made.date != NO_DATE else None,
         sha256=sha256_of(content),
         path=path,
         format=NAME,
         factors={"nm_per_unit": 1e9, "z_increment": file.header.z.increment},
-        warnings=scale.warnings,
+        warnings=scale.warnings + ((ROTATED,) if "orientation" in unsaid else ()),
         unsaid=unsaid,
         orientation=orientation,
         reader_version=VERSION,
@@ -67,16 +70,23 @@ def write(surface: SurfaceMap) -> bytes:
     if surface.pitch_mm is None:
         raise BadMap("an X3P file needs a lateral scale, and this map has none: say it in the instrument's profile")
     metadata = x3pio.Metadata(
-        date=surface.taken_at or datetime.now(UTC),
+        date=surface.taken_at or NO_DATE,
         creator="polishd",
-        instrument=x3pio.Instrument(surface.instrument or "not known"),
+        instrument=x3pio.Instrument(surface.instrument or NOT_KNOWN, *[NOT_KNOWN] * 3),
         probing_system=x3pio.ProbingSystem(x3pio.ProbingType.NON_CONTACTING, "interferometer"),
         comment=f"part {surface.part_id}" if surface.part_id else None,
     )
     file = io.BytesIO()
     metres = surface.pitch_mm / 1e3
     with parsing(surface.path or Path("the map"), "x3pio"):
-        x3pio.write(file, surface.height_nm[::-1] / 1e9, x_scale=metres, y_scale=metres, metadata=metadata)
+        x3pio.write(
+            file,
+            surface.height_nm[::-1] / 1e9,
+            x_scale=metres,
+            y_scale=metres,
+            metadata=metadata,
+            revision=x3pio.Revision.ISO5436_2000,  # which others read too
+        )
     return file.getvalue()
 
 
@@ -108,7 +118,7 @@ def _surface(path: Path, layer: object) -> tuple[FloatArray, Pitch, str]:
 
 def _instrument(instrument: object) -> str:
     fields = (getattr(instrument, name, "") for name in ("manufacturer", "model", "serial"))
-    return " ".join(field for field in fields if field and field not in {"not available", "not known"})
+    return " ".join(field for field in fields if field and field not in {"not available", NOT_KNOWN})
 
 
 X3P = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=(".x3p",), write=write)

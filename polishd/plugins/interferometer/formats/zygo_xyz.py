@@ -13,8 +13,9 @@ import numpy as np
 
 from polishd.api import BadMap, SurfaceMap, SurfaceReader
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import content_of, require_data, sha256_of
+from polishd.plugins.interferometer.formats.common import content_of, sha256_of
 from polishd.plugins.interferometer.formats.numbers import floats, pieces
+from polishd.plugins.interferometer.formats.scales import checked
 from polishd.plugins.interferometer.formats.zygo_text import HASH, Header, header_of
 
 NAME = "zygo_xyz"
@@ -41,7 +42,7 @@ def read(path: Path) -> SurfaceMap:
     if header.sign:
         common["warnings"] = (*common["warnings"], SIGNED)
     return SurfaceMap(
-        height_nm=require_data(path, height_nm),
+        height_nm=checked(path, height_nm, NM_PER_UM),
         sha256=sha256_of(content),
         format=NAME,
         factors={"nm_per_unit": NM_PER_UM, "origin_px": header.origin},
