@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
 from enum import StrEnum
 from pathlib import Path
@@ -293,6 +295,12 @@ def main() -> None:
     except PolishdError as error:
         typer.echo(f"polishd: {error}", err=True)
         sys.exit(error.exit_code)
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes what is left as it ends
+        typer.echo(f"polishd: {error.filename or 'standard output'}: {error.strerror}; make room", err=True)
+        sys.exit(1)
 
 
 def _plugin_commands() -> None:

@@ -18,7 +18,7 @@ from pathlib import Path
 import typer
 
 from polishd.console.demo_files import DemoFiles, write_demo
-from polishd.console.map_commission import prove_profile
+from polishd.console.map_commission import Proved, prove_profile
 from polishd.console.progress import progress
 from polishd.console.simulator import last_words, measure_artefact, simulated_cell
 from polishd.console.tables import cycle_table, stderr, stdout
@@ -53,7 +53,8 @@ def run_demo(options: DemoOptions, *, as_json: bool) -> int:
     simulator = ["--state", str(files.sim_dir), "--seed", str(options.seed), "--speed", f"{options.speed:g}"]
     simulator += ["--surface", str(options.surface.absolute())] if options.surface else []
     signal.signal(signal.SIGTERM, _raise_exit)  # ended from outside, it still ends what it started
-    commission_demo(files)
+    proved = commission_demo(files)
+    stderr.print(f"its instrument's profile is proved by an artefact: correlation {proved.proof.correlation:.4f}")
     with simulated_cell(files.sim, simulator, files.out / "sim.log"):
         code = _daemon(files)
     summary_path = files.run_dir / "summary.json"
@@ -70,10 +71,10 @@ def run_demo(options: DemoOptions, *, as_json: bool) -> int:
     return code
 
 
-def commission_demo(files: DemoFiles) -> None:
+def commission_demo(files: DemoFiles) -> Proved:
     """Have the simulated instrument measure its artefact, and prove its profile with that; errors as of the verb."""
     measure_artefact(files.sim, files.artefact)
-    prove_profile(files.profile, files.artefact)
+    return prove_profile(files.profile, files.artefact)
 
 
 def _daemon(files: DemoFiles) -> int:

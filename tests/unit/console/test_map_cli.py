@@ -131,3 +131,13 @@ def test_what_needs_an_extra_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_extras_are_of_readers_that_there_are() -> None:
     assert set(EXTRAS) <= set(own_readers())
+
+
+def test_a_full_disk_behind_stdout_is_one_line() -> None:
+    """For tables as for JSON, and nothing more as Python ends."""
+    for words in (("formats",), ("formats", "--json")):
+        with Path("/dev/full").open("wb") as full:
+            command = [sys.executable, "-m", "polishd.cli", "map", *words]
+            ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, check=False, timeout=60)
+        assert ended.returncode == 1
+        assert ended.stderr == b"polishd: standard output: No space left on device; make room\n"
