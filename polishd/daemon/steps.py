@@ -196,16 +196,13 @@ def learn(
     measured = before.height_nm - after.height_nm
     if recipe.alignment == "power":  # nobody knows how much of it was removed
         predicted, measured = (_without_power(removal_nm, before.metric_mask) for removal_nm in (predicted, measured))
-    verdict = gate.judge(predicted, measured, before.metric_mask, before.grid.pitch_mm)
+    low, high = 1 - recipe.max_rate_change, 1 + recipe.max_rate_change
+    allowed = (low / beliefs.rate, high / beliefs.rate)
+    verdict = gate.judge(predicted, measured, before.metric_mask, before.grid.pitch_mm, allowed)
     if verdict.stop:
         return Taught(beliefs, None, verdict)
     learned = learning.learn_rate(predicted, measured, before.metric_mask, tilt=recipe.alignment != "piston")
-    rate = beliefs.rate * learned.rate
-    if not 1 - recipe.max_rate_change <= rate <= 1 + recipe.max_rate_change:
-        raise ComputeError(
-            f"the last pass removed {rate:.2f} times what the model says (limits.max_rate_change = "
-            f"{recipe.max_rate_change:g}); check force, speed, slurry and process.preston, then resume"
-        )
+    rate = min(max(beliefs.rate * learned.rate, low), high)  # what is beyond them is so by less than its error
     overhead = motion.learn_overhead_s(program, asked_s, executed_s, envelope_of(recipe, program, beliefs))
     return Taught(Beliefs(rate, overhead, learned.notes), learned, verdict)
 

@@ -11,9 +11,9 @@ import scipy
 from polishd.model.errors import BadMap, ConfigError
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
 from polishd.process.explanation import Explanation, explanations
+from polishd.process.metrics import polynomial
 from polishd.process.orientation import ORIENTATIONS, Orientation
 from polishd.process.registration.resampling import resample_registered
-from polishd.process.removal_fit import levelled
 
 ACROSS = 120
 """Samples a side of the grid that a map is proved on."""
@@ -25,6 +25,8 @@ MARGIN = 0.1
 SCALE_TOLERANCE = 0.05
 PITCH_TOLERANCE = 0.02
 MAX_TURN_DEG = 10.0
+BASE_DEGREE = 2
+"""Total degree of what the artefact's base may have: 10 nm of power made 150 nm bumps look 3 % too small."""
 SETTLED = 0.95
 """Correlation at which no further size is tried: least squares find what is left."""
 RATIOS = tuple(float(2 ** (k / 5)) for k in range(-7, 8))
@@ -77,7 +79,7 @@ def require_asymmetric(bumps: Sequence[Bump]) -> None:
     half = max(float(np.hypot(b.x_mm, b.y_mm)) + 3 * max(b.sigma_x_mm, b.sigma_y_mm) for b in bumps)
     grid = Grid(SEARCH, SEARCH, 2 * half / SEARCH)
     mask = np.ones(grid.shape, dtype=np.bool_)
-    height = levelled(artefact_heights(bumps, grid), mask)
+    height = _bare(artefact_heights(bumps, grid), mask)
     same = _others(list(explanations(height, height, mask, mask, grid.pitch_mm)), ORIENTATIONS[0], negated=False)
     if same.correlation > 1 - MARGIN:
         raise ConfigError(f"the artefact looks like itself {same.name} (correlation {same.correlation:.2f}): it "
@@ -137,8 +139,13 @@ def _heights(bumps: Sequence[Bump], x: FloatArray, y: FloatArray) -> FloatArray:
     return height
 
 
+def _bare(height_nm: FloatArray, mask: BoolArray) -> FloatArray:
+    """(ny, nx) without piston, tilt, power and astigmatism, which are the base's and its mount's; zero outside."""
+    return np.where(mask, np.where(mask, height_nm, 0.0) - polynomial(height_nm, mask, BASE_DEGREE), 0.0)
+
+
 def _on_square(surface: SurfaceMap, across: int) -> tuple[FloatArray, BoolArray, Grid]:
-    """The map on a square grid, so that all eight orientations can be tried, without piston and tilt."""
+    """The map on a square grid, so that all eight orientations can be tried, without its base's form."""
     if surface.pitch_mm is None:
         raise BadMap("the map has no lateral scale: give the instrument's profile a pitch")
     side = max(surface.height_nm.shape) * surface.pitch_mm
@@ -147,7 +154,7 @@ def _on_square(surface: SurfaceMap, across: int) -> tuple[FloatArray, BoolArray,
     mask = np.isfinite(height)
     if np.count_nonzero(mask) < across:
         raise BadMap("the map holds no data")
-    return levelled(height, mask), mask, grid
+    return _bare(height, mask), mask, grid
 
 
 def _best_ratio(
@@ -156,7 +163,7 @@ def _best_ratio(
     """The size of the artefact that fits best in any orientation, and all the orientations at that size."""
     tried = []
     for ratio in sorted(RATIOS, key=lambda ratio: abs(np.log(ratio))):
-        scaled = levelled(artefact_heights(bumps, Grid(grid.ny, grid.nx, grid.pitch_mm / ratio)), mask)
+        scaled = _bare(artefact_heights(bumps, Grid(grid.ny, grid.nx, grid.pitch_mm / ratio)), mask)
         tried.append((ratio, list(explanations(scaled, seen, mask, mask, grid.pitch_mm))))
         if max(e.correlation for e in tried[-1][1]) > SETTLED:
             break
@@ -172,16 +179,16 @@ def _others(found: Sequence[Explanation], orientation: Orientation, *, negated: 
 def _placed(
     seen: FloatArray, mask: BoolArray, grid: Grid, bumps: Sequence[Bump], start: tuple[float, float, float]
 ) -> Proof:
-    """Least squares of shift, turn and size; height and plane follow linearly from each (variable projection)."""
+    """Least squares of shift, turn and size; height and base follow linearly from each (variable projection)."""
     x, y = (v[mask] for v in np.meshgrid(grid.x_mm, grid.y_mm))
-    plane = np.linalg.qr(np.column_stack([np.ones(x.size), x, y]))[0]
-    measured = seen[mask] - plane @ (plane.T @ seen[mask])
+    base = np.linalg.qr(np.column_stack([np.ones(x.size), x, y, x**2, y**2, x * y]))[0]
+    measured = seen[mask] - base @ (base.T @ seen[mask])
 
     def model(values: FloatArray) -> FloatArray:
         dx, dy, turn, size = values[0], values[1], values[2], np.exp(values[3])
         u, v = (x - dx) / size, (y - dy) / size
         height = _heights(bumps, u * np.cos(turn) + v * np.sin(turn), -u * np.sin(turn) + v * np.cos(turn))
-        return np.asarray(height - plane @ (plane.T @ height), dtype=np.float64)
+        return np.asarray(height - base @ (base.T @ height), dtype=np.float64)
 
     def left(values: FloatArray) -> FloatArray:
         height = model(values)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.explanation import Explanation, explanations
 from polishd.process.orientation import ORIENTATIONS, orientations
-from polishd.process.removal_fit import Fit, fit, levelled
+from polishd.process.removal_fit import Fit, contest, fit, levelled, shifted
 
 MIN_SIGNAL_NM = 1.5
 """RMS of the predicted removal, without piston and tilt, below which nothing can be told."""
@@ -20,13 +20,21 @@ MAX_SHIFT_MM = 0.5
 """Shift that costs as much as a tenth of a pass's gain (physics.md, 6); smaller ones are reported."""
 RATES = (0.6, 1.4)
 """Measured to predicted removal that learning the rate takes care of."""
+SCALED = 0.1
+"""Largest error of the rate at which half as much, or double, is told from what learning takes up."""
 SIGMAS = 3.0
-"""Standard errors by which a rate or a shift must be beyond its limit."""
+"""Standard errors by which a shift must be beyond its limit."""
+RATE_SIGMAS = 2.0
+"""The same of a rate: its limits are far from the rates of a good cell."""
+SURE = 3.5
+"""The same for a turn, flip, negation or a shift by samples, which is the best of many that were tried."""
 CLEAR_GAIN = 0.1
 """Gain in correlation that makes another explanation the better one, whatever is left unexplained."""
 SMALL_GAIN = 0.01
 """The same, where the other explanation also halves what is left unexplained."""
 LEFT_OVER = 0.5
+STILL = Explanation(ORIENTATIONS[0], False, 0.0, (0.0, 0.0))
+"""The prediction as it is and where it is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +61,15 @@ class Verdict:
     explained_nm: FloatArray
     """The best explanation: the prediction turned, negated, moved and scaled; NaN also where it has no data."""
     residual_nm: FloatArray
-    """Measured less predicted at the fitted rate."""
+    """Measured less predicted."""
     best_residual_nm: FloatArray
     """Measured less the best explanation."""
 
 
-def judge(predicted_nm: FloatArray, measured_nm: FloatArray, mask: BoolArray, pitch_mm: float) -> Verdict:
+def judge(
+    predicted_nm: FloatArray, measured_nm: FloatArray, mask: BoolArray, pitch_mm: float,
+    rates: tuple[float, float] = RATES,
+) -> Verdict:  # fmt: skip
     """Compare measured with predicted removal, and stop where a flip, turn, negation, shift or factor fits better.
 
     Args:
@@ -66,25 +77,73 @@ def judge(predicted_nm: FloatArray, measured_nm: FloatArray, mask: BoolArray, pi
         measured_nm: (ny, nx) map before less map after; its piston and tilt are unknown.
         mask: (ny, nx) samples to compare.
         pitch_mm: of the grid.
+        rates: measured over predicted removal that learning takes up; what is beyond ``RATES`` never is.
 
     Raises:
         ComputeError: shapes that do not fit, or too few samples.
     """
     _check(predicted_nm, measured_nm, mask)
-    predicted, measured = levelled(predicted_nm, mask), levelled(measured_nm, mask)
-    own = fit(predicted, measured, mask, None, pitch_mm)
-    if np.sqrt(np.mean(predicted[mask] ** 2)) < MIN_SIGNAL_NM:
-        return _without_signal(own, predicted, measured, mask)
-    found = list(explanations(predicted, measured, mask, mask, pitch_mm))
-    straight = max((e for e in found if e.as_it_is), key=lambda e: e.correlation)
-    rival = max((e for e in found if not e.as_it_is), key=lambda e: e.correlation)
-    best = rival if explains_better(rival.correlation, straight.correlation) else straight
-    moved = fit(predicted, measured, mask, straight.samples(pitch_mm), pitch_mm)
-    final = moved if best is straight else _fit_turned(predicted, measured, mask, best, pitch_mm)
-    stop = _reason(best, straight, moved, final)
-    undecidable = _undecidable(predicted, mask, pitch_mm, best.correlation, moved)
-    notes = () if stop else _notes(moved, undecidable)
-    return _verdict(predicted, measured, mask, (own, final), (best, stop, undecidable, notes))
+    seen = _Pass(levelled(predicted_nm, mask), levelled(measured_nm, mask), mask, pitch_mm, rates)
+    own = fit(seen.predicted_nm, seen.measured_nm, mask, None, pitch_mm)
+    if np.sqrt(np.mean(seen.predicted_nm[mask] ** 2)) < MIN_SIGNAL_NM:
+        return _without_signal(own, seen)
+    found = [(e, seen.fit(e)) for e in explanations(seen.predicted_nm, seen.measured_nm, mask, mask, pitch_mm)]
+    straight, moved = max((pair for pair in found if pair[0].as_it_is), key=_correlation)
+    rival, turned = max((pair for pair in found if not pair[0].as_it_is), key=_correlation)
+    better = explains_better(turned.correlation, moved.correlation) and seen.surely(rival, straight)
+    if not seen.surely(straight, STILL):
+        straight, moved = STILL, seen.fit(STILL)
+    best, final = (rival, turned) if better else (straight, moved)
+    best = replace(best, correlation=max(final.correlation, 0.0))
+    stop = _reason(seen, best, moved, final)
+    undecidable = () if better else _undecidable(seen, moved)
+    notes = () if stop else _notes(seen, moved, undecidable)
+    return _verdict(seen, (own, final), (best, stop, undecidable, notes))
+
+
+@dataclass(frozen=True, slots=True)
+class _Pass:
+    """What was predicted and what was measured, both levelled, on one mask."""
+
+    predicted_nm: FloatArray
+    measured_nm: FloatArray
+    mask: BoolArray
+    pitch_mm: float
+    rates: tuple[float, float]
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Of the rate: learning's, and never so wide that half or double lies within."""
+        return max(RATES[0], self.rates[0]), min(RATES[1], self.rates[1])
+
+    def beyond(self, moved: Fit) -> float:
+        """By how much a rate is beyond them; not positive where it is not."""
+        low, high = self.limits
+        return max(low - moved.rate, moved.rate - moved.rate_excess - high)
+
+    def fit(self, told: Explanation) -> Fit:
+        """Rate and shift of the prediction as an explanation has it."""
+        turned, mask = told.turn(self.predicted_nm), self.mask & told.turn_mask(self.mask)
+        return fit(turned, self.measured_nm, mask, told.samples(self.pitch_mm), self.pitch_mm)
+
+    def surely(self, other: Explanation, own: Explanation) -> bool:
+        """Whether one explanation tells what the other does not, beyond what noise makes of the best of many."""
+        gap, sigma = self.contest(other, own)
+        return gap > SURE * sigma
+
+    def contest(self, other: Explanation, own: Explanation) -> tuple[float, float]:
+        """By how much one explanation tells more than the other, and its standard error: `removal_fit.contest`."""
+        (own_nm, own_mask), (other_nm, other_mask) = self._placed(own), self._placed(other)
+        return contest(other_nm, own_nm, self.measured_nm, self.mask & own_mask & other_mask)
+
+    def _placed(self, told: Explanation) -> tuple[FloatArray, BoolArray]:
+        down, right = told.samples(self.pitch_mm)
+        height, mask = (shifted(v, down, right) for v in (told.turn(self.predicted_nm), told.turn_mask(self.mask)))
+        return height, mask
+
+
+def _correlation(pair: tuple[Explanation, Fit]) -> float:
+    return pair[1].correlation
 
 
 def explains_better(other: float, own: float) -> bool:
@@ -105,43 +164,40 @@ def _check(predicted: FloatArray, measured: FloatArray, mask: BoolArray) -> None
         raise ComputeError(f"{np.count_nonzero(mask)} samples are too few to judge a pass by")
 
 
-def _fit_turned(
-    predicted: FloatArray, measured: FloatArray, mask: BoolArray, best: Explanation, pitch_mm: float
-) -> Fit:
-    turned = best.turn(predicted)
-    return fit(turned, measured, mask & best.turn_mask(mask), best.samples(pitch_mm), pitch_mm)
-
-
-def _reason(best: Explanation, straight: Explanation, moved: Fit, final: Fit) -> str:
+def _reason(seen: _Pass, best: Explanation, moved: Fit, final: Fit) -> str:
     """Why the cell must stop; the clearest reason only."""
     if not best.as_it_is:
         return (
             f"the measured removal looks like the predicted one {best.name} (correlation {best.correlation:.2f}, as "
-            f"it is {straight.correlation:.2f}; {final.rate:.2f} times as high): the instrument's profile or the "
+            f"it is {moved.correlation:.2f}; {final.rate:.2f} times as high): the instrument's profile or the "
             "program's offset and rotation are wrong; prove the profile with `polishd map commission`, then measure"
         )
     x, y = moved.shift_mm
     distance, sigma = _sure(moved)
-    if moved.correlation >= MIN_CORRELATION and distance > MAX_SHIFT_MM:
+    if moved.correlation >= MIN_CORRELATION and distance - MAX_SHIFT_MM > SIGMAS * sigma:
         return (
             f"the removal lies {distance:.2f} +- {sigma:.2f} mm from where it was predicted, at ({x:+.2f}, {y:+.2f}) "
             f"mm, and {MAX_SHIFT_MM:g} mm are allowed: check the part's seat, the program's offset and the map's "
             "registration before going on"
         )
-    if not RATES[0] <= moved.rate <= RATES[1] and abs(moved.rate - 1) > SIGMAS * moved.rate_sigma:
-        times = f"{moved.rate:.3f} +- {moved.rate_sigma:.3f} times"
-        return f"the measured removal is {times} the predicted one{_factor(moved.rate)}"
+    if seen.beyond(moved) > RATE_SIGMAS * moved.rate_sigma:
+        return f"the measured removal is {_times(moved)} the predicted one{_factor(moved.rate, seen.limits)}"
     return ""
+
+
+def _times(moved: Fit) -> str:
+    return f"{moved.rate:.3f} +- {moved.rate_sigma:.3f} times"
 
 
 def _sure(moved: Fit) -> tuple[float, float]:
     """Length of the shift in those directions in which the removal shows it, and its standard error; mm."""
     pairs = list(zip(moved.shift_mm, moved.shift_sigma_mm, strict=True))
     sure = [(shift, sigma) for shift, sigma in pairs if abs(shift) > SIGMAS * sigma]
-    return float(np.hypot.reduce([s for s, _ in sure] or [0.0])), float(np.hypot.reduce([e for _, e in sure] or [0.0]))
+    distance = float(np.hypot.reduce([s for s, _ in sure] or [0.0]))
+    return distance, float(np.hypot.reduce([s * e / distance for s, e in sure] or [0.0]))
 
 
-def _factor(rate: float) -> str:
+def _factor(rate: float, limits: tuple[float, float]) -> str:
     """What a rate out of bounds looks like, and what to do."""
     if abs(rate) < 0.2:
         return ": hardly anything was removed; was the map taken before the pass, or of another part? Measure again"
@@ -152,53 +208,60 @@ def _factor(rate: float) -> str:
                 "commission`, and the removal rate on a witness part"
             )
     return (
-        f", and {RATES[0]:g} to {RATES[1]:g} is what learning takes up: check force, speed and slurry before going on"
+        f", and {limits[0]:.3g} to {limits[1]:.3g} is what learning takes up (limits.max_rate_change): check force, "
+        "speed, slurry and process.preston before going on"
     )
 
 
-def _notes(moved: Fit, undecidable: tuple[str, ...]) -> tuple[str, ...]:
+def _notes(seen: _Pass, moved: Fit, undecidable: tuple[str, ...]) -> tuple[str, ...]:
     (x, y), (distance, sigma) = moved.shift_mm, _sure(moved)
     notes = []
     if distance > 0:
         notes.append(f"the removal lies ({x:+.2f}, {y:+.2f}) +- {sigma:.2f} mm from where it was predicted")
+    low, high = seen.limits
+    if not low <= moved.rate <= high:
+        notes.append(f"the measured removal is {_times(moved)} the predicted one, which is no proof that it is beyond "
+                     f"{low:.3g} to {high:.3g}: the map's noise is as large as that")  # fmt: skip
     if undecidable:
         notes.append("this pass could not show it, had the map been " + ", or ".join(undecidable))
     return tuple(notes)
 
 
-def _undecidable(
-    predicted: FloatArray, mask: BoolArray, pitch_mm: float, quality: float, moved: Fit
-) -> tuple[str, ...]:
-    """Which mistakes would not have been found: had one been made, the prediction would fit about as well."""
-    names = [
-        e.name for e in explanations(predicted, predicted, mask, mask, pitch_mm)
-        if not e.as_it_is and not explains_better(quality, e.correlation * quality)
-    ]  # fmt: skip
+def _undecidable(seen: _Pass, moved: Fit) -> tuple[str, ...]:
+    """Which mistakes would not have been found: the prediction would fit about as well, or too little is sure."""
+
+    def shows(e: Explanation) -> bool:
+        likely = explains_better(moved.correlation, e.correlation * moved.correlation)
+        return likely and SURE * seen.contest(e, STILL)[1] < RATES[0]
+
+    all_of_them = explanations(seen.predicted_nm, seen.predicted_nm, seen.mask, seen.mask, seen.pitch_mm)
+    names = [e.name for e in all_of_them if not (e.as_it_is or shows(e))]
     if not SIGMAS * max(moved.shift_sigma_mm) <= MAX_SHIFT_MM:
         names.append("shifted")
-    if not SIGMAS * moved.rate_sigma <= RATES[1] - 1:
+    if not max(RATE_SIGMAS * moved.rate_sigma, moved.rate_excess) <= SCALED:
         names.append("scaled")
     return tuple(names)
 
 
 def _verdict(
-    predicted: FloatArray, measured: FloatArray, mask: BoolArray, fits: tuple[Fit, Fit],
-    said: tuple[Explanation, str, tuple[str, ...], tuple[str, ...]],
-) -> Verdict:  # fmt: skip
+    seen: _Pass, fits: tuple[Fit, Fit], said: tuple[Explanation, str, tuple[str, ...], tuple[str, ...]]
+) -> Verdict:
     own, final = fits
     best, stop, undecidable, notes = said
-    shown = np.where(mask, measured, np.nan)
+    predicted, measured = (np.where(seen.mask, v, np.nan) for v in (seen.predicted_nm, seen.measured_nm))
     return Verdict(
         stop, own.correlation, final.rate, final.rate_sigma, best, final.shift_mm, final.shift_sigma_mm, undecidable,
-        notes, np.where(mask, predicted, np.nan), shown, final.model_nm, shown - own.model_nm, shown - final.model_nm,
+        notes, predicted, measured, final.model_nm, measured - predicted, measured - final.model_nm,
     )  # fmt: skip
 
 
-def _without_signal(own: Fit, predicted: FloatArray, measured: FloatArray, mask: BoolArray) -> Verdict:
-    all_of_them = (Explanation(o, sign, 0.0, (0.0, 0.0)) for o in orientations(mask.shape) for sign in (False, True))
+def _without_signal(own: Fit, seen: _Pass) -> Verdict:
+    everywhere = orientations(seen.mask.shape)
+    all_of_them = (Explanation(o, sign, 0.0, (0.0, 0.0)) for o in everywhere for sign in (False, True))
     everything = tuple(e.name for e in all_of_them if not e.as_it_is)
-    nothing = Fit(float("nan"), float("inf"), (0.0, 0.0), (float("inf"), float("inf")), own.correlation, own.model_nm)
+    unknown = float("inf")
+    nothing = Fit(float("nan"), unknown, unknown, (0.0, 0.0), (unknown, unknown), own.correlation, own.model_nm)
     note = f"the predicted removal varies by less than {MIN_SIGNAL_NM:g} nm RMS: it shows no mistake of the map"
     best = Explanation(ORIENTATIONS[0], False, max(own.correlation, 0.0), (0.0, 0.0))
     said = (best, "", (*everything, "shifted", "scaled"), (note,))
-    return _verdict(predicted, measured, mask, (own, nothing), said)
+    return _verdict(seen, (own, nothing), said)

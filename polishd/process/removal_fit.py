@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from polishd.model.surface import BoolArray, FloatArray
 
 TILES = 4
 """The mask is cut into this many tiles a side for the standard errors: residuals are correlated over a spot."""
 FEWEST = 50
+MOST_DRIFT_NM = 5.0
+"""Largest RMS of the power, and of each astigmatism, by which two maps are believed to differ through the set-up."""
 EVEN = 1e-6
 """Share of the slopes' energy below which there is no slope."""
 
@@ -22,6 +27,8 @@ class Fit:
 
     rate: float
     rate_sigma: float
+    rate_excess: float
+    """By how much the rate may be too high: the map's noise is in what it measured and in what was planned on it."""
     shift_mm: tuple[float, float]
     """(x, y)"""
     shift_sigma_mm: tuple[float, float]
@@ -55,29 +62,57 @@ def fit(
     down, right = samples or (0, 0)
     x_slope, y_slope = np.gradient(predicted_nm, axis=1) / pitch_mm, -np.gradient(predicted_nm, axis=0) / pitch_mm
     inner = mask if samples is None else scipy.ndimage.binary_erosion(mask)  # slopes need both neighbours
-    known = _moved(inner.astype(np.float64), down, right) > 0
-    both = known & mask
+    both = shifted(inner, down, right) & mask
     model = np.full(mask.shape, np.nan)
     if np.count_nonzero(both) < FEWEST:
-        return Fit(float("nan"), float("inf"), (0.0, 0.0), (float("inf"),) * 2, 0.0, model)
+        return Fit(float("nan"), float("inf"), float("inf"), (0.0, 0.0), (float("inf"),) * 2, 0.0, model)
     signals = (predicted_nm,) if samples is None else (predicted_nm, x_slope, y_slope)
     rows, columns = np.nonzero(both)
-    terms = np.column_stack([*(_moved(s, down, right)[both] for s in signals), _plane(rows, columns)])
+    terms = np.column_stack([*(shifted(s, down, right)[both] for s in signals), _plane(rows, columns)])
     measured = measured_nm[both]
-    factors, sigmas = _jackknifed(terms, measured, _tiles(rows, columns, mask.shape), len(signals))
+    factors, sigmas = _jackknifed(terms, measured, (rows, columns), _rate_and_shift(len(signals)))
     model[both] = terms @ factors
     plane = terms[:, len(signals) :]
     own = measured - plane @ np.linalg.lstsq(plane, measured, rcond=None)[0]
     left = measured - model[both]
+    energy = float(terms[:, 0] @ terms[:, 0])
     explained = 1 - float(left @ left) / float(own @ own) if own.any() else 0.0
     correlation = float(np.sign(factors[0]) * np.sqrt(max(explained, 0.0)))
-    x, y = _shift(factors, len(signals))
+    rate, x, y = _rate_and_shift(len(signals))(factors)
     if len(signals) > 1:
         sigmas[1:] = np.where(_told(terms[:, :3]), sigmas[1:], np.inf)
+    excess = float(left @ left) / 2 / energy if energy > 0 else float("inf")
     return Fit(
-        float(factors[0]), float(sigmas[0]), (right * pitch_mm + float(x), -down * pitch_mm + float(y)),
+        float(rate), float(sigmas[0]), excess, (right * pitch_mm + float(x), -down * pitch_mm + float(y)),
         (float(sigmas[1]), float(sigmas[2])), correlation, model,
     )  # fmt: skip
+
+
+def contest(other_nm: FloatArray, own_nm: FloatArray, measured_nm: FloatArray, mask: BoolArray) -> tuple[float, float]:
+    """Whether another prediction explains what was measured, rather than the one at hand, both fitted together.
+
+    The right one of two has a factor of about the rate, the wrong one of about 0 (J. R. Davidson, J. G. MacKinnon,
+    Econometrica 49, 1981), whatever they have in common: what they share tells for neither, and widens the error.
+
+    Args:
+        other_nm: (ny, nx) the other prediction, where it explains best.
+        own_nm: (ny, nx) the one at hand.
+        measured_nm: (ny, nx).
+        mask: (ny, nx) where all three have data.
+
+    Returns:
+        The other's factor less the own one's, and its standard error; infinite where too little overlaps.
+    """
+    if np.count_nonzero(mask) < FEWEST:
+        return 0.0, float("inf")
+    rows, columns = np.nonzero(mask)
+    terms = np.column_stack([other_nm[mask], own_nm[mask], _plane(rows, columns)])
+
+    def gap(factors: FloatArray) -> FloatArray:
+        return np.asarray(factors[..., :1] - factors[..., 1:2], dtype=np.float64)
+
+    factors, sigma = _jackknifed(terms, measured_nm[mask], (rows, columns), gap)
+    return float(gap(factors)[0]), float(sigma[0])
 
 
 def _told(signals: FloatArray) -> BoolArray:
@@ -89,41 +124,64 @@ def _told(signals: FloatArray) -> BoolArray:
     return np.zeros(2, dtype=np.bool_)
 
 
-def _moved(array: FloatArray, down: int, right: int) -> FloatArray:
+def shifted(array: NDArray[Any], down: int, right: int) -> NDArray[Any]:
     """The array moved by whole samples; zeros come in."""
-    moved = np.zeros_like(array)
+    put = np.zeros_like(array)
     ny, nx = array.shape
     to = (slice(max(down, 0), ny + min(down, 0)), slice(max(right, 0), nx + min(right, 0)))
     come = (slice(max(-down, 0), ny + min(-down, 0)), slice(max(-right, 0), nx + min(-right, 0)))
-    moved[to] = array[come]
-    return moved
+    put[to] = array[come]
+    return put
 
 
 def _plane(rows: np.ndarray, columns: np.ndarray) -> FloatArray:
     return np.column_stack([np.ones(rows.size), rows - rows.mean(), columns - columns.mean()])
 
 
-def _tiles(rows: np.ndarray, columns: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    return np.asarray((rows * TILES // shape[0]) * TILES + columns * TILES // shape[1])
+def _tiles(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """(m,) number of the tile of the samples' own box that each lies in."""
+    down, right = ((v - v.min()) * TILES // (np.ptp(v) + 1) for v in (rows, columns))
+    return np.asarray(down * TILES + right)
 
 
-def _shift(factors: FloatArray, signals: int) -> FloatArray:
-    """(..., 2) mm: predicted(p - s) = predicted - s . slope, to first order."""
-    if signals == 1:
-        return np.zeros((*factors.shape[:-1], 2))
-    rate = np.where(factors[..., :1] == 0, np.nan, factors[..., :1])
-    return np.asarray(-factors[..., 1:3] / rate, dtype=np.float64)
+def _drift(terms: FloatArray, measured: FloatArray, places: tuple[np.ndarray, np.ndarray]) -> FloatArray:
+    """(m,) nm power and astigmatism that the fit would rather have beside its terms, as far as they are believed.
+
+    Temperature and mount bend a part, and its reference, between two maps: alike in all tiles, so none shows it.
+    """
+    rows, columns = places
+    x, y = (v - v.mean() for v in (columns.astype(np.float64), rows.astype(np.float64)))
+    modes = np.linalg.qr(np.column_stack([_plane(*places), x**2 + y**2, x**2 - y**2, x * y]))[0][:, 3:]
+    found = np.linalg.lstsq(np.column_stack([terms, modes]), measured, rcond=None)[0][terms.shape[1] :]
+    most = MOST_DRIFT_NM * np.sqrt(rows.size)
+    return np.asarray(modes @ np.clip(found, -most, most), dtype=np.float64)
+
+
+def _rate_and_shift(signals: int) -> Callable[[FloatArray], FloatArray]:
+    """From (..., k) factors to (..., 3): rate, and x and y mm by predicted(p - s) = predicted - s . slope."""
+
+    def figures(factors: FloatArray) -> FloatArray:
+        rate = factors[..., :1]
+        if signals == 1:
+            return np.concatenate([rate, np.zeros((*rate.shape[:-1], 2))], axis=-1)
+        return np.concatenate([rate, -factors[..., 1:3] / np.where(rate == 0, np.nan, rate)], axis=-1)
+
+    return figures
 
 
 def _jackknifed(
-    terms: FloatArray, measured: FloatArray, tile: np.ndarray, signals: int
-) -> tuple[FloatArray, FloatArray]:
-    """Factors, and the standard errors of the rate and of both shifts: the fit is repeated without each tile."""
+    terms: FloatArray, measured: FloatArray, places: tuple[np.ndarray, np.ndarray],
+    figures: Callable[[FloatArray], FloatArray],
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """Factors, and the standard errors of the figures: of the fit without each tile, and of what drift does to it."""
+    tile = _tiles(*places)
     tiles = np.unique(tile)
     normal = np.stack([terms[tile == k].T @ terms[tile == k] for k in tiles])
     right = np.stack([terms[tile == k].T @ measured[tile == k] for k in tiles])
-    factors = np.linalg.pinv(normal.sum(0), hermitian=True) @ right.sum(0)
+    inverse = np.linalg.pinv(normal.sum(0), hermitian=True)
+    factors = inverse @ right.sum(0)
     without = (np.linalg.pinv(normal.sum(0) - normal, hermitian=True) @ (right.sum(0) - right)[..., None])[..., 0]
-    figures = np.column_stack([without[:, 0], _shift(without, signals)])
-    sigmas = np.sqrt((len(tiles) - 1) * np.mean((figures - figures.mean(axis=0)) ** 2, axis=0))
-    return np.asarray(factors), np.asarray(sigmas)
+    scatter = figures(without)
+    drift = figures(factors - inverse @ (terms.T @ _drift(terms, measured, places))) - figures(factors)
+    square = (len(tiles) - 1) * np.mean((scatter - scatter.mean(axis=0)) ** 2, axis=0) + drift**2
+    return np.asarray(factors), np.sqrt(square)

@@ -17,7 +17,7 @@ MAP_SIGMAS = 5.0
 SAMPLE_SIGMAS = 5.0
 SIGMA_PER_MAD = 1.4826
 """Standard deviation over median absolute deviation, of a normal distribution."""
-ALIKE = 1.5
+ALIKE = 2.0
 """A map within this many times the usual deviation is never an outlier, however alike the others are."""
 
 

@@ -9,10 +9,17 @@ from polishd.model.surface import BoolArray, FloatArray
 
 WORKERS = 2
 """Threads of the Fourier transforms: more than that gains little on maps of this size."""
+STEPS = 20
+"""Steps of the least squares: they settle small holes; what is left in large ones is as long as they are."""
+STENCIL = ((0, 0, -4.0), (1, 0, 1.0), (-1, 0, 1.0), (0, 1, 1.0), (0, -1, 1.0))
+"""Rows down, columns right, weight: the Laplacian."""
 
 
 def extended(height_nm: FloatArray, mask: BoolArray, margin: int) -> tuple[FloatArray, tuple[slice, slice]]:
     """The map with a margin, each sample outside the mask that of the nearest edge times a raised cosine.
+
+    Holes in the mask are then bent flat: the steps that the nearest edge leaves in each are short periods, and many
+    drop-outs bring more of them than a small HSF has (1 nm beside 15 nm of MSF, 10 % missing: 26 % too high).
 
     Args:
         height_nm: (ny, nx), finite inside ``mask``; what is outside does not matter.
@@ -30,4 +37,30 @@ def extended(height_nm: FloatArray, mask: BoolArray, margin: int) -> tuple[Float
     distance, (row, column) = scipy.ndimage.distance_transform_edt(~wide, return_indices=True)
     taper = 0.5 + 0.5 * np.cos(np.pi * np.minimum(distance / margin, 1.0))
     found: FloatArray = height_nm[row - margin, column - margin] * taper
-    return found, window
+    return _bent(found, _holes(wide)), window
+
+
+def _holes(mask: BoolArray) -> BoolArray:
+    """(ny, nx) what is not in the mask and does not reach the array's border."""
+    outside, _ = scipy.ndimage.label(~np.pad(mask, 1))
+    return np.asarray(((outside > 0) & (outside != outside[0, 0]))[1:-1, 1:-1], dtype=np.bool_)
+
+
+def _bent(height_nm: FloatArray, hole: BoolArray) -> FloatArray:
+    """The map with its holes filled as a thin plate: of least squared Laplacian, on and beside them."""
+    if not hole.any():
+        return height_nm
+    row, column = np.nonzero(scipy.ndimage.binary_dilation(hole))
+    number = np.full(hole.shape, -1)
+    number[hole] = np.arange(np.count_nonzero(hole))
+    curved, entries = np.zeros(row.size), []
+    for down, right, weight in STENCIL:
+        there = (row + down, column + right)
+        curved += weight * height_nm[there]
+        some = np.flatnonzero(number[there] >= 0)
+        entries.append((np.full(some.size, weight), some, number[there][some]))
+    weights, places, unknowns = (np.concatenate(part) for part in zip(*entries, strict=True))
+    laplacian = scipy.sparse.csr_array((weights, (places, unknowns)), shape=(row.size, np.count_nonzero(hole)))
+    filled = height_nm.copy()
+    filled[hole] -= scipy.sparse.linalg.lsqr(laplacian, curved, iter_lim=STEPS)[0]
+    return filled

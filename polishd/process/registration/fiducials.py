@@ -28,6 +28,10 @@ NEEDED = 2 / 3
 MOST_FOUND = 40
 """Points beyond which a map shows dirt rather than marks."""
 SCALE_TOLERANCE = 0.005
+OUTLIER = 8.0
+"""RMS distances of the other marks from their own fit, beyond which a mark within the tolerance is half covered."""
+FLOOR_PX = 0.05
+"""Least RMS distance believed: three marks may lie in line with their nominal places by chance."""
 CHANCE = 1e-6
 """Most agreements as good as the one found that chance may be expected to bring."""
 SAME_SCALE = (0.2, 5.0)
@@ -88,6 +92,7 @@ def fit(
         raise BadMap(f"{where}, {_why(p, q, bool(mirrored), tolerance_mm, needed)}")
     best = matches[0]
     rivals = [other for other in (*matches, *mirrored) if other.used == best.used and other is not best]
+    best = _without_outlier(p, q, best, FLOOR_PX * pitch_mm, needed)
     if rivals:
         raise BadMap(f"{where}: {best.used} of them fit in {1 + len(rivals)} ways, within {tolerance_mm:g} mm: "
                      "uncover the other marks, or add one that breaks the symmetry")  # fmt: skip
@@ -207,6 +212,23 @@ def _refined(
         partner = partner.copy()
         partner[held[gap.argmax()]] = -1
     return None
+
+
+def _without_outlier(p: ComplexArray, q: ComplexArray, match: _Match, floor_mm: float, needed: int) -> _Match:
+    """The match without the marks, one by one, that lie far from where the others have them."""
+    while match.used > needed:
+        tried = []
+        for k in np.flatnonzero(match.partner >= 0):
+            partner = match.partner.copy()
+            partner[k] = -1
+            rest = _refined(p, q, partner, np.inf, rigid=True)
+            if rest is not None:
+                tried.append((abs(rest.a * p[k] + rest.b - q[match.partner[k]]), rest))
+        off, rest = min(tried, key=lambda pair: pair[1].residual_mm)
+        if off <= OUTLIER * max(rest.residual_mm, floor_mm):
+            break
+        match = rest
+    return match
 
 
 def _least_squares(p: ComplexArray, q: ComplexArray, *, rigid: bool) -> tuple[complex, complex]:

@@ -16,6 +16,8 @@ WITHIN_PX = 1.0
 SECTORS = 72
 LEAST_RIM = 0.4
 """Share of the circle that must be seen."""
+LEAST_ROUND = 0.75
+"""Share of the rim that lies on its best circle below which another diameter is that of no circle at all."""
 LEAST_PIECE = 0.05
 """Size of a piece of the data, relative to the largest, below which it is a crumb."""
 STEPS = 20
@@ -31,7 +33,7 @@ def fit_circle(height_nm: FloatArray, pitch_mm: float, diameter_mm: float, toler
         tolerance_mm: how far the diameter may be off.
 
     Raises:
-        BadMap: another diameter, or too little of the rim in sight.
+        BadMap: an outline that is no circle, another diameter, or too little of the rim in sight.
     """
     x, y = rim_px(height_nm)
     if x.size < SECTORS:
@@ -45,12 +47,15 @@ def fit_circle(height_nm: FloatArray, pitch_mm: float, diameter_mm: float, toler
             break
         centre_x, centre_y, radius = moved
     diameter = 2 * radius * pitch_mm
+    gap = np.hypot(x - centre_x, y - centre_y) - radius
+    held = abs(gap) <= WITHIN_PX
+    if not abs(diameter - diameter_mm) <= tolerance_mm and held.mean() < LEAST_ROUND:
+        raise BadMap(f"the rim of the map's data is no circle: {held.mean():.0%} of it lies on the best one; only round"
+                     " outlines are fitted, so register by fiducials, or mask what is not the part")  # fmt: skip
     if not abs(diameter - diameter_mm) <= tolerance_mm:
         raise BadMap(f"the map's outline is {diameter:.3f} mm across, {diameter_mm:g} mm expected and "
                      f"{tolerance_mm:g} mm allowed: the pitch is wrong, it is another part, or another aperture; mend "
                      "instrument.aperture_mm or the pitch")  # fmt: skip
-    gap = np.hypot(x - centre_x, y - centre_y) - radius
-    held = abs(gap) <= WITHIN_PX
     seen = _seen(x[held] - centre_x, y[held] - centre_y)
     if seen < LEAST_RIM:
         raise BadMap(f"only {seen:.0%} of the part's rim is seen, at least {LEAST_RIM:.0%} is needed to place it: "

@@ -122,6 +122,37 @@ def test_each_is_called_by_its_name(mistake: Mistake) -> None:
         assert "rotation_deg" in said["fiducials"]
 
 
+COARSE = Grid(70, 70, 1.6)
+X, Y = np.meshgrid(COARSE.x_mm, COARSE.y_mm)
+RADIUS = np.hypot(X, Y)
+PARTS = {
+    "rectangle off the middle": (X > -40) & (X < 30) & (Y > -20) & (Y < 45),
+    "D": (RADIUS < 50) & (X < 22),
+    "ring with a notch": (RADIUS < 50) & (RADIUS > 18) & ~((X > 0) & (abs(Y - 10) < 6)),
+    "triangle": (Y > -35) & (Y < 35 + 1.4 * X) & (Y < 50 - 1.2 * X),
+}
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_the_gate_knows_them_on_other_parts(name: str) -> None:
+    """Where the part turned over covers half of itself, too: the two are compared where both have data."""
+    part, figure = PARTS[name], 200 + rough(COARSE, rms_nm=18, seed=len(name))
+    rng = np.random.default_rng(8)
+    for mistake in ALL:
+        if mistake.factor != (1.0, 0.5, 2.0)[(ORIENTATIONS.index(mistake.way) + mistake.sign) % 3]:
+            continue
+        maps = [as_profiled(SurfaceMap(np.where(part, figure + rng.normal(0, 0.3, part.shape), np.nan), 1.6),
+                            mistake.profile)]  # fmt: skip
+        planned = maps[0].height_nm - np.nanmin(maps[0].height_nm) + 20
+        rest = figure - np.where(maps[0].valid, planned, 0.0) + rng.normal(0, 0.3, part.shape)
+        maps.append(as_profiled(SurfaceMap(np.where(part, rest, np.nan), 1.6), mistake.profile))
+        common = part & maps[0].valid
+        stop = judge(planned, maps[0].height_nm - maps[1].height_nm, common, 1.6).stop
+        assert bool(stop) != mistake.none, mistake
+        assert mistake.way.name in stop or mistake.way == ORIENTATIONS[0], (mistake, stop)
+        assert ("negated" in stop) == (mistake.sign < 0), (mistake, stop)
+
+
 def test_all_combinations_are_tried() -> None:
     assert len(set(ALL)) == 8 * 2 * 3
     assert [m for m in ALL if m.none] == ALL[:1]

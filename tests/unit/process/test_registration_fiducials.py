@@ -71,6 +71,20 @@ def test_a_mark_out_of_tolerance_is_dropped() -> None:
     assert placed.shift_mm == pytest.approx((1, 1), abs=1e-9)
 
 
+@pytest.mark.parametrize("nominal", [MARKS_MM, SEVEN_MM])
+def test_a_mark_that_is_off_within_the_tolerance_does_not_draw_the_others(nominal: Points) -> None:
+    """Dirt half over a mark: 4 px, 0.4 mm; the part's place would be 1 px off."""
+    rng = np.random.default_rng(3)
+    for k in range(len(nominal)):
+        found = seen_px(nominal, MAP, 0.7, (1, -1)) + rng.normal(0, 0.05, (len(nominal), 2))
+        found[k] += (2.4, -3.2)
+        placed = fit(found, nominal)
+        assert placed.used == len(nominal) - 1
+        assert np.hypot(placed.shift_mm[0] - 1, placed.shift_mm[1] + 1) < 0.15 * MAP.pitch_mm
+    noisy = [fit(seen_px(nominal, MAP) + rng.normal(0, 0.5, (len(nominal), 2)), nominal).used for _ in range(30)]
+    assert np.mean(noisy) > len(nominal) - 0.1  # noise alone drops none
+
+
 def test_too_few_and_too_many_are_refused() -> None:
     true = seen_px(SEVEN_MM, MAP)
     with pytest.raises(BadMap, match="at least 5 are needed"):

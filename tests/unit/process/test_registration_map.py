@@ -99,6 +99,33 @@ def test_another_diameter_is_refused(diameter_mm: float, expected_mm: float, mat
         outline.fit_circle(disc(GRID, diameter_mm), GRID.pitch_mm, expected_mm, 1.0)
 
 
+def apertures() -> dict[str, np.ndarray]:
+    x, y = on_part(GRID, 0, PLACE[1])
+    rounded = np.hypot(np.maximum(abs(x) - 20, 0), np.maximum(abs(y) - 20, 0)) < 30
+    return {
+        "annulus": (np.hypot(x, y) < 50) & (np.hypot(x, y) > 15),
+        "annulus with its hole beside": (np.hypot(x, y) < 50) & (np.hypot(x - 10, y) > 15),
+        "bite": (np.hypot(x, y) < 50) & (np.hypot(x - 45, y) > 15),
+        "flat": (np.hypot(x, y) < 50) & (x < 35),
+        "ellipse": np.hypot(x, y / 0.8) < 50,
+        "rectangle": (abs(x) < 45) & (abs(y) < 30),
+        "square": (abs(x) < 50) & (abs(y) < 50),
+        "rounded square": rounded,
+    }
+
+
+@pytest.mark.parametrize("name", ["annulus", "annulus with its hole beside", "bite", "flat"])
+def test_what_has_a_round_rim_is_placed_by_it(name: str) -> None:
+    found = outline.fit_circle(np.where(apertures()[name], 0.0, np.nan), GRID.pitch_mm, 100.0, 1.0)
+    assert off_px(found) < 0.05
+
+
+@pytest.mark.parametrize("name", ["ellipse", "rectangle", "square", "rounded square"])
+def test_what_is_not_round_is_said_to_be_no_circle(name: str) -> None:
+    with pytest.raises(BadMap, match=r"is no circle.*register by fiducials"):
+        outline.fit_circle(np.where(apertures()[name], 0.0, np.nan), GRID.pitch_mm, 100.0, 1.0)
+
+
 def test_too_little_rim_is_refused() -> None:
     height = disc(GRID, 100.0)
     height[:300] = np.nan
