@@ -97,6 +97,7 @@ def test_broken_files_are_maps_or_refused(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("part", range(PARTS))
 @pytest.mark.parametrize("name", VARIANTS)
 def test_a_hundred_thousand_broken_files(name: str, part: int, tmp_path: Path) -> None:
