@@ -92,7 +92,7 @@ def judge(
     rival, turned = max((pair for pair in found if not pair[0].as_it_is), key=_correlation)
     better = explains_better(turned.correlation, moved.correlation) and seen.surely(rival, straight)
     if not seen.surely(straight, STILL):
-        straight, moved = STILL, seen.fit(STILL)
+        straight, moved = STILL, _without_unsure_shift(seen.fit(STILL), own)
     best, final = (rival, turned) if better else (straight, moved)
     best = replace(best, correlation=max(final.correlation, 0.0))
     stop = _reason(seen, best, moved, final)
@@ -187,6 +187,13 @@ def _reason(seen: _Pass, best: Explanation, moved: Fit, final: Fit) -> str:
 
 def _times(moved: Fit) -> str:
     return f"{moved.rate:.3f} +- {moved.rate_sigma:.3f} times"
+
+
+def _without_unsure_shift(moved: Fit, own: Fit) -> Fit:
+    """The rate as fitted without a shift, where none is sure: on a small part the two take each other's place."""
+    if _sure(moved)[0] > 0:
+        return moved
+    return replace(moved, rate=own.rate, rate_sigma=own.rate_sigma, rate_excess=own.rate_excess)
 
 
 def _sure(moved: Fit) -> tuple[float, float]:

@@ -86,7 +86,7 @@ def test_the_spindle_runs_while_it_is_told_to(shared: Cell) -> None:
         wait_for(lambda: spindle.pump() or spindle.seen.get("585") == "4318100439300000", "identity")
 
         def is_at_speed() -> bool:
-            # a machine that starves this test for 0.25 s is a writer that fell silent: then the drive wants a reset
+            # a machine that starves this test for 0.5 s is a writer that fell silent: then the drive wants a reset
             spindle.spin(0 if spindle.state() == 3 else 1000)
             return spindle.state() == 2
 
@@ -126,7 +126,7 @@ def test_a_pass_in_contact_is_booked_block_by_block_and_measured(shared: Cell) -
         robot.until(lambda: robot.status["executed"] == TOUCH, "the approach")
 
         def is_at_speed() -> bool:
-            # a machine that starves this test for 0.25 s is a writer that fell silent: then the drive wants a reset
+            # a machine that starves this test for 0.5 s is a writer that fell silent: then the drive wants a reset
             spindle.spin(0 if spindle.state() == 3 else 1000)
             return spindle.state() == 2
 
