@@ -10,7 +10,7 @@ import scipy
 
 from polishd.model.errors import BadMap, ConfigError
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
-from polishd.process.explanation import Explanation, explanations
+from polishd.process.explanation import REACH_MM, Explanation, explanations
 from polishd.process.metrics import polynomial
 from polishd.process.orientation import ORIENTATIONS, Orientation
 from polishd.process.registration.resampling import resample_registered
@@ -119,6 +119,10 @@ def prove(
         raise BadMap(f"the map does not show the artefact: {best.name} and {proof.pitch_ratio:.2f} times as large it "
                      f"correlates best, with {proof.correlation:.2f}, and {LEAST_CORRELATION:g} is needed; centre and "
                      "seat the artefact, and check its bumps")  # fmt: skip
+    if np.hypot(*proof.shift_mm) > REACH_MM:  # the rivals were tried within it only
+        x, y = proof.shift_mm
+        raise BadMap(f"the map shows the artefact at ({x:+.1f}, {y:+.1f}) mm from its place, and {REACH_MM:g} mm are "
+                     "allowed: centre it in the map, or mend x_mm and y_mm of its bumps")  # fmt: skip
     if proof.next_best > proof.correlation - MARGIN:
         raise BadMap(f"the map shows the artefact {rival.name} about as well as {best.name} ({rival.correlation:.2f} "
                      f"and {proof.correlation:.2f}): bring all its bumps into view")  # fmt: skip

@@ -55,6 +55,12 @@ def test_a_true_map_proves_the_profile(seed: int) -> None:
     assert proof.pitch_ratio == pytest.approx(1, abs=0.003)
 
 
+@pytest.mark.parametrize("shift", [(7.0, 0.0), (-4.5, 4.5), (0.0, -12.0)])
+def test_an_artefact_beside_its_place_proves_nothing(shift: tuple[float, float]) -> None:
+    with pytest.raises(BadMap, match=r"mm from its place, and 5 mm are allowed|does not show the artefact"):
+        prove(SurfaceMap(artefact(0.0, shift), 0.5), BUMPS)
+
+
 @pytest.mark.parametrize(
     "bumps", [(Bump(20, 8, 4, 4, 100),), (Bump(18, -6, 5, 5, -80), Bump(-9, 20, 7, 4, 120, 60)), BUMPS]
 )
