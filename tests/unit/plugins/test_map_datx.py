@@ -58,6 +58,7 @@ def test_the_measured_file(shared_data: Path) -> None:
     surface = read(shared_data / "zygo_mx.datx")
     height = surface.height_nm
     assert height.shape == (259, 33)
+    assert surface.taken_at is None, "its time is 719529 s: the days from the year 0 to 1970"
     assert surface.pitch_mm == pytest.approx(1.0, rel=1e-6)
     assert int(np.isnan(height).sum()) == 776
     assert float(np.nanmax(height) - np.nanmin(height)) == pytest.approx(453.030479, rel=1e-8)

@@ -15,7 +15,7 @@ from polishd.process.orientation import ORIENTATIONS
 from tests.unit.process.gaussian import rough
 
 MASKS = ("circle", "D", "rectangle", "cut ring", "hole beside")
-COUNTS = [32, pytest.param(3000, marks=pytest.mark.slow)]
+COUNTS = [32, pytest.param(3000, marks=[pytest.mark.slow, pytest.mark.timeout(1800)])]
 
 
 def part(kind: str, grid: Grid) -> BoolArray:

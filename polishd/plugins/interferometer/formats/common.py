@@ -24,6 +24,10 @@ OPTICS = {"IntfScaleFactor": (0.01, 100.0), "Wavelength (m)": (1e-7, 2e-5), "Obl
 """What the factors of an interferometer's heights may be."""
 
 
+EARLIEST_S = 315_532_800
+"""1980: before it there were no such files. Small numbers are clocks never set, or days where seconds should be."""
+
+
 def content_of(path: Path) -> bytes:
     """All bytes of a file; BadMap where it cannot be read, is empty, or is larger than any map."""
     try:
@@ -103,8 +107,8 @@ def require_said(surface: SurfaceMap, *also: str) -> None:
 
 
 def time_of(seconds: float) -> datetime | None:
-    """The instant of a time stamp in seconds since 1970; None for 0 and for what is no time."""
+    """The instant of a time stamp in seconds since 1970; None for what is no time a map was measured at."""
     try:
-        return datetime.fromtimestamp(seconds, UTC) if seconds > 0 else None
+        return datetime.fromtimestamp(seconds, UTC) if seconds >= EARLIEST_S else None
     except (OverflowError, ValueError, OSError):
         return None
