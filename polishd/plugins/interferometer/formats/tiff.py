@@ -82,12 +82,12 @@ def _check_page(path: Path, page: Any, length: int) -> None:
 def _check_pieces(path: Path, page: Any) -> None:
     """BadMap where strips or tiles are not those that the size asks for: tifffile would show zeros in their place."""
     rows, columns = page.shape
-    if page.is_tiled:
-        count = -(-rows // page.tilelength) * -(-columns // page.tilewidth)
-        samples = [page.tilelength * page.tilewidth] * count if count <= len(page.dataoffsets) else []
-    else:
-        tall = min(max(page.rowsperstrip, 1), rows)
-        samples = [min(tall, rows - at) * columns for at in range(0, rows, tall)]
+    tall, wide = (page.tilelength, page.tilewidth) if page.is_tiled else (min(max(page.rowsperstrip, 1), rows), columns)
+    count = -(-rows // max(tall, 1)) * -(-columns // max(wide, 1))
+    samples = []
+    if count == len(page.databytecounts):  # a broken size asks for milliards
+        last = tall if page.is_tiled else rows - (count - 1) * tall
+        samples = [tall * wide] * (count - 1) + [last * wide]
     stored, spans = list(page.databytecounts), sorted(zip(page.dataoffsets, page.databytecounts, strict=True))
     whole = len(stored) == len(samples) and min(stored, default=0) > 0
     if whole and page.compression == 1:
