@@ -44,7 +44,9 @@ from tests.conformance.test_device import (  # noqa: F401 -- the suite itself, w
 from tests.programs import plan_of
 from tests.system.sim_rig import ROOT, Cell, alive, cell, wait_for
 
-pytestmark = pytest.mark.system
+# python-can leaves the socket of a bus that it refuses to open to the collector
+LEFT = "ignore:Exception ignored in. <socket.socket:pytest.PytestUnraisableExceptionWarning"
+pytestmark = [pytest.mark.system, pytest.mark.filterwarnings(LEFT)]
 
 # The robot stands with the tool's tip on the part, so that there is something to press on.
 BASE = """

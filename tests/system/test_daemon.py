@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import sqlite3
 import stat
@@ -78,7 +79,8 @@ def test_a_whole_job_is_polished_and_left_for_people_to_see(tmp_path: Path) -> N
     assert certificate["kkt_residual"] <= 1e-4
     assert certificate["cross_check"] == "qp"
     assert abs(certificate["cross_check_gap"]) < 1e-3
-    assert "http" not in (run / "report.html").read_text().replace("http://www.w3.org", "")
+    page = re.sub(r"base64,[\w+/=]+", "", (run / "report.html").read_text())  # four letters come up in pictures, too
+    assert "http" not in page.replace("http://www.w3.org", "")
 
 
 def test_what_was_learned_predicts_the_time_that_is_delivered(tmp_path: Path) -> None:
@@ -201,9 +203,14 @@ def test_an_instrument_that_was_turned_over_is_stopped_by_the_gate_with_a_pictur
     ("fault", "mends"),
     [
         ({"mirror": True}, "mirror = true"),
-        ({"rotation_deg": 90}, "rotation_deg = 270"),
-        ({"factor": 2.0}, "factor = 0.5"),
-        ({"sign": -1}, "sign = -1"),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (
+                ({"rotation_deg": 90}, "rotation_deg = 270"),
+                ({"factor": 2.0}, "factor = 0.5"),
+                ({"sign": -1}, "sign = -1"),
+            )
+        ),
     ],
 )
 def test_a_wrong_profile_is_not_commissioned_and_does_not_run(

@@ -133,7 +133,9 @@ BAD_WIRES: dict[str, Faults] = {
 }
 
 
-@pytest.mark.parametrize("device", BAD_WIRES)
+@pytest.mark.parametrize(
+    "device", [name if name == "robot" else pytest.param(name, marks=pytest.mark.slow) for name in BAD_WIRES]
+)
 def test_a_bad_wire_ends_in_tolerance_or_safe_with_a_device_error(tmp_path: Path, device: str) -> None:
     with faulty_cell(tmp_path / "cell", BAD_WIRES[device], seed=2, speed=80.0) as files:
         with Daemon(files) as daemon:

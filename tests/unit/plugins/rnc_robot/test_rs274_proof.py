@@ -26,7 +26,7 @@ PRINTED = 5e-5
 ENCODINGS = ("dwell", "feed", "inverse")
 SHAPES = [(encoding, units, mode) for encoding in ENCODINGS for units in ("G21", "G20") for mode in ("G90", "G91")]
 # One of each encoding, each unit and each mode.
-QUICK = [("dwell", "G21", "G90"), ("feed", "G20", "G91"), ("inverse", "G21", "G91")]
+QUICK = [("feed", "G20", "G91")]
 
 
 @dataclass(frozen=True)
