@@ -236,10 +236,11 @@ def _notes(seen: _Pass, moved: Fit, undecidable: tuple[str, ...]) -> tuple[str, 
 
 def _undecidable(seen: _Pass, moved: Fit) -> tuple[str, ...]:
     """Which mistakes would not have been found: the prediction would fit about as well, or too little is sure."""
+    is_seen = moved.rate > SURE * moved.rate_sigma  # where even the prediction as it is is not, none of them could be
 
     def shows(e: Explanation) -> bool:
         likely = explains_better(moved.correlation, e.correlation * moved.correlation)
-        return likely and SURE * seen.contest(e, STILL)[1] < RATES[0]
+        return is_seen and likely and SURE * seen.contest(e, STILL)[1] < RATES[0]
 
     all_of_them = explanations(seen.predicted_nm, seen.predicted_nm, seen.mask, seen.mask, seen.pitch_mm)
     names = [e.name for e in all_of_them if not (e.as_it_is or shows(e))]

@@ -12,8 +12,6 @@ import pytest
 from polishd.console.map_files import own_readers
 from polishd.console.map_formats import EXTRAS, format_answer
 from polishd.console.tables import stdout
-from polishd.hookspecs import SurfaceReader
-from polishd.model.surface import SurfaceMap
 from tests.unit.console.maps import dat, surface
 from tests.unit.console.said import Polishd
 
@@ -119,10 +117,7 @@ def test_formats_are_those_of_the_plugin(polishd: Polishd) -> None:
 
 
 def test_what_needs_an_extra_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    def read(path: Path) -> SurfaceMap:
-        raise NotImplementedError
-
-    reader = SurfaceReader("gwy", lambda _head, _path: True, read, (".gwy",))
+    reader = own_readers()["gwy"]
     assert format_answer(reader)["extra"] == "gwy"
     monkeypatch.setattr("polishd.console.map_formats.find_spec", lambda _: None)
     answer = format_answer(reader)
