@@ -85,11 +85,11 @@ def steps(path: Path) -> dict[str, tuple[Callable[[], object], Callable[[], obje
     """Ours and prysm's of each step, given what the steps before made."""
     surface = METROPRO.read(path)
     height, mask = surface.height_nm, surface.valid
-    level = metrics.without_polynomial(height, mask, 1)
+    level = metrics.without(height, mask, "tilt")
     theirs = Interferogram.from_zygo_dat(path)
     return {
         "import .dat": (lambda: METROPRO.read(path), lambda: Interferogram.from_zygo_dat(path)),
-        "level": (lambda: metrics.without_polynomial(height, mask, 1), lambda: theirs.copy().remove_tiptilt()),
+        "level": (lambda: metrics.without(height, mask, "tilt"), lambda: theirs.copy().remove_tiptilt()),
         "register by the outline": (lambda: register(height), None),
         "fill 40 holes": (lambda: filled(level, mask), None),
         f"{TERMS} Zernike terms": (lambda: metrics.zernike.fit(level, mask, TERMS), lambda: zernike_prysm(theirs)),
@@ -103,7 +103,7 @@ def whole(path: Path) -> object:
     surface = METROPRO.read(path)
     height, mask = surface.height_nm, surface.valid
     place = register(height)
-    level = metrics.without_polynomial(height, mask, 1)
+    level = metrics.without(height, mask, "tilt")
     whole_surface = filled(level, mask)
     terms = metrics.zernike.fit(level, mask, TERMS)
     psd = metrics.radial_psd(level, mask, PITCH_MM)

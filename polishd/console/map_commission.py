@@ -98,7 +98,7 @@ def _picture(profile: Profile, seen: SurfaceMap, title: str) -> bytes:
     import numpy as np
 
     from polishd.plugins.run_report.style import DIVERGING, NO_DATA, figure, png, polishd_style
-    from polishd.process.metrics import without_polynomial
+    from polishd.process.metrics import without
 
     artefact = artefact_heights(profile.bumps, seen.grid)
     limit = float(np.abs(artefact).max()) or 1.0
@@ -107,7 +107,7 @@ def _picture(profile: Profile, seen: SurfaceMap, title: str) -> bytes:
         page = figure(8.4, 3.8)
         axes = page.subplots(1, 2)
         for ax, height, words in zip(axes, (artefact, seen.height_nm), ("The artefact", title), strict=True):
-            levelled = without_polynomial(height, seen.valid, 1)
+            levelled = without(height, seen.valid, "tilt")
             levelled -= np.median(levelled[seen.valid])
             ax.set_facecolor(NO_DATA)
             ax.imshow(levelled, cmap=DIVERGING, vmin=-limit, vmax=limit, extent=(-half_x, half_x, -half_y, half_y))

@@ -135,7 +135,7 @@ def _figures(
     pair: Pair, height_nm: FloatArray, found: metrics.Figures | None, edges: Sequence[float]
 ) -> dict[str, Any]:
     pv, rms = metrics.pv_rms(height_nm, pair.mask)
-    level_pv, level_rms = metrics.pv_rms(metrics.without_polynomial(height_nm, pair.mask, 1), pair.mask)
+    level_pv, level_rms = metrics.pv_rms(metrics.without(height_nm, pair.mask, "tilt"), pair.mask)
     bands = None if found is None or pair.pitch_mm is None else band_records(found.band_rms_nm, pair.pitch_mm, edges)
     return {
         "pv_nm": pv,

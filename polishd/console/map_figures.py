@@ -48,7 +48,7 @@ def figured(surface: SurfaceMap, trim: int, edges: Sequence[float]) -> Figured:
     """
     height, pitch = surface.height_nm, surface.pitch_mm
     mask = trimmed_mask(surface, trim)
-    level = metrics.without_polynomial(height, mask, 1)
+    level = metrics.without(height, mask, "tilt")
     bands = () if pitch is None else metrics.split_bands(height, mask, pitch, edges)
     answer = {
         **_named(surface, mask, level),

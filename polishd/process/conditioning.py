@@ -98,11 +98,6 @@ def process_grid(aperture_mm: float, grid_mm: float, margin_mm: float = MARGIN_M
     return Grid(n, n, grid_mm)
 
 
-def resample(height_nm: FloatArray, source: Grid, target: Grid) -> FloatArray:
-    """Area average of a map onto another grid with the same centre: see `resample_registered`."""
-    return resample_registered(height_nm, source, target)
-
-
 def fill_holes(height_nm: FloatArray) -> FloatArray:
     """Fill every NaN harmonically: each filled sample is the mean of its neighbours (a stretched membrane).
 

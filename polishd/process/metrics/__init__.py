@@ -17,7 +17,6 @@ from polishd.process.metrics.spread import (
     spread,
     trimmed,
     without,
-    without_polynomial,
 )
 
 __all__ = [
@@ -50,6 +49,5 @@ __all__ = [
     "surface_stats",
     "trimmed",
     "without",
-    "without_polynomial",
     "zernike",
 ]

@@ -21,7 +21,7 @@ import scipy
 
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.metrics.extension import WORKERS, extended
-from polishd.process.metrics.spread import without_polynomial
+from polishd.process.metrics.spread import without
 
 Window = Literal["extended", "mask", "taper"]
 TAPER = 1 / 16
@@ -123,7 +123,7 @@ def radial_psd(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: 
 
 def _density(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: Window) -> tuple[FloatArray, int, float]:
     """Density on the half plane of the real FFT, (ny, nx // 2 + 1); nx of the whole; area of a sample, 1/mm^2."""
-    rest = without_polynomial(height_nm, mask, 1)
+    rest = without(height_nm, mask, "tilt")
     width = int(max(mask.shape) * TAPER) + 1
     if window == "extended":
         field, _ = extended(rest, mask, width)

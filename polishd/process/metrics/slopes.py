@@ -8,7 +8,7 @@ import numpy as np
 
 from polishd.model.errors import BadMap
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.metrics.spread import without_polynomial
+from polishd.process.metrics.spread import without
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ def slope(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, integration_m
     """
     if integration_mm is not None and not integration_mm > 0:
         raise ValueError(f"an integration length of {integration_mm:g} mm")
-    level = without_polynomial(height_nm, mask, 1)
+    level = without(height_nm, mask, "tilt")
     reach = 1 if integration_mm is None else max(1, round(integration_mm / (2 * pitch_mm)))
     length = 2 * reach * pitch_mm
     if min(mask.shape) <= 2 * reach:

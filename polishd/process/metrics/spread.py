@@ -92,16 +92,6 @@ def fitted(height_nm: FloatArray, mask: BoolArray, removal: Removal) -> FloatArr
     return power(height_nm, mask)[0] if removal == "power" else polynomial(height_nm, mask, int(removal == "tilt"))
 
 
-def without_polynomial(height_nm: FloatArray, mask: BoolArray, degree: int) -> FloatArray:
-    """(ny, nx) the surface less ``polynomial``: 0 takes off piston, 1 piston and tilt; NaN outside the mask.
-
-    Raises:
-        BadMap: the mask is empty, or the surface not finite inside it.
-    """
-    inside(height_nm, mask)
-    return np.where(mask, height_nm - polynomial(height_nm, mask, degree), np.nan)
-
-
 def polynomial(height_nm: FloatArray, mask: BoolArray, degree: int) -> FloatArray:
     """(ny, nx) least-squares polynomial of this total degree over the mask, evaluated everywhere: 0 piston, 1 plane."""
     y, x = (np.linspace(-1, 1, n) for n in height_nm.shape)

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from polishd.model.errors import BadMap
 from polishd.model.surface import Grid, SurfaceMap
-from polishd.process.conditioning import Conditioned, condition, fill_holes, process_grid, resample
+from polishd.process.conditioning import Conditioned, condition, fill_holes, process_grid
 from polishd.process.metrics import polynomial
+from polishd.process.registration.resampling import resample_registered
 from tests.unit.process.gaussian import rough
 
 FINE = Grid(240, 240, 0.25)
@@ -35,7 +36,7 @@ def test_resampling_conserves_volume(ny: int, nx: int, pitch: float, onto: float
     height = np.random.default_rng(ny * nx).standard_normal(source.shape) + 5
     # an odd margin, so that the cells' edges do not coincide
     target = Grid(int(ny * pitch / onto) + 3, int(nx * pitch / onto) + 3, onto)
-    there = resample(np.pad(height, 20), Grid(ny + 40, nx + 40, pitch), target)
+    there = resample_registered(np.pad(height, 20), Grid(ny + 40, nx + 40, pitch), target)
     held = np.nan_to_num(there).sum() * onto**2
     if (np.array(target.shape) * onto < (np.array(source.shape) + 40) * pitch).all():
         assert held == pytest.approx(height.sum() * pitch**2, rel=1e-9)
@@ -44,7 +45,7 @@ def test_resampling_conserves_volume(ny: int, nx: int, pitch: float, onto: float
 def test_a_block_is_averaged() -> None:
     height = np.arange(16.0).reshape(4, 4)
     expected = height.reshape(2, 2, 2, 2).mean(axis=(1, 3))
-    np.testing.assert_allclose(resample(height, Grid(4, 4, 0.5), Grid(2, 2, 1.0)), expected)
+    np.testing.assert_allclose(resample_registered(height, Grid(4, 4, 0.5), Grid(2, 2, 1.0)), expected)
 
 
 def test_missing_data_do_not_enter_the_average() -> None:
@@ -53,18 +54,18 @@ def test_missing_data_do_not_enter_the_average() -> None:
     height[2:, :2] = np.nan
     height[3, 3] = np.nan
     height[2, 3] = np.nan
-    there = resample(height, Grid(4, 4, 0.5), Grid(2, 2, 1.0))
+    there = resample_registered(height, Grid(4, 4, 0.5), Grid(2, 2, 1.0))
     assert there[0, 0] == 4.5
     assert np.isnan(there[1, 0])
     assert there[1, 1] == 12
     height[1, 0] = np.nan
-    assert np.isnan(resample(height, Grid(4, 4, 0.5), Grid(2, 2, 1.0))[0, 0])
+    assert np.isnan(resample_registered(height, Grid(4, 4, 0.5), Grid(2, 2, 1.0))[0, 0])
 
 
 def test_the_centre_stays_and_nothing_is_turned() -> None:
     x, y = np.meshgrid(FINE.x_mm, FINE.y_mm)
     target = Grid(41, 40, 1.0)
-    there = resample(3 * x - 2 * y, FINE, target)
+    there = resample_registered(3 * x - 2 * y, FINE, target)
     expected = 3 * target.x_mm[None, :] - 2 * target.y_mm[:, None]
     np.testing.assert_allclose(there, expected, atol=1e-9)
 
@@ -86,7 +87,7 @@ def test_a_map_is_brought_onto_the_grid_and_levelled() -> None:
     inside = part.height_nm[part.metric_mask]
     assert inside.mean() == pytest.approx(0, abs=1e-10)
     np.testing.assert_allclose(polynomial(part.height_nm, part.metric_mask, 1), 0, atol=1e-9)
-    raw = resample(surface.height_nm, surface.grid, part.grid)
+    raw = resample_registered(surface.height_nm, surface.grid, part.grid)
     raw = raw - polynomial(raw, part.metric_mask, 1)
     np.testing.assert_allclose(inside, raw[part.metric_mask], atol=1e-9)
 

@@ -10,7 +10,7 @@ from prysm.interferogram import psd as prysm_psd
 
 from polishd.model.errors import BadMap
 from polishd.model.surface import Grid
-from polishd.process.metrics import psd_2d, psd_x, psd_y, radial_psd, without_polynomial
+from polishd.process.metrics import psd_2d, psd_x, psd_y, radial_psd, without
 from polishd.process.metrics.psd import Window
 from tests.unit.process.gaussian import rough
 from tests.unit.process.masked import shapes
@@ -25,7 +25,7 @@ def test_every_view_sums_to_the_variance(seed: int, ny: int, nx: int, pitch: flo
     masks = [np.ones(grid.shape, dtype=bool), *shapes(grid).values()]
     mask = masks[number]
     height = np.where(mask, rough(grid, seed=seed, cut_mm=3 * pitch), np.nan)
-    variance = without_polynomial(height, mask, 1)[mask].var()
+    variance = without(height, mask, "tilt")[mask].var()
     for window in ("extended", "mask"):
         whole = psd_2d(height, mask, pitch, window)
         along, across, ring = (view(height, mask, pitch, window) for view in (psd_x, psd_y, radial_psd))
@@ -101,7 +101,7 @@ def test_a_whole_number_of_waves_is_one_line_of_known_height() -> None:
 def test_prysm_has_the_same_density_where_nothing_is_masked() -> None:
     grid = Grid(64, 64, 0.5)
     mask = np.ones(grid.shape, dtype=bool)
-    level = without_polynomial(rough(grid, cut_mm=2), mask, 1)
+    level = without(rough(grid, cut_mm=2), mask, "tilt")
     _, _, expected = prysm_psd(level, 0.5, np.ones(grid.shape))
     own = psd_2d(level, mask, 0.5, "mask").density_nm2_mm2
     np.testing.assert_allclose(own, expected, rtol=1e-9, atol=1e-9 * expected.max())

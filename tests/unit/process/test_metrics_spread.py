@@ -115,7 +115,7 @@ def test_refusals() -> None:
     with pytest.raises(BadMap, match="1 samples inside the mask have no data"):
         metrics.pv_rms(broken, mask)
     with pytest.raises(BadMap, match="its mask"):
-        metrics.without_polynomial(height[1:], mask, 1)
+        metrics.without(height[1:], mask, "tilt")
     with pytest.raises(ValueError, match="0 or more"):
         metrics.trimmed(mask, -1)
     with pytest.raises(ValueError, match="piston, tilt, power"):
