@@ -111,16 +111,17 @@ class ComplianceSection(Section):
 
 
 def _cm2_per_n(value: Any) -> Any:
-    """A Preston constant: a number in cm2/N, or a string with its unit."""
-    if not isinstance(value, str):
-        return value
-    number, _, unit = value.strip().partition(" ")
+    """A Preston constant with its unit, such as "1.49e-9 cm2/N", in cm2/N."""
+    number, _, unit = str(value).strip().partition(" ")
     unit = re.sub(r"\s|\^", "", unit).replace("²", "2")
     try:
-        return float(number) * CM2_PER_N[unit or "cm2/N"]
+        found = float(number)
+        if unit:
+            return found * CM2_PER_N[unit]
     except (ValueError, KeyError):
         units = ", ".join(CM2_PER_N)
         raise ValueError(f"{value!r} is no Preston constant; write a number and one of {units}") from None
+    raise ValueError(f'{number} has no unit, which is worth a factor of 100; write "{number} cm2/N", or which it is')
 
 
 class ProcessSection(Section):

@@ -21,6 +21,7 @@ from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program, Segment
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap, SurfaceStats
 from polishd.process import conditioning, gate, learning, metrics, motion
+from polishd.process.alignment import alignment_notes
 from polishd.process.edge.rim import round_rim
 from polishd.process.gate import Verdict
 from polishd.process.instrument import as_profiled
@@ -50,6 +51,8 @@ class Measured:
     """Where the part lay in the map."""
     spikes: int = 0
     """Samples of the map that were taken for spikes, and out."""
+    notes: tuple[str, ...] = ()
+    """What a person should know of how it was levelled."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,10 +91,10 @@ class Solved:
 
 def read_program(recipe: Recipe, path: Path) -> Program:
     """Read the job's program; ProgramError names file and line."""
-    return _with_moves(recipe.format.read(read_program_bytes(path), path.name))
+    return with_moves(recipe.format.read(read_program_bytes(path), path.name))
 
 
-def _with_moves(program: Program) -> Program:
+def with_moves(program: Program) -> Program:
     """A point that dwells begins where the last one ended: the move there takes time, and removes, too."""
     if program.encoding != "dwell":
         return program
@@ -128,7 +131,8 @@ def condition(
     figure = metrics.without(clean.height_nm, clear, recipe.alignment)
     stats = _stats(recipe, figure, clear, clean.grid.pitch_mm)
     height = np.where(part.solve_mask, part.height_nm, 0.0)
-    return Measured(part.grid, height, part.solve_mask, part.metric_mask, stats, surface.sha256, lies, spikes)
+    notes = alignment_notes(clean.height_nm, clear, recipe.alignment, recipe.tolerance_nm)
+    return Measured(part.grid, height, part.solve_mask, part.metric_mask, stats, surface.sha256, lies, spikes, notes)
 
 
 def in_part_frame(recipe: Recipe, program: Program) -> Program:
@@ -192,29 +196,34 @@ def learn(
     ``surfaces`` are before and after it, ``times`` asked and executed, (n,) s.
     """
     (before, after), (asked_s, executed_s) = surfaces, times
+    mask = before.metric_mask
     predicted = effect_of(recipe, program, before.grid, beliefs.rate).removal_nm(executed_s)
     measured = before.height_nm - after.height_nm
-    if recipe.alignment == "power":  # nobody knows how much of it was removed
-        predicted, measured = (_without_power(removal_nm, before.metric_mask) for removal_nm in (predicted, measured))
     low, high = 1 - recipe.max_rate_change, 1 + recipe.max_rate_change
     allowed = (low / beliefs.rate, high / beliefs.rate)
-    verdict = gate.judge(predicted, measured, before.metric_mask, before.grid.pitch_mm, allowed)
+    # the part is set up anew for each map: nobody knows how much of a tilt was removed, even where tilt is figure
+    unknown: metrics.Removal = "power" if recipe.alignment == "power" else "tilt"
+    verdict = gate.judge(predicted, measured, mask, before.grid.pitch_mm, allowed, removal=unknown)
     if verdict.stop:
         return Taught(beliefs, None, verdict)
-    learned = learning.learn_rate(predicted, measured, before.metric_mask, tilt=recipe.alignment != "piston")
+    learned = learning.learn_rate(verdict.predicted_nm, verdict.measured_nm, mask)
+    if not verdict.tells_rate:
+        learned = learning.withheld(learned)
     rate = min(max(beliefs.rate * learned.rate, low), high)  # what is beyond them is so by less than its error
+    if rate != beliefs.rate * learned.rate:
+        learned = replace(learned, notes=(*learned.notes, _at_limit(beliefs.rate * learned.rate, rate)))
     overhead = motion.learn_overhead_s(program, asked_s, executed_s, envelope_of(recipe, program, beliefs))
     return Taught(Beliefs(rate, overhead, learned.notes), learned, verdict)
 
 
-def _without_power(removal_nm: FloatArray, mask: BoolArray) -> FloatArray:
-    return removal_nm - metrics.fitted(removal_nm, mask, "power")
+def _at_limit(found: float, rate: float) -> str:
+    return f"a rate of {found:.3f} was found: {rate:.3f} is taken, the farthest that limits.max_rate_change allows"
 
 
 def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan:
     """The rewritten program, read back from its own bytes, with what it is expected to do."""
     text = recipe.format.rewrite(program, solved.asked_s)
-    rewritten = _with_moves(recipe.format.read(text, name))
+    rewritten = with_moves(recipe.format.read(text, name))
     if rewritten.n != program.n or not np.array_equal(rewritten.end_mm, program.end_mm):
         raise ComputeError(f"{name}: the rewritten program does not read back as the same path; nothing was sent")
     expected = motion.delivered_time_s(rewritten, rewritten.time_s, envelope_of(recipe, program, solved.beliefs))

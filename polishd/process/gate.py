@@ -9,6 +9,7 @@ import numpy as np
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.explanation import Explanation, explanations
+from polishd.process.metrics import Removal
 from polishd.process.orientation import ORIENTATIONS, orientations
 from polishd.process.removal_fit import Fit, contest, fit, levelled, shifted
 
@@ -22,6 +23,8 @@ RATES = (0.6, 1.4)
 """Measured to predicted removal that learning the rate takes care of."""
 SCALED = 0.1
 """Largest error of the rate at which half as much, or double, is told from what learning takes up."""
+SCALED_WORD = "scaled"
+"""Among the undecidable mistakes: the rate."""
 SIGMAS = 3.0
 """Standard errors by which a shift must be beyond its limit."""
 RATE_SIGMAS = 2.0
@@ -56,7 +59,7 @@ class Verdict:
     """Mistakes that this removal could not show: it is too weak, or too symmetric."""
     notes: tuple[str, ...]
     predicted_nm: FloatArray
-    """(ny, nx) without piston and tilt; NaN outside the mask, as in all four."""
+    """(ny, nx) levelled: what learning takes, too. NaN outside the mask, as in all five."""
     measured_nm: FloatArray
     explained_nm: FloatArray
     """The best explanation: the prediction turned, negated, moved and scaled; NaN also where it has no data."""
@@ -65,10 +68,15 @@ class Verdict:
     best_residual_nm: FloatArray
     """Measured less the best explanation."""
 
+    @property
+    def tells_rate(self) -> bool:
+        """Whether a wrong rate would have been seen, so that the rate can be learned from this pass."""
+        return SCALED_WORD not in self.undecidable
+
 
 def judge(
     predicted_nm: FloatArray, measured_nm: FloatArray, mask: BoolArray, pitch_mm: float,
-    rates: tuple[float, float] = RATES,
+    rates: tuple[float, float] = RATES, *, removal: Removal = "tilt",
 ) -> Verdict:  # fmt: skip
     """Compare measured with predicted removal, and stop where a flip, turn, negation, shift or factor fits better.
 
@@ -78,12 +86,13 @@ def judge(
         mask: (ny, nx) samples to compare.
         pitch_mm: of the grid.
         rates: measured over predicted removal that learning takes up; what is beyond ``RATES`` never is.
+        removal: what nobody knows of a removal, taken off both: "tilt", or "power" where a map's power is alignment.
 
     Raises:
         ComputeError: shapes that do not fit, or too few samples.
     """
     _check(predicted_nm, measured_nm, mask)
-    seen = _Pass(levelled(predicted_nm, mask), levelled(measured_nm, mask), mask, pitch_mm, rates)
+    seen = _Pass(levelled(predicted_nm, mask, removal), levelled(measured_nm, mask, removal), mask, pitch_mm, rates)
     own = fit(seen.predicted_nm, seen.measured_nm, mask, None, pitch_mm)
     if np.sqrt(np.mean(seen.predicted_nm[mask] ** 2)) < MIN_SIGNAL_NM:
         return _without_signal(own, seen)
@@ -247,7 +256,7 @@ def _undecidable(seen: _Pass, moved: Fit) -> tuple[str, ...]:
     if not SIGMAS * max(moved.shift_sigma_mm) <= MAX_SHIFT_MM:
         names.append("shifted")
     if not max(RATE_SIGMAS * moved.rate_sigma, moved.rate_excess) <= SCALED:
-        names.append("scaled")
+        names.append(SCALED_WORD)
     return tuple(names)
 
 
@@ -271,5 +280,5 @@ def _without_signal(own: Fit, seen: _Pass) -> Verdict:
     nothing = Fit(float("nan"), unknown, unknown, (0.0, 0.0), (unknown, unknown), own.correlation, own.model_nm)
     note = f"the predicted removal varies by less than {MIN_SIGNAL_NM:g} nm RMS: it shows no mistake of the map"
     best = Explanation(ORIENTATIONS[0], False, max(own.correlation, 0.0), (0.0, 0.0))
-    said = (best, "", (*everything, "shifted", "scaled"), (note,))
+    said = (best, "", (*everything, "shifted", SCALED_WORD), (note,))
     return _verdict(seen, (own, nothing), said)

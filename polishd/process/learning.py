@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,16 +40,14 @@ def learn_rate(
     mask: BoolArray,
     *,
     weight: FloatArray | None = None,
-    tilt: bool = True,
 ) -> Learned:
-    """Fit ``measured = rate * predicted + piston (+ tilt)`` by weighted least squares.
+    """Fit ``measured = rate * predicted + piston + tilt`` by weighted least squares.
 
     Args:
         predicted_nm: (ny, nx) removal predicted from what was executed, positive = removed.
-        measured_nm: (ny, nx) map before less map after; its piston is unknown, its tilt too unless ``tilt`` is False.
+        measured_nm: (ny, nx) map before less map after; its piston and tilt are unknown.
         mask: (ny, nx) samples to compare.
         weight: (ny, nx) not negative; None for ones.
-        tilt: whether a tilt is fitted and forgotten, as interferometer maps need.
 
     Raises:
         ComputeError: shapes that do not fit, or no data.
@@ -57,7 +55,7 @@ def learn_rate(
     _check(predicted_nm, measured_nm, mask, weight)
     w = np.ones(mask.shape) if weight is None else weight
     rows, columns = np.nonzero(mask)
-    nuisance = [np.ones(rows.size)] + ([rows - rows.mean(), columns - columns.mean()] if tilt else [])
+    nuisance = [np.ones(rows.size), rows - rows.mean(), columns - columns.mean()]
     columns_nm = np.column_stack([predicted_nm[mask], *nuisance])
     weights, measured = w[mask], measured_nm[mask]
     signal = _without(columns_nm[:, 0], columns_nm[:, 1:], weights)
@@ -75,6 +73,14 @@ def learn_rate(
     if not abs(rate - 1) > SIGNIFICANT * sigma:
         applied, notes = 1.0, (f"a rate of {rate:.3f} +- {sigma:.3f} is not significant: the rate stays",)
     return Learned(applied, rate, sigma, own, explained, notes)
+
+
+def withheld(learned: Learned) -> Learned:
+    """The same where the gate says that this pass could not show a wrong rate: what was fitted is not applied."""
+    if learned.rate == 1:
+        return learned
+    fitted = f"a rate of {learned.measured_rate:.3f} +- {learned.rate_sigma:.3f} was fitted"
+    return replace(learned, rate=1.0, notes=(f"{fitted}, but this pass could not show a wrong one: the rate stays",))
 
 
 def _check(predicted: FloatArray, measured: FloatArray, mask: BoolArray, weight: FloatArray | None) -> None:

@@ -11,6 +11,7 @@ import scipy
 from numpy.typing import NDArray
 
 from polishd.model.surface import BoolArray, FloatArray
+from polishd.process.metrics import Removal, fitted
 
 TILES = 4
 """The mask is cut into this many tiles a side for the standard errors: residuals are correlated over a spot."""
@@ -38,13 +39,9 @@ class Fit:
     """(ny, nx) the fit; NaN where the moved prediction has no data."""
 
 
-def levelled(height_nm: FloatArray, mask: BoolArray) -> FloatArray:
-    """(ny, nx) without the least-squares plane over the mask; zero outside it."""
-    rows, columns = np.nonzero(mask)
-    plane = _plane(rows, columns)
-    level = np.zeros(mask.shape)
-    level[mask] = height_nm[mask] - plane @ np.linalg.lstsq(plane, height_nm[mask], rcond=None)[0]
-    return level
+def levelled(height_nm: FloatArray, mask: BoolArray, removal: Removal = "tilt") -> FloatArray:
+    """(ny, nx) without the least-squares plane over the mask, or plane and power; zero outside it."""
+    return np.where(mask, height_nm - fitted(height_nm, mask, removal), 0.0)
 
 
 def fit(

@@ -14,7 +14,9 @@ from polishd.daemon.process_files import write_tif
 from polishd.model.errors import ConfigError
 from polishd.model.process import ComplianceOptions, MeasuredTif, Optic
 from polishd.model.robot import HybridRobot, MeasuredCompliance, SerialRobot
+from polishd.study.config import load_study
 
+EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 SERIAL = """type = "serial"
 dh = [[0, 90, 290, 0], [270, 0, 0, -90], [70, 90, 0, 0], [0, -90, 302, 0], [0, 90, 0, 0], [0, 0, 72, 180]]
 joint_stiffness_n_mm_per_rad = [1e9, 1e9, 1e9, 1e8, 1e8, 1e8]
@@ -112,8 +114,6 @@ def test_faults_of_the_robot_name_key_and_line(tmp_path: Path, example: str, key
 @pytest.mark.parametrize(
     ("written", "cm2_per_n"),
     [
-        ("2e-9", 2e-9),
-        ('"2e-9"', 2e-9),
         ('"2e-9 cm2/N"', 2e-9),
         ('"2e-9 cm^2/N"', 2e-9),
         ('"2e-9 cm²/N"', 2e-9),
@@ -134,6 +134,21 @@ def test_the_preston_constant_carries_its_unit(tmp_path: Path, example: str, wri
 def test_a_preston_constant_that_is_none_is_refused(tmp_path: Path, example: str, written: str) -> None:
     text = re.sub(r"preston = .*", f"preston = {written}", example)
     assert refused(tmp_path, text).startswith(f"cell.toml:{line_of(text, 'preston =')}: process.preston: ")
+
+
+@pytest.mark.parametrize("written", ["1.49e-9", '"1.49e-9"', '" 1.49e-9 "'])
+def test_a_preston_constant_without_its_unit_is_refused_with_what_to_write(
+    tmp_path: Path, example: str, written: str
+) -> None:
+    says = r'process\.preston: (1\.49e-0?9) has no unit, which is worth a factor of 100; write "\1 cm2/N"'
+    text = re.sub(r"preston = .*", f"preston = {written}", example)
+    assert re.match(rf"cell\.toml:{line_of(text, 'preston =')}: {says}", refused(tmp_path, text))
+    (tmp_path / "f.toml").write_text(f"[process]\npreston = {written}\n")
+    assert re.match(rf"f\.toml:2: {says}", refused(tmp_path, f'include = ["f.toml"]\n{example}'))
+    study = tmp_path / "study.toml"
+    study.write_text(re.sub(r"preston = .*", f"preston = {written}", (EXAMPLES / "table_iii.toml").read_text()))
+    with pytest.raises(ConfigError, match=rf"study\.toml:\d+: {says}"):
+        load_study(study)
 
 
 def test_a_fragment_replaces_what_the_cell_says(tmp_path: Path, example: str) -> None:

@@ -19,6 +19,7 @@ from polishd.model.instrument import Instrument
 from polishd.model.process import ComplianceOptions, MeasuredTif, Optic, Placement
 from polishd.model.program import Program
 from polishd.plugins.dwell_solvers import qp
+from polishd.process import metrics
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.frames import dips_deg, surface_normals
@@ -32,6 +33,7 @@ from tests.unit.daemon.small import (
     small_recipe,
     small_text,
 )
+from tests.unit.process.gaussian import rough
 
 HOME = Placement((0.0, 0.0, 0.0), np.eye(3))
 
@@ -133,10 +135,10 @@ def test_a_band_is_stated_where_the_tolerance_has_one() -> None:
 def test_tilt_is_figure_unless_it_is_alignment() -> None:
     surface = small_map()
     tilted = surface.with_height(surface.height_nm + 10.0 * surface.grid.x_mm)
-    assert steps.condition(small_recipe(), tilted, None).stats.rms_nm > 40
-    levelled = steps.condition(small_recipe(alignment="tilt"), tilted, None)
+    assert steps.condition(small_recipe(alignment="piston"), tilted, None).stats.rms_nm > 40
+    levelled = steps.condition(small_recipe(), tilted, None)
     assert np.ptp(levelled.height_nm) < 200
-    plain = steps.condition(small_recipe(alignment="tilt"), surface, None)
+    plain = steps.condition(small_recipe(), surface, None)
     assert levelled.stats.rms_nm == pytest.approx(plain.stats.rms_nm, rel=1e-6), "the figure has no alignment in it"
 
 
@@ -453,6 +455,53 @@ def test_a_flipped_map_stops_at_the_gate_and_teaches_nothing(
     assert "flipped left-right" in taught.verdict.stop
     assert taught.learned is None
     assert taught.beliefs == Beliefs(rate=0.9)
+
+
+@pytest.mark.parametrize("alignment", ["piston", "tilt", "power"])
+@pytest.mark.parametrize("true", [0.4, 1.6])
+def test_nothing_is_learned_from_what_the_gate_cannot_tell(
+    program: Program, measured: Measured, alignment: str, true: float
+) -> None:
+    """A pass that removed a wedge: the next set-up's tilt is as large, and says nothing of the rate."""
+    recipe = small_recipe(alignment=alignment)
+    time_s = 0.5 + 0.4 * program.end_mm[:, 0] / APERTURE_MM
+    wedge = steps.effect_of(recipe, program, measured.grid, 1.0).effect.removal_nm(time_s)
+    plane = metrics.fitted(wedge, measured.metric_mask, "tilt")
+    after = polished(measured, true * plane + wedge - plane)
+    taught = steps.learn(recipe, program, (measured, after), (time_s, time_s + 0.007), Beliefs(rate=0.9))
+    assert "scaled" in taught.verdict.undecidable
+    assert taught.beliefs.rate == 0.9
+    assert taught.beliefs.block_overhead_s > 0, "what the machine took is known all the same"
+    assert "rate" in taught.beliefs.notes[0]
+
+
+def test_a_fitted_rate_that_the_gate_could_not_have_refused_is_told_and_not_taken(
+    program: Program, measured: Measured, solved: Solved
+) -> None:
+    weak = 0.15 * solved.expected_s
+    removal = steps.effect_of(small_recipe(), program, measured.grid, 1.0).effect.removal_nm(weak)
+    ripple = rough(measured.grid, 0.6 * removal[measured.metric_mask].std(), seed=3, cut_mm=6)
+    taught = steps.learn(
+        small_recipe(), program, (measured, polished(measured, 1.4 * removal + ripple)), (weak, weak), Beliefs()
+    )
+    assert taught.verdict.stop == ""
+    assert "scaled" in taught.verdict.undecidable
+    assert taught.learned is not None
+    assert taught.learned.measured_rate > 1 + 2 * taught.learned.rate_sigma, "learning by itself would have believed it"
+    assert taught.beliefs.rate == 1.0
+    assert "could not show a wrong one: the rate stays" in taught.beliefs.notes[0]
+
+
+def test_a_rate_just_beyond_what_is_allowed_is_cut_and_said(
+    program: Program, measured: Measured, solved: Solved
+) -> None:
+    ripple = rough(measured.grid, 0.05 * measured.stats.rms_nm, seed=3, cut_mm=6)
+    after = polished(measured, removed(program, measured, solved, 1.205) + ripple)
+    times = (solved.asked_s, solved.expected_s)
+    taught = steps.learn(small_recipe(max_rate_change=0.2), program, (measured, after), times, Beliefs())
+    assert taught.verdict.stop == ""
+    assert taught.beliefs.rate == 1.2
+    assert "1.200 is taken, the farthest that limits.max_rate_change allows" in taught.beliefs.notes[-1]
 
 
 # registration

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from polishd.model.errors import ComputeError
 from polishd.model.surface import Grid
-from polishd.process.learning import learn_rate
+from polishd.process.learning import learn_rate, withheld
 from tests.unit.process.gaussian import rough
 
 GRID = Grid(70, 70, 1.0)
@@ -29,13 +29,6 @@ def test_the_rate_is_found_whatever_piston_and_tilt(true: float) -> None:
     assert learned.explained > 0.98
     assert learned.correlation > 0.99
     assert learned.notes == ()
-
-
-def test_without_a_fitted_tilt_a_tilt_counts() -> None:
-    measured = 1.2 * PREDICTED + 5 * X
-    assert learn_rate(PREDICTED, measured, MASK).rate == pytest.approx(1.2)
-    assert learn_rate(PREDICTED, 1.2 * PREDICTED, MASK, tilt=False).rate == pytest.approx(1.2)
-    assert abs(learn_rate(PREDICTED, measured, MASK, tilt=False).measured_rate - 1.2) > 0.05
 
 
 def test_a_rate_that_is_not_significant_changes_nothing() -> None:
@@ -90,6 +83,16 @@ def test_units_and_pistons_cancel(seed: int, factor: float, piston: float) -> No
     assert same.measured_rate == pytest.approx(once.measured_rate, rel=1e-9)
     assert same.rate_sigma == pytest.approx(once.rate_sigma, rel=1e-6)
     assert same.explained == pytest.approx(once.explained, rel=1e-6)
+
+
+def test_what_is_withheld_is_still_told() -> None:
+    learned = learn_rate(PREDICTED, 0.8 * PREDICTED, MASK)
+    kept = withheld(learned)
+    assert kept.rate == 1
+    assert kept.measured_rate == learned.measured_rate == pytest.approx(0.8)
+    assert kept.notes[0].startswith("a rate of 0.800 +- 0.000 was fitted, but this pass could not show")
+    even = learn_rate(np.full(GRID.shape, 55.0), PREDICTED, MASK)
+    assert withheld(even) is even, "it stays anyway, and says why"
 
 
 def test_refusals() -> None:
