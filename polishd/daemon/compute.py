@@ -1,4 +1,4 @@
-"""Numerical work in one worker process, killed at its deadline, so that the event loop never waits for it."""
+"""Numerical work in one worker process, killed when its time is over, so that the event loop never waits for it."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
+from polishd.daemon.compute_limit import Limit, Watch
 from polishd.daemon.compute_worker import LENGTH, pack, unpack
 from polishd.model.errors import ComputeError
+from polishd.process.dwell.limit import backstop_s
 
 T = TypeVar("T")
 
-START_S = 60.0
-"""Longest that a worker may take to say that it is ready."""
+START_S = 30.0
+"""CPU seconds in which a worker says that it is ready."""
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
@@ -29,8 +31,9 @@ class Compute:
     One call runs at a time, others wait their turn. The worker starts at the first call or ``start``.
     """
 
-    def __init__(self, threads: int | None = None) -> None:
+    def __init__(self, threads: int | None = None, backstop: Callable[[float], float] = backstop_s) -> None:
         self._threads = threads or (1 if (os.cpu_count() or 1) <= 2 else 2)
+        self._backstop = backstop
         self._turn = asyncio.Lock()
         self._process: Process | None = None
         self._ready = False
@@ -46,12 +49,14 @@ class Compute:
         async with self._turn:
             await self._warm()
 
-    async def __call__(self, function: Callable[..., T], *arguments: Any, within_s: float = 600.0) -> T:
+    async def __call__(self, function: Callable[..., T], *arguments: Any, within_s: Limit | float = 600.0) -> T:
         """Run it in the worker. PolishdErrors come back as themselves, others as ComputeError with a note.
 
-        ComputeError also at the deadline (counted from when the ready worker has the call) or where the worker
-        dies. The worker is killed then, and when the caller is cancelled; the next call has a new one.
+        ComputeError also when the worker has used so many CPU seconds (all its threads, since the ready worker has the
+        call), or the ``backstop``'s wall seconds for them, or where it dies. The worker is killed then, and when the
+        caller is cancelled; the next call has a new one.
         """
+        limit = within_s if isinstance(within_s, Limit) else Limit(within_s)
         async with self._turn:
             process = await self._warm()
             name = getattr(function, "__qualname__", repr(function))
@@ -59,13 +64,15 @@ class Compute:
                 message = pack((function, arguments))
             except Exception as error:
                 raise ComputeError(f"{name} cannot be sent to the worker: {error}") from error
+            watch = Watch(process.pid, limit, self._backstop)
             try:
-                async with asyncio.timeout(within_s):
+                async with watch.kept():
                     kind, value = await _exchange(process, message)
             except TimeoutError:
+                used = str(watch)
                 await self._drop()
                 await self._spawn()
-                raise ComputeError(f"{name} was not done within {within_s:g} s and was ended") from None
+                raise ComputeError(f"{name} was ended: it {used}") from None
             except (OSError, EOFError) as error:
                 raise ComputeError(f"{name}: the worker died ({await self._drop()})") from error
             except BaseException:
@@ -95,13 +102,18 @@ class Compute:
         if process is None or process.returncode is not None:
             process = await self._spawn()
         if not self._ready:
+            watch = Watch(process.pid, Limit(START_S), self._backstop)
             try:
-                async with asyncio.timeout(START_S):
+                async with watch.kept():
                     await _receive(process)
-            except BaseException as error:
-                ended = await self._drop()
-                if isinstance(error, (TimeoutError, EOFError, OSError)):
-                    raise ComputeError(f"the worker did not start ({ended}); see stderr") from error
+            except TimeoutError:
+                used = str(watch)
+                await self._drop()
+                raise ComputeError(f"the worker was not ready in time: it {used}") from None
+            except (OSError, EOFError) as error:
+                raise ComputeError(f"the worker did not start ({await self._drop()}); see stderr") from error
+            except BaseException:
+                await self._drop()
                 raise
             self._ready = True
         return process

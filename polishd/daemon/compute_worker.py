@@ -13,6 +13,7 @@ import traceback
 from collections.abc import Callable
 from typing import Any, BinaryIO
 
+from polishd.daemon.priority import compute_last
 from polishd.model.errors import ComputeError, PolishdError
 
 LENGTH = struct.Struct("<Q")
@@ -42,6 +43,7 @@ def unpack(pieces: list[bytes]) -> Any:
 def main() -> None:
     """Serve calls on stdin and stdout until stdin ends. What a call prints goes to stderr."""
     _die_with_parent()
+    compute_last()
     for name in EARLY:
         importlib.import_module(name)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the daemon's to answer

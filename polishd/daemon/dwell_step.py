@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
+from polishd.daemon import foresight
+from polishd.daemon.compute_limit import Limit
 from polishd.daemon.recipe import Recipe
 from polishd.daemon.steps import Beliefs, Measured, Solved, effect_of, envelope_of
 from polishd.hookspecs import RemovalAnswer
@@ -18,7 +20,8 @@ from polishd.model.program import Program
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process import motion
 from polishd.process.dwell.budget import to_target, within_budget
-from polishd.process.dwell.curve import Solve, price_curve
+from polishd.process.dwell.curve import Row, Solve, price_curve
+from polishd.process.dwell.limit import TimeLimit
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
 from polishd.process.edge.correctable import correctable
@@ -34,6 +37,17 @@ EXTENDED_WEIGHT = 0.01
 """What an extended sample counts beside a measured one: enough to hold the rim, too little to cost the data."""
 LEAST_SAMPLES = 3.0
 """The extension's cut-off spans this many samples at least."""
+LAST_SHARE = 0.25
+"""Of the step's time, what no round may touch: the last solve goes on with it where it was not done."""
+DEADLINE = "deadline"
+"""What a certificate says of a solver whose time was over."""
+KILL_RATIO, KILL_SPARE_S = 2.0, 60.0
+"""The worker is killed this much later: it may have two threads, and no solver looks at the time always."""
+
+
+def limit(recipe: Recipe) -> Limit:
+    """When the compute worker is killed over `solve`, which keeps to ``dwell.within_s`` where its plugins do."""
+    return Limit(KILL_RATIO * recipe.solve_s + KILL_SPARE_S, f"dwell.within_s ({recipe.solve_s:g} s)")
 
 
 def solve(
@@ -42,25 +56,32 @@ def solve(
     """Dwell for the removal that the measured surface wants, within what the machine can deliver.
 
     What acceleration delivers late becomes the lower bound of the next round, so that the optimum knows of it.
-    ``warm`` is what was kept of the last cycle's solution.
+    ``warm`` is what was kept of the last cycle's solution. All of it together, removal model, rounds, choice,
+    cross-check and curve, has ``recipe.solve_s`` of CPU time: each solve is given what is left.
     """
+    time_limit = TimeLimit(recipe.solve_s)
+    foresight.require_path_time(recipe, program)
     envelope = envelope_of(recipe, program, beliefs)
     answer = effect_of(recipe, program, measured.grid, beliefs.rate)
     _require_coverage(program, answer, measured)
     lower = motion.least_time_s(program, envelope)
     upper = np.maximum(motion.most_time_s(program, envelope), lower)
-    given = Given(measured, answer, envelope)
-    problem, dwell, asked, expected = _solve_within(recipe, program, given, (lower, upper), warm)
+    foresight.require_removal_time(recipe, measured, answer, lower)
+    given = Given(measured, answer, envelope, time_limit)
+    found = _solve_within(recipe, program, given, (lower, upper), warm)
     for _ in range(ENVELOPE_ROUNDS):
-        late = expected > dwell.time_s * 1.001 + 1e-4
+        late = found.expected_s > found.dwell.time_s * 1.001 + 1e-4
         if not late.any():
             break
-        lower = np.where(late, np.maximum(lower, expected), lower)
+        lower = np.where(late, np.maximum(lower, found.expected_s), lower)
         upper = np.maximum(upper, lower)
-        problem, dwell, asked, expected = _solve_within(recipe, program, given, (lower, upper), dwell)
-    checked = _noted(measured, answer, _cross_checked(recipe, problem, dwell))
-    curve = price_curve(problem, _solver(recipe)).rows() if recipe.curve else ()
-    return Solved(checked, answer, asked, expected, beliefs, tuple(curve))
+        found = _solve_within(recipe, program, given, (lower, upper), found.dwell)
+    if found.dwell.certificate.stopped == DEADLINE:
+        longer = _solve_within(recipe, program, given, (lower, upper), found.dwell, last=True)
+        found = min(found, longer, key=lambda round_: round_.dwell.certificate.objective)
+    dwell = _cross_checked(recipe, found.problem, _timed(found.dwell, time_limit), time_limit)
+    dwell, curve = _with_curve(recipe, found.problem, _noted(measured, answer, dwell), time_limit)
+    return Solved(dwell, answer, found.asked_s, found.expected_s, beliefs, curve)
 
 
 def _require_coverage(program: Program, answer: RemovalAnswer, measured: Measured) -> None:
@@ -86,44 +107,80 @@ class Given(NamedTuple):
     measured: Measured
     answer: RemovalAnswer
     envelope: Envelope
+    time_limit: TimeLimit
+
+
+class Round(NamedTuple):
+    """A solved problem, and what the machine makes of it."""
+
+    problem: DwellProblem
+    dwell: DwellSolution
+    asked_s: FloatArray
+    expected_s: FloatArray
 
 
 def _solve_within(
-    recipe: Recipe, program: Program, given: Given, bounds: tuple[FloatArray, FloatArray], warm: Start | None
-) -> tuple[DwellProblem, DwellSolution, FloatArray, FloatArray]:
-    problem, found = _solved(recipe, _problem(recipe, given, bounds, warm), given.answer.divide_by)
+    recipe: Recipe,
+    program: Program,
+    given: Given,
+    bounds: tuple[FloatArray, FloatArray],
+    warm: Start | None,
+    *,
+    last: bool = False,
+) -> Round:
+    problem = _problem(recipe, given, bounds, warm)
+    if recipe.choose == "least":
+        kept_s = 0.0 if last else LAST_SHARE * recipe.solve_s
+        found = recipe.solver.solve(problem, max(given.time_limit.left_s - kept_s, 0.0))
+    else:
+        problem, found = _chosen(recipe, problem, given.answer.divide_by, given.time_limit)
     envelope = given.envelope
     dwell = _in_machine_time(found, given.answer.divide_by)
     unasked = motion.least_time_s(program, envelope) if program.encoding == "dwell" else envelope.block_overhead_s
     asked = np.maximum(dwell.time_s - unasked, 0.0)
-    return problem, dwell, asked, motion.delivered_time_s(program, asked, envelope)
+    return Round(problem, dwell, asked, motion.delivered_time_s(program, asked, envelope))
 
 
-def _solver(recipe: Recipe) -> Solve:
-    """The recipe's solver with its deadline."""
-    return lambda problem: recipe.solver.solve(problem, recipe.solve_s)
-
-
-def _solved(recipe: Recipe, problem: DwellProblem, divide_by: FloatArray | None) -> tuple[DwellProblem, DwellSolution]:
-    """The solver's answer, or the point of the residual-against-time curve that the recipe's rule takes."""
-    solve = _solver(recipe)
+def _chosen(
+    recipe: Recipe, problem: DwellProblem, divide_by: FloatArray | None, time_limit: TimeLimit
+) -> tuple[DwellProblem, DwellSolution]:
+    """The point of the residual-against-time curve that the recipe's rule takes."""
+    solve = _searching(recipe, time_limit, f'choose = "{recipe.choose}"')
     match recipe.choose:
         case "knee":
             found = price_curve(problem, solve).knee()
         case "target":
             found = to_target(problem, recipe.target_nm, solve)
-        case "budget":
+        case _:
             # "pointwise" takes so much longer than it solves
             static = 1.0 if divide_by is None else float(divide_by.mean())
             found = within_budget(problem, recipe.budget_s * static, solve)
-        case _:
-            return problem, solve(problem)
     return found.problem, found.solution
+
+
+def _searching(recipe: Recipe, time_limit: TimeLimit, what: str) -> Solve:
+    """The recipe's solver for what needs many solves. One that was cut short would mislead it: a ComputeError."""
+    done = 0
+
+    def solve(problem: DwellProblem) -> DwellSolution:
+        nonlocal done
+        found = recipe.solver.solve(problem, time_limit.left_s)
+        certificate = found.certificate
+        if certificate.stopped == DEADLINE and certificate.kkt_residual > recipe.kkt_tolerance:
+            raise ComputeError(
+                f"{what} takes many solves, and its time was over after {done}: {time_limit} were used, and the next "
+                f"solve's KKT residual was {certificate.kkt_residual:.2e} after {certificate.iterations} iterations. "
+                f"Give it more time (dwell.within_s is {recipe.solve_s:g} s)"
+            )
+        done += 1
+        return found
+
+    return solve
 
 
 def _problem(recipe: Recipe, given: Given, bounds: tuple[FloatArray, FloatArray], warm: Start | None) -> DwellProblem:
     """What the solver is given; for "pointwise" the static problem, bounded so that the quotient keeps its bounds."""
-    measured, answer, _ = given
+    measured, answer = given.measured, given.answer
     surface = _with_rim(recipe, measured, answer)
     piston = choose_piston_nm(measured.height_nm, measured.metric_mask, answer.removal_nm(bounds[0]))
     scale = 1.0 if answer.divide_by is None else answer.divide_by
@@ -175,8 +232,21 @@ def _noted(measured: Measured, answer: RemovalAnswer, dwell: DwellSolution) -> D
         return dwell
     left, cutoff = found.beyond_reach_rms_nm, answer.transfer.cutoff_period_mm
     note = f"{left:.2f} nm RMS of the surface has periods below {cutoff:.2f} mm: no dwell with this spot removes it"
+    return _with_note(dwell, note)
+
+
+def _with_note(dwell: DwellSolution, note: str) -> DwellSolution:
     certificate = dwell.certificate
     return replace(dwell, certificate=replace(certificate, notes=(*certificate.notes, note)))
+
+
+def _timed(dwell: DwellSolution, time_limit: TimeLimit) -> DwellSolution:
+    """The same solution; where its time was over, its certificate says what the whole step had used by then."""
+    certificate = dwell.certificate
+    if certificate.stopped != DEADLINE:
+        return dwell
+    used = f"{DEADLINE} after {certificate.iterations} iterations, {time_limit} for the whole solve step"
+    return replace(dwell, certificate=replace(certificate, stopped=used))
 
 
 def _in_machine_time(dwell: DwellSolution, divide_by: FloatArray | None) -> DwellSolution:
@@ -193,16 +263,29 @@ def _in_machine_time(dwell: DwellSolution, divide_by: FloatArray | None) -> Dwel
     )
 
 
-def _cross_checked(recipe: Recipe, problem: DwellProblem, dwell: DwellSolution) -> DwellSolution:
+def _cross_checked(recipe: Recipe, problem: DwellProblem, dwell: DwellSolution, time_limit: TimeLimit) -> DwellSolution:
     """The same solution with an independent solver's word on it in the certificate."""
     other = recipe.cross_check
     if other is None:
         return dwell
     certificate = dwell.certificate
     try:
-        theirs = other.solve(problem, recipe.solve_s).certificate
+        theirs = other.solve(problem, time_limit.left_s).certificate
     except ComputeError as error:
-        note = f"cross-check by {other.name} failed: {error}"
-        return replace(dwell, certificate=replace(certificate, notes=(*certificate.notes, note)))
+        return _with_note(dwell, f"cross-check by {other.name} failed: {error}")
+    if theirs.stopped == DEADLINE and theirs.objective > certificate.objective:  # which says nothing of ours
+        return _with_note(dwell, f"cross-check by {other.name} was not done in what was left of dwell.within_s")
     gap = (certificate.objective - theirs.objective) / max(theirs.objective, 1e-12)
     return replace(dwell, certificate=replace(certificate, cross_check=other.name, cross_check_gap=gap))
+
+
+def _with_curve(
+    recipe: Recipe, problem: DwellProblem, dwell: DwellSolution, time_limit: TimeLimit
+) -> tuple[DwellSolution, tuple[Row, ...]]:
+    """The curve of residual against time where it is asked for; a plan is not refused for want of it."""
+    if not recipe.curve:
+        return dwell, ()
+    try:
+        return dwell, tuple(price_curve(problem, _searching(recipe, time_limit, "curve")).rows())
+    except ComputeError as error:
+        return _with_note(dwell, f"no curve of residual against time: {error}"), ()

@@ -33,8 +33,9 @@ class Certificate:
     at_upper: int
     iterations: int
     seconds: float
+    """CPU seconds of the solver."""
     stopped: str
-    """Why the solver stopped: ``converged``, ``deadline``, ``iterations``."""
+    """Why the solver stopped: ``converged``, ``deadline``, ``iterations``; what was used by then may follow."""
     cross_check: str | None = None
     """Name of an independent solver that was asked too, or None."""
     cross_check_gap: float | None = None

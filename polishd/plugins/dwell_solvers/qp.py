@@ -5,7 +5,6 @@ It shares only the problem and the certificate with the other solvers, so that t
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -19,6 +18,7 @@ from polishd.api import ComputeError, DwellProblem, DwellSolution
 from polishd.model.surface import FloatArray
 from polishd.plugins.dwell_solvers.matrix import matrix_of
 from polishd.process.dwell.certificate import certified
+from polishd.process.dwell.limit import SLOWEST, TimeLimit
 from polishd.process.dwell.validation import check
 
 NAME = "qp"
@@ -34,12 +34,15 @@ class Backend:
 
     options: Mapping[str, Any] = field(default_factory=dict)
     time_limit: str | None = None
-    """Its option for a limit in seconds."""
+    """Its option for a limit in wall seconds."""
     takes_hessian: bool = True
 
 
 BACKENDS = {
-    "clarabel": Backend({"tol_gap_abs": 1e-13, "tol_gap_rel": 1e-13, "tol_feas": 1e-10}, "time_limit"),
+    # in one thread, whose CPU time is counted; more gain nothing here
+    "clarabel": Backend(
+        {"tol_gap_abs": 1e-13, "tol_gap_rel": 1e-13, "tol_feas": 1e-10, "max_threads": 1}, "time_limit"
+    ),
     "piqp": Backend({"eps_abs": 1e-12, "eps_rel": 1e-12, "eps_duality_gap_abs": 1e-14, "eps_duality_gap_rel": 1e-14}),
     "scs": Backend({"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iters": 1_000_000}, "time_limit_secs"),
     "qpalm": Backend({"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 100_000}, "time_limit"),
@@ -65,13 +68,13 @@ def solve(problem: DwellProblem, within_s: float, backend: str | None = None) ->
 
     Args:
         problem: what to solve; its effect must be a SparseEffect, or a ConvolutionEffect of moderate size.
-        within_s: wall seconds for the whole call.
+        within_s: CPU seconds for the whole call (see TimeLimit).
         backend: its name in qpsolvers; None for the best that is installed.
 
     Raises:
         ComputeError: the problem is malformed, its effect has no matrix, the backend is not installed or found nothing.
     """
-    begin = time.perf_counter()
+    limit = TimeLimit(within_s)
     check(problem)
     there = installed()
     if not there:
@@ -80,24 +83,22 @@ def solve(problem: DwellProblem, within_s: float, backend: str | None = None) ->
     if name not in there:
         raise ComputeError(f"QP backend {name} is not installed; there are: {', '.join(there)}")
     answers: list[DwellSolution] = []
+    late = False
     for with_hessian in _forms(problem, BACKENDS.get(name, Backend())):
-        left = within_s - (time.perf_counter() - begin)
-        if answers and left <= 0:
+        if late:
             break
-        dwell = _asked(problem, name, with_hessian, max(left, 1e-3))
-        seconds = time.perf_counter() - begin
+        dwell, late = _asked(problem, name, with_hessian, limit)
         if dwell is None:
             continue
         answers.append(
-            certified(problem, dwell, solver=f"{NAME}:{name}", iterations=0, seconds=seconds, stopped="converged")
+            certified(problem, dwell, solver=f"{NAME}:{name}", iterations=0, seconds=limit.cpu_s, stopped="converged")
         )
         if answers[-1].certificate.kkt_residual <= ENOUGH:
             return answers[-1]
     if not answers:
-        raise ComputeError(f"{name} found no dwell within {within_s:g} s")
+        raise ComputeError(f"{name} found no dwell within {within_s:g} s of CPU time, in {limit}")
     best = min(answers, key=lambda answer: answer.certificate.objective)
-    short = "deadline" if time.perf_counter() - begin >= within_s else "iterations"
-    return replace(best, certificate=replace(best.certificate, stopped=short))
+    return replace(best, certificate=replace(best.certificate, stopped="deadline" if late else "iterations"))
 
 
 def _forms(problem: DwellProblem, how: Backend) -> list[bool]:
@@ -106,22 +107,39 @@ def _forms(problem: DwellProblem, how: Backend) -> list[bool]:
     return [False] if dense or not how.takes_hessian else [True, False]
 
 
-def _asked(problem: DwellProblem, name: str, with_hessian: bool, within_s: float) -> FloatArray | None:
-    """(n,) dwell within the bounds that the backend found, certain or not."""
+def _asked(problem: DwellProblem, name: str, with_hessian: bool, limit: TimeLimit) -> tuple[FloatArray | None, bool]:
+    """(n,) dwell within the bounds that the backend found, certain or not; and whether its time was over."""
     program, unit_s = _program(problem, with_hessian)
-    how = BACKENDS.get(name, Backend())
-    options = dict(how.options) if how.time_limit is None else {**how.options, how.time_limit: within_s}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a backend's advice on matrix formats is nobody's business
         try:
-            found = qpsolvers.solve_problem(program, solver=name, **options).x
+            solution, late = _in_time(program, name, limit)
         except (qpsolvers.QPError, ValueError) as error:
             raise ComputeError(f"{name} failed: {error}") from error
-    n = problem.effect.n
+    found, n = solution.x, problem.effect.n
     if found is None or not np.isfinite(np.asarray(found)[:n]).all():
-        return None
+        return None, late
     dwell = problem.lower_s + unit_s * np.asarray(found, dtype=np.float64)[:n]
-    return np.asarray(np.clip(dwell, problem.lower_s, problem.upper_s))
+    return np.asarray(np.clip(dwell, problem.lower_s, problem.upper_s)), late
+
+
+def _in_time(program: qpsolvers.Problem, name: str, limit: TimeLimit) -> tuple[qpsolvers.Solution, bool]:
+    """What the backend comes to in the CPU time that is left, and whether that is over.
+
+    Backends count wall seconds: one whose wall seconds were over before it had its CPU seconds is asked again, for as
+    much longer as the machine was slow, if more are left than were not enough.
+    """
+    how = BACKENDS.get(name, Backend())
+    slowness = 1.0
+    while True:
+        cpu, wall, wall_limit = limit.cpu_s, limit.wall_s, slowness * max(limit.left_s, 1e-3)
+        options = dict(how.options) if how.time_limit is None else {**how.options, how.time_limit: wall_limit}
+        solution = qpsolvers.solve_problem(program, solver=name, **options)
+        cpu, wall = limit.cpu_s - cpu, limit.wall_s - wall
+        late = limit.expired() or wall >= wall_limit
+        if solution.found or how.time_limit is None or not late or limit.left_s <= cpu:
+            return solution, late
+        slowness = min(wall / max(cpu, 1e-3), SLOWEST)
 
 
 def _program(problem: DwellProblem, with_hessian: bool) -> tuple[qpsolvers.Problem, float]:

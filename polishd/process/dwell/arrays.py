@@ -107,7 +107,7 @@ def dwell_from_arrays(
         price_nm2_per_s: price of a second of total time.
         budget_s: most total time: the best residual within it.
         target_rms_nm: residual RMS in the clear aperture: the least total time that reaches it.
-        within_s: wall seconds for each solve.
+        within_s: CPU seconds for each solve (see TimeLimit).
         solve: another solver than `default_solve`.
 
     Raises:

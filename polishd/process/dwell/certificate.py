@@ -33,7 +33,7 @@ def certified(
         time_s: (n,) the dwell, s.
         solver: the solver's name.
         iterations: its iterations.
-        seconds: wall seconds it took.
+        seconds: CPU seconds it took.
         stopped: ``converged``, ``deadline`` or ``iterations``.
         notes: anything a person should know.
 

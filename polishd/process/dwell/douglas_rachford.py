@@ -6,7 +6,6 @@ benchmarks/bench_dwell_large.py. The last digits, where float32 has none, are fo
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -17,6 +16,7 @@ from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.convolution import ConvolutionEffect
 from polishd.process.dwell.certificate import certified
+from polishd.process.dwell.limit import TimeLimit
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import projected_gradient, quadratic, safe_step
 from polishd.process.dwell.splitting import Splitting, continued, splitting
@@ -41,8 +41,8 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-6) -
     Args:
         problem: what to solve; its effect must be a ConvolutionEffect. Its warm start's ``state`` is taken where it
             fits, else its dwell.
-        within_s: wall seconds for the whole call; when they are over, the best dwell so far is returned, within the
-            bounds, and its certificate says ``deadline`` and how far from the minimum it is.
+        within_s: CPU seconds for the whole call (see TimeLimit); when they are over, the best dwell so far is
+            returned, within the bounds, and its certificate says ``deadline`` and how far from the minimum it is.
         kkt_tolerance: the KKT residual (see Certificate) to stop at.
 
     Returns:
@@ -51,20 +51,20 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-6) -
     Raises:
         ComputeError: the problem is malformed, or its effect is no sum of convolutions.
     """
-    begin = time.perf_counter()
+    limit = TimeLimit(within_s)
     check(problem)
     effect = problem.effect
     if not isinstance(effect, ConvolutionEffect):
         raise ComputeError(
             f"{NAME} needs dwell points at rest on the grid's nodes (a sum of convolutions): use newton_cg"
         )
-    judge = _Judge(problem, kkt_tolerance, begin + within_s)
+    judge = _Judge(problem, kkt_tolerance)
     work = splitting(problem, effect)
-    stopped = minimise(work, judge.stop, judge.expired)
+    stopped = minimise(work, judge.stop, limit.expired)
     if stopped == "stalled":
         work = continued(work, splitting(replace(problem, warm=None), effect, np.float64))
         judge.can_stall = False
-        stopped = minimise(work, judge.stop, judge.expired)
+        stopped = minimise(work, judge.stop, limit.expired)
     if stopped != "converged":
         judge.stop(work.time_s)
     found = certified(
@@ -72,7 +72,7 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-6) -
         judge.best_s,
         solver=NAME,
         iterations=work.iterations,
-        seconds=time.perf_counter() - begin,
+        seconds=limit.cpu_s,
         stopped=stopped,
     )
     return replace(found, state=work.state)
@@ -92,7 +92,7 @@ def minimise(work: Splitting, stop: Stop, expired: Callable[[], bool], ask_every
 class _Judge:
     """Looks at a dwell in float64: the best so far, and whether it is good enough."""
 
-    def __init__(self, problem: DwellProblem, kkt_tolerance: float, deadline: float) -> None:
+    def __init__(self, problem: DwellProblem, kkt_tolerance: float) -> None:
         self.can_stall = True
         self.best_s: FloatArray = problem.lower_s
         self._lower, self._upper = problem.lower_s, problem.upper_s
@@ -100,13 +100,8 @@ class _Judge:
         self._step = safe_step(self._f, self._lower.size)
         self._at_lower = self._f.gradient(self._lower)
         self._enough = kkt_tolerance * float(np.abs(self._at_lower).max())
-        self._deadline = deadline
         self._least = np.inf
         self._history: list[float] = []
-
-    def expired(self) -> bool:
-        """Whether the time is up."""
-        return time.perf_counter() >= self._deadline
 
     def stop(self, time_s: FloatArray) -> str | None:
         """``converged`` at the tolerance, ``stalled`` where float32 comes no nearer."""

@@ -8,7 +8,6 @@ the bounds as in Nocedal and Wright, Numerical Optimization, ch. 16.6.)
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -21,6 +20,7 @@ from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.certificate import certified
+from polishd.process.dwell.limit import TimeLimit
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import Quadratic, narrow, projected_gradient, quadratic, safe_step
 from polishd.process.dwell.validation import check
@@ -46,8 +46,9 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-8) -
 
     Args:
         problem: what to solve; its effect must be a SparseEffect. Warm starts do not help here and are not used.
-        within_s: wall seconds for the whole call, looked at before each factorisation; when they are over, the best
-            dwell so far is returned. It is always inside the bounds, and its certificate says ``deadline``.
+        within_s: CPU seconds for the whole call (see TimeLimit), looked at before each factorisation; when they are
+            over, the best dwell so far is returned. It is always inside the bounds, and its certificate says
+            ``deadline``.
         kkt_tolerance: the KKT residual (see Certificate) and the relative duality gap to stop at.
 
     Returns:
@@ -57,7 +58,7 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-8) -
     Raises:
         ComputeError: the problem is malformed, its effect is no matrix, or the factor would not fit.
     """
-    begin = time.perf_counter()
+    limit = TimeLimit(within_s)
     check(problem)
     f = quadratic(problem)
     lower, upper = problem.lower_s, problem.upper_s
@@ -67,13 +68,13 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-8) -
     if free.any():
         hessian = BandedHessian.of(problem, free)
         inside = _Interior(f, hessian, lower, upper)
-        best, rounds, stopped, gap = inside.run(kkt_tolerance, lambda: time.perf_counter() - begin >= within_s)
+        best, rounds, stopped, gap = inside.run(kkt_tolerance, limit.expired)
     return certified(
         problem,
         best,
         solver=NAME,
         iterations=rounds,
-        seconds=time.perf_counter() - begin,
+        seconds=limit.cpu_s,
         stopped=stopped,
         notes=(f"duality gap {gap:.3g} nm^2",),
     )

@@ -6,14 +6,13 @@ is not the dwell problem's objective, and is stopped early where others regulari
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell.certificate import certified
+from polishd.process.dwell.limit import TimeLimit
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.validation import check
 
@@ -32,7 +31,7 @@ def solve(problem: DwellProblem, within_s: float, iterations: int = ITERATIONS) 
 
     Args:
         problem: what to solve, with any effect. A warm start's dwell is taken where it fits.
-        within_s: wall seconds for the whole call; when they are over, the best dwell so far is returned.
+        within_s: CPU seconds for the whole call (see TimeLimit); when they are over, the best dwell so far is returned.
         iterations: how many steps.
 
     Returns:
@@ -41,7 +40,7 @@ def solve(problem: DwellProblem, within_s: float, iterations: int = ITERATIONS) 
     Raises:
         ComputeError: the problem is malformed, or nothing is to be removed anywhere.
     """
-    begin = time.perf_counter()
+    limit = TimeLimit(within_s)
     check(problem)
     effect, mask = problem.effect, problem.solve_mask
     weight = np.where(mask, 1.0 if problem.weight is None else problem.weight, 0.0)
@@ -56,7 +55,7 @@ def solve(problem: DwellProblem, within_s: float, iterations: int = ITERATIONS) 
         value = _objective(problem, time_s, removal, weight)
         if value < least:
             best_s, least = time_s, value
-        late = time.perf_counter() - begin >= within_s
+        late = limit.expired()
         if late or done >= iterations:
             break
         ratio = target / np.maximum(removal, FLOOR * target.max())
@@ -68,7 +67,7 @@ def solve(problem: DwellProblem, within_s: float, iterations: int = ITERATIONS) 
         best_s,
         solver=NAME,
         iterations=done,
-        seconds=time.perf_counter() - begin,
+        seconds=limit.cpu_s,
         stopped="deadline" if late and done < iterations else "iterations",
         notes=NOTES,
     )

@@ -7,7 +7,6 @@ needed the least time at 8,000 and at 70,000 points; see benchmarks/bench_dwell.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -16,6 +15,7 @@ from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.certificate import certified
+from polishd.process.dwell.limit import TimeLimit
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadratic, safe_step, warm_start_s
 from polishd.process.dwell.validation import check
@@ -40,8 +40,9 @@ def solve(
 
     Args:
         problem: what to solve.
-        within_s: wall seconds for the whole call; when they are over, the best dwell so far is returned. It is
-            always inside the bounds, and its certificate says ``deadline`` and how far from the minimum it is.
+        within_s: CPU seconds for the whole call (see TimeLimit); when they are over, the best dwell so far is
+            returned. It is always inside the bounds, and its certificate says ``deadline`` and how far from the
+            minimum it is.
         kkt_tolerance: the KKT residual (see Certificate) to stop at.
         start_s: (n,) where to start, for instance the last cycle's dwell; clipped to the bounds. Default: the
             problem's warm start where that is better than ``lower_s``, else ``lower_s``.
@@ -52,7 +53,7 @@ def solve(
     Raises:
         ComputeError: the problem is malformed.
     """
-    begin = time.perf_counter()
+    limit = TimeLimit(within_s)
     check(problem)
     lower, upper = problem.lower_s, problem.upper_s
     f = quadratic(problem)
@@ -63,16 +64,13 @@ def solve(
     step = safe_step(f, lower.size)
     enough = kkt_tolerance * float(np.abs(f.gradient(lower)).max())
 
-    def expired() -> bool:
-        return time.perf_counter() - begin >= within_s
-
     def stop(t: FloatArray, gradient: FloatArray) -> str | None:
         if float(np.abs(projected_gradient(gradient, t, lower, upper, step)).max()) <= enough:
             return "converged"
-        return "deadline" if expired() else None
+        return "deadline" if limit.expired() else None
 
-    t, rounds, stopped = minimise(f, (lower, upper), start, stop, expired)
-    return certified(problem, t, solver=NAME, iterations=rounds, seconds=time.perf_counter() - begin, stopped=stopped)
+    t, rounds, stopped = minimise(f, (lower, upper), start, stop, limit.expired)
+    return certified(problem, t, solver=NAME, iterations=rounds, seconds=limit.cpu_s, stopped=stopped)
 
 
 def minimise(

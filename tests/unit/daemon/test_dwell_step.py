@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from polishd.daemon import dwell_step, steps
+from polishd.daemon import dwell_step, foresight, steps
 from polishd.daemon.dwell_step import EXTENDED_WEIGHT
 from polishd.daemon.recipe import Recipe
 from polishd.daemon.steps import Beliefs, Measured
 from polishd.hookspecs import DwellSolver, RemovalAnswer, RemovalModel, RemovalRequest
 from polishd.model.dwell import DwellSolution
-from polishd.model.errors import ComputeError
+from polishd.model.errors import ComputeError, PlanRefused
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.edge.correctable import Transfer
-from tests.unit.daemon.small import APERTURE_MM, gaussian_effect, small_map, small_program, small_recipe
+from tests.unit.daemon.small import (
+    APERTURE_MM,
+    gaussian_effect,
+    pointwise_effect,
+    small_map,
+    small_program,
+    small_recipe,
+)
 
 
 def short_sighted(recipe: Recipe, lost_mm: float) -> Measured:
@@ -150,3 +160,49 @@ def test_the_knee_is_a_point_of_the_curve() -> None:
     product = found.dwell.certificate.dwell_total_s * found.dwell.certificate.predicted_rms_nm
     longest = max(found.curve, key=lambda row: row["total_s"])
     assert product <= longest["total_s"] * longest["rms_nm"] * 1.01
+
+
+# what takes longer than a pass may
+
+
+def never(problem: DwellProblem, within_s: float) -> DwellSolution:
+    raise AssertionError("solved")
+
+
+def limited(max_pass_s: float, **changes: Any) -> Recipe:
+    recipe = small_recipe(solver=DwellSolver("never", never), **changes)
+    return replace(recipe, envelope=replace(recipe.envelope, max_pass_s=max_pass_s))
+
+
+@pytest.mark.parametrize("model", [gaussian_effect, pointwise_effect])
+def test_a_removal_that_takes_too_long_is_refused_before_it_is_solved(
+    model: Callable[[RemovalRequest], RemovalAnswer],
+) -> None:
+    kind = RemovalModel("m", model)
+    program, measured = small_program(), steps.condition(small_recipe(), small_map(rms_nm=200.0), None)
+    solved = dwell_step.solve(small_recipe(model=kind), program, measured, Beliefs())
+    takes = float(solved.expected_s.sum())
+    with pytest.raises(
+        PlanRefused, match=r"at least \d+ s, more than limits\.max_pass_s = .* set it to \d+ or more"
+    ) as said:
+        dwell_step.solve(limited(0.5 * takes, model=kind), program, measured, Beliefs())
+    least = float(re.findall(r"at least (\d+) s", str(said.value))[0])
+    assert 0.5 * takes < least < takes, "a lower bound, and not a poor one"
+    with pytest.raises(AssertionError, match="solved"):
+        dwell_step.solve(limited(takes, model=kind), program, measured, Beliefs())
+
+
+def test_a_budget_may_take_less_than_all_of_the_removal() -> None:
+    measured = steps.condition(small_recipe(), small_map(rms_nm=200.0), None)
+    answer = steps.effect_of(small_recipe(), small_program(), measured.grid, 1.0)
+    least = foresight.removal_time_s(measured, answer, np.zeros(small_program().n))
+    with pytest.raises(AssertionError, match="solved"):
+        dwell_step.solve(limited(0.5 * least, choose="knee"), small_program(), measured, Beliefs())
+
+
+def test_a_path_that_takes_too_long_is_refused_before_anything_is_computed() -> None:
+    measured = steps.condition(small_recipe(), small_map(), None)
+    with pytest.raises(
+        PlanRefused, match=r"small.rnc at the largest feed takes \d+ s, more than limits.max_pass_s = 3 s"
+    ):
+        dwell_step.solve(limited(3.0, model=RemovalModel("never", never)), small_program(), measured, Beliefs())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -239,6 +240,29 @@ def test_the_time_that_is_left_is_what_the_backend_gets(monkeypatch: pytest.Monk
     monkeypatch.setattr(qpsolvers, "solve_problem", spy)
     qp.solve(dwell_problem(radius_mm=6), 7.0, "clarabel")
     assert 0 < asked["time_limit"] <= 7.0
+
+
+@pytest.mark.parametrize(("slowness", "asked"), [(1.0, [10.0]), (5.0, [10.0, 40.0])])
+def test_a_backend_that_was_starved_is_asked_again_for_longer(
+    slowness: float, asked: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It counts wall seconds, and needs 7 of CPU: on a machine that is five times slower, 35."""
+    given: list[float] = []
+    cpu = 0.0
+
+    def backend(program: qpsolvers.Problem, *, time_limit: float, **rest: object) -> qpsolvers.Solution:
+        nonlocal cpu
+        given.append(time_limit)
+        used = min(time_limit / slowness, 7.0)
+        cpu += used
+        return qpsolvers.Solution(program, x=np.zeros(program.q.shape), found=used == 7.0)
+
+    monkeypatch.setattr(time, "thread_time", lambda: cpu)
+    monkeypatch.setattr(time, "monotonic", lambda: slowness * cpu)
+    monkeypatch.setattr(qpsolvers, "solve_problem", backend)
+    monkeypatch.setattr(qp, "_forms", lambda problem, how: [True])
+    qp.solve(dwell_problem(radius_mm=6), 10.0, "clarabel")
+    assert given == pytest.approx(asked)
 
 
 def test_out_of_time_it_says_so_or_refuses() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -118,7 +117,7 @@ def test_a_problem_of_the_demo_size_is_solved_with_bounds_that_bind() -> None:
     assert certificate.kkt_residual <= 1e-5
     assert certificate.at_lower > 50
     assert certificate.predicted_rms_nm < 2
-    assert certificate.seconds < 10  # 0.1 where nobody else computes
+    assert certificate.seconds < 10  # of CPU time; 0.1 and more
 
 
 def test_no_other_feasible_dwell_is_better() -> None:
@@ -142,11 +141,9 @@ def test_solving_with_the_bound_beats_clipping_to_it() -> None:
 
 def test_out_of_time_it_gives_a_feasible_dwell_and_says_so() -> None:
     problem = dwell_problem(radius_mm=30)
-    begin = time.perf_counter()
     solution = newton_cg.solve(problem, 0.0)
-    assert time.perf_counter() - begin < 2
     certificate = solution.certificate
-    assert certificate.stopped == "deadline"
+    assert (certificate.stopped, certificate.iterations) == ("deadline", 0)
     assert certificate.kkt_residual > 1e-3
     np.testing.assert_array_equal(solution.time_s, problem.lower_s)
 
