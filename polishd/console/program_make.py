@@ -13,10 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from polishd.console.pictures import save_picture
 from polishd.console.program_files import not_over, target_file
+from polishd.console.program_make_check import UNCHECKED, require_cell_takes
 from polishd.console.program_make_picture import path_picture
 from polishd.console.tables import key_table, stderr, stdout
-from polishd.console.verbs import emit
-from polishd.daemon.config import CellConfig, load_config
+from polishd.console.verbs import emit, load_cell
+from polishd.daemon.config import CellConfig
 from polishd.daemon.files import read_map
 from polishd.daemon.plugins import load_own
 from polishd.model.process import FLAT, ComplianceOptions, Optic, Placement
@@ -91,7 +92,7 @@ class MadePath:
 def make_verb(options: MakeOptions, *, as_json: bool) -> None:
     """Make the path, write the program whole, say what it is. Nothing is written where anything is refused."""
     encoding = _encoding(options)
-    config = None if options.cell is None else load_config(options.cell)
+    config, hooks = (None, None) if options.cell is None else load_cell(options.cell)
     dialect = options.dialect or (DEFAULT if config is None else _dialect_of(config))
     with stderr.status("making the path"):
         made = make_path(options, config)
@@ -100,6 +101,8 @@ def make_verb(options: MakeOptions, *, as_json: bool) -> None:
         text = path_program(
             points, axis, feed, _title(options), encoding=encoding, dwell_s=options.dwell_s or 0.0, to=dialect
         )
+        if config is not None and hooks is not None:
+            require_cell_takes(config, hooks, text, (options.out.name, dialect))
     _write(options, made, text)
     answer = {
         "shape": options.shape,
@@ -111,6 +114,7 @@ def make_verb(options: MakeOptions, *, as_json: bool) -> None:
         "bounds_mm": {name: [float(c.min()), float(c.max())] for name, c in zip("xyz", points.T, strict=True)},
         "largest_turn_deg": made.largest_turn_deg,
         "out": str(options.out),
+        "not_checked": list(UNCHECKED) if config is None else [],
     }
     emit(answer, as_json=as_json, table=lambda: _table(options, answer))
     if not as_json:
@@ -147,11 +151,13 @@ def make_path(options: MakeOptions, config: CellConfig | None) -> MadePath:
     """Points on the optic and tool axes, in the part's frame. ComputeError where they cannot be."""
     aperture, optic = _aperture(options, config), _optic(options, config)
     lengths = (options.pitch_mm, options.step_mm)
-    outside = {"overrun_mm": options.overrun_mm, "landing_mm": options.landing_mm}
+    overrun, landing = options.overrun_mm, options.landing_mm
     if options.shape == "raster":
-        points = raster(aperture, *lengths, optic=optic, direction_deg=options.direction_deg, **outside)
+        turn_deg = options.direction_deg
+        points = raster(aperture, *lengths, optic=optic, direction_deg=turn_deg, overrun_mm=overrun, landing_mm=landing)
     else:
-        points = spiral(aperture, *lengths, optic=optic, inwards=options.inwards, **outside)
+        inwards = options.inwards
+        points = spiral(aperture, *lengths, optic=optic, inwards=inwards, overrun_mm=overrun, landing_mm=landing)
     dip_deg = options.dip_deg if options.dip_deg is not None else (config.process.dip_deg if config else 0.0)
     placement, lean = (UPRIGHT, None) if config is None else (config.placement(), config.compliance_options())
     if lean is None or options.azimuth_deg is not None:
@@ -231,5 +237,6 @@ def _table(options: MakeOptions, answer: dict[str, Any]) -> Any:
         ("duration", f"{answer['duration_s']:.1f} s"),
         ("bounds", f"{bounds} mm"),
         ("largest turn of the wrist", f"{answer['largest_turn_deg']:.3g} deg in a move"),
+        *(("not checked without --cell", what) for what in answer["not_checked"]),
     ]
     return key_table(f"{_title(options)} ({answer['dialect']})", rows)

@@ -48,7 +48,7 @@ OfCell = Annotated[
     Optional[Path],  # noqa: UP045 - typer reads it
     typer.Option(
         metavar="CELL.toml",
-        help="Its aperture, optic, dip, dialect and program frame are taken.",
+        help="Its aperture, optic, dip, dialect and frame are taken, and what its plan would refuse is refused.",
         show_default=False,
     ),
 ]
@@ -90,7 +90,7 @@ def make(  # noqa: PLR0917 - typer reads the options off the signature
     pitch: Annotated[float, typer.Option(metavar="MM", help="Distance of the lines or turns.")] = 1.0,
     step: Annotated[float, typer.Option(metavar="MM", help="Way from point to point.")] = 1.0,
     direction: Annotated[float, typer.Option(metavar="DEG", help="Raster: where the first line runs, from x.")] = 0.0,
-    inwards: Annotated[bool, typer.Option("--inwards", help="Spiral: from outside to the centre.")] = False,
+    inwards: Annotated[bool, typer.Option("--inwards", help="Spiral: the turns from outside to the centre.")] = False,
     overrun: Annotated[float, typer.Option(metavar="MM", help="How far it goes beyond the aperture.")] = 1.0,
     landing: Annotated[float, typer.Option(metavar="MM", help="How far outside the tool lands.")] = 5.0,
     dip: Dip = None,

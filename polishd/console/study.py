@@ -16,7 +16,7 @@ from polishd.console import study_tables as tables
 from polishd.console.tables import stderr, stdout
 from polishd.daemon.files import read_map
 from polishd.daemon.plugins import load_own
-from polishd.files import write_atomic
+from polishd.files import require_writable, write_atomic
 from polishd.model.errors import ConfigError
 from polishd.model.surface import SurfaceMap
 from polishd.study.config import CorrectionsStudy, SpotsStudy, Study, load_study
@@ -82,6 +82,7 @@ def _make_folder(out: Path) -> None:
     """Before anything is computed: a folder that cannot be made is no news for the end."""
     try:
         out.mkdir(parents=True, exist_ok=True)
+        require_writable(out)
     except OSError as error:
         raise ConfigError(f"{out}: cannot be made: {error.strerror}; name a folder with --out") from error
 

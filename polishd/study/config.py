@@ -9,13 +9,14 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
-from polishd.daemon.config import parse_toml, robot_model, tool_process
+from polishd.daemon.config import nominal_optic, parse_toml, robot_model, tool_process
 from polishd.daemon.config_errors import Source, did_you_mean, listed, problems
 from polishd.daemon.config_process import ComplianceSection, HybridSection, KinematicsSection, ProcessSection
 from polishd.daemon.config_sections import Name, NotNegative, PartSection, Positive, Range, Section, Text
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.model.process import ComplianceOptions, Optic, Placement, ToolProcess
 from polishd.model.robot import RobotModel
+from polishd.process.edge.rim import Rim, round_rim
 from polishd.process.frames import rotation_from_rpy_deg
 
 MOST_SAMPLES = 1_000_000
@@ -74,6 +75,12 @@ class StudyFile(Section):
         """Tool, contact and Preston constant."""
         return tool_process(self.process)
 
+    def without_use(self) -> Iterator[tuple[str, str]]:
+        """Dotted keys of the file that this kind of study has no use for, and why."""
+        for key in ("removal_model", "correction", "tif"):
+            if key in self.process.model_fields_set:
+                yield f"process.{key}", "a study has its own corrections, and its spot is the modelled one"
+
     def error(self, key: str, problem: str) -> ConfigError:
         """A ConfigError about a dotted key, with its place: for checks that need more than this file."""
         return ConfigError(self._source.error(tuple(key.split(".")), problem))
@@ -115,7 +122,11 @@ class PartStudy(StudyFile):
 
     def optic(self) -> Optic:
         """The nominal surface."""
-        return Optic(self.part.curvature_radius_mm, self.part.conic)
+        return nominal_optic(self.part)
+
+    def free_rim(self) -> Rim | None:
+        """The part's rim where it is free; None: the part sits in a flush ring."""
+        return round_rim(self.part.aperture_mm / 2) if self.part.rim == "free" else None
 
     def placement(self) -> Placement:
         """Where the part lies in the robot's base frame."""
@@ -130,6 +141,12 @@ class CorrectionsStudy(PartStudy):
     solve: SolveSection = SolveSection()
     lsf_period_mm: Positive = 33.0
 
+    def without_use(self) -> Iterator[tuple[str, str]]:
+        """Of what is said of a map where the surface is drawn, the nominal form."""
+        yield from super().without_use()
+        if self.surface.file is None and self.part.nominal is not None:
+            yield "part.nominal", "a drawn surface is the error already, less the form wanted"
+
 
 class PassesStudy(PartStudy):
     """Passes of equal dwell (paper fig. 12)."""
@@ -137,6 +154,13 @@ class PassesStudy(PartStudy):
     kind: Literal["passes"]
     passes: Annotated[int, Field(ge=1, le=1000)] = 10
     dwell_s: Positive = 0.01
+
+    def without_use(self) -> Iterator[tuple[str, str]]:
+        """What is said of maps."""
+        yield from super().without_use()
+        for key in ("nominal", "alignment"):
+            if key in self.part.model_fields_set:
+                yield f"part.{key}", "this study has no map"
 
 
 class SpotSection(Section):
@@ -177,6 +201,9 @@ def load_study(path: Path) -> Study:
     except ValidationError as error:
         raise ConfigError("\n".join(_spot_problems(raw, source) or problems(error, model, source))) from error
     study._path, study._source = path.absolute(), source
+    unused = [source.error(tuple(key.split(".")), f"{why}; drop it") for key, why in study.without_use()]
+    if unused:
+        raise ConfigError("\n".join(unused))
     return study
 
 

@@ -119,6 +119,7 @@ def believed_spots(scene: Scene, exponent: float) -> dict[str, CorrectedSpot]:
 def solver_model(scene: Scene, correction: str, spot: CorrectedSpot) -> Effect:
     """The solver's effect; "exact" is a sum of convolutions where points are nodes: not the plant's own matrix."""
     if correction == "exact" and scene.on_nodes:
+        spot = scene.at_rim(spot)
         return convolution_effect(scene.grid, scene.spot, scene.program, spot.depth_ratio, spot.factor)
     return scene.effect(spot)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.process.conditioning import MARGIN_MM, MIN_SAMPLES, Conditioned, condition, process_grid
+from polishd.process.metrics import fitted
 from polishd.process.nominal import less_nominal
 from polishd.process.registration.record import Registration
 from polishd.study.config import CorrectionsStudy, PartStudy
@@ -45,7 +46,7 @@ def start_surface(study: CorrectionsStudy, read: ReadMap) -> Conditioned:
 
 
 def drawn_surface(study: CorrectionsStudy, rms_nm: float, period_mm: tuple[float, float]) -> Conditioned:
-    """A round surface without mean, of this RMS over the clear aperture."""
+    """A round surface of this RMS over the clear aperture, without what the part's maps are levelled by."""
     part = study.part
     grid = study_grid(study, study.process.grid_mm)
     radius = grid.radius_mm()
@@ -55,7 +56,7 @@ def drawn_surface(study: CorrectionsStudy, rms_nm: float, period_mm: tuple[float
         samples = f"{np.count_nonzero(metric)} samples of process.grid_mm = {grid.pitch_mm:g}"
         raise study.error("part", f"the clear aperture has {samples}; at least {MIN_SAMPLES} are needed")
     height = random_waves(grid, period_mm, study.surface.seed)
-    height -= height[metric].mean()
+    height -= fitted(height, metric, part.alignment)
     height *= rms_nm / height[metric].std()
     return Conditioned(grid, np.where(solve, height, np.nan), solve, metric, 0)
 

@@ -20,9 +20,9 @@ from polishd.model.surface import FloatArray
 from polishd.process.compliance import depth_ratio
 from polishd.process.contact import contact_radius_mm, hertz_depth_mm
 from polishd.process.convolution import convolution_effect, on_nodes
-from polishd.process.dynamic_tif import CorrectedSpot, corrected_spot, effect_matrix
+from polishd.process.dynamic_tif import corrected_spot, effect_matrix
 from polishd.process.edge.correctable import transfer
-from polishd.process.edge.edge_tif import contact_centres_mm, rim_contact
+from polishd.process.edge.edge_tif import sunk_at_rim
 from polishd.process.frames import surface_normals, upright
 from polishd.process.path_compliance import path_compliance
 from polishd.process.robot.refusal import require_number
@@ -30,8 +30,6 @@ from polishd.process.spot import Spot
 
 MOST_CONVOLUTIONS = 6
 """A family of higher rank (the azimuth turns over the part) costs more as convolutions than as a matrix."""
-FORCE_KEPT = 0.999
-"""Below this share of its force a contact at the rim has lost some."""
 
 
 def effect_along_path(request: RemovalRequest, spot: Spot, reference: float) -> RemovalAnswer:
@@ -48,7 +46,9 @@ def effect_along_path(request: RemovalRequest, spot: Spot, reference: float) -> 
     gamma = depth_ratio(path.compliance_mm_per_n, process, depth)
     spots = corrected_spot(request.correction, gamma, process.depth_exponent, reference)
     level = replace(program, axis=upright(program.axis, _normals_in_part(request)))
-    spots, edge = _at_rim(request, spot, level, spots)
+    edge: list[str] = []
+    if request.rim is not None:
+        spots, *edge = sunk_at_rim(spots, request.rim, process, (spot, level))
     effect, how = _effect(request.grid, spot, level, (spots.depth_ratio, spots.factor * request.rate))
     notes = [f"rigid contact: depth {depth:.5f} mm, radius {float(contact_radius_mm(process, depth)):.4f} mm"]
     if gamma.size:
@@ -61,19 +61,6 @@ def effect_along_path(request: RemovalRequest, spot: Spot, reference: float) -> 
         notes=(*notes, *how, *edge, *path.notes),
         transfer=transfer(spot, float(gamma.mean())) if gamma.size else None,
     )
-
-
-def _at_rim(
-    request: RemovalRequest, spot: Spot, program: Program, spots: CorrectedSpot
-) -> tuple[CorrectedSpot, tuple[str, ...]]:
-    """Deeper contacts where the bonnet hangs over a free rim; and a note that says how many."""
-    if request.rim is None:
-        return spots, ()
-    centre = contact_centres_mm(spot, program, spots.depth_ratio)
-    found = rim_contact(request.process, request.rim, centre, spots.depth_ratio)
-    over, lost = int((found.inside < 1).sum()), int((found.force < FORCE_KEPT).sum())
-    note = f"free rim: the bonnet hangs over it at {over} of {program.n} points, and presses with less force at {lost}"
-    return replace(spots, depth_ratio=found.depth_ratio), (note,)
 
 
 def _effect(

@@ -24,7 +24,7 @@ from polishd.model.process import MeasuredTif, ToolProcess
 from polishd.model.program import Program
 from polishd.model.surface import FloatArray, Grid
 from polishd.process import contact
-from polishd.process.dynamic_tif import effect_columns, effect_matrix, lean_azimuth_rad
+from polishd.process.dynamic_tif import CorrectedSpot, effect_columns, effect_matrix, lean_azimuth_rad
 from polishd.process.edge.rim import Rim
 from polishd.process.measured_spot import measured_spot
 from polishd.process.robot.refusal import refuse_where, require_number
@@ -32,6 +32,8 @@ from polishd.process.spot import Spot
 
 MOST_SUNK = 2.0
 """Depth of a contact over its undisturbed one, at most: what the actuator follows (1.59 with the centre on the rim)."""
+FORCE_KEPT = 0.999
+"""Below this share of its force a contact at the rim has lost some."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +85,20 @@ def rim_contact(
     refuse_where(~np.isfinite(inside), inside, "the distance from the rim over the contact's radius", "", "no number")
     sunk = np.minimum(sinking(inside), most_sunk)
     return RimContact(inside, depth_ratio * sunk, carried(inside, sunk))
+
+
+def sunk_at_rim(
+    spots: CorrectedSpot, rim: Rim, process: ToolProcess, at: tuple[Spot, Program]
+) -> tuple[CorrectedSpot, str]:
+    """The spots along a program, deeper where the bonnet hangs over a free rim; and a note that says how many.
+
+    ``at`` is the rigid robot's spot and the program; its axes are as seen where the surface lies level.
+    """
+    spot, program = at
+    found = rim_contact(process, rim, contact_centres_mm(spot, program, spots.depth_ratio), spots.depth_ratio)
+    over, lost = int((found.inside < 1).sum()), int((found.force < FORCE_KEPT).sum())
+    note = f"free rim: the bonnet hangs over it at {over} of {program.n} points, and presses with less force at {lost}"
+    return replace(spots, depth_ratio=found.depth_ratio), note
 
 
 def sinking(inside: FloatArray) -> FloatArray:

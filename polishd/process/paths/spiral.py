@@ -19,6 +19,8 @@ NEAR_RAD = 0.1
 """Most angle between two samples of the way along the curve, which counts near the centre."""
 SAMPLES = 2049
 """Samples along each of them."""
+SMALL_RAD = 1e-6
+"""Two points of the curve that are so far apart tell its direction."""
 
 
 def spiral(
@@ -30,13 +32,14 @@ def spiral(
     inwards: bool = False,
     overrun_mm: float = 1.0,
     landing_mm: float = 5.0,
+    way_in: bool = True,
 ) -> FloatArray:
     """Points of a spiral about the part's centre, counterclockwise seen from above (inwards: the same run back).
 
     Over a disc the turns are ``pitch_mm`` apart along the optic. Over any other aperture they keep the rim's shape:
-    so far apart where the rim is farthest, and closer elsewhere. It runs from the centre, which is one point, or
-    ``overrun_mm`` inside the rim of the hole, until it has left the rim by ``overrun_mm``, and then straight on to
-    ``landing_mm`` outside. Without a hole the tool lands on, or leaves, the centre of the part.
+    so far apart where the rim is farthest, and closer elsewhere. It comes straight in from ``landing_mm`` outside to
+    the centre, which is one point, or to ``overrun_mm`` inside the rim of the hole, runs round until it has left the
+    rim by ``overrun_mm``, and then straight on to ``landing_mm`` outside.
 
     Args:
         aperture: what is to be covered.
@@ -45,7 +48,8 @@ def spiral(
         optic: the surface that the points lie on.
         inwards: from outside to the centre.
         overrun_mm: how far it goes beyond the aperture.
-        landing_mm: the outer end lies at least this far outside the aperture.
+        landing_mm: the ends lie at least this far outside the aperture.
+        way_in: False: without the way in; it begins at the centre or in the hole, where the tool must not stand.
 
     Returns:
         (n + 1, 3) mm, part frame: n moves.
@@ -62,11 +66,12 @@ def spiral(
     far = np.sqrt(np.linspace(first**2, last**2, 2 * int(count) + 2))
     knots = np.union1d(far, np.linspace(first, last, int((last - first) / NEAR_RAD) + 2))
     points = evenly(curve, knots, np.array([0, len(knots) - 1]), step_mm)
-    rim = points[-1, :2]
-    beyond = _way_out_mm(rim, curve.heading(last), aperture.larger(landing_mm))
-    if beyond > 0:
-        way_out = along_polyline(optic, np.stack([rim, rim + beyond * curve.heading(last)]), step_mm)
-        points = np.concatenate([points, way_out[1:]])
+    outside = aperture.larger(landing_mm)
+    way_out = _straight(optic, points[-1, :2], curve.heading(last - SMALL_RAD), outside, step_mm)
+    points = np.concatenate([points, way_out[1:]])
+    if way_in:
+        lead = _straight(optic, points[0, :2], -curve.heading(first), outside, step_mm)
+        points = np.concatenate([lead[:0:-1], points])
     return np.ascontiguousarray(points[::-1]) if inwards else points
 
 
@@ -91,9 +96,9 @@ class _Spiral:
         return np.asarray(way * (share * self.covered.rim_mm(angle_rad))[:, None], dtype=np.float64)
 
     def heading(self, angle_rad: float) -> FloatArray:
-        """(2,) unit direction of the run there."""
-        before, here = self.plane(np.array([angle_rad - 1e-4, angle_rad]))
-        return np.asarray((here - before) / np.linalg.norm(here - before), dtype=np.float64)
+        """(2,) unit direction of the run just after it."""
+        here, after = self.plane(np.array([angle_rad, angle_rad + SMALL_RAD]))
+        return np.asarray((after - here) / np.linalg.norm(after - here), dtype=np.float64)
 
 
 def _turns(covered: Aperture, optic: Optic, pitch: float) -> tuple[FloatArray, FloatArray]:
@@ -107,8 +112,11 @@ def _turns(covered: Aperture, optic: Optic, pitch: float) -> tuple[FloatArray, F
     return np.concatenate([[0.0], np.cumsum(moves.mean(axis=0))]) / pitch, radius
 
 
-def _way_out_mm(start: FloatArray, heading: FloatArray, outside: Aperture) -> float:
-    """How far it is from there straight on until out of that aperture; below 0 where it has been left."""
+def _straight(optic: Optic, start: FloatArray, heading: FloatArray, outside: Aperture, step_mm: float) -> FloatArray:
+    """(m, 3) points from there straight on until out of that aperture; one where it has been left."""
     ahead = TOWARDS @ heading
     facing = ahead > 1e-9
-    return float(((outside.reach_mm - TOWARDS @ start)[facing] / ahead[facing]).min())
+    beyond = float(((outside.reach_mm - TOWARDS @ start)[facing] / ahead[facing]).min())
+    if beyond <= 0:
+        return on_optic(optic, start[None])
+    return along_polyline(optic, np.stack([start, start + beyond * heading]), step_mm)

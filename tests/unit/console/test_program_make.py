@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +16,17 @@ from PIL import Image
 from typer.testing import CliRunner, Result
 
 from polishd.console.program_make import MakeOptions, _dialect_of, make_path
+from polishd.console.program_make_check import UNCHECKED
 from polishd.console.program_make_cli import make
-from polishd.daemon import steps
+from polishd.daemon import foresight, steps
 from polishd.daemon.assembly import make_recipe
 from polishd.daemon.config import load_config
+from polishd.daemon.config_sections import InstrumentSection
 from polishd.daemon.plugins import load_own
 from polishd.model.errors import ComputeError, ConfigError, PolishdError, ProgramError
 from polishd.model.process import FLAT, Optic
 from polishd.model.program import Program
+from polishd.model.surface import Grid
 from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.formats import read
 from polishd.process.frames import dips_deg
@@ -111,10 +115,14 @@ def test_pitch_step_overrun_and_direction(tmp_path: Path) -> None:
     assert np.abs(program.start_mm[0, :2]).max() >= 9 + 10 - 1e-3
 
 
-def test_a_spiral_inwards_ends_at_the_centre(tmp_path: Path) -> None:
-    _, program = made(tmp_path, "spiral", "--aperture", "circle:30", "--inwards")
-    np.testing.assert_allclose(program.end_mm[-1], 0, atol=1e-9)
-    assert np.hypot(*program.start_mm[0, :2]) >= 20 - 1e-3
+@pytest.mark.parametrize("words", [(), ("--inwards",)])
+def test_a_spiral_over_a_disc_begins_and_ends_beside_it(words: tuple[str, ...], tmp_path: Path) -> None:
+    _, program = made(tmp_path, "spiral", "--aperture", "circle:30", *words)
+    ends = np.stack([program.start_mm[0], program.end_mm[-1]])
+    assert (np.hypot(*ends[:, :2].T) >= 20 - 1e-3).all()
+    assert np.hypot(*program.end_mm[:, :2].T).min() < 1e-3, "and passes the centre"
+    inward = np.argmin(np.hypot(*program.end_mm[:, :2].T))
+    assert (inward > program.n / 2) == bool(words)
 
 
 @pytest.mark.parametrize(
@@ -172,8 +180,67 @@ def test_a_cell_says_what_is_not_asked_for(tmp_path: Path) -> None:
     )
     assert np.hypot(*plane.T).max() > config.part.aperture_mm / 2
     assert said["largest_turn_deg"] < 5
-    _, upright = made(tmp_path, "raster", "--cell", cell, "--pitch", 4, "--optic", "flat", "--dip", 0)
-    np.testing.assert_allclose(upright.axis, np.tile([0, 0, 1], (upright.n, 1)), atol=1e-12)
+    assert said["not_checked"] == []
+
+
+def test_options_override_the_cell() -> None:
+    asked = MakeOptions("raster", Path("x"), EXAMPLE, pitch_mm=5.0, optic="flat", dip_deg=0.0)
+    upright = make_path(asked, load_config(EXAMPLE)).axis
+    np.testing.assert_allclose(upright, np.tile([0, 0, 1], (len(upright), 1)), atol=1e-12)
+
+
+def cell_with(tmp_path: Path, *changes: tuple[str, str]) -> Path:
+    text = EXAMPLE.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "cell").mkdir()
+    path = tmp_path / "cell" / "cell.toml"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("words", [("raster",), ("spiral",), ("spiral", "--inwards")])
+def test_what_is_made_for_a_cell_is_what_its_plan_and_run_take(tmp_path: Path, words: tuple[str, ...]) -> None:
+    cell = cell_with(tmp_path)
+    assert call(*words, "--cell", cell, "--pitch", 4, "--out", tmp_path / "made.nc").exit_code == 0
+    without_profile = load_config(cell).model_copy(update={"instrument": InstrumentSection()})
+    recipe = make_recipe(without_profile, load_own())
+    program = steps.read_program(recipe, tmp_path / "made.nc")
+    plan = foresight.fastest(recipe, program)
+    assert steps.violations(recipe, plan) == []
+    answer = steps.effect_of(replace(recipe, grid_mm=4.0), program, Grid(30, 30, 4.0), 1.0)
+    assert np.isfinite(answer.gamma).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words", "says"),
+    [
+        ((("[300.0, 220.0, 2315.0]", "[490.0, 355.0, 2315.0]"),), (), ("point ", "singular within")),
+        ((), ("--aperture", "rectangle:40,20"), ("contact starts at", "contact ends at", "digs a pit")),
+        ((), ("--dip", "0"), ("states no tool axis", "post it with its axis")),
+        ((), ("--dip", "5"), ("the program's tool axis is dipped: the dip",)),
+        ((), ("--landing", "900"), ("outside",)),
+        ((("max_pass_s = 86400.0", "max_pass_s = 20.0"),), (), ("more than limits.max_pass_s = 20 s: set it to",)),
+    ],
+)
+def test_what_its_plan_or_run_would_refuse_is_not_written(
+    tmp_path: Path, changes: tuple[tuple[str, str], ...], words: tuple[str, ...], says: tuple[str, ...]
+) -> None:
+    cell = cell_with(tmp_path, *changes)
+    error, files = refused(tmp_path, "raster", "--cell", cell, "--pitch", 4, *words)
+    assert isinstance(error, ProgramError)
+    for word in says:
+        assert word in str(error)
+    assert files == ["cell"]
+
+
+def test_without_a_cell_it_says_what_it_could_not_check(tmp_path: Path) -> None:
+    said, _ = made(tmp_path, "raster", "--aperture", "circle:30")
+    assert said["not_checked"] == list(UNCHECKED)
+    shown = " ".join(call("raster", "--aperture", "circle:30", "--out", tmp_path / "x.nc").stdout.split())
+    assert "not checked without --cell" in shown
+    assert "singular poses" in shown
 
 
 def test_a_fixed_azimuth_overrides_how_the_cell_dips() -> None:

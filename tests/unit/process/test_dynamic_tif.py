@@ -33,19 +33,22 @@ def brute_force(
     grid: Grid, start: Point, end: Point, azimuth: float, depth: float, process: ToolProcess = PAPER
 ) -> np.ndarray:
     """(ny, nx) the same by sampling: 24 points a cell and direction, 40 stops on the way."""
-    fine, steps = 24, 40
+    share = (np.arange(40) + 0.5) / 40
+    stops = [np.asarray(start) + s * (np.asarray(end) - np.asarray(start)) for s in share]
+    return np.asarray(np.mean([sampled(grid, at, azimuth, depth, process) for at in stops], axis=0))
+
+
+def sampled(
+    grid: Grid, at: np.ndarray, azimuth: float, depth: float, process: ToolProcess = PAPER, fine: int = 24
+) -> np.ndarray:
+    """(ny, nx) mean rate of a spot at rest over each cell, of ``fine`` points a cell and direction."""
     offset = (np.arange(fine) + 0.5) / fine - 0.5
-    x = (grid.x_mm[:, None] + offset * grid.pitch_mm).ravel()[None, :]
-    y = (grid.y_mm[:, None] - offset * grid.pitch_mm).ravel()[:, None]
-    total = np.zeros((grid.ny, grid.nx))
-    for k in range(steps):
-        here = np.asarray(start) + (k + 0.5) / steps * (np.asarray(end) - np.asarray(start))
-        right, up = x - here[0], y - here[1]
-        along = right * np.cos(azimuth) + up * np.sin(azimuth)
-        across = right * np.sin(azimuth) - up * np.cos(azimuth)
-        rate = contact.removal_rate_nm_s(process, depth, across, along)
-        total += rate.reshape(grid.ny, fine, grid.nx, fine).mean(axis=(1, 3)) / steps
-    return total
+    right = (grid.x_mm[:, None] + offset * grid.pitch_mm).ravel()[None, :] - at[0]
+    up = (grid.y_mm[:, None] - offset * grid.pitch_mm).ravel()[:, None] - at[1]
+    along = right * np.cos(azimuth) + up * np.sin(azimuth)
+    across = right * np.sin(azimuth) - up * np.cos(azimuth)
+    rate = contact.removal_rate_nm_s(process, depth, across, along)
+    return np.asarray(rate.reshape(grid.ny, fine, grid.nx, fine).mean(axis=(1, 3)))
 
 
 @pytest.mark.parametrize(
@@ -67,6 +70,19 @@ def test_a_column_is_what_brute_force_says(
     want = brute_force(grid, start, end, azimuth, gamma * DEPTH)
     got = effect(grid, program([start], [end], azimuth), gamma).toarray().reshape(grid.shape)
     assert np.abs(got - want).max() < (3e-3 if pitch >= 0.5 else 2e-2) * want.max()
+
+
+@pytest.mark.parametrize(("pitch", "largest", "half"), [(0.5, 0.012, 0.006), (1.0, 0.006, 0.003)])
+def test_how_right_a_cell_is_is_what_the_docstring_says(pitch: float, largest: float, half: float) -> None:
+    """Any place in the cell, azimuth and gamma from 0.75 to 1; of 500 such the worst were 1.10 and 0.54 %."""
+    rng, grid, off = np.random.default_rng(7), Grid(int(5 / pitch), int(5 / pitch), pitch), []
+    for _ in range(60):
+        at, azimuth, gamma = rng.uniform(-pitch / 2, pitch / 2, 2), rng.uniform(0, 7), rng.uniform(0.75, 1)
+        fine = sampled(grid, at, azimuth, gamma * DEPTH, fine=int(100 * pitch))
+        got = effect(grid, program([at], [at], azimuth), gamma).toarray().reshape(grid.shape)
+        off.append(np.abs(got - fine).max() / fine.max())
+    assert largest / 2 < max(off) < largest
+    assert np.median(off) < half
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 2.0])

@@ -147,3 +147,23 @@ def test_a_measured_robot_is_a_table_beside_the_file(tmp_path: Path) -> None:
     assert isinstance(study, CorrectionsStudy)
     with pytest.raises(ConfigError, match=r"none\.csv: cannot be read"):
         study.robot_model()
+
+
+@pytest.mark.parametrize(
+    ("study", "after", "line", "says"),
+    [
+        (TABLE_IV, "edge_mm = 3.0", 'nominal = "form.dat"', "part.nominal: a drawn surface is the error already"),
+        (TABLE_IV, "grid_mm = 1.0", 'correction = "linear"', "process.correction: a study has its own corrections"),
+        (
+            TABLE_III,
+            'preston = "1.49e-9 cm2/N"',
+            'removal_model = "hertz_preston"',
+            "process.removal_model: a study has",
+        ),
+        (FIG_12, "edge_mm = 5.0", 'nominal = "form.dat"', "part.nominal: this study has no map; drop it"),
+        (FIG_12, "edge_mm = 5.0", 'alignment = "tilt"', "part.alignment: this study has no map; drop it"),
+    ],
+)
+def test_what_a_study_cannot_use_is_refused(tmp_path: Path, study: Path, after: str, line: str, says: str) -> None:
+    path = variant(tmp_path, study, (after, f"{line}\n{after}"))
+    assert complaint(path).startswith(f"{path}:{line_of(path, line)}: {says}")

@@ -11,6 +11,7 @@ from polishd.model.errors import ConfigError
 from polishd.model.surface import Grid
 from polishd.process.contact import hertz_depth_mm
 from polishd.process.dynamic_tif import corrected_spot
+from polishd.process.optics import sag_mm
 from polishd.study.config import CorrectionsStudy, load_study
 from polishd.study.scene import Scene, lattice_points, make_scene
 from tests.unit.study.studies import TABLE_IV, line_of, small, variant
@@ -114,3 +115,37 @@ def test_the_impossible_is_refused_with_its_place(
     assert says in said
     assert said.startswith(f"{path}:{line_of(path, start)}: ")
     assert "\n" not in said
+
+
+CURVED = "aperture_mm = 24.0\ncurvature_radius_mm = 800.0\norigin_mm = [450.0, 0.0, 2135.0]\nconic = -1.0"
+INWARD = (('dip_direction = "fixed"', 'dip_direction = "inward"'), ("origin_mm = [-340.0", "# origin_mm = [-340.0"))
+
+
+def curved(folder: Path, *more: str) -> Scene:
+    return scene_of(small(folder, *INWARD, ("aperture_mm = 24.0", "\n".join([CURVED, *more]))))
+
+
+@pytest.mark.parametrize("key", ["even = [-2e-6]", "off_axis_mm = [200.0, 0.0]"])
+def test_the_optic_is_all_that_the_part_says(tmp_path: Path, key: str) -> None:
+    plain, told = curved(tmp_path), curved(tmp_path, key)
+    study = load_study(tmp_path / "table_iv.toml")
+    assert isinstance(study, CorrectionsStudy)
+    assert np.allclose(told.program.end_mm[:, 2], sag_mm(study.optic(), told.program.end_mm[:, :2]))
+    assert np.abs(told.program.end_mm[:, 2] - plain.program.end_mm[:, 2]).max() > 1e-3
+    assert np.abs(told.gamma - plain.gamma).max() > 1e-4
+
+
+def test_spots_sink_over_a_free_rim_and_nowhere_else(tmp_path: Path) -> None:
+    ring = scene_of(small(tmp_path))
+    free = scene_of(small(tmp_path, ("edge_mm = 3.0", 'edge_mm = 3.0\nrim = "free"')))
+    assert np.array_equal(free.gamma, ring.gamma)
+    spots = corrected_spot("exact", ring.gamma)
+    assert np.array_equal(ring.at_rim(spots).depth_ratio, ring.gamma)
+    deeper = free.at_rim(spots).depth_ratio > ring.gamma
+    reach = 12.0 - 1.75 - np.hypot(*free.program.end_mm[:, :2].T)  # 1.75 mm: the contact's radius, and its offset
+    assert deeper.any()
+    assert (reach[deeper] < 0).all()
+    rate = [scene.effect(spots).removal_nm(deeper.astype(float)).sum() for scene in (ring, free)]
+    assert rate[1] > 1.05 * rate[0], "what the study removes with is what sinks"
+    assert free.notes[-1].startswith("free rim: the bonnet hangs over it at ")
+    assert not any(note.startswith("free rim") for note in ring.notes)

@@ -117,3 +117,13 @@ def test_a_clear_aperture_of_a_few_samples_is_refused(tmp_path: Path) -> None:
     path = variant(tmp_path, TABLE_IV, ("aperture_mm = 60.0", "aperture_mm = 10.0"))
     with pytest.raises(ConfigError, match=r"part: the clear aperture has \d+ samples of process.grid_mm = 1; at least"):
         start_surface(corrections(path), never)
+
+
+def test_a_drawn_surface_is_levelled_as_the_part_says(tmp_path: Path) -> None:
+    """The default takes a tilt for alignment, as in a cell."""
+    path = small(tmp_path, ('alignment = "piston"', "# the default"))
+    start = start_surface(corrections(path), never)
+    inside = start.metric_mask
+    x, _ = np.broadcast_arrays(start.grid.x_mm[None, :], start.height_nm)
+    assert np.corrcoef(x[inside], start.height_nm[inside])[0, 1] == pytest.approx(0.0, abs=1e-9)
+    assert start.height_nm[inside].std() == pytest.approx(18.5)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,7 +15,7 @@ from polishd.model.process import FLAT, Optic
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.optics import sag_mm
 from polishd.process.paths.apertures import Aperture, annulus, circle, ellipse, over_mask, rectangle
-from polishd.process.paths.spiral import spiral
+from polishd.process.paths.spiral import spiral as whole_spiral
 from tests.unit.process.paths.test_raster import lengths, outside, samples
 
 MASK = over_mask(Grid(60, 60, 1.0), Grid(60, 60, 1.0).radius_mm() < 25)
@@ -24,6 +26,11 @@ APERTURES = {
     "ring": annulus(60, 20),
     "mask": MASK,
 }
+
+
+def spiral(aperture: Aperture, pitch_mm: float, step_mm: float, **more: Any) -> FloatArray:
+    """The turns, and the way out."""
+    return whole_spiral(aperture, pitch_mm, step_mm, way_in=False, **more)
 
 
 def run(points: FloatArray) -> FloatArray:
@@ -138,6 +145,24 @@ def test_the_way_out_is_straight_on() -> None:
     assert bend[100:].max() < 10.0, "no corner anywhere off the centre"
     np.testing.assert_allclose(bend[-10:], 0.0, atol=1e-5)
     assert len(spiral(circle(60), 1.0, 0.5, landing_mm=0.0)) < len(points)
+
+
+@pytest.mark.parametrize("inwards", [False, True])
+@pytest.mark.parametrize("optic", [FLAT, Optic(120.0, -0.5, (1e-8,), (30.0, 10.0))])
+@pytest.mark.parametrize("name", APERTURES)
+def test_it_lands_and_lifts_beside_the_part(name: str, optic: Optic, inwards: bool) -> None:
+    """A tool that stands on the part while the force comes digs a pit: the way in crosses it in contact, moving."""
+    aperture = APERTURES[name]
+    points = whole_spiral(aperture, 1.0, 1.0, optic=optic, landing_mm=6.0, inwards=inwards)
+    assert (outside(aperture, points[[0, -1]]) > 6.0 - 1e-3).all()
+    turns = spiral(aperture, 1.0, 1.0, optic=optic, landing_mm=6.0)
+    way = points[: -len(turns)] if not inwards else points[len(turns) :]
+    run_back = points[::-1] if inwards else points
+    np.testing.assert_array_equal(run_back[-len(turns) :], turns, "with the way in, the turns are the same")
+    assert lengths(points).max() < 1.6, "and nothing is jumped over"
+    across = np.diff(way[:, :2], axis=0)
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    np.testing.assert_allclose(across, across[:1].repeat(len(across), axis=0), atol=1e-9)
 
 
 def test_an_optic_that_ends_before_the_path_does() -> None:
