@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from polishd.console.tables import key_table, record_table, stdout
+from polishd.console.map_files import readers_for
+from polishd.console.tables import key_table, record_table, stderr, stdout
 from polishd.console.verbs import emit
 from polishd.daemon.config import CellConfig, load_config
 from polishd.daemon.files import read_map
-from polishd.daemon.plugins import load_own
 from polishd.daemon.process_files import PLACE, read_columns, write_tif
 from polishd.files import write_atomic
 from polishd.model.errors import BadMap, ComputeError, ConfigError
@@ -23,6 +23,7 @@ from polishd.model.process import MeasuredTif, Projection, ToolProcess
 from polishd.model.robot import HybridRobot, MeasuredCompliance, SerialRobot
 from polishd.model.surface import SurfaceMap
 from polishd.process.calibration.exponent import fit_exponent
+from polishd.process.calibration.judgement import doubts
 from polishd.process.calibration.loading import LoadingTests, PercentErrors
 from polishd.process.calibration.stiffness import StiffnessFit, fit_stiffness
 from polishd.process.measured_tif import preston_from_tif, tif_from_maps
@@ -31,26 +32,41 @@ AXIS = ("axis_x", "axis_y", "axis_z")
 DIRECTION = ("dir_x", "dir_y", "dir_z")
 
 
-def stiffness_verb(
-    tests: Path, cell: Path | None, held_out: Path | None, projection: Projection, out: Path | None, *, as_json: bool
-) -> None:
-    """Fit the robot's stiffnesses to loading tests."""
+@dataclass(frozen=True, slots=True)
+class LoadingFiles:
+    """Loading tests, those that are only predicted, and what a test measured."""
+
+    tests: Path
+    held_out: Path | None
+    projection: Projection
+
+
+def stiffness_verb(files: LoadingFiles, cell: Path | None, out: Path | None, *, anyway: bool, as_json: bool) -> None:
+    """Fit the robot's stiffnesses to loading tests; nothing doubtful is written unless ``anyway``."""
     _require_new_kind(out)
-    unseen = None if held_out is None else _loading_tests(held_out)
+    tests = _loading_tests(files.tests)
+    unseen = None if files.held_out is None else _loading_tests(files.held_out)
     try:
-        fit = fit_stiffness(_elastic_robot(cell), _loading_tests(tests), projection=projection, hold_out=unseen)
+        fit = fit_stiffness(_elastic_robot(cell), tests, projection=files.projection, hold_out=unseen)
     except ComputeError as error:
-        raise ComputeError(f"{tests}: {error}") from error
+        raise ComputeError(f"{files.tests}: {error}") from error
+    doubtful = doubts(fit, tests)
+    if out is not None and doubtful and not anyway:
+        raise ComputeError(f"{files.tests}: {'; '.join(doubtful)}; nothing was written (--anyway writes it)")
     if out is not None:
-        _write_fragment(out, "kinematics", _stiffness_keys(fit.robot, fit), f"stiffnesses fitted to {tests.name}")
+        what = f"stiffnesses fitted to {files.tests.name}" + "".join(f"; DOUBTFUL: {doubt}" for doubt in doubtful)
+        _write_fragment(out, "kinematics", _stiffness_keys(fit.robot, fit), what)
     answer = {
         "stiffnesses": [asdict(stiffness) for stiffness in fit.stiffnesses],
         "fitted": asdict(fit.fitted),
         "cross_validated": None if fit.cross_validated is None else asdict(fit.cross_validated),
         "held_out": None if fit.held_out is None else asdict(fit.held_out),
+        "doubts": list(doubtful),
         "fragment": None if out is None else str(out),
     }
     emit(answer, as_json=as_json, table=lambda: _stiffness_table(fit))
+    for doubt in doubtful:
+        stderr.print(f"DO NOT BELIEVE THIS: {doubt}", style="red", markup=False, soft_wrap=True)
     if not as_json:
         for note in (*_error_lines(fit), *fit.notes):
             stdout.print(note, markup=False)
@@ -129,7 +145,7 @@ def tif_verb(
     _require_new_kind(out)
     config = None if cell is None else load_config(cell)
     process = ToolProcess() if config is None else config.tool_process()
-    before, after = (_map(path) for path in maps)
+    before, after = (_map(path, cell) for path in maps)
     if before.pitch_mm != after.pitch_mm or before.height_nm.shape != after.height_nm.shape:
         raise BadMap(f"{maps[1]}: has not the samples of {maps[0].name}; measure both with the same setting")
     tif, report = tif_from_maps(
@@ -150,8 +166,8 @@ def tif_verb(
         _say_written(out)
 
 
-def _map(path: Path) -> SurfaceMap:
-    found = read_map(path, load_own().surface_readers().values())
+def _map(path: Path, cell: Path | None) -> SurfaceMap:
+    found = read_map(path, readers_for(cell).values())
     if found.pitch_mm is None:
         raise BadMap(f"{path}: has no lateral scale; export it with one")
     return found

@@ -29,10 +29,13 @@ def cycle_table(summary: Mapping[str, Any]) -> Table:
         table.add_column(f"> {period:g} mm nm", justify="right")
     for name in ("predicted nm", "dwell s", "executed s", "rate"):
         table.add_column(name, justify="right")
+    if torn := any(map(_torn, summary["cycles"])):
+        table.add_column("pass")
     for number, cycle in enumerate(summary["cycles"]):
         keys = ["pv_nm", "rms_nm", "lsf_rms_nm", *(["band_rms_nm"] if period else [])]
         keys += ["predicted_rms_nm", "dwell_s", "executed_s", "rate"]
-        table.add_row(str(number), *(_figure(cycle.get(key), 3 if key == "rate" else 2) for key in keys))
+        figures = [_figure(cycle.get(key), 3 if key == "rate" else 2) for key in keys]
+        table.add_row(str(number), *figures, *([_torn(cycle)] if torn else []))
     return table
 
 
@@ -54,6 +57,13 @@ def record_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[obj
     for row in rows:
         table.add_row(*(escape(str(cell)) for cell in row))
     return table
+
+
+def _torn(cycle: Mapping[str, Any]) -> str:
+    """How much of the pass was executed, where it did not come to its end."""
+    if cycle.get("how") in {None, "done"}:
+        return ""
+    return f"interrupted at {cycle['executed_s'] / cycle['dwell_s']:.0%}"
 
 
 def _figure(value: object, digits: int) -> str:

@@ -63,6 +63,52 @@ def test_stiffnesses_are_found_and_a_cell_takes_them(polishd: Polishd, tmp_path:
     assert robot.tool_length_mm == 420.0, "what was not fitted is the cell's"
 
 
+def made_up(path: Path, n: int, spread: float, seed: int) -> Path:
+    """The same places, and numbers that nobody measured."""
+    rows = np.loadtxt(loading_tests(path, n, 0.0, seed), delimiter=",", skiprows=1)
+    rows[:, -1] = 1.5 * (1 + spread * np.random.default_rng(seed).uniform(-1, 1, n))
+    np.savetxt(path, rows, delimiter=",", header=COLUMNS, comments="", fmt="%.9g")
+    return path
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("n", "spread"), [(12, 0.4), (40, 0.4), (40, 0.15)])
+def test_random_numbers_are_not_believed(polishd: Polishd, tmp_path: Path, n: int, spread: float, seed: int) -> None:
+    tests, out = made_up(tmp_path / "t.csv", n, spread, seed), tmp_path / "stiff.toml"
+    said = polishd("calibrate", "stiffness", tests, "--out", out)
+    assert (said.code, said.out) == (10, "")
+    assert f"{tests}: the fit is off by " in said.err
+    assert "nothing was written (--anyway writes it)" in said.err
+    assert not out.exists()
+
+
+def test_random_numbers_are_written_if_one_insists_and_the_fragment_says_so(polishd: Polishd, tmp_path: Path) -> None:
+    tests, out = made_up(tmp_path / "t.csv", 40, 0.4, 1), tmp_path / "stiff.toml"
+    told = polishd("calibrate", "stiffness", tests)
+    assert told.code == 0, "without --out it is only told"
+    assert "DO NOT BELIEVE THIS: the fit is off by " in told.err
+    answer = polishd("calibrate", "stiffness", tests, "--out", out, "--anyway", "--json").answer
+    assert len(answer["doubts"]) >= 1
+    assert "; DOUBTFUL: the fit is off by " in out.read_text()
+    load_config(cell_with(tmp_path, "stiff.toml"))
+
+
+@pytest.mark.parametrize("noise", [0.03, 0.05])
+@pytest.mark.parametrize("n", [12, 40])
+@pytest.mark.parametrize("seed", range(5))
+def test_good_tests_are_believed(polishd: Polishd, tmp_path: Path, n: int, noise: float, seed: int) -> None:
+    out = tmp_path / "stiff.toml"
+    said = polishd("calibrate", "stiffness", loading_tests(tmp_path / "t.csv", n, noise, seed), "--out", out, "--json")
+    assert said.answer["doubts"] == []
+    assert out.exists()
+
+
+def test_held_out_tests_of_another_robot_are_told(polishd: Polishd, tmp_path: Path) -> None:
+    tests, other = loading_tests(tmp_path / "t.csv", 40, 0.03, 1), made_up(tmp_path / "o.csv", 40, 0.4, 2)
+    (doubt,) = polishd("calibrate", "stiffness", tests, "--held-out", other, "--json").answer["doubts"]
+    assert doubt.startswith("the held-out tests are off by ")
+
+
 def test_people_see_uncertainties_and_errors(polishd: Polishd, tmp_path: Path) -> None:
     said = polishd("calibrate", "stiffness", loading_tests(tmp_path / "t.csv", 40, 0.03, 3), "--cell", EXAMPLE)
     assert said.code == 0
