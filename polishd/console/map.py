@@ -10,7 +10,7 @@ from typing import Any
 import typer
 
 from polishd.console.map_figures import Figured, figured, json_line
-from polishd.console.map_files import edges_mm, map_from, own_readers, profile_of, require_picture, shown, told_apart
+from polishd.console.map_files import edges_mm, map_from, profile_of, readers_for, require_picture, shown, told_apart
 from polishd.console.tables import figure_table, key_table, stdout
 from polishd.model.errors import SurfaceError
 
@@ -26,6 +26,8 @@ class FigureOptions:
     bands: str = "33,0.12"
     profile: Path | None = None
     out: Path | None = None
+    cell: Path | None = None
+    """Whose plugins read, too."""
 
 
 def figures_verb(files: Sequence[Path], options: FigureOptions, *, as_json: bool) -> None:
@@ -34,7 +36,7 @@ def figures_verb(files: Sequence[Path], options: FigureOptions, *, as_json: bool
     require_picture(options.out)
     if options.out is not None and len(files) > MOST_DRAWN:
         raise typer.BadParameter(f"--out draws {MOST_DRAWN} maps at most, not {len(files)}")
-    instrument, readers = profile_of(options.profile), own_readers()
+    instrument, readers = profile_of(options.profile), readers_for(options.cell)
     answers: list[dict[str, Any]] = []
     drawn: list[Figured] = []
     for file in files:

@@ -12,7 +12,7 @@ import typer
 
 from polishd.console.map_convert import require_free, say_stored, store, writer_for
 from polishd.console.map_figures import json_line
-from polishd.console.map_files import map_from, own_readers, profile_of
+from polishd.console.map_files import map_from, profile_of, readers_for
 from polishd.console.tables import record_table, stdout
 from polishd.model.errors import BadMap
 from polishd.model.surface import SurfaceMap
@@ -20,10 +20,16 @@ from polishd.process.repeats import Repeats, average
 
 
 def average_verb(
-    files: Sequence[Path], target: Path | None, profile: Path | None, *, force: bool, as_json: bool
+    files: Sequence[Path],
+    target: Path | None,
+    profile: Path | None,
+    cell: Path | None = None,
+    *,
+    force: bool,
+    as_json: bool,
 ) -> None:
     """Average the maps, each without its own piston and tilt; write the mean where it is wanted."""
-    instrument, readers = profile_of(profile), own_readers()
+    instrument, readers = profile_of(profile), readers_for(cell)
     if target is not None:
         writer_for(target, readers)
         require_free(target, files, force=force)

@@ -28,6 +28,10 @@ Profile = Annotated[
     Optional[Path],  # noqa: UP045 - typer reads it
     typer.Option(metavar="P.toml", help="The instrument's profile: apply it first.", readable=False),
 ]
+OfCell = Annotated[
+    Optional[Path],  # noqa: UP045 - typer reads it
+    typer.Option("--cell", metavar="CELL.toml", help="Read as this cell does: with its plugins.", readable=False),
+]
 Bands = Annotated[str, typer.Option(metavar="MM,...", help="Periods between the bands, falling.")]
 Trim = Annotated[int, typer.Option(min=0, max=1000, metavar="N", help="Pixels to take off every edge of the data.")]
 
@@ -61,11 +65,12 @@ def figures(  # noqa: PLR0917 - typer reads the options off the signature
     trim: Trim = 0,
     profile: Profile = None,
     bands: Bands = BANDS_MM,
+    cell: OfCell = None,
 ) -> None:
     """Shape, pitch, PV, RMS, bands and warnings of each map: what "polishd map FILE..." does."""
     from polishd.console.map import FigureOptions, figures_verb
 
-    figures_verb(files, FigureOptions(trim, bands, profile, out), as_json=as_json)
+    figures_verb(files, FigureOptions(trim, bands, profile, out, cell), as_json=as_json)
 
 
 @map_verbs.command()
@@ -77,30 +82,32 @@ def compare(  # noqa: PLR0917 - typer reads the options off the signature
     trim: Trim = 0,
     profile: Profile = None,
     bands: Bands = BANDS_MM,
+    cell: OfCell = None,
 ) -> None:
     """PV, RMS and bands of two maps over the samples that both have, and how much they fell."""
     from polishd.console.map import FigureOptions
     from polishd.console.map_compare import compare_verb
 
-    compare_verb(before, after, FigureOptions(trim, bands, profile, out), as_json=as_json)
+    compare_verb(before, after, FigureOptions(trim, bands, profile, out, cell), as_json=as_json)
 
 
 @map_verbs.command()
-def convert(
+def convert(  # noqa: PLR0917 - typer reads the options off the signature
     source: Annotated[Path, typer.Argument(metavar="A", help="A map.", readable=False, show_default=False)],
     target: Annotated[Path, typer.Argument(metavar="B", help="The new file; its ending says the format.")],
     profile: Profile = None,
     force: Annotated[bool, typer.Option("--force", help="Replace B where it is there.")] = False,
     as_json: Json = False,
+    cell: OfCell = None,
 ) -> None:
     """Write a map in another format; it is read back and compared before it appears."""
     from polishd.console.map_convert import convert_verb
 
-    convert_verb(source, target, profile, force=force, as_json=as_json)
+    convert_verb(source, target, profile, cell, force=force, as_json=as_json)
 
 
 @map_verbs.command()
-def average(
+def average(  # noqa: PLR0917 - typer reads the options off the signature
     files: Annotated[list[Path], typer.Argument(metavar="MAP...", help="Repeats.", readable=False, show_default=False)],
     out: Annotated[
         Optional[Path],  # noqa: UP045 - typer reads it
@@ -109,11 +116,12 @@ def average(
     profile: Profile = None,
     force: Annotated[bool, typer.Option("--force", help="Replace MEAN where it is there.")] = False,
     as_json: Json = False,
+    cell: OfCell = None,
 ) -> None:
     """The mean of repeated measurements, without maps and samples that deviate, and its uncertainty."""
     from polishd.console.map_average import average_verb
 
-    average_verb(files, out, profile, force=force, as_json=as_json)
+    average_verb(files, out, profile, cell, force=force, as_json=as_json)
 
 
 @map_verbs.command()
@@ -125,16 +133,17 @@ def commission(
         typer.Option("--out", metavar="PNG", help="Draw what was found.", show_default=False),
     ] = None,
     as_json: Json = False,
+    cell: OfCell = None,
 ) -> None:
     """Prove an instrument's profile with a map of its artefact, and record it: before that no map drives polishing."""
     from polishd.console.map_commission import commission_verb
 
-    commission_verb(profile, surface, out, as_json=as_json)
+    commission_verb(profile, surface, out, cell, as_json=as_json)
 
 
 @map_verbs.command()
-def formats(as_json: Json = False) -> None:
-    """The formats that can be read, those that can be written, and what is not installed for the rest."""
+def formats(as_json: Json = False, cell: OfCell = None) -> None:
+    """The formats that can be read, in the order asked, and written, and what is not installed for the rest."""
     from polishd.console.map_formats import formats_verb
 
-    formats_verb(as_json=as_json)
+    formats_verb(cell, as_json=as_json)

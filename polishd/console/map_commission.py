@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from polishd.console.map_files import map_from, own_readers, require_picture
+from polishd.console.map_files import map_from, readers_for, require_picture
 from polishd.daemon.instrument_file import Profile, load_profile, write_commissioned
 from polishd.model.errors import BadMap, ConfigError
 from polishd.model.instrument import Commissioned
@@ -26,7 +26,7 @@ class Proved:
     record: Commissioned
 
 
-def commission_verb(profile: Path, surface: Path, out: Path | None, *, as_json: bool) -> None:
+def commission_verb(profile: Path, surface: Path, out: Path | None, cell: Path | None = None, *, as_json: bool) -> None:
     """Prove and record; a table and, with ``out``, a picture, which is drawn where nothing is proved, too.
 
     Raises:
@@ -36,18 +36,18 @@ def commission_verb(profile: Path, surface: Path, out: Path | None, *, as_json: 
     from polishd.console.verbs import emit
 
     require_picture(out)
-    proved = prove_profile(profile, surface, out)
+    proved = prove_profile(profile, surface, out, cell)
     facts = {"profile": str(profile), **asdict(proved.proof), **asdict(proved.record)}
     facts["at"] = proved.record.at.isoformat()
     emit(facts, as_json=as_json, table=lambda: _table(proved))
 
 
-def prove_profile(profile: Path, surface: Path, out: Path | None = None) -> Proved:
+def prove_profile(profile: Path, surface: Path, out: Path | None = None, cell: Path | None = None) -> Proved:
     """Prove a profile by a map of its artefact, and write the record into its file; arguments, errors: the verb's."""
     given = load_profile(profile)
     if not given.bumps:
         raise ConfigError(f"{profile}: [artefact] is missing; describe the artefact's bumps (docs/instruments.md)")
-    seen = as_profiled(map_from(surface, own_readers()), given.instrument)
+    seen = as_profiled(map_from(surface, readers_for(cell)), given.instrument)
     try:
         proof = prove(seen, given.bumps)
     except BadMap as error:

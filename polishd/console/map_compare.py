@@ -12,7 +12,7 @@ import typer
 
 from polishd.console.map import FigureOptions
 from polishd.console.map_figures import band_records, json_line
-from polishd.console.map_files import edges_mm, map_from, own_readers, profile_of, require_picture, shown, told_apart
+from polishd.console.map_files import edges_mm, map_from, profile_of, readers_for, require_picture, shown, told_apart
 from polishd.console.tables import figure_table, stdout
 from polishd.model.errors import BadMap
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
@@ -40,7 +40,7 @@ def compare_verb(before: Path, after: Path, options: FigureOptions, *, as_json: 
     """Figures of both, and by how much they changed."""
     edges = edges_mm(options.bands)
     require_picture(options.out)
-    instrument, readers = profile_of(options.profile), own_readers()
+    instrument, readers = profile_of(options.profile), readers_for(options.cell)
     maps = [map_from(path, readers, instrument) for path in (before, after)]
     pair = paired(*maps, trim=options.trim)
     found = _compared(pair, edges)

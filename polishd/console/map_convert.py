@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 from polishd.console.map_figures import json_line
-from polishd.console.map_files import map_from, own_readers, profile_of, shown
+from polishd.console.map_files import map_from, profile_of, readers_for, shown
 from polishd.console.tables import stdout
 from polishd.files import write_atomic
 from polishd.hookspecs import SurfaceReader
@@ -24,9 +24,11 @@ WITHIN = 1e-6
 """... or this part of the PV, where that is more. A pitch may change by the same part."""
 
 
-def convert_verb(source: Path, target: Path, profile: Path | None, *, force: bool, as_json: bool) -> None:
+def convert_verb(
+    source: Path, target: Path, profile: Path | None, cell: Path | None = None, *, force: bool, as_json: bool
+) -> None:
     """Write ``source`` to ``target``, in the format of its ending. Nothing is written where anything is refused."""
-    instrument, readers = profile_of(profile), own_readers()
+    instrument, readers = profile_of(profile), readers_for(cell)
     writer_for(target, readers)
     require_free(target, [source], force=force)
     surface = map_from(source, readers, instrument)
@@ -62,7 +64,8 @@ def store(surface: SurfaceMap, target: Path, readers: Mapping[str, SurfaceReader
 
 def writer_for(target: Path, readers: Mapping[str, SurfaceReader]) -> SurfaceReader:
     """The format that a file's ending names; BadParameter with those that can be written."""
-    writers = {suffix: reader for reader in readers.values() if reader.write for suffix in reader.suffixes}
+    asked = reversed([*readers.values()])  # of two for one ending the first counts, as it does in reading
+    writers = {suffix: reader for reader in asked if reader.write for suffix in reader.suffixes}
     writer = writers.get(target.suffix.lower())
     if writer is None:
         raise typer.BadParameter(f"{shown(target)}: the ending says the format, one of {', '.join(sorted(writers))}")

@@ -18,8 +18,15 @@ READERS = "interferometer"
 """The plugin of polishd that reads maps. Without the other ones these verbs start in half the time."""
 
 
-def own_readers() -> Mapping[str, SurfaceReader]:
-    """Polishd's readers by name, in the order in which they are asked."""
+def readers_for(cell: Path | None = None) -> Mapping[str, SurfaceReader]:
+    """The readers of the cell's plugins by name, in the order in which they are asked; without a cell polishd's own.
+
+    ConfigError or PluginError where the cell's configuration, or a plugin that it names, is broken.
+    """
+    if cell is not None:
+        from polishd.console.verbs import load_cell
+
+        return load_cell(cell)[1].surface_readers()
     from polishd.daemon.plugins import load_plugins
 
     return load_plugins([READERS]).surface_readers()

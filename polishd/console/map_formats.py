@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import typer
 
 from polishd.console.map_figures import json_line
-from polishd.console.map_files import own_readers
+from polishd.console.map_files import readers_for
 from polishd.console.tables import record_table, stdout
 from polishd.hookspecs import SurfaceReader
 
@@ -21,9 +22,11 @@ EXTRAS = {
 """Readers that need more than the base install: the extra, and the module that it brings."""
 
 
-def formats_verb(*, as_json: bool) -> None:
+def formats_verb(cell: Path | None = None, *, as_json: bool) -> None:
     """All readers, in the order in which they are asked."""
-    answers = [format_answer(reader) for reader in own_readers().values()]
+    asked = readers_for(cell)
+    own = asked.keys() if cell is None else readers_for().keys()
+    answers = [{**format_answer(reader), "own": reader.name in own} for reader in asked.values()]
     if as_json:
         typer.echo(json_line({"formats": answers}))
         return
@@ -47,10 +50,11 @@ def format_answer(reader: SurfaceReader) -> dict[str, Any]:
 
 def _row(answer: dict[str, Any]) -> tuple[str, ...]:
     extra = answer["extra"]
+    by = "polishd" if answer["own"] else "a plugin of the cell"
     return (
         answer["name"],
         " ".join(answer["suffixes"]) or "any",
         "yes" if answer["reads"] else "no",
         "yes" if answer["writes"] else "no",
-        f"pip install 'polishd[{extra}]'" + (": is there" if answer["installed"] else "") if extra else "polishd",
+        f"pip install 'polishd[{extra}]'" + (": is there" if answer["installed"] else "") if extra else by,
     )

@@ -24,7 +24,7 @@ def read_program_bytes(path: Path) -> bytes:
 
 
 def read_map(path: Path, readers: Iterable[SurfaceReader]) -> SurfaceMap:
-    """Read a map with the first reader that knows the file; BadMap where none does."""
+    """Read a map with the first reader that knows the file; SurfaceError where none does, or that one refuses."""
     try:
         with path.open("rb") as file:
             head = file.read(SNIFF_BYTES)
@@ -34,7 +34,8 @@ def read_map(path: Path, readers: Iterable[SurfaceReader]) -> SurfaceMap:
         raise BadMap(f"{path}: the file is empty; export the map again")
     tried = []
     for reader in readers:
-        if reader.sniff(head, path):
-            return reader.read(path)
+        surface = reader.surface_of(head, path)
+        if surface is not None:
+            return surface
         tried.append(reader.name)
     raise BadMap(f"{path}: no loaded reader knows this file (tried: {', '.join(tried) or 'none'})")

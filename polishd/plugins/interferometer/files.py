@@ -20,9 +20,6 @@ SNIFFED_BYTES = 4096
 UNFINISHED = (".tmp", ".part", ".partial", ".filepart", ".crdownload", ".swp", "~")
 """Names under which writers keep what they have not finished."""
 
-READER_FAULTS = (OSError, ValueError, LookupError, ArithmeticError, TypeError)
-"""What a reader of somebody else may raise over a broken file instead of BadMap."""
-
 ZERO_TAIL_BYTES = 4096
 """So many zeros at the end were not measured: FITS pads with 2880 at most, and readers look closer for their own."""
 HDF5, HDF5_ZERO_TAIL = b"\x89HDF\r\n\x1a\n", 1 / 16
@@ -94,14 +91,13 @@ def _read(path: Path, readers: Sequence[SurfaceReader]) -> SurfaceMap:
         _check_tail(path, head, file.seek(0, os.SEEK_END), _zeros_at_end(file.fileno()))
     for reader in readers:
         try:
-            if reader.sniff(head, path):
-                return reader.read(path)
+            surface = reader.surface_of(head, path)
         except BadMap as error:
             if isinstance(error.__cause__, OSError) and error.__cause__.errno:
                 raise error.__cause__ from None  # the share, not the map
             raise
-        except READER_FAULTS as error:
-            raise BadMap(f"{path}: the reader {reader.name} failed: {type(error).__name__}: {error}") from error
+        if surface is not None:
+            return surface
     state = "is empty" if not head else "is in no format that is known"
     known = ", ".join(reader.name for reader in readers) or "no reader is loaded"
     raise BadMap(f"{path}: {state} (known: {known})")

@@ -146,7 +146,7 @@ class WatchedFolder:
         told = "; ".join([*wait.refused, *([wait.trouble] if wait.trouble else [])]) or "no file came"
         raise SurfaceError(
             f"{self._folder}: no map of part {self._rules.part_id!r} in {options.timeout_s:g} s: {told}. "
-            f"To do: look at the instrument{f' and into {self._refused}' if wait.refused else ''}, then resume."
+            f"To do: look at the instrument{f' and into {self._refused}' if wait.refused else ''}."
         )
 
     def _problem(self) -> str:

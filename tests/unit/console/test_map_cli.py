@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from polishd.console.map_files import own_readers
+from polishd.console.map_files import readers_for
 from polishd.console.map_formats import EXTRAS, format_answer
 from polishd.console.tables import stdout
 from tests.unit.console.maps import dat, surface
@@ -93,7 +93,7 @@ def test_blas_is_held_to_one_thread_unless_asked(tmp_path: Path) -> None:
     code = (
         "import sys, polishd.cli, polishd.console.map_formats as verbs, os\n"
         "shown = [os.environ.get, 'OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS']\n"
-        "verbs.formats_verb = lambda as_json: print(*map(shown[0], shown[1:]))\n"
+        "verbs.formats_verb = lambda cell, as_json: print(*map(shown[0], shown[1:]))\n"
         "sys.argv = ['polishd', 'map', 'formats']\npolishd.cli.main()"
     )
     clean = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
@@ -105,10 +105,11 @@ def test_blas_is_held_to_one_thread_unless_asked(tmp_path: Path) -> None:
 
 def test_formats_are_those_of_the_plugin(polishd: Polishd) -> None:
     answers = polishd("map", "formats", "--json").answer["formats"]
-    assert [answer["name"] for answer in answers] == list(own_readers())
+    assert [answer["name"] for answer in answers] == list(readers_for())
     by_name = {answer["name"]: answer for answer in answers}
     assert by_name["metropro"] == {
         "name": "metropro", "suffixes": [".dat"], "reads": True, "writes": True, "extra": None, "installed": True,
+        "own": True,
     }  # fmt: skip
     said = polishd("map", "formats")
     assert said.code == 0
@@ -117,7 +118,7 @@ def test_formats_are_those_of_the_plugin(polishd: Polishd) -> None:
 
 
 def test_what_needs_an_extra_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    reader = own_readers()["gwy"]
+    reader = readers_for()["gwy"]
     assert format_answer(reader)["extra"] == "gwy"
     monkeypatch.setattr("polishd.console.map_formats.find_spec", lambda _: None)
     answer = format_answer(reader)
@@ -125,7 +126,7 @@ def test_what_needs_an_extra_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_extras_are_of_readers_that_there_are() -> None:
-    assert set(EXTRAS) <= set(own_readers())
+    assert set(EXTRAS) <= set(readers_for())
 
 
 def test_a_full_disk_behind_stdout_is_one_line() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from polishd.console import map_convert
-from polishd.console.map_files import map_from, own_readers
+from polishd.console.map_files import map_from, readers_for
 from polishd.hookspecs import SurfaceReader
 from polishd.model.errors import BadMap
 from polishd.model.surface import SurfaceMap
@@ -30,7 +30,7 @@ def lossy(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """``lossy(height_nm=...)``: what is read back of the file that would be written has these fields instead."""
 
     def install(**fields: Any) -> None:
-        readers = own_readers()
+        readers = readers_for()
 
         def reading(path: Path, _readers: Any, _instrument: Any = None) -> SurfaceMap:
             found = map_from(path, readers)
@@ -55,7 +55,7 @@ def test_each_pair_comes_back(polishd: Polishd, tmp_path: Path, source: Path, fi
         assert answer["out"] == str(path_to)
         assert answer["bytes"] == path_to.stat().st_size
         assert answer["largest_change_nm"] <= map_convert.WITHIN_NM
-    was, now = (map_from(path, own_readers()) for path in (source, two))
+    was, now = (map_from(path, readers_for()) for path in (source, two))
     assert np.array_equal(was.valid, now.valid)
     np.testing.assert_allclose(now.height_nm, was.height_nm, atol=2 * map_convert.WITHIN_NM)
     assert now.pitch_mm == pytest.approx(PITCH_MM, rel=1e-6)
@@ -76,7 +76,7 @@ def test_real_maps_keep_their_figures(
         assert str(target) in said.err
         assert not target.exists()
         return
-    was, now = (map_from(path, own_readers()) for path in (shared_data / name, target))
+    was, now = (map_from(path, readers_for()) for path in (shared_data / name, target))
     assert np.nanstd(now.height_nm) == pytest.approx(np.nanstd(was.height_nm), rel=1e-4)
     assert np.array_equal(was.valid, now.valid)
     assert now.pitch_mm == pytest.approx(was.pitch_mm, rel=1e-6)
@@ -227,10 +227,10 @@ def test_what_a_writer_refuses_is_one_message(polishd: Polishd, source: Path, mo
     def write(_: SurfaceMap) -> bytes:
         raise BadMap("heights beyond its integers")
 
-    readers = dict(own_readers())
+    readers = dict(readers_for())
     held = readers["metropro"]
     readers["metropro"] = SurfaceReader(held.name, held.sniff, held.read, (".dat",), write)
-    monkeypatch.setattr(map_convert, "own_readers", lambda: readers)
+    monkeypatch.setattr(map_convert, "readers_for", lambda cell: readers)
     said = polishd("map", "convert", source, source.with_name("out.dat"))
     assert said.code == 8
     assert "heights beyond its integers" in said.err
@@ -240,7 +240,7 @@ def test_what_a_writer_refuses_is_one_message(polishd: Polishd, source: Path, mo
 def test_the_time_is_kept_where_there_is_a_field(polishd: Polishd, source: Path) -> None:
     target = source.with_name("out.dat")
     assert polishd("map", "convert", source, target).code == 0
-    now = map_from(target, own_readers())
+    now = map_from(target, readers_for())
     assert now.taken_at is not None
     assert now.taken_at.timestamp() == TAKEN_S
     assert now.part_id == "blank-7"

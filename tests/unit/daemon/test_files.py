@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from polishd.daemon.files import SNIFF_BYTES, read_map, read_program_bytes
 from polishd.hookspecs import SurfaceReader
-from polishd.model.errors import BadMap, ProgramError
+from polishd.model.errors import BadMap, ProgramError, StaleMap
 from polishd.model.surface import SurfaceMap
 from tests.unit.daemon.small import small_map
 
@@ -71,3 +72,29 @@ def test_a_map_that_is_empty_or_gone(tmp_path: Path) -> None:
     path.touch()
     with pytest.raises(BadMap, match="the file is empty"):
         read_map(path, [reader("any", b"")])
+
+
+def test_whatever_a_reader_does_is_a_bad_map_that_names_it(tmp_path: Path) -> None:
+    path = tmp_path / "m.dat"
+    path.write_bytes(b"?")
+
+    def raises(error: Exception) -> Any:
+        raise error
+
+    for broken, says in [
+        (
+            SurfaceReader("odd", lambda head, path: True, lambda path: raises(ValueError("no\nnumber"))),
+            "ValueError: no number",
+        ),
+        (
+            SurfaceReader("odd", lambda head, path: True, lambda path: raises(AttributeError("it"))),
+            "AttributeError: it",
+        ),
+        (SurfaceReader("odd", lambda head, path: raises(IndexError("head")), small_map), "IndexError: head"),
+        (SurfaceReader("odd", lambda head, path: True, lambda path: None), "gave NoneType, no SurfaceMap"),  # type: ignore[arg-type,return-value]
+    ]:
+        with pytest.raises(BadMap, match=rf"m\.dat: the reader 'odd' .*{says}"):
+            read_map(path, [broken, reader("any", b"")])
+    stale = SurfaceReader("odd", lambda head, path: True, lambda path: raises(StaleMap("older")))
+    with pytest.raises(StaleMap, match=r"^older$"):
+        read_map(path, [stale])

@@ -39,7 +39,7 @@ def test_a_reader_that_breaks_is_named(tmp_path: Path) -> None:
     path = tmp_path / "a.xyz"
     path.write_bytes(b"x")
     reader = SurfaceReader("theirs", lambda head, path: True, broken)
-    with pytest.raises(BadMap, match="the reader theirs failed: KeyError"):
+    with pytest.raises(BadMap, match="the reader 'theirs' failed: KeyError"):
         files.read_map(path, [reader])
     with pytest.raises(BadMap, match="no reader is loaded"):
         files.read_map(path, [])
