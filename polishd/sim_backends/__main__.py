@@ -11,7 +11,7 @@ from typing import Any
 
 from polishd.model.errors import PolishdError
 from polishd.sim_backends.config import load
-from polishd.sim_backends.runtime import Start, run_device
+from polishd.sim_backends.runtime import Start, as_hardware, run_device
 from polishd.sim_backends.supervisor import DEVICES, Supervisor
 from polishd.sim_backends.truth import stream
 
@@ -67,6 +67,7 @@ async def _run(start: Start, device: str | None) -> int:
     if device is None:
         arguments = [argument for argument in sys.argv[1:] if argument != "--rebooted"]
         return await Supervisor(start, arguments).run()
+    as_hardware()
     if device == "plant":
         from polishd.sim_backends.plant.server import main as plant
 

@@ -117,8 +117,8 @@ class Robot(Section):
     kind: Literal["link", "linuxcnc"] = "link"
     """``linuxcnc``: a real LinuxCNC, in real time, in a network of its own (docs/protocols/linuxcnc.md)."""
     port: int = Field(28500, ge=0, le=65535)
-    watchdog_s: float = Field(1.0, gt=0.0)
-    window: int = Field(4096, ge=1)
+    watchdog_s: float = Field(8.0, gt=0.0)
+    window: int = Field(16384, ge=1)
     corner_deg: float = 30.0
     rapid_mm_s: float = Field(100.0, gt=0.0)
     max_feed_mm_s: float = Field(100.0, gt=0.0)
@@ -132,12 +132,16 @@ class Robot(Section):
 
 
 class Actuator(Section):
-    """The voice-coil actuator."""
+    """The voice-coil actuator. Its times go with the simulated clock."""
 
     kind: Literal["modbus_rtu", "modbus_tcp", "serial"] = "modbus_rtu"
     port: int = Field(0, ge=0, le=65535)
     baud: int = Field(115200, ge=1200)
     unit: int = Field(1, ge=1, le=247)
+    land_s: float = Field(2.0, gt=0.0)
+    lift_s: float = Field(4.0, gt=0.0)
+    cling: float = Field(0.5, ge=0.0, lt=1.0)
+    rest_n: float = Field(0.1, ge=0.0)
     faults: ActuatorFaults = ActuatorFaults()
 
 
@@ -148,6 +152,12 @@ class Spindle(Section):
     port: int = Field(0, ge=0, le=65535)
     node: int = Field(5, ge=1, le=127)
     max_rpm: int = Field(3000, ge=1)
+    spin_s: float = Field(3.0, gt=0.0)
+    """From standstill to 1000 rpm, simulated clock."""
+    stop_s: float = Field(0.5, gt=0.0)
+    """And back."""
+    watchdog_s: float = Field(1.0, gt=0.0)
+    """Without a command for so long it stops by itself, wall time."""
     faults: Faults = Faults()
 
 
@@ -177,8 +187,8 @@ class SimConfig(Section):
 def load(path: Path) -> SimConfig:
     """Read SIM.toml; ConfigError names the file and the key."""
     try:
-        return SimConfig.model_validate(tomllib.loads(path.read_text()))
-    except (OSError, tomllib.TOMLDecodeError) as error:
+        return SimConfig.model_validate(tomllib.loads(path.read_text("utf-8-sig")))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"{path}: {error}") from error
     except ValidationError as error:
         first = error.errors()[0]

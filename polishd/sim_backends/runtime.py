@@ -52,6 +52,15 @@ class Runtime:
         announce(self.name, endpoint)
         self.link.event("boot", boot_id=self.boot_id, boot_count=self.boot_count)
 
+    def button(self, number: signal.Signals, action: Callable[[], object]) -> None:
+        """A fault at the press of a button: the signal that a test, or a person, sends to this process."""
+
+        def pressed() -> None:
+            self.link.event("button", signal=number.name)
+            action()
+
+        asyncio.get_running_loop().add_signal_handler(number, pressed)
+
     async def serve(self, protocol: Callable[[], asyncio.Protocol], port: int) -> int:
         """Listen on loopback; returns the port. A port of 0 becomes the one of the last start, if it is free."""
         loop = asyncio.get_running_loop()
@@ -81,6 +90,12 @@ class Runtime:
 
 
 Device = Callable[[Runtime], Awaitable[None]]
+
+
+def as_hardware() -> None:
+    """Before other programs, where that is allowed: what stands for a machine is not starved by a busy computer."""
+    with contextlib.suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, 0, -10)
 
 
 def announce(name: str, endpoint: str) -> None:

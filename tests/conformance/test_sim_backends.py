@@ -140,7 +140,7 @@ class Cells:
             return bool(told) and told[-1] in ends
 
         try:
-            return bool(wait_for(rests, "rest", 0.5))
+            return bool(wait_for(rests, "rest", 3.0))
         except AssertionError:
             return False
 

@@ -13,8 +13,6 @@ WATCHDOG, OVER_FORCE, DRIVE, ENCODER = 1, 2, 4, 8
 
 TOUCH_UM = 5000.0
 STROKE_UM = 10000.0
-EXTEND_UM_S = 40000.0
-LIFT_UM_S = 80000.0
 LIFTED_UM = 200.0
 """So far from the touch the tool counts as lifted."""
 RISE_N_S = 240.0
@@ -22,6 +20,18 @@ FALL_N_S = 1200.0
 STEP_S = 0.005
 
 Refusal = Literal["", "range", "fault"]
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How fast it moves, wall time, and what its tool weighs."""
+
+    land_s: float = 0.125
+    """From its rest to the part."""
+    lift_s: float = 0.0625
+    """From force off to its rest: for the share ``cling`` the tool stays where it is, under ``rest_n``."""
+    cling: float = 0.0
+    rest_n: float = 0.0
 
 
 @dataclass(slots=True)
@@ -32,6 +42,7 @@ class VoiceCoil:
     report: Callable[..., None]
     """Tells the witness: (event, at_s, **data)."""
     now_s: float
+    pace: Pace = Pace()
     stuck_after_s: float = 0.0
     setpoint_n: float = 0.0
     watchdog_ms: int = 500
@@ -44,6 +55,11 @@ class VoiceCoil:
     force_n: float = 0.0
     samples: list[tuple[float, float]] = field(default_factory=list)
     """(time, true force) since they were last taken."""
+    stuck: bool = False
+    """The force falls to 60 % in contact, whatever is asked."""
+    hung: bool = False
+    """Its firmware has died: it goes on pressing, answers nobody, and watches nothing."""
+    _clung_s: float = 0.0
     _fed_s: float = 0.0
     _touching: bool = False
     _contact_s: float = 0.0
@@ -113,7 +129,8 @@ class VoiceCoil:
         while self.now_s < now_s:
             dt = min(STEP_S, now_s - self.now_s)
             self.now_s += dt
-            if self.position_um > 0.0 and self.engaged and self.now_s - self._fed_s > self.watchdog_ms / 1000.0:
+            silent = self.engaged and not self.hung
+            if self.position_um > 0.0 and silent and self.now_s - self._fed_s > self.watchdog_ms / 1000.0:
                 self.report("watchdog", self.now_s, silent_s=round(self.now_s - self._fed_s, 3))
                 self.engaged, self.faults = False, self.faults | WATCHDOG
             before = self.force_n
@@ -126,7 +143,8 @@ class VoiceCoil:
 
     def _extend(self, dt: float) -> None:
         target = TOUCH_UM if self.near else STROKE_UM
-        self.position_um = min(self.position_um + EXTEND_UM_S * dt, max(target, self.position_um))
+        step_um = TOUCH_UM / self.pace.land_s * dt
+        self.position_um = min(self.position_um + step_um, max(target, self.position_um))
         if self.near:
             self.position_um = min(self.position_um, TOUCH_UM)
         touching = self.near and self.position_um >= TOUCH_UM
@@ -139,24 +157,39 @@ class VoiceCoil:
         self._contact_s += dt
         self._noise += (-self._noise) * dt / 0.05 + 0.01 * (2.0 * dt / 0.05) ** 0.5 * float(self.rng.standard_normal())
         aim = self.setpoint_n
-        if self.stuck_after_s and self._contact_s > self.stuck_after_s and aim > 0.0:
+        self.stuck = self.stuck or 0.0 < self.stuck_after_s < self._contact_s
+        if self.stuck and aim > 0.0:
             aim *= 0.6
         change = min(max(aim - self.force_n, -FALL_N_S * dt), RISE_N_S * dt)
         self.force_n += change
 
     def _withdraw(self, dt: float) -> None:
-        if self.force_n > 0.0:
-            self.force_n = max(self.force_n - FALL_N_S * dt, 0.0)
+        if self._touching:
+            self._touching = self._clings(dt)
+            self.force_n = self.force_n if self._touching else 0.0
             return
         if self.position_um <= 0.0:
             return
         above = self.position_um > TOUCH_UM - LIFTED_UM
-        self.position_um = max(self.position_um - LIFT_UM_S * dt, 0.0)
-        self._touching = False
+        lift_s = self.pace.lift_s * (1.0 - self.pace.cling)
+        self.position_um = max(self.position_um - TOUCH_UM / lift_s * dt, 0.0)
         if above and self.position_um <= TOUCH_UM - LIFTED_UM:
             self.report("tool_lifted", self.now_s)
         if self.position_um == 0.0:
             self.report("retracted", self.now_s)
+
+    def _clings(self, dt: float) -> bool:
+        """The force goes, and the tool still rests on the part for a while."""
+        rest_n = min(self.pace.rest_n, self.force_n)
+        if self.force_n > rest_n:
+            self.force_n = max(self.force_n - FALL_N_S * dt, rest_n)
+            if self.force_n == rest_n > 0.0:
+                self.report("force_off", self.now_s, rests_n=rest_n)
+            return True
+        self._clung_s += dt
+        clings = self._clung_s < self.pace.lift_s * self.pace.cling
+        self._clung_s = self._clung_s if clings else 0.0
+        return clings
 
     def _changed(self, before: float) -> None:
         if not self.samples or self.samples[-1][0] < self.now_s - STEP_S:

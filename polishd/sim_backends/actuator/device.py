@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 import time
 from collections.abc import Callable
 
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.actuator.ascii import AsciiSlave
-from polishd.sim_backends.actuator.coil import VoiceCoil
+from polishd.sim_backends.actuator.coil import Pace, VoiceCoil
 from polishd.sim_backends.actuator.modbus import Registers, RtuSlave, TcpSlave
 from polishd.sim_backends.bus import Message
 from polishd.sim_backends.runtime import Runtime
@@ -22,11 +23,12 @@ VENDOR, MODEL, SERIAL, FIRMWARE = "polishd", "simulated VC50", "SIM-V1", "1.0"
 
 async def main(runtime: Runtime) -> None:
     """The device coroutine."""
-    config = runtime.start.config.actuator
+    config, speed = runtime.start.config.actuator, runtime.start.speed
     coil = VoiceCoil(
         rng=stream(runtime.start.seed, "coil"),
         report=runtime.link.event,
         now_s=time.monotonic(),
+        pace=Pace(config.land_s / speed, config.lift_s / speed, config.cling, config.rest_n),
         stuck_after_s=config.faults.stuck_force_after_s,
         near=bool(runtime.link.welcome.get("near")),
     )
@@ -43,6 +45,8 @@ async def main(runtime: Runtime) -> None:
         endpoint = f"tcp://{await wire.open_tcp(config.port)}"
     else:
         wire.open_pty(config.baud)
+    runtime.button(signal.SIGUSR1, lambda: setattr(coil, "stuck", True))
+    runtime.button(signal.SIGUSR2, lambda: setattr(coil, "hung", True))
     runtime.ready(endpoint)
     runtime.group.create_task(wire.cut_now_and_then())
     runtime.group.create_task(runtime.reboot_later(config.faults.reboot_after_s))
@@ -64,6 +68,8 @@ def _feed(runtime: Runtime, coil: VoiceCoil) -> Feed:
     def feed(data: bytes, send: Send) -> None:
         now = time.monotonic()
         coil.step(now)
+        if coil.hung:
+            return
         for size, answer in slave.feed(data, now):
             send(answer, size * byte_s)
 

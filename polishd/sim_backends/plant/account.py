@@ -15,6 +15,31 @@ from polishd.sim_backends.runtime import replace
 
 
 @dataclass(slots=True)
+class WayOut:
+    """What the part lost from a moment on: the cost of leaving contact, marked by whoever causes it (SIGUSR1)."""
+
+    from_s: float
+    """Wall time (monotonic) of the mark."""
+    removed_nm: FloatArray
+    standing_nm: FloatArray
+    contact_s: float = 0.0
+    standing_s: float = 0.0
+    until_s: float = 0.0
+    """Wall time of the last contact."""
+
+    def report(self) -> dict[str, float]:
+        """Seconds of contact (process time) and the deepest place, in all and at standstill."""
+        return {
+            "from_s": self.from_s,
+            "until_s": self.until_s,
+            "contact_s": self.contact_s,
+            "standing_s": self.standing_s,
+            "peak_nm": float(self.removed_nm.max()),
+            "standing_peak_nm": float(self.standing_nm.max()),
+        }
+
+
+@dataclass(slots=True)
 class Account:
     """Contact seconds (process time) for each block of each program, and at standstill."""
 
@@ -23,6 +48,7 @@ class Account:
     current: str = ""
     standstill_s: float = 0.0
     stands: list[dict[str, float]] = field(default_factory=list)
+    way_out: WayOut | None = None
 
     def load(self, sha256: str, blocks: int) -> None:
         """A program was loaded; one that was loaded before goes on with its old account."""
@@ -61,6 +87,7 @@ class Account:
             "pv_nm": pv,
             "standstill_contact_s": self.standstill_s,
             "stands": self.stands,
+            "way_out": self.way_out.report() if self.way_out is not None else None,
             "programs": books,
             "truth": "truth.npz",
         }

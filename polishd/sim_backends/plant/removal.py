@@ -1,6 +1,8 @@
 """The plant's own removal law: Hertz's contact and Preston's equation with what really acts at the moment.
 
-Units: mm, N, MPa, s, rad; removal in nm. Nothing here is shared with the controller's model.
+Units: mm, N, MPa, s, rad; removal in nm. Contact, wear and the projection on the normal are written for the plant
+alone. The robot's reach and the compliance matrix at its tip are the controller's own (`process.robot`): a mistake in
+those two shows in no simulation. Tests hold them to beam finite elements and to strain energy.
 """
 
 from __future__ import annotations

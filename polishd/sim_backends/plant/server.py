@@ -6,6 +6,7 @@ import asyncio
 import json
 import math
 import os
+import signal
 import time
 from dataclasses import dataclass, field
 
@@ -78,6 +79,11 @@ class PlantServer:
             self.write_s = math.inf
             self._write()
         self.witness.write(horizon)
+
+    def mark_way_out(self) -> None:
+        """Somebody is about to cause a fault: from now on, what leaving contact costs is booked apart."""
+        self.world.mark_way_out(time.monotonic())
+        self.witness.add("plant", "way_out_marked", time.monotonic())
 
     def finish(self) -> None:
         """The end: everything is written down."""
@@ -189,6 +195,7 @@ async def main(start: Start) -> None:
     stop = asyncio.Event()
     listener = await asyncio.start_unix_server(server.serve, bus.socket_path(folder), limit=1 << 26)
     announce("plant", str(path))
+    asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, server.mark_way_out)
     async with asyncio.TaskGroup() as group:
         group.create_task(server.tick())
         await until_ended(stop)

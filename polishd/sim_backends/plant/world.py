@@ -13,14 +13,14 @@ from polishd.model.surface import BoolArray, FloatArray
 from polishd.sim_backends.bus import ROW
 from polishd.sim_backends.config import SimConfig
 from polishd.sim_backends.placement import Frames
-from polishd.sim_backends.plant.account import Account
+from polishd.sim_backends.plant.account import Account, WayOut
 from polishd.sim_backends.plant.part import TruePart
 from polishd.sim_backends.plant.removal import equivalent_compliance, wear, worn_depth_mm
 from polishd.sim_backends.plant.timeline import Timeline
 from polishd.sim_backends.truth import HiddenTruth
 
-REACH_MM = 0.5
-"""The tip must be so near the surface for the bonnet to touch."""
+REACH_MM = 4.5
+"""So far the actuator's stroke lets the bonnet follow the surface."""
 TOUCH_N = 0.02
 SEQ, WALL0, WALL1, DT, X = range(len(ROW) - 4)
 GAP_S = 1e-5
@@ -121,6 +121,7 @@ class World:
         begin = self.process_s + np.cumsum(rows[:, DT]) - rows[:, DT]
         rows, force, place, axis, begin = (v[touching] for v in (rows, force, place, axis, begin))
         force = force * (1.0 + self._force_noise(rows[:, DT]))
+        before = None if self.account.way_out is None else self.part.height_nm.copy()
         compliance = equivalent_compliance(
             self.hidden.robot, *self._frames.in_base(place, axis), self._frames.to_base[:, 2]
         )
@@ -135,6 +136,25 @@ class World:
             seconds=rows[:, DT] * np.array([self.hidden.rate_at(t) for t in begin]),
         )
         self._book(program, rows, place)
+        if before is not None:
+            self._book_way_out(rows, before - self.part.height_nm)
+
+    def mark_way_out(self, at_s: float) -> None:
+        """From now on a second account says what leaving contact costs."""
+        nothing = np.zeros_like(self.part.height_nm)
+        self.account.way_out = WayOut(at_s, nothing, nothing.copy(), until_s=at_s)
+
+    def _book_way_out(self, rows: FloatArray, removed_nm: FloatArray) -> None:
+        way_out = self.account.way_out
+        if way_out is None or rows[0, WALL0] < way_out.from_s:
+            return
+        seconds, standing = rows[:, DT], rows[:, SEQ] < 0
+        way_out.removed_nm += removed_nm
+        way_out.contact_s += float(seconds.sum())
+        way_out.until_s = float(rows[-1, WALL1])
+        if standing.any():
+            way_out.standing_s += float(seconds[standing].sum())
+            way_out.standing_nm += removed_nm
 
     def _book(self, program: str, rows: FloatArray, place: FloatArray) -> None:
         moving = rows[:, SEQ] >= 0

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import struct
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from polishd.sim_backends.robot import frames
+
+CHUNK = 2000
+"""Blocks in one EXECUTED frame."""
+BACKLOG = 1 << 19
+"""Bytes on their way to a client beyond which records wait for the next tick."""
 
 
 @dataclass(eq=False, slots=True)
@@ -27,6 +33,16 @@ class Client:
     def ack(self, kind: int, status: dict[str, Any]) -> None:
         """It was done."""
         self.send(frames.pack_json(frames.ACK, {"of": kind, "status": status}))
+
+    def tell(self, credit: tuple[int, int], ahead_s: float, executed: Sequence[tuple[int, float, float]]) -> None:
+        """ACCEPTED where ``credit`` changed, EXECUTED where there is more and it takes it."""
+        if self.credit != credit:
+            self.credit = credit
+            self.send(frames.pack(frames.ACCEPTED, struct.pack(">IId", *credit, ahead_s)))
+        while self.told < len(executed) and self.backlog() < BACKLOG:
+            part = executed[self.told : self.told + CHUNK]
+            self.send(frames.pack_executed(part))
+            self.told += len(part)
 
     def nak(self, kind: int, code: str, text: str) -> None:
         """It was refused."""

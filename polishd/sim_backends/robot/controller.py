@@ -13,13 +13,9 @@ from polishd.sim_backends.robot.clients import Client, Lease
 from polishd.sim_backends.robot.intake import Intake, Reach
 from polishd.sim_backends.robot.motion import Motion
 
-WRITER_ONLY = {frames.LOAD, frames.BLOCKS, frames.RESUME, frames.ABORT}
-CHUNK = 2000
-"""Blocks in one EXECUTED frame."""
+WRITER_ONLY = {frames.LOAD, frames.BLOCKS, frames.RESUME, frames.ABORT, frames.LIFT}
 MAX_BLOCKS = 5_000_000
-BACKLOG = 1 << 19
-"""Bytes on their way to a client beyond which records wait for the next tick."""
-
+LONGEST_LIFT_MM = 500.0
 Report = Callable[..., None]
 
 
@@ -37,7 +33,9 @@ class Controller:
     lease: Lease = field(init=False)
     sha256: str = ""
     stops: int = 0
-    """HOLD, ABORT and the watchdog, counted since the start: a RESUME that does not know of the last is stale."""
+    """HOLD, ABORT, LIFT and the watchdog, counted since the start: a RESUME that knows not of the last is stale."""
+    estop: bool = False
+    """Somebody has pressed it: nothing moves until the controller is started anew."""
     _intake: Intake | None = None
     _was: str = "idle"
 
@@ -82,14 +80,14 @@ class Controller:
         """The STATUS object."""
         motion = self.motion
         return {
-            "state": motion.state,
+            "state": "fault" if self.estop else motion.state,
             "program_sha256": self.sha256,
             "accepted": motion.accepted,
             "executed": len(motion.executed),
             "buffer_s": round(motion.ahead_s, 6),
             "boot_id": self.identity["boot_id"],
             "stops": self.stops,
-            "detail": motion.detail,
+            "detail": "emergency stop" if self.estop else motion.detail,
             "time_s": round(motion.process_s, 6),
         }
 
@@ -127,6 +125,12 @@ class Controller:
         if self.motion.state == "running" and not self.motion.stopping and silent_s > self.config.watchdog_s:
             self.report("watchdog", silent_s=round(silent_s, 3))
             self._stop(now_s, "watchdog")
+
+    def press(self, button: str, now_s: float) -> None:
+        """``emergency stop``, or ``pause at the pendant``: it stops, and nobody on the link asked for it."""
+        self.estop = self.estop or button == "emergency stop"
+        self._stop(now_s, button)
+        self._changes()
 
     def _stop(self, now_s: float, why: str) -> None:
         self.stops += 1
@@ -188,8 +192,23 @@ class Controller:
             self._stop(now_s, "hold" if kind == frames.HOLD else "abort")
             client.awaits.append(kind)
             self._changes()
+        elif kind == frames.LIFT:
+            self._lift(client, message, now_s)
         else:
             client.nak(kind, "protocol", f"unknown type 0x{kind:02x}")
+
+    def _lift(self, client: Client, message: dict[str, Any], now_s: float) -> None:
+        distance_mm = message.get("distance_mm")
+        if not isinstance(distance_mm, int | float) or not 0.0 < distance_mm <= LONGEST_LIFT_MM:
+            client.nak(frames.LIFT, "protocol", f"LIFT wants distance_mm, at most {LONGEST_LIFT_MM:g}")
+            return
+        if self.estop:
+            client.nak(frames.LIFT, "fault", "emergency stop")
+            return
+        self.stops += 1
+        self.motion.lift(now_s, float(distance_mm))
+        client.awaits.append(frames.LIFT)
+        self._changes()
 
     def _load(self, client: Client, message: dict[str, Any], now_s: float) -> None:
         self.motion.advance(now_s)
@@ -214,8 +233,12 @@ class Controller:
     def _resume(self, client: Client, message: dict[str, Any], now_s: float) -> None:
         until, intake = message.get("until"), self._intake
         refusal = intake.refusal() if intake is not None else ("", "LOAD first")
+        if self.estop:
+            refusal = ("fault", "emergency stop")
         if refusal is not None:
             client.nak(frames.RESUME, "no_program", refusal[1])
+        elif self.motion.lifted:
+            client.nak(frames.RESUME, "no_program", "the tool was lifted off the path: LOAD again")
         elif until is not None and not isinstance(until, int):
             client.nak(frames.RESUME, "protocol", "until is a sequence number or null")
         elif message.get("stops") != self.stops:
@@ -228,11 +251,11 @@ class Controller:
     def _changes(self) -> None:
         """Report starts and stops; give the ACKs that waited for standstill."""
         motion = self.motion
-        if motion.state != self._was:
-            name = "motion_started" if motion.state == "running" else "motion_stopped"
-            if "running" in {motion.state, self._was}:
-                self.report(name, motion.changed_s, detail=motion.detail or motion.state, executed=len(motion.executed))
-            self._was = motion.state
+        while (state := motion.state) != (was := self._was):
+            self._was = state  # before the report, which brings the motion to the present: it may have gone on since
+            name = "motion_started" if state == "running" else "motion_stopped"
+            if "running" in {state, was}:
+                self.report(name, motion.changed_s, detail=motion.detail or state, executed=len(motion.executed))
         if motion.state == "running":
             return
         for client in [client for client in self.clients if client.awaits]:
@@ -246,13 +269,5 @@ class Controller:
             client.awaits.clear()
 
     def _tell(self, client: Client) -> None:
-        """ACCEPTED where it changed, EXECUTED where there is more and the client takes it."""
-        executed = self.motion.executed
-        credit = self.motion.accepted, self._room()
-        if client.credit != credit:
-            client.credit = credit
-            client.send(frames.pack(frames.ACCEPTED, struct.pack(">IId", *credit, self.motion.ahead_s)))
-        while client.told < len(executed) and client.backlog() < BACKLOG:
-            part = executed[client.told : client.told + CHUNK]
-            client.send(frames.pack_executed(part))
-            client.told += len(part)
+        motion = self.motion
+        client.tell((motion.accepted, self._room()), motion.ahead_s, motion.executed)

@@ -8,7 +8,7 @@ import zlib
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-HELLO, LOAD, BLOCKS, RESUME, HOLD, ABORT, PING = range(0x01, 0x08)
+HELLO, LOAD, BLOCKS, RESUME, HOLD, ABORT, PING, LIFT = range(0x01, 0x09)
 WELCOME, ACK, NAK, ACCEPTED, EXECUTED, STATUS, RESEND = range(0x81, 0x88)
 
 MAGIC = b"PL"

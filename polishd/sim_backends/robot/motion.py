@@ -10,6 +10,7 @@ import numpy as np
 
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.robot.legs import Cursor, Legs, braking, plan, rows
+from polishd.sim_backends.robot.lift import Lift
 from polishd.sim_backends.robot.path import PAUSE, Path
 from polishd.sim_backends.robot.rnc import Block, Pose
 
@@ -54,6 +55,8 @@ class Motion:
     """Blocks were accepted that the legs do not have."""
     _begun_s: float | None = None
     _origin: tuple[float, float] = (0.0, 0.0)
+    _lift: Lift | None = None
+    """Under way, or done: the program cannot be gone on with."""
 
     def __post_init__(self) -> None:
         """Start without a program."""
@@ -70,7 +73,7 @@ class Motion:
             corner_deg=limits.corner_deg,
         )
         self._cursor, self._begun_s = Cursor(), None
-        self.executed, self.until, self.stopping = [], None, ""
+        self.executed, self.until, self.stopping, self._lift = [], None, "", None
         self._plan()
         self.state, self.detail = "held", "loaded"
 
@@ -108,9 +111,33 @@ class Motion:
             self.detail = why
         if self.state != "running" or self.stopping:
             return
-        self.stopping = why
-        self._legs, self._leg = braking(self.path, self._cursor, self.process_s, self.limits.accel_mm_s2), 0
+        self._brake(why)
         self.advance(wall_s)
+
+    def lift(self, wall_s: float, distance_mm: float) -> None:
+        """Leave the path along the tool's axis while it still moves, and stand still there."""
+        self.advance(wall_s)
+        if self.lifted:
+            return
+        if self.state != "running":
+            self._origin = (wall_s, self.process_s)
+            self.state, self.changed_s = "running", wall_s
+        if not self.stopping:
+            self._brake("lift")
+        limits = self.limits
+        self.stopping = "lift"
+        self._lift = Lift(self.process_s, distance_mm, limits.accel_mm_s2, limits.rapid_mm_s)
+        self.advance(wall_s)
+
+    @property
+    def lifted(self) -> bool:
+        """It has left its path, or is leaving it."""
+        return self._lift is not None
+
+    def _brake(self, why: str) -> None:
+        self.stopping = why
+        if self._cursor.block < self.path.accepted:
+            self._legs, self._leg = braking(self.path, self._cursor, self.process_s, self.limits.accel_mm_s2), 0
 
     def advance(self, wall_s: float) -> None:
         """Execute up to the present."""
@@ -119,6 +146,8 @@ class Motion:
         legs, since = self._planned(), self.process_s
         now = max(self._origin[1] + (wall_s - self._origin[0]) * self.limits.speed, since)
         end = float(legs.end_s[legs.stop]) if legs.stop >= 0 else since
+        if self._lift is not None:
+            end = max(end, self._lift.end_s)
         self.process_s = min(now, end)
         reached = legs.reached(self.process_s)
         self._witness(legs, reached, since)
@@ -160,11 +189,24 @@ class Motion:
         if self.process_s <= since:
             return
         cut = rows(self.path, legs, self._leg, reached, (since, self.process_s))
+        if self._lift is not None:
+            cut = self._off_the_path(cut, since)
         if not len(cut):
             return
         wall, process = self._origin
         times = wall + (cut[:, 1:3] - process) / self.limits.speed
         self.rows.append(np.column_stack([cut[:, 0], times, cut[:, 2] - cut[:, 1], cut[:, 3:]]))
+
+    def _off_the_path(self, cut: FloatArray, since: float) -> FloatArray:
+        """What the path does, and what is left of the lift once that stands, both lifted."""
+        lift = self._lift
+        if lift is None:
+            return cut
+        stood = float(cut[-1, 2]) if len(cut) else since
+        if stood < self.process_s:
+            block = min(self._cursor.block, max(self.path.blocks - 1, 0))
+            cut = np.vstack([cut.reshape(-1, 8), lift.standing(block, self._where(), stood, self.process_s)])
+        return np.column_stack([cut[:, :3], lift.poses(cut[:, 3:], cut[:, 1:3].mean(axis=1))])
 
     def _complete(self, legs: Legs, reached: int) -> None:
         for k in range(self._leg, reached):
@@ -183,6 +225,9 @@ class Motion:
             done_mm, done_s, _ = legs.state(reached - 1, self.process_s)
             self._cursor = Cursor(int(legs.block[reached - 1]), done_mm, done_s)
         self.pose = self._where()
+        if self._lift is not None:
+            x, y, z, a, c = self._lift.poses(np.array([self.pose]), np.array([self.process_s]))[0].tolist()
+            self.pose = (x, y, z, a, c)
 
     def _where(self) -> Pose:
         block = self._cursor.block
@@ -198,7 +243,7 @@ class Motion:
     def _stop(self) -> None:
         """The legs are run: say why the tool stands."""
         done = self._cursor.block
-        if done >= self.path.blocks:
+        if done >= self.path.blocks and not self.lifted:
             self.state, self.detail = "done", ""
         elif self.stopping:
             self.state, self.detail = "held", self.stopping

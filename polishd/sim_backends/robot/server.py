@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 import time
 from typing import Any
 
@@ -142,6 +143,8 @@ async def main(runtime: Runtime) -> None:
     """The device coroutine."""
     server = RobotServer(runtime)
     port = await runtime.serve(lambda: Connection(server), runtime.start.config.robot.port)
+    runtime.button(signal.SIGUSR1, lambda: server.controller.press("emergency stop", time.monotonic()))
+    runtime.button(signal.SIGUSR2, lambda: server.controller.press("pause at the pendant", time.monotonic()))
     runtime.ready(f"tcp://{LOOPBACK}:{port}")
     runtime.group.create_task(runtime.reboot_later(runtime.start.config.robot.faults.reboot_after_s))
     await server.run()

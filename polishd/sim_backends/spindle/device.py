@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 import time
 
 from polishd.sim_backends.runtime import Runtime
@@ -18,7 +19,7 @@ VENDOR_ID, PRODUCT, REVISION, SERIAL = 0x506F, 0x0101, 0x00010000, 12345
 
 async def main(runtime: Runtime) -> None:
     """The device coroutine."""
-    config = runtime.start.config.spindle
+    config, speed = runtime.start.config.spindle, runtime.start.speed
     identity = enumerate((VENDOR_ID, PRODUCT, REVISION, SERIAL), start=1)
     objects = {(0x1018, sub): value for sub, value in identity}
     objects.update({(0x2000, 0): runtime.boot_count, (0x6080, 0): config.max_rpm})
@@ -28,7 +29,11 @@ async def main(runtime: Runtime) -> None:
         objects=objects,
         report=lambda name, at_s: runtime.link.event(name, at_s, rpm=round(drive.rpm, 1)),
         now_s=time.monotonic(),
+        ramp_rpm_s=1000.0 / config.spin_s * speed,
+        stop_rpm_s=1000.0 / config.stop_s * speed,
+        watchdog_s=config.watchdog_s,
     )
+    runtime.button(signal.SIGUSR1, drive.fail)
     hosts: list[tuple[Slcan | Socketcand, Send]] = []
     wire = Wire(runtime, config.faults, lambda: _feed(config.kind, drive, hosts))
     if config.kind == "slcan":

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 
 STOPPED, RAMPING, AT_SPEED, FAULT = range(4)
 SILENCE, OVER_SPEED, DRIVE = 1, 2, 4
-RAMP_RPM_S = 2000.0
-COMMAND_S, STATUS_S, HEARTBEAT_S = 0.5, 0.05, 0.1
+STATUS_S, HEARTBEAT_S = 0.05, 0.1
 UNKNOWN_OBJECT = 0x06020000
 
 Frame = tuple[int, bytes]
@@ -26,6 +25,11 @@ class Drive:
     """Object dictionary: (index, sub) -> u32."""
     report: Callable[..., None]
     now_s: float
+    ramp_rpm_s: float = 2000.0
+    """To speed, wall time."""
+    stop_rpm_s: float = 2000.0
+    """To rest: its quick stop."""
+    watchdog_s: float = 1.0
     rpm: float = 0.0
     target_rpm: float = 0.0
     fault: int = 0
@@ -62,10 +66,11 @@ class Drive:
 
     def step(self, now_s: float) -> list[Frame]:
         """Bring the drive to the present; the frames that are due."""
-        if self.target_rpm and now_s - self._heard_s > COMMAND_S:
+        if self.target_rpm and now_s - self._heard_s > self.watchdog_s:
             self.target_rpm, self.fault = 0.0, self.fault | SILENCE
             self.report("watchdog", now_s)
-        before, room = self.rpm, RAMP_RPM_S * max(now_s - self.now_s, 0.0)
+        slope = self.ramp_rpm_s if abs(self.target_rpm) > abs(self.rpm) else self.stop_rpm_s
+        before, room = self.rpm, slope * max(now_s - self.now_s, 0.0)
         self.rpm += min(max(self.target_rpm - self.rpm, -room), room)
         if self.rpm != before:
             self.samples += [(self.now_s, before), (now_s, self.rpm)]
@@ -74,6 +79,10 @@ class Drive:
             self._said = self.state
             self.report(("spindle_stopped", "spindle_ramping", "spindle_at_speed", "spindle_fault")[self.state], now_s)
         return list(self._due())
+
+    def fail(self) -> None:
+        """The drive's own fault: it stops, and runs no more."""
+        self.fault, self.target_rpm = self.fault | DRIVE, 0.0
 
     def status(self) -> Frame:
         """The status frame."""

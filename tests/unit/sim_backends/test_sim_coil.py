@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from polishd.sim_backends.actuator.ascii import AsciiSlave, body, line
-from polishd.sim_backends.actuator.coil import CONTACT, EXTENDING, FAULT, RETRACTED, RETRACTING, VoiceCoil
+from polishd.sim_backends.actuator.coil import CONTACT, EXTENDING, FAULT, RETRACTED, RETRACTING, Pace, VoiceCoil
 from polishd.sim_backends.actuator.modbus import Registers, RtuSlave, TcpSlave, crc16, rtu
 from tests.unit.sim_backends.vectors import vectors
 
@@ -246,3 +246,40 @@ def test_status_does_not_feed_the_watchdog_and_a_heartbeat_does() -> None:
         bench.until(0.3 + 0.02 * k, fed=False)
         list(slave.feed(line("1,ST?"), 0.0))
     assert bench.coil.faults == 1
+
+
+SLOW = Pace(land_s=2.0, lift_s=4.0, cling=0.5, rest_n=0.1)
+
+
+def test_landing_and_lifting_take_the_time_that_hardware_takes() -> None:
+    bench = Bench(pace=SLOW)
+    bench.coil.set_force(12.0)
+    bench.coil.engage()
+    bench.until(1.9)
+    assert bench.coil.state == EXTENDING
+    bench.until(2.3)
+    assert (bench.coil.state, bench.coil.force_n) == (CONTACT, 12.0)
+    bench.coil.retract()
+    bench.until(2.4)
+    assert bench.coil.force_n == 0.1, "force off, and the tool still rests on the part"
+    bench.until(4.2)
+    assert (bench.coil.state, bench.coil.force_n) == (RETRACTING, 0.1)
+    bench.until(4.5)
+    assert bench.coil.force_n == 0.0
+    bench.until(6.5)
+    assert bench.coil.state == RETRACTED
+    assert bench.names[-5:] == ["retract", "force_off", "force_zero", "tool_lifted", "retracted"]
+
+
+def test_firmware_that_hangs_goes_on_pressing() -> None:
+    bench = Bench().pressed()
+    bench.coil.hung = True
+    bench.until(5.0, fed=False)
+    assert (bench.coil.force_n, bench.coil.faults) == (12.0, 0)
+
+
+def test_a_force_that_sticks_at_the_press_of_a_button() -> None:
+    bench = Bench().pressed()
+    bench.coil.stuck = True
+    bench.until(0.6)
+    assert bench.coil.force_n == pytest.approx(7.2)

@@ -29,7 +29,7 @@ class Bench:
         self.log = []
         motion = Motion(LIMITS, (0.0, 0.0, 50.0, 0.0, 0.0))
         self.controller = Controller(
-            Robot(**config),
+            Robot(**{"watchdog_s": 1.0, "window": 4096, **config}),
             motion,
             {"boot_id": "b1", "vendor": "v", "model": "m", "serial": "s", "firmware": "f"},
             lambda blocks: np.array([abs(block.end[1]) < 100.0 for block in blocks], dtype=bool),
@@ -267,3 +267,20 @@ def test_unknown_types_are_refused() -> None:
     client, got = bench.client()
     bench.say(client, 0x55, {})
     assert naks(got) == [(0x55, "protocol")]
+
+
+def test_a_stop_is_told_though_telling_of_the_start_lets_time_pass() -> None:
+    """Reporting brings the motion to the present; on a busy machine a short retreat is over by then (issue 12.12)."""
+    bench = Bench()
+    client, _ = bench.loaded([b"G1 X1 F6000"])
+    controller, log = bench.controller, bench.log
+
+    def slowly(name: str, at_s: float | None = None, **data: Any) -> None:
+        log.append((name, data))
+        controller.motion.advance(bench.now + 1.0)
+
+    controller.report = slowly
+    bench.resume(client)
+    bench.until(0.2)
+    told = [name for name, _ in log if name.startswith("motion")]
+    assert (controller.motion.state, told) == ("done", ["motion_started", "motion_stopped"])

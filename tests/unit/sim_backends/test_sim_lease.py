@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from polishd.sim_backends.robot import frames as f
-from polishd.sim_backends.robot.clients import Client, Lease
-from polishd.sim_backends.robot.controller import BACKLOG, CHUNK
+from polishd.sim_backends.robot.clients import BACKLOG, CHUNK, Client, Lease
 from tests.unit.sim_backends.test_sim_controller import LINES, Bench, credits_told, executed, kinds, last, naks
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from polishd.sim_backends.spindle.buses import Slcan, Socketcand, slcan_frame, slcan_line
-from polishd.sim_backends.spindle.drive import COMMAND_S, Drive
+from polishd.sim_backends.spindle.drive import Drive
 from tests.unit.sim_backends.vectors import vectors
 
 
@@ -64,14 +64,14 @@ def test_status_and_heartbeat_come_by_themselves() -> None:
 def test_silence_is_a_fault_that_a_stop_clears() -> None:
     bench = Bench()
     bench.until(0.6, run(1000))
-    bench.until(0.6 + 0.8 * COMMAND_S)
+    bench.until(0.6 + 0.8 * bench.drive.watchdog_s)
     assert bench.drive.fault == 0
-    bench.until(2.0)
+    bench.until(2.5)
     assert (bench.drive.fault, bench.drive.rpm, bench.drive.state) == (1, 0.0, 3)
-    bench.until(2.1, run(1000))
+    bench.until(2.6, run(1000))
     assert bench.drive.rpm == 0.0
-    bench.until(2.2, VECTORS["stop_counter_10"])
-    bench.until(2.4, run(1000))
+    bench.until(2.7, VECTORS["stop_counter_10"])
+    bench.until(2.9, run(1000))
     assert bench.drive.rpm > 0.0
 
 

@@ -133,7 +133,7 @@ def test_a_tool_that_stands_in_contact_digs_a_pit() -> None:
     assert plant.account.stands[0]["seconds"] == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize(("z", "near"), [(0.0, True), (0.4, True), (0.6, False), (-0.6, False), (30.0, False)])
+@pytest.mark.parametrize(("z", "near"), [(0.0, True), (4.4, True), (4.6, False), (-4.6, False), (30.0, False)])
 def test_reach(z: float, near: bool) -> None:
     plant = world(pose=(0.0, 0.0, z, 15.0, 0.0))
     assert plant.near is near
@@ -221,3 +221,17 @@ def test_a_program_loaded_again_goes_on_in_its_old_book(tmp_path: Path) -> None:
     held = np.load(tmp_path / "truth.npz")
     assert held["height_nm"].shape == plant.part.grid.shape
     assert not list(tmp_path.glob(".*"))
+
+
+def test_what_leaving_contact_costs_is_booked_from_the_mark_on() -> None:
+    plant = world()
+    plant.stand_until(1.0)
+    plant.integrate(1.0)
+    plant.mark_way_out(1.0)
+    plant.stand_until(1.5)
+    plant.integrate(math.inf)
+    way_out = plant.account.way_out
+    assert way_out is not None
+    told = way_out.report()
+    assert (told["standing_s"], told["contact_s"]) == (pytest.approx(0.5, abs=0.03), pytest.approx(0.5, abs=0.03))
+    assert told["standing_peak_nm"] == told["peak_nm"] == pytest.approx(-plant.part.height_nm.min() / 3, rel=0.05)
