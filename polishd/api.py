@@ -38,6 +38,7 @@ from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Op
 from polishd.model.program import Plan, Program, Segment
 from polishd.model.robot import HybridRobot, MeasuredCompliance, SerialRobot
 from polishd.model.surface import Grid, SurfaceMap, SurfaceStats
+from polishd.model.times import ActuatorTimes, RobotTimes, SpindleTimes
 from polishd.ports import ByteStream, Clock, Device, ForceActuator, Metrology, Robot, Spindle
 from polishd.process.convolution import ConvolutionEffect
 from polishd.process.dwell.problem import DwellProblem
@@ -45,6 +46,7 @@ from polishd.process.effect import Effect, SparseEffect
 
 __all__ = [
     "API_VERSION",
+    "ActuatorTimes",
     "BadMap",
     "ByteStream",
     "Certificate",
@@ -92,12 +94,14 @@ __all__ = [
     "RemovalRequest",
     "Robot",
     "RobotProgress",
+    "RobotTimes",
     "SafetyStop",
     "Segment",
     "SerialRobot",
     "SparseEffect",
     "SpeedSample",
     "Spindle",
+    "SpindleTimes",
     "StaleMap",
     "SurfaceError",
     "SurfaceMap",

@@ -15,6 +15,7 @@ import pluggy
 
 from polishd.model.cycle import Event
 from polishd.model.dwell import DwellSolution
+from polishd.model.errors import BadMap, SurfaceError
 from polishd.model.instrument import Instrument
 from polishd.model.limits import Envelope
 from polishd.model.process import (
@@ -90,7 +91,7 @@ class SurfaceReader:
     """A surface-map format. ``sniff`` sees the first 4096 bytes and the path; ``read`` raises BadMap.
 
     Readers are asked in the order in which they are declared: those that know a magic number before those that
-    judge by name.
+    judge by name; and those of other distributions before polishd's own, some of which take any text.
     """
 
     name: str
@@ -100,6 +101,27 @@ class SurfaceReader:
     """Usual endings of such files (".dat"), lower case: what ``write`` is chosen by."""
     write: Callable[[SurfaceMap], bytes] | None = None
     """Content of a file that holds the map; raises BadMap where the format cannot hold it. None: read only."""
+
+    def surface_of(self, head: bytes, path: Path) -> SurfaceMap | None:
+        """The map where the file is of this format, None where it is not: everybody asks a reader through this.
+
+        Raises:
+            SurfaceError: as the reader does, and BadMap, with the file and the reader, for whatever else it raises.
+        """
+        try:
+            if not self.sniff(head, path):
+                return None
+            surface: object = self.read(path)
+        except SurfaceError:
+            raise
+        except Exception as error:  # a parser may raise anything at all on a broken file
+            reason = " ".join(f"{type(error).__name__}: {error}".split()).rstrip(".")
+            raise BadMap(
+                f"{path}: the reader {self.name!r} failed: {reason}; export the map again, or mend the reader's plugin"
+            ) from error
+        if isinstance(surface, SurfaceMap):
+            return surface
+        raise BadMap(f"{path}: the reader {self.name!r} gave {type(surface).__name__}, no SurfaceMap; mend its plugin")
 
 
 @dataclass(frozen=True, slots=True)

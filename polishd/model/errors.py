@@ -1,17 +1,22 @@
 """The error tree. Each class is named by what happens next, and carries the exit code of the command line.
 
+Those marked * leave the daemon held where no pass was under way: a person mends the cause, and it goes on
+(docs/cycle.md). All others end it.
+
 PolishdError
   ConfigError      nothing was opened: mend the file                    (3)
   PluginError      nothing was opened: mend or drop the plugin          (3)
   ProgramError     nothing was written: mend the RNC program            (9)
   PlanRefused      nothing moved: the plan is not safe                  (4)
-  SurfaceError     ask for another map                                  (8)
+  SurfaceError *   ask for another map                                  (8)
     StaleMap       it was measured before the last pass ended
     BadMap         it cannot be read, or not be trusted
     WrongPart      it shows another part
+  GateStop *       a pass did not do what its plan said: mend why       (10)
   ComputeError     fall back, or stop before RUN                        (10)
-  DeviceError      a device is the cause                                (5)
+  DeviceError *    a device is the cause                                (5)
     LinkError      the wire is dead or silent
+      NoDaemon     no daemon runs for this cell: start one
     ProtocolError  the wire speaks, but not what was agreed
     DeviceRefused  the device understood and said no
     DeviceFault    the device says that it is broken
@@ -23,6 +28,8 @@ class PolishdError(Exception):
     """Root of the tree. The message says what, where and what to do, in one paragraph."""
 
     exit_code = 1
+    mendable = False
+    """A person can mend the cause while the daemon waits, held; it is so only where no pass was under way."""
 
 
 class ConfigError(PolishdError):
@@ -53,6 +60,7 @@ class SurfaceError(PolishdError):
     """A surface map cannot drive polishing; another one is needed."""
 
     exit_code = 8
+    mendable = True
 
 
 class StaleMap(SurfaceError):
@@ -67,6 +75,13 @@ class WrongPart(SurfaceError):
     """The map shows another part than the job's."""
 
 
+class GateStop(PolishdError):
+    """What a pass removed is better explained by a mistake in instrument or alignment than by its plan."""
+
+    exit_code = 10
+    mendable = True
+
+
 class ComputeError(PolishdError):
     """A computation failed, ran out of time, or came without a valid certificate."""
 
@@ -77,10 +92,17 @@ class DeviceError(PolishdError):
     """A device, or the link to it, is the cause."""
 
     exit_code = 5
+    mendable = True
 
 
 class LinkError(DeviceError):
     """The link is dead or silent."""
+
+
+class NoDaemon(LinkError):
+    """No daemon runs for that state folder: only the command line says so."""
+
+    mendable = False
 
 
 class ProtocolError(DeviceError):

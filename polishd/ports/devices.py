@@ -2,7 +2,8 @@
 
 Every driver keeps these rules. ``make_safe`` is idempotent, bounded in time and allowed in any state, also before
 ``open`` and after ``close``. No driver repeats a write on its own. A lost link raises LinkError at once to whoever
-waits.
+waits. ``times`` says how long its actions may take, from its config, also before ``open``: the daemon's own limits are
+derived from that (``daemon.time_limits``).
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Protocol, runtime_checkable
 from polishd.model.devices import DeviceStatus, Executed, ForceSample, Identity, RobotProgress, SpeedSample
 from polishd.model.program import Plan, Segment
 from polishd.model.surface import SurfaceMap
+from polishd.model.times import ActuatorTimes, RobotTimes, SpindleTimes
 
 
 @runtime_checkable
@@ -44,6 +46,11 @@ class Device(Protocol):
 class Robot(Device, Protocol):
     """Executes numbered blocks of one program, in order, each once."""
 
+    @property
+    def times(self) -> RobotTimes:
+        """How long its actions may take."""
+        ...
+
     async def prepare(self, plan: Plan) -> None:
         """Announce a program: hash, number of blocks. Drops what was loaded before. The robot stays held."""
         ...
@@ -71,6 +78,14 @@ class Robot(Device, Protocol):
         """Start or go on; ``until``: come to a stop after executing blocks with seq < until. Returns at once."""
         ...
 
+    async def lift(self, distance_mm: float) -> None:
+        """Leave the path along the tool's axis, off the part, by so much; returns when the robot stands there.
+
+        The way out where the actuator does not lift: blended into the motion, so that the tool never stands. The
+        program cannot be gone on with. DeviceRefused where the machine cannot.
+        """
+        ...
+
     @property
     def buffer_s(self) -> float:
         """Wall seconds of motion ahead of the tool, by the robot's last word."""
@@ -80,6 +95,11 @@ class Robot(Device, Protocol):
 @runtime_checkable
 class ForceActuator(Device, Protocol):
     """Presses the bonnet on the part. Hears nothing for its watchdog time: force off and retract, by itself."""
+
+    @property
+    def times(self) -> ActuatorTimes:
+        """How long its actions may take."""
+        ...
 
     async def set_force(self, force_n: float) -> None:
         """Regulate to that force; from retracted, lands first. 0 takes the force off and stays extended."""
@@ -97,6 +117,11 @@ class ForceActuator(Device, Protocol):
 @runtime_checkable
 class Spindle(Device, Protocol):
     """Spins the bonnet."""
+
+    @property
+    def times(self) -> SpindleTimes:
+        """How long its actions may take."""
+        ...
 
     async def set_speed(self, rpm: float) -> None:
         """Returns when the speed is reached within 2 % (or stopped, for 0); DeviceFault or LinkError otherwise."""

@@ -7,6 +7,8 @@ import asyncio
 import pytest
 
 from polishd.api import Device, ForceActuator, LinkError, Robot, Spindle
+from polishd.daemon.devices import PORTS
+from polishd.daemon.port_checks import lacking
 from tests.conformance.conftest import BOUND_S, PROMPT_S, within
 from tests.conformance.rigs import Rig
 
@@ -30,6 +32,11 @@ async def test_it_says_who_it_is(any_device: AnyRig) -> None:
     assert identity.serial
     assert identity.firmware
     assert identity == await device.identify()
+
+
+async def test_it_has_all_that_its_port_asks(any_device: AnyRig) -> None:
+    (port,) = (port for port in PORTS.values() if isinstance(any_device.device, port))
+    assert lacking(any_device.device, port) == []
 
 
 async def test_opening_changes_nothing(any_device: AnyRig) -> None:

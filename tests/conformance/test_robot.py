@@ -126,6 +126,35 @@ async def test_hold_returns_when_it_stands(robot: RobotRig, opened: Robot) -> No
     assert [one.seq for one in await first(opened, 50)] == list(range(50))
 
 
+async def test_it_lifts_and_the_program_is_over_or_it_refuses_and_goes_on(robot: RobotRig, opened: Robot) -> None:
+    """The way out where the actuator does not lift; a machine that would have to stop first refuses."""
+    await loaded(opened, 60)
+    await opened.resume()
+    await first(opened, 3)
+    try:
+        await opened.lift(15.0)
+    except DeviceRefused:
+        assert not robot.safe()
+        return
+    assert robot.safe()
+    with pytest.raises(DeviceRefused):
+        await opened.resume()
+    assert len(await collected(await reloaded(opened))) == 40
+
+
+async def reloaded(opened: Robot) -> Robot:
+    """Ready for something new, and told to run."""
+    await loaded(opened, 40)
+    await opened.resume()
+    return opened
+
+
+async def test_it_says_how_long_it_takes(robot: RobotRig) -> None:
+    times = robot.device.times
+    assert 0.0 < times.silence_s < times.watchdog_s or times.watchdog_s == 0.0
+    assert times.stop_s > 0.0
+
+
 async def test_make_safe_stops_a_running_robot(robot: RobotRig, opened: Robot) -> None:
     await loaded(opened, 40)
     await opened.resume()

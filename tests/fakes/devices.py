@@ -12,9 +12,10 @@ from dataclasses import dataclass, field, replace
 
 from polishd.daemon.cell import Cell
 from polishd.model.devices import DeviceStatus, Executed, ForceSample, Identity, RobotProgress, RobotState, SpeedSample
-from polishd.model.errors import LinkError
+from polishd.model.errors import DeviceRefused, LinkError
 from polishd.model.program import Plan, Segment
 from polishd.model.surface import SurfaceMap
+from polishd.model.times import ActuatorTimes, RobotTimes, SpindleTimes
 
 SAMPLE_S = 0.005
 """What one reading lets pass, of the fake clock."""
@@ -34,6 +35,12 @@ class ManualClock:
         waiting: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._sleepers.append((self.at_s + seconds, waiting))
         await waiting
+
+    async def until(self, at_s: float) -> None:
+        """Whoever waits for a motion lets the time pass; the watchers get their turns meanwhile."""
+        while self.at_s < at_s:
+            self.advance(SAMPLE_S)
+            await asyncio.sleep(0)
 
     def advance(self, seconds: float) -> None:
         self.at_s += seconds
@@ -96,6 +103,8 @@ class FakeRobot(FakeDevice):
 
     def __init__(self, events: list[str], clock: ManualClock) -> None:
         super().__init__("robot", events, clock)
+        self.times = RobotTimes()
+        self.lifts = True
         self.block_s: float | Callable[[Segment], float] = 0.1
         self.boot_id = "boot-1"
         self.plan_sha256 = ""
@@ -156,6 +165,12 @@ class FakeRobot(FakeDevice):
         self.until = until
         self._changed.set()
 
+    async def lift(self, distance_mm: float) -> None:
+        await self.did("lift", f" {distance_mm:g}")
+        if not self.lifts:
+            raise DeviceRefused("robot: cannot lift")
+        self.until = self.done
+
     async def make_safe(self) -> None:
         self.until = self.done
         await super().make_safe()
@@ -172,10 +187,13 @@ class FakeRobot(FakeDevice):
 
 
 class FakeActuator(FakeDevice):
-    """Has the force it was asked for at once; ``reads`` may say otherwise."""
+    """Lands and lifts in the fake clock's time, as hardware does; ``reads`` may say otherwise."""
 
     def __init__(self, events: list[str], clock: ManualClock) -> None:
         super().__init__("actuator", events, clock)
+        self.times = ActuatorTimes()
+        self.landing_s = 2.0
+        self.lifting_s = 4.0
         self.force_n = 0.0
         self.retracted = True
         self.reads: Callable[[ForceSample], ForceSample] = lambda sample: sample
@@ -184,8 +202,10 @@ class FakeActuator(FakeDevice):
 
     async def set_force(self, force_n: float) -> None:
         await self.did("set_force", f" {force_n:g}")
+        if self.retracted and force_n:
+            self.retracted = False
+            await self.clock.until(self.clock.at_s + self.landing_s)
         self.force_n = force_n
-        self.retracted = self.retracted and force_n == 0.0
 
     async def samples(self) -> AsyncIterator[ForceSample]:
         while not self.ends:
@@ -199,11 +219,18 @@ class FakeActuator(FakeDevice):
 
     async def retract(self) -> None:
         await self.did("retract")
-        self.force_n, self.retracted = 0.0, True
+        await self._lift()
 
     async def make_safe(self) -> None:
         await super().make_safe()
-        self.force_n, self.retracted = 0.0, True
+        await self._lift()
+
+    async def _lift(self) -> None:
+        self.force_n = 0.0
+        if not self.retracted:
+            await self.clock.until(self.clock.at_s + self.lifting_s)
+            self.retracted = True
+            self.events.append("lifted")
 
 
 class FakeSpindle(FakeDevice):
@@ -211,6 +238,7 @@ class FakeSpindle(FakeDevice):
 
     def __init__(self, events: list[str], clock: ManualClock) -> None:
         super().__init__("spindle", events, clock)
+        self.times = SpindleTimes()
         self.rpm = 0.0
         self.reads: Callable[[SpeedSample], SpeedSample] = lambda sample: sample
         self.silent = False

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 from zlib import crc32
 
-HELLO, LOAD, BLOCKS, RESUME, HOLD, ABORT, PING = range(1, 8)
+HELLO, LOAD, BLOCKS, RESUME, HOLD, ABORT, PING, LIFT = range(1, 9)
 WELCOME, ACK, NAK, ACCEPTED, EXECUTED, STATUS, RESEND = range(0x81, 0x88)
 
 
@@ -41,6 +41,7 @@ class FakeRobot:
         self.sha, self.blocks = sha, blocks
         self.lines: list[bytes] = []
         self.done: list[tuple[int, float, float]] = []
+        self.lifted_mm = 0.0
         self.until: int | None = None
         self.clock_s = 0.0
         self.stops_at: float | None = None
@@ -110,7 +111,7 @@ class FakeRobot:
         elif kind == PING:
             client.say(STATUS, self.status())
         elif kind == HOLD:
-            self._hold(client)
+            self._hold(client, HOLD)
         elif client is not self.writer:
             client.say(NAK, {"of": kind, "code": "reader", "text": "readers only watch"})
         else:
@@ -121,6 +122,9 @@ class FakeRobot:
             self._load(client, content)
         elif kind == RESUME:
             self._resume(client, content)
+        elif kind == LIFT:
+            self.lifted_mm = content["distance_mm"]
+            self._hold(client, LIFT)
         elif kind == ABORT:
             self.forget()
             client.say(ACK, {"of": ABORT, "status": self.status()})
@@ -183,6 +187,9 @@ class FakeRobot:
         if not self.sha:
             client.say(NAK, {"of": RESUME, "code": "no_program", "text": "load one"})
             return
+        if self.lifted_mm:
+            client.say(NAK, {"of": RESUME, "code": "no_program", "text": "lifted off the path"})
+            return
         if content["stops"] != self.stops:
             client.say(NAK, {"of": RESUME, "code": "stale", "text": f"{self.stops} stops"})
             return
@@ -190,13 +197,13 @@ class FakeRobot:
         self.state, self.stops_at = "running", None
         client.say(ACK, {"of": RESUME, "status": self.status()})
 
-    def _hold(self, client: _Client) -> None:
+    def _hold(self, client: _Client, kind: int) -> None:
         self.stops += 1
         if self.state == "running":
             self.stops_at = time.monotonic() + self.brake_s
-            client.waits_for_stop = True
+            client.waits_for_stop = kind
         else:
-            client.say(ACK, {"of": HOLD, "status": self.status()})
+            client.say(ACK, {"of": kind, "status": self.status()})
 
     def _tick(self) -> None:
         now = time.monotonic()
@@ -235,16 +242,16 @@ class FakeRobot:
             self.state, self.detail = "held", "underrun"
         if self.state != "running":
             for client in self.clients:
-                if client.waits_for_stop:
-                    client.waits_for_stop = False
-                    client.say(ACK, {"of": HOLD, "status": self.status()})
+                if kind := client.waits_for_stop:
+                    client.waits_for_stop = 0
+                    client.say(ACK, {"of": kind, "status": self.status()})
 
 
 class _Client(asyncio.Protocol):
     def __init__(self, robot: FakeRobot) -> None:
         self._robot = robot
         self._bytes = b""
-        self.welcome = self.waits_for_stop = False
+        self.welcome, self.waits_for_stop = False, 0
         self.transport: Any = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:

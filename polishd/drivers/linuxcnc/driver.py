@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import secrets
 from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path, PurePosixPath
@@ -18,6 +19,7 @@ from polishd.api import (
     Plan,
     ProtocolError,
     RobotProgress,
+    RobotTimes,
     Segment,
 )
 from polishd.drivers.linuxcnc.connection import Connection
@@ -46,6 +48,7 @@ class LinuxCnc:
         self,
         address: Tcp,
         program_dir: Path,
+        times: RobotTimes | None = None,
         *,
         controller_dir: str = "",
         passwords: tuple[str, str] = ("EMC", "EMCTOO"),
@@ -53,9 +56,10 @@ class LinuxCnc:
         """``program_dir`` is where the file is written; ``controller_dir`` how the controller calls that folder."""
         self._address = address
         self._folder = program_dir
+        self._times = times or RobotTimes(watchdog_s=math.inf, stop_s=2.0)
         self._controller_dir = controller_dir or str(program_dir)
         self._passwords = passwords
-        self._following = Following(address, passwords, self._seen)
+        self._following = Following(address, passwords, self._seen, self._times.stop_s)
         self._plan: Plan | None = None
         self._lines: list[bytes] = []
         self._watch: Watch | None = None
@@ -65,6 +69,11 @@ class LinuxCnc:
         """Told to run before the program was complete."""
         self._stays = 0
         """How often it was told to stay: a start from before counts no more."""
+
+    @property
+    def times(self) -> RobotTimes:
+        """See Robot."""
+        return self._times
 
     @property
     def buffer_s(self) -> float:
@@ -103,12 +112,12 @@ class LinuxCnc:
         self._drop()
         if self._following.alive:
             with contextlib.suppress(LinkError, ProtocolError):
-                await abort(self._following.connection)
+                await abort(self._following.connection, self._times.stop_s)
                 return await self._following.standstill("abort")
         connection = Connection(self._address, self._passwords)
         await connection.open()
         try:
-            await abort(connection)
+            await abort(connection, self._times.stop_s)
         finally:
             await connection.close()
 
@@ -193,6 +202,13 @@ class LinuxCnc:
             watch.state, watch.detail = "running", "waits for the rest of the program"
         elif watch.state != "running":
             await self._start(plan, watch)
+
+    async def lift(self, distance_mm: float) -> None:
+        """See Robot. Refused: LinuxCNC would have to stop first, with the tool on the part.
+
+        It has the whole program, so that motion goes on along that until the actuator has let go by itself.
+        """
+        raise DeviceRefused(f"{self._address}: LinuxCNC cannot lift by {distance_mm:g} mm out of a running program")
 
     async def _load(self, plan: Plan, watch: Watch) -> None:
         """Write the file, open it, and have it interpreted without motion."""

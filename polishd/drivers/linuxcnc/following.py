@@ -16,8 +16,6 @@ LOOK_S = 0.005
 """Between two looks while a program runs: LinuxCNC renews its own word every [TASK] CYCLE_TIME, 1 to 10 ms."""
 IDLE_LOOK_S = 0.02
 OPEN_S = 2.0
-STAND_S = 2.0
-"""Within the daemon's own patience with a device that is to become safe."""
 
 OnLook = Callable[[Snapshot], Awaitable[bool]]
 """Takes a look; tells whether the next one is urgent."""
@@ -26,10 +24,11 @@ OnLook = Callable[[Snapshot], Awaitable[bool]]
 class Following:
     """From ``open`` to ``close``; may be opened again. Whoever waits hears of the link's end by LinkError."""
 
-    def __init__(self, address: Tcp, passwords: tuple[str, str], on_look: OnLook) -> None:
+    def __init__(self, address: Tcp, passwords: tuple[str, str], on_look: OnLook, stop_s: float) -> None:
         self._address = address
         self._passwords = passwords
         self._on_look = on_look
+        self._stop_s = stop_s
         self._connection: Connection | None = None
         self._background = Background(str(address))
         self._pulse = Pulse()
@@ -93,7 +92,7 @@ class Following:
     async def standstill(self, order: str) -> None:
         """Seen by two looks that are later than the order; DeviceFault otherwise."""
         count = self._count
-        if not await self.until(lambda: self._count >= count + 2 and self.stands(), STAND_S):
+        if not await self.until(lambda: self._count >= count + 2 and self.stands(), self._stop_s):
             raise DeviceFault(f"{self._address}: LinuxCNC goes on moving after {order}")
 
     async def _follow(self, ready: Ready) -> None:
@@ -109,7 +108,7 @@ class Following:
             await asyncio.sleep(LOOK_S if urgent else IDLE_LOOK_S)
 
 
-async def abort(connection: Connection) -> None:
+async def abort(connection: Connection, stop_s: float) -> None:
     """Abort and see that it stands. A machine that is off refuses the order, and stands."""
     await connection.control()
     try:
@@ -117,7 +116,7 @@ async def abort(connection: Connection) -> None:
     except DeviceRefused:
         if not await obstacle(connection):
             raise
-    deadline = time.monotonic() + STAND_S
+    deadline = time.monotonic() + stop_s
     last = await connection.look()
     while time.monotonic() < deadline:
         await asyncio.sleep(LOOK_S)

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
-from polishd.api import ByteStream, DeviceRefused, LinkError, ProtocolError, Segment
+from polishd.api import ByteStream, DeviceRefused, LinkError, ProtocolError, RobotTimes, Segment
 from polishd.drivers.robot_link.frames import Kind, encode
 from polishd.drivers.robot_link.messages import PROTOCOL, Ack, Nak, Progress, Welcome, command
 from polishd.drivers.robot_link.record import ExecutionRecord
@@ -18,7 +18,7 @@ from polishd.drivers.transport.background import Background, Pulse, Ready
 from polishd.drivers.transport.streams import open_stream
 
 SILENCE_SHARE = 0.4
-"""Of the robot's own watchdog time: contact must be left well before the robot stops by itself."""
+"""Of the robot's own watchdog time: at most so long may it be silent, since it hears as little of us then."""
 PING_S = 0.2
 CONNECT_S = 1.0
 ANSWER_S = 1.0
@@ -32,11 +32,11 @@ Role = Literal["writer", "reader"]
 class Connection:
     """From HELLO to the end of the link; never opened again. Whoever waits hears of its end by LinkError."""
 
-    def __init__(self, address: Tcp, role: Role, record: ExecutionRecord | None, lease: str = "") -> None:
+    def __init__(self, address: Tcp, role: Role, record: ExecutionRecord | None, times: RobotTimes) -> None:
         self.session = Session(record)
+        self._times = times
         self._address = address
         self._role = role
-        self._lease = lease
         self._silence_s = CONNECT_S
         self._background = Background(str(address))
         self._pulse = Pulse()
@@ -61,8 +61,8 @@ class Connection:
         self._background.check()
         return self.session.present()
 
-    async def open(self, client: str) -> None:
-        """Connect and be welcomed; DeviceRefused where another writer has the robot."""
+    async def open(self, client: str, lease: str = "") -> None:
+        """Connect and be welcomed; DeviceRefused where another writer has the robot, or its watchdog is too short."""
         self._stream = await open_stream(self._address, CONNECT_S)
         try:
             hello = {
@@ -70,10 +70,11 @@ class Connection:
                 "role": self._role,
                 "client": client,
                 "executed_from": self.session.executed_from,
-                "lease": self._lease,
+                "lease": lease,
             }
             await self._stream.write(command(Kind.HELLO, hello))
             await self._background.start(self._run, CONNECT_S)
+            self._require_watchdog()
         except BaseException:
             await self.close()
             raise
@@ -144,6 +145,15 @@ class Connection:
             credit.go_back()
         return credit.sent < sent
 
+    def _require_watchdog(self) -> None:
+        """The daemon reckons with the time that the config says; who only watches and holds asks for nothing."""
+        has_s, needed_s = self.welcome.watchdog_s, self._times.watchdog_s
+        if self._role == "writer" and has_s < needed_s:
+            raise DeviceRefused(
+                f"{self._address}: the robot stops by itself after {has_s:g} s of silence, robot.watchdog_s says "
+                f"{needed_s:g}: set the controller's watchdog to that, or the key to what the controller has"
+            )
+
     async def _write(self, data: bytes) -> None:
         self._background.check()
         if self._stream is not None:
@@ -172,7 +182,7 @@ class Connection:
                 raise LinkError(f"{self._address}: nothing sound within {self._silence_s:g} s")
             self._match_answers()
             if self.session.welcome is not None:
-                self._silence_s = SILENCE_SHARE * self.session.welcome.watchdog_s
+                self._silence_s = min(self._times.silence_s, SILENCE_SHARE * self.session.welcome.watchdog_s)
                 ready()
             self._pulse.fire()
 

@@ -17,6 +17,7 @@ from polishd.api import (
     Plan,
     ProtocolError,
     RobotProgress,
+    RobotTimes,
     Segment,
 )
 from polishd.drivers.robot_link.connection import Connection, Role
@@ -25,22 +26,28 @@ from polishd.drivers.robot_link.messages import LONGEST_LINE
 from polishd.drivers.robot_link.record import ExecutionRecord
 from polishd.drivers.transport.address import Tcp
 
-HOLD_S = 5.0
-"""No robot decelerates for longer."""
 HOLD_ANSWER_S = 1.0
 
 
 class RobotLink:
     """A Robot over TCP. A lost link stays lost until ``open``; nothing but ``make_safe`` connects by itself."""
 
-    def __init__(self, address: Tcp, *, client: str = "polishd", role: Role = "writer") -> None:
+    def __init__(
+        self, address: Tcp, times: RobotTimes | None = None, *, client: str = "polishd", role: Role = "writer"
+    ) -> None:
         self._address = address
+        self._times = times or RobotTimes(watchdog_s=0.0)
         self._client = client
         self._role = role
         self._record = ExecutionRecord()
         self._lease = ""
         self._connection: Connection | None = None
         self._sending = asyncio.Lock()
+
+    @property
+    def times(self) -> RobotTimes:
+        """See Robot."""
+        return self._times
 
     @property
     def buffer_s(self) -> float:
@@ -86,10 +93,10 @@ class RobotLink:
         if self._connection is not None and self._connection.alive:
             with contextlib.suppress(LinkError, ProtocolError):
                 return await self.hold()
-        connection = Connection(self._address, "reader", None)
+        connection = Connection(self._address, "reader", None, self._times)
         await connection.open(self._client)
         try:
-            await _hold(connection)
+            await _hold(connection, self._times.stop_s)
         finally:
             await connection.close()
 
@@ -141,7 +148,11 @@ class RobotLink:
 
     async def hold(self) -> None:
         """See Robot."""
-        await _hold(self._open_connection())
+        await _hold(self._open_connection(), self._times.stop_s)
+
+    async def lift(self, distance_mm: float) -> None:
+        """See Robot. DeviceRefused where another has the lease."""
+        await self._open_connection().command(Kind.LIFT, {"distance_mm": distance_mm}, self._times.stop_s)
 
     async def resume(self, until: int | None = None) -> None:
         """See Robot. Returns when the robot has taken the command; DeviceRefused where it was stopped meanwhile."""
@@ -150,7 +161,7 @@ class RobotLink:
 
     async def abort(self) -> None:
         """Hold, then make the robot forget its program."""
-        await self._open_connection().command(Kind.ABORT, {}, HOLD_S)
+        await self._open_connection().command(Kind.ABORT, {}, self._times.stop_s)
 
     def _open_connection(self) -> Connection:
         if self._connection is None:
@@ -158,17 +169,17 @@ class RobotLink:
         return self._connection
 
     async def _connect(self, record: ExecutionRecord) -> Connection:
-        connection = Connection(self._address, self._role, record, self._lease)
-        await connection.open(self._client)
+        connection = Connection(self._address, self._role, record, self._times)
+        await connection.open(self._client, self._lease)
         self._lease = connection.welcome.lease
         return connection
 
 
-async def _hold(connection: Connection) -> None:
+async def _hold(connection: Connection, stop_s: float) -> None:
     """Hold and see that the robot stands still; its STATUS will do where the ACK gets lost."""
     with contextlib.suppress(LinkError):
         await connection.command(Kind.HOLD, {}, HOLD_ANSWER_S)
-    if not await connection.until(lambda: connection.progress.state != "running", HOLD_S):
+    if not await connection.until(lambda: connection.progress.state != "running", stop_s):
         raise DeviceFault("the robot goes on running after HOLD")
 
 

@@ -25,6 +25,7 @@ class Kind(IntEnum):
     HOLD = 0x05
     ABORT = 0x06
     PING = 0x07
+    LIFT = 0x08
     WELCOME = 0x81
     ACK = 0x82
     NAK = 0x83

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 from collections.abc import Callable
 
 import can
@@ -58,7 +59,7 @@ async def _greeted(address: Socketcand) -> None:
 def _make(address: Slcan | Socketcand) -> can.BusABC:
     if isinstance(address, Socketcand):
         return _socketcand(address)
-    return slcanBus(
+    return PromptSlcan(
         str(address.path),
         tty_baudrate=address.baud,
         bitrate=address.bitrate,
@@ -76,6 +77,19 @@ def _socketcand(address: Socketcand) -> can.BusABC:
             if not left or "< ok >< frame" not in str(error):
                 raise
     raise LinkError(f"{address}: did not open")
+
+
+class PromptSlcan(slcanBus):
+    """python-can waits until the line has taken each frame, on the event loop: an adapter that hangs would stop it."""
+
+    def _write(self, string: str) -> None:
+        line = string.encode() + self.LINE_TERMINATOR
+        try:
+            taken = os.write(self.serialPortOrig.fileno(), line)
+        except OSError as error:
+            raise can.CanOperationError(f"the adapter takes no frame: {error.strerror}") from error
+        if taken != len(line):
+            raise can.CanOperationError("the adapter takes no more frames")
 
 
 class CanBus:

@@ -7,14 +7,21 @@ import math
 import time
 from collections.abc import AsyncIterator
 
-from polishd.api import DeviceFault, DeviceRefused, DeviceStatus, Identity, LinkError, ProtocolError, SpeedSample
+from polishd.api import (
+    DeviceFault,
+    DeviceRefused,
+    DeviceStatus,
+    Identity,
+    LinkError,
+    ProtocolError,
+    SpeedSample,
+    SpindleTimes,
+)
 from polishd.drivers.spindle_can import codec
 from polishd.drivers.spindle_can.codec import DriveState
 from polishd.drivers.spindle_can.link import DriveLink
 from polishd.drivers.transport.address import Slcan, Socketcand
 
-RAMP_RPM_S = 2000.0
-RAMP_SPARE_S = 3.0
 TOLERANCE = 0.02
 
 
@@ -25,16 +32,22 @@ class SpindleCan:
     after; then the drive hears nothing more and stops by itself.
     """
 
-    def __init__(self, address: Slcan | Socketcand, *, node: int = 5) -> None:
+    def __init__(self, address: Slcan | Socketcand, times: SpindleTimes | None = None, *, node: int = 5) -> None:
         self._address = address
+        self._times = times or SpindleTimes()
         self._node = node
         self._link: DriveLink | None = None
         self._max_rpm = 0
 
+    @property
+    def times(self) -> SpindleTimes:
+        """See Spindle."""
+        return self._times
+
     async def open(self) -> None:
         """See Device. LinkError unless the drive itself is heard."""
         await self.close()
-        link = DriveLink(self._address, self._node)
+        link = DriveLink(self._address, self._node, self._times.silence_s)
         await link.open()
         try:
             self._max_rpm = min(await link.upload(codec.MAXIMUM_SPEED), codec.MAX_RPM)
@@ -76,7 +89,7 @@ class SpindleCan:
         if self._link is not None and self._link.alive:
             with contextlib.suppress(LinkError, ProtocolError):
                 return await self._stop(self._link)
-        link = DriveLink(self._address, self._node)
+        link = DriveLink(self._address, self._node, self._times.silence_s)
         await link.open()
         try:
             await self._stop(link)
@@ -107,7 +120,7 @@ class SpindleCan:
             yield SpeedSample(time.monotonic(), status.rpm, float(link.rpm), status.fault)
 
     async def _reach(self, link: DriveLink, rpm: int) -> None:
-        within_s = RAMP_SPARE_S + abs(rpm - link.status.rpm) / RAMP_RPM_S
+        within_s = self._times.spin_s
 
         def settled() -> bool:
             link.renew_lease()
@@ -127,7 +140,7 @@ class SpindleCan:
             raise DeviceFault(f"{link.name}: {rpm} rpm not reached, {link.status.rpm} rpm after {within_s:.1f} s")
 
     async def _stop(self, link: DriveLink) -> None:
-        within_s = RAMP_SPARE_S + abs(link.status.rpm) / RAMP_RPM_S
+        within_s = self._times.spin_s
         link.command(run=False, rpm=0)
         if not await link.until(lambda: link.answered and _stands(link.status), within_s):
             raise DeviceFault(f"{link.name}: still at {link.status.rpm} rpm {within_s:.1f} s after the stop command")

@@ -14,8 +14,6 @@ from polishd.drivers.transport.address import Slcan, Socketcand
 from polishd.drivers.transport.background import Background, Pulse, Ready
 
 OPEN_S = 1.0
-SILENCE_S = 0.8
-"""Of heartbeats, and of process data."""
 REPEAT_S = 0.1
 LEASE_S = 1.0
 """So long after somebody last cared, commands are repeated no more."""
@@ -25,10 +23,12 @@ SDO_S = 1.0
 class DriveLink:
     """From opening the bus to its end; never opened again."""
 
-    def __init__(self, address: Slcan | Socketcand, node: int) -> None:
+    def __init__(self, address: Slcan | Socketcand, node: int, silence_s: float) -> None:
+        """``silence_s`` of heartbeats, or of process data, is the link's end."""
         self.name = f"{address} node {node}"
         self._address = address
         self._node = node
+        self._silence_s = silence_s
         self._background = Background(self.name)
         self._pulse = Pulse()
         self._sdo = asyncio.Lock()
@@ -140,12 +140,12 @@ class DriveLink:
             await self._pulse.next()
         ready()
         while True:
-            await asyncio.wait({self._pulse.next()}, timeout=SILENCE_S / 4)
+            await asyncio.wait({self._pulse.next()}, timeout=self._silence_s / 4)
             if self._restarted:
                 raise DeviceFault(f"{self.name}: the drive was started anew")
             for what, at in (("heartbeat", self._beat_at), ("process data", self._status_at)):
-                if time.monotonic() > at + SILENCE_S:
-                    raise LinkError(f"{self.name}: no {what} for {SILENCE_S:g} s")
+                if time.monotonic() > at + self._silence_s:
+                    raise LinkError(f"{self.name}: no {what} for {self._silence_s:g} s")
 
     async def _repeat(self) -> None:
         while True:

@@ -10,15 +10,24 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol, TypeVar
 
-from polishd.api import DeviceFault, DeviceRefused, DeviceStatus, ForceSample, Identity, LinkError, ProtocolError
+from polishd.api import (
+    ActuatorTimes,
+    DeviceFault,
+    DeviceRefused,
+    DeviceStatus,
+    ForceSample,
+    Identity,
+    LinkError,
+    ProtocolError,
+)
 from polishd.drivers.transport.requests import RequestQueue
 
 T = TypeVar("T")
 
 BEAT_S = 0.05
 """Period of samples and heartbeats."""
-LANDING_S = 10.0
-RETRACT_S = 5.0
+ANSWERS_S = 2.0
+"""Beyond the lift itself: a link that is lost over it is opened again once."""
 FAULTS = {1: "watchdog ran out", 2: "over-force", 4: "drive", 8: "encoder"}
 
 
@@ -104,21 +113,24 @@ class VoiceCoil:
     def __init__(
         self,
         wire: VoiceCoilWire,
+        times: ActuatorTimes | None = None,
         *,
-        watchdog_ms: int = 500,
         max_force_n: float = 50.0,
-        landing_s: float = LANDING_S,
-        retract_s: float = RETRACT_S,
     ) -> None:
         self._wire = wire
-        self._watchdog_ms = watchdog_ms
+        self._times = times or ActuatorTimes()
         self._max_force_n = max_force_n
-        self._landing_s = landing_s
-        self._retract_s = retract_s
         self._queue = RequestQueue(wire.name)
         self._exposed = False
         """The tool may be off its rest: by the last reading, or by a command whose outcome is not known."""
         self._retracts = 0
+        self._lost = f"{wire.name}: the link was lost"
+        """How the link was lost last: whoever asks next is told that, too."""
+
+    @property
+    def times(self) -> ActuatorTimes:
+        """See ForceActuator."""
+        return self._times
 
     async def open(self) -> None:
         """See Device. Also writes the watchdog time."""
@@ -180,12 +192,12 @@ class VoiceCoil:
         """See ForceActuator. Overtakes requests that wait; leaves the set point at 0."""
         self._retracts += 1
         await self._ask(lambda: self._wire.command(engage=False), urgent=True)
-        deadline = time.monotonic() + self._retract_s
+        deadline = time.monotonic() + self._times.lifted_s
         while (reading := await self._ask(self._beat, urgent=True)).state is not State.RETRACTED:
             if reading.state is State.FAULT:
                 raise DeviceFault(f"{self._wire.name}: does not retract, fault {reading.fault} ({reading.faults})")
             if time.monotonic() > deadline:
-                raise DeviceFault(f"{self._wire.name}: not retracted after {self._retract_s:g} s")
+                raise DeviceFault(f"{self._wire.name}: not retracted after {self._times.lifted_s:g} s")
             await asyncio.sleep(BEAT_S)
         await self._ask(lambda: self._wire.set_point(0.0), urgent=True)
 
@@ -196,7 +208,7 @@ class VoiceCoil:
             await self.close()
             await self._queue.start()
         try:
-            async with asyncio.timeout(self._retract_s + 2.0):
+            async with asyncio.timeout(self._times.lifted_s + ANSWERS_S):
                 with contextlib.suppress(LinkError, ProtocolError):
                     return await self.retract()
                 return await self.retract()
@@ -207,14 +219,14 @@ class VoiceCoil:
                 await self.close()
 
     async def _land(self, retracts: int) -> None:
-        deadline = time.monotonic() + self._landing_s
+        deadline = time.monotonic() + self._times.landing_s
         while (reading := await self._ask(self._beat)).state is not State.CONTACT:
             if reading.fault or reading.state is State.FAULT:
                 raise DeviceFault(f"{self._wire.name}: fault {reading.fault} while landing ({reading.faults})")
             if self._retracts != retracts:
                 raise DeviceRefused(f"{self._wire.name}: was retracted while landing")
             if time.monotonic() > deadline:
-                raise DeviceFault(f"{self._wire.name}: no contact after {self._landing_s:g} s")
+                raise DeviceFault(f"{self._wire.name}: no contact after {self._times.landing_s:g} s")
             await asyncio.sleep(BEAT_S)
 
     async def _engage(self) -> None:
@@ -234,10 +246,14 @@ class VoiceCoil:
         async def connected() -> T:
             if not self._wire.connected:
                 if self._exposed and not urgent:
-                    raise LinkError(f"{self._wire.name}: lost off its rest; only retracting opens the link again")
+                    raise LinkError(f"{self._lost}; the tool is off its rest: only retracting opens the link again")
                 await self._wire.connect()
                 if not urgent:
-                    await self._wire.set_watchdog(self._watchdog_ms)
-            return await work()
+                    await self._wire.set_watchdog(round(1000 * self._times.watchdog_s))
+            try:
+                return await work()
+            except LinkError as error:
+                self._lost = str(error)
+                raise
 
         return await self._queue.ask(connected, urgent=urgent)

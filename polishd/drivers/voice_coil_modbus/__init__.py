@@ -1,5 +1,6 @@
 """The voice coil's Modbus wire, RTU or TCP: docs/protocols/voice_coil_modbus.md."""
 
+from polishd.api import ActuatorTimes
 from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.drivers.transport.voice_coil import VoiceCoil
 from polishd.drivers.voice_coil_modbus.wire import ModbusWire
@@ -7,8 +8,7 @@ from polishd.drivers.voice_coil_modbus.wire import ModbusWire
 __all__ = ["ModbusWire", "voice_coil_modbus"]
 
 
-def voice_coil_modbus(
-    address: Tcp | SerialLine, *, unit: int = 1, watchdog_ms: int = 500, landing_s: float = 10.0
-) -> VoiceCoil:
+def voice_coil_modbus(address: Tcp | SerialLine, times: ActuatorTimes | None = None, *, unit: int = 1) -> VoiceCoil:
     """The actuator at a Modbus address; opens nothing."""
-    return VoiceCoil(ModbusWire(address, unit), watchdog_ms=watchdog_ms, landing_s=landing_s)
+    times = times or ActuatorTimes()
+    return VoiceCoil(ModbusWire(address, unit, times.silence_s), times)

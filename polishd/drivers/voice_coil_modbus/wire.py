@@ -16,10 +16,6 @@ from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.drivers.transport.voice_coil import Reading
 from polishd.drivers.voice_coil_modbus import registers
 
-TIMEOUT_S = 0.3
-WORST_ANSWER_S = 0.6
-"""After so long an answer to a request on a serial line can no longer come."""
-
 
 class ModbusWire:
     """A VoiceCoilWire over Modbus.
@@ -28,10 +24,12 @@ class ModbusWire:
     silence or nonsense the line is closed, and opened again (which drops what came) only when no answer can be due.
     """
 
-    def __init__(self, address: Tcp | SerialLine, unit: int = 1) -> None:
+    def __init__(self, address: Tcp | SerialLine, unit: int = 1, silence_s: float = 0.3) -> None:
+        """An answer comes within ``silence_s``; on a serial line one may still come as long after that."""
         self.name = f"{address} unit {unit}"
         self._address = address
         self._unit = unit
+        self._silence_s = silence_s
         self._client: AsyncModbusTcpClient | AsyncModbusSerialClient | None = None
         self._heartbeat = 0
         self._beaten = False
@@ -97,10 +95,10 @@ class ModbusWire:
     def _make(self) -> AsyncModbusTcpClient | AsyncModbusSerialClient:
         if isinstance(self._address, Tcp):
             return AsyncModbusTcpClient(
-                self._address.host, port=self._address.port, timeout=TIMEOUT_S, retries=0, reconnect_delay=0
+                self._address.host, port=self._address.port, timeout=self._silence_s, retries=0, reconnect_delay=0
             )
         return AsyncModbusSerialClient(
-            str(self._address.path), baudrate=self._address.baud, timeout=TIMEOUT_S, retries=0, reconnect_delay=0
+            str(self._address.path), baudrate=self._address.baud, timeout=self._silence_s, retries=0, reconnect_delay=0
         )
 
     async def _read(self, address: int, count: int) -> list[int]:
@@ -123,7 +121,7 @@ class ModbusWire:
         return self._client
 
     async def _answer(self, request: Awaitable[ModbusPDU]) -> ModbusPDU:
-        self._due_until = time.monotonic() + WORST_ANSWER_S
+        self._due_until = time.monotonic() + 2 * self._silence_s
         try:
             answer = await request
         except (ModbusIOException, ConnectionException, OSError) as error:
@@ -139,6 +137,6 @@ class ModbusWire:
         return answer
 
     async def _nonsense(self, what: str, answer: ModbusPDU) -> ProtocolError:
-        self._due_until = time.monotonic() + WORST_ANSWER_S
+        self._due_until = time.monotonic() + 2 * self._silence_s
         await self.disconnect()
         return ProtocolError(f"{self.name}: the {what} was answered by {answer}")

@@ -10,14 +10,15 @@ from polishd.drivers.transport.streams import LineReader, open_stream
 from polishd.drivers.transport.voice_coil import Reading
 from polishd.drivers.voice_coil_serial import codec
 
-TIMEOUT_S = 0.3
 OPEN_S = 1.0
 
 
 class AsciiWire:
     """A VoiceCoilWire over ASCII lines."""
 
-    def __init__(self, address: SerialLine | Tcp) -> None:
+    def __init__(self, address: SerialLine | Tcp, silence_s: float = 0.3) -> None:
+        """An answer comes within ``silence_s``."""
+        self._silence_s = silence_s
         self.name = str(address)
         self._address = address
         self._stream: ByteStream | None = None
@@ -74,7 +75,7 @@ class AsciiWire:
         if self._stream is None or self._lines is None:
             raise LinkError(f"{self.name}: is not open")
         self._number = (self._number + 1) & 0xFFFF
-        deadline = time.monotonic() + TIMEOUT_S
+        deadline = time.monotonic() + self._silence_s
         try:
             await self._stream.write(codec.encode(self._number, request))
             answer = await self._answer(self._lines, deadline)

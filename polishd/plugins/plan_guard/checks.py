@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -87,7 +88,8 @@ def times(plan: Plan, envelope: Envelope) -> Iterator[str]:
     yield from _lines(plan, ~(np.isfinite(expected) & delivered), expected, "is expected to take {:.6g} s")
     for name, total in (("is expected to take", plan.total_s), ("asks for", float(asked.sum()))):
         if not total <= envelope.max_pass_s:
-            yield f"the pass {name} {total:.6g} s, more than {envelope.max_pass_s:g} s"
+            needed = "" if not np.isfinite(total) else f": set it to {math.ceil(total)} or more, or plan less removal"
+            yield f"the pass {name} {total:.6g} s, more than limits.max_pass_s = {envelope.max_pass_s:g} s{needed}"
 
 
 def feeds(plan: Plan, envelope: Envelope) -> Iterator[str]:
@@ -124,7 +126,7 @@ def removal(plan: Plan, envelope: Envelope) -> Iterator[str]:
         row, column = np.unravel_index(int(predicted.argmax()), predicted.shape)
         yield (
             f"the predicted removal is {predicted.max():.6g} nm at row {row}, column {column} of the process grid, "
-            f"more than {envelope.max_removal_nm:g} nm"
+            f"more than limits.max_removal_nm = {envelope.max_removal_nm:g} nm"
         )
 
 

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from polishd.api import ConfigError
+from polishd.files import toml_text
 from polishd.plugins.rnc_robot.languages.profile import Profile, parse
 
 FOLDER = Path(__file__).with_name("dialects")
@@ -152,9 +153,9 @@ def dialect(name_or_path: str | Path) -> AnyDialect:
 def _content(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:
     """The file's tables laid over those it ``extends``."""
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}. To do: check the path of the dialect.") from error
+        content = tomllib.loads(toml_text(path))
+    except ConfigError as error:
+        raise ConfigError(f"{error}. To do: check the path of the dialect.") from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: {error}. To do: mend the TOML.") from error
     base = content.pop("extends", None)

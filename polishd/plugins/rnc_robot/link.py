@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+from typing import Annotated
 
-from polishd.api import ConfigError, DeviceContext, DeviceType
+from pydantic import BaseModel, ConfigDict, Field
+
+from polishd.api import ConfigError, DeviceContext, DeviceType, RobotTimes
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.transport.address import Tcp, parse_address
 
@@ -16,13 +18,20 @@ class RobotLinkOptions(BaseModel):
 
     address: str
     """``tcp://host:port``."""
+    watchdog_s: Annotated[float, Field(gt=0.0, le=600.0)] = 8.0
+    """The controller's own: so long without a word from us it stops. A shorter one of the controller is refused."""
+    silence_s: Annotated[float, Field(ge=0.3, le=60.0)] = 1.5
+    """No word from it for so long: the link is lost, and contact is left. It speaks every 50 ms."""
+    stop_s: Annotated[float, Field(gt=0.0, le=60.0)] = 5.0
+    """Longest that it takes to stop, or to lift the tool off."""
 
 
 def _build(options: RobotLinkOptions, context: DeviceContext) -> RobotLink:
     address = parse_address(options.address, context.base_dir)
     if not isinstance(address, Tcp):
         raise ConfigError(f"[robot] address {options.address!r}: robot_link runs over tcp:// only")
-    return RobotLink(address)
+    times = RobotTimes(silence_s=options.silence_s, watchdog_s=options.watchdog_s, stop_s=options.stop_s)
+    return RobotLink(address, times)
 
 
 ROBOT_LINK = DeviceType("robot_link", "robot", RobotLinkOptions, _build)

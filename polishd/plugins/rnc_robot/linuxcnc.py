@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from typing import Annotated
+
 from pydantic import BaseModel, ConfigDict, Field
 
-from polishd.api import ConfigError, DeviceContext, DeviceType
+from polishd.api import ConfigError, DeviceContext, DeviceType, RobotTimes
 from polishd.drivers.linuxcnc.driver import LinuxCnc
 from polishd.drivers.transport.address import Tcp, parse_address
 
@@ -22,6 +25,10 @@ class LinuxCncOptions(BaseModel):
     """How LinuxCNC calls that folder, where it lies on another machine."""
     password: str = Field("EMC", pattern=r"^\S+$")
     enable_password: str = Field("EMCTOO", pattern=r"^\S+$")
+    watchdog_s: Annotated[float, Field(gt=0.0, le=600.0)] | None = None
+    """Of a watchdog in HAL that pauses the program when nobody talks to it; without one it runs to the end."""
+    stop_s: Annotated[float, Field(gt=0.0, le=60.0)] = 2.0
+    """Longest that it takes to stop."""
 
 
 def _build(options: LinuxCncOptions, context: DeviceContext) -> LinuxCnc:
@@ -31,6 +38,7 @@ def _build(options: LinuxCncOptions, context: DeviceContext) -> LinuxCnc:
     return LinuxCnc(
         address,
         (context.base_dir / options.program_dir).absolute(),
+        RobotTimes(watchdog_s=options.watchdog_s or math.inf, stop_s=options.stop_s),
         controller_dir=options.controller_dir,
         passwords=(options.password, options.enable_password),
     )

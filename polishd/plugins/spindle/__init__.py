@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from polishd.api import ConfigError, DeviceContext, DeviceType, Spindle, hookimpl
+from polishd.api import ConfigError, DeviceContext, DeviceType, Spindle, SpindleTimes, hookimpl
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import Slcan, Socketcand, parse_address
 
@@ -23,13 +23,20 @@ class SpindleCanOptions(BaseModel):
     """``slcan:PATH?bitrate=500000`` or ``socketcand://host:port/channel``."""
     node: Annotated[int, Field(ge=1, le=127)] = 5
     """CANopen node number."""
+    silence_s: Annotated[float, Field(ge=0.3, le=60.0)] = 0.8
+    """No heartbeat or process data for so long: the link is lost. They come every 100 and 50 ms."""
+    watchdog_s: Annotated[float, Field(ge=0.5, le=60.0)] = 1.0
+    """The drive's own: so long without a command it stops. Commands come every 100 ms."""
+    spin_s: Annotated[float, Field(gt=0.0, le=120.0)] = 8.0
+    """Longest from standstill to any speed, or back."""
 
 
 def _build(options: SpindleCanOptions, context: DeviceContext) -> Spindle:
     address = parse_address(options.address, context.base_dir)
     if not isinstance(address, Slcan | Socketcand):
         raise ConfigError(f"[spindle] address {options.address!r}: spindle_can runs over slcan: or socketcand:// only")
-    return SpindleCan(address, node=options.node)
+    times = SpindleTimes(silence_s=options.silence_s, watchdog_s=options.watchdog_s, spin_s=options.spin_s)
+    return SpindleCan(address, times, node=options.node)
 
 
 @hookimpl

@@ -7,12 +7,14 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from polishd.api import ConfigError, DeviceContext, DeviceType, ForceActuator, hookimpl
+from polishd.api import ActuatorTimes, ConfigError, DeviceContext, DeviceType, ForceActuator, hookimpl
 from polishd.drivers.transport.address import SerialLine, Tcp, parse_address
 from polishd.drivers.voice_coil_modbus import voice_coil_modbus
 from polishd.drivers.voice_coil_serial import voice_coil_serial
 
 POLISHD_API = 1
+
+Seconds = Annotated[float, Field(gt=0.0, le=60.0)]
 
 
 class VoiceCoilOptions(BaseModel):
@@ -22,10 +24,30 @@ class VoiceCoilOptions(BaseModel):
 
     address: str
     """``serial:PATH?baud=115200`` or ``tcp://host:port``."""
-    watchdog_ms: Annotated[int, Field(ge=100, le=5000)] = 500
+    watchdog_ms: Annotated[int, Field(ge=100, le=5000)] = 1000
     """So long without heartbeat the actuator retracts by itself. Heartbeats come every 50 ms."""
-    landing_s: Annotated[float, Field(gt=0.0, le=60.0)] = 10.0
+    silence_s: Annotated[float, Field(ge=0.2, le=5.0)] = 0.3
+    """No answer for so long: spindle off, and the robot takes the tool away."""
+    landing_s: Seconds = 10.0
     """No contact after so long is a fault."""
+    release_s: Seconds = 0.2
+    """Longest from the order to force off."""
+    retract_s: Seconds = 5.0
+    """Longest from force off until it tells that the tool is up. Motion goes on until then."""
+    stroke_mm: Annotated[float, Field(gt=0.0, le=500.0)] = 10.0
+    """How far the tool can follow the part: a robot that lifts it off goes that far, and a margin."""
+
+    @property
+    def times(self) -> ActuatorTimes:
+        """As the port wants them."""
+        return ActuatorTimes(
+            silence_s=self.silence_s,
+            watchdog_s=self.watchdog_ms / 1000,
+            landing_s=self.landing_s,
+            release_s=self.release_s,
+            retract_s=self.retract_s,
+            stroke_mm=self.stroke_mm,
+        )
 
 
 class ModbusOptions(VoiceCoilOptions):
@@ -43,18 +65,11 @@ def _address(text: str, context: DeviceContext) -> Tcp | SerialLine:
 
 
 def _build_modbus(options: ModbusOptions, context: DeviceContext) -> ForceActuator:
-    return voice_coil_modbus(
-        _address(options.address, context),
-        unit=options.unit,
-        watchdog_ms=options.watchdog_ms,
-        landing_s=options.landing_s,
-    )
+    return voice_coil_modbus(_address(options.address, context), options.times, unit=options.unit)
 
 
 def _build_serial(options: VoiceCoilOptions, context: DeviceContext) -> ForceActuator:
-    return voice_coil_serial(
-        _address(options.address, context), watchdog_ms=options.watchdog_ms, landing_s=options.landing_s
-    )
+    return voice_coil_serial(_address(options.address, context), options.times)
 
 
 @hookimpl

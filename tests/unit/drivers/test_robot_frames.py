@@ -47,6 +47,7 @@ def test_what_we_send_is_the_vectors() -> None:
     assert messages.command(Kind.LOAD, load | {"blocks": 2, "approach_blocks": 0}) == VECTORS["LOAD"]
     assert messages.blocks(7, lines) == VECTORS["BLOCKS"]
     assert messages.command(Kind.RESUME, {"until": None, "stops": 3}) == VECTORS["RESUME"]
+    assert messages.command(Kind.LIFT, {"distance_mm": 15.0}) == VECTORS["LIFT"]
     assert encode(Kind.HOLD) == messages.command(Kind.HOLD, {}) == VECTORS["HOLD"]
 
 

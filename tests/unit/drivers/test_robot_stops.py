@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
+from dataclasses import replace
 
 import pytest
 
@@ -62,7 +63,7 @@ async def test_hold_is_known_from_status_where_its_answer_is_lost(pair: Pair, mo
 async def test_a_robot_that_does_not_stop_is_a_fault(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
     robot, fake = pair
     monkeypatch.setattr(driver, "HOLD_ANSWER_S", 0.1)
-    monkeypatch.setattr(driver, "HOLD_S", 0.2)
+    robot._times = replace(robot.times, stop_s=0.2)
     fake.brake_s, fake.block_s = 60.0, 0.1
     await robot.prepare(PLAN)
     await robot.send(PLAN.segments[:30])

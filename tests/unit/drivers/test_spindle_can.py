@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import time
+import tty
 from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
 
-from polishd.api import DeviceFault, DeviceRefused, LinkError, ProtocolError
-from polishd.drivers.spindle_can import SpindleCan, bus, driver
+from polishd.api import DeviceFault, DeviceRefused, LinkError, ProtocolError, SpindleTimes
+from polishd.drivers.spindle_can import SpindleCan, bus, codec
 from polishd.drivers.transport.address import Slcan, Socketcand
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.wires import Peer, PtyWire, TcpWire
@@ -40,6 +42,25 @@ async def test_the_adapter_is_set_up(rig: Rig) -> None:
     assert isinstance(wire.peer, SlcanPeer)
     assert b"S6" in wire.peer.adapter
     assert wire.peer.adapter[-1] == b"O"
+
+
+async def test_an_adapter_that_takes_nothing_is_told_at_once_and_holds_nobody_up(tmp_path: Path) -> None:
+    """python-can waits for the line to take each frame, on the loop: pytest's timeout is what that would meet."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    (tmp_path / "can").symlink_to(os.ttyname(slave))
+    link = await bus.open_bus(Slcan(tmp_path / "can"))
+    frame = codec.encode_command(5, run=True, counter=1, rpm=1000)
+
+    def fill() -> None:
+        for _ in range(10_000):
+            link.send(frame)
+
+    with pytest.raises(LinkError, match="takes no"):
+        fill()
+    await link.close()
+    os.close(master)
+    os.close(slave)
 
 
 async def test_identity_is_read_from_the_drive(rig: Rig) -> None:
@@ -147,9 +168,9 @@ async def test_a_drive_fault_is_a_fault(rig: Rig) -> None:
     assert (status.ready, status.detail) == (False, "drive")
 
 
-async def test_a_jammed_spindle_is_a_fault(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_jammed_spindle_is_a_fault(rig: Rig) -> None:
     device, drive, _ = rig
-    monkeypatch.setattr(driver, "RAMP_SPARE_S", 0.3)
+    device._times = SpindleTimes(spin_s=0.5)
     drive.jammed = True
     with pytest.raises(DeviceFault, match="500 rpm not reached"):
         await device.set_speed(500.0)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from polishd.api import DeviceFault, DeviceRefused, LinkError, ProtocolError
+from polishd.api import ActuatorTimes, DeviceFault, DeviceRefused, LinkError, ProtocolError
 from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.drivers.transport.voice_coil import VoiceCoil
 from polishd.drivers.voice_coil_modbus import ModbusWire, voice_coil_modbus
@@ -27,7 +27,7 @@ class Rig:
         self.peer = ModbusCoil(self.coil, rtu=True)
         self.line = PtyWire(self.peer, path)
         self.wire = ModbusWire(SerialLine(path))
-        self.device = VoiceCoil(self.wire, landing_s=1.0, retract_s=0.5)
+        self.device = VoiceCoil(self.wire, ActuatorTimes(watchdog_s=0.5, landing_s=1.0, retract_s=0.5))
 
     def writes(self, register: int) -> list[int]:
         """What was written there."""
@@ -146,7 +146,7 @@ async def test_exceptions_are_refusals(rig: Rig) -> None:
 async def test_the_watchdog_time_is_written(tmp_path: Path) -> None:
     coil = Coil()
     line = PtyWire(ModbusCoil(coil, rtu=True), tmp_path / "line")
-    device = voice_coil_modbus(SerialLine(line.path), watchdog_ms=1500)
+    device = voice_coil_modbus(SerialLine(line.path), ActuatorTimes(watchdog_s=1.5))
     await device.open()
     assert coil.watchdog_ms == 1500
     coil.watchdog_ms = 500  # a power cycle
@@ -218,7 +218,7 @@ async def test_a_stuck_tool_is_a_fault(rig: Rig) -> None:
     await rig.device.set_force(12.0)
     rig.coil.stuck = True
     began = time.monotonic()
-    with pytest.raises(DeviceFault, match=r"not retracted after 0\.5 s"):
+    with pytest.raises(DeviceFault, match=r"not retracted after 0\.7 s"):
         await rig.device.make_safe()
     assert time.monotonic() - began < 1.5
     rig.coil.fault = 4

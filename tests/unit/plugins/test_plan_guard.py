@@ -83,11 +83,11 @@ BAD: dict[str, tuple[Callable[[], Plan], str]] = {
     "expected shape": (lambda: replace(plan_of(), expected_time_s=np.ones(2)), "expected times of shape (2,)"),
     "expected too long": (
         lambda: replace(plan_of(), expected_time_s=np.full(3, 2401.0)),
-        "the pass is expected to take",
+        "the pass is expected to take 7203 s, more than limits.max_pass_s = 7200 s: set it to 7203 or more",
     ),
     "too deep": (
         lambda: replace(plan_of(), predicted_removal_nm=np.full((2, 2), 1001.0)),
-        "1001 nm at row 0, column 0",
+        "1001 nm at row 0, column 0 of the process grid, more than limits.max_removal_nm = 1000 nm",
     ),
     "negative": (lambda: replace(plan_of(), predicted_removal_nm=np.full((2, 2), -1.0)), "falls to -1 nm"),
     "removal NaN": (lambda: replace(plan_of(), predicted_removal_nm=np.full((2, 2), np.nan)), "not finite"),

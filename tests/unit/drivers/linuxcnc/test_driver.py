@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from polishd.api import DeviceFault, DeviceRefused, Executed, LinkError, ProtocolError
+from polishd.api import DeviceFault, DeviceRefused, Executed, LinkError, ProtocolError, RobotTimes
 from polishd.drivers.linuxcnc.connection import Connection
 from polishd.drivers.linuxcnc.driver import LinuxCnc
 from polishd.drivers.transport.address import Tcp
@@ -274,8 +274,8 @@ async def test_an_aborted_program_is_not_gone_on_with(rig: Rig) -> None:
         await rig.robot.resume()
 
 
-async def test_a_machine_that_does_not_stop_is_a_fault(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("polishd.drivers.linuxcnc.following.STAND_S", 0.2)
+async def test_a_machine_that_does_not_stop_is_a_fault(rig: Rig) -> None:
+    rig.robot._following._stop_s, rig.robot._times = 0.2, RobotTimes(stop_s=0.2)
     await load(rig.robot)
     await rig.robot.resume()
     rig.fake.block_s = 1e3

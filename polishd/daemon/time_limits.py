@@ -1,0 +1,139 @@
+"""The chain of time limits: what devices need, from the devices; what the daemon makes of it, here and nowhere else.
+
+A watchdog that is shorter than what it guards, or a robot that would stop before the tool is up, is refused before
+anything moves: peak removal goes as force to 1/3, so that a tool that stands digs 160 nm a second under 12 N, and
+still 33 nm a second under the 0.1 N that it weighs while it is being lifted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from polishd.model.times import ActuatorTimes, RobotTimes, SpindleTimes
+
+ANSWERS_S = 3.0
+"""What a device may take beyond its own action to confirm it: a link opened again, a few requests."""
+LIFT_MARGIN_MM = 5.0
+"""A robot that takes the tool away goes so much farther than the actuator can follow."""
+BEAT_S = 0.15
+"""Most between two heartbeats of ours; three periods of a driver's."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """One link of the chain: how long something takes, and how long it has to be at least."""
+
+    key: str
+    """Dotted config key that changes it; empty where it only follows from others."""
+    what: str
+    seconds: float
+    least_s: float = 0.0
+    because: str = ""
+
+    @property
+    def holds(self) -> bool:
+        """It is long enough."""
+        return self.seconds >= self.least_s - 1e-9
+
+    def row(self) -> dict[str, Any]:
+        """JSON-ready; ``seconds`` is None for what never happens by itself."""
+        return {**asdict(self), "seconds": self.seconds if math.isfinite(self.seconds) else None}
+
+
+@dataclass(frozen=True, slots=True)
+class TimeLimits:
+    """The daemon's own limits, derived from what its devices state."""
+
+    actuator: ActuatorTimes
+    robot: RobotTimes
+    spindle: SpindleTimes
+
+    @property
+    def reading_s(self) -> float:
+        """Longest between two readings of the actuator: a heartbeat and a reading, each answered in time."""
+        return 2 * self.actuator.silence_s + BEAT_S
+
+    @property
+    def buffer_s(self) -> float:
+        """Motion that must be left in contact: an actuator that hears nothing more lifts within it."""
+        return self.actuator.alone_s
+
+    @property
+    def lift_mm(self) -> float:
+        """How far the robot lifts where the actuator does not."""
+        return self.actuator.stroke_mm + LIFT_MARGIN_MM
+
+    @property
+    def actuator_safe_s(self) -> float:
+        """Longest that the actuator may take to become safe."""
+        return self.actuator.lifted_s + ANSWERS_S
+
+    @property
+    def robot_safe_s(self) -> float:
+        """Longest that the robot may take to stop, or to lift."""
+        return self.robot.stop_s + ANSWERS_S
+
+    @property
+    def spindle_safe_s(self) -> float:
+        """Longest that the spindle may take to stop."""
+        return self.spindle.spin_s + ANSWERS_S
+
+    @property
+    def safe_s(self) -> float:
+        """Longest from leaving contact until everything is told: lift, a robot that lifts instead, the stop."""
+        return max(
+            self.spindle_safe_s, self.actuator_safe_s + max(self.robot_safe_s, self.buffer_s) + self.robot_safe_s
+        )
+
+    def chain(self, lookahead_s: float) -> tuple[Limit, ...]:
+        """Each limit in the order in which they act, with what it must outlast."""
+        coil, robot, spindle = self.actuator, self.robot, self.spindle
+        lost_s = robot.silence_s + coil.lifted_s
+        return (
+            Limit("actuator.silence_s", "actuator counts as silent", coil.silence_s, BEAT_S, "of three heartbeats"),
+            Limit(
+                "actuator.watchdog_ms",
+                "actuator lets go by itself",
+                coil.watchdog_s,
+                coil.silence_s + BEAT_S,
+                "of silence and a heartbeat: the daemon leaves contact first",
+            ),
+            Limit("actuator.landing_s", "landing, at most", coil.landing_s),
+            Limit("actuator.release_s", "force off, at most", coil.release_s),
+            Limit("actuator.retract_s", "lift, at most", coil.retract_s),
+            Limit("", "tool up after an order", coil.lifted_s),
+            Limit("", "tool up after the last word", coil.alone_s),
+            Limit("spindle.watchdog_s", "spindle stops by itself", spindle.watchdog_s, 3 * BEAT_S, "of its commands"),
+            Limit("spindle.spin_s", "spindle to speed or to rest, at most", spindle.spin_s),
+            Limit("robot.silence_s", "robot counts as lost", robot.silence_s),
+            Limit(
+                "robot.watchdog_s",
+                "robot stops by itself",
+                robot.watchdog_s,
+                max(coil.alone_s, lost_s),
+                f"until the tool is up: actuator's watchdog and lift {coil.alone_s:g} s, "
+                f"robot's silence and lift {lost_s:g} s",
+            ),
+            Limit("robot.stop_s", "robot stops or lifts, at most", robot.stop_s),
+            Limit(
+                "job.lookahead_s",
+                "motion held by the robot",
+                lookahead_s,
+                self.buffer_s,
+                "of motion: contact is left when less is held, and the tool is up when that is used up",
+            ),
+            Limit("", "all safe after leaving contact, at most", self.safe_s),
+        )
+
+
+def too_short(chain: Sequence[Limit]) -> list[tuple[str, str]]:
+    """(key, what is wrong and what to do) of each limit that does not hold."""
+    advice = "lengthen it, or shorten what it guards (polishd check prints the chain)"
+    return [
+        (limit.key, f"{limit.what}: {limit.seconds:g} s; at least {limit.least_s:g} s {limit.because}; {advice}")
+        for limit in chain
+        if not limit.holds
+    ]

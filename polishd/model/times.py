@@ -1,0 +1,55 @@
+"""How long each device's actions may take. The device states it, from its own config; the daemon derives its limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class ActuatorTimes:
+    """The longest that a force actuator takes, wall time, and how far its tool can follow the part."""
+
+    silence_s: float = 0.3
+    """No answer for so long: it counts as silent."""
+    watchdog_s: float = 1.0
+    """It hears nothing for so long: it takes the force off and lifts, by itself."""
+    landing_s: float = 10.0
+    """From engaging to the force."""
+    release_s: float = 0.2
+    """From the order, or its watchdog, to force off."""
+    retract_s: float = 5.0
+    """From force off until it tells that the tool is up."""
+    stroke_mm: float = 10.0
+
+    @property
+    def lifted_s(self) -> float:
+        """From the order until the lift is confirmed."""
+        return self.release_s + self.retract_s
+
+    @property
+    def alone_s(self) -> float:
+        """From the last word that reached it until it has lifted by itself."""
+        return self.watchdog_s + self.lifted_s
+
+
+@dataclass(frozen=True, slots=True)
+class RobotTimes:
+    """The longest that a robot takes, wall time."""
+
+    silence_s: float = 1.5
+    """No sound word for so long: its link counts as lost."""
+    watchdog_s: float = 8.0
+    """It hears nothing for so long: it stops by itself. Infinite for one that runs its program to the end."""
+    stop_s: float = 5.0
+    """From the order to standstill; also for lifting along the tool's axis."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpindleTimes:
+    """The longest that a spindle takes, wall time."""
+
+    silence_s: float = 0.8
+    watchdog_s: float = 1.0
+    """It hears nothing for so long: it stops by itself."""
+    spin_s: float = 8.0
+    """From standstill to its speed, or back."""
