@@ -11,7 +11,7 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-long test-maps check format bench compare lock clean
+.PHONY: help demo test test-long test-maps ways-out check format bench compare lock clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -27,6 +27,10 @@ test-long: $(VENV)/.installed ## run the long campaigns (ARGS="...")
 
 test-maps: $(VENV)/.installed ## of those, 100,000 broken files of each map format and 10,000 writes into the folder
 	@$(ONE_THREAD) $(PYTEST) -n 2 --dist worksteal -m slow tests/unit/plugins/test_map_fuzz.py tests/campaigns $(ARGS)
+
+ways-out: $(VENV)/.installed ## of those, every way out of contact in real time, and its table in docs/cycle.md
+	@$(ONE_THREAD) $(PYTEST) -n 2 --dist worksteal -m slow tests/campaigns/test_ways_out.py $(ARGS)
+	@$(BIN)/python -m tests.campaigns.ways_out
 
 check: $(VENV)/.installed ## lint, format, types, layers
 	@$(BIN)/ruff check --quiet .

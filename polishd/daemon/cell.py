@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 
+from polishd.daemon.time_limits import TimeLimits
 from polishd.model.devices import Identity
 from polishd.model.errors import LinkError
 from polishd.ports.clock import Clock
@@ -38,6 +39,13 @@ class Cell:
     metrology: Metrology
     clock: Clock
     unsafe: tuple[str, ...] = field(default=())
+    emergency: bool = False
+    """Motion is to stop at once, whatever the part costs: somebody asked for it."""
+
+    @property
+    def limits(self) -> TimeLimits:
+        """How long things may take, as its devices state it."""
+        return TimeLimits(self.actuator.times, self.robot.times, self.spindle.times)
 
     @property
     def devices(self) -> Mapping[str, Device]:

@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager
 
 from polishd.daemon.safety import most_telling
 from polishd.model.devices import Executed
-from polishd.model.errors import DeviceFault, SafetyStop
+from polishd.model.errors import DeviceFault, DeviceRefused, SafetyStop
 from polishd.model.program import Plan
 from polishd.ports.clock import Clock
 from polishd.ports.devices import Robot
@@ -24,11 +24,14 @@ STANDS = 3
 class Stream:
     """One pass of one plan through one robot: approach, polish, retreat, each block once and in order."""
 
-    def __init__(self, plan: Plan, robot: Robot, clock: Clock, lookahead_s: float) -> None:
+    def __init__(self, plan: Plan, robot: Robot, clock: Clock, lookahead_s: float, least_s: float) -> None:
+        """``least_s`` of motion must be left in contact: it lasts until the tool is up, whatever happens."""
         self._plan = plan
         self._robot = robot
         self._clock = clock
         self._lookahead_s = lookahead_s
+        self._least_s = least_s
+        self._in_contact = False
         self._sent = 0
         self._executed = robot.executed(0)
         self._filled = asyncio.Event()
@@ -50,11 +53,12 @@ class Stream:
         self._filled.set()
 
     async def watch(self) -> None:
-        """SafetyStop when the robot stands still although it was told to run: a tool in contact would dig a pit."""
+        """SafetyStop when the robot stands still although it was told to run, or holds too little motion in contact."""
         standing = 0
         while True:
             await self._clock.sleep(WATCH_S)
             robot = await self._robot.progress()
+            self._check_supply()  # here too: one block may be a long one
             stands = self._target is not None and robot.state != "running" and robot.executed < self._target
             standing = standing + 1 if stands else 0
             if standing >= STANDS:
@@ -63,10 +67,16 @@ class Stream:
                 )
 
     async def approach(self) -> None:
-        """To the landing point, tool retracted; the robot then stands still."""
+        """To the landing point, tool retracted; the robot then stands still. DeviceRefused if it holds too little."""
         with contextlib.suppress(TimeoutError):  # a robot may hold less than the look-ahead: then it is full now
             async with asyncio.timeout(2 * self._lookahead_s):
                 await self._filled.wait()
+        if self._starves():
+            raise DeviceRefused(
+                f"the robot holds {self._robot.buffer_s:.2f} s of motion and takes no more, and the tool would need "
+                f"{self._least_s:.2f} s to be up again if the actuator fell silent: enlarge the controller's window, "
+                "or shorten actuator.watchdog_ms or actuator.retract_s; nothing was moved"
+            )
         if self._plan.approach_blocks:
             await self._robot.resume(until=self._plan.approach_blocks)
             async for _ in self._until(self._plan.approach_blocks):
@@ -74,9 +84,13 @@ class Stream:
 
     async def polish(self) -> AsyncIterator[Executed]:
         """Blocks in contact, as they are executed; the robot stands still at the other landing point afterwards."""
-        await self._robot.resume(until=self._plan.contact_blocks)
-        async for block in self._until(self._plan.contact_blocks):
-            yield block
+        self._in_contact = True
+        try:
+            await self._robot.resume(until=self._plan.contact_blocks)
+            async for block in self._until(self._plan.contact_blocks):
+                yield block
+        finally:
+            self._in_contact = False
 
     async def retreat(self) -> None:
         """The rest of the program, tool retracted."""
@@ -103,19 +117,24 @@ class Stream:
 
     def _check_supply(self) -> None:
         """Leave contact while there still is motion: a robot that runs dry stops with the tool on the part."""
-        starving = self._sent < len(self._plan.segments) and self._robot.buffer_s < self._lookahead_s / 4
-        if starving:
+        if self._in_contact and self._starves():
             raise SafetyStop(
-                f"only {self._robot.buffer_s:.2f} s of motion are left in the robot at block {self._sent}: "
-                "the stream cannot keep up; lengthen job.lookahead_s or look at the link"
+                f"only {self._robot.buffer_s:.2f} s of motion are left in the robot at block {self._sent}, and lifting "
+                f"may take {self._least_s:.2f} s: the stream cannot keep up; lengthen job.lookahead_s or look at the "
+                "link"
             )
+
+    def _starves(self) -> bool:
+        return self._sent < len(self._plan.segments) and self._robot.buffer_s < self._least_s
 
 
 @asynccontextmanager
-async def streaming(plan: Plan, robot: Robot, clock: Clock, lookahead_s: float) -> AsyncIterator[Stream]:
+async def streaming(
+    plan: Plan, robot: Robot, clock: Clock, lookahead_s: float, *, least_s: float
+) -> AsyncIterator[Stream]:
     """Prepare the robot and feed it in the background for as long as the block lasts."""
     await robot.prepare(plan)
-    stream = Stream(plan, robot, clock, lookahead_s)
+    stream = Stream(plan, robot, clock, lookahead_s, least_s)
     try:
         async with asyncio.TaskGroup() as group:
             tasks = [

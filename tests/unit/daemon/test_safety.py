@@ -1,23 +1,29 @@
-"""Every way out of contact: force off, tool lifted, and only then motion stops; whatever fails on the way."""
+"""Every way out of contact: force off, tool lifted, and only then motion stops; whatever fails on the way.
+
+The fakes take the times that hardware takes: landing 2 s, lifting 4 s of their clock.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
-from polishd.daemon import safety
-from polishd.daemon.safety import ContactLimits, contact, make_safe, most_telling, within
+from polishd.daemon import time_limits
+from polishd.daemon.safety import ContactLimits, contact, heard, make_safe, most_telling
 from polishd.model.devices import ForceSample
 from polishd.model.errors import ConfigError, DeviceFault, LinkError, PolishdError, SafetyStop
+from polishd.model.times import ActuatorTimes, RobotTimes, SpindleTimes
 from tests.fakes.devices import FakeCell, blank
 
-LIMITS = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, grace_s=0.3, landing_s=5.0)
-SAFE = ["actuator.make_safe", "robot.make_safe", "spindle.make_safe"]
+LIMITS = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, grace_s=0.3)
+SAFE = ["spindle.make_safe", "actuator.make_safe", "lifted", "robot.make_safe"]
 INTO = ["spindle.set_speed 1000", "actuator.set_force 12"]
-LIFTED = ["actuator.set_force 0", "actuator.retract"]
+LIFTED = ["actuator.set_force 0", "actuator.retract", "lifted"]
+UNTOUCHED = [step for step in SAFE if step != "lifted"]
 
 
 @pytest.fixture
@@ -40,6 +46,13 @@ async def forever(fake: FakeCell) -> None:
         await asyncio.Event().wait()
 
 
+def left_at(fake: FakeCell) -> list[float]:
+    """When the daemon began to leave contact, by the fake clock."""
+    times: list[float] = []
+    fake.spindle.acts.before["make_safe"] = lambda: times.append(fake.clock.at_s)
+    return times
+
+
 async def until(fake: FakeCell, event: str) -> None:
     """pytest's timeout is the limit."""
     while event not in fake.events:  # noqa: ASYNC110
@@ -51,7 +64,7 @@ async def until(fake: FakeCell, event: str) -> None:
 
 async def test_the_normal_end_lifts_and_leaves_motion_alone(fake: FakeCell) -> None:
     await polish_for(fake)
-    assert fake.events == [*INTO, "pressing", *LIFTED]
+    assert fake.events == [*INTO, "pressing", *LIFTED, "spindle.set_speed 0"]
     assert fake.actuator.retracted
 
 
@@ -66,7 +79,7 @@ async def test_an_error_of_ours_in_the_block_comes_out_as_itself(fake: FakeCell)
     with pytest.raises(LinkError, match="the robot is gone"):
         async with contact(fake.cell, LIMITS):
             raise LinkError("the robot is gone")
-    assert fake.events[-3:] == SAFE
+    assert fake.events[-4:] == SAFE
 
 
 async def test_cancellation(fake: FakeCell) -> None:
@@ -92,9 +105,9 @@ async def test_cancellation_while_landing(fake: FakeCell) -> None:
 @pytest.mark.parametrize(
     ("device", "call", "expected"),
     [
-        ("spindle", "set_speed", ["spindle.set_speed 1000", *SAFE]),
-        ("actuator", "set_force", [*INTO, *SAFE]),
-        ("actuator", "retract", [*INTO, "pressing", *LIFTED, *SAFE]),
+        ("spindle", "set_speed", ["spindle.set_speed 1000", *UNTOUCHED]),
+        ("actuator", "set_force", [*INTO, *UNTOUCHED]),
+        ("actuator", "retract", [*INTO, "pressing", *LIFTED[:2], *SAFE]),
     ],
 )
 async def test_a_device_that_refuses(fake: FakeCell, device: str, call: str, expected: list[str]) -> None:
@@ -125,7 +138,7 @@ async def test_a_tool_that_lost_the_part_though_the_force_reads_right(fake: Fake
 async def test_force_within_its_band(fake: FakeCell, force_n: float) -> None:
     fake.actuator.reads = lambda s: replace(s, force_n=force_n if s.setpoint_n else 0.0)
     await polish_for(fake)
-    assert fake.events[-2:] == LIFTED
+    assert fake.events[-4:-1] == LIFTED
 
 
 @pytest.mark.parametrize(("lasts_s", "stops"), [(0.2, False), (0.5, True)])
@@ -139,10 +152,11 @@ async def test_force_out_of_band_for_less_and_more_than_its_grace(fake: FakeCell
         return replace(sample, force_n=20.0) if sample.at_s - begun[0] < lasts_s else sample
 
     fake.actuator.reads = reads
+    left = left_at(fake)
     if stops:
         with pytest.raises(SafetyStop, match=r"more than 0\.3 s"):
             await polish_for(fake, 2.0)
-        assert fake.clock.at_s < begun[0] + 0.45, "as soon as the grace is over"
+        assert left[0] < begun[0] + 0.45, "as soon as the grace is over"
     else:
         await polish_for(fake, 2.0)
     assert ("robot.make_safe" in fake.events) is stops
@@ -155,7 +169,7 @@ async def test_an_actuator_that_retracts_by_itself_is_not_taken_for_leaving(fake
     fake.actuator.reads = lambda s: replace(s, **lifted) if "pressing" in fake.events else s
     with pytest.raises(SafetyStop):
         await polish_for(fake)
-    assert fake.events[-3:] == SAFE
+    assert fake.events[-4:] == SAFE
 
 
 @pytest.mark.parametrize(("rpm", "stops"), [(940.0, True), (960.0, False), (-1000.0, True), (float("nan"), True)])
@@ -164,19 +178,20 @@ async def test_spindle_speed(fake: FakeCell, rpm: float, stops: bool) -> None:
     if stops:
         with pytest.raises(SafetyStop, match="instead of 1000"):
             await polish_for(fake)
-        assert fake.events[-3:] == SAFE
+        assert fake.events[-4:] == SAFE
     else:
         await polish_for(fake)
 
 
 @pytest.mark.parametrize("device", ["actuator", "spindle"])
 async def test_a_fault_is_told_at_once(fake: FakeCell, device: str) -> None:
+    left = left_at(fake)
     watched = fake.devices[device]
     watched.reads = lambda s: replace(s, fault=4) if "pressing" in fake.events else s  # type: ignore[attr-defined]
     with pytest.raises(DeviceFault, match=f"{device}: fault"):
         await polish_for(fake, 100.0)
-    assert fake.clock.at_s < 1.0
-    assert fake.events[-3:] == SAFE
+    assert left[0] < 3.0
+    assert fake.events[-4:] == SAFE
 
 
 async def test_a_fault_while_leaving_is_seen(fake: FakeCell) -> None:
@@ -184,7 +199,7 @@ async def test_a_fault_while_leaving_is_seen(fake: FakeCell) -> None:
     fake.actuator.acts.hangs.add("retract")
     with pytest.raises(DeviceFault, match="fault bits 0x0001"):
         await polish_for(fake)
-    assert fake.events[-4:] == [LIFTED[1], *SAFE]
+    assert fake.events[-5:] == [LIFTED[1], *SAFE]
 
 
 async def test_leaving_slowly_is_not_a_force_out_of_band(fake: FakeCell) -> None:
@@ -208,15 +223,110 @@ async def test_leaving_slowly_is_not_a_force_out_of_band(fake: FakeCell) -> None
     assert "robot.make_safe" not in fake.events
 
 
-@pytest.mark.parametrize("device", ["actuator", "spindle"])
-async def test_silence(fake: FakeCell, device: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(safety, "SAMPLE_S", 0.02)
+async def test_silence_of_the_spindle(fake: FakeCell) -> None:
+    fake.spindle.times = SpindleTimes(silence_s=0.02)
     task = asyncio.ensure_future(forever(fake))
     await until(fake, "pressing")
-    fake.devices[device].silent = True  # type: ignore[attr-defined]
-    with pytest.raises(LinkError, match=f"{device}: no sample"):
+    fake.spindle.silent = True
+    with pytest.raises(LinkError, match="spindle: no sample"):
         await task
     assert fake.events == [*INTO, "pressing", *SAFE]
+
+
+async def test_an_actuator_that_falls_silent_is_left_by_the_robot_at_once(fake: FakeCell) -> None:
+    """Nobody waits for it: the spindle stops and the robot takes the tool away while it still moves."""
+    fake.actuator.times = ActuatorTimes(silence_s=0.02, stroke_mm=12.0)
+    task = asyncio.ensure_future(forever(fake))
+    await until(fake, "pressing")
+    fake.actuator.silent = True
+    fake.actuator.acts.fails["make_safe"] = LinkError("no answer")
+    with pytest.raises(LinkError, match="actuator: no sample"):
+        await task
+    left = fake.events[3:]
+    assert left == ["spindle.make_safe", "actuator.make_safe", "robot.lift 17", "robot.make_safe"]
+    assert fake.cell.unsafe == ("actuator: no answer; the robot has lifted the tool off the part by 17 mm",)
+
+
+async def test_a_robot_that_cannot_lift_goes_on_until_the_actuator_has_let_go_by_itself(fake: FakeCell) -> None:
+    fake.robot.lifts = False
+    fake.actuator.acts.fails["make_safe"] = LinkError("no answer")
+    task = asyncio.ensure_future(forever(fake))
+    await until(fake, "pressing")
+    task.cancel()
+    await until(fake, "robot.lift 15")
+    begun_s, alone_s = fake.clock.at_s, fake.actuator.times.alone_s
+    while "robot.make_safe" not in fake.events:
+        fake.clock.advance(0.05)
+        for _ in range(4):
+            await asyncio.sleep(0)
+    assert fake.clock.at_s - begun_s >= alone_s - 0.1, "watchdog, force off, lift"
+    with pytest.raises(asyncio.CancelledError):
+        await task
+
+
+async def test_an_actuator_that_answers_after_all_ends_the_waiting(fake: FakeCell) -> None:
+    """Silent for its samples, but it takes the order to lift: confirmed is confirmed."""
+    fake.actuator.times = ActuatorTimes(silence_s=0.02)
+    fake.robot.lifts = False
+    task = asyncio.ensure_future(forever(fake))
+    await until(fake, "pressing")
+    fake.actuator.silent = True
+    while not task.done():
+        fake.clock.advance(0.01)
+        await asyncio.sleep(0)
+    with pytest.raises(LinkError, match="actuator: no sample"):
+        await task
+    assert fake.events.index("lifted") < fake.events.index("robot.make_safe")
+    assert fake.cell.unsafe == ()
+
+
+async def test_an_actuator_that_does_not_lift_is_left_by_the_robot(fake: FakeCell) -> None:
+    fake.actuator.acts.fails["make_safe"] = DeviceFault("does not retract")
+    with pytest.raises(KeyError):
+        async with contact(fake.cell, LIMITS):
+            raise KeyError
+    steps = [*INTO, "spindle.make_safe", "actuator.make_safe", "robot.lift 15", "robot.make_safe"]
+    assert fake.events == steps
+    assert fake.cell.unsafe == ("actuator: does not retract; the robot has lifted the tool off the part by 15 mm",)
+
+
+async def test_motion_goes_on_until_the_lift_is_confirmed(fake: FakeCell) -> None:
+    """A lift takes 4 s here: the robot was stopped after 3 s, with the tool on the part."""
+    stopped: list[bool] = []
+    fake.robot.acts.before["make_safe"] = lambda: stopped.append(fake.actuator.retracted)
+    task = asyncio.ensure_future(forever(fake))
+    await until(fake, "pressing")
+    begun_s = fake.clock.at_s
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert stopped == [True]
+    assert fake.clock.at_s - begun_s >= 4.0
+
+
+async def test_the_spindle_stops_beside_the_lift(fake: FakeCell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It used to wait for actuator and robot: a dead actuator left it turning for 6 s."""
+    monkeypatch.setattr(time_limits, "ANSWERS_S", 0.02)
+    fake.actuator.times = ActuatorTimes(release_s=0.0, retract_s=0.0)
+    task = asyncio.ensure_future(forever(fake))
+    await until(fake, "pressing")
+    fake.actuator.acts.hangs.add("make_safe")
+    task.cancel()
+    await until(fake, "spindle.make_safe")
+    assert "robot.make_safe" not in fake.events, "the actuator has not answered yet"
+    with pytest.raises(asyncio.CancelledError):
+        await task
+
+
+async def test_an_emergency_stops_motion_at_once(fake: FakeCell) -> None:
+    fake.cell.emergency = True
+    stopped: list[bool] = []
+    fake.robot.acts.before["make_safe"] = lambda: stopped.append(fake.actuator.retracted)
+    with pytest.raises(KeyError):
+        async with contact(fake.cell, LIMITS):
+            raise KeyError
+    assert stopped == [False], "whatever the part costs"
+    assert sorted(fake.events[2:]) == sorted(SAFE)
 
 
 @pytest.mark.parametrize("device", ["actuator", "spindle"])
@@ -226,14 +336,38 @@ async def test_samples_that_end_are_silence(fake: FakeCell, device: str) -> None
     fake.devices[device].ends = True  # type: ignore[attr-defined]
     with pytest.raises(LinkError, match=device):
         await asyncio.wait_for(task, 5.0)
-    assert fake.events[-3:] == SAFE
+    assert {"robot.make_safe", "spindle.make_safe", "lifted"} <= set(fake.events)
 
 
 async def test_a_tool_that_does_not_land(fake: FakeCell) -> None:
     fake.actuator.reads = blank
+    fake.actuator.times = ActuatorTimes(landing_s=0.02)
     with pytest.raises(SafetyStop, match="did not land: no force within 25% of 12 N"):
-        await polish_for(fake, limits=replace(LIMITS, landing_s=0.02))
+        await polish_for(fake, limits=replace(LIMITS, grace_s=0.0))
     assert fake.events == [*INTO, *SAFE]
+
+
+async def test_both_are_watched_and_fed_while_the_tool_lands(fake: FakeCell) -> None:
+    """Iterating the samples feeds spindle and actuator: unfed, a drive stops after its watchdog's time."""
+    fed: dict[str, list[float]] = {"spindle": [], "actuator": []}
+
+    def noted(name: str) -> Callable[[Any], Any]:
+        return lambda sample: fed[name].append(fake.clock.at_s) or sample
+
+    fake.spindle.reads, fake.actuator.reads = noted("spindle"), noted("actuator")
+    fake.actuator.landing_s = 8.0
+    await polish_for(fake, 0.1)
+    for name, at_s in fed.items():
+        gaps = [b - a for a, b in zip([0.0, *at_s], at_s, strict=False)]
+        assert max(gaps) < 0.3, name
+
+
+async def test_a_spindle_that_trips_while_the_tool_lands_is_noticed(fake: FakeCell) -> None:
+    fake.spindle.reads = lambda s: replace(s, fault=4) if fake.clock.at_s > 1.0 else s
+    with pytest.raises(DeviceFault, match="spindle: fault 4"):
+        await polish_for(fake)
+    assert "pressing" not in fake.events
+    assert fake.clock.at_s < 2.0 + 4.5
 
 
 async def test_landing_takes_its_time_without_a_stop(fake: FakeCell) -> None:
@@ -243,15 +377,15 @@ async def test_landing_takes_its_time_without_a_stop(fake: FakeCell) -> None:
     assert fake.clock.at_s >= 3.0
 
 
-async def test_within_passes_samples_on() -> None:
+async def test_each_sample_is_judged() -> None:
     async def two() -> AsyncIterator[int]:
         yield 1
         yield 2
 
-    samples = within(two(), "scale")
-    assert [await anext(samples), await anext(samples)] == [1, 2]
-    with pytest.raises(LinkError, match="scale"):
-        await anext(samples)
+    judged: list[int] = []
+    with pytest.raises(LinkError, match="scale: its samples ended"):
+        await heard(two(), judged.append, "scale", 1.0)
+    assert judged == [1, 2]
 
 
 # make_safe
@@ -259,20 +393,29 @@ async def test_within_passes_samples_on() -> None:
 
 @pytest.mark.parametrize("broken", ["actuator", "robot", "spindle"])
 @pytest.mark.parametrize("error", [LinkError("gone"), OSError("wire"), ValueError("a plugin's own bug")])
-async def test_make_safe_attempts_all_in_order(fake: FakeCell, broken: str, error: Exception) -> None:
+async def test_make_safe_attempts_all(fake: FakeCell, broken: str, error: Exception) -> None:
     fake.devices[broken].acts.fails["make_safe"] = error
     await make_safe(fake.cell)
-    assert fake.events == SAFE
+    assert fake.events == UNTOUCHED
     assert fake.cell.unsafe == (f"{broken}: {error}",)
 
 
 @pytest.mark.parametrize("broken", ["actuator", "robot", "spindle"])
 async def test_make_safe_does_not_wait_for_ever(fake: FakeCell, broken: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(safety, "LEAVE_S", 0.02)
+    monkeypatch.setattr(time_limits, "ANSWERS_S", 0.02)
+    fake.actuator.times = ActuatorTimes(release_s=0.0, retract_s=0.0)
+    fake.robot.times, fake.spindle.times = RobotTimes(stop_s=0.0), SpindleTimes(spin_s=0.0)
     fake.devices[broken].acts.hangs.add("make_safe")
     await make_safe(fake.cell)
-    assert fake.events == SAFE
-    assert fake.cell.unsafe == (f"{broken}: TimeoutError",)
+    assert fake.events == UNTOUCHED
+    assert fake.cell.unsafe == (f"{broken}: no answer within 0.02 s",)
+
+
+async def test_at_rest_the_robot_is_never_told_to_lift(fake: FakeCell) -> None:
+    """At a start nothing moves by itself, whatever the actuator says."""
+    fake.actuator.acts.fails["make_safe"] = LinkError("gone")
+    await make_safe(fake.cell)
+    assert not fake.of("robot.lift")
 
 
 async def test_make_safe_forgets_what_was_unsafe_before(fake: FakeCell) -> None:
@@ -287,8 +430,9 @@ async def test_everything_broken_is_told(fake: FakeCell) -> None:
     with pytest.raises(KeyError):
         async with contact(fake.cell, LIMITS):
             raise KeyError
-    assert fake.events[-3:] == SAFE
-    assert fake.cell.unsafe == ("actuator: no actuator", "robot: no robot", "spindle: no spindle")
+    assert fake.events[-3:] == ["actuator.make_safe", "robot.lift 15", "robot.make_safe"]
+    lifted = "actuator: no actuator; the robot has lifted the tool off the part by 15 mm"
+    assert fake.cell.unsafe == (lifted, "robot: no robot", "spindle: no spindle")
 
 
 async def test_a_second_cancellation_does_not_abort_make_safe(fake: FakeCell) -> None:
@@ -312,7 +456,7 @@ async def test_a_second_cancellation_does_not_abort_make_safe(fake: FakeCell) ->
     go_on.set()
     with pytest.raises(asyncio.CancelledError):
         await task
-    assert fake.events[-4:] == ["asked", *SAFE]
+    assert fake.events[-4:] == ["asked", "actuator.make_safe", "lifted", "robot.make_safe"]
     assert fake.actuator.retracted
 
 
@@ -321,7 +465,7 @@ async def test_make_safe_hands_on_a_cancellation_that_came_meanwhile(fake: FakeC
     fake.actuator.acts.before["make_safe"] = task.cancel
     with pytest.raises(asyncio.CancelledError):
         await task
-    assert fake.events == SAFE
+    assert fake.events == UNTOUCHED
 
 
 # the error that is told
@@ -349,8 +493,8 @@ async def test_two_faults_at_once_tell_the_safety_stop(fake: FakeCell) -> None:
             finally:
                 raise SafetyStop("and the stream starves")
 
-    fake.spindle.reads = lambda s: replace(s, fault=3) if fake.clock.at_s > 0.5 else s
+    fake.spindle.reads = lambda s: replace(s, fault=3) if fake.clock.at_s > 2.5 else s
     with pytest.raises(PolishdError) as told:
         await starves()
     assert type(told.value) is SafetyStop
-    assert fake.events[-3:] == SAFE
+    assert fake.events[-4:] == SAFE

@@ -33,7 +33,7 @@ async def whole_pass(
 ) -> list[int]:
     """All of a pass; ``each`` is told of every block in contact."""
     seqs = []
-    async with streaming(plan, fake.robot, fake.clock, lookahead_s) as stream:
+    async with streaming(plan, fake.robot, fake.clock, lookahead_s, least_s=lookahead_s / 4) as stream:
         await stream.approach()
         async for block in stream.polish():
             each(block.seq)
@@ -63,7 +63,7 @@ async def test_contact_is_what_lies_between_the_landing_points(fake: FakeCell) -
 
 
 async def test_the_robot_stands_at_each_landing_point_until_it_is_told(fake: FakeCell) -> None:
-    async with streaming(small_plan(), fake.robot, fake.clock, 1.0) as stream:
+    async with streaming(small_plan(), fake.robot, fake.clock, 1.0, least_s=0.25) as stream:
         await stream.approach()
         assert (fake.robot.done, (await fake.robot.progress()).state) == (3, "held")
         async for _ in stream.polish():
@@ -104,12 +104,19 @@ async def test_a_program_shorter_than_the_look_ahead_is_no_starvation(fake: Fake
 
 
 async def test_a_robot_that_holds_less_than_the_look_ahead_starts_when_it_is_full(fake: FakeCell) -> None:
-    fake.robot.block_s = 0.0001  # a chunk is 13 ms, the look-ahead 40 ms
+    fake.robot.block_s = 0.0002  # a chunk is 26 ms, the look-ahead 40 ms, and 10 ms must be left in contact
     fake.robot.takes = CHUNK
-    async with asyncio.timeout(20):
-        with pytest.raises(SafetyStop, match="cannot keep up"):
-            await whole_pass(fake, small_plan(1000), 0.04)
+    with pytest.raises(SafetyStop, match="cannot keep up"):
+        await whole_pass(fake, small_plan(1000), 0.04)
     assert fake.robot.done > 3, "the approach was run; then it starves, since the rest is never taken"
+
+
+async def test_a_robot_that_holds_too_little_to_lift_in_is_refused_before_it_moves(fake: FakeCell) -> None:
+    fake.robot.block_s = 0.00005
+    fake.robot.takes = CHUNK
+    with pytest.raises(DeviceRefused, match=r"holds 0\.01 s of motion .* nothing was moved"):
+        await whole_pass(fake, small_plan(1000), 0.04)
+    assert fake.robot.done == 0
 
 
 async def test_starvation_ends_the_pass_while_there_still_is_motion(fake: FakeCell) -> None:
@@ -152,7 +159,7 @@ async def test_a_program_that_ends_early(fake: FakeCell, at: int) -> None:
 
 async def test_an_error_in_the_block_comes_out_as_itself(fake: FakeCell) -> None:
     with pytest.raises(KeyError, match="mine"):
-        async with streaming(small_plan(), fake.robot, fake.clock, 1.0):
+        async with streaming(small_plan(), fake.robot, fake.clock, 1.0, least_s=0.25):
             raise KeyError("mine")
 
 
@@ -166,7 +173,7 @@ async def test_a_robot_that_stands_in_contact(fake: FakeCell) -> None:
 
 
 async def test_a_robot_that_waits_at_a_landing_point_does_not_stand(fake: FakeCell) -> None:
-    async with streaming(small_plan(), fake.robot, fake.clock, 1.0) as stream:
+    async with streaming(small_plan(), fake.robot, fake.clock, 1.0, least_s=0.25) as stream:
         await stream.approach()
         landing = asyncio.get_running_loop().create_future()
         await time_passes(fake, 10.0, landing)

@@ -1,0 +1,44 @@
+"""Every way out of contact against lifts that take 0.5, 4 and 10 s; the table in docs/cycle.md (`make ways-out`)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.campaigns.ways_out import LIFTS_S, PAGE, SAVED, WAYS, Cost, Way, measure, rows_of, save
+
+CASES = [(way, lift_s) for way in WAYS for lift_s in LIFTS_S]
+SLACK_S = 0.05
+"""Of standing contact: a block at whose corner the robot turns is none."""
+
+
+@pytest.mark.slow
+@pytest.mark.system
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize(("way", "lift_s"), CASES, ids=lambda one: getattr(one, "name", str(one)).replace(" ", "-"))
+def test_the_tool_is_off_before_motion_stops(tmp_path: Path, way: Way, lift_s: float) -> None:
+    cost = measure(way, lift_s, tmp_path / "cell")
+    save(cost, SAVED)
+    assert cost.standing_s <= way.stands_s + SLACK_S
+    if way.stands_s:
+        assert cost.standing_nm < 250.0, "the spindle stops and the force goes at once"
+    else:
+        require_tool_off_first(cost)
+
+
+def require_tool_off_first(cost: Cost) -> None:
+    """By the simulators' own log, and the plant: the actuator took it off, or the robot."""
+    stops = cost.at("motion stops")
+    assert stops is not None
+    assert cost.touched_s <= stops + SLACK_S
+    confirmed = cost.at("lift confirmed")
+    assert confirmed is None or confirmed >= cost.lift_s * 0.9
+
+
+def test_the_page_tells_what_each_way_costs() -> None:
+    """The table that the campaign wrote has each case, and nothing in it that the cases would not pass."""
+    allowed = {way.name: way.stands_s + SLACK_S for way in WAYS}
+    rows = rows_of(PAGE.read_text())
+    assert [(row[0], float(row[1])) for row in rows] == [(way.name, lift_s) for way, lift_s in CASES]
+    assert all(float(row[3]) <= allowed[row[0]] for row in rows)

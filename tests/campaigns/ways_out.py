@@ -1,0 +1,264 @@
+"""Every way out of contact, in a whole cell in real time: what happened in which order, and what it cost the part.
+
+The simulated actuator lifts as slowly as it is told to; the plant's own account says what the part lost from the
+moment of the cause on. One case is one simulated cell and one daemon, as processes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import resource
+import signal
+import threading
+import time
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from polishd.console.demo_files import DemoFiles, with_values
+from polishd.console.simulator import simulated_cell
+from polishd.daemon import client
+from polishd.model.errors import LinkError
+from tests.fakes import proxy
+from tests.system.cell_rig import Daemon, account, events, write_small
+from tests.system.sim_rig import wait_for
+
+LIFTS_S = (0.5, 4.0, 10.0)
+BLOCKS = 60
+"""Executed in contact before the cause."""
+CONTACT_S, SETTLE_S = 180.0, 60.0
+"""For a machine that is busy with other things."""
+SHOWN = {
+    ("spindle", "spindle_ramping"): "spindle off",
+    ("spindle", "spindle_fault"): "spindle off",
+    ("actuator", "watchdog"): "actuator's watchdog",
+    ("actuator", "force_off"): "force off",
+    ("actuator", "tool_lifted"): "tool off",
+    ("actuator", "contact_lost"): "tool off",
+    ("actuator", "retracted"): "lift confirmed",
+    ("robot", "watchdog"): "robot's watchdog",
+    ("robot", "motion_stopped"): "motion stops",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """A cell in contact, about to be disturbed."""
+
+    files: DemoFiles
+    daemon: Daemon
+    wire: proxy.Wire
+    loop: asyncio.AbstractEventLoop
+    """The wire's own."""
+
+    def press(self, device: str, number: signal.Signals) -> None:
+        """A button of that device's simulator."""
+        os.kill(json.loads((self.files.sim_dir / "pids.json").read_text())[device], number)
+
+    def order(self, verb: str) -> None:
+        """As the command line does; the answer comes when it is obeyed."""
+
+        def ask() -> None:
+            with contextlib.suppress(LinkError):  # the cell is ended once it rests
+                client.request(self.files.state_dir, verb, 60.0)
+
+        threading.Thread(target=ask, daemon=True).start()
+
+    def lose_journal(self) -> None:
+        """No file of the daemon may grow any more: the next commit fails."""
+        resource.prlimit(self.daemon.process.pid, resource.RLIMIT_FSIZE, (1, 1))
+
+    def cut_robot(self) -> None:
+        """A half-open link: nothing comes through any more, and nobody is told."""
+        self.loop.call_soon_threadsafe(self.wire.flows.clear)
+
+    def terminate_twice(self) -> None:
+        """Somebody is impatient."""
+        self.daemon.process.send_signal(signal.SIGTERM)
+        self.daemon.process.send_signal(signal.SIGTERM)
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """One way out of contact."""
+
+    name: str
+    cause: Callable[[Rig], object]
+    stands_s: float = 0.0
+    """Longest standing contact that this way may cost: motion has ended before anybody was asked."""
+    lifts: bool = True
+    """The actuator lifts in the end."""
+
+
+WAYS = (
+    Way("force fault", lambda rig: rig.press("actuator", signal.SIGUSR1)),
+    Way("spindle fault", lambda rig: rig.press("spindle", signal.SIGUSR1)),
+    Way("actuator's wire cut", lambda rig: rig.press("actuator", signal.SIGSTOP)),
+    Way("actuator hung, pressing", lambda rig: rig.press("actuator", signal.SIGUSR2), lifts=False),
+    Way("robot link lost", Rig.cut_robot),
+    Way("robot stands", lambda rig: rig.press("robot", signal.SIGUSR2), stands_s=20.0),
+    Way("journal lost", Rig.lose_journal),
+    Way("hold", lambda rig: rig.order("hold")),
+    Way("stop", lambda rig: rig.order("stop")),
+    Way("SIGTERM twice", Rig.terminate_twice),
+    Way("kill -9", lambda rig: rig.daemon.process.kill()),
+    Way("emergency stop", lambda rig: rig.press("robot", signal.SIGUSR1), stands_s=20.0),
+    Way("estop by order", lambda rig: rig.order("estop"), stands_s=20.0),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What a case came to. Times in s after the cause."""
+
+    way: str
+    lift_s: float
+    order: list[tuple[float, str]]
+    contact_s: float
+    standing_s: float
+    standing_nm: float
+    peak_nm: float
+    """Deepest place that was polished since the cause, along the program too."""
+    touched_s: float
+    """When the tool last touched the part, whoever took it off."""
+
+    def at(self, what: str) -> float | None:
+        """When it happened first; None where it did not."""
+        return next((at_s for at_s, told in self.order if told == what), None)
+
+
+def measure(way: Way, lift_s: float, folder: Path) -> Cost:
+    """Bring a cell into contact, cause it, and read the plant's account once everything rests."""
+    files = write_small(folder)
+    slow = {"retract_s": lift_s + 1.0} if lift_s > 4.0 else {}
+    with _wire(files) as (link, loop):
+        cell: dict[str, dict[str, Any]] = {
+            "actuator": slow,
+            "robot": {"address": f"tcp://127.0.0.1:{link.port}"},
+            "job": {},
+        }
+        if slow:
+            cell["robot"]["watchdog_s"], cell["job"]["lookahead_s"] = lift_s + 4.0, lift_s + 4.0
+        files.cell.write_text(with_values(files.cell.read_text(), cell))
+        sim = {"actuator": {"lift_s": lift_s}, "robot": {"watchdog_s": max(lift_s + 4.0, 8.0)}}
+        files.sim.write_text(with_values(files.sim.read_text(), sim))
+        options = ["--state", str(files.sim_dir), "--seed", "3", "--speed", "1"]
+        with simulated_cell(files.sim, options, folder / "sim.stderr"), Daemon(files) as daemon:
+            daemon.wait_in_contact(BLOCKS, CONTACT_S)
+            rig = Rig(files, daemon, link, loop)
+            rig.press("plant", signal.SIGUSR1)
+            wait_for(lambda: events(files, "way_out_marked"), "the mark")
+            caused_s = time.monotonic()
+            way.cause(rig)
+            _until_at_rest(rig, way)
+    return _cost(way, lift_s, caused_s, files)
+
+
+def _until_at_rest(rig: Rig, way: Way) -> None:
+    """Motion has stopped, and the tool is up where it will be."""
+
+    def rests() -> bool:
+        last = {event["event"]: k for k, event in enumerate(events(rig.files))}
+        landed = last.get("tool_landed", -1)
+        up = last.get("retracted", -1) > landed or not way.lifts
+        return up and last.get("motion_stopped", -1) > landed
+
+    if way.name == "actuator's wire cut":
+        wait_for(lambda: rig.daemon.process.poll() is not None, "the daemon's end", SETTLE_S)
+        rig.press("actuator", signal.SIGCONT)  # the wire is whole again: what it did meanwhile is told
+    wait_for(rests, f"the cell to come to rest after {way.name}", SETTLE_S)
+
+
+def _cost(way: Way, lift_s: float, caused_s: float, files: DemoFiles) -> Cost:
+    told = account(files)["way_out"]
+    order = [
+        (round(event["mono_s"] - caused_s, 2), SHOWN[event["device"], event["event"]])
+        for event in events(files)
+        if (event["device"], event["event"]) in SHOWN and event["mono_s"] >= caused_s
+    ]
+    firsts = [pair for k, pair in enumerate(order) if pair[1] not in {word for _, word in order[:k]}]
+    figures = (told["contact_s"], told["standing_s"], told["standing_peak_nm"], told["peak_nm"])
+    figures = (*figures, told["until_s"] - caused_s)
+    return Cost(way.name, lift_s, firsts, *(round(figure, 3) for figure in figures))
+
+
+@contextmanager
+def _wire(files: DemoFiles) -> Iterator[tuple[proxy.Wire, asyncio.AbstractEventLoop]]:
+    """The robot behind a wire that can be cut, in a loop of its own."""
+    target = int(tomllib.loads(files.sim.read_text())["robot"]["port"])
+    made: list[tuple[proxy.Wire, asyncio.AbstractEventLoop, asyncio.Event]] = []
+    ready = threading.Event()
+
+    async def serve() -> None:
+        over = asyncio.Event()
+        async with proxy.wire(target) as link:
+            made.append((link, asyncio.get_running_loop(), over))
+            ready.set()
+            await over.wait()
+
+    thread = threading.Thread(target=lambda: asyncio.run(serve()), daemon=True)
+    thread.start()
+    ready.wait(10.0)
+    link, loop, over = made[0]
+    try:
+        yield link, loop
+    finally:
+        loop.call_soon_threadsafe(over.set)
+        thread.join(10.0)
+
+
+HEADER = """\
+| way out | lift s | s after the cause | standing s | dug standing, nm | deepest place, nm |
+|---|---|---|---|---|---|
+"""
+BEGIN, END = "<!-- written by make ways-out -->\n", "<!-- end of what make ways-out writes -->"
+PAGE = Path(__file__).parents[2] / "docs" / "cycle.md"
+
+
+def table(costs: Sequence[Mapping[str, Any]]) -> str:
+    """A row a case, for docs/cycle.md."""
+    rows = []
+    for cost in costs:
+        order = ", ".join(f"{what} {at_s:.1f}" for at_s, what in cost["order"])
+        figures = f"{cost['standing_s']:.2f} | {cost['standing_nm']:.0f} | {cost['peak_nm']:.0f}"
+        rows.append(f"| {cost['way']} | {cost['lift_s']:g} | {order} | {figures} |\n")
+    return HEADER + "".join(rows)
+
+
+def rows_of(page: str) -> list[list[str]]:
+    """The cells of the table in the page."""
+    written = page.partition(BEGIN)[2].partition(END)[0].removeprefix(HEADER)
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in written.splitlines()]
+
+
+def write_page(folder: Path) -> None:
+    """Put the table of what was saved into docs/cycle.md."""
+    before, _, rest = PAGE.read_text().partition(BEGIN)
+    after = rest.partition(END)[2]
+    PAGE.write_text(before + BEGIN + table(load(folder)) + END + after)
+
+
+def save(cost: Cost, folder: Path) -> None:
+    """For the table."""
+    folder.mkdir(parents=True, exist_ok=True)
+    name = f"{cost.way.replace(' ', '-').replace(chr(39), '').replace(',', '')}-{cost.lift_s:g}.json"
+    (folder / name).write_text(json.dumps(asdict(cost), indent=1))
+
+
+def load(folder: Path) -> list[dict[str, Any]]:
+    """What was saved, in the order of ``WAYS``."""
+    names = [way.name for way in WAYS]
+    found = [json.loads(path.read_text()) for path in folder.glob("*.json")]
+    return sorted(found, key=lambda cost: (names.index(cost["way"]), cost["lift_s"]))
+
+
+SAVED = Path("build/ways-out")
+
+if __name__ == "__main__":
+    write_page(SAVED)
