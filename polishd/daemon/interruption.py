@@ -35,8 +35,7 @@ async def settle(cell: Cell, journal: Journal) -> str:
     journal.end_pass(interrupted.cycle, "interrupted")
     return (
         f"pass {interrupted.cycle} was interrupted: {interrupted.done} of {interrupted.blocks} blocks are recorded as "
-        f"executed in contact; uncertain: blocks {uncertain}. None of them is run again; "
-        "resume starts with a new measurement"
+        f"executed in contact; uncertain: blocks {uncertain}. None of them is run again"
     )
 
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
+import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict, dataclass
 from typing import Any
-
-import numpy as np
 
 from polishd.daemon import dwell_step, steps
 from polishd.daemon.compute import Compute
+from polishd.daemon.job_files import plan_arrays, save_plan, save_surface, save_verdict, surface_arrays
 from polishd.daemon.journal import Journal
+from polishd.daemon.journal_records import MapRecord, PassRecord
 from polishd.daemon.recipe import Recipe
 from polishd.daemon.run_folder import RunFolder
 from polishd.daemon.safety import ContactLimits
@@ -18,19 +20,32 @@ from polishd.daemon.steps import Beliefs, Measured, Solved, Taught
 from polishd.model.cycle import Event
 from polishd.model.devices import Executed, RobotProgress
 from polishd.model.dwell import Certificate, KeptStart
-from polishd.model.errors import ComputeError, PlanRefused
+from polishd.model.errors import ComputeError, ConfigError, GateStop, PlanRefused
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
-from polishd.process.gate import Verdict
+from polishd.process.executed import executed_s
 from polishd.process.registration.record import Registration
 
 DIVERGED_RATIO, DIVERGED_NM = 1.3, 1.0
 """A surface that is worse than the best one so far by this ratio, and by more than noise and ripple, ends the job."""
-START = "start.npz"
-"""What a cycle's solution leaves for the next solve to start from."""
 PROGRESS_BLOCKS = 50
-"""Blocks between two progress events."""
+"""Blocks between two progress events; between them nobody else has a turn on the event loop."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """A plan as the journal names it, and what the next cycle needs of it."""
+
+    plan: str
+    """Names in the array store: all its arrays, and what the next solve can start from."""
+    start: str
+    certificate: Mapping[str, Any]
+    asked_s: FloatArray
+    """(n,) time that it wrote into the program."""
+    kept: KeptStart
 
 
 class Job:
@@ -62,11 +77,28 @@ class Job:
         self._check_plan = check_plan
         self._beliefs = Beliefs(block_overhead_s=recipe.envelope.block_overhead_s)
         self._surfaces: dict[int, Measured] = {}
+        self._planned: dict[int, Planned] = {}
         self._masks: tuple[Any, Any] | None = None
         self._lay: Registration | None = None
         """Where the part lay in the last map."""
         self._blocks = 0
-        self._restore()
+
+    async def load(self) -> None:
+        """Take up what an earlier run of the daemon knew: masks, beliefs, last surface and last plan.
+
+        ConfigError where the store has lost something that the journal names.
+        """
+        history, passes = self._journal.history, self._journal.passes
+        if not history:
+            return
+        first, last = self._measured(history[0]), self._measured(history[-1])
+        self._masks, self._lay = (first.solve_mask, first.metric_mask), last.registration
+        if passes:
+            record = passes[-1]
+            self._surfaces = {found.cycle: self._measured(found) for found in history if found.cycle == record.cycle}
+            self._planned = {record.cycle: self._plan_of(record)}
+            self._beliefs = Beliefs(float(record.facts["rate"]), float(record.facts["block_overhead_s"]))
+        await self._for_people(self._remake)
 
     @property
     def last_cycle(self) -> int:
@@ -78,10 +110,13 @@ class Job:
     async def measured(self, cycle: int, surface: SurfaceMap) -> Measured:
         """The map on the process grid; journalled and kept in the run folder."""
         measured = await self._compute(steps.condition, self.recipe, surface, self._masks, self._lay)
+        arrays = await asyncio.to_thread(self._journal.arrays.put, surface_arrays(measured))
+        told = {"spikes": measured.spikes, "notes": list(measured.notes), "run_dir": str(self._folder.path)}
+        stats = {**asdict(measured.stats), **told}
+        self._journal.record_map(cycle, surface.sha256, surface.path or "", stats, arrays)
         self._masks, self._lay = (measured.solve_mask, measured.metric_mask), measured.registration
-        save_surface(self._folder.cycle(cycle), surface, measured)
-        stats = {**asdict(measured.stats), "spikes": measured.spikes, "run_dir": str(self._folder.path)}
-        self._journal.record_map(cycle, surface.sha256, surface.path or "", stats)
+        await self._for_people(save_surface, self._folder.cycle(cycle), surface, measured)
+        await self._for_people(self._remake)
         self._publish(Event("measured", cycle, stats))
         return measured
 
@@ -108,18 +143,19 @@ class Job:
         done = [record for record in self._journal.passes if record.cycle == cycle - 1 and record.how == "done"]
         if before is None or not done:
             return
-        asked = self._folder.cycle(cycle - 1).load_arrays("plan.npz")["asked_s"]
-        executed = self.executed_s(cycle - 1)
+        executed = await asyncio.to_thread(self.executed_s, cycle - 1)
+        times = (self._planned[cycle - 1].asked_s, executed)
         taught: Taught = await self._compute(
-            steps.learn, self.recipe, self._program, (before, surface), (asked, executed), self._beliefs
+            steps.learn, self.recipe, self._program, (before, surface), times, self._beliefs
         )
         folder = self._folder.cycle(cycle)
-        save_verdict(folder, taught.verdict, surface)
+        await self._for_people(save_verdict, folder, taught.verdict, surface)
         if taught.learned is None:
             self._publish(Event("gate_stopped", cycle, {"stop": taught.verdict.stop, "cycle_dir": str(folder.path)}))
-            raise ComputeError(f"{taught.verdict.stop} (see {folder.path / 'gate.png'})")
+            raise GateStop(f"{taught.verdict.stop} (see {folder.path / 'gate.png'})")
         self._beliefs = taught.beliefs
-        folder.json("learned.json", {"beliefs": asdict(self._beliefs), **asdict(taught.learned)})
+        learned = {"beliefs": asdict(self._beliefs), **asdict(taught.learned)}
+        await self._for_people(folder.json, "learned.json", learned)
         self._publish(Event("learned", cycle, asdict(self._beliefs)))
 
     async def solve(self, cycle: int, surface: Measured) -> Solved:
@@ -130,27 +166,25 @@ class Job:
             self._program,
             surface,
             self._beliefs,
-            self._kept_start(cycle - 1),
-            within_s=6 * self.recipe.solve_s + 30.0,
+            self._planned[cycle - 1].kept if cycle - 1 in self._planned else None,
+            within_s=dwell_step.limit(self.recipe),
         )
-        self._folder.cycle(cycle).json("certificate.json", solved.dwell.certificate)
+        await self._for_people(self._folder.cycle(cycle).json, "certificate.json", solved.dwell.certificate)
         self._publish(Event("solved", cycle, asdict(solved.dwell.certificate)))
         return solved
 
-    def _kept_start(self, cycle: int) -> KeptStart | None:
-        """What an earlier cycle's solution left to start from; None where there is none that fits this program."""
-        if cycle < 0 or not (self._folder.cycle(cycle).path / START).exists():
-            return None
-        arrays = self._folder.cycle(cycle).load_arrays(START)
-        time_s = arrays.pop("time_s")
-        return KeptStart(time_s, arrays) if time_s.shape == (self._program.n,) else None
-
     async def plan(self, cycle: int, solved: Solved) -> Plan:
-        """The rewritten program, kept in the run folder with what the next solve can start from."""
+        """The rewritten program; what the next cycle needs of it is kept for the journal, the rest for people."""
         plan = await self._compute(steps.rewrite, self.recipe, self._program, solved, self._program.name)
-        folder = self._folder.cycle(cycle)
-        save_plan(folder, self.recipe, plan, solved)
-        folder.arrays(START, {"time_s": solved.dwell.time_s, **solved.dwell.state})
+        store, dwell = self._journal.arrays, solved.dwell
+        self._planned[cycle] = Planned(
+            plan=await asyncio.to_thread(store.put, plan_arrays(self.recipe, plan, solved)),
+            start=await asyncio.to_thread(store.put, {"time_s": dwell.time_s, **dwell.state}),
+            certificate=asdict(dwell.certificate),
+            asked_s=solved.asked_s,
+            kept=KeptStart(dwell.time_s, dwell.state),
+        )
+        await self._for_people(save_plan, self._folder.cycle(cycle), self.recipe, plan, solved)
         return plan
 
     def refuse_unsafe(self, plan: Plan) -> None:
@@ -163,9 +197,11 @@ class Job:
 
     async def begin_pass(self, cycle: int, plan: Plan, robot: RobotProgress) -> None:
         """The intent, durable before anything moves."""
-        certificate = self._folder.cycle(cycle).load_json("certificate.json")
+        planned = self._planned[cycle]
+        self._planned = {cycle: planned}  # what came before is of no more use
         facts = {
-            "predicted_rms_nm": certificate["predicted_rms_nm"],
+            "certificate": planned.certificate,
+            "predicted_rms_nm": planned.certificate["predicted_rms_nm"],
             "dwell_s": plan.total_s,
             "rate": self._beliefs.rate,
             "block_overhead_s": self._beliefs.block_overhead_s,
@@ -178,32 +214,29 @@ class Job:
             len(plan.segments),
             contact=(plan.approach_blocks, plan.contact_blocks),
             facts=facts,
+            plan=planned.plan,
+            start=planned.start,
         )
         self._publish(Event("pass_begun", cycle, {"blocks": plan.contact_blocks, "dwell_s": plan.total_s}))
 
-    def executed(self, cycle: int, block: Executed) -> None:
-        """One block was executed in contact."""
+    async def executed(self, cycle: int, block: Executed) -> None:
+        """One block was executed in contact. Where many are told at once, others have their turns meanwhile."""
         self._journal.executed_segment(cycle, block, contact=True)
         self._blocks += 1
         if self._blocks % PROGRESS_BLOCKS == 0:
             self._publish(Event("progress", cycle, {"block": block.seq + 1}))
+            await asyncio.sleep(0)
 
-    def end_pass(self, cycle: int) -> None:
+    async def end_pass(self, cycle: int) -> None:
         """The pass is over, tool lifted, robot at rest."""
-        self._journal.flush()
         self._journal.end_pass(cycle, "done")
-        blocks = self._journal.executed(cycle)
-        columns = {"seq": blocks.seq, "start_s": blocks.start_s, "end_s": blocks.end_s, "contact": blocks.contact}
-        self._folder.cycle(cycle).table("executed.csv", columns)
-        self._publish(Event("pass_ended", cycle, {"executed_s": float(self.executed_s(cycle).sum())}))
+        await self._for_people(self._save_executed, cycle)
+        self._publish(Event("pass_ended", cycle, {"executed_s": self._journal.contact_s(cycle)}))
 
     def executed_s(self, cycle: int) -> FloatArray:
         """(n,) process time that each timed point really had in that cycle's pass, s; 0 where it was not run."""
         blocks = self._journal.executed(cycle)
-        lines = np.zeros(max(int(blocks.seq.max(initial=-1)), int(self._program.block.max())) + 1)
-        np.add.at(lines, blocks.seq[blocks.contact], blocks.duration_s[blocks.contact])
-        until = np.cumsum(lines)[self._program.block]  # with what leads to a point: a dwell's own move
-        return np.asarray(np.diff(until, prepend=0.0), dtype=np.float64)
+        return executed_s(self._program.block, blocks.seq[blocks.contact], blocks.duration_s[blocks.contact])
 
     def cycles(self) -> list[dict[str, Any]]:
         """One entry a measurement; what belongs to the pass after it is None where there was none."""
@@ -211,8 +244,10 @@ class Job:
         return [
             {
                 **{key: record.stats[key] for key in ("rms_nm", "pv_nm", "lsf_rms_nm", "band_rms_nm")},
+                "how": (passes[record.cycle].how or "begun") if record.cycle in passes else None,
                 **{key: _fact(passes.get(record.cycle), key) for key in ("predicted_rms_nm", "dwell_s", "rate")},
-                "executed_s": float(self.executed_s(record.cycle).sum()) if record.cycle in passes else None,
+                "executed_s": self._journal.contact_s(record.cycle) if record.cycle in passes else None,
+                "notes": record.stats.get("notes", []),
             }
             for record in self._journal.history
         ]
@@ -228,23 +263,41 @@ class Job:
             "cycles": self.cycles(),
         }
 
-    def _restore(self) -> None:
-        """Masks, last surface and beliefs of a job that an earlier run of the daemon began."""
-        history = self._journal.history
-        if not history:
-            return
-        first = self._load(history[0].cycle, history[0].sha256)
-        self._masks = (first.solve_mask, first.metric_mask)
-        self._lay = self._load(history[-1].cycle, history[-1].sha256).registration
-        passes = self._journal.passes
-        if passes:
-            before = [record for record in history if record.cycle == passes[-1].cycle]
-            self._surfaces = {record.cycle: self._load(record.cycle, record.sha256) for record in before}
-            facts = passes[-1].facts
-            self._beliefs = Beliefs(float(facts["rate"]), float(facts["block_overhead_s"]))
+    def _measured(self, record: MapRecord) -> Measured:
+        return steps.load_measured(self.recipe, self._journal.arrays.get(record.arrays), record.sha256)
 
-    def _load(self, cycle: int, sha256: str) -> Measured:
-        return steps.load_measured(self.recipe, self._folder.cycle(cycle).load_arrays("surface.npz"), sha256)
+    def _plan_of(self, record: PassRecord) -> Planned:
+        store = self._journal.arrays
+        start = store.get(record.start)
+        kept = KeptStart(start.pop("time_s"), start)
+        return Planned(record.plan, record.start, record.facts["certificate"], store.get(record.plan)["asked_s"], kept)
+
+    async def _for_people(self, write: Callable[..., None], *arguments: Any) -> None:
+        """Write to the run folder beside the event loop. What people cannot be left does not end a job."""
+        try:
+            await asyncio.to_thread(write, *arguments)
+        except (OSError, ConfigError) as error:
+            log.error("the run folder cannot be written: %s; the job goes on without", error)
+
+    def _save_executed(self, cycle: int) -> None:
+        blocks = self._journal.executed(cycle)
+        columns = {"seq": blocks.seq, "start_s": blocks.start_s, "end_s": blocks.end_s, "contact": blocks.contact}
+        self._folder.cycle(cycle).table("executed.csv", columns)
+
+    def _remake(self) -> None:
+        """Make anew what the report draws from, where somebody deleted it."""
+        store = self._journal.arrays
+        for found in self._journal.history:
+            folder = self._folder.cycle(found.cycle)
+            if not folder.holds("surface.npz"):
+                folder.bytes("surface.npz", store.content(found.arrays))
+        for record in self._journal.passes:
+            folder = self._folder.cycle(record.cycle)
+            if not folder.holds("plan.npz"):
+                folder.bytes("plan.npz", store.content(record.plan))
+                folder.json("certificate.json", record.facts["certificate"])
+            if record.how == "done" and not folder.holds("executed.csv"):
+                self._save_executed(record.cycle)
 
 
 def require_certificate(certificate: Certificate, recipe: Recipe) -> None:
@@ -261,71 +314,6 @@ def require_certificate(certificate: Certificate, recipe: Recipe) -> None:
             f"the dwell of {certificate.solver} has no valid certificate ({'; '.join(wrong)}; it stopped: "
             f"{certificate.stopped}); nothing was sent. Give it more time (dwell.within_s) or another dwell.solver"
         )
-
-
-def save_surface(folder: RunFolder, surface: SurfaceMap, measured: Measured) -> None:
-    """The map's own file, and what is made of it on the process grid."""
-    if surface.path is not None:
-        folder.copy(surface.path, f"map{surface.path.suffix}")
-    folder.arrays(
-        "surface.npz",
-        {
-            "height_nm": np.where(measured.solve_mask, measured.height_nm, np.nan),
-            "solve_mask": measured.solve_mask,
-            "metric_mask": measured.metric_mask,
-            "pitch_mm": measured.grid.pitch_mm,
-            "lies": np.array([*measured.registration.shift_mm, measured.registration.rotation_deg]),
-        },
-    )
-    folder.json("registration.json", measured.registration)
-
-
-def save_verdict(folder: RunFolder, verdict: Verdict, surface: Measured) -> None:
-    """What the gate found and, where it stops, the maps that it compared: for the picture."""
-    plain = {item.name: getattr(verdict, item.name) for item in fields(verdict)}
-    maps = {key: value for key, value in plain.items() if isinstance(value, np.ndarray)}
-    words = {key: value for key, value in plain.items() if key not in maps}
-    folder.json("gate.json", {**words, "best": {**asdict(verdict.best), "name": verdict.best.name}})
-    if verdict.stop:
-        folder.arrays("gate.npz", {**maps, "metric_mask": surface.metric_mask, "pitch_mm": surface.grid.pitch_mm})
-
-
-def save_plan(folder: RunFolder, recipe: Recipe, plan: Plan, solved: Solved) -> None:
-    """Program, dwell and arrays of a plan, in the part's frame."""
-    program = steps.in_part_frame(recipe, plan.program)
-    if solved.curve:
-        folder.json("curve.json", list(solved.curve))
-    folder.bytes("program.rnc", plan.program.text)
-    folder.table(
-        "dwell.csv",
-        {
-            "point": np.arange(program.n),
-            "line": program.line,
-            "x_mm": program.end_mm[:, 0],
-            "y_mm": program.end_mm[:, 1],
-            "dwell_s": solved.dwell.time_s,
-            "asked_s": solved.asked_s,
-            "expected_s": plan.expected_time_s,
-        },
-    )
-    folder.arrays(
-        "plan.npz",
-        {
-            "block": plan.program.block,
-            "time_s": solved.dwell.time_s,
-            "asked_s": solved.asked_s,
-            "expected_s": plan.expected_time_s,
-            "lower_s": solved.dwell.lower_s,
-            "compliance_um_per_n": solved.answer.compliance_um_per_n,
-            "gamma": solved.answer.gamma,
-            "start_mm": program.start_mm,
-            "end_mm": program.end_mm,
-            "predicted_removal_nm": plan.predicted_removal_nm,
-            "residual_nm": solved.dwell.residual_nm,
-            "curve_s": np.array([row["total_s"] for row in solved.curve]),
-            "curve_nm": np.array([row["rms_nm"] for row in solved.curve]),
-        },
-    )
 
 
 def _figure(stats: Mapping[str, Any]) -> float:

@@ -7,114 +7,141 @@ import json
 import time
 from collections.abc import AsyncIterator, Iterable, Iterator, Mapping
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Any, NoReturn, Self
 
 import numpy as np
 
-from polishd.daemon.journal_records import ExecutedBlocks, Interrupted, MapRecord, PassRecord, PhaseRecord
+from polishd.daemon.array_store import ArrayStore
+from polishd.daemon.journal_memory import Known, read_job, read_tally, unfinished
+from polishd.daemon.journal_records import ExecutedBlocks, Interrupted, MapRecord, PassRecord, PhaseRecord, Tally
+from polishd.daemon.journal_schema import Connect, connect
 from polishd.daemon.journal_store import Row, Store
 from polishd.daemon.plain import plain
 from polishd.model.cycle import Event, Outcome, Phase
 from polishd.model.devices import Executed
 from polishd.model.errors import PolishdError
 
-JOURNAL_NAME = "journal.sqlite"
+JOURNAL_NAME, ARRAYS_NAME = "journal.sqlite", "store"
+NOTHING = Tally()
 
+_INTENT = (
+    "INSERT INTO pass (job, cycle, program_sha256, boot_id, blocks, contact_from, contact_to, facts, started, plan, "
+    "start) VALUES (?,?,?,?,?,?,?,?,?,?,?)"
+)
 _SEGMENT = "INSERT OR IGNORE INTO segment VALUES (?, ?, ?, ?, ?, ?, ?)"
 
 
 class Journal:
-    """One job's view of the journal: the unfinished job of that name and part goes on, else a new one begins.
+    """One job's view of the journal.
 
-    Any error of the disk raises SafetyStop, from then on from every method: polishing stops.
+    Any error of the disk raises SafetyStop, from then on from every method that goes to it: polishing stops.
     """
 
-    def __init__(self, state_dir: Path, *, job: str, part_id: str, config_sha256: str = "") -> None:
-        self._store = Store(state_dir / JOURNAL_NAME)
-        self.superseded: str | None = None
-        """Name of an unfinished job that this one replaces (another job, or another part)."""
-        rows = self._store.read("SELECT id, name, part_id FROM job WHERE outcome IS NULL ORDER BY id DESC LIMIT 1")
-        self.resumed = bool(rows) and rows[0][1:] == (job, part_id)
+    def __init__(self, store: Store, arrays: ArrayStore, job: int, known: Known, *, resumed: bool) -> None:
+        self._store = store
+        self._job = job
+        self._known = known
+        self.arrays = arrays
+        """Large arrays that its rows name."""
+        self.resumed = resumed
         """This job was begun by an earlier run of the daemon."""
-        if self.resumed:
-            self._job = int(rows[0][0])
-        else:
-            self._job = self._begin(job, part_id, config_sha256, [row[1] for row in rows])
-        self._contact: dict[int, tuple[int, int]] = {
-            record.cycle: (record.contact_from, record.contact_to) for record in self.passes
-        }
 
-    # what is known
+    @classmethod
+    def open(
+        cls,
+        state_dir: Path,
+        *,
+        job: str,
+        part_id: str,
+        terms: Mapping[str, Any] = MappingProxyType({}),
+        connect: Connect = connect,
+    ) -> Self:
+        """Open the journal of a state folder, and go on with its unfinished job of that name, or begin a new one.
+
+        ``terms`` is what the job is begun with (``same_job``): kept with a job of which nothing is measured yet.
+        A job of another name that was not finished is superseded. ConfigError where the file cannot be used.
+        """
+        store, arrays = Store.open(state_dir / JOURNAL_NAME, connect), ArrayStore(state_dir / ARRAYS_NAME)
+        try:
+            rows = store.read("SELECT id, name FROM job WHERE outcome IS NULL ORDER BY id DESC LIMIT 1")
+            resumed = bool(rows) and rows[0][1] == job
+            number = int(rows[0][0]) if resumed else _begin(store, job, part_id)
+            if not resumed:
+                arrays.clear()
+            journal = cls(store, arrays, number, read_job(store, number), resumed=resumed)
+            if not journal.begun:
+                journal._take(part_id, terms)
+        except BaseException:
+            store.close()
+            raise
+        return journal
+
+    # what is known: from memory, but for ``executed``
+
+    @property
+    def begun(self) -> bool:
+        """Whether this job has measured anything: from then on it goes on with what it was begun with."""
+        return bool(self._known.maps or self._known.passes)
+
+    @property
+    def terms(self) -> Mapping[str, Any] | None:
+        """What this job was begun with; None where the polishd that began it did not write it down."""
+        return self._known.terms
+
+    @property
+    def run_dir(self) -> str:
+        """Its run folder; empty where none was made yet."""
+        return self._known.run_dir
 
     def remaining(self, cycles: int) -> Iterator[int]:
         """Cycles yet to do of so many: each starts with a measurement, so one after a begun pass is a new one."""
-        begun = [record.cycle for record in self.passes]
-        yield from range(max(begun, default=-1) + 1, cycles)
+        yield from range(max(self._known.passes, default=-1) + 1, cycles)
 
     @property
     def last_map_id(self) -> str | None:
         """sha256 of the last map taken, by any job of this cell."""
-        rows = self._store.read("SELECT sha256 FROM map ORDER BY id DESC LIMIT 1")
-        return str(rows[0][0]) if rows else None
+        return self._known.last_map_id
 
     @property
     def history(self) -> tuple[MapRecord, ...]:
         """The maps of this job, the last one of each cycle."""
-        sql = (
-            "SELECT cycle, sha256, path, stats, taken FROM map WHERE id IN "
-            "(SELECT max(id) FROM map WHERE job = ? GROUP BY cycle) ORDER BY cycle"
-        )
-        return tuple(MapRecord(c, sha, path, json.loads(s), t) for c, sha, path, s, t in self._read(sql))
+        return tuple(self._known.maps.values())
 
     @property
     def passes(self) -> tuple[PassRecord, ...]:
         """The passes begun by this job."""
-        sql = (
-            "SELECT cycle, program_sha256, boot_id, blocks, contact_from, contact_to, facts, started, ended, how "
-            "FROM pass WHERE job = ? ORDER BY cycle"
-        )
-        return tuple(
-            PassRecord(cycle, sha, boot, blocks, first, end, json.loads(facts), started, ended, how)
-            for cycle, sha, boot, blocks, first, end, facts, started, ended, how in self._read(sql)
-        )
+        return tuple(self._known.passes.values())
 
     @property
     def phases(self) -> tuple[PhaseRecord, ...]:
         """The phases of this job, in time order."""
-        sql = "SELECT cycle, phase, started, ended, outcome, error FROM phase WHERE job = ? ORDER BY id"
-        return tuple(PhaseRecord(*row) for row in self._read(sql))
+        return tuple(self._known.phases.values())
+
+    def contact_s(self, cycle: int) -> float:
+        """Process time of the blocks that were executed in contact in that cycle's pass."""
+        return self._known.tallies.get(cycle, NOTHING).contact_s
 
     def executed(self, cycle: int) -> ExecutedBlocks:
-        """What the robot executed in that cycle's pass; empty where there was none."""
+        """What the robot executed in that cycle's pass; empty where there was none. Grows with it: call in a thread."""
         sql = "SELECT seq, start_s, end_s, in_contact, recovered FROM segment WHERE job = ? AND cycle = ? ORDER BY seq"
-        table = np.array(self._store.read(sql, (self._job, cycle)), dtype=np.float64).reshape(-1, 5)
-        seq, start_s, end_s, contact, recovered = table.T.copy()
+        seq, start_s, end_s, contact, recovered = self._store.read_table(sql, (self._job, cycle), 5).T.copy()
         return ExecutedBlocks(seq.astype(np.int64), start_s, end_s, contact.astype(bool), recovered.astype(bool))
+
+    def errors(self) -> list[tuple[float, str, Mapping[str, Any]]]:
+        """What held or ended this job's daemon, in time order: Unix time, event's name, its data."""
+        sql = "SELECT at, name, data FROM event WHERE job = ? AND name IN ('held', 'failed') ORDER BY id"
+        return [(at, name, json.loads(data)) for at, name, data in self._store.read(sql, (self._job,))]
 
     def unfinished(self) -> Interrupted | None:
         """The pass that was begun and never ended, or None."""
-        for record in self.passes:
-            if record.ended_s is None:
-                seqs = self.executed(record.cycle).seq
-                last = int(seqs[-1]) if seqs.size else -1
-                return Interrupted(
-                    cycle=record.cycle,
-                    program_sha256=record.program_sha256,
-                    boot_id=record.boot_id,
-                    blocks=record.blocks,
-                    done=int(seqs.size),
-                    last_seq=last,
-                    uncertain=tuple(range(last + 1, record.blocks)),
-                    started_s=record.started_s,
-                )
-        return None
+        return unfinished(self._known)
 
     def finished(self) -> Outcome | None:
         """How this job ended, or None while it has not."""
-        rows = self._store.read("SELECT outcome FROM job WHERE id = ?", (self._job,))
-        return None if rows[0][0] is None else Outcome(rows[0][0])
+        return None if self._known.outcome is None else Outcome(self._known.outcome)
 
     # what is recorded; all but executed_segment and record_event are durable when they return
 
@@ -133,10 +160,18 @@ class Journal:
             raise
         self._end_phase(number, "done", None)
 
-    def record_map(self, cycle: int, sha256: str, path: Path | str, stats: Mapping[str, Any]) -> None:
-        """A map was taken for that cycle."""
-        values = (self._job, cycle, sha256, str(path), json.dumps(dict(stats), default=plain), time.time())
-        self._store.write(("INSERT INTO map (job, cycle, sha256, path, stats, taken) VALUES (?,?,?,?,?,?)", values))
+    def record_run_dir(self, path: Path) -> None:
+        """This job's run folder is there."""
+        self._store.write(("UPDATE job SET run_dir = ? WHERE id = ?", (str(path), self._job)))
+        self._known.run_dir = str(path)
+
+    def record_map(self, cycle: int, sha256: str, path: Path | str, stats: Mapping[str, Any], arrays: str = "") -> None:
+        """A map was taken for that cycle; ``arrays`` names what was made of it."""
+        text, now = json.dumps(dict(stats), default=plain), time.time()
+        sql = "INSERT INTO map (job, cycle, sha256, path, stats, taken, arrays) VALUES (?,?,?,?,?,?,?)"
+        self._store.write((sql, (self._job, cycle, sha256, str(path), text, now, arrays)))
+        self._known.maps[cycle] = MapRecord(cycle, sha256, str(path), json.loads(text), now, arrays)
+        self._known.last_map_id = sha256
 
     def begin_pass(
         self,
@@ -147,31 +182,32 @@ class Journal:
         *,
         contact: tuple[int, int] | None = None,
         facts: Mapping[str, Any] | None = None,
+        plan: str = "",
+        start: str = "",
     ) -> None:
         """The intent to run a program: durable before the robot is started. A cycle has one pass, ever.
 
         ``contact`` is the range of sequence numbers with the tool on the part (end excluded; default: all);
-        ``facts`` is kept for the summary.
+        ``facts`` is kept for the summary; ``plan`` and ``start`` name arrays that a later cycle needs.
         """
-        first, end = contact or (0, blocks)
-        values = (
-            self._job,
-            cycle,
-            program_sha256,
-            boot_id,
-            blocks,
-            first,
-            end,
-            json.dumps(dict(facts or {}), default=plain),
-        )
-        if any(record.cycle == cycle for record in self.passes):
+        if cycle in self._known.passes:
             raise PolishdError(f"journal: cycle {cycle} has had its pass; nothing is run twice")
-        self._store.write(("INSERT INTO pass VALUES (?,?,?,?,?,?,?,?,?,NULL,NULL)", (*values, time.time())))
-        self._contact[cycle] = (first, end)
+        first, end = contact or (0, blocks)
+        text, now = json.dumps(dict(facts or {}), default=plain), time.time()
+        begun = (cycle, program_sha256, boot_id, blocks, first, end)
+        self._store.write((_INTENT, (self._job, *begun, text, now, plan, start)))
+        self._known.passes[cycle] = PassRecord(*begun, json.loads(text), now, plan=plan, start=start)
+        self._known.tallies[cycle] = NOTHING
 
     def executed_segment(self, cycle: int, block: Executed, contact: bool | None = None) -> None:
         """A block was executed (buffered: durable within 0.25 s). One that is recorded already changes nothing."""
-        self._store.buffer(self._segment(cycle, block, contact, recovered=False))
+        row = self._segment(cycle, block, contact, recovered=False)
+        self._store.buffer(row)
+        tally = self._known.tallies.get(cycle, NOTHING)
+        if block.seq > tally.last_seq:
+            touching = row[1][5]
+            seconds = tally.contact_s + touching * (block.end_s - block.start_s)
+            self._known.tallies[cycle] = Tally(tally.done + 1, block.seq, seconds)
 
     def flush(self) -> None:
         """Make all that is buffered durable now."""
@@ -179,14 +215,19 @@ class Journal:
 
     def end_pass(self, cycle: int, how: str) -> None:
         """The pass is over, and it is known how: ``done``, ``stopped: ...``, ``interrupted``."""
+        now = time.time()
         sql = "UPDATE pass SET ended = ?, how = ? WHERE job = ? AND cycle = ? AND ended IS NULL"
-        self._store.write((sql, (time.time(), how, self._job, cycle)))
+        self._store.write((sql, (now, how, self._job, cycle)))
+        record = self._known.passes[cycle]
+        if record.ended_s is None:
+            self._known.passes[cycle] = replace(record, ended_s=now, how=how)
 
     def reconcile(self, cycle: int, executed: Iterable[Executed]) -> int:
         """Add blocks that the robot says it executed and the journal does not know; says how many were new."""
-        before = self.executed(cycle).seq.size
+        before = self._known.tallies.get(cycle, NOTHING).done
         self._store.write(*(self._segment(cycle, block, None, recovered=True) for block in executed))
-        return int(self.executed(cycle).seq.size - before)
+        self._known.tallies[cycle] = read_tally(self._store, self._job, cycle)
+        return self._known.tallies[cycle].done - before
 
     def record_event(self, event: Event) -> None:
         """Keep an event (buffered)."""
@@ -197,6 +238,7 @@ class Journal:
         """The job is over; the next Journal of this state folder begins a new one."""
         sql = "UPDATE job SET ended = ?, outcome = ?, detail = ? WHERE id = ?"
         self._store.write((sql, (time.time(), outcome.value, detail, self._job)))
+        self._known.outcome = outcome.value
 
     def copy_to(self, path: Path) -> None:
         """A whole copy for the run folder."""
@@ -220,28 +262,33 @@ class Journal:
         """Close."""
         self.close()
 
-    def _read(self, sql: str) -> list[tuple[Any, ...]]:
-        return self._store.read(sql, (self._job,))
-
-    def _begin(self, job: str, part_id: str, config_sha256: str, unfinished: list[str]) -> int:
-        if unfinished:
-            self.superseded = unfinished[0]
-            sql = "UPDATE job SET ended = ?, outcome = 'stopped', detail = 'superseded' WHERE outcome IS NULL"
-            self._store.write((sql, (time.time(),)))
-        sql = "INSERT INTO job (name, part_id, config_sha256, started) VALUES (?, ?, ?, ?)"
-        self._store.write((sql, (job, part_id, config_sha256, time.time())))
-        return int(self._store.read("SELECT max(id) FROM job")[0][0])
+    def _take(self, part_id: str, terms: Mapping[str, Any]) -> None:
+        sql = "UPDATE job SET part_id = ?, terms = ? WHERE id = ?"
+        self._store.write((sql, (part_id, json.dumps(dict(terms)), self._job)))
+        self._known.terms = json.loads(json.dumps(dict(terms)))
 
     def _insert_phase(self, cycle: int, phase: Phase) -> int:
-        sql = "INSERT INTO phase (job, cycle, phase, started) VALUES (?, ?, ?, ?)"
-        self._store.write((sql, (self._job, cycle, phase.value, time.time())))
-        return int(self._store.read("SELECT max(id) FROM phase")[0][0])
+        sql, now = "INSERT INTO phase (job, cycle, phase, started) VALUES (?, ?, ?, ?)", time.time()
+        self._store.write((sql, (self._job, cycle, phase.value, now)))
+        number = int(self._store.read("SELECT max(id) FROM phase")[0][0])
+        self._known.phases[number] = PhaseRecord(cycle, phase.value, now, None, None, None)
+        return number
 
     def _end_phase(self, number: int, outcome: str, error: str | None) -> None:
-        sql = "UPDATE phase SET ended = ?, outcome = ?, error = ? WHERE id = ?"
-        self._store.write((sql, (time.time(), outcome, error, number)))
+        sql, now = "UPDATE phase SET ended = ?, outcome = ?, error = ? WHERE id = ?", time.time()
+        self._store.write((sql, (now, outcome, error, number)))
+        self._known.phases[number] = replace(self._known.phases[number], ended_s=now, outcome=outcome, error=error)
 
     def _segment(self, cycle: int, block: Executed, contact: bool | None, *, recovered: bool) -> Row:
-        first, end = self._contact.get(cycle, (0, 0))
-        touching = first <= block.seq < end if contact is None else contact
+        record = self._known.passes.get(cycle)
+        within = record is not None and record.contact_from <= block.seq < record.contact_to
+        touching = within if contact is None else contact
         return _SEGMENT, (self._job, cycle, block.seq, block.start_s, block.end_s, touching, recovered)
+
+
+def _begin(store: Store, job: str, part_id: str) -> int:
+    """A new row; a job that was not finished is over then."""
+    sql = "UPDATE job SET ended = ?, outcome = 'stopped', detail = 'superseded' WHERE outcome IS NULL"
+    new = "INSERT INTO job (name, part_id, terms, started) VALUES (?, ?, 'null', ?)"
+    store.write((sql, (time.time(),)), (new, (job, part_id, time.time())))
+    return int(store.read("SELECT max(id) FROM job")[0][0])

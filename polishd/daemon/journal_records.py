@@ -20,6 +20,8 @@ class MapRecord:
     stats: Mapping[str, Any]
     taken_s: float
     """Unix time."""
+    arrays: str = ""
+    """Name in the array store of what was made of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +48,23 @@ class PassRecord:
     contact_to: int
     facts: Mapping[str, Any]
     started_s: float
-    ended_s: float | None
-    how: str | None
+    ended_s: float | None = None
+    how: str | None = None
+    plan: str = ""
+    """Names in the array store: the plan, and what the next solve can start from."""
+    start: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """How much of one pass is recorded as executed."""
+
+    done: int = 0
+    """Blocks."""
+    last_seq: int = -1
+    """The last of them; -1 for none."""
+    contact_s: float = 0.0
+    """Process time of those in contact."""
 
 
 @dataclass(frozen=True, slots=True)

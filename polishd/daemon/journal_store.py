@@ -8,43 +8,21 @@ thread of its own commits it, so that a slow disk never stalls the event loop wh
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import os
 import sqlite3
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, Self
 
-from polishd.files import sync_folder
-from polishd.model.errors import ConfigError, SafetyStop
+import numpy as np
 
-SCHEMA_VERSION = 1
+from polishd.daemon.journal_schema import Connect, connect, copy_whole, open_file
+from polishd.model.errors import SafetyStop
+from polishd.model.surface import FloatArray
+
 COMMIT_S = 0.25
 """Longest that a buffered row waits for its commit."""
 COMMIT_ROWS = 512
-
-SCHEMA = """
-CREATE TABLE job (
-    id INTEGER PRIMARY KEY, name TEXT NOT NULL, part_id TEXT NOT NULL, config_sha256 TEXT NOT NULL,
-    started REAL NOT NULL, ended REAL, outcome TEXT, detail TEXT);
-CREATE TABLE map (
-    id INTEGER PRIMARY KEY, job INTEGER NOT NULL REFERENCES job, cycle INTEGER NOT NULL, sha256 TEXT NOT NULL,
-    path TEXT NOT NULL, stats TEXT NOT NULL, taken REAL NOT NULL);
-CREATE TABLE phase (
-    id INTEGER PRIMARY KEY, job INTEGER NOT NULL REFERENCES job, cycle INTEGER NOT NULL, phase TEXT NOT NULL,
-    started REAL NOT NULL, ended REAL, outcome TEXT, error TEXT);
-CREATE TABLE pass (
-    job INTEGER NOT NULL REFERENCES job, cycle INTEGER NOT NULL, program_sha256 TEXT NOT NULL,
-    boot_id TEXT NOT NULL, blocks INTEGER NOT NULL, contact_from INTEGER NOT NULL, contact_to INTEGER NOT NULL,
-    facts TEXT NOT NULL, started REAL NOT NULL, ended REAL, how TEXT, PRIMARY KEY (job, cycle));
-CREATE TABLE segment (
-    job INTEGER NOT NULL, cycle INTEGER NOT NULL, seq INTEGER NOT NULL, start_s REAL NOT NULL, end_s REAL NOT NULL,
-    in_contact INTEGER NOT NULL, recovered INTEGER NOT NULL, PRIMARY KEY (job, cycle, seq)) WITHOUT ROWID;
-CREATE TABLE event (
-    id INTEGER PRIMARY KEY, job INTEGER NOT NULL, at REAL NOT NULL, cycle INTEGER, name TEXT NOT NULL,
-    data TEXT NOT NULL);
-"""
 
 Row = tuple[str, tuple[Any, ...]]
 """One SQL statement and its values."""
@@ -56,9 +34,9 @@ class Store:
     After an I/O error SQLite would go on with the next insert, as if nothing were lost; this does not.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self.path = path
-        self._connection = _open(path)
+        self._connection = connection
         self._use = threading.RLock()
         self._buffer: list[Row] = []
         self._pending = threading.Condition()
@@ -66,7 +44,13 @@ class Store:
         self._failure: str | None = None
         self._waiters: list[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = []
         self._thread = threading.Thread(target=self._commit_groups, name="journal", daemon=True)
-        self._thread.start()
+
+    @classmethod
+    def open(cls, path: Path, connect: Connect = connect) -> Self:
+        """The store on its file, ready; ConfigError where the file cannot be used."""
+        store = cls(path, open_file(path, connect))
+        store._thread.start()
+        return store
 
     def write(self, *rows: Row) -> None:
         """Commit what is buffered and these rows in one transaction; durable when it returns."""
@@ -100,22 +84,33 @@ class Store:
                 self._check()
                 raise
 
+    def read_table(self, sql: str, values: Sequence[Any], width: int) -> FloatArray:
+        """A query's rows as numbers, (n, width), buffered ones included.
+
+        Read piece by piece: whoever calls this in a thread leaves the event loop its turns.
+        """
+        pieces = [np.empty((0, width))]
+        with self._use:
+            self.write()
+            try:
+                cursor = self._connection.execute(sql, values)
+                while rows := cursor.fetchmany(COMMIT_ROWS):
+                    pieces.append(np.array(rows, dtype=np.float64))
+            except sqlite3.Error as error:
+                self._fail(error)
+                self._check()
+                raise
+        return np.concatenate(pieces)
+
     def copy_to(self, path: Path) -> None:
         """A whole, durable copy, as of now."""
         self.write()
-        partial = path.with_name(f".{path.name}.partial")
-        with contextlib.suppress(FileNotFoundError):
-            partial.unlink()
         try:
-            with self._use, contextlib.closing(sqlite3.connect(partial)) as copy:
-                self._connection.backup(copy)
-                copy.execute("PRAGMA journal_mode=DELETE")
-        except sqlite3.Error as error:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with self._use:
+                copy_whole(self._connection, path)
+        except (sqlite3.Error, OSError) as error:
             raise SafetyStop(f"journal: {path}: the copy failed: {error}") from error
-        with partial.open("rb") as file:
-            os.fsync(file.fileno())
-        partial.replace(path)
-        sync_folder(path.parent)
 
     async def lost(self) -> NoReturn:
         """Wait for as long as the journal is sound; SafetyStop when it is lost."""
@@ -181,30 +176,3 @@ class Store:
                 f"journal lost: {self.path}: {self._failure}; polishing without a record is refused: "
                 "mend the disk, then start polishd again"
             )
-
-
-def _open(path: Path) -> sqlite3.Connection:
-    try:
-        connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=5.0)
-    except sqlite3.Error as error:
-        raise ConfigError(f"{path}: the journal cannot be opened: {error}; look at cell.state_dir") from error
-    try:
-        connection.execute("PRAGMA journal_mode=WAL")
-        connection.execute("PRAGMA synchronous=FULL")
-        connection.execute("PRAGMA foreign_keys=ON")
-        (version,) = connection.execute("PRAGMA user_version").fetchone()
-        if version == 0:
-            connection.executescript(f"BEGIN IMMEDIATE; {SCHEMA} PRAGMA user_version={SCHEMA_VERSION}; COMMIT;")
-            sync_folder(path.parent)
-    except sqlite3.Error as error:
-        connection.close()
-        raise ConfigError(
-            f"{path}: the journal cannot be used: {error}; move the file aside to start a new one"
-        ) from error
-    if version not in {0, SCHEMA_VERSION}:
-        connection.close()
-        raise ConfigError(
-            f"{path}: the journal has format {version}, this polishd writes format {SCHEMA_VERSION}; "
-            "use the polishd that wrote it, or move the file aside to start a new one"
-        )
-    return connection

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from polishd.daemon.array_store import Arrays, npz
 from polishd.files import write_atomic
 
 
@@ -23,21 +24,25 @@ class RunFolder:
         self.path = path
 
     def create(self) -> None:
-        """Make the folder, with its parents."""
+        """Make the folder, with its parents; whoever writes does, for a person may have deleted it meanwhile."""
         self.path.mkdir(parents=True, exist_ok=True)
 
     def cycle(self, cycle: int) -> RunFolder:
-        """The subfolder of one cycle, made on first use."""
-        folder = RunFolder(self.path / f"cycle-{cycle:02d}")
-        folder.create()
-        return folder
+        """The subfolder of one cycle."""
+        return RunFolder(self.path / f"cycle-{cycle:02d}")
+
+    def holds(self, name: str) -> bool:
+        """Whether the file is there."""
+        return (self.path / name).exists()
 
     def bytes(self, name: str, content: bytes) -> None:
         """A file as it is."""
+        self.create()
         write_atomic(self.path / name, content)
 
     def copy(self, source: Path, name: str) -> None:
         """A copy of a file elsewhere."""
+        self.create()
         partial = self.path / f".{name}.partial"
         shutil.copyfile(source, partial)
         partial.rename(self.path / name)
@@ -47,11 +52,9 @@ class RunFolder:
         plain = asdict(content) if is_dataclass(content) and not isinstance(content, type) else content
         self.bytes(name, (json.dumps(plain, indent=2, default=_plain) + "\n").encode())
 
-    def arrays(self, name: str, arrays: Mapping[str, NDArray[Any] | float]) -> None:
+    def arrays(self, name: str, arrays: Arrays) -> None:
         """Named arrays in one compressed .npz."""
-        buffer = io.BytesIO()
-        np.savez_compressed(buffer, allow_pickle=False, **{key: np.asarray(value) for key, value in arrays.items()})
-        self.bytes(name, buffer.getvalue())
+        self.bytes(name, npz(arrays))
 
     def table(self, name: str, columns: Mapping[str, NDArray[Any]]) -> None:
         """Columns as CSV with a header line; floats with nine significant digits."""
@@ -59,15 +62,6 @@ class RunFolder:
         buffer = io.StringIO()
         np.savetxt(buffer, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
         self.bytes(name, buffer.getvalue().encode())
-
-    def load_arrays(self, name: str) -> dict[str, NDArray[Any]]:
-        """Read back what ``arrays`` wrote."""
-        with np.load(self.path / name) as archive:
-            return dict(archive)
-
-    def load_json(self, name: str) -> Any:
-        """Read back what ``json`` wrote."""
-        return json.loads((self.path / name).read_text())
 
 
 def _plain(value: object) -> object:

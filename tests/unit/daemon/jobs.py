@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
+import threading
 import time
 
 import numpy as np
@@ -36,10 +38,33 @@ def forever() -> None:
         time.sleep(3600)
 
 
+def burn(seconds: float) -> int:
+    """So many seconds of CPU time, not of wall time."""
+    until = time.process_time() + seconds
+    while time.process_time() < until:
+        pass
+    return os.getpid()
+
+
+def burn_on() -> None:
+    burn(math.inf)
+
+
+def threads_burn_on() -> None:
+    """All but the thread that was asked."""
+    for _ in range(2):
+        threading.Thread(target=burn_on, daemon=True).start()
+    forever()
+
+
+def nice() -> int:
+    return os.getpriority(os.PRIO_PROCESS, 0)
+
+
 def ignore_everything() -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, signal.SIG_IGN)
-    forever()
+    burn_on()
 
 
 def die(code: int) -> None:

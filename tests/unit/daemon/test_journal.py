@@ -15,11 +15,11 @@ from polishd.daemon import journal_store
 from polishd.daemon.journal import Journal
 from polishd.model.cycle import Event, Outcome, Phase
 from polishd.model.devices import Executed
-from polishd.model.errors import LinkError, PolishdError
+from polishd.model.errors import ConfigError, LinkError, PolishdError
 
 
 def opened(state_dir: Path, job: str = "job", part_id: str = "P1") -> Journal:
-    return Journal(state_dir, job=job, part_id=part_id)
+    return Journal.open(state_dir, job=job, part_id=part_id)
 
 
 def block(seq: int) -> Executed:
@@ -51,7 +51,6 @@ def wait_until(condition: object) -> None:
 
 def test_new_journal_is_empty(journal: Journal) -> None:
     assert not journal.resumed
-    assert journal.superseded is None
     assert list(journal.remaining(5)) == [0, 1, 2, 3, 4]
     assert journal.last_map_id is None
     assert (journal.history, journal.passes, journal.phases) == ((), (), ())
@@ -105,16 +104,37 @@ def test_finished_job_is_followed_by_a_new_one_that_knows_the_last_map(tmp_path:
         assert journal.last_map_id == "aa"
 
 
-@pytest.mark.parametrize(("job", "part"), [("other", "P1"), ("job", "P2")])
-def test_another_job_or_part_supersedes(tmp_path: Path, job: str, part: str) -> None:
+def test_another_job_supersedes(tmp_path: Path) -> None:
     with opened(tmp_path) as journal:
         journal.begin_pass(0, "prog", "boot", 3)
-    with opened(tmp_path, job, part) as journal:
+    with opened(tmp_path, "other") as journal:
         assert not journal.resumed
-        assert journal.superseded == "job"
         assert journal.unfinished() is None
         assert list(journal.remaining(2)) == [0, 1]
     assert rows(tmp_path, "SELECT outcome, detail FROM job WHERE id = 1") == [("stopped", "superseded")]
+
+
+def test_a_job_keeps_what_it_was_begun_with_once_it_has_measured(tmp_path: Path) -> None:
+    for edge_mm in (3.0, 4.0):  # nothing is measured yet: what is named now holds
+        with Journal.open(tmp_path, job="job", part_id="P1", terms={"part.edge_mm": edge_mm}) as journal:
+            assert journal.terms == {"part.edge_mm": edge_mm}
+    with opened(tmp_path) as journal:
+        pass
+    with Journal.open(tmp_path, job="job", part_id="P1", terms={"part.edge_mm": 5.0}) as journal:
+        journal.record_map(0, "aa", "x", {})
+    with Journal.open(tmp_path, job="job", part_id="P1", terms={"part.edge_mm": 6.0}) as journal:
+        assert journal.resumed
+        assert journal.terms == {"part.edge_mm": 5.0}
+
+
+def test_a_new_job_leaves_none_of_the_arrays_of_the_one_before(tmp_path: Path) -> None:
+    with opened(tmp_path) as journal:
+        name = journal.arrays.put({"a": np.arange(3)})
+    with opened(tmp_path) as journal:
+        assert np.array_equal(journal.arrays.get(name)["a"], np.arange(3)), "the job goes on"
+        journal.record_outcome(Outcome.IN_TOLERANCE)
+    with opened(tmp_path):
+        assert list((tmp_path / "store").iterdir()) == []
 
 
 async def test_phases_tell_how_they_ended(journal: Journal) -> None:
@@ -268,3 +288,96 @@ def test_close_is_idempotent(tmp_path: Path) -> None:
 def test_numbers_of_numpy_stay_numbers(journal: Journal) -> None:
     journal.record_map(0, "aa", "x", {"samples": np.int64(3), "rms_nm": np.float64(2.5)})
     assert journal.history[0].stats == {"samples": 3, "rms_nm": 2.5}
+
+
+# a journal of format 1
+
+FORMAT_1 = """
+CREATE TABLE job (
+    id INTEGER PRIMARY KEY, name TEXT NOT NULL, part_id TEXT NOT NULL, config_sha256 TEXT NOT NULL,
+    started REAL NOT NULL, ended REAL, outcome TEXT, detail TEXT);
+CREATE TABLE map (
+    id INTEGER PRIMARY KEY, job INTEGER NOT NULL REFERENCES job, cycle INTEGER NOT NULL, sha256 TEXT NOT NULL,
+    path TEXT NOT NULL, stats TEXT NOT NULL, taken REAL NOT NULL);
+CREATE TABLE phase (
+    id INTEGER PRIMARY KEY, job INTEGER NOT NULL REFERENCES job, cycle INTEGER NOT NULL, phase TEXT NOT NULL,
+    started REAL NOT NULL, ended REAL, outcome TEXT, error TEXT);
+CREATE TABLE pass (
+    job INTEGER NOT NULL REFERENCES job, cycle INTEGER NOT NULL, program_sha256 TEXT NOT NULL,
+    boot_id TEXT NOT NULL, blocks INTEGER NOT NULL, contact_from INTEGER NOT NULL, contact_to INTEGER NOT NULL,
+    facts TEXT NOT NULL, started REAL NOT NULL, ended REAL, how TEXT, PRIMARY KEY (job, cycle));
+CREATE TABLE segment (
+    job INTEGER NOT NULL, cycle INTEGER NOT NULL, seq INTEGER NOT NULL, start_s REAL NOT NULL, end_s REAL NOT NULL,
+    in_contact INTEGER NOT NULL, recovered INTEGER NOT NULL, PRIMARY KEY (job, cycle, seq)) WITHOUT ROWID;
+CREATE TABLE event (
+    id INTEGER PRIMARY KEY, job INTEGER NOT NULL, at REAL NOT NULL, cycle INTEGER, name TEXT NOT NULL,
+    data TEXT NOT NULL);
+INSERT INTO job VALUES (1, 'first', 'P1', 'ab12', 1.0, 2.0, 'in_tolerance', ''), (2, 'job', 'P1', 'cd34', 3.0, NULL, NULL, NULL);
+INSERT INTO map VALUES (1, 1, 0, 'aa', 'x', '{}', 1.5), (2, 2, 0, 'bb', 'y', '{"rms_nm": 4.0}', 3.5);
+INSERT INTO phase VALUES (1, 2, 0, 'measure', 3.0, 3.6, 'done', NULL);
+INSERT INTO pass VALUES (2, 0, 'prog', 'boot', 5, 1, 4, '{"rate": 0.9}', 4.0, NULL, NULL);
+INSERT INTO segment VALUES (2, 0, 1, 10.0, 10.5, 1, 0), (2, 0, 2, 10.5, 11.5, 1, 0);
+INSERT INTO event VALUES (1, 2, 4.0, 0, 'pass_begun', '{}');
+PRAGMA user_version = 1;
+"""  # noqa: E501
+
+
+@pytest.fixture
+def of_format_1(tmp_path: Path) -> Path:
+    connection = sqlite3.connect(tmp_path / "journal.sqlite")
+    connection.executescript(f"PRAGMA journal_mode=WAL; {FORMAT_1}")
+    connection.close()
+    return tmp_path
+
+
+def test_a_journal_of_format_1_is_read_on(of_format_1: Path) -> None:
+    for _ in range(2):
+        with opened(of_format_1) as journal:
+            assert journal.resumed
+            assert journal.terms is None, "it did not say: same_job refuses to go on with it"
+            assert journal.last_map_id == "bb"
+            assert [record.stats for record in journal.history] == [{"rms_nm": 4.0}]
+            assert [record.facts for record in journal.passes] == [{"rate": 0.9}]
+            assert [record.phase for record in journal.phases] == ["measure"]
+            assert (journal.contact_s(0), journal.executed(0).seq.tolist()) == (1.5, [1, 2])
+            assert str(journal.unfinished()).startswith("cycle 0: 2 of 5 blocks")
+    assert rows(of_format_1, "PRAGMA user_version") == [(2,)]
+
+
+def test_a_journal_of_format_1_is_kept_as_it_was(of_format_1: Path) -> None:
+    opened(of_format_1).close()
+    kept = sqlite3.connect(of_format_1 / "journal.v1.sqlite")
+    assert kept.execute("PRAGMA user_version").fetchall() == [(1,)]
+    assert kept.execute("SELECT config_sha256 FROM job").fetchall() == [("ab12",), ("cd34",)]
+    kept.close()
+
+
+def test_a_journal_brought_up_to_date_has_the_tables_of_a_new_one(of_format_1: Path) -> None:
+    opened(of_format_1).close()
+    (of_format_1 / "new").mkdir()
+    opened(of_format_1 / "new").close()
+
+    def columns(state_dir: Path) -> dict[str, set[tuple[object, ...]]]:
+        return {
+            table: {column[1:] for column in rows(state_dir, f"PRAGMA table_info({table})")}
+            for table in ("job", "map", "phase", "pass", "segment", "event")
+        }
+
+    assert columns(of_format_1) == columns(of_format_1 / "new")
+
+
+def test_a_migration_that_fails_changes_nothing(of_format_1: Path) -> None:
+    (of_format_1 / "journal.v1.sqlite").mkdir()  # the copy cannot be kept
+    with pytest.raises(ConfigError, match="the journal cannot be used: "):
+        opened(of_format_1)
+    assert rows(of_format_1, "PRAGMA user_version") == [(1,)]
+
+
+def test_a_new_job_follows_one_that_was_under_way_in_format_1(of_format_1: Path) -> None:
+    with opened(of_format_1, "next") as journal:
+        assert not journal.resumed
+        assert journal.last_map_id == "bb"
+        journal.record_map(0, "cc", "x", {})
+        journal.begin_pass(0, "prog", "boot", 3, plan="p", start="s")
+    with opened(of_format_1, "next") as journal:
+        assert (journal.passes[0].plan, journal.passes[0].start) == ("p", "s")

@@ -1,0 +1,75 @@
+"""Large arrays beside the journal, by the hash of their content: the journal's rows name them by it."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polishd.files import sync_folder, write_atomic
+from polishd.model.errors import ConfigError, SafetyStop
+
+Arrays = Mapping[str, NDArray[Any] | float]
+
+
+def npz(arrays: Arrays) -> bytes:
+    """Named arrays as one compressed .npz."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **{key: np.asarray(value) for key, value in arrays.items()})
+    return buffer.getvalue()
+
+
+class ArrayStore:
+    """Files ``<sha256>.npz`` in one folder, each written whole and never changed."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def put(self, arrays: Arrays) -> str:
+        """Keep arrays; their hash, once they are durable. SafetyStop where the disk will not have them."""
+        content = npz(arrays)
+        sha256 = hashlib.sha256(content).hexdigest()
+        try:
+            if not self.folder.exists():
+                self.folder.mkdir(parents=True)
+                sync_folder(self.folder.parent)
+            write_atomic(self._path(sha256), content, mode=0o600)
+        except OSError as error:
+            raise SafetyStop(
+                f"journal: {self._path(sha256)}: cannot be written: {error.strerror}; polishing without a record is "
+                "refused: mend the disk, then start polishd again"
+            ) from error
+        return sha256
+
+    def content(self, sha256: str) -> bytes:
+        """The file that has this hash; ConfigError where it is gone, or is not what the journal names."""
+        path = self._path(sha256)
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise ConfigError(_lost(path, f"cannot be read: {error.strerror}")) from error
+        if hashlib.sha256(content).hexdigest() != sha256:
+            raise ConfigError(_lost(path, "is not what the journal names: its content has another hash"))
+        return content
+
+    def get(self, sha256: str) -> dict[str, NDArray[Any]]:
+        """The arrays that ``put`` gave this hash."""
+        with np.load(io.BytesIO(self.content(sha256)), allow_pickle=False) as archive:
+            return dict(archive)
+
+    def clear(self) -> None:
+        """Remove all: no job that could go on needs them."""
+        for path in self.folder.glob("*"):
+            path.unlink()
+
+    def _path(self, sha256: str) -> Path:
+        return self.folder / f"{sha256}.npz"
+
+
+def _lost(path: Path, problem: str) -> str:
+    return f"{path}: {problem}; the job cannot go on without it: restore the file, or give job.id a new name"

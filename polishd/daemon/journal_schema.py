@@ -1,0 +1,113 @@
+"""The journal's tables, how a file of an earlier format becomes one of this, and whole copies of it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+
+from polishd.files import sync_folder
+from polishd.model.errors import ConfigError
+
+SCHEMA_VERSION = 2
+
+SCHEMA = """
+CREATE TABLE job (
+    id INTEGER PRIMARY KEY, name TEXT NOT NULL, part_id TEXT NOT NULL, terms TEXT NOT NULL,
+    started REAL NOT NULL, ended REAL, outcome TEXT, detail TEXT, run_dir TEXT NOT NULL DEFAULT '');
+CREATE TABLE map (
+    id INTEGER PRIMARY KEY, job INTEGER NOT NULL REFERENCES job, cycle INTEGER NOT NULL, sha256 TEXT NOT NULL,
+    path TEXT NOT NULL, stats TEXT NOT NULL, taken REAL NOT NULL, arrays TEXT NOT NULL DEFAULT '');
+CREATE TABLE phase (
+    id INTEGER PRIMARY KEY, job INTEGER NOT NULL REFERENCES job, cycle INTEGER NOT NULL, phase TEXT NOT NULL,
+    started REAL NOT NULL, ended REAL, outcome TEXT, error TEXT);
+CREATE TABLE pass (
+    job INTEGER NOT NULL REFERENCES job, cycle INTEGER NOT NULL, program_sha256 TEXT NOT NULL,
+    boot_id TEXT NOT NULL, blocks INTEGER NOT NULL, contact_from INTEGER NOT NULL, contact_to INTEGER NOT NULL,
+    facts TEXT NOT NULL, started REAL NOT NULL, ended REAL, how TEXT,
+    plan TEXT NOT NULL DEFAULT '', start TEXT NOT NULL DEFAULT '', PRIMARY KEY (job, cycle));
+CREATE TABLE segment (
+    job INTEGER NOT NULL, cycle INTEGER NOT NULL, seq INTEGER NOT NULL, start_s REAL NOT NULL, end_s REAL NOT NULL,
+    in_contact INTEGER NOT NULL, recovered INTEGER NOT NULL, PRIMARY KEY (job, cycle, seq)) WITHOUT ROWID;
+CREATE TABLE event (
+    id INTEGER PRIMARY KEY, job INTEGER NOT NULL, at REAL NOT NULL, cycle INTEGER, name TEXT NOT NULL,
+    data TEXT NOT NULL);
+"""
+"""``job.terms`` is JSON, see ``same_job``; ``map.arrays``, ``pass.plan`` and ``pass.start`` name files of the store."""
+
+FROM_1 = """
+ALTER TABLE job RENAME COLUMN config_sha256 TO terms;
+UPDATE job SET terms = 'null';
+ALTER TABLE job ADD COLUMN run_dir TEXT NOT NULL DEFAULT '';
+ALTER TABLE map ADD COLUMN arrays TEXT NOT NULL DEFAULT '';
+ALTER TABLE pass ADD COLUMN plan TEXT NOT NULL DEFAULT '';
+ALTER TABLE pass ADD COLUMN start TEXT NOT NULL DEFAULT '';
+"""
+
+Connect = Callable[[Path], sqlite3.Connection]
+
+
+def connect(path: Path) -> sqlite3.Connection:
+    """A connection as the store wants it: transactions begin when told, and several threads take turns."""
+    return sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=5.0)
+
+
+def open_file(path: Path, connect: Connect = connect) -> sqlite3.Connection:
+    """The journal's file with the tables of this format, made or brought up to date; ConfigError where it cannot be.
+
+    Of a file of format 1 a copy stays beside it (``old_copy``).
+    """
+    try:
+        connection = connect(path)
+    except sqlite3.Error as error:
+        raise ConfigError(f"{path}: the journal cannot be opened: {error}; look at cell.state_dir") from error
+    try:
+        _prepare(connection, path)
+    except (sqlite3.Error, OSError) as error:
+        connection.close()
+        raise ConfigError(
+            f"{path}: the journal cannot be used: {error}; move the file aside to start a new one"
+        ) from error
+    except ConfigError:
+        connection.close()
+        raise
+    return connection
+
+
+def old_copy(path: Path) -> Path:
+    """Where a journal of format 1 is kept as it was."""
+    return path.with_suffix(".v1.sqlite")
+
+
+def copy_whole(connection: sqlite3.Connection, path: Path) -> None:
+    """A whole, durable copy, as of now, which stands alone."""
+    partial = path.with_name(f".{path.name}.partial")
+    with contextlib.suppress(FileNotFoundError):
+        partial.unlink()
+    with contextlib.closing(sqlite3.connect(partial)) as copy:
+        connection.backup(copy)
+        copy.execute("PRAGMA journal_mode=DELETE")
+    with partial.open("rb") as file:
+        os.fsync(file.fileno())
+    partial.replace(path)
+    sync_folder(path.parent)
+
+
+def _prepare(connection: sqlite3.Connection, path: Path) -> None:
+    connection.execute("PRAGMA journal_mode=WAL")
+    connection.execute("PRAGMA synchronous=FULL")
+    connection.execute("PRAGMA foreign_keys=ON")
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    if version not in {0, 1, SCHEMA_VERSION}:
+        raise ConfigError(
+            f"{path}: the journal has format {version}, this polishd writes format {SCHEMA_VERSION}; "
+            "use the polishd that wrote it, or move the file aside to start a new one"
+        )
+    if version == 1:
+        copy_whole(connection, old_copy(path))
+    if version != SCHEMA_VERSION:
+        script = SCHEMA if version == 0 else FROM_1
+        connection.executescript(f"BEGIN IMMEDIATE; {script} PRAGMA user_version={SCHEMA_VERSION}; COMMIT;")
+        sync_folder(path.parent)

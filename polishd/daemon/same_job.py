@@ -1,0 +1,118 @@
+"""What a job is begun with, and what of that may be changed while it is under way.
+
+A daemon that is started again goes on with its job. Masks, heights, executed times and what was learned were made with
+the values of before; under others they would be taken for what they are not.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+from polishd.daemon.config import CellConfig
+from polishd.daemon.journal import JOURNAL_NAME, Journal
+from polishd.daemon.journal_schema import old_copy
+from polishd.model.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """Dotted keys (``part.*`` is all of a section), whether they may change within a job, and why."""
+
+    keys: tuple[str, ...]
+    may_change: bool
+    why: str
+
+
+RULES = (
+    Rule(("include",), True, "a way to write the same values"),
+    Rule(("cell.*",), True, "names and places; the job stays in the run folder in which it began"),
+    Rule(("plugins.*",), True, "what a plugin does for the job is named by other keys"),
+    Rule(("robot.*", "actuator.*", "spindle.*", "metrology.*"), True, "how a device is reached, and its time limits"),
+    Rule(("dwell.*",), True, "how the next dwell is chosen; each has a certificate of its own"),
+    Rule(("limits.*", "machine.x_mm", "machine.y_mm", "machine.z_mm"), True, "what is refused from now on"),
+    Rule(("job.tolerance_nm", "job.max_cycles", "job.lookahead_s"), True, "when the job ends, and how it is streamed"),
+    Rule(("job.id",), False, "another id is another job"),
+    Rule(("part.*",), False, "masks and heights are of this part, and its place says what the robot's compliance does"),
+    Rule(("program.*",), False, "executed times belong to this program's points, and to where they lie on the part"),
+    Rule(("process.*", "compliance.*", "kinematics.*"), False, "the rate learned is relative to what these predict"),
+    Rule(("machine.*",), False, "the time that a block takes by itself is learned beside these"),
+    Rule(("instrument.*",), False, "maps are read alike before and after a pass, or their difference is no removal"),
+    Rule(("job.tolerance_period_mm", "job.lsf_period_mm"), False, "figures of all measurements count the same periods"),
+)
+"""The first rule that fits a key holds for it; one that none fits may not change."""
+
+FILES = ("program.path", "program.dialects", "instrument.profile", "part.nominal", "process.tif", "kinematics.table")
+"""Keys that name files: what counts is the content, wherever it lies."""
+
+
+def may_change(key: str) -> bool:
+    """Whether a dotted key may have another value when a job goes on."""
+    return next((rule.may_change for rule in RULES if any(fnmatchcase(key, one) for one in rule.keys)), False)
+
+
+def terms_of(config: CellConfig, program_sha256: str) -> dict[str, Any]:
+    """All values in force by dotted key, JSON-ready; a file as ``{"file", "sha256"}``, the program's as it was read."""
+    terms = dict(_flat(config.effective()))
+    for key in FILES:
+        if named := terms.get(key):
+            terms[key] = [_file(config, name) for name in named] if isinstance(named, list) else _file(config, named)
+    terms["program.path"]["sha256"] = program_sha256
+    return terms
+
+
+def require_same(config: CellConfig, terms: Mapping[str, Any], journal: Journal) -> None:
+    """ConfigError where the journal's job was begun with other terms, with each that differs and what to do."""
+    begun = journal.terms
+    name = config.job.id
+    if begun is None:
+        path = config.state_dir / JOURNAL_NAME
+        raise config.error(
+            "job.id",
+            f"the job {name!r} was begun by an earlier polishd, which did not write down what a later run needs: put "
+            f"{old_copy(path)} back as {path.name} and finish it with that polishd, or give job.id a new name",
+        )
+    changed = [key for key in sorted({*begun, *terms}) if not may_change(key)]
+    lines = [
+        str(config.error(key, f"is {_shown(terms.get(key))}, the job {name!r} was begun with {_shown(begun.get(key))}"))
+        for key in changed
+        if _content(begun.get(key)) != _content(terms.get(key))
+    ]
+    if lines:
+        todo = "the job is under way and cannot go on like this: restore what differs, or give job.id a new name"
+        raise ConfigError("\n".join([*lines, todo]))
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def _file(config: CellConfig, name: str) -> dict[str, str]:
+    path: Path = config.resolve(name)
+    try:
+        return {"file": name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}; name a file") from error
+
+
+def _content(value: Any) -> Any:
+    """What counts of a value: of a file its content."""
+    if isinstance(value, Mapping):
+        return value["sha256"]
+    return [_content(item) for item in value] if isinstance(value, list) else value
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return f"{value['file']} (sha256 {value['sha256'][:12]})"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_shown, value))}]"
+    return "nothing" if value is None else repr(value)

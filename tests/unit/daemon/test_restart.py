@@ -1,0 +1,188 @@
+"""A job that goes on in another run of the daemon: from journal and store, whatever became of the run folder."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import shutil
+import signal
+import sqlite3
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from polishd.daemon.app import run_cell
+from polishd.daemon.cell import Cell
+from polishd.daemon.client import request_async
+from polishd.model.errors import ConfigError
+from polishd.model.surface import SurfaceMap
+from tests.unit.daemon.small import as_map
+from tests.unit.daemon.test_app import Site
+
+RATE = 0.8
+"""What the tool of these tests really removes, of what its model says."""
+
+
+class Rerun(Site):
+    """A site whose tool removes less than its model says, and whose later maps have a hole."""
+
+    def __init__(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        super().__init__(tmp_path, monkeypatch)
+        self.maps = 0
+        self.stop_at: int | None = None
+        """SIGTERM comes with so many maps taken."""
+        self.measure = self.take
+
+    def build(self, config: Any, hooks: Any) -> Cell:
+        cell = super().build(config, hooks)
+        assert self.bench is not None
+        self.bench.rate = RATE
+        return cell
+
+    def take(self) -> SurfaceMap:
+        assert self.bench is not None
+        self.maps += 1
+        if self.maps == self.stop_at:
+            os.kill(os.getpid(), signal.SIGTERM)
+        surface = self.bench.measure()
+        if self.maps == 1:
+            return surface
+        height = surface.height_nm.copy()
+        height[24:27, 24:27] = np.nan
+        return as_map(height)
+
+    def learned(self) -> list[tuple[int | None, float]]:
+        return [(event.cycle, event.data["rate"]) for event in self.told if event.name == "learned"]
+
+    def arrays(self, table: str, column: str) -> list[str]:
+        """Names in the store, in the order of the cycles."""
+        with sqlite3.connect(self.config.state_dir / "journal.sqlite") as journal:
+            return [name for (name,) in journal.execute(f"SELECT {column} FROM {table} ORDER BY cycle")]
+
+    def masks(self) -> list[np.ndarray[Any, Any]]:
+        files = [self.config.state_dir / "store" / f"{name}.npz" for name in self.arrays("map", "arrays")]
+        return [np.load(file)["solve_mask"] for file in files]
+
+
+@pytest.fixture
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Rerun:
+    return Rerun(tmp_path, monkeypatch)
+
+
+async def until_held(site: Rerun) -> None:
+    """pytest's timeout is the limit."""
+    while not any(event.name == "state" and event.data["state"] == "held" for event in site.told):  # noqa: ASYNC110
+        await asyncio.sleep(0.01)
+
+
+async def resumed(site: Rerun, meanwhile: Any = lambda: None) -> dict[str, Any]:
+    """The daemon comes up held, something happens, and a person resumes."""
+    site.told.clear()
+    async with asyncio.TaskGroup() as group:
+        task = group.create_task(run_cell(site.config, site.hooks))
+        await until_held(site)
+        meanwhile()
+        await request_async(site.config.state_dir, "resume")
+    return task.result()
+
+
+async def stopped_after_a_pass(site: Rerun) -> None:
+    site.stop_at = 2
+    assert (await run_cell(site.config, site.hooks))["outcome"] == "stopped"
+    site.stop_at = None
+
+
+@pytest.mark.parametrize("when", ["between the runs", "while held"])
+async def test_a_deleted_run_folder_costs_nothing_but_what_it_showed(site: Rerun, when: str) -> None:
+    await stopped_after_a_pass(site)
+
+    def delete() -> None:
+        shutil.rmtree(site.config.run_dir)
+
+    if when == "between the runs":
+        delete()
+    summary = await resumed(site, delete if when == "while held" else lambda: None)
+    assert summary["outcome"] == "in_tolerance"
+    cycle, rate = site.learned()[0]
+    assert cycle == 1, "from the pass before the restart"
+    assert rate == pytest.approx(RATE, rel=0.05)
+    first, *others = site.masks()
+    assert others
+    assert all(np.array_equal(first, other) for other in others), "frozen with the first map"
+    folder = site.config.run_dir
+    assert site.summary()["outcome"] == "in_tolerance"
+    for name in ("surface.npz", "plan.npz", "certificate.json", "executed.csv"):
+        assert (folder / "cycle-00" / name).stat().st_size > 0, "made anew"
+    store = site.config.state_dir / "store"
+    assert (folder / "cycle-00/plan.npz").read_bytes() == (store / f"{site.arrays('pass', 'plan')[0]}.npz").read_bytes()
+
+
+async def test_the_next_solve_starts_from_the_last_one_across_a_restart(
+    site: Rerun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from polishd.daemon import dwell_step
+
+    starts: list[Any] = []
+    solve = dwell_step.solve
+
+    def watched(recipe: Any, program: Any, measured: Any, beliefs: Any, warm: Any = None) -> Any:
+        starts.append(warm)
+        solved = solve(recipe, program, measured, beliefs, warm)
+        return replace(solved, dwell=replace(solved.dwell, state={"multipliers": np.arange(3.0)}))
+
+    monkeypatch.setattr(dwell_step, "solve", watched)
+    await stopped_after_a_pass(site)
+    shutil.rmtree(site.config.run_dir)
+    await resumed(site)
+    assert starts[0] is None
+    with np.load(site.config.state_dir / "store" / f"{site.arrays('pass', 'plan')[0]}.npz") as plan:
+        assert np.array_equal(starts[1].time_s, plan["time_s"])
+    assert np.array_equal(starts[1].state["multipliers"], np.arange(3.0)), "what its solver can start from, too"
+
+
+@pytest.mark.parametrize("what", ["arrays", "plan", "start"])
+async def test_a_store_that_lost_what_the_journal_names_is_told_before_anything_is_opened(
+    site: Rerun, what: str
+) -> None:
+    await stopped_after_a_pass(site)
+    name = site.arrays("map" if what == "arrays" else "pass", what)[0]
+    path = site.config.state_dir / "store" / f"{name}.npz"
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(ConfigError, match=rf"{name}\.npz: is not what the journal names"):
+        await run_cell(site.config, site.hooks)
+    assert site.bench is not None
+    assert site.bench.fake.events == []
+
+
+async def test_another_edge_is_refused_before_anything_is_opened(site: Rerun) -> None:
+    await stopped_after_a_pass(site)
+    site.part["edge_mm"] = 3.5
+    with pytest.raises(ConfigError, match=r"part.edge_mm: is 3.5, the job 'small' was begun with 2.0\n"):
+        await run_cell(site.config, site.hooks)
+    assert site.bench is not None
+    assert site.bench.fake.events == []
+
+
+async def test_another_program_is_refused_and_the_old_one_goes_on(site: Rerun) -> None:
+    from tests.unit.daemon.small import small_program
+
+    await stopped_after_a_pass(site)
+    ours, site.program = site.program, small_program(14.5)
+    with pytest.raises(ConfigError, match=r"program.path: is program.rnc \(sha256 "):
+        await run_cell(site.config, site.hooks)
+    site.program = ours
+    assert (await resumed(site))["outcome"] == "in_tolerance"
+
+
+async def test_a_run_folder_that_cannot_be_written_ends_no_job(site: Rerun, monkeypatch: pytest.MonkeyPatch) -> None:
+    from polishd.daemon import job
+
+    def full(*arguments: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    for name in ("save_surface", "save_plan"):
+        monkeypatch.setattr(job, name, full)
+    assert (await run_cell(site.config, site.hooks))["outcome"] == "in_tolerance"
