@@ -1,14 +1,16 @@
 """Plugin ``run_report``: writes ``report.html`` and ``pictures/*.png`` into a run or plan folder when it is complete.
 
 The page is self-contained: it opens offline and refers to nothing on a network. A run that ended early is reported
-too, and the page says what is missing. matplotlib is imported when the first report is written, not at start.
+too, and the page says what is missing. It is drawn in a process of its own: in a thread, matplotlib would hold up the
+loop that is in contact with a part.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
+import subprocess
+import sys
 
-from polishd.api import Event, hookimpl
+from polishd.api import Event, PolishdError, hookimpl
 
 POLISHD_API = 1
 
@@ -22,13 +24,17 @@ STOPPED = "gate_stopped"
 def polishd_on_event(event: Event) -> None:
     """Write the report, or the gate's picture, into the folder that the event names; other events pass by."""
     if event.name == STOPPED:
-        from polishd.plugins.run_report.gate import write_gate
-
-        write_gate(Path(event.data["cycle_dir"]))
-        return
+        _draw(str(event.data["cycle_dir"]), "gate")
     run_dir = event.data.get("run_dir")
-    if event.name not in REPORTED or not run_dir:
-        return
-    from polishd.plugins.run_report.report import write_report
+    if event.name in REPORTED and run_dir:
+        _draw(str(run_dir))
 
-    write_report(Path(run_dir))
+
+def _draw(*arguments: str) -> None:
+    command = [sys.executable, "-P", "-m", __name__, *arguments]
+    # in a group of its own: Ctrl-C is the daemon's to answer
+    drawn = subprocess.run(
+        command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, check=False, process_group=0
+    )
+    if drawn.returncode:
+        raise PolishdError(f"no report in {arguments[0]}: {drawn.stderr.strip()}")

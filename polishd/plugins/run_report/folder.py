@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from polishd.process.executed import executed_s
+
 Arrays = Mapping[str, NDArray[Any]]
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -64,8 +66,8 @@ class Executed:
         """Executed seconds of each timed point, NaN where it was not executed, or None where that is not known."""
         n = plan["expected_s"].size
         if "block" in plan:
-            done = dict(zip(self.seq.tolist(), self.seconds.tolist(), strict=True))
-            return np.array([done.get(int(seq), math.nan) for seq in plan["block"]])
+            block = np.asarray(plan["block"], dtype=np.int64)
+            return np.where(np.isin(block, self.seq), executed_s(block, self.seq, self.seconds), math.nan)
         return self.seconds if self.seconds.size == n else None
 
 
@@ -79,6 +81,8 @@ class Cycle:
     certificate: Mapping[str, Any] | None
     executed: Executed | None
     files: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    """What was said of what the pass before it taught."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +124,15 @@ def read_cycle(folder: Path, root: Path, missing: list[str]) -> Cycle:
         if folder != root:
             executed = read_executed(folder / "executed.csv", root, missing)
     files = tuple(sorted(entry.relative_to(root).as_posix() for entry in folder.iterdir() if entry.is_file()))
-    return Cycle("plan" if folder == root else folder.name, surface, plan, certificate, executed, files)
+    name = "plan" if folder == root else folder.name
+    return Cycle(name, surface, plan, certificate, executed, files, read_notes(folder / "learned.json", root, missing))
+
+
+def read_notes(path: Path, root: Path, missing: list[str]) -> tuple[str, ...]:
+    """The notes of ``learned.json``, which a first measurement has not."""
+    learned = read_json(path, root, missing) if path.exists() else None
+    notes = (learned or {}).get("notes")
+    return tuple(map(str, notes)) if isinstance(notes, list) else ()
 
 
 def read_surface(path: Path, root: Path, missing: list[str]) -> Surface | None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from polishd.plugins.run_report import naming
 from polishd.plugins.run_report.folder import RunFolder
 from polishd.plugins.run_report.values import duration, escape, figure, plain, text, when
 
@@ -46,7 +47,7 @@ CERTIFICATE: Mapping[str, str] = {
     "at_lower": "points at their least time",
     "at_upper": "points at their most time",
     "iterations": "iterations",
-    "seconds": "time to solve (s)",
+    "seconds": "time to solve (CPU s)",
     "cross_check": "cross-checked by",
     "cross_check_gap": "gap to the cross-check (relative)",
     "notes": "notes",
@@ -84,7 +85,7 @@ def render(folder: RunFolder, sections: Sequence[Section]) -> str:
         f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n<main>",
         header(folder),
         cycle_table(folder),
-        listing("Notes", folder.summary.get("notes") or []),
+        listing("Notes", notes_of(folder)),
         listing("Missing from this report", folder.missing),
         *(section_html(section) for section in sections),
         "</main>\n</body>\n</html>\n",
@@ -118,13 +119,22 @@ def facts_of(folder: RunFolder) -> list[tuple[str, str]]:
         (f"RMS{of_periods}", f"{' → '.join(measured)} nm" if measured else ""),
         ("predicted RMS", f"{figure(rows[0].get('predicted_rms_nm'), '.2f')} nm" if folder.planned and rows else ""),
         ("tolerance", f"{tolerance} nm" if tolerance else ""),
-        ("passes", "" if folder.planned or not rows else str(len(rows) - 1)),
+        ("passes", "" if folder.planned or not rows else naming.passes(rows)),
         ("process time", duration(rows, "dwell_s" if folder.planned else "executed_s")),
         ("correction", text(summary.get("correction"))),
         ("job", text(summary.get("job"))),
         ("started", when(summary.get("started"))),
         ("ended", when(summary.get("ended"))),
     ]
+
+
+def notes_of(folder: RunFolder) -> list[str]:
+    """The summary's notes, and those of each measurement and of what was learned by it."""
+    notes = [text(note) for note in folder.summary.get("notes") or []]
+    for index, row in enumerate(folder.rows()):
+        learned = folder.cycles[index].notes if index < len(folder.cycles) else ()
+        notes += [f"measurement {index}: {text(note)}" for note in (*(row.get("notes") or ()), *learned)]
+    return notes
 
 
 def cycle_table(folder: RunFolder) -> str:
@@ -136,9 +146,8 @@ def cycle_table(folder: RunFolder) -> str:
     head = "".join(f'<th scope="col">{label}</th>' for _, label, _ in columns)
     body = []
     for index, row in enumerate(rows):
-        cells = "".join(f"<td>{figure(row.get(key), shape) or '–'}</td>" for key, _, shape in columns)
-        name = "start" if index == 0 else f"after pass {index}"
-        body.append(f'<tr><th scope="row">{name}</th>{cells}</tr>')
+        cells = "".join(f"<td>{figure(row.get(key), shape) or '–'}{_torn(row, key)}</td>" for key, _, shape in columns)
+        body.append(f'<tr><th scope="row">{naming.measurement(rows, index)}</th>{cells}</tr>')
     note = (
         "In the clear aperture, mean removed. LSF: low spatial frequency (figure). "
         "Predicted, dwell and executed belong to the pass that follows the measurement in their row."
@@ -146,6 +155,10 @@ def cycle_table(folder: RunFolder) -> str:
     head = f'<thead><tr><th scope="col">measured</th>{head}</tr></thead>'
     table = f'<table class="cycles">{head}<tbody>{"".join(body)}</tbody></table>'
     return f'<div class="scroll">{table}</div>\n<p class="note">{note}</p>'
+
+
+def _torn(row: Mapping[str, Any], key: str) -> str:
+    return f"<br>{naming.share(row)}" if key == "executed_s" and naming.interrupted(row) else ""
 
 
 def section_html(section: Section) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from polishd.files import write_atomic
-from polishd.plugins.run_report import along_path, maps, trend
+from polishd.plugins.run_report import along_path, maps, naming, trend
 from polishd.plugins.run_report.folder import Cycle, RunFolder, Surface, read_folder
 from polishd.plugins.run_report.page import Picture, Section, render
 from polishd.plugins.run_report.style import png, polishd_style
@@ -63,8 +63,8 @@ class Album:
 
 def whole_run(folder: RunFolder, album: Album) -> Section:
     """Pictures of all measurements together; a plan has only one, and its spectrum."""
-    surfaces = [(title_of(index, short=True), surface) for index, surface in measured(folder)]
     rows, tolerance = folder.rows(), folder.summary.get("tolerance_nm")
+    surfaces = [(naming.measurement(rows, index).capitalize(), surface) for index, surface in measured(folder)]
     period = folder.summary.get("tolerance_period_mm") or 0.0
     if len(surfaces) > 1:
         caption = (
@@ -87,23 +87,17 @@ def measured(folder: RunFolder) -> list[tuple[int, Surface]]:
     return [(index, cycle.surface) for index, cycle in enumerate(folder.cycles) if cycle.surface is not None]
 
 
-def title_of(index: int, *, short: bool = False) -> str:
-    """What people call a measurement."""
-    if index == 0:
-        return "Start" if short else "Measurement at the start"
-    return f"After pass {index}" if short else f"Measurement after pass {index}"
-
-
 def cycle_section(folder: RunFolder, index: int, album: Album) -> Section:
     """One cycle: a pass between two measurements, or a measurement that no pass followed."""
     cycle = folder.cycles[index]
     if cycle.plan is None:
         last_measurement(folder, index, album)
-        return Section(title_of(index), cycle.name, album.take(), None, cycle.files)
+        at = naming.measurement(folder.rows(), index)
+        return Section(f"Measurement {at if index else 'at the start'}", cycle.name, album.take(), None, cycle.files)
     after = folder.cycles[index + 1].surface if index + 1 < len(folder.cycles) else None
     surface_pictures(cycle, after, album)
     path_pictures(folder, index, album)
-    title = "Plan" if folder.planned else f"Pass {index + 1}"
+    title = "Plan" if folder.planned else naming.pass_after(folder.rows(), index)
     return Section(title, "" if folder.planned else cycle.name, album.take(), cycle.certificate, cycle.files)
 
 

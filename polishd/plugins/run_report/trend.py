@@ -14,6 +14,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from polishd.plugins.run_report.folder import Surface
+from polishd.plugins.run_report.naming import interrupted
 from polishd.plugins.run_report.psd import radial_psd
 from polishd.plugins.run_report.style import BLUE, GREEN, MUTED, ORANGE, figure, ruled
 
@@ -28,7 +29,8 @@ def rms_per_measurement(rows: Rows, tolerance_nm: float | None, period_mm: float
     judged_name = f"measured, periods above {period_mm:g} mm" if period_mm > 0 else "measured"
     if period_mm > 0:
         line(ax, rows, "rms_nm", "measured, all periods", color=MUTED, marker="o", markersize=3, linewidth=1.0)
-    predicted = [math.nan, *(number(row, "predicted_rms_nm") for row in rows[:-1])]
+    whole = [{} if interrupted(row) else row for row in rows[:-1]]  # no plan predicted what a part of it leaves
+    predicted = [math.nan, *(number(row, "predicted_rms_nm") for row in whole)]
     ax.plot(predicted, "D", color=ORANGE, label="predicted by the plan", markersize=6, fillstyle="none", zorder=4)
     values = line(ax, rows, judged, judged_name, color=BLUE, marker="o", markersize=5, zorder=3)
     for index, value in enumerate(values):

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from polishd.api import Event
+from polishd.api import Event, PolishdError
 from polishd.plugins import run_report
 from polishd.plugins.run_report import trend
 from polishd.plugins.run_report.folder import Executed, Surface, read_folder
@@ -142,13 +142,17 @@ def pictures_in(page: str) -> list[bytes]:
 
 
 class TestEvents:
-    def test_a_finished_job_is_reported(self, undrawn: None, run_dir: Path) -> None:
-        run_report.polishd_on_event(Event("job_finished", data={"run_dir": str(run_dir)}))
-        assert (run_dir / "report.html").is_file()
+    @pytest.mark.parametrize("name", ["job_finished", "plan_written"])
+    def test_what_is_complete_is_reported_by_another_process(
+        self, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("polishd.plugins.run_report.report.write_report", None)
+        run_report.polishd_on_event(Event(name, data={"run_dir": str(tmp_path)}))
+        assert (tmp_path / "report.html").is_file()
 
-    def test_a_written_plan_is_reported(self, undrawn: None, plan_dir: Path) -> None:
-        run_report.polishd_on_event(Event("plan_written", data={"run_dir": plan_dir}))
-        assert (plan_dir / "report.html").is_file()
+    def test_a_report_that_fails_is_an_error_with_its_cause(self, tmp_path: Path) -> None:
+        with pytest.raises(PolishdError, match="nowhere"):
+            run_report.polishd_on_event(Event("job_finished", data={"run_dir": str(tmp_path / "nowhere")}))
 
     @pytest.mark.parametrize("name", ["measured", "failed", ""])
     def test_other_events_pass_by(self, run_dir: Path, name: str) -> None:
@@ -235,6 +239,16 @@ def test_a_plan_shows_its_prediction_and_says_that_nothing_moved(plan_dir: Path)
     assert names == {"psd", "plan-maps", "plan-compliance", "plan-dwell"}
 
 
+def test_what_was_said_of_a_map_and_of_a_pass_is_on_the_page(undrawn: None, run_dir: Path) -> None:
+    rows = json.loads((run_dir / "summary.json").read_text())["cycles"]
+    write_summary(run_dir, [{**rows[0], "notes": ["a tilt of 150 nm"]}, *rows[1:]])
+    (run_dir / "cycle-01/learned.json").write_text(json.dumps({"notes": ["the rate <stays>"]}))
+    page = page_of(run_dir)
+    assert "<li>measurement 0: a tilt of 150 nm</li>" in page
+    assert "<li>measurement 1: the rate &lt;stays&gt;</li>" in page
+    assert "learned.json" not in missing_in(page), "a first measurement has none"
+
+
 def test_a_tolerance_on_long_periods_is_judged_and_drawn_on_them(run_dir: Path) -> None:
     rows = [{"rms_nm": 9.0, "band_rms_nm": 8.0}, {"rms_nm": 3.0, "band_rms_nm": 1.0}]
     write_summary(run_dir, rows, tolerance_period_mm=7.0)
@@ -242,6 +256,24 @@ def test_a_tolerance_on_long_periods_is_judged_and_drawn_on_them(run_dir: Path) 
     labels = [text.get_text() for text in trend.rms_per_measurement(rows, 2.0, 7.0).axes[0].get_legend().texts]
     assert "measured, periods above 7 mm" in labels
     assert "measured, all periods" in labels
+
+
+def test_an_interrupted_pass_is_no_pass_like_the_others(undrawn: None, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    cycles = [write_cycle(folder / f"cycle-{cycle:02d}", cycle, passed=cycle < 3) for cycle in range(4)]
+    for cycle, how in zip(cycles, ("done", "interrupted", "done", None), strict=True):
+        cycle["how"] = how
+    cycles[1] |= {"executed_s": 925.0, "predicted_rms_nm": 0.5}
+    write_summary(folder, cycles)
+    page = page_of(folder)
+    assert "<dt>passes</dt><dd>2, and 1 interrupted</dd>" in page
+    rows = re.findall(r'<th scope="row">(start|after.*?)</th>', page)
+    assert rows == ["start", "after pass 1", "after an interrupted pass", "after pass 2"]
+    assert "<br>interrupted at 25%</td>" in page
+    titles = re.findall(r"<h2>(.*?) <small>", page)
+    assert titles == ["Pass 1", "Pass that was interrupted at 25%", "Pass 2", "Measurement after pass 2"]
+    predicted = trend.rms_per_measurement(cycles, 2.0, 0.0).axes[0].get_lines()[0].get_ydata()
+    assert np.isnan(predicted).tolist() == [True, False, True, False], "nobody predicted what a part of a pass leaves"
 
 
 class TestWhatIsMissing:
@@ -327,9 +359,15 @@ class TestExecuted:
         assert done.seconds.tolist() == [1.5, 2.0]
 
     def test_blocks_are_matched_by_number_where_the_plan_tells_it(self) -> None:
-        done = Executed(np.array([4, 5, 7]), np.array([1.0, 9.0, 3.0]))
+        done = Executed(np.array([4, 7]), np.array([1.0, 3.0]))
         matched = done.per_point({"expected_s": np.ones(3), "block": np.array([4, 7, 8])})
         np.testing.assert_array_equal(matched, [1.0, 3.0, np.nan])
+
+    def test_the_move_to_a_dwell_counts_for_its_point_as_it_does_in_learning(self) -> None:
+        """The program of ``test_job.test_the_move_to_a_dwell_counts_for_its_point``."""
+        done = Executed(np.array([3, 5, 6]), np.array([1.5, 0.25, 2.25]))
+        matched = done.per_point({"expected_s": np.ones(2), "block": np.array([3, 6])})
+        np.testing.assert_array_equal(matched, [1.5, 2.5])
 
     def test_otherwise_in_order_where_the_counts_agree(self) -> None:
         plan = {"expected_s": np.ones(3)}
