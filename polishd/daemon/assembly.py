@@ -7,18 +7,20 @@ from collections.abc import Mapping
 from typing import Any, TypeVar, cast
 
 from polishd.daemon.cell import Cell, MonotonicClock
-from polishd.daemon.config import CellConfig, PortSection, device_options
+from polishd.daemon.config import CellConfig
 from polishd.daemon.config_errors import did_you_mean, listed
+from polishd.daemon.devices import built
 from polishd.daemon.files import read_map
 from polishd.daemon.instrument_file import load_profile
 from polishd.daemon.plugins import Hooks
 from polishd.daemon.recipe import Recipe
 from polishd.daemon.safety import ContactLimits
+from polishd.daemon.time_limits import Limit, too_short
 from polishd.hookspecs import DeviceContext
 from polishd.model.errors import ConfigError, SurfaceError
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
-from polishd.ports.devices import Device, ForceActuator, Metrology, Robot, Spindle
+from polishd.ports.devices import ForceActuator, Metrology, Robot, Spindle
 
 CROSS_CHECK_GAP = 1e-3
 """Most by which an independent solver may be better."""
@@ -27,7 +29,10 @@ T = TypeVar("T")
 
 
 def build_cell(config: CellConfig, hooks: Hooks) -> Cell:
-    """The devices that the config names, not yet open."""
+    """The devices that the config names, not yet open; each has all that its port asks.
+
+    ConfigError or PluginError where one cannot be built, or lacks something.
+    """
     context = DeviceContext(
         base_dir=config.base_dir,
         state_dir=config.state_dir,
@@ -35,19 +40,22 @@ def build_cell(config: CellConfig, hooks: Hooks) -> Cell:
         readers=tuple(hooks.surface_readers().values()),
         instrument=instrument_of(config),
     )
-    types = hooks.device_types()
-
-    def device(section: PortSection) -> Device:
-        kind, options = device_options(config, section, types)
-        return kind.build(options, context)
-
     return Cell(
-        robot=cast(Robot, device("robot")),
-        actuator=cast(ForceActuator, device("actuator")),
-        spindle=cast(Spindle, device("spindle")),
-        metrology=cast(Metrology, device("metrology")),
+        robot=cast(Robot, built(config, hooks, "robot", context)),
+        actuator=cast(ForceActuator, built(config, hooks, "actuator", context)),
+        spindle=cast(Spindle, built(config, hooks, "spindle", context)),
+        metrology=cast(Metrology, built(config, hooks, "metrology", context)),
         clock=MonotonicClock(),
     )
+
+
+def require_time_limits(config: CellConfig, cell: Cell) -> tuple[Limit, ...]:
+    """The chain of time limits; ConfigError with each one that is shorter than what it guards."""
+    chain = cell.limits.chain(config.job.lookahead_s)
+    found = [config.source.error(tuple(key.split(".")), problem) for key, problem in too_short(chain)]
+    if found:
+        raise ConfigError("\n".join(found))
+    return chain
 
 
 def instrument_of(config: CellConfig) -> Instrument | None:

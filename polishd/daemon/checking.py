@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from polishd.daemon import steps
-from polishd.daemon.assembly import build_cell, make_recipe, why_not_commissioned
+from polishd.daemon import foresight, steps
+from polishd.daemon.assembly import build_cell, make_recipe, require_time_limits, why_not_commissioned
 from polishd.daemon.config import CellConfig
 from polishd.daemon.lock import StateLock
 from polishd.daemon.plugins import Hooks
+from polishd.daemon.priority import host
+from polishd.daemon.program_fit import require_fit
 from polishd.daemon.recipe import Recipe
 from polishd.daemon.safety import make_safe
 from polishd.model.devices import Identity
@@ -20,8 +22,9 @@ from polishd.model.errors import DeviceFault
 def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
     """Read what the config names and compute along the program. Opens nothing; the first fault is raised."""
     recipe = make_recipe(config, hooks)
-    build_cell(config, hooks)
+    chain = require_time_limits(config, build_cell(config, hooks))
     program = steps.read_program(recipe, config.program_path)
+    foresight.check_pass(config, recipe, program)
     grid = steps.process_grid(recipe)
     answer = steps.effect_of(recipe, program, grid, 1.0)
     compliance, gamma = answer.compliance_um_per_n, answer.gamma
@@ -35,11 +38,15 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
         "plugins": ", ".join(plugin.name for plugin in hooks.report.loaded),
         "instrument": _instrument(config, recipe),
         "program": f"{program.name}: {program.n} timed points, {program.lines} lines, time in the {program.encoding}",
+        "covers": require_fit(config, recipe, program),
+        "pass": foresight.pass_words(recipe, program, answer),
         "reach": f"all {program.n} points",
         "compliance_um_per_n": f"{compliance.min():.3f} to {compliance.max():.3f}",
         "gamma": f"{gamma.min():.3f} to {gamma.max():.3f}",
         "correction": recipe.correction,
         "removal of the program as it is": f"{np.max(answer.effect.removal_nm(program.time_s)):.1f} nm at most",
+        "host": host(),
+        "time limits": [limit.row() for limit in chain],
     }
 
 
@@ -54,6 +61,7 @@ def _instrument(config: CellConfig, recipe: Recipe) -> str:
 async def probe_cell(config: CellConfig, hooks: Hooks) -> dict[str, Identity]:
     """Connect to each device, identify it, leave it safe. DeviceError where one does not answer."""
     cell = build_cell(config, hooks)
+    require_time_limits(config, cell)
     with StateLock(config.state_dir):
         identities = await cell.open()
         try:

@@ -35,6 +35,7 @@ from polishd.daemon.config_sections import (
     Texts,
 )
 from polishd.daemon.process_files import read_compliance_table, read_tif
+from polishd.files import toml_text
 from polishd.hookspecs import DeviceType
 from polishd.model.errors import ConfigError
 from polishd.model.limits import Envelope
@@ -145,7 +146,7 @@ class CellConfig(Section):
 
     def optic(self) -> Optic:
         """The nominal surface."""
-        return Optic(self.part.curvature_radius_mm, self.part.conic, self.part.even, self.part.off_axis_mm)
+        return nominal_optic(self.part)
 
     def measured_tif(self) -> MeasuredTif | None:
         """The cell's measured TIF, where it names one; ConfigError where that cannot be read."""
@@ -162,6 +163,11 @@ class CellConfig(Section):
             max_removal_nm=self.limits.max_removal_nm,
             max_pass_s=self.limits.max_pass_s,
         )
+
+
+def nominal_optic(part: PartSection) -> Optic:
+    """The nominal surface of a part section."""
+    return Optic(part.curvature_radius_mm, part.conic, part.even, part.off_axis_mm)
 
 
 def tool_process(section: ProcessSection) -> ToolProcess:
@@ -248,7 +254,7 @@ def _unknown_options(
 
 def parse_toml(path: Path) -> tuple[dict[str, Any], Source]:
     """A TOML file's values, and the text that says where they stand; ConfigError with file and line."""
-    text = _read(path)
+    text = toml_text(path)
     try:
         return tomllib.loads(text), Source(str(path), text)
     except tomllib.TOMLDecodeError as error:
@@ -269,15 +275,6 @@ def _lay_over(raw: dict[str, Any], fragment: Mapping[str, Any]) -> None:
             _lay_over(raw[name], value)
         else:
             raw[name] = value
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_bytes().decode("utf-8").replace("\r\n", "\n")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}; name a TOML file") from error
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
 
 
 def _syntax(path: Path, text: str, message: str) -> str:

@@ -18,6 +18,10 @@ from pydantic import (
 
 from polishd.model.dwell import Choice
 
+MOST_FEED_MM_S = 1000.0
+MOST_ACCEL_MM_S2 = 20_000.0
+"""Two g: beyond both a number is a mistake, and times are planned that no machine keeps."""
+
 
 def as_tuple(value: Any) -> Any:
     """TOML has lists, frozen models have tuples."""
@@ -27,6 +31,15 @@ def as_tuple(value: Any) -> Any:
 def as_tuples(value: Any) -> Any:
     """The same for a list of lists."""
     return tuple(map(as_tuple, value)) if isinstance(value, list) else value
+
+
+def _feed(value: float) -> float:
+    if value > MOST_FEED_MM_S:
+        raise ValueError(
+            f"{value:g} mm/s is faster than any polishing robot; must be at most {MOST_FEED_MM_S:g} mm/s: "
+            f"if the data sheet says {value:g} mm/min, write {value / 60:.6g}"
+        )
+    return value
 
 
 def _ordered(value: tuple[float, float]) -> tuple[float, float]:
@@ -99,7 +112,7 @@ class PartSection(Section):
     aperture_mm: Annotated[float, Field(gt=0, le=5000)]
     edge_mm: NotNegative = 3.0
     rim: Literal["ring", "free"] = "ring"
-    alignment: Literal["piston", "tilt", "power"] = "piston"
+    alignment: Literal["piston", "tilt", "power"] = "tilt"
     nominal: Text | None = None
     """A map of the form wanted, where that is not flat in the interferometer's eyes."""
     origin_mm: Vector
@@ -126,6 +139,8 @@ class ProgramSection(Section):
     format: Text = "rs274"
     dialects: Texts = ()
     """Profiles of the user's own (TOML), which ``format`` may then name."""
+    covers: Literal["aperture", "zone"] = "aperture"
+    """``zone``: it leaves a part of the clear aperture alone on purpose."""
     offset_mm: Vector = (0.0, 0.0, 0.0)
     rotation_deg: Angle = 0.0
 
@@ -133,9 +148,9 @@ class ProgramSection(Section):
 class MachineSection(Section):
     """What the machine can do, from its data sheet, on the safe side."""
 
-    max_feed_mm_s: Positive
+    max_feed_mm_s: Annotated[float, Field(gt=0), AfterValidator(_feed)]
     min_feed_mm_s: Positive
-    accel_mm_s2: Positive
+    accel_mm_s2: Annotated[float, Field(gt=0, le=MOST_ACCEL_MM_S2)]
     block_overhead_s: Annotated[float, Field(ge=0, le=1)] = 0.0
     corner_deg: Annotated[float, Field(ge=0, le=180)] = 30.0
     x_mm: Range
@@ -156,7 +171,7 @@ class DwellSection(Section):
     cross_check: str = "qp"
     regularisation: NotNegative = 1e-4
     extension: Literal["none", "nearest", "c1", "gerchberg_papoulis"] = "c1"
-    within_s: Annotated[float, Field(gt=0, le=3600)] = 30.0
+    within_s: Annotated[float, Field(gt=0, le=3600)] = 120.0
     kkt_tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-4
     choose: Choice = "least"
     budget_s: Positive | None = None
@@ -185,7 +200,7 @@ class JobSection(Section):
     tolerance_period_mm: NotNegative = 0.0
     lsf_period_mm: Positive = 33.0
     max_cycles: Annotated[int, Field(ge=1, le=100)] = 4
-    lookahead_s: Annotated[float, Field(ge=0.2, le=60)] = 1.0
+    lookahead_s: Annotated[float, Field(ge=0.2, le=600)] = 8.0
 
 
 class LimitsSection(Section):
@@ -194,5 +209,6 @@ class LimitsSection(Section):
     force_band: Annotated[float, Field(gt=0, lt=1)] = 0.25
     force_grace_s: Annotated[float, Field(ge=0, le=10)] = 0.3
     max_removal_nm: Positive = 1000.0
-    max_pass_s: Positive = 7200.0
+    max_pass_s: Positive = 86400.0
+    """A day: a metre's pass takes 17 h, and a removal rate that is wrong by the unit's factor of 100 days."""
     max_rate_change: Annotated[float, Field(gt=0, lt=1)] = 0.4

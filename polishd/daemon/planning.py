@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,11 +15,14 @@ from polishd.daemon import dwell_step, steps
 from polishd.daemon.assembly import make_recipe
 from polishd.daemon.config import CellConfig
 from polishd.daemon.files import read_map
-from polishd.daemon.job import require_certificate, save_plan, save_surface
+from polishd.daemon.job import require_certificate
+from polishd.daemon.job_files import save_plan, save_surface
 from polishd.daemon.plugins import Hooks
+from polishd.daemon.program_fit import judged
 from polishd.daemon.recipe import Recipe
 from polishd.daemon.run_folder import RunFolder
 from polishd.daemon.steps import Beliefs, Measured, Solved
+from polishd.files import require_writable, unwritable
 from polishd.model.cycle import Event
 from polishd.model.errors import ConfigError, PlanRefused, WrongPart
 from polishd.model.program import Plan
@@ -27,11 +32,12 @@ from polishd.model.surface import SurfaceMap
 def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Path, out: Path) -> dict[str, Any]:
     """Map figures, corrected dwell, rewritten program, certificate and pictures in ``out``; the summary.
 
-    ``out`` appears whole or not at all. Raises ConfigError where it exists and is not empty, SurfaceError,
-    ProgramError, ComputeError, or PlanRefused with every violation.
+    ``out`` appears whole or not at all. Raises ConfigError where it exists and is not empty, or cannot be written,
+    SurfaceError, ProgramError, ComputeError, or PlanRefused with every violation.
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ConfigError(f"{out}: exists already; name a new folder with --out")
+    require_writable(out.parent)
     recipe = make_recipe(config, hooks)
     surface = read_map(map_path, hooks.surface_readers().values())
     notes = _require_part(surface, config.part.id, map_path)
@@ -45,26 +51,39 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
         raise PlanRefused("the plan was refused, nothing was written:\n" + "\n".join(f"  {v}" for v in vetoes))
     if recipe.instrument is None or recipe.instrument.commissioned is None:
         notes.append("run will refuse: the cell has no commissioned instrument's profile (polishd check says more)")
-    notes += [*surface.warnings, *program.warnings, *steps.violations(recipe, plan), *solved.answer.notes]
+    said, misfit = judged(recipe, program, config.program.covers)
+    notes += [f"check will refuse: {said}{misfit}"] if misfit else []
+    notes += [*surface.warnings, *measured.notes, *program.warnings]
+    notes += [*steps.violations(recipe, plan), *solved.answer.notes]
     summary = {
         **_figures(recipe, measured, solved, plan),
         "job": config.job.id,
         "run_dir": str(out),
         "notes": notes,
     }
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as scratch:
-        folder = RunFolder(Path(scratch) / "plan")
-        folder.create()
+    with _appearing(out) as folder:
         save_surface(folder, surface, measured)
         folder.json("certificate.json", solved.dwell.certificate)
         save_plan(folder, recipe, plan, solved)
         folder.json("summary.json", summary)
-        hooks.on_event(Event("plan_written", None, {"run_dir": str(Path(scratch) / "plan")}))
-        if out.exists():
-            out.rmdir()
-        shutil.move(str(Path(scratch) / "plan"), out)
+        hooks.on_event(Event("plan_written", None, {"run_dir": str(folder.path)}))
     return summary
+
+
+@contextmanager
+def _appearing(out: Path) -> Iterator[RunFolder]:
+    """A folder to write, which becomes ``out`` at the end; ConfigError where that cannot be."""
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as scratch:
+            folder = RunFolder(Path(scratch) / "plan")
+            folder.create()
+            yield folder
+            if out.exists():
+                out.rmdir()
+            shutil.move(str(folder.path), out)
+    except OSError as error:
+        raise unwritable(out, error) from error
 
 
 def _require_part(surface: SurfaceMap, part_id: str, path: Path) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 from polishd import hookspecs
 from polishd.daemon.config_errors import did_you_mean, listed
@@ -14,6 +14,7 @@ from polishd.hookspecs import (
     PROJECT,
     DeviceType,
     DwellSolver,
+    Port,
     ProgramFormat,
     RemovalModel,
     SurfaceReader,
@@ -28,7 +29,7 @@ DECLARATIONS: dict[str, type[Any]] = {
     "polishd_dwell_solvers": DwellSolver,
 }
 """Hooks that declare records, and the kind of record."""
-_PORTS = frozenset({"robot", "actuator", "spindle", "metrology"})
+_PORTS = frozenset(get_args(Port))
 
 
 @dataclass(frozen=True, slots=True)

@@ -69,13 +69,21 @@ class Hooks:
         """By name."""
         return self._records("polishd_device_types")
 
+    def plugin_of(self, hook: str, name: str) -> str:
+        """The plugin that declared the record of that name."""
+        return next(plugin.name for plugin in self.report.loaded if name in _names(plugin.records[hook]))
+
     def program_formats(self) -> dict[str, ProgramFormat]:
         """By name."""
         return self._records("polishd_program_formats")
 
     def surface_readers(self) -> dict[str, SurfaceReader]:
-        """By name, in the order of the config."""
-        return self._records("polishd_surface_readers")
+        """By name, in the order in which they are asked: as in the config, but polishd's own last.
+
+        Some of polishd's own take any text; whoever loads another reader wants it asked.
+        """
+        others_first = sorted(self.report.loaded, key=lambda plugin: plugin.distribution == OWN)
+        return {record.name: record for plugin in others_first for record in plugin.records["polishd_surface_readers"]}
 
     def removal_models(self) -> dict[str, RemovalModel]:
         """By name."""
@@ -122,6 +130,10 @@ class Hooks:
 
     def _with(self, hook: str) -> list[Loaded]:
         return [plugin for plugin in self.report.loaded if plugin.implements(hook)]
+
+
+def _names(records: Iterable[Any]) -> set[str]:
+    return {record.name for record in records}
 
 
 def load_plugins(names: Iterable[str], profiles: Sequence[Path] = ()) -> Hooks:
@@ -210,7 +222,7 @@ def _taken(plugin: Loaded, others: Sequence[Loaded]) -> str | None:
     """The reason to refuse a plugin that declares a name which an earlier one has."""
     for hook, records in plugin.records.items():
         for other in others:
-            both = {record.name for record in records} & {record.name for record in other.records[hook]}
+            both = _names(records) & _names(other.records[hook])
             if both:
                 return f"{hook}: plugin {other.name!r} has {listed(both)} already; load only one of the two"
     return None

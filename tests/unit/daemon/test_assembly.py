@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,12 +15,14 @@ from polishd.console.demo_files import demo_program, with_values
 from polishd.daemon import checking
 from polishd.daemon.assembly import build_cell, contact_limits, make_recipe, require_commissioned
 from polishd.daemon.config import CellConfig, load_config
+from polishd.daemon.config_sections import LimitsSection
 from polishd.daemon.lock import StateLock
 from polishd.daemon.plugins import Hooks, load_own, load_plugins
-from polishd.hookspecs import DeviceContext
+from polishd.daemon.priority import host
+from polishd.hookspecs import DeviceContext, DeviceType
 from polishd.model.errors import ConfigError, DeviceFault, LinkError, ProgramError
 from polishd.model.surface import SurfaceMap
-from polishd.ports.devices import ForceActuator, Robot, Spindle
+from polishd.ports.devices import Device, ForceActuator, Robot, Spindle
 from tests.commissioned import commissioned
 from tests.fakes.devices import FakeCell
 
@@ -47,7 +50,7 @@ def configured(tmp_path: Path, example: str) -> Any:
 
 def test_the_recipe_is_the_configs(configured: Any, hooks: Hooks) -> None:
     config = configured(
-        part={"aperture_mm": 60.0, "alignment": "tilt", "id": "P-9"},
+        part={"aperture_mm": 60.0, "alignment": "power", "id": "P-9"},
         program={"offset_mm": [1.0, 2.0, 0.0], "rotation_deg": 90.0},
         process={"correction": "linear", "grid_mm": 0.8},
         job={"tolerance_nm": 3.0, "tolerance_period_mm": 12.0},
@@ -55,7 +58,7 @@ def test_the_recipe_is_the_configs(configured: Any, hooks: Hooks) -> None:
         limits={"max_rate_change": 0.2},
     )
     recipe = make_recipe(config, hooks)
-    assert (recipe.part_id, recipe.aperture_mm, recipe.alignment, recipe.grid_mm) == ("P-9", 60.0, "tilt", 0.8)
+    assert (recipe.part_id, recipe.aperture_mm, recipe.alignment, recipe.grid_mm) == ("P-9", 60.0, "power", 0.8)
     assert (recipe.program_offset_mm, recipe.program_rotation_deg) == ((1.0, 2.0, 0.0), 90.0)
     assert (recipe.correction, recipe.solve_s, recipe.kkt_tolerance) == ("linear", 7.0, 1e-5)
     assert (recipe.tolerance_nm, recipe.tolerance_period_mm, recipe.max_rate_change) == (3.0, 12.0, 0.2)
@@ -64,8 +67,9 @@ def test_the_recipe_is_the_configs(configured: Any, hooks: Hooks) -> None:
     assert recipe.cross_check.name == "qp"
 
 
-def test_alignment_is_piston_by_default(configured: Any, hooks: Hooks) -> None:
-    assert make_recipe(configured(), hooks).alignment == "piston"
+def test_a_tilt_is_alignment_by_default(configured: Any, hooks: Hooks) -> None:
+    """Every interferometer's map has one, and another each time."""
+    assert make_recipe(configured(), hooks).alignment == "tilt"
 
 
 def test_the_form_wanted_is_read_with_the_recipe(configured: Any, hooks: Hooks, tmp_path: Path) -> None:
@@ -163,7 +167,40 @@ def test_check_reads_and_computes(configured: Any, hooks: Hooks) -> None:
     assert facts["program"].startswith("program.rnc: ")
     low, high = map(float, facts["compliance_um_per_n"].split(" to "))
     assert 0.5 < low < high < 3.0
+    assert facts["host"] == host()
     assert not config.state_dir.exists(), "nothing was opened"
+
+
+def test_check_refuses_a_pass_that_can_never_be_short_enough(configured: Any, hooks: Hooks) -> None:
+    """Before any map, and before anything is solved: the path alone takes longer at the largest feed."""
+    config = configured(part={"aperture_mm": 30.0}, process={"grid_mm": 2.0}, limits={"max_pass_s": 20.0})
+    config.program_path.write_bytes(demo_program(config))
+    with pytest.raises(ConfigError) as caught:
+        checking.check_cell(config, hooks)
+    said = re.fullmatch(
+        r".*limits\.max_pass_s: program\.rnc at the largest feed takes (\d+) s, more than limits\.max_pass_s = 20 s; "
+        r"set it to (\d+) or more, .*", str(caught.value)
+    )  # fmt: skip
+    assert said
+    assert float(said[2]) > float(said[1]) > 20
+    enough = configured(part={"aperture_mm": 30.0}, process={"grid_mm": 2.0}, limits={"max_pass_s": float(said[2])})
+    assert checking.check_cell(enough, hooks)["pass"].startswith(f"{said[1]} s at the largest feed, ")
+
+
+def test_check_says_what_a_pass_can_remove(configured: Any, hooks: Hooks) -> None:
+    config = configured(part={"aperture_mm": 30.0}, process={"grid_mm": 2.0}, limits={"max_pass_s": 3600.0})
+    config.program_path.write_bytes(demo_program(config))
+    said = re.search(r"(\d+) s as programmed; limits.max_pass_s = 3600 s removes ([\d.]+) nm",
+                     checking.check_cell(config, hooks)["pass"])  # fmt: skip
+    assert said
+    area_mm2 = np.pi * (15.0 + 1.5) ** 2  # with the path's own overrun
+    volume_nm_mm2_s = 0.058 / 60 * 1e6
+    assert float(said[2]) == pytest.approx(3600 * volume_nm_mm2_s / area_mm2, rel=0.4)
+
+
+def test_the_default_lets_a_large_parts_pass_end() -> None:
+    """A metre's takes 17 h; what is wrong by a hundred still does not fit."""
+    assert 17 * 3600 < LimitsSection().max_pass_s <= 24 * 3600
 
 
 def test_check_needs_the_program(configured: Any, hooks: Hooks) -> None:
@@ -181,7 +218,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> FakeCell:
 async def test_probe_identifies_all_and_leaves_them_safe(configured: Any, hooks: Hooks, fake: FakeCell) -> None:
     found = await checking.probe_cell(configured(), hooks)
     assert [found[name].model for name in found] == ["actuator", "robot", "spindle", "metrology"]
-    assert fake.of("make_safe", "close")[:3] == ["actuator.make_safe", "robot.make_safe", "spindle.make_safe"]
+    assert fake.of("make_safe", "close")[:3] == ["spindle.make_safe", "actuator.make_safe", "robot.make_safe"]
     assert fake.events[-4:] == [f"{name}.close" for name in found]
 
 
@@ -206,10 +243,15 @@ def test_the_instrument_reaches_recipe_and_devices(
     configured: Any, hooks: Hooks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     contexts: list[DeviceContext] = []
-    kinds = {
-        name: replace(kind, build=lambda options, context: contexts.append(context))
-        for name, kind in hooks.device_types().items()
-    }
+
+    def kept(kind: DeviceType) -> DeviceType:
+        def build(options: Any, context: DeviceContext) -> Device:
+            contexts.append(context)
+            return kind.build(options, context)
+
+        return replace(kind, build=build)
+
+    kinds = {name: kept(kind) for name, kind in hooks.device_types().items()}
     monkeypatch.setattr(hooks, "device_types", lambda: kinds)
     config = configured()
     build_cell(config, hooks)

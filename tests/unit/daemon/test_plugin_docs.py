@@ -8,8 +8,11 @@ from typing import Any
 
 import pytest
 
+from polishd.daemon.devices import PORTS
 from polishd.daemon.plugin_checks import DECLARATIONS, HOOKS
 from polishd.daemon.plugins import load_plugins
+from polishd.daemon.port_checks import lacking
+from polishd.hookspecs import DeviceContext
 
 TEXT = (Path(__file__).resolve().parents[3] / "docs" / "plugins.md").read_text()
 SECTIONS = dict(re.findall(r"^### `(polishd_\w+)\((.*?)(?=^### |\Z)", TEXT, re.DOTALL | re.MULTILINE))
@@ -32,6 +35,13 @@ def test_example_is_accepted_and_has_its_hook(install: Any, hook: str) -> None:
     (plugin,) = hooks.report.loaded
     assert plugin.implements(hook)
     assert all(len(plugin.records[name]) == (name == hook) for name in DECLARATIONS)
+
+
+def test_the_device_has_all_that_its_port_asks(install: Any, tmp_path: Path) -> None:
+    (source,) = EXAMPLES["polishd_device_types"]
+    (kind,) = load_plugins([install("box", source, api=None)]).device_types().values()
+    device = kind.build(kind.options(folder="maps"), DeviceContext(tmp_path, tmp_path, "P-1", ()))
+    assert lacking(device, PORTS[kind.port]) == []
 
 
 def test_frame_is_accepted(install: Any) -> None:
