@@ -24,6 +24,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
+STDOUT = 1
+"""Its descriptor."""
+
 Cell = Annotated[Path, typer.Argument(metavar="CELL.toml", help="The cell's configuration.", show_default=False)]
 Picture = Annotated[
     Optional[Path],  # noqa: UP045
@@ -86,11 +89,16 @@ def demo(  # noqa: PLR0917 - typer reads the options off the signature
 
 
 @app.command()
-def run(cell: Cell, correction: CorrectionOption = None, as_json: Json = False) -> None:
+def run(
+    cell: Cell,
+    correction: CorrectionOption = None,
+    no_hold: Annotated[bool, typer.Option("--no-hold", help="End where it would wait for a person to mend.")] = False,
+    as_json: Json = False,
+) -> None:
     """Run the daemon of a cell until its job ends. After an interruption it comes up held."""
     from polishd.console.verbs import run_verb
 
-    raise typer.Exit(run_verb(cell, correction.value if correction else None, as_json=as_json))
+    raise typer.Exit(run_verb(cell, correction.value if correction else None, holds=not no_hold, as_json=as_json))
 
 
 @app.command()
@@ -148,6 +156,12 @@ def resume(cell: Cell, as_json: Json = False) -> None:
 def stop(cell: Cell, as_json: Json = False) -> None:
     """Leave contact, stand still, and end the daemon."""
     _order(cell, "stop", as_json=as_json)
+
+
+@app.command()
+def estop(cell: Cell, as_json: Json = False) -> None:
+    """Stop motion at once, whatever the part costs; then wait for resume. No substitute for the button."""
+    _order(cell, "estop", as_json=as_json)
 
 
 @app.command()
@@ -232,12 +246,14 @@ def calibrate_stiffness(  # noqa: PLR0917 - typer reads the options off the sign
     ] = None,
     projection: Annotated[ProjectionChoice, typer.Option(help="What a test measures.")] = ProjectionChoice.normal,
     out: Fragment = None,
+    anyway: Annotated[bool, typer.Option("--anyway", help="Write the fragment of a doubtful fit, too.")] = False,
     as_json: Json = False,
 ) -> None:
     """Fit the robot's stiffnesses to loading tests: pose, direction, um/N."""
-    from polishd.console.calibrate import stiffness_verb
+    from polishd.console.calibrate import LoadingFiles, stiffness_verb
 
-    stiffness_verb(tests, cell, held_out, projection.value, out, as_json=as_json)
+    files = LoadingFiles(tests, held_out, projection.value)
+    stiffness_verb(files, cell, out, anyway=anyway, as_json=as_json)
 
 
 @calibrate.command("tif")
@@ -288,7 +304,7 @@ def _order(cell: Path, verb: str, *, as_json: bool) -> None:
 
 
 def main() -> None:
-    """Entry point: errors of the tree become one message and their exit code."""
+    """The command line: errors of the tree, and of files, become one message and their exit code."""
     try:
         _plugin_commands()
         app()
@@ -296,11 +312,23 @@ def main() -> None:
         typer.echo(f"polishd: {error}", err=True)
         sys.exit(error.exit_code)
     except OSError as error:
-        if error.errno != errno.ENOSPC:
+        full = error.errno == errno.ENOSPC
+        name = error.filename or (_full_output() if full else None)
+        if name is None:
             raise
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes what is left as it ends
-        typer.echo(f"polishd: {error.filename or 'standard output'}: {error.strerror}; make room", err=True)
+        advice = "; make room" if full else ""
+        typer.echo(f"polishd: {name}: {error.strerror}{advice}", err=True)
         sys.exit(1)
+
+
+def _full_output() -> str:
+    """What has no room where no file is named: standard output, if it takes not even the end of a line."""
+    try:
+        os.write(STDOUT, b"\n")
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), STDOUT)  # Python flushes what is left as it ends
+        return "standard output"
+    return "a file"
 
 
 def _plugin_commands() -> None:

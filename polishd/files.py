@@ -10,6 +10,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+from polishd.model.errors import ConfigError
+
+PROBE_BYTES = 4096
+
 
 @contextlib.contextmanager
 def whole_file(path: Path, mode: int = 0o644) -> Iterator[BinaryIO]:
@@ -39,6 +43,36 @@ def write_atomic(path: Path, content: bytes, mode: int = 0o644) -> None:
     """Write ``content`` to ``path``, whole."""
     with whole_file(path, mode) as file:
         file.write(content)
+
+
+def toml_text(path: Path) -> str:
+    """A TOML file's text, without the byte-order mark and the line ends of other systems. ConfigError."""
+    try:
+        return path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}; name a TOML file") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
+
+
+def require_writable(folder: Path) -> None:
+    """ConfigError unless files can be written in the folder, or, where it is not there yet, in the one above it.
+
+    For what is computed for long, and written then.
+    """
+    try:
+        nearest = next(path for path in (folder, *folder.parents) if path.exists())
+        with tempfile.TemporaryFile(prefix=".polishd.", dir=nearest) as probe:
+            probe.write(b"\0" * PROBE_BYTES)
+            probe.flush()
+    except OSError as error:
+        raise unwritable(folder, error) from error
+
+
+def unwritable(path: Path, error: OSError) -> ConfigError:
+    """What to say of a file or folder of ``--out`` that cannot be written."""
+    todo = "make room, or name another with --out" if error.errno == errno.ENOSPC else "name another with --out"
+    return ConfigError(f"{path}: cannot be written: {error.strerror}; {todo}")
 
 
 def sync_folder(folder: Path) -> None:

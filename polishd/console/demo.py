@@ -24,6 +24,7 @@ from polishd.console.simulator import last_words, measure_artefact, simulated_ce
 from polishd.console.tables import cycle_table, stderr, stdout
 from polishd.daemon import client
 from polishd.daemon.sockets import SOCKET_NAME
+from polishd.files import require_writable
 from polishd.model.errors import ConfigError, LinkError, PolishdError
 
 START_S = 60.0
@@ -48,6 +49,7 @@ def run_demo(options: DemoOptions, *, as_json: bool) -> int:
     out = options.out or Path("polishd-demo") / datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ConfigError(f"{out}: exists already; name a new folder with --out")
+    require_writable(out)
     files = write_demo(out.absolute(), options.surface, options.tolerance_nm, options.cycles, options.correction)
     stderr.print(f"[bold]polishd demo[/] in {out}  (seed {options.seed}, {options.speed:g} x real time)")
     simulator = ["--state", str(files.sim_dir), "--seed", str(options.seed), "--speed", f"{options.speed:g}"]
@@ -79,11 +81,11 @@ def commission_demo(files: DemoFiles) -> Proved:
 
 def _daemon(files: DemoFiles) -> int:
     """``polishd run`` as a process, watched over its socket; its exit code."""
-    command = [sys.executable, "-m", "polishd.cli", "run", str(files.cell), "--json"]
+    command = [sys.executable, "-m", "polishd", "run", str(files.cell), "--json", "--no-hold"]
     with files.daemon_log.open("wb") as log:
         process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
         try:
-            watcher = threading.Thread(target=_watch, args=(process, files.state_dir), daemon=True)
+            watcher = threading.Thread(target=_watch, args=(process, files), daemon=True)
             watcher.start()
             code = process.wait()
             watcher.join(STOP_S)
@@ -94,13 +96,13 @@ def _daemon(files: DemoFiles) -> int:
                 process.wait(STOP_S)
 
 
-def _watch(process: subprocess.Popen[bytes], state_dir: Path) -> None:
+def _watch(process: subprocess.Popen[bytes], files: DemoFiles) -> None:
     """Show what the daemon tells, until it ends."""
     waited = threading.Event()
-    while process.poll() is None and not (state_dir / SOCKET_NAME).exists():
+    while process.poll() is None and not (files.state_dir / SOCKET_NAME).exists():
         waited.wait(0.05)  # a file that another process makes: there is no event to wait for
-    with contextlib.suppress(LinkError), progress() as show:
-        for event in client.subscribe(state_dir):
+    with contextlib.suppress(LinkError), progress(files.cell) as show:
+        for event in client.subscribe(files.state_dir):
             show(event["name"], event["cycle"], event["data"])
 
 

@@ -4,26 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
+from polishd.console.last_words import last_words
 from polishd.console.tables import stderr
 
 Show = Callable[[str, int | None, Mapping[str, Any]], None]
 """(event's name, its cycle, its data)."""
 
 
+AFTER = {"pass_ended": "cycle {cycle}: measuring", "job_finished": "writing the report"}
+"""What goes on after an event."""
+
+
 @contextmanager
-def progress() -> Iterator[Show]:
-    """Show events on stderr for as long as the block lasts; stdout stays free for programs."""
+def progress(cell: Path) -> Iterator[Show]:
+    """Show events on stderr for as long as the block lasts; stdout stays free for programs.
+
+    ``cell`` is what commands are told with.
+    """
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), TimeElapsedColumn())
     with Progress(*columns, console=stderr) as bar:
         task = bar.add_task("starting", total=None, note="")
-        yield lambda name, cycle, data: _show(bar, task, name, cycle, data)
+        yield lambda name, cycle, data: _show(bar, (task, cell), name, cycle, data)
 
 
-def _show(bar: Progress, task: TaskID, name: str, cycle: int | None, data: Mapping[str, Any]) -> None:
+def _show(bar: Progress, shown: tuple[TaskID, Path], name: str, cycle: int | None, data: Mapping[str, Any]) -> None:
+    task, cell = shown
     match name:
         case "measured":
             band = data["band_rms_nm"]
@@ -38,14 +48,15 @@ def _show(bar: Progress, task: TaskID, name: str, cycle: int | None, data: Mappi
             bar.update(task, description=f"cycle {cycle}: polishing", total=data["blocks"], completed=0, note=minutes)
         case "progress":
             bar.update(task, completed=data["block"])
-        case "pass_ended":
-            bar.update(task, description=f"cycle {cycle}: measuring", total=None, note="")
+        case "pass_ended" | "job_finished":
+            bar.update(task, description=AFTER[name].format(cycle=cycle), total=None, note="")
         case "state" if data["state"] == "held":
-            stderr.print(f"held: {data['reason']}", markup=False)
+            for word, text in [("held", data["reason"]), *last_words(data, cell)]:
+                stderr.print(f"{word}: {text}", markup=False, soft_wrap=True)
             bar.update(task, description="held", total=None, note="")
         case "failed":
             stderr.print(f"{data['kind']}: {data['error']}", style="red", markup=False)
-        case "job_finished":
-            bar.update(task, description="writing the report", total=None, note="")
         case _:
             pass
+    for note in data.get("notes", ()):
+        stderr.print(f"note: {note}", markup=False)

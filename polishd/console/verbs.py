@@ -4,31 +4,44 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import typer
+from rich.console import Group
+from rich.table import Table
 
+from polishd.console.last_words import for_cell, last_words, tell
 from polishd.console.progress import progress
 from polishd.console.tables import cycle_table, key_table, record_table, stderr, stdout
 from polishd.daemon import client
 from polishd.daemon.config import CellConfig, load_config
+from polishd.daemon.endings import Cause, last_ending
 from polishd.daemon.plugin_checks import DECLARATIONS
 from polishd.daemon.plugins import Hooks, load_own, load_plugins
-from polishd.model.cycle import EXIT_CODES, Outcome
+from polishd.model.errors import NoDaemon, PolishdError
 
 
-def run_verb(cell: Path, correction: str | None, *, as_json: bool) -> int:
-    """Run the daemon; its exit code."""
+def run_verb(cell: Path, correction: str | None, *, holds: bool, as_json: bool) -> int:
+    """Run the daemon; its exit code. The last lines on stderr say how the cell stands and what to do."""
     from polishd.daemon.app import run_cell
 
-    config, hooks = load_cell(cell, correction)
-    with progress() as show:
-        summary = asyncio.run(run_cell(config, hooks, lambda event: show(event.name, event.cycle, event.data)))
+    try:
+        config, hooks = load_cell(cell, correction)
+        with progress(cell) as show:
+            summary = asyncio.run(
+                run_cell(config, hooks, lambda event: show(event.name, event.cycle, event.data), holds=holds)
+            )
+    except PolishdError as error:
+        typer.echo(f"polishd: {error}\nthis run opened nothing, and moved nothing", err=True)
+        return error.exit_code
     emit(summary, as_json=as_json, table=lambda: cycle_table(summary))
-    return EXIT_CODES[Outcome(summary["outcome"])]
+    for note in summary["notes"]:
+        typer.echo(f"polishd: {note}", err=True)
+    tell(summary, cell)
+    return int(summary["exit_code"])
 
 
 def plan_verb(cell: Path, surface: Path, program: Path, out: Path, correction: str | None, *, as_json: bool) -> None:
@@ -51,11 +64,28 @@ def check_verb(cell: Path, *, as_json: bool) -> None:
 
     config, hooks = load_cell(cell)
     facts = check_cell(config, hooks)
+    plain = [(key, value) for key, value in facts.items() if key != "time limits"]
     emit(
         facts,
         as_json=as_json,
-        table=lambda: key_table(f"{config.cell.name}: checked, nothing was opened", facts.items()),
+        table=lambda: Group(
+            key_table(f"{config.cell.name}: checked, nothing was opened", plain), _limit_table(facts["time limits"])
+        ),
     )
+
+
+def _limit_table(limits: Sequence[Mapping[str, Any]]) -> Table:
+    """The chain of time limits, in the order in which they act."""
+    rows = [
+        (
+            limit["what"],
+            "never" if limit["seconds"] is None else f"{limit['seconds']:g} s",
+            f">= {limit['least_s']:g} s {limit['because']}" if limit["least_s"] else "",
+            limit["key"],
+        )
+        for limit in limits
+    ]
+    return record_table("time limits", ("what", "time", "needed", "key"), rows)
 
 
 def probe_verb(cell: Path, *, as_json: bool) -> None:
@@ -71,19 +101,36 @@ def probe_verb(cell: Path, *, as_json: bool) -> None:
 
 
 def status_verb(cell: Path, *, as_json: bool) -> None:
-    """Ask the running daemon."""
+    """Ask the running daemon; where none runs, what the last one left word of."""
     config = load_config(cell)
-    answer = client.request(config.state_dir, "status")
-    rows = [(key, value) for key, value in answer.items() if key not in ("ok", "cycles") and value]
+    try:
+        answer = client.request(config.state_dir, "status")
+    except NoDaemon as absent:
+        last = {"ok": False, "error": str(absent), **last_ending(config.state_dir)}
+        if as_json:
+            typer.echo(json.dumps(last))
+        else:
+            _tell_last(last, config.cell.name, cell)
+        raise typer.Exit(absent.exit_code) from None
+    rows = [(key, for_cell(str(value), cell)) for key, value in answer.items() if key not in ("ok", "cycles") and value]
     rows += [(f"measurement {i}", f"RMS {c['rms_nm']:.2f} nm") for i, c in enumerate(answer.get("cycles", []))]
     emit(answer, as_json=as_json, table=lambda: key_table(config.cell.name, rows))
+
+
+def _tell_last(last: Mapping[str, Any], name: str, cell: Path) -> None:
+    """Plain lines, as ``run`` ended with: a table would break commands and paths."""
+    rows = [(key, last[key]) for key in ("state", "at", "reason") if last.get(key)]
+    rows += [("cause", str(Cause(**cause))) for cause in last.get("causes", [])]
+    for key, text in [(name, "no daemon is running"), *rows, *last_words(last, cell)]:
+        typer.echo(f"{key}: {text}")
 
 
 def order_verb(cell: Path, verb: str, *, as_json: bool) -> None:
     """Give the running daemon an order; returns when it is obeyed."""
     config = load_config(cell)
-    answer = client.request(config.state_dir, verb)
-    emit(answer, as_json=as_json, table=lambda: key_table(f"{config.cell.name}: {verb}", answer.items()))
+    answer = client.request(config.state_dir, verb, client.ORDER_S)
+    rows = [(key, for_cell(str(value), cell)) for key, value in answer.items() if value]
+    emit(answer, as_json=as_json, table=lambda: key_table(f"{config.cell.name}: {verb}", rows))
 
 
 def plugins_verb(cell: Path | None, *, as_json: bool) -> None:

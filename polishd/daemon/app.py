@@ -1,24 +1,33 @@
 """The daemon: one cell, one job, and the person who may hold, resume or stop it.
 
 States: ``starting``, ``polishing``, ``held`` (safe, waits for a person) and ``finished``. Hold, stop, SIGTERM and every
-error leave contact in the same order (``safety.make_safe``). After an interruption nothing moves until ``resume``.
+error leave contact in the same order (``safety.make_safe``). After an interruption nothing moves until ``resume``. An
+error that a person can mend holds, any other one ends the daemon (docs/cycle.md).
 """
 
 from __future__ import annotations
 
 import asyncio
+import logging
 import signal
 from collections.abc import AsyncIterator, Callable, Mapping
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any, Literal
 
-from polishd.daemon.assembly import build_cell, contact_limits, make_recipe, require_commissioned
+from polishd.daemon.assembly import (
+    build_cell,
+    contact_limits,
+    make_recipe,
+    require_commissioned,
+    require_time_limits,
+)
 from polishd.daemon.cell import Cell
 from polishd.daemon.compute import Compute
 from polishd.daemon.config import CellConfig
 from polishd.daemon.cycle import polish
+from polishd.daemon.endings import GONE, NEXT, Ending, as_json, causes, keep_ending, keeping, now
 from polishd.daemon.events import EventBus
 from polishd.daemon.interruption import settle
 from polishd.daemon.job import Job
@@ -26,25 +35,38 @@ from polishd.daemon.journal import Journal
 from polishd.daemon.lock import StateLock
 from polishd.daemon.log import logging_to
 from polishd.daemon.plugins import Hooks
+from polishd.daemon.priority import loop_first
+from polishd.daemon.program_fit import require_fit
 from polishd.daemon.run_folder import RunFolder
 from polishd.daemon.safety import make_safe, most_telling
+from polishd.daemon.same_job import require_same, terms_of
 from polishd.daemon.service import serving
 from polishd.daemon.steps import read_program
-from polishd.model.cycle import Event, Outcome
-from polishd.model.errors import PolishdError
+from polishd.model.cycle import EXIT_CODES, Event, Outcome
+from polishd.model.errors import ConfigError, PolishdError
+from polishd.model.program import Program
 
-Order = Literal["hold", "resume", "stop"]
+log = logging.getLogger(__name__)
+
+Order = Literal["hold", "resume", "stop", "estop"]
 State = Literal["starting", "polishing", "held", "finished"]
+ORDERED, BEGUN = "held by order", "this job was begun earlier"
+EMERGENCY = "motion was stopped at once, by order"
 
 
 class Daemon:
     """Runs a job, and obeys orders at once."""
 
-    def __init__(self, cell: Cell, job: Job, journal: Journal, bus: EventBus) -> None:
+    def __init__(self, cell: Cell, job: Job, journal: Journal, bus: EventBus, *, holds: bool = True) -> None:
         self.job = job
         self.bus = bus
         self._cell = cell
         self._journal = journal
+        self._holds = holds
+        """Wait for a person where one can mend the cause; else end with it."""
+        self._opened = False
+        self._stopping = False
+        """An order that came with an error is not forgotten over it."""
         self._orders: asyncio.Queue[Order] = asyncio.Queue()
         self._changed = asyncio.Condition()
         self.state: State = "starting"
@@ -58,6 +80,7 @@ class Daemon:
             "hold": lambda: self._order("hold", "held", "finished"),
             "resume": lambda: self._order("resume", "polishing", "finished"),
             "stop": lambda: self._order("stop", "finished"),
+            "estop": lambda: self._order("estop", "held", "finished"),
         }
 
     async def status(self) -> Mapping[str, Any]:
@@ -66,6 +89,7 @@ class Daemon:
         return {
             "state": self.state,
             "reason": self.reason,
+            "next": NEXT.get(self.state, ""),
             "phase": phases[-1].phase if phases else None,
             "cycle": phases[-1].cycle if phases else None,
             "cycles": self.job.cycles(),
@@ -79,40 +103,104 @@ class Daemon:
     async def run(self) -> Outcome:
         """Until the job ends, or a person ends it. Raises what ended it otherwise; the cell is safe and closed then."""
         identities = await self._cell.open()
+        self._opened = True
         self.bus.publish(Event("opened", None, {name: asdict(found) for name, found in identities.items()}))
         try:
-            return await self._until_done()
-        finally:
-            await make_safe(self._cell)
-            await self._cell.close()
+            outcome = await self._until_done()
+        except BaseException as error:
+            try:
+                await self._leave()
+            except (PolishdError, OSError) as late:
+                error.add_note(f"and then: {late}")  # what ended it is told first
+            raise
+        await self._leave()
+        return outcome
+
+    async def _leave(self) -> None:
+        await make_safe(self._cell)
+        await self._cell.close()
+
+    def ending(self, state: str, reason: str) -> Ending:
+        """How the cell stands, by what its devices confirmed."""
+        return Ending(state, reason, self._cell.unsafe if self._opened else None)
 
     def finish(self, outcome: Outcome, folder: RunFolder, summary: Mapping[str, Any]) -> None:
         """Leave journal and summary in the run folder, and tell whoever reports."""
-        if summary["outcome"] == outcome.value and outcome is not Outcome.STOPPED:
-            self._journal.record_outcome(outcome)
-        self._journal.copy_to(folder.path / "journal.sqlite")
-        folder.json("summary.json", summary)
-        self.bus.publish(Event("job_finished", None, {"run_dir": str(folder.path), "outcome": summary["outcome"]}))
+        try:
+            if summary["outcome"] == outcome.value and outcome is not Outcome.STOPPED:
+                self._journal.record_outcome(outcome)
+            folder.json("summary.json", summary)
+            self._journal.copy_to(folder.path / "journal.sqlite")
+        finally:
+            self.bus.publish(Event("job_finished", None, {"run_dir": str(folder.path), "outcome": summary["outcome"]}))
+
+    def flush(self) -> None:
+        """Make durable what the journal still buffers."""
+        self._journal.flush()
+
+    def last_words(self, outcome: Outcome, failure: Exception | None) -> dict[str, Any]:
+        """The end as ``status`` tells it when no daemon runs: how, why, how the cell stands, and what to do."""
+        found = causes(self._journal, failure)
+        reason = f"{type(failure).__name__}: {failure}" if failure else self.reason
+        return {
+            **self.ending("failed" if failure else outcome.value, reason).facts(),
+            "exit_code": getattr(failure, "exit_code", 1) if failure else EXIT_CODES[outcome],
+            "causes": as_json(found),
+            "notes": [str(cause) for cause in found],
+        }
+
+    def figures(self) -> dict[str, Any]:
+        """What was measured and done, for the summary; nothing where the journal is lost."""
+        try:
+            found = self.job.summary()
+        except PolishdError as lost:
+            log.error("the journal cannot be asked any more: %s", lost)
+            return {"cycles": []}
+        for cycle in found["cycles"]:
+            if cycle["how"] == "begun":
+                cycle["how"] = "interrupted"  # it is over now; the next start settles it in the journal
+        return found
 
     async def _until_done(self) -> Outcome:
         await make_safe(self._cell)
-        held = await settle(self._cell, self._journal) or (
-            "this job was begun earlier; resume starts with a new measurement" if self._journal.resumed else ""
-        )
+        held = await settle(self._cell, self._journal) or (BEGUN if self._journal.resumed else "")
+        if held and not self._holds:
+            self.reason = held
+            return Outcome.STOPPED
+        error: PolishdError | None = None
         while True:
             if held and not await self._wait_for_resume(held):
+                if error is not None:
+                    raise error  # nobody has mended it
                 return Outcome.STOPPED
+            self._cell.emergency = False
             await self.become("polishing", "")
-            outcome = await self._polish()
+            try:
+                outcome = await self._polish(mended=error is not None)
+            except PolishdError as failure:
+                if not self._can_wait_for(failure):
+                    raise
+                error, held = failure, self._held_over(failure)
+                continue
             if outcome is not None:
                 return outcome
-            held = await settle(self._cell, self._journal) or "held by order; resume starts with a new measurement"
+            error, held = None, await settle(self._cell, self._journal) or ORDERED
+            held = f"{EMERGENCY}; {held}" if self._cell.emergency else held
 
-    async def _polish(self) -> Outcome | None:
+    def _can_wait_for(self, failure: PolishdError) -> bool:
+        """Whether a person can mend it while the daemon waits; not where it cut off a pass."""
+        return self._holds and failure.mendable and all(record.ended_s is not None for record in self._journal.passes)
+
+    def _held_over(self, failure: PolishdError) -> str:
+        kind = type(failure).__name__
+        self.bus.publish(Event("held", None, {"error": str(failure), "kind": kind}))
+        return f"{kind}: {failure}"
+
+    async def _polish(self, *, mended: bool) -> Outcome | None:
         """The outcome of the job, or None when it was held."""
         try:
             async with asyncio.TaskGroup() as group:
-                work = group.create_task(polish(self._cell, self.job, self._journal), name="polish")
+                work = group.create_task(self._work(mended=mended), name="polish")
                 order = group.create_task(self._interrupting(), name="orders")
                 journal = group.create_task(self._journal.lost(), name="journal")
                 await asyncio.wait({work, order, journal}, return_when=asyncio.FIRST_COMPLETED)
@@ -124,16 +212,25 @@ class Daemon:
             return work.result()
         return Outcome.STOPPED if order.result() == "stop" else None
 
+    async def _work(self, *, mended: bool) -> Outcome:
+        if mended:  # out of contact: what was lost meanwhile is opened again before anybody measures
+            await self._cell.restore_links()
+            await make_safe(self._cell)
+        return await polish(self._cell, self.job, self._journal)
+
     async def _interrupting(self) -> Order:
         """The next order that ends polishing."""
         while (order := await self._orders.get()) == "resume":
             pass
+        self._stopping = order == "stop"
         return order
 
     async def _wait_for_resume(self, reason: str) -> bool:
         await make_safe(self._cell)
+        if self._stopping:
+            return False
         await self.become("held", reason)
-        while (order := await self._orders.get()) == "hold":
+        while (order := await self._orders.get()) in {"hold", "estop"}:
             pass
         return order == "resume"
 
@@ -142,30 +239,36 @@ class Daemon:
         async with self._changed:
             self.state, self.reason = state, reason
             self._changed.notify_all()
-        self.bus.publish(Event("state", None, {"state": state, "reason": reason}))
+        stands = self.ending(state, reason) if state in {"held", "finished"} else Ending(state, reason, GONE)
+        self.bus.publish(Event("state", None, stands.facts()))
 
     async def _order(self, order: Order, *until: State) -> Mapping[str, Any]:
         """Give an order and answer when it is obeyed."""
+        self._cell.emergency = self._cell.emergency or order == "estop"
         self._orders.put_nowait(order)
         async with self._changed:
             await self._changed.wait_for(lambda: self.state in until)
-        return {"state": self.state, "reason": self.reason}
+        return {"state": self.state, "reason": self.reason, "next": NEXT.get(self.state, "")}
 
 
-async def run_cell(config: CellConfig, hooks: Hooks, show: Callable[[Event], None] = lambda _: None) -> dict[str, Any]:
+async def run_cell(
+    config: CellConfig, hooks: Hooks, show: Callable[[Event], None] = lambda _: None, *, holds: bool = True
+) -> dict[str, Any]:
     """Run the daemon of a cell to the end of its job; the summary as it is written to the run folder.
 
-    ``show`` is told each event, for a person who watches.
+    ``show`` is told each event, for a person who watches. Without ``holds`` it ends where it would wait for a person.
 
-    Raises PolishdError for what ended it otherwise; the summary and the report are written then too.
+    Raises PolishdError only for what ended it before any device was opened; what ended it later is in the summary.
     """
     recipe = make_recipe(config, hooks)
     require_commissioned(config, recipe)
     program = read_program(recipe, config.program_path)
+    require_fit(config, recipe, program)
     cell = build_cell(config, hooks)
-    with StateLock(config.state_dir), logging_to(config.state_dir), _journal(config) as journal:
+    require_time_limits(config, cell)
+    with StateLock(config.state_dir), logging_to(config.state_dir), loop_first(), _journal(config, program) as journal:
         folder = run_folder(config, journal)
-        bus = EventBus(hooks.on_event, sinks=(journal.record_event, show))
+        bus = EventBus(hooks.on_event, show, sinks=(journal.record_event, keeping(config.state_dir, folder.path)))
         try:
             async with Compute() as compute:
                 job = Job(
@@ -180,55 +283,74 @@ async def run_cell(config: CellConfig, hooks: Hooks, show: Callable[[Event], Non
                     max_cycles=config.job.max_cycles,
                     lookahead_s=config.job.lookahead_s,
                 )
-                return await _serve(config, Daemon(cell, job, journal, bus), folder)
+                await job.load()
+                return await _serve(config, Daemon(cell, job, journal, bus, holds=holds), folder)
         finally:
             await bus.close()
 
 
 async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[str, Any]:
     """Answer the socket and obey signals until the job ends; leave the cell safe, and a summary in the run folder."""
-    started = datetime.now(UTC).isoformat(timespec="seconds")
-    failure: PolishdError | None = None
+    started = now()
+    failure: Exception | None = None
     outcome = Outcome.STOPPED
     async with serving(config.state_dir, daemon.verbs, daemon.bus), _signals(daemon.stop):
         try:
+            await daemon.become("starting", "")
             outcome = await daemon.run()
-        except PolishdError as error:
+        except Exception as error:
+            log.exception("the daemon ends")
             failure = error
-            daemon.bus.publish(Event("failed", None, {"error": str(error), "kind": type(error).__name__}))
+            with suppress(PolishdError):  # a lost journal: that is what ended it
+                daemon.bus.publish(Event("failed", None, {"error": str(error), "kind": type(error).__name__}))
+        last = daemon.last_words(outcome, failure)
+        keep_ending(config.state_dir, {**last, "run_dir": str(folder.path)})
         summary = {
-            "outcome": "failed" if failure else outcome.value,
+            "outcome": last.pop("state"),
             "job": config.job.id,
-            **daemon.job.summary(),
+            **daemon.figures(),
             "run_dir": str(folder.path),
             "started": started,
-            "ended": datetime.now(UTC).isoformat(timespec="seconds"),
-            "notes": [f"{type(failure).__name__}: {failure}"] if failure else [],
+            "ended": now(),
+            **last,
         }
-        daemon.finish(outcome, folder, summary)
-        await daemon.become("finished", summary["outcome"])
-    if failure is not None:
-        raise failure
+        try:
+            daemon.finish(outcome, folder, summary)
+        except (PolishdError, OSError) as error:
+            log.exception("the run folder is not whole")
+            summary["notes"] = [*summary["notes"], f"{folder.path} is not whole: {error}"]
+            summary["exit_code"] = summary["exit_code"] or getattr(error, "exit_code", 1)
+        with suppress(PolishdError):  # of a lost journal, which has been told
+            await daemon.become("finished", summary["outcome"])
+            daemon.flush()
     return summary
 
 
 def run_folder(config: CellConfig, journal: Journal) -> RunFolder:
     """The folder of the job that goes on, or a new one."""
-    if journal.resumed and journal.history:
-        path = config.resolve(str(journal.history[-1].stats["run_dir"]))
+    if journal.begun and journal.run_dir:
+        path = config.resolve(journal.run_dir)
     else:
         stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
         path = config.run_dir or config.state_dir / "runs" / f"{config.job.id}-{stamp}"
+        journal.record_run_dir(path)
     folder = RunFolder(path)
-    folder.create()
     folder.bytes("cell.toml", config.path.read_bytes())
     if config.profile_path is not None:
         folder.bytes("instrument.toml", config.profile_path.read_bytes())
     return folder
 
 
-def _journal(config: CellConfig) -> Journal:
-    return Journal(config.state_dir, job=config.job.id, part_id=config.part.id, config_sha256=config.sha256)
+def _journal(config: CellConfig, program: Program) -> Journal:
+    """The cell's journal; ConfigError where its job was begun with something else."""
+    terms = terms_of(config, program.sha256)
+    journal = Journal.open(config.state_dir, job=config.job.id, part_id=config.part.id, terms=terms)
+    try:
+        require_same(config, terms, journal)
+    except ConfigError:
+        journal.close()
+        raise
+    return journal
 
 
 @asynccontextmanager

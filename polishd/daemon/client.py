@@ -11,16 +11,17 @@ from pathlib import Path
 from typing import Any
 
 from polishd.daemon.sockets import SOCKET_NAME, address_of
-from polishd.model.errors import LinkError, ProtocolError
+from polishd.model.errors import LinkError, NoDaemon, ProtocolError
 
 ANSWER_S = 30.0
-"""A verb such as hold answers when it is done."""
+ORDER_S = 300.0
+"""An order answers when it is obeyed: a lift, a stop, and who does not confirm is waited for."""
 
 
 def request(state_dir: Path, verb: str, within_s: float = ANSWER_S) -> dict[str, Any]:
     """Ask the daemon of that state folder; its answer has ``ok``, and ``error`` where that is false.
 
-    LinkError where no daemon runs or it does not answer in time.
+    NoDaemon where none runs; LinkError where it does not answer in time.
     """
     with _asked(state_dir, verb, within_s) as connection, connection.makefile("rb") as lines:
         return _answer(lines.readline(), state_dir)
@@ -111,7 +112,7 @@ def _refused(answer: dict[str, Any]) -> None:
 def _absent(state_dir: Path, error: OSError) -> LinkError:
     if isinstance(error, PermissionError):
         return LinkError(f"{state_dir / SOCKET_NAME}: only the daemon's own user may talk to it; use that account")
-    return LinkError(f"no daemon is running for {state_dir} ({error.strerror}); start it with: polishd run CELL.toml")
+    return NoDaemon(f"no daemon is running for {state_dir} ({error.strerror}); start it with: polishd run CELL.toml")
 
 
 def _silent(state_dir: Path, within_s: float) -> LinkError:

@@ -25,19 +25,15 @@ DRAIN_S = 120.0
 class EventBus:
     """Where events are published; ``publish`` returns at once. Use it on the event loop's thread.
 
-    ``plugins`` (``hooks.on_event``) hear of events in a thread of their own, one after another, in order;
-    ``sinks`` (such as ``journal.record_event``) are called on the spot.
+    ``listeners`` (``hooks.on_event``, a person's terminal) hear of events in a thread of their own each, one after
+    another, in order; ``sinks`` (such as ``journal.record_event``) are called on the spot.
     """
 
-    def __init__(self, plugins: Sink | None = None, sinks: tuple[Sink, ...] = ()) -> None:
+    def __init__(self, *listeners: Sink, sinks: tuple[Sink, ...] = ()) -> None:
         self._sinks = sinks
         self._subscribers: set[asyncio.Queue[Event | None]] = set()
-        self._told: queue.SimpleQueue[Event | None] = queue.SimpleQueue()
         self._closed = False
-        self._teller: threading.Thread | None = None
-        if plugins is not None:
-            self._teller = threading.Thread(target=self._tell, args=(plugins,), name="plugins", daemon=True)
-            self._teller.start()
+        self._listeners = [_Listener(listener) for listener in listeners]
 
     def publish(self, event: Event) -> None:
         """Tell everybody. Only a sink's own error (a lost journal) is raised, after all have been told."""
@@ -49,7 +45,8 @@ class EventBus:
             else:
                 subscriber.put_nowait(event)
         if not self._closed:
-            self._told.put(event)
+            for listener in self._listeners:
+                listener.told.put(event)
         for sink in self._sinks:
             sink(event)
 
@@ -67,16 +64,16 @@ class EventBus:
             self._subscribers.discard(waiting)
 
     async def close(self, within_s: float = DRAIN_S) -> None:
-        """End the subscriptions and wait until the plugins have heard everything; idempotent."""
+        """End the subscriptions and wait until the listeners have heard everything; idempotent."""
         for subscriber in tuple(self._subscribers):
             self._end(subscriber)
         if not self._closed:
             self._closed = True
-            self._told.put(None)
-        if self._teller is not None:
-            await asyncio.to_thread(self._teller.join, within_s)
-            if self._teller.is_alive():
-                log.error("a plugin is still busy with an event after %g s; it is left behind", within_s)
+            for listener in self._listeners:
+                listener.told.put(None)
+        async with asyncio.TaskGroup() as group:
+            for listener in self._listeners:
+                group.create_task(asyncio.to_thread(listener.end, within_s), name="listener ends")
 
     def _end(self, subscriber: asyncio.Queue[Event | None]) -> None:
         self._subscribers.discard(subscriber)
@@ -84,10 +81,26 @@ class EventBus:
             subscriber.get_nowait()
         subscriber.put_nowait(None)
 
-    def _tell(self, plugins: Sink) -> None:
-        while (event := self._told.get()) is not None:
+
+class _Listener:
+    """Whoever may take its time over an event, and the thread in which it does."""
+
+    def __init__(self, hear: Sink) -> None:
+        self.told: queue.SimpleQueue[Event | None] = queue.SimpleQueue()
+        self._hear = hear
+        self._thread = threading.Thread(target=self._listen, name="listener", daemon=True)
+        self._thread.start()
+
+    def end(self, within_s: float) -> None:
+        """Wait until all is heard."""
+        self._thread.join(within_s)
+        if self._thread.is_alive():
+            log.error("a plugin is still busy with an event after %g s; it is left behind", within_s)
+
+    def _listen(self) -> None:
+        while (event := self.told.get()) is not None:
             try:
-                plugins(event)
+                self._hear(event)
             except Exception:
                 log.exception("telling the plugins of %s failed", event.name)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import logging.handlers
+import queue
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -37,11 +38,18 @@ class JsonLines(logging.Formatter):
 
 @contextmanager
 def logging_to(state_dir: Path, level: int = logging.INFO) -> Iterator[None]:
-    """Everything that polishd logs goes to ``state_dir/polishd.log`` (rotated) inside this block."""
-    handler = logging.handlers.RotatingFileHandler(
+    """Everything that polishd logs goes to ``state_dir/polishd.log`` (rotated) inside this block.
+
+    A thread writes it: who logs in contact does not wait for the disk.
+    """
+    file = logging.handlers.RotatingFileHandler(
         state_dir / LOG_NAME, maxBytes=_MAX_BYTES, backupCount=_KEPT, encoding="utf-8"
     )
-    handler.setFormatter(JsonLines())
+    lines: queue.SimpleQueue[logging.LogRecord] = queue.SimpleQueue()
+    handler = logging.handlers.QueueHandler(lines)
+    handler.setFormatter(JsonLines())  # here, as things are now; what is queued is the line
+    writer = logging.handlers.QueueListener(lines, file)
+    writer.start()
     logger = logging.getLogger("polishd")
     before = logger.level
     logger.addHandler(handler)
@@ -51,4 +59,5 @@ def logging_to(state_dir: Path, level: int = logging.INFO) -> Iterator[None]:
     finally:
         logger.setLevel(before)
         logger.removeHandler(handler)
-        handler.close()
+        writer.stop()
+        file.close()

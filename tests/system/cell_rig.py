@@ -49,11 +49,11 @@ def small_cell(out: Path, seed: int = 1, speed: float = 10.0, **job: Any) -> Ite
 class Daemon:
     """``polishd run`` as a process."""
 
-    def __init__(self, files: DemoFiles) -> None:
+    def __init__(self, files: DemoFiles, *options: str) -> None:
         self.files = files
         self.output = files.daemon_log
         with self.output.open("ab") as log:
-            command = [sys.executable, "-m", "polishd.cli", "run", str(files.cell), "--json"]
+            command = [sys.executable, "-m", "polishd.cli", "run", str(files.cell), "--json", *options]
             self.process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
 
     def __enter__(self) -> Self:
@@ -76,11 +76,11 @@ class Daemon:
         """Its status once it is in that state."""
         return dict(wait_for(lambda: (s := self.status()).get("state") == state and s, f"state {state}", limit_s))
 
-    def wait_in_contact(self, blocks: int = 150) -> None:
+    def wait_in_contact(self, blocks: int = 150, limit_s: float = 60.0) -> None:
         """Returns in the middle of a pass."""
         before = len(events(self.files, "blocks"))
         wait_for(
-            lambda: any(e.get("at_seq", 0) > blocks for e in events(self.files, "blocks")[before:]), "a pass", 60.0
+            lambda: any(e.get("at_seq", 0) > blocks for e in events(self.files, "blocks")[before:]), "a pass", limit_s
         )
 
     def end(self, number: int = signal.SIGTERM) -> int:

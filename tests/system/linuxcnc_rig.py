@@ -29,6 +29,8 @@ PART = {"aperture_mm": 7.0, "edge_mm": 0.5}
 """A pass over it takes some seconds: LinuxCNC knows real time only."""
 DWELL_PITCH_MM = 1.75
 RAPID_MM_MIN = 3000.0
+QUICK_S = 2.5
+"""An actuator that lifts within a dwell, and a gate that outlasts that."""
 APART = (
     *("unshare", "--map-root-user", "--net", "sh", "-c"),
     *('ip link set lo up && exec setpriv --pdeathsig TERM "$@"', "sh"),
@@ -99,13 +101,15 @@ class _Daemon(Daemon):
 def write_files(out: Path, encoding: Encoding, **job: Any) -> DemoFiles:
     """The demo's files with a tiny part and LinuxCNC for a robot; its program has time in feeds or in dwells."""
     files = write_demo(out, None, 2.0, 4, None)
-    cell = with_values(files.cell.read_text(), {"part": PART, "job": job})
+    quick = {"robot": {"watchdog_s": QUICK_S}, "actuator": {"retract_s": 0.5}}
+    cell = with_values(files.cell.read_text(), {"part": PART, "job": job, **quick})
     robot = 'type = "linuxcnc"\nprogram_dir = "sim/linuxcnc/nc"\ncontroller_dir = "/mnt/nc"'
     cell = cell.replace(', "run_report"', "")  # takes seconds, and knows nothing of robots
     files.cell.write_text(cell.replace('type = "robot_link"', robot))
     high = 1.0 if encoding == "feed" else 5.0  # for long dwells
     plant = {**PART, "pv_nm": high * 30.0, "rms_nm": high * 6.0, "speed": 1.0}
-    sim = with_values(files.sim.read_text(), {"plant": plant})
+    coil = {"land_s": 0.1, "lift_s": 0.06, "cling": 0.0}
+    sim = with_values(files.sim.read_text(), {"plant": plant, "actuator": coil, "robot": {"watchdog_s": QUICK_S}})
     files.sim.write_text(sim.replace("[robot]\n", '[robot]\nkind = "linuxcnc"\n'))
     forged(files.profile)
     config = load_config(files.cell)

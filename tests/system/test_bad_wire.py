@@ -171,7 +171,7 @@ async def test_a_robot_of_50_blocks_a_second_does_not_starve_when_the_link_stall
         stalls = asyncio.create_task(bad.stall(1.0, every_s=2.0))
         seen, most_s = [], 0.0
         try:
-            async with streaming(plan, robot, Wall(), lookahead_s=LOOKAHEAD_S) as stream:
+            async with streaming(plan, robot, Wall(), lookahead_s=LOOKAHEAD_S, least_s=LOOKAHEAD_S / 4) as stream:
                 await stream.approach()
                 async for one in stream.polish():
                     seen.append(one.seq)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+from io import BytesIO
 from pathlib import Path
 
 import pytest
 
-from polishd.files import sync_folder, whole_file, write_atomic
+from polishd.files import require_writable, sync_folder, whole_file, write_atomic
+from polishd.model.errors import ConfigError
 
 
 def test_writes_and_replaces(tmp_path: Path) -> None:
@@ -18,6 +20,25 @@ def test_writes_and_replaces(tmp_path: Path) -> None:
     write_atomic(path, b"new \x00 content")
     assert path.read_bytes() == b"new \x00 content"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_folder_that_takes_files_and_keeps_none(tmp_path: Path) -> None:
+    require_writable(tmp_path / "not" / "yet")
+    require_writable(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigError, match="sub: cannot be written: Not a directory"):
+        require_writable(tmp_path / "file" / "sub")
+
+
+def test_a_full_disk_is_known_beforehand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Full(BytesIO):
+        def write(self, content: object) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("polishd.files.tempfile.TemporaryFile", lambda **where: Full())
+    with pytest.raises(ConfigError, match="cannot be written: No space left on device; make room"):
+        require_writable(tmp_path)
 
 
 def test_mode_is_as_asked(tmp_path: Path) -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
+from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +15,21 @@ from polishd import __version__
 from polishd.console import demo, verbs
 from polishd.console.demo_files import DemoFiles, demo_program, with_values, write_demo
 from polishd.daemon import app as daemon_app
-from polishd.daemon import client
+from polishd.daemon import client, planning
 from polishd.daemon.config import load_config
+from polishd.daemon.endings import GONE, RECORD_NAME, Cause, Ending, keep_ending
+from polishd.daemon.instrument_file import load_profile
 from polishd.model import errors
-from polishd.model.errors import DeviceFault, PolishdError
+from polishd.model.errors import ConfigError, DeviceFault, PolishdError
+from polishd.plugins.rnc_robot.dialect import FOLDER, dialect
+from polishd.sim_backends import config as sim_config
+from polishd.study.config import load_study
 from tests.unit.console.said import Polishd, Said
 
-SUMMARY = {"outcome": "in_tolerance", "job": "demo", "cycles": [], "notes": []}
+SUMMARY = {
+    "outcome": "in_tolerance", "job": "demo", "cycles": [], "notes": [], "exit_code": 0, "run_dir": "runs/demo",
+    **Ending("in_tolerance", "", ()).facts(),
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -50,14 +61,20 @@ def test_check(polishd: Polishd, files: DemoFiles) -> None:
     assert said.code == 0
     assert "timed points" in facts["program"]
     assert facts["correction"] == "exact"
+    assert {limit["key"]: limit["seconds"] for limit in facts["time limits"]}["robot.watchdog_s"] == 8.0
     people = polishd("check", files.cell)
     assert (people.code, "nothing was opened" in people.out) == (0, True)
+    for said_to_people in ("tool up after the last word", "6.2 s", "robot.watchdog_s"):
+        assert said_to_people in people.out
 
 
 @pytest.mark.parametrize(
     ("change", "code", "says"),
     [
         ({"dwell": {"solver": "newton"}}, 3, "newton_cg"),
+        ({"robot": {"watchdog_s": 2.0}}, 3, "robot.watchdog_s: robot stops by itself: 2 s; at least 6.7 s"),
+        ({"actuator": {"retract_s": 9.0}}, 3, "robot.watchdog_s: robot stops by itself: 8 s; at least 10.7 s"),
+        ({"job": {"lookahead_s": 1.0}}, 3, "job.lookahead_s: motion held by the robot: 1 s; at least 6.2 s"),
         ({"program": {"path": "gone.rnc"}}, 9, "gone.rnc"),
         ({"robot": {"type": "robot"}}, 3, "robot_link"),
         ({"plugins": {"load": ["rnc_robot", "rnc_rboot"]}}, 3, "rnc_rboot"),
@@ -77,6 +94,59 @@ def test_what_check_finds(
     assert says in said.err
 
 
+def test_check_says_what_the_program_covers(polishd: Polishd, files: DemoFiles) -> None:
+    covers = polishd("check", files.cell, "--json").answer["covers"]
+    assert covers.startswith("program.rnc reaches 16.0 mm from the part's centre, the part's radius is 10 mm; ")
+    assert covers.endswith("no point reaches 0.0 % of the clear aperture")
+
+
+@pytest.mark.parametrize(
+    ("change", "reach_mm", "says"),
+    [
+        ({"part": {"aperture_mm": 60.0}}, 16.0, "the part's radius is 30 mm; no point reaches "),
+        (
+            {"program": {"offset_mm": [40.0, 0.0, 0.0]}},
+            52.7,
+            "% of its path lies more than 10 mm beyond the part's rim: name the program of this part",
+        ),
+    ],
+)
+def test_the_program_of_another_part(
+    polishd: Polishd, files: DemoFiles, change: dict[str, dict[str, Any]], reach_mm: float, says: str
+) -> None:
+    other = files.out / "other.toml"
+    other.write_text(with_values(files.cell.read_text(), change))
+    said = polishd("check", other)
+    line = other.read_text().splitlines().index('path = "program.rnc"') + 1
+    assert said.code == 3
+    assert said.err.startswith(
+        f"polishd: {other}:{line}: program.path: program.rnc reaches {reach_mm:.1f} mm from the part's centre"
+    )
+    assert says in said.err
+    other.write_text(other.read_text().replace('path = "program.rnc"', 'path = "program.rnc"\ncovers = "zone"'))
+    assert polishd("check", other).code == (0 if "part" in change else 3), "a zone lies on the part"
+
+
+@pytest.mark.parametrize("kind", ["cell", "profile", "study", "simulator", "dialect"])
+def test_a_byte_order_mark_is_no_fault(tmp_path: Path, kind: str) -> None:
+    """Editors of Windows put one before their UTF-8; what tomllib says of it nobody understands."""
+    examples = Path(__file__).parents[3] / "examples"
+    load: dict[str, tuple[Path, Callable[[Path], object]]] = {
+        "cell": (examples / "cell.toml", load_config),
+        "profile": (examples / "instrument.toml", load_profile),
+        "study": (examples / "table_iii.toml", load_study),
+        "simulator": (examples / "sim.toml", sim_config.load),
+        "dialect": (FOLDER / "haas.toml", dialect),
+    }
+    source, loaded = load[kind]
+    marked = tmp_path / source.name
+    marked.write_bytes(b"\xef\xbb\xbf" + source.read_bytes().replace(b"\n", b"\r\n"))
+    loaded(marked)
+    marked.write_bytes(source.read_text().encode("utf-16"))
+    with pytest.raises(ConfigError, match=r"UTF-8|utf-8"):
+        loaded(marked)
+
+
 def test_a_config_that_is_not_there(polishd: Polishd, tmp_path: Path) -> None:
     for verb in ("check", "run", "probe", "status", "hold", "resume", "stop", "plugins"):
         said = polishd(verb, tmp_path / "gone.toml")
@@ -90,6 +160,37 @@ def test_plan_refuses_what_is_there(polishd: Polishd, files: DemoFiles) -> None:
     program = files.out / "program.rnc"
     said = polishd("plan", files.cell, program, "--program", program, "--out", files.out)
     assert (said.code, "exists already" in said.err) == (3, True)
+
+
+@pytest.mark.parametrize("verb", ["plan", "demo"])
+def test_a_folder_that_cannot_be_written_is_one_line_at_once(
+    polishd: Polishd, files: DemoFiles, tmp_path: Path, verb: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def begins(*arguments: object) -> None:
+        raise AssertionError("it began")
+
+    monkeypatch.setattr(planning, "make_recipe", begins)
+    monkeypatch.setattr(demo, "write_demo", begins)
+    words = ("plan", files.cell, files.cell, "--program", files.cell) if verb == "plan" else ("demo",)
+    (tmp_path / "file").touch()
+    for out in (tmp_path / "file" / "a" / "b", Path("/proc/polishd/out")):
+        said = polishd(*words, "--out", out)
+        assert said.code == 3
+        (line,) = said.err.strip().splitlines()
+        assert line.startswith(f"polishd: {out.parent if verb == 'plan' else out}: cannot be written: ")
+
+
+def test_a_file_that_cannot_be_had_is_one_line(polishd: Polishd, monkeypatch: pytest.MonkeyPatch) -> None:
+    for error, says in (
+        (OSError(errno.ENOSPC, "No space left on device"), "a file: No space left on device; make room"),
+        (OSError(errno.EACCES, "Permission denied", "journal.sqlite"), "journal.sqlite: Permission denied"),
+    ):
+
+        def fails(*arguments: object, error: OSError = error, **named: object) -> None:
+            raise error
+
+        monkeypatch.setattr(verbs, "plugins_verb", fails)
+        assert polishd("plugins") == Said(1, "", f"polishd: {says}\n")
 
 
 def test_plan_refuses_a_map_that_is_none(polishd: Polishd, files: DemoFiles, tmp_path: Path) -> None:
@@ -107,17 +208,67 @@ def test_no_daemon(polishd: Polishd, files: DemoFiles) -> None:
         assert polishd(verb, files.cell).code == 5, verb
 
 
+@pytest.mark.parametrize(
+    ("state", "unsafe", "tool", "says"),
+    [
+        ("stopped", (), "yes", "it comes up held"),
+        ("failed", ("actuator: no answer",), "not confirmed", "when that is mended: polishd run"),
+        ("cycles_used", (), "yes", "begins a new one"),
+        ("failed", None, "not asked", "when that is mended: polishd run"),
+        ("held", (), "yes", "look at the cell, then: polishd run"),
+        ("polishing", GONE, "not confirmed", "look at the cell, then: polishd run"),
+    ],
+)
+def test_status_where_no_daemon_runs_tells_how_the_last_one_ended(
+    polishd: Polishd, files: DemoFiles, state: str, unsafe: tuple[str, ...] | None, tool: str, says: str
+) -> None:
+    files.state_dir.mkdir(exist_ok=True)
+    cause = asdict(Cause("09:00", "SafetyStop", "force", ended=True))
+    keep_ending(files.state_dir, {**Ending(state, "why", unsafe).facts(), "run_dir": "runs/demo", "causes": [cause]})
+    said = polishd("status", files.cell, "--json")
+    told = json.loads(said.out)
+    killed = state in ("held", "polishing")
+    assert (said.code, told["ok"], told["state"]) == (5, False, "killed" if killed else state)
+    assert (told["tool_off"], told["run_dir"], told["causes"]) == (tool, "runs/demo", [cause])
+    assert "no daemon is running" in told["error"]
+    assert "why" in told["reason"]
+    assert ("was killed" in told["reason"]) == killed
+    people = polishd("status", files.cell)
+    assert people.code == 5
+    lines = people.out.splitlines()
+    assert lines[0].endswith(": no daemon is running")
+    assert {"cause: 09:00 ended: SafetyStop: force", f"tool off the part: {tool}"} <= set(lines)
+    assert lines[-1].startswith("next: ")
+    assert says in lines[-1]
+    told_to_resume = "polishd resume" in people.out
+    assert told_to_resume == ("it comes up held" in lines[-1]), "nobody is told to resume where no daemon runs"
+
+
+@pytest.mark.parametrize("content", [None, b"", b"{}", b"[1]", b"\xff"])
+def test_status_where_nothing_is_known(polishd: Polishd, files: DemoFiles, content: bytes | None) -> None:
+    files.state_dir.mkdir(exist_ok=True)
+    record = files.state_dir / RECORD_NAME
+    record.unlink(missing_ok=True)
+    if content is not None:
+        record.write_bytes(content)
+    said = polishd("status", files.cell, "--json")
+    told = json.loads(said.out)
+    assert (said.code, told["state"], told["tool_off"]) == (5, "unknown", "not asked")
+    assert polishd("status", files.cell).code == 5
+    record.unlink(missing_ok=True)
+
+
 @pytest.mark.parametrize("verb", ["hold", "resume", "stop"])
 def test_orders(polishd: Polishd, files: DemoFiles, verb: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[tuple[Path, str]] = []
+    asked: list[tuple[Path, str, float]] = []
 
-    def request(state_dir: Path, word: str) -> dict[str, Any]:
-        asked.append((state_dir, word))
+    def request(state_dir: Path, word: str, within_s: float) -> dict[str, Any]:
+        asked.append((state_dir, word, within_s))
         return {"ok": True, "state": "held"}
 
     monkeypatch.setattr(client, "request", request)
     assert json.loads(polishd(verb, files.cell, "--json").out) == {"ok": True, "state": "held"}
-    assert asked == [(files.state_dir, verb)]
+    assert asked == [(files.state_dir, verb, client.ORDER_S)]
 
 
 def test_status(polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,11 +289,38 @@ def test_run(polishd: Polishd, files: DemoFiles, outcome: str, code: int, monkey
 
     async def run_cell(config: Any, hooks: Any, *others: Any, **more: Any) -> dict[str, Any]:
         seen.append(config.process.correction)
-        return SUMMARY | {"outcome": outcome}
+        return SUMMARY | {"outcome": outcome, "exit_code": code}
 
     monkeypatch.setattr(daemon_app, "run_cell", run_cell)
     said = polishd("run", files.cell, "--json", "--correction", "linear")
     assert (said.code, json.loads(said.out)["outcome"], seen) == (code, outcome, ["linear"])
+    *_, tool, robot, folder, after = said.err.splitlines()
+    assert [tool, robot, folder] == ["tool off the part: yes", "robot at rest: yes", "run folder: runs/demo"]
+    assert after.startswith("next: look at report.html")
+
+
+def test_the_last_lines_of_a_run_that_failed(
+    polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One device did not confirm: which one, what may be, what to do about it, and how to go on."""
+    facts = Ending("failed", "SafetyStop: force", ("actuator: no answer", "spindle: dead")).facts()
+    notes = ["09:00 ended: SafetyStop: force", "09:30 ended: LinkError: cut"]
+    asked: list[bool] = []
+
+    async def run_cell(*others: Any, holds: bool) -> dict[str, Any]:
+        asked.append(holds)
+        return SUMMARY | facts | {"outcome": "failed", "exit_code": 7, "notes": notes}
+
+    monkeypatch.setattr(daemon_app, "run_cell", run_cell)
+    said = polishd("run", files.cell, "--no-hold")
+    assert (said.code, asked) == (7, [False])
+    lines = said.err.splitlines()[-8:]
+    assert lines[:2] == ["polishd: 09:00 ended: SafetyStop: force", "polishd: 09:30 ended: LinkError: cut"]
+    assert lines[2:4] == ["tool off the part: not confirmed", "robot at rest: yes"]
+    assert lines[4].startswith("actuator did not confirm: no answer; the tool may press on the part: switch")
+    assert lines[5].startswith("spindle did not confirm: dead; it may still turn: switch its drive off")
+    assert lines[6] == "run folder: runs/demo"
+    assert f"polishd run {files.cell}; it comes up held, and polishd resume {files.cell}" in lines[7]
 
 
 CODES = {
@@ -162,7 +340,10 @@ def test_each_error_has_its_code(
     monkeypatch.setattr(daemon_app, "run_cell", run_cell)
     said = polishd("run", files.cell, "--json")
     assert (said.code, said.out) == (code, "")
-    assert "polishd: what, where, and what to do" in said.err
+    assert said.err.splitlines()[-2:] == [
+        "polishd: what, where, and what to do",
+        "this run opened nothing, and moved nothing",
+    ]
 
 
 def test_probe_with_nobody_there(polishd: Polishd, files: DemoFiles) -> None:

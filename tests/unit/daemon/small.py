@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from polishd.daemon import steps
+from polishd.daemon.config_sections import PartSection
 from polishd.daemon.cycle import polish
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
@@ -28,6 +29,7 @@ from polishd.model.robot import HybridRobot
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.plugins.rnc_robot.make import path_program
 from polishd.process.dwell import newton_cg
+from polishd.process.metrics import fitted
 from polishd.process.paths.apertures import circle
 from polishd.process.paths.raster import raster
 from tests.fakes.devices import FakeCell
@@ -39,7 +41,7 @@ CERTIFICATE = Certificate(
     "newton_cg", 1.0, 1e-6, 0.0, 0.5, 3.0, 60.0, 50.0, at_lower=1, at_upper=0, iterations=9, seconds=0.1, stopped="x"
 )
 MOVES = ("robot.prepare", "robot.send", "robot.resume", "actuator.set_force", "spindle.set_speed")
-LIMITS = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, grace_s=0.3, landing_s=5.0)
+LIMITS = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, grace_s=0.3)
 
 
 def gaussian_effect(request: RemovalRequest) -> RemovalAnswer:
@@ -66,7 +68,7 @@ def small_recipe(**changes: Any) -> Recipe:
         edge_mm=2.0,
         free_rim=False,
         extension="none",
-        alignment="piston",
+        alignment=PartSection.model_fields["alignment"].default,
         nominal=None,
         spike_mads=0.0,
         grid_mm=1.0,
@@ -112,10 +114,13 @@ def small_program(radius_mm: float = APERTURE_MM / 2 + 1) -> Program:
 
 
 def small_map(rms_nm: float = 20.0, seed: int = 0, part_id: str = "P-1") -> SurfaceMap:
-    """A round part that was measured at a pitch of 0.5 mm."""
+    """A round part that was measured at a pitch of 0.5 mm, level."""
     n = int(APERTURE_MM / 0.5) + 4
     grid = Grid(n, n, 0.5)
-    return as_map(np.where(grid.radius_mm() <= APERTURE_MM / 2 + 0.5, rough(grid, rms_nm, seed), np.nan), part_id)
+    height = rough(grid, rms_nm, seed)
+    part = grid.radius_mm() <= APERTURE_MM / 2 + 0.5
+    height -= fitted(height, part, "tilt")
+    return as_map(np.where(part, height * rms_nm / height[part].std(), np.nan), part_id)
 
 
 def as_map(height_nm: FloatArray, part_id: str = "P-1") -> SurfaceMap:
@@ -149,7 +154,7 @@ def small_job(
         "check_plan": accept,
         "contact": LIMITS,
         "max_cycles": 3,
-        "lookahead_s": 1.0,
+        "lookahead_s": 8.0,
     }
     job = Job(recipe or small_recipe(), program or small_program(), **(values | changes))
     job.told = told  # type: ignore[attr-defined]
@@ -158,7 +163,7 @@ def small_job(
 
 def open_journal(tmp_path: Path) -> Journal:
     """The journal of this job."""
-    return Journal(tmp_path, job="small", part_id="P-1")
+    return Journal.open(tmp_path, job="small", part_id="P-1")
 
 
 class Bench:

@@ -7,7 +7,7 @@ import json
 import os
 import signal
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Self
@@ -22,6 +22,7 @@ from polishd.daemon.journal import Journal
 from polishd.model.cycle import Event, Outcome
 from polishd.model.devices import Executed
 from polishd.model.errors import BadMap, ConfigError, LinkError, PolishdError, SafetyStop
+from polishd.model.program import Program
 from tests.unit.daemon.small import (
     LIMITS,
     MOVES,
@@ -34,7 +35,7 @@ from tests.unit.daemon.small import (
     small_recipe,
 )
 
-SAFE = ["actuator.make_safe", "robot.make_safe", "spindle.make_safe"]
+SAFE = ["spindle.make_safe", "actuator.make_safe", "robot.make_safe"]
 CLOSED = ["actuator.close", "robot.close", "spindle.close", "metrology.close"]
 
 
@@ -47,11 +48,12 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 class Running:
     """A daemon on the bench's cell, and the run of it."""
 
-    def __init__(self, bench: Bench, **changes: Any) -> None:
+    def __init__(self, bench: Bench, *, holds: bool = True, **changes: Any) -> None:
         self.bench = bench
         self.told: list[Event] = []
         job = bench.job(**{"recipe": small_recipe(tolerance_nm=1.5)} | changes)
-        self.daemon = Daemon(bench.fake.cell, job, bench.journal, EventBus(sinks=(self.told.append,)))
+        bus = EventBus(sinks=(bench.journal.record_event, self.told.append))
+        self.daemon = Daemon(bench.fake.cell, job, bench.journal, bus, holds=holds)
         self.task: asyncio.Task[Outcome] | None = None
 
     async def __aenter__(self) -> Self:
@@ -150,7 +152,7 @@ async def test_a_device_that_hangs_when_it_is_opened_again(bench: Bench, monkeyp
         bench.fake.spindle.acts.hangs.add("open")
 
     bench.fake.metrology.acts.before["next_map"] = lost
-    async with Running(bench) as running:
+    async with Running(bench, holds=False) as running:
         with pytest.raises(LinkError, match="spindle: no answer"):
             await running.outcome()
     assert bench.moved() == []
@@ -201,6 +203,21 @@ async def test_hold_leaves_contact_and_resume_measures_first(bench: Bench) -> No
     assert bench.fake.events[count] == "metrology.next_map", "nothing moves before a new measurement"
     assert [record.cycle for record in bench.journal.passes][:2] == [0, 1], "pass 0 is not run again"
     assert running.states() == ["polishing", "held", "polishing"]
+
+
+async def test_an_emergency_stop_by_order_stops_motion_before_the_tool_is_up(bench: Bench) -> None:
+    async with Running(bench) as running:
+        verbs = running.daemon.verbs
+        await running.in_contact()
+        stopped: list[bool] = []
+        bench.fake.robot.acts.before["make_safe"] = lambda: stopped.append(bench.fake.actuator.retracted)
+        answer = await verbs["estop"]()
+        assert (answer["state"], stopped[0]) == ("held", False)
+        assert answer["reason"].startswith("motion was stopped at once, by order; pass 0 was interrupted")
+        assert bench.fake.actuator.retracted
+        await verbs["resume"]()
+        assert await running.outcome() is Outcome.IN_TOLERANCE
+    assert stopped[-1], "the next time the tool is lifted first again"
 
 
 async def test_hold_between_passes_goes_on_with_the_same_cycle(bench: Bench) -> None:
@@ -298,29 +315,34 @@ class Site:
         self.bench: Bench | None = None
         self.measure: Any = None
         self.recipe = small_recipe(tolerance_nm=1.5)
+        self.part = {"id": "P-1", "edge_mm": 2.0}
+        self.program = small_program()
+        (tmp_path / "program.rnc").write_bytes(self.program.text)
         self.config: Any = SimpleNamespace(
             path=self.path,
-            sha256="config",
             state_dir=tmp_path / "state",
             run_dir=tmp_path / "run",
             program_path=tmp_path / "program.rnc",
             profile_path=None,
             part=SimpleNamespace(id="P-1"),
-            job=SimpleNamespace(id="small", max_cycles=3, lookahead_s=1.0),
+            job=SimpleNamespace(id="small", max_cycles=3, lookahead_s=8.0),
             resolve=lambda text: tmp_path / text,
+            effective=lambda: {"part": self.part, "program": {"path": "program.rnc"}},
+            error=lambda key, problem: ConfigError(f"cell.toml: {key}: {problem}"),
         )
         self.hooks: Any = SimpleNamespace(on_event=self.told.append, check_plan=accept)
         journal = app._journal
 
-        def kept(config: Any) -> Journal:
-            found = journal(config)
+        def kept(config: Any, program: Program) -> Journal:
+            found = journal(config, program)
             assert self.bench is not None
             self.bench.journal = found
             return found
 
         monkeypatch.setattr(app, "require_commissioned", lambda config, recipe: None)
+        monkeypatch.setattr(app, "require_fit", lambda config, recipe, program: "")
         monkeypatch.setattr(app, "make_recipe", lambda config, hooks: self.recipe)
-        monkeypatch.setattr(app, "read_program", lambda recipe, path: small_program())
+        monkeypatch.setattr(app, "read_program", lambda recipe, path: self.program)
         monkeypatch.setattr(app, "build_cell", self.build)
         monkeypatch.setattr(app, "contact_limits", lambda config: LIMITS)
         monkeypatch.setattr(app, "Compute", InProcess)
@@ -355,6 +377,21 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Site:
     return Site(tmp_path, monkeypatch)
 
 
+async def test_the_loop_goes_first_until_the_end(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+
+    @contextmanager
+    def first() -> Iterator[None]:
+        told.append("first")
+        yield
+        told.append("as before")
+
+    monkeypatch.setattr(app, "loop_first", first)
+    monkeypatch.setattr(app, "run_folder", lambda *given: told.append("run") or run_folder(*given))
+    await run_cell(site.config, site.hooks)
+    assert told == ["first", "run", "as before"]
+
+
 async def test_run_cell_leaves_a_whole_folder(site: Site) -> None:
     summary = await run_cell(site.config, site.hooks)
     assert summary["outcome"] == "in_tolerance"
@@ -366,7 +403,7 @@ async def test_run_cell_leaves_a_whole_folder(site: Site) -> None:
     finished = next(event for event in site.told if event.name == "job_finished")
     assert finished.data["run_dir"] == str(site.config.run_dir)
     assert [e.data["state"] for e in site.told if e.name == "state"][-1] == "finished"
-    with Journal(site.config.state_dir, job="small", part_id="P-1") as journal:
+    with Journal.open(site.config.state_dir, job="small", part_id="P-1") as journal:
         assert not journal.resumed, "the job is over: the next one is a new one"
 
 
@@ -375,13 +412,17 @@ async def test_run_cell_tells_what_failed_and_leaves_the_summary(site: Site) -> 
         raise BadMap("all holes")
 
     site.measure = refuse
-    with pytest.raises(BadMap, match="all holes"):
-        await run_cell(site.config, site.hooks)
+    told = await run_cell(site.config, site.hooks, holds=False)
     summary = site.summary()
-    assert (summary["outcome"], summary["notes"]) == ("failed", ["BadMap: all holes"])
+    assert summary == json.loads(json.dumps(told))
+    assert (summary["outcome"], summary["exit_code"]) == ("failed", 8)
+    assert [(cause["kind"], cause["error"], cause["ended"]) for cause in summary["causes"]] == [
+        ("BadMap", "all holes", True)
+    ]
+    assert summary["notes"][0].endswith(" ended: BadMap: all holes")
     failed = next(event for event in site.told if event.name == "failed")
     assert failed.data == {"error": "all holes", "kind": "BadMap"}
-    with Journal(site.config.state_dir, job="small", part_id="P-1") as journal:
+    with Journal.open(site.config.state_dir, job="small", part_id="P-1") as journal:
         assert journal.resumed, "it may be gone on with"
 
 
@@ -419,17 +460,25 @@ async def test_one_daemon_a_cell(site: Site) -> None:
 
 
 def test_the_run_folder_of_a_job_that_goes_on_is_the_same(site: Site, tmp_path: Path) -> None:
-    with Journal(tmp_path, job="small", part_id="P-1") as journal:
+    with open_journal(tmp_path) as journal:
         first = run_folder(site.config, journal)
-        journal.record_map(0, small_map().sha256, "", {"run_dir": str(first.path)})
+        journal.record_map(0, small_map().sha256, "", {})
     site.config.run_dir = tmp_path / "another"
-    with Journal(tmp_path, job="small", part_id="P-1") as journal:
+    with open_journal(tmp_path) as journal:
         assert run_folder(site.config, journal).path == first.path
+
+
+def test_a_job_that_has_measured_nothing_takes_the_run_folder_that_is_named_now(site: Site, tmp_path: Path) -> None:
+    with open_journal(tmp_path) as journal:
+        run_folder(site.config, journal)
+    site.config.run_dir = tmp_path / "another"
+    with open_journal(tmp_path) as journal:
+        assert run_folder(site.config, journal).path == tmp_path / "another"
 
 
 def test_a_new_job_without_a_run_dir_has_a_folder_of_its_own(site: Site, tmp_path: Path) -> None:
     site.config.run_dir = None
-    with Journal(tmp_path, job="small", part_id="P-1") as journal:
+    with Journal.open(tmp_path, job="small", part_id="P-1") as journal:
         path = run_folder(site.config, journal).path
     assert path.parent == site.config.state_dir / "runs"
     assert path.name.startswith("small-")

@@ -1,4 +1,4 @@
-"""What the daemon's tests share: short folders for sockets, and fake distributions with plugins."""
+"""What tests of one part share: the shipped example, and fake distributions with plugins."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 
 from polishd.hookspecs import API_VERSION
 
-EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "cell.toml"
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "cell.toml"
 
 Install = Callable[..., str]
 
