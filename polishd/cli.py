@@ -12,9 +12,9 @@ from typing import Annotated, Optional
 import typer
 
 from polishd import __version__
-from polishd.console.map_cli import map_verbs
-from polishd.console.program_cli import program as program_verbs
 from polishd.model.errors import PolishdError
+from polishd.workbench.maps.cli import map_verbs
+from polishd.workbench.programs.cli import program as program_verbs
 
 app = typer.Typer(
     name="polishd",
@@ -194,7 +194,7 @@ def tif(
     as_json: Json = False,
 ) -> None:
     """The tool influence function of a cell: depth, pressure, peak, volume, profiles."""
-    from polishd.console.physics import tif_verb
+    from polishd.workbench.physics.verbs import tif_verb
 
     tif_verb(cell, depth_ratio, out, as_json=as_json)
 
@@ -210,7 +210,7 @@ def compliance(
     as_json: Json = False,
 ) -> None:
     """The robot's equivalent compliance over the workspace and along a program, and the gamma that follows."""
-    from polishd.console.physics import compliance_verb
+    from polishd.workbench.physics.verbs import compliance_verb
 
     compliance_verb(cell, program, out, as_json=as_json)
 
@@ -225,7 +225,7 @@ def study(
     as_json: Json = False,
 ) -> None:
     """A simulation without a cell: corrections compared, spots of a table, passes of equal dwell."""
-    from polishd.console.study import study_verb
+    from polishd.workbench.studies.verb import study_verb
 
     study_verb(file, out, as_json=as_json)
 
@@ -250,7 +250,7 @@ def calibrate_stiffness(  # noqa: PLR0917 - typer reads the options off the sign
     as_json: Json = False,
 ) -> None:
     """Fit the robot's stiffnesses to loading tests: pose, direction, um/N."""
-    from polishd.console.calibrate import LoadingFiles, stiffness_verb
+    from polishd.workbench.calibration.verbs import LoadingFiles, stiffness_verb
 
     files = LoadingFiles(tests, held_out, projection.value)
     stiffness_verb(files, cell, out, anyway=anyway, as_json=as_json)
@@ -272,7 +272,7 @@ def calibrate_tif(  # noqa: PLR0917 - typer reads the options off the signature
     as_json: Json = False,
 ) -> None:
     """Make a measured TIF, and the Preston constant, out of a spot's maps."""
-    from polishd.console.calibrate import SpotPlace, tif_verb
+    from polishd.workbench.calibration.verbs import SpotPlace, tif_verb
 
     tif_verb((before, after), seconds, cell, SpotPlace(depth_ratio, azimuth_deg, radius_mm), out, as_json=as_json)
 
@@ -286,7 +286,7 @@ def calibrate_exponent(
     as_json: Json = False,
 ) -> None:
     """Fit gamma's exponent, for the correction "power"."""
-    from polishd.console.calibrate import exponent_verb
+    from polishd.workbench.calibration.verbs import exponent_verb
 
     exponent_verb(spots, out, as_json=as_json)
 
@@ -337,7 +337,7 @@ def _plugin_commands() -> None:
     own = {command.name or getattr(command.callback, "__name__", "") for command in app.registered_commands}
     own |= {group.name or "" for group in app.registered_groups}
     if asked is not None and asked not in own:
-        from polishd.daemon.plugins import load_own
+        from polishd.hooks.loader import load_own
 
         load_own().cli(app)
 

@@ -6,8 +6,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from polishd.config.profile import load_profile, write_commissioned
 from polishd.console.demo_files import with_values
-from polishd.daemon.instrument_file import load_profile, write_commissioned
 from polishd.model.instrument import Commissioned
 
 SHIPPED = Path(__file__).resolve().parents[1] / "examples" / "instrument.toml"

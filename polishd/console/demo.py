@@ -18,14 +18,14 @@ from pathlib import Path
 import typer
 
 from polishd.console.demo_files import DemoFiles, write_demo
-from polishd.console.map_commission import Proved, prove_profile
 from polishd.console.progress import progress
 from polishd.console.simulator import last_words, measure_artefact, simulated_cell
-from polishd.console.tables import cycle_table, stderr, stdout
 from polishd.daemon import client
 from polishd.daemon.sockets import SOCKET_NAME
 from polishd.files import require_writable
 from polishd.model.errors import ConfigError, LinkError, PolishdError
+from polishd.show.tables import cycle_table, stderr, stdout
+from polishd.workbench.maps.commission import Proved, prove_profile
 
 START_S = 60.0
 STOP_S = 30.0

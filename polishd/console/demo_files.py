@@ -14,9 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from polishd.daemon.config import CellConfig, load_config
-from polishd.daemon.files import read_map
-from polishd.daemon.plugins import load_own
+from polishd.config.cell import CellConfig, load_config
+from polishd.hooks.loader import load_own
 from polishd.model.errors import BadMap
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.make import path_program
@@ -26,6 +25,7 @@ from polishd.process.path_compliance import compliance_at
 from polishd.process.paths.apertures import circle
 from polishd.process.paths.raster import quiet_step_mm, raster
 from polishd.process.paths.wrist import tool_axes
+from polishd.recipe.files import read_map
 
 RASTER_MM = 1.0
 """Length of a block, and most distance of the lines: the step that leaves no ripple is a little less."""

@@ -10,7 +10,7 @@ from typing import Any
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from polishd.console.last_words import last_words
-from polishd.console.tables import stderr
+from polishd.show.tables import stderr
 
 Show = Callable[[str, int | None, Mapping[str, Any]], None]
 """(event's name, its cycle, its data)."""

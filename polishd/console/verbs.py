@@ -13,15 +13,16 @@ import typer
 from rich.console import Group
 from rich.table import Table
 
+from polishd.config.cell import load_config
 from polishd.console.last_words import for_cell, last_words, tell
 from polishd.console.progress import progress
-from polishd.console.tables import cycle_table, key_table, record_table, stderr, stdout
 from polishd.daemon import client
-from polishd.daemon.config import CellConfig, load_config
 from polishd.daemon.endings import Cause, last_ending
-from polishd.daemon.plugin_checks import DECLARATIONS
-from polishd.daemon.plugins import Hooks, load_own, load_plugins
+from polishd.hooks.cell import load_cell, plugins_of
+from polishd.hooks.checks import DECLARATIONS
+from polishd.hooks.loader import load_own
 from polishd.model.errors import NoDaemon, PolishdError
+from polishd.show.tables import cycle_table, emit, key_table, record_table, stderr, stdout
 
 
 def run_verb(cell: Path, correction: str | None, *, holds: bool, as_json: bool) -> int:
@@ -46,7 +47,7 @@ def run_verb(cell: Path, correction: str | None, *, holds: bool, as_json: bool) 
 
 def plan_verb(cell: Path, surface: Path, program: Path, out: Path, correction: str | None, *, as_json: bool) -> None:
     """Plan a part by hand."""
-    from polishd.daemon.planning import plan_part
+    from polishd.workbench.plan import plan_part
 
     config, hooks = load_cell(cell, correction)
     with stderr.status("solving the dwell"):
@@ -135,7 +136,7 @@ def order_verb(cell: Path, verb: str, *, as_json: bool) -> None:
 
 def plugins_verb(cell: Path | None, *, as_json: bool) -> None:
     """What is loaded, what each plugin brings, and what is refused and why."""
-    hooks = load_own() if cell is None else _plugins_of(load_config(cell))
+    hooks = load_own() if cell is None else plugins_of(load_config(cell))
     loaded = [
         {
             "name": plugin.name,
@@ -155,26 +156,6 @@ def plugins_verb(cell: Path | None, *, as_json: bool) -> None:
     )
     if refused:
         raise typer.Exit(3)
-
-
-def _plugins_of(config: CellConfig) -> Hooks:
-    return load_plugins(config.plugins.load, config.dialect_paths)
-
-
-def load_cell(cell: Path, correction: str | None = None) -> tuple[CellConfig, Hooks]:
-    """Config and plugins; ConfigError or PluginError where anything that the config names is missing or broken."""
-    config = load_config(cell, {"process.correction": correction} if correction else None)
-    hooks = _plugins_of(config)
-    hooks.report.require()
-    return config, hooks
-
-
-def emit(answer: Mapping[str, Any], *, as_json: bool, table: Any) -> None:
-    """JSON on stdout for programs, a table for people."""
-    if as_json:
-        typer.echo(json.dumps(answer, default=str))
-    else:
-        stdout.print(table())
 
 
 def _brings(plugin: Mapping[str, Any]) -> str:

@@ -16,16 +16,10 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any, Literal
 
-from polishd.daemon.assembly import (
-    build_cell,
-    contact_limits,
-    make_recipe,
-    require_commissioned,
-    require_time_limits,
-)
+from polishd.config.cell import CellConfig
+from polishd.daemon.assembly import build_cell, contact_limits, require_time_limits
 from polishd.daemon.cell import Cell
 from polishd.daemon.compute import Compute
-from polishd.daemon.config import CellConfig
 from polishd.daemon.cycle import polish
 from polishd.daemon.endings import GONE, NEXT, Ending, as_json, causes, keep_ending, keeping, now
 from polishd.daemon.events import EventBus
@@ -34,17 +28,18 @@ from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.lock import StateLock
 from polishd.daemon.log import logging_to
-from polishd.daemon.plugins import Hooks
 from polishd.daemon.priority import loop_first
-from polishd.daemon.program_fit import require_fit
-from polishd.daemon.run_folder import RunFolder
 from polishd.daemon.safety import make_safe, most_telling
 from polishd.daemon.same_job import require_same, terms_of
 from polishd.daemon.service import serving
-from polishd.daemon.steps import read_program
+from polishd.hooks.loader import Hooks
 from polishd.model.cycle import EXIT_CODES, Event, Outcome
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.model.program import Program
+from polishd.recipe.folder import RunFolder
+from polishd.recipe.making import make_recipe, require_commissioned
+from polishd.recipe.program_fit import require_fit
+from polishd.recipe.steps import read_program
 
 log = logging.getLogger(__name__)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +12,7 @@ from numpy.typing import NDArray
 
 from polishd.files import sync_folder, write_atomic
 from polishd.model.errors import ConfigError, SafetyStop
-
-Arrays = Mapping[str, NDArray[Any] | float]
-
-
-def npz(arrays: Arrays) -> bytes:
-    """Named arrays as one compressed .npz."""
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **{key: np.asarray(value) for key, value in arrays.items()})
-    return buffer.getvalue()
+from polishd.recipe.arrays import Arrays, npz
 
 
 class ArrayStore:

@@ -6,17 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from polishd.daemon import foresight, steps
-from polishd.daemon.assembly import build_cell, make_recipe, require_time_limits, why_not_commissioned
-from polishd.daemon.config import CellConfig
+from polishd.config.cell import CellConfig
+from polishd.daemon.assembly import build_cell, require_time_limits
 from polishd.daemon.lock import StateLock
-from polishd.daemon.plugins import Hooks
 from polishd.daemon.priority import host
-from polishd.daemon.program_fit import require_fit
-from polishd.daemon.recipe import Recipe
 from polishd.daemon.safety import make_safe
+from polishd.hooks.loader import Hooks
 from polishd.model.devices import Identity
 from polishd.model.errors import DeviceFault
+from polishd.recipe import foresight, steps
+from polishd.recipe.making import make_recipe, why_not_commissioned
+from polishd.recipe.program_fit import require_fit
+from polishd.recipe.recipe import Recipe
 
 
 def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:

@@ -13,10 +13,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
-from polishd.daemon.compute_limit import Limit, Watch
+from polishd.daemon.compute_limit import Watch
 from polishd.daemon.compute_worker import LENGTH, pack, unpack
 from polishd.model.errors import ComputeError
 from polishd.process.dwell.limit import backstop_s
+from polishd.recipe.limit import Limit
 
 T = TypeVar("T")
 

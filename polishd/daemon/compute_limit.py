@@ -8,17 +8,11 @@ import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import NamedTuple
+
+from polishd.recipe.limit import Limit
 
 LOOK_S = 0.1
 """Time between two looks at what the worker has used."""
-
-
-class Limit(NamedTuple):
-    """So many CPU seconds, and which key of the config gives more."""
-
-    within_s: float
-    key: str = ""
 
 
 def process_cpu_s(pid: int) -> float:

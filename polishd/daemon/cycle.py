@@ -7,11 +7,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from polishd.daemon.cell import Cell
-from polishd.daemon.job import Job, require_certificate
+from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.safety import contact
 from polishd.daemon.stream import streaming
 from polishd.model.cycle import Outcome, Phase
+from polishd.recipe.dwell_step import require_certificate
 
 
 async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from polishd.daemon.config import CellConfig, PortSection, device_options
-from polishd.daemon.plugins import Hooks
+from polishd.config.cell import CellConfig, PortSection, device_options
 from polishd.daemon.port_checks import lacking
+from polishd.hooks.loader import Hooks
 from polishd.hookspecs import DeviceContext
 from polishd.model.errors import ConfigError, PluginError, PolishdError
 from polishd.ports.devices import Device, ForceActuator, Metrology, Robot, Spindle

@@ -8,24 +8,24 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from polishd.daemon import dwell_step, steps
 from polishd.daemon.compute import Compute
-from polishd.daemon.job_files import plan_arrays, save_plan, save_surface, save_verdict, surface_arrays
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import MapRecord, PassRecord
-from polishd.daemon.recipe import Recipe
-from polishd.daemon.run_folder import RunFolder
 from polishd.daemon.safety import ContactLimits
-from polishd.daemon.steps import Beliefs, Measured, Solved, Taught
 from polishd.model.cycle import Event
 from polishd.model.devices import Executed, RobotProgress
-from polishd.model.dwell import Certificate, KeptStart
-from polishd.model.errors import ComputeError, ConfigError, GateStop, PlanRefused
+from polishd.model.dwell import KeptStart
+from polishd.model.errors import ConfigError, GateStop, PlanRefused
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.process.executed import executed_s
 from polishd.process.registration.record import Registration
+from polishd.recipe import dwell_step, steps
+from polishd.recipe.folder import RunFolder
+from polishd.recipe.recipe import Recipe
+from polishd.recipe.records import plan_arrays, save_plan, save_surface, save_verdict, surface_arrays
+from polishd.recipe.steps import Beliefs, Measured, Solved, Taught
 
 DIVERGED_RATIO, DIVERGED_NM = 1.3, 1.0
 """A surface that is worse than the best one so far by this ratio, and by more than noise and ripple, ends the job."""
@@ -298,22 +298,6 @@ class Job:
                 folder.json("certificate.json", record.facts["certificate"])
             if record.how == "done" and not folder.holds("executed.csv"):
                 self._save_executed(record.cycle)
-
-
-def require_certificate(certificate: Certificate, recipe: Recipe) -> None:
-    """ComputeError unless the dwell is optimal as far as asked, within its bounds, and nobody found a better one."""
-    wrong = []
-    if not certificate.kkt_residual <= recipe.kkt_tolerance:
-        wrong.append(f"KKT residual {certificate.kkt_residual:.2e} is above {recipe.kkt_tolerance:.2e}")
-    if not certificate.bound_violation_s <= 1e-9:
-        wrong.append(f"a bound is violated by {certificate.bound_violation_s:.2e} s")
-    if certificate.cross_check_gap is not None and not certificate.cross_check_gap <= recipe.cross_check_gap:
-        wrong.append(f"{certificate.cross_check} found an objective that is {certificate.cross_check_gap:.2e} lower")
-    if wrong:
-        raise ComputeError(
-            f"the dwell of {certificate.solver} has no valid certificate ({'; '.join(wrong)}; it stopped: "
-            f"{certificate.stopped}); nothing was sent. Give it more time (dwell.within_s) or another dwell.solver"
-        )
 
 
 def _figure(stats: Mapping[str, Any]) -> float:

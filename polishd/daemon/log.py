@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
-from polishd.daemon.plain import plain
+from polishd.plain import plain
 
 LOG_NAME = "polishd.log"
 _MAX_BYTES = 10_000_000

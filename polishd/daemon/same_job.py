@@ -13,7 +13,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from polishd.daemon.config import CellConfig
+from polishd.config.cell import CellConfig
 from polishd.daemon.journal import JOURNAL_NAME, Journal
 from polishd.daemon.journal_schema import old_copy
 from polishd.model.errors import ConfigError

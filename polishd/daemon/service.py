@@ -18,11 +18,11 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
-from polishd.daemon.config_errors import did_you_mean, listed
+from polishd.config.places import did_you_mean, listed
 from polishd.daemon.events import EventBus, as_json
-from polishd.daemon.plain import plain
 from polishd.daemon.sockets import LINE_BYTES, SOCKET_NAME, address_of
 from polishd.model.errors import ConfigError, PolishdError
+from polishd.plain import plain
 
 log = logging.getLogger(__name__)
 

@@ -38,9 +38,9 @@ def test_there_are_examples() -> None:
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_the_example_loads(path: Path) -> None:
-    from polishd.daemon.config import load_config  # not at the top: the rules should run while this does not
-    from polishd.daemon.instrument_file import load_profile
-    from polishd.study.config import load_study
+    from polishd.config.cell import load_config  # not at the top: the rules should run while this does not
+    from polishd.config.profile import load_profile
+    from polishd.config.study import load_study
 
     keys = tomllib.loads(path.read_text()).keys()
     load = load_study if "kind" in keys else load_profile if "artefact" in keys else load_config

@@ -11,10 +11,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
 
+from polishd.config.cell import load_config
 from polishd.console.demo_files import DemoFiles, demo_program, with_values
 from polishd.console.simulator import simulated_cell
 from polishd.daemon import client
-from polishd.daemon.config import load_config
 from polishd.model.errors import PolishdError
 from tests.commissioned import forged
 from tests.system.sim_rig import wait_for

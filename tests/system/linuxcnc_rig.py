@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
+from polishd.config.cell import CellConfig, load_config
 from polishd.console.demo_files import DemoFiles, demo_program, with_values, write_demo
-from polishd.daemon.config import CellConfig, load_config
 from polishd.model.program import Encoding
 from polishd.plugins.rnc_robot.make import path_program
 from polishd.process.paths.apertures import circle

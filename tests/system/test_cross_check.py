@@ -14,7 +14,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.api import Program
-from polishd.daemon import steps
 from polishd.model.errors import ProgramError
 from polishd.model.process import Placement, ToolProcess
 from polishd.model.robot import HybridRobot
@@ -28,6 +27,7 @@ from polishd.process.path_compliance import path_compliance
 from polishd.process.registration.record import Registration
 from polishd.process.robot import tip_compliance_mm_per_n
 from polishd.process.spot import HertzSpot
+from polishd.recipe import steps
 from polishd.sim_backends import truth
 from polishd.sim_backends.config import Plant, Truth
 from polishd.sim_backends.placement import Frames, rotation_rpy, tool_axis

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from polishd.config.cell import load_config
 from polishd.console.demo_files import DemoFiles, with_values, write_demo
 from polishd.console.simulator import measure_artefact, simulated_cell
 from polishd.daemon import client
-from polishd.daemon.config import load_config
 from polishd.daemon.sockets import SOCKET_NAME
 from tests.system.cell_rig import Daemon, account, events, small_cell, summary, write_small
 from tests.system.sim_rig import wait_for

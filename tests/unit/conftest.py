@@ -1,4 +1,4 @@
-"""What tests of one part share: the shipped example, and fake distributions with plugins."""
+"""What tests of one part share: the shipped example, the command line, and fake distributions with plugins."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from typing import Any
 
 import pytest
 
+from polishd import cli
 from polishd.hookspecs import API_VERSION
+from tests.unit.said import Polishd, Said
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "cell.toml"
 
@@ -22,6 +24,20 @@ Install = Callable[..., str]
 def example() -> str:
     """The text of the shipped example."""
     return EXAMPLE.read_text()
+
+
+@pytest.fixture
+def polishd(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Polishd:
+    """``polishd("check", path)``: called in this process as from the shell."""
+
+    def call(*words: object) -> Said:
+        monkeypatch.setattr(sys, "argv", ["polishd", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        captured = capsys.readouterr()
+        return Said(int(ended.value.code or 0), captured.out, captured.err)
+
+    return call
 
 
 @pytest.fixture

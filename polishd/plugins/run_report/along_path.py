@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from polishd.plugins.run_report.folder import Arrays, FloatArray
-from polishd.plugins.run_report.style import BLUE, GREEN, INK, MUTED, ORANGE, SEQUENTIAL, figure, ruled
+from polishd.show.style import BLUE, GREEN, INK, MUTED, ORANGE, SEQUENTIAL, figure, ruled
 
 WIDTH_IN = 10.6
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from polishd.files import write_atomic
 from polishd.plugins.run_report.folder import Surface
 from polishd.plugins.run_report.maps import WIDTH_IN, colour_bar, scale_nm, show
-from polishd.plugins.run_report.style import figure, png, polishd_style
+from polishd.show.style import figure, png, polishd_style
 
 
 def write_gate(folder: Path) -> None:

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
 from polishd.plugins.run_report.folder import Cycle, FloatArray, Surface
-from polishd.plugins.run_report.style import BLUE, DIVERGING, INK, MUTED, NO_DATA, ORANGE, figure, ruled
+from polishd.show.style import BLUE, DIVERGING, INK, MUTED, NO_DATA, ORANGE, figure, ruled
 
 WIDTH_IN = 10.6
 HEIGHT_LABEL = "height on the process grid (nm)"

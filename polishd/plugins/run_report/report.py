@@ -13,7 +13,7 @@ from polishd.files import write_atomic
 from polishd.plugins.run_report import along_path, maps, naming, trend
 from polishd.plugins.run_report.folder import Cycle, RunFolder, Surface, read_folder
 from polishd.plugins.run_report.page import Picture, Section, render
-from polishd.plugins.run_report.style import png, polishd_style
+from polishd.show.style import png, polishd_style
 
 PAGE = "report.html"
 PICTURES = "pictures"

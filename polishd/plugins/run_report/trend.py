@@ -16,7 +16,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from polishd.plugins.run_report.folder import Surface
 from polishd.plugins.run_report.naming import interrupted
 from polishd.plugins.run_report.psd import radial_psd
-from polishd.plugins.run_report.style import BLUE, GREEN, MUTED, ORANGE, figure, ruled
+from polishd.show.style import BLUE, GREEN, MUTED, ORANGE, figure, ruled
 
 Rows = list[Mapping[str, Any]]
 

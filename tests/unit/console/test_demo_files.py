@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from polishd.config.cell import CellConfig, load_config
 from polishd.console.demo_files import (
     LANDING_MM,
     OVERRUN_MM,
@@ -22,12 +23,11 @@ from polishd.console.demo_files import (
     with_values,
     write_demo,
 )
-from polishd.daemon import steps
-from polishd.daemon.assembly import make_recipe
-from polishd.daemon.config import CellConfig, load_config
-from polishd.daemon.plugins import load_own
+from polishd.hooks.loader import load_own
 from polishd.model.errors import BadMap
 from polishd.model.program import Program
+from polishd.recipe import steps
+from polishd.recipe.making import make_recipe
 from polishd.sim_backends.metropro import DatMap, pack
 from tests.rs274 import read
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from polishd.config.cell import load_config
 from polishd.console.demo_files import demo_program, with_values
-from polishd.daemon.config import load_config
 from tests.commissioned import commissioned
-from tests.unit.console.said import Polishd
+from tests.unit.said import Polishd
 
 VERBS = ("check", "probe", "run")
 TOOL = """

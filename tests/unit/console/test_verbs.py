@@ -12,19 +12,20 @@ from typing import Any
 import pytest
 
 from polishd import __version__
+from polishd.config.cell import load_config
+from polishd.config.profile import load_profile
+from polishd.config.study import load_study
 from polishd.console import demo, verbs
 from polishd.console.demo_files import DemoFiles, demo_program, with_values, write_demo
 from polishd.daemon import app as daemon_app
-from polishd.daemon import client, planning
-from polishd.daemon.config import load_config
+from polishd.daemon import client
 from polishd.daemon.endings import GONE, RECORD_NAME, Cause, Ending, keep_ending
-from polishd.daemon.instrument_file import load_profile
 from polishd.model import errors
 from polishd.model.errors import ConfigError, DeviceFault, PolishdError
 from polishd.plugins.rnc_robot.dialect import FOLDER, dialect
 from polishd.sim_backends import config as sim_config
-from polishd.study.config import load_study
-from tests.unit.console.said import Polishd, Said
+from polishd.workbench import plan as planning
+from tests.unit.said import Polishd, Said
 
 SUMMARY = {
     "outcome": "in_tolerance", "job": "demo", "cycles": [], "notes": [], "exit_code": 0, "run_dir": "runs/demo",

@@ -11,13 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from polishd.daemon import steps
-from polishd.daemon.config_sections import PartSection
+from polishd.config.sections import PartSection
 from polishd.daemon.cycle import polish
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
-from polishd.daemon.recipe import Recipe
-from polishd.daemon.run_folder import RunFolder
 from polishd.daemon.safety import ContactLimits
 from polishd.hookspecs import DwellSolver, RemovalAnswer, RemovalModel, RemovalRequest
 from polishd.model.cycle import Event, Outcome
@@ -32,6 +29,9 @@ from polishd.process.dwell import newton_cg
 from polishd.process.metrics import fitted
 from polishd.process.paths.apertures import circle
 from polishd.process.paths.raster import raster
+from polishd.recipe import steps
+from polishd.recipe.folder import RunFolder
+from polishd.recipe.recipe import Recipe
 from tests.fakes.devices import FakeCell
 from tests.rs274 import RS274
 from tests.unit.process.gaussian import envelope, rough, spot_effect

@@ -11,18 +11,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from polishd.config.cell import CellConfig, load_config
+from polishd.config.sections import LimitsSection
 from polishd.console.demo_files import demo_program, with_values
 from polishd.daemon import checking
-from polishd.daemon.assembly import build_cell, contact_limits, make_recipe, require_commissioned
-from polishd.daemon.config import CellConfig, load_config
-from polishd.daemon.config_sections import LimitsSection
+from polishd.daemon.assembly import build_cell, contact_limits
 from polishd.daemon.lock import StateLock
-from polishd.daemon.plugins import Hooks, load_own, load_plugins
 from polishd.daemon.priority import host
+from polishd.hooks.loader import Hooks, load_own, load_plugins
 from polishd.hookspecs import DeviceContext, DeviceType
 from polishd.model.errors import ConfigError, DeviceFault, LinkError, ProgramError
 from polishd.model.surface import SurfaceMap
 from polishd.ports.devices import Device, ForceActuator, Robot, Spindle
+from polishd.recipe.making import make_recipe, require_commissioned
 from tests.commissioned import commissioned
 from tests.fakes.devices import FakeCell
 

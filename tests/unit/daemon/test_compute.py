@@ -17,9 +17,10 @@ import numpy as np
 import pytest
 
 from polishd.daemon.compute import Compute
-from polishd.daemon.compute_limit import Limit, process_cpu_s
+from polishd.daemon.compute_limit import process_cpu_s
 from polishd.daemon.priority import BEHIND
 from polishd.model.errors import BadMap, ComputeError
+from polishd.recipe.limit import Limit
 
 
 def _jobs() -> ModuleType:

@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.daemon import steps
 from polishd.hookspecs import DwellSolver
 from polishd.model.cycle import Outcome
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import BadMap, ComputeError, DeviceFault, GateStop, LinkError, PlanRefused, SafetyStop
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
+from polishd.recipe import steps
 from tests.unit.daemon.small import MOVES, Bench, as_map, open_journal, small_map, small_program, small_recipe
 
 SAFE = ["spindle.make_safe", "actuator.make_safe", "lifted", "robot.make_safe"]

@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.daemon import steps
-from polishd.daemon.job import DIVERGED_RATIO, PROGRESS_BLOCKS, Job, require_certificate
+from polishd.daemon.job import DIVERGED_RATIO, PROGRESS_BLOCKS, Job
 from polishd.daemon.journal import Journal
-from polishd.daemon.steps import Measured
 from polishd.model.devices import Executed, RobotProgress
 from polishd.model.errors import ComputeError, PlanRefused
 from polishd.model.program import Plan
 from polishd.model.surface import SurfaceMap
+from polishd.recipe import steps
+from polishd.recipe.dwell_step import require_certificate
+from polishd.recipe.steps import Measured
 from tests.rs274 import RS274
 from tests.unit.daemon.small import (
     CERTIFICATE,

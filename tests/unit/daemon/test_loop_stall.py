@@ -27,11 +27,11 @@ from polishd.daemon.events import EventBus
 from polishd.daemon.journal import Journal
 from polishd.daemon.log import logging_to
 from polishd.daemon.service import serving
-from polishd.daemon.steps import Solved
 from polishd.model.cycle import Outcome
 from polishd.model.devices import Executed, ForceSample, SpeedSample
 from polishd.model.program import Plan, Segment
 from polishd.model.times import ActuatorTimes, SpindleTimes
+from polishd.recipe.steps import Solved
 from tests.fakes.devices import FakeActuator, FakeCell, FakeMetrology, FakeRobot, FakeSpindle
 from tests.unit.daemon.small import small_job, small_map
 

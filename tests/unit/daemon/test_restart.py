@@ -123,7 +123,7 @@ async def test_a_deleted_run_folder_costs_nothing_but_what_it_showed(site: Rerun
 async def test_the_next_solve_starts_from_the_last_one_across_a_restart(
     site: Rerun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from polishd.daemon import dwell_step
+    from polishd.recipe import dwell_step
 
     starts: list[Any] = []
     solve = dwell_step.solve

@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
+from polishd.config.cell import CellConfig, load_config
 from polishd.console.demo_files import with_values, write_demo
-from polishd.daemon.config import CellConfig, load_config
 from polishd.daemon.journal import Journal
 from polishd.daemon.same_job import FILES, RULES, may_change, require_same, terms_of
 from polishd.model.errors import ConfigError

@@ -99,7 +99,7 @@ def write_run(folder: Path, passes: int) -> Path:
 
 @pytest.fixture(autouse=True)
 def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("polishd.plugins.run_report.style.DPI", 40)
+    monkeypatch.setattr("polishd.show.style.DPI", 40)
 
 
 @pytest.fixture

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from polishd.api import ConfigError, Program
+from polishd.config.cell import load_config
 from polishd.console.demo_files import with_values
-from polishd.daemon.config import load_config
-from polishd.daemon.plugins import load_plugins
+from polishd.hooks.loader import load_plugins
 from polishd.model.errors import PluginError
 from polishd.plugins.rnc_robot import formats
 from polishd.plugins.rnc_robot.dialect import DEFAULT, DIALECTS, FOLDER, Dialect, dialect

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from polishd.api import Program, ProgramError
-from polishd.console.dwell_csv import DwellTable
-from polishd.console.program_files import rewrite_file
 from polishd.plugins.rnc_robot.dialect import Dialect
 from polishd.plugins.rnc_robot.dialect import dialect as load
 from polishd.plugins.rnc_robot.nc import reader, rewriter, stream
 from polishd.plugins.rnc_robot.nc.stream import Passed, look_through, rewrite_stream
+from polishd.workbench.programs.dwell_csv import DwellTable
+from polishd.workbench.programs.files import rewrite_file
 from tests.corpus.fuzz import GRAMMARS, program
 from tests.corpus.table import Case, cases, reason
 

@@ -1,0 +1,1 @@
+"""One TOML loader with places of errors: cell, instrument profile, study."""

@@ -1,0 +1,148 @@
+"""Instruments' profiles: TOML to an ``Instrument``, and the record of the proof back into the file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from polishd.config.cell import parse_toml
+from polishd.config.places import Source, key_lines, problems
+from polishd.config.profile_sections import ProfileFile, RecordTable
+from polishd.files import write_atomic
+from polishd.model.errors import ConfigError
+from polishd.model.instrument import Commissioned, Instrument
+from polishd.process.commissioning import Bump
+
+RECORD = "commissioned"
+HEADER = f"[{RECORD}]                       # written by polishd map commission; void once a value above is changed"
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """A profile as its file gives it."""
+
+    path: Path
+    instrument: Instrument
+    """``commissioned`` only where the record is of the values that stand there now."""
+    sha256: str
+    """Of the values, defaults included, without the record: layout and comments do not count."""
+    artefact: str
+    """Name of the artefact that proves it; empty where the file describes none."""
+    bumps: tuple[Bump, ...]
+    """The artefact's."""
+    unproved: str
+    """Why no map of this instrument may drive polishing; empty where it may."""
+
+
+def load_profile(path: Path) -> Profile:
+    """Read an instrument's profile.
+
+    Raises:
+        ConfigError: it cannot be read, or one line per problem: ``FILE:LINE: table.key: what is wrong; what to do``.
+    """
+    raw, source = parse_toml(path)
+    given = _validated(raw, source)
+    values = given.model_dump(mode="json", exclude={RECORD})
+    sha256 = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+    record = None if given.commissioned is None else Commissioned(**dict(given.commissioned))
+    unproved = _unproved(path, record, sha256)
+    instrument = _instrument(given, {key: value for key, value in raw.items() if key != RECORD})
+    return Profile(
+        path=path,
+        instrument=instrument if unproved else replace(instrument, commissioned=record),
+        sha256=sha256,
+        artefact="" if given.artefact is None else given.artefact.name,
+        bumps=() if given.artefact is None else tuple(Bump(**dict(bump)) for bump in given.artefact.bumps),
+        unproved=unproved,
+    )
+
+
+def write_commissioned(path: Path, record: Commissioned) -> None:
+    """Put the record into the profile's file, for an earlier one; all else stays as the user wrote it.
+
+    Raises:
+        ConfigError: the file cannot be written, or its layout does not let the record be put in; it is as it was.
+    """
+    _, source = parse_toml(path)
+    lines = source.text.split("\n")
+    earlier = {line for key, line in key_lines(source.text).items() if key[0] == RECORD}
+    kept = "\n".join(line for number, line in enumerate(lines, start=1) if number not in earlier).rstrip("\n")
+    text = f"{kept}\n\n{HEADER}\n" + "".join(f"{key} = {value}\n" for key, value in _toml(record).items())
+    try:
+        _require_same(path, text, record)
+        write_atomic(path, text.encode())
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: the record cannot be written: {error.strerror}; the profile is as it was"
+        ) from error
+
+
+def _validated(raw: Mapping[str, Any], source: Source) -> ProfileFile:
+    try:
+        return ProfileFile.model_validate(raw)
+    except ValidationError as error:
+        raise ConfigError("\n".join(problems(error, ProfileFile, source))) from error
+
+
+def _unproved(path: Path, record: Commissioned | None, sha256: str) -> str:
+    prove = f"measure the artefact, then: polishd map commission {path} MAP"
+    if record is None:
+        return f"{path}: the profile was never commissioned; {prove}"
+    if record.profile_sha256 != sha256:
+        return f"{path}: the profile was edited after it was commissioned ({record.at:%Y-%m-%d %H:%M}); {prove}"
+    return ""
+
+
+def _instrument(given: ProfileFile, raw: Mapping[str, Any]) -> Instrument:
+    return Instrument(
+        name=given.name,
+        mirror=given.orientation.mirror,
+        rotation_deg=given.orientation.rotation_deg,
+        sign=given.height.sign,
+        factor=given.height.factor,
+        unit_nm=given.height.unit_nm,
+        pitch_mm=given.lateral.pitch_mm,
+        pitch_tolerance=given.lateral.pitch_tolerance,
+        gives=frozenset(given.gives),
+        serials=given.serials,
+        aperture_mm=given.aperture.diameter_mm,
+        aperture_tolerance_mm=given.aperture.tolerance_mm,
+        fiducials_mm=given.fiducials.positions_mm,
+        fiducial_tolerance_mm=given.fiducials.tolerance_mm,
+        register_by=given.registration.by,
+        max_shift_mm=given.registration.max_shift_mm,
+        max_turn_deg=given.registration.max_turn_deg,
+        max_drift_mm=given.registration.max_drift_mm,
+        raw=raw,
+    )
+
+
+def _toml(record: Commissioned) -> dict[str, str]:
+    return {
+        "at": record.at.isoformat(timespec="seconds"),
+        "artefact": json.dumps(record.artefact),
+        "map_sha256": json.dumps(record.map_sha256),
+        "correlation": f"{record.correlation:.6f}",
+        "next_best": f"{record.next_best:.6f}",
+        "profile_sha256": json.dumps(record.profile_sha256),
+    }
+
+
+def _require_same(path: Path, text: str, record: Commissioned) -> None:
+    """What is about to be written must read back as the record, and nothing else in it be changed."""
+    try:
+        after = tomllib.loads(text)
+        kept = RecordTable.model_validate(after.pop(RECORD))
+    except (tomllib.TOMLDecodeError, ValidationError) as error:
+        raise ConfigError(f"{path}: the record does not fit in: {error}; remove [{RECORD}] by hand") from error
+    before, _ = parse_toml(path)
+    before.pop(RECORD, None)
+    if after != before or kept.profile_sha256 != record.profile_sha256:
+        raise ConfigError(f"{path}: the record cannot be put in without loss; remove [{RECORD}] by hand, then again")

@@ -1,0 +1,219 @@
+"""A study's file: TOML into frozen models, each error with its file, line and key, as a cell's configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, PrivateAttr, ValidationError, model_validator
+
+from polishd.config.cell import nominal_optic, parse_toml, robot_model, tool_process
+from polishd.config.places import Source, did_you_mean, listed, problems
+from polishd.config.process import ComplianceSection, HybridSection, KinematicsSection, ProcessSection
+from polishd.config.sections import Name, NotNegative, PartSection, Positive, Range, Section, Text
+from polishd.model.errors import ConfigError, PolishdError
+from polishd.model.process import ComplianceOptions, Optic, Placement, ToolProcess
+from polishd.model.robot import RobotModel
+from polishd.process.edge.rim import Rim, round_rim
+from polishd.process.frames import rotation_from_rpy_deg
+
+MOST_SAMPLES = 1_000_000
+"""Samples, and dwell points, of a study: beyond it the machine's memory decides, not the file."""
+
+
+class SurfaceSection(Section):
+    """The surface at the start: drawn from a seed, or a measured map."""
+
+    file: Text | None = None
+    rms_nm: Positive | None = None
+    period_mm: Range | None = None
+    seed: Annotated[int, Field(ge=0)] = 1
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        drawn = self.rms_nm is not None and self.period_mm is not None
+        if self.file is not None and (self.rms_nm is not None or self.period_mm is not None):
+            raise ValueError("file: a measured map has its own RMS and periods; drop rms_nm and period_mm, or the file")
+        if self.file is None and not drawn:
+            raise ValueError("rms_nm: a drawn surface needs rms_nm and period_mm = [low, high]; add them, or a file")
+        if self.period_mm is not None and self.period_mm[0] <= 0:
+            raise ValueError("period_mm: must be above 0; give the shortest and the longest period")
+        return self
+
+
+class PathSection(Section):
+    """Dwell points at rest on a square lattice, over the aperture and an extension beyond it."""
+
+    step_mm: Annotated[float, Field(gt=0, le=20)] = 1.0
+    extension_mm: Annotated[float, Field(ge=0, le=100)] = 2.0
+
+
+class SolveSection(Section):
+    """How the dwell is solved: eq. 50 with ``t >= 0``."""
+
+    regularisation_nm2_s2: NotNegative = 1e-9
+    unreached: Annotated[float, Field(ge=0, lt=1)] = 0.005
+    kkt_tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-5
+    within_s: Annotated[float, Field(gt=0, le=3600)] = 60.0
+
+
+class StudyFile(Section):
+    """What all studies share."""
+
+    title: Text
+    process: ProcessSection = ProcessSection()
+    _path: Path = PrivateAttr(default=Path("study.toml"))
+    _source: Source = PrivateAttr(default=Source("study.toml", ""))
+
+    def resolve(self, path: str) -> Path:
+        """A path of the file, absolute."""
+        return self._path.parent / Path(path).expanduser()
+
+    def tool_process(self) -> ToolProcess:
+        """Tool, contact and Preston constant."""
+        return tool_process(self.process)
+
+    def without_use(self) -> Iterator[tuple[str, str]]:
+        """Dotted keys of the file that this kind of study has no use for, and why."""
+        for key in ("removal_model", "correction", "tif"):
+            if key in self.process.model_fields_set:
+                yield f"process.{key}", "a study has its own corrections, and its spot is the modelled one"
+
+    def error(self, key: str, problem: str) -> ConfigError:
+        """A ConfigError about a dotted key, with its place: for checks that need more than this file."""
+        return ConfigError(self._source.error(tuple(key.split(".")), problem))
+
+    @contextmanager
+    def blame(self, key: str) -> Iterator[None]:
+        """What cannot be computed in this block is the file's fault, and is said with the place of this dotted key."""
+        try:
+            yield
+        except ConfigError:
+            raise
+        except PolishdError as error:
+            raise self.error(key, str(error)) from error
+
+
+class PartStudy(StudyFile):
+    """What the studies over a part share: the part, its place, the robot and the path."""
+
+    part: PartSection
+    path: PathSection = PathSection()
+    kinematics: KinematicsSection = HybridSection()
+    compliance: ComplianceSection = ComplianceSection()
+
+    @model_validator(mode="after")
+    def _is_not_too_large(self) -> Self:
+        pitch = min(self.path.step_mm, self.process.grid_mm)
+        samples = ((self.part.aperture_mm + 2 * self.path.extension_mm) / pitch) ** 2
+        if samples > MOST_SAMPLES:
+            raise ValueError(f"path: {samples:.3g} dwell points or samples; at most {MOST_SAMPLES:.0e} can be studied")
+        return self
+
+    def robot_model(self) -> RobotModel:
+        """The robot's geometry and stiffness; ConfigError where its table cannot be read."""
+        return robot_model(self.kinematics, self.resolve)
+
+    def compliance_options(self) -> ComplianceOptions:
+        """How the robot's compliance is read."""
+        return ComplianceOptions(**dict(self.compliance))
+
+    def optic(self) -> Optic:
+        """The nominal surface."""
+        return nominal_optic(self.part)
+
+    def free_rim(self) -> Rim | None:
+        """The part's rim where it is free; None: the part sits in a flush ring."""
+        return round_rim(self.part.aperture_mm / 2) if self.part.rim == "free" else None
+
+    def placement(self) -> Placement:
+        """Where the part lies in the robot's base frame."""
+        return Placement(self.part.origin_mm, rotation_from_rpy_deg(*self.part.rotation_rpy_deg))
+
+
+class CorrectionsStudy(PartStudy):
+    """Every correction against two plants (paper section IV-D)."""
+
+    kind: Literal["corrections"]
+    surface: SurfaceSection
+    solve: SolveSection = SolveSection()
+    lsf_period_mm: Positive = 33.0
+
+    def without_use(self) -> Iterator[tuple[str, str]]:
+        """Of what is said of a map where the surface is drawn, the nominal form."""
+        yield from super().without_use()
+        if self.surface.file is None and self.part.nominal is not None:
+            yield "part.nominal", "a drawn surface is the error already, less the form wanted"
+
+
+class PassesStudy(PartStudy):
+    """Passes of equal dwell (paper fig. 12)."""
+
+    kind: Literal["passes"]
+    passes: Annotated[int, Field(ge=1, le=1000)] = 10
+    dwell_s: Positive = 0.01
+
+    def without_use(self) -> Iterator[tuple[str, str]]:
+        """What is said of maps."""
+        yield from super().without_use()
+        for key in ("nominal", "alignment"):
+            if key in self.part.model_fields_set:
+                yield f"part.{key}", "this study has no map"
+
+
+class SpotSection(Section):
+    """One spot, and what the paper prints of it, if anything."""
+
+    size_mm: Positive
+    rpm: Annotated[float, Field(gt=0, le=20000)]
+    force_n: Annotated[float, Field(gt=0, le=500)]
+    dip_deg: Annotated[float, Field(ge=0, lt=90)]
+    paper_depth_error_percent: NotNegative | None = None
+    paper_volume_error_percent: NotNegative | None = None
+    paper_jsd: NotNegative | None = None
+
+
+class SpotsStudy(StudyFile):
+    """Spots polished at rest (paper Table III)."""
+
+    kind: Literal["spots"]
+    seconds: Positive = 60.0
+    spots: Annotated[dict[Name, SpotSection], Field(min_length=1)]
+
+
+Study = CorrectionsStudy | SpotsStudy | PassesStudy
+KINDS: dict[str, type[Study]] = {"corrections": CorrectionsStudy, "spots": SpotsStudy, "passes": PassesStudy}
+
+
+def load_study(path: Path) -> Study:
+    """Read a study's TOML; ConfigError with one line per problem: ``FILE:LINE: key: what is wrong; what to do``."""
+    raw, source = parse_toml(path)
+    kind = raw.get("kind")
+    if not isinstance(kind, str) or kind not in KINDS:
+        near = did_you_mean(kind, KINDS) if isinstance(kind, str) else "."
+        given = "is missing" if kind is None else f"{kind!r} is not allowed"
+        raise ConfigError(source.error(("kind",), f"{given}; must be one of {listed(KINDS)}{near}"))
+    model = KINDS[kind]
+    try:
+        study = model.model_validate(raw)
+    except ValidationError as error:
+        raise ConfigError("\n".join(_spot_problems(raw, source) or problems(error, model, source))) from error
+    study._path, study._source = path.absolute(), source
+    unused = [source.error(tuple(key.split(".")), f"{why}; drop it") for key, why in study.without_use()]
+    if unused:
+        raise ConfigError("\n".join(unused))
+    return study
+
+
+def _spot_problems(raw: Mapping[str, Any], source: Source) -> list[str]:
+    """Of each ``[spots.NAME]`` on its own, so that its lines and the keys known there are right."""
+    spots = raw.get("spots")
+    found: list[str] = []
+    for name, spot in spots.items() if isinstance(spots, dict) else ():
+        try:
+            SpotSection.model_validate(spot)
+        except ValidationError as error:
+            found += problems(error, SpotSection, source, ("spots", name))
+    return found

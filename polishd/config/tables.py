@@ -1,0 +1,97 @@
+"""Files that the physics is fed with: tables of numbers, measured TIFs. Each fault names file, line and column."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from polishd.config.places import did_you_mean, listed
+from polishd.files import write_atomic
+from polishd.model.errors import ConfigError
+from polishd.model.process import MeasuredTif
+from polishd.model.robot import MeasuredCompliance
+from polishd.model.surface import FloatArray
+
+PLACE = ("x_mm", "y_mm", "z_mm")
+TIF_KEYS = ("rate_nm_s", "pitch_mm", "azimuth_deg", "depth_ratio", "rotates")
+
+
+def read_columns(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> dict[str, FloatArray]:
+    """Columns (n,) of a CSV file with a header line; ``#`` starts a comment line. Others of its columns are ignored.
+
+    Raises ConfigError ``FILE:LINE: ...`` for a file that cannot be read, a column that is missing, or an entry that is
+    no finite number.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}; name a CSV file") from error
+    rows = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip(" ,;\t")]
+    rows = [(number, line) for number, line in rows if not line.lstrip().startswith("#")]
+    if len(rows) < 2:
+        raise ConfigError(f"{path}: holds no table; write a line of column names ({', '.join(names)}), then numbers")
+    header = [name.strip() for name in next(csv.reader([rows[0][1]]))]
+    for name in names:
+        if name not in header:
+            raise ConfigError(
+                f"{path}:{rows[0][0]}: the column {name!r} is missing{did_you_mean(name, header)} There are: "
+                f"{listed(header)}"
+            )
+    wanted = [name for name in (*names, *optional) if name in header]
+    values = [[_number(path, row, header, name) for name in wanted] for row in rows[1:]]
+    return dict(zip(wanted, np.array(values, dtype=np.float64).T, strict=True))
+
+
+def _number(path: Path, row: tuple[int, str], header: Sequence[str], name: str) -> float:
+    entries = next(csv.reader([row[1]]))
+    column = header.index(name)
+    try:
+        value = float(entries[column])
+    except (ValueError, IndexError):
+        value = math.nan
+    if not math.isfinite(value):
+        given = repr(entries[column].strip()) if column < len(entries) else "nothing"
+        raise ConfigError(f"{path}:{row[0]}: {name} is {given}, it must be a finite number")
+    return value
+
+
+def read_compliance_table(path: Path) -> MeasuredCompliance:
+    """A measured compliance map: CSV with ``x_mm, y_mm, z_mm`` (robot's base frame) and ``compliance_um_per_n``."""
+    columns = read_columns(path, (*PLACE, "compliance_um_per_n"))
+    place = np.column_stack([columns[name] for name in PLACE])
+    return MeasuredCompliance(place, columns["compliance_um_per_n"], str(path))
+
+
+def read_tif(path: Path) -> MeasuredTif:
+    """A TIF as ``write_tif`` writes it; ConfigError where it is not one."""
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as stored:
+            rate, *rest = (stored[key] for key in TIF_KEYS)
+            pitch, azimuth, ratio, rotates = (value.item() for value in rest)
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise ConfigError(f"{path}: is no measured TIF ({error}); make one with polishd calibrate tif") from error
+    tif = MeasuredTif(np.asarray(rate, dtype=np.float64), float(pitch), float(azimuth), float(ratio), bool(rotates))
+    whole = tif.rate_nm_s.ndim == 2 and np.isfinite(tif.rate_nm_s).all() and tif.rate_nm_s.sum() > 0
+    if not (whole and tif.pitch_mm > 0 and tif.depth_ratio > 0 and math.isfinite(tif.azimuth_deg)):
+        raise ConfigError(f"{path}: this TIF removes nothing or is not finite; make it anew with polishd calibrate tif")
+    return tif
+
+
+def write_tif(path: Path, tif: MeasuredTif) -> None:
+    """Write a TIF whole: an npz file of arrays, readable with numpy alone."""
+    buffer = io.BytesIO()
+    np.savez(
+        buffer,
+        rate_nm_s=tif.rate_nm_s,
+        pitch_mm=tif.pitch_mm,
+        azimuth_deg=tif.azimuth_deg,
+        depth_ratio=tif.depth_ratio,
+        rotates=tif.rotates,
+    )
+    write_atomic(path, buffer.getvalue())

@@ -1,0 +1,1 @@
+"""Plugins: found, checked, and called so that none takes others down."""

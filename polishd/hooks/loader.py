@@ -1,0 +1,246 @@
+"""Plugins: found by entry point, checked one by one, refused by name, and called so that none takes others down."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import logging
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import pluggy
+
+from polishd import hookspecs
+from polishd.config.places import did_you_mean, listed
+from polishd.hooks.checks import DECLARATIONS, Refused, misspelt_hooks, wrong_records, wrong_version
+from polishd.hookspecs import PROJECT, DeviceType, DwellSolver, ProgramFormat, RemovalModel, SurfaceReader
+from polishd.model.cycle import Event
+from polishd.model.errors import PluginError
+from polishd.model.limits import Envelope
+from polishd.model.program import Plan
+
+log = logging.getLogger(__name__)
+
+GROUP = "polishd"
+OWN = "polishd"
+SLOW_S = 0.25
+"""A plugin that takes longer over an event is named in the log."""
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded:
+    """A plugin in use. It has a plugin manager of its own, so a call reaches it and no other."""
+
+    name: str
+    distribution: str
+    version: str
+    records: Mapping[str, tuple[Any, ...]]
+    """By declaring hook."""
+    manager: pluggy.PluginManager
+
+    def implements(self, hook: str) -> bool:
+        """Whether the plugin has that hook."""
+        return bool(getattr(self.manager.hook, hook).get_hookimpls())
+
+
+@dataclass(frozen=True, slots=True)
+class PluginReport:
+    """What was loaded, and what was refused and why."""
+
+    loaded: tuple[Loaded, ...]
+    refused: tuple[Refused, ...]
+
+    def require(self) -> None:
+        """PluginError, naming each, where any was refused: a cell does not run without a part of its config."""
+        if self.refused:
+            raise PluginError("\n".join(map(str, self.refused)))
+
+
+class Hooks:
+    """Typed calls of all hooks over the loaded plugins."""
+
+    def __init__(self, report: PluginReport) -> None:
+        self.report = report
+
+    def device_types(self) -> dict[str, DeviceType]:
+        """By name."""
+        return self._records("polishd_device_types")
+
+    def plugin_of(self, hook: str, name: str) -> str:
+        """The plugin that declared the record of that name."""
+        return next(plugin.name for plugin in self.report.loaded if name in _names(plugin.records[hook]))
+
+    def program_formats(self) -> dict[str, ProgramFormat]:
+        """By name."""
+        return self._records("polishd_program_formats")
+
+    def surface_readers(self) -> dict[str, SurfaceReader]:
+        """By name, in the order in which they are asked: as in the config, but polishd's own last.
+
+        Some of polishd's own take any text; whoever loads another reader wants it asked.
+        """
+        others_first = sorted(self.report.loaded, key=lambda plugin: plugin.distribution == OWN)
+        return {record.name: record for plugin in others_first for record in plugin.records["polishd_surface_readers"]}
+
+    def removal_models(self) -> dict[str, RemovalModel]:
+        """By name."""
+        return self._records("polishd_removal_models")
+
+    def dwell_solvers(self) -> dict[str, DwellSolver]:
+        """By name."""
+        return self._records("polishd_dwell_solvers")
+
+    def check_plan(self, plan: Plan, envelope: Envelope) -> list[str]:
+        """All violations, each with its plugin's name; an exception or a wrong answer is one too."""
+        found = []
+        for plugin in self._with("polishd_check_plan"):
+            try:
+                answers = plugin.manager.hook.polishd_check_plan(plan=plan, envelope=envelope)
+            except Exception as error:
+                log.exception("plugin %s failed to check a plan", plugin.name)
+                found.append(f"{plugin.name}: raised {type(error).__name__}: {error}")
+            else:
+                found += [f"{plugin.name}: {violation}" for violation in _violations(answers)]
+        return found
+
+    def on_event(self, event: Event) -> None:
+        """Tell each plugin; what one raises is logged."""
+        for plugin in self._with("polishd_on_event"):
+            begun = time.monotonic()
+            try:
+                plugin.manager.hook.polishd_on_event(event=event)
+            except Exception:
+                log.exception("plugin %s failed on event %s", plugin.name, event.name)
+            if (took := time.monotonic() - begun) > SLOW_S:
+                log.info("plugin %s took %.1f s over event %s", plugin.name, took, event.name)
+
+    def cli(self, app: Any) -> None:
+        """Let each plugin add commands; what one raises is logged."""
+        for plugin in self._with("polishd_cli"):
+            try:
+                plugin.manager.hook.polishd_cli(app=app)
+            except Exception:
+                log.exception("plugin %s failed to add its commands", plugin.name)
+
+    def _records(self, hook: str) -> dict[str, Any]:
+        return {record.name: record for plugin in self.report.loaded for record in plugin.records[hook]}
+
+    def _with(self, hook: str) -> list[Loaded]:
+        return [plugin for plugin in self.report.loaded if plugin.implements(hook)]
+
+
+def _names(records: Iterable[Any]) -> set[str]:
+    return {record.name for record in records}
+
+
+def load_plugins(names: Iterable[str], profiles: Sequence[Path] = ()) -> Hooks:
+    """Load the named plugins, in that order. Broken ones are in ``report.refused``; others go on.
+
+    ``profiles`` are the user's program dialects.
+    """
+    return _load(list(names), list(importlib.metadata.entry_points(group=GROUP)), profiles)
+
+
+def load_own() -> Hooks:
+    """Load all plugins of polishd's own distribution and no others: for commands that take no CELL."""
+    own = [point for point in importlib.metadata.entry_points(group=GROUP) if _distribution(point) == OWN]
+    return _load([point.name for point in own], own)
+
+
+def installed() -> dict[str, list[str]]:
+    """Names of all installed plugins, loaded or not, with the distributions that register them."""
+    found: dict[str, list[str]] = {}
+    for point in importlib.metadata.entry_points(group=GROUP):
+        found.setdefault(point.name, []).append(_distribution(point))
+    return found
+
+
+def _load(names: Sequence[str], points: Sequence[EntryPoint], profiles: Sequence[Path] = ()) -> Hooks:
+    loaded: list[Loaded] = []
+    refused: list[Refused] = []
+    for name in names:
+        found = _load_one(name, [point for point in points if point.name == name], points, profiles)
+        if isinstance(found, Loaded):
+            reason = _taken(found, loaded)
+            found = Refused(name, reason) if reason else found
+        if isinstance(found, Loaded):
+            loaded.append(found)
+        else:
+            refused.append(found)
+            log.error("%s", found)
+    return Hooks(PluginReport(tuple(loaded), tuple(refused)))
+
+
+def _load_one(
+    name: str, candidates: Sequence[EntryPoint], points: Sequence[EntryPoint], profiles: Sequence[Path]
+) -> Loaded | Refused:
+    if not candidates:
+        known = {point.name for point in points}
+        return Refused(name, f"it is not installed{did_you_mean(name, known)} Installed: {listed(known)}")
+    if len(candidates) > 1:
+        owners = listed(map(_distribution, candidates))
+        return Refused(name, f"more than one distribution registers that name ({owners}); uninstall all but one")
+    (point,) = candidates
+    try:
+        plugin = point.load()
+        reason = wrong_version(plugin) or misspelt_hooks(plugin)
+        if reason:
+            return Refused(name, reason)
+        manager = _manager(name, plugin)
+        records = {hook: _declared(manager, hook, profiles) for hook in DECLARATIONS}
+    except (Exception, SystemExit) as error:
+        log.debug("plugin %s", name, exc_info=True)
+        return Refused(name, f"{_distribution(point)}, {point.value}: {type(error).__name__}: {error}")
+    return Loaded(name, _distribution(point), point.dist.version if point.dist else "", records, manager)
+
+
+def _manager(name: str, plugin: Any) -> pluggy.PluginManager:
+    manager = pluggy.PluginManager(PROJECT)
+    manager.add_hookspecs(hookspecs)
+    manager.register(plugin, name)
+    manager.check_pending()
+    return manager
+
+
+def _declared(manager: pluggy.PluginManager, hook: str, profiles: Sequence[Path]) -> tuple[Any, ...]:
+    found: list[Any] = []
+    caller = getattr(manager.hook, hook)
+    answers = caller(profiles=profiles) if hook == "polishd_program_formats" else caller()
+    if len(answers) < len(caller.get_hookimpls()):
+        raise PluginError(f"{hook} returned None; return a list")
+    for answer in answers:
+        if reason := wrong_records(hook, answer):
+            raise PluginError(reason)
+        found += answer
+    return tuple(found)
+
+
+def _taken(plugin: Loaded, others: Sequence[Loaded]) -> str | None:
+    """The reason to refuse a plugin that declares a name which an earlier one has."""
+    for hook, records in plugin.records.items():
+        for other in others:
+            both = _names(records) & _names(other.records[hook])
+            if both:
+                return f"{hook}: plugin {other.name!r} has {listed(both)} already; load only one of the two"
+    return None
+
+
+def _violations(answers: Sequence[Any]) -> list[str]:
+    if not answers:
+        return ["returned None instead of a list of violations"]
+    found: list[str] = []
+    for answer in answers:
+        if isinstance(answer, str):
+            found.append(answer)
+        elif isinstance(answer, Sequence) and all(isinstance(violation, str) for violation in answer):
+            found += answer
+        else:
+            found.append(f"returned {type(answer).__name__} instead of a list of violations")
+    return found
+
+
+def _distribution(point: EntryPoint) -> str:
+    return point.dist.name if point.dist else "unknown"

@@ -1,0 +1,120 @@
+"""What is known before a map, and of a map before its dwell is solved: what would be refused in the end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from polishd.config.cell import CellConfig
+from polishd.hookspecs import RemovalAnswer
+from polishd.model.errors import ComputeError, PlanRefused
+from polishd.model.limits import Envelope
+from polishd.model.program import Plan, Program
+from polishd.model.surface import FloatArray
+from polishd.process import motion
+from polishd.process.dwell.setup import choose_piston_nm
+from polishd.process.path_compliance import path_compliance
+from polishd.recipe import steps
+from polishd.recipe.recipe import Recipe
+from polishd.recipe.steps import Beliefs, Measured
+
+SURE = 0.9
+"""Of the time that the volume to be removed takes at the largest rate: an optimum may leave a little of it."""
+ROOM = 1.2
+"""What a limit that is advised leaves above what is known to be needed."""
+
+
+def refusals(recipe: Recipe, program: Program, check_plan: Callable[[Plan, Envelope], Sequence[str]]) -> list[str]:
+    """Why `plan` or `run` would refuse a program whatever the map says: reach, landing, limits at the largest feed."""
+    plan = fastest(recipe, program)
+    found = [*steps.violations(recipe, plan), *check_plan(plan, recipe.envelope)]
+    part = steps.as_polished(recipe, program)
+    try:
+        path_compliance(
+            part, recipe.process, recipe.robot, recipe.placement, options=recipe.options, optic=recipe.optic
+        )
+    except ComputeError as error:
+        found.append(f"{program.name}: {error}")
+    return found
+
+
+def fastest(recipe: Recipe, program: Program) -> Plan:
+    """The program at the largest feed that the machine has, or at its own where dwells carry the time."""
+    envelope = _envelope(recipe, program)
+    asked = np.zeros(program.n) if program.encoding == "dwell" else program.length_mm / envelope.max_feed_mm_s
+    feed = program.max_feed_mm_min if program.encoding == "dwell" else 60 * envelope.max_feed_mm_s
+    return Plan(
+        program=replace(program, time_s=asked, max_feed_mm_min=feed),
+        original_sha256=program.sha256,
+        approach_blocks=int(program.block[0]),
+        contact_blocks=int(program.block[-1]) + 1,
+        expected_time_s=motion.least_time_s(program, envelope),
+        predicted_removal_nm=np.zeros((1, 1)),
+        segments=(),
+    )
+
+
+def check_pass(config: CellConfig, recipe: Recipe, program: Program) -> None:
+    """ConfigError where no plan of this program can end within ``limits.max_pass_s``."""
+    least = _least_s(recipe, program)
+    if not least <= recipe.envelope.max_pass_s:
+        raise config.error("limits.max_pass_s", _too_long(recipe, f"{program.name} at the largest feed takes", least))
+
+
+def pass_words(recipe: Recipe, program: Program, answer: RemovalAnswer) -> str:
+    """What a pass takes as far as it is known without a map, beside its limit."""
+    limit = recipe.envelope.max_pass_s
+    clear = steps.process_grid(recipe).radius_mm() <= recipe.aperture_mm / 2 - recipe.edge_mm
+    mean = float(answer.removal_nm(np.full(program.n, limit / program.n))[clear].mean())
+    own = float(motion.delivered_time_s(program, program.time_s, _envelope(recipe, program)).sum())
+    return (
+        f"{_least_s(recipe, program):.0f} s at the largest feed, {own:.0f} s as programmed; "
+        f"limits.max_pass_s = {limit:g} s removes {mean:.1f} nm everywhere"
+    )
+
+
+def require_path_time(recipe: Recipe, program: Program) -> None:
+    """PlanRefused where the path alone takes longer than a pass may."""
+    least = _least_s(recipe, program)
+    if not least <= recipe.envelope.max_pass_s:
+        raise PlanRefused(_too_long(recipe, f"{program.name} at the largest feed takes", least))
+
+
+def require_removal_time(recipe: Recipe, measured: Measured, answer: RemovalAnswer, lower_s: FloatArray) -> None:
+    """PlanRefused where the volume to be removed, at the largest rate on the path, takes longer than a pass may.
+
+    Only where the least residual is asked for: the other choices of a dwell may take less time than that.
+    """
+    if recipe.choose != "least":
+        return
+    least = SURE * removal_time_s(measured, answer, lower_s)
+    if not least <= recipe.envelope.max_pass_s:
+        raise PlanRefused(_too_long(recipe, "what this map wants removed takes at least", least))
+
+
+def removal_time_s(measured: Measured, answer: RemovalAnswer, lower_s: FloatArray) -> float:
+    """Seconds in which the point that removes most would remove what the surface wants of the clear aperture."""
+    clear = measured.metric_mask
+    piston = choose_piston_nm(measured.height_nm, clear, answer.removal_nm(lower_s))
+    rate = answer.effect.adjoint(clear.astype(np.float64))  # nm/s, summed over the samples
+    most = float((rate if answer.divide_by is None else rate * answer.divide_by).max())
+    return float((measured.height_nm[clear] + piston).sum()) / most
+
+
+def _least_s(recipe: Recipe, program: Program) -> float:
+    return float(motion.least_time_s(program, _envelope(recipe, program)).sum())
+
+
+def _envelope(recipe: Recipe, program: Program) -> Envelope:
+    return steps.envelope_of(recipe, program, Beliefs())
+
+
+def _too_long(recipe: Recipe, what: str, seconds: float) -> str:
+    return (
+        f"{what} {seconds:.0f} s, more than limits.max_pass_s = {recipe.envelope.max_pass_s:g} s; "
+        f"set it to {math.ceil(ROOM * seconds):d} or more, or take a shorter path, a larger spot, or a budget "
+        "(dwell.choose)"
+    )

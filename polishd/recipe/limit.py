@@ -1,0 +1,12 @@
+"""How long a computing step may take."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Limit(NamedTuple):
+    """So many CPU seconds, and which key of the config gives more."""
+
+    within_s: float
+    key: str = ""

@@ -1,0 +1,90 @@
+"""Tables for people. Programs read ``--json`` instead."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+WIDE = 160
+"""Columns where stdout is no terminal: a file or a pipe should lose no figure."""
+
+stderr = Console(stderr=True)
+stdout = Console(width=None if sys.stdout is not None and sys.stdout.isatty() else WIDE)
+
+
+def cycle_table(summary: Mapping[str, Any]) -> Table:
+    """One row a measurement: what was measured, and what the pass after it predicted and did."""
+    period = float(summary.get("tolerance_period_mm") or 0.0)
+    table = Table(title=f"{summary['job']}: {summary['outcome']}", title_justify="left")
+    table.add_column("#", justify="right")
+    for name in ("PV nm", "RMS nm", "LSF nm"):
+        table.add_column(name, justify="right")
+    if period:
+        table.add_column(f"> {period:g} mm nm", justify="right")
+    for name in ("predicted nm", "dwell s", "executed s", "rate"):
+        table.add_column(name, justify="right")
+    if torn := any(map(_torn, summary["cycles"])):
+        table.add_column("pass")
+    for number, cycle in enumerate(summary["cycles"]):
+        keys = ["pv_nm", "rms_nm", "lsf_rms_nm", *(["band_rms_nm"] if period else [])]
+        keys += ["predicted_rms_nm", "dwell_s", "executed_s", "rate"]
+        figures = [_figure(cycle.get(key), 3 if key == "rate" else 2) for key in keys]
+        table.add_row(str(number), *figures, *([_torn(cycle)] if torn else []))
+    return table
+
+
+def key_table(title: str, rows: Iterable[tuple[str, object]]) -> Table:
+    """Two columns, name and value."""
+    table = Table(title=escape(title), title_justify="left", show_header=False)
+    table.add_column(style="bold")
+    table.add_column()
+    for name, value in rows:
+        table.add_row(escape(name), escape(str(value)))
+    return table
+
+
+def record_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:
+    """A plain table with a header."""
+    table = Table(title=escape(title), title_justify="left")
+    for column in columns:
+        table.add_column(column)
+    for row in rows:
+        table.add_row(*(escape(str(cell)) for cell in row))
+    return table
+
+
+def _torn(cycle: Mapping[str, Any]) -> str:
+    """How much of the pass was executed, where it did not come to its end."""
+    if cycle.get("how") in {None, "done"}:
+        return ""
+    return f"interrupted at {cycle['executed_s'] / cycle['dwell_s']:.0%}"
+
+
+def _figure(value: object, digits: int) -> str:
+    return "" if value is None else f"{float(str(value)):.{digits}f}"
+
+
+def figure_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
+    """Many columns of figures after a first one of names: without rules between them, to fit a terminal."""
+    table = Table(title=escape(title), title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    for number, column in enumerate(columns):
+        table.add_column(column, justify="right" if number else "left")
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def emit(answer: Mapping[str, Any], *, as_json: bool, table: Any) -> None:
+    """JSON on stdout for programs, a table for people."""
+    if as_json:
+        typer.echo(json.dumps(answer, default=str))
+    else:
+        stdout.print(table())

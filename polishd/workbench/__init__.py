@@ -1,0 +1,1 @@
+"""What people do without a cell: maps, programs, calibration, studies, the physics, plans."""

@@ -1,0 +1,1 @@
+"""Fits of the cell's numbers to measurements."""

@@ -1,0 +1,239 @@
+"""``polishd calibrate``: fits to measurements, with their errors, written as fragments that a cell includes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from polishd.config.cell import CellConfig, load_config
+from polishd.config.tables import PLACE, read_columns, write_tif
+from polishd.files import write_atomic
+from polishd.model.errors import BadMap, ComputeError, ConfigError
+from polishd.model.process import MeasuredTif, Projection, ToolProcess
+from polishd.model.robot import HybridRobot, MeasuredCompliance, SerialRobot
+from polishd.model.surface import SurfaceMap
+from polishd.process.calibration.exponent import fit_exponent
+from polishd.process.calibration.judgement import doubts
+from polishd.process.calibration.loading import LoadingTests, PercentErrors
+from polishd.process.calibration.stiffness import StiffnessFit, fit_stiffness
+from polishd.process.measured_tif import preston_from_tif, tif_from_maps
+from polishd.recipe.files import read_map
+from polishd.show.tables import emit, key_table, record_table, stderr, stdout
+from polishd.workbench.maps.files import readers_for
+
+AXIS = ("axis_x", "axis_y", "axis_z")
+DIRECTION = ("dir_x", "dir_y", "dir_z")
+
+
+@dataclass(frozen=True, slots=True)
+class LoadingFiles:
+    """Loading tests, those that are only predicted, and what a test measured."""
+
+    tests: Path
+    held_out: Path | None
+    projection: Projection
+
+
+def stiffness_verb(files: LoadingFiles, cell: Path | None, out: Path | None, *, anyway: bool, as_json: bool) -> None:
+    """Fit the robot's stiffnesses to loading tests; nothing doubtful is written unless ``anyway``."""
+    _require_new_kind(out)
+    tests = _loading_tests(files.tests)
+    unseen = None if files.held_out is None else _loading_tests(files.held_out)
+    try:
+        fit = fit_stiffness(_elastic_robot(cell), tests, projection=files.projection, hold_out=unseen)
+    except ComputeError as error:
+        raise ComputeError(f"{files.tests}: {error}") from error
+    doubtful = doubts(fit, tests)
+    if out is not None and doubtful and not anyway:
+        raise ComputeError(f"{files.tests}: {'; '.join(doubtful)}; nothing was written (--anyway writes it)")
+    if out is not None:
+        what = f"stiffnesses fitted to {files.tests.name}" + "".join(f"; DOUBTFUL: {doubt}" for doubt in doubtful)
+        _write_fragment(out, "kinematics", _stiffness_keys(fit.robot, fit), what)
+    answer = {
+        "stiffnesses": [asdict(stiffness) for stiffness in fit.stiffnesses],
+        "fitted": asdict(fit.fitted),
+        "cross_validated": None if fit.cross_validated is None else asdict(fit.cross_validated),
+        "held_out": None if fit.held_out is None else asdict(fit.held_out),
+        "doubts": list(doubtful),
+        "fragment": None if out is None else str(out),
+    }
+    emit(answer, as_json=as_json, table=lambda: _stiffness_table(fit))
+    for doubt in doubtful:
+        stderr.print(f"DO NOT BELIEVE THIS: {doubt}", style="red", markup=False, soft_wrap=True)
+    if not as_json:
+        for note in (*_error_lines(fit), *fit.notes):
+            stdout.print(note, markup=False)
+        _say_written(out)
+
+
+def _elastic_robot(cell: Path | None) -> Any:
+    if cell is None:
+        return HybridRobot()
+    config = load_config(cell)
+    robot = config.robot_model()
+    if isinstance(robot, MeasuredCompliance):
+        raise config.error("kinematics.type", "'measured': a table has no stiffness to fit; mend the table itself")
+    return robot
+
+
+def _loading_tests(path: Path) -> LoadingTests:
+    columns = read_columns(path, (*PLACE, *AXIS, *DIRECTION, "compliance_um_per_n"))
+    tip, axis, direction = (np.column_stack([columns[name] for name in names]) for names in (PLACE, AXIS, DIRECTION))
+    return LoadingTests(tip, axis, direction, columns["compliance_um_per_n"])
+
+
+def _stiffness_keys(robot: HybridRobot | SerialRobot, fit: StiffnessFit[Any]) -> dict[str, str]:
+    """The keys of [kinematics] that were determined, as TOML; a serial arm's stiffnesses are one list."""
+    if isinstance(robot, SerialRobot):
+        values = ", ".join(f"{value:.6g}" for value in robot.joint_stiffness_n_mm_per_rad)
+        return {"joint_stiffness_n_mm_per_rad": f"[{values}]"}
+    changed = [stiffness for stiffness in fit.stiffnesses if stiffness.value != stiffness.given]
+    return {
+        item.name: f"{item.value:.6g}" + (f"  # +- {100 * item.sigma:.2g} %" if item.determined else "  # held")
+        for item in changed
+    }
+
+
+def _stiffness_table(fit: StiffnessFit[Any]) -> Any:
+    rows = [
+        (
+            item.name,
+            f"{item.given:.4g}",
+            f"{item.value:.4g}",
+            f"{100 * item.sigma:.2g} %" if item.determined else "not determined",
+            item.unit,
+        )
+        for item in fit.stiffnesses
+    ]
+    return record_table("stiffnesses", ("key", "given", "fitted", "1 sigma", "unit"), rows)
+
+
+def _error_lines(fit: StiffnessFit[Any]) -> list[str]:
+    """The paper's own figures: mean and largest absolute percentage error (4.19 and 6.38 % in its fig. 10)."""
+    known: list[tuple[str, PercentErrors | None]] = [
+        ("on the tests", fit.fitted),
+        ("cross-validated", fit.cross_validated),
+        ("on the held-out tests", fit.held_out),
+    ]
+    return [
+        f"error {where}: mean {found.mean_percent:.2f} %, largest {found.max_percent:.2f} % ({found.tests} tests)"
+        for where, found in known
+        if found is not None
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class SpotPlace:
+    """How a measured spot was made."""
+
+    depth_ratio: float
+    azimuth_deg: float
+    radius_mm: float | None
+
+
+def tif_verb(
+    maps: tuple[Path, Path], seconds: float, cell: Path | None, place: SpotPlace, out: Path | None, *, as_json: bool
+) -> None:
+    """Make a measured TIF of two maps, and the Preston constant that goes with it."""
+    _require_new_kind(out)
+    config = None if cell is None else load_config(cell)
+    process = ToolProcess() if config is None else config.tool_process()
+    before, after = (_map(path, cell) for path in maps)
+    if before.pitch_mm != after.pitch_mm or before.height_nm.shape != after.height_nm.shape:
+        raise BadMap(f"{maps[1]}: has not the samples of {maps[0].name}; measure both with the same setting")
+    tif, report = tif_from_maps(
+        before.height_nm,
+        after.height_nm,
+        before.grid.pitch_mm,
+        seconds,
+        radius_mm=place.radius_mm,
+        azimuth_deg=place.azimuth_deg,
+        depth_ratio=place.depth_ratio,
+    )
+    preston = preston_from_tif(process, place.depth_ratio, tif)
+    if out is not None:
+        _write_tif_fragment(out, config, tif, preston, f"a spot of {seconds:g} s, {maps[0].name} to {maps[1].name}")
+    answer = {**asdict(report), "preston_cm2_per_n": preston, "fragment": None if out is None else str(out)}
+    emit(answer, as_json=as_json, table=lambda: key_table("measured TIF", _tif_rows(answer)))
+    if not as_json:
+        _say_written(out)
+
+
+def _map(path: Path, cell: Path | None) -> SurfaceMap:
+    found = read_map(path, readers_for(cell).values())
+    if found.pitch_mm is None:
+        raise BadMap(f"{path}: has no lateral scale; export it with one")
+    return found
+
+
+def _tif_rows(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
+    x, y = answer["centroid_mm"]
+    return [
+        ("volume", f"{answer['volume_mm3_min']:.4g} mm3/min"),
+        ("peak", f"{answer['peak_nm_s']:.4g} nm/s"),
+        ("FWHM", f"{answer['fwhm_mm']:.3f} mm"),
+        ("rim", f"{answer['rim_mm']:.3f} mm from the centre"),
+        ("noise", f"{answer['noise_nm_s']:.3g} nm/s a sample"),
+        ("cleaning changed the volume by", f"{100 * answer['volume_change']:.2f} % (put back)"),
+        ("centroid", f"{x:.3f}, {y:.3f} mm from the map's centre"),
+        ("Preston constant", f"{answer['preston_cm2_per_n']:.4g} cm2/N, at which the model removes as much"),
+    ]
+
+
+def _write_tif_fragment(out: Path, config: CellConfig | None, tif: MeasuredTif, preston: float, what: str) -> None:
+    """The fragment, and the TIF beside it, named as seen from the cell's folder."""
+    spot = out.with_suffix(".npz")
+    name = spot.name if config is None else Path(os.path.relpath(spot.absolute(), config.base_dir)).as_posix()
+    keys = {"removal_model": '"measured_tif"', "tif": f'"{name}"', "preston": f'"{preston:.5g} cm2/N"'}
+    _writing(spot, lambda: write_tif(spot, tif))
+    _write_fragment(out, "process", keys, what)
+
+
+def exponent_verb(spots: Path, out: Path | None, *, as_json: bool) -> None:
+    """Fit the exponent with which volume goes with depth."""
+    _require_new_kind(out)
+    columns = read_columns(spots, ("depth_ratio", "volume_mm3_min"))
+    fit = fit_exponent(columns["depth_ratio"], columns["volume_mm3_min"])
+    if out is not None:
+        line = f"{fit.exponent:.4g}  # +- {fit.uncertainty:.2g}"
+        _write_fragment(out, "process", {"depth_exponent": line}, f"fitted to {spots.name}")
+    answer = {**asdict(fit), "fragment": None if out is None else str(out)}
+    rows = [
+        ("exponent", f"{fit.exponent:.3f} +- {fit.uncertainty:.3f} (Hertz: 1.5; the paper's linear gamma: 1)"),
+        ("error", f"mean {fit.errors.mean_percent:.2f} %, largest {fit.errors.max_percent:.2f} %"),
+    ]
+    emit(answer, as_json=as_json, table=lambda: key_table("gamma's exponent", rows))
+    if not as_json:
+        _say_written(out)
+
+
+def _require_new_kind(out: Path | None) -> None:
+    if out is not None and out.suffix != ".toml":
+        raise ConfigError(f"{out}: a fragment is a TOML file; name it *.toml")
+
+
+def _write_fragment(path: Path, section: str, keys: Mapping[str, str], what: str) -> None:
+    """TOML that a cell's ``include`` takes: what was found, and from what."""
+    if not keys:
+        raise ConfigError(f"{path}: nothing to write: the measurements determine nothing new")
+    when = datetime.now(UTC).isoformat(timespec="seconds")
+    lines = [f"# polishd calibrate, {when}: {what}", f"[{section}]", *(f"{k} = {v}" for k, v in keys.items())]
+    _writing(path, lambda: write_atomic(path, ("\n".join(lines) + "\n").encode()))
+
+
+def _writing(path: Path, write: Any) -> None:
+    try:
+        write()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}; name another file with --out") from error
+
+
+def _say_written(out: Path | None) -> None:
+    if out is not None:
+        stdout.print(f'written to {out}; the cell takes it with include = ["{out.name}"]', markup=False)

@@ -1,0 +1,1 @@
+"""Interferometer maps: shown, compared, converted, averaged; an instrument commissioned."""

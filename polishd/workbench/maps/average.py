@@ -1,0 +1,80 @@
+"""``polishd map average``: repeats of one measurement as one map, without those that deviate, and how sure it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+
+from polishd.model.errors import BadMap
+from polishd.model.surface import SurfaceMap
+from polishd.process.repeats import Repeats, average
+from polishd.show.tables import record_table, stdout
+from polishd.workbench.maps.convert import require_free, say_stored, store, writer_for
+from polishd.workbench.maps.figures import json_line
+from polishd.workbench.maps.files import map_from, profile_of, readers_for
+
+
+def average_verb(
+    files: Sequence[Path],
+    target: Path | None,
+    profile: Path | None,
+    cell: Path | None = None,
+    *,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Average the maps, each without its own piston and tilt; write the mean where it is wanted."""
+    instrument, readers = profile_of(profile), readers_for(cell)
+    if target is not None:
+        writer_for(target, readers)
+        require_free(target, files, force=force)
+    surfaces = [map_from(path, readers, instrument) for path in files]
+    _require_one_part(surfaces)
+    found = average(surfaces)
+    answer: dict[str, Any] = {
+        "used": list(found.used),
+        "rejected": dict(found.rejected),
+        "samples": int(np.count_nonzero(found.mask)),
+        "samples_rejected": found.samples_rejected,
+        "rms_nm": found.rms_nm,
+        "rms_uncertainty_nm": found.rms_uncertainty_nm,
+        "sample_uncertainty_nm": float(np.median(found.uncertainty_nm[found.mask])),
+    }
+    if target is not None:
+        answer |= store(_mean_map(surfaces, found), target, readers, profiled=instrument is not None)
+    if as_json:
+        typer.echo(json_line(answer))
+    else:
+        _show(answer)
+
+
+def _require_one_part(surfaces: Sequence[SurfaceMap]) -> None:
+    parts = sorted({surface.part_id for surface in surfaces if surface.part_id})
+    if len(parts) > 1:
+        raise BadMap(f"the maps are of several parts: {', '.join(parts)}; name repeats of one measurement")
+
+
+def _mean_map(surfaces: Sequence[SurfaceMap], found: Repeats) -> SurfaceMap:
+    """The mean with what is known of the first map; as new as the newest."""
+    times = [surface.taken_at for surface in surfaces if surface.taken_at is not None]
+    return replace(surfaces[0], height_nm=found.height_nm, taken_at=max(times, default=None))
+
+
+def _show(answer: Mapping[str, Any]) -> None:
+    rows = [(name, "used", "") for name in answer["used"]]
+    rows += [(name, "left out", f"{off:.3f}") for name, off in answer["rejected"].items()]
+    stdout.print(record_table("repeats", ("map", "what", "RMS off the median nm"), rows))
+    samples, rejected = answer["samples"], answer["samples_rejected"]
+    mean = f"{answer['rms_nm']:.4f} +- {answer['rms_uncertainty_nm']:.4f} nm"
+    known = f"{answer['sample_uncertainty_nm']:.4f} nm (median standard error)"
+    stdout.print(f"RMS of the mean, tilt removed: {mean} over {samples} samples", markup=False)
+    stdout.print(f"a sample is known to {known}; {rejected} single samples were left out", markup=False)
+    if "out" in answer:
+        say_stored(answer)
+    else:
+        stdout.print("not written: --out MEAN.x3p would", markup=False)

@@ -1,0 +1,149 @@
+"""The verbs of ``polishd map``: options only. What they do lives in ``map.py`` and its like."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any, Optional
+
+import typer
+from typer.core import TyperGroup
+
+DEFAULT = "figures"
+"""What ``polishd map FILE`` does."""
+BANDS_MM = "33,0.12"
+HELP = (
+    "Maps of surfaces: polishd map FILE... gives their figures (options: polishd map figures --help); or compare, "
+    "convert, average, commission."
+)
+
+# readable=False: what cannot be read is exit code 8, as what is broken is; typer would make it 2
+Map = Annotated[Path, typer.Argument(metavar="MAP", help="A map.", readable=False, show_default=False)]
+Json = Annotated[bool, typer.Option("--json", help="One JSON object a file on stdout, for programs.")]
+Picture = Annotated[
+    Optional[Path],  # noqa: UP045 - typer reads it
+    typer.Option("--out", metavar="PNG", help="Draw it, too.", show_default=False),
+]
+Profile = Annotated[
+    Optional[Path],  # noqa: UP045 - typer reads it
+    typer.Option(metavar="P.toml", help="The instrument's profile: apply it first.", readable=False),
+]
+OfCell = Annotated[
+    Optional[Path],  # noqa: UP045 - typer reads it
+    typer.Option("--cell", metavar="CELL.toml", help="Read as this cell does: with its plugins.", readable=False),
+]
+Bands = Annotated[str, typer.Option(metavar="MM,...", help="Periods between the bands, falling.")]
+Trim = Annotated[int, typer.Option(min=0, max=1000, metavar="N", help="Pixels to take off every edge of the data.")]
+
+
+class MapGroup(TyperGroup):
+    """Takes files where other groups take a verb. A file that is called like a verb is given as ``./compare``."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """What does not begin with a verb, or ask for help, are files and options of ``figures``."""
+        if args and args[0] not in self.commands and args[0] != "--help":
+            args = [DEFAULT, *args]
+        found: list[str] = super().parse_args(ctx, args)
+        return found
+
+
+map_verbs = typer.Typer(cls=MapGroup, help=HELP, subcommand_metavar="FILE... | COMMAND [ARGS]...")
+
+
+@map_verbs.callback()
+def one_thread() -> None:
+    """Before numpy is imported: on a busy machine two BLAS threads wait for each other for a minute."""
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
+
+
+@map_verbs.command(DEFAULT)
+def figures(  # noqa: PLR0917 - typer reads the options off the signature
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Maps.", readable=False, show_default=False)],
+    as_json: Json = False,
+    out: Picture = None,
+    trim: Trim = 0,
+    profile: Profile = None,
+    bands: Bands = BANDS_MM,
+    cell: OfCell = None,
+) -> None:
+    """Shape, pitch, PV, RMS, bands and warnings of each map: what "polishd map FILE..." does."""
+    from polishd.workbench.maps.show import FigureOptions, figures_verb
+
+    figures_verb(files, FigureOptions(trim, bands, profile, out, cell), as_json=as_json)
+
+
+@map_verbs.command()
+def compare(  # noqa: PLR0917 - typer reads the options off the signature
+    before: Annotated[Path, typer.Argument(metavar="BEFORE", readable=False, show_default=False)],
+    after: Annotated[Path, typer.Argument(metavar="AFTER", readable=False, show_default=False)],
+    as_json: Json = False,
+    out: Picture = None,
+    trim: Trim = 0,
+    profile: Profile = None,
+    bands: Bands = BANDS_MM,
+    cell: OfCell = None,
+) -> None:
+    """PV, RMS and bands of two maps over the samples that both have, and how much they fell."""
+    from polishd.workbench.maps.compare import compare_verb
+    from polishd.workbench.maps.show import FigureOptions
+
+    compare_verb(before, after, FigureOptions(trim, bands, profile, out, cell), as_json=as_json)
+
+
+@map_verbs.command()
+def convert(  # noqa: PLR0917 - typer reads the options off the signature
+    source: Annotated[Path, typer.Argument(metavar="A", help="A map.", readable=False, show_default=False)],
+    target: Annotated[Path, typer.Argument(metavar="B", help="The new file; its ending says the format.")],
+    profile: Profile = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace B where it is there.")] = False,
+    as_json: Json = False,
+    cell: OfCell = None,
+) -> None:
+    """Write a map in another format; it is read back and compared before it appears."""
+    from polishd.workbench.maps.convert import convert_verb
+
+    convert_verb(source, target, profile, cell, force=force, as_json=as_json)
+
+
+@map_verbs.command()
+def average(  # noqa: PLR0917 - typer reads the options off the signature
+    files: Annotated[list[Path], typer.Argument(metavar="MAP...", help="Repeats.", readable=False, show_default=False)],
+    out: Annotated[
+        Optional[Path],  # noqa: UP045 - typer reads it
+        typer.Option("--out", metavar="MEAN", help="The new map; its ending says the format.", show_default=False),
+    ] = None,
+    profile: Profile = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace MEAN where it is there.")] = False,
+    as_json: Json = False,
+    cell: OfCell = None,
+) -> None:
+    """The mean of repeated measurements, without maps and samples that deviate, and its uncertainty."""
+    from polishd.workbench.maps.average import average_verb
+
+    average_verb(files, out, profile, cell, force=force, as_json=as_json)
+
+
+@map_verbs.command()
+def commission(
+    profile: Annotated[Path, typer.Argument(metavar="P.toml", help="The instrument's profile.", readable=False)],
+    surface: Map,
+    out: Annotated[
+        Optional[Path],  # noqa: UP045 - typer reads it
+        typer.Option("--out", metavar="PNG", help="Draw what was found.", show_default=False),
+    ] = None,
+    as_json: Json = False,
+    cell: OfCell = None,
+) -> None:
+    """Prove an instrument's profile with a map of its artefact, and record it: before that no map drives polishing."""
+    from polishd.workbench.maps.commission import commission_verb
+
+    commission_verb(profile, surface, out, cell, as_json=as_json)
+
+
+@map_verbs.command()
+def formats(as_json: Json = False, cell: OfCell = None) -> None:
+    """The formats that can be read, in the order asked, and written, and what is not installed for the rest."""
+    from polishd.workbench.maps.formats import formats_verb
+
+    formats_verb(cell, as_json=as_json)

@@ -1,0 +1,116 @@
+"""``polishd map commission``: prove an instrument's profile with a map of its artefact, and record it in the file."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from polishd.config.profile import Profile, load_profile, write_commissioned
+from polishd.model.errors import BadMap, ConfigError
+from polishd.model.instrument import Commissioned
+from polishd.model.surface import SurfaceMap
+from polishd.process.commissioning import Proof, artefact_heights, prove
+from polishd.process.instrument import as_profiled
+from polishd.workbench.maps.files import map_from, readers_for, require_picture
+
+
+@dataclass(frozen=True, slots=True)
+class Proved:
+    """A profile, the map that proves it, and how well."""
+
+    profile: Profile
+    surface: SurfaceMap
+    """As the profile turns and scales it."""
+    proof: Proof
+    record: Commissioned
+
+
+def commission_verb(profile: Path, surface: Path, out: Path | None, cell: Path | None = None, *, as_json: bool) -> None:
+    """Prove and record; a table and, with ``out``, a picture, which is drawn where nothing is proved, too.
+
+    Raises:
+        BadMap: the map does not show the artefact as the profile has it; the profile's file is as it was.
+        ConfigError: the profile or the picture's file is wrong.
+    """
+    from polishd.show.tables import emit
+
+    require_picture(out)
+    proved = prove_profile(profile, surface, out, cell)
+    facts = {"profile": str(profile), **asdict(proved.proof), **asdict(proved.record)}
+    facts["at"] = proved.record.at.isoformat()
+    emit(facts, as_json=as_json, table=lambda: _table(proved))
+
+
+def prove_profile(profile: Path, surface: Path, out: Path | None = None, cell: Path | None = None) -> Proved:
+    """Prove a profile by a map of its artefact, and write the record into its file; arguments, errors: the verb's."""
+    given = load_profile(profile)
+    if not given.bumps:
+        raise ConfigError(f"{profile}: [artefact] is missing; describe the artefact's bumps (docs/instruments.md)")
+    seen = as_profiled(map_from(surface, readers_for(cell)), given.instrument)
+    try:
+        proof = prove(seen, given.bumps)
+    except BadMap as error:
+        _draw(out, given, seen, "As it is seen: not proved")
+        raise BadMap(f"{surface}: {error}") from error
+    except ConfigError as error:
+        raise ConfigError(f"{profile}: {error}") from error
+    record = Commissioned(
+        at=datetime.now(UTC).replace(microsecond=0),
+        artefact=given.artefact,
+        map_sha256=seen.sha256,
+        correlation=proof.correlation,
+        next_best=proof.next_best,
+        profile_sha256=given.sha256,
+    )
+    _draw(out, given, seen, f"As it is seen: correlates {proof.correlation:.3f}, next {proof.next_best:.3f}")
+    write_commissioned(profile, record)
+    return Proved(given, seen, proof, record)
+
+
+def _table(proved: Proved) -> object:
+    from polishd.show.tables import key_table
+
+    proof = proved.proof
+    x, y, turn = (round(value, 2) + 0.0 for value in (*proof.shift_mm, proof.turn_deg))  # + 0.0: no "-0.00"
+    rows = (
+        ("artefact", proved.profile.artefact),
+        ("correlation", f"{proof.correlation:.4f}"),
+        ("next best", f"{proof.next_best:.4f} ({proof.next_best_name})"),
+        ("height, map over artefact", f"{proof.scale:.4f}"),
+        ("size, map over artefact", f"{proof.pitch_ratio:.4f}"),
+        ("pitch", f"{proved.surface.grid.pitch_mm:.6g} mm"),
+        ("artefact's place", f"({x:+.2f}, {y:+.2f}) mm, turned {turn:+.2f} deg"),
+    )
+    return key_table(f"{proved.profile.instrument.name}: commissioned", rows)
+
+
+def _draw(out: Path | None, profile: Profile, seen: SurfaceMap, title: str) -> None:
+    if out is None or seen.pitch_mm is None or not seen.valid.any():
+        return
+    from polishd.show.style import save_picture
+
+    save_picture(out, _picture(profile, seen, title))
+
+
+def _picture(profile: Profile, seen: SurfaceMap, title: str) -> bytes:
+    """PNG: the artefact as it is expected, and as it is seen, on one scale."""
+    import numpy as np
+
+    from polishd.process.metrics import without
+    from polishd.show.style import DIVERGING, NO_DATA, figure, png, polishd_style
+
+    artefact = artefact_heights(profile.bumps, seen.grid)
+    limit = float(np.abs(artefact).max()) or 1.0
+    half_x, half_y = seen.grid.nx * seen.grid.pitch_mm / 2, seen.grid.ny * seen.grid.pitch_mm / 2
+    with polishd_style():
+        page = figure(8.4, 3.8)
+        axes = page.subplots(1, 2)
+        for ax, height, words in zip(axes, (artefact, seen.height_nm), ("The artefact", title), strict=True):
+            levelled = without(height, seen.valid, "tilt")
+            levelled -= np.median(levelled[seen.valid])
+            ax.set_facecolor(NO_DATA)
+            ax.imshow(levelled, cmap=DIVERGING, vmin=-limit, vmax=limit, extent=(-half_x, half_x, -half_y, half_y))
+            ax.set(title=words, xlabel="x, mm", ylabel="y, mm")
+        page.colorbar(axes[0].images[0], ax=list(axes), shrink=0.85, label="nm")
+        return png(page)

@@ -1,0 +1,150 @@
+"""``polishd map convert``: a map in another format, read back before it appears."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+
+from polishd.files import write_atomic
+from polishd.hookspecs import SurfaceReader
+from polishd.model.errors import BadMap, ConfigError, SurfaceError
+from polishd.model.surface import SurfaceMap
+from polishd.show.tables import stdout
+from polishd.workbench.maps.figures import json_line
+from polishd.workbench.maps.files import map_from, profile_of, readers_for, shown
+
+WITHIN_NM = 0.01
+"""Most that the counts of a format may change a height by ..."""
+WITHIN = 1e-6
+"""... or this part of the PV, where that is more. A pitch may change by the same part."""
+
+
+def convert_verb(
+    source: Path, target: Path, profile: Path | None, cell: Path | None = None, *, force: bool, as_json: bool
+) -> None:
+    """Write ``source`` to ``target``, in the format of its ending. Nothing is written where anything is refused."""
+    instrument, readers = profile_of(profile), readers_for(cell)
+    writer_for(target, readers)
+    require_free(target, [source], force=force)
+    surface = map_from(source, readers, instrument)
+    answer = {
+        "path": str(source),
+        "format": surface.format,
+        **store(surface, target, readers, profiled=instrument is not None),
+    }
+    if as_json:
+        typer.echo(json_line(answer))
+    else:
+        say_stored(answer)
+
+
+def store(surface: SurfaceMap, target: Path, readers: Mapping[str, SurfaceReader], *, profiled: bool) -> dict[str, Any]:
+    """Write a map, whole or not at all, once it reads back as it is; what there is to say of it."""
+    content = _content(surface, writer_for(target, readers), target)
+    back = _read_back(content, target, readers)
+    change_nm = require_same(surface, back, target)
+    try:
+        write_atomic(target, content)
+    except OSError as error:
+        raise ConfigError(f"{target}: cannot be written: {error.strerror}; name another file") from error
+    return {
+        "out": str(target),
+        "out_format": back.format,
+        "bytes": len(content),
+        "sha256": back.sha256,
+        "largest_change_nm": change_nm,
+        "notes": _notes(surface, back, profiled=profiled),
+    }
+
+
+def writer_for(target: Path, readers: Mapping[str, SurfaceReader]) -> SurfaceReader:
+    """The format that a file's ending names; BadParameter with those that can be written."""
+    asked = reversed([*readers.values()])  # of two for one ending the first counts, as it does in reading
+    writers = {suffix: reader for reader in asked if reader.write for suffix in reader.suffixes}
+    writer = writers.get(target.suffix.lower())
+    if writer is None:
+        raise typer.BadParameter(f"{shown(target)}: the ending says the format, one of {', '.join(sorted(writers))}")
+    return writer
+
+
+def require_same(surface: SurfaceMap, back: SurfaceMap, target: Path) -> float:
+    """Largest change of a height, nm; BadMap where what was read back is another map, or says more than it knows."""
+    if back.height_nm.shape != surface.height_nm.shape or not np.array_equal(back.valid, surface.valid):
+        raise BadMap(f"{target}: the format does not hold the map's shape or its missing samples; take another")
+    pitch, other = surface.pitch_mm, back.pitch_mm
+    if (pitch is None) != (other is None) or not np.isclose(pitch or 0.0, other or 0.0, rtol=WITHIN, atol=0.0):
+        raise BadMap(f"{target}: the format does not hold a pitch of {pitch} mm, but {other}; take another")
+    invented = sorted(surface.unsaid - back.unsaid)
+    if invented:
+        raise BadMap(
+            f"{target}: the map does not say its {' and '.join(invented)}, and in this format would seem to; "
+            "give the instrument's --profile"
+        )
+    heights = surface.height_nm[surface.valid]
+    change = float(np.abs(back.height_nm[surface.valid] - heights).max())
+    if not change <= max(WITHIN_NM, WITHIN * float(np.ptp(heights))):
+        raise BadMap(f"{target}: heights would change by up to {change:.3g} nm in this format; take another")
+    return change
+
+
+def require_free(target: Path, sources: Sequence[Path], *, force: bool) -> None:
+    """ConfigError where the target is a source, or is there and may not be replaced."""
+    if not target.exists():
+        return
+    if any(source.exists() and target.samefile(source) for source in sources):
+        raise ConfigError(f"{target}: is the map that is read; name another file")
+    if not force:
+        raise ConfigError(f"{target}: exists already; name another file, or say --force")
+
+
+def _content(surface: SurfaceMap, writer: SurfaceReader, target: Path) -> bytes:
+    if writer.write is None:
+        raise BadMap(f"{target}: {writer.name} cannot be written")
+    try:
+        return writer.write(surface)
+    except SurfaceError as error:
+        raise BadMap(f"{target}: {writer.name} cannot hold this map: {error}") from error
+
+
+def _read_back(content: bytes, target: Path, readers: Mapping[str, SurfaceReader]) -> SurfaceMap:
+    """What polishd makes of the file that is about to be written."""
+    with tempfile.TemporaryDirectory(prefix="polishd-map-") as scratch:
+        trial = Path(scratch) / f"map{target.suffix.lower()}"
+        trial.write_bytes(content)
+        try:
+            return map_from(trial, readers)
+        except SurfaceError as error:
+            raise BadMap(f"{target}: what would be written does not read back: {error}") from error
+
+
+def _notes(surface: SurfaceMap, back: SurfaceMap, *, profiled: bool) -> list[str]:
+    named = {"part": "part_id", "time of measurement": "taken_at", "fiducials": "fiducials_px"}
+    lost = [word for word, key in named.items() if getattr(surface, key) and not _alike(surface, back, key)]
+    notes = [f"the format does not keep the {', '.join(lost)}"] if lost else []
+    if profiled:
+        notes.append("the profile is in it now: applied once more it would turn and scale the map twice")
+    return notes
+
+
+def _alike(surface: SurfaceMap, back: SurfaceMap, key: str) -> bool:
+    before, after = getattr(surface, key), getattr(back, key)
+    if key == "taken_at":
+        return after is not None and abs((after - before).total_seconds()) < 1
+    if key == "fiducials_px":
+        return len(before) == len(after) and bool(np.allclose(before, after, atol=0.01))
+    return bool(before == after)
+
+
+def say_stored(answer: Mapping[str, Any]) -> None:
+    """For people."""
+    changed = f"heights within {answer['largest_change_nm']:.2g} nm" if answer["largest_change_nm"] else "heights exact"
+    for line in (
+        f"written to {shown(answer['out'])} ({answer['out_format']}, {answer['bytes']} bytes); read back: {changed}",
+        *(f"note: {note}" for note in answer["notes"]),
+    ):
+        stdout.print(line, markup=False)

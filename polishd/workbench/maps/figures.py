@@ -1,0 +1,150 @@
+"""Figures of a map as ``polishd map`` says them: what a program reads, one object a file."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import numpy as np
+
+from polishd.model.errors import BadMap, SurfaceError
+from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
+from polishd.plain import plain
+from polishd.process import metrics
+from polishd.workbench.maps.files import band_names
+
+PVR_TERMS = 36
+ISO_KEYS = ("a_nm", "b_nm", "c_nm", "rms_t_nm", "rms_i_nm", "rms_a_nm")
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Figured:
+    """A map with its figures, and the arrays that they are of."""
+
+    surface: SurfaceMap
+    mask: BoolArray
+    """(ny, nx) samples that count: those with data, trimmed."""
+    level_nm: FloatArray
+    """(ny, nx) piston and tilt over the mask removed; NaN outside it."""
+    bands_nm: tuple[FloatArray, ...] = ()
+    """(ny, nx) each; none without a lateral scale."""
+    answer: dict[str, Any] = field(default_factory=dict)
+
+
+def figured(surface: SurfaceMap, trim: int, edges: Sequence[float]) -> Figured:
+    """All figures of a map.
+
+    Args:
+        surface: the map as read, or as the profile says.
+        trim: pixels taken off every edge of the data, holes included.
+        edges: periods between the bands, mm, falling.
+
+    Raises:
+        BadMap: no sample is left.
+    """
+    height, pitch = surface.height_nm, surface.pitch_mm
+    mask = trimmed_mask(surface, trim)
+    level = metrics.without(height, mask, "tilt")
+    bands = () if pitch is None else metrics.split_bands(height, mask, pitch, edges)
+    answer = {
+        **_named(surface, mask, level),
+        "bands": None if pitch is None else band_records([float(band[mask].std()) for band in bands], pitch, edges),
+        "sha256": surface.sha256,
+        "warnings": list(surface.warnings),
+        "trim": trim,
+        "samples": int(np.count_nonzero(mask)),
+        **_more(level, mask, pitch),
+        **_origin(surface),
+    }
+    return Figured(surface, mask, level, bands, answer)
+
+
+def trimmed_mask(surface: SurfaceMap, trim: int) -> BoolArray:
+    """(ny, nx) samples with data, eroded ``trim`` times by the cross of 4 neighbours; BadMap where none is left."""
+    mask = metrics.trimmed(surface.valid, trim)
+    if not mask.any():
+        raise BadMap(f"{surface.path}: no sample is left of it with --trim {trim}; trim less")
+    return mask
+
+
+def band_records(rms_nm: Sequence[float], pitch_mm: float, edges: Sequence[float]) -> list[dict[str, Any]]:
+    """A band each: name, periods from and to (None: no end), RMS in nm; None where no sample shows such periods."""
+    limits = [None, *edges, None]
+    return [
+        {
+            "name": name,
+            "from_mm": limits[k],
+            "to_mm": limits[k + 1],
+            "rms_nm": None if (limits[k] or math.inf) <= 2 * pitch_mm else rms,
+        }
+        for k, (name, rms) in enumerate(zip(band_names(len(rms_nm)), rms_nm, strict=True))
+    ]
+
+
+def _named(surface: SurfaceMap, mask: BoolArray, level_nm: FloatArray) -> dict[str, Any]:
+    rows, columns = surface.height_nm.shape
+    pv, rms = metrics.pv_rms(surface.height_nm, mask)
+    level_pv, level_rms = metrics.pv_rms(level_nm, mask)
+    return {
+        "path": str(surface.path),
+        "format": surface.format,
+        "rows": rows,
+        "cols": columns,
+        "pitch_mm": surface.pitch_mm,
+        "missing": int(np.count_nonzero(~surface.valid)),
+        "pv_nm": pv,
+        "rms_nm": rms,
+        "pv_tilt_removed_nm": level_pv,
+        "rms_tilt_removed_nm": level_rms,
+    }
+
+
+def _more(level_nm: FloatArray, mask: BoolArray, pitch_mm: float | None) -> dict[str, Any]:
+    """PVr, ISO 10110-5 and slope, tilt removed; None where the samples do not carry them."""
+    pvr = _or_none(lambda: metrics.pvr(level_nm, mask, PVR_TERMS))
+    iso = _or_none(lambda: metrics.iso10110.irregularity(level_nm, mask))
+    slope = None if pitch_mm is None else _or_none(lambda: metrics.slope(level_nm, mask, pitch_mm))
+    return {
+        "pvr_nm": None if pvr is None else pvr.pvr_nm,
+        "pvr_terms": PVR_TERMS,
+        "iso10110": None if iso is None else {key: getattr(iso, key) for key in ISO_KEYS},
+        "slope_rms_urad": None if slope is None else slope.rms_urad,
+        "shortest_period_mm": None if pitch_mm is None else 2 * pitch_mm,
+    }
+
+
+def _or_none(figure: Callable[[], T]) -> T | None:
+    try:
+        return figure()
+    except SurfaceError:
+        return None
+
+
+def _origin(surface: SurfaceMap) -> dict[str, Any]:
+    return {
+        "part_id": surface.part_id,
+        "instrument": surface.instrument,
+        "taken_at": None if surface.taken_at is None else surface.taken_at.isoformat(),
+        "orientation": surface.orientation,
+        "unsaid": sorted(surface.unsaid),
+        "fiducials_px": [list(mark) for mark in surface.fiducials_px],
+        "factors": dict(surface.factors),
+        "reader_version": surface.reader_version,
+    }
+
+
+def json_line(answer: Mapping[str, Any]) -> str:
+    """One line of JSON; what is no number in it (NaN, infinity) is null."""
+    return json.dumps(_finite(json.loads(json.dumps(answer, default=plain))), allow_nan=False)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,1 @@
+"""The TIF and the compliance of a cell, as tables and pictures."""

@@ -1,0 +1,121 @@
+"""``polishd plan``: everything short of motion, for a map and a program given by hand. Opens no device."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from polishd.config.cell import CellConfig
+from polishd.files import require_writable, unwritable
+from polishd.hooks.loader import Hooks
+from polishd.model.cycle import Event
+from polishd.model.errors import ConfigError, PlanRefused, WrongPart
+from polishd.model.program import Plan
+from polishd.model.surface import SurfaceMap
+from polishd.recipe import dwell_step, steps
+from polishd.recipe.dwell_step import require_certificate
+from polishd.recipe.files import read_map
+from polishd.recipe.folder import RunFolder
+from polishd.recipe.making import make_recipe
+from polishd.recipe.program_fit import judged
+from polishd.recipe.recipe import Recipe
+from polishd.recipe.records import save_plan, save_surface
+from polishd.recipe.steps import Beliefs, Measured, Solved
+
+
+def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Path, out: Path) -> dict[str, Any]:
+    """Map figures, corrected dwell, rewritten program, certificate and pictures in ``out``; the summary.
+
+    ``out`` appears whole or not at all. Raises ConfigError where it exists and is not empty, or cannot be written,
+    SurfaceError, ProgramError, ComputeError, or PlanRefused with every violation.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise ConfigError(f"{out}: exists already; name a new folder with --out")
+    require_writable(out.parent)
+    recipe = make_recipe(config, hooks)
+    surface = read_map(map_path, hooks.surface_readers().values())
+    notes = _require_part(surface, config.part.id, map_path)
+    program = steps.read_program(recipe, program_path)
+    measured = steps.condition(recipe, surface, None)
+    solved = dwell_step.solve(recipe, program, measured, Beliefs(block_overhead_s=recipe.envelope.block_overhead_s))
+    require_certificate(solved.dwell.certificate, recipe)
+    plan = steps.rewrite(recipe, program, solved, program_path.name)
+    vetoes = hooks.check_plan(plan, recipe.envelope)
+    if vetoes:
+        raise PlanRefused("the plan was refused, nothing was written:\n" + "\n".join(f"  {v}" for v in vetoes))
+    if recipe.instrument is None or recipe.instrument.commissioned is None:
+        notes.append("run will refuse: the cell has no commissioned instrument's profile (polishd check says more)")
+    said, misfit = judged(recipe, program, config.program.covers)
+    notes += [f"check will refuse: {said}{misfit}"] if misfit else []
+    notes += [*surface.warnings, *measured.notes, *program.warnings]
+    notes += [*steps.violations(recipe, plan), *solved.answer.notes]
+    summary = {
+        **_figures(recipe, measured, solved, plan),
+        "job": config.job.id,
+        "run_dir": str(out),
+        "notes": notes,
+    }
+    with _appearing(out) as folder:
+        save_surface(folder, surface, measured)
+        folder.json("certificate.json", solved.dwell.certificate)
+        save_plan(folder, recipe, plan, solved)
+        folder.json("summary.json", summary)
+        hooks.on_event(Event("plan_written", None, {"run_dir": str(folder.path)}))
+    return summary
+
+
+@contextmanager
+def _appearing(out: Path) -> Iterator[RunFolder]:
+    """A folder to write, which becomes ``out`` at the end; ConfigError where that cannot be."""
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as scratch:
+            folder = RunFolder(Path(scratch) / "plan")
+            folder.create()
+            yield folder
+            if out.exists():
+                out.rmdir()
+            shutil.move(str(folder.path), out)
+    except OSError as error:
+        raise unwritable(out, error) from error
+
+
+def _require_part(surface: SurfaceMap, part_id: str, path: Path) -> list[str]:
+    if surface.part_id and surface.part_id != part_id:
+        raise WrongPart(f"{path}: shows part {surface.part_id!r}, not {part_id!r} (part.id); name the right map")
+    return [] if surface.part_id else [f"{path.name} names no part; taken for {part_id!r} on your word"]
+
+
+def _figures(recipe: Recipe, measured: Measured, solved: Solved, plan: Plan) -> dict[str, Any]:
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    certificate = solved.dwell.certificate
+    cycle = {
+        **{key: asdict(measured.stats)[key] for key in ("rms_nm", "pv_nm", "lsf_rms_nm", "band_rms_nm")},
+        "predicted_rms_nm": certificate.predicted_rms_nm,
+        "dwell_s": plan.total_s,
+        "executed_s": None,
+        "rate": 1.0,
+    }
+    return {
+        "outcome": "planned",
+        "part_id": recipe.part_id,
+        "correction": recipe.correction,
+        "tolerance_nm": recipe.tolerance_nm,
+        "tolerance_period_mm": recipe.tolerance_period_mm,
+        "cycles": [cycle],
+        "certificate": asdict(certificate),
+        "gamma": [float(solved.answer.gamma.min()), float(solved.answer.gamma.max())],
+        "compliance_um_per_n": [
+            float(solved.answer.compliance_um_per_n.min()),
+            float(solved.answer.compliance_um_per_n.max()),
+        ],
+        "points": plan.program.n,
+        "started": now,
+        "ended": now,
+    }

@@ -1,0 +1,1 @@
+"""Part programs: shown, retimed, verified, made."""

@@ -1,0 +1,183 @@
+"""Programs from file to file: of any size, whole or not at all, in parts where the controller limits their lines."""
+
+from __future__ import annotations
+
+import errno
+import re
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO, cast
+
+from polishd import __version__
+from polishd.files import whole_file
+from polishd.model.errors import ProgramError
+from polishd.model.program import Encoding, Program
+from polishd.plugins.rnc_robot.dialect import AnyDialect, Dialect
+from polishd.plugins.rnc_robot.formats import read, rewrite
+from polishd.plugins.rnc_robot.languages import split
+from polishd.plugins.rnc_robot.nc.stream import look_through, rewrite_stream
+from polishd.plugins.rnc_robot.verify import verify
+from polishd.workbench.programs.dwell_csv import DwellTable
+
+Progress = Callable[[int], None]
+"""Hears of bytes read."""
+
+_FIRST_LINES = re.compile(rb"(?:[ \t]*(?:%|;\$PATH|[Oo:][0-9]).*\n|[ \t]*\r?\n)*")
+"""Tape marks, program numbers and paths stand before everything else."""
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What was written; times are read back from it."""
+
+    out: tuple[Path, ...]
+    encoding: Encoding
+    points: int
+    rows: int
+    """Times asked for; fewer than points where moves without a dwell now carry their time, too."""
+    asked_total_s: float
+    dwell_total_s: float
+
+
+def rewrite_file(
+    file: Path,
+    table: DwellTable,
+    out: Path,
+    dialect: AnyDialect,
+    encoding: Encoding | None = None,
+    *,
+    comment: bool = False,
+    progress: Progress | None = None,
+) -> Written:
+    """Write the program in ``file`` to ``out`` with the times of ``table``.
+
+    NC text whose encoding stays goes through in bounded memory and is read back before it gets its name. Everything
+    else is held in memory and proved to move as before. Where the controller limits the lines of a program, ``out``
+    is the first of several files: ``out_2``, ``out_3``, ...
+
+    Raises:
+        ProgramError: Anything is wrong with program, table or output. Nothing was written.
+    """
+    not_over(out, file, table.path)
+    mark = _comment(dialect) if comment else b""
+    if isinstance(dialect, Dialect) and encoding is None:
+        return _streamed(file, table, out, dialect, mark=mark, progress=progress)
+    return _held(read(dialect, content(file), file.name), table, out, dialect, encoding, mark=mark)
+
+
+def not_over(out: Path, *sources: Path) -> None:
+    """ProgramError where ``out`` is one of the files that are read, under whatever name."""
+    for source in sources:
+        with suppress(OSError):  # what is not there, or cannot be looked at, is refused where it is opened
+            if out.samefile(source):
+                raise ProgramError(f"{out}: is what is read. To do: name another file.")
+
+
+def content(file: Path) -> bytes:
+    """The bytes of a program's file; ProgramError where there are none to be had."""
+    with opened(file) as source:
+        return source.read()
+
+
+@contextmanager
+def opened(file: Path) -> Iterator[BinaryIO]:
+    """A program's file, for reading, more than once; ProgramError where it cannot be read."""
+    try:
+        source = _rereadable(file)
+    except OSError as error:
+        raise _unreadable(file, error) from error
+    with source:
+        try:
+            yield source
+        except OSError as error:
+            raise _unreadable(file, error) from error
+
+
+def _rereadable(file: Path) -> BinaryIO:
+    """The open file; what comes through a pipe is held in memory."""
+    source = file.open("rb")
+    if source.seekable():
+        return source
+    with source:
+        return BytesIO(source.read())
+
+
+def _unreadable(file: Path, error: OSError) -> ProgramError:
+    return ProgramError(f"{file}: cannot be read: {error.strerror or error}. To do: check the path.")
+
+
+def _streamed(
+    file: Path, table: DwellTable, out: Path, dialect: Dialect, *, mark: bytes, progress: Progress | None
+) -> Written:
+    with opened(file) as source, target_file(out) as target:
+        sink = cast(BinaryIO, _Marked(target, mark)) if mark else target
+        passed = rewrite_stream(dialect, source, file.name, table, sink, progress=progress)
+        found = look_through(dialect, target, out.name)
+    return Written((out,), passed.encoding, found.points, found.points, table.total_s, found.time_s)
+
+
+def _held(
+    program: Program, table: DwellTable, out: Path, dialect: AnyDialect, encoding: Encoding | None, *, mark: bytes
+) -> Written:
+    times = table.take(program.n)
+    table.finish()
+    text = _marked(rewrite(dialect, program, times, encoding), mark)
+    proof = verify(program.text, text, dialect)
+    if proof.difference is not None:
+        raise ProgramError(f"{program.name}: cannot be written in other words without a change: {proof.difference}.")
+    parts = [text] if isinstance(dialect, Dialect) else split(dialect, text, program.name)
+    outs = [out, *(out.with_stem(f"{out.stem}_{number}") for number in range(2, len(parts) + 1))]
+    with ExitStack() as stack:  # all are on the disk before the first gets its name
+        for path, part in zip(outs, parts, strict=True):
+            stack.enter_context(target_file(path)).write(part)
+    written = program.encoding if encoding is None else encoding
+    return Written(tuple(outs), written, proof.points, program.n, table.total_s, proof.time_after_s)
+
+
+@contextmanager
+def target_file(path: Path) -> Iterator[BinaryIO]:
+    """A file that gets its name when the block ends; ProgramError where it cannot be written."""
+    try:
+        if path.exists() and not path.is_file():  # the last step would put a file in the place of a device or pipe
+            raise OSError(errno.EINVAL, "it is there, and is no file")
+        with whole_file(path) as file:
+            yield file
+    except OSError as error:
+        raise ProgramError(f"{path}: cannot be written: {error.strerror}. To do: name another --out.") from error
+
+
+def _comment(dialect: AnyDialect) -> bytes:
+    """The line that says what was done, in the dialect's comment."""
+    if not isinstance(dialect, Dialect):
+        raise ProgramError(
+            f"in {dialect.name} a line of comment has no place that is sure everywhere. To do: leave --comment out."
+        )
+    words = f"polishd {__version__}, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC: dwell rewritten"
+    return (f"({words})" if "()" in dialect.text.comments else f"; {words}").encode("ascii")
+
+
+class _Marked:
+    """Puts a line of comment before the first piece of a program that goes by."""
+
+    def __init__(self, target: BinaryIO, mark: bytes) -> None:
+        self._target = target
+        self._mark = mark
+
+    def write(self, piece: bytes) -> int:
+        """As a file's."""
+        text, self._mark = _marked(piece, self._mark), b""
+        return self._target.write(text)
+
+
+def _marked(text: bytes, mark: bytes) -> bytes:
+    """The text with the mark in a line of its own, behind tape marks and program number."""
+    if not mark:
+        return text
+    found = _FIRST_LINES.match(text)
+    at = 0 if found is None else found.end()
+    stop = b"\r\n" if b"\r\n" in text[: text.find(b"\n") + 1] else b"\n"
+    return text[:at] + mark + stop + text[at:]

@@ -1,0 +1,242 @@
+"""``polishd program make``: a raster or a spiral over an aperture, as an NC program."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import typer
+from scipy.spatial.transform import Rotation
+
+from polishd.config.cell import CellConfig
+from polishd.hooks.cell import load_cell
+from polishd.hooks.loader import load_own
+from polishd.model.process import FLAT, ComplianceOptions, Optic, Placement
+from polishd.model.program import Encoding
+from polishd.model.surface import FloatArray
+from polishd.plugins.rnc_robot.dialect import DEFAULT
+from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
+from polishd.plugins.rnc_robot.make import path_program
+from polishd.process.optics import unit_normals
+from polishd.process.paths import apertures
+from polishd.process.paths.apertures import Aperture
+from polishd.process.paths.raster import raster
+from polishd.process.paths.spiral import spiral
+from polishd.process.paths.wrist import TURN_LIMIT_DEG, largest_turn_deg, tool_axes
+from polishd.recipe.files import read_map
+from polishd.show.style import save_picture
+from polishd.show.tables import emit, key_table, stderr, stdout
+from polishd.workbench.programs.files import not_over, target_file
+from polishd.workbench.programs.make_check import UNCHECKED, require_cell_takes
+from polishd.workbench.programs.make_picture import path_picture
+
+SHAPES: dict[str, tuple[int, Callable[..., Aperture]]] = {
+    "circle": (1, apertures.circle),
+    "annulus": (2, apertures.annulus),
+    "ellipse": (2, apertures.ellipse),
+    "rectangle": (2, apertures.rectangle),
+}
+"""Apertures by name: how many lengths, and what makes one of them."""
+UPRIGHT = Placement((0.0, 0.0, 0.0), np.eye(3))
+
+
+@dataclass(frozen=True, slots=True)
+class MakeOptions:
+    """What was asked for; None: as the cell has it, or what is said."""
+
+    shape: Literal["raster", "spiral"]
+    out: Path
+    cell: Path | None = None
+    aperture: str | None = None
+    optic: str | None = None
+    """None without a cell: flat."""
+    offset_mm: tuple[float, float] | None = None
+    pitch_mm: float = 1.0
+    step_mm: float = 1.0
+    direction_deg: float = 0.0
+    inwards: bool = False
+    overrun_mm: float = 1.0
+    landing_mm: float = 5.0
+    dip_deg: float | None = None
+    """None without a cell: 0."""
+    azimuth_deg: float | None = None
+    turn_limit_deg: float = TURN_LIMIT_DEG
+    feed_mm_min: float = 900.0
+    dwell_s: float | None = None
+    encoding: Encoding | None = None
+    """None: "dwell" where a dwell is asked for, else "feed"."""
+    dialect: str | None = None
+    """None without a cell: rs274."""
+    picture: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MadePath:
+    """A path in the part's frame."""
+
+    aperture: Aperture
+    optic: Optic
+    points_mm: FloatArray
+    axis: FloatArray
+    largest_turn_deg: float
+
+    @property
+    def length_mm(self) -> FloatArray:
+        """(n,) of each move."""
+        return np.asarray(np.linalg.norm(np.diff(self.points_mm, axis=0), axis=1), dtype=np.float64)
+
+
+def make_verb(options: MakeOptions, *, as_json: bool) -> None:
+    """Make the path, write the program whole, say what it is. Nothing is written where anything is refused."""
+    encoding = _encoding(options)
+    config, hooks = (None, None) if options.cell is None else load_cell(options.cell)
+    dialect = options.dialect or (DEFAULT if config is None else _dialect_of(config))
+    with stderr.status("making the path"):
+        made = make_path(options, config)
+        feed, time_s = _timing(options, encoding, made.length_mm)
+        points, axis = _in_program_frame(config, made.points_mm, made.axis)
+        text = path_program(
+            points, axis, feed, _title(options), encoding=encoding, dwell_s=options.dwell_s or 0.0, to=dialect
+        )
+        if config is not None and hooks is not None:
+            require_cell_takes(config, hooks, text, (options.out.name, dialect))
+    _write(options, made, text)
+    answer = {
+        "shape": options.shape,
+        "dialect": dialect_named(dialect).name,
+        "encoding": encoding,
+        "points": len(points) - 1,
+        "length_mm": float(made.length_mm.sum()),
+        "duration_s": float(time_s.sum()),
+        "bounds_mm": {name: [float(c.min()), float(c.max())] for name, c in zip("xyz", points.T, strict=True)},
+        "largest_turn_deg": made.largest_turn_deg,
+        "out": str(options.out),
+        "not_checked": list(UNCHECKED) if config is None else [],
+    }
+    emit(answer, as_json=as_json, table=lambda: _table(options, answer))
+    if not as_json:
+        stdout.print(f"written to {options.out}", markup=False)
+
+
+def _dialect_of(config: CellConfig) -> str:
+    """The cell's: a shipped name, or the path of a profile of its own."""
+    own = {dialect_named(path).name: str(path) for path in config.dialect_paths}
+    return own.get(config.program.format, config.program.format)
+
+
+def _encoding(options: MakeOptions) -> Encoding:
+    """Where the time is written; BadParameter for times that are none."""
+    for name, value in (("--feed", options.feed_mm_min), ("--dwell", options.dwell_s)):
+        if value is not None and not 0 < value < np.inf:
+            raise typer.BadParameter(f"{name} {value:g}: must be above 0")
+    if options.encoding == "dwell" and options.dwell_s is None:
+        raise typer.BadParameter("--encoding dwell needs --dwell: how long at each point")
+    return options.encoding or ("feed" if options.dwell_s is None else "dwell")
+
+
+def _write(options: MakeOptions, made: MadePath, text: bytes) -> None:
+    if options.cell is not None:
+        not_over(options.out, options.cell)
+    with target_file(options.out) as file:
+        file.write(text)
+    if options.picture is not None:
+        normals = unit_normals(made.optic, made.points_mm[:, :2])
+        save_picture(options.picture, path_picture(made.points_mm, normals, made.aperture, _title(options)))
+
+
+def make_path(options: MakeOptions, config: CellConfig | None) -> MadePath:
+    """Points on the optic and tool axes, in the part's frame. ComputeError where they cannot be."""
+    aperture, optic = _aperture(options, config), _optic(options, config)
+    lengths = (options.pitch_mm, options.step_mm)
+    overrun, landing = options.overrun_mm, options.landing_mm
+    if options.shape == "raster":
+        turn_deg = options.direction_deg
+        points = raster(aperture, *lengths, optic=optic, direction_deg=turn_deg, overrun_mm=overrun, landing_mm=landing)
+    else:
+        inwards = options.inwards
+        points = spiral(aperture, *lengths, optic=optic, inwards=inwards, overrun_mm=overrun, landing_mm=landing)
+    dip_deg = options.dip_deg if options.dip_deg is not None else (config.process.dip_deg if config else 0.0)
+    placement, lean = (UPRIGHT, None) if config is None else (config.placement(), config.compliance_options())
+    if lean is None or options.azimuth_deg is not None:
+        lean = ComplianceOptions(dip_direction="fixed", dip_azimuth_deg=options.azimuth_deg or 0.0)
+    axis = tool_axes(points, optic, dip_deg, lean, placement)
+    return MadePath(aperture, optic, points, axis, largest_turn_deg(axis, options.turn_limit_deg))
+
+
+def _aperture(options: MakeOptions, config: CellConfig | None) -> Aperture:
+    if options.aperture is None:
+        if config is None:
+            raise typer.BadParameter("name an --aperture, or a --cell that has one")
+        return apertures.circle(config.part.aperture_mm)
+    name, _, rest = options.aperture.partition(":")
+    if name == "mask" and rest:
+        measured = read_map(Path(rest), load_own().surface_readers().values())
+        return apertures.over_mask(measured.grid, measured.valid)
+    count, make = SHAPES.get(name, (0, apertures.circle))
+    values = _numbers("--aperture", rest)
+    if not count or len(values) != count:
+        raise typer.BadParameter(
+            f"--aperture {options.aperture!r} is none of circle:D, annulus:D,d, ellipse:A,B, rectangle:W,H, mask:MAP"
+        )
+    return make(*values)
+
+
+def _optic(options: MakeOptions, config: CellConfig | None) -> Optic:
+    nominal = FLAT if config is None else config.optic()
+    if options.optic is not None:
+        name, _, rest = options.optic.partition(":")
+        values = _numbers("--optic", rest)
+        most = {"flat": 0, "sphere": 1, "conic": 2, "asphere": len(values)}.get(name, -1)
+        if len(values) != most or (name == "asphere" and len(values) < 3):
+            raise typer.BadParameter(
+                f"--optic {options.optic!r} is none of flat, sphere:R, conic:R,K, asphere:R,K,A4,A6,..."
+            )
+        radius, conic, *even = [*values, 0.0, 0.0][: max(len(values), 2)]
+        nominal = Optic(radius if values else None, conic, tuple(even))
+    return nominal if options.offset_mm is None else replace(nominal, offset_mm=options.offset_mm)
+
+
+def _numbers(option: str, text: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",")] if text else []
+    except ValueError:
+        raise typer.BadParameter(f"{option}: {text!r} is no list of numbers") from None
+
+
+def _timing(options: MakeOptions, encoding: Encoding, length_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Feed (n,) mm/min and time (n,) s of each move: a dwell that sits in the feed is the time of its move."""
+    feed = np.full(len(length_mm), options.feed_mm_min)
+    if encoding == "dwell":
+        return feed, 60 * length_mm / feed + (options.dwell_s or 0.0)
+    if options.dwell_s is not None:
+        feed = 60 * length_mm / options.dwell_s
+    return feed, 60 * length_mm / feed
+
+
+def _in_program_frame(config: CellConfig | None, points: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """From the part's frame to the one that the cell's programs are written in."""
+    if config is None:
+        return points, axis
+    back = Rotation.from_euler("z", -config.program.rotation_deg, degrees=True)
+    return back.apply(points - np.asarray(config.program.offset_mm)), back.apply(axis)
+
+
+def _title(options: MakeOptions) -> str:
+    over = options.aperture or "the cell's aperture"
+    return f"{options.shape}, {over}, pitch {options.pitch_mm:g} mm, step {options.step_mm:g} mm"
+
+
+def _table(options: MakeOptions, answer: dict[str, Any]) -> Any:
+    bounds = ", ".join(f"{name} {low:.3f} to {high:.3f}" for name, (low, high) in answer["bounds_mm"].items())
+    rows = [
+        ("points", f"{answer['points']}, time in: {answer['encoding']}"),
+        ("length", f"{answer['length_mm']:.1f} mm"),
+        ("duration", f"{answer['duration_s']:.1f} s"),
+        ("bounds", f"{bounds} mm"),
+        ("largest turn of the wrist", f"{answer['largest_turn_deg']:.3g} deg in a move"),
+        *(("not checked without --cell", what) for what in answer["not_checked"]),
+    ]
+    return key_table(f"{_title(options)} ({answer['dialect']})", rows)

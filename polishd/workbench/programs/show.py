@@ -1,0 +1,179 @@
+"""``polishd program``: what an RNC program says, its times rewritten, and the proof that nothing else changed."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from polishd.model.errors import ProgramError
+from polishd.model.program import Encoding
+from polishd.model.surface import FloatArray
+from polishd.plugins.rnc_robot.dialect import AnyDialect, Dialect
+from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
+from polishd.plugins.rnc_robot.formats import read
+from polishd.plugins.rnc_robot.nc.stream import Passed, look_through
+from polishd.plugins.rnc_robot.verify import Verification, verify
+from polishd.show.tables import emit, key_table, stderr, stdout
+from polishd.workbench.programs.dwell_csv import DwellTable
+from polishd.workbench.programs.files import content, not_over, opened, rewrite_file
+
+SHOWN = 20
+"""Most changed lines and warnings that a person is shown."""
+
+
+def inspect_verb(file: Path, dialect: str, picture: Path | None, *, as_json: bool) -> None:
+    """What a program says: points, times, feeds, bounds, and what was assumed."""
+    profile = dialect_named(dialect)
+    if picture is not None:
+        not_over(picture, file)
+    answer = _inspected(file, profile)
+    if picture is not None:
+        from polishd.show.style import save_picture
+        from polishd.workbench.programs.picture import program_picture
+
+        with stderr.status(f"drawing {file.name}"):
+            save_picture(picture, program_picture(read(profile, content(file), file.name)))
+    emit(answer, as_json=as_json, table=lambda: _inspect_table(file.name, answer))
+    if not as_json:
+        _say_notes("warning", answer["warnings"])
+        if picture is not None:
+            stdout.print(f"written to {picture}", markup=False)
+
+
+def _inspected(file: Path, profile: AnyDialect) -> dict[str, Any]:
+    """The figures as JSON holds them. NC text of any size is looked through in bounded memory."""
+    if isinstance(profile, Dialect):
+        with _bar("reading", file) as progress, opened(file) as source:
+            return _answer_of_passed(look_through(profile, source, file.name, progress))
+    program = read(profile, content(file), file.name)
+    feeds = program.feed_mm_min[np.isfinite(program.feed_mm_min)]
+    return {
+        "dialect": program.dialect,
+        "lines": program.lines,
+        "points": program.n,
+        "dwell_total_s": math.fsum(program.time_s),
+        "feed_range_mm_min": [float(feeds.min()), float(feeds.max())] if feeds.size else None,
+        "bounds_mm": _bounds(program.end_mm.min(axis=0), program.end_mm.max(axis=0)),
+        "warnings": list(program.warnings),
+        "encoding": program.encoding,
+        "unit": program.unit,
+        "sha256": program.sha256,
+    }
+
+
+def _answer_of_passed(passed: Passed) -> dict[str, Any]:
+    low, high = passed.feed_mm_min
+    return {
+        "dialect": passed.dialect,
+        "lines": passed.lines,
+        "points": passed.points,
+        "dwell_total_s": passed.time_s,
+        "feed_range_mm_min": [low, high] if low <= high else None,
+        "bounds_mm": _bounds(passed.low_mm, passed.high_mm),
+        "warnings": list(passed.warnings),
+        "encoding": passed.encoding,
+        "unit": passed.unit,
+        "sha256": passed.sha256,
+    }
+
+
+def _bounds(low_mm: FloatArray, high_mm: FloatArray) -> dict[str, list[float]]:
+    """Of the points' places."""
+    return {axis: [float(low), float(high)] for axis, low, high in zip("xyz", low_mm, high_mm, strict=True)}
+
+
+def _inspect_table(name: str, answer: dict[str, Any]) -> Any:
+    points, total_s = answer["points"], answer["dwell_total_s"]
+    rows = [
+        ("dialect", answer["dialect"]),
+        ("lines", answer["lines"]),
+        ("points", f"{points}, time in {ENCODINGS[answer['encoding']]} ({answer['unit']})"),
+        ("dwell", f"{total_s:.6g} s, {total_s / points:.4g} s a point on average"),
+        ("feed", _feeds(answer["feed_range_mm_min"])),
+        *((axis, f"{a:.4f} to {b:.4f} mm") for axis, (a, b) in answer["bounds_mm"].items()),
+        ("sha256", answer["sha256"]),
+    ]
+    return key_table(name, rows)
+
+
+def _feeds(found: list[float] | None) -> str:
+    return "not known" if found is None else f"{found[0]:.6g} to {found[1]:.6g} mm/min"
+
+
+ENCODINGS: dict[Encoding, str] = {
+    "dwell": "dwell blocks",
+    "feed": "the feed of each move",
+    "inverse": "inverse-time feed (G93)",
+}
+
+
+def rewrite_verb(
+    file: Path, dwell: Path, out: Path, dialect: str, encoding: Encoding | None, *, comment: bool, as_json: bool
+) -> None:
+    """Write the program with other times; nothing is written where anything is wrong."""
+    profile, table = dialect_named(dialect), DwellTable(dwell)
+    with _bar("rewriting", file) as progress:
+        written = rewrite_file(file, table, out, profile, encoding, comment=comment, progress=progress)
+    answer = {**asdict(written), "out": [str(path) for path in written.out], "dialect": profile.name}
+    rows = [
+        ("points", f"{written.points}, time in {ENCODINGS[written.encoding]}"),
+        ("asked for", f"{written.asked_total_s:.9g} s"),
+        ("written", f"{written.dwell_total_s:.9g} s{_kept(written.points - written.rows)}"),
+        *(("to", path) for path in written.out),
+    ]
+    emit(answer, as_json=as_json, table=lambda: key_table(f"{file.name}, rewritten", rows))
+
+
+def _kept(moves: int) -> str:
+    return f", with {moves} moves that had no dwell and keep their time" if moves else ""
+
+
+@contextmanager
+def _bar(what: str, file: Path) -> Iterator[Callable[[int], None]]:
+    """A bar on stderr for as long as a file is read; hears of bytes."""
+    size = os.path.getsize(file) if os.path.isfile(file) else None  # noqa: PTH113, PTH202 - Path's raise
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
+        task = bar.add_task(f"{what} {file.name}", total=size)
+        yield lambda count: bar.advance(task, count)
+
+
+def verify_verb(old: Path, new: Path, dialect: str, *, with_rs274: bool, as_json: bool) -> None:
+    """Prove that the motion is identical, and list what changed. ProgramError where it is not proved."""
+    with stderr.status(f"comparing {old.name} and {new.name}"):
+        found = verify(old, new, dialect_named(dialect), with_rs274=with_rs274)
+    emit(asdict(found), as_json=as_json, table=lambda: _verify_table(found, f"{old.name}, {new.name}"))
+    if not as_json:
+        _say_notes("also changed", [str(change) for change in found.other_changes])
+    if found.difference is not None:
+        raise ProgramError(f"{new}: not proved to move as {old.name} does: {found.difference}.")
+
+
+def _verify_table(found: Verification, title: str) -> Any:
+    before, after = found.range_before_s, found.range_after_s
+    rows = [
+        ("motion", "identical" if found.identical_motion else "NOT proved identical"),
+        (
+            "points",
+            f"{found.points}, the time of {found.changed_points} changed, by {found.largest_change_s:.6g} s at most",
+        ),
+        ("before", f"{found.time_before_s:.6g} s, a point {before[0]:.6g} to {before[1]:.6g} s"),
+        ("after", f"{found.time_after_s:.6g} s, a point {after[0]:.6g} to {after[1]:.6g} s"),
+        *(("proved by", words) for words in found.proved_by),
+    ]
+    return key_table(title, rows)
+
+
+def _say_notes(what: str, notes: list[str] | tuple[str, ...]) -> None:
+    for note in notes[:SHOWN]:
+        stdout.print(f"{what}: {note}", markup=False, highlight=False, soft_wrap=True)
+    if len(notes) > SHOWN:
+        stdout.print(f"{what}: {len(notes) - SHOWN} more; --json has them", markup=False)

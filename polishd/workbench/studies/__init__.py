@@ -1,0 +1,1 @@
+"""Studies: simulations without a cell, described by a file."""

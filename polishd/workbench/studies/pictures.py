@@ -1,0 +1,165 @@
+"""Pictures of studies: maps on one scale, dwell, gamma, spectra and profiles, each as PNG bytes when asked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+
+from polishd.model.surface import FloatArray, Grid
+from polishd.process.metrics import radial_psd
+from polishd.show.style import (
+    BLUE,
+    DIVERGING,
+    GREEN,
+    MUTED,
+    NO_DATA,
+    ORANGE,
+    SEQUENTIAL,
+    figure,
+    png,
+    polishd_style,
+    ruled,
+)
+from polishd.workbench.studies.corrections import PLANTS, Comparison, Row
+from polishd.workbench.studies.passes import Passes
+from polishd.workbench.studies.spots import READINGS, SpotRow
+
+Draw = Callable[[], bytes]
+COLOURS = (MUTED, BLUE, GREEN, "#cc79a7", "#e69f00", ORANGE)
+
+
+def of_corrections(compared: Comparison) -> Mapping[str, Draw]:
+    """The setting, a page of residuals for each plant, and their spectra."""
+    residuals = {f"residuals_{plant}.png": _drawn(_residuals, compared, plant) for plant in PLANTS}
+    return {"setting.png": _drawn(_setting, compared), **residuals, "psd.png": _drawn(_spectra, compared)}
+
+
+def of_spots(rows: Sequence[SpotRow]) -> Mapping[str, Draw]:
+    """Profiles along x and y, a page for each reading of the size."""
+    return {
+        f"profiles_{reading}.png": _drawn(_profiles, [row for row in rows if row.size_is == reading])
+        for reading in READINGS
+    }
+
+
+def of_passes(passes: Passes) -> Mapping[str, Draw]:
+    """Gamma and removal side by side, and one against the other."""
+    return {"passes.png": _drawn(_passes, passes)}
+
+
+def _drawn(draw: Callable[..., Figure], *what: object) -> Draw:
+    def in_style() -> bytes:
+        with polishd_style():
+            return png(draw(*what))
+
+    return in_style
+
+
+def _setting(compared: Comparison) -> Figure:
+    """Start, gamma and the exact correction's dwell."""
+    page = figure(10.6, 3.6)
+    axes = page.subplots(1, 3)
+    start, scene = compared.start, compared.scene
+    inside = start.height_nm[start.metric_mask]
+    title = f"start: {inside.std():.2f} nm RMS"
+    _bar(page, _map(axes[0], start.grid, start.height_nm, title, limit=_limit(start.height_nm)), [axes[0]], "nm")
+    gamma = _map(axes[1], scene.lattice, scene.on_lattice(scene.gamma), "gamma along the path")
+    _bar(page, gamma, [axes[1]], "")
+    dwell = _map(axes[2], scene.lattice, scene.on_lattice(compared.time_s["exact"]), "dwell of exact")
+    _bar(page, dwell, [axes[2]], "s a point")
+    return page
+
+
+def _residuals(compared: Comparison, plant: str) -> Figure:
+    """What each correction leaves, about zero; a scale of its own for each, as they differ by thousands."""
+    page = figure(10.6, 6.6)
+    rows = [row for row in compared.rows if row.plant == plant]
+    for ax, row in zip(page.subplots(2, 3).ravel(), rows, strict=True):
+        title = f"{row.correction}: {row.rms_nm:.3g} nm RMS, PV {row.pv_nm:.3g}"
+        metric = np.where(compared.start.metric_mask, row.residual_nm, np.nan)
+        _bar(page, _map(ax, compared.start.grid, metric, title, limit=_limit(metric)), [ax], "nm")
+    return page
+
+
+def _spectra(compared: Comparison) -> Figure:
+    """Radial spectra of the start and of what each correction leaves on the plant "depth"."""
+    page = figure(7.0, 4.4)
+    ax = page.subplots()
+    start = compared.start
+    maps = {"start": (start.height_nm, "black")}
+    rows: list[Row] = [row for row in compared.rows if row.plant == "depth"]
+    maps |= {row.correction: (row.residual_nm, colour) for row, colour in zip(rows, COLOURS, strict=True)}
+    for name, (height, colour) in maps.items():
+        spectrum = radial_psd(np.where(start.metric_mask, height, 0.0), start.metric_mask, start.grid.pitch_mm)
+        dashed = "--" if name == "linear" else "-"  # it lies on pointwise
+        ax.loglog(spectrum.frequency_per_mm, spectrum.density_nm2_mm2, dashed, color=colour, label=name)
+    ax.set(title="plant depth: spectra", xlabel="frequency, 1/mm", ylabel="PSD, nm2 mm2")
+    ax.legend(ncols=2)
+    ruled(ax, "both")
+    return page
+
+
+def _profiles(rows: Sequence[SpotRow]) -> Figure:
+    """Profiles of each spot through its centre."""
+    columns = min(len(rows), 3)
+    lines = -(-len(rows) // columns)
+    page = figure(3.4 * columns, 2.7 * lines)
+    axes = page.subplots(lines, columns, squeeze=False).ravel()
+    for ax, row in zip(axes, rows, strict=False):
+        spot, figures = row.section, row.figures
+        ax.plot(figures.x_mm, figures.profile_x_nm_s, color=BLUE, label="along x")
+        ax.plot(figures.y_mm, figures.profile_y_nm_s, color=ORANGE, label="along y")
+        title = f"{row.name}: {spot.size_mm:g} mm, {spot.rpm:g} rpm, {spot.force_n:g} N, {spot.dip_deg:g} deg"
+        ax.set(title=title, xlabel="mm", ylabel="nm/s", ylim=(0, None))
+    for ax in axes[len(rows) :]:
+        ax.set_axis_off()
+    axes[0].legend()
+    return page
+
+
+def _passes(passes: Passes) -> Figure:
+    page = figure(10.6, 3.6)
+    axes = page.subplots(1, 3)
+    gamma = np.where(passes.metric_mask, passes.gamma, np.nan)
+    removal = np.where(passes.metric_mask, passes.removal_nm, np.nan)
+    _bar(page, _map(axes[0], passes.grid, gamma, "gamma"), [axes[0]], "")
+    _bar(page, _map(axes[1], passes.grid, removal, f"removal of {passes.passes} passes"), [axes[1]], "nm")
+    inside = passes.metric_mask
+    axes[2].plot(passes.gamma[inside], passes.removal_nm[inside], ".", color=BLUE, markersize=2)
+    axes[2].set(title=f"slope of the logarithms {passes.slope:.3f}")
+    axes[2].set(xlabel="gamma", ylabel="removal, nm", box_aspect=1)
+    ruled(axes[2], "both")
+    return page
+
+
+def _map(ax: Axes, grid: Grid, values: FloatArray, title: str, limit: float | None = None) -> AxesImage:
+    """A map in mm; with a limit diverging about zero."""
+    half_x, half_y = grid.nx * grid.pitch_mm / 2, grid.ny * grid.pitch_mm / 2
+    colours = mpl.colormaps[SEQUENTIAL if limit is None else DIVERGING].with_extremes(bad=NO_DATA)
+    image = ax.imshow(
+        np.ma.masked_invalid(values),
+        cmap=colours,
+        vmin=None if limit is None else -limit,
+        vmax=limit,
+        extent=(-half_x, half_x, -half_y, half_y),
+        interpolation="nearest",
+    )
+    ax.set(title=title, xlabel="x, mm")
+    ax.spines[:].set_visible(False)
+    return image
+
+
+def _limit(values: FloatArray) -> float:
+    """Half the scale: nearly the largest size."""
+    return max(float(np.nanpercentile(np.abs(values), 99.5)), 1e-9)
+
+
+def _bar(page: Figure, image: AxesImage, axes: list[Axes], unit: str) -> None:
+    bar = page.colorbar(image, ax=axes, shrink=0.8, aspect=24, pad=0.02)
+    bar.set_label(unit)
+    bar.outline.set_visible(False)

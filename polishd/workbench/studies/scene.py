@@ -1,0 +1,128 @@
+"""Part, robot and path of a study, and gamma along the path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from polishd.config.study import PartStudy
+from polishd.model.program import Program
+from polishd.model.surface import FloatArray, Grid
+from polishd.process import frames
+from polishd.process.compliance import depth_ratio
+from polishd.process.contact import hertz_depth_mm
+from polishd.process.dynamic_tif import CorrectedSpot, corrected_spot, effect_matrix
+from polishd.process.edge.edge_tif import sunk_at_rim
+from polishd.process.edge.rim import Rim
+from polishd.process.effect import SparseEffect
+from polishd.process.path_compliance import path_compliance
+from polishd.process.paths.spacing import on_optic
+from polishd.process.spot import HertzSpot
+from polishd.workbench.studies.surface import study_grid
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A path of dwell points over a part, and what the robot makes of the contact there."""
+
+    grid: Grid
+    program: Program
+    """n dwells at rest on the optic, part frame; the axes as seen where the surface lies level."""
+    gamma: FloatArray
+    """(n,) depth ratio (eq. 48)."""
+    compliance_um_per_n: FloatArray
+    """(n,) linear equivalent compliance."""
+    spot: HertzSpot
+    rim: Rim | None
+    """The part's, where it is free."""
+    lattice: Grid
+    """The dwell points are its nodes, those within the path's radius."""
+    on_nodes: bool
+    """Whether the dwell points are nodes of the grid: then a convolution is exact but for its truncation."""
+    notes: tuple[str, ...]
+
+    def on_lattice(self, values: FloatArray) -> FloatArray:
+        """(n,) values of the dwell points as a map of the lattice, NaN where there is no point."""
+        found = np.full(self.lattice.shape, np.nan)
+        column = (self.program.end_mm[:, 0] - self.lattice.x_mm[0]) / self.lattice.pitch_mm
+        row = (self.lattice.y_mm[0] - self.program.end_mm[:, 1]) / self.lattice.pitch_mm
+        found[np.rint(row).astype(np.intp), np.rint(column).astype(np.intp)] = values
+        return found
+
+    def at_rim(self, corrected: CorrectedSpot) -> CorrectedSpot:
+        """The spots as they sink over a free rim."""
+        if self.rim is None:
+            return corrected
+        return sunk_at_rim(corrected, self.rim, self.spot.process, (self.spot, self.program))[0]
+
+    def effect(self, corrected: CorrectedSpot) -> SparseEffect:
+        """The effect matrix of these spots, each laid down on its own; deeper over a free rim."""
+        corrected = self.at_rim(corrected)
+        matrix = effect_matrix(self.grid, self.spot, self.program, corrected.depth_ratio, corrected.factor)
+        return SparseEffect(self.grid, matrix)
+
+
+def make_scene(study: PartStudy) -> Scene:
+    """Dwell points, tool axes and gamma of a study; ConfigError where the robot cannot do it."""
+    process, robot = study.tool_process(), study.robot_model()
+    placement, options, optic = study.placement(), study.compliance_options(), study.optic()
+    radius = study.part.aperture_mm / 2 + study.path.extension_mm
+    lattice = study_grid(study, study.path.step_mm)
+    with study.blame("part"):
+        points = on_optic(optic, lattice_points(lattice, radius)[:, :2])
+        tip, normal = frames.points_to_base(placement, points), frames.surface_normals(placement, points, optic)
+        axis = frames.dipped_axes(options, placement, tip, normal, process.dip_deg) @ np.asarray(placement.rotation)
+        program = dwells(points, axis, study.title)
+        found = path_compliance(program, process, robot, placement, options=options, optic=optic)
+    with study.blame("process"):
+        depth = hertz_depth_mm(process)
+    with study.blame("kinematics"):
+        gamma = depth_ratio(found.compliance_mm_per_n, process, depth)
+    words = f"gamma {gamma.min():.4f} to {gamma.max():.4f}, mean {gamma.mean():.4f}, at {len(gamma)} dwell points"
+    level = replace(program, axis=frames.upright(axis, normal @ np.asarray(placement.rotation)))
+    spot, notes = HertzSpot(process), (words, *found.notes)
+    rim = study.free_rim()
+    if rim is not None:
+        notes = (*notes, sunk_at_rim(corrected_spot("exact", gamma), rim, process, (spot, level))[1])
+    return Scene(
+        grid=study_grid(study, study.process.grid_mm),
+        program=level,
+        gamma=gamma,
+        compliance_um_per_n=found.compliance_mm_per_n * 1e3,
+        spot=spot,
+        rim=rim,
+        lattice=lattice,
+        on_nodes=study.path.step_mm == study.process.grid_mm,
+        notes=notes,
+    )
+
+
+def lattice_points(lattice: Grid, radius_mm: float) -> FloatArray:
+    """(n, 3) mm: the lattice's nodes within the radius, row by row to and fro, as a tool would visit them."""
+    inside = lattice.radius_mm() <= radius_mm
+    rows = [
+        [(x, y, 0.0) for x in (lattice.x_mm[row] if k % 2 == 0 else lattice.x_mm[row][::-1])]
+        for k, (y, row) in enumerate(zip(lattice.y_mm, inside, strict=True))
+    ]
+    return np.array([point for row in rows for point in row], dtype=np.float64).reshape(-1, 3)
+
+
+def dwells(points_mm: FloatArray, axis: FloatArray, name: str) -> Program:
+    """A program of dwells at rest: (n, 3) points and (n, 3) unit tool axes, part frame."""
+    count = np.arange(len(points_mm))
+    return Program(
+        text=b"",
+        sha256="",
+        name=name,
+        dialect="study",
+        encoding="dwell",
+        line=count + 1,
+        block=count,
+        start_mm=points_mm,
+        end_mm=points_mm,
+        axis=axis,
+        time_s=np.zeros(len(count)),
+        lines=len(count),
+        max_feed_mm_min=0.0,
+    )

@@ -1,0 +1,106 @@
+"""Tables for people: every figure in its column, nothing where there is none."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from polishd.console.progress import progress
+from polishd.daemon.endings import Ending
+from polishd.show.tables import cycle_table, key_table, record_table, stderr
+
+CYCLES: list[dict[str, Any]] = [
+    {
+        "pv_nm": 101.234, "rms_nm": 20.456, "lsf_rms_nm": 15.0, "band_rms_nm": 18.5,
+        "predicted_rms_nm": 1.0, "dwell_s": 60.5, "executed_s": 61.25, "rate": 0.98765,
+    },
+    {
+        "pv_nm": 9.0, "rms_nm": 1.5, "lsf_rms_nm": 1.0, "band_rms_nm": 1.25,
+        "predicted_rms_nm": None, "dwell_s": None, "executed_s": None, "rate": None,
+    },
+]  # fmt: skip
+
+
+def shown(table: Table) -> list[list[str]]:
+    """Cells of each line."""
+    console = Console(file=io.StringIO(), width=200)
+    console.print(table)
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    return [[cell.strip() for cell in line.strip("│┃ ").replace("┃", "│").split("│")] for line in text.splitlines()]
+
+
+def test_cycles() -> None:
+    title, _, header, _, first, last, _ = shown(cycle_table({"job": "j", "outcome": "in_tolerance", "cycles": CYCLES}))
+    assert title == ["j: in_tolerance"]
+    assert header == ["#", "PV nm", "RMS nm", "LSF nm", "predicted nm", "dwell s", "executed s", "rate"]
+    assert first == ["0", "101.23", "20.46", "15.00", "1.00", "60.50", "61.25", "0.988"]
+    assert last[:4] == ["1", "9.00", "1.50", "1.00"]
+    assert not any(last[4:])
+
+
+def test_an_interrupted_pass_is_no_pass_like_the_others() -> None:
+    torn = {**CYCLES[0], "how": "interrupted", "executed_s": 15.125}
+    _, _, header, _, first, second, last, _ = shown(
+        cycle_table({"job": "j", "outcome": "in_tolerance", "cycles": [torn, {**CYCLES[0], "how": "done"}, CYCLES[1]]})
+    )
+    assert header[-1] == "pass"
+    assert first[-1] == "interrupted at 25%"
+    assert second[-1] == "0.988", "the others are as ever"
+    assert not any(last[4:])
+
+
+def test_the_tolerances_band_has_its_column() -> None:
+    table = cycle_table({"job": "j", "outcome": "x", "cycles": CYCLES, "tolerance_period_mm": 7.0})
+    header, first = shown(table)[2], shown(table)[4]
+    assert first[header.index("> 7 mm nm")] == "18.50"
+
+
+def test_no_cycles() -> None:
+    assert shown(cycle_table({"job": "j", "outcome": "failed", "cycles": []}))[0] == ["j: failed"]
+
+
+def test_keys_and_records() -> None:
+    assert ["part", "P-1"] in shown(key_table("t", [("part", "P-1"), ("n", 3)]))
+    lines = shown(record_table("t", ("name", "n"), [("a", 1), ("b", None)]))
+    assert ["name", "n"] in lines
+    assert ["b", "None"] in lines
+
+
+def test_what_a_person_sees_of_a_run(capsys: Any) -> None:
+    events: list[tuple[str, int | None, dict[str, Any]]] = [
+        ("opened", None, {}),
+        ("measured", 0, {"rms_nm": 20.456, "pv_nm": 101.0, "band_rms_nm": 3.0, "notes": ["tilt [of] 150 nm"]}),
+        ("learned", 1, {"rate": 1.0, "notes": ["the rate stays"]}),
+        ("solved", 0, {"predicted_rms_nm": 1.0, "kkt_residual": 1e-5}),
+        ("pass_begun", 0, {"blocks": 100, "dwell_s": 60.0}),
+        ("progress", 0, {"block": 50}),
+        ("pass_ended", 0, {"executed_s": 61.0}),
+        ("state", None, Ending("held", "by [order]", ("robot: [deaf]",)).facts()),
+        ("state", None, {"state": "polishing", "reason": ""}),
+        ("failed", None, {"kind": "LinkError", "error": "[gone]"}),
+        ("job_finished", None, {}),
+    ]
+    with progress(Path("my cell.toml")) as show:
+        for event in events:
+            show(*event)
+    captured = capsys.readouterr()
+    assert captured.out == "", "stdout is for programs"
+    for text in (
+        "RMS 20.46 nm",
+        "3.00 nm in the tolerance's band",
+        "held: by [order]",
+        "LinkError: [gone]",
+        "note: tilt [of] 150 nm",
+        "note: the rate stays",
+    ):
+        assert text in captured.err
+    lines = captured.err.splitlines()
+    held = lines.index("held: by [order]")
+    assert lines[held + 1 : held + 3] == ["tool off the part: yes", "robot at rest: not confirmed"]
+    assert lines[held + 3].startswith("robot did not confirm: [deaf]; it may still move")
+    assert lines[held + 4].startswith("next: when nothing is left to mend: polishd resume 'my cell.toml' goes on")
+    assert stderr.stderr

@@ -1,0 +1,307 @@
+"""``polishd map FILE...`` as from the shell: exact figures of real files, JSON as promised, one bad file among good."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from polishd.show.tables import stdout
+from polishd.workbench.maps.figures import json_line
+from polishd.workbench.maps.files import told_apart
+from tests.unit.said import Polishd
+from tests.unit.workbench.maps.maps import PITCH_MM, dat, surface
+
+KEYS = [
+    "path", "format", "rows", "cols", "pitch_mm", "missing", "pv_nm", "rms_nm", "pv_tilt_removed_nm",
+    "rms_tilt_removed_nm", "bands", "sha256", "warnings",
+]  # fmt: skip
+# metrology.md: rows, columns, pitch in mm, missing samples, PV and RMS about the mean in nm
+REAL: dict[str, tuple[int, int, float | None, int, float, float]] = {
+    "zygo_metropro.dat": (432, 425, 0.1179242, 47_241, 330.700173, 44.591409),
+    "zygo_mx.datx": (259, 33, 1.0, 776, 453.030479, 80.817653),
+    "codev.int": (256, 256, None, 14_105, 54.545398, 10.883244),
+    "mountainsmap.sdf": (20, 30, 0.001, 1, 599.0, 172.996075),
+    # its samples are not square: 0.128 by 0.315 um
+    "profilometer.x3p": (650, 650, None, 0, 554.336200, 77.280333),
+}
+
+
+@pytest.fixture(autouse=True)
+def wide(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A terminal in which no table is cut."""
+    monkeypatch.setattr(stdout, "_width", 220)
+
+
+@pytest.fixture
+def good(tmp_path: Path) -> Path:
+    return dat(tmp_path / "good.dat", surface())
+
+
+def lines(text: str) -> list[Any]:
+    """JSON that holds no NaN and no infinity."""
+
+    def refuse(word: str) -> None:
+        raise AssertionError(word)
+
+    return [json.loads(line, parse_constant=refuse) for line in text.splitlines()]
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_real_files_have_the_figures_of_the_page(polishd: Polishd, shared_data: Path, name: str) -> None:
+    rows, columns, pitch_mm, missing, pv_nm, rms_nm = REAL[name]
+    (answer,) = lines(polishd("map", shared_data / name, "--json").out)
+    assert list(answer)[: len(KEYS)] == KEYS
+    assert (answer["rows"], answer["cols"], answer["missing"]) == (rows, columns, missing)
+    assert answer["pv_nm"] == pytest.approx(pv_nm, rel=1e-6)
+    assert answer["rms_nm"] == pytest.approx(rms_nm, rel=1e-6)
+    assert answer["pitch_mm"] == (None if pitch_mm is None else pytest.approx(pitch_mm, rel=1e-6))
+    assert bool(answer["warnings"]) == (pitch_mm is None)
+    assert answer["sha256"] == hashlib.sha256((shared_data / name).read_bytes()).hexdigest()
+    assert answer["path"] == str(shared_data / name)
+    assert answer["samples"] == rows * columns - missing
+    assert 0 < answer["rms_tilt_removed_nm"] <= answer["rms_nm"]
+
+
+def test_several_real_files_are_a_line_each(polishd: Polishd, shared_data: Path) -> None:
+    names = ["codev.int", "mountainsmap.sdf", "zygo_mx.datx"]
+    said = polishd("map", *(shared_data / name for name in names), "--json")
+    assert (said.code, said.err) == (0, "")
+    assert [Path(answer["path"]).name for answer in lines(said.out)] == names
+
+
+def test_without_lateral_scale(polishd: Polishd, tmp_path: Path) -> None:
+    """It is shown, with what is not known as null and a warning; and no band is made up."""
+    path = dat(tmp_path / "m.dat", surface(), pitch_mm=0.0)
+    answer = polishd("map", path, "--json").answer
+    assert (answer["pitch_mm"], answer["bands"], answer["slope_rms_urad"]) == (None, None, None)
+    assert "lateral" in " ".join(answer["warnings"])
+    said = polishd("map", path)
+    assert said.code == 0
+    assert "warning: m.dat: CameraRes is 0" in said.out
+
+
+def test_figures_are_of_the_file_as_it_is(polishd: Polishd, good: Path) -> None:
+    height = surface()
+    inside = height[np.isfinite(height)]
+    answer = polishd("map", good, "--json").answer
+    assert answer["pv_nm"] == pytest.approx(np.ptp(inside), abs=0.005)
+    assert answer["rms_nm"] == pytest.approx(inside.std(), abs=0.002)
+    assert answer["pitch_mm"] == pytest.approx(PITCH_MM, rel=1e-7)
+    y, x = np.indices(height.shape)[:, np.isfinite(height)]
+    plane = np.stack([np.ones_like(x), x, y], axis=1).astype(float)
+    level = inside - plane @ np.linalg.lstsq(plane, inside, rcond=None)[0]
+    assert answer["rms_tilt_removed_nm"] == pytest.approx(level.std(), abs=0.002)
+    assert answer["pv_tilt_removed_nm"] == pytest.approx(np.ptp(level), abs=0.01)
+    assert (answer["part_id"], answer["taken_at"]) == ("blank-7", "2025-10-09T08:53:20+00:00")
+
+
+def test_trim_erodes_by_the_cross(polishd: Polishd, tmp_path: Path) -> None:
+    """A spike on the rim goes with the first pixel; a hole grows; and what the file has stays said."""
+    height = np.random.default_rng(1).normal(0.0, 1.0, (21, 31))
+    height[0, 4] = 500.0
+    height[10, 10] = np.nan
+    path = dat(tmp_path / "m.dat", height)
+    whole, trimmed = (polishd("map", path, "--json", "--trim", n).answer for n in (0, 2))
+    assert whole["pv_nm"] > 400
+    assert trimmed["pv_nm"] < 10
+    assert (whole["missing"], trimmed["missing"], whole["trim"], trimmed["trim"]) == (1, 1, 0, 2)
+    # two pixels off each side, and the 13 of a diamond of radius 2
+    assert trimmed["samples"] == 17 * 27 - 13
+    mask = np.zeros(height.shape, dtype=bool)
+    mask[2:-2, 2:-2] = True
+    rows, columns = np.indices(height.shape)
+    mask &= abs(rows - 10) + abs(columns - 10) > 2
+    assert trimmed["rms_nm"] == pytest.approx(height[mask].std(), abs=0.002)
+
+
+def test_trimmed_to_nothing(polishd: Polishd, good: Path) -> None:
+    said = polishd("map", good, "--trim", 40)
+    assert (said.code, said.out) == (8, "")
+    assert "--trim 40" in said.err
+
+
+def test_bands_part_the_map(polishd: Polishd, good: Path) -> None:
+    """Names and limits; what is shorter than two pixels no map shows."""
+    bands = polishd("map", good, "--json", "--bands", "10,0.12").answer["bands"]
+    assert [(band["name"], band["from_mm"], band["to_mm"]) for band in bands] == [
+        ("LSF", None, 10.0), ("MSF", 10.0, 0.12), ("HSF", 0.12, None),
+    ]  # fmt: skip
+    assert bands[0]["rms_nm"] > bands[1]["rms_nm"] > 0
+    assert bands[2]["rms_nm"] is None
+    four = polishd("map", good, "--json", "--bands", "20,5,2").answer["bands"]
+    assert [band["name"] for band in four] == ["LSF", "MSF1", "MSF2", "HSF"]
+    assert all(band["rms_nm"] > 0 for band in four)
+    default = polishd("map", good, "--json").answer["bands"]
+    assert [band["to_mm"] for band in default] == [33.0, 0.12, None]
+
+
+@pytest.mark.parametrize("words", ["", "a", "1,2", "2,2", "5,-1", "inf,1", "nan", "5,0"])
+def test_bands_that_are_none(polishd: Polishd, good: Path, words: str) -> None:
+    said = polishd("map", good, "--bands", words)
+    assert said.code == 2
+    assert "--bands" in said.err
+
+
+def bad_files(folder: Path) -> dict[str, Path]:
+    """What is no map, each in its way."""
+    torn, empty, text, there = (folder / name for name in ("torn.dat", "empty.dat", "text.dat", "folder"))
+    torn.write_bytes(dat(folder / "t.dat", surface()).read_bytes()[:-100])
+    empty.touch()
+    text.write_text("no map\n")
+    there.mkdir()
+    return {"torn": torn, "empty": empty, "text": text, "folder": there, "missing": folder / "missing.dat"}
+
+
+@pytest.mark.parametrize("kind", ["torn", "empty", "text", "folder", "missing"])
+@pytest.mark.parametrize("json_too", [True, False])
+def test_a_file_that_is_no_map_is_one_message(polishd: Polishd, tmp_path: Path, kind: str, json_too: bool) -> None:
+    path = bad_files(tmp_path)[kind]
+    said = polishd("map", path, *(["--json"] if json_too else []))
+    assert (said.code, said.out) == (8, "")
+    assert said.err.startswith("polishd: ")
+    assert said.err.count("\n") == 1
+    assert str(path) in said.err
+
+
+def test_good_files_among_bad_ones_are_said(polishd: Polishd, tmp_path: Path, good: Path) -> None:
+    other = dat(tmp_path / "other.dat", surface(seed=9))
+    bad = bad_files(tmp_path)
+    said = polishd("map", bad["torn"], good, bad["missing"], other, bad["folder"], "--json")
+    assert said.code == 8
+    assert [answer["path"] for answer in lines(said.out)] == [str(good), str(other)]
+    assert [line.split(":")[1].strip() for line in said.err.splitlines()] == [
+        str(bad[kind]) for kind in ("torn", "missing", "folder")
+    ]
+    said = polishd("map", bad["empty"], good, other)
+    assert said.code == 8
+    assert "good.dat" in said.out
+    assert "other.dat" in said.out
+    assert "empty.dat" in said.err
+
+
+def test_no_permission_to_read(polishd: Polishd, good: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    good.chmod(0)
+    if os.access(good, os.R_OK):  # root may read it all the same
+        opened = Path.open
+
+        def refusing(path: Path, *args: Any, **options: Any) -> Any:
+            if path == good:
+                raise PermissionError(13, "Permission denied")
+            return opened(path, *args, **options)
+
+        monkeypatch.setattr(Path, "open", refusing)
+    said = polishd("map", good, "--json")
+    assert (said.code, said.out) == (8, "")
+    assert "Permission denied" in said.err
+
+
+def test_a_pipe_is_no_file_and_is_not_waited_for(polishd: Polishd, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    said = polishd("map", tmp_path / "pipe")
+    assert said.code == 8
+    assert "is no file" in said.err
+
+
+def test_a_reader_who_leaves_is_no_traceback(good: Path) -> None:
+    for words in ([], ["--json"]):
+        reading, writing = os.pipe()
+        os.close(reading)
+        ended = subprocess.run(
+            [sys.executable, "-m", "polishd.cli", "map", str(good), *words],
+            stdout=writing, stderr=subprocess.PIPE, check=False, timeout=60,
+        )  # fmt: skip
+        os.close(writing)
+        assert b"Traceback" not in ended.stderr
+        assert ended.returncode != 0
+
+
+def test_a_name_that_is_no_text(polishd: Polishd, good: Path) -> None:
+    """A file's name is bytes: what is no UTF-8 in it must not break the table."""
+    odd = good.rename(good.with_name(os.fsdecode(b"m\xff[red]$x$.dat")))
+    said = polishd("map", odd)
+    assert said.code == 0, said.err
+    assert r"m\udcff[red]$x$.dat" in said.out.replace("\n", "")  # a long title is wrapped
+    assert json.loads(polishd("map", odd, "--json").out)["path"] == str(odd)
+
+
+def test_one_map_for_people(polishd: Polishd, good: Path) -> None:
+    said = polishd("map", good, "--trim", 1)
+    answer = polishd("map", good, "--trim", 1, "--json").answer
+    for words in (
+        "metropro", "60 x 48", "1 px trimmed", "0.5 mm", f"{answer['pv_nm']:.6f}", f"{answer['rms_nm']:.6f} nm",
+        "blank-7", answer["sha256"], "periods above 33 mm", "MSF", "PVr (36 terms)",
+    ):  # fmt: skip
+        assert words in said.out, words
+
+
+def test_several_maps_for_people_are_a_row_each(polishd: Polishd, tmp_path: Path, good: Path) -> None:
+    bare = dat(tmp_path / "bare.dat", surface(), pitch_mm=0.0)
+    said = polishd("map", bare, good)
+    assert said.code == 0
+    rows = [line.split() for line in said.out.splitlines() if ".dat" in line and "warning" not in line]
+    assert [row[0] for row in rows] == ["bare.dat", "good.dat"]
+    assert rows[0][4] == "-"
+    assert rows[1][4] == "0.5"
+    assert "LSF" in said.out
+    assert said.out.count("warning: bare.dat") == 1
+
+
+def test_maps_of_one_name_are_told_apart(polishd: Polishd, tmp_path: Path) -> None:
+    """A run's maps are all called map.dat: the table says which is which."""
+    folders = [tmp_path / name for name in ("cycle-00", "cycle-01")]
+    for folder in folders:
+        folder.mkdir()
+    maps = [dat(folder / "map.dat", surface(), pitch_mm=0.0) for folder in folders]
+    said = polishd("map", *maps)
+    for name in ("cycle-00/map.dat", "cycle-01/map.dat"):
+        assert said.out.count(name) == 2  # a row, and a warning
+    assert str(tmp_path) not in said.out
+
+
+@pytest.mark.parametrize(
+    ("paths", "names"),
+    [
+        (["/a/b.dat", "/a/c.dat"], ["b.dat", "c.dat"]),
+        (["/a/b.dat", "/c/b.dat"], ["a/b.dat", "c/b.dat"]),
+        (["b.dat", "a/b.dat"], ["b.dat", "a/b.dat"]),
+        (["a/b.dat", "a/b.dat"], ["b.dat", "b.dat"]),
+        (["/x/m", "/y/m", "/x/n"], ["x/m", "y/m", "x/n"]),
+        ([], []),
+    ],
+)
+def test_the_shortest_names_that_tell(paths: list[str], names: list[str]) -> None:
+    assert told_apart(paths) == names
+
+
+def test_a_profile_is_applied(polishd: Polishd, good: Path) -> None:
+    """Turned, negated and halved, and it is said; a profile that is none is exit code 3."""
+    profile = good.with_name("p.toml")
+    profile.write_text('name = "x"\n[orientation]\nrotation_deg = 90\n[height]\nsign = -1\nfactor = 0.5\n')
+    plain, turned = polishd("map", good, "--json").answer, polishd("map", good, "--json", "--profile", profile).answer
+    assert (turned["rows"], turned["cols"]) == (plain["cols"], plain["rows"])
+    assert turned["rms_nm"] == pytest.approx(plain["rms_nm"] / 2, rel=1e-9)
+    assert turned["factors"]["profile"]["sign"] == -1
+    assert "profile" not in plain["factors"]
+    profile.write_text("name = 3\n")
+    assert polishd("map", good, "--profile", profile).code == 3
+    assert polishd("map", good, "--profile", profile.with_name("none.toml")).code == 3
+
+
+def test_json_holds_no_nan() -> None:
+    answer = {
+        "a": math.nan,
+        "b": [math.inf, {"c": np.float64("-inf")}],
+        "d": np.float32(1.5),
+        "e": np.arange(2),
+        "f": 1,
+    }
+    assert lines(json_line(answer)) == [{"a": None, "b": [None, {"c": None}], "d": 1.5, "e": [0, 1], "f": 1}]
