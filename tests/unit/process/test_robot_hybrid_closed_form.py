@@ -120,7 +120,9 @@ def test_chunks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
     tip, axis = random_poses(100, CROOKED)
     want = tip_compliance_mm_per_n(CROOKED, tip, axis)
     monkeypatch.setattr(compliance, "CHUNK", 7)
-    np.testing.assert_array_equal(tip_compliance_mm_per_n(CROOKED, tip, axis, path=False), want)
+    # to the last bit on some processors only: BLAS takes another kernel for another number of rows
+    chunked = tip_compliance_mm_per_n(CROOKED, tip, axis, path=False)
+    np.testing.assert_allclose(chunked, want, rtol=4 * np.finfo(float).eps, atol=0)
     tip[[50, 93], 2] = 5000.0
     with pytest.raises(ComputeError, match=r"point 50: the tip's height is .* \(so at 2 of 100 points"):
         tip_compliance_mm_per_n(CROOKED, tip, axis)
