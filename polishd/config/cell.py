@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
-from collections.abc import Callable, Mapping
-from dataclasses import fields, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, PrivateAttr, ValidationError
+from pydantic import BaseModel, ValidationError
 
+from polishd.config.document import parse_toml
+from polishd.config.physics import PartDocument
 from polishd.config.places import Source, did_you_mean, key_lines, listed, problems
-from polishd.config.process import (
-    ComplianceSection,
-    HybridSection,
-    KinematicsSection,
-    ProcessSection,
-    SerialSection,
-)
 from polishd.config.sections import (
     CellSection,
     DeviceSection,
@@ -28,25 +22,20 @@ from polishd.config.sections import (
     JobSection,
     LimitsSection,
     MachineSection,
-    PartSection,
     PluginsSection,
     ProgramSection,
-    Section,
-    Texts,
 )
-from polishd.config.tables import read_compliance_table, read_tif
-from polishd.files import toml_text
+from polishd.config.tables import read_tif
+from polishd.config.values import Texts
 from polishd.hookspecs import DeviceType
 from polishd.model.errors import ConfigError
 from polishd.model.limits import Envelope
-from polishd.model.process import ComplianceOptions, MeasuredTif, Optic, Placement, ToolProcess
-from polishd.model.robot import HybridRobot, RobotModel, SerialRobot
-from polishd.process.frames import rotation_from_rpy_deg
+from polishd.model.process import MeasuredTif
 
 PortSection = Literal["robot", "actuator", "spindle", "metrology"]
 
 
-class CellConfig(Section):
+class CellConfig(PartDocument):
     """All of a cell's configuration; made by ``load_config``."""
 
     include: Texts = ()
@@ -57,32 +46,16 @@ class CellConfig(Section):
     spindle: DeviceSection
     metrology: DeviceSection
     instrument: InstrumentSection = InstrumentSection()
-    part: PartSection
-    kinematics: KinematicsSection = HybridSection()
-    compliance: ComplianceSection = ComplianceSection()
-    process: ProcessSection = ProcessSection()
     program: ProgramSection
     machine: MachineSection
     dwell: DwellSection = DwellSection()
     job: JobSection
     limits: LimitsSection = LimitsSection()
-    _path: Path = PrivateAttr(default=Path("cell.toml"))
-    _source: Source = PrivateAttr(default=Source("cell.toml", ""))
 
     @property
     def path(self) -> Path:
         """The file it came from, absolute."""
         return self._path
-
-    @property
-    def source(self) -> Source:
-        """The text it came from: says where a key stands, for errors."""
-        return self._source
-
-    @property
-    def base_dir(self) -> Path:
-        """Folder that relative paths start from."""
-        return self._path.parent
 
     @property
     def state_dir(self) -> Path:
@@ -114,47 +87,19 @@ class CellConfig(Section):
         """Hash of all values in force, overrides and defaults included."""
         return hashlib.sha256(json.dumps(self.effective(), sort_keys=True).encode()).hexdigest()
 
-    def resolve(self, path: str) -> Path:
-        """A path of the configuration, absolute."""
-        return self.base_dir / Path(path).expanduser()
-
     def effective(self) -> dict[str, Any]:
         """All values in force, JSON-ready."""
         return self.model_dump(mode="json")
 
-    def error(self, key: str, problem: str) -> ConfigError:
-        """A ConfigError about a dotted key, with its place: for checks that need more than this file."""
-        return ConfigError(self._source.error(tuple(key.split(".")), problem))
-
     @property
     def included(self) -> dict[str, str]:
         """Dotted keys that came from an included fragment, and the file."""
-        keys = [(".".join(key), part.file) for part in self._source.included for key in key_lines(part.text) if key[1:]]
-        return dict(keys)
-
-    def tool_process(self) -> ToolProcess:
-        """Tool, contact and Preston constant."""
-        return tool_process(self.process)
-
-    def robot_model(self) -> RobotModel:
-        """The robot's geometry and stiffness; ConfigError where its table cannot be read."""
-        return robot_model(self.kinematics, self.resolve)
-
-    def compliance_options(self) -> ComplianceOptions:
-        """How the robot's compliance is read."""
-        return ComplianceOptions(**dict(self.compliance))
-
-    def optic(self) -> Optic:
-        """The nominal surface."""
-        return nominal_optic(self.part)
+        parts = self._source.included
+        return {".".join(map(str, key)): part.file for part in parts for key in key_lines(part.text) if key[1:]}
 
     def measured_tif(self) -> MeasuredTif | None:
         """The cell's measured TIF, where it names one; ConfigError where that cannot be read."""
         return None if self.process.tif is None else read_tif(self.resolve(self.process.tif))
-
-    def placement(self) -> Placement:
-        """Where the part lies in the robot's base frame."""
-        return Placement(self.part.origin_mm, rotation_from_rpy_deg(*self.part.rotation_rpy_deg))
 
     def envelope(self) -> Envelope:
         """Limits of machine and process."""
@@ -163,27 +108,6 @@ class CellConfig(Section):
             max_removal_nm=self.limits.max_removal_nm,
             max_pass_s=self.limits.max_pass_s,
         )
-
-
-def nominal_optic(part: PartSection) -> Optic:
-    """The nominal surface of a part section."""
-    return Optic(part.curvature_radius_mm, part.conic, part.even, part.off_axis_mm)
-
-
-def tool_process(section: ProcessSection) -> ToolProcess:
-    """The noun of a process section."""
-    shared = {item.name for item in fields(ToolProcess)} & set(ProcessSection.model_fields)
-    return ToolProcess(preston_cm2_per_n=section.preston, **{name: getattr(section, name) for name in shared})
-
-
-def robot_model(section: KinematicsSection, resolve: Callable[[str], Path]) -> RobotModel:
-    """The noun of a kinematics section; ``resolve`` makes its paths absolute."""
-    values = {name: value for name, value in section if name != "type"}
-    if isinstance(section, HybridSection):
-        return HybridRobot(**values)
-    if isinstance(section, SerialSection):
-        return SerialRobot(**values)
-    return read_compliance_table(resolve(section.table))
 
 
 def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> CellConfig:
@@ -201,13 +125,7 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> CellC
         _lay_over(raw, fragment)
     for key, value in (overrides or {}).items():
         _override(raw, key, value, source)
-    try:
-        config = CellConfig.model_validate(raw)
-    except ValidationError as error:
-        raise ConfigError("\n".join(problems(error, CellConfig, source))) from error
-    config._path = path.absolute()
-    config._source = source
-    return config
+    return CellConfig.of(raw, source)
 
 
 def device_options(
@@ -252,15 +170,6 @@ def _unknown_options(
     ]
 
 
-def parse_toml(path: Path) -> tuple[dict[str, Any], Source]:
-    """A TOML file's values, and the text that says where they stand; ConfigError with file and line."""
-    text = toml_text(path)
-    try:
-        return tomllib.loads(text), Source(str(path), text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(_syntax(path, text, str(error))) from error
-
-
 def _included(raw: Mapping[str, Any], source: Source) -> list[str]:
     names = raw.get("include", [])
     if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
@@ -275,13 +184,6 @@ def _lay_over(raw: dict[str, Any], fragment: Mapping[str, Any]) -> None:
             _lay_over(raw[name], value)
         else:
             raw[name] = value
-
-
-def _syntax(path: Path, text: str, message: str) -> str:
-    """Place the message of tomllib, which says ``... (at line 3, column 5)`` or ``(at end of document)``."""
-    what, _, place = message.partition(" (at ")
-    line = place.split()[1].rstrip(",") if place.startswith("line") else str(text.count("\n") + 1)
-    return f"{path}:{line}: this is not TOML: {what}; mend that line"
 
 
 def _override(raw: dict[str, Any], key: str, value: Any, source: Source) -> None:

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import re
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, get_args
+from types import NoneType
+from typing import Annotated, Any, get_args, get_origin
 
-from pydantic import BaseModel, Tag, ValidationError, create_model
+from pydantic import BaseModel, Tag, ValidationError
 
-Location = tuple[str, ...]
+Location = tuple[str | int, ...]
+"""Names from the outermost table to the key; the place in the list, from 0, where one is a list of tables."""
 
-_STRINGS = re.compile(r"'''.*?'''|\"\"\"(?:\\.|[^\\])*?\"\"\"|'[^'\n]*'|\"(?:\\.|[^\"\\\n])*\"", re.DOTALL)
-_COMMENT = re.compile(r"#[^\n]*")
-_HEADER = re.compile(r"^\s*\[\[?([^\[\]=]+)\]\]?\s*$")
-_KEY = re.compile(r"^\s*([^=\[\]{},]+?)\s*=")
 _TYPES = {
     "float_type": "a number",
     "int_type": "a whole number",
@@ -48,57 +48,69 @@ class Source:
 
     def where(self, key: Location) -> str:
         """``FILE:LINE`` of the key, of its section where it is missing, or ``override`` for one from outside."""
-        dotted = ".".join(key)
+        dotted = _dotted(key)
         if any(dotted == name or name.startswith(f"{dotted}.") for name in self.overrides):
             return f"{self.file} (override)"
-        for fragment in reversed(self.included):
-            if len(key) > 1 and key in key_lines(fragment.text):
-                return fragment.where(key)
-        lines = key_lines(self.text)
+        fragments = tuple(reversed(self.included))
         for size in range(len(key), 0, -1):
-            if key[:size] in lines:
-                return f"{self.file}:{lines[key[:size]]}"
+            for part in (*fragments, self) if size > 1 else (self, *fragments):
+                if line := key_lines(part.text).get(key[:size]):
+                    return f"{part.file}:{line}"
         return f"{self.file}:1"
 
     def error(self, key: Location, problem: str) -> str:
         """One line: where, which key, what."""
-        return f"{self.where(key)}: {'.'.join(key)}: {problem}"
+        return f"{self.where(key)}: {_dotted(key)}: {problem}"
 
 
-def key_lines(text: str) -> dict[Location, int]:
-    """1-based line of each table header and key of a TOML text (keys of inline tables: their table's line)."""
+def _dotted(key: Location) -> str:
+    return ".".join(part for part in key if isinstance(part, str))
+
+
+@functools.lru_cache(maxsize=16)
+def key_lines(text: str) -> Mapping[Location, int]:
+    """1-based line of each table header and key of a TOML text (inside a value: the line on which its key stands).
+
+    A header or a value cannot be read before its last line is there: what tomllib can read alone is one of them.
+    """
     found: dict[Location, int] = {}
     table: Location = ()
-    depth = 0
-    names: list[str] = []
-    blanked = _blank_strings(text, names)
-    for number, line in enumerate(blanked.split("\n"), start=1):
-        if depth == 0 and (header := _HEADER.match(line)):
-            table = _split(header[1], names)
-            found.setdefault(table, number)
+    lines, start = text.split("\n"), 0
+    for end in range(1, len(lines) + 1):
+        statement = "\n".join(lines[start:end])
+        try:
+            value = tomllib.loads(statement)
+        except tomllib.TOMLDecodeError:
             continue
-        if depth == 0 and (key := _KEY.match(line)):
-            found.setdefault((*table, *_split(key[1], names)), number)
-        depth = max(0, depth + sum(line.count(c) for c in "[{") - sum(line.count(c) for c in "]}"))
+        if statement.lstrip().startswith("["):
+            table = _header(value, found)
+            found.setdefault(table[:-1] if isinstance(table[-1], int) else table, start + 1)
+            found[table] = start + 1
+        else:
+            _note(value, table, start + 1, found)
+        start = end
     return found
 
 
-def _blank_strings(text: str, names: list[str]) -> str:
-    """The text without comments, each string replaced by its place in ``names`` between NULs, lines kept."""
+def _header(value: Any, found: Mapping[Location, int]) -> Location:
+    """The table that a header opens; in a list of tables the last one, or with ``[[...]]`` the next."""
+    table: Location = ()
+    while value:
+        (name, value), is_next = next(iter(value.items())), False
+        table = (*table, name)
+        if isinstance(value, list):
+            value, is_next = value[0], True
+        count = sum(key[:-1] == table and isinstance(key[-1], int) for key in found)
+        if is_next or count:
+            table = (*table, count - (not is_next))
+    return table
 
-    def replace(match: re.Match[str]) -> str:
-        token = match[0]
-        if token.startswith("#"):
-            return ""
-        names.append(token.strip("'\""))
-        return f"\x00{len(names) - 1}\x00" + "\n" * token.count("\n")
 
-    return re.sub(f"{_STRINGS.pattern}|{_COMMENT.pattern}", replace, text, flags=re.DOTALL)
-
-
-def _split(dotted: str, names: Sequence[str]) -> Location:
-    """``a."b c".d`` to its parts."""
-    return tuple(re.sub(r"\x00(\d+)\x00", lambda m: names[int(m[1])], part).strip() for part in dotted.split("."))
+def _note(value: Mapping[str, Any], table: Location, line: int, found: dict[Location, int]) -> None:
+    for name, inner in value.items():
+        found.setdefault((*table, name), line)
+        if isinstance(inner, dict):
+            _note(inner, (*table, name), line, found)
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
@@ -113,91 +125,82 @@ def listed(names: Iterable[str]) -> str:
 
 
 def problems(error: ValidationError, model: type[BaseModel], source: Source, section: Location = ()) -> list[str]:
-    """One line per finding of pydantic, in the order of the file."""
+    """One line per finding of pydantic."""
     lines = []
     for found in error.errors(include_url=False):
-        path, owner = _location(found["loc"], found["msg"]), model
-        if len(path) > 1 and (chosen := _variants(model, path[0]).get(path[1])):
-            path, owner = path[:1] + path[2:], _as_section(path[0], chosen)  # a union's tag is no key of the file
-        line = source.error((*section, *path), _say(found, owner, path))
-        if line not in lines:
-            lines.append(line)
-    return lines
+        key, kind, owner = _follow(model, found["loc"])
+        own = re.match(r"Value error, ([a-z_]+): ", found["msg"])  # a section's own check names the key at fault
+        key = (*section, *key, *(own.groups() if own else ()))
+        lines.append(source.error(key, _say(found, key, kind, owner)))
+    return list(dict.fromkeys(lines))
 
 
-def _location(loc: Sequence[int | str], message: str) -> Location:
-    """Names of the path; list positions are dropped, and ``key: ...`` of a section's own check is added."""
-    names = tuple(part for part in loc if isinstance(part, str))
-    own = re.match(r"Value error, ([a-z_]+): ", message)
-    return (*names, own[1]) if own else names
+def plain_kind(kind: Any) -> Any:
+    """The type without what Annotated adds, and without None."""
+    if get_origin(kind) is Annotated:
+        return plain_kind(get_args(kind)[0])
+    kinds = [item for item in get_args(kind) if item is not NoneType]
+    return plain_kind(kinds[0]) if NoneType in get_args(kind) and len(kinds) == 1 else kind
 
 
-def _say(found: Mapping[str, Any], model: type[BaseModel], key: Location) -> str:
-    kind, given, context = found["type"], found.get("input"), found.get("ctx", {})
-    if kind == "missing" and isinstance(found["loc"][-1], int):
+def variants(kind: Any) -> dict[str, type[BaseModel]]:
+    """The models of a section that is one of several kinds, by tag."""
+    kinds = [(get_args(item)[0], tag) for item in get_args(kind) for tag in getattr(item, "__metadata__", ())]
+    return {tag.tag: model for model, tag in kinds if isinstance(tag, Tag)}
+
+
+def section_of(kind: Any) -> type[BaseModel] | None:
+    """The model where the type is one of a section."""
+    return kind if isinstance(kind, type) and issubclass(kind, BaseModel) else None
+
+
+def _follow(model: type[BaseModel], loc: Sequence[int | str]) -> tuple[Location, Any, type[BaseModel] | None]:
+    """The key of the file that pydantic means, the type of its value, and the section that it stands in."""
+    key: Location = ()
+    kind: Any = model
+    owner: type[BaseModel] | None = None
+    for part in loc:
+        if part in variants(kind):
+            kind = variants(kind)[str(part)]
+        elif part != "[key]":  # which pydantic adds where a name is wrong
+            key, owner = (*key, part), section_of(kind)
+            fields = owner.model_fields if owner else {}
+            inner = [item for item in get_args(kind) if item is not ...]  # of a list or a table of names
+            kind = plain_kind(fields[str(part)].annotation if part in fields else inner[-1] if inner else None)
+    return key, kind, owner
+
+
+def _say(found: Mapping[str, Any], key: Location, kind: Any, owner: type[BaseModel] | None) -> str:
+    fault, given, context = found["type"], found.get("input"), found.get("ctx", {})
+    if fault == "missing" and isinstance(key[-1], int):
         return f"has too few entries: {list(given or ())}; add the others"
-    if kind == "missing":
-        return f"is missing; add it{_example(model, key)}"
-    if kind == "extra_forbidden":
-        known = _fields(model, key[:-1])
-        return f"unknown key{did_you_mean(key[-1], known)} Known here: {listed(known)}"
-    if kind == "literal_error":
+    if fault == "missing":
+        is_section = section_of(kind) is not None
+        return f"is missing; add it: {f'a section [{_dotted(key)}]' if is_section else f'{key[-1]} = ...'}"
+    if fault == "extra_forbidden":
+        known = owner.model_fields if owner else ()
+        return f"unknown key{did_you_mean(str(key[-1]), known)} Known here: {listed(known)}"
+    if fault == "literal_error":
         return f"{given!r} is not allowed; must be {context['expected']}{_near(given, context['expected'])}"
-    if kind in _RANGES:
-        name, words = _RANGES[kind]
+    if fault in _RANGES:
+        name, words = _RANGES[fault]
         return f"{given!r} is out of range; must be {words} {context[name]}"
-    if kind in _TYPES:
-        return f"must be {_TYPES[kind].format(key=key[-1])}, not {_kind(given)}; mend it"
-    return _say_more(kind, found["msg"], given, context)
+    if fault in _TYPES:
+        return f"must be {_TYPES[fault].format(key=_dotted(key[-1:]))}, not {_kind(given)}; mend it"
+    return _say_more(fault, found["msg"], given, context)
 
 
-def _say_more(kind: str, message: str, given: Any, context: Mapping[str, Any]) -> str:
-    if kind == "value_error":
+def _say_more(fault: str, message: str, given: Any, context: Mapping[str, Any]) -> str:
+    if fault == "value_error":
         return re.sub(r"^Value error, (?:[a-z_]+: )?", "", message)
-    if kind == "finite_number":
+    if fault == "finite_number":
         return f"{given!r} is not allowed; must be a finite number"
-    if kind == "string_pattern_mismatch":
+    if fault == "string_pattern_mismatch":
         return f"{given!r} is not allowed; use letters, digits, '.', '_' and '-' only, a letter or digit first"
-    if kind in {"too_long", "too_short"}:
+    if fault in {"too_long", "too_short"}:
         needed = context.get("max_length") or context["min_length"]
         return f"has {context['actual_length']} entries; must have {needed}"
     return f"{message[:1].lower()}{message[1:]}; mend it"
-
-
-def _example(model: type[BaseModel], key: Location) -> str:
-    fields = _model_at(model, key[:-1])
-    if fields is None or key[-1] not in fields.model_fields:
-        return ""
-    is_section = _model_at(model, key) is not None
-    return f": a section [{'.'.join(key)}]" if is_section else f": {key[-1]} = ..."
-
-
-def _fields(model: type[BaseModel], section: Location) -> list[str]:
-    found = _model_at(model, section)
-    return [] if found is None else list(found.model_fields)
-
-
-def _model_at(model: type[BaseModel], section: Location) -> type[BaseModel] | None:
-    found: type[BaseModel] | None = model
-    for name in section:
-        kind = found.model_fields[name].annotation if found is not None and name in found.model_fields else None
-        found = kind if isinstance(kind, type) and issubclass(kind, BaseModel) else None
-    return found
-
-
-def _variants(model: type[BaseModel], name: str) -> dict[str, type[BaseModel]]:
-    """The models of a section that is one of several kinds, by tag."""
-    found: dict[str, type[BaseModel]] = {}
-    kinds = get_args(model.model_fields[name].annotation) if name in model.model_fields else ()
-    for kind in kinds:
-        tags = [item.tag for item in getattr(kind, "__metadata__", ()) if isinstance(item, Tag)]
-        found.update((tag, get_args(kind)[0]) for tag in tags)
-    return found
-
-
-def _as_section(name: str, kind: type[BaseModel]) -> type[BaseModel]:
-    """A model whose only section is of that kind."""
-    return create_model("Chosen", **{name: (kind, ...)})  # type: ignore[call-overload, no-any-return]
 
 
 def _near(given: Any, expected: str) -> str:

@@ -7,23 +7,38 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, field_serializer, model_validator
 
-from polishd.config.sections import (
+from polishd.config.values import (
     Angle,
+    Dip,
+    Force,
     NotNegative,
+    Pair,
     Positive,
     Range,
     Section,
+    Speed,
     Text,
     Vector,
     as_tuple,
-    as_tuples,
 )
-from polishd.model.process import Correction, DipDirection, Moment, NormalForce, NormalFrame, Projection
-from polishd.model.robot import Beam, Branch, DhConvention
+from polishd.model.process import (
+    SHIPPED_OPTIONS,
+    Correction,
+    DipDirection,
+    Moment,
+    NormalForce,
+    NormalFrame,
+    Projection,
+    ToolProcess,
+)
+from polishd.model.robot import Beam, Branch, DhConvention, HybridRobot
 
+_ROBOT = HybridRobot()
+_TOOL = ToolProcess()
 Poisson = Annotated[float, Field(ge=0, le=0.5)]
-Point = Annotated[tuple[float, float], BeforeValidator(as_tuple)]
-Joints = Annotated[tuple[Vector, Vector, Vector], BeforeValidator(as_tuples)]
+Tuple = BeforeValidator(as_tuple)
+Joints = Annotated[tuple[Vector, Vector, Vector], Tuple]
+Six = Field(min_length=6, max_length=6)
 
 CM2_PER_N = {"cm2/N": 1.0, "mm2/N": 1e-2, "m2/N": 1e4, "1/Pa": 1e4, "1/kPa": 10.0, "1/MPa": 1e-2, "1/GPa": 1e-5}
 """Units of a Preston constant. The paper prints none, and the unit is worth a factor of 100."""
@@ -33,44 +48,38 @@ class HybridSection(Section):
     """The hybrid robot: the keys and defaults of ``model.robot.HybridRobot``."""
 
     type: Literal["hybrid"] = "hybrid"
-    base_radius_mm: Positive = 250.0
-    platform_radius_mm: Positive = 120.0
-    first_limb_deg: Angle = 90.0
-    base_joints_mm: Joints | None = None
-    platform_joints_mm: Joints | None = None
-    outer_axis: Vector = (1.0, 0.0, 0.0)
-    wrist_length_mm: Positive = 250.0
-    tool_length_mm: Positive = 420.0
-    c_zero_deg: Angle = 0.0
-    a_zero_deg: Angle = 0.0
-    a_branch: Branch = "positive"
-    stroke_mm: Range = (950.0, 1750.0)
-    joint_height_mm: float = 2535.0
-    workspace_radius_mm: Positive = 660.0
-    workspace_height_mm: Range = (200.0, 910.0)
-    limb_stiffness_n_per_mm: Positive = 20.1e3
-    limb_ea_n: Positive | None = None
-    up_bending_n_mm2: Positive = 4.4e12
-    up_torsion_n_mm2: Positive = 1.5e12
-    beam: Beam = "exact"
-    a_stiffness_n_mm_per_rad: Positive = 4.36e7
-    c_stiffness_n_mm_per_rad: Positive = 9.0e7
+    base_radius_mm: Positive = _ROBOT.base_radius_mm
+    platform_radius_mm: Positive = _ROBOT.platform_radius_mm
+    first_limb_deg: Angle = _ROBOT.first_limb_deg
+    base_joints_mm: Joints | None = _ROBOT.base_joints_mm
+    platform_joints_mm: Joints | None = _ROBOT.platform_joints_mm
+    outer_axis: Vector = _ROBOT.outer_axis
+    wrist_length_mm: Positive = _ROBOT.wrist_length_mm
+    tool_length_mm: Positive = _ROBOT.tool_length_mm
+    c_zero_deg: Angle = _ROBOT.c_zero_deg
+    a_zero_deg: Angle = _ROBOT.a_zero_deg
+    a_branch: Branch = _ROBOT.a_branch
+    stroke_mm: Range = _ROBOT.stroke_mm
+    joint_height_mm: float = _ROBOT.joint_height_mm
+    workspace_radius_mm: Positive = _ROBOT.workspace_radius_mm
+    workspace_height_mm: Range = _ROBOT.workspace_height_mm
+    limb_stiffness_n_per_mm: Positive = _ROBOT.limb_stiffness_n_per_mm
+    limb_ea_n: Positive | None = _ROBOT.limb_ea_n
+    up_bending_n_mm2: Positive = _ROBOT.up_bending_n_mm2
+    up_torsion_n_mm2: Positive = _ROBOT.up_torsion_n_mm2
+    beam: Beam = _ROBOT.beam
+    a_stiffness_n_mm_per_rad: Positive = _ROBOT.a_stiffness_n_mm_per_rad
+    c_stiffness_n_mm_per_rad: Positive = _ROBOT.c_stiffness_n_mm_per_rad
 
 
 class SerialSection(Section):
     """A six-axis arm: the keys of ``model.robot.SerialRobot``."""
 
     type: Literal["serial"]
-    dh: Annotated[
-        tuple[Annotated[tuple[float, float, float, float], BeforeValidator(as_tuple)], ...],
-        BeforeValidator(as_tuples),
-        Field(min_length=6, max_length=6),
-    ]
-    joint_stiffness_n_mm_per_rad: Annotated[
-        tuple[Positive, ...], BeforeValidator(as_tuple), Field(min_length=6, max_length=6)
-    ]
-    joint_limits_deg: Annotated[tuple[Range, ...], BeforeValidator(as_tuples), Field(min_length=6, max_length=6)]
-    home_deg: Annotated[tuple[Angle, ...], BeforeValidator(as_tuple), Field(min_length=6, max_length=6)]
+    dh: Annotated[tuple[Annotated[tuple[float, float, float, float], Tuple], ...], Tuple, Six]
+    joint_stiffness_n_mm_per_rad: Annotated[tuple[Positive, ...], Tuple, Six]
+    joint_limits_deg: Annotated[tuple[Range, ...], Tuple, Six]
+    home_deg: Annotated[tuple[Angle, ...], Tuple, Six]
     tool_length_mm: Positive
     convention: DhConvention = "standard"
     flange_x: Vector = (1.0, 0.0, 0.0)
@@ -103,11 +112,11 @@ KinematicsSection = Annotated[
 class ComplianceSection(Section):
     """How the robot's compliance is read: the keys and defaults of ``model.process.ComplianceOptions``."""
 
-    projection: Projection = "linear"
-    frame: NormalFrame = "surface"
-    moment: Moment = "full"
-    dip_direction: DipDirection = "inward"
-    dip_azimuth_deg: Angle = 0.0
+    projection: Projection = SHIPPED_OPTIONS.projection
+    frame: NormalFrame = SHIPPED_OPTIONS.frame
+    moment: Moment = SHIPPED_OPTIONS.moment
+    dip_direction: DipDirection = SHIPPED_OPTIONS.dip_direction
+    dip_azimuth_deg: Angle = SHIPPED_OPTIONS.dip_azimuth_deg
 
 
 def _cm2_per_n(value: Any) -> Any:
@@ -131,21 +140,21 @@ class ProcessSection(Section):
     correction: Correction = "exact"
     grid_mm: Annotated[float, Field(gt=0, le=20)] = 0.5
     tif: Text | None = None
-    tool_radius_mm: Positive = 20.0
-    force_n: Annotated[float, Field(gt=0, le=500)] = 12.0
-    normal_force: NormalForce = "axial"
-    rpm: Annotated[float, Field(gt=0, le=20000)] = 1000.0
-    dip_deg: Annotated[float, Field(ge=0, lt=90)] = 15.0
-    preston: Annotated[float, BeforeValidator(_cm2_per_n), Field(gt=0, lt=1e-3)] = 1.49e-9
-    depth_exponent: Annotated[float, Field(gt=0, le=4)] = 1.5
-    spot_offset_mm: Point = (0.0, 0.0)
-    tool_modulus_mpa: Positive = 29.6
-    tool_poisson: Poisson = 0.40
-    part_modulus_mpa: Positive = 70.5e3
-    part_poisson: Poisson = 0.16
-    viscosity_mpa_s: NotNegative = 2.0e-4
-    second_viscosity_mpa_s: NotNegative = 0.8e-4
-    lame_mpa: Positive = 42.29
+    tool_radius_mm: Positive = _TOOL.tool_radius_mm
+    force_n: Force = _TOOL.force_n
+    normal_force: NormalForce = _TOOL.normal_force
+    rpm: Speed = _TOOL.rpm
+    dip_deg: Dip = _TOOL.dip_deg
+    preston: Annotated[float, BeforeValidator(_cm2_per_n), Field(gt=0, lt=1e-3)] = _TOOL.preston_cm2_per_n
+    depth_exponent: Annotated[float, Field(gt=0, le=4)] = _TOOL.depth_exponent
+    spot_offset_mm: Pair = _TOOL.spot_offset_mm
+    tool_modulus_mpa: Positive = _TOOL.tool_modulus_mpa
+    tool_poisson: Poisson = _TOOL.tool_poisson
+    part_modulus_mpa: Positive = _TOOL.part_modulus_mpa
+    part_poisson: Poisson = _TOOL.part_poisson
+    viscosity_mpa_s: NotNegative = _TOOL.viscosity_mpa_s
+    second_viscosity_mpa_s: NotNegative = _TOOL.second_viscosity_mpa_s
+    lame_mpa: Positive = _TOOL.lame_mpa
 
     @field_serializer("preston")
     def _with_unit(self, value: float) -> str:

@@ -5,15 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
-from polishd.config.cell import parse_toml
-from polishd.config.places import Source, key_lines, problems
+from polishd.config.document import parse_toml
+from polishd.config.places import key_lines
 from polishd.config.profile_sections import ProfileFile, RecordTable
 from polishd.files import write_atomic
 from polishd.model.errors import ConfigError
@@ -48,7 +47,7 @@ def load_profile(path: Path) -> Profile:
         ConfigError: it cannot be read, or one line per problem: ``FILE:LINE: table.key: what is wrong; what to do``.
     """
     raw, source = parse_toml(path)
-    given = _validated(raw, source)
+    given = ProfileFile.of(raw, source)
     values = given.model_dump(mode="json", exclude={RECORD})
     sha256 = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
     record = None if given.commissioned is None else Commissioned(**dict(given.commissioned))
@@ -84,13 +83,6 @@ def write_commissioned(path: Path, record: Commissioned) -> None:
         ) from error
 
 
-def _validated(raw: Mapping[str, Any], source: Source) -> ProfileFile:
-    try:
-        return ProfileFile.model_validate(raw)
-    except ValidationError as error:
-        raise ConfigError("\n".join(problems(error, ProfileFile, source))) from error
-
-
 def _unproved(path: Path, record: Commissioned | None, sha256: str) -> str:
     prove = f"measure the artefact, then: polishd map commission {path} MAP"
     if record is None:
@@ -100,7 +92,7 @@ def _unproved(path: Path, record: Commissioned | None, sha256: str) -> str:
     return ""
 
 
-def _instrument(given: ProfileFile, raw: Mapping[str, Any]) -> Instrument:
+def _instrument(given: ProfileFile, raw: dict[str, Any]) -> Instrument:
     return Instrument(
         name=given.name,
         mirror=given.orientation.mirror,

@@ -6,11 +6,12 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AwareDatetime, BeforeValidator, Field, StringConstraints, model_validator
 
-from polishd.config.sections import Angle, Positive, Section, Text, Texts, as_tuple, as_tuples
-from polishd.model.instrument import RegisterBy
+from polishd.config.document import Document
+from polishd.config.values import Angle, Pair, Positive, Section, Share, Text, Texts, as_tuple
+from polishd.model.instrument import Instrument, RegisterBy
 
-Place = tuple[float, float]
-Places = Annotated[tuple[Place, ...], BeforeValidator(as_tuples)]
+_PLAIN = Instrument("")
+Places = Annotated[tuple[Pair, ...], BeforeValidator(as_tuple)]
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Given = Annotated[tuple[Literal["surface", "orientation"], ...], BeforeValidator(as_tuple)]
 MIN_FIDUCIALS = 3
@@ -19,46 +20,46 @@ MIN_FIDUCIALS = 3
 class OrientationTable(Section):
     """How the instrument's arrays lie on the part: flipped left-right first, then turned counter-clockwise."""
 
-    mirror: bool = False
-    rotation_deg: Literal[0, 90, 180, 270] = 0
+    mirror: bool = _PLAIN.mirror
+    rotation_deg: Literal[0, 90, 180, 270] = _PLAIN.rotation_deg
 
 
 class HeightTable(Section):
     """What the numbers mean."""
 
-    sign: Literal[1, -1] = 1
-    factor: Positive = 1.0
-    unit_nm: Positive | None = None
+    sign: Literal[1, -1] = _PLAIN.sign
+    factor: Positive = _PLAIN.factor
+    unit_nm: Positive | None = _PLAIN.unit_nm
 
 
 class LateralTable(Section):
     """The pitch of files that give none, and how far one that a file gives may be from it."""
 
-    pitch_mm: Positive | None = None
-    pitch_tolerance: Annotated[float, Field(gt=0, lt=1)] = 0.02
+    pitch_mm: Positive | None = _PLAIN.pitch_mm
+    pitch_tolerance: Share = _PLAIN.pitch_tolerance
 
 
 class ApertureTable(Section):
     """The outline that maps of the part show; without a diameter: the part's own aperture."""
 
-    diameter_mm: Positive | None = None
-    tolerance_mm: Positive = 1.0
+    diameter_mm: Positive | None = _PLAIN.aperture_mm
+    tolerance_mm: Positive = _PLAIN.aperture_tolerance_mm
 
 
 class FiducialsTable(Section):
     """Marks on the part."""
 
-    positions_mm: Places = ()
-    tolerance_mm: Positive = 0.5
+    positions_mm: Places = _PLAIN.fiducials_mm
+    tolerance_mm: Positive = _PLAIN.fiducial_tolerance_mm
 
 
 class RegistrationTable(Section):
     """By what each map is laid on the part, and how far off it may have lain."""
 
-    by: RegisterBy = "none"
-    max_shift_mm: Positive = 2.0
-    max_turn_deg: Annotated[float, Field(gt=0, le=45)] = 2.0
-    max_drift_mm: Positive = 0.5
+    by: RegisterBy = _PLAIN.register_by
+    max_shift_mm: Positive = _PLAIN.max_shift_mm
+    max_turn_deg: Annotated[float, Field(gt=0, le=45)] = _PLAIN.max_turn_deg
+    max_drift_mm: Positive = _PLAIN.max_drift_mm
 
 
 class BumpTable(Section):
@@ -90,11 +91,11 @@ class RecordTable(Section):
     profile_sha256: Sha256
 
 
-class ProfileFile(Section):
+class ProfileFile(Document):
     """The whole file."""
 
     name: Text
-    serials: Texts = ()
+    serials: Texts = _PLAIN.serials
     gives: Given = ()
     orientation: OrientationTable = OrientationTable()
     height: HeightTable = HeightTable()

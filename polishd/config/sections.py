@@ -2,35 +2,32 @@
 
 from __future__ import annotations
 
-import math
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    StringConstraints,
-    field_validator,
-    model_validator,
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+
+from polishd.config.values import (
+    Angle,
+    Angles,
+    Name,
+    NotNegative,
+    Pair,
+    Positive,
+    Range,
+    Seconds,
+    Section,
+    Share,
+    Text,
+    Texts,
+    Vector,
+    as_tuple,
 )
-
 from polishd.model.dwell import Choice
+from polishd.model.process import FLAT
 
 MOST_FEED_MM_S = 1000.0
 MOST_ACCEL_MM_S2 = 20_000.0
 """Two g: beyond both a number is a mistake, and times are planned that no machine keeps."""
-
-
-def as_tuple(value: Any) -> Any:
-    """TOML has lists, frozen models have tuples."""
-    return tuple(value) if isinstance(value, list) else value
-
-
-def as_tuples(value: Any) -> Any:
-    """The same for a list of lists."""
-    return tuple(map(as_tuple, value)) if isinstance(value, list) else value
 
 
 def _feed(value: float) -> float:
@@ -40,31 +37,6 @@ def _feed(value: float) -> float:
             f"if the data sheet says {value:g} mm/min, write {value / 60:.6g}"
         )
     return value
-
-
-def _ordered(value: tuple[float, float]) -> tuple[float, float]:
-    """A range whose low end is below its high end."""
-    low, high = value
-    if not math.isfinite(high - low) or low >= high:
-        raise ValueError(f"[{low}, {high}] is no range; give [low, high] with low < high")
-    return value
-
-
-Name = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
-Text = Annotated[str, StringConstraints(min_length=1)]
-Texts = Annotated[tuple[Text, ...], BeforeValidator(as_tuple)]
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Angle = Annotated[float, Field(ge=-360, le=360)]
-Vector = Annotated[tuple[float, float, float], BeforeValidator(as_tuple)]
-Angles = Annotated[tuple[Angle, Angle, Angle], BeforeValidator(as_tuple)]
-Range = Annotated[tuple[float, float], BeforeValidator(as_tuple), AfterValidator(_ordered)]
-
-
-class Section(BaseModel):
-    """What all sections share: unknown keys, wrong types, NaN and infinity are errors; values never change."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 class DeviceSection(Section):
@@ -85,7 +57,7 @@ class CellSection(Section):
 class PluginsSection(Section):
     """The plugins to load, by entry-point name."""
 
-    load: Annotated[tuple[Text, ...], BeforeValidator(as_tuple), Field(min_length=1)]
+    load: Annotated[Texts, Field(min_length=1)]
 
     @field_validator("load")
     @classmethod
@@ -117,10 +89,10 @@ class PartSection(Section):
     """A map of the form wanted, where that is not flat in the interferometer's eyes."""
     origin_mm: Vector
     rotation_rpy_deg: Angles
-    curvature_radius_mm: float | None = None
-    conic: float = 0.0
-    even: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = ()
-    off_axis_mm: Annotated[tuple[float, float], BeforeValidator(as_tuple)] = (0.0, 0.0)
+    curvature_radius_mm: float | None = FLAT.radius_mm
+    conic: float = FLAT.conic
+    even: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = FLAT.even
+    off_axis_mm: Pair = FLAT.offset_mm
 
     @model_validator(mode="after")
     def _has_clear_aperture(self) -> Self:
@@ -171,8 +143,8 @@ class DwellSection(Section):
     cross_check: str = "qp"
     regularisation: NotNegative = 1e-4
     extension: Literal["none", "nearest", "c1", "gerchberg_papoulis"] = "c1"
-    within_s: Annotated[float, Field(gt=0, le=3600)] = 120.0
-    kkt_tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-4
+    within_s: Seconds = 120.0
+    kkt_tolerance: Share = 1e-4
     choose: Choice = "least"
     budget_s: Positive | None = None
     target_nm: Positive | None = None
@@ -206,9 +178,9 @@ class JobSection(Section):
 class LimitsSection(Section):
     """What must never happen to the part."""
 
-    force_band: Annotated[float, Field(gt=0, lt=1)] = 0.25
+    force_band: Share = 0.25
     force_grace_s: Annotated[float, Field(ge=0, le=10)] = 0.3
     max_removal_nm: Positive = 1000.0
     max_pass_s: Positive = 86400.0
     """A day: a metre's pass takes 17 h, and a removal rate that is wrong by the unit's factor of 100 days."""
-    max_rate_change: Annotated[float, Field(gt=0, lt=1)] = 0.4
+    max_rate_change: Share = 0.4

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, PrivateAttr, ValidationError, model_validator
+from pydantic import Field, model_validator
 
-from polishd.config.cell import nominal_optic, parse_toml, robot_model, tool_process
-from polishd.config.places import Source, did_you_mean, listed, problems
-from polishd.config.process import ComplianceSection, HybridSection, KinematicsSection, ProcessSection
-from polishd.config.sections import Name, NotNegative, PartSection, Positive, Range, Section, Text
+from polishd.config.document import parse_toml
+from polishd.config.physics import PartDocument, ProcessDocument
+from polishd.config.places import did_you_mean, listed
+from polishd.config.values import (
+    Dip,
+    Force,
+    Name,
+    NotNegative,
+    Positive,
+    Range,
+    Seconds,
+    Section,
+    Share,
+    ShareOrNone,
+    Speed,
+    Text,
+)
 from polishd.model.errors import ConfigError, PolishdError
-from polishd.model.process import ComplianceOptions, Optic, Placement, ToolProcess
-from polishd.model.robot import RobotModel
 from polishd.process.edge.rim import Rim, round_rim
-from polishd.process.frames import rotation_from_rpy_deg
 
 MOST_SAMPLES = 1_000_000
 """Samples, and dwell points, of a study: beyond it the machine's memory decides, not the file."""
@@ -54,36 +64,21 @@ class SolveSection(Section):
     """How the dwell is solved: eq. 50 with ``t >= 0``."""
 
     regularisation_nm2_s2: NotNegative = 1e-9
-    unreached: Annotated[float, Field(ge=0, lt=1)] = 0.005
-    kkt_tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-5
-    within_s: Annotated[float, Field(gt=0, le=3600)] = 60.0
+    unreached: ShareOrNone = 0.005
+    kkt_tolerance: Share = 1e-5
+    within_s: Seconds = 60.0
 
 
-class StudyFile(Section):
+class StudyFile(ProcessDocument):
     """What all studies share."""
 
     title: Text
-    process: ProcessSection = ProcessSection()
-    _path: Path = PrivateAttr(default=Path("study.toml"))
-    _source: Source = PrivateAttr(default=Source("study.toml", ""))
-
-    def resolve(self, path: str) -> Path:
-        """A path of the file, absolute."""
-        return self._path.parent / Path(path).expanduser()
-
-    def tool_process(self) -> ToolProcess:
-        """Tool, contact and Preston constant."""
-        return tool_process(self.process)
 
     def without_use(self) -> Iterator[tuple[str, str]]:
         """Dotted keys of the file that this kind of study has no use for, and why."""
         for key in ("removal_model", "correction", "tif"):
             if key in self.process.model_fields_set:
                 yield f"process.{key}", "a study has its own corrections, and its spot is the modelled one"
-
-    def error(self, key: str, problem: str) -> ConfigError:
-        """A ConfigError about a dotted key, with its place: for checks that need more than this file."""
-        return ConfigError(self._source.error(tuple(key.split(".")), problem))
 
     @contextmanager
     def blame(self, key: str) -> Iterator[None]:
@@ -96,13 +91,10 @@ class StudyFile(Section):
             raise self.error(key, str(error)) from error
 
 
-class PartStudy(StudyFile):
+class PartStudy(StudyFile, PartDocument):
     """What the studies over a part share: the part, its place, the robot and the path."""
 
-    part: PartSection
     path: PathSection = PathSection()
-    kinematics: KinematicsSection = HybridSection()
-    compliance: ComplianceSection = ComplianceSection()
 
     @model_validator(mode="after")
     def _is_not_too_large(self) -> Self:
@@ -112,25 +104,9 @@ class PartStudy(StudyFile):
             raise ValueError(f"path: {samples:.3g} dwell points or samples; at most {MOST_SAMPLES:.0e} can be studied")
         return self
 
-    def robot_model(self) -> RobotModel:
-        """The robot's geometry and stiffness; ConfigError where its table cannot be read."""
-        return robot_model(self.kinematics, self.resolve)
-
-    def compliance_options(self) -> ComplianceOptions:
-        """How the robot's compliance is read."""
-        return ComplianceOptions(**dict(self.compliance))
-
-    def optic(self) -> Optic:
-        """The nominal surface."""
-        return nominal_optic(self.part)
-
     def free_rim(self) -> Rim | None:
         """The part's rim where it is free; None: the part sits in a flush ring."""
         return round_rim(self.part.aperture_mm / 2) if self.part.rim == "free" else None
-
-    def placement(self) -> Placement:
-        """Where the part lies in the robot's base frame."""
-        return Placement(self.part.origin_mm, rotation_from_rpy_deg(*self.part.rotation_rpy_deg))
 
 
 class CorrectionsStudy(PartStudy):
@@ -167,9 +143,9 @@ class SpotSection(Section):
     """One spot, and what the paper prints of it, if anything."""
 
     size_mm: Positive
-    rpm: Annotated[float, Field(gt=0, le=20000)]
-    force_n: Annotated[float, Field(gt=0, le=500)]
-    dip_deg: Annotated[float, Field(ge=0, lt=90)]
+    rpm: Speed
+    force_n: Force
+    dip_deg: Dip
     paper_depth_error_percent: NotNegative | None = None
     paper_volume_error_percent: NotNegative | None = None
     paper_jsd: NotNegative | None = None
@@ -195,25 +171,8 @@ def load_study(path: Path) -> Study:
         near = did_you_mean(kind, KINDS) if isinstance(kind, str) else "."
         given = "is missing" if kind is None else f"{kind!r} is not allowed"
         raise ConfigError(source.error(("kind",), f"{given}; must be one of {listed(KINDS)}{near}"))
-    model = KINDS[kind]
-    try:
-        study = model.model_validate(raw)
-    except ValidationError as error:
-        raise ConfigError("\n".join(_spot_problems(raw, source) or problems(error, model, source))) from error
-    study._path, study._source = path.absolute(), source
+    study = KINDS[kind].of(raw, source)
     unused = [source.error(tuple(key.split(".")), f"{why}; drop it") for key, why in study.without_use()]
     if unused:
         raise ConfigError("\n".join(unused))
     return study
-
-
-def _spot_problems(raw: Mapping[str, Any], source: Source) -> list[str]:
-    """Of each ``[spots.NAME]`` on its own, so that its lines and the keys known there are right."""
-    spots = raw.get("spots")
-    found: list[str] = []
-    for name, spot in spots.items() if isinstance(spots, dict) else ():
-        try:
-            SpotSection.model_validate(spot)
-        except ValidationError as error:
-            found += problems(error, SpotSection, source, ("spots", name))
-    return found

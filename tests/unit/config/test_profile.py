@@ -120,6 +120,19 @@ def test_mistakes_are_named_with_their_place(tmp_path: Path, old: str, new: str,
         load_profile(written(tmp_path, FULL.replace(old, new)))
 
 
+def test_a_mistake_in_a_list_of_tables_is_placed_in_its_own(tmp_path: Path) -> None:
+    second = "[[artefact.bumps]]\nx_mm = 1.0\ny_mm = 2.0\nsigma_x_mm = -3.0\nheight_nm = -50.0\nangel_deg = 3.0\n"
+    with pytest.raises(ConfigError) as caught:
+        load_profile(written(tmp_path, FULL + second))
+    start = (FULL + second).count("\n") - second.count("\n")
+    known = "Known here: 'angle_deg', 'height_nm', 'sigma_x_mm', 'sigma_y_mm', 'x_mm', 'y_mm'"
+    assert str(caught.value).replace(str(tmp_path / "p.toml"), "P").splitlines() == [
+        f"P:{start + 4}: artefact.bumps.sigma_x_mm: -3.0 is out of range; must be greater than 0.0",
+        f"P:{start + 1}: artefact.bumps.sigma_y_mm: is missing; add it: sigma_y_mm = ...",
+        f"P:{start + 6}: artefact.bumps.angel_deg: unknown key; did you mean 'angle_deg'? {known}",
+    ]
+
+
 def test_a_profile_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be read"):
         load_profile(tmp_path / "none.toml")

@@ -1,0 +1,61 @@
+"""A whole file: one TOML loader for a cell, a study, an instrument's profile and the simulator."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import PrivateAttr, ValidationError
+
+from polishd.config.places import Source, problems
+from polishd.config.values import Section
+from polishd.files import toml_text
+from polishd.model.errors import ConfigError
+
+
+class Document(Section):
+    """What all files share: where they lie, and where each of their keys stands."""
+
+    _path: Path = PrivateAttr(default=Path("none.toml"))
+    _source: Source = PrivateAttr(default=Source("none.toml", ""))
+
+    @classmethod
+    def of(cls, raw: Mapping[str, Any], source: Source) -> Self:
+        """The values of a file; ConfigError, a line each: ``FILE:LINE: section.key: what is wrong; what to do``."""
+        try:
+            made = cls.model_validate(raw)
+        except ValidationError as error:
+            raise ConfigError("\n".join(problems(error, cls, source))) from error
+        made._path, made._source = Path(source.file).absolute(), source
+        return made
+
+    @property
+    def source(self) -> Source:
+        """The text it came from: says where a key stands, for errors."""
+        return self._source
+
+    @property
+    def base_dir(self) -> Path:
+        """Folder that relative paths start from."""
+        return self._path.parent
+
+    def resolve(self, path: str) -> Path:
+        """A path of the file, absolute."""
+        return self.base_dir / Path(path).expanduser()
+
+    def error(self, key: str, problem: str) -> ConfigError:
+        """A ConfigError about a dotted key, with its place: for checks that need more than this file."""
+        return ConfigError(self._source.error(tuple(key.split(".")), problem))
+
+
+def parse_toml(path: Path) -> tuple[dict[str, Any], Source]:
+    """A TOML file's values, and the text that says where they stand; ConfigError with file and line."""
+    text = toml_text(path)
+    try:
+        return tomllib.loads(text), Source(str(path), text)
+    except tomllib.TOMLDecodeError as error:  # which says "... (at line 3, column 5)" or "(at end of document)"
+        what, _, place = str(error).partition(" (at ")
+        line = place.split()[1].rstrip(",") if place.startswith("line") else str(text.count("\n") + 1)
+        raise ConfigError(f"{path}:{line}: this is not TOML: {what}; mend that line") from error

@@ -1,0 +1,45 @@
+"""What the values of all files are: types with their ranges, and the section, which is a table of them."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints
+
+
+def as_tuple(value: Any) -> Any:
+    """TOML has lists, frozen models have tuples."""
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _ordered(value: tuple[float, float]) -> tuple[float, float]:
+    """A range whose low end is below its high end."""
+    low, high = value
+    if not math.isfinite(high - low) or low >= high:
+        raise ValueError(f"[{low}, {high}] is no range; give [low, high] with low < high")
+    return value
+
+
+Name = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+Text = Annotated[str, StringConstraints(min_length=1)]
+Texts = Annotated[tuple[Text, ...], BeforeValidator(as_tuple)]
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Share = Annotated[float, Field(gt=0, lt=1)]
+ShareOrNone = Annotated[float, Field(ge=0, lt=1)]
+Angle = Annotated[float, Field(ge=-360, le=360)]
+Seconds = Annotated[float, Field(gt=0, le=3600)]
+Force = Annotated[float, Field(gt=0, le=500)]
+Speed = Annotated[float, Field(gt=0, le=20000)]
+Dip = Annotated[float, Field(ge=0, lt=90)]
+Pair = Annotated[tuple[float, float], BeforeValidator(as_tuple)]
+Vector = Annotated[tuple[float, float, float], BeforeValidator(as_tuple)]
+Angles = Annotated[tuple[Angle, Angle, Angle], BeforeValidator(as_tuple)]
+Range = Annotated[tuple[float, float], BeforeValidator(as_tuple), AfterValidator(_ordered)]
+
+
+class Section(BaseModel):
+    """What all sections share: unknown keys, wrong types, NaN and infinity are errors; values never change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
