@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from polishd.config.simulator import load_simulator
 from polishd.model.errors import PolishdError
-from polishd.sim_backends.config import load
 from polishd.sim_backends.runtime import Start, as_hardware, run_device
 from polishd.sim_backends.supervisor import DEVICES, Supervisor
 from polishd.sim_backends.truth import stream
@@ -32,7 +32,7 @@ def parser() -> argparse.ArgumentParser:
 
 def start_of(options: argparse.Namespace) -> Start:
     """What was asked for; a device booted by hand takes seed and speed of the running cell."""
-    config = load(options.config)
+    config = load_simulator(options.config)
     state: Path = (options.state or options.config.parent / "sim").absolute()
     state.mkdir(parents=True, exist_ok=True)
     running: dict[str, Any] = {}
@@ -93,7 +93,7 @@ def _device(name: str) -> Any:
 def _artefact(options: argparse.Namespace) -> int:
     from polishd.sim_backends.interferometer import write_artefact
 
-    config = load(options.config)
+    config = load_simulator(options.config)
     seed = config.plant.seed if options.seed is None else options.seed
     write_artefact(config, options.artefact, stream(seed, "artefact"))
     return 0

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from polishd.sim_backends.config import Faults
+from polishd.config.simulator import Faults
 
 
 @dataclass(slots=True)

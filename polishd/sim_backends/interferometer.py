@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
+from polishd.config.simulator import MapFaults, SimConfig
 from polishd.model.surface import FloatArray, Grid
 from polishd.sim_backends import metropro
 from polishd.sim_backends.bus import Message
-from polishd.sim_backends.config import MapFaults, SimConfig
 from polishd.sim_backends.runtime import Runtime, replace
 from polishd.sim_backends.truth import stream
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from polishd.config.simulator import Plant
 from polishd.model.surface import FloatArray
-from polishd.sim_backends.config import Plant
 
 
 def rotation_z(deg: float) -> FloatArray:

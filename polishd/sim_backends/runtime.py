@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from polishd.config.simulator import SimConfig
 from polishd.sim_backends import bus
-from polishd.sim_backends.config import SimConfig
 
 LOOPBACK = "127.0.0.1"
 PARENT_S = 0.2

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from polishd.config.simulator import Truth
 from polishd.model.robot import HybridRobot
-from polishd.sim_backends.config import Truth
 
 STIFFNESSES = (
     "limb_stiffness_n_per_mm",

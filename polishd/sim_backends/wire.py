@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from polishd.sim_backends.config import Faults
+from polishd.config.simulator import Faults
 from polishd.sim_backends.faults import Mischief, Outlet
 from polishd.sim_backends.pty_port import PtyPort
 from polishd.sim_backends.runtime import LOOPBACK, Runtime

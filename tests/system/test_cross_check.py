@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.api import Program
+from polishd.config.simulator import Plant, Truth
 from polishd.model.errors import ProgramError
 from polishd.model.process import Placement, ToolProcess
 from polishd.model.robot import HybridRobot
@@ -29,7 +30,6 @@ from polishd.process.robot import tip_compliance_mm_per_n
 from polishd.process.spot import HertzSpot
 from polishd.recipe import steps
 from polishd.sim_backends import truth
-from polishd.sim_backends.config import Plant, Truth
 from polishd.sim_backends.placement import Frames, rotation_rpy, tool_axis
 from polishd.sim_backends.plant import part as parts
 from polishd.sim_backends.plant.removal import equivalent_compliance, hertz_depth_mm, wear, worn_depth_mm

@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from polishd.config.simulator import load_simulator
 from polishd.sim_backends import metropro
 from polishd.sim_backends.actuator.ascii import body, line
-from polishd.sim_backends.config import load
 from polishd.sim_backends.robot import frames as f
 from tests.system.sim_rig import ROOT, SMALL, Cell, alive, cell, end_pid, wait_for
 from tests.unit.sim_backends.vectors import vectors
@@ -39,7 +39,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
 
 
 def test_the_shipped_example_is_valid() -> None:
-    assert load(ROOT / "examples" / "sim.toml").plant.part_id == "DEMO-100"
+    assert load_simulator(ROOT / "examples" / "sim.toml").plant.part_id == "DEMO-100"
 
 
 def test_ready_means_that_everything_is_there(shared: Cell) -> None:

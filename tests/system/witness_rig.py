@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from polishd.sim_backends.config import SimConfig
+from polishd.config.simulator import SimConfig
 from polishd.sim_backends.robot.server import Connection, RobotServer
 from polishd.sim_backends.runtime import Runtime, Start
 

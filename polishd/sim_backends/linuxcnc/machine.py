@@ -6,7 +6,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from polishd.sim_backends.config import Robot
+from polishd.config.simulator import Robot
 
 MOUNT = Path("/mnt")
 """Where the process sees its folder."""

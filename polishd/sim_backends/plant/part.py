@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage, optimize
 
+from polishd.config.simulator import Plant
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.sim_backends import metropro
-from polishd.sim_backends.config import Plant
 
 FIGURE_MM = (30.0, 160.0)
 MIDDLE_MM = (9.5, 30.0)

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from polishd.config.simulator import SimConfig
 from polishd.model.process import ToolProcess
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.sim_backends.bus import ROW
-from polishd.sim_backends.config import SimConfig
 from polishd.sim_backends.placement import Frames
 from polishd.sim_backends.plant.account import Account, WayOut
 from polishd.sim_backends.plant.part import TruePart

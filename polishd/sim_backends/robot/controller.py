@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from polishd.sim_backends.config import Robot
+from polishd.config.simulator import Robot
 from polishd.sim_backends.robot import frames
 from polishd.sim_backends.robot.clients import Client, Lease
 from polishd.sim_backends.robot.intake import Intake, Reach

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from polishd.config.simulator import Robot
 from polishd.model.errors import ProgramError
 from polishd.model.surface import BoolArray
-from polishd.sim_backends.config import Robot
 from polishd.sim_backends.robot.rnc import Block, Pose, Reader
 
 Reach = Callable[[list[Block]], BoolArray]

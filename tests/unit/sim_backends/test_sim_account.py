@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from polishd.config.simulator import Plant, SimConfig
 from polishd.sim_backends import bus
-from polishd.sim_backends.config import Plant, SimConfig
 from polishd.sim_backends.plant import part as parts
 from polishd.sim_backends.plant.account import Account
 from polishd.sim_backends.plant.server import PlantServer, build

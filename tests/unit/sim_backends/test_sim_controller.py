@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.sim_backends.config import Robot
+from polishd.config.simulator import Robot
 from polishd.sim_backends.robot import frames as f
 from polishd.sim_backends.robot.clients import Client
 from polishd.sim_backends.robot.controller import Controller

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from polishd.config.simulator import Faults, SimConfig, load_simulator
 from polishd.model.errors import ConfigError
 from polishd.sim_backends import bus
-from polishd.sim_backends.config import Faults, SimConfig, load
 from polishd.sim_backends.faults import Mischief, Outlet
 from polishd.sim_backends.pty_port import PtyPort
 
@@ -125,7 +125,18 @@ def test_a_wrong_key_or_value_is_named(tmp_path: Path, text: str | None, where: 
     path = tmp_path / "sim.toml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=where):
-        load(path)
+        load_simulator(path)
+
+
+def test_every_fault_of_the_file_is_told_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "sim.toml"
+    path.write_text('[plant]\nspeed = "60"\nsede = 1\n[robot]\nx_mm = [1.0]\n')
+    with pytest.raises(ConfigError) as caught:
+        load_simulator(path)
+    told = str(caught.value).replace(str(path), "S").splitlines()
+    assert told[0] == "S:2: plant.speed: must be a number, not the string '60'; mend it"
+    assert told[1].startswith("S:3: plant.sede: unknown key; did you mean 'seed'? Known here: 'aperture_mm', ")
+    assert told[2] == "S:5: robot.x_mm: has too few entries: [1.0]; add the others"
 
 
 @pytest.mark.parametrize("text", ["[plant", None])
@@ -134,10 +145,10 @@ def test_no_config(tmp_path: Path, text: str | None) -> None:
     if text is not None:
         path.write_text(text)
     with pytest.raises(ConfigError, match=r"sim\.toml"):
-        load(path)
+        load_simulator(path)
 
 
 def test_an_empty_config_is_the_demo(tmp_path: Path) -> None:
     path = tmp_path / "sim.toml"
     path.write_text("")
-    assert load(path) == SimConfig()
+    assert load_simulator(path).model_dump() == SimConfig().model_dump()

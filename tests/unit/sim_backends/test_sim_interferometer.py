@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from polishd.config.simulator import Artefact, Bump, MapFaults, SimConfig, Truth
+from polishd.config.simulator import Interferometer as Section
 from polishd.sim_backends import metropro
-from polishd.sim_backends.config import Artefact, Bump, MapFaults, SimConfig, Truth
-from polishd.sim_backends.config import Interferometer as Section
 from polishd.sim_backends.interferometer import Interferometer, as_seen, write_artefact
 from polishd.sim_backends.wire import Wire
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from polishd.config.simulator import Robot
 from polishd.model.errors import ConfigError
-from polishd.sim_backends.config import Robot
 from polishd.sim_backends.linuxcnc import server
 from polishd.sim_backends.linuxcnc.gate import Gate, Watchdog, address
 from polishd.sim_backends.linuxcnc.machine import AXES, Machine

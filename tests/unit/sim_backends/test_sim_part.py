@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from polishd.config.simulator import Plant
 from polishd.sim_backends import metropro
-from polishd.sim_backends.config import Plant
 from polishd.sim_backends.plant import part as parts
 
 CONFIG = Plant()

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
+from polishd.config.simulator import Plant
 from polishd.model.process import ToolProcess
 from polishd.model.robot import HybridRobot
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.robot import tip_compliance_mm_per_n
-from polishd.sim_backends.config import Plant
 from polishd.sim_backends.placement import Frames, rotation_rpy, tool_axis
 from polishd.sim_backends.plant.removal import equivalent_compliance, hertz_depth_mm, wear, worn_depth_mm
 

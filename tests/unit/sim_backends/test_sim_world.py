@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from polishd.config.simulator import Plant, SimConfig, Truth
 from polishd.sim_backends import truth
-from polishd.sim_backends.config import Plant, SimConfig, Truth
 from polishd.sim_backends.plant import part as parts
 from polishd.sim_backends.plant.timeline import Timeline
 from polishd.sim_backends.plant.witness import Witness

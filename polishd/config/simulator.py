@@ -1,0 +1,244 @@
+"""SIM.toml: what is simulated, and how nasty it is. Its reader is the simulator; the daemon never sees it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator, Field
+
+from polishd.config.document import Document, parse_toml
+from polishd.config.values import NotNegative, Pair, Positive, Section, ShareOrNone, Vector, as_tuple
+
+Rate = Annotated[float, Field(ge=0, le=1)]
+Port = Annotated[int, Field(ge=0, le=65535)]
+
+
+class Plant(Section):
+    """The part, where it lies, and the surface it starts with."""
+
+    seed: int = 1
+    """What all that is hidden is drawn from: the same number gives the same cell. [1]"""
+    speed: Annotated[float, Field(gt=0, le=10000)] = 60.0
+    """Process seconds per wall second while the robot runs. [1]"""
+    part_id: str = "DEMO-100"
+    """The part's name in the maps; `part.id` of the cell must be the same."""
+    aperture_mm: Annotated[float, Field(gt=5)] = 100.0
+    """The part's diameter."""
+    edge_mm: NotNegative = 3.0
+    """Width of the rim that the true RMS and PV in the logs leave out."""
+    ring_mm: Annotated[float, Field(ge=3)] = 15.0
+    """Width of the flush waster around the part: room for landing pads and overrun."""
+    pitch_mm: Annotated[float, Field(gt=0.05, le=1)] = 0.5
+    """Of the true surface, and of the maps."""
+    rms_nm: NotNegative = 18.0
+    """Of the surface at the start, in the clear aperture; 0: it starts flat."""
+    pv_nm: NotNegative = 150.0
+    """Peak to valley of the same; one bump makes up what the RMS does not give."""
+    origin_mm: Vector = (230.0, 160.0, 2085.0)
+    """Where the part's centre truly lies in the robot's base frame; `part.origin_mm` of the cell."""
+    rotation_rpy_deg: Vector = (180.0, 0.0, 0.0)
+    """How it truly lies there, intrinsic x-y'-z''; `part.rotation_rpy_deg` of the cell."""
+    program_offset_mm: Vector = (0.0, 0.0, 0.0)
+    """Where the program's frame truly lies on the part; `program.offset_mm` of the cell."""
+    program_rotation_deg: float = 0.0
+    """How it truly lies there; `program.rotation_deg` of the cell."""
+
+
+class Truth(Section):
+    """Ranges that the hidden truth is drawn from; 0 makes a perfect machine."""
+
+    rate: Pair = (-0.10, 0.0)
+    """Lowest and highest of what the removal rate is off Preston's nominal constant, relative. [1]"""
+    stiffness: ShareOrNone = 0.10
+    """How far each stiffness of the robot is off its nominal value, either way, relative. [1]"""
+    drift: ShareOrNone = 0.01
+    """Amplitude of a slow sine of the removal rate, relative. [1]"""
+    drift_period_s: Positive = 3000.0
+    """Period of that drift, process time; drawn within 20 % of it."""
+    force_noise: Annotated[float, Field(ge=0, lt=0.5)] = 0.01
+    """Scatter of the force, relative. [1]"""
+    force_noise_s: Positive = 0.05
+    """Correlation time of that scatter, process time."""
+    map_noise_nm: NotNegative = 0.3
+    """Scatter of each sample of a map."""
+    accel_mm_s2: Positive = 1000.0
+    """What the robot truly accelerates with."""
+    accel_spread: ShareOrNone = 0.05
+    """How far off that it is drawn, either way, relative. [1]"""
+    overhead_s: NotNegative = 0.005
+    """Time that a block takes beyond its motion."""
+    overhead_spread: ShareOrNone = 0.10
+    """How far off that it is drawn, either way, relative. [1]"""
+
+
+class Faults(Section):
+    """How a link and its device misbehave. Rates are per frame or reply sent, 0 = never."""
+
+    jitter_s: NotNegative = 0.0
+    """Most by which a frame comes late, every one of them, wall time."""
+    late_rate: Rate = 0.0
+    """Share of frames that come late by `late_s`. [1]"""
+    late_s: NotNegative = 0.0
+    """By how much these come late, wall time."""
+    drop_rate: Rate = 0.0
+    """Share of frames that are lost. [1]"""
+    garble_rate: Rate = 0.0
+    """Share of frames in which one bit is turned over. [1]"""
+    disconnect_every_s: NotNegative = 0.0
+    """The line is cut so often, wall time; 0: never."""
+    reboot_after_s: NotNegative = 0.0
+    """The device loses its power once, so long after its start, wall time; 0: never."""
+
+
+class ActuatorFaults(Faults):
+    """What an actuator can do beyond that."""
+
+    stuck_force_after_s: NotNegative = 0.0
+    """Seconds in contact after which the force falls to 60 % and stays there, whatever is asked; 0: never."""
+
+
+class MapFaults(Section):
+    """What an interferometer does to those who read its folder."""
+
+    preallocate: bool = False
+    """The file has its full length, zeros, from the start."""
+    duplicate_first: bool = False
+    """Drops the last map again, under a new name, before each map but the first."""
+    wrong_part_first: bool = False
+    """Drops a map of another part before each map."""
+    mirror: bool = False
+    """Its arrays are flipped left-right, ..."""
+    rotation_deg: Literal[0, 90, 180, 270] = 0
+    """... then turned counter-clockwise."""
+    sign: Literal[1, -1] = 1
+    """-1: high is negative. [1]"""
+    factor: Positive = 1.0
+    """Of all heights; 2: it gives wavefronts for surfaces. [1]"""
+
+
+class Bump(Section):
+    """A Gaussian bump of the artefact; a hollow where its height is negative."""
+
+    x_mm: float
+    """Its centre, right of the artefact's centre."""
+    y_mm: float
+    """Its centre, above the artefact's centre."""
+    sigma_x_mm: Positive
+    """Standard deviation along x: at this distance 61 % of the height are left."""
+    sigma_y_mm: Positive
+    """Standard deviation along y."""
+    height_nm: float
+    """Its height over the flat."""
+
+
+class Artefact(Section):
+    """A round flat with bumps, for ``--artefact``."""
+
+    part_id: str = "ARTEFACT"
+    """Its name in the map."""
+    diameter_mm: Annotated[float, Field(gt=5)] = 100.0
+    """Of the flat."""
+    bumps: Annotated[tuple[Bump, ...], BeforeValidator(as_tuple)] = ()
+    """What stands on it: `[artefact]` of the instrument's profile says the same."""
+
+
+class Robot(Section):
+    """The robot controller."""
+
+    kind: Literal["link", "linuxcnc"] = "link"
+    """``linuxcnc``: a real LinuxCNC, in real time, in a network of its own (docs/protocols/linuxcnc.md)."""
+    port: Port = 28500
+    """TCP port on loopback; 0: any that is free. [1]"""
+    watchdog_s: Positive = 8.0
+    """It stops when it has heard nothing for so long, wall time."""
+    window: Annotated[int, Field(ge=1)] = 16384
+    """Blocks that it holds ahead of the motion. [1]"""
+    corner_deg: float = 30.0
+    """Change of direction beyond which it stops at a block's end."""
+    rapid_mm_s: Positive = 100.0
+    """Speed of moves without a feed."""
+    max_feed_mm_s: Positive = 100.0
+    """Feeds above it are cut to it."""
+    x_mm: Pair = (-150.0, 150.0)
+    """Range of X; a program that leaves it is refused."""
+    y_mm: Pair = (-150.0, 150.0)
+    """Range of Y."""
+    z_mm: Pair = (-2.0, 120.0)
+    """Range of Z."""
+    a_deg: Pair = (-60.0, 60.0)
+    """Range of A."""
+    home: Annotated[tuple[float, float, float, float, float], BeforeValidator(as_tuple)] = (0.0, 0.0, 60.0, 0.0, 0.0)
+    """X, Y, Z, A and C at the very first start; later it is wherever it stood. [mm, mm, mm, deg, deg]"""
+    faults: Faults = Faults()
+
+
+class Actuator(Section):
+    """The voice-coil actuator. Its times go with the simulated clock."""
+
+    kind: Literal["modbus_rtu", "modbus_tcp", "serial"] = "modbus_rtu"
+    """What it speaks: the cell's `voice_coil_modbus` on a line or over TCP, or `voice_coil_serial`."""
+    port: Port = 0
+    """TCP port on loopback, for modbus_tcp; 0: any that is free. [1]"""
+    baud: Annotated[int, Field(ge=1200)] = 115200
+    """Pace of the serial line. [bit/s]"""
+    unit: Annotated[int, Field(ge=1, le=247)] = 1
+    """Modbus unit number. [1]"""
+    land_s: Positive = 2.0
+    """From engaging to the part."""
+    lift_s: Positive = 4.0
+    """From force off to its rest."""
+    cling: ShareOrNone = 0.5
+    """Share of that in which the tool still rests on the part, ... [1]"""
+    rest_n: NotNegative = 0.1
+    """... with its own weight."""
+    faults: ActuatorFaults = ActuatorFaults()
+
+
+class Spindle(Section):
+    """The spindle drive."""
+
+    kind: Literal["slcan", "socketcand"] = "slcan"
+    """How its CAN bus is reached: a serial adapter, or a daemon over TCP."""
+    port: Port = 0
+    """TCP port on loopback, for socketcand; 0: any that is free. [1]"""
+    node: Annotated[int, Field(ge=1, le=127)] = 5
+    """CANopen node number. [1]"""
+    max_rpm: Annotated[int, Field(ge=1)] = 3000
+    """Fastest that it turns; more is refused."""
+    spin_s: Positive = 3.0
+    """From standstill to 1000 rpm, simulated clock."""
+    stop_s: Positive = 0.5
+    """And back: its quick stop."""
+    watchdog_s: Positive = 1.0
+    """Without a command for so long it stops by itself, wall time."""
+    faults: Faults = Faults()
+
+
+class Interferometer(Section):
+    """The interferometer and its folder (``maps`` in the state folder)."""
+
+    request_file: str = "measure.request"
+    """A file of this name in the folder asks for a map; `metrology.request_file` of the cell."""
+    write_s: NotNegative = 0.2
+    """Wall seconds that writing a file takes."""
+    temporary_suffix: str = ".part"
+    """Suffix while writing; empty: it writes slowly under the final name."""
+    artefact: Artefact = Artefact()
+    faults: MapFaults = MapFaults()
+
+
+class SimConfig(Document):
+    """The whole of SIM.toml."""
+
+    plant: Plant = Plant()
+    truth: Truth = Truth()
+    robot: Robot = Robot()
+    actuator: Actuator = Actuator()
+    spindle: Spindle = Spindle()
+    interferometer: Interferometer = Interferometer()
+
+
+def load_simulator(path: Path) -> SimConfig:
+    """Read SIM.toml; ConfigError with one line per problem: ``FILE:LINE: section.key: what is wrong; what to do``."""
+    return SimConfig.of(*parse_toml(path))
