@@ -48,48 +48,83 @@ class HybridSection(Section):
     """The hybrid robot: the keys and defaults of ``model.robot.HybridRobot``."""
 
     type: Literal["hybrid"] = "hybrid"
+    """The paper's parallel section of three limbs and a passive one, with a C/A wrist."""
     base_radius_mm: Positive = _ROBOT.base_radius_mm
+    """Radius of the circle on which the limbs' base ends lie, 120 deg apart."""
     platform_radius_mm: Positive = _ROBOT.platform_radius_mm
+    """Radius of the circle on which their platform ends lie."""
     first_limb_deg: Angle = _ROBOT.first_limb_deg
+    """Where on both circles the first limb stands, counter-clockwise from the base's x."""
     base_joints_mm: Joints | None = _ROBOT.base_joints_mm
+    """The limbs' base ends one by one (`b_i` of eq. 1) instead of a circle. [mm]"""
     platform_joints_mm: Joints | None = _ROBOT.platform_joints_mm
+    """Their platform ends from its centre (`a_i`), as they lie when the UP limb points along z. [mm]"""
     outer_axis: Vector = _ROBOT.outer_axis
+    """Direction of the U joint's outer axis, fixed to the base; not parallel to z, of any length but 0. [1]"""
     wrist_length_mm: Positive = _ROBOT.wrist_length_mm
+    """From the platform's centre along the UP limb to the wrist's centre, where C and A meet."""
     tool_length_mm: Positive = _ROBOT.tool_length_mm
+    """From the wrist's centre to the tool's tip."""
     c_zero_deg: Angle = _ROBOT.c_zero_deg
+    """What the machine's C reads where the A joint lies along the platform's u axis."""
     a_zero_deg: Angle = _ROBOT.a_zero_deg
+    """What the machine's A reads where the tool points along the UP limb."""
     a_branch: Branch = _ROBOT.a_branch
+    """Sign of A at a path's first point; from there the branch is continuous."""
     stroke_mm: Range = _ROBOT.stroke_mm
+    """Shortest and longest length of a limb; a pose beyond is refused."""
     joint_height_mm: float = _ROBOT.joint_height_mm
+    """Height of the U joint's centre above height 0 of the workspace."""
     workspace_radius_mm: Positive = _ROBOT.workspace_radius_mm
+    """How far from the base's z axis the tip may go; beyond it a pose is refused."""
     workspace_height_mm: Range = _ROBOT.workspace_height_mm
+    """Lowest and highest of the tip over height 0: `joint_height_mm` less its z."""
     limb_stiffness_n_per_mm: Positive = _ROBOT.limb_stiffness_n_per_mm
+    """Stiffness of a limb along itself, whatever its length."""
     limb_ea_n: Positive | None = _ROBOT.limb_ea_n
+    """E A of a limb: then its stiffness is this over its length, and `limb_stiffness_n_per_mm` is not used."""
     up_bending_n_mm2: Positive = _ROBOT.up_bending_n_mm2
+    """Bending stiffness E I of the UP limb."""
     up_torsion_n_mm2: Positive = _ROBOT.up_torsion_n_mm2
+    """Torsional stiffness G J of the UP limb."""
     beam: Beam = _ROBOT.beam
+    """The UP limb as an Euler-Bernoulli beam whose U joint carries no moment, or as the paper ties it (eq. 6-8)."""
     a_stiffness_n_mm_per_rad: Positive = _ROBOT.a_stiffness_n_mm_per_rad
+    """Stiffness of the wrist's A joint about its axis."""
     c_stiffness_n_mm_per_rad: Positive = _ROBOT.c_stiffness_n_mm_per_rad
+    """Stiffness of the wrist's C joint about its axis."""
 
 
 class SerialSection(Section):
     """A six-axis arm: the keys of ``model.robot.SerialRobot``."""
 
     type: Literal["serial"]
+    """A six-axis arm."""
     dh: Annotated[tuple[Annotated[tuple[float, float, float, float], Tuple], ...], Tuple, Six]
+    """Six Denavit-Hartenberg rows, base to flange: a, alpha, d and theta where the joint reads 0. [mm, deg, mm, deg]"""
     joint_stiffness_n_mm_per_rad: Annotated[tuple[Positive, ...], Tuple, Six]
+    """Stiffness of each joint about its axis."""
     joint_limits_deg: Annotated[tuple[Range, ...], Tuple, Six]
+    """Range of each joint; a pose beyond it is refused."""
     home_deg: Annotated[tuple[Angle, ...], Tuple, Six]
+    """Joint angles at which the inverse kinematics starts: it takes the branch that lies nearest."""
     tool_length_mm: Positive
+    """From the flange along its z to the tool's tip."""
     convention: DhConvention = "standard"
+    """Of the rows: `modified` is Craig's."""
     flange_x: Vector = (1.0, 0.0, 0.0)
+    """The turn about the tool's axis, which polishing leaves free, brings the flange's x as near to this direction
+    of the base frame as it goes. [1]"""
 
 
 class MeasuredSection(Section):
     """A cell that was only loaded and measured: a CSV file with ``x_mm, y_mm, z_mm, compliance_um_per_n``."""
 
     type: Literal["measured"]
+    """A cell that was only loaded and measured."""
     table: Text
+    """CSV file with the columns `x_mm, y_mm, z_mm` (tip, robot's base frame) and `compliance_um_per_n`; linear
+    between the places, refused outside of them."""
 
 
 def _kind_of_robot(value: Any) -> Any:
@@ -113,10 +148,16 @@ class ComplianceSection(Section):
     """How the robot's compliance is read: the keys and defaults of ``model.process.ComplianceOptions``."""
 
     projection: Projection = SHIPPED_OPTIONS.projection
+    """How the compliance matrix becomes one number: the sum of each eigenvalue times the size of b along its
+    eigenvector (eq. 43), the same with squares, or b' C b, which a static loading test measures."""
     frame: NormalFrame = SHIPPED_OPTIONS.frame
+    """The normal b: the nominal optic's, the path's binormal (eq. 34-38), or the tool's axis turned back by the dip."""
     moment: Moment = SHIPPED_OPTIONS.moment
+    """The tip's own compliance, or eq. 41, which leaves out the moment of the force about the wrist."""
     dip_direction: DipDirection = SHIPPED_OPTIONS.dip_direction
+    """Where the spindle leans: towards the base's z axis, one way on the part, along the path or across it."""
     dip_azimuth_deg: Angle = SHIPPED_OPTIONS.dip_azimuth_deg
+    """For `fixed`: counter-clockwise from the part's x."""
 
 
 def _cm2_per_n(value: Any) -> Any:
@@ -137,24 +178,48 @@ class ProcessSection(Section):
     """The process: the keys and defaults of ``model.process.ToolProcess``, and how removal is computed."""
 
     removal_model: Text = "hertz_preston"
+    """What a spot removes, by the name that a plugin gives it: `hertz_preston` computes it, `measured_tif` takes
+    `tif`."""
     correction: Correction = "exact"
+    """How the dwell accounts for the robot's compliance: not, afterwards point by point, by gamma (eq. 49), by gamma
+    to the power `depth_exponent`, or by the spot of each point's own depth."""
     grid_mm: Annotated[float, Field(gt=0, le=20)] = 0.5
+    """Pitch of the grid on which the dwell is solved: half the raster's step, or lines can ripple unseen. Finer
+    costs time and memory with its square."""
     tif: Text | None = None
+    """File of a measured TIF, as `polishd calibrate tif` writes it, for `removal_model = "measured_tif"`."""
     tool_radius_mm: Positive = _TOOL.tool_radius_mm
+    """Radius of the bonnet's sphere."""
     force_n: Force = _TOOL.force_n
+    """Force along the actuator that is held in contact."""
     normal_force: NormalForce = _TOOL.normal_force
+    """What Hertz is given: the actuator's force, or that over the cosine of the dip (eq. 44)."""
     rpm: Speed = _TOOL.rpm
+    """Speed of the spindle in contact."""
     dip_deg: Dip = _TOOL.dip_deg
+    """Angle between the spindle and the surface's normal; at 0 the contact's centre does not slide."""
     preston: Annotated[float, BeforeValidator(_cm2_per_n), Field(gt=0, lt=1e-3)] = _TOOL.preston_cm2_per_n
+    """Preston's constant with its unit, such as `"1.49e-9 cm2/N"`: cm2/N, mm2/N, m2/N, 1/Pa, 1/kPa, 1/MPa or 1/GPa.
+    Learning scales it from pass to pass. [as written]"""
     depth_exponent: Annotated[float, Field(gt=0, le=4)] = _TOOL.depth_exponent
+    """m of the correction `power`: removal goes as gamma to this power; 1.5 for Hertz, or as `polishd calibrate
+    exponent` finds it. [1]"""
     spot_offset_mm: Pair = _TOOL.spot_offset_mm
+    """Where the spot's centre lies from the programmed point, in the tool's frame: y where the spindle leans."""
     tool_modulus_mpa: Positive = _TOOL.tool_modulus_mpa
+    """Young's modulus of the bonnet."""
     tool_poisson: Poisson = _TOOL.tool_poisson
+    """Poisson's ratio of the bonnet. [1]"""
     part_modulus_mpa: Positive = _TOOL.part_modulus_mpa
+    """Young's modulus of the part."""
     part_poisson: Poisson = _TOOL.part_poisson
+    """Poisson's ratio of the part. [1]"""
     viscosity_mpa_s: NotNegative = _TOOL.viscosity_mpa_s
+    """Shear viscosity of the bonnet, for the dissipative stress; 0: none."""
     second_viscosity_mpa_s: NotNegative = _TOOL.second_viscosity_mpa_s
+    """Its second viscosity."""
     lame_mpa: Positive = _TOOL.lame_mpa
+    """Lame's first constant of the bonnet, for the same."""
 
     @field_serializer("preston")
     def _with_unit(self, value: float) -> str:

@@ -21,82 +21,115 @@ class OrientationTable(Section):
     """How the instrument's arrays lie on the part: flipped left-right first, then turned counter-clockwise."""
 
     mirror: bool = _PLAIN.mirror
+    """Whether arrays are flipped left-right, ..."""
     rotation_deg: Literal[0, 90, 180, 270] = _PLAIN.rotation_deg
+    """... then turned counter-clockwise: the part as the tool sees it, x right, y up."""
 
 
 class HeightTable(Section):
     """What the numbers mean."""
 
     sign: Literal[1, -1] = _PLAIN.sign
+    """Multiplies every height; -1 where high is negative. [1]"""
     factor: Positive = _PLAIN.factor
+    """Multiplies every height; 0.5 where files give wavefronts in reflection as they are. [1]"""
     unit_nm: Positive | None = _PLAIN.unit_nm
+    """Nanometres per unit, for files that name no unit."""
 
 
 class LateralTable(Section):
     """The pitch of files that give none, and how far one that a file gives may be from it."""
 
     pitch_mm: Positive | None = _PLAIN.pitch_mm
+    """Pitch of files that give none; one that a file gives must agree."""
     pitch_tolerance: Share = _PLAIN.pitch_tolerance
+    """How far one that a file gives may be off, relative. [1]"""
 
 
 class ApertureTable(Section):
     """The outline that maps of the part show; without a diameter: the part's own aperture."""
 
     diameter_mm: Positive | None = _PLAIN.aperture_mm
+    """Diameter of the outline that maps of the part show; left out: the part's own aperture."""
     tolerance_mm: Positive = _PLAIN.aperture_tolerance_mm
+    """How far the outline may be off that."""
 
 
 class FiducialsTable(Section):
     """Marks on the part."""
 
     positions_mm: Places = _PLAIN.fiducials_mm
+    """(x, y) on the part of three or more marks in no symmetric arrangement."""
     tolerance_mm: Positive = _PLAIN.fiducial_tolerance_mm
+    """How far a mark may be off its place after the fit."""
 
 
 class RegistrationTable(Section):
     """By what each map is laid on the part, and how far off it may have lain."""
 
     by: RegisterBy = _PLAIN.register_by
+    """What tells where the part lies: nothing (the array's centre is the part's), its outline, its marks, or both,
+    which must agree."""
     max_shift_mm: Positive = _PLAIN.max_shift_mm
+    """Most that the part may lie off the array's centre; a map with more is refused."""
     max_turn_deg: Annotated[float, Field(gt=0, le=45)] = _PLAIN.max_turn_deg
+    """Most that it may be turned."""
     max_drift_mm: Positive = _PLAIN.max_drift_mm
+    """Most shift against the last map of the same part."""
 
 
 class BumpTable(Section):
     """A Gaussian bump of the artefact; a hollow where its height is negative."""
 
     x_mm: float
+    """Its centre, right of the artefact's."""
     y_mm: float
+    """Its centre, above the artefact's."""
     sigma_x_mm: Positive
+    """Standard deviation along its own x."""
     sigma_y_mm: Positive
+    """Standard deviation along its own y."""
     height_nm: float
+    """Its height over the flat."""
     angle_deg: Angle = 0.0
+    """How its own x is turned, counter-clockwise."""
 
 
 class ArtefactTable(Section):
     """The artefact that proves the profile."""
 
     name: Text
+    """The artefact's name, for the record."""
     bumps: Annotated[tuple[BumpTable, ...], BeforeValidator(as_tuple), Field(min_length=1)]
+    """Its bumps: no turn, flip or negation of them may look like the original."""
 
 
 class RecordTable(Section):
     """What ``polishd map commission`` wrote."""
 
     at: AwareDatetime
+    """When it was proved."""
     artefact: Text
+    """Name of the artefact that proved it."""
     map_sha256: Sha256
+    """Of the map that proved it."""
     correlation: Annotated[float, Field(ge=-1, le=1)]
+    """Of that map with the artefact. [1]"""
     next_best: Annotated[float, Field(ge=-1, le=1)]
+    """Of the best other turn, flip or negation. [1]"""
     profile_sha256: Sha256
+    """Of the profile's values that were proved: once one is changed, the record is void."""
 
 
 class ProfileFile(Document):
     """The whole file."""
 
     name: Text
+    """The instrument's name."""
     serials: Texts = _PLAIN.serials
+    """Words of what `polishd map` shows as "instrument"; maps of any other are refused. Empty: any."""
     gives: Given = ()
+    """What this profile answers for files that do not say it: that heights are of the surface, and how arrays lie."""
     orientation: OrientationTable = OrientationTable()
     height: HeightTable = HeightTable()
     lateral: LateralTable = LateralTable()

@@ -50,14 +50,19 @@ class CellSection(Section):
     """Who this cell is, and where it keeps its state."""
 
     name: Name
+    """The cell's name, in the log, the journal and the report."""
     state_dir: Text
+    """Folder of the journal, the lock, the socket and the log; one daemon per folder."""
     run_dir: Text | None = None
+    """Where the run folder goes; left out: `state_dir/runs/<job>-<time>`."""
 
 
 class PluginsSection(Section):
     """The plugins to load, by entry-point name."""
 
     load: Annotated[Texts, Field(min_length=1)]
+    """The plugins to load, by entry-point name; nothing else is. A device type, format, model or solver of another
+    plugin is unknown."""
 
     @field_validator("load")
     @classmethod
@@ -72,27 +77,39 @@ class InstrumentSection(Section):
     """The instrument whose maps the cell polishes by."""
 
     profile: Text | None = None
-    """Its profile's file; without one `run` refuses."""
+    """File of the profile of the instrument whose maps the cell polishes by; without one `run` refuses."""
     spike_mads: NotNegative = 0.0
-    """How far off the surface a sample is a spike, in scaled median absolute deviations; 0: none is looked for."""
+    """How far off the surface about it a sample is a spike and has no data, in scaled median absolute deviations; so
+    has a steep bump. 0: none is looked for. [MAD]"""
 
 
 class PartSection(Section):
     """The part, and where it lies in the robot's base frame."""
 
     id: Text
+    """The part's name, which each map must give."""
     aperture_mm: Annotated[float, Field(gt=0, le=5000)]
+    """The part's diameter."""
     edge_mm: NotNegative = 3.0
+    """Width of the rim that the clear aperture leaves out: figures and tolerance do not count it."""
     rim: Literal["ring", "free"] = "ring"
+    """Whether the part sits in a flush ring, or is free, so that the bonnet sinks over its rim."""
     alignment: Literal["piston", "tilt", "power"] = "tilt"
+    """What of a map is alignment and no figure: piston; piston and tilt; piston, tilt and power."""
     nominal: Text | None = None
-    """A map of the form wanted, where that is not flat in the interferometer's eyes."""
+    """A map of the form wanted, in the part's frame, where no null makes that flat in the interferometer's eyes."""
     origin_mm: Vector
+    """The part's centre in the robot's base frame."""
     rotation_rpy_deg: Angles
+    """How its frame lies there: intrinsic turns about x, y' and z''; z is the surface's normal."""
     curvature_radius_mm: float | None = FLAT.radius_mm
+    """Vertex radius of the optic, positive where it is concave; left out: flat."""
     conic: float = FLAT.conic
+    """Conic constant: 0 a sphere, -1 a paraboloid. [1]"""
     even: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = FLAT.even
+    """Even aspheric terms A4, A6, ..., positive up. [mm^-3, mm^-5, ...]"""
     off_axis_mm: Pair = FLAT.offset_mm
+    """Where the part's centre lies from the vertex, in the parent's x and y."""
 
     @model_validator(mode="after")
     def _has_clear_aperture(self) -> Self:
@@ -108,26 +125,38 @@ class ProgramSection(Section):
     """The part program, and how its frame lies on the part: ``part = rotation_z @ program + offset``."""
 
     path: Text
+    """The part program."""
     format: Text = "rs274"
+    """Its dialect, as `polishd program dialects` lists them."""
     dialects: Texts = ()
-    """Profiles of the user's own (TOML), which ``format`` may then name."""
+    """Profiles of your own (TOML), which `format` may then name."""
     covers: Literal["aperture", "zone"] = "aperture"
-    """``zone``: it leaves a part of the clear aperture alone on purpose."""
+    """Whether it reaches the whole clear aperture, or leaves a part of it alone on purpose."""
     offset_mm: Vector = (0.0, 0.0, 0.0)
+    """Where the program's origin lies on the part: `part = rotation_z(rotation_deg) @ program + offset`."""
     rotation_deg: Angle = 0.0
+    """How the program's frame is turned on the part, counter-clockwise."""
 
 
 class MachineSection(Section):
     """What the machine can do, from its data sheet, on the safe side."""
 
     max_feed_mm_s: Annotated[float, Field(gt=0), AfterValidator(_feed)]
+    """Fastest feed of a plan: it bounds each block's time from below. Data sheets often say mm/min."""
     min_feed_mm_s: Positive
+    """Slowest feed of a plan: it bounds each block's time from above."""
     accel_mm_s2: Annotated[float, Field(gt=0, le=MOST_ACCEL_MM_S2)]
+    """Acceleration that planned times count with, on the safe side; at most two g."""
     block_overhead_s: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Time that a block takes beyond its motion, at first; learned from what was executed."""
     corner_deg: Annotated[float, Field(ge=0, le=180)] = 30.0
+    """Change of direction beyond which the machine stops at a block's end."""
     x_mm: Range
+    """Range of the tool's tip along the program's x; a plan beyond it is refused."""
     y_mm: Range
+    """The same along y."""
     z_mm: Range
+    """The same along z."""
 
     @model_validator(mode="after")
     def _feeds_ordered(self) -> Self:
@@ -140,15 +169,27 @@ class DwellSection(Section):
     """How the dwell is solved, and by whom it is checked."""
 
     solver: Text = "auto"
+    """Who solves: `auto`, the fastest of polishd's own, or the name that a plugin gives it."""
     cross_check: str = "qp"
+    """An independent solver that is asked about the same problem; `""` for none."""
     regularisation: NotNegative = 1e-4
+    """Weight of the squared dwell, rho = P N_r / sigma_max^2: more conditions better and follows less. [1]"""
     extension: Literal["none", "nearest", "c1", "gerchberg_papoulis"] = "c1"
+    """How the surface goes on beyond the part's rim, where the map has no data."""
     within_s: Seconds = 120.0
+    """CPU seconds for the whole solve step of a cycle: removal model, rounds, choice, cross-check and curve. On the
+    wall, 10 times as many and 60 s."""
     kkt_tolerance: Share = 1e-4
+    """Largest KKT residual of a dwell that is used; one beyond it gives no plan. [1]"""
     choose: Choice = "least"
+    """Which dwell: the least residual, or a point of the curve of residual against time, where 1 % more time buys
+    less than 1 %, at `target_nm`, or within `budget_s`."""
     budget_s: Positive | None = None
+    """Total dwell for `choose = "budget"`: the best residual in it."""
     target_nm: Positive | None = None
+    """RMS to reach for `choose = "target"`, in the least time."""
     curve: bool = False
+    """Whether each plan comes with its curve of residual against time, which takes some 15 solves."""
 
     @model_validator(mode="after")
     def _chosen(self) -> Self:
@@ -168,19 +209,31 @@ class JobSection(Section):
     """What is to be reached, and with how much effort."""
 
     id: Name
+    """The job's name: a run folder has it, and a daemon that is started again goes on with the same."""
     tolerance_nm: Positive
+    """RMS in the clear aperture at which the part is done."""
     tolerance_period_mm: NotNegative = 0.0
+    """Period above which the tolerance counts; 0: all periods."""
     lsf_period_mm: Positive = 33.0
+    """Period above which the low-frequency figure (`lsf_rms_nm`) counts."""
     max_cycles: Annotated[int, Field(ge=1, le=100)] = 4
+    """Most passes; after the last a measurement still decides. [1]"""
     lookahead_s: Annotated[float, Field(ge=0.2, le=600)] = 8.0
+    """Wall seconds of motion that are sent ahead: enough to lift the tool while the robot still moves."""
 
 
 class LimitsSection(Section):
     """What must never happen to the part."""
 
     force_band: Share = 0.25
+    """How far the force may be off what was asked, relative; outside for `force_grace_s` is a safety stop. [1]"""
     force_grace_s: Annotated[float, Field(ge=0, le=10)] = 0.3
+    """How long it may be outside."""
     max_removal_nm: Positive = 1000.0
+    """Most that one pass may remove at any point; a plan beyond it is refused."""
     max_pass_s: Positive = 86400.0
-    """A day: a metre's pass takes 17 h, and a removal rate that is wrong by the unit's factor of 100 days."""
+    """Longest process time of one pass. A day by default: a metre's pass takes 17 h, and one with a removal rate
+    that is wrong by the unit's factor of 100 takes days."""
     max_rate_change: Share = 0.4
+    """How far from 1 a learned removal rate may be, relative: beyond it the limit is taken, and where two standard
+    errors do not explain that, the cell is held. [1]"""

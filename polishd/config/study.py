@@ -37,9 +37,13 @@ class SurfaceSection(Section):
     """The surface at the start: drawn from a seed, or a measured map."""
 
     file: Text | None = None
+    """A measured map, read as a cell's; instead of `rms_nm` and `period_mm`."""
     rms_nm: Positive | None = None
+    """RMS of a drawn surface, in the clear aperture."""
     period_mm: Range | None = None
+    """Shortest and longest period of a drawn surface."""
     seed: Annotated[int, Field(ge=0)] = 1
+    """What a drawn surface is drawn from: the same number gives the same surface. [1]"""
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:
@@ -57,22 +61,29 @@ class PathSection(Section):
     """Dwell points at rest on a square lattice, over the aperture and an extension beyond it."""
 
     step_mm: Annotated[float, Field(gt=0, le=20)] = 1.0
+    """Distance of the dwell points."""
     extension_mm: Annotated[float, Field(ge=0, le=100)] = 2.0
+    """How far beyond the aperture they go."""
 
 
 class SolveSection(Section):
     """How the dwell is solved: eq. 50 with ``t >= 0``."""
 
     regularisation_nm2_s2: NotNegative = 1e-9
+    """P of eq. 50: weight of the squared dwell."""
     unreached: ShareOrNone = 0.005
+    """Share of the samples for which the mean removal may be too little. [1]"""
     kkt_tolerance: Share = 1e-5
+    """KKT residual to stop at. [1]"""
     within_s: Seconds = 60.0
+    """CPU seconds for each solve; the best so far is taken."""
 
 
 class StudyFile(ProcessDocument):
     """What all studies share."""
 
     title: Text
+    """What the tables and pictures are headed with."""
 
     def without_use(self) -> Iterator[tuple[str, str]]:
         """Dotted keys of the file that this kind of study has no use for, and why."""
@@ -113,9 +124,11 @@ class CorrectionsStudy(PartStudy):
     """Every correction against two plants (paper section IV-D)."""
 
     kind: Literal["corrections"]
+    """Every correction against two plants (the paper's section IV-D)."""
     surface: SurfaceSection
     solve: SolveSection = SolveSection()
     lsf_period_mm: Positive = 33.0
+    """Period above which `band_rms_nm` counts."""
 
     def without_use(self) -> Iterator[tuple[str, str]]:
         """Of what is said of a map where the surface is drawn, the nominal form."""
@@ -128,8 +141,11 @@ class PassesStudy(PartStudy):
     """Passes of equal dwell (paper fig. 12)."""
 
     kind: Literal["passes"]
+    """Passes of equal dwell (the paper's fig. 12)."""
     passes: Annotated[int, Field(ge=1, le=1000)] = 10
+    """How many. [1]"""
     dwell_s: Positive = 0.01
+    """At each point, in each pass."""
 
     def without_use(self) -> Iterator[tuple[str, str]]:
         """What is said of maps."""
@@ -143,20 +159,30 @@ class SpotSection(Section):
     """One spot, and what the paper prints of it, if anything."""
 
     size_mm: Positive
+    """Size of the bonnet; the study computes it as a radius and as a diameter, as the paper does not say which."""
     rpm: Speed
+    """Speed of the spindle, instead of the process's."""
     force_n: Force
+    """Force, instead of the process's."""
     dip_deg: Dip
+    """Dip, instead of the process's."""
     paper_depth_error_percent: NotNegative | None = None
+    """What the paper prints for the depth, to stand beside."""
     paper_volume_error_percent: NotNegative | None = None
+    """What it prints for the volume."""
     paper_jsd: NotNegative | None = None
+    """Jensen-Shannon divergence that it prints. [1]"""
 
 
 class SpotsStudy(StudyFile):
     """Spots polished at rest (paper Table III)."""
 
     kind: Literal["spots"]
+    """Spots polished at rest (the paper's Table III)."""
     seconds: Positive = 60.0
+    """How long each spot is polished. [s]"""
     spots: Annotated[dict[Name, SpotSection], Field(min_length=1)]
+    """The spots by name, each a table `[spots.NAME]`."""
 
 
 Study = CorrectionsStudy | SpotsStudy | PassesStudy

@@ -55,10 +55,12 @@ class FolderOptions(BaseModel):
     request_file: ConfigPath | None = None
     """Written to ask the instrument for a map; relative to ``folder``. None: nobody listens."""
     poll_s: Seconds = 0.25
+    """How often the folder is looked into."""
     stable_polls: Annotated[int, Field(ge=2, le=1000)] = 3
+    """A file is read once it has not changed for so many polls, ... [1]"""
     stable_s: Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)] = 2.0
-    """A file is read once it has not changed for so many polls and so long: taken ``stable_s`` + ``poll_s`` after its
-    last byte, and the time that reading takes."""
+    """... and so long: taken ``stable_s`` + ``poll_s`` after its last byte, and the time that reading takes. 2 s and
+    more on a network share."""
     timeout_s: Seconds = 3600.0
     """How long to wait for a map."""
     clock_tolerance_s: Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)] = 2.0

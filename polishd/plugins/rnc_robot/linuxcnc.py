@@ -24,7 +24,9 @@ class LinuxCncOptions(BaseModel):
     controller_dir: str = ""
     """How LinuxCNC calls that folder, where it lies on another machine."""
     password: str = Field("EMC", pattern=r"^\S+$")
+    """linuxcncrsh's `--connectpw`; no blanks."""
     enable_password: str = Field("EMCTOO", pattern=r"^\S+$")
+    """linuxcncrsh's `--enablepw`; no blanks."""
     watchdog_s: Annotated[float, Field(gt=0.0, le=600.0)] | None = None
     """Of a watchdog in HAL that pauses the program when nobody talks to it; without one it runs to the end."""
     stop_s: Annotated[float, Field(gt=0.0, le=60.0)] = 2.0

@@ -22,7 +22,7 @@ class SpindleCanOptions(BaseModel):
     address: str
     """``slcan:PATH?bitrate=500000`` or ``socketcand://host:port/channel``."""
     node: Annotated[int, Field(ge=1, le=127)] = 5
-    """CANopen node number."""
+    """CANopen node number. [1]"""
     silence_s: Annotated[float, Field(ge=0.3, le=60.0)] = 0.8
     """No heartbeat or process data for so long: the link is lost. They come every 100 and 50 ms."""
     watchdog_s: Annotated[float, Field(ge=0.5, le=60.0)] = 1.0

@@ -54,7 +54,7 @@ class ModbusOptions(VoiceCoilOptions):
     """With ``type = "voice_coil_modbus"``: RTU on a serial line, Modbus TCP on tcp://."""
 
     unit: Annotated[int, Field(ge=1, le=247)] = 1
-    """Modbus unit number."""
+    """Modbus unit number. [1]"""
 
 
 def _address(text: str, context: DeviceContext) -> Tcp | SerialLine:
