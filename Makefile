@@ -11,7 +11,7 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-long test-maps ways-out check format bench compare lock clean
+.PHONY: help demo test test-long test-maps ways-out check format reference bench compare lock clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -41,6 +41,9 @@ check: $(VENV)/.installed ## lint, format, types, layers
 format: $(VENV)/.installed ## format the sources and mend what the linter can mend
 	@$(BIN)/ruff check --quiet --fix-only .
 	@$(BIN)/ruff format --quiet .
+
+reference: $(VENV)/.installed ## write docs/reference, the pages of all config keys, from the models
+	@$(BIN)/python -m docs.reference.write
 
 bench: $(VENV)/.installed ## race polishd against its peers, into build/bench.json (ARGS="name ...")
 	@$(ONE_THREAD) $(BIN)/python -m benchmarks $(ARGS)

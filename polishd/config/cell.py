@@ -39,6 +39,7 @@ class CellConfig(PartDocument):
     """All of a cell's configuration; made by ``load_config``."""
 
     include: Texts = ()
+    """Fragments, such as those of `polishd calibrate`, laid over this file in turn: what they say replaces it."""
     cell: CellSection
     plugins: PluginsSection
     robot: DeviceSection

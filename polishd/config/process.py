@@ -45,7 +45,7 @@ CM2_PER_N = {"cm2/N": 1.0, "mm2/N": 1e-2, "m2/N": 1e4, "1/Pa": 1e4, "1/kPa": 10.
 
 
 class HybridSection(Section):
-    """The hybrid robot: the keys and defaults of ``model.robot.HybridRobot``."""
+    """The paper's robot. The defaults are a fit to the ranges that it prints, not the paper's own (docs/robot.md)."""
 
     type: Literal["hybrid"] = "hybrid"
     """The paper's parallel section of three limbs and a passive one, with a C/A wrist."""
@@ -96,10 +96,10 @@ class HybridSection(Section):
 
 
 class SerialSection(Section):
-    """A six-axis arm: the keys of ``model.robot.SerialRobot``."""
+    """A six-axis arm."""
 
     type: Literal["serial"]
-    """A six-axis arm."""
+    """Six turning joints, by Denavit and Hartenberg."""
     dh: Annotated[tuple[Annotated[tuple[float, float, float, float], Tuple], ...], Tuple, Six]
     """Six Denavit-Hartenberg rows, base to flange: a, alpha, d and theta where the joint reads 0. [mm, deg, mm, deg]"""
     joint_stiffness_n_mm_per_rad: Annotated[tuple[Positive, ...], Tuple, Six]
@@ -118,10 +118,10 @@ class SerialSection(Section):
 
 
 class MeasuredSection(Section):
-    """A cell that was only loaded and measured: a CSV file with ``x_mm, y_mm, z_mm, compliance_um_per_n``."""
+    """A cell that was only loaded and measured."""
 
     type: Literal["measured"]
-    """A cell that was only loaded and measured."""
+    """A table of compliance instead of a model."""
     table: Text
     """CSV file with the columns `x_mm, y_mm, z_mm` (tip, robot's base frame) and `compliance_um_per_n`; linear
     between the places, refused outside of them."""
@@ -145,7 +145,7 @@ KinematicsSection = Annotated[
 
 
 class ComplianceSection(Section):
-    """How the robot's compliance is read: the keys and defaults of ``model.process.ComplianceOptions``."""
+    """How the robot's compliance is read (docs/robot.md)."""
 
     projection: Projection = SHIPPED_OPTIONS.projection
     """How the compliance matrix becomes one number: the sum of each eigenvalue times the size of b along its
@@ -175,7 +175,7 @@ def _cm2_per_n(value: Any) -> Any:
 
 
 class ProcessSection(Section):
-    """The process: the keys and defaults of ``model.process.ToolProcess``, and how removal is computed."""
+    """Tool and contact, and how removal is computed; the defaults are the paper's Table II and its main process."""
 
     removal_model: Text = "hertz_preston"
     """What a spot removes, by the name that a plugin gives it: `hertz_preston` computes it, `measured_tif` takes
@@ -198,7 +198,9 @@ class ProcessSection(Section):
     """Speed of the spindle in contact."""
     dip_deg: Dip = _TOOL.dip_deg
     """Angle between the spindle and the surface's normal; at 0 the contact's centre does not slide."""
-    preston: Annotated[float, BeforeValidator(_cm2_per_n), Field(gt=0, lt=1e-3)] = _TOOL.preston_cm2_per_n
+    preston: Annotated[
+        float, BeforeValidator(_cm2_per_n), Field(gt=0, lt=1e-3, json_schema_extra={"range": "> 0, < 0.001 cm2/N"})
+    ] = _TOOL.preston_cm2_per_n
     """Preston's constant with its unit, such as `"1.49e-9 cm2/N"`: cm2/N, mm2/N, m2/N, 1/Pa, 1/kPa, 1/MPa or 1/GPa.
     Learning scales it from pass to pass. [as written]"""
     depth_exponent: Annotated[float, Field(gt=0, le=4)] = _TOOL.depth_exponent

@@ -141,7 +141,9 @@ class ProgramSection(Section):
 class MachineSection(Section):
     """What the machine can do, from its data sheet, on the safe side."""
 
-    max_feed_mm_s: Annotated[float, Field(gt=0), AfterValidator(_feed)]
+    max_feed_mm_s: Annotated[
+        float, Field(gt=0, json_schema_extra={"range": f"<= {MOST_FEED_MM_S:g}"}), AfterValidator(_feed)
+    ]
     """Fastest feed of a plan: it bounds each block's time from below. Data sheets often say mm/min."""
     min_feed_mm_s: Positive
     """Slowest feed of a plan: it bounds each block's time from above."""

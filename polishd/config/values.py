@@ -36,7 +36,12 @@ Dip = Annotated[float, Field(ge=0, lt=90)]
 Pair = Annotated[tuple[float, float], BeforeValidator(as_tuple)]
 Vector = Annotated[tuple[float, float, float], BeforeValidator(as_tuple)]
 Angles = Annotated[tuple[Angle, Angle, Angle], BeforeValidator(as_tuple)]
-Range = Annotated[tuple[float, float], BeforeValidator(as_tuple), AfterValidator(_ordered)]
+Range = Annotated[
+    tuple[float, float],
+    BeforeValidator(as_tuple),
+    AfterValidator(_ordered),
+    Field(json_schema_extra={"range": "first < second"}),
+]
 
 
 class Section(BaseModel):

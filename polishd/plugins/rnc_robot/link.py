@@ -17,7 +17,7 @@ class RobotLinkOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     address: str
-    """``tcp://host:port``."""
+    """Where the controller listens: ``tcp://host:port``."""
     watchdog_s: Annotated[float, Field(gt=0.0, le=600.0)] = 8.0
     """The controller's own: so long without a word from us it stops. A shorter one of the controller is refused."""
     silence_s: Annotated[float, Field(ge=0.3, le=60.0)] = 1.5

@@ -1,0 +1,222 @@
+"""The reference of all keys, written from the models that read them: ``python -m docs.reference.write``."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import itertools
+import json
+import re
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+from pydantic import BaseModel
+
+from polishd.config.cell import CellConfig, PortSection
+from polishd.config.places import key_lines, plain_kind, section_of, variants
+from polishd.config.profile_sections import ProfileFile
+from polishd.config.sections import DeviceSection
+from polishd.config.simulator import SimConfig
+from polishd.config.study import KINDS
+from polishd.hooks.loader import load_own
+
+Table = tuple[str, type[BaseModel]]
+"""A header, and the model of the table."""
+FOLDER = Path(__file__).parent
+UNITS = {
+    "n_mm_per_rad": "N mm/rad", "n_per_mm": "N/mm", "n_mm2": "N mm^2", "nm2_s2": "nm^2/s^2", "mpa_s": "MPa s",
+    "mm_s2": "mm/s^2", "mm_s": "mm/s", "mpa": "MPa", "percent": "%", "deg": "deg", "rpm": "rpm", "mm": "mm", "nm": "nm",
+    "ms": "ms", "s": "s", "n": "N",
+}  # fmt: skip
+"""Of a key, by how its name ends. Where the name has no unit, the description ends with it in brackets; 1: none."""
+BOUNDS = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
+TYPES = {
+    "number": "number",
+    "integer": "whole number",
+    "boolean": "true or false",
+    "string": "text",
+    "path": "path",
+    "date-time": "date and time",
+}
+PLURAL = {"number": "s", "integer": "s", "string": "s"}
+PORTS = get_args(PortSection)
+COLUMNS = "| key | type | unit | default | range | meaning |\n|---|---|---|---|---|---|"
+HEAD = "<!-- Written by `make reference` from the models; a test fails where it is not what they give. -->"
+TITLES = {"cell": "A cell", "study": "A study", "profile": "An instrument's profile", "simulator": "The simulator"}
+INTRODUCTIONS = {
+    "cell": """A cell's file, as [examples/cell.toml](../../examples/cell.toml) shows it with comments. Relative paths
+start from its folder. The options of `[robot]`, `[actuator]`, `[spindle]` and `[metrology]` are those of their `type`;
+these are polishd's own, and other plugins bring others.""",
+    "study": """A study's file; what studies compute: [studies.md](../studies.md). `kind` says which keys it has.
+`[part]`, `[kinematics]`, `[compliance]` and `[process]` are those of [a cell](cell.md), with their defaults.""",
+    "profile": """An instrument's profile, as [examples/instrument.toml](../../examples/instrument.toml) shows it with
+comments; how it is proved: [instruments.md](../instruments.md).""",
+    "simulator": """The simulated cell, as [examples/sim.toml](../../examples/sim.toml) shows it with comments. Every
+key may be left out.""",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """One key of a file."""
+
+    name: str
+    schema: dict[str, Any]
+    """What pydantic says of its values: type and range."""
+    given: tuple[Any, ...]
+    """Its default; empty where it must be written."""
+    meaning: str
+
+    @property
+    def type(self) -> str:
+        """In words."""
+        return _type(_plain(self.schema))
+
+    @property
+    def unit(self) -> str:
+        """Of its numbers; empty where it has none or nobody says."""
+        stated = re.search(r" \[([^]]+)\]$", self.meaning)
+        ending = next((unit for end, unit in UNITS.items() if re.search(rf"(^|_){end}$", self.name)), "")
+        return stated[1] if stated else ending if "number" in self.type else ""
+
+    @property
+    def default(self) -> str:
+        """As it is written in the file."""
+        if not self.given:
+            return "required"
+        return "none" if self.given[0] is None else f"`{_toml(self.given[0])}`"
+
+    @property
+    def range(self) -> str:
+        """What is allowed of the type."""
+        return _range(_plain(self.schema))
+
+    def row(self) -> str:
+        """Its line of the table."""
+        meaning = re.sub(r" \[[^]]+\]$", "", self.meaning).replace("``", "`").replace("|", "\\|")
+        return f"| `{self.name}` | {self.type} | {self.unit} | {self.default} | {self.range} | {meaning} |"
+
+
+def keys(model: type[BaseModel]) -> list[Key]:
+    """The keys of a table, without those that are tables of their own."""
+    found = model.model_json_schema(mode="serialization")["properties"]
+    told, given = meanings(model), model.model_construct().model_dump(mode="json")
+    own = [name for name in model.model_fields if name not in PORTS and not _tables(model, name)]
+    return [Key(name, found[name], (given[name],) if name in given else (), told.get(name, "")) for name in own]
+
+
+def meanings(model: type[BaseModel]) -> dict[str, str]:
+    """The docstring below each field of the model and of those that it is made from."""
+    told: dict[str, str] = {}
+    for made_of in reversed(model.__mro__):
+        if issubclass(made_of, BaseModel) and made_of is not BaseModel:
+            body = ast.parse(textwrap.dedent(inspect.getsource(made_of))).body[0].body  # type: ignore[attr-defined]
+            for field, below in itertools.pairwise(body):
+                match field, below:
+                    case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                        told[name] = " ".join(text.split())
+    return told
+
+
+def tables(model: type[BaseModel], above: str = "") -> Iterator[Table]:
+    """Each table below a model: its header, with ``type = ...`` where there are several kinds, and its model."""
+    for name in model.model_fields:
+        for header, inner in _tables(model, name):
+            yield header.format(above + name), inner
+            yield from tables(inner, f"{above}{name}.")
+
+
+def _tables(model: type[BaseModel], name: str) -> list[Table]:
+    """Headers and models of a key that is a table, a list of tables, or a table of them by name; none of any other."""
+    kind = plain_kind(model.model_fields[name].annotation)
+    if inner := section_of(kind):
+        return [("[{}]", inner)]
+    found = [(f'[{{}}] type = "{tag}"', inner) for tag, inner in variants(kind).items()]
+    listed = "[[{}]]" if get_origin(kind) is tuple else "[{}.NAME]"
+    return found or [(listed, inner) for inner in map(section_of, get_args(kind)) if inner]
+
+
+def cell() -> list[Table]:
+    """The tables of a cell's file in the order of the example, its devices those of polishd's own types."""
+    written = list(key_lines((FOLDER / "../../examples/cell.toml").read_text()))
+    devices = [(f'[{kind.port}] type = "{kind.name}"', kind.options) for kind in load_own().device_types().values()]
+    found = [table for table in tables(CellConfig) if table[1] is not DeviceSection] + devices
+    return [("", CellConfig), *sorted(found, key=lambda table: written.index((re.findall(r"\w+", table[0])[0],)))]
+
+
+def files() -> dict[str, list[Table]]:
+    """Each kind of file with its tables; the first of them is the file's own keys, or those of each kind of study."""
+    of_cell = cell()
+    kinds = {f'kind = "{name}"': model for name, model in KINDS.items()}
+    below = dict.fromkeys(table for model in KINDS.values() for table in tables(model))
+    return {
+        "cell": of_cell,
+        "study": [*kinds.items(), *(table for table in below if table not in of_cell)],
+        "profile": [("", ProfileFile), *tables(ProfileFile)],
+        "simulator": list(tables(SimConfig)),
+    }
+
+
+def pages() -> dict[str, str]:
+    """The reference: the text of each page by its file's name."""
+    return {f"{name}.md": _page(name, content) for name, content in files().items()}
+
+
+def _page(name: str, content: list[Table]) -> str:
+    text = [HEAD, f"# {TITLES[name]}", INTRODUCTIONS[name]]
+    for header, model in content:
+        text += [f"## `{header}`", (inspect.getdoc(model) or "").replace("``", "`")] if header else []
+        rows = [key.row() for key in keys(model)]
+        text += ["\n".join([COLUMNS, *rows])] if rows else []
+    return "\n\n".join(text) + "\n"
+
+
+def _plain(schema: dict[str, Any]) -> dict[str, Any]:
+    """Of a key that may be left out, what it is where it is given."""
+    return next((kind for kind in schema.get("anyOf", ()) if kind.get("type") != "null"), schema)
+
+
+def _inner(schema: dict[str, Any]) -> dict[str, Any]:
+    """Of a list's entries."""
+    first: dict[str, Any] = next(iter(schema.get("prefixItems", ())), schema.get("items", {}))
+    return first
+
+
+def _counts(schema: dict[str, Any]) -> tuple[int, int]:
+    """Fewest and most entries of a list; 0: any."""
+    least, most = (schema.get(f"{end}Items") or schema.get(f"{end}Length", 0) for end in ("min", "max"))
+    return least, most
+
+
+def _type(schema: dict[str, Any]) -> str:
+    if schema.get("type") == "array":
+        least, most = _counts(schema)
+        count = f"{most} " if least == most != 0 else ""
+        return (
+            f"list of {count}{_type(_inner(schema)).replace('list', 'lists')}{PLURAL.get(_inner(schema)['type'], '')}"
+        )
+    return TYPES[schema.get("format", schema["type"])]
+
+
+def _range(schema: dict[str, Any]) -> str:
+    """What is allowed of the type, entries of a list included."""
+    if values := schema.get("enum", [schema["const"]] if "const" in schema else []):
+        return ", ".join(f"`{_toml(value)}`" for value in values)
+    found = [f"{sign} {_toml(schema[name])}" for name, sign in BOUNDS.items() if name in schema]
+    if schema.get("type") == "array" and _counts(schema)[0] and not _counts(schema)[1]:
+        found.append(f"{_counts(schema)[0]} or more")
+    inner = _range(_inner(schema)) if schema.get("type") == "array" else ""
+    return ", ".join(filter(None, [*found, schema.get("range", ""), inner]))
+
+
+def _toml(value: Any) -> str:
+    short = f"{value:g}" if isinstance(value, float) else ""
+    return short if short and float(short) == value else json.dumps(value, ensure_ascii=False)
+
+
+if __name__ == "__main__":
+    for name, text in pages().items():
+        (FOLDER / name).write_text(text)
