@@ -15,7 +15,7 @@ from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel
 
-from polishd.config.cell import CellConfig, PortSection
+from polishd.config.cell import CellConfig
 from polishd.config.places import key_lines, plain_kind, section_of, variants
 from polishd.config.profile_sections import ProfileFile
 from polishd.config.sections import DeviceSection
@@ -40,9 +40,9 @@ TYPES = {
     "string": "text",
     "path": "path",
     "date-time": "date and time",
+    "object": "table",
 }
 PLURAL = {"number": "s", "integer": "s", "string": "s"}
-PORTS = get_args(PortSection)
 COLUMNS = "| key | type | unit | default | range | meaning |\n|---|---|---|---|---|---|"
 HEAD = "<!-- Written by `make reference` from the models; a test fails where it is not what they give. -->"
 TITLES = {"cell": "A cell", "study": "A study", "profile": "An instrument's profile", "simulator": "The simulator"}
@@ -101,10 +101,10 @@ class Key:
 
 
 def keys(model: type[BaseModel]) -> list[Key]:
-    """The keys of a table, without those that are tables of their own."""
+    """The keys of a table, without those that are tables of their own, and without the kind that its header names."""
     found = model.model_json_schema(mode="serialization")["properties"]
     told, given = meanings(model), model.model_construct().model_dump(mode="json")
-    own = [name for name in model.model_fields if name not in PORTS and not _tables(model, name)]
+    own = [name for name in model.model_fields if not _tables(model, name) and "const" not in found[name]]
     return [Key(name, found[name], (given[name],) if name in given else (), told.get(name, "")) for name in own]
 
 
@@ -203,7 +203,7 @@ def _type(schema: dict[str, Any]) -> str:
 
 def _range(schema: dict[str, Any]) -> str:
     """What is allowed of the type, entries of a list included."""
-    if values := schema.get("enum", [schema["const"]] if "const" in schema else []):
+    if values := schema.get("enum"):
         return ", ".join(f"`{_toml(value)}`" for value in values)
     found = [f"{sign} {_toml(schema[name])}" for name, sign in BOUNDS.items() if name in schema]
     if schema.get("type") == "array" and _counts(schema)[0] and not _counts(schema)[1]:

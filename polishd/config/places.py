@@ -16,23 +16,29 @@ from pydantic import BaseModel, Tag, ValidationError
 Location = tuple[str | int, ...]
 """Names from the outermost table to the key; the place in the list, from 0, where one is a list of tables."""
 
-_TYPES = {
-    "float_type": "a number",
-    "int_type": "a whole number",
-    "int_from_float": "a whole number",
-    "string_type": 'a string in "quotes"',
-    "bool_type": "true or false",
-    "tuple_type": "a list [...]",
-    "list_type": "a list [...]",
-    "dict_type": "a table",
-    "model_type": "a section of its own, [{key}]",
+_FAULTS = {
+    "extra_forbidden": "unknown key",
+    "literal_error": "{given!r} is not allowed; must be {expected}",
+    "finite_number": "{given!r} is not allowed; must be a finite number",
+    "string_pattern_mismatch": "{given!r} is not allowed; use letters, digits, '.', '_' and '-' only, "
+    "a letter or digit first",
+    "greater_than": "{given!r} is out of range; must be greater than {gt}",
+    "greater_than_equal": "{given!r} is out of range; must be at least {ge}",
+    "less_than": "{given!r} is out of range; must be less than {lt}",
+    "less_than_equal": "{given!r} is out of range; must be at most {le}",
+    "too_long": "has {actual_length} entries; must have {max_length}",
+    "too_short": "has {actual_length} entries; must have {min_length}",
+    "float_type": "must be a number, not {kind}; mend it",
+    "int_type": "must be a whole number, not {kind}; mend it",
+    "int_from_float": "must be a whole number, not {kind}; mend it",
+    "string_type": 'must be a string in "quotes", not {kind}; mend it',
+    "bool_type": "must be true or false, not {kind}; mend it",
+    "tuple_type": "must be a list [...], not {kind}; mend it",
+    "list_type": "must be a list [...], not {kind}; mend it",
+    "dict_type": "must be a table, not {kind}; mend it",
+    "model_type": "must be a section of its own, [{key}], not {kind}; mend it",
 }
-_RANGES = {
-    "greater_than": ("gt", "greater than"),
-    "greater_than_equal": ("ge", "at least"),
-    "less_than": ("lt", "less than"),
-    "less_than_equal": ("le", "at most"),
-}
+"""What to say of a finding of pydantic, by its type; of any other, its own message."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,40 +177,25 @@ def _follow(model: type[BaseModel], loc: Sequence[int | str]) -> tuple[Location,
 
 
 def _say(found: Mapping[str, Any], key: Location, kind: Any, owner: type[BaseModel] | None) -> str:
-    fault, given, context = found["type"], found.get("input"), found.get("ctx", {})
+    fault, message, given, context = found["type"], found["msg"], found.get("input"), found.get("ctx", {})
     if fault == "missing" and isinstance(key[-1], int):
         return f"has too few entries: {list(given or ())}; add the others"
     if fault == "missing":
-        is_section = section_of(kind) is not None
-        return f"is missing; add it: {f'a section [{_dotted(key)}]' if is_section else f'{key[-1]} = ...'}"
-    if fault == "extra_forbidden":
-        known = owner.model_fields if owner else ()
-        return f"unknown key{did_you_mean(str(key[-1]), known)} Known here: {listed(known)}"
-    if fault == "literal_error":
-        return f"{given!r} is not allowed; must be {context['expected']}{_near(given, context['expected'])}"
-    if fault in _RANGES:
-        name, words = _RANGES[fault]
-        return f"{given!r} is out of range; must be {words} {context[name]}"
-    if fault in _TYPES:
-        return f"must be {_TYPES[fault].format(key=_dotted(key[-1:]))}, not {_kind(given)}; mend it"
-    return _say_more(fault, found["msg"], given, context)
-
-
-def _say_more(fault: str, message: str, given: Any, context: Mapping[str, Any]) -> str:
+        return (
+            f"is missing; add it: {f'{key[-1]} = ...' if section_of(kind) is None else f'a section [{_dotted(key)}]'}"
+        )
     if fault == "value_error":
         return re.sub(r"^Value error, (?:[a-z_]+: )?", "", message)
-    if fault == "finite_number":
-        return f"{given!r} is not allowed; must be a finite number"
-    if fault == "string_pattern_mismatch":
-        return f"{given!r} is not allowed; use letters, digits, '.', '_' and '-' only, a letter or digit first"
-    if fault in {"too_long", "too_short"}:
-        needed = context.get("max_length") or context["min_length"]
-        return f"has {context['actual_length']} entries; must have {needed}"
-    return f"{message[:1].lower()}{message[1:]}; mend it"
-
-
-def _near(given: Any, expected: str) -> str:
-    return did_you_mean(given, re.findall(r"'([^']*)'", expected)) if isinstance(given, str) else "."
+    if fault not in _FAULTS:
+        return f"{message[:1].lower()}{message[1:]}; mend it"
+    said = _FAULTS[fault].format(given=given, kind=_kind(given), key=_dotted(key[-1:]), **context)
+    if fault == "extra_forbidden":
+        known = owner.model_fields if owner else ()
+        return f"{said}{did_you_mean(str(key[-1]), known)} Known here: {listed(known)}"
+    if fault == "literal_error":
+        near = re.findall(r"'([^']*)'", context["expected"]) if isinstance(given, str) else []
+        return said + did_you_mean(str(given), near)
+    return said
 
 
 def _kind(value: Any) -> str:

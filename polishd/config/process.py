@@ -45,10 +45,9 @@ CM2_PER_N = {"cm2/N": 1.0, "mm2/N": 1e-2, "m2/N": 1e4, "1/Pa": 1e4, "1/kPa": 10.
 
 
 class HybridSection(Section):
-    """The paper's robot. The defaults are a fit to the ranges that it prints, not the paper's own (docs/robot.md)."""
+    """The paper's 3UPS-UP with a C/A wrist. The defaults are a fit to the ranges that it prints, not the paper's own (docs/robot.md)."""
 
     type: Literal["hybrid"] = "hybrid"
-    """The paper's parallel section of three limbs and a passive one, with a C/A wrist."""
     base_radius_mm: Positive = _ROBOT.base_radius_mm
     """Radius of the circle on which the limbs' base ends lie, 120 deg apart."""
     platform_radius_mm: Positive = _ROBOT.platform_radius_mm
@@ -99,7 +98,6 @@ class SerialSection(Section):
     """A six-axis arm."""
 
     type: Literal["serial"]
-    """Six turning joints, by Denavit and Hartenberg."""
     dh: Annotated[tuple[Annotated[tuple[float, float, float, float], Tuple], ...], Tuple, Six]
     """Six Denavit-Hartenberg rows, base to flange: a, alpha, d and theta where the joint reads 0. [mm, deg, mm, deg]"""
     joint_stiffness_n_mm_per_rad: Annotated[tuple[Positive, ...], Tuple, Six]
@@ -118,10 +116,9 @@ class SerialSection(Section):
 
 
 class MeasuredSection(Section):
-    """A cell that was only loaded and measured."""
+    """A cell that was only loaded and measured: a table of compliance instead of a model."""
 
     type: Literal["measured"]
-    """A table of compliance instead of a model."""
     table: Text
     """CSV file with the columns `x_mm, y_mm, z_mm` (tip, robot's base frame) and `compliance_um_per_n`; linear
     between the places, refused outside of them."""

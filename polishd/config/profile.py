@@ -95,13 +95,9 @@ def _unproved(path: Path, record: Commissioned | None, sha256: str) -> str:
 def _instrument(given: ProfileFile, raw: dict[str, Any]) -> Instrument:
     return Instrument(
         name=given.name,
-        mirror=given.orientation.mirror,
-        rotation_deg=given.orientation.rotation_deg,
-        sign=given.height.sign,
-        factor=given.height.factor,
-        unit_nm=given.height.unit_nm,
-        pitch_mm=given.lateral.pitch_mm,
-        pitch_tolerance=given.lateral.pitch_tolerance,
+        **dict(given.orientation),
+        **dict(given.height),
+        **dict(given.lateral),
         gives=frozenset(given.gives),
         serials=given.serials,
         aperture_mm=given.aperture.diameter_mm,

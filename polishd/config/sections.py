@@ -194,14 +194,10 @@ class DwellSection(Section):
     """Whether each plan comes with its curve of residual against time, which takes some 15 solves."""
 
     @model_validator(mode="after")
-    def _chosen(self) -> Self:
+    def _agrees(self) -> Self:
         for rule, key in (("budget", "budget_s"), ("target", "target_nm")):
             if (self.choose == rule) != (getattr(self, key) is not None):
                 raise ValueError(f'{key}: goes with choose = "{rule}", and only with it')
-        return self
-
-    @model_validator(mode="after")
-    def _independent(self) -> Self:
         if self.cross_check == self.solver:
             raise ValueError('cross_check: must be another solver than dwell.solver, or "" for none')
         return self

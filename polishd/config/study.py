@@ -124,7 +124,6 @@ class CorrectionsStudy(PartStudy):
     """Every correction against two plants (paper section IV-D)."""
 
     kind: Literal["corrections"]
-    """Every correction against two plants (the paper's section IV-D)."""
     surface: SurfaceSection
     solve: SolveSection = SolveSection()
     lsf_period_mm: Positive = 33.0
@@ -141,7 +140,6 @@ class PassesStudy(PartStudy):
     """Passes of equal dwell (paper fig. 12)."""
 
     kind: Literal["passes"]
-    """Passes of equal dwell (the paper's fig. 12)."""
     passes: Annotated[int, Field(ge=1, le=1000)] = 10
     """How many. [1]"""
     dwell_s: Positive = 0.01
@@ -178,7 +176,6 @@ class SpotsStudy(StudyFile):
     """Spots polished at rest (paper Table III)."""
 
     kind: Literal["spots"]
-    """Spots polished at rest (the paper's Table III)."""
     seconds: Positive = 60.0
     """How long each spot is polished. [s]"""
     spots: Annotated[dict[Name, SpotSection], Field(min_length=1)]

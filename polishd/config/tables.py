@@ -86,12 +86,5 @@ def read_tif(path: Path) -> MeasuredTif:
 def write_tif(path: Path, tif: MeasuredTif) -> None:
     """Write a TIF whole: an npz file of arrays, readable with numpy alone."""
     buffer = io.BytesIO()
-    np.savez(
-        buffer,
-        rate_nm_s=tif.rate_nm_s,
-        pitch_mm=tif.pitch_mm,
-        azimuth_deg=tif.azimuth_deg,
-        depth_ratio=tif.depth_ratio,
-        rotates=tif.rotates,
-    )
+    np.savez(buffer, **{key: getattr(tif, key) for key in TIF_KEYS})
     write_atomic(path, buffer.getvalue())
