@@ -45,7 +45,7 @@ CM2_PER_N = {"cm2/N": 1.0, "mm2/N": 1e-2, "m2/N": 1e4, "1/Pa": 1e4, "1/kPa": 10.
 
 
 class HybridSection(Section):
-    """The paper's 3UPS-UP with a C/A wrist. The defaults are a fit to the ranges that it prints, not the paper's own (docs/robot.md)."""
+    """The paper's 3UPS-UP with a C/A wrist; the defaults are a fit to the ranges that it prints (docs/robot.md)."""
 
     type: Literal["hybrid"] = "hybrid"
     base_radius_mm: Positive = _ROBOT.base_radius_mm
