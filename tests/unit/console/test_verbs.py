@@ -14,6 +14,7 @@ import pytest
 from polishd import __version__
 from polishd.config.cell import load_config
 from polishd.config.profile import load_profile
+from polishd.config.simulator import load_simulator
 from polishd.config.study import load_study
 from polishd.console import demo, verbs
 from polishd.console.demo_files import DemoFiles, demo_program, with_values, write_demo
@@ -23,7 +24,6 @@ from polishd.daemon.endings import GONE, RECORD_NAME, Cause, Ending, keep_ending
 from polishd.model import errors
 from polishd.model.errors import ConfigError, DeviceFault, PolishdError
 from polishd.plugins.rnc_robot.dialect import FOLDER, dialect
-from polishd.sim_backends import config as sim_config
 from polishd.workbench import plan as planning
 from tests.unit.said import Polishd, Said
 
@@ -136,7 +136,7 @@ def test_a_byte_order_mark_is_no_fault(tmp_path: Path, kind: str) -> None:
         "cell": (examples / "cell.toml", load_config),
         "profile": (examples / "instrument.toml", load_profile),
         "study": (examples / "table_iii.toml", load_study),
-        "simulator": (examples / "sim.toml", sim_config.load),
+        "simulator": (examples / "sim.toml", load_simulator),
         "dialect": (FOLDER / "haas.toml", dialect),
     }
     source, loaded = load[kind]
