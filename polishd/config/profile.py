@@ -5,22 +5,21 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
+import tomlkit
 
 from polishd.config.document import parse_toml
-from polishd.config.places import key_lines
-from polishd.config.profile_sections import ProfileFile, RecordTable
+from polishd.config.profile_sections import ProfileFile
 from polishd.files import write_atomic
 from polishd.model.errors import ConfigError
 from polishd.model.instrument import Commissioned, Instrument
 from polishd.process.commissioning import Bump
 
 RECORD = "commissioned"
-HEADER = f"[{RECORD}]                       # written by polishd map commission; void once a value above is changed"
+COMMENT = "written by polishd map commission; void once a value above is changed"
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,13 +68,17 @@ def write_commissioned(path: Path, record: Commissioned) -> None:
     Raises:
         ConfigError: the file cannot be written, or its layout does not let the record be put in; it is as it was.
     """
-    _, source = parse_toml(path)
-    lines = source.text.split("\n")
-    earlier = {line for key, line in key_lines(source.text).items() if key[0] == RECORD}
-    kept = "\n".join(line for number, line in enumerate(lines, start=1) if number not in earlier).rstrip("\n")
-    text = f"{kept}\n\n{HEADER}\n" + "".join(f"{key} = {value}\n" for key, value in _toml(record).items())
+    before, source = parse_toml(path)
+    document = tomlkit.parse(source.text)
+    if RECORD not in document:
+        document.append(None, tomlkit.nl())
+        document.append(RECORD, tomlkit.table().comment(COMMENT))
+    for key, value in asdict(record).items():
+        document[RECORD][key] = round(value, 6) if isinstance(value, float) else value
+    text = tomlkit.dumps(document)
+    if tomllib.loads(text) != {**before, RECORD: document[RECORD].unwrap()}:
+        raise ConfigError(f"{path}: the record cannot be put in without loss; remove [{RECORD}] by hand, then again")
     try:
-        _require_same(path, text, record)
         write_atomic(path, text.encode())
     except OSError as error:
         raise ConfigError(
@@ -110,27 +113,3 @@ def _instrument(given: ProfileFile, raw: dict[str, Any]) -> Instrument:
         max_drift_mm=given.registration.max_drift_mm,
         raw=raw,
     )
-
-
-def _toml(record: Commissioned) -> dict[str, str]:
-    return {
-        "at": record.at.isoformat(timespec="seconds"),
-        "artefact": json.dumps(record.artefact),
-        "map_sha256": json.dumps(record.map_sha256),
-        "correlation": f"{record.correlation:.6f}",
-        "next_best": f"{record.next_best:.6f}",
-        "profile_sha256": json.dumps(record.profile_sha256),
-    }
-
-
-def _require_same(path: Path, text: str, record: Commissioned) -> None:
-    """What is about to be written must read back as the record, and nothing else in it be changed."""
-    try:
-        after = tomllib.loads(text)
-        kept = RecordTable.model_validate(after.pop(RECORD))
-    except (tomllib.TOMLDecodeError, ValidationError) as error:
-        raise ConfigError(f"{path}: the record does not fit in: {error}; remove [{RECORD}] by hand") from error
-    before, _ = parse_toml(path)
-    before.pop(RECORD, None)
-    if after != before or kept.profile_sha256 != record.profile_sha256:
-        raise ConfigError(f"{path}: the record cannot be put in without loss; remove [{RECORD}] by hand, then again")

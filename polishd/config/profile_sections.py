@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AwareDatetime, BeforeValidator, Field, StringConstraints, model_validator
 
 from polishd.config.document import Document
-from polishd.config.values import Angle, Pair, Positive, Section, Share, Text, Texts, as_tuple
+from polishd.config.values import Angle, Bump, Pair, Positive, Section, Share, Text, Texts, as_tuple
 from polishd.model.instrument import Instrument, RegisterBy
 
 _PLAIN = Instrument("")
@@ -78,19 +78,9 @@ class RegistrationTable(Section):
     """Most shift against the last map of the same part."""
 
 
-class BumpTable(Section):
+class BumpTable(Bump):
     """A Gaussian bump of the artefact; a hollow where its height is negative."""
 
-    x_mm: float
-    """Its centre, right of the artefact's."""
-    y_mm: float
-    """Its centre, above the artefact's."""
-    sigma_x_mm: Positive
-    """Standard deviation along its own x."""
-    sigma_y_mm: Positive
-    """Standard deviation along its own y."""
-    height_nm: float
-    """Its height over the flat."""
     angle_deg: Angle = 0.0
     """How its own x is turned, counter-clockwise."""
 

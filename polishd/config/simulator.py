@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field
 
 from polishd.config.document import Document, parse_toml
-from polishd.config.values import NotNegative, Pair, Positive, Section, ShareOrNone, Vector, as_tuple
+from polishd.config.values import Bump, NotNegative, Pair, Positive, Section, ShareOrNone, Vector, as_tuple
 
 Rate = Annotated[float, Field(ge=0, le=1)]
 Port = Annotated[int, Field(ge=0, le=65535)]
@@ -115,21 +115,6 @@ class MapFaults(Section):
     """-1: high is negative. [1]"""
     factor: Positive = 1.0
     """Of all heights; 2: it gives wavefronts for surfaces. [1]"""
-
-
-class Bump(Section):
-    """A Gaussian bump of the artefact; a hollow where its height is negative."""
-
-    x_mm: float
-    """Its centre, right of the artefact's centre."""
-    y_mm: float
-    """Its centre, above the artefact's centre."""
-    sigma_x_mm: Positive
-    """Standard deviation along x: at this distance 61 % of the height are left."""
-    sigma_y_mm: Positive
-    """Standard deviation along y."""
-    height_nm: float
-    """Its height over the flat."""
 
 
 class Artefact(Section):

@@ -44,20 +44,21 @@ def read_columns(path: Path, names: Sequence[str], optional: Sequence[str] = ())
                 f"{listed(header)}"
             )
     wanted = [name for name in (*names, *optional) if name in header]
-    values = [[_number(path, row, header, name) for name in wanted] for row in rows[1:]]
+    entries = [
+        (f"{path}:{number}", dict(zip(header, next(csv.reader([line])), strict=False))) for number, line in rows[1:]
+    ]
+    values = [[_number(place, name, given.get(name)) for name in wanted] for place, given in entries]
     return dict(zip(wanted, np.array(values, dtype=np.float64).T, strict=True))
 
 
-def _number(path: Path, row: tuple[int, str], header: Sequence[str], name: str) -> float:
-    entries = next(csv.reader([row[1]]))
-    column = header.index(name)
+def _number(place: str, name: str, given: str | None) -> float:
     try:
-        value = float(entries[column])
-    except (ValueError, IndexError):
+        value = float(given or "")
+    except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        given = repr(entries[column].strip()) if column < len(entries) else "nothing"
-        raise ConfigError(f"{path}:{row[0]}: {name} is {given}, it must be a finite number")
+        told = "nothing" if given is None else repr(given.strip())
+        raise ConfigError(f"{place}: {name} is {told}, it must be a finite number")
     return value
 
 

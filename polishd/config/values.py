@@ -48,3 +48,18 @@ class Section(BaseModel):
     """What all sections share: unknown keys, wrong types, NaN and infinity are errors; values never change."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class Bump(Section):
+    """A Gaussian bump of an artefact; a hollow where its height is negative."""
+
+    x_mm: float
+    """Its centre, right of the artefact's."""
+    y_mm: float
+    """Its centre, above the artefact's."""
+    sigma_x_mm: Positive
+    """Standard deviation along its own x: at this distance 61 % of the height are left."""
+    sigma_y_mm: Positive
+    """Standard deviation along its own y."""
+    height_nm: float
+    """Its height over the flat."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
+import tomlkit
 
 from polishd.config.profile import load_profile, write_commissioned
 from polishd.model.errors import ConfigError
@@ -175,7 +177,8 @@ def test_a_record_in_the_middle_of_the_file_is_replaced_too(tmp_path: Path) -> N
     write_commissioned(path, record(path))
     text = path.read_text()
     assert load_profile(path).unproved == ""
-    assert text.index("# my camera\n[lateral]") < text.index("[commissioned]")
+    assert text.endswith("\n# my camera\n[lateral]\npitch_mm = 0.25\n")
+    assert text.count("[commissioned]") == 1
     assert head
 
 
@@ -202,12 +205,34 @@ def test_a_text_that_only_looks_like_a_record_stays(tmp_path: Path) -> None:
     assert load_profile(path).instrument.name == "x\n[commissioned]\nat = 1"
 
 
-def test_what_cannot_be_written_is_as_it_was(tmp_path: Path) -> None:
-    path = written(tmp_path, 'name = "x"\n[commissioned]\nat = 2026-01-01T00:00:00Z\nartefact = """a\nb"""\n')
+@pytest.mark.parametrize(
+    "earlier",
+    [
+        '[commissioned]\nat = 2026-01-01T00:00:00Z\nartefact = """a\nb"""\n',
+        'commissioned = { at = 2026-01-01T00:00:00Z, artefact = "a" }\n[height]\nsign = 1\n',
+        'commissioned.at = 2026-01-01T00:00:00Z\ncommissioned.artefact = "a"\n# mine\n[height]\nsign = 1\n',
+        '[[artefact.bumps]]  # mine\nx_mm = 1\nsigma_x_mm = 1\nheight_nm = 1\n[artefact]\nname = "a"\n',
+    ],
+    ids=["several lines", "inline", "dotted", "none"],
+)
+def test_a_record_goes_into_any_layout(tmp_path: Path, earlier: str) -> None:
+    path = written(tmp_path, f'name = "x"\n{earlier}')
+    proof = Commissioned(AT, "another", "0" * 64, 0.9, 0.1, "1" * 64)
+    write_commissioned(path, proof)
+    raw = tomllib.loads(path.read_text())
+    assert Commissioned(**raw.pop("commissioned")) == proof
+    assert raw == {
+        key: value for key, value in tomllib.loads(f'name = "x"\n{earlier}').items() if key != "commissioned"
+    }
+    assert path.read_text().count("# mine") == earlier.count("# mine")
+
+
+def test_what_cannot_be_written_is_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = written(tmp_path, FULL)
     before = path.read_bytes()
-    proof = Commissioned(AT, "a", "0" * 64, 0.9, 0.1, "1" * 64)
+    monkeypatch.setattr(tomlkit, "dumps", lambda document: str(document.as_string()).replace("0.25", "0.5"))
     with pytest.raises(ConfigError, match="by hand"):
-        write_commissioned(path, proof)
+        write_commissioned(path, record(path))
     assert path.read_bytes() == before
     assert [item.name for item in tmp_path.iterdir()] == ["p.toml"]
 
