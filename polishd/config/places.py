@@ -131,14 +131,20 @@ def listed(names: Iterable[str]) -> str:
 
 
 def problems(error: ValidationError, model: type[BaseModel], source: Source, section: Location = ()) -> list[str]:
-    """One line per finding of pydantic."""
+    """One line per finding of pydantic, in the order of the file."""
     lines = []
     for found in error.errors(include_url=False):
         key, kind, owner = _follow(model, found["loc"])
         own = re.match(r"Value error, ([a-z_]+): ", found["msg"])  # a section's own check names the key at fault
         key = (*section, *key, *(own.groups() if own else ()))
         lines.append(source.error(key, _say(found, key, kind, owner)))
-    return list(dict.fromkeys(lines))
+    return sorted(dict.fromkeys(lines), key=_line)
+
+
+def _line(said: str) -> int:
+    """Of what was said; 0 for an override."""
+    place = re.search(r":(\d+): ", said)
+    return int(place[1]) if place else 0
 
 
 def plain_kind(kind: Any) -> Any:

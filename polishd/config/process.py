@@ -53,7 +53,7 @@ class HybridSection(Section):
     platform_radius_mm: Positive = _ROBOT.platform_radius_mm
     """Radius of the circle on which their platform ends lie."""
     first_limb_deg: Angle = _ROBOT.first_limb_deg
-    """Where on both circles the first limb stands, counter-clockwise from the base's x."""
+    """Where on both circles the first limb stands, from the base's x towards its y."""
     base_joints_mm: Joints | None = _ROBOT.base_joints_mm
     """The limbs' base ends one by one (`b_i` of eq. 1) instead of a circle. [mm]"""
     platform_joints_mm: Joints | None = _ROBOT.platform_joints_mm

@@ -129,8 +129,8 @@ def test_a_mistake_in_a_list_of_tables_is_placed_in_its_own(tmp_path: Path) -> N
     start = (FULL + second).count("\n") - second.count("\n")
     known = "Known here: 'angle_deg', 'height_nm', 'sigma_x_mm', 'sigma_y_mm', 'x_mm', 'y_mm'"
     assert str(caught.value).replace(str(tmp_path / "p.toml"), "P").splitlines() == [
-        f"P:{start + 4}: artefact.bumps.sigma_x_mm: -3.0 is out of range; must be greater than 0.0",
         f"P:{start + 1}: artefact.bumps.sigma_y_mm: is missing; add it: sigma_y_mm = ...",
+        f"P:{start + 4}: artefact.bumps.sigma_x_mm: -3.0 is out of range; must be greater than 0.0",
         f"P:{start + 6}: artefact.bumps.angel_deg: unknown key; did you mean 'angle_deg'? {known}",
     ]
 
