@@ -16,7 +16,7 @@ from polishd.process import metrics
 from polishd.show.tables import figure_table, stdout
 from polishd.workbench.maps.figures import band_records, json_line
 from polishd.workbench.maps.files import edges_mm, map_from, profile_of, readers_for, require_picture, shown, told_apart
-from polishd.workbench.maps.show import FigureOptions
+from polishd.workbench.maps.options import FigureOptions
 
 SAME_PITCH = 1e-6
 """Part of a pitch by which two may differ and still be one grid."""

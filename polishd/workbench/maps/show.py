@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,21 +12,10 @@ from polishd.model.errors import SurfaceError
 from polishd.show.tables import figure_table, key_table, stdout
 from polishd.workbench.maps.figures import Figured, figured, json_line
 from polishd.workbench.maps.files import edges_mm, map_from, profile_of, readers_for, require_picture, shown, told_apart
+from polishd.workbench.maps.options import FigureOptions
 
 MOST_DRAWN = 12
 """Maps in a picture: one row each."""
-
-
-@dataclass(frozen=True, slots=True)
-class FigureOptions:
-    """What was asked for."""
-
-    trim: int = 0
-    bands: str = "33,0.12"
-    profile: Path | None = None
-    out: Path | None = None
-    cell: Path | None = None
-    """Whose plugins read, too."""
 
 
 def figures_verb(files: Sequence[Path], options: FigureOptions, *, as_json: bool) -> None:

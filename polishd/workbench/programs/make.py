@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import typer
@@ -25,13 +25,14 @@ from polishd.process.paths import apertures
 from polishd.process.paths.apertures import Aperture
 from polishd.process.paths.raster import raster
 from polishd.process.paths.spiral import spiral
-from polishd.process.paths.wrist import TURN_LIMIT_DEG, largest_turn_deg, tool_axes
+from polishd.process.paths.wrist import largest_turn_deg, tool_axes
 from polishd.recipe.files import read_map
 from polishd.show.style import save_picture
 from polishd.show.tables import emit, key_table, stderr, stdout
 from polishd.workbench.programs.files import not_over, target_file
 from polishd.workbench.programs.make_check import UNCHECKED, require_cell_takes
 from polishd.workbench.programs.make_picture import path_picture
+from polishd.workbench.programs.options import MakeOptions
 
 SHAPES: dict[str, tuple[int, Callable[..., Aperture]]] = {
     "circle": (1, apertures.circle),
@@ -41,36 +42,6 @@ SHAPES: dict[str, tuple[int, Callable[..., Aperture]]] = {
 }
 """Apertures by name: how many lengths, and what makes one of them."""
 UPRIGHT = Placement((0.0, 0.0, 0.0), np.eye(3))
-
-
-@dataclass(frozen=True, slots=True)
-class MakeOptions:
-    """What was asked for; None: as the cell has it, or what is said."""
-
-    shape: Literal["raster", "spiral"]
-    out: Path
-    cell: Path | None = None
-    aperture: str | None = None
-    optic: str | None = None
-    """None without a cell: flat."""
-    offset_mm: tuple[float, float] | None = None
-    pitch_mm: float = 1.0
-    step_mm: float = 1.0
-    direction_deg: float = 0.0
-    inwards: bool = False
-    overrun_mm: float = 1.0
-    landing_mm: float = 5.0
-    dip_deg: float | None = None
-    """None without a cell: 0."""
-    azimuth_deg: float | None = None
-    turn_limit_deg: float = TURN_LIMIT_DEG
-    feed_mm_min: float = 900.0
-    dwell_s: float | None = None
-    encoding: Encoding | None = None
-    """None: "dwell" where a dwell is asked for, else "feed"."""
-    dialect: str | None = None
-    """None without a cell: rs274."""
-    picture: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
