@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import io
+import json
+import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from polishd.console.progress import progress
 from polishd.daemon.endings import Ending
-from polishd.show.tables import cycle_table, key_table, record_table, stderr
+from polishd.show.tables import cycle_table, emit, key_table, record_table, stderr
 
 CYCLES: list[dict[str, Any]] = [
     {
@@ -68,6 +71,23 @@ def test_keys_and_records() -> None:
     lines = shown(record_table("t", ("name", "n"), [("a", 1), ("b", None)]))
     assert ["name", "n"] in lines
     assert ["b", "None"] in lines
+
+
+def test_json_holds_no_nan(capsys: Any) -> None:
+    answer = {
+        "a": math.nan,
+        "b": [math.inf, {"c": np.float64("-inf")}],
+        "d": np.float32(1.5),
+        "e": np.arange(2),
+        "f": Path("g"),
+    }
+    emit(answer, as_json=True, table=lambda: Table(), lines=["for people"])
+    assert json.loads(capsys.readouterr().out) == {"a": None, "b": [None, {"c": None}], "d": 1.5, "e": [0, 1], "f": "g"}
+
+
+def test_lines_stand_below_the_table(capsys: Any) -> None:
+    emit({}, as_json=False, table=lambda: key_table("t", [("part", "P-1")]), lines=["a [b]", "c"])
+    assert capsys.readouterr().out.splitlines()[-2:] == ["a [b]", "c"]
 
 
 def test_what_a_person_sees_of_a_run(capsys: Any) -> None:
