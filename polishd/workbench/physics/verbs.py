@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.table import Table
 
 from polishd.config.cell import CellConfig, load_config
 from polishd.hooks.cell import load_cell
@@ -20,7 +22,7 @@ from polishd.process.spot_figures import SpotFigures, map_nm_s, measured_figures
 from polishd.recipe import steps
 from polishd.recipe.making import make_recipe
 from polishd.show.style import save_picture
-from polishd.show.tables import emit, key_table, stdout
+from polishd.show.tables import emit, key_table
 from polishd.workbench.physics.pictures import compliance_picture, spot_picture
 
 PICTURE_SAMPLES = 120
@@ -40,13 +42,15 @@ def tif_verb(cell: Path, ratio: float, out: Path | None, *, as_json: bool) -> No
         spot = map_nm_s(process, ratio, 2 * figures.contact_radius_mm / PICTURE_SAMPLES)
     if out is not None:
         save_picture(out, spot_picture(figures, spot, f"TIF at gamma {ratio:g}"))
-    answer = tif_answer(figures, ratio)
-    emit(answer, as_json=as_json, table=lambda: _tif_table(config, figures, ratio))
-    if out is not None and not as_json:
-        stdout.print(f"written to {out}", markup=False)
+    answer = _tif_answer(figures, ratio)
+    emit(answer, as_json=as_json, table=lambda: _tif_table(config, figures, ratio), lines=_written(out))
 
 
-def tif_answer(figures: SpotFigures, ratio: float) -> dict[str, Any]:
+def _written(out: Path | None) -> list[str]:
+    return [] if out is None else [f"written to {out}"]
+
+
+def _tif_answer(figures: SpotFigures, ratio: float) -> dict[str, Any]:
     """The figures as JSON holds them."""
     plain = ("depth_mm", "contact_radius_mm", "peak_pressure_mpa", "peak_nm_s", "volume_mm3_min")
     return {
@@ -59,7 +63,7 @@ def tif_answer(figures: SpotFigures, ratio: float) -> dict[str, Any]:
     }
 
 
-def _tif_table(config: CellConfig, figures: SpotFigures, ratio: float) -> Any:
+def _tif_table(config: CellConfig, figures: SpotFigures, ratio: float) -> Table:
     shape = "M-shaped" if figures.m_shaped else "one maximum"
     rows = [
         ("removal model", config.process.removal_model),
@@ -99,9 +103,8 @@ def compliance_verb(cell: Path, program: Path | None, out: Path | None, *, as_js
     if out is not None:
         pair = None if along is None else (along.um_per_n, along.gamma)
         save_picture(out, compliance_picture(field, pair))
-    emit(compliance_answer(field, along), as_json=as_json, table=lambda: _compliance_table(config, field, along))
-    if out is not None and not as_json:
-        stdout.print(f"written to {out}", markup=False)
+    answer = _compliance_answer(field, along)
+    emit(answer, as_json=as_json, table=lambda: _compliance_table(config, field, answer, along), lines=_written(out))
 
 
 def _along(config: CellConfig, hooks: Hooks, program: Path) -> AlongProgram:
@@ -114,7 +117,7 @@ def _along(config: CellConfig, hooks: Hooks, program: Path) -> AlongProgram:
     return AlongProgram(read.name, found, gamma)
 
 
-def compliance_answer(field: ComplianceField, along: AlongProgram | None) -> dict[str, Any]:
+def _compliance_answer(field: ComplianceField, along: AlongProgram | None) -> dict[str, Any]:
     """The figures as JSON holds them."""
     answer: dict[str, Any] = {
         "workspace": {
@@ -140,29 +143,35 @@ def compliance_answer(field: ComplianceField, along: AlongProgram | None) -> dic
 def _range(values: FloatArray) -> dict[str, float | None]:
     known = values[np.isfinite(values)]
     if not known.size:
-        return {"min": None, "max": None, "mean": None}
+        return dict.fromkeys(("min", "max", "mean"))
     return {"min": float(known.min()), "max": float(known.max()), "mean": float(known.mean())}
 
 
-def _compliance_table(config: CellConfig, field: ComplianceField, along: AlongProgram | None) -> Any:
+def _compliance_table(
+    config: CellConfig, field: ComplianceField, answer: Mapping[str, Any], along: AlongProgram | None
+) -> Table:
+    workspace = answer["workspace"]
     rows: list[tuple[str, object]] = [
-        ("over the workspace", f"{_words(field.compliance_um_per_n)} um/N"),
-        ("gamma there", _words(field.gamma)),
+        ("over the workspace", f"{_words(workspace['compliance_um_per_n'])} um/N"),
+        ("gamma there", _words(workspace["gamma"])),
         ("places", f"{field.places}, {field.out_of_reach} of them out of reach"),
     ]
     if field.undefined:
         rows.append(("undefined", f"{field.undefined} places: eq. 41 as printed has complex eigenvalues there"))
     if along is not None:
+        program = answer["program"]
         rows += [
-            (f"along {along.name}", f"{_words(along.um_per_n)} um/N at {len(along.gamma)} timed points"),
-            ("gamma there", _words(along.gamma)),
+            (
+                f"along {along.name}",
+                f"{_words(program['compliance_um_per_n'])} um/N at {program['points']} timed points",
+            ),
+            ("gamma there", _words(program["gamma"])),
             *(("note", note) for note in along.found.notes),
         ]
     return key_table(f"{config.cell.name}: compliance ({config.compliance.projection})", rows)
 
 
-def _words(values: FloatArray) -> str:
-    known = _range(values)
+def _words(known: Mapping[str, float | None]) -> str:
     if known["mean"] is None:
         return "none"
     return f"{known['min']:.3f} to {known['max']:.3f}, mean {known['mean']:.3f}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import re
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -142,8 +141,6 @@ def _held(
 def target_file(path: Path) -> Iterator[BinaryIO]:
     """A file that gets its name when the block ends; ProgramError where it cannot be written."""
     try:
-        if path.exists() and not path.is_file():  # the last step would put a file in the place of a device or pipe
-            raise OSError(errno.EINVAL, "it is there, and is no file")
         with whole_file(path) as file:
             yield file
     except OSError as error:

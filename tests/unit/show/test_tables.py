@@ -81,7 +81,7 @@ def test_json_holds_no_nan(capsys: Any) -> None:
         "e": np.arange(2),
         "f": Path("g"),
     }
-    emit(answer, as_json=True, table=lambda: Table(), lines=["for people"])
+    emit(answer, as_json=True, table=Table, lines=["for people"])
     assert json.loads(capsys.readouterr().out) == {"a": None, "b": [None, {"c": None}], "d": 1.5, "e": [0, 1], "f": "g"}
 
 

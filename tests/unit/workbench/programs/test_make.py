@@ -31,8 +31,7 @@ from polishd.recipe import foresight, steps
 from polishd.recipe.making import make_recipe
 from polishd.sim_backends.metropro import DatMap, pack
 from polishd.workbench.programs.cli import make
-from polishd.workbench.programs.make import _dialect_of, make_path
-from polishd.workbench.programs.make_check import UNCHECKED
+from polishd.workbench.programs.make import UNCHECKED, _dialect_of, make_path
 from polishd.workbench.programs.options import MakeOptions
 from tests.unit.said import Polishd
 
