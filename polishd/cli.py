@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Literal, cast
 
 import typer
+from typer import Argument, Option
 
 from polishd import __version__
 from polishd.model.errors import PolishdError
@@ -27,20 +28,20 @@ STDOUT = 1
 """Its descriptor."""
 
 Correction = Annotated[
-    Literal["none", "pointwise", "linear", "power", "exact"] | None, typer.Option(help="Override process.correction.")
+    Literal["none", "pointwise", "linear", "power", "exact"] | None, Option(help="Override process.correction.")
 ]
 
 
 @app.command()
 def demo(
     *,
-    seed: Annotated[int, typer.Option(help="What the simulated cell hides is drawn from it.")] = 1,
-    speed: Annotated[float, typer.Option(min=1.0, max=200.0, help="Process time per wall time.")] = 60.0,
-    cycles: Annotated[int, typer.Option(min=1, max=20, help="Most polishing passes.")] = 4,
-    tolerance: Annotated[float, typer.Option(min=0.01, metavar="NM", help="RMS to reach, nm.")] = 2.0,
-    surface: Annotated[Path | None, typer.Option(metavar="FILE", help="Start from a measured map (Zygo .dat).")] = None,
+    seed: Annotated[int, Option(help="What the simulated cell hides is drawn from it.")] = 1,
+    speed: Annotated[float, Option(min=1.0, max=200.0, help="Process time per wall time.")] = 60.0,
+    cycles: Annotated[int, Option(min=1, max=20, help="Most polishing passes.")] = 4,
+    tolerance: Annotated[float, Option(min=0.01, metavar="NM", help="RMS to reach, nm.")] = 2.0,
+    surface: Annotated[Path | None, Option(metavar="FILE", help="Start from a measured map (Zygo .dat).")] = None,
     correction: Correction = None,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for everything it makes.")] = None,
+    out: Annotated[Path | None, Option(metavar="DIR", help="Folder for everything it makes.")] = None,
     as_json: Json = False,
 ) -> None:
     """Polish a simulated part in a simulated cell, over real wires, with nobody there."""
@@ -54,7 +55,7 @@ def demo(
 def run(
     cell: Cell,
     correction: Correction = None,
-    no_hold: Annotated[bool, typer.Option("--no-hold", help="End where it would wait for a person to mend.")] = False,
+    no_hold: Annotated[bool, Option("--no-hold", help="End where it would wait for a person to mend.")] = False,
     as_json: Json = False,
 ) -> None:
     """Run the daemon of a cell until its job ends. After an interruption it comes up held."""
@@ -67,9 +68,9 @@ def run(
 def plan(
     *,
     cell: Cell,
-    surface: Annotated[Path, typer.Argument(metavar="MAP", help="A measured map.")],
-    program: Annotated[Path, typer.Option(metavar="P.rnc", help="The RNC program to rewrite.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="New folder for the plan.")],
+    surface: Annotated[Path, Argument(metavar="MAP", help="A measured map.")],
+    program: Annotated[Path, Option(metavar="P.rnc", help="The RNC program to rewrite.")],
+    out: Annotated[Path, Option(metavar="DIR", help="New folder for the plan.")],
     correction: Correction = None,
     as_json: Json = False,
 ) -> None:
@@ -129,7 +130,7 @@ def estop(cell: Cell, as_json: Json = False) -> None:
 
 @app.command()
 def plugins(
-    cell: Annotated[Path | None, typer.Argument(metavar="[CELL.toml]")] = None,
+    cell: Annotated[Path | None, Argument(metavar="[CELL.toml]")] = None,
     as_json: Json = False,
 ) -> None:
     """The plugins of a cell (without CELL: polishd's own), and what each brings."""
@@ -141,7 +142,7 @@ def plugins(
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
 def sim(
     context: typer.Context,
-    config: Annotated[Path, typer.Argument(metavar="SIM.toml")],
+    config: Annotated[Path, Argument(metavar="SIM.toml")],
 ) -> None:
     """Start a simulated cell, as processes of their own; ends with Ctrl-C. Further options go to the simulator."""
     from polishd.console.simulator import run_simulator

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from polishd.workbench.calibration.cli import app as calibrations
 from polishd.workbench.maps.cli import app as maps
@@ -21,7 +22,7 @@ app.add_typer(maps, name="map", no_args_is_help=True)
 @app.command()
 def tif(
     cell: Cell,
-    depth_ratio: Annotated[float, typer.Option(metavar="G", help="Gamma: depth over the rigid robot's.")] = 1.0,
+    depth_ratio: Annotated[float, Option(metavar="G", help="Gamma: depth over the rigid robot's.")] = 1.0,
     out: Picture = None,
     as_json: Json = False,
 ) -> None:
@@ -34,7 +35,7 @@ def tif(
 @app.command()
 def compliance(
     cell: Cell,
-    program: Annotated[Path | None, typer.Option(metavar="P.rnc", help="Along this program, too.")] = None,
+    program: Annotated[Path | None, Option(metavar="P.rnc", help="Along this program, too.")] = None,
     out: Picture = None,
     as_json: Json = False,
 ) -> None:
@@ -46,8 +47,8 @@ def compliance(
 
 @app.command()
 def study(
-    file: Annotated[Path, typer.Argument(metavar="STUDY.toml")],
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for pictures and tables.")] = None,
+    file: Annotated[Path, Argument(metavar="STUDY.toml")],
+    out: Annotated[Path | None, Option(metavar="DIR", help="Folder for pictures and tables.")] = None,
     as_json: Json = False,
 ) -> None:
     """A simulation without a cell: corrections compared, spots of a table, passes of equal dwell."""

@@ -9,11 +9,11 @@ from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
-import typer
+from typer import Argument, Option
 
-Cell = Annotated[Path, typer.Argument(metavar="CELL.toml", help="The cell's configuration.")]
-Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout, for programs.")]
-Picture = Annotated[Path | None, typer.Option("--out", metavar="PNG", help="Draw it, too.")]
+Cell = Annotated[Path, Argument(metavar="CELL.toml", help="The cell's configuration.")]
+Json = Annotated[bool, Option("--json", help="One JSON object on stdout, for programs.")]
+Picture = Annotated[Path | None, Option("--out", metavar="PNG", help="Draw it, too.")]
 
 
 def spread(command: Callable[..., None]) -> Callable[..., None]:

@@ -6,13 +6,12 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+from typer import Argument, Option
 
 from polishd.workbench.options import Json
 
-Fragment = Annotated[Path | None, typer.Option("--out", metavar="FRAGMENT.toml", help="Write what a cell includes.")]
-OfCell = Annotated[
-    Path | None, typer.Option("--cell", metavar="CELL.toml", help="The cell; default: the shipped values.")
-]
+Fragment = Annotated[Path | None, Option("--out", metavar="FRAGMENT.toml", help="Write what a cell includes.")]
+OfCell = Annotated[Path | None, Option("--cell", metavar="CELL.toml", help="The cell; default: the shipped values.")]
 
 app = typer.Typer(help="Fit the cell's numbers to measurements; writes fragments that a cell includes.")
 
@@ -20,16 +19,12 @@ app = typer.Typer(help="Fit the cell's numbers to measurements; writes fragments
 @app.command()
 def stiffness(
     *,
-    tests: Annotated[Path, typer.Argument(metavar="TESTS.csv", help="Static loading tests.")],
+    tests: Annotated[Path, Argument(metavar="TESTS.csv", help="Static loading tests.")],
     cell: OfCell = None,
-    held_out: Annotated[
-        Path | None, typer.Option(metavar="CSV", help="Further tests, which are only predicted.")
-    ] = None,
-    projection: Annotated[
-        Literal["normal", "linear", "quadratic"], typer.Option(help="What a test measures.")
-    ] = "normal",
+    held_out: Annotated[Path | None, Option(metavar="CSV", help="Further tests, which are only predicted.")] = None,
+    projection: Annotated[Literal["normal", "linear", "quadratic"], Option(help="What a test measures.")] = "normal",
     out: Fragment = None,
-    anyway: Annotated[bool, typer.Option("--anyway", help="Write the fragment of a doubtful fit, too.")] = False,
+    anyway: Annotated[bool, Option("--anyway", help="Write the fragment of a doubtful fit, too.")] = False,
     as_json: Json = False,
 ) -> None:
     """Fit the robot's stiffnesses to loading tests: pose, direction, um/N."""
@@ -41,13 +36,13 @@ def stiffness(
 @app.command()
 def tif(
     *,
-    before: Annotated[Path, typer.Argument(metavar="BEFORE", help="Map before the spot.")],
-    after: Annotated[Path, typer.Argument(metavar="AFTER", help="Map after it.")],
-    seconds: Annotated[float, typer.Option(metavar="S", help="Time on the spot.")],
+    before: Annotated[Path, Argument(metavar="BEFORE", help="Map before the spot.")],
+    after: Annotated[Path, Argument(metavar="AFTER", help="Map after it.")],
+    seconds: Annotated[float, Option(metavar="S", help="Time on the spot.")],
     cell: OfCell = None,
-    depth_ratio: Annotated[float, typer.Option(metavar="G", help="Gamma where the spot was made.")] = 1.0,
-    azimuth_deg: Annotated[float, typer.Option(help="Where the spindle leaned, from the map's x.")] = 0.0,
-    radius_mm: Annotated[float | None, typer.Option(help="The spot's rim; default: found.")] = None,
+    depth_ratio: Annotated[float, Option(metavar="G", help="Gamma where the spot was made.")] = 1.0,
+    azimuth_deg: Annotated[float, Option(help="Where the spindle leaned, from the map's x.")] = 0.0,
+    radius_mm: Annotated[float | None, Option(help="The spot's rim; default: found.")] = None,
     out: Fragment = None,
     as_json: Json = False,
 ) -> None:
@@ -59,9 +54,7 @@ def tif(
 
 @app.command()
 def exponent(
-    spots: Annotated[
-        Path, typer.Argument(metavar="SPOTS.csv", help="Spots at several depths: depth_ratio, volume_mm3_min.")
-    ],
+    spots: Annotated[Path, Argument(metavar="SPOTS.csv", help="Spots at several depths: depth_ratio, volume_mm3_min.")],
     out: Fragment = None,
     as_json: Json = False,
 ) -> None:

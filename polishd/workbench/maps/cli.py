@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 from typer.core import TyperGroup
 
 from polishd.workbench.maps.options import FigureOptions, Json, OfCell, Profile
@@ -20,7 +21,7 @@ HELP = (
 )
 
 # readable=False: what cannot be read is exit code 8, as what is broken is; typer would make it 2
-Map = Annotated[Path, typer.Argument(metavar="MAP", help="A map.", readable=False)]
+Map = Annotated[Path, Argument(metavar="MAP", help="A map.", readable=False)]
 
 
 class MapGroup(TyperGroup):
@@ -47,7 +48,7 @@ def one_thread() -> None:
 @app.command(DEFAULT)
 @spread
 def figures(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Maps.", readable=False)],
+    files: Annotated[list[Path], Argument(metavar="FILE...", help="Maps.", readable=False)],
     *,
     as_json: Json = False,
     asked: FigureOptions,
@@ -61,8 +62,8 @@ def figures(
 @app.command()
 @spread
 def compare(
-    before: Annotated[Path, typer.Argument(metavar="BEFORE", readable=False)],
-    after: Annotated[Path, typer.Argument(metavar="AFTER", readable=False)],
+    before: Annotated[Path, Argument(metavar="BEFORE", readable=False)],
+    after: Annotated[Path, Argument(metavar="AFTER", readable=False)],
     *,
     as_json: Json = False,
     asked: FigureOptions,
@@ -76,10 +77,10 @@ def compare(
 @app.command()
 def convert(
     *,
-    source: Annotated[Path, typer.Argument(metavar="A", help="A map.", readable=False)],
-    target: Annotated[Path, typer.Argument(metavar="B", help="The new file; its ending says the format.")],
+    source: Annotated[Path, Argument(metavar="A", help="A map.", readable=False)],
+    target: Annotated[Path, Argument(metavar="B", help="The new file; its ending says the format.")],
     profile: Profile = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace B where it is there.")] = False,
+    force: Annotated[bool, Option("--force", help="Replace B where it is there.")] = False,
     as_json: Json = False,
     cell: OfCell = None,
 ) -> None:
@@ -92,12 +93,12 @@ def convert(
 @app.command()
 def average(
     *,
-    files: Annotated[list[Path], typer.Argument(metavar="MAP...", help="Repeats.", readable=False)],
+    files: Annotated[list[Path], Argument(metavar="MAP...", help="Repeats.", readable=False)],
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="MEAN", help="The new map; its ending says the format.")
+        Path | None, Option("--out", metavar="MEAN", help="The new map; its ending says the format.")
     ] = None,
     profile: Profile = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace MEAN where it is there.")] = False,
+    force: Annotated[bool, Option("--force", help="Replace MEAN where it is there.")] = False,
     as_json: Json = False,
     cell: OfCell = None,
 ) -> None:
@@ -109,9 +110,9 @@ def average(
 
 @app.command()
 def commission(
-    profile: Annotated[Path, typer.Argument(metavar="P.toml", help="The instrument's profile.", readable=False)],
+    profile: Annotated[Path, Argument(metavar="P.toml", help="The instrument's profile.", readable=False)],
     surface: Map,
-    out: Annotated[Path | None, typer.Option("--out", metavar="PNG", help="Draw what was found.")] = None,
+    out: Annotated[Path | None, Option("--out", metavar="PNG", help="Draw what was found.")] = None,
     as_json: Json = False,
     cell: OfCell = None,
 ) -> None:

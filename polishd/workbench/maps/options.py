@@ -6,19 +6,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from polishd.workbench.options import Picture
 
 # readable=False: what cannot be read is exit code 8, as what is broken is; typer would make it 2
 Profile = Annotated[
-    Path | None, typer.Option(metavar="P.toml", help="The instrument's profile: apply it first.", readable=False)
+    Path | None, Option(metavar="P.toml", help="The instrument's profile: apply it first.", readable=False)
 ]
 OfCell = Annotated[
-    Path | None,
-    typer.Option("--cell", metavar="CELL.toml", help="Read as this cell does: with its plugins.", readable=False),
+    Path | None, Option("--cell", metavar="CELL.toml", help="Read as this cell does: with its plugins.", readable=False)
 ]
-Json = Annotated[bool, typer.Option("--json", help="One JSON object a file on stdout, for programs.")]
+Json = Annotated[bool, Option("--json", help="One JSON object a file on stdout, for programs.")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,9 +25,7 @@ class FigureOptions:
     """What ``figures`` and ``compare`` are asked for."""
 
     out: Picture = None
-    trim: Annotated[
-        int, typer.Option(min=0, max=1000, metavar="N", help="Pixels to take off every edge of the data.")
-    ] = 0
+    trim: Annotated[int, Option(min=0, max=1000, metavar="N", help="Pixels to take off every edge of the data.")] = 0
     profile: Profile = None
-    bands: Annotated[str, typer.Option(metavar="MM,...", help="Periods between the bands, falling.")] = "33,0.12"
+    bands: Annotated[str, Option(metavar="MM,...", help="Periods between the bands, falling.")] = "33,0.12"
     cell: OfCell = None

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+from typer import Argument, Option
 
 from polishd.workbench.options import Json, spread
 from polishd.workbench.programs.options import Encoding, MakeOptions
@@ -13,9 +14,9 @@ from polishd.workbench.programs.options import Encoding, MakeOptions
 app = typer.Typer(help="RNC programs: inspect, rewrite the dwell, prove that the motion stayed, make new ones.")
 
 # readable=False: what cannot be read is exit code 9, as what is not there is; typer would make it 2
-File = Annotated[Path, typer.Argument(metavar="FILE", help="The RNC program.", readable=False)]
+File = Annotated[Path, Argument(metavar="FILE", help="The RNC program.", readable=False)]
 Dialect = Annotated[
-    str, typer.Option(metavar="NAME|D.toml", help="Its dialect (polishd program dialects), or a profile of your own.")
+    str, Option(metavar="NAME|D.toml", help="Its dialect (polishd program dialects), or a profile of your own.")
 ]
 
 
@@ -23,7 +24,7 @@ Dialect = Annotated[
 def inspect(
     file: File,
     dialect: Dialect = "rs274",
-    picture: Annotated[Path | None, typer.Option(metavar="PNG", help="Draw where it dwells, and for how long.")] = None,
+    picture: Annotated[Path | None, Option(metavar="PNG", help="Draw where it dwells, and for how long.")] = None,
     as_json: Json = False,
 ) -> None:
     """Points, dwell, feeds, bounds and warnings of a program; refuses what cannot be read without guessing."""
@@ -37,20 +38,14 @@ def rewrite(
     *,
     file: File,
     dwell: Annotated[
-        Path,
-        typer.Option(
-            metavar="CSV",
-            help="One dwell in seconds a row, no header, one row a point.",
-            readable=False,
-        ),
+        Path, Option(metavar="CSV", help="One dwell in seconds a row, no header, one row a point.", readable=False)
     ],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="The new program; not FILE itself.")],
+    out: Annotated[Path, Option(metavar="FILE", help="The new program; not FILE itself.")],
     dialect: Dialect = "rs274",
     encoding: Annotated[
-        Encoding | None,
-        typer.Option(help="Where the time is written; default: where the program has it."),
+        Encoding | None, Option(help="Where the time is written; default: where the program has it.")
     ] = None,
-    comment: Annotated[bool, typer.Option("--comment", help="Say in the first line what was done.")] = False,
+    comment: Annotated[bool, Option("--comment", help="Say in the first line what was done.")] = False,
     as_json: Json = False,
 ) -> None:
     """Other dwells in the same program: changes the numbers that carry time, and no other byte."""
@@ -61,11 +56,11 @@ def rewrite(
 
 @app.command()
 def verify(
-    old: Annotated[Path, typer.Argument(metavar="OLD", help="The program as it was.", readable=False)],
-    new: Annotated[Path, typer.Argument(metavar="NEW", help="The program as it is.", readable=False)],
+    old: Annotated[Path, Argument(metavar="OLD", help="The program as it was.", readable=False)],
+    new: Annotated[Path, Argument(metavar="NEW", help="The program as it is.", readable=False)],
     dialect: Dialect = "rs274",
     interpreter: Annotated[
-        Literal["rs274"] | None, typer.Option("--with", help="Prove it with LinuxCNC's interpreter, too.")
+        Literal["rs274"] | None, Option("--with", help="Prove it with LinuxCNC's interpreter, too.")
     ] = None,
     as_json: Json = False,
 ) -> None:

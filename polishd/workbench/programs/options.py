@@ -67,8 +67,7 @@ class MakeOptions:
         None
     )
     encoding: Annotated[
-        Encoding | None,
-        Option(help="Where the time is written; default: dwell with --dwell, else feed."),
+        Encoding | None, Option(help="Where the time is written; default: dwell with --dwell, else feed.")
     ] = None
     dialect: Annotated[
         str | None, Option(metavar="NAME|D.toml", help="The dialect to write; default: the cell's, or rs274.")
