@@ -82,13 +82,18 @@ def figure_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str
 
 
 def emit(
-    answer: Mapping[str, Any], *, as_json: bool, table: Callable[[], RenderableType], lines: Iterable[str] = ()
+    answer: Mapping[str, Any],
+    *,
+    as_json: bool,
+    table: Callable[[], RenderableType] | None = None,
+    lines: Iterable[str] = (),
 ) -> None:
     """JSON on stdout for programs; a table for people, and lines below it."""
     if as_json:
         typer.echo(json_line(answer))
         return
-    stdout.print(table())
+    if table is not None:
+        stdout.print(table())
     for line in lines:
         stdout.print(line, markup=False)
 

@@ -20,7 +20,7 @@ from polishd.model.process import MeasuredTif, Projection, ToolProcess
 from polishd.model.robot import HybridRobot, MeasuredCompliance, SerialRobot
 from polishd.process.calibration.exponent import fit_exponent
 from polishd.process.calibration.judgement import doubts
-from polishd.process.calibration.loading import LoadingTests, PercentErrors
+from polishd.process.calibration.loading import LoadingTests
 from polishd.process.calibration.stiffness import StiffnessFit, fit_stiffness
 from polishd.process.measured_tif import preston_from_tif, tif_from_maps
 from polishd.show.tables import emit, key_table, record_table, stderr
@@ -55,27 +55,29 @@ def stiffness_verb(files: LoadingFiles, cell: Path | None, out: Path | None, *, 
         what = f"stiffnesses fitted to {files.tests.name}" + "".join(f"; DOUBTFUL: {doubt}" for doubt in doubtful)
         _write_fragment(out, "kinematics", _stiffness_keys(fit.robot, fit), what)
     answer = {
-        "stiffnesses": [asdict(stiffness) for stiffness in fit.stiffnesses],
-        **{key: None if found is None else asdict(found) for key, (_, found) in _errors(fit).items()},
-        "doubts": list(doubtful),
+        "stiffnesses": fit.stiffnesses,
+        "fitted": fit.fitted,
+        "cross_validated": fit.cross_validated,
+        "held_out": fit.held_out,
+        "doubts": doubtful,
     }
-    lines = [
-        f"error {where}: mean {found.mean_percent:.2f} %, largest {found.max_percent:.2f} % ({found.tests} tests)"
-        for where, found in _errors(fit).values()
-        if found is not None
-    ]
-    _emit(answer, out, as_json=as_json, table=lambda: _stiffness_table(fit), lines=[*lines, *fit.notes])
+    _emit(answer, out, as_json=as_json, table=lambda: _stiffness_table(fit), lines=[*_error_lines(fit), *fit.notes])
     for doubt in doubtful:
         stderr.print(f"DO NOT BELIEVE THIS: {doubt}", style="red", markup=False, soft_wrap=True)
 
 
-def _errors(fit: StiffnessFit[Any]) -> dict[str, tuple[str, PercentErrors | None]]:
+def _error_lines(fit: StiffnessFit[Any]) -> list[str]:
     """The paper's own figures: mean and largest absolute percentage error (4.19 and 6.38 % in its fig. 10)."""
-    return {
-        "fitted": ("on the tests", fit.fitted),
-        "cross_validated": ("cross-validated", fit.cross_validated),
-        "held_out": ("on the held-out tests", fit.held_out),
+    known = {
+        "on the tests": fit.fitted,
+        "cross-validated": fit.cross_validated,
+        "on the held-out tests": fit.held_out,
     }
+    return [
+        f"error {where}: mean {found.mean_percent:.2f} %, largest {found.max_percent:.2f} % ({found.tests} tests)"
+        for where, found in known.items()
+        if found is not None
+    ]
 
 
 def _elastic_robot(cell: Path | None) -> Any:

@@ -97,24 +97,21 @@ def paired(before: SurfaceMap, after: SurfaceMap, *, trim: int = 0) -> Pair:
             notes.append("one map has no lateral scale: the other's is taken for both")
         pitch = other if pitch is None else pitch
     elif not same_shape or abs(pitch - other) > SAME_PITCH * pitch:
-        grid = _common_grid(before.grid, after.grid)
-        heights, pitch = _resampled(before, after, grid), grid.pitch_mm
+        heights, grid = _resampled(before, after)
+        pitch = grid.pitch_mm
         notes.append(f"resampled to {grid.ny} x {grid.nx} samples of {pitch:.7g} mm, centre on centre")
     return Pair(heights, _common_mask(before, after, heights, trim), pitch, tuple(notes))
 
 
-def _common_grid(one: Grid, two: Grid) -> Grid:
-    """The coarser pitch, over what both reach."""
-    pitch = max(one.pitch_mm, two.pitch_mm)
-    rows, columns = (min(one.shape[k] * one.pitch_mm, two.shape[k] * two.pitch_mm) for k in (0, 1))
-    return Grid(max(1, int(rows / pitch + 1e-6)), max(1, int(columns / pitch + 1e-6)), pitch)
-
-
-def _resampled(before: SurfaceMap, after: SurfaceMap, grid: Grid) -> tuple[FloatArray, FloatArray]:
+def _resampled(before: SurfaceMap, after: SurfaceMap) -> tuple[tuple[FloatArray, FloatArray], Grid]:
+    """Both at the coarser pitch, over what both reach; and that grid."""
     from polishd.process.registration import resample_registered
 
-    one, two = (resample_registered(found.height_nm, found.grid, grid) for found in (before, after))
-    return one, two
+    one, two = before.grid, after.grid
+    pitch = max(one.pitch_mm, two.pitch_mm)
+    ny, nx = (int(min(one.shape[k] * one.pitch_mm, two.shape[k] * two.pitch_mm) / pitch + 1e-6) for k in (0, 1))
+    grid = Grid(max(1, ny), max(1, nx), pitch)
+    return (resample_registered(before.height_nm, one, grid), resample_registered(after.height_nm, two, grid)), grid
 
 
 def _common_mask(before: SurfaceMap, after: SurfaceMap, heights: tuple[FloatArray, FloatArray], trim: int) -> BoolArray:

@@ -13,7 +13,7 @@ import typer
 from polishd.files import write_atomic
 from polishd.model.errors import BadMap, ConfigError, SurfaceError
 from polishd.model.surface import SurfaceMap
-from polishd.show.tables import json_line, stdout
+from polishd.show.tables import emit
 from polishd.workbench.maps.files import MapSource, shown
 
 WITHIN_NM = 0.01
@@ -30,11 +30,7 @@ def convert_verb(
     require_target(target, [file], source, force=force)
     surface = source.read(file)
     answer = {"path": str(file), "format": surface.format, **store(surface, target, source)}
-    if as_json:
-        typer.echo(json_line(answer))
-        return
-    for line in stored_lines(answer):
-        stdout.print(line, markup=False)
+    emit(answer, as_json=as_json, lines=stored_lines(answer))
 
 
 def require_target(target: Path, files: Sequence[Path], source: MapSource, *, force: bool) -> None:
