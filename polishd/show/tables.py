@@ -60,6 +60,15 @@ def record_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[obj
     return table
 
 
+def figure_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
+    """Many columns of figures after a first one of names: without rules between them, to fit a terminal."""
+    table = record_table(title, columns, rows)
+    table.box, table.padding, table.pad_edge = SIMPLE_HEAD, (0, 1, 0, 0), False
+    for column in table.columns[1:]:
+        column.justify = "right"
+    return table
+
+
 def _torn(cycle: Mapping[str, Any]) -> str:
     """How much of the pass was executed, where it did not come to its end."""
     if cycle.get("how") in {None, "done"}:
@@ -69,16 +78,6 @@ def _torn(cycle: Mapping[str, Any]) -> str:
 
 def _figure(value: object, digits: int) -> str:
     return "" if value is None else f"{float(str(value)):.{digits}f}"
-
-
-def figure_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
-    """Many columns of figures after a first one of names: without rules between them, to fit a terminal."""
-    table = Table(title=escape(title), title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    for number, column in enumerate(columns):
-        table.add_column(column, justify="right" if number else "left")
-    for row in rows:
-        table.add_row(*row)
-    return table
 
 
 def emit(

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from polishd.console.progress import progress
 from polishd.daemon.endings import Ending
-from polishd.show.tables import cycle_table, emit, key_table, record_table, stderr
+from polishd.show.tables import cycle_table, emit, figure_table, key_table, record_table, stderr
 
 CYCLES: list[dict[str, Any]] = [
     {
@@ -124,3 +124,10 @@ def test_what_a_person_sees_of_a_run(capsys: Any) -> None:
     assert lines[held + 3].startswith("robot did not confirm: [deaf]; it may still move")
     assert lines[held + 4].startswith("next: when nothing is left to mend: polishd resume 'my cell.toml' goes on")
     assert stderr.stderr
+
+
+def test_what_looks_like_markup_is_shown_as_it_is() -> None:
+    for table in (record_table, figure_table):
+        cells = shown(table("t [red]", ("name", "n"), [("m[red].dat", "1.0")]))
+        assert cells[0] == ["t [red]"]
+        assert any(line[0].startswith("m[red].dat") for line in cells)
