@@ -20,9 +20,6 @@ HELP = (
     "convert, average, commission."
 )
 
-# readable=False: what cannot be read is exit code 8, as what is broken is; typer would make it 2
-Map = Annotated[Path, Argument(metavar="MAP", help="A map.", readable=False)]
-
 
 class MapGroup(TyperGroup):
     """Takes files where other groups take a verb. A file that is called like a verb is given as ``./compare``."""
@@ -111,7 +108,7 @@ def average(
 @app.command()
 def commission(
     profile: Annotated[Path, Argument(metavar="P.toml", help="The instrument's profile.", readable=False)],
-    surface: Map,
+    surface: Annotated[Path, Argument(metavar="MAP", help="A map.", readable=False)],
     out: Annotated[Path | None, Option("--out", metavar="PNG", help="Draw what was found.")] = None,
     as_json: Json = False,
     cell: OfCell = None,

@@ -10,7 +10,7 @@ from typer import Option
 
 from polishd.workbench.options import Picture
 
-# readable=False: what cannot be read is exit code 8, as what is broken is; typer would make it 2
+# readable=False, here and in cli.py: what cannot be read is exit code 8, as what is broken is; typer would make it 2
 Profile = Annotated[
     Path | None, Option(metavar="P.toml", help="The instrument's profile: apply it first.", readable=False)
 ]
