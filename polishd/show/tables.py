@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
@@ -99,12 +98,4 @@ def emit(
 
 def json_line(answer: Mapping[str, Any]) -> str:
     """One line of JSON; what is no number in it (NaN, infinity) is null."""
-    return json.dumps(_finite(json.loads(json.dumps(answer, default=plain))), allow_nan=False)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return json.dumps(json.loads(json.dumps(answer, default=plain), parse_constant=lambda _: None))

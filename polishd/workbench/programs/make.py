@@ -17,7 +17,7 @@ from polishd.hooks.cell import load_cell
 from polishd.hooks.loader import Hooks
 from polishd.model.errors import ProgramError
 from polishd.model.process import FLAT, ComplianceOptions, Optic, Placement
-from polishd.model.program import Encoding
+from polishd.model.program import Encoding, Program
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.dialect import DEFAULT
 from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
@@ -83,7 +83,7 @@ def make_verb(options: MakeOptions, *, as_json: bool) -> None:
             points, axis, feed, _title(options), encoding=encoding, dwell_s=options.dwell_s or 0.0, to=dialect
         )
         if config is not None and hooks is not None:
-            _require_cell_takes(config, hooks, text, (options.out.name, dialect))
+            _require_cell_takes(config, hooks, read(dialect_named(dialect), text, options.out.name))
     _write(options, made, text)
     answer = {
         "shape": options.shape,
@@ -201,15 +201,11 @@ def _in_program_frame(config: CellConfig | None, points: FloatArray, axis: Float
     return back.apply(points - np.asarray(config.program.offset_mm)), back.apply(axis)
 
 
-def _require_cell_takes(config: CellConfig, hooks: Hooks, text: bytes, named: tuple[str, str]) -> None:
-    """ProgramError with everything for which the cell's `plan` or `run` would refuse this text, whatever the map.
-
-    ``named`` are the program's name and its dialect.
-    """
+def _require_cell_takes(config: CellConfig, hooks: Hooks, program: Program) -> None:
+    """ProgramError with everything for which the cell's `plan` or `run` would refuse the program, whatever the map."""
     without_map = {"instrument": InstrumentSection(), "part": config.part.model_copy(update={"nominal": None})}
     recipe = make_recipe(config.model_copy(update=without_map), hooks)
-    program = steps.with_moves(read(dialect_named(named[1]), text, named[0]))
-    found = foresight.refusals(recipe, program, hooks.check_plan)
+    found = foresight.refusals(recipe, steps.with_moves(program), hooks.check_plan)
     if found:
         says = "\n".join(f"  {line}" for line in found)
         raise ProgramError(
