@@ -117,8 +117,8 @@ def _encoding(options: MakeOptions) -> Encoding:
 
 
 def _write(options: MakeOptions, made: MadePath, text: bytes) -> None:
-    if options.cell is not None:
-        not_over(options.out, options.cell)
+    mask = (options.aperture or "").partition("mask:")[2]
+    not_over(options.out, *(Path(read_from) for read_from in (options.cell, mask) if read_from))
     with target_file(options.out) as file:
         file.write(text)
     if options.picture is not None:

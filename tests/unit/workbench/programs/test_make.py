@@ -154,6 +154,10 @@ def test_a_mask_out_of_a_map(tmp_path: Path) -> None:
     assert 16 < radius.max() < 26
     lines = np.unique(np.round(program.end_mm[:, 1], 3))
     np.testing.assert_allclose(lines[[0, -1]], [-16, 16], atol=0.6)
+    measured = map_file.read_bytes()
+    said = call("raster", "--aperture", f"mask:{map_file}", "--out", map_file)
+    assert "is what is read" in str(said.exception)
+    assert map_file.read_bytes() == measured
 
 
 def test_a_cell_says_what_is_not_asked_for(tmp_path: Path) -> None:
