@@ -1,20 +1,20 @@
-"""The command line: verbs only. What they do lives in ``console`` and ``daemon``."""
+"""The command line: the verbs of a cell, and beside them those of the workbench. What they do lives elsewhere."""
 
 from __future__ import annotations
 
 import errno
 import os
 import sys
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated, Literal, cast
 
 import typer
+from typer import Argument, Option
 
 from polishd import __version__
 from polishd.model.errors import PolishdError
-from polishd.workbench.maps.cli import map_verbs
-from polishd.workbench.programs.cli import program as program_verbs
+from polishd.workbench.cli import app as workbench
+from polishd.workbench.options import Cell, Json
 
 app = typer.Typer(
     name="polishd",
@@ -27,93 +27,57 @@ app = typer.Typer(
 STDOUT = 1
 """Its descriptor."""
 
-Cell = Annotated[Path, typer.Argument(metavar="CELL.toml", help="The cell's configuration.", show_default=False)]
-Picture = Annotated[
-    Optional[Path],  # noqa: UP045
-    typer.Option("--out", metavar="PNG", help="Draw it, too.", show_default=False),
-]
-Fragment = Annotated[
-    Optional[Path],  # noqa: UP045
-    typer.Option("--out", metavar="FRAGMENT.toml", help="Write what a cell includes.", show_default=False),
-]
-OfCell = Annotated[
-    Optional[Path],  # noqa: UP045
-    typer.Option("--cell", metavar="CELL.toml", help="The cell; default: the shipped values.", show_default=False),
-]
-Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout, for programs.")]
-
-
-class CorrectionChoice(StrEnum):
-    """What ``--correction`` takes."""
-
-    none = "none"
-    pointwise = "pointwise"
-    linear = "linear"
-    power = "power"
-    exact = "exact"
-
-
-class ProjectionChoice(StrEnum):
-    """What ``--projection`` takes."""
-
-    normal = "normal"
-    linear = "linear"
-    quadratic = "quadratic"
-
-
-CorrectionOption = Annotated[
-    Optional[CorrectionChoice],  # noqa: UP045 - typer reads it
-    typer.Option(help="Override process.correction.", show_default=False),
+Correction = Annotated[
+    Literal["none", "pointwise", "linear", "power", "exact"] | None, Option(help="Override process.correction.")
 ]
 
 
 @app.command()
-def demo(  # noqa: PLR0917 - typer reads the options off the signature
-    seed: Annotated[int, typer.Option(help="What the simulated cell hides is drawn from it.")] = 1,
-    speed: Annotated[float, typer.Option(min=1.0, max=200.0, help="Process time per wall time.")] = 60.0,
-    cycles: Annotated[int, typer.Option(min=1, max=20, help="Most polishing passes.")] = 4,
-    tolerance: Annotated[float, typer.Option(min=0.01, metavar="NM", help="RMS to reach, nm.")] = 2.0,
-    surface: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option(metavar="FILE", help="Start from a measured map (Zygo .dat)."),
-    ] = None,
-    correction: CorrectionOption = None,
-    out: Annotated[Optional[Path], typer.Option(metavar="DIR", help="Folder for everything it makes.")] = None,  # noqa: UP045
+def demo(
+    *,
+    seed: Annotated[int, Option(help="What the simulated cell hides is drawn from it.")] = 1,
+    speed: Annotated[float, Option(min=1.0, max=200.0, help="Process time per wall time.")] = 60.0,
+    cycles: Annotated[int, Option(min=1, max=20, help="Most polishing passes.")] = 4,
+    tolerance: Annotated[float, Option(min=0.01, metavar="NM", help="RMS to reach, nm.")] = 2.0,
+    surface: Annotated[Path | None, Option(metavar="FILE", help="Start from a measured map (Zygo .dat).")] = None,
+    correction: Correction = None,
+    out: Annotated[Path | None, Option(metavar="DIR", help="Folder for everything it makes.")] = None,
     as_json: Json = False,
 ) -> None:
     """Polish a simulated part in a simulated cell, over real wires, with nobody there."""
     from polishd.console.demo import DemoOptions, run_demo
 
-    options = DemoOptions(seed, speed, cycles, tolerance, surface, correction.value if correction else None, out)
+    options = DemoOptions(seed, speed, cycles, tolerance, surface, correction, out)
     raise typer.Exit(run_demo(options, as_json=as_json))
 
 
 @app.command()
 def run(
     cell: Cell,
-    correction: CorrectionOption = None,
-    no_hold: Annotated[bool, typer.Option("--no-hold", help="End where it would wait for a person to mend.")] = False,
+    correction: Correction = None,
+    no_hold: Annotated[bool, Option("--no-hold", help="End where it would wait for a person to mend.")] = False,
     as_json: Json = False,
 ) -> None:
     """Run the daemon of a cell until its job ends. After an interruption it comes up held."""
     from polishd.console.verbs import run_verb
 
-    raise typer.Exit(run_verb(cell, correction.value if correction else None, holds=not no_hold, as_json=as_json))
+    raise typer.Exit(run_verb(cell, correction, holds=not no_hold, as_json=as_json))
 
 
 @app.command()
-def plan(  # noqa: PLR0917 - typer reads the options off the signature
+def plan(
+    *,
     cell: Cell,
-    surface: Annotated[Path, typer.Argument(metavar="MAP", help="A measured map.", show_default=False)],
-    program: Annotated[Path, typer.Option(metavar="P.rnc", help="The RNC program to rewrite.", show_default=False)],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="New folder for the plan.", show_default=False)],
-    correction: CorrectionOption = None,
+    surface: Annotated[Path, Argument(metavar="MAP", help="A measured map.")],
+    program: Annotated[Path, Option(metavar="P.rnc", help="The RNC program to rewrite.")],
+    out: Annotated[Path, Option(metavar="DIR", help="New folder for the plan.")],
+    correction: Correction = None,
     as_json: Json = False,
 ) -> None:
     """Everything short of motion: figures, corrected dwell, rewritten program, certificate, pictures."""
     from polishd.console.verbs import plan_verb
 
-    plan_verb(cell, surface, program, out, correction.value if correction else None, as_json=as_json)
+    plan_verb(cell, surface, program, out, correction, as_json=as_json)
 
 
 @app.command()
@@ -166,7 +130,7 @@ def estop(cell: Cell, as_json: Json = False) -> None:
 
 @app.command()
 def plugins(
-    cell: Annotated[Optional[Path], typer.Argument(metavar="[CELL.toml]", show_default=False)] = None,  # noqa: UP045
+    cell: Annotated[Path | None, Argument(metavar="[CELL.toml]")] = None,
     as_json: Json = False,
 ) -> None:
     """The plugins of a cell (without CELL: polishd's own), and what each brings."""
@@ -178,7 +142,7 @@ def plugins(
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
 def sim(
     context: typer.Context,
-    config: Annotated[Path, typer.Argument(metavar="SIM.toml", show_default=False)],
+    config: Annotated[Path, Argument(metavar="SIM.toml")],
 ) -> None:
     """Start a simulated cell, as processes of their own; ends with Ctrl-C. Further options go to the simulator."""
     from polishd.console.simulator import run_simulator
@@ -187,114 +151,12 @@ def sim(
 
 
 @app.command()
-def tif(
-    cell: Cell,
-    depth_ratio: Annotated[float, typer.Option(metavar="G", help="Gamma: depth over the rigid robot's.")] = 1.0,
-    out: Picture = None,
-    as_json: Json = False,
-) -> None:
-    """The tool influence function of a cell: depth, pressure, peak, volume, profiles."""
-    from polishd.workbench.physics.verbs import tif_verb
-
-    tif_verb(cell, depth_ratio, out, as_json=as_json)
-
-
-@app.command()
-def compliance(
-    cell: Cell,
-    program: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option(metavar="P.rnc", help="Along this program, too.", show_default=False),
-    ] = None,
-    out: Picture = None,
-    as_json: Json = False,
-) -> None:
-    """The robot's equivalent compliance over the workspace and along a program, and the gamma that follows."""
-    from polishd.workbench.physics.verbs import compliance_verb
-
-    compliance_verb(cell, program, out, as_json=as_json)
-
-
-@app.command()
-def study(
-    file: Annotated[Path, typer.Argument(metavar="STUDY.toml", show_default=False)],
-    out: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option(metavar="DIR", help="Folder for pictures and tables.", show_default=False),
-    ] = None,
-    as_json: Json = False,
-) -> None:
-    """A simulation without a cell: corrections compared, spots of a table, passes of equal dwell."""
-    from polishd.workbench.studies.verb import study_verb
-
-    study_verb(file, out, as_json=as_json)
-
-
-calibrate = typer.Typer(help="Fit the cell's numbers to measurements; writes fragments that a cell includes.")
-app.add_typer(calibrate, name="calibrate", no_args_is_help=True)
-app.add_typer(program_verbs, name="program", no_args_is_help=True)
-app.add_typer(map_verbs, name="map", no_args_is_help=True)
-
-
-@calibrate.command("stiffness")
-def calibrate_stiffness(  # noqa: PLR0917 - typer reads the options off the signature
-    tests: Annotated[Path, typer.Argument(metavar="TESTS.csv", help="Static loading tests.", show_default=False)],
-    cell: OfCell = None,
-    held_out: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option(metavar="CSV", help="Further tests, which are only predicted.", show_default=False),
-    ] = None,
-    projection: Annotated[ProjectionChoice, typer.Option(help="What a test measures.")] = ProjectionChoice.normal,
-    out: Fragment = None,
-    anyway: Annotated[bool, typer.Option("--anyway", help="Write the fragment of a doubtful fit, too.")] = False,
-    as_json: Json = False,
-) -> None:
-    """Fit the robot's stiffnesses to loading tests: pose, direction, um/N."""
-    from polishd.workbench.calibration.verbs import LoadingFiles, stiffness_verb
-
-    files = LoadingFiles(tests, held_out, projection.value)
-    stiffness_verb(files, cell, out, anyway=anyway, as_json=as_json)
-
-
-@calibrate.command("tif")
-def calibrate_tif(  # noqa: PLR0917 - typer reads the options off the signature
-    before: Annotated[Path, typer.Argument(metavar="BEFORE", help="Map before the spot.", show_default=False)],
-    after: Annotated[Path, typer.Argument(metavar="AFTER", help="Map after it.", show_default=False)],
-    seconds: Annotated[float, typer.Option(metavar="S", help="Time on the spot.", show_default=False)],
-    cell: OfCell = None,
-    depth_ratio: Annotated[float, typer.Option(metavar="G", help="Gamma where the spot was made.")] = 1.0,
-    azimuth_deg: Annotated[float, typer.Option(help="Where the spindle leaned, from the map's x.")] = 0.0,
-    radius_mm: Annotated[
-        Optional[float],  # noqa: UP045
-        typer.Option(help="The spot's rim; default: found.", show_default=False),
-    ] = None,
-    out: Fragment = None,
-    as_json: Json = False,
-) -> None:
-    """Make a measured TIF, and the Preston constant, out of a spot's maps."""
-    from polishd.workbench.calibration.verbs import SpotPlace, tif_verb
-
-    tif_verb((before, after), seconds, cell, SpotPlace(depth_ratio, azimuth_deg, radius_mm), out, as_json=as_json)
-
-
-@calibrate.command("exponent")
-def calibrate_exponent(
-    spots: Annotated[
-        Path, typer.Argument(metavar="SPOTS.csv", help="Spots at several depths: depth_ratio, volume_mm3_min.")
-    ],
-    out: Fragment = None,
-    as_json: Json = False,
-) -> None:
-    """Fit gamma's exponent, for the correction "power"."""
-    from polishd.workbench.calibration.verbs import exponent_verb
-
-    exponent_verb(spots, out, as_json=as_json)
-
-
-@app.command()
 def version() -> None:
     """Print the version."""
     typer.echo(__version__)
+
+
+app.add_typer(workbench)
 
 
 def _order(cell: Path, verb: str, *, as_json: bool) -> None:
@@ -334,12 +196,18 @@ def _full_output() -> str:
 def _plugin_commands() -> None:
     """Commands that polishd's own plugins add; loaded only where no verb of ours is asked for."""
     asked = next((word for word in sys.argv[1:] if not word.startswith("-")), None)
-    own = {command.name or getattr(command.callback, "__name__", "") for command in app.registered_commands}
-    own |= {group.name or "" for group in app.registered_groups}
-    if asked is not None and asked not in own:
+    if asked is not None and asked not in _verbs(app):
         from polishd.hooks.loader import load_own
 
         load_own().cli(app)
+
+
+def _verbs(group: typer.Typer) -> set[str]:
+    """What may be said first, with the verbs of groups that have no name of their own."""
+    own = {command.name or getattr(command.callback, "__name__", "") for command in group.registered_commands}
+    for inner in group.registered_groups:
+        own |= {inner.name} if inner.name else _verbs(cast(typer.Typer, inner.typer_instance))
+    return own
 
 
 if __name__ == "__main__":

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.markup import escape
 from rich.table import Table
+
+from polishd.plain import plain
 
 WIDE = 160
 """Columns where stdout is no terminal: a file or a pipe should lose no figure."""
@@ -24,19 +26,15 @@ def cycle_table(summary: Mapping[str, Any]) -> Table:
     """One row a measurement: what was measured, and what the pass after it predicted and did."""
     period = float(summary.get("tolerance_period_mm") or 0.0)
     table = Table(title=f"{summary['job']}: {summary['outcome']}", title_justify="left")
-    table.add_column("#", justify="right")
-    for name in ("PV nm", "RMS nm", "LSF nm"):
-        table.add_column(name, justify="right")
-    if period:
-        table.add_column(f"> {period:g} mm nm", justify="right")
-    for name in ("predicted nm", "dwell s", "executed s", "rate"):
+    columns = {"pv_nm": "PV nm", "rms_nm": "RMS nm", "lsf_rms_nm": "LSF nm"}
+    columns |= {"band_rms_nm": f"> {period:g} mm nm"} if period else {}
+    columns |= {"predicted_rms_nm": "predicted nm", "dwell_s": "dwell s", "executed_s": "executed s", "rate": "rate"}
+    for name in ("#", *columns.values()):
         table.add_column(name, justify="right")
     if torn := any(map(_torn, summary["cycles"])):
         table.add_column("pass")
     for number, cycle in enumerate(summary["cycles"]):
-        keys = ["pv_nm", "rms_nm", "lsf_rms_nm", *(["band_rms_nm"] if period else [])]
-        keys += ["predicted_rms_nm", "dwell_s", "executed_s", "rate"]
-        figures = [_figure(cycle.get(key), 3 if key == "rate" else 2) for key in keys]
+        figures = [_figure(cycle.get(key), 3 if key == "rate" else 2) for key in columns]
         table.add_row(str(number), *figures, *([_torn(cycle)] if torn else []))
     return table
 
@@ -61,6 +59,15 @@ def record_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[obj
     return table
 
 
+def figure_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
+    """Many columns of figures after a first one of names: without rules between them, to fit a terminal."""
+    table = record_table(title, columns, rows)
+    table.box, table.padding, table.pad_edge = SIMPLE_HEAD, (0, 1, 0, 0), False
+    for column in table.columns[1:]:
+        column.justify = "right"
+    return table
+
+
 def _torn(cycle: Mapping[str, Any]) -> str:
     """How much of the pass was executed, where it did not come to its end."""
     if cycle.get("how") in {None, "done"}:
@@ -72,19 +79,23 @@ def _figure(value: object, digits: int) -> str:
     return "" if value is None else f"{float(str(value)):.{digits}f}"
 
 
-def figure_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
-    """Many columns of figures after a first one of names: without rules between them, to fit a terminal."""
-    table = Table(title=escape(title), title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    for number, column in enumerate(columns):
-        table.add_column(column, justify="right" if number else "left")
-    for row in rows:
-        table.add_row(*row)
-    return table
-
-
-def emit(answer: Mapping[str, Any], *, as_json: bool, table: Any) -> None:
-    """JSON on stdout for programs, a table for people."""
+def emit(
+    answer: Mapping[str, Any],
+    *,
+    as_json: bool,
+    table: Callable[[], RenderableType] | None = None,
+    lines: Iterable[str] = (),
+) -> None:
+    """JSON on stdout for programs; a table for people, and lines below it."""
     if as_json:
-        typer.echo(json.dumps(answer, default=str))
-    else:
+        typer.echo(json_line(answer))
+        return
+    if table is not None:
         stdout.print(table())
+    for line in lines:
+        stdout.print(line, markup=False)
+
+
+def json_line(answer: Mapping[str, Any]) -> str:
+    """One line of JSON; what is no number in it (NaN, infinity) is null."""
+    return json.dumps(json.loads(json.dumps(answer, default=plain), parse_constant=lambda _: None))

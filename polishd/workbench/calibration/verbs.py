@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.table import Table
 
 from polishd.config.cell import CellConfig, load_config
 from polishd.config.tables import PLACE, read_columns, write_tif
@@ -17,15 +18,13 @@ from polishd.files import write_atomic
 from polishd.model.errors import BadMap, ComputeError, ConfigError
 from polishd.model.process import MeasuredTif, Projection, ToolProcess
 from polishd.model.robot import HybridRobot, MeasuredCompliance, SerialRobot
-from polishd.model.surface import SurfaceMap
 from polishd.process.calibration.exponent import fit_exponent
 from polishd.process.calibration.judgement import doubts
-from polishd.process.calibration.loading import LoadingTests, PercentErrors
+from polishd.process.calibration.loading import LoadingTests
 from polishd.process.calibration.stiffness import StiffnessFit, fit_stiffness
 from polishd.process.measured_tif import preston_from_tif, tif_from_maps
-from polishd.recipe.files import read_map
-from polishd.show.tables import emit, key_table, record_table, stderr, stdout
-from polishd.workbench.maps.files import readers_for
+from polishd.show.tables import emit, key_table, record_table, stderr
+from polishd.workbench.maps.files import MapSource
 
 AXIS = ("axis_x", "axis_y", "axis_z")
 DIRECTION = ("dir_x", "dir_y", "dir_z")
@@ -42,7 +41,7 @@ class LoadingFiles:
 
 def stiffness_verb(files: LoadingFiles, cell: Path | None, out: Path | None, *, anyway: bool, as_json: bool) -> None:
     """Fit the robot's stiffnesses to loading tests; nothing doubtful is written unless ``anyway``."""
-    _require_new_kind(out)
+    _require_toml(out)
     tests = _loading_tests(files.tests)
     unseen = None if files.held_out is None else _loading_tests(files.held_out)
     try:
@@ -56,20 +55,29 @@ def stiffness_verb(files: LoadingFiles, cell: Path | None, out: Path | None, *, 
         what = f"stiffnesses fitted to {files.tests.name}" + "".join(f"; DOUBTFUL: {doubt}" for doubt in doubtful)
         _write_fragment(out, "kinematics", _stiffness_keys(fit.robot, fit), what)
     answer = {
-        "stiffnesses": [asdict(stiffness) for stiffness in fit.stiffnesses],
-        "fitted": asdict(fit.fitted),
-        "cross_validated": None if fit.cross_validated is None else asdict(fit.cross_validated),
-        "held_out": None if fit.held_out is None else asdict(fit.held_out),
-        "doubts": list(doubtful),
-        "fragment": None if out is None else str(out),
+        "stiffnesses": fit.stiffnesses,
+        "fitted": fit.fitted,
+        "cross_validated": fit.cross_validated,
+        "held_out": fit.held_out,
+        "doubts": doubtful,
     }
-    emit(answer, as_json=as_json, table=lambda: _stiffness_table(fit))
+    _emit(answer, out, as_json=as_json, table=lambda: _stiffness_table(fit), lines=[*_error_lines(fit), *fit.notes])
     for doubt in doubtful:
         stderr.print(f"DO NOT BELIEVE THIS: {doubt}", style="red", markup=False, soft_wrap=True)
-    if not as_json:
-        for note in (*_error_lines(fit), *fit.notes):
-            stdout.print(note, markup=False)
-        _say_written(out)
+
+
+def _error_lines(fit: StiffnessFit[Any]) -> list[str]:
+    """The paper's own figures: mean and largest absolute percentage error (4.19 and 6.38 % in its fig. 10)."""
+    known = {
+        "on the tests": fit.fitted,
+        "cross-validated": fit.cross_validated,
+        "on the held-out tests": fit.held_out,
+    }
+    return [
+        f"error {where}: mean {found.mean_percent:.2f} %, largest {found.max_percent:.2f} % ({found.tests} tests)"
+        for where, found in known.items()
+        if found is not None
+    ]
 
 
 def _elastic_robot(cell: Path | None) -> Any:
@@ -100,7 +108,7 @@ def _stiffness_keys(robot: HybridRobot | SerialRobot, fit: StiffnessFit[Any]) ->
     }
 
 
-def _stiffness_table(fit: StiffnessFit[Any]) -> Any:
+def _stiffness_table(fit: StiffnessFit[Any]) -> Table:
     rows = [
         (
             item.name,
@@ -112,20 +120,6 @@ def _stiffness_table(fit: StiffnessFit[Any]) -> Any:
         for item in fit.stiffnesses
     ]
     return record_table("stiffnesses", ("key", "given", "fitted", "1 sigma", "unit"), rows)
-
-
-def _error_lines(fit: StiffnessFit[Any]) -> list[str]:
-    """The paper's own figures: mean and largest absolute percentage error (4.19 and 6.38 % in its fig. 10)."""
-    known: list[tuple[str, PercentErrors | None]] = [
-        ("on the tests", fit.fitted),
-        ("cross-validated", fit.cross_validated),
-        ("on the held-out tests", fit.held_out),
-    ]
-    return [
-        f"error {where}: mean {found.mean_percent:.2f} %, largest {found.max_percent:.2f} % ({found.tests} tests)"
-        for where, found in known
-        if found is not None
-    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,35 +135,22 @@ def tif_verb(
     maps: tuple[Path, Path], seconds: float, cell: Path | None, place: SpotPlace, out: Path | None, *, as_json: bool
 ) -> None:
     """Make a measured TIF of two maps, and the Preston constant that goes with it."""
-    _require_new_kind(out)
+    _require_toml(out)
     config = None if cell is None else load_config(cell)
     process = ToolProcess() if config is None else config.tool_process()
-    before, after = (_map(path, cell) for path in maps)
+    source = MapSource.of(cell)
+    before, after = (source.read(path) for path in maps)
+    for path, found in zip(maps, (before, after), strict=True):
+        if found.pitch_mm is None:
+            raise BadMap(f"{path}: has no lateral scale; export it with one")
     if before.pitch_mm != after.pitch_mm or before.height_nm.shape != after.height_nm.shape:
         raise BadMap(f"{maps[1]}: has not the samples of {maps[0].name}; measure both with the same setting")
-    tif, report = tif_from_maps(
-        before.height_nm,
-        after.height_nm,
-        before.grid.pitch_mm,
-        seconds,
-        radius_mm=place.radius_mm,
-        azimuth_deg=place.azimuth_deg,
-        depth_ratio=place.depth_ratio,
-    )
+    tif, report = tif_from_maps(before.height_nm, after.height_nm, before.grid.pitch_mm, seconds, **asdict(place))
     preston = preston_from_tif(process, place.depth_ratio, tif)
     if out is not None:
         _write_tif_fragment(out, config, tif, preston, f"a spot of {seconds:g} s, {maps[0].name} to {maps[1].name}")
-    answer = {**asdict(report), "preston_cm2_per_n": preston, "fragment": None if out is None else str(out)}
-    emit(answer, as_json=as_json, table=lambda: key_table("measured TIF", _tif_rows(answer)))
-    if not as_json:
-        _say_written(out)
-
-
-def _map(path: Path, cell: Path | None) -> SurfaceMap:
-    found = read_map(path, readers_for(cell).values())
-    if found.pitch_mm is None:
-        raise BadMap(f"{path}: has no lateral scale; export it with one")
-    return found
+    answer = {**asdict(report), "preston_cm2_per_n": preston}
+    _emit(answer, out, as_json=as_json, table=lambda: key_table("measured TIF", _tif_rows(answer)))
 
 
 def _tif_rows(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -197,23 +178,20 @@ def _write_tif_fragment(out: Path, config: CellConfig | None, tif: MeasuredTif, 
 
 def exponent_verb(spots: Path, out: Path | None, *, as_json: bool) -> None:
     """Fit the exponent with which volume goes with depth."""
-    _require_new_kind(out)
+    _require_toml(out)
     columns = read_columns(spots, ("depth_ratio", "volume_mm3_min"))
     fit = fit_exponent(columns["depth_ratio"], columns["volume_mm3_min"])
     if out is not None:
         line = f"{fit.exponent:.4g}  # +- {fit.uncertainty:.2g}"
         _write_fragment(out, "process", {"depth_exponent": line}, f"fitted to {spots.name}")
-    answer = {**asdict(fit), "fragment": None if out is None else str(out)}
     rows = [
         ("exponent", f"{fit.exponent:.3f} +- {fit.uncertainty:.3f} (Hertz: 1.5; the paper's linear gamma: 1)"),
         ("error", f"mean {fit.errors.mean_percent:.2f} %, largest {fit.errors.max_percent:.2f} %"),
     ]
-    emit(answer, as_json=as_json, table=lambda: key_table("gamma's exponent", rows))
-    if not as_json:
-        _say_written(out)
+    _emit(asdict(fit), out, as_json=as_json, table=lambda: key_table("gamma's exponent", rows))
 
 
-def _require_new_kind(out: Path | None) -> None:
+def _require_toml(out: Path | None) -> None:
     if out is not None and out.suffix != ".toml":
         raise ConfigError(f"{out}: a fragment is a TOML file; name it *.toml")
 
@@ -227,13 +205,17 @@ def _write_fragment(path: Path, section: str, keys: Mapping[str, str], what: str
     _writing(path, lambda: write_atomic(path, ("\n".join(lines) + "\n").encode()))
 
 
-def _writing(path: Path, write: Any) -> None:
+def _writing(path: Path, write: Callable[[], None]) -> None:
     try:
         write()
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}; name another file with --out") from error
 
 
-def _say_written(out: Path | None) -> None:
-    if out is not None:
-        stdout.print(f'written to {out}; the cell takes it with include = ["{out.name}"]', markup=False)
+def _emit(
+    answer: Mapping[str, Any], out: Path | None, *, as_json: bool, table: Callable[[], Table], lines: Sequence[str] = ()
+) -> None:
+    """What was found, and where the fragment is."""
+    written = [] if out is None else [f'written to {out}; the cell takes it with include = ["{out.name}"]']
+    whole = {**answer, "fragment": None if out is None else str(out)}
+    emit(whole, as_json=as_json, table=table, lines=[*lines, *written])

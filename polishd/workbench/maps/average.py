@@ -8,32 +8,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import typer
+from rich.table import Table
 
 from polishd.model.errors import BadMap
 from polishd.model.surface import SurfaceMap
 from polishd.process.repeats import Repeats, average
-from polishd.show.tables import record_table, stdout
-from polishd.workbench.maps.convert import require_free, say_stored, store, writer_for
-from polishd.workbench.maps.figures import json_line
-from polishd.workbench.maps.files import map_from, profile_of, readers_for
+from polishd.show.tables import emit, record_table
+from polishd.workbench.maps.convert import require_target, store, stored_lines
+from polishd.workbench.maps.files import MapSource
 
 
 def average_verb(
-    files: Sequence[Path],
-    target: Path | None,
-    profile: Path | None,
-    cell: Path | None = None,
-    *,
-    force: bool,
-    as_json: bool,
+    files: Sequence[Path], target: Path | None, profile: Path | None, cell: Path | None, *, force: bool, as_json: bool
 ) -> None:
     """Average the maps, each without its own piston and tilt; write the mean where it is wanted."""
-    instrument, readers = profile_of(profile), readers_for(cell)
+    source = MapSource.of(cell, profile)
     if target is not None:
-        writer_for(target, readers)
-        require_free(target, files, force=force)
-    surfaces = [map_from(path, readers, instrument) for path in files]
+        require_target(target, files, source, force=force)
+    surfaces = [source.read(path) for path in files]
     _require_one_part(surfaces)
     found = average(surfaces)
     answer: dict[str, Any] = {
@@ -46,11 +38,8 @@ def average_verb(
         "sample_uncertainty_nm": float(np.median(found.uncertainty_nm[found.mask])),
     }
     if target is not None:
-        answer |= store(_mean_map(surfaces, found), target, readers, profiled=instrument is not None)
-    if as_json:
-        typer.echo(json_line(answer))
-    else:
-        _show(answer)
+        answer |= store(_mean_map(surfaces, found), target, source)
+    emit(answer, as_json=as_json, table=lambda: _table(answer), lines=_lines(answer))
 
 
 def _require_one_part(surfaces: Sequence[SurfaceMap]) -> None:
@@ -65,16 +54,18 @@ def _mean_map(surfaces: Sequence[SurfaceMap], found: Repeats) -> SurfaceMap:
     return replace(surfaces[0], height_nm=found.height_nm, taken_at=max(times, default=None))
 
 
-def _show(answer: Mapping[str, Any]) -> None:
+def _table(answer: Mapping[str, Any]) -> Table:
     rows = [(name, "used", "") for name in answer["used"]]
     rows += [(name, "left out", f"{off:.3f}") for name, off in answer["rejected"].items()]
-    stdout.print(record_table("repeats", ("map", "what", "RMS off the median nm"), rows))
+    return record_table("repeats", ("map", "what", "RMS off the median nm"), rows)
+
+
+def _lines(answer: Mapping[str, Any]) -> list[str]:
     samples, rejected = answer["samples"], answer["samples_rejected"]
     mean = f"{answer['rms_nm']:.4f} +- {answer['rms_uncertainty_nm']:.4f} nm"
     known = f"{answer['sample_uncertainty_nm']:.4f} nm (median standard error)"
-    stdout.print(f"RMS of the mean, tilt removed: {mean} over {samples} samples", markup=False)
-    stdout.print(f"a sample is known to {known}; {rejected} single samples were left out", markup=False)
-    if "out" in answer:
-        say_stored(answer)
-    else:
-        stdout.print("not written: --out MEAN.x3p would", markup=False)
+    return [
+        f"RMS of the mean, tilt removed: {mean} over {samples} samples",
+        f"a sample is known to {known}; {rejected} single samples were left out",
+        *(stored_lines(answer) if "out" in answer else ["not written: --out MEAN.x3p would"]),
+    ]

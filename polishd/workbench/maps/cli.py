@@ -1,39 +1,24 @@
-"""The verbs of ``polishd map``: options only. What they do lives in ``map.py`` and its like."""
+"""The verbs of ``polishd map``: options only. What each does lives in the module that is called as it is."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 from typer.core import TyperGroup
+
+from polishd.workbench.maps.options import FigureOptions, Json, OfCell, Profile
+from polishd.workbench.options import spread
 
 DEFAULT = "figures"
 """What ``polishd map FILE`` does."""
-BANDS_MM = "33,0.12"
 HELP = (
     "Maps of surfaces: polishd map FILE... gives their figures (options: polishd map figures --help); or compare, "
     "convert, average, commission."
 )
-
-# readable=False: what cannot be read is exit code 8, as what is broken is; typer would make it 2
-Map = Annotated[Path, typer.Argument(metavar="MAP", help="A map.", readable=False, show_default=False)]
-Json = Annotated[bool, typer.Option("--json", help="One JSON object a file on stdout, for programs.")]
-Picture = Annotated[
-    Optional[Path],  # noqa: UP045 - typer reads it
-    typer.Option("--out", metavar="PNG", help="Draw it, too.", show_default=False),
-]
-Profile = Annotated[
-    Optional[Path],  # noqa: UP045 - typer reads it
-    typer.Option(metavar="P.toml", help="The instrument's profile: apply it first.", readable=False),
-]
-OfCell = Annotated[
-    Optional[Path],  # noqa: UP045 - typer reads it
-    typer.Option("--cell", metavar="CELL.toml", help="Read as this cell does: with its plugins.", readable=False),
-]
-Bands = Annotated[str, typer.Option(metavar="MM,...", help="Periods between the bands, falling.")]
-Trim = Annotated[int, typer.Option(min=0, max=1000, metavar="N", help="Pixels to take off every edge of the data.")]
 
 
 class MapGroup(TyperGroup):
@@ -47,56 +32,52 @@ class MapGroup(TyperGroup):
         return found
 
 
-map_verbs = typer.Typer(cls=MapGroup, help=HELP, subcommand_metavar="FILE... | COMMAND [ARGS]...")
+app = typer.Typer(cls=MapGroup, help=HELP, subcommand_metavar="FILE... | COMMAND [ARGS]...")
 
 
-@map_verbs.callback()
+@app.callback()
 def one_thread() -> None:
     """Before numpy is imported: on a busy machine two BLAS threads wait for each other for a minute."""
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
 
 
-@map_verbs.command(DEFAULT)
-def figures(  # noqa: PLR0917 - typer reads the options off the signature
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Maps.", readable=False, show_default=False)],
+@app.command(DEFAULT)
+@spread
+def figures(
+    files: Annotated[list[Path], Argument(metavar="FILE...", help="Maps.", readable=False)],
+    *,
     as_json: Json = False,
-    out: Picture = None,
-    trim: Trim = 0,
-    profile: Profile = None,
-    bands: Bands = BANDS_MM,
-    cell: OfCell = None,
+    asked: FigureOptions,
 ) -> None:
     """Shape, pitch, PV, RMS, bands and warnings of each map: what "polishd map FILE..." does."""
-    from polishd.workbench.maps.show import FigureOptions, figures_verb
+    from polishd.workbench.maps.show import figures_verb
 
-    figures_verb(files, FigureOptions(trim, bands, profile, out, cell), as_json=as_json)
+    figures_verb(files, asked, as_json=as_json)
 
 
-@map_verbs.command()
-def compare(  # noqa: PLR0917 - typer reads the options off the signature
-    before: Annotated[Path, typer.Argument(metavar="BEFORE", readable=False, show_default=False)],
-    after: Annotated[Path, typer.Argument(metavar="AFTER", readable=False, show_default=False)],
+@app.command()
+@spread
+def compare(
+    before: Annotated[Path, Argument(metavar="BEFORE", readable=False)],
+    after: Annotated[Path, Argument(metavar="AFTER", readable=False)],
+    *,
     as_json: Json = False,
-    out: Picture = None,
-    trim: Trim = 0,
-    profile: Profile = None,
-    bands: Bands = BANDS_MM,
-    cell: OfCell = None,
+    asked: FigureOptions,
 ) -> None:
     """PV, RMS and bands of two maps over the samples that both have, and how much they fell."""
     from polishd.workbench.maps.compare import compare_verb
-    from polishd.workbench.maps.show import FigureOptions
 
-    compare_verb(before, after, FigureOptions(trim, bands, profile, out, cell), as_json=as_json)
+    compare_verb(before, after, asked, as_json=as_json)
 
 
-@map_verbs.command()
-def convert(  # noqa: PLR0917 - typer reads the options off the signature
-    source: Annotated[Path, typer.Argument(metavar="A", help="A map.", readable=False, show_default=False)],
-    target: Annotated[Path, typer.Argument(metavar="B", help="The new file; its ending says the format.")],
+@app.command()
+def convert(
+    *,
+    source: Annotated[Path, Argument(metavar="A", help="A map.", readable=False)],
+    target: Annotated[Path, Argument(metavar="B", help="The new file; its ending says the format.")],
     profile: Profile = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace B where it is there.")] = False,
+    force: Annotated[bool, Option("--force", help="Replace B where it is there.")] = False,
     as_json: Json = False,
     cell: OfCell = None,
 ) -> None:
@@ -106,15 +87,15 @@ def convert(  # noqa: PLR0917 - typer reads the options off the signature
     convert_verb(source, target, profile, cell, force=force, as_json=as_json)
 
 
-@map_verbs.command()
-def average(  # noqa: PLR0917 - typer reads the options off the signature
-    files: Annotated[list[Path], typer.Argument(metavar="MAP...", help="Repeats.", readable=False, show_default=False)],
+@app.command()
+def average(
+    *,
+    files: Annotated[list[Path], Argument(metavar="MAP...", help="Repeats.", readable=False)],
     out: Annotated[
-        Optional[Path],  # noqa: UP045 - typer reads it
-        typer.Option("--out", metavar="MEAN", help="The new map; its ending says the format.", show_default=False),
+        Path | None, Option("--out", metavar="MEAN", help="The new map; its ending says the format.")
     ] = None,
     profile: Profile = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace MEAN where it is there.")] = False,
+    force: Annotated[bool, Option("--force", help="Replace MEAN where it is there.")] = False,
     as_json: Json = False,
     cell: OfCell = None,
 ) -> None:
@@ -124,14 +105,11 @@ def average(  # noqa: PLR0917 - typer reads the options off the signature
     average_verb(files, out, profile, cell, force=force, as_json=as_json)
 
 
-@map_verbs.command()
+@app.command()
 def commission(
-    profile: Annotated[Path, typer.Argument(metavar="P.toml", help="The instrument's profile.", readable=False)],
-    surface: Map,
-    out: Annotated[
-        Optional[Path],  # noqa: UP045 - typer reads it
-        typer.Option("--out", metavar="PNG", help="Draw what was found.", show_default=False),
-    ] = None,
+    profile: Annotated[Path, Argument(metavar="P.toml", help="The instrument's profile.", readable=False)],
+    surface: Annotated[Path, Argument(metavar="MAP", help="A map.", readable=False)],
+    out: Annotated[Path | None, Option("--out", metavar="PNG", help="Draw what was found.")] = None,
     as_json: Json = False,
     cell: OfCell = None,
 ) -> None:
@@ -141,7 +119,7 @@ def commission(
     commission_verb(profile, surface, out, cell, as_json=as_json)
 
 
-@map_verbs.command()
+@app.command()
 def formats(as_json: Json = False, cell: OfCell = None) -> None:
     """The formats that can be read, in the order asked, and written, and what is not installed for the rest."""
     from polishd.workbench.maps.formats import formats_verb

@@ -6,13 +6,16 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from rich.table import Table
+
 from polishd.config.profile import Profile, load_profile, write_commissioned
 from polishd.model.errors import BadMap, ConfigError
 from polishd.model.instrument import Commissioned
 from polishd.model.surface import SurfaceMap
 from polishd.process.commissioning import Proof, artefact_heights, prove
 from polishd.process.instrument import as_profiled
-from polishd.workbench.maps.files import map_from, readers_for, require_picture
+from polishd.show.tables import emit, key_table
+from polishd.workbench.maps.files import MapSource, require_picture
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +36,6 @@ def commission_verb(profile: Path, surface: Path, out: Path | None, cell: Path |
         BadMap: the map does not show the artefact as the profile has it; the profile's file is as it was.
         ConfigError: the profile or the picture's file is wrong.
     """
-    from polishd.show.tables import emit
-
     require_picture(out)
     proved = prove_profile(profile, surface, out, cell)
     facts = {"profile": str(profile), **asdict(proved.proof), **asdict(proved.record)}
@@ -47,7 +48,7 @@ def prove_profile(profile: Path, surface: Path, out: Path | None = None, cell: P
     given = load_profile(profile)
     if not given.bumps:
         raise ConfigError(f"{profile}: [artefact] is missing; describe the artefact's bumps (docs/instruments.md)")
-    seen = as_profiled(map_from(surface, readers_for(cell)), given.instrument)
+    seen = as_profiled(MapSource.of(cell).read(surface), given.instrument)
     try:
         proof = prove(seen, given.bumps)
     except BadMap as error:
@@ -68,9 +69,7 @@ def prove_profile(profile: Path, surface: Path, out: Path | None = None, cell: P
     return Proved(given, seen, proof, record)
 
 
-def _table(proved: Proved) -> object:
-    from polishd.show.tables import key_table
-
+def _table(proved: Proved) -> Table:
     proof = proved.proof
     x, y, turn = (round(value, 2) + 0.0 for value in (*proof.shift_mm, proof.turn_deg))  # + 0.0: no "-0.00"
     rows = (
@@ -89,28 +88,6 @@ def _draw(out: Path | None, profile: Profile, seen: SurfaceMap, title: str) -> N
     if out is None or seen.pitch_mm is None or not seen.valid.any():
         return
     from polishd.show.style import save_picture
+    from polishd.workbench.maps.pictures import artefact_picture
 
-    save_picture(out, _picture(profile, seen, title))
-
-
-def _picture(profile: Profile, seen: SurfaceMap, title: str) -> bytes:
-    """PNG: the artefact as it is expected, and as it is seen, on one scale."""
-    import numpy as np
-
-    from polishd.process.metrics import without
-    from polishd.show.style import DIVERGING, NO_DATA, figure, png, polishd_style
-
-    artefact = artefact_heights(profile.bumps, seen.grid)
-    limit = float(np.abs(artefact).max()) or 1.0
-    half_x, half_y = seen.grid.nx * seen.grid.pitch_mm / 2, seen.grid.ny * seen.grid.pitch_mm / 2
-    with polishd_style():
-        page = figure(8.4, 3.8)
-        axes = page.subplots(1, 2)
-        for ax, height, words in zip(axes, (artefact, seen.height_nm), ("The artefact", title), strict=True):
-            levelled = without(height, seen.valid, "tilt")
-            levelled -= np.median(levelled[seen.valid])
-            ax.set_facecolor(NO_DATA)
-            ax.imshow(levelled, cmap=DIVERGING, vmin=-limit, vmax=limit, extent=(-half_x, half_x, -half_y, half_y))
-            ax.set(title=words, xlabel="x, mm", ylabel="y, mm")
-        page.colorbar(axes[0].images[0], ax=list(axes), shrink=0.85, label="nm")
-        return png(page)
+    save_picture(out, artefact_picture(artefact_heights(profile.bumps, seen.grid), seen, title))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +11,10 @@ import numpy as np
 import typer
 
 from polishd.files import write_atomic
-from polishd.hookspecs import SurfaceReader
 from polishd.model.errors import BadMap, ConfigError, SurfaceError
 from polishd.model.surface import SurfaceMap
-from polishd.show.tables import stdout
-from polishd.workbench.maps.figures import json_line
-from polishd.workbench.maps.files import map_from, profile_of, readers_for, shown
+from polishd.show.tables import emit
+from polishd.workbench.maps.files import MapSource, shown
 
 WITHIN_NM = 0.01
 """Most that the counts of a format may change a height by ..."""
@@ -25,28 +23,50 @@ WITHIN = 1e-6
 
 
 def convert_verb(
-    source: Path, target: Path, profile: Path | None, cell: Path | None = None, *, force: bool, as_json: bool
+    file: Path, target: Path, profile: Path | None, cell: Path | None, *, force: bool, as_json: bool
 ) -> None:
-    """Write ``source`` to ``target``, in the format of its ending. Nothing is written where anything is refused."""
-    instrument, readers = profile_of(profile), readers_for(cell)
-    writer_for(target, readers)
-    require_free(target, [source], force=force)
-    surface = map_from(source, readers, instrument)
-    answer = {
-        "path": str(source),
-        "format": surface.format,
-        **store(surface, target, readers, profiled=instrument is not None),
-    }
-    if as_json:
-        typer.echo(json_line(answer))
-    else:
-        say_stored(answer)
+    """Write a map to ``target``, in the format of its ending. Nothing is written where anything is refused."""
+    source = MapSource.of(cell, profile)
+    require_target(target, [file], source, force=force)
+    surface = source.read(file)
+    answer = {"path": str(file), "format": surface.format, **store(surface, target, source)}
+    emit(answer, as_json=as_json, lines=stored_lines(answer))
 
 
-def store(surface: SurfaceMap, target: Path, readers: Mapping[str, SurfaceReader], *, profiled: bool) -> dict[str, Any]:
+def require_target(target: Path, files: Sequence[Path], source: MapSource, *, force: bool) -> None:
+    """Refuse, before anything is read, what cannot become ``target``.
+
+    Raises:
+        BadParameter: its ending is of no format that can be written.
+        ConfigError: it is one of the files that are read, or is there and may not be replaced.
+    """
+    _writer(target, source)
+    if not target.exists():
+        return
+    if any(file.exists() and target.samefile(file) for file in files):
+        raise ConfigError(f"{target}: is the map that is read; name another file")
+    if not force:
+        raise ConfigError(f"{target}: exists already; name another file, or say --force")
+
+
+def _writer(target: Path, source: MapSource) -> tuple[str, Callable[[SurfaceMap], bytes]]:
+    """The format that a file's ending names, and what writes it."""
+    asked = reversed([*source.readers.values()])  # of two for one ending the first counts, as it does in reading
+    writers = {suffix: (reader.name, reader.write) for reader in asked if reader.write for suffix in reader.suffixes}
+    writer = writers.get(target.suffix.lower())
+    if writer is None:
+        raise typer.BadParameter(f"{shown(target)}: the ending says the format, one of {', '.join(sorted(writers))}")
+    return writer
+
+
+def store(surface: SurfaceMap, target: Path, source: MapSource) -> dict[str, Any]:
     """Write a map, whole or not at all, once it reads back as it is; what there is to say of it."""
-    content = _content(surface, writer_for(target, readers), target)
-    back = _read_back(content, target, readers)
+    name, write = _writer(target, source)
+    try:
+        content = write(surface)
+    except SurfaceError as error:
+        raise BadMap(f"{target}: {name} cannot hold this map: {error}") from error
+    back = _read_back(content, target, source)
     change_nm = require_same(surface, back, target)
     try:
         write_atomic(target, content)
@@ -58,18 +78,8 @@ def store(surface: SurfaceMap, target: Path, readers: Mapping[str, SurfaceReader
         "bytes": len(content),
         "sha256": back.sha256,
         "largest_change_nm": change_nm,
-        "notes": _notes(surface, back, profiled=profiled),
+        "notes": _notes(surface, back, profiled=source.instrument is not None),
     }
-
-
-def writer_for(target: Path, readers: Mapping[str, SurfaceReader]) -> SurfaceReader:
-    """The format that a file's ending names; BadParameter with those that can be written."""
-    asked = reversed([*readers.values()])  # of two for one ending the first counts, as it does in reading
-    writers = {suffix: reader for reader in asked if reader.write for suffix in reader.suffixes}
-    writer = writers.get(target.suffix.lower())
-    if writer is None:
-        raise typer.BadParameter(f"{shown(target)}: the ending says the format, one of {', '.join(sorted(writers))}")
-    return writer
 
 
 def require_same(surface: SurfaceMap, back: SurfaceMap, target: Path) -> float:
@@ -92,32 +102,13 @@ def require_same(surface: SurfaceMap, back: SurfaceMap, target: Path) -> float:
     return change
 
 
-def require_free(target: Path, sources: Sequence[Path], *, force: bool) -> None:
-    """ConfigError where the target is a source, or is there and may not be replaced."""
-    if not target.exists():
-        return
-    if any(source.exists() and target.samefile(source) for source in sources):
-        raise ConfigError(f"{target}: is the map that is read; name another file")
-    if not force:
-        raise ConfigError(f"{target}: exists already; name another file, or say --force")
-
-
-def _content(surface: SurfaceMap, writer: SurfaceReader, target: Path) -> bytes:
-    if writer.write is None:
-        raise BadMap(f"{target}: {writer.name} cannot be written")
-    try:
-        return writer.write(surface)
-    except SurfaceError as error:
-        raise BadMap(f"{target}: {writer.name} cannot hold this map: {error}") from error
-
-
-def _read_back(content: bytes, target: Path, readers: Mapping[str, SurfaceReader]) -> SurfaceMap:
+def _read_back(content: bytes, target: Path, source: MapSource) -> SurfaceMap:
     """What polishd makes of the file that is about to be written."""
     with tempfile.TemporaryDirectory(prefix="polishd-map-") as scratch:
         trial = Path(scratch) / f"map{target.suffix.lower()}"
         trial.write_bytes(content)
         try:
-            return map_from(trial, readers)
+            return MapSource(source.readers).read(trial)
         except SurfaceError as error:
             raise BadMap(f"{target}: what would be written does not read back: {error}") from error
 
@@ -140,11 +131,10 @@ def _alike(surface: SurfaceMap, back: SurfaceMap, key: str) -> bool:
     return bool(before == after)
 
 
-def say_stored(answer: Mapping[str, Any]) -> None:
+def stored_lines(answer: Mapping[str, Any]) -> list[str]:
     """For people."""
     changed = f"heights within {answer['largest_change_nm']:.2g} nm" if answer["largest_change_nm"] else "heights exact"
-    for line in (
+    return [
         f"written to {shown(answer['out'])} ({answer['out_format']}, {answer['bytes']} bytes); read back: {changed}",
         *(f"note: {note}" for note in answer["notes"]),
-    ):
-        stdout.print(line, markup=False)
+    ]

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
 
 from polishd.model.errors import BadMap, SurfaceError
 from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
-from polishd.plain import plain
 from polishd.process import metrics
 from polishd.workbench.maps.files import band_names
 
+HEIGHTS = {"pv_nm": "PV", "rms_nm": "RMS", "pv_tilt_removed_nm": "PV level", "rms_tilt_removed_nm": "RMS level"}
+"""What every map has, scale or none: the key, and the word for people."""
 PVR_TERMS = 36
 ISO_KEYS = ("a_nm", "b_nm", "c_nm", "rms_t_nm", "rms_i_nm", "rms_a_nm")
 T = TypeVar("T")
@@ -30,9 +30,9 @@ class Figured:
     """(ny, nx) samples that count: those with data, trimmed."""
     level_nm: FloatArray
     """(ny, nx) piston and tilt over the mask removed; NaN outside it."""
-    bands_nm: tuple[FloatArray, ...] = ()
+    bands_nm: tuple[FloatArray, ...]
     """(ny, nx) each; none without a lateral scale."""
-    answer: dict[str, Any] = field(default_factory=dict)
+    answer: dict[str, Any]
 
 
 def figured(surface: SurfaceMap, trim: int, edges: Sequence[float]) -> Figured:
@@ -40,18 +40,26 @@ def figured(surface: SurfaceMap, trim: int, edges: Sequence[float]) -> Figured:
 
     Args:
         surface: the map as read, or as the profile says.
-        trim: pixels taken off every edge of the data, holes included.
+        trim: pixels taken off every edge of the data, holes included: eroded by the cross of 4 neighbours.
         edges: periods between the bands, mm, falling.
 
     Raises:
         BadMap: no sample is left.
     """
     height, pitch = surface.height_nm, surface.pitch_mm
-    mask = trimmed_mask(surface, trim)
+    mask = metrics.trimmed(surface.valid, trim)
+    if not mask.any():
+        raise BadMap(f"{surface.path}: no sample is left of it with --trim {trim}; trim less")
     level = metrics.without(height, mask, "tilt")
     bands = () if pitch is None else metrics.split_bands(height, mask, pitch, edges)
     answer = {
-        **_named(surface, mask, level),
+        "path": str(surface.path),
+        "format": surface.format,
+        "rows": height.shape[0],
+        "cols": height.shape[1],
+        "pitch_mm": pitch,
+        "missing": int(np.count_nonzero(~surface.valid)),
+        **heights_nm(height, level, mask),
         "bands": None if pitch is None else band_records([float(band[mask].std()) for band in bands], pitch, edges),
         "sha256": surface.sha256,
         "warnings": list(surface.warnings),
@@ -63,12 +71,10 @@ def figured(surface: SurfaceMap, trim: int, edges: Sequence[float]) -> Figured:
     return Figured(surface, mask, level, bands, answer)
 
 
-def trimmed_mask(surface: SurfaceMap, trim: int) -> BoolArray:
-    """(ny, nx) samples with data, eroded ``trim`` times by the cross of 4 neighbours; BadMap where none is left."""
-    mask = metrics.trimmed(surface.valid, trim)
-    if not mask.any():
-        raise BadMap(f"{surface.path}: no sample is left of it with --trim {trim}; trim less")
-    return mask
+def heights_nm(height_nm: FloatArray, level_nm: FloatArray, mask: BoolArray) -> dict[str, float]:
+    """``HEIGHTS`` of a map over the mask; both arrays (ny, nx), the second without piston and tilt."""
+    found = (*metrics.pv_rms(height_nm, mask), *metrics.pv_rms(level_nm, mask))
+    return dict(zip(HEIGHTS, found, strict=True))
 
 
 def band_records(rms_nm: Sequence[float], pitch_mm: float, edges: Sequence[float]) -> list[dict[str, Any]]:
@@ -83,24 +89,6 @@ def band_records(rms_nm: Sequence[float], pitch_mm: float, edges: Sequence[float
         }
         for k, (name, rms) in enumerate(zip(band_names(len(rms_nm)), rms_nm, strict=True))
     ]
-
-
-def _named(surface: SurfaceMap, mask: BoolArray, level_nm: FloatArray) -> dict[str, Any]:
-    rows, columns = surface.height_nm.shape
-    pv, rms = metrics.pv_rms(surface.height_nm, mask)
-    level_pv, level_rms = metrics.pv_rms(level_nm, mask)
-    return {
-        "path": str(surface.path),
-        "format": surface.format,
-        "rows": rows,
-        "cols": columns,
-        "pitch_mm": surface.pitch_mm,
-        "missing": int(np.count_nonzero(~surface.valid)),
-        "pv_nm": pv,
-        "rms_nm": rms,
-        "pv_tilt_removed_nm": level_pv,
-        "rms_tilt_removed_nm": level_rms,
-    }
 
 
 def _more(level_nm: FloatArray, mask: BoolArray, pitch_mm: float | None) -> dict[str, Any]:
@@ -135,16 +123,3 @@ def _origin(surface: SurfaceMap) -> dict[str, Any]:
         "factors": dict(surface.factors),
         "reader_version": surface.reader_version,
     }
-
-
-def json_line(answer: Mapping[str, Any]) -> str:
-    """One line of JSON; what is no number in it (NaN, infinity) is null."""
-    return json.dumps(_finite(json.loads(json.dumps(answer, default=plain))), allow_nan=False)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

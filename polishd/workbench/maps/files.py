@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import typer
 
@@ -13,16 +15,45 @@ from polishd.hookspecs import SurfaceReader
 from polishd.model.errors import BadMap, ConfigError
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
+from polishd.recipe.files import read_map
+from polishd.show.tables import stdout
 
 READERS = "interferometer"
 """The plugin of polishd that reads maps. Without the other ones these verbs start in half the time."""
 
 
-def readers_for(cell: Path | None = None) -> Mapping[str, SurfaceReader]:
-    """The readers of the cell's plugins by name, in the order in which they are asked; without a cell polishd's own.
+@dataclass(frozen=True, slots=True)
+class MapSource:
+    """Who reads maps, and the profile by which they are turned and scaled."""
 
-    ConfigError or PluginError where the cell's configuration, or a plugin that it names, is broken.
-    """
+    readers: Mapping[str, SurfaceReader]
+    """By name, in the order in which they are asked."""
+    instrument: Instrument | None = None
+
+    @classmethod
+    def of(cls, cell: Path | None = None, profile: Path | None = None) -> MapSource:
+        """The cell's plugins, without a cell polishd's own; ConfigError or PluginError where a file is broken."""
+        if profile is None:
+            return cls(readers_for(cell))
+        from polishd.config.profile import load_profile
+
+        instrument = load_profile(profile).instrument
+        return cls(readers_for(cell), instrument)
+
+    def read(self, path: Path) -> SurfaceMap:
+        """A map, as it is or as the profile says; BadMap where it cannot be had."""
+        if path.exists() and not path.is_file():
+            raise BadMap(f"{path}: is {'a folder' if path.is_dir() else 'no file'}; name a map file")
+        surface = read_map(path, self.readers.values())
+        if self.instrument is None:
+            return surface
+        from polishd.process.instrument import as_profiled
+
+        return as_profiled(surface, self.instrument)
+
+
+def readers_for(cell: Path | None = None) -> Mapping[str, SurfaceReader]:
+    """The readers of the cell's plugins by name, in the order in which they are asked; without a cell polishd's own."""
     if cell is not None:
         from polishd.hooks.cell import load_cell
 
@@ -30,29 +61,6 @@ def readers_for(cell: Path | None = None) -> Mapping[str, SurfaceReader]:
     from polishd.hooks.loader import load_plugins
 
     return load_plugins([READERS]).surface_readers()
-
-
-def profile_of(path: Path | None) -> Instrument | None:
-    """The instrument's profile; ConfigError where the file is none."""
-    if path is None:
-        return None
-    from polishd.config.profile import load_profile
-
-    return load_profile(path).instrument
-
-
-def map_from(path: Path, readers: Mapping[str, SurfaceReader], instrument: Instrument | None = None) -> SurfaceMap:
-    """A map, as it is or as the profile says; BadMap where it cannot be had."""
-    from polishd.recipe.files import read_map
-
-    if path.exists() and not path.is_file():
-        raise BadMap(f"{path}: is {'a folder' if path.is_dir() else 'no file'}; name a map file")
-    surface = read_map(path, readers.values())
-    if instrument is None:
-        return surface
-    from polishd.process.instrument import as_profiled
-
-    return as_profiled(surface, instrument)
 
 
 def edges_mm(text: str) -> tuple[float, ...]:
@@ -73,9 +81,32 @@ def require_picture(out: Path | None) -> None:
         raise ConfigError(f"{out}: a picture is a PNG file; name it *.png")
 
 
+def draw(out: Path, picture: bytes, *, as_json: bool) -> None:
+    """Write the PNG, and tell people."""
+    from polishd.show.style import save_picture
+
+    save_picture(out, picture)
+    if not as_json:
+        stdout.print(f"drawn in {shown(out)}", markup=False)
+
+
 def shown(path: object) -> str:
     """A path for people: what is no UTF-8 in it is escaped."""
     return str(path).encode("utf-8", "backslashreplace").decode()
+
+
+def or_dash(value: float | None, form: str, unit: str = "") -> str:
+    """A figure for people; a dash where there is none."""
+    return "-" if value is None else f"{value:{form}}{unit}"
+
+
+def warnings(names: Sequence[str], answers: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What is to be known of each map, for people."""
+    return [
+        f"warning: {name}: {shown(warning)}"
+        for name, answer in zip(names, answers, strict=True)
+        for warning in answer["warnings"]
+    ]
 
 
 def told_apart(paths: Sequence[object]) -> list[str]:

@@ -6,11 +6,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import typer
-
 from polishd.hookspecs import SurfaceReader
-from polishd.show.tables import record_table, stdout
-from polishd.workbench.maps.figures import json_line
+from polishd.show.tables import emit, record_table
 from polishd.workbench.maps.files import readers_for
 
 EXTRAS = {
@@ -27,11 +24,8 @@ def formats_verb(cell: Path | None = None, *, as_json: bool) -> None:
     asked = readers_for(cell)
     own = asked.keys() if cell is None else readers_for().keys()
     answers = [{**format_answer(reader), "own": reader.name in own} for reader in asked.values()]
-    if as_json:
-        typer.echo(json_line({"formats": answers}))
-        return
     columns = ("format", "endings", "reads", "writes", "installed by")
-    stdout.print(record_table("formats", columns, [_row(answer) for answer in answers]))
+    emit({"formats": answers}, as_json=as_json, table=lambda: record_table("formats", columns, map(_row, answers)))
 
 
 def format_answer(reader: SurfaceReader) -> dict[str, Any]:

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from polishd.model.surface import BoolArray, FloatArray
+from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
 from polishd.process import metrics
 from polishd.process.metrics import RadialPsd
 from polishd.show.style import BLUE, DIVERGING, MUTED, NO_DATA, ORANGE, figure, png, polishd_style, ruled
@@ -92,7 +91,8 @@ def compared_picture(
     level = {name: np.where(mask, height - height[mask].mean(), np.nan) for name, height in heights.items()}
     before, after = level.values()
     with polishd_style():
-        page, axes = _compared_page()
+        page = figure(PANEL_IN * ACROSS, PANEL_IN * 2.2)
+        axes = page.subplot_mosaic([["b", "a", "d"], ["f", "p", "p"]])
         for key, (name, height) in zip("ba", level.items(), strict=True):
             _panel(axes[key], height, pitch_mm, f"{name}\n{_pv_rms(height, mask)}", _limit(before))
         change = after - before
@@ -105,9 +105,21 @@ def compared_picture(
         return png(page)
 
 
-def _compared_page() -> tuple[Figure, dict[str, Axes]]:
-    page = figure(PANEL_IN * ACROSS, PANEL_IN * 2.2)
-    return page, page.subplot_mosaic([["b", "a", "d"], ["f", "p", "p"]])
+def artefact_picture(artefact_nm: FloatArray, seen: SurfaceMap, title: str) -> bytes:
+    """PNG: the artefact as it is expected, (ny, nx) nm, and as it is seen, on one scale."""
+    limit = float(np.abs(artefact_nm).max()) or 1.0
+    half_x, half_y = seen.grid.nx * seen.grid.pitch_mm / 2, seen.grid.ny * seen.grid.pitch_mm / 2
+    with polishd_style():
+        page = figure(8.4, 3.8)
+        axes = page.subplots(1, 2)
+        for ax, height, words in zip(axes, (artefact_nm, seen.height_nm), ("The artefact", title), strict=True):
+            levelled = metrics.without(height, seen.valid, "tilt")
+            levelled -= np.median(levelled[seen.valid])
+            ax.set_facecolor(NO_DATA)
+            ax.imshow(levelled, cmap=DIVERGING, vmin=-limit, vmax=limit, extent=(-half_x, half_x, -half_y, half_y))
+            ax.set(title=words, xlabel="x, mm", ylabel="y, mm")
+        page.colorbar(axes[0].images[0], ax=list(axes), shrink=0.85, label="nm")
+        return png(page)
 
 
 def _pv_rms(height_nm: FloatArray, mask: BoolArray) -> str:

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.table import Table
 
 from polishd.config.cell import CellConfig, load_config
 from polishd.hooks.cell import load_cell
-from polishd.hooks.loader import Hooks
 from polishd.model.surface import FloatArray
 from polishd.process.compliance import depth_ratio
-from polishd.process.compliance_field import ComplianceField, compliance_field
+from polishd.process.compliance_field import compliance_field
 from polishd.process.contact import hertz_depth_mm
-from polishd.process.path_compliance import PathCompliance, path_compliance
+from polishd.process.path_compliance import path_compliance
 from polishd.process.spot_figures import SpotFigures, map_nm_s, measured_figures, spot_figures
 from polishd.recipe import steps
 from polishd.recipe.making import make_recipe
 from polishd.show.style import save_picture
-from polishd.show.tables import emit, key_table, stdout
+from polishd.show.tables import emit, key_table
 from polishd.workbench.physics.pictures import compliance_picture, spot_picture
 
 PICTURE_SAMPLES = 120
@@ -40,26 +40,23 @@ def tif_verb(cell: Path, ratio: float, out: Path | None, *, as_json: bool) -> No
         spot = map_nm_s(process, ratio, 2 * figures.contact_radius_mm / PICTURE_SAMPLES)
     if out is not None:
         save_picture(out, spot_picture(figures, spot, f"TIF at gamma {ratio:g}"))
-    answer = tif_answer(figures, ratio)
-    emit(answer, as_json=as_json, table=lambda: _tif_table(config, figures, ratio))
-    if out is not None and not as_json:
-        stdout.print(f"written to {out}", markup=False)
-
-
-def tif_answer(figures: SpotFigures, ratio: float) -> dict[str, Any]:
-    """The figures as JSON holds them."""
     plain = ("depth_mm", "contact_radius_mm", "peak_pressure_mpa", "peak_nm_s", "volume_mm3_min")
-    return {
+    answer = {
         "depth_ratio": ratio,
         **{name: getattr(figures, name) for name in plain},
         "dissipative_fraction": figures.dissipative_fraction,
         "m_shaped": figures.m_shaped,
-        "profile_x": {"x_mm": figures.x_mm.tolist(), "rate_nm_s": figures.profile_x_nm_s.tolist()},
-        "profile_y": {"y_mm": figures.y_mm.tolist(), "rate_nm_s": figures.profile_y_nm_s.tolist()},
+        "profile_x": {"x_mm": figures.x_mm, "rate_nm_s": figures.profile_x_nm_s},
+        "profile_y": {"y_mm": figures.y_mm, "rate_nm_s": figures.profile_y_nm_s},
     }
+    emit(answer, as_json=as_json, table=lambda: _tif_table(config, figures, ratio), lines=_written(out))
 
 
-def _tif_table(config: CellConfig, figures: SpotFigures, ratio: float) -> Any:
+def _written(out: Path | None) -> list[str]:
+    return [] if out is None else [f"written to {out}"]
+
+
+def _tif_table(config: CellConfig, figures: SpotFigures, ratio: float) -> Table:
     shape = "M-shaped" if figures.m_shaped else "one maximum"
     rows = [
         ("removal model", config.process.removal_model),
@@ -75,94 +72,72 @@ def _tif_table(config: CellConfig, figures: SpotFigures, ratio: float) -> Any:
     return key_table(f"{config.cell.name}: TIF", rows)
 
 
-@dataclass(frozen=True, slots=True)
-class AlongProgram:
-    """Compliance and gamma along a program's path."""
-
-    name: str
-    found: PathCompliance
-    gamma: FloatArray
-
-    @property
-    def um_per_n(self) -> FloatArray:
-        """(n,) equivalent compliance."""
-        return self.found.compliance_mm_per_n * 1e3
-
-
 def compliance_verb(cell: Path, program: Path | None, out: Path | None, *, as_json: bool) -> None:
     """The compliance over the workspace and, where a program is given, along it."""
     config, hooks = load_cell(cell)
     field = compliance_field(
         config.robot_model(), config.tool_process(), config.placement(), config.compliance_options()
     )
-    along = None if program is None else _along(config, hooks, program)
-    if out is not None:
-        pair = None if along is None else (along.um_per_n, along.gamma)
-        save_picture(out, compliance_picture(field, pair))
-    emit(compliance_answer(field, along), as_json=as_json, table=lambda: _compliance_table(config, field, along))
-    if out is not None and not as_json:
-        stdout.print(f"written to {out}", markup=False)
-
-
-def _along(config: CellConfig, hooks: Hooks, program: Path) -> AlongProgram:
-    recipe = make_recipe(config, hooks)
-    read = steps.as_polished(recipe, steps.read_program(recipe, program))
-    found = path_compliance(
-        read, recipe.process, recipe.robot, recipe.placement, options=recipe.options, optic=recipe.optic
-    )
-    gamma = depth_ratio(found.compliance_mm_per_n, recipe.process, hertz_depth_mm(recipe.process))
-    return AlongProgram(read.name, found, gamma)
-
-
-def compliance_answer(field: ComplianceField, along: AlongProgram | None) -> dict[str, Any]:
-    """The figures as JSON holds them."""
     answer: dict[str, Any] = {
         "workspace": {
-            "compliance_um_per_n": _range(field.compliance_um_per_n),
-            "gamma": _range(field.gamma),
+            **_ranges(field.compliance_um_per_n, field.gamma),
             "places": field.places,
             "out_of_reach": field.out_of_reach,
             "undefined": field.undefined,
         }
     }
-    if along is not None:
+    rows = _workspace_rows(answer["workspace"])
+    along = None
+    if program is not None:
+        recipe = make_recipe(config, hooks)
+        read = steps.as_polished(recipe, steps.read_program(recipe, program))
+        found = path_compliance(
+            read, recipe.process, recipe.robot, recipe.placement, options=recipe.options, optic=recipe.optic
+        )
+        gamma = depth_ratio(found.compliance_mm_per_n, recipe.process, hertz_depth_mm(recipe.process))
+        along = (found.compliance_mm_per_n * 1e3, gamma)
         answer["program"] = {
-            "name": along.name,
-            "points": len(along.gamma),
-            "compliance_um_per_n": _range(along.um_per_n),
-            "gamma": _range(along.gamma),
-            "jumps": along.found.jumps,
-            "fallbacks": along.found.fallbacks,
+            "name": read.name,
+            "points": len(gamma),
+            **_ranges(*along),
+            "jumps": found.jumps,
+            "fallbacks": found.fallbacks,
         }
-    return answer
+        rows += [*_program_rows(answer["program"]), *(("note", note) for note in found.notes)]
+    if out is not None:
+        save_picture(out, compliance_picture(field, along))
+    title = f"{config.cell.name}: compliance ({config.compliance.projection})"
+    emit(answer, as_json=as_json, table=lambda: key_table(title, rows), lines=_written(out))
+
+
+def _ranges(compliance_um_per_n: FloatArray, gamma: FloatArray) -> dict[str, dict[str, float | None]]:
+    return {"compliance_um_per_n": _range(compliance_um_per_n), "gamma": _range(gamma)}
 
 
 def _range(values: FloatArray) -> dict[str, float | None]:
     known = values[np.isfinite(values)]
     if not known.size:
-        return {"min": None, "max": None, "mean": None}
+        return dict.fromkeys(("min", "max", "mean"))
     return {"min": float(known.min()), "max": float(known.max()), "mean": float(known.mean())}
 
 
-def _compliance_table(config: CellConfig, field: ComplianceField, along: AlongProgram | None) -> Any:
-    rows: list[tuple[str, object]] = [
-        ("over the workspace", f"{_words(field.compliance_um_per_n)} um/N"),
-        ("gamma there", _words(field.gamma)),
-        ("places", f"{field.places}, {field.out_of_reach} of them out of reach"),
+def _workspace_rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+    rows = [
+        ("over the workspace", f"{_words(found['compliance_um_per_n'])} um/N"),
+        ("gamma there", _words(found["gamma"])),
+        ("places", f"{found['places']}, {found['out_of_reach']} of them out of reach"),
     ]
-    if field.undefined:
-        rows.append(("undefined", f"{field.undefined} places: eq. 41 as printed has complex eigenvalues there"))
-    if along is not None:
-        rows += [
-            (f"along {along.name}", f"{_words(along.um_per_n)} um/N at {len(along.gamma)} timed points"),
-            ("gamma there", _words(along.gamma)),
-            *(("note", note) for note in along.found.notes),
-        ]
-    return key_table(f"{config.cell.name}: compliance ({config.compliance.projection})", rows)
+    if found["undefined"]:
+        rows.append(("undefined", f"{found['undefined']} places: eq. 41 as printed has complex eigenvalues there"))
+    return rows
 
 
-def _words(values: FloatArray) -> str:
-    known = _range(values)
+def _program_rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+    compliance = f"{_words(found['compliance_um_per_n'])} um/N at {found['points']} timed points"
+    return [(f"along {found['name']}", compliance), ("gamma there", _words(found["gamma"]))]
+
+
+def _words(known: Mapping[str, float | None]) -> str:
     if known["mean"] is None:
         return "none"
     return f"{known['min']:.3f} to {known['max']:.3f}, mean {known['mean']:.3f}"

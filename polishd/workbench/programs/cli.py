@@ -1,36 +1,30 @@
-"""The verbs of ``polishd program``: options only. What they do lives in ``program.py`` and its like."""
+"""The verbs of ``polishd program``: options only. What they do lives in the modules beside."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal, Optional
+from typing import Annotated, Literal
 
 import typer
+from typer import Argument, Option
 
-from polishd.workbench.programs.make_cli import make
+from polishd.workbench.options import Json, spread
+from polishd.workbench.programs.options import Encoding, MakeOptions
 
-program = typer.Typer(help="RNC programs: inspect, rewrite the dwell, prove that the motion stayed, make new ones.")
+app = typer.Typer(help="RNC programs: inspect, rewrite the dwell, prove that the motion stayed, make new ones.")
 
 # readable=False: what cannot be read is exit code 9, as what is not there is; typer would make it 2
-File = Annotated[Path, typer.Argument(metavar="FILE", help="The RNC program.", readable=False, show_default=False)]
+File = Annotated[Path, Argument(metavar="FILE", help="The RNC program.", readable=False)]
 Dialect = Annotated[
-    str,
-    typer.Option(metavar="NAME|D.toml", help="Its dialect (polishd program dialects), or a profile of your own."),
+    str, Option(metavar="NAME|D.toml", help="Its dialect (polishd program dialects), or a profile of your own.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout, for programs.")]
 
 
-EncodingChoice = Literal["dwell", "feed", "inverse"]
-
-
-@program.command()
+@app.command()
 def inspect(
     file: File,
     dialect: Dialect = "rs274",
-    picture: Annotated[
-        Optional[Path],  # noqa: UP045 - typer reads it
-        typer.Option(metavar="PNG", help="Draw where it dwells, and for how long.", show_default=False),
-    ] = None,
+    picture: Annotated[Path | None, Option(metavar="PNG", help="Draw where it dwells, and for how long.")] = None,
     as_json: Json = False,
 ) -> None:
     """Points, dwell, feeds, bounds and warnings of a program; refuses what cannot be read without guessing."""
@@ -39,25 +33,19 @@ def inspect(
     inspect_verb(file, dialect, picture, as_json=as_json)
 
 
-@program.command()
-def rewrite(  # noqa: PLR0917 - typer reads the options off the signature
+@app.command()
+def rewrite(
+    *,
     file: File,
     dwell: Annotated[
-        Path,
-        typer.Option(
-            metavar="CSV",
-            help="One dwell in seconds a row, no header, one row a point.",
-            readable=False,
-            show_default=False,
-        ),
+        Path, Option(metavar="CSV", help="One dwell in seconds a row, no header, one row a point.", readable=False)
     ],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="The new program; not FILE itself.", show_default=False)],
+    out: Annotated[Path, Option(metavar="FILE", help="The new program; not FILE itself.")],
     dialect: Dialect = "rs274",
     encoding: Annotated[
-        Optional[EncodingChoice],  # noqa: UP045 - typer reads it
-        typer.Option(help="Where the time is written; default: where the program has it.", show_default=False),
+        Encoding | None, Option(help="Where the time is written; default: where the program has it.")
     ] = None,
-    comment: Annotated[bool, typer.Option("--comment", help="Say in the first line what was done.")] = False,
+    comment: Annotated[bool, Option("--comment", help="Say in the first line what was done.")] = False,
     as_json: Json = False,
 ) -> None:
     """Other dwells in the same program: changes the numbers that carry time, and no other byte."""
@@ -66,18 +54,13 @@ def rewrite(  # noqa: PLR0917 - typer reads the options off the signature
     rewrite_verb(file, dwell, out, dialect, encoding, comment=comment, as_json=as_json)
 
 
-@program.command()
+@app.command()
 def verify(
-    old: Annotated[
-        Path, typer.Argument(metavar="OLD", help="The program as it was.", readable=False, show_default=False)
-    ],
-    new: Annotated[
-        Path, typer.Argument(metavar="NEW", help="The program as it is.", readable=False, show_default=False)
-    ],
+    old: Annotated[Path, Argument(metavar="OLD", help="The program as it was.", readable=False)],
+    new: Annotated[Path, Argument(metavar="NEW", help="The program as it is.", readable=False)],
     dialect: Dialect = "rs274",
     interpreter: Annotated[
-        Optional[Literal["rs274"]],  # noqa: UP045 - typer reads it
-        typer.Option("--with", help="Prove it with LinuxCNC's interpreter, too.", show_default=False),
+        Literal["rs274"] | None, Option("--with", help="Prove it with LinuxCNC's interpreter, too.")
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -87,7 +70,7 @@ def verify(
     verify_verb(old, new, dialect, with_rs274=interpreter is not None, as_json=as_json)
 
 
-@program.command()
+@app.command()
 def dialects(as_json: Json = False) -> None:
     """The dialects that polishd reads: how each writes a dwell, in which unit, how finely."""
     from polishd.workbench.programs.dialects import dialects_verb
@@ -95,4 +78,10 @@ def dialects(as_json: Json = False) -> None:
     dialects_verb(as_json=as_json)
 
 
-program.command()(make)
+@app.command()
+@spread
+def make(asked: MakeOptions, as_json: Json = False) -> None:
+    """Make a raster or a spiral over an aperture, on a flat, sphere or asphere, with the tool along its normals."""
+    from polishd.workbench.programs.make import make_verb
+
+    make_verb(asked, as_json=as_json)

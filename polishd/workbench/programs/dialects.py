@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from polishd.plugins.rnc_robot.dialect import DIALECTS, AnyDialect, Dialect, DwellWord, dialect
+from polishd.plugins.rnc_robot.languages import Profile
 from polishd.show.tables import emit, record_table
 
 _COLUMNS = ("dialect", "for", "dwell", "new dwells", "quantum, s", "time in F", "lines at most")
@@ -18,20 +19,21 @@ def dialects_verb(*, as_json: bool) -> None:
 
 def dialect_answer(profile: AnyDialect) -> dict[str, Any]:
     """What a profile says about time, as JSON holds it; null: it has none, or no limit."""
-    if isinstance(profile, Dialect):
-        return _of_nc(profile)
-    dwell = profile.dwell
     return {
         "name": profile.name,
         "kind": profile.kind,
+        **dict.fromkeys(("title", "dwell", "written", "quantum_s", "finest_s", "resolution_s", "feed", "inverse")),
+        "most_lines": None,
+        **(_of_nc(profile) if isinstance(profile, Dialect) else _of_language(profile)),
+    }
+
+
+def _of_language(profile: Profile) -> dict[str, Any]:
+    return {
         "title": profile.summary,
-        "dwell": list(profile.statements.dwell + profile.statements.dwell_in_position),
-        "written": None,
-        "quantum_s": dwell.quantum_s,
-        "finest_s": dwell.quantum_s,
-        "resolution_s": None,
-        "feed": None,
-        "inverse": None,
+        "dwell": [*profile.statements.dwell, *profile.statements.dwell_in_position],
+        "quantum_s": profile.dwell.quantum_s,
+        "finest_s": profile.dwell.quantum_s,
         "most_lines": profile.line_limit or None,
     }
 
@@ -39,10 +41,7 @@ def dialect_answer(profile: AnyDialect) -> dict[str, Any]:
 def _of_nc(profile: Dialect) -> dict[str, Any]:
     dwell = profile.dwell
     words = {letter: _unit(word) for letter, word in dwell.words.items()}
-    g93 = profile.feed.g93
     return {
-        "name": profile.name,
-        "kind": profile.kind,
         "title": profile.title,
         "dwell": [f"{letter} {unit}" for letter, unit in words.items() if unit],
         "written": dwell.written,
@@ -50,8 +49,7 @@ def _of_nc(profile: Dialect) -> dict[str, Any]:
         "finest_s": 10.0**-dwell.most_decimals,
         "resolution_s": dwell.resolution_s or None,
         "feed": profile.feed.unit,
-        "inverse": None if g93 == "refuse" else g93,
-        "most_lines": None,
+        "inverse": None if profile.feed.g93 == "refuse" else profile.feed.g93,
     }
 
 

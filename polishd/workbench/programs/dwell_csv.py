@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import suppress
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
@@ -18,36 +19,27 @@ _PLAIN = b"0123456789+-.eE \t\r\n"
 
 
 class DwellTable:
-    """The rows of a table of dwells, taken in order; never more of them in memory than are asked for at once."""
+    """The rows of a table of dwells, taken in order; never many more of them in memory than are asked for at once."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.total_s = 0.0
         """Sum of what was taken."""
-        self._rows = dwell_rows(path)
-        self._ready: list[FloatArray] = []
+        self._rows = chain.from_iterable(rows.tolist() for rows in dwell_rows(path))
         self._taken = 0
 
     def take(self, count: int) -> FloatArray:
         """The next so many, (count,) s. ProgramError where there are fewer, or where a row is no dwell."""
-        found = sum(len(piece) for piece in self._ready)
-        while found < count:
-            piece = next(self._rows, None)
-            if piece is None:
-                raise ProgramError(
-                    f"{self.path}, row {self._taken + found + 1} is missing: the program has more points. {_COUNT}"
-                )
-            self._ready.append(piece)
-            found += len(piece)
-        rows = np.concatenate([np.zeros(0), *self._ready])
-        self._ready = [rows[count:]]
-        self._taken += count
-        self.total_s += math.fsum(rows[:count])
-        return rows[:count]
+        rows = np.fromiter(islice(self._rows, count), np.float64)
+        self._taken += len(rows)
+        if len(rows) < count:
+            raise ProgramError(f"{self.path}, row {self._taken + 1} is missing: the program has more points. {_COUNT}")
+        self.total_s += math.fsum(rows)
+        return rows
 
     def finish(self) -> None:
         """ProgramError where there are more rows."""
-        if any(map(len, self._ready)) or next(self._rows, None) is not None:
+        if next(self._rows, None) is not None:
             raise ProgramError(
                 f"{self.path}, row {self._taken + 1} is one too many: the program has {self._taken} points. {_COUNT}"
             )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import re
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -87,27 +86,10 @@ def content(file: Path) -> bytes:
 def opened(file: Path) -> Iterator[BinaryIO]:
     """A program's file, for reading, more than once; ProgramError where it cannot be read."""
     try:
-        source = _rereadable(file)
+        with file.open("rb") as source:
+            yield source if source.seekable() else BytesIO(source.read())  # a pipe is held in memory
     except OSError as error:
-        raise _unreadable(file, error) from error
-    with source:
-        try:
-            yield source
-        except OSError as error:
-            raise _unreadable(file, error) from error
-
-
-def _rereadable(file: Path) -> BinaryIO:
-    """The open file; what comes through a pipe is held in memory."""
-    source = file.open("rb")
-    if source.seekable():
-        return source
-    with source:
-        return BytesIO(source.read())
-
-
-def _unreadable(file: Path, error: OSError) -> ProgramError:
-    return ProgramError(f"{file}: cannot be read: {error.strerror or error}. To do: check the path.")
+        raise ProgramError(f"{file}: cannot be read: {error.strerror or error}. To do: check the path.") from error
 
 
 def _streamed(
@@ -142,8 +124,6 @@ def _held(
 def target_file(path: Path) -> Iterator[BinaryIO]:
     """A file that gets its name when the block ends; ProgramError where it cannot be written."""
     try:
-        if path.exists() and not path.is_file():  # the last step would put a file in the place of a device or pipe
-            raise OSError(errno.EINVAL, "it is there, and is no file")
         with whole_file(path) as file:
             yield file
     except OSError as error:

@@ -5,33 +5,38 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import typer
 from scipy.spatial.transform import Rotation
 
 from polishd.config.cell import CellConfig
+from polishd.config.sections import InstrumentSection
 from polishd.hooks.cell import load_cell
-from polishd.hooks.loader import load_own
+from polishd.hooks.loader import Hooks
+from polishd.model.errors import ProgramError
 from polishd.model.process import FLAT, ComplianceOptions, Optic, Placement
-from polishd.model.program import Encoding
+from polishd.model.program import Encoding, Program
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.dialect import DEFAULT
 from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
+from polishd.plugins.rnc_robot.formats import read
 from polishd.plugins.rnc_robot.make import path_program
 from polishd.process.optics import unit_normals
 from polishd.process.paths import apertures
 from polishd.process.paths.apertures import Aperture
 from polishd.process.paths.raster import raster
 from polishd.process.paths.spiral import spiral
-from polishd.process.paths.wrist import TURN_LIMIT_DEG, largest_turn_deg, tool_axes
-from polishd.recipe.files import read_map
+from polishd.process.paths.wrist import largest_turn_deg, tool_axes
+from polishd.recipe import foresight, steps
+from polishd.recipe.making import make_recipe
 from polishd.show.style import save_picture
-from polishd.show.tables import emit, key_table, stderr, stdout
+from polishd.show.tables import emit, key_table, stderr
+from polishd.workbench.maps.files import MapSource
 from polishd.workbench.programs.files import not_over, target_file
-from polishd.workbench.programs.make_check import UNCHECKED, require_cell_takes
-from polishd.workbench.programs.make_picture import path_picture
+from polishd.workbench.programs.options import MakeOptions
+from polishd.workbench.programs.pictures import path_picture
 
 SHAPES: dict[str, tuple[int, Callable[..., Aperture]]] = {
     "circle": (1, apertures.circle),
@@ -40,37 +45,13 @@ SHAPES: dict[str, tuple[int, Callable[..., Aperture]]] = {
     "rectangle": (2, apertures.rectangle),
 }
 """Apertures by name: how many lengths, and what makes one of them."""
+UNCHECKED = (
+    "the robot's reach and singular poses",
+    "the machine's range and feeds",
+    "whether the landing points lie beside the part",
+)
+"""What nobody can say of a program without the cell that it is for."""
 UPRIGHT = Placement((0.0, 0.0, 0.0), np.eye(3))
-
-
-@dataclass(frozen=True, slots=True)
-class MakeOptions:
-    """What was asked for; None: as the cell has it, or what is said."""
-
-    shape: Literal["raster", "spiral"]
-    out: Path
-    cell: Path | None = None
-    aperture: str | None = None
-    optic: str | None = None
-    """None without a cell: flat."""
-    offset_mm: tuple[float, float] | None = None
-    pitch_mm: float = 1.0
-    step_mm: float = 1.0
-    direction_deg: float = 0.0
-    inwards: bool = False
-    overrun_mm: float = 1.0
-    landing_mm: float = 5.0
-    dip_deg: float | None = None
-    """None without a cell: 0."""
-    azimuth_deg: float | None = None
-    turn_limit_deg: float = TURN_LIMIT_DEG
-    feed_mm_min: float = 900.0
-    dwell_s: float | None = None
-    encoding: Encoding | None = None
-    """None: "dwell" where a dwell is asked for, else "feed"."""
-    dialect: str | None = None
-    """None without a cell: rs274."""
-    picture: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +83,7 @@ def make_verb(options: MakeOptions, *, as_json: bool) -> None:
             points, axis, feed, _title(options), encoding=encoding, dwell_s=options.dwell_s or 0.0, to=dialect
         )
         if config is not None and hooks is not None:
-            require_cell_takes(config, hooks, text, (options.out.name, dialect))
+            _require_cell_takes(config, hooks, read(dialect_named(dialect), text, options.out.name))
     _write(options, made, text)
     answer = {
         "shape": options.shape,
@@ -116,9 +97,7 @@ def make_verb(options: MakeOptions, *, as_json: bool) -> None:
         "out": str(options.out),
         "not_checked": list(UNCHECKED) if config is None else [],
     }
-    emit(answer, as_json=as_json, table=lambda: _table(options, answer))
-    if not as_json:
-        stdout.print(f"written to {options.out}", markup=False)
+    emit(answer, as_json=as_json, table=lambda: _table(options, answer), lines=[f"written to {options.out}"])
 
 
 def _dialect_of(config: CellConfig) -> str:
@@ -138,8 +117,8 @@ def _encoding(options: MakeOptions) -> Encoding:
 
 
 def _write(options: MakeOptions, made: MadePath, text: bytes) -> None:
-    if options.cell is not None:
-        not_over(options.out, options.cell)
+    mask = (options.aperture or "").partition("mask:")[2]
+    not_over(options.out, *(Path(read_from) for read_from in (options.cell, mask) if read_from))
     with target_file(options.out) as file:
         file.write(text)
     if options.picture is not None:
@@ -151,13 +130,11 @@ def make_path(options: MakeOptions, config: CellConfig | None) -> MadePath:
     """Points on the optic and tool axes, in the part's frame. ComputeError where they cannot be."""
     aperture, optic = _aperture(options, config), _optic(options, config)
     lengths = (options.pitch_mm, options.step_mm)
-    overrun, landing = options.overrun_mm, options.landing_mm
+    beyond: dict[str, Any] = {"overrun_mm": options.overrun_mm, "landing_mm": options.landing_mm}
     if options.shape == "raster":
-        turn_deg = options.direction_deg
-        points = raster(aperture, *lengths, optic=optic, direction_deg=turn_deg, overrun_mm=overrun, landing_mm=landing)
+        points = raster(aperture, *lengths, **beyond, optic=optic, direction_deg=options.direction_deg)
     else:
-        inwards = options.inwards
-        points = spiral(aperture, *lengths, optic=optic, inwards=inwards, overrun_mm=overrun, landing_mm=landing)
+        points = spiral(aperture, *lengths, **beyond, optic=optic, inwards=options.inwards)
     dip_deg = options.dip_deg if options.dip_deg is not None else (config.process.dip_deg if config else 0.0)
     placement, lean = (UPRIGHT, None) if config is None else (config.placement(), config.compliance_options())
     if lean is None or options.azimuth_deg is not None:
@@ -173,7 +150,7 @@ def _aperture(options: MakeOptions, config: CellConfig | None) -> Aperture:
         return apertures.circle(config.part.aperture_mm)
     name, _, rest = options.aperture.partition(":")
     if name == "mask" and rest:
-        measured = read_map(Path(rest), load_own().surface_readers().values())
+        measured = MapSource.of().read(Path(rest))
         return apertures.over_mask(measured.grid, measured.valid)
     count, make = SHAPES.get(name, (0, apertures.circle))
     values = _numbers("--aperture", rest)
@@ -222,6 +199,19 @@ def _in_program_frame(config: CellConfig | None, points: FloatArray, axis: Float
         return points, axis
     back = Rotation.from_euler("z", -config.program.rotation_deg, degrees=True)
     return back.apply(points - np.asarray(config.program.offset_mm)), back.apply(axis)
+
+
+def _require_cell_takes(config: CellConfig, hooks: Hooks, program: Program) -> None:
+    """ProgramError with everything for which the cell's `plan` or `run` would refuse the program, whatever the map."""
+    without_map = {"instrument": InstrumentSection(), "part": config.part.model_copy(update={"nominal": None})}
+    recipe = make_recipe(config.model_copy(update=without_map), hooks)
+    found = foresight.refusals(recipe, steps.with_moves(program), hooks.check_plan)
+    if found:
+        says = "\n".join(f"  {line}" for line in found)
+        raise ProgramError(
+            f"nothing was written: plan or run would refuse it in {config.path}:\n{says}\n"
+            "To do: other --aperture, --landing, --dip or --azimuth, or move the part (part.origin_mm) in the cell"
+        )
 
 
 def _title(options: MakeOptions) -> str:

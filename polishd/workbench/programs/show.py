@@ -14,8 +14,7 @@ import numpy as np
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from polishd.model.errors import ProgramError
-from polishd.model.program import Encoding
-from polishd.model.surface import FloatArray
+from polishd.model.program import Encoding, Program
 from polishd.plugins.rnc_robot.dialect import AnyDialect, Dialect
 from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
 from polishd.plugins.rnc_robot.formats import read
@@ -37,7 +36,7 @@ def inspect_verb(file: Path, dialect: str, picture: Path | None, *, as_json: boo
     answer = _inspected(file, profile)
     if picture is not None:
         from polishd.show.style import save_picture
-        from polishd.workbench.programs.picture import program_picture
+        from polishd.workbench.programs.pictures import program_picture
 
         with stderr.status(f"drawing {file.name}"):
             save_picture(picture, program_picture(read(profile, content(file), file.name)))
@@ -50,62 +49,43 @@ def inspect_verb(file: Path, dialect: str, picture: Path | None, *, as_json: boo
 
 def _inspected(file: Path, profile: AnyDialect) -> dict[str, Any]:
     """The figures as JSON holds them. NC text of any size is looked through in bounded memory."""
+    found: Passed | Program
     if isinstance(profile, Dialect):
         with _bar("reading", file) as progress, opened(file) as source:
-            return _answer_of_passed(look_through(profile, source, file.name, progress))
-    program = read(profile, content(file), file.name)
-    feeds = program.feed_mm_min[np.isfinite(program.feed_mm_min)]
+            found = look_through(profile, source, file.name, progress)
+        points, total_s, (slow, fast) = found.points, found.time_s, found.feed_mm_min
+        bounds = (found.low_mm, found.high_mm)
+    else:
+        found = read(profile, content(file), file.name)
+        points, total_s, feeds = found.n, math.fsum(found.time_s), found.feed_mm_min[np.isfinite(found.feed_mm_min)]
+        slow, fast = (float(feeds.min()), float(feeds.max())) if feeds.size else (np.inf, -np.inf)
+        bounds = (found.end_mm.min(axis=0), found.end_mm.max(axis=0))
     return {
-        "dialect": program.dialect,
-        "lines": program.lines,
-        "points": program.n,
-        "dwell_total_s": math.fsum(program.time_s),
-        "feed_range_mm_min": [float(feeds.min()), float(feeds.max())] if feeds.size else None,
-        "bounds_mm": _bounds(program.end_mm.min(axis=0), program.end_mm.max(axis=0)),
-        "warnings": list(program.warnings),
-        "encoding": program.encoding,
-        "unit": program.unit,
-        "sha256": program.sha256,
+        "dialect": found.dialect,
+        "lines": found.lines,
+        "points": points,
+        "dwell_total_s": total_s,
+        "feed_range_mm_min": [slow, fast] if slow <= fast else None,
+        "bounds_mm": {axis: [float(low), float(high)] for axis, low, high in zip("xyz", *bounds, strict=True)},
+        "warnings": list(found.warnings),
+        "encoding": found.encoding,
+        "unit": found.unit,
+        "sha256": found.sha256,
     }
-
-
-def _answer_of_passed(passed: Passed) -> dict[str, Any]:
-    low, high = passed.feed_mm_min
-    return {
-        "dialect": passed.dialect,
-        "lines": passed.lines,
-        "points": passed.points,
-        "dwell_total_s": passed.time_s,
-        "feed_range_mm_min": [low, high] if low <= high else None,
-        "bounds_mm": _bounds(passed.low_mm, passed.high_mm),
-        "warnings": list(passed.warnings),
-        "encoding": passed.encoding,
-        "unit": passed.unit,
-        "sha256": passed.sha256,
-    }
-
-
-def _bounds(low_mm: FloatArray, high_mm: FloatArray) -> dict[str, list[float]]:
-    """Of the points' places."""
-    return {axis: [float(low), float(high)] for axis, low, high in zip("xyz", low_mm, high_mm, strict=True)}
 
 
 def _inspect_table(name: str, answer: dict[str, Any]) -> Any:
-    points, total_s = answer["points"], answer["dwell_total_s"]
+    points, total_s, feeds = answer["points"], answer["dwell_total_s"], answer["feed_range_mm_min"]
     rows = [
         ("dialect", answer["dialect"]),
         ("lines", answer["lines"]),
         ("points", f"{points}, time in {ENCODINGS[answer['encoding']]} ({answer['unit']})"),
         ("dwell", f"{total_s:.6g} s, {total_s / points:.4g} s a point on average"),
-        ("feed", _feeds(answer["feed_range_mm_min"])),
+        ("feed", "not known" if feeds is None else f"{feeds[0]:.6g} to {feeds[1]:.6g} mm/min"),
         *((axis, f"{a:.4f} to {b:.4f} mm") for axis, (a, b) in answer["bounds_mm"].items()),
         ("sha256", answer["sha256"]),
     ]
     return key_table(name, rows)
-
-
-def _feeds(found: list[float] | None) -> str:
-    return "not known" if found is None else f"{found[0]:.6g} to {found[1]:.6g} mm/min"
 
 
 ENCODINGS: dict[Encoding, str] = {

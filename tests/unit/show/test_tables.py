@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import io
+import json
+import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from polishd.console.progress import progress
 from polishd.daemon.endings import Ending
-from polishd.show.tables import cycle_table, key_table, record_table, stderr
+from polishd.show.tables import cycle_table, emit, figure_table, key_table, record_table, stderr
 
 CYCLES: list[dict[str, Any]] = [
     {
@@ -70,6 +73,23 @@ def test_keys_and_records() -> None:
     assert ["b", "None"] in lines
 
 
+def test_json_holds_no_nan(capsys: Any) -> None:
+    answer = {
+        "a": math.nan,
+        "b": [math.inf, {"c": np.float64("-inf")}],
+        "d": np.float32(1.5),
+        "e": np.arange(2),
+        "f": Path("g"),
+    }
+    emit(answer, as_json=True, table=Table, lines=["for people"])
+    assert json.loads(capsys.readouterr().out) == {"a": None, "b": [None, {"c": None}], "d": 1.5, "e": [0, 1], "f": "g"}
+
+
+def test_lines_stand_below_the_table(capsys: Any) -> None:
+    emit({}, as_json=False, table=lambda: key_table("t", [("part", "P-1")]), lines=["a [b]", "c"])
+    assert capsys.readouterr().out.splitlines()[-2:] == ["a [b]", "c"]
+
+
 def test_what_a_person_sees_of_a_run(capsys: Any) -> None:
     events: list[tuple[str, int | None, dict[str, Any]]] = [
         ("opened", None, {}),
@@ -104,3 +124,10 @@ def test_what_a_person_sees_of_a_run(capsys: Any) -> None:
     assert lines[held + 3].startswith("robot did not confirm: [deaf]; it may still move")
     assert lines[held + 4].startswith("next: when nothing is left to mend: polishd resume 'my cell.toml' goes on")
     assert stderr.stderr
+
+
+def test_what_looks_like_markup_is_shown_as_it_is() -> None:
+    for table in (record_table, figure_table):
+        cells = shown(table("t [red]", ("name", "n"), [("m[red].dat", "1.0")]))
+        assert cells[0] == ["t [red]"]
+        assert any(line[0].startswith("m[red].dat") for line in cells)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.workbench.maps.files import map_from, readers_for
+from polishd.workbench.maps.files import MapSource
 from tests.unit.said import Polishd
 from tests.unit.workbench.maps.maps import PITCH_MM, dat, surface
 
@@ -32,7 +32,7 @@ def test_the_mean_leaves_out_what_deviates(polishd: Polishd, tmp_path: Path, rep
     assert answer["used"] == ["repeat0.dat", "repeat1.dat", "repeat2.dat", "repeat4.dat"]
     assert answer["rejected"]["repeat3.dat"] > 10
     assert answer["sample_uncertainty_nm"] == pytest.approx(NOISE_NM / 2, rel=0.25)
-    back, clean = map_from(mean, readers_for()), surface()
+    back, clean = MapSource.of().read(mean), surface()
     assert np.array_equal(back.valid, np.isfinite(clean))
     off = (back.height_nm - clean)[back.valid]
     rows, columns = np.nonzero(back.valid)

@@ -13,7 +13,7 @@ from polishd.hookspecs import SurfaceReader
 from polishd.model.errors import BadMap
 from polishd.model.surface import SurfaceMap
 from polishd.workbench.maps import convert as map_convert
-from polishd.workbench.maps.files import map_from, readers_for
+from polishd.workbench.maps.files import MapSource, readers_for
 from tests.unit.said import Polishd
 from tests.unit.workbench.maps.maps import PITCH_MM, TAKEN_S, dat, surface
 
@@ -30,17 +30,17 @@ def lossy(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """``lossy(height_nm=...)``: what is read back of the file that would be written has these fields instead."""
 
     def install(**fields: Any) -> None:
-        readers = readers_for()
+        read = MapSource.read
 
-        def reading(path: Path, _readers: Any, _instrument: Any = None) -> SurfaceMap:
-            found = map_from(path, readers)
+        def reading(source: MapSource, path: Path) -> SurfaceMap:
+            found = read(source, path)
             if path.stem != "map":
                 return found
             if "height_nm" in fields and callable(fields["height_nm"]):
                 return found.with_height(fields["height_nm"](found.height_nm.copy()))
             return SurfaceMap(**{name: fields.get(name, getattr(found, name)) for name in SurfaceMap.__slots__})
 
-        monkeypatch.setattr(map_convert, "map_from", reading)
+        monkeypatch.setattr(MapSource, "read", reading)
 
     return install
 
@@ -55,7 +55,7 @@ def test_each_pair_comes_back(polishd: Polishd, tmp_path: Path, source: Path, fi
         assert answer["out"] == str(path_to)
         assert answer["bytes"] == path_to.stat().st_size
         assert answer["largest_change_nm"] <= map_convert.WITHIN_NM
-    was, now = (map_from(path, readers_for()) for path in (source, two))
+    was, now = (MapSource.of().read(path) for path in (source, two))
     assert np.array_equal(was.valid, now.valid)
     np.testing.assert_allclose(now.height_nm, was.height_nm, atol=2 * map_convert.WITHIN_NM)
     assert now.pitch_mm == pytest.approx(PITCH_MM, rel=1e-6)
@@ -76,7 +76,7 @@ def test_real_maps_keep_their_figures(
         assert str(target) in said.err
         assert not target.exists()
         return
-    was, now = (map_from(path, readers_for()) for path in (shared_data / name, target))
+    was, now = (MapSource.of().read(path) for path in (shared_data / name, target))
     assert np.nanstd(now.height_nm) == pytest.approx(np.nanstd(was.height_nm), rel=1e-4)
     assert np.array_equal(was.valid, now.valid)
     assert now.pitch_mm == pytest.approx(was.pitch_mm, rel=1e-6)
@@ -230,7 +230,7 @@ def test_what_a_writer_refuses_is_one_message(polishd: Polishd, source: Path, mo
     readers = dict(readers_for())
     held = readers["metropro"]
     readers["metropro"] = SurfaceReader(held.name, held.sniff, held.read, (".dat",), write)
-    monkeypatch.setattr(map_convert, "readers_for", lambda cell: readers)
+    monkeypatch.setattr("polishd.workbench.maps.files.readers_for", lambda cell: readers)
     said = polishd("map", "convert", source, source.with_name("out.dat"))
     assert said.code == 8
     assert "heights beyond its integers" in said.err
@@ -240,7 +240,7 @@ def test_what_a_writer_refuses_is_one_message(polishd: Polishd, source: Path, mo
 def test_the_time_is_kept_where_there_is_a_field(polishd: Polishd, source: Path) -> None:
     target = source.with_name("out.dat")
     assert polishd("map", "convert", source, target).code == 0
-    now = map_from(target, readers_for())
+    now = MapSource.of().read(target)
     assert now.taken_at is not None
     assert now.taken_at.timestamp() == TAKEN_S
     assert now.part_id == "blank-7"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import subprocess
 import sys
@@ -15,7 +14,6 @@ import numpy as np
 import pytest
 
 from polishd.show.tables import stdout
-from polishd.workbench.maps.figures import json_line
 from polishd.workbench.maps.files import told_apart
 from tests.unit.said import Polishd
 from tests.unit.workbench.maps.maps import PITCH_MM, dat, surface
@@ -294,14 +292,3 @@ def test_a_profile_is_applied(polishd: Polishd, good: Path) -> None:
     profile.write_text("name = 3\n")
     assert polishd("map", good, "--profile", profile).code == 3
     assert polishd("map", good, "--profile", profile.with_name("none.toml")).code == 3
-
-
-def test_json_holds_no_nan() -> None:
-    answer = {
-        "a": math.nan,
-        "b": [math.inf, {"c": np.float64("-inf")}],
-        "d": np.float32(1.5),
-        "e": np.arange(2),
-        "f": 1,
-    }
-    assert lines(json_line(answer)) == [{"a": None, "b": [None, {"c": None}], "d": 1.5, "e": [0, 1], "f": 1}]

@@ -30,9 +30,9 @@ from polishd.process.paths.wrist import TURN_LIMIT_DEG
 from polishd.recipe import foresight, steps
 from polishd.recipe.making import make_recipe
 from polishd.sim_backends.metropro import DatMap, pack
-from polishd.workbench.programs.make import MakeOptions, _dialect_of, make_path
-from polishd.workbench.programs.make_check import UNCHECKED
-from polishd.workbench.programs.make_cli import make
+from polishd.workbench.programs.cli import make
+from polishd.workbench.programs.make import UNCHECKED, _dialect_of, make_path
+from polishd.workbench.programs.options import MakeOptions
 from tests.unit.said import Polishd
 
 EXAMPLE = Path(__file__).parents[4] / "examples" / "cell.toml"
@@ -154,6 +154,10 @@ def test_a_mask_out_of_a_map(tmp_path: Path) -> None:
     assert 16 < radius.max() < 26
     lines = np.unique(np.round(program.end_mm[:, 1], 3))
     np.testing.assert_allclose(lines[[0, -1]], [-16, 16], atol=0.6)
+    measured = map_file.read_bytes()
+    said = call("raster", "--aperture", f"mask:{map_file}", "--out", map_file)
+    assert "is what is read" in str(said.exception)
+    assert map_file.read_bytes() == measured
 
 
 def test_a_cell_says_what_is_not_asked_for(tmp_path: Path) -> None:
@@ -184,7 +188,7 @@ def test_a_cell_says_what_is_not_asked_for(tmp_path: Path) -> None:
 
 
 def test_options_override_the_cell() -> None:
-    asked = MakeOptions("raster", Path("x"), EXAMPLE, pitch_mm=5.0, optic="flat", dip_deg=0.0)
+    asked = MakeOptions("raster", Path("x"), cell=EXAMPLE, pitch_mm=5.0, optic="flat", dip_deg=0.0)
     upright = make_path(asked, load_config(EXAMPLE)).axis
     np.testing.assert_allclose(upright, np.tile([0, 0, 1], (len(upright), 1)), atol=1e-12)
 
@@ -245,7 +249,7 @@ def test_without_a_cell_it_says_what_it_could_not_check(tmp_path: Path) -> None:
 
 def test_a_fixed_azimuth_overrides_how_the_cell_dips() -> None:
     config = load_config(EXAMPLE)
-    asked = MakeOptions("raster", Path("x"), EXAMPLE, pitch_mm=5.0, azimuth_deg=-90.0)
+    asked = MakeOptions("raster", Path("x"), cell=EXAMPLE, pitch_mm=5.0, azimuth_deg=-90.0)
     axis = make_path(asked, config).axis
     np.testing.assert_allclose(axis[:, 0], 0, atol=1e-12)
     assert (axis[:, 1] < 0).all()
@@ -253,7 +257,7 @@ def test_a_fixed_azimuth_overrides_how_the_cell_dips() -> None:
 
 def test_the_limit_of_turns_is_the_paths() -> None:
     """The option's default stands in the signature, where a late import cannot reach."""
-    assert inspect.signature(make).parameters["turn_limit"].default == TURN_LIMIT_DEG
+    assert inspect.signature(make).parameters["turn_limit_deg"].default == TURN_LIMIT_DEG
 
 
 def test_people_get_a_table_and_a_picture(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from polishd.drivers.linuxcnc.interpreter import is_installed
 from polishd.plugins.rnc_robot.dialect import DIALECTS, dialect
 from polishd.plugins.rnc_robot.formats import read
 from polishd.show.tables import stdout
-from polishd.workbench.programs import picture as program_picture
+from polishd.workbench.programs import pictures as program_picture
 from polishd.workbench.programs import show as verbs
 from tests.unit.plugins.rnc_robot.languages.robot_programs import PROGRAMS
 from tests.unit.said import Polishd

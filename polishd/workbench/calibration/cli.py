@@ -1,0 +1,64 @@
+"""The verbs of ``polishd calibrate``: options only. What they do lives in ``verbs.py``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+from typer import Argument, Option
+
+from polishd.workbench.options import Json
+
+Fragment = Annotated[Path | None, Option("--out", metavar="FRAGMENT.toml", help="Write what a cell includes.")]
+OfCell = Annotated[Path | None, Option("--cell", metavar="CELL.toml", help="The cell; default: the shipped values.")]
+
+app = typer.Typer(help="Fit the cell's numbers to measurements; writes fragments that a cell includes.")
+
+
+@app.command()
+def stiffness(
+    *,
+    tests: Annotated[Path, Argument(metavar="TESTS.csv", help="Static loading tests.")],
+    cell: OfCell = None,
+    held_out: Annotated[Path | None, Option(metavar="CSV", help="Further tests, which are only predicted.")] = None,
+    projection: Annotated[Literal["normal", "linear", "quadratic"], Option(help="What a test measures.")] = "normal",
+    out: Fragment = None,
+    anyway: Annotated[bool, Option("--anyway", help="Write the fragment of a doubtful fit, too.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Fit the robot's stiffnesses to loading tests: pose, direction, um/N."""
+    from polishd.workbench.calibration.verbs import LoadingFiles, stiffness_verb
+
+    stiffness_verb(LoadingFiles(tests, held_out, projection), cell, out, anyway=anyway, as_json=as_json)
+
+
+@app.command()
+def tif(
+    *,
+    before: Annotated[Path, Argument(metavar="BEFORE", help="Map before the spot.")],
+    after: Annotated[Path, Argument(metavar="AFTER", help="Map after it.")],
+    seconds: Annotated[float, Option(metavar="S", help="Time on the spot.")],
+    cell: OfCell = None,
+    depth_ratio: Annotated[float, Option(metavar="G", help="Gamma where the spot was made.")] = 1.0,
+    azimuth_deg: Annotated[float, Option(help="Where the spindle leaned, from the map's x.")] = 0.0,
+    radius_mm: Annotated[float | None, Option(help="The spot's rim; default: found.")] = None,
+    out: Fragment = None,
+    as_json: Json = False,
+) -> None:
+    """Make a measured TIF, and the Preston constant, out of a spot's maps."""
+    from polishd.workbench.calibration.verbs import SpotPlace, tif_verb
+
+    tif_verb((before, after), seconds, cell, SpotPlace(depth_ratio, azimuth_deg, radius_mm), out, as_json=as_json)
+
+
+@app.command()
+def exponent(
+    spots: Annotated[Path, Argument(metavar="SPOTS.csv", help="Spots at several depths: depth_ratio, volume_mm3_min.")],
+    out: Fragment = None,
+    as_json: Json = False,
+) -> None:
+    """Fit gamma's exponent, for the correction "power"."""
+    from polishd.workbench.calibration.verbs import exponent_verb
+
+    exponent_verb(spots, out, as_json=as_json)

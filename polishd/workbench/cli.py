@@ -1,0 +1,57 @@
+"""The verbs of the workbench: what people do without a daemon. Options only; what they do lives in the packages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Argument, Option
+
+from polishd.workbench.calibration.cli import app as calibrations
+from polishd.workbench.maps.cli import app as maps
+from polishd.workbench.options import Cell, Json, Picture
+from polishd.workbench.programs.cli import app as programs
+
+app = typer.Typer(help="Maps, programs, calibration, physics and studies.", no_args_is_help=True)
+app.add_typer(calibrations, name="calibrate", no_args_is_help=True)
+app.add_typer(programs, name="program", no_args_is_help=True)
+app.add_typer(maps, name="map", no_args_is_help=True)
+
+
+@app.command()
+def tif(
+    cell: Cell,
+    depth_ratio: Annotated[float, Option(metavar="G", help="Gamma: depth over the rigid robot's.")] = 1.0,
+    out: Picture = None,
+    as_json: Json = False,
+) -> None:
+    """The tool influence function of a cell: depth, pressure, peak, volume, profiles."""
+    from polishd.workbench.physics.verbs import tif_verb
+
+    tif_verb(cell, depth_ratio, out, as_json=as_json)
+
+
+@app.command()
+def compliance(
+    cell: Cell,
+    program: Annotated[Path | None, Option(metavar="P.rnc", help="Along this program, too.")] = None,
+    out: Picture = None,
+    as_json: Json = False,
+) -> None:
+    """The robot's equivalent compliance over the workspace and along a program, and the gamma that follows."""
+    from polishd.workbench.physics.verbs import compliance_verb
+
+    compliance_verb(cell, program, out, as_json=as_json)
+
+
+@app.command()
+def study(
+    file: Annotated[Path, Argument(metavar="STUDY.toml")],
+    out: Annotated[Path | None, Option(metavar="DIR", help="Folder for pictures and tables.")] = None,
+    as_json: Json = False,
+) -> None:
+    """A simulation without a cell: corrections compared, spots of a table, passes of equal dwell."""
+    from polishd.workbench.studies.verb import study_verb
+
+    study_verb(file, out, as_json=as_json)

@@ -1,0 +1,31 @@
+"""Options that several verbs of ``polishd map`` take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from typer import Option
+
+from polishd.workbench.options import Picture
+
+# readable=False, here and in cli.py: what cannot be read is exit code 8, as what is broken is; typer would make it 2
+Profile = Annotated[
+    Path | None, Option(metavar="P.toml", help="The instrument's profile: apply it first.", readable=False)
+]
+OfCell = Annotated[
+    Path | None, Option("--cell", metavar="CELL.toml", help="Read as this cell does: with its plugins.", readable=False)
+]
+Json = Annotated[bool, Option("--json", help="One JSON object a file on stdout, for programs.")]
+
+
+@dataclass(frozen=True, slots=True)
+class FigureOptions:
+    """What ``figures`` and ``compare`` are asked for."""
+
+    out: Picture = None
+    trim: Annotated[int, Option(min=0, max=1000, metavar="N", help="Pixels to take off every edge of the data.")] = 0
+    profile: Profile = None
+    bands: Annotated[str, Option(metavar="MM,...", help="Periods between the bands, falling.")] = "33,0.12"
+    cell: OfCell = None
