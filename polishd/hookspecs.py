@@ -13,9 +13,9 @@ from typing import Any, Literal
 
 import pluggy
 
-from polishd.model.cycle import Event
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import BadMap, SurfaceError
+from polishd.model.events import Event
 from polishd.model.instrument import Instrument
 from polishd.model.limits import Envelope
 from polishd.model.process import (
@@ -221,7 +221,7 @@ def polishd_check_plan(plan: Plan, envelope: Envelope) -> Sequence[str]:
 
 @hookspec
 def polishd_on_event(event: Event) -> None:
-    """Hear of an event. An exception is logged and changes nothing."""
+    """Hear of an event: a record of ``polishd.model.events``. An exception is logged and changes nothing."""
     raise AssertionError("a hook specification is not called")
 
 

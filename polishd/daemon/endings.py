@@ -16,8 +16,8 @@ from typing import Any
 
 from polishd.daemon.journal import Journal
 from polishd.files import write_atomic
-from polishd.model.cycle import Event
 from polishd.model.errors import PolishdError
+from polishd.model.events import Event, StateChanged
 
 log = logging.getLogger(__name__)
 
@@ -105,7 +105,7 @@ def keeping(state_dir: Path, run_dir: Path) -> Callable[[Event], None]:
     """A sink for the bus that keeps what each change of state says, for the case that the daemon is killed."""
 
     def keep(event: Event) -> None:
-        if event.name == "state" and event.data["state"] != "finished":
+        if isinstance(event, StateChanged) and event.state != "finished":
             keep_ending(state_dir, {**event.data, "run_dir": str(run_dir)})
 
     return keep

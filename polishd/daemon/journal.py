@@ -19,9 +19,10 @@ from polishd.daemon.journal_memory import Known, read_job, read_tally, unfinishe
 from polishd.daemon.journal_records import ExecutedBlocks, Interrupted, MapRecord, PassRecord, PhaseRecord, Tally
 from polishd.daemon.journal_schema import Connect, connect
 from polishd.daemon.journal_store import Row, Store
-from polishd.model.cycle import Event, Outcome, Phase
+from polishd.model.cycle import Outcome, Phase
 from polishd.model.devices import Executed
 from polishd.model.errors import PolishdError
+from polishd.model.events import Event
 from polishd.plain import plain
 
 JOURNAL_NAME, ARRAYS_NAME = "journal.sqlite", "store"

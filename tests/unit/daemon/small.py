@@ -17,8 +17,9 @@ from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.safety import ContactLimits
 from polishd.hookspecs import DwellSolver, RemovalAnswer, RemovalModel, RemovalRequest
-from polishd.model.cycle import Event, Outcome
+from polishd.model.cycle import Outcome
 from polishd.model.dwell import Certificate
+from polishd.model.events import Event
 from polishd.model.limits import Envelope
 from polishd.model.process import FLAT, SHIPPED_OPTIONS, Placement, ToolProcess
 from polishd.model.program import Plan, Program, Segment

@@ -13,9 +13,10 @@ import pytest
 
 from polishd.daemon import journal_store
 from polishd.daemon.journal import Journal
-from polishd.model.cycle import Event, Outcome, Phase
+from polishd.model.cycle import Outcome, Phase
 from polishd.model.devices import Executed
 from polishd.model.errors import ConfigError, LinkError, PolishdError
+from polishd.model.events import JobFinished
 
 
 def opened(state_dir: Path, job: str = "job", part_id: str = "P1") -> Journal:
@@ -264,8 +265,10 @@ def test_ending_a_pass_twice_keeps_the_first_word(journal: Journal) -> None:
 
 def test_events_are_kept(tmp_path: Path) -> None:
     with opened(tmp_path) as journal:
-        journal.record_event(Event("pass_started", 1, {"path": Path("x"), "n": 3}))
-    assert rows(tmp_path, "SELECT cycle, name, data FROM event") == [(1, "pass_started", '{"path": "x", "n": 3}')]
+        journal.record_event(JobFinished(cycle=1, run_dir=Path("x"), outcome="y"))  # type: ignore[arg-type]
+    assert rows(tmp_path, "SELECT cycle, name, data FROM event") == [
+        (1, "job_finished", '{"run_dir": "x", "outcome": "y"}')
+    ]
 
 
 def test_copy_is_whole_and_stands_alone(tmp_path: Path, journal: Journal) -> None:
