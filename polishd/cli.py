@@ -42,6 +42,8 @@ OfCell = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout, for programs.")]
 
+Reason = Annotated[str, typer.Option("--reason", metavar="TEXT", help="Why: for the journal, and for status.")]
+
 
 class CorrectionChoice(StrEnum):
     """What ``--correction`` takes."""
@@ -141,27 +143,27 @@ def status(cell: Cell, as_json: Json = False) -> None:
 
 
 @app.command()
-def hold(cell: Cell, as_json: Json = False) -> None:
+def hold(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
     """Leave contact, stand still, and wait for resume."""
-    _order(cell, "hold", as_json=as_json)
+    _order(cell, "hold", reason, as_json=as_json)
 
 
 @app.command()
-def resume(cell: Cell, as_json: Json = False) -> None:
+def resume(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
     """Go on, with a new measurement first."""
-    _order(cell, "resume", as_json=as_json)
+    _order(cell, "resume", reason, as_json=as_json)
 
 
 @app.command()
-def stop(cell: Cell, as_json: Json = False) -> None:
+def stop(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
     """Leave contact, stand still, and end the daemon."""
-    _order(cell, "stop", as_json=as_json)
+    _order(cell, "stop", reason, as_json=as_json)
 
 
 @app.command()
-def estop(cell: Cell, as_json: Json = False) -> None:
+def estop(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
     """Stop motion at once, whatever the part costs; then wait for resume. No substitute for the button."""
-    _order(cell, "estop", as_json=as_json)
+    _order(cell, "estop", reason, as_json=as_json)
 
 
 @app.command()
@@ -297,10 +299,10 @@ def version() -> None:
     typer.echo(__version__)
 
 
-def _order(cell: Path, verb: str, *, as_json: bool) -> None:
+def _order(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:
     from polishd.console.verbs import order_verb
 
-    order_verb(cell, verb, as_json=as_json)
+    order_verb(cell, verb, reason, as_json=as_json)
 
 
 def main() -> None:
