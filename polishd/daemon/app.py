@@ -12,8 +12,9 @@ import logging
 import signal
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
-from dataclasses import asdict
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any, Literal
 
 from polishd.config.cell import CellConfig
@@ -31,10 +32,12 @@ from polishd.daemon.log import logging_to
 from polishd.daemon.priority import loop_first
 from polishd.daemon.safety import make_safe, most_telling
 from polishd.daemon.same_job import require_same, terms_of
-from polishd.daemon.service import serving
+from polishd.daemon.service import Handler, serving
 from polishd.hooks.loader import Hooks
-from polishd.model.cycle import EXIT_CODES, Event, Outcome
+from polishd.model import events
+from polishd.model.cycle import EXIT_CODES, Outcome
 from polishd.model.errors import ConfigError, PolishdError
+from polishd.model.events import Event
 from polishd.model.program import Program
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.making import make_recipe, require_commissioned
@@ -43,10 +46,28 @@ from polishd.recipe.steps import read_program
 
 log = logging.getLogger(__name__)
 
-Order = Literal["hold", "resume", "stop", "estop"]
 State = Literal["starting", "polishing", "held", "finished"]
-ORDERED, BEGUN = "held by order", "this job was begun earlier"
+ORDERS: Mapping[str, tuple[State, ...]] = {
+    "hold": ("held", "finished"),
+    "resume": ("polishing", "finished"),
+    "stop": ("finished",),
+    "estop": ("held", "finished"),
+}
+"""Verbs that change something, and the states in which they are obeyed."""
+ORDERED, STOPPED, BEGUN = "held by order", "stopped by order", "this job was begun earlier"
 EMERGENCY = "motion was stopped at once, by order"
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What somebody wants."""
+
+    verb: str
+    reason: str = ""
+
+    def said(self, word: str) -> str:
+        """With the reason that was given."""
+        return f"{word}: {self.reason}" if self.reason else word
 
 
 class Daemon:
@@ -60,23 +81,17 @@ class Daemon:
         self._holds = holds
         """Wait for a person where one can mend the cause; else end with it."""
         self._opened = False
-        self._stopping = False
-        """An order that came with an error is not forgotten over it."""
+        self._last = Order("resume")
+        """The last order: one that came with an error is not forgotten over it."""
         self._orders: asyncio.Queue[Order] = asyncio.Queue()
         self._changed = asyncio.Condition()
         self.state: State = "starting"
         self.reason = ""
 
     @property
-    def verbs(self) -> dict[str, Callable[[], Any]]:
-        """What the socket offers."""
-        return {
-            "status": self.status,
-            "hold": lambda: self._order("hold", "held", "finished"),
-            "resume": lambda: self._order("resume", "polishing", "finished"),
-            "stop": lambda: self._order("stop", "finished"),
-            "estop": lambda: self._order("estop", "held", "finished"),
-        }
+    def handlers(self) -> dict[str, Handler]:
+        """Who obeys the verbs of the socket."""
+        return {"status": self.status, **{verb: partial(self._order, verb) for verb in ORDERS}}
 
     async def status(self) -> Mapping[str, Any]:
         """State, why, and what was measured so far."""
@@ -93,13 +108,13 @@ class Daemon:
 
     def stop(self) -> None:
         """As SIGTERM does."""
-        self._orders.put_nowait("stop")
+        self._orders.put_nowait(Order("stop"))
 
     async def run(self) -> Outcome:
         """Until the job ends, or a person ends it. Raises what ended it otherwise; the cell is safe and closed then."""
         identities = await self._cell.open()
         self._opened = True
-        self.bus.publish(Event("opened", None, {name: asdict(found) for name, found in identities.items()}))
+        self.bus.publish(events.Opened(devices=identities))
         try:
             outcome = await self._until_done()
         except BaseException as error:
@@ -127,7 +142,7 @@ class Daemon:
             folder.json("summary.json", summary)
             self._journal.copy_to(folder.path / "journal.sqlite")
         finally:
-            self.bus.publish(Event("job_finished", None, {"run_dir": str(folder.path), "outcome": summary["outcome"]}))
+            self.bus.publish(events.JobFinished(run_dir=str(folder.path), outcome=summary["outcome"]))
 
     def flush(self) -> None:
         """Make durable what the journal still buffers."""
@@ -179,8 +194,7 @@ class Daemon:
                 continue
             if outcome is not None:
                 return outcome
-            error, held = None, await settle(self._cell, self._journal) or ORDERED
-            held = f"{EMERGENCY}; {held}" if self._cell.emergency else held
+            error, held = None, self._held_by(self._last, await settle(self._cell, self._journal))
 
     def _can_wait_for(self, failure: PolishdError) -> bool:
         """Whether a person can mend it while the daemon waits; not where it cut off a pass."""
@@ -188,8 +202,14 @@ class Daemon:
 
     def _held_over(self, failure: PolishdError) -> str:
         kind = type(failure).__name__
-        self.bus.publish(Event("held", None, {"error": str(failure), "kind": kind}))
+        self.bus.publish(events.Held(error=str(failure), kind=kind))
         return f"{kind}: {failure}"
+
+    def _held_by(self, order: Order, settled: str) -> str:
+        """The order, where it says more than what it interrupted."""
+        said = [EMERGENCY] if self._cell.emergency else []
+        said += [order.said(ORDERED)] if order.reason or not settled else []
+        return "; ".join([*said, settled] if settled else said)
 
     async def _polish(self, *, mended: bool) -> Outcome | None:
         """The outcome of the job, or None when it was held."""
@@ -205,7 +225,7 @@ class Daemon:
             raise most_telling(errors) from errors
         if not work.cancelled():
             return work.result()
-        return Outcome.STOPPED if order.result() == "stop" else None
+        return Outcome.STOPPED if order.result().verb == "stop" else None
 
     async def _work(self, *, mended: bool) -> Outcome:
         if mended:  # out of contact: what was lost meanwhile is opened again before anybody measures
@@ -215,19 +235,27 @@ class Daemon:
 
     async def _interrupting(self) -> Order:
         """The next order that ends polishing."""
-        while (order := await self._orders.get()) == "resume":
+        while (order := await self._orders.get()).verb == "resume":
             pass
-        self._stopping = order == "stop"
+        self._last = order
+        self._stopped_by(order)
         return order
 
     async def _wait_for_resume(self, reason: str) -> bool:
         await make_safe(self._cell)
-        if self._stopping:
+        if self._last.verb == "stop":
             return False
         await self.become("held", reason)
-        while (order := await self._orders.get()) in {"hold", "estop"}:
-            pass
-        return order == "resume"
+        while (order := await self._orders.get()).verb in {"hold", "estop"}:
+            if order.reason:
+                await self.become("held", f"{self.reason}; {order.said(ORDERED)}")
+        self._stopped_by(order)
+        return order.verb == "resume"
+
+    def _stopped_by(self, order: Order) -> None:
+        """What was said with the order to stop is told at the end."""
+        if order.verb == "stop" and order.reason:
+            self.reason = f"{order.said(STOPPED)}; {self.reason}".removesuffix("; ")
 
     async def become(self, state: State, reason: str) -> None:
         """Change state; whoever waits for an order to be obeyed is told."""
@@ -235,14 +263,17 @@ class Daemon:
             self.state, self.reason = state, reason
             self._changed.notify_all()
         stands = self.ending(state, reason) if state in {"held", "finished"} else Ending(state, reason, GONE)
-        self.bus.publish(Event("state", None, stands.facts()))
+        self.bus.publish(events.StateChanged(**stands.facts()))
 
-    async def _order(self, order: Order, *until: State) -> Mapping[str, Any]:
+    async def _order(self, verb: str, reason: str = "") -> Mapping[str, Any]:
         """Give an order and answer when it is obeyed."""
-        self._cell.emergency = self._cell.emergency or order == "estop"
+        order = Order(verb, " ".join(reason.split()))
+        self._cell.emergency = self._cell.emergency or verb == "estop"
         self._orders.put_nowait(order)
+        with suppress(PolishdError):  # a lost journal: polishing ends over it, and the order is obeyed all the same
+            self.bus.publish(events.Ordered(order=verb, reason=order.reason))
         async with self._changed:
-            await self._changed.wait_for(lambda: self.state in until)
+            await self._changed.wait_for(lambda: self.state in ORDERS[verb])
         return {"state": self.state, "reason": self.reason, "next": NEXT.get(self.state, "")}
 
 
@@ -289,7 +320,7 @@ async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[
     started = now()
     failure: Exception | None = None
     outcome = Outcome.STOPPED
-    async with serving(config.state_dir, daemon.verbs, daemon.bus), _signals(daemon.stop):
+    async with serving(config.state_dir, daemon.handlers, daemon.bus), _signals(daemon.stop):
         try:
             await daemon.become("starting", "")
             outcome = await daemon.run()
@@ -297,7 +328,7 @@ async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[
             log.exception("the daemon ends")
             failure = error
             with suppress(PolishdError):  # a lost journal: that is what ended it
-                daemon.bus.publish(Event("failed", None, {"error": str(error), "kind": type(error).__name__}))
+                daemon.bus.publish(events.Failed(error=str(error), kind=type(error).__name__))
         last = daemon.last_words(outcome, failure)
         keep_ending(config.state_dir, {**last, "run_dir": str(folder.path)})
         summary = {
