@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import pluggy
 
@@ -43,15 +43,14 @@ PROJECT = "polishd"
 hookspec = pluggy.HookspecMarker(PROJECT)
 hookimpl = pluggy.HookimplMarker(PROJECT)
 
-Port = Literal["robot", "actuator", "spindle", "metrology"]
-
 
 @dataclass(frozen=True, slots=True)
 class DeviceType:
     """A kind of device that the config can name: ``[robot] type = "robot_link"``."""
 
     name: str
-    port: Port
+    port: str
+    """A section for devices: ``robot``, ``actuator``, ``spindle`` or ``metrology``."""
     options: type[Any]
     """A pydantic model: the keys of the device's config section besides ``type``."""
     build: Callable[[Any, DeviceContext], Device]

@@ -113,9 +113,16 @@ def status_verb(cell: Path, *, as_json: bool) -> None:
         else:
             _tell_last(last, config.cell.name, cell)
         raise typer.Exit(absent.exit_code) from None
-    rows = [(key, for_cell(str(value), cell)) for key, value in answer.items() if key not in ("ok", "cycles") and value]
+    words = {key: value for key, value in answer.items() if key not in {"ok", "cycles", "devices"}}
+    rows = [(key, for_cell(str(value), cell)) for key, value in words.items() if value]
+    rows += [(name, _device(facts)) for name, facts in answer.get("devices", {}).items()]
     rows += [(f"measurement {i}", f"RMS {c['rms_nm']:.2f} nm") for i, c in enumerate(answer.get("cycles", []))]
     emit(answer, as_json=as_json, table=lambda: key_table(config.cell.name, rows))
+
+
+def _device(facts: Mapping[str, Any]) -> str:
+    who = " ".join(facts[key] for key in ("vendor", "model", "serial") if facts.get(key))
+    return who + ("" if facts["used"] else " (not used by this job)")
 
 
 def _tell_last(last: Mapping[str, Any], name: str, cell: Path) -> None:

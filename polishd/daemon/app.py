@@ -12,7 +12,7 @@ import logging
 import signal
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from functools import partial
 from typing import Any, Literal
@@ -22,7 +22,7 @@ from polishd.daemon.assembly import build_cell, contact_limits, require_time_lim
 from polishd.daemon.cell import Cell
 from polishd.daemon.compute import Compute
 from polishd.daemon.cycle import polish
-from polishd.daemon.endings import GONE, NEXT, Ending, as_json, causes, keep_ending, keeping, now
+from polishd.daemon.endings import NEXT, Ending, as_json, causes, gone, keep_ending, keeping, now
 from polishd.daemon.events import EventBus
 from polishd.daemon.interruption import settle
 from polishd.daemon.job import Job
@@ -80,7 +80,6 @@ class Daemon:
         self._journal = journal
         self._holds = holds
         """Wait for a person where one can mend the cause; else end with it."""
-        self._opened = False
         self._last = Order("resume")
         """The last order: one that came with an error is not forgotten over it."""
         self._orders: asyncio.Queue[Order] = asyncio.Queue()
@@ -104,7 +103,13 @@ class Daemon:
             "cycle": phases[-1].cycle if phases else None,
             "cycles": self.job.cycles(),
             "unsafe": list(self._cell.unsafe),
+            "devices": {name: self._told(name) for name in self._cell.devices},
         }
+
+    def _told(self, name: str) -> dict[str, Any]:
+        """Who it said it is, and whether the job uses it."""
+        found = self._cell.identities.get(name)
+        return {**(asdict(found) if found else {}), "used": name in self._cell.used.values()}
 
     def stop(self) -> None:
         """As SIGTERM does."""
@@ -112,9 +117,8 @@ class Daemon:
 
     async def run(self) -> Outcome:
         """Until the job ends, or a person ends it. Raises what ended it otherwise; the cell is safe and closed then."""
-        identities = await self._cell.open()
-        self._opened = True
-        self.bus.publish(events.Opened(devices=identities))
+        await self._cell.open()
+        self.bus.publish(events.Opened(devices=self._cell.identities))
         try:
             outcome = await self._until_done()
         except BaseException as error:
@@ -132,7 +136,7 @@ class Daemon:
 
     def ending(self, state: str, reason: str) -> Ending:
         """How the cell stands, by what its devices confirmed."""
-        return Ending(state, reason, self._cell.unsafe if self._opened else None)
+        return Ending(state, reason, self._cell.unsafe if self._cell.identities else None)
 
     def finish(self, outcome: Outcome, folder: RunFolder, summary: Mapping[str, Any]) -> None:
         """Leave journal and summary in the run folder, and tell whoever reports."""
@@ -262,7 +266,11 @@ class Daemon:
         async with self._changed:
             self.state, self.reason = state, reason
             self._changed.notify_all()
-        stands = self.ending(state, reason) if state in {"held", "finished"} else Ending(state, reason, GONE)
+        stands = (
+            self.ending(state, reason)
+            if state in {"held", "finished"}
+            else Ending(state, reason, gone(self._cell.acting))
+        )
         self.bus.publish(events.StateChanged(**stands.facts()))
 
     async def _order(self, verb: str, reason: str = "") -> Mapping[str, Any]:

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from polishd.config.cell import port_of
 from polishd.daemon.journal import Journal
 from polishd.files import write_atomic
 from polishd.model.errors import PolishdError
@@ -22,9 +23,6 @@ from polishd.model.events import Event, StateChanged
 log = logging.getLogger(__name__)
 
 RECORD_NAME = "ending.json"
-GONE = tuple(f"{name}: no daemon lived to ask it" for name in ("actuator", "robot", "spindle"))
-"""While it polishes: what is known should the daemon be killed."""
-
 _AGAIN = "polishd run CELL.toml; it comes up held, and polishd resume CELL.toml starts with a new measurement"
 _OVER = "look at report.html in the run folder; this job is over, polishd run CELL.toml begins a new one"
 NEXT: Mapping[str, str] = {
@@ -63,10 +61,16 @@ class Ending:
             "next": NEXT.get(self.state, ""),
         }
 
-    def _confirmed(self, device: str) -> str:
+    def _confirmed(self, port: str) -> str:
+        """By all devices at that port."""
         if self.unsafe is None:
             return "not asked"
-        return "not confirmed" if any(entry.startswith(f"{device}:") for entry in self.unsafe) else "yes"
+        return "not confirmed" if any(port_of(entry.partition(":")[0]) == port for entry in self.unsafe) else "yes"
+
+
+def gone(names: Iterable[str]) -> tuple[str, ...]:
+    """What is known of those devices should the daemon be killed while it polishes."""
+    return tuple(f"{name}: no daemon lived to ask it" for name in names)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from polishd.console import demo, verbs
 from polishd.console.demo_files import DemoFiles, demo_program, with_values, write_demo
 from polishd.daemon import app as daemon_app
 from polishd.daemon import client
-from polishd.daemon.endings import GONE, RECORD_NAME, Cause, Ending, keep_ending
+from polishd.daemon.endings import RECORD_NAME, Cause, Ending, gone, keep_ending
 from polishd.model import errors
 from polishd.model.errors import ConfigError, DeviceFault, PolishdError
 from polishd.plugins.rnc_robot.dialect import FOLDER, dialect
@@ -217,7 +217,7 @@ def test_no_daemon(polishd: Polishd, files: DemoFiles) -> None:
         ("cycles_used", (), "yes", "begins a new one"),
         ("failed", None, "not asked", "when that is mended: polishd run"),
         ("held", (), "yes", "look at the cell, then: polishd run"),
-        ("polishing", GONE, "not confirmed", "look at the cell, then: polishd run"),
+        ("polishing", gone(["actuator", "robot"]), "not confirmed", "look at the cell, then: polishd run"),
     ],
 )
 def test_status_where_no_daemon_runs_tells_how_the_last_one_ended(
@@ -275,12 +275,25 @@ def test_orders(polishd: Polishd, files: DemoFiles, verb: str, monkeypatch: pyte
 
 
 def test_status(polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPatch) -> None:
-    answer = {"ok": True, "state": "held", "reason": "by order", "unsafe": [], "cycles": [{"rms_nm": 20.456}]}
+    answer = {
+        "ok": True,
+        "state": "held",
+        "reason": "by order",
+        "unsafe": [],
+        "cycles": [{"rms_nm": 20.456}],
+        "devices": {
+            "robot.left": {"vendor": "Acme", "model": "arm", "serial": "7", "used": True},
+            "robot.right": {"used": False},
+        },
+    }
     monkeypatch.setattr(client, "request", lambda state_dir, verb: answer)
     assert json.loads(polishd("status", files.cell, "--json").out) == answer
     people = polishd("status", files.cell).out
     assert "RMS 20.46 nm" in people
     assert "by order" in people
+    assert "robot.left" in people
+    assert "Acme arm 7" in people
+    assert "(not used by this job)" in people
     assert "unsafe" not in people, "nothing to say"
 
 

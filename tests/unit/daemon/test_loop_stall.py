@@ -202,7 +202,8 @@ async def test_the_loop_is_never_held_for_long_in_contact(tmp_path: Path, monkey
     spindle = PacedSpindle(fake.events, fake.clock)
     # stalls are judged here: a busy machine makes silence, too
     actuator.times, spindle.times = ActuatorTimes(silence_s=60.0), SpindleTimes(silence_s=60.0)
-    cell = Cell(robot, actuator, spindle, metrology, MonotonicClock())
+    devices = {"actuator": actuator, "robot": robot, "spindle": spindle, "metrology": metrology}
+    cell = Cell(devices, {name: name for name in devices}, MonotonicClock())
     with (
         logging_to(tmp_path),
         Journal.open(tmp_path, job="small", part_id="P-1", connect=disk.connect) as journal,
