@@ -92,15 +92,17 @@ def demo(  # noqa: PLR0917 - typer reads the options off the signature
 
 @app.command()
 def run(
-    cell: Cell,
+    cells: Annotated[
+        list[Path], typer.Argument(metavar="CELL.toml...", help="Each cell's configuration.", show_default=False)
+    ],
     correction: CorrectionOption = None,
     no_hold: Annotated[bool, typer.Option("--no-hold", help="End where it would wait for a person to mend.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Run the daemon of a cell until its job ends. After an interruption it comes up held."""
-    from polishd.console.verbs import run_verb
+    """Run the daemon of a cell, or of several, until their jobs end. After an interruption one comes up held."""
+    from polishd.console.run import run_verb
 
-    raise typer.Exit(run_verb(cell, correction.value if correction else None, holds=not no_hold, as_json=as_json))
+    raise typer.Exit(run_verb(cells, correction.value if correction else None, holds=not no_hold, as_json=as_json))
 
 
 @app.command()
