@@ -33,7 +33,7 @@ def for_cell(text: str, cell: Path) -> str:
     return text.replace("CELL.toml", shlex.quote(str(cell)))
 
 
-def tell(facts: Mapping[str, Any], cell: Path) -> None:
+def tell(facts: Mapping[str, Any], cell: Path, prefix: str = "") -> None:
     """Print them on stderr; stdout stays free for programs."""
     for name, text in last_words(facts, cell):
-        typer.echo(f"{name}: {text}", err=True)
+        typer.echo(f"{prefix}{name}: {text}", err=True)

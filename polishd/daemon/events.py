@@ -8,6 +8,7 @@ import queue
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
+from contextvars import copy_context
 
 from polishd.model.events import Event
 
@@ -87,7 +88,7 @@ class _Listener:
     def __init__(self, hear: Sink) -> None:
         self.told: queue.SimpleQueue[Event | None] = queue.SimpleQueue()
         self._hear = hear
-        self._thread = threading.Thread(target=self._listen, name="listener", daemon=True)
+        self._thread = threading.Thread(target=copy_context().run, args=(self._listen,), name="listener", daemon=True)
         self._thread.start()
 
     def end(self, within_s: float) -> None:

@@ -17,7 +17,6 @@ from polishd.config.profile import load_profile
 from polishd.config.study import load_study
 from polishd.console import demo, verbs
 from polishd.console.demo_files import DemoFiles, demo_program, with_values, write_demo
-from polishd.daemon import app as daemon_app
 from polishd.daemon import client
 from polishd.daemon.endings import RECORD_NAME, Cause, Ending, gone, keep_ending
 from polishd.model import errors
@@ -26,11 +25,6 @@ from polishd.plugins.rnc_robot.dialect import FOLDER, dialect
 from polishd.sim_backends import config as sim_config
 from polishd.workbench import plan as planning
 from tests.unit.said import Polishd, Said
-
-SUMMARY = {
-    "outcome": "in_tolerance", "job": "demo", "cycles": [], "notes": [], "exit_code": 0, "run_dir": "runs/demo",
-    **Ending("in_tolerance", "", ()).facts(),
-}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -295,71 +289,6 @@ def test_status(polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPa
     assert "Acme arm 7" in people
     assert "(not used by this job)" in people
     assert "unsafe" not in people, "nothing to say"
-
-
-@pytest.mark.parametrize(
-    ("outcome", "code"), [("in_tolerance", 0), ("cycles_used", 1), ("stopped", 1), ("diverged", 6)]
-)
-def test_run(polishd: Polishd, files: DemoFiles, outcome: str, code: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[str] = []
-
-    async def run_cell(config: Any, hooks: Any, *others: Any, **more: Any) -> dict[str, Any]:
-        seen.append(config.process.correction)
-        return SUMMARY | {"outcome": outcome, "exit_code": code}
-
-    monkeypatch.setattr(daemon_app, "run_cell", run_cell)
-    said = polishd("run", files.cell, "--json", "--correction", "linear")
-    assert (said.code, json.loads(said.out)["outcome"], seen) == (code, outcome, ["linear"])
-    *_, tool, robot, folder, after = said.err.splitlines()
-    assert [tool, robot, folder] == ["tool off the part: yes", "robot at rest: yes", "run folder: runs/demo"]
-    assert after.startswith("next: look at report.html")
-
-
-def test_the_last_lines_of_a_run_that_failed(
-    polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One device did not confirm: which one, what may be, what to do about it, and how to go on."""
-    facts = Ending("failed", "SafetyStop: force", ("actuator: no answer", "spindle: dead")).facts()
-    notes = ["09:00 ended: SafetyStop: force", "09:30 ended: LinkError: cut"]
-    asked: list[bool] = []
-
-    async def run_cell(*others: Any, holds: bool) -> dict[str, Any]:
-        asked.append(holds)
-        return SUMMARY | facts | {"outcome": "failed", "exit_code": 7, "notes": notes}
-
-    monkeypatch.setattr(daemon_app, "run_cell", run_cell)
-    said = polishd("run", files.cell, "--no-hold")
-    assert (said.code, asked) == (7, [False])
-    lines = said.err.splitlines()[-8:]
-    assert lines[:2] == ["polishd: 09:00 ended: SafetyStop: force", "polishd: 09:30 ended: LinkError: cut"]
-    assert lines[2:4] == ["tool off the part: not confirmed", "robot at rest: yes"]
-    assert lines[4].startswith("actuator did not confirm: no answer; the tool may press on the part: switch")
-    assert lines[5].startswith("spindle did not confirm: dead; it may still turn: switch its drive off")
-    assert lines[6] == "run folder: runs/demo"
-    assert f"polishd run {files.cell}; it comes up held, and polishd resume {files.cell}" in lines[7]
-
-
-CODES = {
-    "ConfigError": 3, "PluginError": 3, "PlanRefused": 4, "LinkError": 5, "DeviceFault": 5, "DeviceRefused": 5,
-    "ProtocolError": 5, "SafetyStop": 7, "BadMap": 8, "WrongPart": 8, "StaleMap": 8, "ProgramError": 9,
-    "ComputeError": 10, "PolishdError": 1,
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(("name", "code"), CODES.items())
-def test_each_error_has_its_code(
-    polishd: Polishd, files: DemoFiles, name: str, code: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async def run_cell(*arguments: Any, **more: Any) -> dict[str, Any]:
-        raise getattr(errors, name)("what, where, and what to do")
-
-    monkeypatch.setattr(daemon_app, "run_cell", run_cell)
-    said = polishd("run", files.cell, "--json")
-    assert (said.code, said.out) == (code, "")
-    assert said.err.splitlines()[-2:] == [
-        "polishd: what, where, and what to do",
-        "this run opened nothing, and moved nothing",
-    ]
 
 
 def test_probe_with_nobody_there(polishd: Polishd, files: DemoFiles) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from polishd.config.sections import PartSection
+from polishd.daemon import app
 from polishd.daemon.cycle import polish
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
@@ -212,3 +213,11 @@ class Bench:
 
     def moved(self) -> list[str]:
         return self.fake.of(*MOVES)
+
+
+async def run_cell(config: Any, hooks: Any, *, holds: bool = True) -> dict[str, Any]:
+    """The daemon of one cell to its end: its summary; what ended it before anything was opened is raised."""
+    (found,) = await app.run_cells([app.CellRun(config, hooks)], holds=holds)
+    if isinstance(found, Exception):
+        raise found
+    return found

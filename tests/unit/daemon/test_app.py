@@ -15,8 +15,9 @@ from typing import Any, Self
 import pytest
 
 from polishd.daemon import app, cell
-from polishd.daemon.app import Daemon, run_cell, run_folder
+from polishd.daemon.app import run_folder
 from polishd.daemon.client import request
+from polishd.daemon.daemon import Daemon
 from polishd.daemon.events import EventBus
 from polishd.daemon.journal import Journal
 from polishd.model.cycle import Outcome
@@ -31,6 +32,7 @@ from tests.unit.daemon.small import (
     accept,
     compute,
     open_journal,
+    run_cell,
     small_map,
     small_program,
     small_recipe,

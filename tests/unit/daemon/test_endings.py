@@ -15,7 +15,6 @@ from typing import Any
 import pytest
 
 from polishd.daemon import app
-from polishd.daemon.app import run_cell
 from polishd.daemon.client import request
 from polishd.daemon.endings import RECORD_NAME, last_ending
 from polishd.daemon.journal import Journal
@@ -35,7 +34,7 @@ from polishd.model.errors import (
     SurfaceError,
 )
 from polishd.model.surface import SurfaceMap
-from tests.unit.daemon.small import Bench, open_journal, small_recipe
+from tests.unit.daemon.small import Bench, open_journal, run_cell, small_recipe
 from tests.unit.daemon.test_app import SAFE, Running, Site
 
 

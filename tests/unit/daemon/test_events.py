@@ -6,6 +6,7 @@ import asyncio
 import json
 import logging
 import threading
+from contextvars import copy_context
 from pathlib import Path
 
 import pytest
@@ -119,6 +120,51 @@ async def test_subscription_waits_for_what_comes() -> None:
         bus.publish(Progress(block=1))
         assert await task == Progress(block=1)
     await bus.close()
+
+
+async def test_a_line_of_one_cell_is_in_no_others_log(tmp_path: Path) -> None:
+    """Whoever logs it: a task, a thread of one, a plugin that hears of an event."""
+    logger = logging.getLogger("polishd.somewhere")
+    ready = asyncio.Barrier(2)
+
+    async def cell(name: str) -> None:
+        folder = tmp_path / name
+        folder.mkdir()
+        with logging_to(folder):
+            await ready.wait()
+            bus = EventBus(lambda event: logger.info("%s plugin", name))
+            bus.publish(Progress(block=1))
+            logger.info("%s task", name)
+            await asyncio.to_thread(logger.info, "%s thread", name)
+            await bus.close()
+            if name == "a":
+                await ready.wait()
+            else:
+                threading.Thread(target=logger.info, args=("of no cell",)).start()
+                await ready.wait()
+        if name == "b":  # the other one has ended, or ends now
+            logger.info("after")
+
+    async with asyncio.TaskGroup() as group:
+        for name in ("a", "b"):
+            group.create_task(cell(name))
+    for name in ("a", "b"):
+        said = [json.loads(line)["message"] for line in (tmp_path / name / "polishd.log").read_text().splitlines()]
+        assert sorted(said) == sorted(["progress", f"{name} plugin", f"{name} task", f"{name} thread", "of no cell"])
+
+
+async def test_one_cells_end_leaves_the_others_log_as_it_is(tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in ("a", "b")]
+    for folder in folders:
+        folder.mkdir()
+    logger = logging.getLogger("polishd.somewhere")
+    with logging_to(folders[0]):
+        context = copy_context()
+        with logging_to(folders[1]):
+            pass
+        context.run(logger.info, "still here")
+    assert "still here" in (folders[0] / "polishd.log").read_text()
+    assert logging.getLogger("polishd").level == logging.NOTSET
 
 
 async def test_log_is_json_lines_with_events_and_errors(tmp_path: Path) -> None:

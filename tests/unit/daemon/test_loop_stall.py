@@ -21,8 +21,8 @@ import numpy as np
 import pytest
 
 from polishd.daemon import client
-from polishd.daemon.app import Daemon
 from polishd.daemon.cell import Cell, MonotonicClock
+from polishd.daemon.daemon import Daemon
 from polishd.daemon.events import EventBus
 from polishd.daemon.journal import Journal
 from polishd.daemon.log import logging_to

@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.daemon.app import run_cell
 from polishd.daemon.cell import Cell
 from polishd.daemon.client import request
 from polishd.model.errors import ConfigError
 from polishd.model.surface import SurfaceMap
-from tests.unit.daemon.small import as_map
+from tests.unit.daemon.small import as_map, run_cell
 from tests.unit.daemon.test_app import Site
 
 RATE = 0.8
