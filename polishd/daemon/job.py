@@ -112,13 +112,8 @@ class Job:
         """The map on the process grid; journalled and kept in the run folder."""
         measured = await self._compute(steps.condition, self.recipe, surface, self._masks, self._lay)
         arrays = await asyncio.to_thread(self._journal.arrays.put, surface_arrays(measured))
-        told = events.Measured(
-            cycle=cycle,
-            stats=measured.stats,
-            spikes=measured.spikes,
-            notes=list(measured.notes),
-            run_dir=str(self._folder.path),
-        )
+        notes, run_dir = list(measured.notes), str(self._folder.path)
+        told = events.Measured(cycle=cycle, stats=measured.stats, spikes=measured.spikes, notes=notes, run_dir=run_dir)
         self._journal.record_map(cycle, surface.sha256, surface.path or "", told.data, arrays)
         self._masks, self._lay = (measured.solve_mask, measured.metric_mask), measured.registration
         await self._for_people(save_surface, self._folder.cycle(cycle), surface, measured)
