@@ -15,7 +15,7 @@ from polishd.console.demo_files import DemoFiles, with_values
 from polishd.daemon import client
 from tests.system.cell_rig import Daemon, account, events, small_cell, summary
 from tests.system.sim_rig import wait_for
-from tests.system.test_daemon import require_nothing_twice, require_safe_order
+from tests.system.test_daemon import polishd, require_nothing_twice, require_safe_order
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(400)]
 
@@ -87,3 +87,35 @@ def test_one_that_dies_in_contact_leaves_the_other_polishing_until_a_signal_stop
     }  # fmt: skip
     assert "left-cell: next: the daemon has ended; when that is mended" in said.replace("\n", " ")
     assert "right-cell: next: the daemon has ended; to go on" in said.replace("\n", " ")
+
+
+def section(files: DemoFiles, port: str) -> str:
+    """The lines of a device's section, its own header excepted."""
+    return files.cell.read_text().split(f"[{port}]", 1)[1].split("\n", 1)[1].split("\n[", 1)[0] + "\n"
+
+
+def test_a_cell_with_two_robots_polishes_with_those_of_its_roles(tmp_path: Path) -> None:
+    """Both robots with their tools are opened, watched and named; the job moves the right one's and no other."""
+    with ExitStack() as stack:
+        left, right = two_cells(stack, tmp_path, speed=40.0)
+        text = right.cell.read_text()
+        for port in ("robot", "actuator", "spindle"):
+            other = section(left, port).replace("sim/", f"{left.sim_dir}/")
+            text = text.replace(f"[{port}]", f"[{port}.left]\n{other}\n[{port}.right]")
+        roles = "\n".join(f'{port} = "right"' for port in ("robot", "actuator", "spindle"))
+        right.cell.write_text(f"{text}\n[roles]\n{roles}\n")
+        probed = polishd("probe", right.cell, "--json")
+        assert probed.returncode == 0, probed.stderr
+        names = [f"{port}.{side}" for port in ("actuator", "robot", "spindle") for side in ("left", "right")]
+        assert list(json.loads(probed.stdout)) == [*names, "metrology"]
+        with Daemon(right) as daemon:
+            daemon.wait_in_contact()
+            devices = client.request(right.state_dir, "status")["devices"]
+            assert {name for name, facts in devices.items() if facts["used"]} == {
+                "robot.right", "actuator.right", "spindle.right", "metrology"
+            }  # fmt: skip
+            assert devices["robot.left"]["serial"]
+            assert daemon.process.wait(300.0) == 0, daemon.output.read_text()
+        require_nothing_twice(right)
+        assert not events(left, "motion_started", "force_on")
+    assert (summary(right)["outcome"], summary(right)["tool_off"]) == ("in_tolerance", "yes")
