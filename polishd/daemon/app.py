@@ -24,7 +24,7 @@ from polishd.daemon.endings import keep_ending, keeping, now
 from polishd.daemon.events import EventBus
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
-from polishd.daemon.lock import StateLock
+from polishd.daemon.lock import locked
 from polishd.daemon.log import logging_to
 from polishd.daemon.priority import loop_first
 from polishd.daemon.same_job import require_same, terms_of
@@ -133,7 +133,7 @@ def _made_ready(run: CellRun, context: Context, kept: ExitStack) -> _Ready:
     require_fit(config, recipe, program)
     cell = build_cell(config, hooks)
     require_time_limits(config, cell)
-    kept.enter_context(StateLock(config.state_dir))
+    kept.enter_context(locked(config.state_dir))
     kept.enter_context(logging_to(config.state_dir))
     journal = kept.enter_context(_journal(config, program))
     return _Ready(run, recipe, program, cell, journal, kept, context)

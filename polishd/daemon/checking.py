@@ -10,7 +10,7 @@ import numpy as np
 from polishd.config.cell import CellConfig
 from polishd.daemon.assembly import build_cell, require_time_limits
 from polishd.daemon.cell import Cell
-from polishd.daemon.lock import StateLock
+from polishd.daemon.lock import locked
 from polishd.daemon.priority import host
 from polishd.daemon.safety import make_safe
 from polishd.hooks.loader import Hooks
@@ -72,7 +72,7 @@ async def probe_cell(config: CellConfig, hooks: Hooks) -> Mapping[str, Identity]
     """Connect to each device, identify it, leave it safe. DeviceError where one does not answer."""
     cell = build_cell(config, hooks)
     require_time_limits(config, cell)
-    with StateLock(config.state_dir):
+    with locked(config.state_dir):
         await cell.open()
         try:
             await make_safe(cell)

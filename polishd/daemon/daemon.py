@@ -79,13 +79,13 @@ class Daemon:
 
     async def status(self) -> Mapping[str, Any]:
         """State, why, and what was measured so far."""
-        phases = self._journal.phases
+        cycle, phase = self._journal.phase_now
         return {
             "state": self.state,
             "reason": self.reason,
             "next": NEXT.get(self.state, ""),
-            "phase": phases[-1].phase if phases else None,
-            "cycle": phases[-1].cycle if phases else None,
+            "phase": phase,
+            "cycle": cycle,
             "cycles": self.job.cycles(),
             "unsafe": list(self._cell.unsafe),
             "devices": {name: self._told(name) for name in self._cell.devices},

@@ -40,7 +40,7 @@ class JsonLines(logging.Formatter):
 
 
 @contextmanager
-def logging_to(state_dir: Path, level: int = logging.INFO) -> Iterator[None]:
+def logging_to(state_dir: Path) -> Iterator[None]:
     """What polishd logs of a cell goes to ``state_dir/polishd.log`` (rotated) inside this block.
 
     Of a cell is what is logged in this context: by the tasks and threads that begin in the block. What belongs to no
@@ -58,7 +58,7 @@ def logging_to(state_dir: Path, level: int = logging.INFO) -> Iterator[None]:
     writer.start()
     logger = logging.getLogger("polishd")
     logger.addHandler(handler)
-    logger.setLevel(level)
+    logger.setLevel(logging.INFO)
     try:
         yield
     finally:

@@ -16,7 +16,7 @@ from polishd.config.sections import LimitsSection
 from polishd.console.demo_files import demo_program, with_values
 from polishd.daemon import checking
 from polishd.daemon.assembly import build_cell, contact_limits
-from polishd.daemon.lock import StateLock
+from polishd.daemon.lock import locked
 from polishd.daemon.priority import host
 from polishd.hooks.loader import Hooks, load_own, load_plugins
 from polishd.hookspecs import DeviceContext, DeviceType
@@ -257,7 +257,7 @@ async def test_probe_tells_what_is_not_safe(configured: Any, hooks: Hooks, fake:
 
 async def test_probe_does_not_disturb_a_running_daemon(configured: Any, hooks: Hooks, fake: FakeCell) -> None:
     config = configured()
-    with StateLock(config.state_dir), pytest.raises(ConfigError, match="another polishd"):
+    with locked(config.state_dir), pytest.raises(ConfigError, match="another polishd"):
         await checking.probe_cell(config, hooks)
     assert fake.events == []
 

@@ -16,7 +16,7 @@ from polishd.daemon import app
 from polishd.daemon.app import CellRun, Stopping, run_cells
 from polishd.daemon.cycle import short_collections
 from polishd.daemon.journal import Journal
-from polishd.daemon.lock import StateLock
+from polishd.daemon.lock import locked
 from polishd.model.errors import ConfigError, LinkError
 from polishd.model.program import Program
 from tests.unit.daemon.test_app import CLOSED, SAFE, Site
@@ -91,18 +91,18 @@ async def test_one_that_ends_does_not_end_the_other(sites: Sites, broken: Any) -
     first, second = await sites.run()
     assert isinstance(first, OSError) if broken is no_run_folder else first["exit_code"] == 5
     assert second["outcome"] == "in_tolerance"
-    with StateLock(sites.all[0].config.state_dir):
+    with locked(sites.all[0].config.state_dir):
         pass
 
 
 async def test_a_cell_that_cannot_begin_refuses_all_before_anything_is_opened(sites: Sites) -> None:
     taken, free = (site.config.state_dir for site in reversed(sites.all))
-    with StateLock(taken), pytest.raises(ConfigError, match="another polishd runs this cell"):
+    with locked(taken), pytest.raises(ConfigError, match="another polishd runs this cell"):
         await sites.run()
     for site in sites.all:
         assert site.bench is not None
         assert site.bench.fake.events == []
-    with StateLock(free), StateLock(taken):
+    with locked(free), locked(taken):
         pass
 
 
