@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.cycle import polish
-from polishd.daemon.endings import NEXT, Ending, as_json, causes, gone
+from polishd.daemon.endings import NEXT, as_json, causes, gone, standing
 from polishd.daemon.events import EventBus
 from polishd.daemon.interruption import settle
 from polishd.daemon.job import Job
@@ -119,9 +119,9 @@ class Daemon:
         await make_safe(self._cell)
         await self._cell.close()
 
-    def ending(self, state: str, reason: str) -> Ending:
-        """How the cell stands, by what its devices confirmed."""
-        return Ending(state, reason, self._cell.unsafe if self._cell.identities else None)
+    def _standing(self, state: str, reason: str) -> events.StateChanged:
+        """By what the devices confirmed."""
+        return standing(state, reason, self._cell.unsafe if self._cell.identities else None)
 
     async def finish(self, outcome: Outcome, folder: RunFolder, summary: Mapping[str, Any]) -> None:
         """Leave journal and summary in the run folder, and tell whoever reports."""
@@ -142,7 +142,7 @@ class Daemon:
         found = causes(self._journal, failure)
         reason = f"{type(failure).__name__}: {failure}" if failure else self.reason
         return {
-            **self.ending("failed" if failure else outcome.value, reason).facts(),
+            **self._standing("failed" if failure else outcome.value, reason).data,
             "exit_code": getattr(failure, "exit_code", 1) if failure else EXIT_CODES[outcome],
             "causes": as_json(found),
             "notes": [str(cause) for cause in found],
@@ -251,12 +251,8 @@ class Daemon:
         async with self._changed:
             self.state, self.reason = state, reason
             self._changed.notify_all()
-        stands = (
-            self.ending(state, reason)
-            if state in {"held", "finished"}
-            else Ending(state, reason, gone(self._cell.acting))
-        )
-        self.bus.publish(events.StateChanged(**stands.facts()))
+        known = state in {"held", "finished"}  # meanwhile it may be killed
+        self.bus.publish(self._standing(state, reason) if known else standing(state, reason, gone(self._cell.acting)))
 
     async def _order(self, verb: str, reason: str = "") -> Mapping[str, Any]:
         """Give an order and answer when it is obeyed."""

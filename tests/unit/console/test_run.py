@@ -13,14 +13,14 @@ from polishd.console import run as running
 from polishd.console.demo_files import DemoFiles, with_values, write_demo
 from polishd.console.run import worst
 from polishd.daemon.app import CellRun
-from polishd.daemon.endings import Ending
+from polishd.daemon.endings import standing
 from polishd.model import errors
 from polishd.model.events import Failed, PassBegun
 from tests.unit.said import Polishd
 
 SUMMARY = {
     "outcome": "in_tolerance", "job": "demo", "cycles": [], "notes": [], "exit_code": 0, "run_dir": "runs/demo",
-    **Ending("in_tolerance", "", ()).facts(),
+    **standing("in_tolerance", "", ()).data,
 }  # fmt: skip
 
 
@@ -51,7 +51,7 @@ def test_the_last_lines_of_a_run_that_failed(
     polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One device did not confirm: which one, what may be, what to do about it, and how to go on."""
-    facts = Ending("failed", "SafetyStop: force", ("actuator: no answer", "spindle: dead")).facts()
+    facts = standing("failed", "SafetyStop: force", ("actuator: no answer", "spindle: dead")).data
     notes = ["09:00 ended: SafetyStop: force", "09:30 ended: LinkError: cut"]
     asked: list[bool] = []
 
@@ -113,7 +113,7 @@ def two(files: DemoFiles) -> list[str]:
 def test_each_cell_is_named_and_the_worst_code_counts(
     polishd: Polishd, two: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    facts = Ending("failed", "SafetyStop: force", ("actuator: no answer",)).facts()
+    facts = standing("failed", "SafetyStop: force", ("actuator: no answer",)).data
 
     async def run_cells(cells: Sequence[CellRun], *, holds: bool) -> list[dict[str, Any] | Exception]:
         for cell in cells:

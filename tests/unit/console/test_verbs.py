@@ -18,7 +18,7 @@ from polishd.config.study import load_study
 from polishd.console import demo, verbs
 from polishd.console.demo_files import DemoFiles, demo_program, with_values, write_demo
 from polishd.daemon import client
-from polishd.daemon.endings import RECORD_NAME, Cause, Ending, gone, keep_ending
+from polishd.daemon.endings import RECORD_NAME, Cause, gone, keep_ending, standing
 from polishd.model import errors
 from polishd.model.errors import ConfigError, DeviceFault, PolishdError
 from polishd.plugins.rnc_robot.dialect import FOLDER, dialect
@@ -219,7 +219,7 @@ def test_status_where_no_daemon_runs_tells_how_the_last_one_ended(
 ) -> None:
     files.state_dir.mkdir(exist_ok=True)
     cause = asdict(Cause("09:00", "SafetyStop", "force", ended=True))
-    keep_ending(files.state_dir, {**Ending(state, "why", unsafe).facts(), "run_dir": "runs/demo", "causes": [cause]})
+    keep_ending(files.state_dir, {**standing(state, "why", unsafe).data, "run_dir": "runs/demo", "causes": [cause]})
     said = polishd("status", files.cell, "--json")
     told = json.loads(said.out)
     killed = state in ("held", "polishing")
