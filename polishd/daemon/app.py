@@ -141,12 +141,15 @@ def _made_ready(run: CellRun, context: Context, kept: ExitStack) -> _Ready:
 
 async def _run(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[str, Any] | Exception:
     """One cell to its end, which is no other's."""
-    with ready.kept:
-        try:
-            return await _run_job(ready, stopping, holds=holds)
-        except Exception as error:
-            log.exception("the daemon could not begin")
-            return error
+    try:
+        with ready.kept:
+            try:
+                return await _run_job(ready, stopping, holds=holds)
+            except Exception:
+                log.exception("the daemon could not begin, or not end as it should")
+                raise
+    except Exception as error:  # noqa: BLE001 - the others go on
+        return error
 
 
 async def _run_job(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from polishd.daemon.app import CellRun, Stopping, run_cells
 from polishd.daemon.cycle import short_collections
 from polishd.daemon.journal import Journal
 from polishd.daemon.lock import locked
-from polishd.model.errors import ConfigError, LinkError
+from polishd.model.errors import ConfigError, LinkError, SafetyStop
 from polishd.model.program import Program
 from tests.unit.daemon.test_app import CLOSED, SAFE, Site
 
@@ -83,6 +83,28 @@ def no_spindle(bench: Any) -> None:
 def no_run_folder(bench: Any) -> None:
     """What goes wrong before the daemon is there."""
     (bench.tmp_path / "run").write_text("in the way")
+
+
+async def test_a_journal_that_is_lost_at_the_end_is_its_own_cells_affair(
+    sites: Sites, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begin = app._journal
+
+    def lost_by_the_first(config: Any, program: Program) -> Journal:
+        journal = begin(config, program)
+        if config is sites.all[0].config:
+            close = journal.close
+
+            def fails() -> None:
+                close()
+                raise SafetyStop("journal lost")
+
+            monkeypatch.setattr(journal, "close", fails)
+        return journal
+
+    monkeypatch.setattr(app, "_journal", lost_by_the_first)
+    first, second = await sites.run()
+    assert (type(first), second["outcome"]) == (SafetyStop, "in_tolerance")
 
 
 @pytest.mark.parametrize("broken", [no_spindle, no_run_folder])
