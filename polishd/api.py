@@ -12,7 +12,7 @@ from polishd.hookspecs import (
     SurfaceReader,
     hookimpl,
 )
-from polishd.model.cycle import Event
+from polishd.model import events
 from polishd.model.devices import DeviceStatus, Executed, ForceSample, Identity, RobotProgress, SpeedSample
 from polishd.model.dwell import Certificate, DwellSolution
 from polishd.model.errors import (
@@ -33,6 +33,7 @@ from polishd.model.errors import (
     SurfaceError,
     WrongPart,
 )
+from polishd.model.events import Event
 from polishd.model.limits import Envelope
 from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Optic, Placement, ToolProcess
 from polishd.model.program import Plan, Program, Segment
@@ -109,5 +110,6 @@ __all__ = [
     "SurfaceStats",
     "ToolProcess",
     "WrongPart",
+    "events",
     "hookimpl",
 ]

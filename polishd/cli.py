@@ -27,6 +27,7 @@ app = typer.Typer(
 STDOUT = 1
 """Its descriptor."""
 
+Reason = Annotated[str, Option("--reason", metavar="TEXT", help="Why: for the journal, and for status.")]
 Correction = Annotated[
     Literal["none", "pointwise", "linear", "power", "exact"] | None, Option(help="Override process.correction.")
 ]
@@ -53,15 +54,17 @@ def demo(
 
 @app.command()
 def run(
-    cell: Cell,
+    cells: Annotated[
+        list[Path], Argument(metavar="CELL.toml...", help="Each cell's configuration.", show_default=False)
+    ],
     correction: Correction = None,
     no_hold: Annotated[bool, Option("--no-hold", help="End where it would wait for a person to mend.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Run the daemon of a cell until its job ends. After an interruption it comes up held."""
-    from polishd.console.verbs import run_verb
+    """Run the daemon of a cell, or of several, until their jobs end. After an interruption one comes up held."""
+    from polishd.console.run import run_verb
 
-    raise typer.Exit(run_verb(cell, correction, holds=not no_hold, as_json=as_json))
+    raise typer.Exit(run_verb(cells, correction, holds=not no_hold, as_json=as_json))
 
 
 @app.command()
@@ -105,27 +108,27 @@ def status(cell: Cell, as_json: Json = False) -> None:
 
 
 @app.command()
-def hold(cell: Cell, as_json: Json = False) -> None:
+def hold(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
     """Leave contact, stand still, and wait for resume."""
-    _order(cell, "hold", as_json=as_json)
+    _order(cell, "hold", reason, as_json=as_json)
 
 
 @app.command()
-def resume(cell: Cell, as_json: Json = False) -> None:
+def resume(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
     """Go on, with a new measurement first."""
-    _order(cell, "resume", as_json=as_json)
+    _order(cell, "resume", reason, as_json=as_json)
 
 
 @app.command()
-def stop(cell: Cell, as_json: Json = False) -> None:
+def stop(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
     """Leave contact, stand still, and end the daemon."""
-    _order(cell, "stop", as_json=as_json)
+    _order(cell, "stop", reason, as_json=as_json)
 
 
 @app.command()
-def estop(cell: Cell, as_json: Json = False) -> None:
+def estop(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
     """Stop motion at once, whatever the part costs; then wait for resume. No substitute for the button."""
-    _order(cell, "estop", as_json=as_json)
+    _order(cell, "estop", reason, as_json=as_json)
 
 
 @app.command()
@@ -159,10 +162,10 @@ def version() -> None:
 app.add_typer(workbench)
 
 
-def _order(cell: Path, verb: str, *, as_json: bool) -> None:
+def _order(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:
     from polishd.console.verbs import order_verb
 
-    order_verb(cell, verb, as_json=as_json)
+    order_verb(cell, verb, reason, as_json=as_json)
 
 
 def main() -> None:

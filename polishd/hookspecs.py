@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import pluggy
 
-from polishd.model.cycle import Event
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import BadMap, SurfaceError
+from polishd.model.events import Event
 from polishd.model.instrument import Instrument
 from polishd.model.limits import Envelope
 from polishd.model.process import (
@@ -43,15 +43,14 @@ PROJECT = "polishd"
 hookspec = pluggy.HookspecMarker(PROJECT)
 hookimpl = pluggy.HookimplMarker(PROJECT)
 
-Port = Literal["robot", "actuator", "spindle", "metrology"]
-
 
 @dataclass(frozen=True, slots=True)
 class DeviceType:
     """A kind of device that the config can name: ``[robot] type = "robot_link"``."""
 
     name: str
-    port: Port
+    port: str
+    """A section for devices: ``robot``, ``actuator``, ``spindle`` or ``metrology``."""
     options: type[Any]
     """A pydantic model: the keys of the device's config section besides ``type``."""
     build: Callable[[Any, DeviceContext], Device]
@@ -221,7 +220,7 @@ def polishd_check_plan(plan: Plan, envelope: Envelope) -> Sequence[str]:
 
 @hookspec
 def polishd_on_event(event: Event) -> None:
-    """Hear of an event. An exception is logged and changes nothing."""
+    """Hear of an event: a record of ``polishd.model.events``. An exception is logged and changes nothing."""
     raise AssertionError("a hook specification is not called")
 
 

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ValidationError
 
 from polishd.config.document import parse_toml
 from polishd.config.physics import PartDocument
-from polishd.config.places import Source, did_you_mean, key_lines, listed, problems
+from polishd.config.places import Location, Source, did_you_mean, key_lines, listed, problems
 from polishd.config.sections import (
     CellSection,
     DeviceSection,
@@ -23,16 +24,16 @@ from polishd.config.sections import (
     LimitsSection,
     MachineSection,
     PluginsSection,
+    Port,
     ProgramSection,
 )
 from polishd.config.tables import read_tif
-from polishd.config.values import Texts
+from polishd.config.values import Name, Texts
 from polishd.hookspecs import DeviceType
 from polishd.model.errors import ConfigError
 from polishd.model.limits import Envelope
 from polishd.model.process import MeasuredTif
-
-PortSection = Literal["robot", "actuator", "spindle", "metrology"]
+from polishd.ports.devices import ForceActuator, Metrology, Robot, Spindle
 
 
 class CellConfig(PartDocument):
@@ -42,10 +43,13 @@ class CellConfig(PartDocument):
     """Fragments, such as those of `polishd calibrate`, laid over this file in turn: what they say replaces it."""
     cell: CellSection
     plugins: PluginsSection
-    robot: DeviceSection
-    actuator: DeviceSection
-    spindle: DeviceSection
-    metrology: DeviceSection
+    # ports, in the order in which their devices are opened; the one place that lists them
+    actuator: Annotated[DeviceSection, Port(ForceActuator)]
+    robot: Annotated[DeviceSection, Port(Robot)]
+    spindle: Annotated[DeviceSection, Port(Spindle)]
+    metrology: Annotated[DeviceSection, Port(Metrology, acts=False)]
+    roles: Mapping[str, Name] = {}
+    """Which of several devices at a port the job uses: ``robot = "left"``."""
     instrument: InstrumentSection = InstrumentSection()
     program: ProgramSection
     machine: MachineSection
@@ -88,6 +92,21 @@ class CellConfig(PartDocument):
         """Hash of all values in force, overrides and defaults included."""
         return hashlib.sha256(json.dumps(self.effective(), sort_keys=True).encode()).hexdigest()
 
+    @property
+    def devices(self) -> dict[str, DeviceSection]:
+        """All devices by name (``robot``, or ``robot.left`` of several), in the order in which they are opened."""
+        sections = {port: getattr(self, port) for port in PORTS}
+        return {name: one for port, given in sections.items() if given for name, one in given.devices(port).items()}
+
+    @property
+    def used(self) -> dict[str, str]:
+        """The name of the device that the job uses, by port."""
+        return {
+            port: f"{port}.{self.roles[port]}" if port in self.roles else port
+            for port in PORTS
+            if port in self.roles or port in self.devices
+        }
+
     def effective(self) -> dict[str, Any]:
         """All values in force, JSON-ready."""
         return self.model_dump(mode="json")
@@ -111,6 +130,17 @@ class CellConfig(PartDocument):
         )
 
 
+PORTS: Mapping[str, Port] = {
+    name: mark for name, field in CellConfig.model_fields.items() for mark in field.metadata if isinstance(mark, Port)
+}
+"""What each port asks; in the order in which devices are opened."""
+
+
+def port_of(device: str) -> str:
+    """The port of a device, by its name."""
+    return device.partition(".")[0]
+
+
 def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> CellConfig:
     """Read a cell's TOML; ``overrides`` are values by dotted key, such as ``{"process.correction": "none"}``.
 
@@ -126,31 +156,59 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> CellC
         _lay_over(raw, fragment)
     for key, value in (overrides or {}).items():
         _override(raw, key, value, source)
-    return CellConfig.of(raw, source)
+    config = CellConfig.of(raw, source)
+    if found := [str(config.error(key, problem)) for key, problem in _wrong_devices(config)]:
+        raise ConfigError("\n".join(found))
+    return config
 
 
-def device_options(
-    config: CellConfig, section: PortSection, device_types: Mapping[str, DeviceType]
-) -> tuple[DeviceType, Any]:
-    """The device type that a section names, and the section's other keys as that type's options model."""
-    raw: DeviceSection = getattr(config, section)
-    fitting = {name for name, kind in device_types.items() if kind.port == section}
-    kind = device_types.get(raw.type)
+def _wrong_devices(config: CellConfig) -> Iterator[tuple[str, str]]:
+    """(key, what is wrong) of tables of several devices, and of the roles that choose among them."""
+    several = {port: given for port in PORTS if (given := getattr(config, port)) is not None and given.type is None}
+    for port, section in several.items():
+        yield from _wrong_table(port, section)
+        if port not in config.roles:
+            yield f"roles.{port}", f"is missing: there are {listed(section.tables)}; say which one the job uses"
+    for port, name in config.roles.items():
+        if port not in PORTS:
+            yield f"roles.{port}", f"unknown key{did_you_mean(port, PORTS)} Known here: {listed(PORTS)}"
+        elif port not in several:
+            yield f"roles.{port}", f"there is one {port}, without a name; remove the line, or name it: [{port}.{name}]"
+        elif name not in several[port].tables:
+            known = several[port].tables
+            yield f"roles.{port}", f"there is no {name!r}{did_you_mean(name, known)} There are: {listed(known)}"
+
+
+def _wrong_table(port: str, section: DeviceSection) -> Iterator[tuple[str, str]]:
+    for name, keys in (section.model_extra or {}).items():
+        if name not in section.tables:
+            yield f"{port}.{name}", f"is no device; write it into one of {listed(section.tables)}"
+        elif not re.fullmatch(r"[\w-]+", name, re.ASCII):
+            yield f"{port}.{name}", "is no name: use letters, digits, '-' and '_'"
+        elif not isinstance(keys.get("type"), str):
+            yield f"{port}.{name}.type", "is missing; add it: type = ..."
+
+
+def device_options(config: CellConfig, device: str, device_types: Mapping[str, DeviceType]) -> tuple[DeviceType, Any]:
+    """The device type that a device's section names, and the section's other keys as that type's options model."""
+    raw, port, named = config.devices[device], port_of(device), str(config.devices[device].type)
+    fitting = {name for name, kind in device_types.items() if kind.port == port}
+    kind = device_types.get(named)
     if kind is None:
         raise config.error(
-            f"{section}.type",
-            f"unknown type {raw.type!r}{did_you_mean(raw.type, fitting)} The loaded plugins have: {listed(fitting)}; "
+            f"{device}.type",
+            f"unknown type {named!r}{did_you_mean(named, fitting)} The loaded plugins have: {listed(fitting)}; "
             "a type of another plugin needs that plugin in plugins.load",
         )
-    if kind.port != section:
-        raise config.error(f"{section}.type", f"{raw.type!r} is a kind of {kind.port}; use one of {listed(fitting)}")
+    if kind.port != port:
+        raise config.error(f"{device}.type", f"{named!r} is a kind of {kind.port}; use one of {listed(fitting)}")
     options: type[BaseModel] = kind.options
-    given = dict(raw.model_extra or {})
+    given, section = dict(raw.model_extra or {}), tuple(device.split("."))
     found = _unknown_options(config, section, options, given)
     try:
         value = options.model_validate(given)
     except ValidationError as error:
-        found += [line for line in problems(error, options, config.source, (section,)) if line not in found]
+        found += [line for line in problems(error, options, config.source, section) if line not in found]
     else:
         if not found:
             return kind, value
@@ -158,14 +216,14 @@ def device_options(
 
 
 def _unknown_options(
-    config: CellConfig, section: PortSection, options: type[BaseModel], given: Mapping[str, Any]
+    config: CellConfig, section: Location, options: type[BaseModel], given: Mapping[str, Any]
 ) -> list[str]:
     """Unknown keys are errors also where the plugin's model would let them pass."""
     if options.model_config.get("extra") == "allow":
         return []
     known = {field.alias or name for name, field in options.model_fields.items()}
     return [
-        config.source.error((section, key), f"unknown key{did_you_mean(key, known)} Known here: {listed(known)}")
+        config.source.error((*section, key), f"unknown key{did_you_mean(key, known)} Known here: {listed(known)}")
         for key in given
         if key not in known
     ]

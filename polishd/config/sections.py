@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
@@ -39,11 +40,40 @@ def _feed(value: float) -> float:
     return value
 
 
+@dataclass(frozen=True, slots=True)
+class Port:
+    """Marks a section of the cell as one for devices, and says what is asked of them."""
+
+    protocol: type
+    acts: bool = True
+    """They press, move or turn: they are made safe. Else they only look."""
+
+
 class DeviceSection(Section):
-    """A device: its type, and the raw options that the type's own model judges (see ``device_options``)."""
+    """A device: its type, and the raw options that the type's own model judges (see ``device_options``).
+
+    Or a table of several, by names of the user's: ``[robot.left]`` and ``[robot.right]`` are such sections each.
+    """
 
     model_config = ConfigDict(extra="allow", frozen=True, strict=True)
-    type: Text
+    type: Text | None = None
+
+    @model_validator(mode="after")
+    def _one_or_several(self) -> Self:
+        if self.type is None and not self.tables:
+            raise ValueError("type: is missing; add it: type = ...")
+        return self
+
+    @property
+    def tables(self) -> dict[str, dict[str, Any]]:
+        """Of a table of several: each one's keys, as they stand in the file."""
+        return {} if self.type else {k: v for k, v in (self.model_extra or {}).items() if isinstance(v, dict)}
+
+    def devices(self, port: str) -> dict[str, DeviceSection]:
+        """By name: its dotted section."""
+        if self.type is not None:
+            return {port: self}
+        return {f"{port}.{name}": DeviceSection.model_validate(keys) for name, keys in self.tables.items()}
 
 
 class CellSection(Section):

@@ -101,7 +101,7 @@ def _watch(process: subprocess.Popen[bytes], files: DemoFiles) -> None:
     waited = threading.Event()
     while process.poll() is None and not (files.state_dir / SOCKET_NAME).exists():
         waited.wait(0.05)  # a file that another process makes: there is no event to wait for
-    with contextlib.suppress(LinkError), progress(files.cell) as show:
+    with contextlib.suppress(LinkError), progress([("", files.cell)]) as (show,):
         for event in client.subscribe(files.state_dir):
             show(event["name"], event["cycle"], event["data"])
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 import re
 import socket
-import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -38,51 +36,27 @@ SURFACE_PERIOD_MM = 7.0
 """Twice the spot's diameter: no dwell reaches shorter periods."""
 
 
-@dataclass(frozen=True, slots=True)
 class DemoFiles:
     """Where everything of a demo is."""
 
-    out: Path
-
-    @property
-    def cell(self) -> Path:
+    def __init__(self, out: Path) -> None:
+        self.out = out
+        self.cell = out / "cell.toml"
         """The cell's config, as a user would write it."""
-        return self.out / "cell.toml"
-
-    @property
-    def sim(self) -> Path:
+        self.sim = out / "sim.toml"
         """The simulator's config."""
-        return self.out / "sim.toml"
-
-    @property
-    def profile(self) -> Path:
+        self.profile = out / "instrument.toml"
         """The profile of the simulated instrument."""
-        return self.out / "instrument.toml"
-
-    @property
-    def artefact(self) -> Path:
+        self.artefact = out / "artefact.dat"
         """A map of the artefact that proves the profile."""
-        return self.out / "artefact.dat"
-
-    @property
-    def sim_dir(self) -> Path:
+        self.sim_dir = out / "sim"
         """The simulator's state: device nodes, maps, its own log."""
-        return self.out / "sim"
-
-    @property
-    def state_dir(self) -> Path:
+        self.state_dir = out / "state"
         """The daemon's state folder."""
-        return self.out / "state"
-
-    @property
-    def run_dir(self) -> Path:
+        self.run_dir = out / "run"
         """The run folder."""
-        return self.out / "run"
-
-    @property
-    def daemon_log(self) -> Path:
+        self.daemon_log = out / "daemon.log"
         """What the daemon printed."""
-        return self.out / "daemon.log"
 
 
 def write_demo(out: Path, surface: Path | None, tolerance_nm: float, cycles: int, correction: str | None) -> DemoFiles:
@@ -94,18 +68,17 @@ def write_demo(out: Path, surface: Path | None, tolerance_nm: float, cycles: int
         period = SURFACE_PERIOD_MM
     files = DemoFiles(out)
     out.mkdir(parents=True, exist_ok=True)
+    port = free_port()
     values: dict[str, Mapping[str, Any]] = {
         "cell": {"run_dir": "run"},
+        "robot": {"address": f"tcp://127.0.0.1:{port}"},
         "instrument": {"profile": files.profile.name},
         "part": part,
         "process": {"correction": correction} if correction else {},
         "job": {"tolerance_nm": tolerance_nm, "max_cycles": cycles, "tolerance_period_mm": period},
     }
     files.cell.write_text(with_values(_shipped("cell.toml"), values))
-    files.sim.write_text(with_values(_shipped("sim.toml"), {"plant": part, "robot": {"port": free_port()}}))
-    files.cell.write_text(
-        with_values(files.cell.read_text(), {"robot": {"address": f"tcp://127.0.0.1:{_port(files.sim)}"}})
-    )
+    files.sim.write_text(with_values(_shipped("sim.toml"), {"plant": part, "robot": {"port": port}}))
     files.profile.write_text(_shipped("instrument.toml"))
     config = load_config(files.cell)
     config.program_path.write_bytes(demo_program(config))
@@ -176,10 +149,6 @@ def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
-
-
-def _port(sim: Path) -> int:
-    return int(tomllib.loads(sim.read_text())["robot"]["port"])
 
 
 def _toml(value: object) -> str:

@@ -9,7 +9,9 @@ from typing import Any
 
 import typer
 
-AT_THE_MACHINE: Mapping[str, str] = {
+from polishd.config.cell import port_of
+
+AT_THE_MACHINE: Mapping[str, str] = {  # by port
     "actuator": "the tool may press on the part: switch the actuator off, and see it lifted, before anything moves",
     "robot": "it may still move: stop it at its own controller, and keep out of its reach",
     "spindle": "it may still turn: switch its drive off before you reach in",
@@ -21,7 +23,7 @@ def last_words(facts: Mapping[str, Any], cell: Path) -> list[tuple[str, str]]:
     rows = [("tool off the part", facts["tool_off"]), ("robot at rest", facts["robot_at_rest"])]
     for entry in facts["unsafe"]:
         device, _, why = entry.partition(": ")
-        rows.append((f"{device} did not confirm", f"{why}; {AT_THE_MACHINE.get(device, 'look at it')}"))
+        rows.append((f"{device} did not confirm", f"{why}; {AT_THE_MACHINE.get(port_of(device), 'look at it')}"))
     rows += [("run folder", facts.get("run_dir", "")), ("next", facts["next"])]
     return [(name, for_cell(text, cell)) for name, text in rows if text]
 
@@ -31,7 +33,7 @@ def for_cell(text: str, cell: Path) -> str:
     return text.replace("CELL.toml", shlex.quote(str(cell)))
 
 
-def tell(facts: Mapping[str, Any], cell: Path) -> None:
+def tell(facts: Mapping[str, Any], cell: Path, prefix: str = "") -> None:
     """Print them on stderr; stdout stays free for programs."""
     for name, text in last_words(facts, cell):
-        typer.echo(f"{name}: {text}", err=True)
+        typer.echo(f"{prefix}{name}: {text}", err=True)

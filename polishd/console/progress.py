@@ -1,8 +1,8 @@
-"""What a person sees while a job runs: a line a measurement, and a bar."""
+"""What a person sees while jobs run: a line a measurement, and a bar for each cell."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -21,42 +21,54 @@ AFTER = {"pass_ended": "cycle {cycle}: measuring", "job_finished": "writing the 
 
 
 @contextmanager
-def progress(cell: Path) -> Iterator[Show]:
-    """Show events on stderr for as long as the block lasts; stdout stays free for programs.
+def progress(cells: Sequence[tuple[str, Path]]) -> Iterator[list[Show]]:
+    """Show events of each cell on stderr for as long as the block lasts; stdout stays free for programs.
 
-    ``cell`` is what commands are told with.
+    ``cells`` are what each one's lines begin with (nothing, for one), and what commands are told with.
     """
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), TimeElapsedColumn())
     with Progress(*columns, console=stderr) as bar:
-        task = bar.add_task("starting", total=None, note="")
-        yield lambda name, cycle, data: _show(bar, (task, cell), name, cycle, data)
+        yield [_Line(bar, f"{name}: " if name else "", cell).show for name, cell in cells]
 
 
-def _show(bar: Progress, shown: tuple[TaskID, Path], name: str, cycle: int | None, data: Mapping[str, Any]) -> None:
-    task, cell = shown
-    match name:
-        case "measured":
-            band = data["band_rms_nm"]
-            beyond = "" if band is None else f", {band:.2f} nm in the tolerance's band"
-            stderr.print(f"measurement {cycle}: RMS {data['rms_nm']:.2f} nm, PV {data['pv_nm']:.1f} nm{beyond}")
-            bar.update(task, description=f"cycle {cycle}: solving", total=None, note="")
-        case "solved":
-            note = f"predicted RMS {data['predicted_rms_nm']:.2f} nm, KKT {data['kkt_residual']:.1e}"
-            bar.update(task, description=f"cycle {cycle}: planning", note=note)
-        case "pass_begun":
-            minutes = f"{data['dwell_s'] / 60:.1f} min of dwell"
-            bar.update(task, description=f"cycle {cycle}: polishing", total=data["blocks"], completed=0, note=minutes)
-        case "progress":
-            bar.update(task, completed=data["block"])
-        case "pass_ended" | "job_finished":
-            bar.update(task, description=AFTER[name].format(cycle=cycle), total=None, note="")
-        case "state" if data["state"] == "held":
-            for word, text in [("held", data["reason"]), *last_words(data, cell)]:
-                stderr.print(f"{word}: {text}", markup=False, soft_wrap=True)
-            bar.update(task, description="held", total=None, note="")
-        case "failed":
-            stderr.print(f"{data['kind']}: {data['error']}", style="red", markup=False)
-        case _:
-            pass
-    for note in data.get("notes", ()):
-        stderr.print(f"note: {note}", markup=False)
+class _Line:
+    """One cell's bar."""
+
+    def __init__(self, bar: Progress, prefix: str, cell: Path) -> None:
+        self._bar, self._prefix, self._cell = bar, prefix, cell
+        self._task: TaskID = bar.add_task(f"{prefix}starting", total=None, note="")
+
+    def show(self, name: str, cycle: int | None, data: Mapping[str, Any]) -> None:
+        """An event."""
+        match name:
+            case "measured":
+                band = data["band_rms_nm"]
+                beyond = "" if band is None else f", {band:.2f} nm in the tolerance's band"
+                self._print(f"measurement {cycle}: RMS {data['rms_nm']:.2f} nm, PV {data['pv_nm']:.1f} nm{beyond}")
+                self._update(f"cycle {cycle}: solving", total=None, note="")
+            case "solved":
+                note = f"predicted RMS {data['predicted_rms_nm']:.2f} nm, KKT {data['kkt_residual']:.1e}"
+                self._update(f"cycle {cycle}: planning", note=note)
+            case "pass_begun":
+                minutes = f"{data['dwell_s'] / 60:.1f} min of dwell"
+                self._update(f"cycle {cycle}: polishing", total=data["blocks"], completed=0, note=minutes)
+            case "progress":
+                self._bar.update(self._task, completed=data["block"])
+            case "pass_ended" | "job_finished":
+                self._update(AFTER[name].format(cycle=cycle), total=None, note="")
+            case "state" if data["state"] == "held":
+                for word, text in [("held", data["reason"]), *last_words(data, self._cell)]:
+                    self._print(f"{word}: {text}")
+                self._update("held", total=None, note="")
+            case "failed":
+                self._print(f"{data['kind']}: {data['error']}", style="red")
+            case _:
+                pass
+        for note in data.get("notes", ()):
+            self._print(f"note: {note}")
+
+    def _update(self, what: str, **fields: Any) -> None:
+        self._bar.update(self._task, description=f"{self._prefix}{what}", **fields)
+
+    def _print(self, text: str, style: str | None = None) -> None:
+        stderr.print(f"{self._prefix}{text}", style=style, markup=False, soft_wrap=True)

@@ -14,35 +14,14 @@ from rich.console import Group
 from rich.table import Table
 
 from polishd.config.cell import load_config
-from polishd.console.last_words import for_cell, last_words, tell
-from polishd.console.progress import progress
+from polishd.console.last_words import for_cell, last_words
 from polishd.daemon import client
 from polishd.daemon.endings import Cause, last_ending
 from polishd.hooks.cell import load_cell, plugins_of
 from polishd.hooks.checks import DECLARATIONS
 from polishd.hooks.loader import load_own
-from polishd.model.errors import NoDaemon, PolishdError
+from polishd.model.errors import NoDaemon
 from polishd.show.tables import cycle_table, emit, key_table, record_table, stderr, stdout
-
-
-def run_verb(cell: Path, correction: str | None, *, holds: bool, as_json: bool) -> int:
-    """Run the daemon; its exit code. The last lines on stderr say how the cell stands and what to do."""
-    from polishd.daemon.app import run_cell
-
-    try:
-        config, hooks = load_cell(cell, correction)
-        with progress(cell) as show:
-            summary = asyncio.run(
-                run_cell(config, hooks, lambda event: show(event.name, event.cycle, event.data), holds=holds)
-            )
-    except PolishdError as error:
-        typer.echo(f"polishd: {error}\nthis run opened nothing, and moved nothing", err=True)
-        return error.exit_code
-    emit(summary, as_json=as_json, table=lambda: cycle_table(summary))
-    for note in summary["notes"]:
-        typer.echo(f"polishd: {note}", err=True)
-    tell(summary, cell)
-    return int(summary["exit_code"])
 
 
 def plan_verb(cell: Path, surface: Path, program: Path, out: Path, correction: str | None, *, as_json: bool) -> None:
@@ -113,9 +92,16 @@ def status_verb(cell: Path, *, as_json: bool) -> None:
         else:
             _tell_last(last, config.cell.name, cell)
         raise typer.Exit(absent.exit_code) from None
-    rows = [(key, for_cell(str(value), cell)) for key, value in answer.items() if key not in ("ok", "cycles") and value]
+    words = {key: value for key, value in answer.items() if key not in {"ok", "cycles", "devices"}}
+    rows = [(key, for_cell(str(value), cell)) for key, value in words.items() if value]
+    rows += [(name, _device(facts)) for name, facts in answer.get("devices", {}).items()]
     rows += [(f"measurement {i}", f"RMS {c['rms_nm']:.2f} nm") for i, c in enumerate(answer.get("cycles", []))]
     emit(answer, as_json=as_json, table=lambda: key_table(config.cell.name, rows))
+
+
+def _device(facts: Mapping[str, Any]) -> str:
+    who = " ".join(facts[key] for key in ("vendor", "model", "serial") if facts.get(key))
+    return who + ("" if facts["used"] else " (not used by this job)")
 
 
 def _tell_last(last: Mapping[str, Any], name: str, cell: Path) -> None:
@@ -126,10 +112,10 @@ def _tell_last(last: Mapping[str, Any], name: str, cell: Path) -> None:
         typer.echo(f"{key}: {text}")
 
 
-def order_verb(cell: Path, verb: str, *, as_json: bool) -> None:
+def order_verb(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:
     """Give the running daemon an order; returns when it is obeyed."""
     config = load_config(cell)
-    answer = client.request(config.state_dir, verb, client.ORDER_S)
+    answer = client.request(config.state_dir, verb, client.ORDER_S, {"reason": reason} if reason else {})
     rows = [(key, for_cell(str(value), cell)) for key, value in answer.items() if value]
     emit(answer, as_json=as_json, table=lambda: key_table(f"{config.cell.name}: {verb}", rows))
 

@@ -1,8 +1,6 @@
-"""The daemon: one cell, one job, and the person who may hold, resume or stop it.
+"""``polishd run``: the daemons of one cell or several in one process, which share its signals and its priority.
 
-States: ``starting``, ``polishing``, ``held`` (safe, waits for a person) and ``finished``. Hold, stop, SIGTERM and every
-error leave contact in the same order (``safety.make_safe``). After an interruption nothing moves until ``resume``. An
-error that a person can mend holds, any other one ends the daemon (docs/cycle.md).
+Each cell has a state folder, lock, journal, socket, log, compute worker and outcome of its own.
 """
 
 from __future__ import annotations
@@ -10,286 +8,182 @@ from __future__ import annotations
 import asyncio
 import logging
 import signal
-from collections.abc import AsyncIterator, Callable, Mapping
-from contextlib import asynccontextmanager, suppress
-from dataclasses import asdict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from contextvars import Context, copy_context
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Any, Literal
+from typing import Any
 
 from polishd.config.cell import CellConfig
 from polishd.daemon.assembly import build_cell, contact_limits, require_time_limits
 from polishd.daemon.cell import Cell
 from polishd.daemon.compute import Compute
-from polishd.daemon.cycle import polish
-from polishd.daemon.endings import GONE, NEXT, Ending, as_json, causes, keep_ending, keeping, now
+from polishd.daemon.daemon import Daemon
+from polishd.daemon.endings import keep_ending, keeping, now
 from polishd.daemon.events import EventBus
-from polishd.daemon.interruption import settle
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
-from polishd.daemon.lock import StateLock
+from polishd.daemon.lock import locked
 from polishd.daemon.log import logging_to
 from polishd.daemon.priority import loop_first
-from polishd.daemon.safety import make_safe, most_telling
 from polishd.daemon.same_job import require_same, terms_of
 from polishd.daemon.service import serving
 from polishd.hooks.loader import Hooks
-from polishd.model.cycle import EXIT_CODES, Event, Outcome
+from polishd.model import events
+from polishd.model.cycle import Outcome
 from polishd.model.errors import ConfigError, PolishdError
+from polishd.model.events import Event
 from polishd.model.program import Program
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.making import make_recipe, require_commissioned
 from polishd.recipe.program_fit import require_fit
+from polishd.recipe.recipe import Recipe
 from polishd.recipe.steps import read_program
 
 log = logging.getLogger(__name__)
 
-Order = Literal["hold", "resume", "stop", "estop"]
-State = Literal["starting", "polishing", "held", "finished"]
-ORDERED, BEGUN = "held by order", "this job was begun earlier"
-EMERGENCY = "motion was stopped at once, by order"
+
+@dataclass(frozen=True, slots=True)
+class CellRun:
+    """A cell to run, and who watches."""
+
+    config: CellConfig
+    hooks: Hooks
+    show: Callable[[Event], None] = lambda _: None
+    """Is told each event, for a person."""
 
 
-class Daemon:
-    """Runs a job, and obeys orders at once."""
+@dataclass(slots=True)
+class Stopping:
+    """SIGTERM and SIGINT are for all cells of the process, for those too that are not quite there yet."""
 
-    def __init__(self, cell: Cell, job: Job, journal: Journal, bus: EventBus, *, holds: bool = True) -> None:
-        self.job = job
-        self.bus = bus
-        self._cell = cell
-        self._journal = journal
-        self._holds = holds
-        """Wait for a person where one can mend the cause; else end with it."""
-        self._opened = False
-        self._stopping = False
-        """An order that came with an error is not forgotten over it."""
-        self._orders: asyncio.Queue[Order] = asyncio.Queue()
-        self._changed = asyncio.Condition()
-        self.state: State = "starting"
-        self.reason = ""
+    asked: bool = False
+    daemons: list[Daemon] = field(default_factory=list)
 
-    @property
-    def verbs(self) -> dict[str, Callable[[], Any]]:
-        """What the socket offers."""
-        return {
-            "status": self.status,
-            "hold": lambda: self._order("hold", "held", "finished"),
-            "resume": lambda: self._order("resume", "polishing", "finished"),
-            "stop": lambda: self._order("stop", "finished"),
-            "estop": lambda: self._order("estop", "held", "finished"),
-        }
+    def ask(self) -> None:
+        """Stop all."""
+        self.asked = True
+        for daemon in self.daemons:
+            daemon.stop()
 
-    async def status(self) -> Mapping[str, Any]:
-        """State, why, and what was measured so far."""
-        phases = self._journal.phases
-        return {
-            "state": self.state,
-            "reason": self.reason,
-            "next": NEXT.get(self.state, ""),
-            "phase": phases[-1].phase if phases else None,
-            "cycle": phases[-1].cycle if phases else None,
-            "cycles": self.job.cycles(),
-            "unsafe": list(self._cell.unsafe),
-        }
-
-    def stop(self) -> None:
-        """As SIGTERM does."""
-        self._orders.put_nowait("stop")
-
-    async def run(self) -> Outcome:
-        """Until the job ends, or a person ends it. Raises what ended it otherwise; the cell is safe and closed then."""
-        identities = await self._cell.open()
-        self._opened = True
-        self.bus.publish(Event("opened", None, {name: asdict(found) for name, found in identities.items()}))
+    @contextmanager
+    def telling(self, daemon: Daemon) -> Iterator[None]:
+        """That one is to be stopped, too."""
+        self.daemons.append(daemon)
+        if self.asked:
+            daemon.stop()
         try:
-            outcome = await self._until_done()
-        except BaseException as error:
-            try:
-                await self._leave()
-            except (PolishdError, OSError) as late:
-                error.add_note(f"and then: {late}")  # what ended it is told first
-            raise
-        await self._leave()
-        return outcome
-
-    async def _leave(self) -> None:
-        await make_safe(self._cell)
-        await self._cell.close()
-
-    def ending(self, state: str, reason: str) -> Ending:
-        """How the cell stands, by what its devices confirmed."""
-        return Ending(state, reason, self._cell.unsafe if self._opened else None)
-
-    def finish(self, outcome: Outcome, folder: RunFolder, summary: Mapping[str, Any]) -> None:
-        """Leave journal and summary in the run folder, and tell whoever reports."""
-        try:
-            if summary["outcome"] == outcome.value and outcome is not Outcome.STOPPED:
-                self._journal.record_outcome(outcome)
-            folder.json("summary.json", summary)
-            self._journal.copy_to(folder.path / "journal.sqlite")
+            yield
         finally:
-            self.bus.publish(Event("job_finished", None, {"run_dir": str(folder.path), "outcome": summary["outcome"]}))
+            self.daemons.remove(daemon)
 
-    def flush(self) -> None:
-        """Make durable what the journal still buffers."""
-        self._journal.flush()
-
-    def last_words(self, outcome: Outcome, failure: Exception | None) -> dict[str, Any]:
-        """The end as ``status`` tells it when no daemon runs: how, why, how the cell stands, and what to do."""
-        found = causes(self._journal, failure)
-        reason = f"{type(failure).__name__}: {failure}" if failure else self.reason
-        return {
-            **self.ending("failed" if failure else outcome.value, reason).facts(),
-            "exit_code": getattr(failure, "exit_code", 1) if failure else EXIT_CODES[outcome],
-            "causes": as_json(found),
-            "notes": [str(cause) for cause in found],
-        }
-
-    def figures(self) -> dict[str, Any]:
-        """What was measured and done, for the summary; nothing where the journal is lost."""
+    @contextmanager
+    def signals(self) -> Iterator[None]:
+        """Signals ask."""
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, self.ask)
         try:
-            found = self.job.summary()
-        except PolishdError as lost:
-            log.error("the journal cannot be asked any more: %s", lost)
-            return {"cycles": []}
-        for cycle in found["cycles"]:
-            if cycle["how"] == "begun":
-                cycle["how"] = "interrupted"  # it is over now; the next start settles it in the journal
-        return found
-
-    async def _until_done(self) -> Outcome:
-        await make_safe(self._cell)
-        held = await settle(self._cell, self._journal) or (BEGUN if self._journal.resumed else "")
-        if held and not self._holds:
-            self.reason = held
-            return Outcome.STOPPED
-        error: PolishdError | None = None
-        while True:
-            if held and not await self._wait_for_resume(held):
-                if error is not None:
-                    raise error  # nobody has mended it
-                return Outcome.STOPPED
-            self._cell.emergency = False
-            await self.become("polishing", "")
-            try:
-                outcome = await self._polish(mended=error is not None)
-            except PolishdError as failure:
-                if not self._can_wait_for(failure):
-                    raise
-                error, held = failure, self._held_over(failure)
-                continue
-            if outcome is not None:
-                return outcome
-            error, held = None, await settle(self._cell, self._journal) or ORDERED
-            held = f"{EMERGENCY}; {held}" if self._cell.emergency else held
-
-    def _can_wait_for(self, failure: PolishdError) -> bool:
-        """Whether a person can mend it while the daemon waits; not where it cut off a pass."""
-        return self._holds and failure.mendable and all(record.ended_s is not None for record in self._journal.passes)
-
-    def _held_over(self, failure: PolishdError) -> str:
-        kind = type(failure).__name__
-        self.bus.publish(Event("held", None, {"error": str(failure), "kind": kind}))
-        return f"{kind}: {failure}"
-
-    async def _polish(self, *, mended: bool) -> Outcome | None:
-        """The outcome of the job, or None when it was held."""
-        try:
-            async with asyncio.TaskGroup() as group:
-                work = group.create_task(self._work(mended=mended), name="polish")
-                order = group.create_task(self._interrupting(), name="orders")
-                journal = group.create_task(self._journal.lost(), name="journal")
-                await asyncio.wait({work, order, journal}, return_when=asyncio.FIRST_COMPLETED)
-                for task in (work, order, journal):
-                    task.cancel()
-        except BaseExceptionGroup as errors:
-            raise most_telling(errors) from errors
-        if not work.cancelled():
-            return work.result()
-        return Outcome.STOPPED if order.result() == "stop" else None
-
-    async def _work(self, *, mended: bool) -> Outcome:
-        if mended:  # out of contact: what was lost meanwhile is opened again before anybody measures
-            await self._cell.restore_links()
-            await make_safe(self._cell)
-        return await polish(self._cell, self.job, self._journal)
-
-    async def _interrupting(self) -> Order:
-        """The next order that ends polishing."""
-        while (order := await self._orders.get()) == "resume":
-            pass
-        self._stopping = order == "stop"
-        return order
-
-    async def _wait_for_resume(self, reason: str) -> bool:
-        await make_safe(self._cell)
-        if self._stopping:
-            return False
-        await self.become("held", reason)
-        while (order := await self._orders.get()) in {"hold", "estop"}:
-            pass
-        return order == "resume"
-
-    async def become(self, state: State, reason: str) -> None:
-        """Change state; whoever waits for an order to be obeyed is told."""
-        async with self._changed:
-            self.state, self.reason = state, reason
-            self._changed.notify_all()
-        stands = self.ending(state, reason) if state in {"held", "finished"} else Ending(state, reason, GONE)
-        self.bus.publish(Event("state", None, stands.facts()))
-
-    async def _order(self, order: Order, *until: State) -> Mapping[str, Any]:
-        """Give an order and answer when it is obeyed."""
-        self._cell.emergency = self._cell.emergency or order == "estop"
-        self._orders.put_nowait(order)
-        async with self._changed:
-            await self._changed.wait_for(lambda: self.state in until)
-        return {"state": self.state, "reason": self.reason, "next": NEXT.get(self.state, "")}
+            yield
+        finally:
+            for number in (signal.SIGTERM, signal.SIGINT):
+                loop.remove_signal_handler(number)
 
 
-async def run_cell(
-    config: CellConfig, hooks: Hooks, show: Callable[[Event], None] = lambda _: None, *, holds: bool = True
-) -> dict[str, Any]:
-    """Run the daemon of a cell to the end of its job; the summary as it is written to the run folder.
+@dataclass(frozen=True, slots=True)
+class _Ready:
+    """A cell of which all is read and nothing is open but its state folder, which ``kept`` gives back."""
 
-    ``show`` is told each event, for a person who watches. Without ``holds`` it ends where it would wait for a person.
+    run: CellRun
+    recipe: Recipe
+    program: Program
+    cell: Cell
+    journal: Journal
+    kept: ExitStack
+    context: Context
+    """Its tasks and threads run in it; its log knows its lines by it."""
 
-    Raises PolishdError only for what ended it before any device was opened; what ended it later is in the summary.
+
+async def run_cells(cells: Sequence[CellRun], *, holds: bool = True) -> list[dict[str, Any] | Exception]:
+    """Run the daemons of all cells to the ends of their jobs; one that ends does not end the others.
+
+    Without ``holds`` a daemon ends where it would wait for a person. The summaries, as they are written to the run
+    folders; an error in place of one that ended before any of its devices was opened.
+
+    Raises PolishdError where any of the cells cannot begin; nothing of any is opened then.
     """
+    with ExitStack() as kept:
+        ready = []
+        for run in cells:
+            context = copy_context()
+            ready.append(context.run(_made_ready, run, context, kept.enter_context(ExitStack())))
+        stopping = Stopping()
+        with loop_first(), stopping.signals():
+            async with asyncio.TaskGroup() as group:
+                tasks = [group.create_task(_run(one, stopping, holds=holds), context=one.context) for one in ready]
+    return [task.result() for task in tasks]
+
+
+def _made_ready(run: CellRun, context: Context, kept: ExitStack) -> _Ready:
+    config, hooks = run.config, run.hooks
     recipe = make_recipe(config, hooks)
     require_commissioned(config, recipe)
     program = read_program(recipe, config.program_path)
     require_fit(config, recipe, program)
     cell = build_cell(config, hooks)
     require_time_limits(config, cell)
-    with StateLock(config.state_dir), logging_to(config.state_dir), loop_first(), _journal(config, program) as journal:
-        folder = run_folder(config, journal)
-        bus = EventBus(hooks.on_event, show, sinks=(journal.record_event, keeping(config.state_dir, folder.path)))
-        try:
-            async with Compute() as compute:
-                job = Job(
-                    recipe,
-                    program,
-                    journal=journal,
-                    folder=folder,
-                    compute=compute,
-                    publish=bus.publish,
-                    check_plan=hooks.check_plan,
-                    contact=contact_limits(config),
-                    max_cycles=config.job.max_cycles,
-                    lookahead_s=config.job.lookahead_s,
-                )
-                await job.load()
-                return await _serve(config, Daemon(cell, job, journal, bus, holds=holds), folder)
-        finally:
-            await bus.close()
+    kept.enter_context(locked(config.state_dir))
+    kept.enter_context(logging_to(config.state_dir))
+    journal = kept.enter_context(_journal(config, program))
+    return _Ready(run, recipe, program, cell, journal, kept, context)
+
+
+async def _run(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[str, Any] | Exception:
+    """One cell to its end, which is no other's."""
+    try:
+        with ready.kept:
+            try:
+                return await _run_job(ready, stopping, holds=holds)
+            except Exception:
+                log.exception("the daemon could not begin, or not end as it should")
+                raise
+    except Exception as error:  # noqa: BLE001 - the others go on
+        return error
+
+
+async def _run_job(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[str, Any]:
+    config, hooks, journal = ready.run.config, ready.run.hooks, ready.journal
+    folder = run_folder(config, journal)
+    bus = EventBus(hooks.on_event, ready.run.show, sinks=(journal.record_event, keeping(config.state_dir, folder.path)))
+    try:
+        async with Compute() as compute:
+            job = Job(
+                ready.recipe,
+                ready.program,
+                journal=journal,
+                folder=folder,
+                compute=compute,
+                publish=bus.publish,
+                check_plan=hooks.check_plan,
+                contact=contact_limits(config),
+                max_cycles=config.job.max_cycles,
+                lookahead_s=config.job.lookahead_s,
+            )
+            await job.load()
+            daemon = Daemon(ready.cell, job, journal, bus, holds=holds)
+            with stopping.telling(daemon):
+                return await _serve(config, daemon, folder)
+    finally:
+        await bus.close()
 
 
 async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[str, Any]:
-    """Answer the socket and obey signals until the job ends; leave the cell safe, and a summary in the run folder."""
+    """Answer the socket until the job ends; leave the cell safe, and a summary in the run folder."""
     started = now()
     failure: Exception | None = None
     outcome = Outcome.STOPPED
-    async with serving(config.state_dir, daemon.verbs, daemon.bus), _signals(daemon.stop):
+    async with serving(config.state_dir, daemon.handlers, daemon.bus):
         try:
             await daemon.become("starting", "")
             outcome = await daemon.run()
@@ -297,7 +191,7 @@ async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[
             log.exception("the daemon ends")
             failure = error
             with suppress(PolishdError):  # a lost journal: that is what ended it
-                daemon.bus.publish(Event("failed", None, {"error": str(error), "kind": type(error).__name__}))
+                daemon.bus.publish(events.Failed(error=str(error), kind=type(error).__name__))
         last = daemon.last_words(outcome, failure)
         keep_ending(config.state_dir, {**last, "run_dir": str(folder.path)})
         summary = {
@@ -310,7 +204,7 @@ async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[
             **last,
         }
         try:
-            daemon.finish(outcome, folder, summary)
+            await daemon.finish(outcome, folder, summary)
         except (PolishdError, OSError) as error:
             log.exception("the run folder is not whole")
             summary["notes"] = [*summary["notes"], f"{folder.path} is not whole: {error}"]
@@ -346,15 +240,3 @@ def _journal(config: CellConfig, program: Program) -> Journal:
         journal.close()
         raise
     return journal
-
-
-@asynccontextmanager
-async def _signals(stop: Callable[[], None]) -> AsyncIterator[None]:
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, stop)
-    try:
-        yield
-    finally:
-        for number in (signal.SIGTERM, signal.SIGINT):
-            loop.remove_signal_handler(number)

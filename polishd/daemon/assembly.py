@@ -1,27 +1,28 @@
-"""From a config and its plugins to a cell, a recipe, and the limits of contact. Opens nothing."""
+"""From a config and its plugins to a cell whose devices have all that their ports ask. Opens nothing."""
 
 from __future__ import annotations
 
-from typing import TypeVar, cast
+from dataclasses import replace
+from typing import Any
 
-from polishd.config.cell import CellConfig
+from polishd.config.cell import PORTS, CellConfig, device_options, port_of
 from polishd.daemon.cell import Cell, MonotonicClock
-from polishd.daemon.devices import built
+from polishd.daemon.port_checks import lacking
 from polishd.daemon.safety import ContactLimits
 from polishd.daemon.time_limits import Limit, too_short
 from polishd.hooks.loader import Hooks
 from polishd.hookspecs import DeviceContext
-from polishd.model.errors import ConfigError
-from polishd.ports.devices import ForceActuator, Metrology, Robot, Spindle
+from polishd.model.errors import ConfigError, PluginError, PolishdError
+from polishd.ports.devices import Device
 from polishd.recipe.making import instrument_of
-
-T = TypeVar("T")
 
 
 def build_cell(config: CellConfig, hooks: Hooks) -> Cell:
     """The devices that the config names, not yet open; each has all that its port asks.
 
-    ConfigError or PluginError where one cannot be built, or lacks something.
+    Raises:
+        ConfigError: a section is wrong; names file, line and key.
+        PluginError: a device's plugin is: it raises something else, or the device lacks what the port asks.
     """
     context = DeviceContext(
         base_dir=config.base_dir,
@@ -30,22 +31,52 @@ def build_cell(config: CellConfig, hooks: Hooks) -> Cell:
         readers=tuple(hooks.surface_readers().values()),
         instrument=instrument_of(config),
     )
-    return Cell(
-        robot=cast(Robot, built(config, hooks, "robot", context)),
-        actuator=cast(ForceActuator, built(config, hooks, "actuator", context)),
-        spindle=cast(Spindle, built(config, hooks, "spindle", context)),
-        metrology=cast(Metrology, built(config, hooks, "metrology", context)),
-        clock=MonotonicClock(),
-    )
+    devices = {name: _built(config, hooks, name, context) for name in config.devices}
+    return Cell(devices, config.used, MonotonicClock())
+
+
+def _built(config: CellConfig, hooks: Hooks, name: str, context: DeviceContext) -> Device:
+    kind, options = device_options(config, name, hooks.device_types())
+    try:
+        device = kind.build(options, context)
+    except ConfigError as error:
+        raise config.error(_blamed(name, options, str(error)), str(error)) from error
+    except PolishdError:
+        raise
+    except Exception as error:  # a plugin may raise anything at all
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise _broken(config, hooks, name, f"cannot be built: {reason}") from error
+    port = PORTS[port_of(name)].protocol
+    if lacks := lacking(device, port):
+        raise _broken(config, hooks, name, f"{type(device).__name__} is no {port.__name__}: {'; '.join(lacks)}")
+    return device
+
+
+def _blamed(device: str, options: Any, problem: str) -> str:
+    """The key whose value the problem quotes; the section's where it quotes none."""
+    quoted = (key for key, value in options if isinstance(value, str) and repr(value) in problem)
+    return ".".join([device, *list(quoted)[:1]])
+
+
+def _broken(config: CellConfig, hooks: Hooks, device: str, what: str) -> PluginError:
+    kind = str(config.devices[device].type)
+    plugin = hooks.plugin_of("polishd_device_types", kind)
+    problem = f"plugin {plugin!r}, device type {kind!r}: {what}; mend the plugin (nothing was opened)"
+    return PluginError(str(config.error(f"{device}.type", problem)))
 
 
 def require_time_limits(config: CellConfig, cell: Cell) -> tuple[Limit, ...]:
-    """The chain of time limits; ConfigError with each one that is shorter than what it guards."""
-    chain = cell.limits.chain(config.job.lookahead_s)
-    found = [config.source.error(tuple(key.split(".")), problem) for key, problem in too_short(chain)]
-    if found:
+    """The job's chain of time limits; ConfigError with each one that is shorter than what it guards."""
+    chain = tuple(replace(limit, key=_of_role(cell, limit.key)) for limit in cell.limits.chain(config.job.lookahead_s))
+    if found := [str(config.error(key, problem)) for key, problem in too_short(chain)]:
         raise ConfigError("\n".join(found))
     return chain
+
+
+def _of_role(cell: Cell, key: str) -> str:
+    """``robot.stop_s`` as the key of the job's robot."""
+    port = port_of(key)
+    return key.replace(port, cell.used.get(port, port), 1)
 
 
 def contact_limits(config: CellConfig) -> ContactLimits:

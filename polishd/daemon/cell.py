@@ -1,4 +1,4 @@
-"""A cell: its devices behind their ports, and the clock. It knows nothing of a job."""
+"""A cell: its devices by name, those of them that a job uses, and the clock. It knows nothing of a job."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import asyncio
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
+from typing import cast
 
+from polishd.config.cell import PORTS, port_of
 from polishd.daemon.time_limits import TimeLimits
 from polishd.model.devices import Identity
 from polishd.model.errors import LinkError
@@ -31,44 +33,66 @@ class MonotonicClock:
 
 @dataclass(slots=True)
 class Cell:
-    """Devices of one cell. ``unsafe`` lists devices that did not confirm being safe when last asked."""
+    """Devices of one cell. All are opened, watched, made safe and closed; a job uses those of its roles."""
 
-    robot: Robot
-    actuator: ForceActuator
-    spindle: Spindle
-    metrology: Metrology
+    devices: Mapping[str, Device]
+    """By name (``robot``, or ``robot.left`` of several), in the order in which they are opened."""
+    used: Mapping[str, str]
+    """The name of the device that the job uses, by port."""
     clock: Clock
-    unsafe: tuple[str, ...] = field(default=())
+    identities: Mapping[str, Identity] = field(default_factory=dict)
+    """Who answered, since the cell was opened."""
+    unsafe: tuple[str, ...] = ()
+    """Devices that did not confirm being safe when last asked: ``name: why``."""
     emergency: bool = False
     """Motion is to stop at once, whatever the part costs: somebody asked for it."""
 
     @property
-    def limits(self) -> TimeLimits:
-        """How long things may take, as its devices state it."""
-        return TimeLimits(self.actuator.times, self.robot.times, self.spindle.times)
+    def robot(self) -> Robot:
+        """The job's."""
+        return cast(Robot, self.devices[self.used["robot"]])
 
     @property
-    def devices(self) -> Mapping[str, Device]:
-        """By port, in the order in which they are opened and made safe."""
-        return {
-            "actuator": self.actuator,
-            "robot": self.robot,
-            "spindle": self.spindle,
-            "metrology": self.metrology,
-        }
+    def actuator(self) -> ForceActuator:
+        """The job's."""
+        return cast(ForceActuator, self.devices[self.used["actuator"]])
 
-    async def open(self) -> dict[str, Identity]:
+    @property
+    def spindle(self) -> Spindle:
+        """The job's."""
+        return cast(Spindle, self.devices[self.used["spindle"]])
+
+    @property
+    def metrology(self) -> Metrology:
+        """The job's."""
+        return cast(Metrology, self.devices[self.used["metrology"]])
+
+    def at(self, port: str) -> list[str]:
+        """Names of all devices at a port."""
+        return [name for name in self.devices if port_of(name) == port]
+
+    @property
+    def acting(self) -> list[str]:
+        """Names of the devices that press, move or turn."""
+        return [name for name in self.devices if PORTS[port_of(name)].acts]
+
+    @property
+    def limits(self) -> TimeLimits:
+        """How long things may take in contact, as the job's devices state it."""
+        return TimeLimits(self.actuator.times, self.robot.times, self.spindle.times)
+
+    async def open(self) -> None:
         """Open and identify all devices; on the first failure close what was opened and raise."""
-        identities = {}
+        found = {}
         try:
             for name, device in self.devices.items():
                 async with _answering(name):
                     await device.open()
-                    identities[name] = await device.identify()
+                    found[name] = await device.identify()
         except BaseException:
             await self.close()
             raise
-        return identities
+        self.identities = found
 
     async def restore_links(self) -> None:
         """Open again what was lost meanwhile, and leave it safe. Only out of contact: nothing is retried in it."""

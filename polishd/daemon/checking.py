@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from polishd.config.cell import CellConfig
 from polishd.daemon.assembly import build_cell, require_time_limits
-from polishd.daemon.lock import StateLock
+from polishd.daemon.cell import Cell
+from polishd.daemon.lock import locked
 from polishd.daemon.priority import host
 from polishd.daemon.safety import make_safe
 from polishd.hooks.loader import Hooks
@@ -23,7 +25,8 @@ from polishd.recipe.recipe import Recipe
 def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
     """Read what the config names and compute along the program. Opens nothing; the first fault is raised."""
     recipe = make_recipe(config, hooks)
-    chain = require_time_limits(config, build_cell(config, hooks))
+    cell = build_cell(config, hooks)
+    chain = require_time_limits(config, cell)
     program = steps.read_program(recipe, config.program_path)
     foresight.check_pass(config, recipe, program)
     grid = steps.process_grid(recipe)
@@ -37,6 +40,7 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
             else {}
         ),
         "plugins": ", ".join(plugin.name for plugin in hooks.report.loaded),
+        "devices": _devices(cell),
         "instrument": _instrument(config, recipe),
         "program": f"{program.name}: {program.n} timed points, {program.lines} lines, time in the {program.encoding}",
         "covers": require_fit(config, recipe, program),
@@ -51,6 +55,11 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
     }
 
 
+def _devices(cell: Cell) -> str:
+    used = cell.used.values()
+    return ", ".join(name if name in used else f"{name} (not used by this job)" for name in cell.devices)
+
+
 def _instrument(config: CellConfig, recipe: Recipe) -> str:
     instrument = recipe.instrument
     if instrument is None or instrument.commissioned is None:
@@ -59,16 +68,16 @@ def _instrument(config: CellConfig, recipe: Recipe) -> str:
     return f"{instrument.name}: commissioned {record.at:%Y-%m-%d %H:%M} with {record.artefact}"
 
 
-async def probe_cell(config: CellConfig, hooks: Hooks) -> dict[str, Identity]:
+async def probe_cell(config: CellConfig, hooks: Hooks) -> Mapping[str, Identity]:
     """Connect to each device, identify it, leave it safe. DeviceError where one does not answer."""
     cell = build_cell(config, hooks)
     require_time_limits(config, cell)
-    with StateLock(config.state_dir):
-        identities = await cell.open()
+    with locked(config.state_dir):
+        await cell.open()
         try:
             await make_safe(cell)
         finally:
             await cell.close()
     if cell.unsafe:
         raise DeviceFault("not confirmed safe: " + "; ".join(cell.unsafe))
-    return identities
+    return cell.identities

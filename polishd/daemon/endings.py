@@ -7,24 +7,22 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from polishd.config.cell import port_of
 from polishd.daemon.journal import Journal
 from polishd.files import write_atomic
-from polishd.model.cycle import Event
 from polishd.model.errors import PolishdError
+from polishd.model.events import Event, StateChanged
 
 log = logging.getLogger(__name__)
 
 RECORD_NAME = "ending.json"
-GONE = tuple(f"{name}: no daemon lived to ask it" for name in ("actuator", "robot", "spindle"))
-"""While it polishes: what is known should the daemon be killed."""
-
 _AGAIN = "polishd run CELL.toml; it comes up held, and polishd resume CELL.toml starts with a new measurement"
 _OVER = "look at report.html in the run folder; this job is over, polishd run CELL.toml begins a new one"
 NEXT: Mapping[str, str] = {
@@ -42,31 +40,31 @@ NEXT: Mapping[str, str] = {
 """What to do, by state or outcome: nobody is told to resume where no daemon runs, nor to run where one is held."""
 
 
-@dataclass(frozen=True, slots=True)
-class Ending:
-    """How a cell stands where its daemon waits for a person, or has ended."""
+def standing(state: str, reason: str, unsafe: Sequence[str] | None) -> StateChanged:
+    """How a cell stands: ``state`` is the daemon's, or ``killed``, ``failed`` or the job's outcome where it has ended.
 
-    state: str
-    """``starting``, ``polishing``, ``held``, ``killed``, ``failed``, or the job's outcome."""
-    reason: str
-    unsafe: tuple[str, ...] | None
-    """``Cell.unsafe``; None: the cell was not opened, and no device was asked."""
+    ``unsafe`` is ``Cell.unsafe``; None: the cell was not opened, and no device was asked.
+    """
 
-    def facts(self) -> dict[str, Any]:
-        """For programs, and for ``console.last_words``."""
-        return {
-            "state": self.state,
-            "reason": self.reason,
-            "tool_off": self._confirmed("actuator"),
-            "robot_at_rest": self._confirmed("robot"),
-            "unsafe": list(self.unsafe or ()),
-            "next": NEXT.get(self.state, ""),
-        }
-
-    def _confirmed(self, device: str) -> str:
-        if self.unsafe is None:
+    def confirmed(port: str) -> str:
+        """By all devices at that port."""
+        if unsafe is None:
             return "not asked"
-        return "not confirmed" if any(entry.startswith(f"{device}:") for entry in self.unsafe) else "yes"
+        return "not confirmed" if any(port_of(entry.partition(":")[0]) == port for entry in unsafe) else "yes"
+
+    return StateChanged(
+        state=state,
+        reason=reason,
+        tool_off=confirmed("actuator"),
+        robot_at_rest=confirmed("robot"),
+        unsafe=list(unsafe or ()),
+        next=NEXT.get(state, ""),
+    )
+
+
+def gone(names: Iterable[str]) -> tuple[str, ...]:
+    """What is known of those devices should the daemon be killed while it polishes."""
+    return tuple(f"{name}: no daemon lived to ask it" for name in names)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +103,7 @@ def keeping(state_dir: Path, run_dir: Path) -> Callable[[Event], None]:
     """A sink for the bus that keeps what each change of state says, for the case that the daemon is killed."""
 
     def keep(event: Event) -> None:
-        if event.name == "state" and event.data["state"] != "finished":
+        if isinstance(event, StateChanged) and event.state != "finished":
             keep_ending(state_dir, {**event.data, "run_dir": str(run_dir)})
 
     return keep
@@ -122,7 +120,7 @@ def keep_ending(state_dir: Path, facts: Mapping[str, Any]) -> None:
             path.unlink()  # an older one would tell what is no longer so
 
 
-def last_ending(state_dir: Path) -> dict[str, Any]:
+def last_ending(state_dir: Path) -> Mapping[str, Any]:
     """What is known where no daemon runs: how the last one ended, or that it was killed."""
     path = state_dir / RECORD_NAME
     try:
@@ -131,11 +129,11 @@ def last_ending(state_dir: Path) -> dict[str, Any]:
         if state not in {"starting", "polishing", "held"}:
             return facts
         was = f"the daemon was killed, or its machine went down, while {state}{f': {reason}' if reason else ''}"
-        return {**facts, **Ending("killed", was, tuple(facts["unsafe"])).facts()}
+        return {**facts, **standing("killed", was, tuple(facts["unsafe"])).data}
     except FileNotFoundError:
-        return Ending("unknown", f"no daemon has left word in {state_dir}", None).facts()
+        return standing("unknown", f"no daemon has left word in {state_dir}", None).data
     except (OSError, ValueError, KeyError, TypeError) as error:
-        return Ending("unknown", f"{path} cannot be read: {error}", None).facts()
+        return standing("unknown", f"{path} cannot be read: {error}", None).data
 
 
 def as_json(found: tuple[Cause, ...]) -> list[dict[str, Any]]:

@@ -8,9 +8,9 @@ import queue
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from contextvars import copy_context
 
-from polishd.model.cycle import Event
+from polishd.model.events import Event
 
 log = logging.getLogger(__name__)
 
@@ -37,7 +37,7 @@ class EventBus:
 
     def publish(self, event: Event) -> None:
         """Tell everybody. Only a sink's own error (a lost journal) is raised, after all have been told."""
-        log.info("%s", event.name, extra={"event": as_json(event)})
+        log.info("%s", event.name, extra={"event": event.facts()})
         for subscriber in tuple(self._subscribers):
             if subscriber.qsize() >= SUBSCRIBER_EVENTS:
                 log.warning("a subscriber is %d events behind and was dropped", SUBSCRIBER_EVENTS)
@@ -88,7 +88,7 @@ class _Listener:
     def __init__(self, hear: Sink) -> None:
         self.told: queue.SimpleQueue[Event | None] = queue.SimpleQueue()
         self._hear = hear
-        self._thread = threading.Thread(target=self._listen, name="listener", daemon=True)
+        self._thread = threading.Thread(target=copy_context().run, args=(self._listen,), name="listener", daemon=True)
         self._thread.start()
 
     def end(self, within_s: float) -> None:
@@ -103,11 +103,6 @@ class _Listener:
                 self._hear(event)
             except Exception:
                 log.exception("telling the plugins of %s failed", event.name)
-
-
-def as_json(event: Event) -> dict[str, Any]:
-    """``{"name", "cycle", "data"}``."""
-    return {"name": event.name, "cycle": event.cycle, "data": dict(event.data)}
 
 
 async def _until_none(waiting: asyncio.Queue[Event | None]) -> AsyncIterator[Event]:

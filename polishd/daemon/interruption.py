@@ -25,16 +25,17 @@ async def settle(cell: Cell, journal: Journal) -> str:
     interrupted = journal.unfinished()
     if interrupted is None:
         return ""
-    remembered = await _remembered(cell, interrupted.program_sha256, interrupted.boot_id, interrupted.last_seq + 1)
+    tally, end = journal.tally(interrupted.cycle), interrupted.blocks - 1
+    begin = tally.last_seq + 1
+    remembered = await _remembered(cell, interrupted.program_sha256, interrupted.boot_id, begin)
     if remembered is None:
-        uncertain = f"{interrupted.last_seq + 1} to {interrupted.blocks - 1} (the robot has forgotten them)"
+        uncertain = f"{begin} to {end} (the robot has forgotten them)"
     else:
         journal.reconcile(interrupted.cycle, remembered)
-        last = interrupted.last_seq + len(remembered)
-        uncertain = f"{interrupted.last_seq + 1} to {min(last + 1, interrupted.blocks - 1)}"
+        uncertain = f"{begin} to {min(begin + len(remembered), end)}"
     journal.end_pass(interrupted.cycle, "interrupted")
     return (
-        f"pass {interrupted.cycle} was interrupted: {interrupted.done} of {interrupted.blocks} blocks are recorded as "
+        f"pass {interrupted.cycle} was interrupted: {tally.done} of {interrupted.blocks} blocks are recorded as "
         f"executed in contact; uncertain: blocks {uncertain}. None of them is run again"
     )
 

@@ -12,10 +12,11 @@ from polishd.daemon.compute import Compute
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import MapRecord, PassRecord
 from polishd.daemon.safety import ContactLimits
-from polishd.model.cycle import Event
+from polishd.model import events
 from polishd.model.devices import Executed, RobotProgress
 from polishd.model.dwell import KeptStart
 from polishd.model.errors import ConfigError, GateStop, PlanRefused
+from polishd.model.events import Event
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
@@ -111,13 +112,13 @@ class Job:
         """The map on the process grid; journalled and kept in the run folder."""
         measured = await self._compute(steps.condition, self.recipe, surface, self._masks, self._lay)
         arrays = await asyncio.to_thread(self._journal.arrays.put, surface_arrays(measured))
-        told = {"spikes": measured.spikes, "notes": list(measured.notes), "run_dir": str(self._folder.path)}
-        stats = {**asdict(measured.stats), **told}
-        self._journal.record_map(cycle, surface.sha256, surface.path or "", stats, arrays)
+        notes, run_dir = list(measured.notes), str(self._folder.path)
+        told = events.Measured(cycle=cycle, stats=measured.stats, spikes=measured.spikes, notes=notes, run_dir=run_dir)
+        self._journal.record_map(cycle, surface.sha256, surface.path or "", told.data, arrays)
         self._masks, self._lay = (measured.solve_mask, measured.metric_mask), measured.registration
         await self._for_people(save_surface, self._folder.cycle(cycle), surface, measured)
         await self._for_people(self._remake)
-        self._publish(Event("measured", cycle, stats))
+        self._publish(told)
         return measured
 
     def accepts(self, surface: Measured) -> bool:
@@ -151,12 +152,12 @@ class Job:
         folder = self._folder.cycle(cycle)
         await self._for_people(save_verdict, folder, taught.verdict, surface)
         if taught.learned is None:
-            self._publish(Event("gate_stopped", cycle, {"stop": taught.verdict.stop, "cycle_dir": str(folder.path)}))
+            self._publish(events.GateStopped(cycle=cycle, stop=taught.verdict.stop, cycle_dir=str(folder.path)))
             raise GateStop(f"{taught.verdict.stop} (see {folder.path / 'gate.png'})")
         self._beliefs = taught.beliefs
         learned = {"beliefs": asdict(self._beliefs), **asdict(taught.learned)}
         await self._for_people(folder.json, "learned.json", learned)
-        self._publish(Event("learned", cycle, asdict(self._beliefs)))
+        self._publish(events.Learned(cycle=cycle, **asdict(self._beliefs)))
 
     async def solve(self, cycle: int, surface: Measured) -> Solved:
         """Dwell with a certificate, kept in the run folder whether it will be used or not."""
@@ -170,7 +171,7 @@ class Job:
             within_s=dwell_step.limit(self.recipe),
         )
         await self._for_people(self._folder.cycle(cycle).json, "certificate.json", solved.dwell.certificate)
-        self._publish(Event("solved", cycle, asdict(solved.dwell.certificate)))
+        self._publish(events.Solved(cycle=cycle, certificate=solved.dwell.certificate))
         return solved
 
     async def plan(self, cycle: int, solved: Solved) -> Plan:
@@ -217,21 +218,21 @@ class Job:
             plan=planned.plan,
             start=planned.start,
         )
-        self._publish(Event("pass_begun", cycle, {"blocks": plan.contact_blocks, "dwell_s": plan.total_s}))
+        self._publish(events.PassBegun(cycle=cycle, blocks=plan.contact_blocks, dwell_s=plan.total_s))
 
     async def executed(self, cycle: int, block: Executed) -> None:
         """One block was executed in contact. Where many are told at once, others have their turns meanwhile."""
         self._journal.executed_segment(cycle, block, contact=True)
         self._blocks += 1
         if self._blocks % PROGRESS_BLOCKS == 0:
-            self._publish(Event("progress", cycle, {"block": block.seq + 1}))
+            self._publish(events.Progress(cycle=cycle, block=block.seq + 1))
             await asyncio.sleep(0)
 
     async def end_pass(self, cycle: int) -> None:
         """The pass is over, tool lifted, robot at rest."""
         self._journal.end_pass(cycle, "done")
         await self._for_people(self._save_executed, cycle)
-        self._publish(Event("pass_ended", cycle, {"executed_s": self._journal.contact_s(cycle)}))
+        self._publish(events.PassEnded(cycle=cycle, executed_s=self._journal.contact_s(cycle)))
 
     def executed_s(self, cycle: int) -> FloatArray:
         """(n,) process time that each timed point really had in that cycle's pass, s; 0 where it was not run."""

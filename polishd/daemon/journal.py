@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import time
 from collections.abc import AsyncIterator, Iterable, Iterator, Mapping
-from contextlib import asynccontextmanager
+from contextlib import AbstractContextManager, asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType, TracebackType
@@ -15,14 +16,17 @@ from typing import Any, NoReturn, Self
 import numpy as np
 
 from polishd.daemon.array_store import ArrayStore
-from polishd.daemon.journal_memory import Known, read_job, read_tally, unfinished
-from polishd.daemon.journal_records import ExecutedBlocks, Interrupted, MapRecord, PassRecord, PhaseRecord, Tally
+from polishd.daemon.journal_memory import Known, read_job, read_tally
+from polishd.daemon.journal_records import ExecutedBlocks, MapRecord, PassRecord, Tally
 from polishd.daemon.journal_schema import Connect, connect
 from polishd.daemon.journal_store import Row, Store
-from polishd.model.cycle import Event, Outcome, Phase
+from polishd.model.cycle import Outcome, Phase
 from polishd.model.devices import Executed
 from polishd.model.errors import PolishdError
+from polishd.model.events import Event
 from polishd.plain import plain
+
+log = logging.getLogger(__name__)
 
 JOURNAL_NAME, ARRAYS_NAME = "journal.sqlite", "store"
 NOTHING = Tally()
@@ -34,7 +38,7 @@ _INTENT = (
 _SEGMENT = "INSERT OR IGNORE INTO segment VALUES (?, ?, ?, ?, ?, ?, ?)"
 
 
-class Journal:
+class Journal(AbstractContextManager["Journal", None]):
     """One job's view of the journal.
 
     Any error of the disk raises SafetyStop, from then on from every method that goes to it: polishing stops.
@@ -62,7 +66,7 @@ class Journal:
         """Open the journal of a state folder, and go on with its unfinished job of that name, or begin a new one.
 
         ``terms`` is what the job is begun with (``same_job``): kept with a job of which nothing is measured yet.
-        A job of another name that was not finished is superseded. ConfigError where the file cannot be used.
+        A job of another name that was not finished is over then. ConfigError where the file cannot be used.
         """
         store, arrays = Store.open(state_dir / JOURNAL_NAME, connect), ArrayStore(state_dir / ARRAYS_NAME)
         try:
@@ -116,13 +120,17 @@ class Journal:
         return tuple(self._known.passes.values())
 
     @property
-    def phases(self) -> tuple[PhaseRecord, ...]:
-        """The phases of this job, in time order."""
-        return tuple(self._known.phases.values())
+    def phase_now(self) -> tuple[int | None, str | None]:
+        """The cycle and the phase that began last, in this run of the daemon or an earlier one."""
+        return self._known.phase or (None, None)
+
+    def tally(self, cycle: int) -> Tally:
+        """How much of that cycle's pass is recorded as executed."""
+        return self._known.tallies.get(cycle, NOTHING)
 
     def contact_s(self, cycle: int) -> float:
         """Process time of the blocks that were executed in contact in that cycle's pass."""
-        return self._known.tallies.get(cycle, NOTHING).contact_s
+        return self.tally(cycle).contact_s
 
     def executed(self, cycle: int) -> ExecutedBlocks:
         """What the robot executed in that cycle's pass; empty where there was none. Grows with it: call in a thread."""
@@ -135,20 +143,19 @@ class Journal:
         sql = "SELECT at, name, data FROM event WHERE job = ? AND name IN ('held', 'failed') ORDER BY id"
         return [(at, name, json.loads(data)) for at, name, data in self._store.read(sql, (self._job,))]
 
-    def unfinished(self) -> Interrupted | None:
+    def unfinished(self) -> PassRecord | None:
         """The pass that was begun and never ended, or None."""
-        return unfinished(self._known)
-
-    def finished(self) -> Outcome | None:
-        """How this job ended, or None while it has not."""
-        return None if self._known.outcome is None else Outcome(self._known.outcome)
+        return next((record for record in self.passes if record.ended_s is None), None)
 
     # what is recorded; all but executed_segment and record_event are durable when they return
 
     @asynccontextmanager
     async def phase(self, cycle: int, phase: Phase) -> AsyncIterator[None]:
         """Record start, end and error of a phase; what was buffered in it is durable at its end."""
-        number = self._insert_phase(cycle, phase)
+        sql, now = "INSERT INTO phase (job, cycle, phase, started) VALUES (?, ?, ?, ?)", time.time()
+        self._store.write((sql, (self._job, cycle, phase.value, now)))
+        ((number,),) = self._store.read("SELECT max(id) FROM phase")
+        self._known.phase = (cycle, phase.value)
         try:
             yield
         except BaseException as error:
@@ -203,7 +210,7 @@ class Journal:
         """A block was executed (buffered: durable within 0.25 s). One that is recorded already changes nothing."""
         row = self._segment(cycle, block, contact, recovered=False)
         self._store.buffer(row)
-        tally = self._known.tallies.get(cycle, NOTHING)
+        tally = self.tally(cycle)
         if block.seq > tally.last_seq:
             touching = row[1][5]
             seconds = tally.contact_s + touching * (block.end_s - block.start_s)
@@ -222,23 +229,20 @@ class Journal:
         if record.ended_s is None:
             self._known.passes[cycle] = replace(record, ended_s=now, how=how)
 
-    def reconcile(self, cycle: int, executed: Iterable[Executed]) -> int:
-        """Add blocks that the robot says it executed and the journal does not know; says how many were new."""
-        before = self._known.tallies.get(cycle, NOTHING).done
+    def reconcile(self, cycle: int, executed: Iterable[Executed]) -> None:
+        """Add blocks that the robot says it executed and the journal does not know."""
         self._store.write(*(self._segment(cycle, block, None, recovered=True) for block in executed))
         self._known.tallies[cycle] = read_tally(self._store, self._job, cycle)
-        return self._known.tallies[cycle].done - before
 
     def record_event(self, event: Event) -> None:
         """Keep an event (buffered)."""
         values = (self._job, time.time(), event.cycle, event.name, json.dumps(dict(event.data), default=plain))
         self._store.buffer(("INSERT INTO event (job, at, cycle, name, data) VALUES (?,?,?,?,?)", values))
 
-    def record_outcome(self, outcome: Outcome, detail: str = "") -> None:
+    def record_outcome(self, outcome: Outcome) -> None:
         """The job is over; the next Journal of this state folder begins a new one."""
-        sql = "UPDATE job SET ended = ?, outcome = ?, detail = ? WHERE id = ?"
-        self._store.write((sql, (time.time(), outcome.value, detail, self._job)))
-        self._known.outcome = outcome.value
+        sql = "UPDATE job SET ended = ?, outcome = ? WHERE id = ?"
+        self._store.write((sql, (time.time(), outcome.value, self._job)))
 
     def copy_to(self, path: Path) -> None:
         """A whole copy for the run folder."""
@@ -252,10 +256,6 @@ class Journal:
         """Make all durable and close; idempotent."""
         self._store.close()
 
-    def __enter__(self) -> Self:
-        """The journal is open already."""
-        return self
-
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
@@ -267,17 +267,9 @@ class Journal:
         self._store.write((sql, (part_id, json.dumps(dict(terms)), self._job)))
         self._known.terms = json.loads(json.dumps(dict(terms)))
 
-    def _insert_phase(self, cycle: int, phase: Phase) -> int:
-        sql, now = "INSERT INTO phase (job, cycle, phase, started) VALUES (?, ?, ?, ?)", time.time()
-        self._store.write((sql, (self._job, cycle, phase.value, now)))
-        number = int(self._store.read("SELECT max(id) FROM phase")[0][0])
-        self._known.phases[number] = PhaseRecord(cycle, phase.value, now, None, None, None)
-        return number
-
     def _end_phase(self, number: int, outcome: str, error: str | None) -> None:
-        sql, now = "UPDATE phase SET ended = ?, outcome = ?, error = ? WHERE id = ?", time.time()
-        self._store.write((sql, (now, outcome, error, number)))
-        self._known.phases[number] = replace(self._known.phases[number], ended_s=now, outcome=outcome, error=error)
+        sql = "UPDATE phase SET ended = ?, outcome = ?, error = ? WHERE id = ?"
+        self._store.write((sql, (time.time(), outcome, error, number)))
 
     def _segment(self, cycle: int, block: Executed, contact: bool | None, *, recovered: bool) -> Row:
         record = self._known.passes.get(cycle)
@@ -287,8 +279,10 @@ class Journal:
 
 
 def _begin(store: Store, job: str, part_id: str) -> int:
-    """A new row; a job that was not finished is over then."""
-    sql = "UPDATE job SET ended = ?, outcome = 'stopped', detail = 'superseded' WHERE outcome IS NULL"
+    """A new row; a job that was not finished is over then, and the log says so."""
+    for (name,) in store.read("SELECT name FROM job WHERE outcome IS NULL"):
+        log.warning("the job %r was not finished; %r takes its place", name, job)
+    sql = "UPDATE job SET ended = ?, outcome = 'stopped', detail = ? WHERE outcome IS NULL"
     new = "INSERT INTO job (name, part_id, terms, started) VALUES (?, ?, 'null', ?)"
-    store.write((sql, (time.time(),)), (new, (job, part_id, time.time())))
+    store.write((sql, (time.time(), f"{job} took its place")), (new, (job, part_id, time.time())))
     return int(store.read("SELECT max(id) FROM job")[0][0])

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from polishd.daemon.journal_records import Interrupted, MapRecord, PassRecord, PhaseRecord, Tally
+from polishd.daemon.journal_records import MapRecord, PassRecord, Tally
 from polishd.daemon.journal_store import Store
 
 
@@ -18,56 +18,36 @@ class Known:
     terms: Mapping[str, Any] | None
     """What the job was begun with (``same_job``); None: by a polishd that did not write it down."""
     run_dir: str
-    outcome: str | None
     last_map_id: str | None
     """Of any job."""
     maps: dict[int, MapRecord]
     """The last one of each cycle."""
     passes: dict[int, PassRecord]
-    phases: dict[int, PhaseRecord]
-    """By row, in time order."""
+    phase: tuple[int, str] | None
+    """The cycle and the phase that began last."""
     tallies: dict[int, Tally]
 
 
 def read_job(store: Store, job: int) -> Known:
     """All that is known of a job."""
-    ((terms, run_dir, outcome),) = store.read("SELECT terms, run_dir, outcome FROM job WHERE id = ?", (job,))
+    ((terms, run_dir),) = store.read("SELECT terms, run_dir FROM job WHERE id = ?", (job,))
     last = store.read("SELECT sha256 FROM map ORDER BY id DESC LIMIT 1")
     maps = "SELECT cycle, sha256, path, stats, taken, arrays FROM map WHERE job = ? ORDER BY id"
     passes = (
         "SELECT cycle, program_sha256, boot_id, blocks, contact_from, contact_to, facts, started, ended, how, plan, "
         "start FROM pass WHERE job = ? ORDER BY cycle"
     )
-    phases = "SELECT id, cycle, phase, started, ended, outcome, error FROM phase WHERE job = ? ORDER BY id"
+    phases = store.read("SELECT cycle, phase FROM phase WHERE job = ? ORDER BY id DESC LIMIT 1", (job,))
     begun = [_decoded(row, 6) for row in store.read(passes, (job,))]
     return Known(
         terms=json.loads(terms),
         run_dir=run_dir,
-        outcome=outcome,
         last_map_id=last[0][0] if last else None,
         maps={row[0]: MapRecord(*_decoded(row, 3)) for row in store.read(maps, (job,))},
         passes={row[0]: PassRecord(*row) for row in begun},
-        phases={row[0]: PhaseRecord(*row[1:]) for row in store.read(phases, (job,))},
+        phase=(phases[0][0], phases[0][1]) if phases else None,
         tallies={cycle: read_tally(store, job, cycle) for cycle, *_ in begun},
     )
-
-
-def unfinished(known: Known) -> Interrupted | None:
-    """The pass that was begun and never ended, or None."""
-    for record in known.passes.values():
-        if record.ended_s is None:
-            tally = known.tallies[record.cycle]
-            return Interrupted(
-                cycle=record.cycle,
-                program_sha256=record.program_sha256,
-                boot_id=record.boot_id,
-                blocks=record.blocks,
-                done=tally.done,
-                last_seq=tally.last_seq,
-                uncertain=tuple(range(tally.last_seq + 1, record.blocks)),
-                started_s=record.started_s,
-            )
-    return None
 
 
 def read_tally(store: Store, job: int, cycle: int) -> Tally:

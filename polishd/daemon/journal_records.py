@@ -1,4 +1,4 @@
-"""What the journal gives back: maps, passes, phases, and the blocks that were executed."""
+"""What the journal gives back: maps, passes, and the blocks that were executed."""
 
 from __future__ import annotations
 
@@ -22,18 +22,6 @@ class MapRecord:
     """Unix time."""
     arrays: str = ""
     """Name in the array store of what was made of it."""
-
-
-@dataclass(frozen=True, slots=True)
-class PhaseRecord:
-    """A phase of a cycle; times are Unix time, ``outcome`` is ``done``, ``failed``, ``cancelled`` or None."""
-
-    cycle: int
-    phase: str
-    started_s: float
-    ended_s: float | None
-    outcome: str | None
-    error: str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,29 +72,3 @@ class ExecutedBlocks:
     def duration_s(self) -> FloatArray:
         """(n,) process time of each block."""
         return self.end_s - self.start_s
-
-
-@dataclass(frozen=True, slots=True)
-class Interrupted:
-    """A pass that was begun and not ended: what was done, and what is uncertain and is not run again."""
-
-    cycle: int
-    program_sha256: str
-    boot_id: str
-    blocks: int
-    done: int
-    """Blocks with a record of their execution."""
-    last_seq: int
-    """The last of them; -1 for none."""
-    uncertain: tuple[int, ...]
-    """Sequence numbers that may have been executed after the last record."""
-    started_s: float
-
-    def __str__(self) -> str:
-        """For people."""
-        if not self.uncertain:
-            return f"cycle {self.cycle}: all {self.done} recorded blocks of {self.blocks} were executed"
-        return (
-            f"cycle {self.cycle}: {self.done} of {self.blocks} blocks are recorded as executed; "
-            f"blocks {self.uncertain[0]} to {self.uncertain[-1]} are uncertain and will not be run again"
-        )

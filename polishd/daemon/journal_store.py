@@ -10,7 +10,8 @@ from __future__ import annotations
 import asyncio
 import sqlite3
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn, Self
 
@@ -54,16 +55,11 @@ class Store:
 
     def write(self, *rows: Row) -> None:
         """Commit what is buffered and these rows in one transaction; durable when it returns."""
-        with self._use:
-            self._check()
+        with self._sound():
             with self._pending:
                 rows = (*self._buffer, *rows)
                 self._buffer.clear()
-            try:
-                self._transaction(rows)
-            except sqlite3.Error as error:
-                self._fail(error)
-                self._check()
+            self._transaction(rows)
 
     def buffer(self, row: Row) -> None:
         """Leave a row to the thread; durable within ``COMMIT_S`` seconds, or after ``write``."""
@@ -75,14 +71,9 @@ class Store:
 
     def read(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
         """All rows of a query, buffered ones included."""
-        with self._use:
-            self.write()
-            try:
-                return self._connection.execute(sql, values).fetchall()
-            except sqlite3.Error as error:
-                self._fail(error)
-                self._check()
-                raise
+        self.write()
+        with self._sound():
+            return self._connection.execute(sql, values).fetchall()
 
     def read_table(self, sql: str, values: Sequence[Any], width: int) -> FloatArray:
         """A query's rows as numbers, (n, width), buffered ones included.
@@ -90,16 +81,11 @@ class Store:
         Read piece by piece: whoever calls this in a thread leaves the event loop its turns.
         """
         pieces = [np.empty((0, width))]
-        with self._use:
-            self.write()
-            try:
-                cursor = self._connection.execute(sql, values)
-                while rows := cursor.fetchmany(COMMIT_ROWS):
-                    pieces.append(np.array(rows, dtype=np.float64))
-            except sqlite3.Error as error:
-                self._fail(error)
-                self._check()
-                raise
+        self.write()
+        with self._sound():
+            cursor = self._connection.execute(sql, values)
+            while rows := cursor.fetchmany(COMMIT_ROWS):
+                pieces.append(np.array(rows, dtype=np.float64))
         return np.concatenate(pieces)
 
     def copy_to(self, path: Path) -> None:
@@ -138,6 +124,17 @@ class Store:
                 self.write()
         finally:
             self._connection.close()
+
+    @contextmanager
+    def _sound(self) -> Iterator[None]:
+        """Use the connection, alone; SafetyStop where it is lost already, or is lost by that."""
+        with self._use:
+            self._check()
+            try:
+                yield
+            except sqlite3.Error as error:
+                self._fail(error)
+                self._check()
 
     def _transaction(self, rows: Sequence[Row]) -> None:
         if not rows:

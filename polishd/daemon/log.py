@@ -1,4 +1,4 @@
-"""The structured log: one JSON object a line in the state folder, for machines; times are UTC."""
+"""The structured log of a cell: one JSON object a line in its state folder, for machines; times are UTC."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import logging.handlers
 import queue
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from polishd.plain import plain
 LOG_NAME = "polishd.log"
 _MAX_BYTES = 10_000_000
 _KEPT = 5
+_cell: ContextVar[Path | None] = ContextVar("cell", default=None)
+"""The state folder of the cell at work."""
 
 
 class JsonLines(logging.Formatter):
@@ -37,10 +40,11 @@ class JsonLines(logging.Formatter):
 
 
 @contextmanager
-def logging_to(state_dir: Path, level: int = logging.INFO) -> Iterator[None]:
-    """Everything that polishd logs goes to ``state_dir/polishd.log`` (rotated) inside this block.
+def logging_to(state_dir: Path) -> Iterator[None]:
+    """What polishd logs of a cell goes to ``state_dir/polishd.log`` (rotated) inside this block.
 
-    A thread writes it: who logs in contact does not wait for the disk.
+    Of a cell is what is logged in this context: by the tasks and threads that begin in the block. What belongs to no
+    cell is in the log of each. A thread writes it: who logs in contact does not wait for the disk.
     """
     file = logging.handlers.RotatingFileHandler(
         state_dir / LOG_NAME, maxBytes=_MAX_BYTES, backupCount=_KEPT, encoding="utf-8"
@@ -48,16 +52,18 @@ def logging_to(state_dir: Path, level: int = logging.INFO) -> Iterator[None]:
     lines: queue.SimpleQueue[logging.LogRecord] = queue.SimpleQueue()
     handler = logging.handlers.QueueHandler(lines)
     handler.setFormatter(JsonLines())  # here, as things are now; what is queued is the line
+    handler.addFilter(lambda _: _cell.get() in {None, state_dir})
+    _cell.set(state_dir)
     writer = logging.handlers.QueueListener(lines, file)
     writer.start()
     logger = logging.getLogger("polishd")
-    before = logger.level
     logger.addHandler(handler)
-    logger.setLevel(level)
+    logger.setLevel(logging.INFO)
     try:
         yield
     finally:
-        logger.setLevel(before)
         logger.removeHandler(handler)
+        if not logger.handlers:  # else another cell still logs
+            logger.setLevel(logging.NOTSET)
         writer.stop()
         file.close()

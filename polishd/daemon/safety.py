@@ -12,19 +12,20 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import TypeVar, cast
 
 from polishd.daemon.cell import Cell
+from polishd.daemon.time_limits import safe_within_s
 from polishd.model.devices import ForceSample, SpeedSample
 from polishd.model.errors import DeviceFault, LinkError, PolishdError, SafetyStop
+from polishd.ports.devices import ForceActuator, Robot
 
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")
-Step = Callable[[], Awaitable[None]]
 
 LOOK_S = 0.05
 """Between two looks at a silence: it is counted in steps, so that a daemon that was stalled hears first."""
@@ -92,8 +93,9 @@ async def leave_contact(cell: Cell) -> None:
 async def make_safe(cell: Cell, *, in_contact: bool = False, silent: bool = False) -> None:
     """Tool lifted and spindle off side by side, and the robot stopped once the lift is confirmed; whatever fails.
 
-    ``in_contact``: where the actuator does not lift, the robot takes the tool away; ``silent``: it is known not to
-    answer, so the robot does that at once. ``cell.emergency``: motion stops at once, whatever the part costs.
+    All devices of the cell are asked. ``in_contact``: where the job's actuator does not lift, its robot takes the
+    tool away; ``silent``: it is known not to answer, so the robot does that at once. ``cell.emergency``: motion stops
+    at once, whatever the part costs.
 
     Runs to its end even if the caller is cancelled meanwhile; failures are logged and kept in ``cell.unsafe``.
     """
@@ -120,41 +122,49 @@ class _Leaving:
         self._silent = silent
         self._failures: dict[str, str] = {}
         self._lifted_mm = 0.0
-        """By the robot."""
+        """By the job's robot."""
 
     async def run(self) -> None:
         """Steps that do not depend on each other run side by side."""
-        cell, limits = self._cell, self._cell.limits
+        cell, tool = self._cell, self._cell.used["actuator"]
+        actuators, robots = cell.at("actuator"), cell.at("robot")
         async with asyncio.TaskGroup() as group:
-            group.create_task(self._step("spindle", cell.spindle.make_safe, limits.spindle_safe_s))
-            lifting = group.create_task(self._step("actuator", cell.actuator.make_safe, limits.actuator_safe_s))
-            group.create_task(self._stop_motion(lifting))
-        if "actuator" in self._failures and self._lifted_mm:
-            self._failures["actuator"] += f"; the robot has lifted the tool off the part by {self._lifted_mm:g} mm"
+            for name in cell.acting:
+                if name not in {*actuators, *robots}:
+                    group.create_task(self._step(name))
+            lifts = {name: group.create_task(self._step(name)) for name in actuators}
+            for name in robots:
+                group.create_task(self._stop_motion(name, lifts))
+        if tool in self._failures and self._lifted_mm:
+            self._failures[tool] += f"; the robot has lifted the tool off the part by {self._lifted_mm:g} mm"
         cell.unsafe = tuple(f"{name}: {self._failures[name]}" for name in cell.devices if name in self._failures)
 
-    async def _stop_motion(self, lifting: asyncio.Task[bool]) -> None:
+    async def _stop_motion(self, robot: str, lifts: Mapping[str, asyncio.Task[bool]]) -> None:
+        """Which tool an idle robot may hold is not known: it waits for all."""
+        used = self._cell.used
+        presses = self._in_contact and robot == used["robot"]
         if not self._cell.emergency:
-            await self._until_lifted(lifting)
-        await self._step("robot", self._cell.robot.make_safe, self._cell.limits.robot_safe_s)
+            its_own = {used["actuator"]: lifts[used["actuator"]]} if presses else lifts
+            await self._until_lifted(robot, its_own, presses=presses)
+        await self._step(robot)
 
-    async def _until_lifted(self, lifting: asyncio.Task[bool]) -> None:
+    async def _until_lifted(self, robot: str, lifts: Mapping[str, asyncio.Task[bool]], *, presses: bool) -> None:
         """Motion goes on meanwhile, along the program; off the part, where the actuator does not lift."""
-        begun_s = self._cell.clock.now_s()
-        if not self._silent and await lifting:
+        cell, begun_s = self._cell, self._cell.clock.now_s()
+        if not (presses and self._silent) and all([await lift for lift in lifts.values()]):
             return
-        if self._in_contact and await self._lifted_by_robot():
+        if presses and await self._lifted_by_robot():
             return
-        if self._in_contact or await self._moves():
-            let_go_s = begun_s + self._cell.limits.buffer_s
-            while self._cell.clock.now_s() < let_go_s and not (lifting.done() and lifting.result()):
-                await self._cell.clock.sleep(LOOK_S)
+        if presses or await self._moves(robot):
+            let_go_s = begun_s + max(cast(ForceActuator, cell.devices[name]).times.alone_s for name in lifts)
+            while cell.clock.now_s() < let_go_s and not all(lift.done() and lift.result() for lift in lifts.values()):
+                await cell.clock.sleep(LOOK_S)
 
     async def _lifted_by_robot(self) -> bool:
         """Whether the robot took the tool off the part."""
         limits = self._cell.limits
         try:
-            async with asyncio.timeout(limits.robot_safe_s):
+            async with asyncio.timeout(safe_within_s(limits.robot)):
                 await self._cell.robot.lift(limits.lift_mm)
         except Exception as error:  # noqa: BLE001 - a plugin may raise anything: then motion goes on
             log.warning(
@@ -164,19 +174,22 @@ class _Leaving:
         self._lifted_mm = limits.lift_mm
         return True
 
-    async def _moves(self) -> bool:
+    async def _moves(self, name: str) -> bool:
+        robot = cast(Robot, self._cell.devices[name])
         try:
-            async with asyncio.timeout(self._cell.limits.robot.silence_s):
-                return (await self._cell.robot.progress()).state == "running"
+            async with asyncio.timeout(robot.times.silence_s):
+                return (await robot.progress()).state == "running"
         except Exception as error:  # noqa: BLE001 - as above: it is asked to stop next
-            log.warning("the robot does not say whether it moves: %s", error)
+            log.warning("%s does not say whether it moves: %s", name, error)
             return False
 
-    async def _step(self, name: str, step: Step, within_s: float) -> bool:
+    async def _step(self, name: str) -> bool:
         """Whether the device confirmed."""
+        device = self._cell.devices[name]
+        within_s = safe_within_s(getattr(device, "times", None))
         try:
             async with asyncio.timeout(within_s):
-                await step()
+                await device.make_safe()
         except Exception as error:  # noqa: BLE001 - a plugin may raise anything: the others are asked all the same
             self._failures[name] = str(error) or f"no answer within {within_s:g} s"
             log.error("make_safe: %s did not confirm (%s); its own watchdog takes over", name, self._failures[name])

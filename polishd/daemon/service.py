@@ -1,7 +1,7 @@
 """The daemon's socket: JSON lines on a Unix socket that only its owner may open.
 
-Request: ``{"verb": "status"}``. Answer: ``{"ok": true, ...}`` or ``{"ok": false, "error": "..."}``. After the answer
-to ``subscribe`` come events, one a line: ``{"event": {"name", "cycle", "data"}}``, until either side ends.
+Request: see ``verbs``. Answer: ``{"ok": true, ...}`` or ``{"ok": false, "error": "..."}``. After the answer to
+``subscribe`` come events, one a line: ``{"event": {"name", "cycle", "data"}}``, until either side ends.
 """
 
 from __future__ import annotations
@@ -18,25 +18,26 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
-from polishd.config.places import did_you_mean, listed
-from polishd.daemon.events import EventBus, as_json
+from polishd.daemon.events import EventBus
 from polishd.daemon.sockets import LINE_BYTES, SOCKET_NAME, address_of
+from polishd.daemon.verbs import SUBSCRIBE, read_request
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.plain import plain
 
 log = logging.getLogger(__name__)
 
-Verb = Callable[[], Awaitable[Mapping[str, Any]]]
+Handler = Callable[..., Awaitable[Mapping[str, Any]]]
+"""What obeys a verb: called with its arguments by name."""
 
 WRITE_S = 5.0
 """A client that does not read for so long is dropped."""
 
 
 class Service:
-    """Answers ``verbs`` and ``subscribe``; made by ``serving``."""
+    """Answers by ``handlers``, and ``subscribe``; made by ``serving``."""
 
-    def __init__(self, verbs: Mapping[str, Verb], bus: EventBus) -> None:
-        self._verbs = verbs
+    def __init__(self, handlers: Mapping[str, Handler], bus: EventBus) -> None:
+        self._handlers = handlers
         self._bus = bus
         self._sessions: set[asyncio.Task[None]] = set()
         self._answering = 0
@@ -69,29 +70,25 @@ class Service:
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         while line := await reader.readline():
-            verb = _verb_of(line)
-            if verb == "subscribe":
+            try:
+                verb, arguments = read_request(line, [*self._handlers, SUBSCRIBE])
+            except ValueError as refusal:
+                await _send(writer, {"ok": False, "error": str(refusal)})
+                continue
+            if verb == SUBSCRIBE:
                 await self._subscribe(reader, writer)
                 return
             self._answering += 1
             try:
-                await _send(writer, await self._answer(verb))
+                await _send(writer, await self._answer(verb, arguments))
             finally:
                 self._answering -= 1
                 async with self._answered:
                     self._answered.notify_all()
 
-    async def _answer(self, verb: str | None) -> dict[str, Any]:
-        known = [*self._verbs, "subscribe"]
-        if verb is None:
-            return {
-                "ok": False,
-                "error": f'a request is one JSON object a line, {{"verb": ...}}; verbs: {listed(known)}',
-            }
-        if verb not in self._verbs:
-            return {"ok": False, "error": f"unknown verb {verb!r}{did_you_mean(verb, known)} Known: {listed(known)}"}
+    async def _answer(self, verb: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
         try:
-            return {"ok": True, **await self._verbs[verb]()}
+            return {"ok": True, **await self._handlers[verb](**arguments)}
         except PolishdError as error:
             return {"ok": False, "error": str(error), "exit_code": error.exit_code}
         except Exception as error:
@@ -110,10 +107,10 @@ class Service:
 
 
 @asynccontextmanager
-async def serving(state_dir: Path, verbs: Mapping[str, Verb], bus: EventBus) -> AsyncIterator[Path]:
+async def serving(state_dir: Path, handlers: Mapping[str, Handler], bus: EventBus) -> AsyncIterator[Path]:
     """Serve on ``state_dir/polishd.sock`` inside this block. Needs the folder's lock: a stale socket is removed."""
     path = state_dir / SOCKET_NAME
-    service = Service(verbs, bus)
+    service = Service(handlers, bus)
     server = await asyncio.start_unix_server(service.session, sock=_bind(path), limit=LINE_BYTES)
     try:
         yield path
@@ -143,19 +140,10 @@ def _bind(path: Path) -> socket.socket:
     return server
 
 
-def _verb_of(line: bytes) -> str | None:
-    try:
-        request = json.loads(line)
-    except ValueError:
-        return None
-    verb = request.get("verb") if isinstance(request, dict) else None
-    return verb if isinstance(verb, str) else None
-
-
 async def _tell(events: AsyncIterator[Any], writer: asyncio.StreamWriter) -> None:
     try:
         async for event in events:
-            await _send(writer, {"event": as_json(event)})
+            await _send(writer, {"event": event.facts()})
     except OSError:
         log.debug("a subscriber hung up")
 

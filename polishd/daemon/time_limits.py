@@ -43,9 +43,22 @@ class Limit:
         return {**asdict(self), "seconds": self.seconds if math.isfinite(self.seconds) else None}
 
 
+def safe_within_s(times: object) -> float:
+    """Longest that a device with those times may take to become safe (a robot also: to lift), and to confirm it."""
+    match times:
+        case ActuatorTimes():
+            return times.lifted_s + ANSWERS_S
+        case RobotTimes():
+            return times.stop_s + ANSWERS_S
+        case SpindleTimes():
+            return times.spin_s + ANSWERS_S
+        case _:
+            return ANSWERS_S
+
+
 @dataclass(frozen=True, slots=True)
 class TimeLimits:
-    """The daemon's own limits, derived from what its devices state."""
+    """The daemon's own limits, derived from what the job's devices state."""
 
     actuator: ActuatorTimes
     robot: RobotTimes
@@ -67,26 +80,10 @@ class TimeLimits:
         return self.actuator.stroke_mm + LIFT_MARGIN_MM
 
     @property
-    def actuator_safe_s(self) -> float:
-        """Longest that the actuator may take to become safe."""
-        return self.actuator.lifted_s + ANSWERS_S
-
-    @property
-    def robot_safe_s(self) -> float:
-        """Longest that the robot may take to stop, or to lift."""
-        return self.robot.stop_s + ANSWERS_S
-
-    @property
-    def spindle_safe_s(self) -> float:
-        """Longest that the spindle may take to stop."""
-        return self.spindle.spin_s + ANSWERS_S
-
-    @property
     def safe_s(self) -> float:
         """Longest from leaving contact until everything is told: lift, a robot that lifts instead, the stop."""
-        return max(
-            self.spindle_safe_s, self.actuator_safe_s + max(self.robot_safe_s, self.buffer_s) + self.robot_safe_s
-        )
+        lift_s, stop_s, rest_s = map(safe_within_s, (self.actuator, self.robot, self.spindle))
+        return max(rest_s, lift_s + max(stop_s, self.buffer_s) + stop_s)
 
     def chain(self, lookahead_s: float) -> tuple[Limit, ...]:
         """Each limit in the order in which they act, with what it must outlast."""

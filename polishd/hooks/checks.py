@@ -5,16 +5,16 @@ from __future__ import annotations
 import inspect
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any
 
 from polishd import hookspecs
+from polishd.config.cell import PORTS
 from polishd.config.places import did_you_mean, listed
 from polishd.hookspecs import (
     API_VERSION,
     PROJECT,
     DeviceType,
     DwellSolver,
-    Port,
     ProgramFormat,
     RemovalModel,
     SurfaceReader,
@@ -29,7 +29,6 @@ DECLARATIONS: dict[str, type[Any]] = {
     "polishd_dwell_solvers": DwellSolver,
 }
 """Hooks that declare records, and the kind of record."""
-_PORTS = frozenset(get_args(Port))
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +84,8 @@ def wrong_records(hook: str, records: Any) -> str | None:
 
 
 def _wrong_device(record: DeviceType) -> str | None:
-    if record.port not in _PORTS:
-        return f"port {record.port!r} does not exist; ports: {listed(_PORTS)}"
+    if record.port not in PORTS:
+        return f"port {record.port!r} does not exist; ports: {listed(PORTS)}"
     if not hasattr(record.options, "model_validate"):
         return "options must be a pydantic model"
     return None

@@ -17,8 +17,8 @@ from polishd import hookspecs
 from polishd.config.places import did_you_mean, listed
 from polishd.hooks.checks import DECLARATIONS, Refused, misspelt_hooks, wrong_records, wrong_version
 from polishd.hookspecs import PROJECT, DeviceType, DwellSolver, ProgramFormat, RemovalModel, SurfaceReader
-from polishd.model.cycle import Event
 from polishd.model.errors import PluginError
+from polishd.model.events import Event
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan
 

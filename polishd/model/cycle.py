@@ -1,11 +1,9 @@
-"""Phases and outcomes of a job, and what hooks are told."""
+"""Phases and outcomes of a job."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
 
 
 class Phase(StrEnum):
@@ -33,12 +31,3 @@ EXIT_CODES: Mapping[Outcome, int] = {
     Outcome.STOPPED: 1,
     Outcome.DIVERGED: 6,
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """Something that happened, for ``polishd_on_event``, the status socket and the log."""
-
-    name: str
-    cycle: int | None = None
-    data: Mapping[str, Any] = field(default_factory=dict)

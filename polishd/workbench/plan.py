@@ -14,8 +14,8 @@ from typing import Any
 from polishd.config.cell import CellConfig
 from polishd.files import require_writable, unwritable
 from polishd.hooks.loader import Hooks
-from polishd.model.cycle import Event
 from polishd.model.errors import ConfigError, PlanRefused, WrongPart
+from polishd.model.events import PlanWritten
 from polishd.model.program import Plan
 from polishd.model.surface import SurfaceMap
 from polishd.recipe import dwell_step, steps
@@ -66,7 +66,7 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
         folder.json("certificate.json", solved.dwell.certificate)
         save_plan(folder, recipe, plan, solved)
         folder.json("summary.json", summary)
-        hooks.on_event(Event("plan_written", None, {"run_dir": str(folder.path)}))
+        hooks.on_event(PlanWritten(run_dir=str(folder.path)))
     return summary
 
 

@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 from polishd.api import Device, ForceActuator, LinkError, Robot, Spindle
-from polishd.daemon.devices import PORTS
+from polishd.config.cell import PORTS
 from polishd.daemon.port_checks import lacking
 from tests.conformance.conftest import BOUND_S, PROMPT_S, within
 from tests.conformance.rigs import Rig
@@ -35,7 +35,7 @@ async def test_it_says_who_it_is(any_device: AnyRig) -> None:
 
 
 async def test_it_has_all_that_its_port_asks(any_device: AnyRig) -> None:
-    (port,) = (port for port in PORTS.values() if isinstance(any_device.device, port))
+    (port,) = (port.protocol for port in PORTS.values() if isinstance(any_device.device, port.protocol))
     assert lacking(any_device.device, port) == []
 
 

@@ -291,7 +291,7 @@ class FakeCell:
         self.actuator = FakeActuator(self.events, self.clock)
         self.spindle = FakeSpindle(self.events, self.clock)
         self.metrology = FakeMetrology(self.events, self.clock)
-        self.cell = Cell(self.robot, self.actuator, self.spindle, self.metrology, self.clock)
+        self.cell = Cell(self.devices, {name: name for name in self.devices}, self.clock)
 
     @property
     def devices(self) -> dict[str, FakeDevice]:

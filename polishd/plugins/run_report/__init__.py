@@ -10,24 +10,21 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from polishd.api import Event, PolishdError, hookimpl
+from polishd.api import Event, PolishdError, events, hookimpl
 
 POLISHD_API = 1
-
-REPORTED = frozenset({"job_finished", "plan_written"})
-"""Events that end with a report; their data names the folder as ``run_dir``."""
-STOPPED = "gate_stopped"
-"""The gate's: its data names the cycle's folder as ``cycle_dir``."""
 
 
 @hookimpl
 def polishd_on_event(event: Event) -> None:
     """Write the report, or the gate's picture, into the folder that the event names; other events pass by."""
-    if event.name == STOPPED:
-        _draw(str(event.data["cycle_dir"]), "gate")
-    run_dir = event.data.get("run_dir")
-    if event.name in REPORTED and run_dir:
-        _draw(str(run_dir))
+    match event:
+        case events.GateStopped():
+            _draw(event.cycle_dir, "gate")
+        case events.JobFinished() | events.PlanWritten():
+            _draw(event.run_dir)
+        case _:
+            pass
 
 
 def _draw(*arguments: str) -> None:

@@ -18,19 +18,13 @@ from polishd.config.simulator import load_simulator
 from polishd.config.study import load_study
 from polishd.console import demo, verbs
 from polishd.console.demo_files import DemoFiles, demo_program, with_values, write_demo
-from polishd.daemon import app as daemon_app
 from polishd.daemon import client
-from polishd.daemon.endings import GONE, RECORD_NAME, Cause, Ending, keep_ending
+from polishd.daemon.endings import RECORD_NAME, Cause, gone, keep_ending, standing
 from polishd.model import errors
 from polishd.model.errors import ConfigError, DeviceFault, PolishdError
 from polishd.plugins.rnc_robot.dialect import FOLDER, dialect
 from polishd.workbench import plan as planning
 from tests.unit.said import Polishd, Said
-
-SUMMARY = {
-    "outcome": "in_tolerance", "job": "demo", "cycles": [], "notes": [], "exit_code": 0, "run_dir": "runs/demo",
-    **Ending("in_tolerance", "", ()).facts(),
-}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -217,7 +211,7 @@ def test_no_daemon(polishd: Polishd, files: DemoFiles) -> None:
         ("cycles_used", (), "yes", "begins a new one"),
         ("failed", None, "not asked", "when that is mended: polishd run"),
         ("held", (), "yes", "look at the cell, then: polishd run"),
-        ("polishing", GONE, "not confirmed", "look at the cell, then: polishd run"),
+        ("polishing", gone(["actuator", "robot"]), "not confirmed", "look at the cell, then: polishd run"),
     ],
 )
 def test_status_where_no_daemon_runs_tells_how_the_last_one_ended(
@@ -225,7 +219,7 @@ def test_status_where_no_daemon_runs_tells_how_the_last_one_ended(
 ) -> None:
     files.state_dir.mkdir(exist_ok=True)
     cause = asdict(Cause("09:00", "SafetyStop", "force", ended=True))
-    keep_ending(files.state_dir, {**Ending(state, "why", unsafe).facts(), "run_dir": "runs/demo", "causes": [cause]})
+    keep_ending(files.state_dir, {**standing(state, "why", unsafe).data, "run_dir": "runs/demo", "causes": [cause]})
     said = polishd("status", files.cell, "--json")
     told = json.loads(said.out)
     killed = state in ("held", "polishing")
@@ -259,92 +253,42 @@ def test_status_where_nothing_is_known(polishd: Polishd, files: DemoFiles, conte
     record.unlink(missing_ok=True)
 
 
-@pytest.mark.parametrize("verb", ["hold", "resume", "stop"])
+@pytest.mark.parametrize("verb", ["hold", "resume", "stop", "estop"])
 def test_orders(polishd: Polishd, files: DemoFiles, verb: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[tuple[Path, str, float]] = []
+    asked: list[tuple[Path, str, float, dict[str, str]]] = []
 
-    def request(state_dir: Path, word: str, within_s: float) -> dict[str, Any]:
-        asked.append((state_dir, word, within_s))
+    def request(state_dir: Path, word: str, within_s: float, args: dict[str, str]) -> dict[str, Any]:
+        asked.append((state_dir, word, within_s, args))
         return {"ok": True, "state": "held"}
 
     monkeypatch.setattr(client, "request", request)
     assert json.loads(polishd(verb, files.cell, "--json").out) == {"ok": True, "state": "held"}
-    assert asked == [(files.state_dir, verb, client.ORDER_S)]
+    polishd(verb, files.cell, "--reason", "a scratch")
+    order = (files.state_dir, verb, client.ORDER_S)
+    assert asked == [(*order, {}), (*order, {"reason": "a scratch"})]
 
 
 def test_status(polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPatch) -> None:
-    answer = {"ok": True, "state": "held", "reason": "by order", "unsafe": [], "cycles": [{"rms_nm": 20.456}]}
+    answer = {
+        "ok": True,
+        "state": "held",
+        "reason": "by order",
+        "unsafe": [],
+        "cycles": [{"rms_nm": 20.456}],
+        "devices": {
+            "robot.left": {"vendor": "Acme", "model": "arm", "serial": "7", "used": True},
+            "robot.right": {"used": False},
+        },
+    }
     monkeypatch.setattr(client, "request", lambda state_dir, verb: answer)
     assert json.loads(polishd("status", files.cell, "--json").out) == answer
     people = polishd("status", files.cell).out
     assert "RMS 20.46 nm" in people
     assert "by order" in people
+    assert "robot.left" in people
+    assert "Acme arm 7" in people
+    assert "(not used by this job)" in people
     assert "unsafe" not in people, "nothing to say"
-
-
-@pytest.mark.parametrize(
-    ("outcome", "code"), [("in_tolerance", 0), ("cycles_used", 1), ("stopped", 1), ("diverged", 6)]
-)
-def test_run(polishd: Polishd, files: DemoFiles, outcome: str, code: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[str] = []
-
-    async def run_cell(config: Any, hooks: Any, *others: Any, **more: Any) -> dict[str, Any]:
-        seen.append(config.process.correction)
-        return SUMMARY | {"outcome": outcome, "exit_code": code}
-
-    monkeypatch.setattr(daemon_app, "run_cell", run_cell)
-    said = polishd("run", files.cell, "--json", "--correction", "linear")
-    assert (said.code, json.loads(said.out)["outcome"], seen) == (code, outcome, ["linear"])
-    *_, tool, robot, folder, after = said.err.splitlines()
-    assert [tool, robot, folder] == ["tool off the part: yes", "robot at rest: yes", "run folder: runs/demo"]
-    assert after.startswith("next: look at report.html")
-
-
-def test_the_last_lines_of_a_run_that_failed(
-    polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One device did not confirm: which one, what may be, what to do about it, and how to go on."""
-    facts = Ending("failed", "SafetyStop: force", ("actuator: no answer", "spindle: dead")).facts()
-    notes = ["09:00 ended: SafetyStop: force", "09:30 ended: LinkError: cut"]
-    asked: list[bool] = []
-
-    async def run_cell(*others: Any, holds: bool) -> dict[str, Any]:
-        asked.append(holds)
-        return SUMMARY | facts | {"outcome": "failed", "exit_code": 7, "notes": notes}
-
-    monkeypatch.setattr(daemon_app, "run_cell", run_cell)
-    said = polishd("run", files.cell, "--no-hold")
-    assert (said.code, asked) == (7, [False])
-    lines = said.err.splitlines()[-8:]
-    assert lines[:2] == ["polishd: 09:00 ended: SafetyStop: force", "polishd: 09:30 ended: LinkError: cut"]
-    assert lines[2:4] == ["tool off the part: not confirmed", "robot at rest: yes"]
-    assert lines[4].startswith("actuator did not confirm: no answer; the tool may press on the part: switch")
-    assert lines[5].startswith("spindle did not confirm: dead; it may still turn: switch its drive off")
-    assert lines[6] == "run folder: runs/demo"
-    assert f"polishd run {files.cell}; it comes up held, and polishd resume {files.cell}" in lines[7]
-
-
-CODES = {
-    "ConfigError": 3, "PluginError": 3, "PlanRefused": 4, "LinkError": 5, "DeviceFault": 5, "DeviceRefused": 5,
-    "ProtocolError": 5, "SafetyStop": 7, "BadMap": 8, "WrongPart": 8, "StaleMap": 8, "ProgramError": 9,
-    "ComputeError": 10, "PolishdError": 1,
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(("name", "code"), CODES.items())
-def test_each_error_has_its_code(
-    polishd: Polishd, files: DemoFiles, name: str, code: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async def run_cell(*arguments: Any, **more: Any) -> dict[str, Any]:
-        raise getattr(errors, name)("what, where, and what to do")
-
-    monkeypatch.setattr(daemon_app, "run_cell", run_cell)
-    said = polishd("run", files.cell, "--json")
-    assert (said.code, said.out) == (code, "")
-    assert said.err.splitlines()[-2:] == [
-        "polishd: what, where, and what to do",
-        "this run opened nothing, and moved nothing",
-    ]
 
 
 def test_probe_with_nobody_there(polishd: Polishd, files: DemoFiles) -> None:

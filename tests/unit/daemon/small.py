@@ -12,13 +12,15 @@ from typing import Any
 import numpy as np
 
 from polishd.config.sections import PartSection
+from polishd.daemon import app
 from polishd.daemon.cycle import polish
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.safety import ContactLimits
 from polishd.hookspecs import DwellSolver, RemovalAnswer, RemovalModel, RemovalRequest
-from polishd.model.cycle import Event, Outcome
+from polishd.model.cycle import Outcome
 from polishd.model.dwell import Certificate
+from polishd.model.events import Event
 from polishd.model.limits import Envelope
 from polishd.model.process import FLAT, SHIPPED_OPTIONS, Placement, ToolProcess
 from polishd.model.program import Plan, Program, Segment
@@ -166,6 +168,12 @@ def open_journal(tmp_path: Path) -> Journal:
     return Journal.open(tmp_path, job="small", part_id="P-1")
 
 
+def told_phases(journal: Journal) -> list[tuple[Any, ...]]:
+    """Cycle, phase, how it ended and over which error: of the open journal's job, in time order."""
+    sql = "SELECT cycle, phase, outcome, error FROM phase WHERE job = ? ORDER BY id"
+    return journal._store.read(sql, (journal._job,))
+
+
 class Bench:
     """A part that is really polished: each map is the one before, less what the last pass's blocks removed."""
 
@@ -207,7 +215,15 @@ class Bench:
         return self.surface
 
     def phases(self) -> list[str]:
-        return [f"{record.cycle} {record.phase} {record.outcome}" for record in self.journal.phases]
+        return [f"{cycle} {phase} {outcome}" for cycle, phase, outcome, _ in told_phases(self.journal)]
 
     def moved(self) -> list[str]:
         return self.fake.of(*MOVES)
+
+
+async def run_cell(config: Any, hooks: Any, *, holds: bool = True) -> dict[str, Any]:
+    """The daemon of one cell to its end: its summary; what ended it before anything was opened is raised."""
+    (found,) = await app.run_cells([app.CellRun(config, hooks)], holds=holds)
+    if isinstance(found, Exception):
+        raise found
+    return found

@@ -15,13 +15,15 @@ from typing import Any, Self
 import pytest
 
 from polishd.daemon import app, cell
-from polishd.daemon.app import Daemon, run_cell, run_folder
-from polishd.daemon.client import request_async
+from polishd.daemon.app import run_folder
+from polishd.daemon.client import request
+from polishd.daemon.daemon import Daemon
 from polishd.daemon.events import EventBus
 from polishd.daemon.journal import Journal
-from polishd.model.cycle import Event, Outcome
+from polishd.model.cycle import Outcome
 from polishd.model.devices import Executed
 from polishd.model.errors import BadMap, ConfigError, LinkError, PolishdError, SafetyStop
+from polishd.model.events import Event, Ordered
 from polishd.model.program import Program
 from tests.unit.daemon.small import (
     LIMITS,
@@ -30,6 +32,7 @@ from tests.unit.daemon.small import (
     accept,
     compute,
     open_journal,
+    run_cell,
     small_map,
     small_program,
     small_recipe,
@@ -187,7 +190,7 @@ async def test_a_lost_journal_ends_contact(bench: Bench, monkeypatch: pytest.Mon
 
 async def test_hold_leaves_contact_and_resume_measures_first(bench: Bench) -> None:
     async with Running(bench) as running:
-        verbs = running.daemon.verbs
+        verbs = running.daemon.handlers
         await running.in_contact()
         answer = await verbs["hold"]()
         assert answer["state"] == "held"
@@ -207,7 +210,7 @@ async def test_hold_leaves_contact_and_resume_measures_first(bench: Bench) -> No
 
 async def test_an_emergency_stop_by_order_stops_motion_before_the_tool_is_up(bench: Bench) -> None:
     async with Running(bench) as running:
-        verbs = running.daemon.verbs
+        verbs = running.daemon.handlers
         await running.in_contact()
         stopped: list[bool] = []
         bench.fake.robot.acts.before["make_safe"] = lambda: stopped.append(bench.fake.actuator.retracted)
@@ -218,6 +221,38 @@ async def test_an_emergency_stop_by_order_stops_motion_before_the_tool_is_up(ben
         await verbs["resume"]()
         assert await running.outcome() is Outcome.IN_TOLERANCE
     assert stopped[-1], "the next time the tool is lifted first again"
+
+
+async def test_the_reason_of_an_order_is_kept_and_shown(bench: Bench) -> None:
+    async with Running(bench) as running:
+        orders = running.daemon.handlers
+        await running.in_contact()
+        answer = await orders["hold"](reason="a scratch\n at 3 o'clock")
+        assert answer["reason"].startswith("held by order: a scratch at 3 o'clock; pass 0 was interrupted")
+        assert (await running.daemon.status())["reason"] == answer["reason"]
+        await orders["hold"](reason="ask Ada")
+        while "Ada" not in running.daemon.reason:  # noqa: ASYNC110
+            await asyncio.sleep(0)
+        assert running.daemon.reason == f"{answer['reason']}; held by order: ask Ada"
+        stop = asyncio.create_task(orders["stop"](reason="Ada said so"))
+        assert await running.outcome() is Outcome.STOPPED
+        stop.cancel()
+        assert running.daemon.last_words(Outcome.STOPPED, None)["reason"].startswith("stopped by order: Ada said so; ")
+    given = [(event.order, event.reason) for event in running.told if isinstance(event, Ordered)]
+    assert given == [("hold", "a scratch at 3 o'clock"), ("hold", "ask Ada"), ("stop", "Ada said so")]
+
+
+async def test_an_order_is_obeyed_though_it_cannot_be_written_down(bench: Bench) -> None:
+    async with Running(bench) as running:
+        await running.in_contact()
+
+        def lost(event: Event) -> None:
+            if isinstance(event, Ordered):
+                raise SafetyStop("journal lost")
+
+        running.daemon.bus._sinks = (lost,)
+        assert (await running.daemon.handlers["hold"]())["state"] == "held"
+        running.daemon.bus._sinks = ()
 
 
 async def test_hold_between_passes_goes_on_with_the_same_cycle(bench: Bench) -> None:
@@ -231,9 +266,9 @@ async def test_hold_between_passes_goes_on_with_the_same_cycle(bench: Bench) -> 
 
     async with Running(bench, compute=slow, recipe=small_recipe(tolerance_nm=1e-6), max_cycles=2) as running:
         await waiting.wait()
-        answer = await running.daemon.verbs["hold"]()
+        answer = await running.daemon.handlers["hold"]()
         assert answer["reason"].startswith("held by order")
-        await running.daemon.verbs["resume"]()
+        await running.daemon.handlers["resume"]()
         assert await running.outcome() is Outcome.CYCLES_USED
     assert [record.how for record in bench.journal.passes] == ["done", "done"]
 
@@ -244,27 +279,27 @@ async def test_stop_in_contact(bench: Bench) -> None:
         running.daemon.stop()
         assert await running.outcome() is Outcome.STOPPED
     assert bench.fake.events[-7:] == [*SAFE, *CLOSED]
-    assert bench.journal.finished() is None, "it can be gone on with"
+    assert bench.journal._store.read("SELECT outcome FROM job") == [(None,)], "it can be gone on with"
 
 
 @pytest.mark.parametrize("order", ["resume", "stop"])
 async def test_orders_while_held(bench: Bench, order: str) -> None:
     async with Running(bench) as running:
         await running.in_contact()
-        await running.daemon.verbs["hold"]()
-        assert (await running.daemon.verbs["hold"]())["state"] == "held", "held already"
+        await running.daemon.handlers["hold"]()
+        assert (await running.daemon.handlers["hold"]())["state"] == "held", "held already"
         if order == "stop":
             running.daemon.stop()
             assert await running.outcome() is Outcome.STOPPED
         else:
-            await running.daemon.verbs["resume"]()
+            await running.daemon.handlers["resume"]()
             assert await running.outcome() is Outcome.IN_TOLERANCE
 
 
 async def test_resume_while_polishing_changes_nothing(bench: Bench) -> None:
     async with Running(bench) as running:
         await running.in_contact()
-        assert (await running.daemon.verbs["resume"]())["state"] == "polishing"
+        assert (await running.daemon.handlers["resume"]())["state"] == "polishing"
         assert await running.outcome() is Outcome.IN_TOLERANCE
     assert running.states() == ["polishing"]
 
@@ -298,7 +333,7 @@ async def test_a_job_that_was_begun_earlier_comes_up_held(tmp_path: Path) -> Non
         async with Running(Bench(tmp_path, journal)) as running:
             await running.held()
             assert "begun earlier" in running.daemon.reason
-            await running.daemon.verbs["resume"]()
+            await running.daemon.handlers["resume"]()
             assert await running.outcome() is Outcome.IN_TOLERANCE
 
 
@@ -441,7 +476,7 @@ async def test_stop_over_the_socket_is_answered(site: Site) -> None:
     async with asyncio.TaskGroup() as group:
         task = group.create_task(run_cell(site.config, site.hooks))
         await site.in_contact()
-        assert (await request_async(site.config.state_dir, "stop"))["state"] == "finished"
+        assert (await asyncio.to_thread(request, site.config.state_dir, "stop"))["state"] == "finished"
     assert task.result()["outcome"] == "stopped"
 
 

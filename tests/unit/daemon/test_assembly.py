@@ -16,7 +16,7 @@ from polishd.config.sections import LimitsSection
 from polishd.console.demo_files import demo_program, with_values
 from polishd.daemon import checking
 from polishd.daemon.assembly import build_cell, contact_limits
-from polishd.daemon.lock import StateLock
+from polishd.daemon.lock import locked
 from polishd.daemon.priority import host
 from polishd.hooks.loader import Hooks, load_own, load_plugins
 from polishd.hookspecs import DeviceContext, DeviceType
@@ -26,6 +26,8 @@ from polishd.ports.devices import Device, ForceActuator, Robot, Spindle
 from polishd.recipe.making import make_recipe, require_commissioned
 from tests.commissioned import commissioned
 from tests.fakes.devices import FakeCell
+
+TWO_ROBOTS = Path(__file__).parents[3] / "examples" / "two_robots.toml"
 
 
 @pytest.fixture(scope="module")
@@ -133,6 +135,29 @@ def test_the_cell_has_what_the_config_names_and_opens_nothing(configured: Any, h
     assert list(cell.devices) == ["actuator", "robot", "spindle", "metrology"]
 
 
+def test_a_cell_with_two_robots_is_accepted(tmp_path: Path, hooks: Hooks) -> None:
+    """The shipped example; the job's limits are its own devices'."""
+    small = TWO_ROBOTS.read_text().replace("aperture_mm = 100.0", "aperture_mm = 30.0")
+    path = tmp_path / "two_robots.toml"
+    path.write_text(small.replace("[process]", "[process]\ngrid_mm = 2.0"))
+    config = load_config(path)
+    config.program_path.write_bytes(demo_program(config))
+    facts = checking.check_cell(config, hooks)
+    assert facts["devices"] == (
+        "actuator.left, actuator.right (not used by this job), robot.left, robot.right (not used by this job), "
+        "spindle.left, spindle.right (not used by this job), metrology"
+    )
+    keys = [limit["key"] for limit in facts["time limits"]]
+    assert {"actuator.left.retract_s", "robot.left.watchdog_s", "job.lookahead_s"} <= set(keys)
+    cell = build_cell(config, hooks)
+    assert cell.robot is cell.devices["robot.left"]
+    right = config.path.read_text().replace('= "left"', '= "right"')
+    path.write_text(right.replace("retract_s = 3.0", "retract_s = 9.0"))
+    line = path.read_text().splitlines().index("[robot.right]") + 1
+    with pytest.raises(ConfigError, match=rf"two_robots.toml:{line}: robot.right.watchdog_s: .* at least 10.7 s"):
+        checking.check_cell(load_config(path), hooks)
+
+
 @pytest.mark.parametrize(
     ("section", "values", "says"),
     [
@@ -232,7 +257,7 @@ async def test_probe_tells_what_is_not_safe(configured: Any, hooks: Hooks, fake:
 
 async def test_probe_does_not_disturb_a_running_daemon(configured: Any, hooks: Hooks, fake: FakeCell) -> None:
     config = configured()
-    with StateLock(config.state_dir), pytest.raises(ConfigError, match="another polishd"):
+    with locked(config.state_dir), pytest.raises(ConfigError, match="another polishd"):
         await checking.probe_cell(config, hooks)
     assert fake.events == []
 

@@ -214,7 +214,7 @@ async def test_force_lost_in_contact(bench: Bench) -> None:
     assert bench.phases()[-1] == "0 run failed"
     unfinished = bench.journal.unfinished()
     assert unfinished is not None
-    assert unfinished.last_seq == bench.fake.robot.done - 1
+    assert bench.journal.tally(unfinished.cycle).last_seq == bench.fake.robot.done - 1
 
 
 async def test_the_feeder_dies_in_contact(bench: Bench) -> None:

@@ -15,8 +15,7 @@ from typing import Any
 import pytest
 
 from polishd.daemon import app
-from polishd.daemon.app import run_cell
-from polishd.daemon.client import request_async
+from polishd.daemon.client import request
 from polishd.daemon.endings import RECORD_NAME, last_ending
 from polishd.daemon.journal import Journal
 from polishd.model import errors
@@ -35,7 +34,7 @@ from polishd.model.errors import (
     SurfaceError,
 )
 from polishd.model.surface import SurfaceMap
-from tests.unit.daemon.small import Bench, open_journal, small_recipe
+from tests.unit.daemon.small import Bench, open_journal, run_cell, small_recipe
 from tests.unit.daemon.test_app import SAFE, Running, Site
 
 
@@ -87,7 +86,7 @@ async def test_what_a_person_can_mend_holds_and_resume_goes_on(bench: Bench, err
         assert "polishd resume CELL.toml" in status["next"]
         assert bench.fake.events[-3:] == SAFE
         assert bench.moved() == []
-        assert (await running.daemon.verbs["resume"]())["state"] == "polishing"
+        assert (await running.daemon.handlers["resume"]())["state"] == "polishing"
         assert await running.outcome() is Outcome.IN_TOLERANCE
     held = next(event for event in running.told if event.name == "held")
     assert held.data == {"error": str(error), "kind": type(error).__name__}
@@ -101,7 +100,7 @@ async def test_a_map_that_is_late_again_holds_again(bench: Bench) -> None:
     async with Running(bench) as running:
         for _ in range(2):
             await running.held()
-            await running.daemon.verbs["resume"]()
+            await running.daemon.handlers["resume"]()
         assert await running.outcome() is Outcome.IN_TOLERANCE
     assert running.states() == ["polishing", "held", "polishing", "held", "polishing"]
 
@@ -116,12 +115,12 @@ async def test_a_link_that_was_lost_is_opened_again_before_anybody_measures(benc
         await running.held()
         assert "LinkError: spindle: gone" in running.daemon.reason
         maps = len(bench.fake.of("next_map"))
-        await running.daemon.verbs["resume"]()
+        await running.daemon.handlers["resume"]()
         await running.held()
         assert len(bench.fake.of("next_map")) == maps, "nobody measures for a cell that cannot polish"
         bench.fake.metrology.acts.before.clear()
         spindle.fails.clear()
-        await running.daemon.verbs["resume"]()
+        await running.daemon.handlers["resume"]()
         assert await running.outcome() is Outcome.IN_TOLERANCE
     assert bench.fake.cell.unsafe == ()
 
@@ -147,9 +146,9 @@ async def test_stopped_after_it_was_mended_it_is_stopped(bench: Bench) -> None:
     bench.fake.metrology.measure = failing(bench, StaleMap("late"))
     async with Running(bench) as running:
         await running.held()
-        await running.daemon.verbs["resume"]()
+        await running.daemon.handlers["resume"]()
         await running.in_contact()
-        await running.daemon.verbs["hold"]()
+        await running.daemon.handlers["hold"]()
         running.daemon.stop()
         assert await running.outcome() is Outcome.STOPPED
 
@@ -246,7 +245,7 @@ async def waits(site: Site) -> dict[str, Any]:
     """The status of the site's daemon once it is held."""
     while not (site.config.state_dir / RECORD_NAME).exists() or last_record(site)["state"] != "held":  # noqa: ASYNC110
         await asyncio.sleep(0)
-    return await request_async(site.config.state_dir, "status")
+    return await asyncio.to_thread(request, site.config.state_dir, "status")
 
 
 def last_record(site: Site) -> dict[str, Any]:
@@ -301,7 +300,7 @@ async def test_held_over_an_error_and_stopped_is_one_cause_and_its_code(site: Si
     async with asyncio.TaskGroup() as group:
         task = group.create_task(run_cell(site.config, site.hooks))
         assert "StaleMap: late" in (await waits(site))["reason"]
-        assert (await request_async(site.config.state_dir, "stop"))["state"] == "finished"
+        assert (await asyncio.to_thread(request, site.config.state_dir, "stop"))["state"] == "finished"
     summary = task.result()
     assert (summary["outcome"], summary["exit_code"]) == ("failed", 8)
     assert [(cause["kind"], cause["ended"]) for cause in summary["causes"]] == [("StaleMap", True)]
@@ -379,7 +378,7 @@ async def test_an_interrupted_pass_costs_none_of_max_cycles_and_is_marked(tmp_pa
         again.surface = bench.surface
         async with Running(again, **changes) as running:
             await running.held()
-            await running.daemon.verbs["resume"]()
+            await running.daemon.handlers["resume"]()
             assert await running.outcome() is Outcome.CYCLES_USED
         cycles = running.daemon.figures()["cycles"]
     assert [cycle["how"] for cycle in cycles] == ["interrupted", "done", "done", None]

@@ -6,6 +6,7 @@ import asyncio
 import json
 import logging
 import threading
+from contextvars import copy_context
 from pathlib import Path
 
 import pytest
@@ -13,15 +14,15 @@ import pytest
 from polishd.daemon import events
 from polishd.daemon.events import EventBus
 from polishd.daemon.log import logging_to
-from polishd.model.cycle import Event
 from polishd.model.errors import SafetyStop
+from polishd.model.events import Event, JobFinished, Progress
 
 
 async def test_all_are_told_in_order() -> None:
     plugins: list[Event] = []
     sink: list[Event] = []
     bus = EventBus(plugins.append, sinks=(sink.append,))
-    happened = [Event(f"e{n}", n, {"n": n}) for n in range(20)]
+    happened = [Progress(cycle=1, block=n) for n in range(20)]
     with bus.subscription() as one, bus.subscription() as two:
         for event in happened:
             bus.publish(event)
@@ -34,21 +35,21 @@ async def test_all_are_told_in_order() -> None:
 
 async def test_a_busy_plugin_holds_up_nothing() -> None:
     entered, release = threading.Event(), threading.Event()
-    told: list[str] = []
+    told: list[int] = []
 
     def busy(event: Event) -> None:
         entered.set()
         assert release.wait(30)
-        told.append(event.name)
+        told.append(event.facts()["data"]["block"])
 
     bus = EventBus(busy)
-    bus.publish(Event("one"))
+    bus.publish(Progress(block=1))
     assert entered.wait(30)
-    bus.publish(Event("two"))  # returns although the plugin is busy
+    bus.publish(Progress(block=2))  # returns although the plugin is busy
     assert told == []
     release.set()
     await bus.close()
-    assert told == ["one", "two"]
+    assert told == [1, 2]
 
 
 async def test_a_hanging_plugin_is_left_behind(caplog: pytest.LogCaptureFixture) -> None:
@@ -58,7 +59,7 @@ async def test_a_hanging_plugin_is_left_behind(caplog: pytest.LogCaptureFixture)
         assert release.wait(30)
 
     bus = EventBus(hangs)
-    bus.publish(Event("one"))
+    bus.publish(Progress(block=1))
     await bus.close(within_s=0.05)
     assert "still busy" in caplog.text
     release.set()
@@ -66,17 +67,17 @@ async def test_a_hanging_plugin_is_left_behind(caplog: pytest.LogCaptureFixture)
 
 
 async def test_a_raising_listener_is_logged_and_told_again(caplog: pytest.LogCaptureFixture) -> None:
-    told: list[str] = []
+    told: list[int] = []
 
     def raises(event: Event) -> None:
-        told.append(event.name)
+        told.append(event.facts()["data"]["block"])
         raise RuntimeError("oh")
 
     bus = EventBus(raises)
-    bus.publish(Event("one"))
-    bus.publish(Event("two"))
+    bus.publish(Progress(block=1))
+    bus.publish(Progress(block=2))
     await bus.close()
-    assert told == ["one", "two"]
+    assert told == [1, 2]
     assert caplog.text.count("RuntimeError: oh") == 2
 
 
@@ -87,9 +88,9 @@ async def test_a_lost_journal_is_heard_after_all_were_told() -> None:
     plugins: list[Event] = []
     bus = EventBus(plugins.append, sinks=(lost,))
     with pytest.raises(SafetyStop):
-        bus.publish(Event("one"))
+        bus.publish(Progress(block=1))
     await bus.close()
-    assert [event.name for event in plugins] == ["one"]
+    assert plugins == [Progress(block=1)]
 
 
 async def test_a_subscriber_far_behind_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -97,8 +98,8 @@ async def test_a_subscriber_far_behind_is_dropped(monkeypatch: pytest.MonkeyPatc
     bus = EventBus()
     with bus.subscription() as slow:
         for n in range(8):
-            bus.publish(Event(f"e{n}"))
-        assert [event.name async for event in slow] == ["e1", "e2", "e3", "e4"]
+            bus.publish(Progress(block=n))
+        assert [event async for event in slow] == [Progress(block=n) for n in (1, 2, 3, 4)]
     assert not bus._subscribers
 
 
@@ -108,7 +109,7 @@ async def test_closed_bus_ends_subscriptions_at_once() -> None:
     await bus.close()
     with bus.subscription() as late:
         assert [event async for event in late] == []
-    bus.publish(Event("late"))
+    bus.publish(Progress(block=1))
 
 
 async def test_subscription_waits_for_what_comes() -> None:
@@ -116,14 +117,59 @@ async def test_subscription_waits_for_what_comes() -> None:
     with bus.subscription() as waiting:
         task = asyncio.ensure_future(anext(waiting))
         await asyncio.sleep(0)
-        bus.publish(Event("now"))
-        assert (await task).name == "now"
+        bus.publish(Progress(block=1))
+        assert await task == Progress(block=1)
     await bus.close()
+
+
+async def test_a_line_of_one_cell_is_in_no_others_log(tmp_path: Path) -> None:
+    """Whoever logs it: a task, a thread of one, a plugin that hears of an event."""
+    logger = logging.getLogger("polishd.somewhere")
+    ready = asyncio.Barrier(2)
+
+    async def cell(name: str) -> None:
+        folder = tmp_path / name
+        folder.mkdir()
+        with logging_to(folder):
+            await ready.wait()
+            bus = EventBus(lambda event: logger.info("%s plugin", name))
+            bus.publish(Progress(block=1))
+            logger.info("%s task", name)
+            await asyncio.to_thread(logger.info, "%s thread", name)
+            await bus.close()
+            if name == "a":
+                await ready.wait()
+            else:
+                threading.Thread(target=logger.info, args=("of no cell",)).start()
+                await ready.wait()
+        if name == "b":  # the other one has ended, or ends now
+            logger.info("after")
+
+    async with asyncio.TaskGroup() as group:
+        for name in ("a", "b"):
+            group.create_task(cell(name))
+    for name in ("a", "b"):
+        said = [json.loads(line)["message"] for line in (tmp_path / name / "polishd.log").read_text().splitlines()]
+        assert sorted(said) == sorted(["progress", f"{name} plugin", f"{name} task", f"{name} thread", "of no cell"])
+
+
+async def test_one_cells_end_leaves_the_others_log_as_it_is(tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in ("a", "b")]
+    for folder in folders:
+        folder.mkdir()
+    logger = logging.getLogger("polishd.somewhere")
+    with logging_to(folders[0]):
+        context = copy_context()
+        with logging_to(folders[1]):
+            pass
+        context.run(logger.info, "still here")
+    assert "still here" in (folders[0] / "polishd.log").read_text()
+    assert logging.getLogger("polishd").level == logging.NOTSET
 
 
 async def test_log_is_json_lines_with_events_and_errors(tmp_path: Path) -> None:
     with logging_to(tmp_path):
-        EventBus().publish(Event("pass_started", 2, {"path": tmp_path}))
+        EventBus().publish(JobFinished(cycle=2, run_dir=tmp_path, outcome="x"))  # type: ignore[arg-type]
         logging.getLogger("polishd.somewhere").warning("%d things", 3)
         try:
             raise ValueError("oh")
@@ -133,11 +179,11 @@ async def test_log_is_json_lines_with_events_and_errors(tmp_path: Path) -> None:
     logging.getLogger("polishd.somewhere").error("after")
     lines = [json.loads(line) for line in (tmp_path / "polishd.log").read_text().splitlines()]
     assert [(line["level"], line["message"]) for line in lines] == [
-        ("info", "pass_started"),
+        ("info", "job_finished"),
         ("warning", "3 things"),
         ("error", "it failed"),
     ]
-    assert lines[0]["event"] == {"name": "pass_started", "cycle": 2, "data": {"path": str(tmp_path)}}
+    assert lines[0]["event"] == {"name": "job_finished", "cycle": 2, "data": {"run_dir": str(tmp_path), "outcome": "x"}}
     assert lines[1]["logger"] == "polishd.somewhere"
     assert lines[1]["at"].endswith("+00:00")
     assert "ValueError: oh" in lines[2]["error"]

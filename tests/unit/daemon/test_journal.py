@@ -13,9 +13,11 @@ import pytest
 
 from polishd.daemon import journal_store
 from polishd.daemon.journal import Journal
-from polishd.model.cycle import Event, Outcome, Phase
+from polishd.model.cycle import Outcome, Phase
 from polishd.model.devices import Executed
 from polishd.model.errors import ConfigError, LinkError, PolishdError
+from polishd.model.events import JobFinished
+from tests.unit.daemon.small import told_phases
 
 
 def opened(state_dir: Path, job: str = "job", part_id: str = "P1") -> Journal:
@@ -53,9 +55,8 @@ def test_new_journal_is_empty(journal: Journal) -> None:
     assert not journal.resumed
     assert list(journal.remaining(5)) == [0, 1, 2, 3, 4]
     assert journal.last_map_id is None
-    assert (journal.history, journal.passes, journal.phases) == ((), (), ())
+    assert (journal.history, journal.passes, journal.phase_now) == ((), (), (None, None))
     assert journal.unfinished() is None
-    assert journal.finished() is None
     assert journal.executed(0).seq.shape == (0,)
 
 
@@ -82,7 +83,8 @@ async def test_job_goes_on_where_it_was(tmp_path: Path) -> None:
         assert journal.passes[0].facts == {"predicted_rms_nm": 5.0}
         assert journal.passes[0].how == "done"
         assert journal.executed(0).seq.size == 10
-        assert journal.phases[0].outcome == "done"
+        assert journal.phase_now == (0, "measure")
+        assert told_phases(journal) == [(0, "measure", "done", None)]
         assert journal.unfinished() is None
 
 
@@ -96,22 +98,24 @@ def test_finished_job_is_followed_by_a_new_one_that_knows_the_last_map(tmp_path:
     with opened(tmp_path) as journal:
         journal.record_map(0, "aa", "x", {})
         journal.record_outcome(Outcome.IN_TOLERANCE)
-        assert journal.finished() is Outcome.IN_TOLERANCE
+    assert rows(tmp_path, "SELECT outcome FROM job") == [("in_tolerance",)]
     with opened(tmp_path) as journal:
         assert not journal.resumed
-        assert journal.finished() is None
         assert journal.history == ()
         assert journal.last_map_id == "aa"
 
 
-def test_another_job_supersedes(tmp_path: Path) -> None:
+def test_another_job_takes_the_place_of_one_that_was_not_finished(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     with opened(tmp_path) as journal:
         journal.begin_pass(0, "prog", "boot", 3)
     with opened(tmp_path, "other") as journal:
         assert not journal.resumed
         assert journal.unfinished() is None
         assert list(journal.remaining(2)) == [0, 1]
-    assert rows(tmp_path, "SELECT outcome, detail FROM job WHERE id = 1") == [("stopped", "superseded")]
+    assert rows(tmp_path, "SELECT outcome, detail FROM job WHERE id = 1") == [("stopped", "other took its place")]
+    assert "the job 'job' was not finished; 'other' takes its place" in caplog.text
 
 
 def test_a_job_keeps_what_it_was_begun_with_once_it_has_measured(tmp_path: Path) -> None:
@@ -139,19 +143,19 @@ def test_a_new_job_leaves_none_of_the_arrays_of_the_one_before(tmp_path: Path) -
 
 async def test_phases_tell_how_they_ended(journal: Journal) -> None:
     async with journal.phase(0, Phase.MEASURE):
-        assert journal.phases[-1].ended_s is None
+        assert told_phases(journal) == [(0, "measure", None, None)]
     with pytest.raises(LinkError, match="gone"):
         async with journal.phase(0, Phase.SOLVE):
             raise LinkError("gone")
     with pytest.raises(asyncio.CancelledError):
         async with journal.phase(0, Phase.RUN):
             raise asyncio.CancelledError
-    assert [(p.phase, p.outcome, p.error) for p in journal.phases] == [
-        ("measure", "done", None),
-        ("solve", "failed", "LinkError: gone"),
-        ("run", "cancelled", "CancelledError: "),
+    assert told_phases(journal) == [
+        (0, "measure", "done", None),
+        (0, "solve", "failed", "LinkError: gone"),
+        (0, "run", "cancelled", "CancelledError: "),
     ]
-    assert all(p.ended_s is not None and p.ended_s >= p.started_s for p in journal.phases)
+    assert journal._store.read("SELECT count(*) FROM phase WHERE ended >= started") == [(3,)]
 
 
 async def test_what_is_buffered_in_a_phase_is_durable_at_its_end(tmp_path: Path, journal: Journal) -> None:
@@ -241,13 +245,12 @@ def test_interrupted_pass_is_told_and_reconciled(tmp_path: Path) -> None:
         found = journal.unfinished()
         assert found is not None
         assert (found.cycle, found.program_sha256, found.boot_id, found.blocks) == (0, "prog", "boot", 10)
-        assert (found.done, found.last_seq, found.uncertain) == (4, 3, (4, 5, 6, 7, 8, 9))
-        assert str(found) == (
-            "cycle 0: 4 of 10 blocks are recorded as executed; blocks 4 to 9 are uncertain and will not be run again"
-        )
+        assert (journal.tally(0).done, journal.tally(0).last_seq) == (4, 3)
         assert list(journal.remaining(3)) == [1, 2]  # never the same pass again
-        assert journal.reconcile(0, [block(seq) for seq in range(6)]) == 2
-        assert journal.reconcile(0, []) == 0
+        journal.reconcile(0, [block(seq) for seq in range(6)])
+        assert (journal.tally(0).done, journal.tally(0).last_seq) == (6, 5)
+        journal.reconcile(0, [])
+        assert journal.tally(0).done == 6
         executed = journal.executed(0)
         np.testing.assert_array_equal(executed.recovered, [False] * 4 + [True] * 2)
         np.testing.assert_array_equal(executed.contact, [False, False, True, True, True, True])
@@ -264,8 +267,10 @@ def test_ending_a_pass_twice_keeps_the_first_word(journal: Journal) -> None:
 
 def test_events_are_kept(tmp_path: Path) -> None:
     with opened(tmp_path) as journal:
-        journal.record_event(Event("pass_started", 1, {"path": Path("x"), "n": 3}))
-    assert rows(tmp_path, "SELECT cycle, name, data FROM event") == [(1, "pass_started", '{"path": "x", "n": 3}')]
+        journal.record_event(JobFinished(cycle=1, run_dir=Path("x"), outcome="y"))  # type: ignore[arg-type]
+    assert rows(tmp_path, "SELECT cycle, name, data FROM event") == [
+        (1, "job_finished", '{"run_dir": "x", "outcome": "y"}')
+    ]
 
 
 def test_copy_is_whole_and_stands_alone(tmp_path: Path, journal: Journal) -> None:
@@ -338,9 +343,11 @@ def test_a_journal_of_format_1_is_read_on(of_format_1: Path) -> None:
             assert journal.last_map_id == "bb"
             assert [record.stats for record in journal.history] == [{"rms_nm": 4.0}]
             assert [record.facts for record in journal.passes] == [{"rate": 0.9}]
-            assert [record.phase for record in journal.phases] == ["measure"]
+            assert journal.phase_now[1] == "measure"
             assert (journal.contact_s(0), journal.executed(0).seq.tolist()) == (1.5, [1, 2])
-            assert str(journal.unfinished()).startswith("cycle 0: 2 of 5 blocks")
+            assert [record.blocks for record in journal.passes] == [5]
+            assert journal.unfinished() == journal.passes[0]
+            assert journal.tally(0).done == 2
     assert rows(of_format_1, "PRAGMA user_version") == [(2,)]
 
 

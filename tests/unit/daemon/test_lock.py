@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from polishd.daemon.lock import StateLock
+from polishd.daemon.lock import locked
 from polishd.model.errors import ConfigError
 
 HOLDER = """
 import sys
 from pathlib import Path
-from polishd.daemon.lock import StateLock
-with StateLock(Path(sys.argv[1])):
+from polishd.daemon.lock import locked
+with locked(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()
 """
@@ -35,30 +35,30 @@ def holder(state_dir: Path) -> subprocess.Popen[str]:
 def test_second_daemon_is_refused_by_pid_and_crash_frees(tmp_path: Path) -> None:
     with holder(tmp_path / "state") as process:
         with pytest.raises(ConfigError, match=rf"another polishd runs this cell \(pid {process.pid}\)"):
-            StateLock(tmp_path / "state").__enter__()
+            locked(tmp_path / "state").__enter__()
         process.send_signal(signal.SIGKILL)
         process.wait()
-        with StateLock(tmp_path / "state"):
+        with locked(tmp_path / "state"):
             assert (tmp_path / "state" / "lock").read_text() == f"{os.getpid()}\n"
 
 
 def test_lock_is_given_back_and_its_folder_private(tmp_path: Path) -> None:
     state = tmp_path / "deep" / "state"
     for _ in range(2):
-        with StateLock(state), pytest.raises(ConfigError, match="stop it first"), StateLock(state):
+        with locked(state), pytest.raises(ConfigError, match="stop it first"), locked(state):
             pytest.fail("two daemons")
     assert state.stat().st_mode & 0o777 == 0o700
     assert (state / "lock").read_text() == ""
 
 
 def test_refused_daemon_does_not_take_the_name_away(tmp_path: Path) -> None:
-    with StateLock(tmp_path):
+    with locked(tmp_path):
         for _ in range(2):
             with pytest.raises(ConfigError, match=f"pid {os.getpid()}"):
-                StateLock(tmp_path).__enter__()
+                locked(tmp_path).__enter__()
 
 
 def test_unusable_folder_is_a_config_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match="the state folder cannot be used"):
-        StateLock(tmp_path / "file").__enter__()
+        locked(tmp_path / "file").__enter__()

@@ -21,8 +21,8 @@ import numpy as np
 import pytest
 
 from polishd.daemon import client
-from polishd.daemon.app import Daemon
 from polishd.daemon.cell import Cell, MonotonicClock
+from polishd.daemon.daemon import Daemon
 from polishd.daemon.events import EventBus
 from polishd.daemon.journal import Journal
 from polishd.daemon.log import logging_to
@@ -202,7 +202,8 @@ async def test_the_loop_is_never_held_for_long_in_contact(tmp_path: Path, monkey
     spindle = PacedSpindle(fake.events, fake.clock)
     # stalls are judged here: a busy machine makes silence, too
     actuator.times, spindle.times = ActuatorTimes(silence_s=60.0), SpindleTimes(silence_s=60.0)
-    cell = Cell(robot, actuator, spindle, metrology, MonotonicClock())
+    devices = {"actuator": actuator, "robot": robot, "spindle": spindle, "metrology": metrology}
+    cell = Cell(devices, {name: name for name in devices}, MonotonicClock())
     with (
         logging_to(tmp_path),
         Journal.open(tmp_path, job="small", part_id="P-1", connect=disk.connect) as journal,
@@ -216,7 +217,7 @@ async def test_the_loop_is_never_held_for_long_in_contact(tmp_path: Path, monkey
         monkeypatch.setattr(job, "diverges", lambda surface: False)  # the maps are of no one part
         monkeypatch.setattr(job, "plan", functools.partial(with_long_plan, job.plan))
         daemon, asker = Daemon(cell, job, journal, bus), Asker(tmp_path)
-        async with serving(tmp_path, daemon.verbs, bus):
+        async with serving(tmp_path, daemon.handlers, bus):
             asker.start()
             try:
                 outcome = await daemon.run()

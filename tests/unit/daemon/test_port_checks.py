@@ -8,11 +8,12 @@ from typing import Any
 
 import pytest
 
-from polishd.daemon.devices import PORTS
+from polishd.config.cell import PORTS as MARKS
 from polishd.daemon.port_checks import lacking, members
 from polishd.model.devices import ForceSample
 from tests.fakes.devices import FakeActuator, FakeCell
 
+PORTS = {name: mark.protocol for name, mark in MARKS.items()}
 MEMBERS = [(section, name) for section, port in PORTS.items() for name in members(port)]
 
 

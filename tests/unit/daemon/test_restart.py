@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.daemon.app import run_cell
 from polishd.daemon.cell import Cell
-from polishd.daemon.client import request_async
+from polishd.daemon.client import request
 from polishd.model.errors import ConfigError
 from polishd.model.surface import SurfaceMap
-from tests.unit.daemon.small import as_map
+from tests.unit.daemon.small import as_map, run_cell
 from tests.unit.daemon.test_app import Site
 
 RATE = 0.8
@@ -85,7 +84,7 @@ async def resumed(site: Rerun, meanwhile: Any = lambda: None) -> dict[str, Any]:
         task = group.create_task(run_cell(site.config, site.hooks))
         await until_held(site)
         meanwhile()
-        await request_async(site.config.state_dir, "resume")
+        await asyncio.to_thread(request, site.config.state_dir, "resume")
     return task.result()
 
 

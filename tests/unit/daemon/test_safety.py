@@ -12,12 +12,14 @@ from typing import Any
 
 import pytest
 
+from polishd.config.cell import PORTS
 from polishd.daemon import time_limits
+from polishd.daemon.cell import Cell
 from polishd.daemon.safety import ContactLimits, contact, heard, make_safe, most_telling
 from polishd.model.devices import ForceSample
 from polishd.model.errors import ConfigError, DeviceFault, LinkError, PolishdError, SafetyStop
 from polishd.model.times import ActuatorTimes, RobotTimes, SpindleTimes
-from tests.fakes.devices import FakeCell, blank
+from tests.fakes.devices import FakeCell, FakeDevice, blank
 
 LIMITS = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, grace_s=0.3)
 SAFE = ["spindle.make_safe", "actuator.make_safe", "lifted", "robot.make_safe"]
@@ -466,6 +468,77 @@ async def test_make_safe_hands_on_a_cancellation_that_came_meanwhile(fake: FakeC
     with pytest.raises(asyncio.CancelledError):
         await task
     assert fake.events == UNTOUCHED
+
+
+# a cell with several devices
+
+
+class Twins:
+    """Two robots, each with a tool of its own; the job uses the left ones."""
+
+    def __init__(self) -> None:
+        self.left, self.right = FakeCell(), FakeCell()
+        devices: dict[str, FakeDevice] = {}
+        for side, fake in (("left", self.left), ("right", self.right)):
+            for device in fake.devices.values():
+                if device.name == "metrology":
+                    continue
+                device.events, device.clock = self.left.events, self.left.clock
+                device.name = f"{device.name}.{side}"
+                devices[device.name] = device
+        order = sorted(devices, key=lambda name: list(PORTS).index(name.split(".")[0]))
+        used = {port: f"{port}.left" for port in ("actuator", "robot", "spindle")}
+        self.cell = Cell({name: devices[name] for name in order}, used, self.left.clock)
+
+    def safe(self) -> list[str]:
+        return [event for event in self.left.events if event.endswith("make_safe")]
+
+
+async def test_all_devices_are_made_safe_and_named() -> None:
+    twins = Twins()
+    twins.right.robot.acts.fails["make_safe"] = LinkError("gone")
+    await make_safe(twins.cell)
+    sides = ("left", "right")
+    tools = [f"{port}.{side}.make_safe" for port in ("spindle", "actuator") for side in sides]
+    assert twins.safe() == [*tools, "robot.left.make_safe", "robot.right.make_safe"]
+    assert twins.cell.unsafe == ("robot.right: gone",)
+
+
+async def test_only_the_jobs_devices_are_in_contact_and_its_robot_waits_for_its_own_tool() -> None:
+    twins, go_on = Twins(), asyncio.Event()
+    plain = twins.right.actuator.make_safe
+
+    async def slowly() -> None:
+        await go_on.wait()
+        await plain()
+
+    twins.right.actuator.make_safe = slowly  # type: ignore[method-assign]
+    twins.left.robot.acts.before["make_safe"] = go_on.set
+    with pytest.raises(KeyError):
+        async with contact(twins.cell, LIMITS):
+            raise KeyError
+    events = twins.left.events
+    assert "actuator.left.set_force 12" in events
+    assert not [event for event in events if "right" in event and "make_safe" not in event]
+    lifted, stopped = events.index("actuator.left.make_safe"), events.index("robot.left.make_safe")
+    assert lifted < stopped < events.index("actuator.right.make_safe") < events.index("robot.right.make_safe")
+
+
+async def test_an_idle_robot_that_moves_stops_once_every_tool_has_let_go() -> None:
+    """At a start nobody knows which robot was in contact with what."""
+    twins = Twins()
+    twins.right.actuator.acts.fails["make_safe"] = LinkError("gone")
+    twins.right.robot.until = None  # it runs
+    stopped_s: list[float] = []
+    twins.right.robot.acts.before["make_safe"] = lambda: stopped_s.append(twins.left.clock.at_s)
+    task = asyncio.ensure_future(make_safe(twins.cell))
+    while not task.done():
+        twins.left.clock.advance(0.05)
+        for _ in range(5):
+            await asyncio.sleep(0)
+    await task
+    assert stopped_s[0] >= ActuatorTimes().alone_s - 0.1
+    assert twins.cell.unsafe == ("actuator.right: gone",)
 
 
 # the error that is told

@@ -7,26 +7,28 @@ import json
 import os
 import socket
 from collections.abc import AsyncIterator, Mapping
-from contextlib import AsyncExitStack, aclosing
+from contextlib import AsyncExitStack
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from polishd.daemon import service
-from polishd.daemon.client import request, request_async, subscribe, subscribe_async
+from polishd.daemon.client import request, subscribe
 from polishd.daemon.events import EventBus
 from polishd.daemon.service import serving
 from polishd.daemon.sockets import LINE_BYTES
-from polishd.model.cycle import Event
 from polishd.model.errors import ConfigError, DeviceRefused, LinkError, ProtocolError
+from polishd.model.events import Failed, PassEnded, Progress
 
 
 async def status() -> Mapping[str, Any]:
     return {"state": "held", "cycle": 2}
 
 
-async def hold() -> Mapping[str, Any]:
+async def hold(reason: str = "") -> Mapping[str, Any]:
+    if reason:
+        return {"reason": reason}
     raise DeviceRefused("the robot said no")
 
 
@@ -39,7 +41,11 @@ async def stop() -> Mapping[str, Any]:
     return {}
 
 
-VERBS = {"status": status, "hold": hold, "resume": resume, "stop": stop}
+async def ask(state_dir: Path, verb: str, within_s: float = 60.0, **args: Any) -> dict[str, Any]:
+    return await asyncio.to_thread(request, state_dir, verb, within_s, args)
+
+
+HANDLERS = {"status": status, "hold": hold, "resume": resume, "stop": stop}
 
 
 @pytest.fixture
@@ -51,7 +57,7 @@ async def bus() -> AsyncIterator[EventBus]:
 
 @pytest.fixture
 async def daemon(tmp_path: Path, bus: EventBus) -> AsyncIterator[Path]:
-    async with serving(tmp_path, VERBS, bus):
+    async with serving(tmp_path, HANDLERS, bus):
         yield tmp_path
 
 
@@ -62,9 +68,7 @@ async def until_subscribed(bus: EventBus, count: int = 1) -> None:
 
 
 async def test_answers(daemon: Path) -> None:
-    expected = {"ok": True, "state": "held", "cycle": 2}
-    assert await request_async(daemon, "status") == expected
-    assert await asyncio.to_thread(request, daemon, "status") == expected
+    assert await ask(daemon, "status") == {"ok": True, "state": "held", "cycle": 2}
 
 
 async def test_only_the_owner_may_connect(daemon: Path) -> None:
@@ -78,22 +82,35 @@ async def test_socket_is_private_from_its_first_moment(
     monkeypatch.setattr(Path, "chmod", lambda self, mode: None)
     before = os.umask(0)
     try:
-        async with serving(tmp_path, VERBS, bus) as path:
+        async with serving(tmp_path, HANDLERS, bus) as path:
             assert path.stat().st_mode & 0o777 == 0o600
     finally:
         os.umask(before)
 
 
 async def test_errors_are_answers(daemon: Path, caplog: pytest.LogCaptureFixture) -> None:
-    assert await request_async(daemon, "hold") == {"ok": False, "error": "the robot said no", "exit_code": 5}
-    answer = await request_async(daemon, "resume")
+    assert await ask(daemon, "hold") == {"ok": False, "error": "the robot said no", "exit_code": 5}
+    answer = await ask(daemon, "resume")
     assert answer == {"ok": False, "error": "resume failed inside the daemon: KeyError: 'bug'"}
     assert "verb resume failed" in caplog.text
-    answer = await request_async(daemon, "statsu")
+    answer = await ask(daemon, "statsu")
     assert answer["error"].startswith("unknown verb 'statsu'; did you mean 'status'? Known: 'hold'")
 
 
-@pytest.mark.parametrize("line", [b"status", b"[]", b'{"verb": 3}', b"{}", b"\xff\xfe", b"", b"null"])
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"status",
+        b"[]",
+        b'{"verb": 3}',
+        b"{}",
+        b"\xff\xfe",
+        b"",
+        b"null",
+        b'{"verb": "status", "args": []}',
+        b'{"verb": "status", "arg": {}}',
+    ],
+)
 async def test_what_is_no_request_is_answered_and_the_session_goes_on(daemon: Path, line: bytes) -> None:
     reader, writer = await asyncio.open_unix_connection(daemon / "polishd.sock")
     writer.write(line + b"\n" + b'{"verb": "status"}\n')
@@ -104,6 +121,24 @@ async def test_what_is_no_request_is_answered_and_the_session_goes_on(daemon: Pa
     writer.close()
 
 
+async def test_arguments_reach_who_obeys(daemon: Path) -> None:
+    assert await ask(daemon, "hold", reason="a scratch") == {"ok": True, "reason": "a scratch"}
+
+
+@pytest.mark.parametrize(
+    ("verb", "args", "says"),
+    [
+        ("hold", {"reasn": "x"}, "hold: unknown argument 'reasn'; did you mean 'reason'? Known: 'reason'"),
+        ("hold", {"reason": 3}, "hold: reason must be a string, not 3"),
+        ("status", {"reason": "x"}, "status: unknown argument 'reason'. Known: none"),
+    ],
+)
+async def test_arguments_that_a_verb_has_not_are_refused(
+    daemon: Path, verb: str, args: dict[str, Any], says: str
+) -> None:
+    assert await ask(daemon, verb, **args) == {"ok": False, "error": says}
+
+
 async def test_endless_line_ends_the_session_only(daemon: Path) -> None:
     reader, writer = await asyncio.open_unix_connection(daemon / "polishd.sock")
     writer.write(b"x" * (3 * LINE_BYTES))
@@ -112,12 +147,12 @@ async def test_endless_line_ends_the_session_only(daemon: Path) -> None:
     except ConnectionResetError:
         assert reader.at_eof() or reader.exception() is not None
     writer.close()
-    assert (await request_async(daemon, "status"))["ok"]
+    assert (await ask(daemon, "status"))["ok"]
 
 
 async def test_a_waiting_verb_holds_up_no_other(daemon: Path) -> None:
-    waiting = asyncio.create_task(request_async(daemon, "stop", within_s=60))
-    assert (await request_async(daemon, "status"))["ok"]
+    waiting = asyncio.create_task(ask(daemon, "stop"))
+    assert (await ask(daemon, "status"))["ok"]
     waiting.cancel()
     with pytest.raises(asyncio.CancelledError):
         await waiting
@@ -125,35 +160,31 @@ async def test_a_waiting_verb_holds_up_no_other(daemon: Path) -> None:
 
 async def test_a_silent_daemon_is_told(daemon: Path) -> None:
     with pytest.raises(LinkError, match=r"did not answer within 0\.05 s"):
-        await request_async(daemon, "stop", within_s=0.05)
-    with pytest.raises(LinkError, match=r"did not answer within 0\.05 s"):
-        await asyncio.to_thread(request, daemon, "stop", 0.05)
+        await ask(daemon, "stop", 0.05)
 
 
 async def test_subscribers_hear_events(daemon: Path, bus: EventBus) -> None:
-    async def hear() -> list[dict[str, Any]]:
-        return [event async for event in subscribe_async(daemon)]
-
-    heard = [asyncio.create_task(hear()), asyncio.create_task(asyncio.to_thread(lambda: list(subscribe(daemon))))]
+    heard = [asyncio.create_task(asyncio.to_thread(lambda: list(subscribe(daemon)))) for _ in range(2)]
     await until_subscribed(bus, 2)
-    bus.publish(Event("measured", 1, {"rms_nm": 2.5}))
-    bus.publish(Event("finished"))
+    bus.publish(PassEnded(cycle=1, executed_s=2.5))
+    bus.publish(Failed(error="cut", kind="LinkError"))
     await bus.close()
     expected = [
-        {"name": "measured", "cycle": 1, "data": {"rms_nm": 2.5}},
-        {"name": "finished", "cycle": None, "data": {}},
+        {"name": "pass_ended", "cycle": 1, "data": {"executed_s": 2.5}},
+        {"name": "failed", "cycle": None, "data": {"error": "cut", "kind": "LinkError"}},
     ]
     assert await asyncio.gather(*heard) == [expected, expected]
 
 
 async def test_a_subscriber_that_hangs_up_is_forgotten(daemon: Path, bus: EventBus) -> None:
-    async with aclosing(subscribe_async(daemon)) as events:
-        first = asyncio.ensure_future(anext(events))
-        await until_subscribed(bus)
-        bus.publish(Event("one"))
-        assert (await first)["name"] == "one"
+    events = subscribe(daemon)
+    first = asyncio.create_task(asyncio.to_thread(next, events))
+    await until_subscribed(bus)
+    bus.publish(Progress(block=1))
+    assert (await first)["data"] == {"block": 1}
+    events.close()  # type: ignore[attr-defined]
     await until_subscribed(bus, 0)
-    assert (await request_async(daemon, "status"))["ok"]
+    assert (await ask(daemon, "status"))["ok"]
 
 
 async def test_a_subscriber_that_never_reads_is_dropped(
@@ -165,17 +196,17 @@ async def test_a_subscriber_that_never_reads_is_dropped(
         deaf.sendall(b'{"verb": "subscribe"}\n')
         await until_subscribed(bus)
         while bus._subscribers:
-            bus.publish(Event("much", data={"text": "x" * 100_000}))
+            bus.publish(Failed(error="x" * 100_000, kind="much"))
             await asyncio.sleep(0)
-        assert (await request_async(daemon, "status"))["ok"]
+        assert (await ask(daemon, "status"))["ok"]
 
 
 async def test_daemons_end_ends_sessions_and_removes_the_socket(tmp_path: Path, bus: EventBus) -> None:
     async with AsyncExitStack() as stack:
-        await stack.enter_async_context(serving(tmp_path, VERBS, bus))
-        waiting = asyncio.create_task(request_async(tmp_path, "stop", within_s=60))
+        await stack.enter_async_context(serving(tmp_path, HANDLERS, bus))
+        waiting = asyncio.create_task(ask(tmp_path, "stop"))
         idle, writer = await asyncio.open_unix_connection(tmp_path / "polishd.sock")
-        assert (await request_async(tmp_path, "status"))["ok"]
+        assert (await ask(tmp_path, "status"))["ok"]
     with pytest.raises(LinkError, match="hung up before it answered"):
         await waiting
     assert await idle.read() == b""
@@ -193,21 +224,19 @@ def test_no_daemon_is_told(tmp_path: Path, leftover: bool) -> None:
         request(tmp_path, "status")
     with pytest.raises(LinkError, match=told):
         next(subscribe(tmp_path))
-    with pytest.raises(LinkError, match=told):
-        asyncio.run(request_async(tmp_path, "status"))
 
 
 async def test_stale_socket_is_replaced(tmp_path: Path, bus: EventBus) -> None:
     with socket.socket(socket.AF_UNIX) as dead:
         dead.bind(str(tmp_path / "polishd.sock"))
-    async with serving(tmp_path, VERBS, bus):
-        assert (await request_async(tmp_path, "status"))["ok"]
+    async with serving(tmp_path, HANDLERS, bus):
+        assert (await ask(tmp_path, "status"))["ok"]
 
 
 async def test_file_of_that_name_is_not_removed(tmp_path: Path, bus: EventBus) -> None:
     (tmp_path / "polishd.sock").write_text("mine")
     with pytest.raises(ConfigError, match="is not a socket"):
-        async with serving(tmp_path, VERBS, bus):
+        async with serving(tmp_path, HANDLERS, bus):
             pytest.fail("served")
     assert (tmp_path / "polishd.sock").read_text() == "mine"
 
@@ -215,9 +244,8 @@ async def test_file_of_that_name_is_not_removed(tmp_path: Path, bus: EventBus) -
 async def test_deep_folders(tmp_path: Path, bus: EventBus) -> None:
     deep = tmp_path / ("d" * 100) / ("e" * 100)
     deep.mkdir(parents=True)
-    async with serving(deep, VERBS, bus):
-        assert (await request_async(deep, "status"))["ok"]
-        assert (await asyncio.to_thread(request, deep, "status"))["ok"]
+    async with serving(deep, HANDLERS, bus):
+        assert (await ask(deep, "status"))["ok"]
     assert list(deep.iterdir()) == []
 
 
@@ -233,9 +261,7 @@ async def test_strange_daemons(tmp_path: Path, answer: bytes, error: type[Except
 
     server = await asyncio.start_unix_server(strange, tmp_path / "polishd.sock")
     with pytest.raises(error, match=told):
-        await request_async(tmp_path, "status")
-    with pytest.raises(error, match=told):
-        await asyncio.to_thread(request, tmp_path, "status")
+        await ask(tmp_path, "status")
     server.close()
     await server.wait_closed()
 
@@ -249,7 +275,5 @@ async def test_refused_subscription(tmp_path: Path) -> None:
     server = await asyncio.start_unix_server(refusing, tmp_path / "polishd.sock")
     with pytest.raises(ProtocolError, match="not now"):
         await asyncio.to_thread(lambda: list(subscribe(tmp_path)))
-    with pytest.raises(ProtocolError, match="not now"):
-        _ = [event async for event in subscribe_async(tmp_path)]
     server.close()
     await server.wait_closed()

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from polishd.daemon.time_limits import TimeLimits, too_short
+from polishd.daemon.time_limits import TimeLimits, safe_within_s, too_short
 from polishd.model.times import ActuatorTimes, RobotTimes, SpindleTimes
 
 LIMITS = TimeLimits(ActuatorTimes(), RobotTimes(), SpindleTimes())
@@ -25,7 +25,7 @@ def test_the_tool_is_up_before_anything_stops_by_itself() -> None:
     coil = LIMITS.actuator
     assert coil.alone_s == coil.watchdog_s + coil.release_s + coil.retract_s == LIMITS.buffer_s
     assert LIMITS.robot.watchdog_s >= coil.alone_s
-    assert LIMITS.actuator_safe_s > coil.lifted_s, "the daemon waits for longer than the lift takes"
+    assert safe_within_s(coil) > coil.lifted_s, "the daemon waits for longer than the lift takes"
 
 
 @pytest.mark.parametrize(

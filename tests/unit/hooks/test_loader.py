@@ -9,8 +9,8 @@ import pytest
 from polishd.hooks import loader as plugins
 from polishd.hooks.checks import HOOKS
 from polishd.hooks.loader import Hooks, installed, load_own, load_plugins
-from polishd.model.cycle import Event
 from polishd.model.errors import PluginError
+from polishd.model.events import Progress
 
 SOLVER = """
 def solve(problem, within_s):
@@ -76,7 +76,7 @@ def test_every_hook_is_called(install: Any) -> None:
     assert checks(hooks) == ["all: plan in envelope"]
     app: list[str] = []
     hooks.cli(app)
-    hooks.on_event(Event("measured"))
+    hooks.on_event(Progress(block=1))
     assert app == ["verb"]
     hooks.report.require()
 
@@ -221,12 +221,12 @@ def test_events_reach_all_though_one_raises(install: Any, caplog: pytest.LogCapt
         install("three", listen),
     ]
     hooks = load_plugins(names)
-    hooks.on_event(Event("measured"))
+    hooks.on_event(Progress(block=1))
     for plugin in hooks.report.loaded:
         (registered,) = plugin.manager.get_plugins()
         heard += getattr(registered, "HEARD", [])
-    assert heard == ["measured", "measured"]
-    assert "plugin two failed on event measured" in caplog.text
+    assert heard == ["progress", "progress"]
+    assert "plugin two failed on event progress" in caplog.text
     assert "RuntimeError: oh" in caplog.text
 
 
@@ -235,8 +235,8 @@ def test_slow_listener_is_named(
 ) -> None:
     monkeypatch.setattr(plugins, "SLOW_S", -1.0)
     caplog.set_level("INFO")
-    load_plugins([install("slow", "@hookimpl\ndef polishd_on_event(event): pass")]).on_event(Event("measured"))
-    assert "plugin slow took 0.0 s over event measured" in caplog.text
+    load_plugins([install("slow", "@hookimpl\ndef polishd_on_event(event): pass")]).on_event(Progress(block=1))
+    assert "plugin slow took 0.0 s over event progress" in caplog.text
 
 
 def test_commands_are_added_though_one_raises(install: Any, caplog: pytest.LogCaptureFixture) -> None:
@@ -253,7 +253,7 @@ def test_commands_are_added_though_one_raises(install: Any, caplog: pytest.LogCa
 def test_interrupt_is_never_swallowed(install: Any) -> None:
     hooks = load_plugins([install("one", "@hookimpl\ndef polishd_on_event(event): raise KeyboardInterrupt")])
     with pytest.raises(KeyboardInterrupt):
-        hooks.on_event(Event("measured"))
+        hooks.on_event(Progress(block=1))
 
 
 def test_own_plugins_only(install: Any, monkeypatch: pytest.MonkeyPatch) -> None:

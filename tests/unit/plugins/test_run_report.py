@@ -8,6 +8,7 @@ import json
 import re
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from polishd.api import Event, PolishdError
+from polishd.api import PolishdError, SurfaceStats
+from polishd.model.events import GateStopped, JobFinished, Measured, PlanWritten
 from polishd.plugins import run_report
 from polishd.plugins.run_report import trend
 from polishd.plugins.run_report.folder import Executed, Surface, read_folder
@@ -142,21 +144,21 @@ def pictures_in(page: str) -> list[bytes]:
 
 
 class TestEvents:
-    @pytest.mark.parametrize("name", ["job_finished", "plan_written"])
+    @pytest.mark.parametrize("kind", [partial(JobFinished, outcome="in_tolerance"), PlanWritten])
     def test_what_is_complete_is_reported_by_another_process(
-        self, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+        self, kind: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr("polishd.plugins.run_report.report.write_report", None)
-        run_report.polishd_on_event(Event(name, data={"run_dir": str(tmp_path)}))
+        run_report.polishd_on_event(kind(run_dir=str(tmp_path)))
         assert (tmp_path / "report.html").is_file()
 
     def test_a_report_that_fails_is_an_error_with_its_cause(self, tmp_path: Path) -> None:
         with pytest.raises(PolishdError, match="nowhere"):
-            run_report.polishd_on_event(Event("job_finished", data={"run_dir": str(tmp_path / "nowhere")}))
+            run_report.polishd_on_event(PlanWritten(run_dir=str(tmp_path / "nowhere")))
 
-    @pytest.mark.parametrize("name", ["measured", "failed", ""])
-    def test_other_events_pass_by(self, run_dir: Path, name: str) -> None:
-        run_report.polishd_on_event(Event(name, data={"run_dir": str(run_dir)}))
+    def test_other_events_pass_by(self, run_dir: Path) -> None:
+        stats = SurfaceStats(rms_nm=1.0, pv_nm=2.0, lsf_rms_nm=0.5)
+        run_report.polishd_on_event(Measured(stats=stats, spikes=0, notes=(), run_dir=str(run_dir)))
         assert not (run_dir / "report.html").exists()
 
     def test_loading_the_plugin_does_not_load_matplotlib(self) -> None:
@@ -427,5 +429,5 @@ def test_the_gates_picture_is_drawn_of_what_it_left(tmp_path: Path) -> None:
     np.savez(tmp_path / "gate.npz", **maps, metric_mask=mask, pitch_mm=0.5)
     best = {"name": "flipped left-right", "shift_mm": [0.5, 0.0], "correlation": 0.97}
     (tmp_path / "gate.json").write_text(json.dumps({"stop": "a flip", "correlation": 0.1, "best": best}))
-    run_report.polishd_on_event(Event("gate_stopped", 1, {"cycle_dir": str(tmp_path)}))
+    run_report.polishd_on_event(GateStopped(cycle=1, stop="a flip", cycle_dir=str(tmp_path)))
     assert (tmp_path / "gate.png").read_bytes().startswith(b"\x89PNG")

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from polishd.console.progress import progress
-from polishd.daemon.endings import Ending
+from polishd.daemon.endings import standing
 from polishd.show.tables import cycle_table, emit, figure_table, key_table, record_table, stderr
 
 CYCLES: list[dict[str, Any]] = [
@@ -99,12 +99,12 @@ def test_what_a_person_sees_of_a_run(capsys: Any) -> None:
         ("pass_begun", 0, {"blocks": 100, "dwell_s": 60.0}),
         ("progress", 0, {"block": 50}),
         ("pass_ended", 0, {"executed_s": 61.0}),
-        ("state", None, Ending("held", "by [order]", ("robot: [deaf]",)).facts()),
+        ("state", None, standing("held", "by [order]", ("robot: [deaf]",)).data),
         ("state", None, {"state": "polishing", "reason": ""}),
         ("failed", None, {"kind": "LinkError", "error": "[gone]"}),
         ("job_finished", None, {}),
     ]
-    with progress(Path("my cell.toml")) as show:
+    with progress([("", Path("my cell.toml"))]) as (show,):
         for event in events:
             show(*event)
     captured = capsys.readouterr()

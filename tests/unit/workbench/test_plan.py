@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 
 from polishd.hookspecs import DwellSolver, SurfaceReader
-from polishd.model.cycle import Event
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import BadMap, ComputeError, ConfigError, PlanRefused, PolishdError, ProgramError, WrongPart
+from polishd.model.events import Event
 from polishd.model.instrument import Commissioned, Instrument
 from polishd.model.program import Plan
 from polishd.model.surface import SurfaceMap

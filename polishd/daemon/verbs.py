@@ -1,0 +1,77 @@
+"""What may be asked of a running daemon: the verbs of its socket. The table in docs/cycle.md is made from this one.
+
+A request is one JSON object a line: ``{"verb": "hold", "args": {"reason": "a scratch"}}``; ``args`` may be left away.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from polishd.config.places import did_you_mean, listed
+
+SUBSCRIBE = "subscribe"
+
+
+@dataclass(frozen=True, slots=True)
+class Argument:
+    """One argument; none has to be given."""
+
+    name: str
+    kind: type
+    what: str
+
+
+@dataclass(frozen=True, slots=True)
+class Verb:
+    """What is asked, or ordered."""
+
+    name: str
+    what: str
+    changes: bool
+    """It is an order: the cell is another one afterwards."""
+    arguments: tuple[Argument, ...] = ()
+
+
+REASON = Argument("reason", str, "why, for whoever reads the journal and `status`")
+
+VERBS: Mapping[str, Verb] = {
+    verb.name: verb
+    for verb in (
+        Verb("status", "state and why, phase, cycle, devices, what was measured so far", changes=False),
+        Verb(SUBSCRIBE, "events from now on, one a line, until either side ends", changes=False),
+        Verb("hold", "leave contact, stand still, and wait for `resume`", True, (REASON,)),
+        Verb("resume", "go on, with a new measurement first", True, (REASON,)),
+        Verb("stop", "leave contact, stand still, and end the daemon", True, (REASON,)),
+        Verb("estop", "stop motion at once, whatever the part costs; then wait for `resume`", True, (REASON,)),
+    )
+}
+"""An order is answered when it is obeyed."""
+
+_WORDS = {str: "a string", int: "a whole number", float: "a number", bool: "true or false"}
+
+
+def read_request(line: bytes, offered: Iterable[str]) -> tuple[str, dict[str, Any]]:
+    """The verb of a request, one of those offered, and its arguments; ValueError says what is wrong with it."""
+    known = list(offered)
+    try:
+        request = json.loads(line)
+    except ValueError:
+        request = None
+    verb, given = (request.get("verb"), request.get("args", {})) if isinstance(request, dict) else (None, {})
+    if not isinstance(verb, str) or not isinstance(given, dict) or set(request) - {"verb", "args"}:
+        raise ValueError(
+            'a request is one JSON object a line, {"verb": ..., "args": {...}} (args may be left away); '
+            f"verbs: {listed(known)}"
+        )
+    if verb not in known:
+        raise ValueError(f"unknown verb {verb!r}{did_you_mean(verb, known)} Known: {listed(known)}")
+    kinds = {argument.name: argument.kind for argument in VERBS[verb].arguments}
+    for name, value in given.items():
+        if name not in kinds:
+            raise ValueError(f"{verb}: unknown argument {name!r}{did_you_mean(name, kinds)} Known: {listed(kinds)}")
+        if type(value) is not kinds[name] and (type(value), kinds[name]) != (int, float):
+            raise ValueError(f"{verb}: {name} must be {_WORDS[kinds[name]]}, not {json.dumps(value)}")
+    return verb, given

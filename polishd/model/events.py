@@ -1,0 +1,183 @@
+"""What happens in a cell: one record an event, for ``polishd_on_event``, the socket's subscribers, journal and log.
+
+The table of events in docs/plugins.md is made from these records: what a class says is when it happens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, is_dataclass
+from typing import Annotated, Any, ClassVar
+
+from polishd.model.devices import Identity
+from polishd.model.dwell import Certificate
+from polishd.model.surface import SurfaceStats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """Something that happened. Each kind is a class of its own, known by ``name``."""
+
+    name: ClassVar[str]
+    cycle: Annotated[int | None, "the cycle in which it happened; None outside of all"] = None
+
+    @property
+    def data(self) -> Mapping[str, Any]:
+        """Its own fields by name, as the socket and the journal have them; those of a record in it one by one."""
+        found: dict[str, Any] = {}
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if is_dataclass(value) and not isinstance(value, type):
+                found |= asdict(value)
+            elif item.name != "cycle":
+                found[item.name] = value
+        return found
+
+    def facts(self) -> dict[str, Any]:
+        """``{"name", "cycle", "data"}``, as a subscriber gets it."""
+        return {"name": self.name, "cycle": self.cycle, "data": dict(self.data)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Opened(Event):
+    """All devices of the cell answered and said who they are."""
+
+    name: ClassVar[str] = "opened"
+    devices: Annotated[Mapping[str, Identity], "by name; the data has a key for each device"]
+
+    @property
+    def data(self) -> Mapping[str, Any]:
+        """Vendor, model, serial, firmware and boot id by device."""
+        return {name: asdict(identity) for name, identity in self.devices.items()}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StateChanged(Event):
+    """The daemon's state is another one."""
+
+    name: ClassVar[str] = "state"
+    state: Annotated[str, "`starting`, `polishing`, `held` or `finished`"]
+    reason: Annotated[str, "why it is held, or how the job ended"]
+    tool_off: Annotated[str, "`yes`, `not confirmed` or `not asked`"]
+    robot_at_rest: Annotated[str, "the same"]
+    unsafe: Annotated[Sequence[str], "each device that did not confirm being safe: `name: why`"]
+    next: Annotated[str, "what a person may do"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ordered(Event):
+    """A person, or a program for one, gave an order over the socket."""
+
+    name: ClassVar[str] = "ordered"
+    order: Annotated[str, "`hold`, `resume`, `stop` or `estop`"]
+    reason: Annotated[str, "what was said with it; may be empty"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Held(Event):
+    """An error that a person can mend holds the cell."""
+
+    name: ClassVar[str] = "held"
+    error: Annotated[str, "what is wrong, and what to do"]
+    kind: Annotated[str, "the error's class"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Failed(Event):
+    """An error ended the daemon."""
+
+    name: ClassVar[str] = "failed"
+    error: Annotated[str, "what was wrong, and what to do"]
+    kind: Annotated[str, "the error's class"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measured(Event):
+    """A map was taken, and conditioned."""
+
+    name: ClassVar[str] = "measured"
+    stats: Annotated[
+        SurfaceStats,
+        "nm: `rms_nm`, `pv_nm`, `lsf_rms_nm`, `band_rms_nm` (None where the whole surface counts); `samples`",
+    ]
+    spikes: Annotated[int, "samples that were taken for spikes"]
+    notes: Annotated[Sequence[str], "what a person should know of the map"]
+    run_dir: Annotated[str, "the run folder"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GateStopped(Event):
+    """The gate stopped a map: another lay explains it better than the last pass."""
+
+    name: ClassVar[str] = "gate_stopped"
+    stop: Annotated[str, "why"]
+    cycle_dir: Annotated[str, "the cycle's folder, for `gate.png`"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Learned(Event):
+    """The last pass was compared with what it removed."""
+
+    name: ClassVar[str] = "learned"
+    rate: Annotated[float, "removal rate, relative to the model's own"]
+    block_overhead_s: Annotated[float, "s that a block takes beyond its motion"]
+    notes: Annotated[Sequence[str], "what a person should know of it"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Solved(Event):
+    """The dwell of the next pass was solved."""
+
+    name: ClassVar[str] = "solved"
+    certificate: Annotated[
+        Certificate, "`predicted_rms_nm`, `kkt_residual`, `dwell_total_s` and all else that `certificate.json` has"
+    ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PassBegun(Event):
+    """A pass is journalled; the robot starts next."""
+
+    name: ClassVar[str] = "pass_begun"
+    blocks: Annotated[int, "sequence number of the first block after contact"]
+    dwell_s: Annotated[float, "s in contact, as planned"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Progress(Event):
+    """Some blocks more were executed in contact."""
+
+    name: ClassVar[str] = "progress"
+    block: Annotated[int, "blocks executed so far"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PassEnded(Event):
+    """A pass is over: tool lifted, robot at rest."""
+
+    name: ClassVar[str] = "pass_ended"
+    executed_s: Annotated[float, "s that were executed in contact, of the robot's own clock"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JobFinished(Event):
+    """The daemon is done, whichever way; the run folder is whole."""
+
+    name: ClassVar[str] = "job_finished"
+    run_dir: Annotated[str, "the run folder"]
+    outcome: Annotated[str, "`in_tolerance`, `cycles_used`, `diverged`, `stopped` or `failed`"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanWritten(Event):
+    """`polishd plan` has written its folder; no daemon is there."""
+
+    name: ClassVar[str] = "plan_written"
+    run_dir: Annotated[str, "the plan's folder"]
+
+
+EVENTS: tuple[type[Event], ...] = (
+    Opened, StateChanged, Ordered, Held, Failed, Measured, GateStopped, Learned, Solved, PassBegun, Progress, PassEnded,
+    JobFinished, PlanWritten,
+)  # fmt: skip
+"""Every kind, in the order in which they come in a job."""

@@ -1,0 +1,58 @@
+"""The records of what happens, and the table of them in docs/plugins.md."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+from pathlib import Path
+from typing import get_type_hints
+
+import pytest
+
+from polishd.model import events
+from polishd.model.cycle import Outcome
+from polishd.model.devices import Identity
+from polishd.model.events import EVENTS, Event, Measured, Opened, PassEnded
+from polishd.model.surface import SurfaceStats
+
+DOCS = Path(__file__).resolve().parents[3] / "docs" / "plugins.md"
+
+
+def row(kind: type[Event]) -> str:
+    """As the table has it."""
+    hints = get_type_hints(kind, include_extras=True)
+    own = [f"`{item.name}`: {hints[item.name].__metadata__[0]}" for item in fields(kind) if item.name != "cycle"]
+    return f"| `{kind.__name__}`, `{kind.name}` | {kind.__doc__} | {'; '.join(own)} |"
+
+
+def test_the_docs_have_every_event_with_its_fields() -> None:
+    text = DOCS.read_text()
+    table = ["| event | when | fields |", "|---|---|---|", *map(row, EVENTS)]
+    assert "\n".join(table) in text, "\n".join(table)
+
+
+def test_every_kind_is_listed_once() -> None:
+    defined = [kind for kind in vars(events).values() if isinstance(kind, type) and issubclass(kind, Event)]
+    assert set(EVENTS) == set(defined) - {Event}
+    assert len({kind.name for kind in EVENTS}) == len(EVENTS)
+
+
+def test_data_is_json_with_the_fields_of_records_one_by_one() -> None:
+    stats = SurfaceStats(rms_nm=1.5, pv_nm=9.0, lsf_rms_nm=1.0)
+    event = Measured(cycle=2, stats=stats, spikes=3, notes=("tilted",), run_dir="run")
+    facts = json.loads(json.dumps(event.facts()))
+    assert (facts["name"], facts["cycle"], facts["data"]["rms_nm"], facts["data"]["spikes"]) == ("measured", 2, 1.5, 3)
+    assert set(facts["data"]) == {
+        "rms_nm", "pv_nm", "lsf_rms_nm", "band_rms_nm", "samples", "spikes", "notes", "run_dir"
+    }  # fmt: skip
+    assert PassEnded(executed_s=1.0).facts() == {"name": "pass_ended", "cycle": None, "data": {"executed_s": 1.0}}
+
+
+def test_opened_has_a_key_for_each_device() -> None:
+    data = Opened(devices={"robot.left": Identity("Acme", "arm", "7", "1.0")}).data
+    assert data == {"robot.left": {"vendor": "Acme", "model": "arm", "serial": "7", "firmware": "1.0", "boot_id": ""}}
+
+
+@pytest.mark.parametrize("outcome", Outcome)
+def test_the_outcomes_are_told(outcome: Outcome) -> None:
+    assert f"`{outcome.value}`" in row(events.JobFinished)
