@@ -126,18 +126,6 @@ def pressure_mpa(process: ToolProcess, depth_mm: Depth, x_mm: FloatArray, y_mm: 
     return np.asarray(peak_pressure_mpa(process, depth_mm) * np.sqrt(np.clip(1 - rho**2, 0.0, None)))
 
 
-def force_and_moment(process: ToolProcess, depth_mm: float) -> tuple[float, float]:
-    """Force, N, and moment about the tool frame's y axis, N mm: integrals of ``p`` and ``x p`` (eq. 33).
-
-    The force is Hertz's (eq. 28) and the moment shift x force: the check of how the dissipative stress is read.
-    """
-    rho, angle, weight = _disc()
-    radius, shift = float(contact_radius_mm(process, depth_mm)), float(dissipative_shift_mm(process, depth_mm))
-    x = shift + radius * rho * np.cos(angle)
-    load = weight * radius**2 * pressure_mpa(process, depth_mm, x, radius * rho * np.sin(angle))
-    return float(load.sum()), float((x * load).sum())
-
-
 def preston_nm_s(process: ToolProcess) -> float:
     """Removal rate in nm/s per MPa of pressure and mm/s of speed (eq. 16; the paper prints no unit, cm2/N is taken)."""
     return process.preston_cm2_per_n * CM2_PER_N * NM_PER_MM
