@@ -15,6 +15,7 @@ import scipy
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.metrics import FIT_DEGREE, polynomial
+from polishd.process.metrics.extension import frequencies
 from polishd.process.robot.refusal import require_number
 
 Extension = Literal["nearest", "c1", "gerchberg_papoulis"]
@@ -165,7 +166,7 @@ def _band_limited(
     window = (slice(margin, margin + mask.shape[0]), slice(margin, margin + mask.shape[1]))
     inside, data = np.zeros(shape, dtype=np.bool_), np.zeros(shape)
     inside[window], data[window] = mask, rest
-    band = _frequency(shape) <= 1 / cutoff
+    band = frequencies(shape, 1.0) <= 1 / cutoff
     u = _project(_tapered(_thin_plate(rest, mask, reached), reached, shape, window, margin), band)
     u, rounds, misfit = _conjugate_gradients(u, data, inside, band)
     return fit + u[window], rounds, misfit / scale
@@ -200,12 +201,6 @@ def _square(u: FloatArray) -> float:
 
 def _project(u: FloatArray, band: BoolArray) -> FloatArray:
     return np.asarray(scipy.fft.irfft2(scipy.fft.rfft2(u) * band, u.shape), dtype=np.float64)
-
-
-def _frequency(shape: tuple[int, ...]) -> FloatArray:
-    return np.asarray(
-        np.hypot(scipy.fft.fftfreq(shape[0])[:, None], scipy.fft.rfftfreq(shape[1])[None, :]), dtype=np.float64
-    )
 
 
 def _tapered(

@@ -6,7 +6,7 @@ from polishd.process.metrics import iso10110, zernike
 from polishd.process.metrics.bands import EDGES_MM, FIT_DEGREE, band_rms, split_bands, surface_stats
 from polishd.process.metrics.comparison import Comparison, Figures, compare, figures
 from polishd.process.metrics.peak_valley import Pvr, pvr
-from polishd.process.metrics.psd import LinePsd, PlanePsd, RadialPsd, psd_2d, psd_x, psd_y, radial_psd
+from polishd.process.metrics.psd import RadialPsd, radial_psd
 from polishd.process.metrics.slopes import Slope, slope
 from polishd.process.metrics.spread import (
     Removal,
@@ -24,8 +24,6 @@ __all__ = [
     "FIT_DEGREE",
     "Comparison",
     "Figures",
-    "LinePsd",
-    "PlanePsd",
     "Pvr",
     "RadialPsd",
     "Removal",
@@ -37,9 +35,6 @@ __all__ = [
     "fitted",
     "iso10110",
     "polynomial",
-    "psd_2d",
-    "psd_x",
-    "psd_y",
     "pv_rms",
     "pvr",
     "radial_psd",

@@ -40,6 +40,12 @@ def extended(height_nm: FloatArray, mask: BoolArray, margin: int) -> tuple[Float
     return _bent(found, _holes(wide)), window
 
 
+def frequencies(shape: tuple[int, ...], pitch_mm: float) -> FloatArray:
+    """(ny, nx // 2 + 1) radial frequency of the real FFT's samples of a map of this shape, 1/mm."""
+    y, x = scipy.fft.fftfreq(shape[0], pitch_mm), scipy.fft.rfftfreq(shape[1], pitch_mm)
+    return np.asarray(np.hypot(y[:, None], x[None, :]), dtype=np.float64)
+
+
 def _holes(mask: BoolArray) -> BoolArray:
     """(ny, nx) what is not in the mask and does not reach the array's border."""
     outside, _ = scipy.ndimage.label(~np.pad(mask, 1))
