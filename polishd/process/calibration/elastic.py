@@ -11,20 +11,12 @@ from polishd.model.robot import HybridRobot, SerialRobot
 from polishd.model.surface import FloatArray
 from polishd.process.calibration.loading import LoadingTests
 from polishd.process.compliance import equivalent_compliance
-from polishd.process.robot.kinematics import inverse_kinematics
+from polishd.process.robot.compliance import hybrid_compliance_at
 from polishd.process.robot.serial import serial_inverse_kinematics, serial_joint_compliance_mm_per_n
-from polishd.process.robot.stiffness import tip_compliance
+from polishd.process.robot.stiffness import ELASTIC, limb_key
 
 Elastic = TypeVar("Elastic", HybridRobot, SerialRobot)
 """Robots that have stiffnesses to fit."""
-
-_LIMB = {True: ("limb_stiffness_n_per_mm", "N/mm"), False: ("limb_ea_n", "N")}
-_HYBRID = (
-    ("up_bending_n_mm2", "N mm^2"),
-    ("up_torsion_n_mm2", "N mm^2"),
-    ("a_stiffness_n_mm_per_rad", "N mm/rad"),
-    ("c_stiffness_n_mm_per_rad", "N mm/rad"),
-)
 
 
 class Number(NamedTuple):
@@ -40,7 +32,7 @@ def elastic_numbers(robot: HybridRobot | SerialRobot) -> tuple[Number, ...]:
     if isinstance(robot, SerialRobot):
         stiffness = robot.joint_stiffness_n_mm_per_rad
         return tuple(Number(f"stiffness of joint {j}", "N mm/rad", float(k)) for j, k in enumerate(stiffness, 1))
-    names = (_LIMB[robot.limb_ea_n is None], *_HYBRID)
+    names = (limb_key(robot), *ELASTIC)
     return tuple(Number(name, unit, float(getattr(robot, name))) for name, unit in names)
 
 
@@ -75,5 +67,5 @@ def _serial_matrix(robot: SerialRobot, tests: LoadingTests) -> Callable[[FloatAr
 
 
 def _hybrid_matrix(robot: HybridRobot, tests: LoadingTests) -> Callable[[FloatArray], FloatArray]:
-    pose = inverse_kinematics(robot, tests.tip_mm, tests.axis)
-    return lambda values: tip_compliance(with_elastic(robot, values), pose)[:, :3, :3]
+    matrix = hybrid_compliance_at(robot, tests.tip_mm, tests.axis)
+    return lambda values: matrix(with_elastic(robot, values))

@@ -11,7 +11,7 @@ import scipy
 from polishd.model.errors import ComputeError
 from polishd.model.robot import SerialRobot
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.robot.dh_chain import JOINTS, Chain, chain, reach_mm, require_arm, require_joints, twist_scale
+from polishd.process.robot.dh_chain import JOINTS, Chain, chain, reach_mm, require_arm, twist_scale
 from polishd.process.robot.refusal import refuse_where, require_number, require_unit_vectors, require_vectors
 
 SINGULAR = 1e-3
@@ -49,13 +49,6 @@ class _Solution:
     def reached(self) -> BoolArray:
         """(n,) True where the pose is reached."""
         return np.asarray((self.miss_mm < MISS_MM) & (self.miss_rad < MISS_RAD), dtype=np.bool_)
-
-
-def serial_forward_kinematics(robot: SerialRobot, joints_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Tool tips (n, 3) mm and unit tool axes (n, 3), from the tip into the spindle, of (n, 6) joint angles, rad."""
-    require_arm(robot)
-    at = chain(robot, require_joints(joints_rad))
-    return at.tip_mm, at.axis
 
 
 def serial_inverse_kinematics(
@@ -116,7 +109,7 @@ def serial_joint_compliance_mm_per_n(robot: SerialRobot, joints_rad: FloatArray)
         raise ComputeError(f"the arm has {len(robot.joint_stiffness_n_mm_per_rad)} joint stiffnesses, it must have 6")
     for j, stiffness in enumerate(robot.joint_stiffness_n_mm_per_rad, 1):
         require_number(f"the stiffness of joint {j}", stiffness, "N mm/rad", above=0.0)
-    arm = chain(robot, require_joints(joints_rad)).twists[:, :, :3]
+    arm = chain(robot, joints_rad).twists[:, :, :3]
     softened = arm / np.asarray(robot.joint_stiffness_n_mm_per_rad)[:, None]
     matrix = arm.transpose(0, 2, 1) @ softened
     return np.asarray((matrix + matrix.transpose(0, 2, 1)) / 2, dtype=np.float64)
