@@ -104,19 +104,11 @@ def dissipative_shift_mm(process: ToolProcess, depth_mm: Depth) -> FloatArray:
 def dissipative_fraction(process: ToolProcess, depth_mm: Depth) -> FloatArray:
     """Size of the dissipative stress: the shift that has its moment, over the contact's radius (eq. 29-33).
 
-    It is the moment of the dissipative stress over force x contact radius; see `dissipative_ratio` for a point.
+    It is the moment of the dissipative stress over force x contact radius. At ``rho`` contact radii along x eq. 29 and
+    32 print ``fraction * rho / (1 - rho^2)`` for dissipative over elastic stress: infinite at the rim, which is why the
+    pressure is shifted instead. Eq. 32's last term, fifty times smaller at the paper's numbers, is left out.
     """
     return np.asarray(dissipative_shift_mm(process, depth_mm) / contact_radius_mm(process, depth_mm), dtype=np.float64)
-
-
-def dissipative_ratio(process: ToolProcess, depth_mm: Depth, rho: Depth) -> FloatArray:
-    """Dissipative over elastic stress as eq. 29 and 32 print them, ``rho`` contact radii from the centre along x.
-
-    ``dissipative_fraction * rho / (1 - rho^2)``: infinite at the rim, which is why the pressure is shifted instead.
-    Eq. 32's last term, fifty times smaller at the paper's numbers, is left out.
-    """
-    rho = np.asarray(rho, dtype=np.float64)
-    return np.asarray(dissipative_fraction(process, depth_mm) * rho / (1 - rho**2), dtype=np.float64)
 
 
 def pressure_mpa(process: ToolProcess, depth_mm: Depth, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:

@@ -10,11 +10,9 @@ from polishd.process.metrics.psd import RadialPsd, radial_psd
 from polishd.process.metrics.slopes import Slope, slope
 from polishd.process.metrics.spread import (
     Removal,
-    Spread,
     fitted,
     polynomial,
     pv_rms,
-    spread,
     trimmed,
     without,
 )
@@ -28,7 +26,6 @@ __all__ = [
     "RadialPsd",
     "Removal",
     "Slope",
-    "Spread",
     "band_rms",
     "compare",
     "figures",
@@ -40,7 +37,6 @@ __all__ = [
     "radial_psd",
     "slope",
     "split_bands",
-    "spread",
     "surface_stats",
     "trimmed",
     "without",

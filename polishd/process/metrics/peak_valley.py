@@ -22,9 +22,6 @@ class Pvr:
     terms: int
     ordering: Ordering
 
-    def __str__(self) -> str:
-        return f"PVr {self.pvr_nm:.3f} nm ({self.terms} {self.ordering} Zernike terms, piston among them)"
-
 
 def pvr(height_nm: FloatArray, mask: BoolArray, terms: int = 36) -> Pvr:
     """PV of a Zernike fit plus three times the RMS of what it leaves (C. J. Evans, Opt. Eng. 48(4), 043605, 2009).
