@@ -12,8 +12,9 @@ import pytest
 
 from polishd.api import ActuatorTimes, DeviceFault, DeviceRefused, LinkError, ProtocolError
 from polishd.drivers.transport.address import SerialLine, Tcp
-from polishd.drivers.transport.voice_coil import VoiceCoil
-from polishd.drivers.voice_coil_modbus import ModbusWire, voice_coil_modbus
+from polishd.drivers.voice_coil import voice_coil_modbus
+from polishd.drivers.voice_coil.device import VoiceCoil
+from polishd.drivers.voice_coil.modbus import ModbusWire
 from tests.fakes.actuator import Coil, ModbusCoil, crc16
 from tests.fakes.wires import Once, PtyWire, TcpWire
 from tests.vectors import vectors

@@ -13,8 +13,8 @@ from pymodbus.pdu.register_message import ReadInputRegistersResponse, WriteSingl
 
 from polishd.api import DeviceRefused, Identity, LinkError, ProtocolError
 from polishd.drivers.transport.address import SerialLine, Tcp
-from polishd.drivers.transport.voice_coil import Reading
-from polishd.drivers.voice_coil_modbus import registers
+from polishd.drivers.voice_coil import registers
+from polishd.drivers.voice_coil.device import Reading
 
 
 class ModbusWire:
