@@ -72,13 +72,12 @@ def rim_contact(
 
 
 def sunk_at_rim(
-    spots: CorrectedSpot, rim: Rim, process: ToolProcess, at: tuple[Spot, Program]
+    spots: CorrectedSpot, rim: Rim, process: ToolProcess, spot: Spot, program: Program
 ) -> tuple[CorrectedSpot, str]:
     """The spots along a program, deeper where the bonnet hangs over a free rim; and a note that says how many.
 
-    ``at`` is the rigid robot's spot and the program; its axes are as seen where the surface lies level.
+    ``spot`` is the rigid robot's; the program's axes are as seen where the surface lies level.
     """
-    spot, program = at
     found = rim_contact(process, rim, contact_centres_mm(spot, program, spots.depth_ratio), spots.depth_ratio)
     over, lost = int((found.inside < 1).sum()), int((found.force < FORCE_KEPT).sum())
     note = f"free rim: the bonnet hangs over it at {over} of {program.n} points, and presses with less force at {lost}"

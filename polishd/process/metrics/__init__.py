@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from polishd.process.metrics import iso10110, zernike
-from polishd.process.metrics.bands import EDGES_MM, FIT_DEGREE, band_rms, split_bands, surface_stats
-from polishd.process.metrics.comparison import Comparison, Figures, compare, figures
-from polishd.process.metrics.peak_valley import Pvr, pvr
+from polishd.process.metrics.bands import FIT_DEGREE, band_rms, split_bands, surface_stats
+from polishd.process.metrics.comparison import Comparison, Figures, compare
+from polishd.process.metrics.peak_valley import pvr
 from polishd.process.metrics.psd import RadialPsd, radial_psd
-from polishd.process.metrics.slopes import Slope, slope
+from polishd.process.metrics.slopes import slope
 from polishd.process.metrics.spread import (
     Removal,
     fitted,
@@ -18,17 +18,13 @@ from polishd.process.metrics.spread import (
 )
 
 __all__ = [
-    "EDGES_MM",
     "FIT_DEGREE",
     "Comparison",
     "Figures",
-    "Pvr",
     "RadialPsd",
     "Removal",
-    "Slope",
     "band_rms",
     "compare",
-    "figures",
     "fitted",
     "iso10110",
     "polynomial",
