@@ -11,8 +11,7 @@ from typing import Any, Literal
 from polishd.api import ByteStream, DeviceRefused, LinkError, ProtocolError, RobotTimes, Segment
 from polishd.drivers.robot_link.frames import Kind, encode
 from polishd.drivers.robot_link.messages import PROTOCOL, Ack, Nak, Progress, Welcome, command
-from polishd.drivers.robot_link.record import ExecutionRecord
-from polishd.drivers.robot_link.session import Session
+from polishd.drivers.robot_link.session import ExecutionRecord, Session
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.background import Background, Pulse, Ready
 from polishd.drivers.transport.streams import open_stream

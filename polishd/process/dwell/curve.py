@@ -21,6 +21,10 @@ Row = dict[str, float | int | str | list[str] | None]
 PRICES = (*np.logspace(-1, -8, 15).tolist(), 0.0)
 
 
+CERTIFIED = ("objective", "kkt_residual", "at_lower", "at_upper", "solver", "iterations", "seconds", "stopped")
+"""Of the certificate, as it is."""
+
+
 @dataclass(frozen=True, slots=True)
 class Solved:
     """A problem and its solution: the certificate is to be read against this problem's price and P."""
@@ -49,14 +53,7 @@ class Solved:
             "price_nm2_per_s": self.problem.price_nm2_per_s,
             "regularisation": self.problem.regularisation,
             "piston_nm": c.piston_nm,
-            "objective": c.objective,
-            "kkt_residual": c.kkt_residual,
-            "at_lower": c.at_lower,
-            "at_upper": c.at_upper,
-            "solver": c.solver,
-            "iterations": c.iterations,
-            "seconds": c.seconds,
-            "stopped": c.stopped,
+            **{name: getattr(c, name) for name in CERTIFIED},
             "notes": list(c.notes),
         }
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from polishd.process.metrics import iso10110, zernike
 from polishd.process.metrics.bands import FIT_DEGREE, band_rms, split_bands, surface_stats
 from polishd.process.metrics.comparison import Comparison, Figures, compare
-from polishd.process.metrics.peak_valley import pvr
 from polishd.process.metrics.psd import RadialPsd, radial_psd
 from polishd.process.metrics.slopes import slope
 from polishd.process.metrics.spread import (
@@ -16,6 +15,7 @@ from polishd.process.metrics.spread import (
     trimmed,
     without,
 )
+from polishd.process.metrics.zernike import pvr
 
 __all__ = [
     "FIT_DEGREE",

@@ -118,6 +118,34 @@ def surface(fitted: ZernikeFit, mask: BoolArray, without: int = 0) -> FloatArray
     return found
 
 
+@dataclass(frozen=True, slots=True)
+class Pvr:
+    """``pvr_nm = fit_pv_nm + 3 * residual_rms_nm``; without the number of terms it says nothing."""
+
+    pvr_nm: float
+    fit_pv_nm: float
+    """PV of the fitted surface over the mask, piston and nothing else left out."""
+    residual_rms_nm: float
+    terms: int
+    ordering: Ordering
+
+
+def pvr(height_nm: FloatArray, mask: BoolArray, terms: int = 36) -> Pvr:
+    """PV of a Zernike fit plus three times the RMS of what it leaves (C. J. Evans, Opt. Eng. 48(4), 043605, 2009).
+
+    Args:
+        height_nm: (ny, nx), finite inside ``mask``; take off tilt or power before where they are alignment.
+        mask: (ny, nx) samples that count; the unit circle is ``enclosing(mask)``.
+        terms: Zernike terms in fringe order, piston counted. Some programs take 37.
+
+    Raises:
+        BadMap: as ``fit``.
+    """
+    fitted = fit(height_nm, mask, terms, "fringe")
+    pv = float(np.ptp(surface(fitted, mask)[mask]))
+    return Pvr(pv + 3 * fitted.residual_rms_nm, pv, fitted.residual_rms_nm, terms, fitted.ordering)
+
+
 def enclosing(mask: BoolArray) -> tuple[float, float, float]:
     """(row, column, radius) in pixels of a circle around a mask: the middle of its box, out to its furthest sample.
 

@@ -15,7 +15,7 @@ from polishd.model.errors import ConfigError
 from polishd.sim_backends import bus
 from polishd.sim_backends.config import Faults, SimConfig, load
 from polishd.sim_backends.faults import Mischief, Outlet
-from polishd.sim_backends.pty_port import PtyPort
+from polishd.sim_backends.wire import PtyPort
 
 
 def mischief(**faults: Any) -> Mischief:
