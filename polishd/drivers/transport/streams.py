@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import time
 from typing import cast
 
@@ -19,13 +18,8 @@ WRITE_S = 1.0
 
 async def open_stream(address: Tcp | SerialLine, within_s: float = 1.0) -> ByteStream:
     """Connect; LinkError where nobody answers within that time."""
-    if isinstance(address, Tcp):
-        return await open_tcp(address, within_s)
-    return await open_serial(address, within_s)
-
-
-async def open_tcp(address: Tcp, within_s: float) -> ByteStream:
-    """Connect over TCP."""
+    if isinstance(address, SerialLine):
+        return await open_serial(address, within_s)
     loop = asyncio.get_running_loop()
     try:
         async with asyncio.timeout(within_s):
@@ -103,9 +97,8 @@ class TcpStream(asyncio.Protocol):
 class LineReader:
     """Reads lines off a stream; what is longer than allowed is dropped up to its end."""
 
-    def __init__(self, stream: ByteStream, end: bytes = b"\n", longest: int = 4096) -> None:
+    def __init__(self, stream: ByteStream, longest: int) -> None:
         self._stream = stream
-        self._end = end
         self._longest = longest
         self._rest = bytearray()
 
@@ -113,7 +106,7 @@ class LineReader:
         """The next line without its end; LinkError when it is not complete in time."""
         deadline = time.monotonic() + within_s
         while True:
-            line, end, rest = self._rest.partition(self._end)
+            line, end, rest = self._rest.partition(b"\n")
             if end:
                 self._rest = rest
                 if len(line) <= self._longest:
@@ -122,9 +115,3 @@ class LineReader:
             if len(self._rest) > 2 * self._longest:
                 del self._rest[: -self._longest - 1]
             self._rest += await self._stream.read(4096, max(deadline - time.monotonic(), 0.0))
-
-
-async def close_quietly(stream: ByteStream) -> None:
-    """Close what may be dead already."""
-    with contextlib.suppress(LinkError):
-        await stream.close()
