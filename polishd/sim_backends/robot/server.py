@@ -19,7 +19,8 @@ from polishd.sim_backends.placement import Frames
 from polishd.sim_backends.robot import frames
 from polishd.sim_backends.robot.clients import Client
 from polishd.sim_backends.robot.controller import Controller
-from polishd.sim_backends.robot.motion import Limits, Motion
+from polishd.sim_backends.robot.motion import Motion
+from polishd.sim_backends.robot.path import Limits
 from polishd.sim_backends.robot.rnc import Block
 from polishd.sim_backends.runtime import Runtime
 from polishd.sim_backends.wire import Feed, Wire
