@@ -37,7 +37,6 @@ class Extended:
     """(ny, nx) the data untouched, the extension around them and in their holes, NaN beyond the reach."""
     mask: BoolArray
     """(ny, nx) where there is a height: data and extension."""
-    method: Extension
     rounds: int = 0
     """Projections that `gerchberg_papoulis` took."""
     misfit: float = 0.0
@@ -81,7 +80,7 @@ def extend(
         case _:
             raise ComputeError(f"no extension {method!r}; use nearest, c1 or gerchberg_papoulis")
     height = np.where(mask, height_nm, np.where(reached, full, np.nan))
-    return Extended(height, reached, method, rounds, misfit)
+    return Extended(height, reached, rounds, misfit)
 
 
 def _check(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, reach_mm: float) -> None:
