@@ -12,7 +12,8 @@ from polishd.model.errors import ComputeError
 from polishd.model.robot import SerialRobot
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.robot.dh_chain import JOINTS, Chain, chain, reach_mm, require_arm, twist_scale
-from polishd.process.robot.refusal import refuse_where, require_number, require_unit_vectors, require_vectors
+from polishd.process.robot.refusal import refuse_where, require_number
+from polishd.process.robot.workspace import require_poses
 
 SINGULAR = 1e-3
 """Ratio of the Jacobian's smallest to its largest singular value, lengths over reach, below which it is singular."""
@@ -70,7 +71,8 @@ def serial_inverse_kinematics(
         ComputeError: names the first pose which is out of reach, near-singular, on another branch than home or out of
             a joint's limits, or (``path``) to which a joint jumps.
     """
-    tip, axis = _require_poses(robot, tip_mm, axis)
+    require_arm(robot)
+    tip, axis = require_poses(tip_mm, axis)
     solution = _solve(robot, tip, _flange(robot, axis))
     if path:
         solution = dataclasses.replace(solution, joints=np.unwrap(solution.joints, axis=0))
@@ -82,7 +84,8 @@ def serial_inverse_kinematics(
 
 def serial_reachable(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray) -> BoolArray:
     """(n,) True where `serial_inverse_kinematics` would accept the pose; arguments as there."""
-    tip, axis = _require_poses(robot, tip_mm, axis)
+    require_arm(robot)
+    tip, axis = require_poses(tip_mm, axis)
     reach = _flange_sine(robot, axis) > SINGULAR
     solution = _solve(robot, tip[reach], _flange(robot, axis[reach]))
     low, high = np.radians(robot.joint_limits_deg).T
@@ -235,12 +238,3 @@ def _flange(robot: SerialRobot, axis: FloatArray) -> FloatArray:
 def _flange_sine(robot: SerialRobot, axis: FloatArray) -> FloatArray:
     wanted = np.asarray(robot.flange_x) / np.linalg.norm(robot.flange_x)
     return np.asarray(np.linalg.norm(np.cross(axis, wanted), axis=1), dtype=np.float64)
-
-
-def _require_poses(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
-    require_arm(robot)
-    tip = require_vectors("tool tip", tip_mm, "mm")
-    axis = require_unit_vectors("tool axis", axis)
-    if tip.shape != axis.shape:
-        raise ComputeError(f"{len(tip)} tool tips come with {len(axis)} tool axes")
-    return tip, axis
