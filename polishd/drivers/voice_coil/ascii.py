@@ -16,7 +16,7 @@ OPEN_S = 1.0
 class AsciiWire:
     """A VoiceCoilWire over ASCII lines."""
 
-    def __init__(self, address: SerialLine | Tcp, silence_s: float = 0.3) -> None:
+    def __init__(self, address: SerialLine | Tcp, silence_s: float) -> None:
         """An answer comes within ``silence_s``."""
         self._silence_s = silence_s
         self.name = str(address)

@@ -27,7 +27,7 @@ class Rig:
         self.coil = Coil()
         self.peer = ModbusCoil(self.coil, rtu=True)
         self.line = PtyWire(self.peer, path)
-        self.wire = ModbusWire(SerialLine(path))
+        self.wire = ModbusWire(SerialLine(path), 1, 0.3)
         self.device = VoiceCoil(self.wire, ActuatorTimes(watchdog_s=0.5, landing_s=1.0, retract_s=0.5))
 
     def writes(self, register: int) -> list[int]:

@@ -24,7 +24,7 @@ class Rig:
         self.coil = Coil()
         self.peer = AsciiCoil(self.coil)
         self.line = PtyWire(self.peer, path)
-        self.wire = AsciiWire(SerialLine(path))
+        self.wire = AsciiWire(SerialLine(path), 0.3)
         self.device = VoiceCoil(self.wire, ActuatorTimes())
 
 
