@@ -24,7 +24,9 @@ from polishd.model.robot import HybridRobot
 from polishd.model.surface import FloatArray
 from polishd.process.compliance import depth_ratio, equivalent_compliance
 from polishd.process.contact import hertz_depth_mm
-from polishd.process.robot import inverse_kinematics, reachable, tip_compliance_mm_per_n
+from polishd.process.robot import reachable, tip_compliance_mm_per_n
+from polishd.process.robot.parallel import geometry_of
+from polishd.process.robot.workspace import place
 
 PUBLISHED_UM_PER_N = np.array([1.04, 1.97])
 ROUNDING_UM_PER_N = 0.005
@@ -63,7 +65,7 @@ def main() -> int:
     table.add_row("compliance, um/N (published 1.04-1.97)", *(f"{low:.3f}-{high:.3f}" for low, high in ranges))
     table.add_row("gamma", *("{:.3f}-{:.3f}".format(*gamma(limits)) for limits in ranges))
     Console().print(table)
-    limb = inverse_kinematics(shipped, sample.tip_mm, sample.axis).limb_mm
+    limb = place(shipped, geometry_of(shipped), sample.tip_mm.T, sample.axis.T).parallel.limb_mm
     low, high = shipped.stroke_mm
     Console().print(f"limbs {limb.min():.0f}-{limb.max():.0f} mm (published stroke {low:g}-{high:g})")
     whole = len(sample.tip_mm) + sample.out_of_stroke

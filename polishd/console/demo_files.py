@@ -104,7 +104,8 @@ def _contact_radius_mm(config: CellConfig) -> float:
     """Radius of the contact that acts at the part's centre."""
     centre, process = np.zeros((1, 3)), config.tool_process()
     found = compliance_at(
-        (centre, _axes(config, centre)),
+        centre,
+        _axes(config, centre),
         process,
         config.robot_model(),
         config.placement(),

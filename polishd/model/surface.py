@@ -87,9 +87,9 @@ class SurfaceMap:
         """True where there is data, (ny, nx)."""
         return np.isfinite(self.height_nm)
 
-    def with_height(self, height_nm: FloatArray, pitch_mm: float | None = None) -> SurfaceMap:
-        """The same measurement with other samples (after conditioning or resampling)."""
-        return replace(self, height_nm=height_nm, pitch_mm=self.pitch_mm if pitch_mm is None else pitch_mm)
+    def with_height(self, height_nm: FloatArray) -> SurfaceMap:
+        """The same measurement with other heights."""
+        return replace(self, height_nm=height_nm)
 
 
 @dataclass(frozen=True, slots=True)

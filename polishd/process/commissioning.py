@@ -24,6 +24,7 @@ MARGIN = 0.1
 """By how much the artefact as it is must correlate better than in any other orientation."""
 SCALE_TOLERANCE = 0.05
 PITCH_TOLERANCE = 0.02
+"""How far height and size may be off."""
 MAX_TURN_DEG = 10.0
 BASE_DEGREE = 2
 """Total degree of what the artefact's base may have: 10 nm of power made 150 nm bumps look 3 % too small."""
@@ -86,20 +87,12 @@ def require_asymmetric(bumps: Sequence[Bump]) -> None:
                           "cannot prove a profile; move a bump, or give it another height or shape")  # fmt: skip
 
 
-def prove(
-    surface: SurfaceMap,
-    bumps: Sequence[Bump],
-    *,
-    scale_tolerance: float = SCALE_TOLERANCE,
-    pitch_tolerance: float = PITCH_TOLERANCE,
-) -> Proof:
+def prove(surface: SurfaceMap, bumps: Sequence[Bump]) -> Proof:
     """Show that a map shows the artefact as it is: not turned, flipped or negated, and of its height and size.
 
     Args:
         surface: the map of the artefact, as the profile turns and scales it (`process.instrument.as_profiled`).
         bumps: the artefact.
-        scale_tolerance: how far the height may be off.
-        pitch_tolerance: how far the size may be off.
 
     Raises:
         BadMap: it does not; what it shows instead is named, with the profile's values that would mend it.
@@ -126,7 +119,7 @@ def prove(
     if proof.next_best > proof.correlation - MARGIN:
         raise BadMap(f"the map shows the artefact {rival.name} about as well as {best.name} ({rival.correlation:.2f} "
                      f"and {proof.correlation:.2f}): bring all its bumps into view")  # fmt: skip
-    wrong, mend = _mistakes(surface, best, proof, scale_tolerance, pitch_tolerance)
+    wrong, mend = _mistakes(surface, best, proof)
     if wrong:
         raise BadMap(f"the map shows the artefact {' and '.join(wrong)}: set {', '.join(mend)} in the instrument's "
                      "profile and prove it again")  # fmt: skip
@@ -210,9 +203,7 @@ def _placed(
     )  # fmt: skip
 
 
-def _mistakes(
-    surface: SurfaceMap, best: Explanation, proof: Proof, scale_tolerance: float, pitch_tolerance: float
-) -> tuple[list[str], list[str]]:
+def _mistakes(surface: SurfaceMap, best: Explanation, proof: Proof) -> tuple[list[str], list[str]]:
     """What the map shows amiss, and the profile's values that would mend it."""
     profile = surface.factors.get("profile", {})
     wrong, mend = [], []
@@ -222,11 +213,11 @@ def _mistakes(
         wrong.append(best.name)
         mend += [f"mirror = {str(right.mirror).lower()}", f"rotation_deg = {right.rotation_deg}",
                  f"sign = {profile.get('sign', 1) * (-1 if best.negated else 1)}"]  # fmt: skip
-    if abs(proof.scale - 1) > scale_tolerance:
-        known = next((f for f in (0.5, 2.0) if abs(proof.scale / f - 1) <= scale_tolerance), proof.scale)
+    if abs(proof.scale - 1) > SCALE_TOLERANCE:
+        known = next((f for f in (0.5, 2.0) if abs(proof.scale / f - 1) <= SCALE_TOLERANCE), proof.scale)
         wrong.append(f"{proof.scale:.3f} times as high")
         mend.append(f"factor = {profile.get('factor', 1.0) / known:.4g}")
-    if abs(proof.pitch_ratio - 1) > pitch_tolerance:
+    if abs(proof.pitch_ratio - 1) > PITCH_TOLERANCE:
         wrong.append(f"{proof.pitch_ratio:.3f} times as large")
         mend.append(f"pitch_mm = {surface.grid.pitch_mm / proof.pitch_ratio:.6g}")
     return wrong, mend

@@ -6,6 +6,7 @@ import numpy as np
 
 from polishd.model.process import Projection, ToolProcess
 from polishd.model.surface import BoolArray, FloatArray
+from polishd.process.robot.parallel import cross, dot
 from polishd.process.robot.refusal import refuse_where, require_number
 
 JUMP = 0.05
@@ -95,13 +96,13 @@ def _symmetric(matrix: FloatArray, axis: FloatArray, normal: FloatArray, project
     a, b = np.ascontiguousarray(axis.T), np.ascontiguousarray(normal.T)
     value, gap = _axial_eigenvalue(c, a)
     x = _null_vector(c, value)
-    along = _dot(x, b)
+    along = dot(x, b)
     across = b - along * x
-    share = np.sqrt(_dot(across, across))
+    share = np.sqrt(dot(across, across))
     first = across / np.maximum(share, 1e-300)
-    second = _cross(x, first)
+    second = cross(x, first)
     pushed = _times(c, first)
-    m_11, m_12, m_22 = _dot(first, pushed), _dot(second, pushed), _dot(second, _times(c, second))
+    m_11, m_12, m_22 = dot(first, pushed), dot(second, pushed), dot(second, _times(c, second))
     mean, half = (m_11 + m_22) / 2, (m_11 - m_22) / 2
     spread = np.hypot(half, m_12)
     big = np.where(spread > 0, (spread + np.abs(half)) / np.maximum(2 * spread, 1e-300), 1.0)
@@ -133,7 +134,7 @@ def _axial_eigenvalue(c: FloatArray, a: FloatArray) -> tuple[FloatArray, FloatAr
     high, low = mean + 2 * size * np.cos(angle), mean + 2 * size * np.cos(angle + 2 * np.pi / 3)
     middle = 3 * mean - high - low
     pushed = _times(c, a)
-    once, twice = _dot(a, pushed), _dot(pushed, pushed)
+    once, twice = dot(a, pushed), dot(pushed, pushed)
     tiny = np.maximum(np.abs(mean), 1e-300) ** 2 * 1e-30
     value = np.stack([high, middle, low])
     share = np.stack(
@@ -155,23 +156,15 @@ def _null_vector(c: FloatArray, value: FloatArray) -> FloatArray:
     rows = c.copy()
     for k in range(3):
         rows[k, k] -= value
-    crosses = np.stack([_cross(rows[0], rows[1]), _cross(rows[1], rows[2]), _cross(rows[2], rows[0])])
+    crosses = np.stack([cross(rows[0], rows[1]), cross(rows[1], rows[2]), cross(rows[2], rows[0])])
     size = crosses[:, 0] ** 2 + crosses[:, 1] ** 2 + crosses[:, 2] ** 2
     best = size.argmax(axis=0)
     vector = np.take_along_axis(crosses, best[None, None, :], axis=0)[0]
     return np.asarray(vector / np.sqrt(np.maximum(size.max(axis=0), 1e-300)), dtype=np.float64)
 
 
-def _dot(p: FloatArray, q: FloatArray) -> FloatArray:
-    return np.asarray(p[0] * q[0] + p[1] * q[1] + p[2] * q[2], dtype=np.float64)
-
-
-def _cross(p: FloatArray, q: FloatArray) -> FloatArray:
-    return np.stack([p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]])
-
-
 def _times(c: FloatArray, p: FloatArray) -> FloatArray:
-    return np.stack([_dot(c[0], p), _dot(c[1], p), _dot(c[2], p)])
+    return np.stack([dot(c[0], p), dot(c[1], p), dot(c[2], p)])
 
 
 def _real_eigen(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:

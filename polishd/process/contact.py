@@ -104,19 +104,11 @@ def dissipative_shift_mm(process: ToolProcess, depth_mm: Depth) -> FloatArray:
 def dissipative_fraction(process: ToolProcess, depth_mm: Depth) -> FloatArray:
     """Size of the dissipative stress: the shift that has its moment, over the contact's radius (eq. 29-33).
 
-    It is the moment of the dissipative stress over force x contact radius; see `dissipative_ratio` for a point.
+    It is the moment of the dissipative stress over force x contact radius. At ``rho`` contact radii along x eq. 29 and
+    32 print ``fraction * rho / (1 - rho^2)`` for dissipative over elastic stress: infinite at the rim, which is why the
+    pressure is shifted instead. Eq. 32's last term, fifty times smaller at the paper's numbers, is left out.
     """
     return np.asarray(dissipative_shift_mm(process, depth_mm) / contact_radius_mm(process, depth_mm), dtype=np.float64)
-
-
-def dissipative_ratio(process: ToolProcess, depth_mm: Depth, rho: Depth) -> FloatArray:
-    """Dissipative over elastic stress as eq. 29 and 32 print them, ``rho`` contact radii from the centre along x.
-
-    ``dissipative_fraction * rho / (1 - rho^2)``: infinite at the rim, which is why the pressure is shifted instead.
-    Eq. 32's last term, fifty times smaller at the paper's numbers, is left out.
-    """
-    rho = np.asarray(rho, dtype=np.float64)
-    return np.asarray(dissipative_fraction(process, depth_mm) * rho / (1 - rho**2), dtype=np.float64)
 
 
 def pressure_mpa(process: ToolProcess, depth_mm: Depth, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
@@ -124,18 +116,6 @@ def pressure_mpa(process: ToolProcess, depth_mm: Depth, x_mm: FloatArray, y_mm: 
     shifted = np.hypot(x_mm - dissipative_shift_mm(process, depth_mm), y_mm)
     rho = shifted / contact_radius_mm(process, depth_mm)
     return np.asarray(peak_pressure_mpa(process, depth_mm) * np.sqrt(np.clip(1 - rho**2, 0.0, None)))
-
-
-def force_and_moment(process: ToolProcess, depth_mm: float) -> tuple[float, float]:
-    """Force, N, and moment about the tool frame's y axis, N mm: integrals of ``p`` and ``x p`` (eq. 33).
-
-    The force is Hertz's (eq. 28) and the moment shift x force: the check of how the dissipative stress is read.
-    """
-    rho, angle, weight = _disc()
-    radius, shift = float(contact_radius_mm(process, depth_mm)), float(dissipative_shift_mm(process, depth_mm))
-    x = shift + radius * rho * np.cos(angle)
-    load = weight * radius**2 * pressure_mpa(process, depth_mm, x, radius * rho * np.sin(angle))
-    return float(load.sum()), float((x * load).sum())
 
 
 def preston_nm_s(process: ToolProcess) -> float:

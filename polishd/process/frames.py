@@ -147,12 +147,6 @@ def dips_deg(axis: FloatArray, normal: FloatArray) -> FloatArray:
     return np.asarray(np.degrees(np.arctan2(sine, np.einsum("ni,ni->n", axis, normal))), dtype=np.float64)
 
 
-def axis_from_angles(a_deg: FloatArray, c_deg: FloatArray) -> FloatArray:
-    """(n, 3) unit tool axes ``(sin C sin A, -cos C sin A, cos A)`` from (n,) A and C, degrees, program frame."""
-    a, c = np.radians(a_deg), np.radians(c_deg)
-    return np.stack([np.sin(c) * np.sin(a), -np.cos(c) * np.sin(a), np.cos(a)], axis=-1)
-
-
 def angles_from_axis(axis: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(A, C) in degrees, (n,) each, of (n, 3) unit tool axes: without jumps of a turn.
 

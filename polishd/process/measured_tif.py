@@ -82,7 +82,9 @@ def tif_from_maps(
     frame = _frame(rate.shape)
     rate = _levelled(rate, frame)
     peak = _find(rate, frame)
-    centre, rim = _centroid(rate, peak, _Noise(rate, frame), None if radius_mm is None else radius_mm / pitch_mm)
+    centre, rim = _centroid(
+        rate, peak, _sigma(_smooth(rate)[frame]), None if radius_mm is None else radius_mm / pitch_mm
+    )
     away = _distance(rate.shape, centre) > MARGIN * rim
     if np.count_nonzero(away & np.isfinite(rate)) >= MIN_LEVEL_SAMPLES:
         rate, frame = _levelled(rate, away), away
@@ -170,17 +172,6 @@ def _smooth(rate: FloatArray) -> FloatArray:
     return np.where(valid, total / np.maximum(weight, 1e-12), np.nan)
 
 
-class _Noise:
-    """Noise of means over samples of the untouched surface."""
-
-    def __init__(self, rate: FloatArray, untouched: BoolArray) -> None:
-        self._smoothed = _sigma(_smooth(rate)[untouched])
-
-    def of_mean(self, samples: FloatArray) -> FloatArray:
-        """Standard deviation of means over so many samples; noise as wide as the smoothing is allowed for."""
-        return self._smoothed / np.sqrt(np.maximum(samples / (4 * np.pi * SMOOTH_PX**2), 1.0))
-
-
 def _find(rate: FloatArray, frame: BoolArray) -> tuple[float, float]:
     """Row and column of the spot's peak."""
     smooth = _smooth(rate)
@@ -204,7 +195,7 @@ def _distance(shape: tuple[int, ...], centre: tuple[float, float]) -> FloatArray
 
 
 def _centroid(
-    rate: FloatArray, peak: tuple[float, float], noise: _Noise, radius_px: float | None
+    rate: FloatArray, peak: tuple[float, float], noise: float, radius_px: float | None
 ) -> tuple[tuple[float, float], float]:
     """Row and column of the centroid of what lies within the rim round it, and the rim's radius, px."""
     centre, rim = peak, 0.0
@@ -224,13 +215,17 @@ def _centroid(
     return centre, rim
 
 
-def _rim(rate: FloatArray, centre: tuple[float, float], noise: _Noise) -> float:
-    """Radius, px, from which on outwards of its maximum the mean round the centre is not above noise."""
+def _rim(rate: FloatArray, centre: tuple[float, float], noise: float) -> float:
+    """Radius, px, from which on outwards of its maximum the mean round the centre is not above noise.
+
+    ``noise`` is the standard deviation of the smoothed map; noise as wide as the smoothing is allowed for.
+    """
     ring = np.round(_distance(rate.shape, centre)).astype(np.int64)
     valid = np.isfinite(rate)
     count = np.bincount(ring[valid])
     mean = np.bincount(ring[valid], rate[valid]) / np.maximum(count, 1)
-    below = mean < np.maximum(RIM_SIGMA * noise.of_mean(count.astype(np.float64)), RIM_SHARE * mean.max())
+    noise_of_mean = noise / np.sqrt(np.maximum(count / (4 * np.pi * SMOOTH_PX**2), 1.0))
+    below = mean < np.maximum(RIM_SIGMA * noise_of_mean, RIM_SHARE * mean.max())
     below[: int(mean.argmax())] = False
     return float(below.argmax()) if below.any() else float(len(mean))
 

@@ -74,8 +74,3 @@ _BY_NAME = {orientation.name: orientation for orientation in ORIENTATIONS}
 def orientations(shape: tuple[int, ...]) -> tuple[Orientation, ...]:
     """Those of the eight that keep an array's shape: four where it is not square."""
     return tuple(o for o in ORIENTATIONS if shape[0] == shape[1] or o.rotation_deg % 180 == 0)
-
-
-def turned(array: NDArray[Any], mirror: bool, rotation_deg: Turn) -> NDArray[Any]:
-    """The array flipped left-right where ``mirror``, then turned counter-clockwise."""
-    return Orientation(mirror, rotation_deg).turn(array)

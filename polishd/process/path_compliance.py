@@ -64,11 +64,12 @@ def path_compliance(
     if not len(start) == len(end) == len(program.axis):
         raise ComputeError(f"the program has {len(start)} starts, {len(end)} ends and {len(program.axis)} axes")
     middle = (start + end) / 2
-    return compliance_at((middle, program.axis), process, robot, placement, options=options, optic=optic)
+    return compliance_at(middle, program.axis, process, robot, placement, options=options, optic=optic)
 
 
 def compliance_at(
-    path: tuple[FloatArray, FloatArray],
+    point_mm: FloatArray,
+    axis: FloatArray,
     process: ToolProcess,
     robot: RobotModel,
     placement: Placement,
@@ -77,15 +78,15 @@ def compliance_at(
     optic: Optic = FLAT,
 ) -> PathCompliance:
     """The same at points along a path: (n, 3) tool tips, mm, and (n, 3) unit tool axes, both in the part's frame."""
-    point, axis = path[0], require_unit_vectors("tool axis", path[1])
-    tip, base_axis = frames.points_to_base(placement, point), frames.directions_to_base(placement, axis)
-    surface = frames.surface_normals(placement, point, optic)
+    tip = frames.points_to_base(placement, point_mm)
+    base_axis = frames.directions_to_base(placement, require_unit_vectors("tool axis", axis))
+    surface = frames.surface_normals(placement, point_mm, optic)
     dip = frames.dips_deg(base_axis, surface)
     off = ~(np.abs(dip - process.dip_deg) <= DIP_TOLERANCE_DEG)
     refuse_where(off, dip, "the program's tool axis is dipped: the dip", "deg", f"the process says {process.dip_deg:g}")
     if isinstance(robot, MeasuredCompliance):
         return PathCompliance(measured_compliance(robot, tip), 0, 0)
-    normal, fallbacks = _normals(options, process, (tip, base_axis, surface), placement)
+    normal, fallbacks = _normals(options, placement, process.dip_deg, tip=tip, axis=base_axis, surface=surface)
     matrix = tip_compliance_mm_per_n(robot, tip, base_axis, moment=options.moment, path=True)
     compliance = equivalent_compliance(matrix, base_axis, normal, options.projection)
     return PathCompliance(compliance, int(jumps(compliance, matrix).sum()), fallbacks)
@@ -93,12 +94,14 @@ def compliance_at(
 
 def _normals(
     options: ComplianceOptions,
-    process: ToolProcess,
-    at: tuple[FloatArray, FloatArray, FloatArray],
     placement: Placement,
+    dip_deg: float,
+    *,
+    tip: FloatArray,
+    axis: FloatArray,
+    surface: FloatArray,
 ) -> tuple[FloatArray, int]:
     """(n, 3) unit normals b that the options ask for, base frame, and at how many points it fell back."""
-    tip, axis, surface = at
     if options.frame == "surface":
         return surface, 0
     if options.frame == "frenet":
@@ -106,4 +109,4 @@ def _normals(
         facing = np.where(np.einsum("ni,ni->n", binormal, surface) < 0, -1.0, 1.0)
         return np.where(defined[:, None], binormal * facing[:, None], surface), int((~defined).sum())
     lean = frames.lean_directions(options, placement, tip, surface)
-    return frames.turned_back(axis, lean, process.dip_deg), 0
+    return frames.turned_back(axis, lean, dip_deg), 0

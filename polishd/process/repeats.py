@@ -42,7 +42,7 @@ class Repeats:
     """Single samples left out of maps that were used."""
 
 
-def average(surfaces: Sequence[SurfaceMap], mask: BoolArray | None = None, removal: Removal = "tilt") -> Repeats:
+def average(surfaces: Sequence[SurfaceMap], removal: Removal = "tilt") -> Repeats:
     """Mean of repeated maps, registered to each other, without those that deviate.
 
     A map is left out where its RMS deviation from the median map is more than ``MAP_SIGMAS`` robust standard
@@ -51,14 +51,13 @@ def average(surfaces: Sequence[SurfaceMap], mask: BoolArray | None = None, remov
 
     Args:
         surfaces: the maps; alike in shape and pitch.
-        mask: (ny, nx) samples that count; None for those that all maps have.
         removal: taken off each over the mask before they are compared: alignment differs from one to the next.
 
     Raises:
-        BadMap: fewer than ``FEWEST`` maps, before or after the rejection; shapes or pitches that differ; a map that
-            lacks samples of ``mask``, or no sample that all have.
+        BadMap: fewer than ``FEWEST`` maps, before or after the rejection; shapes or pitches that differ; no sample that
+            all have.
     """
-    common = _common(surfaces, mask)
+    common = _common(surfaces)
     heights = np.stack([without(surface.height_nm, common, removal)[common] for surface in surfaces])
     names = _names(surfaces)
     deviation = np.sqrt(np.mean((heights - np.median(heights, axis=0)) ** 2, axis=1))
@@ -85,7 +84,8 @@ def average(surfaces: Sequence[SurfaceMap], mask: BoolArray | None = None, remov
     )
 
 
-def _common(surfaces: Sequence[SurfaceMap], mask: BoolArray | None) -> BoolArray:
+def _common(surfaces: Sequence[SurfaceMap]) -> BoolArray:
+    """(ny, nx) samples that all have."""
     if len(surfaces) < FEWEST:
         raise BadMap(f"{len(surfaces)} repeats are too few: at least {FEWEST} tell which of them deviates")
     first, *others = surfaces
@@ -96,11 +96,7 @@ def _common(surfaces: Sequence[SurfaceMap], mask: BoolArray | None) -> BoolArray
                 f"{first.height_nm.shape} at {first.pitch_mm} mm: repeats are of one set-up"
             )
     everywhere: BoolArray = np.logical_and.reduce([surface.valid for surface in surfaces])
-    if mask is not None and mask.shape != everywhere.shape:
-        raise BadMap(f"the mask is {mask.shape}, the repeats are {everywhere.shape}")
-    if mask is not None and (mask & ~everywhere).any():
-        raise BadMap(f"{np.count_nonzero(mask & ~everywhere)} samples of the mask are missing in some repeat")
-    return everywhere if mask is None else mask
+    return everywhere
 
 
 def _names(surfaces: Sequence[SurfaceMap]) -> tuple[str, ...]:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy
 
 from polishd.model.errors import BadMap
-from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
+from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.process.metrics import zernike
 
 SPIKE_MADS = 12.0
@@ -25,20 +23,6 @@ SMALLEST_ISLAND = 0.001
 """Share of the largest piece of data below which a piece that does not touch it is no part of the part."""
 
 
-@dataclass(frozen=True, slots=True)
-class Despiked:
-    """A map whose spikes have no data any more."""
-
-    height_nm: FloatArray
-    """(ny, nx), NaN = no data."""
-    masked: BoolArray
-    """(ny, nx) what was taken out: the spikes grown by a pixel on all sides."""
-    spikes: int
-    """Samples beyond the threshold, before they were grown."""
-    threshold_nm: float
-    """Distance from the fit beyond which a sample was a spike."""
-
-
 def cleaned(surface: SurfaceMap, mads: float) -> tuple[SurfaceMap, int]:
     """The map without spikes and islands, and the number of spikes; ``mads`` = 0 leaves it as it is.
 
@@ -47,17 +31,22 @@ def cleaned(surface: SurfaceMap, mads: float) -> tuple[SurfaceMap, int]:
     """
     if not mads:
         return surface, 0
-    despiked = without_spikes(surface.height_nm, mads)
-    return surface.with_height(without_islands(despiked.height_nm)[0]), despiked.spikes
+    height_nm, spikes = without_spikes(surface.height_nm, mads)
+    return surface.with_height(without_islands(height_nm)), spikes
 
 
-def without_spikes(height_nm: FloatArray, mads: float = SPIKE_MADS, most: float = MOST_SPIKES) -> Despiked:
+def without_spikes(
+    height_nm: FloatArray, mads: float = SPIKE_MADS, most: float = MOST_SPIKES
+) -> tuple[FloatArray, int]:
     """Take out what stands off the 36-term Zernike fit by more than ``mads`` robust standard deviations.
 
     Args:
         height_nm: (ny, nx), NaN = no data.
         mads: the threshold, in 1.4826 median absolute deviations of what the fit leaves.
         most: share of the samples that may be spikes.
+
+    Returns:
+        (ny, nx) the map, without data where spikes were, grown by a pixel on all sides; number of spikes before that.
 
     Raises:
         BadMap: no data, data that tell no Zernike terms apart, or more spikes than ``most``.
@@ -66,7 +55,7 @@ def without_spikes(height_nm: FloatArray, mads: float = SPIKE_MADS, most: float 
     if not mads > 0:
         raise ValueError(f"spikes are off by a positive number of deviations, not {mads:g}")
     valid = np.isfinite(height_nm)
-    spike, threshold = np.zeros_like(valid), np.inf
+    spike = np.zeros_like(valid)
     for _ in range(ROUNDS):
         fitted = zernike.fit(height_nm, valid & ~spike, TERMS, "fringe", circle_px=zernike.enclosing(valid))
         off = np.abs(height_nm - zernike.surface(fitted, valid))
@@ -79,28 +68,21 @@ def without_spikes(height_nm: FloatArray, mads: float = SPIKE_MADS, most: float 
             )
         if (spike == before).all():
             break
-    masked = (
-        valid & scipy.ndimage.binary_dilation(spike, structure=np.ones((3, 3), dtype=np.bool_))
-        if spike.any()
-        else spike
-    )
-    return Despiked(np.where(masked, np.nan, height_nm), masked, int(np.count_nonzero(spike)), threshold)
+    grown = scipy.ndimage.binary_dilation(spike, structure=np.ones((3, 3), dtype=np.bool_))
+    return np.where(grown, np.nan, height_nm), int(np.count_nonzero(spike))
 
 
-def without_islands(height_nm: FloatArray, smallest: float = SMALLEST_ISLAND) -> tuple[FloatArray, int]:
+def without_islands(height_nm: FloatArray, smallest: float = SMALLEST_ISLAND) -> FloatArray:
     """Take out pieces of data that are far smaller than the largest: reflections, and pixels beyond the part's edge.
 
     Args:
         height_nm: (ny, nx), NaN = no data.
         smallest: share of the largest piece's samples that a piece must have to stay.
-
-    Returns:
-        (ny, nx) what stays, and how many samples were taken out.
     """
     pieces, count = scipy.ndimage.label(np.isfinite(height_nm))
     if count < 2:
-        return height_nm.copy(), 0
+        return height_nm.copy()
     sizes = np.bincount(pieces.ravel())
     gone = sizes < smallest * sizes[1:].max()
     gone[0] = False
-    return np.where(gone[pieces], np.nan, height_nm), int(sizes[gone].sum())
+    return np.where(gone[pieces], np.nan, height_nm)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -82,18 +82,14 @@ def measured_figures(tif: MeasuredTif, process: ToolProcess) -> SpotFigures:
     azimuth = np.radians(tif.azimuth_deg)
     x = _along(tif, line * np.sin(azimuth), -line * np.cos(azimuth))
     y = _along(tif, line * np.cos(azimuth), line * np.sin(azimuth))
-    return SpotFigures(
-        depth_mm=model.depth_mm,
-        contact_radius_mm=model.contact_radius_mm,
-        peak_pressure_mpa=model.peak_pressure_mpa,
+    return replace(
+        model,
         peak_nm_s=float(tif.rate_nm_s.max()),
         volume_mm3_min=measured_tif.volume_mm3_min(tif),
-        dissipative_fraction=model.dissipative_fraction,
         x_mm=line,
         profile_x_nm_s=x,
         y_mm=line,
         profile_y_nm_s=y,
-        pole_mm=model.pole_mm,
         m_shaped=_m_shaped(x),
     )
 

@@ -73,30 +73,27 @@ class PlantLink:
 
     def event(self, name: str, at_s: float | None = None, **data: Any) -> None:
         """Tell the witness what happened, and when (time.monotonic)."""
-        self._send({"event": name, "t": time.monotonic() if at_s is None else at_s, **data})
+        self.ask(event=name, t=time.monotonic() if at_s is None else at_s, **data)
 
     def samples(self, values: list[tuple[float, float]], mark_s: float) -> None:
         """(time, value) points of this device's force or speed, and up to when they hold."""
-        self._send({"samples": values, "mark": mark_s})
+        self.ask(samples=values, mark=mark_s)
 
     def rows(self, rows: FloatArray, mark_s: float, pose: tuple[float, ...]) -> None:
         """Motion since the last call, and the pose at its end; what is not covered by rows was standstill."""
         if len(rows):
             self.writer.write(pack_rows(rows))
-        self._send({"mark": mark_s, "pose": pose})
+        self.ask(mark=mark_s, pose=pose)
 
     def ask(self, **message: Any) -> None:
         """Any other message."""
-        self._send(message)
+        if not self.writer.is_closing():
+            self.writer.write(pack_json(message))
 
     async def run(self) -> None:
         """Hand over what the plant says; returns when it is gone."""
         while (message := await read_frame(self.reader)) is not None:
             self.on_message(message)
-
-    def _send(self, message: Message) -> None:
-        if not self.writer.is_closing():
-            self.writer.write(pack_json(message))
 
 
 async def connect(state: Path, device: str, **hello: Any) -> PlantLink:

@@ -38,7 +38,7 @@ class Mischief:
         return delay, frame
 
 
-@dataclass(slots=True)
+@dataclass(eq=False, slots=True)
 class Outlet:
     """Sends frames in order with mischief and, where ``byte_s`` is above 0, at the pace of a serial line."""
 
@@ -46,8 +46,11 @@ class Outlet:
     mischief: Mischief
     byte_s: float = 0.0
     chunk: int = 16
+    backlog: Callable[[], int] = lambda: 0
+    """Bytes that the other end has not taken yet."""
+    on_closed: Callable[[], None] = lambda: None
+    """Told when nobody is at the other end any more."""
     closed: bool = False
-    """Nobody is at the other end any more."""
     _queue: asyncio.Queue[tuple[float, bytes]] = field(default_factory=asyncio.Queue)
 
     def send(self, frame: bytes, delay_s: float = 0.0) -> None:

@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 import uuid
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -89,7 +89,7 @@ class Runtime:
         os.execv(sys.executable, arguments)  # noqa: S606  (no shell: the process replaces itself)
 
 
-Device = Callable[[Runtime], Awaitable[None]]
+Device = Callable[[Runtime], Coroutine[Any, Any, None]]
 
 
 def as_hardware() -> None:
@@ -129,7 +129,7 @@ async def run_device(name: str, start: Start, device: Device, **hello: Any) -> N
     async with asyncio.TaskGroup() as group:
         runtime = Runtime(name, start, _power_up(start.state, name), link, group)
         group.create_task(_until_plant_ends(runtime))
-        group.create_task(_plain(device(runtime)))
+        group.create_task(device(runtime))
         await until_ended(runtime.stop)
         cancel_all()
     link.writer.close()
@@ -139,10 +139,6 @@ def cancel_all() -> None:
     """End every other task of this process."""
     for task in asyncio.all_tasks() - {asyncio.current_task()}:
         task.cancel()
-
-
-async def _plain(awaitable: Awaitable[None]) -> None:
-    await awaitable
 
 
 async def _until_plant_ends(runtime: Runtime) -> None:

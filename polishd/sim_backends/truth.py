@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,10 +35,6 @@ class HiddenTruth:
     def rate_at(self, process_s: float) -> float:
         """The rate factor at a process time."""
         return self.rate * (1.0 + self.drift * math.sin(self.drift_phase + math.tau * process_s / self.drift_period_s))
-
-    def as_dict(self) -> dict[str, Any]:
-        """For ``truth.json``."""
-        return asdict(self)
 
 
 def draw(config: Truth, seed: int) -> HiddenTruth:

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import os
+import tty
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from polishd.config.simulator import Faults
 from polishd.sim_backends.faults import Mischief, Outlet
-from polishd.sim_backends.pty_port import PtyPort
 from polishd.sim_backends.runtime import LOOPBACK, Runtime
 from polishd.sim_backends.truth import stream
 
-Send = Callable[..., None]
-Feed = Callable[[bytes, Send], None]
-"""(bytes, send): take bytes; answer through ``send(data, delay_s=0)``."""
+MAX_UNSENT = 8 << 20
+"""Bytes that a peer may leave unread before it is cut off."""
+
+Feed = Callable[[bytes], None]
+"""Takes bytes that came."""
 
 
 @dataclass(slots=True)
@@ -23,42 +28,38 @@ class Wire:
 
     runtime: Runtime
     faults: Faults
-    feed: Callable[[], Feed]
-    """Makes the receiver of one connection."""
-    outlets: list[Outlet] = field(default_factory=list)
+    receiver: Callable[[Outlet], Feed]
+    """Makes the receiver of one connection, which answers through the outlet."""
     cuts: list[Callable[[], None]] = field(default_factory=list)
-    _mischief: Mischief = field(init=False)
+    mischief: Mischief = field(init=False)
 
     def __post_init__(self) -> None:
         """Bad luck of its own."""
-        self._mischief = Mischief(self.faults, stream(self.runtime.start.seed, self.runtime.name))
+        self.mischief = Mischief(self.faults, stream(self.runtime.start.seed, self.runtime.name))
 
     def open_pty(self, baud: int) -> None:
         """A serial line behind the device's stable name; bytes take the time that the baud rate says."""
         port = PtyPort(self.runtime.start.state / self.runtime.name, lambda _data: None)
-        outlet = Outlet(port.write, self._mischief, byte_s=10.0 / baud)
-        feed = self.feed()
-        port.on_bytes = lambda data: feed(data, outlet.send)
+        outlet = Outlet(port.write, self.mischief, byte_s=10.0 / baud)
+        port.on_bytes = self.receiver(outlet)
         port.open()
 
         def replug() -> None:
             port.close()
             port.open()
 
-        self.outlets.append(outlet)
         self.cuts.append(replug)
         self.runtime.group.create_task(outlet.run())
 
     async def open_tcp(self, port: int, greeting: bytes = b"") -> str:
         """A TCP port on loopback; returns ``host:port``."""
-        return f"{LOOPBACK}:{await self.runtime.serve(lambda: _Connection(self, greeting), port)}"
+        return f"{LOOPBACK}:{await self.runtime.serve(lambda: Connection(self, greeting), port)}"
 
-    def add(self, write: Callable[[bytes], None], cut: Callable[[], None]) -> Outlet:
-        """A new connection's outlet."""
-        outlet = Outlet(write, self._mischief)
-        self.outlets.append(outlet)
-        self.cuts.append(cut)
-        return outlet
+    def ready(self, endpoint: str) -> None:
+        """The device answers there; from now on its faults may come."""
+        self.runtime.ready(endpoint)
+        self.runtime.group.create_task(self.cut_now_and_then())
+        self.runtime.group.create_task(self.runtime.reboot_later(self.faults.reboot_after_s))
 
     async def cut_now_and_then(self) -> None:
         """Disconnect everyone every so often."""
@@ -69,28 +70,80 @@ class Wire:
                 cut()
 
 
-class _Connection(asyncio.Protocol):
+class Connection(asyncio.Protocol):
     """One TCP connection to a device."""
 
-    def __init__(self, wire: Wire, greeting: bytes) -> None:
-        self._wire, self._greeting, self._feed = wire, greeting, wire.feed()
+    def __init__(self, wire: Wire, greeting: bytes = b"") -> None:
+        self._wire, self._greeting = wire, greeting
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Greet."""
         if isinstance(transport, asyncio.Transport):
             self._transport = transport
         self._cut = self._transport.abort
-        self._outlet = self._wire.add(self._transport.write, self._cut)
+        self._outlet = Outlet(self._write, self._wire.mischief, backlog=self._transport.get_write_buffer_size)
+        self._feed = self._wire.receiver(self._outlet)
         self._worker = self._wire.runtime.group.create_task(self._outlet.run())
+        self._wire.cuts.append(self._cut)
         self._transport.write(self._greeting)
 
     def data_received(self, data: bytes) -> None:
         """Hand over."""
-        self._feed(data, self._outlet.send)
+        self._feed(data)
 
     def connection_lost(self, _exc: Exception | None) -> None:
         """Forget it."""
         self._worker.cancel()
-        self._outlet.closed = True
-        self._wire.outlets.remove(self._outlet)
         self._wire.cuts.remove(self._cut)
+        self._outlet.closed = True
+        self._outlet.on_closed()
+
+    def _write(self, data: bytes) -> None:
+        if self._outlet.backlog() > MAX_UNSENT:
+            self._cut()
+        elif not self._transport.is_closing():
+            self._transport.write(data)
+
+
+@dataclass(slots=True)
+class PtyPort:
+    """The device's end. ``link`` is a symbolic link to the end that the controller opens."""
+
+    link: Path
+    on_bytes: Feed
+    _master: int = field(default=-1, init=False)
+    _slave: int = field(default=-1, init=False)
+
+    def open(self) -> None:
+        """Make the terminal, raw, and move the link to it in one step."""
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        asyncio.get_running_loop().add_reader(self._master, self._readable)
+        beside = self.link.with_name(f".{self.link.name}.{os.getpid()}")
+        beside.unlink(missing_ok=True)
+        beside.symlink_to(os.ttyname(self._slave))
+        beside.replace(self.link)
+
+    def close(self) -> None:
+        """Pull the plug: whoever has it open reads an error."""
+        if self._master < 0:
+            return
+        asyncio.get_running_loop().remove_reader(self._master)
+        os.close(self._master)
+        os.close(self._slave)
+        self._master = self._slave = -1
+
+    def write(self, data: bytes) -> None:
+        """Send; what nobody reads is lost once the line is full."""
+        if self._master >= 0:
+            with contextlib.suppress(BlockingIOError):
+                os.write(self._master, data)
+
+    def _readable(self) -> None:
+        try:
+            data = os.read(self._master, 4096)
+        except (BlockingIOError, OSError):
+            return
+        if data:
+            self.on_bytes(data)

@@ -16,8 +16,7 @@ from polishd.drivers.linuxcnc.driver import LinuxCnc
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
-from polishd.drivers.voice_coil_modbus import voice_coil_modbus
-from polishd.drivers.voice_coil_serial import voice_coil_serial
+from polishd.drivers.voice_coil import voice_coil_modbus, voice_coil_serial
 from tests.fakes.actuator import AsciiCoil, Coil, ModbusCoil
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.linuxcnc import FakeLinuxCnc

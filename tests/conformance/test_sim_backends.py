@@ -25,8 +25,7 @@ from polishd.api import DeviceRefused, Executed, ForceSample, LinkError, Robot, 
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp, parse_address
-from polishd.drivers.voice_coil_modbus import voice_coil_modbus
-from polishd.drivers.voice_coil_serial import voice_coil_serial
+from polishd.drivers.voice_coil import voice_coil_modbus, voice_coil_serial
 from tests.conformance.conftest import BOUND_S, PROMPT_S, seen, within
 from tests.conformance.rigs import ActuatorRig, Rig, RobotRig, SpindleRig
 from tests.conformance.test_device import (  # noqa: F401 -- the suite itself, with this module's any_device

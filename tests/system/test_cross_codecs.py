@@ -32,9 +32,9 @@ from polishd.api import BadMap, Executed, SurfaceMap
 from polishd.drivers.robot_link import messages
 from polishd.drivers.robot_link.frames import FrameReader, Kind, encode
 from polishd.drivers.spindle_can import codec as spindle_codec
-from polishd.drivers.transport.voice_coil import State
-from polishd.drivers.voice_coil_modbus import registers
-from polishd.drivers.voice_coil_serial import codec as ascii_codec
+from polishd.drivers.voice_coil import codec as ascii_codec
+from polishd.drivers.voice_coil import registers
+from polishd.drivers.voice_coil.device import State
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats import metropro as reader
 from polishd.plugins.interferometer.formats.common import EARLIEST_S

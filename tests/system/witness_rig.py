@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from polishd.config.simulator import SimConfig
-from polishd.sim_backends.robot.server import Connection, RobotServer
+from polishd.sim_backends.robot.server import RobotServer
 from polishd.sim_backends.runtime import Runtime, Start
+from polishd.sim_backends.wire import Connection, Wire
 
 
 class Witness:
@@ -52,8 +53,8 @@ async def witnessed_robot(folder: Path, speed: float, **robot: Any) -> AsyncIter
     async with asyncio.TaskGroup() as group:
         runtime = Runtime("robot", Start(config, folder, 1, speed), 1, witness, group)  # type: ignore[arg-type]
         witness.server = RobotServer(runtime)
-        loop = asyncio.get_running_loop()
-        listening = await loop.create_server(lambda: Connection(witness.server), "127.0.0.1", 0)
+        wire = Wire(runtime, config.robot.faults, witness.server.connected)
+        listening = await asyncio.get_running_loop().create_server(lambda: Connection(wire), "127.0.0.1", 0)
         witness.port = listening.sockets[0].getsockname()[1]
         ticking = group.create_task(witness.server.run())
         try:
@@ -61,5 +62,5 @@ async def witnessed_robot(folder: Path, speed: float, **robot: Any) -> AsyncIter
         finally:
             ticking.cancel()
             listening.close()
-            for connection in list(witness.server.connections):
-                connection.transport.abort()
+            for cut in list(wire.cuts):
+                cut()

@@ -9,7 +9,7 @@ from polishd.api import ByteStream, DeviceRefused, LinkError, ProtocolError
 from polishd.drivers.linuxcnc.dialogue import AXES, Answer, Snapshot, asks, line_of, numbers_of, parse, status_of
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.requests import RequestQueue
-from polishd.drivers.transport.streams import LineReader, close_quietly, open_stream
+from polishd.drivers.transport.streams import LineReader, open_stream
 
 CONNECT_S = 0.8
 ANSWER_S = 0.6
@@ -51,7 +51,7 @@ class Connection:
         """Hang up; idempotent."""
         await self._queue.stop()
         if self._stream is not None:
-            await close_quietly(self._stream)
+            await self._stream.close()
 
     async def get(self, name: str) -> str:
         """A value; ProtocolError where linuxcncrsh does not know it."""
@@ -120,7 +120,7 @@ class Connection:
             answer = await self._answer(asks(request), within_s)
         except LinkError:
             if self._stream is not None:
-                await close_quietly(self._stream)
+                await self._stream.close()
             raise
         if not answer.ok:
             verb, name = (*asks(request).split(), "")[:2]

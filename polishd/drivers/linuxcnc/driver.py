@@ -267,7 +267,7 @@ class LinuxCnc:
     def _drop(self) -> None:
         if self._watch is not None and not self._watch.ended:
             self._watch.drop("aborted")
-        self._following.tell()
+        self._following.fire()
 
     def _loaded(self) -> tuple[Plan, Watch]:
         if self._plan is None or self._watch is None:

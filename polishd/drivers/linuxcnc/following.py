@@ -10,7 +10,7 @@ from polishd.api import DeviceFault, DeviceRefused, LinkError
 from polishd.drivers.linuxcnc.connection import Connection
 from polishd.drivers.linuxcnc.dialogue import Snapshot
 from polishd.drivers.transport.address import Tcp
-from polishd.drivers.transport.background import Background, Pulse, Ready
+from polishd.drivers.transport.background import Background, Ready
 
 LOOK_S = 0.005
 """Between two looks while a program runs: LinuxCNC renews its own word every [TASK] CYCLE_TIME, 1 to 10 ms."""
@@ -21,32 +21,26 @@ OnLook = Callable[[Snapshot], Awaitable[bool]]
 """Takes a look; tells whether the next one is urgent."""
 
 
-class Following:
+class Following(Background):
     """From ``open`` to ``close``; may be opened again. Whoever waits hears of the link's end by LinkError."""
 
     def __init__(self, address: Tcp, passwords: tuple[str, str], on_look: OnLook, stop_s: float) -> None:
+        super().__init__(str(address))
         self._address = address
         self._passwords = passwords
         self._on_look = on_look
         self._stop_s = stop_s
         self._connection: Connection | None = None
-        self._background = Background(str(address))
-        self._pulse = Pulse()
         self._looks: tuple[Snapshot, ...] = ()
         """The last two."""
         self._count = 0
-
-    @property
-    def alive(self) -> bool:
-        """The link is up."""
-        return self._background.running
 
     @property
     def connection(self) -> Connection:
         """LinkError while it is not open, or once it is lost."""
         if self._connection is None:
             raise LinkError(f"{self._address}: is not open")
-        self._background.check()
+        self.check()
         return self._connection
 
     @property
@@ -60,14 +54,14 @@ class Following:
         await connection.open()
         self._connection = connection
         try:
-            await self._background.start(self._follow, OPEN_S)
+            await self.start(self._follow, OPEN_S)
         except BaseException:
             await self.close()
             raise
 
     async def close(self) -> None:
         """Hang up; idempotent."""
-        await self._background.stop()
+        await self.stop()
         connection, self._connection = self._connection, None
         self._looks = ()
         if connection is not None:
@@ -80,14 +74,6 @@ class Following:
             and not self._looks[1].moved_since(self._looks[0])
             and all(look.status != "running" for look in self._looks)
         )
-
-    def tell(self) -> None:
-        """Wake those who wait: something has changed."""
-        self._pulse.fire()
-
-    async def until(self, condition: Callable[[], bool], within_s: float | None = None) -> bool:
-        """Wait for the condition, looked at after each look; False when the time is up."""
-        return await self._background.until(self._pulse, condition, within_s)
 
     async def standstill(self, order: str) -> None:
         """Seen by two looks that are later than the order; DeviceFault otherwise."""
@@ -104,7 +90,7 @@ class Following:
             if len(self._looks) > 1:
                 ready()
             urgent = await self._on_look(look)
-            self._pulse.fire()
+            self.fire()
             await asyncio.sleep(LOOK_S if urgent else IDLE_LOOK_S)
 
 

@@ -66,11 +66,6 @@ def exact_python() -> str | None:
     return None
 
 
-def is_installed() -> bool:
-    """Whether LinuxCNC's interpreter can be run here."""
-    return shutil.which("rs274") is not None
-
-
 @contextmanager
 def canonical_calls(program: bytes | Path, name: str, *, exact: bool = False) -> Iterator[Iterator[Call]]:
     """Run a program through LinuxCNC's interpreter; the calls come as it makes them, in bounded memory.

@@ -5,16 +5,15 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 from polishd.api import ByteStream, DeviceRefused, LinkError, ProtocolError, RobotTimes, Segment
 from polishd.drivers.robot_link.frames import Kind, encode
 from polishd.drivers.robot_link.messages import PROTOCOL, Ack, Nak, Progress, Welcome, command
-from polishd.drivers.robot_link.record import ExecutionRecord
-from polishd.drivers.robot_link.session import Session
+from polishd.drivers.robot_link.session import ExecutionRecord, Session
 from polishd.drivers.transport.address import Tcp
-from polishd.drivers.transport.background import Background, Pulse, Ready
+from polishd.drivers.transport.background import Background, Ready
 from polishd.drivers.transport.streams import open_stream
 
 SILENCE_SHARE = 0.4
@@ -29,24 +28,18 @@ RESENDS = 3
 Role = Literal["writer", "reader"]
 
 
-class Connection:
+class Connection(Background):
     """From HELLO to the end of the link; never opened again. Whoever waits hears of its end by LinkError."""
 
     def __init__(self, address: Tcp, role: Role, record: ExecutionRecord | None, times: RobotTimes) -> None:
+        super().__init__(str(address))
         self.session = Session(record)
         self._times = times
         self._address = address
         self._role = role
         self._silence_s = CONNECT_S
-        self._background = Background(str(address))
-        self._pulse = Pulse()
         self._stream: ByteStream | None = None
         self._pending: dict[int, deque[asyncio.Future[Ack]]] = {}
-
-    @property
-    def alive(self) -> bool:
-        """The link is up."""
-        return self._background.running
 
     @property
     def welcome(self) -> Welcome:
@@ -58,7 +51,7 @@ class Connection:
     @property
     def progress(self) -> Progress:
         """The robot's last word; LinkError once the link is down."""
-        self._background.check()
+        self.check()
         return self.session.present()
 
     async def open(self, client: str, lease: str = "") -> None:
@@ -73,7 +66,7 @@ class Connection:
                 "lease": lease,
             }
             await self._stream.write(command(Kind.HELLO, hello))
-            await self._background.start(self._run, CONNECT_S)
+            await self.start(self._run, CONNECT_S)
             self._require_watchdog()
         except BaseException:
             await self.close()
@@ -81,7 +74,7 @@ class Connection:
 
     async def close(self) -> None:
         """Hang up; idempotent."""
-        await self._background.stop()
+        await self.stop()
         if self._stream is not None:
             await self._stream.close()
 
@@ -95,15 +88,11 @@ class Connection:
         waiting.append(answer)
         try:
             await self._write(command(kind, content))
-            return await self._background.result(answer, within_s + self._silence_s)
+            return await self.result(answer, within_s + self._silence_s)
         finally:
             answer.cancel()
             if answer in waiting:
                 waiting.remove(answer)
-
-    async def until(self, condition: Callable[[], bool], within_s: float | None = None) -> bool:
-        """Wait for the condition, looked at whenever the robot has said something; False when the time is up."""
-        return await self._background.until(self._pulse, condition, within_s)
 
     async def deliver(self, segments: Sequence[Segment]) -> None:
         """Send blocks as credit allows, again from where the robot asks, until it has accepted them all."""
@@ -155,7 +144,7 @@ class Connection:
             )
 
     async def _write(self, data: bytes) -> None:
-        self._background.check()
+        self.check()
         if self._stream is not None:
             await self._stream.write(data)
 
@@ -184,7 +173,7 @@ class Connection:
             if self.session.welcome is not None:
                 self._silence_s = min(self._times.silence_s, SILENCE_SHARE * self.session.welcome.watchdog_s)
                 ready()
-            self._pulse.fire()
+            self.fire()
 
     def _match_answers(self) -> None:
         answers, self.session.answers = self.session.answers, []

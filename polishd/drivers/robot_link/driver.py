@@ -23,7 +23,7 @@ from polishd.api import (
 from polishd.drivers.robot_link.connection import Connection, Role
 from polishd.drivers.robot_link.frames import Kind
 from polishd.drivers.robot_link.messages import LONGEST_LINE
-from polishd.drivers.robot_link.record import ExecutionRecord
+from polishd.drivers.robot_link.session import ExecutionRecord
 from polishd.drivers.transport.address import Tcp
 
 HOLD_ANSWER_S = 1.0

@@ -65,42 +65,39 @@ class FrameReader:
     def feed(self, data: bytes) -> list[Frame]:
         """Frames that are complete now."""
         self._bytes += data
-        frames = []
-        at = 0
+        frames, at = [], 0
         while (start := self._bytes.find(MAGIC, at)) >= 0:
             self.skipped += start - at
             at = start
-            size = self._size(start)
-            if size is None:
-                break
-            frame = self._frame(start, size)
-            if frame is None:
+            try:
+                frame = self._frame(start)
+            except ValueError:
                 self.skipped += len(MAGIC)
                 at += len(MAGIC)
-            else:
-                frames.append(frame)
-                at += size
+                continue
+            if frame is None:
+                break
+            frames.append(frame)
+            at += _OVERHEAD + len(frame.payload)
         else:
             # no magic in the rest, but its last byte may begin one
-            rest = 1 if self._bytes[at:].endswith(MAGIC[:1]) else 0
-            self.skipped += len(self._bytes) - rest - at
-            at = len(self._bytes) - rest
+            rest = len(self._bytes) - self._bytes[at:].endswith(MAGIC[:1])
+            self.skipped += rest - at
+            at = rest
         del self._bytes[:at]
         return frames
 
-    def _size(self, start: int) -> int | None:
-        """Size of the frame at ``start`` (0 where its header is impossible); None while it is incomplete."""
+    def _frame(self, start: int) -> Frame | None:
+        """The frame that begins there; None while it is incomplete, ValueError where it is broken."""
         if len(self._bytes) - start < _HEADER.size:
             return None
         _, kind, check, length = _HEADER.unpack_from(self._bytes, start)
         if length > MAX_PAYLOAD or check != header_check(kind, length):
-            return 0
-        size = _OVERHEAD + int(length)
-        return size if len(self._bytes) - start >= size else None
-
-    def _frame(self, start: int, size: int) -> Frame | None:
-        if not size:
+            raise ValueError("header")
+        end = start + _HEADER.size + length
+        if len(self._bytes) < end + _CRC.size:
             return None
-        body = bytes(self._bytes[start : start + size - _CRC.size])
-        (crc,) = _CRC.unpack_from(self._bytes, start + size - _CRC.size)
-        return Frame(body[2], body[_HEADER.size :]) if crc == crc32(body) else None
+        body = bytes(self._bytes[start:end])
+        if _CRC.unpack_from(self._bytes, end) != (crc32(body),):
+            raise ValueError("crc")
+        return Frame(kind, body[_HEADER.size :])

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
 
 from polishd.api import DeviceFault, LinkError, ProtocolError
 from polishd.drivers.spindle_can import codec
 from polishd.drivers.spindle_can.bus import CanBus, open_bus
 from polishd.drivers.spindle_can.codec import CanFrame, DriveObject, DriveStatus, Heartbeat, SdoAnswer
 from polishd.drivers.transport.address import Slcan, Socketcand
-from polishd.drivers.transport.background import Background, Pulse, Ready
+from polishd.drivers.transport.background import Background, Ready
 
 OPEN_S = 1.0
 REPEAT_S = 0.1
@@ -20,17 +19,15 @@ LEASE_S = 1.0
 SDO_S = 1.0
 
 
-class DriveLink:
+class DriveLink(Background):
     """From opening the bus to its end; never opened again."""
 
     def __init__(self, address: Slcan | Socketcand, node: int, silence_s: float) -> None:
         """``silence_s`` of heartbeats, or of process data, is the link's end."""
-        self.name = f"{address} node {node}"
+        super().__init__(f"{address} node {node}")
         self._address = address
         self._node = node
         self._silence_s = silence_s
-        self._background = Background(self.name)
-        self._pulse = Pulse()
         self._sdo = asyncio.Lock()
         self._uploads: dict[DriveObject, asyncio.Future[SdoAnswer]] = {}
         self._bus: CanBus | None = None
@@ -49,14 +46,9 @@ class DriveLink:
         """Set point of the last command."""
 
     @property
-    def alive(self) -> bool:
-        """The link is up."""
-        return self._background.running
-
-    @property
     def status(self) -> DriveStatus:
         """The drive's last word; LinkError once the link is down."""
-        self._background.check()
+        self.check()
         if self._status is None:
             raise LinkError(f"{self.name}: has said nothing yet")
         return self._status
@@ -65,7 +57,7 @@ class DriveLink:
         """Open the bus and wait until the drive's heartbeat and process data are heard."""
         self._bus = await open_bus(self._address)
         try:
-            await self._background.start(self._run, OPEN_S)
+            await self.start(self._run, OPEN_S)
             # so that no answer to the last connection's commands is taken for one to ours
             self._counter = self.status.counter
         except BaseException:
@@ -74,18 +66,10 @@ class DriveLink:
 
     async def close(self) -> None:
         """Leave the bus; idempotent."""
-        await self._background.stop()
+        await self.stop()
         bus, self._bus = self._bus, None
         if bus is not None:
             await bus.close()
-
-    def check(self) -> None:
-        """Raise what the link failed with."""
-        self._background.check()
-
-    async def until(self, condition: Callable[[], bool], within_s: float | None = None) -> bool:
-        """Wait for the condition, looked at whenever the drive has said something; False when the time is up."""
-        return await self._background.until(self._pulse, condition, within_s)
 
     async def next_status(self) -> None:
         """Wait for the next process data."""
@@ -94,7 +78,7 @@ class DriveLink:
 
     def command(self, *, run: bool, rpm: int) -> None:
         """Command now, and again every 100 ms while somebody cares."""
-        self._background.check()
+        self.check()
         self.running, self.rpm = run, rpm
         self._repeating = True
         self.answered = False
@@ -113,11 +97,11 @@ class DriveLink:
     async def upload(self, what: DriveObject) -> int:
         """Read an object of the drive."""
         async with self._sdo:
-            self._background.check()
+            self.check()
             self._uploads[what] = asyncio.get_running_loop().create_future()
             try:
                 self._send(codec.encode_upload(self._node, what))
-                answer = await self._background.result(self._uploads[what], SDO_S)
+                answer = await self.result(self._uploads[what], SDO_S)
             finally:
                 self._uploads.pop(what).cancel()
         if answer.aborted:
@@ -137,10 +121,10 @@ class DriveLink:
     async def _watch(self, ready: Ready) -> None:
         """Ready once the drive is heard; LinkError when it falls silent, DeviceFault when it starts anew."""
         while not (self._status is not None and self._beating):
-            await self._pulse.next()
+            await self.news()
         ready()
         while True:
-            await asyncio.wait({self._pulse.next()}, timeout=self._silence_s / 4)
+            await asyncio.wait({self.news()}, timeout=self._silence_s / 4)
             if self._restarted:
                 raise DeviceFault(f"{self.name}: the drive was started anew")
             for what, at in (("heartbeat", self._beat_at), ("process data", self._status_at)):
@@ -177,4 +161,4 @@ class DriveLink:
                 waiting.set_result(message)
         else:
             return
-        self._pulse.fire()
+        self.fire()

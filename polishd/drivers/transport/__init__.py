@@ -1,1 +1,1 @@
-"""What drivers share: addresses, byte streams, owned background work, a request queue, and a voice coil on any wire."""
+"""What drivers share: addresses, byte streams, owned background work and a request queue."""

@@ -20,48 +20,32 @@ def settle(future: asyncio.Future[None]) -> None:
         future.set_result(None)
 
 
-class Pulse:
-    """Wakes everybody who waits; unlike an event it keeps no memory, so that conditions are looked at anew."""
-
-    def __init__(self) -> None:
-        self._future: asyncio.Future[None] | None = None
-
-    def next(self) -> asyncio.Future[None]:
-        """A future that ends at the next ``fire``; shared, so never to be cancelled."""
-        if self._future is None or self._future.done():
-            self._future = asyncio.get_running_loop().create_future()
-        return self._future
-
-    def fire(self) -> None:
-        """Wake all."""
-        if self._future is not None:
-            settle(self._future)
-
-
 class Background:
     """Owns one task from ``start`` to ``stop``. When it fails, ``check``, ``until`` and ``result`` raise its error."""
 
     def __init__(self, name: str) -> None:
-        self._name = name
+        self.name = name
+        """For messages."""
         self._task: asyncio.Task[None] | None = None
+        self._news: asyncio.Future[None] | None = None
 
     @property
-    def running(self) -> bool:
+    def alive(self) -> bool:
         """Started, not stopped, not failed."""
         return self._task is not None and not self._task.done()
 
     async def start(self, main: Callable[[Ready], Coroutine[Any, Any, None]], within_s: float) -> None:
         """Run ``main(ready)`` until ``stop``; returns once it has called ready, raises what it failed with before."""
         if self._task is not None:
-            raise LinkError(f"{self._name}: is open already")
+            raise LinkError(f"{self.name}: is open already")
         ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._task = asyncio.create_task(_flat(main(partial(settle, ready))), name=self._name)
+        self._task = asyncio.create_task(_flat(main(partial(settle, ready))), name=self.name)
         try:
             await asyncio.wait({ready, self._task}, timeout=within_s, return_when=asyncio.FIRST_COMPLETED)
             if self._task.done():
                 await asyncio.shield(self._task)
             if not ready.done():
-                raise LinkError(f"{self._name}: no answer within {within_s:g} s")
+                raise LinkError(f"{self.name}: no answer within {within_s:g} s")
         except BaseException:
             await self.stop()
             raise
@@ -77,18 +61,29 @@ class Background:
 
     def check(self) -> None:
         """Raise what the task failed with; LinkError when it does not run."""
-        if not self.running:
+        if not self.alive:
             raise self._failure()
 
-    async def until(self, pulse: Pulse, condition: Callable[[], bool], within_s: float | None = None) -> bool:
-        """Wait for the condition, looked at after each pulse; False when the time is up first."""
+    def fire(self) -> None:
+        """Wake all who wait for news. Unlike an event it keeps no memory, so that conditions are looked at anew."""
+        if self._news is not None:
+            settle(self._news)
+
+    def news(self) -> asyncio.Future[None]:
+        """A future that ends at the next ``fire``; shared, so never to be cancelled."""
+        if self._news is None or self._news.done():
+            self._news = asyncio.get_running_loop().create_future()
+        return self._news
+
+    async def until(self, condition: Callable[[], bool], within_s: float | None = None) -> bool:
+        """Wait for the condition, looked at after each ``fire``; False when the time is up first."""
         deadline = None if within_s is None else time.monotonic() + within_s
         while not condition():
             self.check()
             left = None if deadline is None else deadline - time.monotonic()
             if left is not None and left <= 0:
                 return False
-            await self._first(pulse.next(), left)
+            await self._first(self.news(), left)
         return True
 
     async def result(self, future: asyncio.Future[T], within_s: float | None = None) -> T:
@@ -97,7 +92,7 @@ class Background:
         if future.done():
             return future.result()
         self.check()
-        raise LinkError(f"{self._name}: no answer within {within_s:g} s")
+        raise LinkError(f"{self.name}: no answer within {within_s:g} s")
 
     async def _first(self, future: asyncio.Future[T], within_s: float | None) -> None:
         if self._task is None:
@@ -107,10 +102,10 @@ class Background:
 
     def _failure(self) -> BaseException:
         if self._task is None or self._task.cancelled():
-            return LinkError(f"{self._name}: is not open")
+            return LinkError(f"{self.name}: is not open")
         error = self._task.exception()
         if error is None:
-            return LinkError(f"{self._name}: has ended")
+            return LinkError(f"{self.name}: has ended")
         # A new one for each waiter: tracebacks grow in what is raised.
         return type(error)(*error.args) if isinstance(error, PolishdError) else error
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from polishd.api import PolishdError
-from polishd.drivers.transport.background import Background, Pulse, Ready
+from polishd.drivers.transport.background import Background, Ready
 
 T = TypeVar("T")
 
@@ -35,12 +35,11 @@ class RequestQueue:
         self._background = Background(name)
         self._jobs: list[_Job] = []
         self._count = itertools.count()
-        self._pulse = Pulse()
 
     @property
     def running(self) -> bool:
         """Requests are served."""
-        return self._background.running
+        return self._background.alive
 
     async def start(self) -> None:
         """Begin to serve."""
@@ -56,7 +55,7 @@ class RequestQueue:
         self._background.check()
         answer: asyncio.Future[T] = asyncio.get_running_loop().create_future()
         heapq.heappush(self._jobs, _Job((0 if urgent else 1, next(self._count)), work, answer))
-        self._pulse.fire()
+        self._background.fire()
         try:
             return await self._background.result(answer)
         finally:
@@ -66,7 +65,7 @@ class RequestQueue:
         ready()
         while True:
             while not self._jobs:
-                await self._pulse.next()
+                await self._background.news()
             job = heapq.heappop(self._jobs)
             if not job.answer.done():
                 await _serve_one(job)

@@ -1,31 +1,27 @@
-"""Byte streams over TCP and serial lines."""
+"""Byte streams over TCP and serial lines. pyserial configures and locks a port; reading and writing never block."""
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
+import os
 import time
+from functools import partial
 from typing import cast
+
+import serial
 
 from polishd.api import ByteStream, LinkError
 from polishd.drivers.transport.address import SerialLine, Tcp
-from polishd.drivers.transport.background import settle
-from polishd.drivers.transport.buffer import ReadBuffer
-from polishd.drivers.transport.serial_line import open_serial
+from polishd.drivers.transport.background import open_blocking, settle
 
 WRITE_S = 1.0
-"""A peer that takes no bytes for so long is dead."""
+"""A peer, or a line, that takes no bytes for so long is dead."""
 
 
 async def open_stream(address: Tcp | SerialLine, within_s: float = 1.0) -> ByteStream:
     """Connect; LinkError where nobody answers within that time."""
-    if isinstance(address, Tcp):
-        return await open_tcp(address, within_s)
-    return await open_serial(address, within_s)
-
-
-async def open_tcp(address: Tcp, within_s: float) -> ByteStream:
-    """Connect over TCP."""
+    if isinstance(address, SerialLine):
+        return await _open_serial(address, within_s)
     loop = asyncio.get_running_loop()
     try:
         async with asyncio.timeout(within_s):
@@ -37,12 +33,121 @@ async def open_tcp(address: Tcp, within_s: float) -> ByteStream:
     return stream
 
 
-class TcpStream(asyncio.Protocol):
-    """A ByteStream over TCP. Data that came before the end of file is read before LinkError is raised."""
+async def _open_serial(address: SerialLine, within_s: float) -> ByteStream:
+    """Open a serial line for ourselves alone; what was received before is dropped."""
+    make = partial(serial.Serial, str(address.path), address.baud, timeout=0, write_timeout=0, exclusive=True)
+    try:
+        port = await open_blocking(make, serial.Serial.close, within_s, str(address))
+    except OSError as error:  # SerialException is one
+        raise LinkError(f"{address}: {error}") from error
+    return SerialStream(str(address), port)
+
+
+class ReadBuffer:
+    """The receiving half of a stream: bytes that came and were not read yet, and the reason why no more will come."""
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._buffer = ReadBuffer(name)
+        self._bytes = bytearray()
+        self._failure: str | None = None
+        self._waiter: asyncio.Future[None] | None = None
+
+    def feed(self, data: bytes) -> None:
+        """Bytes came."""
+        self._bytes += data
+        self._wake()
+
+    def fail(self, reason: str) -> None:
+        """No more will come. The first reason counts."""
+        if self._failure is None:
+            self._failure = reason
+        self._wake()
+
+    def check(self) -> None:
+        """LinkError once the link has failed."""
+        if self._failure is not None:
+            raise LinkError(f"{self._name}: {self._failure}")
+
+    async def read(self, at_most: int, within_s: float) -> bytes:
+        """See ByteStream. Bytes that came in time are not lost to a late wake-up."""
+        if not self._bytes and self._failure is None:
+            self._waiter = asyncio.get_running_loop().create_future()
+            await asyncio.wait({self._waiter}, timeout=within_s)
+        if self._bytes:
+            data = bytes(self._bytes[:at_most])
+            del self._bytes[:at_most]
+            return data
+        self.check()
+        raise LinkError(f"{self._name}: silent for {within_s:.2g} s")
+
+    def _wake(self) -> None:
+        if self._waiter is not None:
+            settle(self._waiter)
+
+
+class SerialStream(ReadBuffer):
+    """A ByteStream over an open pyserial port, which it owns."""
+
+    def __init__(self, name: str, port: serial.Serial) -> None:
+        super().__init__(name)
+        self._port = port
+        self._loop = asyncio.get_running_loop()
+        self._fd: int = port.fileno()
+        self._loop.add_reader(self._fd, self._readable)
+
+    async def write(self, data: bytes) -> None:
+        """See ByteStream."""
+        view = memoryview(data)
+        while view:
+            self.check()
+            try:
+                view = view[os.write(self._fd, view) :]
+            except BlockingIOError:
+                await self._writable()
+            except OSError as error:
+                self.fail(str(error))
+
+    async def close(self) -> None:
+        """See ByteStream."""
+        self.fail("the line is closed")
+        if self._port.is_open:
+            self._port.close()
+
+    def _readable(self) -> None:
+        try:
+            data = os.read(self._fd, 4096)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self.fail(str(error))
+            return
+        if data:
+            self.feed(data)
+        else:
+            self.fail("the line was hung up")
+
+    def fail(self, reason: str) -> None:
+        """See ReadBuffer."""
+        if self._port.is_open:
+            self._loop.remove_reader(self._fd)
+        super().fail(reason)
+
+    async def _writable(self) -> None:
+        ready: asyncio.Future[None] = self._loop.create_future()
+        self._loop.add_writer(self._fd, settle, ready)
+        try:
+            await asyncio.wait({ready}, timeout=WRITE_S)
+        finally:
+            self._loop.remove_writer(self._fd)
+        if not ready.done():
+            self.fail(f"the line takes no data for {WRITE_S:g} s")
+
+
+class TcpStream(ReadBuffer, asyncio.Protocol):
+    """A ByteStream over TCP. Data that came before the end of file is read before LinkError is raised."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
         self._transport: asyncio.Transport | None = None
         self._closed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._writable = asyncio.Event()
@@ -54,15 +159,15 @@ class TcpStream(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Called by asyncio."""
-        self._buffer.feed(data)
+        self.feed(data)
 
     def eof_received(self) -> None:
         """Called by asyncio."""
-        self._buffer.fail("the peer closed the connection")
+        self.fail("the peer closed the connection")
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Called by asyncio."""
-        self._buffer.fail(str(exc) if exc else "the connection is closed")
+        self.fail(str(exc) if exc else "the connection is closed")
         self._writable.set()
         settle(self._closed)
 
@@ -74,13 +179,9 @@ class TcpStream(asyncio.Protocol):
         """Called by asyncio."""
         self._writable.set()
 
-    async def read(self, at_most: int, within_s: float) -> bytes:
-        """See ByteStream."""
-        return await self._buffer.take(at_most, within_s)
-
     async def write(self, data: bytes) -> None:
         """See ByteStream."""
-        self._buffer.check()
+        self.check()
         if self._transport is None or self._transport.is_closing():
             raise LinkError(f"{self._name}: the connection is closed")
         self._transport.write(data)
@@ -89,13 +190,13 @@ class TcpStream(asyncio.Protocol):
                 async with asyncio.timeout(WRITE_S):
                     await self._writable.wait()
             except TimeoutError:
-                self._buffer.fail(f"the peer takes no data for {WRITE_S:g} s")
-            self._buffer.check()
+                self.fail(f"the peer takes no data for {WRITE_S:g} s")
+            self.check()
 
     async def close(self) -> None:
         """See ByteStream."""
         if self._transport is not None:
-            self._buffer.fail("the connection is closed")
+            self.fail("the connection is closed")
             self._transport.abort()
             await asyncio.wait({self._closed}, timeout=WRITE_S)
 
@@ -103,9 +204,8 @@ class TcpStream(asyncio.Protocol):
 class LineReader:
     """Reads lines off a stream; what is longer than allowed is dropped up to its end."""
 
-    def __init__(self, stream: ByteStream, end: bytes = b"\n", longest: int = 4096) -> None:
+    def __init__(self, stream: ByteStream, longest: int) -> None:
         self._stream = stream
-        self._end = end
         self._longest = longest
         self._rest = bytearray()
 
@@ -113,7 +213,7 @@ class LineReader:
         """The next line without its end; LinkError when it is not complete in time."""
         deadline = time.monotonic() + within_s
         while True:
-            line, end, rest = self._rest.partition(self._end)
+            line, end, rest = self._rest.partition(b"\n")
             if end:
                 self._rest = rest
                 if len(line) <= self._longest:
@@ -122,9 +222,3 @@ class LineReader:
             if len(self._rest) > 2 * self._longest:
                 del self._rest[: -self._longest - 1]
             self._rest += await self._stream.read(4096, max(deadline - time.monotonic(), 0.0))
-
-
-async def close_quietly(stream: ByteStream) -> None:
-    """Close what may be dead already."""
-    with contextlib.suppress(LinkError):
-        await stream.close()

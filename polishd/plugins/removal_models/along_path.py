@@ -48,7 +48,7 @@ def effect_along_path(request: RemovalRequest, spot: Spot, reference: float) -> 
     level = replace(program, axis=upright(program.axis, _normals_in_part(request)))
     edge: list[str] = []
     if request.rim is not None:
-        spots, *edge = sunk_at_rim(spots, request.rim, process, (spot, level))
+        spots, *edge = sunk_at_rim(spots, request.rim, process, spot, level)
     effect, how = _effect(request.grid, spot, level, (spots.depth_ratio, spots.factor * request.rate))
     notes = [f"rigid contact: depth {depth:.5f} mm, radius {float(contact_radius_mm(process, depth)):.4f} mm"]
     if gamma.size:

@@ -9,8 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from polishd.api import ActuatorTimes, ConfigError, DeviceContext, DeviceType, ForceActuator, hookimpl
 from polishd.drivers.transport.address import SerialLine, Tcp, parse_address
-from polishd.drivers.voice_coil_modbus import voice_coil_modbus
-from polishd.drivers.voice_coil_serial import voice_coil_serial
+from polishd.drivers.voice_coil import voice_coil_modbus, voice_coil_serial
 
 POLISHD_API = 1
 

@@ -31,40 +31,33 @@ class ExponentFit:
     """Of the fit on the spots."""
 
 
-def fit_exponent(gamma: FloatArray, volume: FloatArray, sigma: FloatArray | None = None) -> ExponentFit:
-    """Fit the exponent of the depth ratio (paper eq. 48) to spots: weighted least squares of the logarithms.
+def fit_exponent(gamma: FloatArray, volume: FloatArray) -> ExponentFit:
+    """Fit the exponent of the depth ratio (paper eq. 48) to spots: least squares of the logarithms.
 
     Args:
         gamma: (n,) depth ratios at which the spots were taken, above 0; n at least 3.
         volume: (n,) volume rates, or peak rates, of the spots, above 0, one unit for all.
-        sigma: (n,) relative uncertainties of the volumes, above 0; None: all alike. Only their ratios count: the
-            spots' scatter about the fit says how large they are.
 
     Raises:
         ComputeError: names the first spot that is none; too few spots; a span of gamma too small to tell.
     """
     gamma, volume = _positive("depth ratio gamma", gamma), _positive("spot volume", volume)
-    sigma = np.ones_like(gamma) if sigma is None else _positive("relative uncertainty of the spot volume", sigma)
-    if not len(gamma) == len(volume) == len(sigma):
-        raise ComputeError(f"{len(gamma)} depth ratios, {len(volume)} volumes and {len(sigma)} uncertainties")
+    if len(gamma) != len(volume):
+        raise ComputeError(f"{len(gamma)} depth ratios, {len(volume)} volumes")
     if len(gamma) < 3:
         raise ComputeError(f"{len(gamma)} spots are too few for an exponent and its uncertainty: at least 3 are needed")
-    weight = 1 / sigma**2
-    weight = weight / weight.mean()
     x, y = np.log(gamma), np.log(volume)
-    x_mean, y_mean = np.average(x, weights=weight), np.average(y, weights=weight)
-    spread = float((weight * (x - x_mean) ** 2).sum())
+    spread = float(((x - x.mean()) ** 2).sum())
     span = f"gamma from {gamma.min():.4g} to {gamma.max():.4g}"
     if spread == 0:
         raise ComputeError(f"{span} is no span: an exponent needs spots at several depth ratios")
-    exponent = float((weight * (x - x_mean) * (y - y_mean)).sum() / spread)
-    off = y - y_mean - exponent * (x - x_mean)
-    variance = max(float((weight * off**2).sum()) / (len(x) - 2), BEST_SPOT**2)
+    exponent, level = (float(value) for value in np.polyfit(x, y, 1))
+    variance = max(float(((y - level - exponent * x) ** 2).sum()) / (len(x) - 2), BEST_SPOT**2)
     uncertainty = float(np.sqrt(variance / spread))
     if uncertainty > TOO_UNCERTAIN:
         says = f"the exponent would be {exponent:.2f} +- {uncertainty:.2g}, it must be known to {TOO_UNCERTAIN:g}"
         raise ComputeError(f"{span} is too small a span for spots of this scatter: {says}")
-    scale = float(np.exp(y_mean - exponent * x_mean))
+    scale = float(np.exp(level))
     return ExponentFit(exponent, uncertainty, scale, percent_errors(scale * gamma**exponent / volume - 1))
 
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from polishd.model.dwell import DwellSolution, Start
 from polishd.model.errors import ComputeError
-from polishd.model.surface import FloatArray
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import quadratic
-from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
 from polishd.process.dwell.validation import check
 
 Solve = Callable[[DwellProblem], DwellSolution]
@@ -21,8 +19,10 @@ Row = dict[str, float | int | str | list[str] | None]
 
 # Of the price at which polishing stops altogether: two a decade, and last no price at all.
 PRICES = (*np.logspace(-1, -8, 15).tolist(), 0.0)
-RHOS = tuple(np.logspace(-2, -12, 11).tolist())
-UNREACHED = (0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.0)
+
+
+CERTIFIED = ("objective", "kkt_residual", "at_lower", "at_upper", "solver", "iterations", "seconds", "stopped")
+"""Of the certificate, as it is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,14 +53,7 @@ class Solved:
             "price_nm2_per_s": self.problem.price_nm2_per_s,
             "regularisation": self.problem.regularisation,
             "piston_nm": c.piston_nm,
-            "objective": c.objective,
-            "kkt_residual": c.kkt_residual,
-            "at_lower": c.at_lower,
-            "at_upper": c.at_upper,
-            "solver": c.solver,
-            "iterations": c.iterations,
-            "seconds": c.seconds,
-            "stopped": c.stopped,
+            **{name: getattr(c, name) for name in CERTIFIED},
             "notes": list(c.notes),
         }
 
@@ -69,12 +62,10 @@ class Solved:
 class Curve:
     """A path of solved problems, in the order they were solved, each certified by itself."""
 
-    knob: str
-    """What falls or rises along it: ``price_nm2_per_s``, ``regularisation`` or ``piston_nm``."""
     points: tuple[Solved, ...]
 
     def rows(self) -> list[Row]:
-        """One JSON-able object a point, ``knob`` among its keys."""
+        """One JSON-able object a point."""
         return [point.row() for point in self.points]
 
     def at_target(self, rms_nm: float) -> Solved:
@@ -137,48 +128,14 @@ def price_curve(problem: DwellProblem, solve: Solve, prices_nm2_per_s: Sequence[
     """
     check(problem)
     prices = highest_price(problem) * np.array(PRICES) if prices_nm2_per_s is None else prices_nm2_per_s
-    return Curve(
-        "price_nm2_per_s", _walk((replace(problem, price_nm2_per_s=float(price)) for price in prices), problem, solve)
-    )
-
-
-def regularisation_curve(problem: DwellProblem, solve: Solve, regularisations: Sequence[float] | None = None) -> Curve:
-    """Walk P down: what it costs in residual, and from where on it only buys time in places where nothing is gained.
-
-    Args:
-        problem: the problem; its own P does not count.
-        solve: the solver.
-        regularisations: P, nm^2/s^2, falling. Default: rho = 1e-2 to 1e-12 by decades (see regularisation_from_rho).
-
-    Raises:
-        ComputeError: the problem or a P is impossible, or the solver fails.
-    """
-    check(problem)
-    if regularisations is None:
-        one = regularisation_from_rho(problem.effect, problem.solve_mask, 1.0)
-        regularisations = [rho * one for rho in RHOS]
-    return Curve("regularisation", _walk((replace(problem, regularisation=p) for p in regularisations), problem, solve))
-
-
-def piston_curve(problem: DwellProblem, solve: Solve, unreached: Sequence[float] = UNREACHED) -> Curve:
-    """Walk the mean removal up: it moves the residual more than any solver does.
-
-    Args:
-        problem: the problem; of its target, only the shape counts.
-        solve: the solver.
-        unreached: shares of the samples that may lie too deep, falling: each gives a piston by choose_piston_nm.
-
-    Raises:
-        ComputeError: the problem or a share is impossible, or the solver fails.
-    """
-    check(problem)
-    least = problem.effect.removal_nm(problem.lower_s)
-
-    def shifted(share: float) -> DwellProblem:
-        piston = choose_piston_nm(problem.target_nm, problem.solve_mask, least, share)
-        return replace(problem, target_nm=problem.target_nm + piston)
-
-    return Curve("piston_nm", _walk((shifted(share) for share in unreached), problem, solve))
+    points: list[Solved] = []
+    for price in prices:
+        step = replace(problem, price_nm2_per_s=float(price))
+        check(step)
+        points.append(solved(step, solve, points[-1].solution if points else problem.warm))
+    if not points:
+        raise ComputeError("a curve needs at least one point")
+    return Curve(tuple(points))
 
 
 def highest_price(problem: DwellProblem) -> float:
@@ -190,19 +147,3 @@ def highest_price(problem: DwellProblem) -> float:
 def solved(problem: DwellProblem, solve: Solve, warm: Start | None = None) -> Solved:
     """Solve once, from ``warm`` (default: the problem's own)."""
     return Solved(replace(problem, warm=None), solve(problem if warm is None else replace(problem, warm=warm)))
-
-
-def _walk(problems: Iterable[DwellProblem], first: DwellProblem, solve: Solve) -> tuple[Solved, ...]:
-    points: list[Solved] = []
-    for problem in problems:
-        check(problem)
-        points.append(solved(problem, solve, points[-1].solution if points else first.warm))
-    if not points:
-        raise ComputeError("a curve needs at least one point")
-    return tuple(points)
-
-
-def total_and_rms(curve: Curve) -> FloatArray:
-    """(points, 2) s and nm, by rising total time: what to draw."""
-    pairs = sorted((point.total_s, point.rms_nm) for point in curve.points)
-    return np.array(pairs, dtype=np.float64)

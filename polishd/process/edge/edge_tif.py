@@ -1,32 +1,28 @@
-"""The spot that overhangs a free rim (one without a flush ring round it): modelled, and from measured edge TIFs.
+"""The spot that overhangs a free rim (one without a flush ring round it).
 
-The model. The actuator keeps the force, so over the rim the bonnet sinks until what is left of the contact carries it
-all: Hertz's pressure at the greater depth, cut off at the rim. What of a Hertz contact lies on a half plane carries
+The actuator keeps the force, so over the rim the bonnet sinks until what is left of the contact carries it all: Hertz's
+pressure at the greater depth, cut off at the rim. What of a Hertz contact lies on a half plane carries
 ``(2 + 3 x - x^3) / 4`` of its force, x the centre's distance inside the rim over the contact's radius. With
 s = sqrt(depth over undisturbed depth) and c = x at the undisturbed depth the force is kept where
 ``2 s^3 + 3 c s^2 - c^3 = 4``. The pressure is nowhere negative, and the spindle, which is held, takes the moment.
 
 Models for laps on a free joint balance the moment by a linear pressure (Jones 1986), which turns negative where the lap
 overhangs by much; hence the skin model (Luna-Aguilar et al. 2003). The peak of pressure at a sharp rim is in neither:
-where the outermost contact radius must be right, the edge TIF is measured (Kim et al. 2009).
+where the outermost contact radius must be right, edge TIFs are measured (Kim et al. 2009), which is not done here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
-from polishd.model.errors import ComputeError
-from polishd.model.process import MeasuredTif, ToolProcess
+from polishd.model.process import ToolProcess
 from polishd.model.program import Program
-from polishd.model.surface import FloatArray, Grid
+from polishd.model.surface import FloatArray
 from polishd.process import contact
-from polishd.process.dynamic_tif import CorrectedSpot, effect_columns, effect_matrix, lean_azimuth_rad
+from polishd.process.dynamic_tif import CorrectedSpot, lean_azimuth_rad
 from polishd.process.edge.rim import Rim
-from polishd.process.measured_spot import measured_spot
 from polishd.process.robot.refusal import refuse_where, require_number
 from polishd.process.spot import Spot
 
@@ -46,18 +42,6 @@ class RimContact:
     """(n,) of the sunk contact, to be given to a Spot."""
     force: FloatArray
     """(n,) share of the force that the part carries: 1 but where the bonnet may sink no further."""
-
-
-@dataclass(frozen=True, slots=True)
-class EdgeTif:
-    """A removal rate that was measured over a rim."""
-
-    tif: MeasuredTif
-    """Its map's centre is the contact's (not the rate's centroid); 0 off the part; azimuth and ``rotates`` unused."""
-    overhang_mm: float
-    """How far the contact's centre lay beyond the rim; negative on the part."""
-    outward_deg: float = 0.0
-    """Direction across the rim and off the part, counterclockwise from the map's x."""
 
 
 def rim_contact(
@@ -88,13 +72,12 @@ def rim_contact(
 
 
 def sunk_at_rim(
-    spots: CorrectedSpot, rim: Rim, process: ToolProcess, at: tuple[Spot, Program]
+    spots: CorrectedSpot, rim: Rim, process: ToolProcess, spot: Spot, program: Program
 ) -> tuple[CorrectedSpot, str]:
     """The spots along a program, deeper where the bonnet hangs over a free rim; and a note that says how many.
 
-    ``at`` is the rigid robot's spot and the program; its axes are as seen where the surface lies level.
+    ``spot`` is the rigid robot's; the program's axes are as seen where the surface lies level.
     """
-    spot, program = at
     found = rim_contact(process, rim, contact_centres_mm(spot, program, spots.depth_ratio), spots.depth_ratio)
     over, lost = int((found.inside < 1).sum()), int((found.force < FORCE_KEPT).sum())
     note = f"free rim: the bonnet hangs over it at {over} of {program.n} points, and presses with less force at {lost}"
@@ -121,68 +104,3 @@ def contact_centres_mm(spot: Spot, program: Program, depth_ratio: FloatArray) ->
     """(n, 2) where the spot's centre is half way through each block."""
     middle = (program.start_mm[:, :2] + program.end_mm[:, :2]) / 2
     return np.asarray(middle + spot.offset_mm(depth_ratio, lean_azimuth_rad(program)), dtype=np.float64)
-
-
-def measured_edge_effect(
-    grid: Grid,
-    spot: Spot,
-    program: Program,
-    depth_ratio: FloatArray,
-    factor: FloatArray,
-    *,
-    process: ToolProcess,
-    rim: Rim,
-    edge: Sequence[EdgeTif],
-) -> scipy.sparse.csr_array:
-    """`effect_matrix` with measured edge TIFs near the rim: (ny * nx, n) nm/s.
-
-    Between two measured overhangs both act, weighted linearly and each laid so that its own rim falls on the part's.
-    The first is joined to ``spot`` where that begins to overhang, the last to nothing where it has left the part. Sizes
-    and rates follow the depth as `MeasuredSpot` does; the TIFs turn with the rim.
-
-    Raises ComputeError for an empty table, for overhangs that do not rise or at which ``spot`` would not overhang, and
-    as `effect_matrix` and `measured_spot` do.
-    """
-    knots = _knots(spot, edge)
-    half = spot.half_width_mm(depth_ratio)
-    centre = contact_centres_mm(spot, program, depth_ratio)
-    overhang = -rim.inside_mm(centre) / half
-    outward = rim.outward_rad(centre)
-    away = np.stack([np.cos(outward), np.sin(outward)], axis=1) * half[:, None]
-    move = (program.end_mm - program.start_mm)[:, :2] / 2
-    still = replace(process, spot_offset_mm=(0.0, 0.0))
-    inner = np.zeros_like(program.end_mm)
-    inner[:, :2] = -away * np.clip(overhang + 1, 0.0, None)[:, None]
-    moved = replace(program, start_mm=program.start_mm + inner, end_mm=program.end_mm + inner)
-    total = effect_matrix(grid, spot, moved, depth_ratio, factor * _hat(overhang, knots, 0))
-    for k, one in enumerate(edge, start=1):
-        weight = _hat(overhang, knots, k)
-        on = np.flatnonzero(weight > 0)
-        at = (centre + away * (knots[k] - overhang)[:, None])[on]
-        shape = measured_spot(replace(one.tif, azimuth_deg=one.outward_deg, rotates=True), still)
-        ends = (at - move[on], at + move[on])
-        columns = effect_columns(
-            grid, shape, ends, outward[on], depth_ratio=depth_ratio[on], factor=(factor * weight)[on]
-        )
-        chosen = scipy.sparse.coo_array((np.ones(on.size), (np.arange(on.size), on)), shape=(on.size, program.n))
-        total = total + columns @ scipy.sparse.csr_array(chosen)
-    return scipy.sparse.csr_array(total)
-
-
-def _knots(spot: Spot, edge: Sequence[EdgeTif]) -> FloatArray:
-    """(k + 2,) overhangs over the spot's half width: where it begins, the table's, where the spot has left the part."""
-    if not edge:
-        raise ComputeError("no measured edge TIFs: give one at least, or use the model")
-    ratio = np.array([one.tif.depth_ratio for one in edge])
-    refuse_where(~(ratio > 0), ratio, "the depth ratio of a measured edge TIF", "", "it must be above 0")
-    reach, overhang = spot.half_width_mm(ratio), np.array([one.overhang_mm for one in edge])
-    what = "the overhang of a measured edge TIF"
-    refuse_where(~(np.abs(overhang) < reach), overhang, what, "mm", "there the spot does not lie across the rim")
-    knots = np.concatenate([[-1.0], overhang / reach, [1.0]])
-    refuse_where(np.diff(knots)[:-1] <= 0, overhang, what, "mm", "overhangs must rise")
-    return knots
-
-
-def _hat(at: FloatArray, knots: FloatArray, k: int) -> FloatArray:
-    """(n,) share of knot k: linear between knots, the first's 1 below it and the last's above."""
-    return np.asarray(np.interp(at, knots, np.eye(knots.size)[k]), dtype=np.float64)

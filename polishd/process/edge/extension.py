@@ -15,6 +15,7 @@ import scipy
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.metrics import FIT_DEGREE, polynomial
+from polishd.process.metrics.extension import frequencies, tapered
 from polishd.process.robot.refusal import require_number
 
 Extension = Literal["nearest", "c1", "gerchberg_papoulis"]
@@ -36,7 +37,6 @@ class Extended:
     """(ny, nx) the data untouched, the extension around them and in their holes, NaN beyond the reach."""
     mask: BoolArray
     """(ny, nx) where there is a height: data and extension."""
-    method: Extension
     rounds: int = 0
     """Projections that `gerchberg_papoulis` took."""
     misfit: float = 0.0
@@ -80,7 +80,7 @@ def extend(
         case _:
             raise ComputeError(f"no extension {method!r}; use nearest, c1 or gerchberg_papoulis")
     height = np.where(mask, height_nm, np.where(reached, full, np.nan))
-    return Extended(height, reached, method, rounds, misfit)
+    return Extended(height, reached, rounds, misfit)
 
 
 def _check(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, reach_mm: float) -> None:
@@ -161,12 +161,11 @@ def _band_limited(
     if scale <= 1e-12 * float(np.abs(height_nm[mask]).max()):
         return fit, 0, 0.0
     margin = int(np.ceil(cutoff))
-    shape = tuple(scipy.fft.next_fast_len(n + 2 * margin, True) for n in mask.shape)
-    window = (slice(margin, margin + mask.shape[0]), slice(margin, margin + mask.shape[1]))
-    inside, data = np.zeros(shape, dtype=np.bool_), np.zeros(shape)
+    start, inside, window = tapered(_thin_plate(rest, mask, reached), reached, margin)
+    data = np.zeros(start.shape)
     inside[window], data[window] = mask, rest
-    band = _frequency(shape) <= 1 / cutoff
-    u = _project(_tapered(_thin_plate(rest, mask, reached), reached, shape, window, margin), band)
+    band = frequencies(start.shape, 1.0) <= 1 / cutoff
+    u = _project(start, band)
     u, rounds, misfit = _conjugate_gradients(u, data, inside, band)
     return fit + u[window], rounds, misfit / scale
 
@@ -200,20 +199,3 @@ def _square(u: FloatArray) -> float:
 
 def _project(u: FloatArray, band: BoolArray) -> FloatArray:
     return np.asarray(scipy.fft.irfft2(scipy.fft.rfft2(u) * band, u.shape), dtype=np.float64)
-
-
-def _frequency(shape: tuple[int, ...]) -> FloatArray:
-    return np.asarray(
-        np.hypot(scipy.fft.fftfreq(shape[0])[:, None], scipy.fft.rfftfreq(shape[1])[None, :]), dtype=np.float64
-    )
-
-
-def _tapered(
-    height: FloatArray, reached: BoolArray, shape: tuple[int, ...], window: tuple[slice, slice], margin: int
-) -> FloatArray:
-    """The map on the larger array, beyond its reach that of the nearest sample times a raised cosine."""
-    wide, known = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
-    wide[window], known[window] = np.where(reached, height, 0.0), reached
-    distance, nearest = scipy.ndimage.distance_transform_edt(~known, return_indices=True)
-    taper = 0.5 + 0.5 * np.cos(np.pi * np.minimum(distance / margin, 1.0))
-    return np.asarray(wide[tuple(nearest)] * taper, dtype=np.float64)

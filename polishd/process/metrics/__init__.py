@@ -3,49 +3,36 @@
 from __future__ import annotations
 
 from polishd.process.metrics import iso10110, zernike
-from polishd.process.metrics.bands import EDGES_MM, FIT_DEGREE, band_rms, split_bands, surface_stats
-from polishd.process.metrics.comparison import Comparison, Figures, compare, figures
-from polishd.process.metrics.peak_valley import Pvr, pvr
-from polishd.process.metrics.psd import LinePsd, PlanePsd, RadialPsd, psd_2d, psd_x, psd_y, radial_psd
-from polishd.process.metrics.slopes import Slope, slope
+from polishd.process.metrics.bands import FIT_DEGREE, band_rms, split_bands, surface_stats
+from polishd.process.metrics.comparison import Comparison, Figures, compare
+from polishd.process.metrics.psd import RadialPsd, radial_psd
+from polishd.process.metrics.slopes import slope
 from polishd.process.metrics.spread import (
     Removal,
-    Spread,
     fitted,
     polynomial,
     pv_rms,
-    spread,
     trimmed,
     without,
 )
+from polishd.process.metrics.zernike import pvr
 
 __all__ = [
-    "EDGES_MM",
     "FIT_DEGREE",
     "Comparison",
     "Figures",
-    "LinePsd",
-    "PlanePsd",
-    "Pvr",
     "RadialPsd",
     "Removal",
-    "Slope",
-    "Spread",
     "band_rms",
     "compare",
-    "figures",
     "fitted",
     "iso10110",
     "polynomial",
-    "psd_2d",
-    "psd_x",
-    "psd_y",
     "pv_rms",
     "pvr",
     "radial_psd",
     "slope",
     "split_bands",
-    "spread",
     "surface_stats",
     "trimmed",
     "without",

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 
 from polishd.model.surface import BoolArray, FloatArray, SurfaceStats
-from polishd.process.metrics.extension import WORKERS, extended
+from polishd.process.metrics.extension import WORKERS, extended, frequencies
 from polishd.process.metrics.spread import inside, polynomial
 
 FIT_DEGREE = 2
@@ -85,7 +85,7 @@ def split_bands(
     margin = int(np.ceil(min(MARGIN * edges[0] / pitch_mm, max(mask.shape))))
     wide, window = extended(height_nm - fit, mask, margin)
     spectrum = scipy.fft.rfft2(wide, workers=WORKERS)
-    frequency = _frequency(wide.shape, pitch_mm)
+    frequency = frequencies(wide.shape, pitch_mm)
     below = []
     for edge in edges:
         if edge <= 2 * pitch_mm:
@@ -95,9 +95,3 @@ def split_bands(
         below.append(fit + scipy.fft.irfft2(kept, wide.shape, overwrite_x=True, workers=WORKERS)[window])
     steps = [below[0], *(b - a for a, b in pairwise(below)), height_nm - below[-1]]
     return tuple(np.where(mask, step, np.nan) for step in steps)
-
-
-def _frequency(shape: tuple[int, ...], pitch_mm: float) -> FloatArray:
-    """Radial frequency of the real FFT's samples, 1/mm."""
-    y, x = scipy.fft.fftfreq(shape[0], pitch_mm), scipy.fft.rfftfreq(shape[1], pitch_mm)
-    return np.asarray(np.hypot(y[:, None], x[None, :]), dtype=np.float64)

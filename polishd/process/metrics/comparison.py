@@ -41,13 +41,6 @@ class Comparison:
     """RMS about its mean of ``before - after``: a small one says that the two are one measurement."""
     samples: int
 
-    def __str__(self) -> str:
-        bands = ", ".join(f"{change:+.2%}" for change in self.band_changes)
-        return (
-            f"PV {self.before.pv_nm:.3f} -> {self.after.pv_nm:.3f} nm ({self.pv_change:+.2%}), RMS "
-            f"{self.before.rms_nm:.3f} -> {self.after.rms_nm:.3f} nm ({self.rms_change:+.2%}), bands {bands}"
-        )
-
 
 def compare(
     before_nm: FloatArray,

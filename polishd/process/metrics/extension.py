@@ -30,14 +30,25 @@ def extended(height_nm: FloatArray, mask: BoolArray, margin: int) -> tuple[Float
         The wider map, (ny + margin, nx + margin) or a little more, of a size that is fast to transform; and where the
         map is in it. It is periodic: what leaves on one side comes back on the other, where it has fallen to zero.
     """
+    found, wide, window = tapered(height_nm, mask, margin)
+    return _bent(found, _holes(wide)), window
+
+
+def tapered(height_nm: FloatArray, mask: BoolArray, margin: int) -> tuple[FloatArray, BoolArray, tuple[slice, slice]]:
+    """As `extended`, with holes as the nearest edge leaves them; and the mask in the wider array."""
     shape = tuple(scipy.fft.next_fast_len(n + 2 * margin, real=True) for n in mask.shape)
     window = (slice(margin, margin + mask.shape[0]), slice(margin, margin + mask.shape[1]))
     wide = np.zeros(shape, dtype=np.bool_)
     wide[window] = mask
     distance, (row, column) = scipy.ndimage.distance_transform_edt(~wide, return_indices=True)
     taper = 0.5 + 0.5 * np.cos(np.pi * np.minimum(distance / margin, 1.0))
-    found: FloatArray = height_nm[row - margin, column - margin] * taper
-    return _bent(found, _holes(wide)), window
+    return height_nm[row - margin, column - margin] * taper, wide, window
+
+
+def frequencies(shape: tuple[int, ...], pitch_mm: float) -> FloatArray:
+    """(ny, nx // 2 + 1) radial frequency of the real FFT's samples of a map of this shape, 1/mm."""
+    y, x = scipy.fft.fftfreq(shape[0], pitch_mm), scipy.fft.rfftfreq(shape[1], pitch_mm)
+    return np.asarray(np.hypot(y[:, None], x[None, :]), dtype=np.float64)
 
 
 def _holes(mask: BoolArray) -> BoolArray:

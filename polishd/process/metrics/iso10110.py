@@ -12,8 +12,6 @@ from polishd.process.metrics import zernike
 from polishd.process.metrics.fitting import points, triangle
 from polishd.process.metrics.spread import inside, power, pv_rms, without
 
-WAVELENGTH_NM = 546.07
-"""Of the green mercury line: that of fringe spacings where a drawing states none."""
 RADIAL_DEGREE = 20
 """Highest power of r in the rotationally symmetric part."""
 
@@ -34,31 +32,12 @@ class Iso10110:
     """RMSi: of the irregularity."""
     rms_a_nm: float
     """RMSa: of the irregularity less its rotationally symmetric part."""
-    wavelength_nm: float
     centre_px: tuple[float, float]
     """(row, column) of the axis of rotation."""
     samples: int
 
-    def fringes(self, value_nm: float) -> float:
-        """A figure in fringe spacings: one is half the wavelength in height of the surface."""
-        return value_nm / (self.wavelength_nm / 2)
 
-    def __str__(self) -> str:
-        a, b, c = (self.fringes(value) for value in (self.a_nm, self.b_nm, self.c_nm))
-        return (
-            f"3/{self.a_nm:.1f} nm ({self.b_nm:.1f} nm/{self.c_nm:.1f} nm); RMSt {self.rms_t_nm:.2f} nm; "
-            f"RMSi {self.rms_i_nm:.2f} nm; RMSa {self.rms_a_nm:.2f} nm; "
-            f"3/{a:.2f}({b:.2f}/{c:.2f}) fringe spacings at {self.wavelength_nm:g} nm"
-        )
-
-
-def irregularity(
-    height_nm: FloatArray,
-    mask: BoolArray,
-    wavelength_nm: float = WAVELENGTH_NM,
-    *,
-    centre_px: tuple[float, float] | None = None,
-) -> Iso10110:
+def irregularity(height_nm: FloatArray, mask: BoolArray, *, centre_px: tuple[float, float] | None = None) -> Iso10110:
     """Figures of a map of deviation from the nominal surface.
 
     The approximating sphere is the least-squares r^2, fitted with piston and tilt over the mask: right for deviations
@@ -68,15 +47,11 @@ def irregularity(
     Args:
         height_nm: (ny, nx), positive = high, finite inside ``mask``.
         mask: (ny, nx) samples that count.
-        wavelength_nm: that of fringe spacings.
         centre_px: (row, column) of the part's axis; None for the middle of the mask's box.
 
     Raises:
         BadMap: the mask is empty, or the surface not finite inside it.
-        ValueError: a wavelength that is not positive.
     """
-    if not wavelength_nm > 0:
-        raise ValueError(f"a wavelength of {wavelength_nm:g} nm")
     inside(height_nm, mask)
     row, column, _ = zernike.enclosing(mask)
     centre = (row, column) if centre_px is None else centre_px
@@ -91,7 +66,6 @@ def irregularity(
         rms_t_nm=pv_rms(without(height_nm, mask, "tilt"), mask)[1],
         rms_i_nm=float(irregular.std()),
         rms_a_nm=float((irregular - symmetric).std()),
-        wavelength_nm=wavelength_nm,
         centre_px=centre,
         samples=irregular.size,
     )

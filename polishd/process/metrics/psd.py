@@ -1,8 +1,7 @@
-"""Power spectral densities of a masked surface: of the plane, along x, along y and radial, all of one spectrum.
+"""Radially averaged power spectral density of a masked surface.
 
 With weights w, the density is ``|FFT(z w)|^2 dx dy / sum(w^2)``, and its sum over the frequency plane the mean of
-``(z w)^2`` over that of ``w^2`` (Parseval). Those along x and y are its sums over the other direction: the mean of the
-rows' (or columns') own densities. Piston and tilt are removed over the mask first.
+``(z w)^2`` over that of ``w^2`` (Parseval). Piston and tilt are removed over the mask first.
 
 Windows: "mask": w is 1 inside the mask and 0 outside; sums are exact, but the mask's edge spreads power, 13-20 % of a
 band's RMS. "taper": w falls to 0 towards the edge inside the mask; unbiased for what is alike everywhere, rim features
@@ -20,36 +19,12 @@ import numpy as np
 import scipy
 
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.metrics.extension import WORKERS, extended
+from polishd.process.metrics.extension import WORKERS, extended, frequencies
 from polishd.process.metrics.spread import without
 
 Window = Literal["extended", "mask", "taper"]
 TAPER = 1 / 16
 """Width of the tapers, of the map's longer side."""
-
-
-@dataclass(frozen=True, slots=True)
-class PlanePsd:
-    """Two-dimensional, two-sided density; ``density.sum() * cell_per_mm2`` is the variance inside the mask."""
-
-    x_per_mm: FloatArray
-    """(kx,) frequencies of the columns, ascending, both signs."""
-    y_per_mm: FloatArray
-    """(ky,) frequencies of the rows, descending as the map's own y, both signs."""
-    density_nm2_mm2: FloatArray
-    """(ky, kx)."""
-    cell_per_mm2: float
-    """Area of one sample in the frequency plane."""
-
-
-@dataclass(frozen=True, slots=True)
-class LinePsd:
-    """One-dimensional, one-sided density; ``density.sum() * step_per_mm`` is the variance inside the mask."""
-
-    frequency_per_mm: FloatArray
-    """(k,) ascending from 0; the first holds what varies across the direction only."""
-    density_nm2_mm: FloatArray
-    step_per_mm: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +42,8 @@ class RadialPsd:
     """(k,) area of the ring in the frequency plane: its samples times the area of each."""
 
 
-def psd_2d(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: Window = "extended") -> PlanePsd:
-    """Two-dimensional power spectral density, nm^2 mm^2; see the module for its definition.
+def radial_psd(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: Window = "extended") -> RadialPsd:
+    """Radially averaged density, nm^2 mm^2; see the module for its definition.
 
     Args:
         height_nm: (ny, nx), finite inside ``mask``.
@@ -80,49 +55,25 @@ def psd_2d(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: Wind
         BadMap: the mask is empty, or the surface not finite inside it.
         ValueError: no such window.
     """
-    half, nx, cell = _density(height_nm, mask, pitch_mm, window)
-    ny = len(half)
-    # a real surface: the density at (-fy, -fx) is that at (fy, fx)
-    mirrored = half[-np.arange(ny) % ny][:, (nx - 1) // 2 : 0 : -1]
-    whole = scipy.fft.fftshift(np.hstack([half, mirrored]))
-    # row 0 of a map has the largest y, so a wave along the rows' index runs against y
-    return PlanePsd(
-        scipy.fft.fftshift(scipy.fft.fftfreq(nx, pitch_mm)),
-        -scipy.fft.fftshift(scipy.fft.fftfreq(ny, pitch_mm)),
-        whole,
-        cell,
-    )
-
-
-def psd_x(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: Window = "extended") -> LinePsd:
-    """One-dimensional density along x (the rows), nm^2 mm; arguments and errors are those of ``psd_2d``."""
-    half, nx, cell = _density(height_nm, mask, pitch_mm, window)
-    step = 1 / (nx * pitch_mm)
-    return LinePsd(scipy.fft.rfftfreq(nx, pitch_mm), half.sum(0) * _times(nx) * (cell / step), step)
-
-
-def psd_y(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: Window = "extended") -> LinePsd:
-    """One-dimensional density along y (the columns), nm^2 mm; arguments and errors are those of ``psd_2d``."""
-    return psd_x(height_nm.T, mask.T, pitch_mm, window)
-
-
-def radial_psd(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: Window = "extended") -> RadialPsd:
-    """Radially averaged density, nm^2 mm^2; arguments and errors are those of ``psd_2d``."""
-    half, nx, cell = _density(height_nm, mask, pitch_mm, window)
-    ny = len(half)
-    frequency = np.hypot(scipy.fft.fftfreq(ny, pitch_mm)[:, None], scipy.fft.rfftfreq(nx, pitch_mm)[None, :])
-    ring = np.rint(frequency * (max(ny, nx) * pitch_mm)).astype(np.intp).ravel()
-    times = np.broadcast_to(_times(nx), half.shape)
+    half, shape = _density(height_nm, mask, pitch_mm, window)
+    frequency = frequencies(shape, pitch_mm)
+    ring = np.rint(frequency * (max(shape) * pitch_mm)).astype(np.intp).ravel()
+    times = np.full(half.shape, 2.0)  # a column of the half plane stands for two of the whole, but the first ...
+    times[:, 0] = 1.0
+    if shape[1] % 2 == 0:  # ... and the last of an even number
+        times[:, -1] = 1.0
     count = np.bincount(ring, times.ravel())
     some = count > 0
     some[0] = False
     weighted = (np.bincount(ring, (value * times).ravel())[some] / count[some] for value in (frequency, half))
     mean_frequency, mean = (np.asarray(value, dtype=np.float64) for value in weighted)
-    return RadialPsd(mean_frequency, mean, np.asarray(count[some] * cell, dtype=np.float64))
+    return RadialPsd(mean_frequency, mean, np.asarray(count[some] / (shape[0] * shape[1] * pitch_mm**2)))
 
 
-def _density(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: Window) -> tuple[FloatArray, int, float]:
-    """Density on the half plane of the real FFT, (ny, nx // 2 + 1); nx of the whole; area of a sample, 1/mm^2."""
+def _density(
+    height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: Window
+) -> tuple[FloatArray, tuple[int, ...]]:
+    """Density on the half plane of the real FFT, (ny, nx // 2 + 1), and the shape (ny, nx) that was transformed."""
     rest = without(height_nm, mask, "tilt")
     width = int(max(mask.shape) * TAPER) + 1
     if window == "extended":
@@ -140,15 +91,4 @@ def _density(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: Wi
     else:
         raise ValueError(f"a window is one of {', '.join(get_args(Window))}, not {window!r}")
     spectrum = scipy.fft.rfft2(field, workers=WORKERS)
-    density = (spectrum.real**2 + spectrum.imag**2) * (pitch_mm**2 / weight)
-    ny, nx = field.shape
-    return density, nx, 1 / (ny * nx * pitch_mm**2)
-
-
-def _times(nx: int) -> FloatArray:
-    """(nx // 2 + 1,) how many columns of the whole plane each one of the half plane stands for."""
-    times = np.full(nx // 2 + 1, 2.0)
-    times[0] = 1.0
-    if nx % 2 == 0:
-        times[-1] = 1.0
-    return times
+    return (spectrum.real**2 + spectrum.imag**2) * (pitch_mm**2 / weight), field.shape

@@ -28,12 +28,6 @@ class Slope:
     samples: int
     """Places where both slopes are known."""
 
-    def __str__(self) -> str:
-        return (
-            f"slope RMS {self.rms_urad:.4g} urad (x {self.rms_x_urad:.4g}, y {self.rms_y_urad:.4g}), largest "
-            f"{self.max_urad:.4g} urad (tilt removed, integration length {self.integration_mm:g} mm)"
-        )
-
 
 def slope(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, integration_mm: float | None = None) -> Slope:
     """Slopes along x and y as differences over the integration length, centred on the samples.

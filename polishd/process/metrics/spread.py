@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
@@ -14,35 +13,6 @@ from polishd.process.metrics.fitting import points, triangle
 
 Removal = Literal["piston", "tilt", "power"]
 """Each with those before it: "tilt" is piston and tilt, "power" is piston, tilt and r^2, fitted together."""
-
-
-@dataclass(frozen=True, slots=True)
-class Spread:
-    """PV and RMS with all that must be known to compare them with others."""
-
-    pv_nm: float
-    rms_nm: float
-    samples: int
-    """Number of samples of the mask after the trim."""
-    trim_px: int
-    removal: Removal
-
-    def __str__(self) -> str:
-        return (
-            f"PV {self.pv_nm:.3f} nm, RMS {self.rms_nm:.3f} nm ({self.removal} removed, trimmed {self.trim_px} px, "
-            f"{self.samples} samples)"
-        )
-
-
-def spread(height_nm: FloatArray, mask: BoolArray, *, trim_px: int = 0, removal: Removal = "piston") -> Spread:
-    """PV and RMS after the trim and then the removal, in this order, as MetroPro does.
-
-    Raises:
-        BadMap: no sample is left in the mask, or the surface is not finite inside it.
-    """
-    kept = trimmed(mask, trim_px)
-    pv, rms = pv_rms(without(height_nm, kept, removal), kept)
-    return Spread(pv, rms, int(np.count_nonzero(kept)), trim_px, removal)
 
 
 def pv_rms(height_nm: FloatArray, mask: BoolArray) -> tuple[float, float]:

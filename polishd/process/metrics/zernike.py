@@ -13,7 +13,7 @@ from polishd.model.errors import BadMap
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.metrics.fitting import BLOCK, points, triangle
 from polishd.process.metrics.spread import inside
-from polishd.process.metrics.zernike_terms import FIRST, USUAL_NORM, Norm, Ordering, order, values
+from polishd.process.metrics.zernike_terms import USUAL_NORM, Norm, Ordering, order, values
 
 WORST_CONDITION = 1e8
 """Condition of the terms over the mask beyond which they cannot be told apart."""
@@ -40,13 +40,6 @@ class ZernikeFit:
     condition: float
     """Of the terms over the mask: near 1 to 3 on a circle."""
     samples: int
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Such as "Noll 4 (2, 0)"."""
-        title = {"noll": "Noll", "fringe": "Fringe", "ansi": "ANSI"}[self.ordering]
-        first = FIRST[self.ordering]
-        return tuple(f"{title} {index} ({n}, {m})" for index, (n, m) in enumerate(self.terms, first))
 
 
 def fit(
@@ -105,17 +98,44 @@ def fit(
     )
 
 
-def surface(fitted: ZernikeFit, mask: BoolArray, without: int = 0) -> FloatArray:
-    """(ny, nx) the fitted surface in nm over a mask, less its first ``without`` terms; NaN outside the mask."""
+def surface(fitted: ZernikeFit, mask: BoolArray) -> FloatArray:
+    """(ny, nx) the fitted surface in nm over a mask; NaN outside the mask."""
     x, y = _unit(mask, (*fitted.centre_px, fitted.radius_px))
-    pairs, factors = fitted.terms[without:], fitted.coefficients_nm[without:]
     heights = np.zeros(x.size)
-    for start in range(0, x.size if pairs else 0, BLOCK):
+    for start in range(0, x.size, BLOCK):
         part = slice(start, start + BLOCK)
-        heights[part] = factors @ values(pairs, fitted.norm, x[part], y[part])
+        heights[part] = fitted.coefficients_nm @ values(fitted.terms, fitted.norm, x[part], y[part])
     found = np.full(mask.shape, np.nan)
     found[mask] = heights
     return found
+
+
+@dataclass(frozen=True, slots=True)
+class Pvr:
+    """``pvr_nm = fit_pv_nm + 3 * residual_rms_nm``; without the number of terms it says nothing."""
+
+    pvr_nm: float
+    fit_pv_nm: float
+    """PV of the fitted surface over the mask, piston and nothing else left out."""
+    residual_rms_nm: float
+    terms: int
+    ordering: Ordering
+
+
+def pvr(height_nm: FloatArray, mask: BoolArray, terms: int = 36) -> Pvr:
+    """PV of a Zernike fit plus three times the RMS of what it leaves (C. J. Evans, Opt. Eng. 48(4), 043605, 2009).
+
+    Args:
+        height_nm: (ny, nx), finite inside ``mask``; take off tilt or power before where they are alignment.
+        mask: (ny, nx) samples that count; the unit circle is ``enclosing(mask)``.
+        terms: Zernike terms in fringe order, piston counted. Some programs take 37.
+
+    Raises:
+        BadMap: as ``fit``.
+    """
+    fitted = fit(height_nm, mask, terms, "fringe")
+    pv = float(np.ptp(surface(fitted, mask)[mask]))
+    return Pvr(pv + 3 * fitted.residual_rms_nm, pv, fitted.residual_rms_nm, terms, fitted.ordering)
 
 
 def enclosing(mask: BoolArray) -> tuple[float, float, float]:

@@ -1,4 +1,4 @@
-"""Register a map as its instrument's profile asks, within the profile's limits, and bring it into the part's frame."""
+"""Register a map as its instrument's profile asks, within the profile's limits."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from dataclasses import replace
 
 from polishd.model.errors import BadMap
 from polishd.model.instrument import Instrument
-from polishd.model.surface import Grid, SurfaceMap
+from polishd.model.surface import SurfaceMap
 from polishd.process.registration import fiducials, marks, outline
 from polishd.process.registration.record import Registration
-from polishd.process.registration.resampling import resample_registered
 
 
 def register(
@@ -44,12 +43,6 @@ def register(
                          f"{instrument.max_drift_mm:g} mm allowed: it has moved in its fixture, or the "
                          "instrument was set anew; seat the part, measure again, or begin a new job")  # fmt: skip
     return found
-
-
-def apply(surface: SurfaceMap, registration: Registration, grid: Grid) -> SurfaceMap:
-    """The map in the part's frame: area averages over the cells of a grid about the part's centre, volume conserved."""
-    height = resample_registered(surface.height_nm, surface.grid, grid, registration)
-    return surface.with_height(height, grid.pitch_mm)
 
 
 def _by_aperture(surface: SurfaceMap, instrument: Instrument, aperture_mm: float) -> Registration:

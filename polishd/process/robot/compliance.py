@@ -3,10 +3,12 @@
 Three limbs, three motions that the UP limb resists and two wrist joints are eight springs in series: with all but one
 rigid the mechanism has one freedom, in which the tip moves by m per unit of that spring's deflection, and the
 compliance is the sum of m m' / k. Each m follows from a 3 x 3 inverse, since the UP limb leaves the platform three
-motions only. `stiffness` has the same as the paper writes it, 6 x 6.
+motions only. The tests hold it to the paper's 6 x 6 matrices, equation by equation.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -41,6 +43,16 @@ def hybrid_tip_compliance_mm_per_n(
     if path:
         refuse_where(*flip(tool, axis))
     return matrix.transpose(2, 0, 1)
+
+
+def hybrid_compliance_at(
+    robot: HybridRobot, tip_mm: FloatArray, axis: FloatArray
+) -> Callable[[HybridRobot], FloatArray]:
+    """The function from a robot with other stiffnesses to its (n, 3, 3) compliances there; poses are solved once."""
+    tip, axis = require_poses(tip_mm, axis)
+    placed = place(robot, geometry_of(robot), tip.T, axis.T)
+    refuse_unreachable(robot, placed)
+    return lambda other: _compliance(other, stiffnesses_of(other), placed, "full").transpose(2, 0, 1)
 
 
 def _compliance(robot: HybridRobot, elastic: Stiffnesses, placed: Placed, moment: Moment) -> FloatArray:

@@ -13,7 +13,7 @@ import numpy as np
 from polishd.model.errors import ComputeError
 from polishd.model.robot import SerialRobot
 from polishd.model.surface import FloatArray
-from polishd.process.robot.refusal import refuse_where, require_number
+from polishd.process.robot.refusal import require_number
 
 JOINTS = 6
 
@@ -71,16 +71,6 @@ def reach_mm(robot: SerialRobot) -> float:
 def twist_scale(robot: SerialRobot) -> FloatArray:
     """(6,) what a twist is divided by: the reach for translations, 1 for rotations."""
     return np.repeat([reach_mm(robot), 1.0], 3)
-
-
-def require_joints(joints_rad: FloatArray) -> FloatArray:
-    """The (n, 6) array as float64; raise ComputeError where it has another shape or a number that is not finite."""
-    joints = np.asarray(joints_rad, dtype=np.float64)
-    if joints.ndim != 2 or joints.shape[1] != JOINTS:
-        raise ComputeError(f"joint angles have the shape {joints.shape}, it must be (n, 6) in rad")
-    broken = np.asarray(~np.isfinite(joints).all(axis=1))
-    refuse_where(broken, joints.sum(axis=1), "the sum of the joint angles", "rad", "it must be finite")
-    return joints
 
 
 def require_arm(robot: SerialRobot) -> None:

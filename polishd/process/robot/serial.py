@@ -11,8 +11,9 @@ import scipy
 from polishd.model.errors import ComputeError
 from polishd.model.robot import SerialRobot
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.robot.dh_chain import JOINTS, Chain, chain, reach_mm, require_arm, require_joints, twist_scale
-from polishd.process.robot.refusal import refuse_where, require_number, require_unit_vectors, require_vectors
+from polishd.process.robot.dh_chain import JOINTS, Chain, chain, reach_mm, require_arm, twist_scale
+from polishd.process.robot.refusal import refuse_where, require_number
+from polishd.process.robot.workspace import require_poses
 
 SINGULAR = 1e-3
 """Ratio of the Jacobian's smallest to its largest singular value, lengths over reach, below which it is singular."""
@@ -51,13 +52,6 @@ class _Solution:
         return np.asarray((self.miss_mm < MISS_MM) & (self.miss_rad < MISS_RAD), dtype=np.bool_)
 
 
-def serial_forward_kinematics(robot: SerialRobot, joints_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Tool tips (n, 3) mm and unit tool axes (n, 3), from the tip into the spindle, of (n, 6) joint angles, rad."""
-    require_arm(robot)
-    at = chain(robot, require_joints(joints_rad))
-    return at.tip_mm, at.axis
-
-
 def serial_inverse_kinematics(
     robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray, *, path: bool = False
 ) -> FloatArray:
@@ -77,7 +71,8 @@ def serial_inverse_kinematics(
         ComputeError: names the first pose which is out of reach, near-singular, on another branch than home or out of
             a joint's limits, or (``path``) to which a joint jumps.
     """
-    tip, axis = _require_poses(robot, tip_mm, axis)
+    require_arm(robot)
+    tip, axis = require_poses(tip_mm, axis)
     solution = _solve(robot, tip, _flange(robot, axis))
     if path:
         solution = dataclasses.replace(solution, joints=np.unwrap(solution.joints, axis=0))
@@ -89,7 +84,8 @@ def serial_inverse_kinematics(
 
 def serial_reachable(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray) -> BoolArray:
     """(n,) True where `serial_inverse_kinematics` would accept the pose; arguments as there."""
-    tip, axis = _require_poses(robot, tip_mm, axis)
+    require_arm(robot)
+    tip, axis = require_poses(tip_mm, axis)
     reach = _flange_sine(robot, axis) > SINGULAR
     solution = _solve(robot, tip[reach], _flange(robot, axis[reach]))
     low, high = np.radians(robot.joint_limits_deg).T
@@ -116,7 +112,7 @@ def serial_joint_compliance_mm_per_n(robot: SerialRobot, joints_rad: FloatArray)
         raise ComputeError(f"the arm has {len(robot.joint_stiffness_n_mm_per_rad)} joint stiffnesses, it must have 6")
     for j, stiffness in enumerate(robot.joint_stiffness_n_mm_per_rad, 1):
         require_number(f"the stiffness of joint {j}", stiffness, "N mm/rad", above=0.0)
-    arm = chain(robot, require_joints(joints_rad)).twists[:, :, :3]
+    arm = chain(robot, joints_rad).twists[:, :, :3]
     softened = arm / np.asarray(robot.joint_stiffness_n_mm_per_rad)[:, None]
     matrix = arm.transpose(0, 2, 1) @ softened
     return np.asarray((matrix + matrix.transpose(0, 2, 1)) / 2, dtype=np.float64)
@@ -242,12 +238,3 @@ def _flange(robot: SerialRobot, axis: FloatArray) -> FloatArray:
 def _flange_sine(robot: SerialRobot, axis: FloatArray) -> FloatArray:
     wanted = np.asarray(robot.flange_x) / np.linalg.norm(robot.flange_x)
     return np.asarray(np.linalg.norm(np.cross(axis, wanted), axis=1), dtype=np.float64)
-
-
-def _require_poses(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
-    require_arm(robot)
-    tip = require_vectors("tool tip", tip_mm, "mm")
-    axis = require_unit_vectors("tool axis", axis)
-    if tip.shape != axis.shape:
-        raise ComputeError(f"{len(tip)} tool tips come with {len(axis)} tool axes")
-    return tip, axis

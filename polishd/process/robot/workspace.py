@@ -121,7 +121,7 @@ def refuse_unreachable(robot: HybridRobot, placed: Placed) -> None:
 
 
 def hybrid_reachable(robot: HybridRobot, tip_mm: FloatArray, axis: FloatArray) -> BoolArray:
-    """(n,) True where `inverse_kinematics` would accept the pose by itself; arguments as there."""
+    """(n,) True where `hybrid_tip_compliance_mm_per_n` would accept the pose by itself; arguments as there."""
     tip, axis = require_poses(tip_mm, axis)
     placed = place(robot, geometry_of(robot), tip.T, axis.T)
     bad = np.zeros(len(tip), dtype=np.bool_)

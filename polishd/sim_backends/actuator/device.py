@@ -12,9 +12,10 @@ from polishd.sim_backends.actuator.ascii import AsciiSlave
 from polishd.sim_backends.actuator.coil import Pace, VoiceCoil
 from polishd.sim_backends.actuator.modbus import Registers, RtuSlave, TcpSlave
 from polishd.sim_backends.bus import Message
+from polishd.sim_backends.faults import Outlet
 from polishd.sim_backends.runtime import Runtime
 from polishd.sim_backends.truth import stream
-from polishd.sim_backends.wire import Feed, Send, Wire
+from polishd.sim_backends.wire import Feed, Wire
 
 TICK_S = 0.005
 MARK_S = 0.02
@@ -39,7 +40,7 @@ async def main(runtime: Runtime) -> None:
             coil.near = bool(message["near"])
 
     runtime.link.on_message = on_message
-    wire = Wire(runtime, config.faults, lambda: _feed(runtime, coil))
+    wire = Wire(runtime, config.faults, lambda outlet: _feed(runtime, coil, outlet))
     endpoint = f"serial:{runtime.start.state / runtime.name}?baud={config.baud}"
     if config.kind == "modbus_tcp":
         endpoint = f"tcp://{await wire.open_tcp(config.port)}"
@@ -47,13 +48,11 @@ async def main(runtime: Runtime) -> None:
         wire.open_pty(config.baud)
     runtime.button(signal.SIGUSR1, lambda: setattr(coil, "stuck", True))
     runtime.button(signal.SIGUSR2, lambda: setattr(coil, "hung", True))
-    runtime.ready(endpoint)
-    runtime.group.create_task(wire.cut_now_and_then())
-    runtime.group.create_task(runtime.reboot_later(config.faults.reboot_after_s))
+    wire.ready(endpoint)
     await _tick(runtime, coil)
 
 
-def _feed(runtime: Runtime, coil: VoiceCoil) -> Feed:
+def _feed(runtime: Runtime, coil: VoiceCoil, outlet: Outlet) -> Feed:
     """The receiver of one connection: requests are answered after the time that they take on the line."""
     config = runtime.start.config.actuator
     registers = Registers(coil, VENDOR, MODEL, SERIAL, FIRMWARE, runtime.boot_count)
@@ -65,13 +64,13 @@ def _feed(runtime: Runtime, coil: VoiceCoil) -> Feed:
     slave = makers[config.kind]()
     byte_s = 0.0 if config.kind == "modbus_tcp" else 10.0 / config.baud
 
-    def feed(data: bytes, send: Send) -> None:
+    def feed(data: bytes) -> None:
         now = time.monotonic()
         coil.step(now)
         if coil.hung:
             return
         for size, answer in slave.feed(data, now):
-            send(answer, size * byte_s)
+            outlet.send(answer, size * byte_s)
 
     return feed
 

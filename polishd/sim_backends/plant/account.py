@@ -29,11 +29,9 @@ class WayOut:
 
     def report(self) -> dict[str, float]:
         """Seconds of contact (process time) and the deepest place, in all and at standstill."""
+        seconds = {name: getattr(self, name) for name in ("from_s", "until_s", "contact_s", "standing_s")}
         return {
-            "from_s": self.from_s,
-            "until_s": self.until_s,
-            "contact_s": self.contact_s,
-            "standing_s": self.standing_s,
+            **seconds,
             "peak_nm": float(self.removed_nm.max()),
             "standing_peak_nm": float(self.standing_nm.max()),
         }

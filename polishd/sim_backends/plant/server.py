@@ -8,7 +8,7 @@ import math
 import os
 import signal
 import time
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 from polishd.model.surface import FloatArray
 from polishd.sim_backends import bus, truth
@@ -182,7 +182,7 @@ def build(start: Start) -> PlantServer:
     rms, pv = part.stats()
     witness = Witness(log)
     witness.add("plant", "boot", time.monotonic(), seed=start.seed, true_rms_nm=round(rms, 4), true_pv_nm=round(pv, 4))
-    replace(start.state / "truth.json", json.dumps(hidden.as_dict(), indent=1).encode())
+    replace(start.state / "truth.json", json.dumps(asdict(hidden), indent=1).encode())
     return PlantServer(start, world, witness)
 
 

@@ -43,7 +43,6 @@ class World:
     rpm: Timeline = field(default_factory=Timeline)
     account: Account = field(default_factory=Account)
     process_s: float = 0.0
-    rows_done: int = 0
     _queue: list[tuple[str, FloatArray]] = field(default_factory=list)
     _noise: float = 0.0
     _frames: Frames = field(init=False)
@@ -103,7 +102,6 @@ class World:
             clocks.append((float(rows[0, WALL0]), self.process_s))
             self._wear(program, rows)
             self.process_s += float(rows[:, DT].sum())
-            self.rows_done += count
             clocks.append((float(rows[-1, WALL1]), self.process_s))
         self.force.forget(horizon_s)
         self.rpm.forget(horizon_s)

@@ -26,7 +26,6 @@ class Client:
     told: int = 0
     """Executed blocks of the program that it was told of."""
     credit: tuple[int, int] = (-1, -1)
-    broken: int = 0
     awaits: list[int] = field(default_factory=list)
     """Types (HOLD, ABORT) whose ACK waits for standstill."""
 

@@ -52,7 +52,7 @@ class Legs:
         return self.from_mm[k] + float(distance[0]), self.from_s[k] + float(nominal[0]), float(speed[0])
 
 
-def plan(path: Path, cursor: Cursor, process_s: float, *, until: int | None, accel: float, overhead_s: float) -> Legs:
+def plan(path: Path, cursor: Cursor, process_s: float, until: int | None) -> Legs:
     """Legs for everything accepted beyond the cursor; the last junction and that of ``until`` are stops."""
     block = np.arange(cursor.block, path.accepted)
     length = path.length[block].copy()
@@ -65,6 +65,7 @@ def plan(path: Path, cursor: Cursor, process_s: float, *, until: int | None, acc
     cap = np.append(path.entry[block], 0.0)
     if until is not None and cursor.block < until < path.accepted:
         cap[until - cursor.block] = 0.0
+    accel, overhead_s = path.limits.accel_mm_s2, path.limits.overhead_s
     squared = junctions(length, cap, cursor.speed**2, accel)
     shape = trapezoids(length, path.feed[block], squared, accel)
     nominal = np.where(path.kind[block] == DWELL, dwell, shape.seconds)
@@ -79,12 +80,13 @@ def plan(path: Path, cursor: Cursor, process_s: float, *, until: int | None, acc
     return Legs(block, from_mm, from_s, shape, nominal, start, end, np.ones(len(block), dtype=bool), stop)
 
 
-def braking(path: Path, cursor: Cursor, process_s: float, accel: float) -> Legs:
+def braking(path: Path, cursor: Cursor, process_s: float) -> Legs:
     """Legs that come to a stop along the path as soon as the acceleration allows; the last may end inside a block."""
     block = np.arange(cursor.block, path.accepted)
     length = path.length[block].copy()
     length[0] = max(length[0] - cursor.done_mm, 0.0)
     ahead = np.concatenate([[0.0], np.cumsum(length)])
+    accel = path.limits.accel_mm_s2
     distance = cursor.speed**2 / (2.0 * accel)
     count = min(max(int(np.searchsorted(ahead, distance - 1e-9)), 1), len(block))
     squared = np.maximum(cursor.speed**2 - 2.0 * accel * ahead[: count + 1], 0.0)

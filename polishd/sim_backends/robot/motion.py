@@ -11,23 +11,10 @@ import numpy as np
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.robot.legs import Cursor, Legs, braking, plan, rows
 from polishd.sim_backends.robot.lift import Lift
-from polishd.sim_backends.robot.path import PAUSE, Path
+from polishd.sim_backends.robot.path import PAUSE, Limits, Path
 from polishd.sim_backends.robot.rnc import Block, Pose
 
 State = Literal["idle", "held", "running", "done"]
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """What this machine does."""
-
-    accel_mm_s2: float
-    overhead_s: float
-    corner_deg: float
-    rapid_mm_s: float
-    max_feed_mm_s: float
-    speed: float
-    """Process seconds per wall second while running."""
 
 
 @dataclass(slots=True)
@@ -64,14 +51,7 @@ class Motion:
 
     def load(self, blocks: int) -> None:
         """Forget the old program; expect block 0 of the new one."""
-        limits = self.limits
-        self.path = Path(
-            blocks,
-            self.pose,
-            rapid_mm_s=limits.rapid_mm_s,
-            max_feed_mm_s=limits.max_feed_mm_s,
-            corner_deg=limits.corner_deg,
-        )
+        self.path = Path(blocks, self.pose, self.limits)
         self._cursor, self._begun_s = Cursor(), None
         self.executed, self.until, self.stopping, self._lift = [], None, "", None
         self._plan()
@@ -137,7 +117,7 @@ class Motion:
     def _brake(self, why: str) -> None:
         self.stopping = why
         if self._cursor.block < self.path.accepted:
-            self._legs, self._leg = braking(self.path, self._cursor, self.process_s, self.limits.accel_mm_s2), 0
+            self._legs, self._leg = braking(self.path, self._cursor, self.process_s), 0
 
     def advance(self, wall_s: float) -> None:
         """Execute up to the present."""
@@ -174,15 +154,7 @@ class Motion:
         return self._legs
 
     def _plan(self) -> None:
-        limits = self.limits
-        self._legs = plan(
-            self.path,
-            self._cursor,
-            self.process_s,
-            until=self.until,
-            accel=limits.accel_mm_s2,
-            overhead_s=limits.overhead_s,
-        )
+        self._legs = plan(self.path, self._cursor, self.process_s, self.until)
         self._leg, self._stale = 0, False
 
     def _witness(self, legs: Legs, reached: int, since: float) -> None:

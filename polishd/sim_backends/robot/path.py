@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,13 +15,26 @@ NONE, MOVE, DWELL, PAUSE = 0, 1, 2, 3
 _KINDS = {"none": NONE, "move": MOVE, "dwell": DWELL, "pause": PAUSE}
 
 
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What this machine does."""
+
+    accel_mm_s2: float
+    overhead_s: float
+    corner_deg: float
+    rapid_mm_s: float
+    max_feed_mm_s: float
+    speed: float
+    """Process seconds per wall second while running."""
+
+
 class Path:
     """Columns of all blocks of the loaded program, filled as they are accepted."""
 
-    def __init__(self, blocks: int, pose: Pose, *, rapid_mm_s: float, max_feed_mm_s: float, corner_deg: float) -> None:
+    def __init__(self, blocks: int, pose: Pose, limits: Limits) -> None:
         self.blocks = blocks
         self.accepted = 0
-        self._rapid, self._max_feed, self._corner = rapid_mm_s, max_feed_mm_s, math.cos(math.radians(corner_deg))
+        self.limits = limits
         self.kind = np.zeros(blocks, dtype=np.int8)
         self.pose = np.zeros((blocks + 1, 5))
         """Block k runs from ``pose[k]`` to ``pose[k + 1]``."""
@@ -47,10 +61,11 @@ class Path:
         self._direction[here] = step[:, :3] / np.maximum(length, 1e-12)[:, None]
         length = np.where(length > 1e-9, length, np.linalg.norm(step[:, 3:], axis=1))
         length[(self.kind[here] != MOVE) | (length <= 1e-9)] = 0.0
-        feed = np.where(rate > 0.0, rate, self._rapid)
+        rapid, max_feed = self.limits.rapid_mm_s, self.limits.max_feed_mm_s
+        feed = np.where(rate > 0.0, rate, rapid)
         feed = np.where(inverse, length / np.maximum(rate, 1e-9), feed)
         self.length[here] = length
-        self.feed[here] = np.clip(feed, 1e-3, np.where(rate > 0.0, self._max_feed, self._rapid))
+        self.feed[here] = np.clip(feed, 1e-3, np.where(rate > 0.0, max_feed, rapid))
         self.seconds[here] = np.where(self.kind[here] == DWELL, rate, 0.0)
         self.entry[here] = self._entries(here)
         self.accepted = first + count
@@ -64,6 +79,7 @@ class Path:
         before, self._last = marks[:-1], int(marks[-1])
         after_move = (before >= 0) & (self.length[before] > 0.0)
         speed = np.where(after_move, self.feed[before], 0.0)
-        straight = np.sum(self._direction[here] * self._direction[before], axis=1) >= self._corner - 1e-9
+        corner = math.cos(math.radians(self.limits.corner_deg))
+        straight = np.sum(self._direction[here] * self._direction[before], axis=1) >= corner - 1e-9
         allowed = np.where(moving, np.where(straight, np.minimum(speed, self.feed[here]), 0.0), speed)
         return np.asarray(np.where(standing, 0.0, allowed) ** 2)

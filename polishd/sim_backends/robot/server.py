@@ -14,61 +14,20 @@ from polishd.model.surface import BoolArray
 from polishd.process.robot import reachable
 from polishd.sim_backends import truth
 from polishd.sim_backends.bus import ROW
-from polishd.sim_backends.faults import Mischief, Outlet
+from polishd.sim_backends.faults import Outlet
 from polishd.sim_backends.placement import Frames
 from polishd.sim_backends.robot import frames
 from polishd.sim_backends.robot.clients import Client
 from polishd.sim_backends.robot.controller import Controller
-from polishd.sim_backends.robot.motion import Limits, Motion
+from polishd.sim_backends.robot.motion import Motion
+from polishd.sim_backends.robot.path import Limits
 from polishd.sim_backends.robot.rnc import Block
-from polishd.sim_backends.runtime import LOOPBACK, Runtime
+from polishd.sim_backends.runtime import Runtime
+from polishd.sim_backends.wire import Feed, Wire
 
 TICK_S = 0.01
 STATUS_S = 0.05
-MAX_UNSENT = 8 << 20
 NOMINAL = HybridRobot()
-
-
-class Connection(asyncio.Protocol):
-    """One client's bytes."""
-
-    def __init__(self, server: RobotServer) -> None:
-        self._server = server
-        self._splitter = frames.Splitter()
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Somebody connected; nothing moves for that."""
-        if isinstance(transport, asyncio.Transport):
-            self.transport = transport
-        outlet = Outlet(self._write, self._server.mischief)
-        self.client = Client(outlet.send, self._backlog)
-        self._worker = None if outlet.mischief.idle else self._server.runtime.group.create_task(outlet.run())
-        self._server.connections.add(self)
-
-    def data_received(self, data: bytes) -> None:
-        """Act on each whole frame."""
-        for kind, payload in self._splitter.feed(data):
-            self._server.controller.on_frame(self.client, kind, payload, time.monotonic())
-        if self._splitter.broken > self.client.broken:
-            self.client.broken = self._splitter.broken
-            self._server.controller.on_broken(self.client)
-        self._server.report_motion()
-
-    def connection_lost(self, _exc: Exception | None) -> None:
-        """The controller goes on without."""
-        self._server.connections.discard(self)
-        self._server.controller.on_closed(self.client)
-        if self._worker is not None:
-            self._worker.cancel()
-
-    def _backlog(self) -> int:
-        return self.transport.get_write_buffer_size()
-
-    def _write(self, data: bytes) -> None:
-        if self._backlog() > MAX_UNSENT:
-            self.transport.abort()
-        elif not self.transport.is_closing():
-            self.transport.write(data)
 
 
 class RobotServer:
@@ -94,15 +53,12 @@ class RobotServer:
             "boot_id": runtime.boot_id,
         }
         self.runtime = runtime
-        self.mischief = Mischief(robot.faults, truth.stream(start.seed, "robot"))
-        self.connections: set[Connection] = set()
         self._frames = Frames(start.config.plant)
         self.controller = Controller(robot, Motion(limits, (x, y, z, a, c)), identity, self.reach, self.event)
 
     async def run(self) -> None:
         """Tick for ever."""
-        faults = self.runtime.start.config.robot.faults
-        next_status = next_cut = time.monotonic()
+        next_status = time.monotonic()
         while True:
             now = time.monotonic()
             self.controller.tick(now)
@@ -110,11 +66,23 @@ class RobotServer:
             if now >= next_status:
                 next_status = max(next_status + STATUS_S, now)
                 self.controller.send_status()
-            if faults.disconnect_every_s and now - next_cut >= faults.disconnect_every_s:
-                next_cut = now
-                for connection in list(self.connections):
-                    connection.transport.abort()
             await asyncio.sleep(TICK_S)
+
+    def connected(self, outlet: Outlet) -> Feed:
+        """What takes the bytes of a client: it acts on each whole frame. Nothing moves because somebody connects."""
+        client, splitter, broken = Client(outlet.send, outlet.backlog), frames.Splitter(), 0
+        outlet.on_closed = lambda: self.controller.on_closed(client)
+
+        def feed(data: bytes) -> None:
+            nonlocal broken
+            for kind, payload in splitter.feed(data):
+                self.controller.on_frame(client, kind, payload, time.monotonic())
+            if splitter.broken > broken:
+                broken = splitter.broken
+                self.controller.on_broken(client)
+            self.report_motion()
+
+        return feed
 
     def reach(self, blocks: list[Block]) -> BoolArray:
         """Which blocks end within the strokes of the limbs."""
@@ -142,9 +110,10 @@ class RobotServer:
 async def main(runtime: Runtime) -> None:
     """The device coroutine."""
     server = RobotServer(runtime)
-    port = await runtime.serve(lambda: Connection(server), runtime.start.config.robot.port)
+    config = runtime.start.config.robot
+    wire = Wire(runtime, config.faults, server.connected)
+    address = await wire.open_tcp(config.port)
     runtime.button(signal.SIGUSR1, lambda: server.controller.press("emergency stop", time.monotonic()))
     runtime.button(signal.SIGUSR2, lambda: server.controller.press("pause at the pendant", time.monotonic()))
-    runtime.ready(f"tcp://{LOOPBACK}:{port}")
-    runtime.group.create_task(runtime.reboot_later(runtime.start.config.robot.faults.reboot_after_s))
+    wire.ready(f"tcp://{address}")
     await server.run()

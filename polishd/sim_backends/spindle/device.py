@@ -6,10 +6,11 @@ import asyncio
 import signal
 import time
 
+from polishd.sim_backends.faults import Outlet
 from polishd.sim_backends.runtime import Runtime
 from polishd.sim_backends.spindle.buses import Slcan, Socketcand
-from polishd.sim_backends.spindle.drive import Drive, Frame
-from polishd.sim_backends.wire import Feed, Send, Wire
+from polishd.sim_backends.spindle.drive import Drive
+from polishd.sim_backends.wire import Feed, Wire
 
 TICK_S = 0.01
 ADAPTER_BAUD = 1_000_000
@@ -34,46 +35,36 @@ async def main(runtime: Runtime) -> None:
         watchdog_s=config.watchdog_s,
     )
     runtime.button(signal.SIGUSR1, drive.fail)
-    hosts: list[tuple[Slcan | Socketcand, Send]] = []
-    wire = Wire(runtime, config.faults, lambda: _feed(config.kind, drive, hosts))
+    hosts: list[tuple[Slcan | Socketcand, Outlet]] = []
+
+    def connected(outlet: Outlet) -> Feed:
+        host = (Slcan if config.kind == "slcan" else Socketcand)(drive.on_frame)
+        hosts.append((host, outlet))
+        outlet.on_closed = lambda: hosts.remove((host, outlet))
+
+        def feed(data: bytes) -> None:
+            if answer := host.feed(data):
+                outlet.send(answer)
+
+        return feed
+
+    wire = Wire(runtime, config.faults, connected)
     if config.kind == "slcan":
         wire.open_pty(ADAPTER_BAUD)
-        runtime.ready(f"slcan:{runtime.start.state / runtime.name}?bitrate=500000")
+        wire.ready(f"slcan:{runtime.start.state / runtime.name}?bitrate=500000")
     else:
-        runtime.ready(f"socketcand://{await wire.open_tcp(config.port, Socketcand.greeting)}/can0")
-    runtime.group.create_task(wire.cut_now_and_then())
-    runtime.group.create_task(runtime.reboot_later(config.faults.reboot_after_s))
+        wire.ready(f"socketcand://{await wire.open_tcp(config.port, Socketcand.greeting)}/can0")
     await _tick(runtime, drive, hosts)
 
 
-def _feed(kind: str, drive: Drive, hosts: list[tuple[Slcan | Socketcand, Send]]) -> Feed:
-    """The receiver of one connection."""
-
-    def on_frame(identifier: int, data: bytes) -> list[Frame]:
-        return drive.on_frame(identifier, data)
-
-    host = Slcan(on_frame) if kind == "slcan" else Socketcand(on_frame)
-    known: list[Send] = []
-
-    def feed(data: bytes, send: Send) -> None:
-        if not known:
-            known.append(send)
-            hosts.append((host, send))
-        answer = host.feed(data)
-        if answer:
-            send(answer)
-
-    return feed
-
-
-async def _tick(runtime: Runtime, drive: Drive, hosts: list[tuple[Slcan | Socketcand, Send]]) -> None:
+async def _tick(runtime: Runtime, drive: Drive, hosts: list[tuple[Slcan | Socketcand, Outlet]]) -> None:
     while True:
         frames = drive.step(time.monotonic())
-        for host, send in hosts if frames else []:
+        for host, outlet in hosts if frames else []:
             # each hears the bus once it has opened it: before that, a client waits for an answer
             for frame in frames:
                 if heard := host.send([frame]):
-                    send(heard)
+                    outlet.send(heard)
         runtime.link.samples(drive.samples, drive.now_s)
         drive.samples = []
         await asyncio.sleep(TICK_S)

@@ -54,7 +54,7 @@ class Scene:
         """The spots as they sink over a free rim."""
         if self.rim is None:
             return corrected
-        return sunk_at_rim(corrected, self.rim, self.spot.process, (self.spot, self.program))[0]
+        return sunk_at_rim(corrected, self.rim, self.spot.process, self.spot, self.program)[0]
 
     def effect(self, corrected: CorrectedSpot) -> SparseEffect:
         """The effect matrix of these spots, each laid down on its own; deeper over a free rim."""
@@ -84,7 +84,7 @@ def make_scene(study: PartStudy) -> Scene:
     spot, notes = HertzSpot(process), (words, *found.notes)
     rim = study.free_rim()
     if rim is not None:
-        notes = (*notes, sunk_at_rim(corrected_spot("exact", gamma), rim, process, (spot, level))[1])
+        notes = (*notes, sunk_at_rim(corrected_spot("exact", gamma), rim, process, spot, level)[1])
     return Scene(
         grid=study_grid(study, study.process.grid_mm),
         program=level,

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 
 from polishd.api import LinkError, ProtocolError
-from polishd.drivers.transport.background import Background, Pulse, Ready, open_blocking
+from polishd.drivers.transport.background import Background, Ready, open_blocking
 
 
 class Work:
@@ -34,12 +34,12 @@ class Work:
 
 
 async def test_all_who_wait_hear_of_the_failure() -> None:
-    work, background, pulse = Work(), Background("it"), Pulse()
+    work, background = Work(), Background("it")
     await background.start(work.main, 1.0)
     future: asyncio.Future[None] = asyncio.get_running_loop().create_future()
     waiting = asyncio.gather(
-        background.until(pulse, lambda: False),
-        background.until(pulse, lambda: False, 9.0),
+        background.until(lambda: False),
+        background.until(lambda: False, 9.0),
         background.result(future),
         return_exceptions=True,
     )
@@ -49,16 +49,16 @@ async def test_all_who_wait_hear_of_the_failure() -> None:
     assert [str(error) for error in errors] == ["told to"] * 3
     assert len({id(error) for error in errors}) == 3
     assert all(isinstance(error, ProtocolError) for error in errors)
-    assert not background.running
+    assert not background.alive
     with pytest.raises(ProtocolError, match="told to"):
         background.check()
     await background.stop()
 
 
 async def test_stop_ends_it_and_those_who_wait() -> None:
-    work, background, pulse = Work(), Background("it"), Pulse()
+    work, background = Work(), Background("it")
     await background.start(work.main, 1.0)
-    waiting = asyncio.create_task(background.until(pulse, lambda: False))
+    waiting = asyncio.create_task(background.until(lambda: False))
     await asyncio.sleep(0)
     await background.stop()
     await background.stop()
@@ -71,7 +71,7 @@ async def test_what_was_not_started_is_not_open() -> None:
     with pytest.raises(LinkError, match="not open"):
         Background("it").check()
     with pytest.raises(LinkError, match="not open"):
-        await Background("it").until(Pulse(), lambda: False)
+        await Background("it").until(lambda: False)
 
 
 async def test_it_starts_once() -> None:
@@ -89,7 +89,7 @@ async def test_start_raises_what_comes_before_ready() -> None:
     background = Background("it")
     with pytest.raises(ProtocolError, match="at once"):
         await background.start(main, 1.0)
-    assert not background.running
+    assert not background.alive
 
 
 async def test_start_is_bounded() -> None:
@@ -99,7 +99,7 @@ async def test_start_is_bounded() -> None:
     background = Background("it")
     with pytest.raises(LinkError, match=r"no answer within 0\.01 s"):
         await background.start(main, 0.01)
-    assert not background.running
+    assert not background.alive
 
 
 async def test_a_cancelled_start_leaves_nothing() -> None:
@@ -110,7 +110,7 @@ async def test_a_cancelled_start_leaves_nothing() -> None:
     with pytest.raises(TimeoutError):
         async with asyncio.timeout(0.01):
             await background.start(main, 5.0)
-    assert not background.running
+    assert not background.alive
 
 
 async def test_a_main_that_returns_has_ended() -> None:
@@ -120,12 +120,12 @@ async def test_a_main_that_returns_has_ended() -> None:
     background = Background("it")
     await background.start(main, 1.0)
     with pytest.raises(LinkError, match="ended"):
-        await background.until(Pulse(), lambda: False)
+        await background.until(lambda: False)
     await background.stop()
 
 
 async def test_conditions_are_looked_at_after_each_pulse() -> None:
-    work, background, pulse = Work(), Background("it"), Pulse()
+    work, background = Work(), Background("it")
     await background.start(work.main, 1.0)
     looked: list[int] = []
 
@@ -133,12 +133,12 @@ async def test_conditions_are_looked_at_after_each_pulse() -> None:
         looked.append(0)
         return len(looked) == 3
 
-    waiting = asyncio.create_task(background.until(pulse, third))
+    waiting = asyncio.create_task(background.until(third))
     for _ in range(2):
         await asyncio.sleep(0.005)
-        pulse.fire()
+        background.fire()
     assert await waiting
-    assert not await background.until(pulse, lambda: False, 0.01)
+    assert not await background.until(lambda: False, 0.01)
     with pytest.raises(LinkError, match=r"no answer within 0\.01"):
         await background.result(asyncio.get_running_loop().create_future(), 0.01)
     await background.stop()

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from polishd.api import Executed, LinkError, ProtocolError
 from polishd.drivers.robot_link import messages
 from polishd.drivers.robot_link.frames import MAX_PAYLOAD, Frame, FrameReader, Kind, encode, header_check
-from polishd.drivers.robot_link.record import ExecutionRecord
+from polishd.drivers.robot_link.session import ExecutionRecord
 from tests.vectors import vectors
 
 VECTORS = {name: bytes.fromhex(value) for name, value in vectors("robot_link").items()}

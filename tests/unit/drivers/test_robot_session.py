@@ -9,8 +9,7 @@ import pytest
 
 from polishd.api import Executed, LinkError, Segment
 from polishd.drivers.robot_link.messages import Ack, Nak
-from polishd.drivers.robot_link.record import ExecutionRecord
-from polishd.drivers.robot_link.session import MAX_BLOCKS, MAX_BYTES, Session
+from polishd.drivers.robot_link.session import MAX_BLOCKS, MAX_BYTES, ExecutionRecord, Session
 from tests.fakes import robot as wire
 
 

@@ -10,10 +10,9 @@ from pathlib import Path
 import pytest
 
 from polishd.api import ByteStream, LinkError
-from polishd.drivers.transport import serial_line, streams
+from polishd.drivers.transport import streams
 from polishd.drivers.transport.address import SerialLine, Tcp
-from polishd.drivers.transport.buffer import ReadBuffer
-from polishd.drivers.transport.streams import LineReader, open_stream
+from polishd.drivers.transport.streams import LineReader, ReadBuffer, open_stream
 from tests.fakes.wires import Peer, PtyWire, TcpWire
 
 
@@ -108,8 +107,7 @@ async def test_what_came_before_the_cut_is_read(tmp_path: Path) -> None:
 
 async def test_a_peer_that_takes_nothing_is_dead(ends: Ends, monkeypatch: pytest.MonkeyPatch) -> None:
     stream, wire, _ = ends
-    for module in (streams, serial_line):
-        monkeypatch.setattr(module, "WRITE_S", 0.05)
+    monkeypatch.setattr(streams, "WRITE_S", 0.05)
     if isinstance(wire, PtyWire):
         asyncio.get_running_loop().remove_reader(wire._master)
     else:
@@ -139,7 +137,7 @@ async def test_a_serial_line_is_ours_alone(tmp_path: Path) -> None:
 
 async def test_a_late_wake_up_loses_nothing() -> None:
     buffer = ReadBuffer("it")
-    taking = asyncio.create_task(buffer.take(10, 0.01))
+    taking = asyncio.create_task(buffer.read(10, 0.01))
     await asyncio.sleep(0)
     time.sleep(0.03)  # noqa: ASYNC251 -- the loop was stalled past the time, and the bytes came meanwhile
     buffer.feed(b"in time")

@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.api import Identity, ProtocolError
-from polishd.drivers.transport.voice_coil import Reading, State
-from polishd.drivers.voice_coil_modbus import registers
-from polishd.drivers.voice_coil_serial import codec
+from polishd.drivers.voice_coil import codec, registers
+from polishd.drivers.voice_coil.device import Reading, State
 from tests.fakes.actuator import Coil, ModbusCoil
 from tests.vectors import vectors
 

@@ -12,8 +12,9 @@ import pytest
 
 from polishd.api import ActuatorTimes, DeviceFault, DeviceRefused, LinkError, ProtocolError
 from polishd.drivers.transport.address import SerialLine, Tcp
-from polishd.drivers.transport.voice_coil import VoiceCoil
-from polishd.drivers.voice_coil_modbus import ModbusWire, voice_coil_modbus
+from polishd.drivers.voice_coil import voice_coil_modbus
+from polishd.drivers.voice_coil.device import VoiceCoil
+from polishd.drivers.voice_coil.modbus import ModbusWire
 from tests.fakes.actuator import Coil, ModbusCoil, crc16
 from tests.fakes.wires import Once, PtyWire, TcpWire
 from tests.vectors import vectors
@@ -26,7 +27,7 @@ class Rig:
         self.coil = Coil()
         self.peer = ModbusCoil(self.coil, rtu=True)
         self.line = PtyWire(self.peer, path)
-        self.wire = ModbusWire(SerialLine(path))
+        self.wire = ModbusWire(SerialLine(path), 1, 0.3)
         self.device = VoiceCoil(self.wire, ActuatorTimes(watchdog_s=0.5, landing_s=1.0, retract_s=0.5))
 
     def writes(self, register: int) -> list[int]:

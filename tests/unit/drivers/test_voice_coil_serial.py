@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from polishd.api import DeviceRefused, LinkError, ProtocolError
+from polishd.api import ActuatorTimes, DeviceRefused, LinkError, ProtocolError
 from polishd.drivers.transport.address import SerialLine, Tcp
-from polishd.drivers.transport.voice_coil import VoiceCoil
-from polishd.drivers.voice_coil_serial import AsciiWire, voice_coil_serial
+from polishd.drivers.voice_coil import voice_coil_serial
+from polishd.drivers.voice_coil.ascii import AsciiWire
+from polishd.drivers.voice_coil.device import VoiceCoil
 from tests.fakes.actuator import AsciiCoil, Coil
 from tests.fakes.wires import Once, PtyWire, TcpWire
 
@@ -23,8 +24,8 @@ class Rig:
         self.coil = Coil()
         self.peer = AsciiCoil(self.coil)
         self.line = PtyWire(self.peer, path)
-        self.wire = AsciiWire(SerialLine(path))
-        self.device = VoiceCoil(self.wire)
+        self.wire = AsciiWire(SerialLine(path), 0.3)
+        self.device = VoiceCoil(self.wire, ActuatorTimes())
 
 
 @pytest.fixture

@@ -1,8 +1,12 @@
-"""A six-axis arm for tests."""
+"""A six-axis arm for tests, and where its joints bring its tool."""
 
 from __future__ import annotations
 
+import numpy as np
+
 from polishd.model.robot import SerialRobot
+from polishd.model.surface import FloatArray
+from polishd.process.robot.dh_chain import chain
 
 UR5 = SerialRobot(
     dh=(
@@ -19,3 +23,9 @@ UR5 = SerialRobot(
     tool_length_mm=150.0,
 )
 """Rows as Universal Robots publishes them; the flange points down at home."""
+
+
+def forward(robot: SerialRobot, joints_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Tool tips (n, 3) mm and unit tool axes (n, 3) of (n, 6) joint angles."""
+    at = chain(robot, np.asarray(joints_rad))
+    return at.tip_mm, at.axis

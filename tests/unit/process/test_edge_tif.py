@@ -13,7 +13,7 @@ from polishd.model.surface import FloatArray, Grid
 from polishd.process import contact
 from polishd.process.dynamic_tif import effect_matrix
 from polishd.process.edge.edge_tif import MOST_SUNK, carried, contact_centres_mm, rim_contact, sinking
-from polishd.process.edge.rim import mask_rim, round_rim
+from polishd.process.edge.rim import Rim, round_rim
 from polishd.process.spot import HertzSpot
 from tests.unit.process.moves import program
 
@@ -22,6 +22,13 @@ DEPTH = contact.hertz_depth_mm(PAPER)
 A = float(contact.contact_radius_mm(PAPER, DEPTH))
 SPOT = HertzSpot(PAPER)
 RIM = round_rim(50.0)
+
+
+class Straight(Rim):
+    """A part that ends at x = 0."""
+
+    def inside_mm(self, point_mm: FloatArray) -> FloatArray:
+        return -point_mm[:, 0]
 
 
 def force_on_half_plane_n(depth_mm: float, inside_mm: float) -> float:
@@ -104,7 +111,7 @@ def columns(x_mm: FloatArray, most_sunk: float = MOST_SUNK) -> tuple[FloatArray,
     path = program(at, at, np.pi / 2)
     gamma = np.full(len(x_mm), 0.87)
     shallow = HertzSpot(ToolProcess(viscosity_mpa_s=0.0, second_viscosity_mpa_s=0.0))
-    found = rim_contact(PAPER, mask_rim(grid, part), contact_centres_mm(shallow, path, gamma), gamma, most_sunk)
+    found = rim_contact(PAPER, Straight(np.inf), contact_centres_mm(shallow, path, gamma), gamma, most_sunk)
     matrix = effect_matrix(grid, shallow, path, found.depth_ratio, np.ones(len(x_mm)))
     return matrix.toarray().T.reshape(-1, *grid.shape) * part, grid
 

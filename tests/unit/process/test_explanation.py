@@ -7,8 +7,7 @@ import pytest
 from scipy import ndimage
 
 from polishd.model.surface import Grid
-from polishd.process.explanation import REACH_MM, Explanation, explanations
-from polishd.process.masked_correlation import correlations, peak
+from polishd.process.explanation import REACH_MM, Explanation, correlations, explanations, peak
 from polishd.process.orientation import ORIENTATIONS, Orientation
 from polishd.process.removal_fit import levelled
 from tests.unit.process.gaussian import rough

@@ -11,7 +11,7 @@ from polishd.model.errors import BadMap
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
 from polishd.process.instrument import as_profiled
-from polishd.process.orientation import ORIENTATIONS, Orientation, orientations, turned
+from polishd.process.orientation import ORIENTATIONS, Orientation, orientations
 
 HEIGHT = np.arange(12.0).reshape(3, 4)
 HEIGHT[0, 1] = np.nan
@@ -24,7 +24,7 @@ def test_each_way_is_applied_to_array_marks_and_vectors(way: Orientation) -> Non
     profile = replace(PROFILE, mirror=way.mirror, rotation_deg=way.rotation_deg, sign=-1, factor=0.5)
     seen = as_profiled(MAP, profile)
     np.testing.assert_array_equal(seen.height_nm, -0.5 * way.turn(HEIGHT))
-    np.testing.assert_array_equal(seen.height_nm, -0.5 * turned(HEIGHT, way.mirror, way.rotation_deg))
+    np.testing.assert_array_equal(seen.height_nm, -0.5 * way.turn(HEIGHT))
     row, column = seen.fiducials_px[0]
     assert np.isnan(seen.height_nm[int(row), int(column)])  # the mark is still where the hole is
     ny, nx = HEIGHT.shape

@@ -7,8 +7,8 @@ import pytest
 from scipy import ndimage
 
 from polishd.model.surface import Grid
-from polishd.process.metrics import EDGES_MM as USUAL_EDGES_MM
 from polishd.process.metrics import split_bands
+from polishd.process.metrics.bands import EDGES_MM as USUAL_EDGES_MM
 from polishd.process.metrics.extension import extended
 from tests.unit.process.masked import EDGES_MM, shapes, three_bands
 

@@ -47,15 +47,6 @@ class TestIso10110:
         sphere = np.sqrt(found.rms_t_nm**2 - found.rms_i_nm**2)
         assert sphere == pytest.approx(found.a_nm * (R**2)[DISC].std(), rel=0.01)
 
-    def test_fringe_spacings_are_half_waves(self) -> None:
-        found = iso10110.irregularity(300 * R**2, DISC)
-        assert found.wavelength_nm == 546.07
-        assert found.fringes(found.a_nm) == pytest.approx(300 / 273.035)
-        red = iso10110.irregularity(300 * R**2, DISC, 632.8)
-        assert red.fringes(red.a_nm) == pytest.approx(300 / 316.4)
-        for part in ("3/", "RMSt", "RMSi", "RMSa", "632.8 nm"):
-            assert part in str(red)
-
     @settings(max_examples=20)
     @given(st.sampled_from(sorted(MASKS)), st.floats(-900, 900), st.floats(-9, 9), st.floats(-9, 9))
     def test_piston_and_tilt_do_not_matter(self, name: str, c: float, a: float, b: float) -> None:
@@ -72,8 +63,6 @@ class TestIso10110:
         assert where.rms_a_nm < iso10110.irregularity(zone, DISC).rms_a_nm / 1.8
 
     def test_refusals(self) -> None:
-        with pytest.raises(ValueError, match="wavelength"):
-            iso10110.irregularity(X, DISC, 0.0)
         with pytest.raises(BadMap, match="no sample"):
             iso10110.irregularity(X, ~(DISC | ~DISC))
 
@@ -95,7 +84,6 @@ class TestSlope:
         expected = k / np.sqrt(2) * abs(np.sinc(length / 8))
         assert found.integration_mm == length
         assert found.rms_y_urad == pytest.approx(expected, rel=0.03)
-        assert f"{length:g} mm" in str(found)
 
     @settings(max_examples=20)
     @given(st.sampled_from(sorted(MASKS)), st.floats(-900, 900), st.floats(-9, 9), st.floats(0.1, 9))
@@ -133,7 +121,6 @@ class TestComparison:
         for b, c, d, to_c, to_d in cases:
             first, second = compare(b * unit, c * unit, DISC, 0.5), compare(c * unit, d * unit, DISC, 0.5)
             assert (first.rms_change, second.rms_change) == pytest.approx((to_c, to_d), abs=1e-4)
-            assert f"{to_d:+.2%}" in str(second)
 
     def test_every_figure_is_that_of_its_function(self) -> None:
         before, after = rough(GRID, seed=1), rough(GRID, rms_nm=4, seed=2)

@@ -60,7 +60,7 @@ def test_terms_are_recovered_on_any_mask(ordering: Ordering, name: str, terms: i
     fitted = zernike.fit(of_terms(expected, MASKS[name], ordering, "rms"), MASKS[name], terms, ordering, norm="rms")
     np.testing.assert_allclose(fitted.coefficients_nm, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
     assert fitted.residual_rms_nm < 1e-9
-    assert len(fitted.names) == len(fitted.terms) == terms
+    assert len(fitted.terms) == terms
 
 
 def test_each_ordering_has_its_usual_norm() -> None:
@@ -68,8 +68,6 @@ def test_each_ordering_has_its_usual_norm() -> None:
     for ordering, norm in (("noll", "rms"), ("ansi", "rms"), ("fringe", "edge")):
         fitted = zernike.fit(rough(GRID), mask, 11, ordering)
         assert (fitted.norm, fitted.ordering) == (norm, ordering)
-    assert zernike.fit(rough(GRID), mask, 5).names[3] == "Noll 4 (2, 0)"
-    assert zernike.fit(rough(GRID), mask, 5, "ansi").names[0] == "ANSI 0 (0, 0)"
 
 
 def test_one_term_of_a_whole_circle_is_its_rms() -> None:
@@ -174,7 +172,6 @@ def test_pvr_is_that_of_its_definition() -> None:
         found = pvr(height, mask, terms)
         rest = (height - shape)[mask]
         assert found.pvr_nm == pytest.approx(np.nanmax(shape) - np.nanmin(shape) + 3 * np.sqrt(np.mean(rest**2)))
-        assert f"{terms} fringe" in str(found)
     assert pvr(height, mask) == pvr(height, mask, 36)
 
 

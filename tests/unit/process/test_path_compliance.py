@@ -14,7 +14,8 @@ from polishd.model.surface import FloatArray
 from polishd.process import frames
 from polishd.process.compliance import equivalent_compliance
 from polishd.process.path_compliance import compliance_at, path_compliance
-from polishd.process.robot import inverse_kinematics, tip_compliance_mm_per_n
+from polishd.process.robot import tip_compliance_mm_per_n
+from tests.unit.process.hybrid_matrices import pose_of
 from tests.unit.process.moves import DIP, PLACEMENT, inward_program, program
 
 PAPER = ToolProcess()
@@ -35,9 +36,10 @@ def test_the_wrist_stays_on_one_branch_and_off_its_singularity_over_the_shipped_
     x, y = np.meshgrid(*2 * [np.arange(-55.0, 56.0, 10.0)])
     moves = inward_program(*2 * [np.column_stack([x.ravel(), y.ravel()])])
     base = moves.end_mm * [1, -1, -1] + np.array(PLACEMENT.origin_mm)
-    pose = inverse_kinematics(ROBOT, base, moves.axis * [1, -1, -1])
-    assert np.degrees(pose.a_rad).min() > 4.5
-    assert np.degrees(np.ptp(pose.c_rad)) < 60
+    u, v, w = pose_of(ROBOT, base, moves.axis * [1, -1, -1]).tool.T
+    assert np.degrees(np.arctan2(np.hypot(u, v), -w)).min() > 4.5
+    across = (u + 1j * v) / (u + 1j * v)[0]
+    assert np.degrees(np.ptp(np.angle(across))) < 60
 
 
 def test_a_block_is_as_soft_as_the_robot_is_at_its_middle() -> None:
@@ -91,7 +93,7 @@ def by_hand(points: FloatArray, axis: FloatArray, normal: FloatArray, projection
 def test_each_projection_is_taken_along_the_surface_normal(projection: str) -> None:
     points, axis = arc()
     options = ComplianceOptions(projection=projection)  # type: ignore[arg-type]
-    got = compliance_at((points, axis), PAPER, ROBOT, PLACEMENT, options=options)
+    got = compliance_at(points, axis, PAPER, ROBOT, PLACEMENT, options=options)
     up = np.tile([0.0, 0.0, 1.0], (len(points), 1))
     np.testing.assert_allclose(got.compliance_mm_per_n, by_hand(points, axis, up, projection), rtol=1e-12)
 
@@ -102,17 +104,17 @@ def test_the_tool_axis_turned_back_is_the_surface_normal(direction: str) -> None
     options = ComplianceOptions(dip_direction=direction, dip_azimuth_deg=200.0)  # type: ignore[arg-type]
     points = points / 3 + [-60.0, 60.0, 60.0]  # where limbs are shorter: the spindle leans outward, too
     axis = dipped(points, options)
-    surface = compliance_at((points, axis), PAPER, ROBOT, PLACEMENT, options=options)
+    surface = compliance_at(points, axis, PAPER, ROBOT, PLACEMENT, options=options)
     turned = compliance_at(
-        (points, axis), PAPER, ROBOT, PLACEMENT, options=dataclasses.replace(options, frame="tool_axis")
+        points, axis, PAPER, ROBOT, PLACEMENT, options=dataclasses.replace(options, frame="tool_axis")
     )
     np.testing.assert_allclose(turned.compliance_mm_per_n, surface.compliance_mm_per_n, rtol=1e-9)
 
 
 def test_a_flat_arc_has_the_surface_normal_as_its_binormal_save_at_the_ends() -> None:
     points, axis = arc()
-    frenet = compliance_at((points, axis), PAPER, ROBOT, PLACEMENT, options=ComplianceOptions(frame="frenet"))
-    surface = compliance_at((points, axis), PAPER, ROBOT, PLACEMENT)
+    frenet = compliance_at(points, axis, PAPER, ROBOT, PLACEMENT, options=ComplianceOptions(frame="frenet"))
+    surface = compliance_at(points, axis, PAPER, ROBOT, PLACEMENT)
     np.testing.assert_allclose(frenet.compliance_mm_per_n, surface.compliance_mm_per_n, rtol=1e-9)
     assert frenet.fallbacks == 2
     assert "no Frenet frame at 2 of 40 points" in frenet.notes[0]
@@ -121,7 +123,8 @@ def test_a_flat_arc_has_the_surface_normal_as_its_binormal_save_at_the_ends() ->
 def test_a_straight_line_falls_back_everywhere_and_counts_it() -> None:
     points = np.column_stack([np.linspace(-20, 20, 11), np.zeros(11), np.zeros(11)])
     found = compliance_at(
-        (points, dipped(points, ComplianceOptions())),
+        points,
+        dipped(points, ComplianceOptions()),
         PAPER,
         ROBOT,
         PLACEMENT,
@@ -137,7 +140,7 @@ def test_on_a_curved_raster_the_binormal_leans_away_from_the_surface_normal() ->
     points = np.column_stack([x, np.full(41, 5.0), (x**2 + 25) / 800])
     axis = dipped(points, ComplianceOptions(), optic)
     frenet, surface = (
-        compliance_at((points, axis), PAPER, ROBOT, PLACEMENT, options=ComplianceOptions(frame=frame), optic=optic)  # type: ignore[arg-type]
+        compliance_at(points, axis, PAPER, ROBOT, PLACEMENT, options=ComplianceOptions(frame=frame), optic=optic)  # type: ignore[arg-type]
         for frame in ("frenet", "surface")
     )
     inner = slice(1, -1)
@@ -149,9 +152,9 @@ def test_a_curved_part_is_dipped_off_its_own_normal() -> None:
     optic = Optic(400.0)
     points, flat = arc()
     with pytest.raises(ComputeError, match="the process says 15"):
-        compliance_at((points, flat), PAPER, ROBOT, PLACEMENT, optic=optic)
+        compliance_at(points, flat, PAPER, ROBOT, PLACEMENT, optic=optic)
     axis = dipped(points, ComplianceOptions(), optic)
-    got = compliance_at((points, axis), PAPER, ROBOT, PLACEMENT, optic=optic).compliance_mm_per_n
+    got = compliance_at(points, axis, PAPER, ROBOT, PLACEMENT, optic=optic).compliance_mm_per_n
     normal = frames.surface_normals(PLACEMENT, points, optic) @ PLACEMENT.rotation
     np.testing.assert_allclose(got, by_hand(points, axis, normal), rtol=1e-12)
 
@@ -161,14 +164,14 @@ def test_a_measured_cell_has_what_was_measured() -> None:
     base = frames.points_to_base(PLACEMENT, corners)
     table = MeasuredCompliance(base, 1.5 + corners[:, 0] / 100, "table.csv")
     points, axis = arc()
-    found = compliance_at((points, axis), PAPER, table, PLACEMENT)
+    found = compliance_at(points, axis, PAPER, table, PLACEMENT)
     np.testing.assert_allclose(found.compliance_mm_per_n, (1.5 + points[:, 0] / 100) * 1e-3, rtol=1e-9)
 
 
 def test_moment_as_printed_is_another_robot() -> None:
     points, axis = arc()
     full, paper = (
-        compliance_at((points, axis), PAPER, ROBOT, PLACEMENT, options=ComplianceOptions(moment=moment))  # type: ignore[arg-type]
+        compliance_at(points, axis, PAPER, ROBOT, PLACEMENT, options=ComplianceOptions(moment=moment))  # type: ignore[arg-type]
         for moment in ("full", "paper")
     )
     assert (np.abs(paper.compliance_mm_per_n / full.compliance_mm_per_n - 1) > 0.02).all()

@@ -12,13 +12,8 @@ from polishd.model.errors import ComputeError
 from polishd.model.process import ToolProcess
 from polishd.model.robot import HybridRobot
 from polishd.process.compliance import depth_ratio, equivalent_compliance
-from polishd.process.robot import (
-    Pose,
-    inverse_kinematics,
-    platform_stiffness,
-    tip_compliance,
-    tip_compliance_mm_per_n,
-)
+from polishd.process.robot import tip_compliance_mm_per_n
+from tests.unit.process.hybrid_matrices import Pose, platform_stiffness, pose_of, tip_compliance
 from tests.unit.process.hybrid_poses import CROOKED, DIP, ROBOT, SLANTED, cylinder, workspace
 
 UP = np.array([0.0, 0.0, -1.0])
@@ -26,7 +21,7 @@ EXACT = (ROBOT, SLANTED, dataclasses.replace(CROOKED, limb_ea_n=2.7e7))
 
 
 def poses(n: int = 5, robot: HybridRobot = ROBOT) -> Pose:
-    return inverse_kinematics(robot, *workspace(n, robot))
+    return pose_of(robot, *workspace(n, robot))
 
 
 def limb_stiffness(robot: HybridRobot, pose: Pose, k: int) -> np.ndarray:
@@ -159,7 +154,7 @@ def test_it_is_the_curvature_of_the_whole_structures_energy(robot: HybridRobot) 
 @pytest.mark.parametrize("robot", EXACT)
 def test_it_is_symmetric_and_positive_definite_over_the_workspace(robot: HybridRobot) -> None:
     tip, axis = workspace(9, robot)
-    whole = tip_compliance(robot, inverse_kinematics(robot, tip, axis))
+    whole = tip_compliance(robot, pose_of(robot, tip, axis))
     scale = np.sqrt(np.einsum("nii,njj->nij", whole, whole))
     assert (np.abs(whole - whole.transpose(0, 2, 1)) / scale).max() < 1e-12
     assert np.linalg.eigvalsh(whole / scale).min() > 0
@@ -207,7 +202,7 @@ def test_the_whole_compliance_moves_with_its_point_of_reference(robot: HybridRob
     pose = poses(robot=robot)
     step = -50.0 * pose.axis
     longer = dataclasses.replace(roomy, tool_length_mm=roomy.tool_length_mm + 50.0, workspace_radius_mm=700.0)
-    got = tip_compliance(longer, inverse_kinematics(longer, pose.tip_mm + step, pose.axis))
+    got = tip_compliance(longer, pose_of(longer, pose.tip_mm + step, pose.axis))
     tips = tip_compliance_mm_per_n(longer, pose.tip_mm + step, pose.axis)
     for k, matrix in enumerate(tip_compliance(robot, pose)):
         carry = np.eye(6)
@@ -258,7 +253,7 @@ def test_a_tenth_off_the_torsion_of_a_shows_in_the_compliance() -> None:
 
 def test_limbs_of_one_cross_section_are_stiffer_where_they_are_short() -> None:
     tip, axis = np.array([[0.0, 300.0, 2000.0]]), np.array([[0.0, -np.sin(DIP), -np.cos(DIP)]])
-    lengths = inverse_kinematics(ROBOT, tip, axis).limb_mm[0]
+    lengths = pose_of(ROBOT, tip, axis).limb_mm[0]
     soft, stiff = (
         dataclasses.replace(ROBOT, limb_stiffness_n_per_mm=2.7e7 / length) for length in (max(lengths), min(lengths))
     )
@@ -280,7 +275,7 @@ def test_limbs_of_one_cross_section_are_stiffer_where_they_are_short() -> None:
 )
 def test_a_member_without_stiffness_is_refused_by_name(name: str, unit: str) -> None:
     tip, axis = workspace(5)
-    pose = inverse_kinematics(ROBOT, tip, axis)
+    pose = pose_of(ROBOT, tip, axis)
     for value in (0.0, np.nan, -1.0, np.inf):
         robot = dataclasses.replace(ROBOT, **{name: value})
         for compute in (

@@ -9,14 +9,8 @@ import pytest
 
 from polishd.model.errors import ComputeError
 from polishd.model.robot import HybridRobot
-from polishd.process.robot import (
-    Pose,
-    compliance,
-    inverse_kinematics,
-    platform_stiffness,
-    tip_compliance,
-    tip_compliance_mm_per_n,
-)
+from polishd.process.robot import compliance, tip_compliance_mm_per_n
+from tests.unit.process.hybrid_matrices import Pose, platform_stiffness, pose_of, tip_compliance
 from tests.unit.process.hybrid_poses import CROOKED, PAPER, ROBOT, ROBOTS, random_poses, workspace
 
 
@@ -28,14 +22,14 @@ def difference(got: np.ndarray, want: np.ndarray) -> float:
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_it_is_the_tips_block_of_the_whole_compliance(robot: HybridRobot) -> None:
     tip, axis = random_poses(3 * compliance.CHUNK // 2, robot)
-    whole = tip_compliance(robot, inverse_kinematics(robot, tip, axis))
+    whole = tip_compliance(robot, pose_of(robot, tip, axis))
     assert difference(tip_compliance_mm_per_n(robot, tip, axis), whole[:, :3, :3]) < 1e-12
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_the_papers_moment_is_equation_41_at_the_wrist_centre(robot: HybridRobot) -> None:
     tip, axis = random_poses(500, robot)
-    pose = inverse_kinematics(robot, tip, axis)
+    pose = pose_of(robot, tip, axis)
     whole = tip_compliance(robot, pose)
     want = np.empty((len(tip), 3, 3))
     for k, arm in enumerate(tip - pose.wrist_mm):
@@ -97,7 +91,7 @@ def paper_stiffness(robot: HybridRobot, pose: Pose, k: int) -> np.ndarray:
 
 @pytest.mark.parametrize("robot", [PAPER, dataclasses.replace(ROBOT, beam="paper")])
 def test_the_papers_beam_is_equation_12_with_its_tie(robot: HybridRobot) -> None:
-    pose = inverse_kinematics(robot, *workspace(5, robot))
+    pose = pose_of(robot, *workspace(5, robot))
     for k, got in enumerate(platform_stiffness(robot, pose)):
         want = paper_stiffness(robot, pose, k)
         scale = np.sqrt(np.outer(np.diag(want), np.diag(want)))
@@ -107,7 +101,7 @@ def test_the_papers_beam_is_equation_12_with_its_tie(robot: HybridRobot) -> None
 def test_the_beam_matters_to_the_platform_and_hardly_to_the_tip() -> None:
     tip, axis = workspace(9)
     tied = dataclasses.replace(ROBOT, beam="paper")
-    pose = inverse_kinematics(ROBOT, tip, axis)
+    pose = pose_of(ROBOT, tip, axis)
     exact, paper = (np.linalg.inv(platform_stiffness(r, pose)) for r in (ROBOT, tied))
     change = np.abs(np.einsum("nii->ni", paper) / np.einsum("nii->ni", exact) - 1)
     assert change.max(axis=1).min() > 0.02

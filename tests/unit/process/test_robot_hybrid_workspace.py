@@ -11,7 +11,7 @@ import pytest
 from polishd.model.errors import ComputeError
 from polishd.model.robot import HybridRobot
 from polishd.model.surface import FloatArray
-from polishd.process.robot import compliance, inverse_kinematics, reachable, tip_compliance_mm_per_n
+from polishd.process.robot import compliance, reachable, tip_compliance_mm_per_n
 from tests.unit.process.hybrid_poses import CROOKED, DIP, ROBOT, inward, random_poses
 
 LEAN = [0.0, -np.sin(DIP), -np.cos(DIP)]
@@ -44,13 +44,12 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("robot", "tip", "axis", "says"), FAULTS)
-@pytest.mark.parametrize("ask", [inverse_kinematics, tip_compliance_mm_per_n])
 def test_a_refusal_names_the_point_the_value_and_the_unit(
-    ask: Any, robot: HybridRobot, tip: list[float], axis: list[float], says: str
+    robot: HybridRobot, tip: list[float], axis: list[float], says: str
 ) -> None:
     tips, axes = random_poses(2, robot)
     with pytest.raises(ComputeError, match=f"point {len(tips)}: .*{says}"):
-        ask(robot, np.vstack([tips, [tip]]), np.vstack([axes, [axis]]))
+        tip_compliance_mm_per_n(robot, np.vstack([tips, [tip]]), np.vstack([axes, [axis]]))
 
 
 def test_reachable_says_no_where_the_inverse_refuses() -> None:
@@ -69,7 +68,7 @@ def test_reachable_and_inverse_never_differ(robot: HybridRobot) -> None:
     assert 50 < reach.sum() < 250
     for k, can in enumerate(reach):
         try:
-            inverse_kinematics(robot, tip[k : k + 1], axis[k : k + 1])
+            tip_compliance_mm_per_n(robot, tip[k : k + 1], axis[k : k + 1])
         except ComputeError:
             assert not can
         else:
@@ -92,15 +91,14 @@ def swing(lean_deg: float, way_deg: FloatArray) -> tuple[FloatArray, FloatArray]
     return np.tile([0.0, 0.0, 2000.0], (len(way), 1)), axis
 
 
-@pytest.mark.parametrize("ask", [inverse_kinematics, tip_compliance_mm_per_n])
 @pytest.mark.parametrize("chunk", [2, 3, 4096])
-def test_a_wrist_flip_is_refused_along_a_path_only(ask: Any, chunk: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrist_flip_is_refused_along_a_path_only(chunk: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compliance, "CHUNK", chunk)
     tip, axis = swing(1.0, np.array([0.0, 40.0, 80.0, 126.0, 130.0]))
-    ask(ROBOT, tip, axis)
+    tip_compliance_mm_per_n(ROBOT, tip, axis)
     says = r"point 3: the turn of C from the point before is 45.999\d deg, a wrist flip: the tool axis turns by less"
     with pytest.raises(ComputeError, match=says):
-        ask(ROBOT, tip, axis, path=True)
+        tip_compliance_mm_per_n(ROBOT, tip, axis, path=True)
 
 
 def test_c_may_turn_with_the_tool() -> None:
@@ -110,7 +108,6 @@ def test_c_may_turn_with_the_tool() -> None:
         swing(1.0, np.array([0.0, 180.0, 0.0])),  # straight through A = 0
         swing(1.0, np.array([0.0, 170.0, 0.0])),  # as good as straight
     ):
-        inverse_kinematics(ROBOT, *path, path=True)
         tip_compliance_mm_per_n(ROBOT, *path, path=True)
 
 
@@ -118,12 +115,12 @@ def test_but_standing_at_zero_is_singular() -> None:
     tip, axis = swing(1.0, np.array([0.0, 0.0, 180.0]))
     axis[1] = [0.0, 0.0, -1.0]
     with pytest.raises(ComputeError, match=r"point 1: wrist \|A\| is 0 deg"):
-        inverse_kinematics(ROBOT, tip, axis, path=True)
+        tip_compliance_mm_per_n(ROBOT, tip, axis, path=True)
 
 
 def test_shapes_that_cannot_be_are_refused() -> None:
     tip, axis = random_poses(1)
-    for ask in (inverse_kinematics, reachable, tip_compliance_mm_per_n):
+    for ask in (reachable, tip_compliance_mm_per_n):
         with pytest.raises(ComputeError, match=r"shape \(3,\), it must be \(n, 3\) in mm"):
             ask(ROBOT, tip[0], axis)
         with pytest.raises(ComputeError, match="1 tool tips come with 2 tool axes"):
@@ -154,6 +151,6 @@ def test_shapes_that_cannot_be_are_refused() -> None:
 )
 def test_robots_that_cannot_be_are_refused(changes: dict[str, Any], says: str) -> None:
     tip, axis = random_poses(1)
-    for ask in (inverse_kinematics, reachable, tip_compliance_mm_per_n):
+    for ask in (reachable, tip_compliance_mm_per_n):
         with pytest.raises(ComputeError, match=says):
             ask(dataclasses.replace(ROBOT, **changes), tip, axis)

@@ -8,7 +8,8 @@ import pytest
 from polishd.model.errors import ComputeError
 from polishd.model.robot import HybridRobot, MeasuredCompliance, SerialRobot
 from polishd.process.robot import measured_compliance, reachable, tip_compliance_mm_per_n
-from polishd.process.robot.serial import serial_forward_kinematics, serial_tip_compliance_mm_per_n
+from polishd.process.robot.serial import serial_tip_compliance_mm_per_n
+from tests.unit.process.arms import forward
 from tests.unit.process.hybrid_poses import random_poses
 
 ARM = SerialRobot(
@@ -31,7 +32,7 @@ TABLE = MeasuredCompliance(
 
 
 def test_a_serial_arm_answers_as_a_hybrid_robot_does() -> None:
-    tip, axis = serial_forward_kinematics(ARM, np.radians([ARM.home_deg]))
+    tip, axis = forward(ARM, np.radians([ARM.home_deg]))
     assert reachable(ARM, tip, axis).tolist() == [True]
     assert reachable(ARM, tip + 5000.0, axis).tolist() == [False]
     got = tip_compliance_mm_per_n(ARM, tip, axis, path=True)
@@ -41,7 +42,7 @@ def test_a_serial_arm_answers_as_a_hybrid_robot_does() -> None:
 
 
 def test_equation_41_is_of_the_hybrid_robot_only() -> None:
-    tip, axis = serial_forward_kinematics(ARM, np.radians([ARM.home_deg]))
+    tip, axis = forward(ARM, np.radians([ARM.home_deg]))
     with pytest.raises(ComputeError, match=r'moment = "paper" is eq\. 41 of the hybrid robot'):
         tip_compliance_mm_per_n(ARM, tip, axis, moment="paper")
 

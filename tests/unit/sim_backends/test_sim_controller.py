@@ -14,7 +14,8 @@ from polishd.config.simulator import Robot
 from polishd.sim_backends.robot import frames as f
 from polishd.sim_backends.robot.clients import Client
 from polishd.sim_backends.robot.controller import Controller
-from polishd.sim_backends.robot.motion import Limits, Motion
+from polishd.sim_backends.robot.motion import Motion
+from polishd.sim_backends.robot.path import Limits
 
 LIMITS = Limits(accel_mm_s2=1000.0, overhead_s=0.0, corner_deg=30.0, rapid_mm_s=100.0, max_feed_mm_s=100.0, speed=1.0)
 LINES = [f"G1 X{k} F600".encode() for k in range(1, 21)]

@@ -15,7 +15,7 @@ from polishd.config.simulator import Faults, SimConfig, load_simulator
 from polishd.model.errors import ConfigError
 from polishd.sim_backends import bus
 from polishd.sim_backends.faults import Mischief, Outlet
-from polishd.sim_backends.pty_port import PtyPort
+from polishd.sim_backends.wire import PtyPort
 
 
 def mischief(**faults: Any) -> Mischief:

@@ -158,9 +158,9 @@ class Loopback:
 async def test_every_connection_has_its_own_receiver(tmp_path: Path) -> None:
     receivers: Iterator[int] = iter(range(10))
 
-    def feed() -> Any:
+    def feed(outlet: Any) -> Any:
         number = next(receivers)
-        return lambda data, send: send(b"%d:%b" % (number, data))
+        return lambda data: outlet.send(b"%d:%b" % (number, data))
 
     async with asyncio.TaskGroup() as group:
         runtime: Any = Loopback(tmp_path, group)
@@ -173,7 +173,7 @@ async def test_every_connection_has_its_own_receiver(tmp_path: Path) -> None:
             assert await asyncio.wait_for(reader.readexactly(5), 5.0) == b"%d:abc" % number
         for _, writer in lines:
             writer.close()
-        await until(lambda: not wire.outlets and not wire.cuts)
+        await until(lambda: not wire.cuts)
         runtime.server.close()
 
 
@@ -181,7 +181,7 @@ async def test_a_wire_may_be_cut_now_and_then(tmp_path: Path) -> None:
     async with asyncio.TaskGroup() as group:
         runtime: Any = Loopback(tmp_path, group)
         faults = SimConfig().actuator.faults.model_copy(update={"disconnect_every_s": 0.05})
-        wire = Wire(runtime, faults, lambda: lambda _data, _send: None)
+        wire = Wire(runtime, faults, lambda _outlet: lambda _data: None)
         host, port = (await wire.open_tcp(0)).split(":")
         cutting = group.create_task(wire.cut_now_and_then())
         for _ in range(2):

@@ -8,7 +8,8 @@ import pytest
 from polishd.sim_backends.placement import tool_axis
 from polishd.sim_backends.robot import frames as f
 from polishd.sim_backends.robot.lift import Lift
-from polishd.sim_backends.robot.motion import Limits, Motion
+from polishd.sim_backends.robot.motion import Motion
+from polishd.sim_backends.robot.path import Limits
 from tests.unit.sim_backends.test_sim_controller import Bench, kinds, naks
 from tests.unit.sim_backends.test_sim_motion import HOME, PERFECT, loaded, run
 

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.sim_backends.robot.motion import Limits, Motion
+from polishd.sim_backends.robot.motion import Motion
+from polishd.sim_backends.robot.path import Limits
 from polishd.sim_backends.robot.rnc import Reader
 
 HOME = (0.0, 0.0, 50.0, 0.0, 0.0)

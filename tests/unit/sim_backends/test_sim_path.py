@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.sim_backends.robot.legs import Cursor, braking, plan, rows
-from polishd.sim_backends.robot.path import DWELL, MOVE, NONE, PAUSE, Path
+from polishd.sim_backends.robot.path import DWELL, MOVE, NONE, PAUSE, Limits, Path
 from polishd.sim_backends.robot.rnc import Pose, Reader
 
 HOME: Pose = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -19,7 +20,7 @@ ACCEL = 1000.0
 
 def path_of(*lines: bytes, batch: int = 1000, corner_deg: float = 30.0) -> Path:
     """A path with all of these lines accepted, some at a time."""
-    path = Path(len(lines), HOME, rapid_mm_s=100.0, max_feed_mm_s=50.0, corner_deg=corner_deg)
+    path = Path(len(lines), HOME, Limits(ACCEL, 0.0, corner_deg, rapid_mm_s=100.0, max_feed_mm_s=50.0, speed=1.0))
     reader = Reader(HOME)
     blocks = [reader.read(line) for line in lines]
     for at in range(0, len(blocks), batch):
@@ -82,7 +83,8 @@ def straight(chain: list[tuple[float, float]]) -> Path:
 @given(LENGTHS, st.floats(0.0, 0.01))
 def test_legs_follow_each_other_and_cover_the_path(chain: list[tuple[float, float]], overhead_s: float) -> None:
     path = straight(chain)
-    legs = plan(path, Cursor(), 3.0, until=None, accel=ACCEL, overhead_s=overhead_s)
+    path.limits = replace(path.limits, overhead_s=overhead_s)
+    legs = plan(path, Cursor(), 3.0, until=None)
     assert legs.start_s[0] == 3.0
     np.testing.assert_allclose(legs.start_s[1:], legs.end_s[:-1])
     assert (legs.end_s - legs.start_s >= path.length / path.feed - 1e-9).all(), "no faster than the feed"
@@ -97,7 +99,7 @@ def test_legs_follow_each_other_and_cover_the_path(chain: list[tuple[float, floa
 @given(LENGTHS, st.data())
 def test_it_stops_before_the_block_it_is_told(chain: list[tuple[float, float]], data: st.DataObject) -> None:
     until = data.draw(st.integers(1, len(chain)))
-    legs = plan(straight(chain), Cursor(), 0.0, until=until, accel=ACCEL, overhead_s=0.0)
+    legs = plan(straight(chain), Cursor(), 0.0, until=until)
     assert legs.stop == until - 1
     assert legs.shape.v_out[until - 1] == pytest.approx(0.0, abs=1e-9)
     assert legs.reached(1e9) == until
@@ -106,11 +108,11 @@ def test_it_stops_before_the_block_it_is_told(chain: list[tuple[float, float]], 
 @given(LENGTHS, st.floats(0.05, 0.95))
 def test_braking_takes_the_distance_that_the_acceleration_needs(chain: list[tuple[float, float]], share: float) -> None:
     path = straight(chain)
-    legs = plan(path, Cursor(), 0.0, until=None, accel=ACCEL, overhead_s=0.0)
+    legs = plan(path, Cursor(), 0.0, until=None)
     at_s = share * float(legs.end_s[-1])
     k = min(legs.reached(at_s), len(chain) - 1)
     done_mm, done_s, speed = legs.state(k, at_s)
-    down = braking(path, Cursor(int(legs.block[k]), done_mm, done_s, speed), at_s, ACCEL)
+    down = braking(path, Cursor(int(legs.block[k]), done_mm, done_s, speed), at_s)
     assert down.end_s[-1] - at_s == pytest.approx(speed / ACCEL, abs=1e-6)
     assert down.shape.v_out[-1] == pytest.approx(0.0, abs=1e-3)
     travelled = (down.shape.v_in + down.shape.v_out) / 2.0 * down.shape.t_down
@@ -121,8 +123,8 @@ def test_braking_takes_the_distance_that_the_acceleration_needs(chain: list[tupl
 
 def test_a_hold_inside_a_dwell_keeps_what_is_left_of_it() -> None:
     path = path_of(b"G4 P2", b"M2")
-    legs = plan(path, Cursor(), 0.0, until=None, accel=ACCEL, overhead_s=0.0)
+    legs = plan(path, Cursor(), 0.0, until=None)
     done_mm, done_s, speed = legs.state(0, 0.75)
     assert (done_mm, done_s, speed) == (0.0, pytest.approx(0.75), 0.0)
-    rest = plan(path, Cursor(0, 0.0, done_s, 0.0), 10.0, until=None, accel=ACCEL, overhead_s=0.0)
+    rest = plan(path, Cursor(0, 0.0, done_s, 0.0), 10.0, until=None)
     assert rest.end_s[0] - 10.0 == pytest.approx(1.25)

@@ -16,7 +16,8 @@ from polishd.sim_backends.plant import part as parts
 from polishd.sim_backends.plant.timeline import Timeline
 from polishd.sim_backends.plant.witness import Witness
 from polishd.sim_backends.plant.world import World
-from polishd.sim_backends.robot.motion import Limits, Motion
+from polishd.sim_backends.robot.motion import Motion
+from polishd.sim_backends.robot.path import Limits
 from polishd.sim_backends.robot.rnc import Pose, Reader
 
 PERFECT = Truth(rate=(0.0, 0.0), stiffness=0.0, drift=0.0, force_noise=0.0, map_noise_nm=0.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from polishd.api import ProgramError
-from polishd.drivers.linuxcnc.interpreter import exact_python, is_installed
+from polishd.drivers.linuxcnc.interpreter import exact_python
 from polishd.plugins.rnc_robot import canonical
 from polishd.plugins.rnc_robot import verify as verifier
 from polishd.plugins.rnc_robot.dialect import Dialect
@@ -29,7 +30,7 @@ DWELL = HEAD + "G1 X1 F60\nG4 P1\nG1 X3\nG4 P.5\nG1 X4 Y1 F60\nG4 P2\nG0 Z5\nM2\
 FEED = HEAD + "G1 X1 F60\nG1 X3 F240\nG1 X4 Y1 F42.4264\nG0 Z5\nM2\n"
 INVERSE = HEAD + "G93\nG1 X1 F60\nG1 X3 F120\nG1 X4 Y1 F30\nG94\nG0 Z5\nM2\n"
 
-needs_linuxcnc = pytest.mark.skipif(not is_installed(), reason="LinuxCNC is not installed")
+needs_linuxcnc = pytest.mark.skipif(shutil.which("rs274") is None, reason="LinuxCNC is not installed")
 WITH = [False, pytest.param(True, marks=needs_linuxcnc)]
 
 

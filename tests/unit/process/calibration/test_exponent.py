@@ -29,15 +29,12 @@ def test_a_pure_power_comes_back(exponent: float, scale: float) -> None:
 
 
 def test_it_is_numpys_straight_line_through_the_logarithms() -> None:
-    volume, sigma = noisy(1.4, 0.05, 1), np.linspace(0.01, 0.1, 9)
-    for weights in (None, sigma):
-        fit = fit_exponent(GAMMA, volume, weights)
-        (slope, offset), covariance = np.polyfit(
-            np.log(GAMMA), np.log(volume), 1, w=None if weights is None else 1 / weights, cov=True
-        )
-        assert fit.exponent == pytest.approx(slope, rel=1e-9)
-        assert fit.scale == pytest.approx(np.exp(offset), rel=1e-9)
-        assert fit.uncertainty == pytest.approx(np.sqrt(covariance[0, 0]), rel=1e-9)
+    volume = noisy(1.4, 0.05, 1)
+    fit = fit_exponent(GAMMA, volume)
+    (slope, offset), covariance = np.polyfit(np.log(GAMMA), np.log(volume), 1, cov=True)
+    assert fit.exponent == pytest.approx(slope, rel=1e-9)
+    assert fit.scale == pytest.approx(np.exp(offset), rel=1e-9)
+    assert fit.uncertainty == pytest.approx(np.sqrt(covariance[0, 0]), rel=1e-9)
 
 
 def test_the_uncertainty_is_that_of_many_repetitions() -> None:
@@ -75,14 +72,6 @@ def test_errors_are_of_the_measured_volumes() -> None:
     assert 7 < off.max() < 9.1
 
 
-def test_a_bad_spot_with_a_large_uncertainty_does_no_harm() -> None:
-    volume, sigma = GAMMA**1.5, np.full(9, 0.01)
-    volume[0] *= 1.2
-    sigma[0] = 10.0
-    assert fit_exponent(GAMMA, volume, sigma).exponent == pytest.approx(1.5, abs=1e-4)
-    assert abs(fit_exponent(GAMMA, volume).exponent - 1.5) > 0.1
-
-
 @pytest.mark.parametrize(
     ("gamma", "volume", "says"),
     [
@@ -100,8 +89,3 @@ def test_a_bad_spot_with_a_large_uncertainty_does_no_harm() -> None:
 def test_what_cannot_tell_is_refused(gamma: FloatArray, volume: FloatArray, says: str) -> None:
     with pytest.raises(ComputeError, match=says):
         fit_exponent(gamma, volume)
-
-
-def test_an_uncertainty_that_is_none_is_refused() -> None:
-    with pytest.raises(ComputeError, match="point 3: relative uncertainty of the spot volume is 0"):
-        fit_exponent(GAMMA, GAMMA, np.where(np.arange(9) == 3, 0.0, 0.1))

@@ -12,9 +12,8 @@ from polishd.model.errors import ComputeError
 from polishd.model.process import Projection
 from polishd.model.robot import HybridRobot, SerialRobot
 from polishd.model.surface import FloatArray
-from polishd.process.calibration.elastic import elastic_numbers, with_elastic
 from polishd.process.calibration.loading import LoadingTests, percent_errors
-from polishd.process.calibration.stiffness import StiffnessFit, fit_stiffness
+from polishd.process.calibration.stiffness import StiffnessFit, elastic_numbers, fit_stiffness, with_elastic
 from polishd.process.compliance import equivalent_compliance
 from polishd.process.robot import reachable, tip_compliance_mm_per_n
 from tests.unit.process.arms import UR5

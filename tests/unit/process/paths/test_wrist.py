@@ -9,12 +9,13 @@ from hypothesis import strategies as st
 
 from polishd.model.errors import ComputeError
 from polishd.model.process import FLAT, ComplianceOptions, Optic, Placement
-from polishd.process.frames import angles_from_axis, axis_from_angles, dips_deg, rotation_from_rpy_deg
+from polishd.process.frames import angles_from_axis, dips_deg, rotation_from_rpy_deg
 from polishd.process.optics import unit_normals
 from polishd.process.paths.apertures import circle
 from polishd.process.paths.raster import raster
 from polishd.process.paths.spiral import spiral
 from polishd.process.paths.wrist import largest_turn_deg, tool_axes
+from polishd.sim_backends.placement import tool_axis
 
 HOME = Placement((0.0, 0.0, 0.0), np.eye(3))
 SPHERE = Optic(200.0)
@@ -64,7 +65,7 @@ def test_the_axes_are_in_the_parts_frame_wherever_the_part_lies(direction: str) 
 def test_a_line_over_the_pole_changes_the_sign_of_a() -> None:
     """Not C by half a turn: the wrist's other solution is the nearer one."""
     a_deg = np.linspace(10.0, -10.0, 41)
-    axis = axis_from_angles(a_deg, np.full(41, 25.0))
+    axis = tool_axis(a_deg, np.full(41, 25.0))
     a, c = angles_from_axis(axis)
     np.testing.assert_allclose(a, a_deg, atol=1e-9)
     np.testing.assert_allclose(c, 25.0, atol=1e-6)
@@ -75,9 +76,9 @@ def test_a_line_over_the_pole_changes_the_sign_of_a() -> None:
 def test_angles_follow_any_smooth_turn(a0: float, c0: float, a_step: float, c_step: float) -> None:
     """As they were, or all of them as the wrist's other solution, whole turns apart."""
     a_want, c_want = a0 + a_step * np.arange(30) / 30, c0 + c_step * np.arange(30)
-    axis = axis_from_angles(a_want, c_want)
+    axis = tool_axis(a_want, c_want)
     a, c = angles_from_axis(axis)
-    np.testing.assert_allclose(axis_from_angles(a, c), axis, atol=1e-9)
+    np.testing.assert_allclose(tool_axis(a, c), axis, atol=1e-9)
     if np.abs(a_want).min() > 5 and (a_want > 0).all() == (a_want[0] > 0):
         assert np.abs(np.diff(a)).max() < 0.11
         np.testing.assert_allclose(np.diff(c), c_step, atol=1e-6)
@@ -98,7 +99,7 @@ def test_shipped_limits_take_ordinary_paths(optic: Optic, dip: float) -> None:
 
 def test_too_large_a_turn_is_named() -> None:
     c_deg = np.array([0.0, 1.0, 2.0, 62.0, 63.0])
-    axis = axis_from_angles(np.full(5, 40.0), c_deg)
+    axis = tool_axis(np.full(5, 40.0), c_deg)
     assert largest_turn_deg(axis, 61.0) == pytest.approx(60.0)
     with pytest.raises(ComputeError, match=r"from point 2 to 3 the wrist turns by 60 deg .*C 2 to 62\), at most 30"):
         largest_turn_deg(axis, 30.0)

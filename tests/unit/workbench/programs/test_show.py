@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 import stat
 import subprocess
 import sys
@@ -12,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.drivers.linuxcnc.interpreter import is_installed
 from polishd.plugins.rnc_robot.dialect import DIALECTS, dialect
 from polishd.plugins.rnc_robot.formats import read
 from polishd.show.tables import stdout
@@ -207,7 +207,7 @@ def test_verify_proves(polishd: Polishd, program: Path, tmp_path: Path) -> None:
     assert (said.code, "identical" in said.out, "NOT" in said.out) == (0, True, False)
 
 
-@pytest.mark.skipif(not is_installed(), reason="LinuxCNC is not installed")
+@pytest.mark.skipif(shutil.which("rs274") is None, reason="LinuxCNC is not installed")
 def test_verify_with_linuxcnc(polishd: Polishd, program: Path) -> None:
     said = polishd("program", "verify", program, program, "--with", "rs274")
     assert said.code == 0

@@ -24,6 +24,7 @@ from polishd.drivers.transport.requests import RequestQueue
 
 T = TypeVar("T")
 
+MAX_FORCE_N = 50.0
 BEAT_S = 0.05
 """Period of samples and heartbeats."""
 ANSWERS_S = 2.0
@@ -110,16 +111,9 @@ class VoiceCoil:
     requests raise LinkError until ``open``; only ``retract`` and ``make_safe`` try to reach it again.
     """
 
-    def __init__(
-        self,
-        wire: VoiceCoilWire,
-        times: ActuatorTimes | None = None,
-        *,
-        max_force_n: float = 50.0,
-    ) -> None:
+    def __init__(self, wire: VoiceCoilWire, times: ActuatorTimes) -> None:
         self._wire = wire
-        self._times = times or ActuatorTimes()
-        self._max_force_n = max_force_n
+        self._times = times
         self._queue = RequestQueue(wire.name)
         self._exposed = False
         """The tool may be off its rest: by the last reading, or by a command whose outcome is not known."""
@@ -161,8 +155,8 @@ class VoiceCoil:
 
     async def set_force(self, force_n: float) -> None:
         """See ForceActuator. Returns once the tool is in contact (feeding the watchdog meanwhile), or for 0 at once."""
-        if not 0.0 <= force_n <= self._max_force_n:
-            raise DeviceRefused(f"{self._wire.name}: force {force_n} N is outside 0 to {self._max_force_n:g} N")
+        if not 0.0 <= force_n <= MAX_FORCE_N:
+            raise DeviceRefused(f"{self._wire.name}: force {force_n} N is outside 0 to {MAX_FORCE_N:g} N")
         retracts = self._retracts
         await self._ask(lambda: self._wire.set_point(force_n))
         reading = await self._ask(self._beat)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from polishd.api import Identity, ProtocolError
-from polishd.drivers.transport.voice_coil import Reading, State
+from polishd.drivers.voice_coil.device import Reading, State
 
 # holding registers
 COMMAND, SETPOINT, WATCHDOG, HEARTBEAT = 0, 1, 2, 3

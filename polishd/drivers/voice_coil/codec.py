@@ -7,7 +7,7 @@ from functools import reduce
 from operator import xor
 
 from polishd.api import Identity, ProtocolError
-from polishd.drivers.transport.voice_coil import Reading, State
+from polishd.drivers.voice_coil.device import Reading, State
 
 LONGEST = 120
 _LINE = re.compile(rb"\$([ -)+-~]*)\*([0-9A-F]{2})\r?")

@@ -7,8 +7,8 @@ import time
 from polishd.api import ByteStream, DeviceRefused, Identity, LinkError, ProtocolError
 from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.drivers.transport.streams import LineReader, open_stream
-from polishd.drivers.transport.voice_coil import Reading
-from polishd.drivers.voice_coil_serial import codec
+from polishd.drivers.voice_coil import codec
+from polishd.drivers.voice_coil.device import Reading
 
 OPEN_S = 1.0
 
@@ -16,7 +16,7 @@ OPEN_S = 1.0
 class AsciiWire:
     """A VoiceCoilWire over ASCII lines."""
 
-    def __init__(self, address: SerialLine | Tcp, silence_s: float = 0.3) -> None:
+    def __init__(self, address: SerialLine | Tcp, silence_s: float) -> None:
         """An answer comes within ``silence_s``."""
         self._silence_s = silence_s
         self.name = str(address)

@@ -13,8 +13,8 @@ from pymodbus.pdu.register_message import ReadInputRegistersResponse, WriteSingl
 
 from polishd.api import DeviceRefused, Identity, LinkError, ProtocolError
 from polishd.drivers.transport.address import SerialLine, Tcp
-from polishd.drivers.transport.voice_coil import Reading
-from polishd.drivers.voice_coil_modbus import registers
+from polishd.drivers.voice_coil import registers
+from polishd.drivers.voice_coil.device import Reading
 
 
 class ModbusWire:
@@ -24,7 +24,7 @@ class ModbusWire:
     silence or nonsense the line is closed, and opened again (which drops what came) only when no answer can be due.
     """
 
-    def __init__(self, address: Tcp | SerialLine, unit: int = 1, silence_s: float = 0.3) -> None:
+    def __init__(self, address: Tcp | SerialLine, unit: int, silence_s: float) -> None:
         """An answer comes within ``silence_s``; on a serial line one may still come as long after that."""
         self.name = f"{address} unit {unit}"
         self._address = address
