@@ -9,8 +9,8 @@ import numpy as np
 from polishd.api import ProgramError
 from polishd.model.program import Encoding
 from polishd.model.surface import FloatArray
-from polishd.plugins.rnc_robot.dialect import Dialect
 from polishd.plugins.rnc_robot.nc import codes as c
+from polishd.plugins.rnc_robot.nc.dialect import Dialect
 from polishd.plugins.rnc_robot.nc.pieces import Scanner
 from polishd.plugins.rnc_robot.nc.points import Points, Tally
 

@@ -11,9 +11,9 @@ import numpy as np
 from polishd.api import ProgramError
 from polishd.model.program import IntArray
 from polishd.model.surface import FloatArray
-from polishd.plugins.rnc_robot.dialect import Dialect
 from polishd.plugins.rnc_robot.nc import codes as c
 from polishd.plugins.rnc_robot.nc import compiled
+from polishd.plugins.rnc_robot.nc.dialect import Dialect
 from polishd.plugins.rnc_robot.nc.refusals import explained, refuse, refuse_binary
 from polishd.plugins.rnc_robot.nc.scan import scan
 from polishd.plugins.rnc_robot.nc.tables import Found, Scratch, Tables, tables

@@ -10,8 +10,8 @@ import numpy as np
 from polishd.api import ProgramError
 from polishd.model.program import Encoding, IntArray
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.plugins.rnc_robot.dialect import Dialect
 from polishd.plugins.rnc_robot.nc import codes as c
+from polishd.plugins.rnc_robot.nc.dialect import Dialect
 from polishd.plugins.rnc_robot.nc.pieces import Piece
 from polishd.plugins.rnc_robot.nc.refusals import refuse
 

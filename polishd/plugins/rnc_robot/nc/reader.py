@@ -7,8 +7,8 @@ from io import BytesIO
 import numpy as np
 
 from polishd.api import Program
-from polishd.plugins.rnc_robot.dialect import Dialect
 from polishd.plugins.rnc_robot.nc.checks import Checks
+from polishd.plugins.rnc_robot.nc.dialect import Dialect
 from polishd.plugins.rnc_robot.nc.pieces import Piece
 from polishd.plugins.rnc_robot.nc.points import Points
 from polishd.plugins.rnc_robot.nc.stream import run_through

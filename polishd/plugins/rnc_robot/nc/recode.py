@@ -9,10 +9,10 @@ import numpy as np
 from polishd.api import Program, ProgramError
 from polishd.model.program import Encoding, IntArray
 from polishd.model.surface import FloatArray
-from polishd.plugins.rnc_robot.dialect import Dialect
 from polishd.plugins.rnc_robot.nc import codes as c
 from polishd.plugins.rnc_robot.nc import compiled
 from polishd.plugins.rnc_robot.nc.checks import doubts
+from polishd.plugins.rnc_robot.nc.dialect import Dialect
 from polishd.plugins.rnc_robot.nc.pieces import Piece, Scanner
 from polishd.plugins.rnc_robot.nc.points import PointReader, Points, counts_time, same_places
 from polishd.plugins.rnc_robot.nc.refusals import refuse

@@ -8,7 +8,7 @@ import numpy as np
 
 from polishd.api import Program, ProgramError
 from polishd.model.surface import FloatArray
-from polishd.plugins.rnc_robot.dialect import Dialect
+from polishd.plugins.rnc_robot.nc.dialect import Dialect
 from polishd.plugins.rnc_robot.nc.stream import rewrite_stream
 
 

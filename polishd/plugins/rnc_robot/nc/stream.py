@@ -12,8 +12,8 @@ import numpy as np
 from polishd.api import ProgramError
 from polishd.model.program import Encoding
 from polishd.model.surface import FloatArray
-from polishd.plugins.rnc_robot.dialect import Dialect
 from polishd.plugins.rnc_robot.nc.checks import Checks, unit, warnings
+from polishd.plugins.rnc_robot.nc.dialect import Dialect
 from polishd.plugins.rnc_robot.nc.pieces import PIECE_BYTES, Piece, Scanner
 from polishd.plugins.rnc_robot.nc.points import PointReader, Points, Tally
 from polishd.plugins.rnc_robot.nc.writer import Writer, refuse_times
