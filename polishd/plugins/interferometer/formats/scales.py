@@ -57,6 +57,8 @@ class HeightUnit(NamedTuple):
     unsaid: frozenset[str] = frozenset()
 
 
+SAID = HeightUnit(1.0)
+"""Of heights whose unit the format or the file says."""
 NO_PITCH = Pitch(None, ("the file gives no lateral scale",), frozenset({"pitch"}))
 
 

@@ -12,15 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats.common import MOST_BYTES, content_of, require_said, scaled, sha256_of
+from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.gridded import ORIENTATION, gridded
 from polishd.plugins.interferometer.formats.library import parsing
 from polishd.plugins.interferometer.formats.scales import Pitch, checked, pitch
 
-NAME = "x3p"
-VERSION = 1
+FORMAT = Format("x3p", 1)
 MOST_XML_BYTES = 2**26
 NO_DATE, NOT_KNOWN = datetime.fromtimestamp(0, UTC), "not known"
 """What stands for them where the format needs something: others stumble over an empty field."""
@@ -44,21 +44,19 @@ def read(path: Path) -> SurfaceMap:
         if not isinstance(file, x3pio.Surface) or len(file.layers) != 1:
             raise BadMap(f"{path}: holds a {type(file).__name__} of {len(file.layers)} layers, not one surface")
         height_nm, scale, orientation = _surface(path, file.layers[0])
-    unsaid = scale.unsaid | ({"orientation"} if file.layers[0].placement.has_rotation else set())
+    rotated = file.layers[0].placement.has_rotation
     made = file.metadata
-    return SurfaceMap(
-        height_nm=checked(path, height_nm),
-        pitch_mm=scale.mm,
+    return FORMAT.surface(
+        path,
+        sha256_of(content),
+        checked(path, height_nm),
+        lateral=scale,
         instrument=_instrument(made.instrument) if made else "",
         taken_at=made.date if made and made.date and made.date != NO_DATE else None,
-        sha256=sha256_of(content),
-        path=path,
-        format=NAME,
         factors={"nm_per_unit": 1e9, "z_increment": file.header.z.increment},
-        warnings=scale.warnings + ((ROTATED,) if "orientation" in unsaid else ()),
-        unsaid=unsaid,
+        warnings=(ROTATED,) if rotated else (),
+        unsaid={"orientation"} if rotated else set(),
         orientation=orientation,
-        reader_version=VERSION,
     )
 
 
@@ -121,4 +119,4 @@ def _instrument(instrument: object) -> str:
     return " ".join(field for field in fields if field and field not in {"not available", NOT_KNOWN})
 
 
-X3P = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=(".x3p",), write=write)
+X3P = FORMAT.reader(read, ".x3p", sniff=sniff, write=write)
