@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -44,8 +43,3 @@ def when(value: Any) -> str:
 def text(value: Any) -> str:
     """Anything as one text, None as nothing."""
     return "" if value is None else str(value)
-
-
-def escape(value: str) -> str:
-    """Text that is safe inside HTML and attributes."""
-    return html.escape(value, quote=True)

@@ -19,7 +19,7 @@ from polishd.api import Event, PolishdError
 from polishd.plugins import run_report
 from polishd.plugins.run_report import trend
 from polishd.plugins.run_report.folder import Executed, Surface, read_folder
-from polishd.plugins.run_report.page import render
+from polishd.plugins.run_report.page import CERTIFICATE, COLUMNS, Picture, Section, render
 from polishd.plugins.run_report.psd import radial_psd
 from polishd.plugins.run_report.report import write_report
 from polishd.plugins.run_report.values import duration, plain, when
@@ -229,6 +229,34 @@ class TestARun:
     def test_no_partial_file_stays_and_others_can_read_it(self, reported: Path) -> None:
         assert not list(reported.rglob("*.tmp"))
         assert (reported / "report.html").stat().st_mode & 0o777 == 0o644
+
+
+FOREIGN = "<q a=\"1\" c='2'>{{ 7 * 7 }}&amp;</q>"
+
+
+def test_whatever_a_file_says_is_text_on_the_page(tmp_path: Path) -> None:
+    """In every place of the template that shows what is read: no tag, no attribute, no template of its own."""
+    row = {column.key: 1.0 for column in COLUMNS} | {"notes": [FOREIGN], "how": FOREIGN, "executed_s": FOREIGN}
+    summary = dict.fromkeys(("part_id", "job", "correction", "started", "outcome"), FOREIGN) | {"cycles": [row, row]}
+    (tmp_path / "summary.json").write_text(json.dumps(summary))
+    folder = read_folder(tmp_path)
+    folder.missing.append(FOREIGN)
+    certificate = dict.fromkeys([*CERTIFICATE, FOREIGN], FOREIGN)
+    picture = Picture("p", FOREIGN, b"png")
+    page = render(folder, [Section(FOREIGN, FOREIGN, (picture,), certificate, (f"cycle-00/{FOREIGN}",))])
+    assert "<q" not in page
+    assert "c='2'" not in page
+    assert "49" not in page
+    assert page.count("{{ 7 * 7 }}&amp;amp;") > len(CERTIFICATE) + 10
+    assert f'src="data:image/png;base64,{base64.b64encode(b"png").decode()}"' in page
+    assert 'href="cycle-00/%3Cq%20a%3D%221%22' in page
+
+
+def test_a_section_that_holds_nothing_is_not_on_the_page(tmp_path: Path) -> None:
+    page = render(read_folder(tmp_path), [Section("Nothing", "cycle-07", ())])
+    assert "Nothing" not in page
+    assert "Files:" not in page
+    assert page.endswith("</html>\n")
 
 
 def test_a_plan_shows_its_prediction_and_says_that_nothing_moved(plan_dir: Path) -> None:
