@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from polishd.api import BadMap, SurfaceMap
-from polishd.plugins.interferometer.formats.common import content_of, require_optics, require_size, sha256_of
+from polishd.plugins.interferometer.formats.common import content_of, require_optics, require_size
 from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.numbers import block
 from polishd.plugins.interferometer.formats.scales import Pitch, checked
@@ -63,7 +63,7 @@ def read(path: Path) -> SurfaceMap:
     cut = () if content[-1:].isspace() else _cut(path, content[-32:].split()[-1], b"%d" % no_data)
     return FORMAT.surface(
         path,
-        sha256_of(content),
+        content,
         checked(path, values, nm),
         lateral=_pitch(header),
         factors={"nm_per_count": nm, "kind": header.kind, "x_over_y": header.number.get("XSC", 1.0)},

@@ -9,6 +9,7 @@ from typing import Any
 
 from polishd.api import SurfaceMap, SurfaceReader
 from polishd.model.surface import FloatArray
+from polishd.plugins.interferometer.formats.common import sha256_of
 from polishd.plugins.interferometer.formats.scales import SAID, HeightUnit, Pitch
 
 NOT_SAID = "the file does not say that this is a surface"
@@ -41,7 +42,7 @@ class Format:
     def surface(
         self,
         path: Path,
-        sha256: str,
+        content: bytes | str,
         height_nm: FloatArray,
         *,
         height: HeightUnit = SAID,
@@ -50,11 +51,14 @@ class Format:
         unsaid: frozenset[str] | set[str] = frozenset(),
         **about: Any,
     ) -> SurfaceMap:
-        """The map of heights that were checked: what their unit and pitch leave open comes before what else is."""
+        """The map of heights that were checked: what their unit and pitch leave open comes before what else is.
+
+        ``content``: the file's, or its sha256 where that is all that is left of it.
+        """
         return SurfaceMap(
             height_nm=height_nm,
             pitch_mm=lateral.mm,
-            sha256=sha256,
+            sha256=content if isinstance(content, str) else sha256_of(content),
             path=path,
             warnings=height.warnings + lateral.warnings + warnings,
             unsaid=height.unsaid | lateral.unsaid | unsaid,

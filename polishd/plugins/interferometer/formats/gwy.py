@@ -14,9 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from polishd.api import BadMap, SurfaceMap
-from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, scaled, sha256_of
+from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, extra, parsing, scaled
 from polishd.plugins.interferometer.formats.format import Format
-from polishd.plugins.interferometer.formats.library import extra, parsing
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
 
 FORMAT = Format("gwy", 1, (b"GWYPGwyContainer\0",))
@@ -62,7 +61,7 @@ def read(path: Path) -> SurfaceMap:
         warnings.append(f"{int((mask > 0).sum())} samples under Gwyddion's mask are taken as missing")
     return FORMAT.surface(
         path,
-        sha256_of(content),
+        content,
         checked(path, height_nm, height.nm),
         height=height,
         lateral=lateral,

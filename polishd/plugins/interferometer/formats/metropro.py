@@ -14,7 +14,7 @@ import numpy as np
 
 from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import MOST_BYTES, MOST_SAMPLES, require_said, sha256_of
+from polishd.plugins.interferometer.formats.common import MOST_BYTES, MOST_SAMPLES, require_said
 from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.zygo import MISSING, RESOLUTION, Header
 
@@ -56,7 +56,7 @@ def read(path: Path) -> SurfaceMap:
     fiducials, odd = _fiducials_px(header)
     return FORMAT.surface(
         path,
-        sha256_of(content),
+        content,
         height_nm,
         factors=header.factors,
         warnings=odd,

@@ -15,10 +15,9 @@ from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 
 from polishd.api import BadMap, SurfaceMap
-from polishd.plugins.interferometer.formats.common import MOST_BYTES, content_of, require_tail, scaled, sha256_of
+from polishd.plugins.interferometer.formats.common import content_of, members_of, parsing, require_tail, scaled
 from polishd.plugins.interferometer.formats.format import NOT_SAID, Format
 from polishd.plugins.interferometer.formats.gridded import ORIENTATION, gridded
-from polishd.plugins.interferometer.formats.library import parsing
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, HeightUnit, checked, height_unit, pitch
 
 FORMAT = Format("npy", 1, (b"\x93NUMPY",))
@@ -35,17 +34,16 @@ def sniff(head: bytes, path: Path) -> bool:
 def read(path: Path) -> SurfaceMap:
     """Read the one map that the file holds. BadMap for pickles, complex or 3-D arrays, and several candidates."""
     content = content_of(path)
-    sha256 = sha256_of(content)
     if FORMAT.sniff(content, path):
-        return _bare(path, array_of(path, "the file", content), sha256)
+        return _bare(path, array_of(path, "the file", content), content)
     arrays = _arrays(path, content)
     if {"X", "Y", "Z"} <= arrays.keys():
-        return _with_coordinates(path, arrays, sha256)
+        return _with_coordinates(path, arrays, content)
     maps = [name for name, array in arrays.items() if array.ndim == 2 and min(array.shape) > 1]
     if len(maps) != 1:
         names = ", ".join(f"{name} {array.shape}" for name, array in arrays.items()) or "nothing"
         raise BadMap(f"{path}: holds {names}: neither X, Y and Z nor one single 2-D array")
-    return _bare(path, arrays[maps[0]], sha256)
+    return _bare(path, arrays[maps[0]], content)
 
 
 def array_of(path: Path, name: str, content: bytes) -> NDArray[np.generic]:
@@ -67,22 +65,20 @@ def array_of(path: Path, name: str, content: bytes) -> NDArray[np.generic]:
 
 def _arrays(path: Path, content: bytes) -> dict[str, NDArray[np.generic]]:
     with parsing(path, "numpy"), zipfile.ZipFile(io.BytesIO(content)) as archive:
-        members = archive.infolist()
-        if sum(member.file_size for member in members) > MOST_BYTES:
-            raise BadMap(f"{path}: unpacks to more than {MOST_BYTES} bytes: no map of a camera")
+        members = members_of(path, archive)
         if len({member.filename for member in members}) < len(members):
             raise BadMap(f"{path}: has two arrays of one name")
         names = [member.filename for member in members]
         return {name.removesuffix(".npy"): array_of(path, name, archive.read(name)) for name in names}
 
 
-def _bare(path: Path, array: NDArray[np.generic], sha256: str) -> SurfaceMap:
+def _bare(path: Path, array: NDArray[np.generic], content: bytes) -> SurfaceMap:
     if array.ndim != 2 or not array.size:
         raise BadMap(f"{path}: holds an array of shape {array.shape}, not rows and columns")
     require_tail(path, array)
     return FORMAT.surface(
         path,
-        sha256,
+        content,
         checked(path, np.array(array, dtype=np.float64, order="C")),
         height=height_unit(""),
         lateral=NO_PITCH,
@@ -93,7 +89,7 @@ def _bare(path: Path, array: NDArray[np.generic], sha256: str) -> SurfaceMap:
     )
 
 
-def _with_coordinates(path: Path, arrays: dict[str, NDArray[np.generic]], sha256: str) -> SurfaceMap:
+def _with_coordinates(path: Path, arrays: dict[str, NDArray[np.generic]], content: bytes) -> SurfaceMap:
     x, y, z = (np.asarray(arrays[name], dtype=np.float64) for name in "XYZ")
     if not x.shape == y.shape == z.shape or z.ndim != 2:
         raise BadMap(f"{path}: X, Y and Z have the shapes {x.shape}, {y.shape} and {z.shape}")
@@ -102,7 +98,7 @@ def _with_coordinates(path: Path, arrays: dict[str, NDArray[np.generic]], sha256
     scale = pitch(path, found.pitch_x * 1e3, found.pitch_y * 1e3)
     return FORMAT.surface(
         path,
-        sha256,
+        content,
         checked(path, scaled(found.z, 1e9)),
         height=HeightUnit(1e9, (METRES,)),
         lateral=scale,

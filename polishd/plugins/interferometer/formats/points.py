@@ -14,10 +14,9 @@ import numpy as np
 
 from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import content_of, scaled, sha256_of
+from polishd.plugins.interferometer.formats.common import content_of, parsing, scaled, sha256_of
 from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.gridded import ORIENTATION, Gridded, gridded
-from polishd.plugins.interferometer.formats.library import parsing
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
 
 FORMAT = Format("points", 2)

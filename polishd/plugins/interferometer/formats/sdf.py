@@ -13,10 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from polishd.api import BadMap, SurfaceMap
-from polishd.plugins.interferometer.formats.common import content_of, require_tail, scaled, sha256_of
+from polishd.plugins.interferometer.formats.common import content_of, parsing, require_tail, scaled
 from polishd.plugins.interferometer.formats.format import Format
-from polishd.plugins.interferometer.formats.library import parsing
-from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, pitch
+from polishd.plugins.interferometer.formats.scales import NO_PITCH, checked, pitch
 from polishd.plugins.interferometer.formats.x3p import TURNED
 
 FORMAT = Format("sdf", 1, (b"AISO-", b"BISO-", b"ABCR-", b"BBCR-"))
@@ -55,11 +54,12 @@ def read(path: Path) -> SurfaceMap:
     # ISO marks with a type's minimum, its forerunner with the maximum, and writers mix them up
     marked = (np.abs(file.data) > MARKER * header.z_scale) & np.isfinite(file.data)
     height_nm = scaled(np.where(marked, np.nan, file.data)[::-1], 1e9)
+    x_m, y_m = header.x_scale, header.y_scale
     return FORMAT.surface(
         path,
-        sha256_of(content),
+        content,
         checked(path, height_nm),
-        lateral=_pitch(path, header.x_scale, header.y_scale),
+        lateral=NO_PITCH if x_m == 0 and y_m == 0 else pitch(path, x_m * 1e3, y_m * 1e3),
         instrument=header.manufacturer_id.strip(),
         taken_at=header.create_date,
         factors={"nm_per_unit": 1e9, "z_scale": header.z_scale},
@@ -71,10 +71,6 @@ def _require_text(path: Path, trailer: bytes) -> None:
     """BadMap where what follows binary samples is no text: then they are more than the header says."""
     if b"\0" in trailer or any(byte < 32 and byte not in b"\t\r\n\x1a" for byte in trailer[:256]):
         raise BadMap(f"{path}: {len(trailer)} bytes follow its samples, and are no text: more than its header asks for")
-
-
-def _pitch(path: Path, x_m: float, y_m: float) -> Pitch:
-    return NO_PITCH if x_m == 0 and y_m == 0 else pitch(path, x_m * 1e3, y_m * 1e3)
 
 
 SDF = FORMAT.reader(read, ".sdf", sniff=sniff)

@@ -15,9 +15,8 @@ import numpy as np
 from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats import apart
-from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, sha256_of
+from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, extra, parsing, sha256_of
 from polishd.plugins.interferometer.formats.format import Format
-from polishd.plugins.interferometer.formats.library import extra, parsing
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, checked, height_unit, pitch
 
 FORMAT = Format("tail", 1)

@@ -15,9 +15,8 @@ import numpy as np
 
 from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, require_tail, sha256_of
+from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, extra, parsing, require_tail
 from polishd.plugins.interferometer.formats.format import NOT_SAID, Format
-from polishd.plugins.interferometer.formats.library import extra, parsing
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
 
 FORMAT = Format("tiff", 1, (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"))
@@ -42,7 +41,7 @@ def read(path: Path) -> SurfaceMap:
         lateral = _pitch(path, file, page)
     return FORMAT.surface(
         path,
-        sha256_of(content),
+        content,
         checked(path, height_nm),
         height=height_unit(""),
         lateral=lateral,

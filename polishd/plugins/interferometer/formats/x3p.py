@@ -14,10 +14,9 @@ import numpy as np
 
 from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import MOST_BYTES, content_of, require_said, scaled, sha256_of
+from polishd.plugins.interferometer.formats.common import content_of, members_of, parsing, require_said, scaled
 from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.gridded import ORIENTATION, gridded
-from polishd.plugins.interferometer.formats.library import parsing
 from polishd.plugins.interferometer.formats.scales import Pitch, checked, pitch
 
 FORMAT = Format("x3p", 1)
@@ -48,7 +47,7 @@ def read(path: Path) -> SurfaceMap:
     made = file.metadata
     return FORMAT.surface(
         path,
-        sha256_of(content),
+        content,
         checked(path, height_nm),
         lateral=scale,
         instrument=_instrument(made.instrument) if made else "",
@@ -91,9 +90,7 @@ def write(surface: SurfaceMap) -> bytes:
 def _check_sizes(path: Path, content: bytes) -> None:
     """Refuse what would unpack to more than any map."""
     with parsing(path, "zipfile"), zipfile.ZipFile(io.BytesIO(content)) as archive:
-        members = archive.infolist()
-    if sum(member.file_size for member in members) > MOST_BYTES:
-        raise BadMap(f"{path}: unpacks to more than {MOST_BYTES} bytes: no map of a camera")
+        members = members_of(path, archive)
     text = sum(member.file_size for member in members if not member.filename.endswith(".bin"))
     if text > MOST_XML_BYTES:
         raise BadMap(f"{path}: unpacks to {text} bytes of text, more than {MOST_XML_BYTES}: write it with binary data")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from polishd.api import BadMap, SurfaceMap
-from polishd.plugins.interferometer.formats.common import require_data, sha256_of
+from polishd.plugins.interferometer.formats.common import require_data
 from polishd.plugins.interferometer.formats.numbers import block
 from polishd.plugins.interferometer.formats.zygo import MISSING
 from polishd.plugins.interferometer.formats.zygo_text import HASH, TextFormat, require_end
@@ -25,7 +25,7 @@ def read(path: Path) -> SurfaceMap:
     counts *= header.nm_per_count
     counts[missing] = np.nan
     height_nm = require_data(path, counts)
-    return FORMAT.surface(path, sha256_of(content), height_nm, factors=header.factors, **header.about(path))
+    return FORMAT.surface(path, content, height_nm, factors=header.factors, **header.about(path))
 
 
 def _phase(path: Path, content: bytes, start: int) -> tuple[int, int]:

@@ -12,7 +12,6 @@ import numpy as np
 
 from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import sha256_of
 from polishd.plugins.interferometer.formats.numbers import floats, pieces
 from polishd.plugins.interferometer.formats.scales import checked
 from polishd.plugins.interferometer.formats.zygo import Header
@@ -30,7 +29,7 @@ def read(path: Path) -> SurfaceMap:
     height_nm = checked(path, _heights_um(path, content, header) * NM_PER_UM, NM_PER_UM)
     factors = {"nm_per_unit": NM_PER_UM, "origin_px": header.origin}
     odd = (SIGNED,) if header.sign else ()
-    return FORMAT.surface(path, sha256_of(content), height_nm, factors=factors, warnings=odd, **header.about(path))
+    return FORMAT.surface(path, content, height_nm, factors=factors, warnings=odd, **header.about(path))
 
 
 def _end(path: Path, content: bytes, start: int) -> int:
