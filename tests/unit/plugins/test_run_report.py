@@ -20,7 +20,6 @@ from polishd.plugins import run_report
 from polishd.plugins.run_report import trend
 from polishd.plugins.run_report.folder import Executed, Surface, read_folder
 from polishd.plugins.run_report.page import CERTIFICATE, COLUMNS, Picture, Section, render
-from polishd.plugins.run_report.psd import radial_psd
 from polishd.plugins.run_report.report import write_report
 from polishd.plugins.run_report.values import duration, plain, when
 
@@ -408,14 +407,14 @@ class TestSpectrum:
         # White noise: the density is flat, variance times the area of a sample.
         rng = np.random.default_rng(5)
         height = 3.0 * rng.standard_normal((128, 128))
-        frequency, power = radial_psd(height, np.ones((128, 128), dtype=bool), 0.5)
+        frequency, power = trend.radial_psd(height, np.ones((128, 128), dtype=bool), 0.5)
         flat = power[frequency > 0.1]
         np.testing.assert_allclose(flat.mean(), 9.0 * 0.25, rtol=0.05)
 
     def test_a_ripple_stands_at_its_own_frequency(self) -> None:
         x = np.arange(128) * 0.5
         height = np.broadcast_to(np.sin(2 * np.pi * x / 8.0), (128, 128))
-        frequency, power = radial_psd(height.copy(), np.ones((128, 128), dtype=bool), 0.5)
+        frequency, power = trend.radial_psd(height.copy(), np.ones((128, 128), dtype=bool), 0.5)
         assert frequency[np.argmax(power)] == pytest.approx(1 / 8.0, rel=0.1)
 
     def test_tilt_and_holes_do_not_matter_much(self) -> None:
@@ -423,9 +422,11 @@ class TestSpectrum:
         height = rng.standard_normal((96, 96))
         mask = np.ones((96, 96), dtype=bool)
         tilted = height + 40 * np.linspace(-1, 1, 96)[:, None]
-        np.testing.assert_allclose(radial_psd(tilted, mask, 1.0)[1], radial_psd(height, mask, 1.0)[1], rtol=0.3)
+        np.testing.assert_allclose(
+            trend.radial_psd(tilted, mask, 1.0)[1], trend.radial_psd(height, mask, 1.0)[1], rtol=0.3
+        )
         tilted[40:44, 50:53] = np.nan
-        assert np.isfinite(radial_psd(tilted, mask, 1.0)[1]).all()
+        assert np.isfinite(trend.radial_psd(tilted, mask, 1.0)[1]).all()
 
 
 def test_a_surface_lies_where_its_grid_does() -> None:
