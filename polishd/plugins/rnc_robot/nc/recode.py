@@ -15,8 +15,8 @@ from polishd.plugins.rnc_robot.nc.checks import doubts
 from polishd.plugins.rnc_robot.nc.dialect import Dialect
 from polishd.plugins.rnc_robot.nc.pieces import Piece, Scanner
 from polishd.plugins.rnc_robot.nc.points import PointReader, Points, counts_time, same_places
+from polishd.plugins.rnc_robot.nc.program import Row
 from polishd.plugins.rnc_robot.nc.refusals import refuse
-from polishd.plugins.rnc_robot.nc.rewriter import Row
 from polishd.plugins.rnc_robot.nc.tables import written_word
 from polishd.plugins.rnc_robot.nc.write import direct, reciprocal
 from polishd.plugins.rnc_robot.nc.writer import Edits, Numbers, refuse_long, refuse_times, refuse_unwritable, spliced
@@ -40,7 +40,8 @@ def recode(dialect: Dialect, program: Program, time_s: FloatArray, encoding: Enc
     if encoding == "inverse" and dialect.feed.g93 == "refuse":
         raise ProgramError(f"{program.name}: {dialect.title} knows no inverse time (G93). To do: ask for another.")
     points = PointReader(dialect, program.name, program.encoding).read(piece)
-    texts = [*_TEXTS, *_dwell_blocks(dialect)]
+    written = dialect.dwell.written.encode("ascii")
+    texts = [*_TEXTS, b"\n" + written, b"\r\n" + written]
     if encoding == "dwell":
         _refuse_in_last_block(piece, scanner, int(program.line[-1]))
         parts = [_dwells(dialect, piece, points, times, program.name)]
@@ -81,11 +82,6 @@ def _plain(start: IntArray, end: IntArray, prefix: IntArray | int) -> Edits:
     count = len(start)
     none = np.zeros(count, dtype=np.int64)
     return Edits(start, end, np.broadcast_to(np.asarray(prefix), (count,)), none, none - 1, none)
-
-
-def _dwell_blocks(dialect: Dialect) -> list[bytes]:
-    written = dialect.dwell.written.encode("ascii")
-    return [b"\n" + written, b"\r\n" + written]
 
 
 def _dwells(dialect: Dialect, piece: Piece, points: Points, times: FloatArray, name: str) -> Edits:
