@@ -88,7 +88,10 @@ def read_map(path: Path, readers: Sequence[SurfaceReader]) -> SurfaceMap:
 def _read(path: Path, readers: Sequence[SurfaceReader]) -> SurfaceMap:
     with path.open("rb") as file:
         head = file.read(SNIFFED_BYTES)
-        _check_tail(path, head, file.seek(0, os.SEEK_END), _zeros_at_end(file.fileno()))
+        size, zeros = file.seek(0, os.SEEK_END), _zeros_at_end(file.fileno())
+    allowed = max(ZERO_TAIL_BYTES, HDF5_ZERO_TAIL * size) if head.startswith(HDF5) else ZERO_TAIL_BYTES
+    if zeros > allowed or (size and zeros == size):
+        raise BadMap(f"{path}: ends in a tail of zeros, {zeros} of {size} bytes: preallocated, not written to its end")
     for reader in readers:
         try:
             surface = reader.surface_of(head, path)
@@ -115,12 +118,6 @@ def _zeros_at_end(handle: int, block: int = 1 << 16) -> int:
             break
         end = start
     return zeros
-
-
-def _check_tail(path: Path, head: bytes, size: int, zeros: int) -> None:
-    allowed = max(ZERO_TAIL_BYTES, HDF5_ZERO_TAIL * size) if head.startswith(HDF5) else ZERO_TAIL_BYTES
-    if zeros > allowed or (size and zeros == size):
-        raise BadMap(f"{path}: ends in a tail of zeros, {zeros} of {size} bytes: preallocated, not written to its end")
 
 
 def claim(path: Path, seen: Identity, target: Path, sha256: str) -> bool:

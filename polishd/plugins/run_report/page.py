@@ -12,9 +12,9 @@ from urllib.parse import quote
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 
-from polishd.plugins.run_report import naming
+from polishd.plugins.run_report import words
 from polishd.plugins.run_report.folder import RunFolder
-from polishd.plugins.run_report.values import duration, figure, plain, text, when
+from polishd.plugins.run_report.words import duration, figure, plain, text, when
 
 
 class Verdict(NamedTuple):
@@ -133,7 +133,7 @@ def _template() -> Template:
         keep_trailing_newline=True,
     )
     page.filters |= {"figure": figure, "plain": plain, "quote": quote, "text": text}
-    page.globals |= {name: getattr(naming, name) for name in ("measurement", "interrupted", "share")}
+    page.globals |= {name: getattr(words, name) for name in ("measurement", "interrupted", "share")}
     return page.get_template("report.html.jinja")
 
 
@@ -149,7 +149,7 @@ def facts_of(folder: RunFolder) -> list[tuple[str, str]]:
         (f"RMS{of_periods}", f"{' → '.join(measured)} nm" if measured else ""),
         ("predicted RMS", f"{figure(rows[0].get('predicted_rms_nm'), '.2f')} nm" if folder.planned and rows else ""),
         ("tolerance", f"{tolerance} nm" if tolerance else ""),
-        ("passes", "" if folder.planned or not rows else naming.passes(rows)),
+        ("passes", "" if folder.planned or not rows else words.passes(rows)),
         ("process time", duration(rows, "dwell_s" if folder.planned else "executed_s")),
         ("correction", text(summary.get("correction"))),
         ("job", text(summary.get("job"))),

@@ -14,7 +14,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from polishd.plugins.run_report.folder import BoolArray, FloatArray, Surface
-from polishd.plugins.run_report.naming import interrupted
+from polishd.plugins.run_report.words import interrupted
 from polishd.process import metrics
 from polishd.show.style import BLUE, GREEN, MUTED, ORANGE, figure, ruled
 

@@ -21,7 +21,7 @@ from polishd.plugins.run_report import trend
 from polishd.plugins.run_report.folder import Executed, Surface, read_folder
 from polishd.plugins.run_report.page import CERTIFICATE, COLUMNS, Picture, Section, render
 from polishd.plugins.run_report.report import write_report
-from polishd.plugins.run_report.values import duration, plain, when
+from polishd.plugins.run_report.words import duration, plain, when
 
 N = 24
 PITCH_MM = 1.0

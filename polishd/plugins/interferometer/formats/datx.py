@@ -8,7 +8,6 @@ fringes * scale * wavelength * obliquity.
 from __future__ import annotations
 
 import math
-from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -161,10 +160,9 @@ def _contradictions(source: hdf5.Opened, data: Any, optics: dict[str, float]) ->
     odd = [f"{field} {own:g}, and {other:g}" for field, own, other in unlike]
     if unit and name and unit.lower() != name.lower():
         odd.append(f"heights in {name}, and in {unit}")
-    frame = hdf5.attribute(source, data, "Coordinates")
-    first = np.ravel(frame)[0] if frame is not None else None
-    if isinstance(first, np.void) and {"Width", "Height"} <= set(first.dtype.names or ()):
-        frame_size = (int(first["Height"]), int(first["Width"]))
+    frame = hdf5.first(source, data, "Coordinates")
+    if isinstance(frame, np.void) and {"Width", "Height"} <= set(frame.dtype.names or ()):
+        frame_size = (int(frame["Height"]), int(frame["Width"]))
         odd += [f"samples of {data.shape}, and a frame of {frame_size}"] if frame_size != data.shape else []
     return tuple(f"its attributes contradict one another: {words}, of which the former is used" for words in odd)
 
@@ -193,18 +191,13 @@ def _about(source: hdf5.Opened, links: dict[tuple[str, str], str]) -> dict[str, 
 
     system = " ".join(["Zygo", text("System Type")]).strip()
     serial = text("System Serial Number")
+    stamp: Any = hdf5.first(source, node, key["Time Stamp"]) if "Time Stamp" in key else None
+    told = isinstance(stamp, np.void) and "time" in (stamp.dtype.names or ())
     return {
         "part_id": text("Part Serial Number") or text("Part Number"),
         "instrument": f"{system}, system {serial}" if serial else system,
-        "taken_at": _time(hdf5.attribute(source, node, key["Time Stamp"])) if "Time Stamp" in key else None,
+        "taken_at": time_of(float(stamp["time"])) if told else None,
     }
-
-
-def _time(value: Any) -> datetime | None:
-    first = np.ravel(value)[0] if value is not None else None
-    if not isinstance(first, np.void) or "time" not in (first.dtype.names or ()):
-        return None
-    return time_of(float(first["time"]))
 
 
 DATX = FORMAT.reader(partial(apart.read, __name__), ".datx", sniff=partial(hdf5.holds, suffix=".datx"), write=write)

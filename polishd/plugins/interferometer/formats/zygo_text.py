@@ -1,5 +1,7 @@
 """Zygo's two text formats: a header of 14 lines (13 in some XYZ files), and data, each ended by a line of ``#``.
 
+Zygo's ASCII files are read here: intensities, then the phase in the integer code of ``.dat``.
+
 Line 4 is the phase frame (x, y, columns, rows), 6 and 7 serial number and part, 8 source, IntfScaleFactor, wavelength
 (m), aperture, obliquity, magnification, CameraRes (m a pixel), time; 9 the camera and system; 11 starts with PhaseRes
 and has the data's sign as its eighth number.
@@ -11,10 +13,13 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from polishd.api import BadMap
-from polishd.plugins.interferometer.formats.common import content_of
+import numpy as np
+
+from polishd.api import BadMap, SurfaceMap
+from polishd.plugins.interferometer.formats.common import content_of, require_data
 from polishd.plugins.interferometer.formats.format import Format
-from polishd.plugins.interferometer.formats.zygo import Header
+from polishd.plugins.interferometer.formats.numbers import block
+from polishd.plugins.interferometer.formats.zygo import MISSING, Header
 
 HASH = re.compile(rb"^[ \t]*#[ \t\r]*$", re.MULTILINE)
 MOST_HEADER = 16_384
@@ -82,3 +87,32 @@ def require_end(path: Path, content: bytes, end: int, what: str) -> None:
     """BadMap where anything but blanks follows."""
     if content[end:].strip():
         raise BadMap(f"{path}: something follows the end of its {what}: {content[end:].strip()[:20]!r}")
+
+
+ASCII = TextFormat("zygo_ascii", 1, (b"Zygo ASCII Data File",))
+
+
+def read(path: Path) -> SurfaceMap:
+    """Read a map. BadMap with path and reason for whatever is torn, broken or absurd."""
+    content, header = ASCII.opened(path, smallest=2)
+    counts = block(path, content, _phase(path, content, header.start), (header.rows, header.columns))
+    if (counts != np.trunc(counts)).any():
+        raise BadMap(f"{path}: its phase holds numbers that are no integers")
+    missing = counts >= MISSING
+    counts *= header.nm_per_count
+    counts[missing] = np.nan
+    height_nm = require_data(path, counts)
+    return ASCII.surface(path, content, height_nm, factors=header.factors, **header.about(path))
+
+
+def _phase(path: Path, content: bytes, start: int) -> tuple[int, int]:
+    """Where the phase stands: between the line that ends the intensities and the one that ends the file."""
+    intensity = HASH.search(content, start)
+    phase = HASH.search(content, intensity.end()) if intensity else None
+    if intensity is None or phase is None:
+        raise BadMap(f"{path}: its phase does not end in a line of '#': torn, or still being written")
+    require_end(path, content, phase.end(), "phase")
+    return intensity.end(), phase.start()
+
+
+ZYGO_ASCII = ASCII.reader(read, ".asc")

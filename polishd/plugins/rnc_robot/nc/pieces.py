@@ -10,7 +10,7 @@ import numpy as np
 
 from polishd.api import ProgramError
 from polishd.model.program import IntArray
-from polishd.model.surface import FloatArray
+from polishd.model.surface import BoolArray, FloatArray
 from polishd.plugins.rnc_robot.nc import codes as c
 from polishd.plugins.rnc_robot.nc import compiled
 from polishd.plugins.rnc_robot.nc.dialect import Dialect
@@ -47,6 +47,12 @@ class Piece:
         """The text of the program's line of that 1-based number."""
         index = number - self.first_line
         return self.text.split(b"\n", index + 1)[index]
+
+    def refuse_first(self, name: str, moves: IntArray, bad: BoolArray, reason: str, advice: str) -> None:
+        """ProgramError at the first of these moves that is bad."""
+        if bad.any():
+            line = int(moves[int(np.argmax(bad)), c.M_LINE])
+            raise refuse(name, line, self.line(line), reason, advice)
 
 
 class Scanner:
