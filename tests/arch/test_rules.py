@@ -117,6 +117,7 @@ def test_every_rule_is_tried() -> None:
     tried = {case[0] for case in CASES}
     alone = {
         code.confined_libraries,
+        code.no_import_cycles,
         repository.no_machine_named,
         repository.hooks_are_documented,
         repository.hooks_are_tested,
