@@ -29,7 +29,6 @@ from polishd.api import (
 from polishd.files import write_atomic
 from polishd.plugins.interferometer import files
 from polishd.plugins.interferometer.judge import Rules, measured_at, require_new, require_plausible, source_of
-from polishd.plugins.interferometer.settled import Settled
 from polishd.plugins.interferometer.taken import Ask, Given, Taken
 
 TORN_AFTER = 10
@@ -76,7 +75,7 @@ class Waiting:
     """One wait for a map."""
 
     after: str | None
-    settled: Settled
+    settled: files.Settled
     ask: Ask | None = None
     requested: bool = False
     refused: list[str] = field(default_factory=list)
@@ -132,7 +131,7 @@ class WatchedFolder:
         the wait was cancelled) comes first.
         """
         options = self._options
-        wait = Waiting(after, Settled(options.stable_polls, options.stable_s))
+        wait = Waiting(after, files.Settled(options.stable_polls, options.stable_s))
         start_s = time.monotonic()
         try:
             while (now_s := time.monotonic()) - start_s < options.timeout_s:

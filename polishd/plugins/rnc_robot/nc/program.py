@@ -12,7 +12,7 @@ from polishd.plugins.rnc_robot.nc.checks import Checks
 from polishd.plugins.rnc_robot.nc.dialect import Dialect
 from polishd.plugins.rnc_robot.nc.pieces import Piece
 from polishd.plugins.rnc_robot.nc.points import Points
-from polishd.plugins.rnc_robot.nc.stream import rewrite_stream, run_through
+from polishd.plugins.rnc_robot.nc.stream import look_through, rewrite_stream
 
 
 def read(dialect: Dialect, text: bytes, name: str) -> Program:
@@ -23,7 +23,7 @@ def read(dialect: Dialect, text: bytes, name: str) -> Program:
         start, end = (np.nan_to_num(places[:, :3], nan=0.0) for places in (points.before, points.after))
         columns.append((points.line, start, end, checks.tool_axes(points), points.time_s, points.feed_mm_min))
 
-    passed = run_through(dialect, BytesIO(text), name, keep)
+    passed = look_through(dialect, BytesIO(text), name, each=keep)
     line, start_mm, end_mm, axis, time_s, feed_mm_min = map(np.concatenate, zip(*columns, strict=True))
     return Program(
         text=text,
