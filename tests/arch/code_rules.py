@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import builtins
 import statistics
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from tests.arch.source import Source, length, public, sources
@@ -203,6 +204,41 @@ def no_sleeping(root: Path) -> list[str]:
     return [source.at(node, "time.sleep blocks the loop") for source, node in [*called, *imported]]
 
 
+def no_import_cycles(root: Path) -> list[str]:
+    """No modules import each other, directly or by way of others; late imports and those for types count too."""
+    known = {source.module: source for source in sources(root)}
+    imports = {name: {found for found in _imported(source, known) if found != name} for name, source in known.items()}
+    reached = {name: _reached(name, imports) for name in imports}
+    rings = {
+        frozenset({name} | {other for other in found if name in reached[other]}) for name, found in reached.items()
+    }
+    return sorted(
+        f"{' and '.join(known[name].name for name in sorted(ring))} import each other"
+        for ring in rings
+        if len(ring) > 1
+    )
+
+
+def _imported(source: Source, known: Mapping[str, Source]) -> Iterator[str]:
+    """Modules of the tree that a source imports, as modules or by what is in them."""
+    for node, module in source.imports():
+        names = [f"{module}.{alias.name}" for alias in node.names] if isinstance(node, ast.ImportFrom) else []
+        inner = [name for name in names if name in known]
+        yield from inner
+        if module in known and len(inner) < max(len(names), 1):
+            yield module
+
+
+def _reached(start: str, imports: Mapping[str, set[str]]) -> set[str]:
+    found: set[str] = set()
+    waiting = [start]
+    while waiting:
+        new = imports[waiting.pop()] - found
+        found |= new
+        waiting += new
+    return found
+
+
 RULES = (
     file_sizes,
     function_sizes,
@@ -214,4 +250,5 @@ RULES = (
     nothing_swallowed,
     no_stray_tasks,
     no_sleeping,
+    no_import_cycles,
 )

@@ -25,6 +25,11 @@ class Source:
         """Number of lines, blank ones and comments too."""
         return len(self.text.splitlines())
 
+    @property
+    def module(self) -> str:
+        """Its dotted name, as an import says it."""
+        return self.name.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+
     def at(self, node: ast.AST, message: str) -> str:
         """A violation, as the compilers write it."""
         return f"{self.name}:{getattr(node, 'lineno', 1)}: {message}"

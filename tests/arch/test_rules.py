@@ -117,6 +117,7 @@ def test_every_rule_is_tried() -> None:
     tried = {case[0] for case in CASES}
     alone = {
         code.confined_libraries,
+        code.no_import_cycles,
         repository.no_machine_named,
         repository.hooks_are_documented,
         repository.hooks_are_tested,
@@ -132,6 +133,24 @@ def test_a_violation_names_its_place(tmp_path: Path) -> None:
 
 def test_simulated_machines_may_sleep(tmp_path: Path) -> None:
     assert not code.no_sleeping(grow(tmp_path, {"polishd/sim_backends/a.py": "time.sleep(1)\n"}))
+
+
+def test_modules_that_import_each_other_are_found(tmp_path: Path) -> None:
+    """By name, by what is in them, late, and by way of others; what a package imports of its modules is no cycle."""
+    grow(
+        tmp_path,
+        {
+            "polishd/__init__.py": "",
+            "polishd/a.py": "from polishd import b\n",
+            "polishd/b.py": "import polishd.c\n",
+            "polishd/c.py": "def f():\n    from polishd.a import g\n",
+            "polishd/d/__init__.py": "from polishd.d.e import f\n",
+            "polishd/d/e.py": "from polishd.d.g import f\nfrom polishd import a\n",
+            "polishd/d/g.py": "import polishd.d.g\n",
+        },
+    )
+    ring = "polishd/a.py and polishd/b.py and polishd/c.py import each other"
+    assert code.no_import_cycles(tmp_path) == [ring]
 
 
 def test_errors_may_be_defined_at_home(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from polishd.plugins.interferometer.formats.sdf import SDF
 from polishd.plugins.interferometer.formats.tail import TAIL
 from polishd.plugins.interferometer.formats.tiff import TIFF
 from polishd.plugins.interferometer.formats.x3p import X3P
-from polishd.plugins.interferometer.formats.zygo_ascii import ZYGO_ASCII
+from polishd.plugins.interferometer.formats.zygo_text import ZYGO_ASCII
 from polishd.plugins.interferometer.formats.zygo_xyz import ZYGO_XYZ
 
 POLISHD_API = 1

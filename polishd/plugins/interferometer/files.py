@@ -1,4 +1,7 @@
-"""Files of a maps folder: what they are, who reads them, and how they leave the folder."""
+"""Files of a maps folder: which have come to rest, who reads them, and how they leave the folder.
+
+Events are not needed: a full scan at each poll is the truth.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,9 @@ import hashlib
 import os
 import stat
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -58,6 +61,53 @@ def candidates(folder: Path, but: Iterable[Path]) -> dict[Path, Identity]:
     return found
 
 
+@dataclass(slots=True)
+class Watched:
+    """A file since it last changed. All times are monotonic: no clock that can be set has a say."""
+
+    identity: Identity
+    since_s: float
+    not_before_s: float
+    polls: int = 1
+
+
+class Settled:
+    """Follows files over polls: at rest means same size, mtime and inode for so many polls and seconds."""
+
+    def __init__(self, polls: int, seconds: float) -> None:
+        self._polls = polls
+        self._seconds = seconds
+        self._watched: dict[Path, Watched] = {}
+
+    def poll(self, found: Mapping[Path, Identity], now_s: float) -> list[Path]:
+        """Take in what a scan found; the files at rest, in its order, but those that were put off."""
+        watched = {}
+        for path, identity in found.items():
+            before = self._watched.get(path)
+            if before is None or before.identity != identity:
+                watched[path] = Watched(identity, now_s, now_s + self._seconds)
+            else:
+                before.polls += 1
+                watched[path] = before
+        self._watched = watched
+        return [path for path, one in watched.items() if one.polls >= self._polls and now_s >= one.not_before_s]
+
+    def rest_s(self, now_s: float, most_s: float) -> float:
+        """Seconds until the next file will have rested long enough; at most ``most_s``."""
+        left = [one.not_before_s - now_s for one in self._watched.values() if one.not_before_s > now_s]
+        return min([most_s, *left])
+
+    def put_off(self, path: Path, now_s: float) -> None:
+        """It was read and is not whole: look again after as long a rest, or when it changes."""
+        if path in self._watched:
+            self._watched[path].not_before_s = now_s + self._seconds
+
+    def quiet_s(self, path: Path, now_s: float) -> float:
+        """Seconds since the file last changed."""
+        one = self._watched.get(path)
+        return now_s - one.since_s if one else 0.0
+
+
 def clock_of(folder: Path) -> datetime:
     """What the clock that dates new files in ``folder`` says: on a share that is the server's, not ours."""
     with tempfile.NamedTemporaryFile(dir=folder, prefix=".clock.", suffix=".tmp") as probe:
@@ -88,7 +138,10 @@ def read_map(path: Path, readers: Sequence[SurfaceReader]) -> SurfaceMap:
 def _read(path: Path, readers: Sequence[SurfaceReader]) -> SurfaceMap:
     with path.open("rb") as file:
         head = file.read(SNIFFED_BYTES)
-        _check_tail(path, head, file.seek(0, os.SEEK_END), _zeros_at_end(file.fileno()))
+        size, zeros = file.seek(0, os.SEEK_END), _zeros_at_end(file.fileno())
+    allowed = max(ZERO_TAIL_BYTES, HDF5_ZERO_TAIL * size) if head.startswith(HDF5) else ZERO_TAIL_BYTES
+    if zeros > allowed or (size and zeros == size):
+        raise BadMap(f"{path}: ends in a tail of zeros, {zeros} of {size} bytes: preallocated, not written to its end")
     for reader in readers:
         try:
             surface = reader.surface_of(head, path)
@@ -115,12 +168,6 @@ def _zeros_at_end(handle: int, block: int = 1 << 16) -> int:
             break
         end = start
     return zeros
-
-
-def _check_tail(path: Path, head: bytes, size: int, zeros: int) -> None:
-    allowed = max(ZERO_TAIL_BYTES, HDF5_ZERO_TAIL * size) if head.startswith(HDF5) else ZERO_TAIL_BYTES
-    if zeros > allowed or (size and zeros == size):
-        raise BadMap(f"{path}: ends in a tail of zeros, {zeros} of {size} bytes: preallocated, not written to its end")
 
 
 def claim(path: Path, seen: Identity, target: Path, sha256: str) -> bool:

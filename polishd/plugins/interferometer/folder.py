@@ -29,7 +29,6 @@ from polishd.api import (
 from polishd.files import write_atomic
 from polishd.plugins.interferometer import files
 from polishd.plugins.interferometer.judge import Rules, measured_at, require_new, require_plausible, source_of
-from polishd.plugins.interferometer.settled import Settled
 from polishd.plugins.interferometer.taken import Ask, Given, Taken
 
 TORN_AFTER = 10
@@ -78,7 +77,7 @@ class Waiting:
     """One wait for a map."""
 
     after: str | None
-    settled: Settled
+    settled: files.Settled
     ask: Ask | None = None
     requested: bool = False
     refused: list[str] = field(default_factory=list)
@@ -134,7 +133,7 @@ class WatchedFolder:
         the wait was cancelled) comes first.
         """
         options = self._options
-        wait = Waiting(after, Settled(options.stable_polls, options.stable_s))
+        wait = Waiting(after, files.Settled(options.stable_polls, options.stable_s))
         start_s = time.monotonic()
         try:
             while (now_s := time.monotonic()) - start_s < options.timeout_s:
@@ -144,7 +143,9 @@ class WatchedFolder:
                     return found
                 await asyncio.sleep(wait.settled.rest_s(time.monotonic(), options.poll_s))
         finally:
-            self._withdraw()
+            if self._request is not None:  # one that nobody took must not be served when nobody waits for its map
+                with suppress(OSError):
+                    self._request.unlink(missing_ok=True)
         told = "; ".join([*wait.refused, *([wait.trouble] if wait.trouble else [])]) or "no file came"
         raise SurfaceError(
             f"{self._folder}: no map of part {self._rules.part_id!r} in {options.timeout_s:g} s: {told}. "
@@ -164,12 +165,6 @@ class WatchedFolder:
             taken.load()
             self._taken = taken
         return self._taken
-
-    def _withdraw(self) -> None:
-        """A request that nobody took must not be served when nobody waits for its map."""
-        if self._request is not None:
-            with suppress(OSError):
-                self._request.unlink(missing_ok=True)
 
     def _poll(self, wait: Waiting, now_s: float) -> SurfaceMap | None:
         """One full scan: the first trusted map, claimed; what is refused is put away and noted.
@@ -254,8 +249,9 @@ class WatchedFolder:
         try:
             surface = files.read_map(path, self._readers)
         except BadMap as error:
+            torn_s = TORN_AFTER * max(self._options.stable_s, self._options.poll_s)
             wait.settled.put_off(path, now_s)
-            if wait.settled.quiet_s(path, now_s) >= self._torn_s and files.identity(path) == seen:
+            if wait.settled.quiet_s(path, now_s) >= torn_s and files.identity(path) == seen:
                 self._put_away(path, error, wait)
             return None
         except OSError as error:
@@ -273,10 +269,6 @@ class WatchedFolder:
             self._put_away(path, error, wait)
             return None
         return surface
-
-    @property
-    def _torn_s(self) -> float:
-        return TORN_AFTER * max(self._options.stable_s, self._options.poll_s)
 
     def _target(self, path: Path, surface: SurfaceMap) -> Path:
         return self._claimed / f"{surface.sha256}{path.suffix}"

@@ -9,13 +9,13 @@ from polishd.model.program import Encoding
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot import languages
 from polishd.plugins.rnc_robot.dialect import AnyDialect, Dialect
-from polishd.plugins.rnc_robot.nc import reader, rewriter
+from polishd.plugins.rnc_robot.nc import program as nc
 from polishd.plugins.rnc_robot.nc.recode import recode
 
 
 def read(dialect: AnyDialect, text: bytes, name: str) -> Program:
     """Read a program; ``name`` is for messages. ProgramError names the line and the reason."""
-    return reader.read(dialect, text, name) if isinstance(dialect, Dialect) else languages.read(dialect, text, name)
+    return nc.read(dialect, text, name) if isinstance(dialect, Dialect) else languages.read(dialect, text, name)
 
 
 def rewrite(dialect: AnyDialect, program: Program, time_s: FloatArray, encoding: Encoding | None = None) -> bytes:
@@ -25,7 +25,7 @@ def rewrite(dialect: AnyDialect, program: Program, time_s: FloatArray, encoding:
     """
     if isinstance(dialect, Dialect):
         if encoding in (None, program.encoding):
-            return rewriter.rewrite(dialect, program, time_s)
+            return nc.rewrite(dialect, program, time_s)
         return recode(dialect, program, time_s, encoding)
     if encoding not in (None, "dwell"):
         raise ProgramError(f"{program.name}: in {dialect.name} time sits in dwells. To do: leave the encoding away.")

@@ -59,7 +59,8 @@ def path_program(
     places = _places(asked)
     times = _times(asked)
     comment = f"({_comment(name)}: {len(places)} points)"
-    return b"".join([_head(asked, comment, places[0]), *_blocks(places, times), _tail(asked.profile, places[-1])])
+    tail = f"G0 Z{_above(places[-1])}\nM{asked.profile.m['ends'][0]:g}\n".encode("ascii")
+    return b"".join([_head(asked, comment, places[0]), *_blocks(places, times), tail])
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,10 +173,6 @@ def _head(asked: _Asked, comment: str, first: FloatArray) -> bytes:
     above = " ".join([f"Z{_above(first)}", x, y, *(wrist if profile.axes.rotary else [])])
     note = comment if "()" in profile.text.comments else f";{comment[1:-1]}"
     return "\n".join([note, " ".join(f"G{code:g}" for code in codes), f"G0 {above}", f"G0 {z}", ""]).encode("ascii")
-
-
-def _tail(profile: Dialect, last: FloatArray) -> bytes:
-    return f"G0 Z{_above(last)}\nM{profile.m['ends'][0]:g}\n".encode("ascii")
 
 
 def _above(point: FloatArray) -> str:

@@ -19,7 +19,7 @@ from polishd.plugins.rnc_robot.nc import codes as c
 from polishd.plugins.rnc_robot.nc.checks import Checks
 from polishd.plugins.rnc_robot.nc.pieces import Piece
 from polishd.plugins.rnc_robot.nc.points import Points
-from polishd.plugins.rnc_robot.nc.stream import run_through
+from polishd.plugins.rnc_robot.nc.stream import look_through
 
 COLUMNS = ("x", "y", "z", "a", "b", "c", "i", "j", "k")
 """Of NC text: mm, degrees, and the tool vector as written."""
@@ -61,7 +61,7 @@ def _of_nc(program: Program, dialect: Dialect) -> Motion:
         owners.append(piece.dwells[piece.dwells[:, c.D_MOVE] >= 0, c.D_MOVE])
         begin += len(piece.text)
 
-    run_through(dialect, BytesIO(program.text), program.name, keep)
+    look_through(dialect, BytesIO(program.text), program.name, each=keep)
     line = np.concatenate([rows[:, c.M_LINE] for rows in moves])
     return Motion(
         program=program,

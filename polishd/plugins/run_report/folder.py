@@ -6,10 +6,10 @@ import csv
 import json
 import math
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from polishd.process.executed import executed_s
 Arrays = Mapping[str, NDArray[Any]]
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+T = TypeVar("T")
 
 EXECUTED_COLUMNS = frozenset({"seq", "start_s", "end_s", "contact"})
 
@@ -104,101 +105,95 @@ class RunFolder:
 
 def read_folder(path: Path) -> RunFolder:
     """Read all that is there."""
-    missing: list[str] = []
-    summary = read_json(path / "summary.json", path, missing) or {}
+    reader = _Reader(path)
+    summary = reader.json(path / "summary.json") or {}
     planned = (path / "surface.npz").exists() or (path / "plan.npz").exists()
     folders = [path] if planned else sorted(entry for entry in path.glob("cycle-*") if entry.is_dir())
-    cycles = tuple(read_cycle(folder, path, missing) for folder in folders)
+    cycles = tuple(map(reader.cycle, folders))
     if not cycles:
-        missing.append("cycle-00: no measurement was taken")
-    return RunFolder(path, planned, summary, cycles, missing)
+        reader.missing.append("cycle-00: no measurement was taken")
+    return RunFolder(path, planned, summary, cycles, reader.missing)
 
 
-def read_cycle(folder: Path, root: Path, missing: list[str]) -> Cycle:
-    """Read one cycle's folder. A cycle without a plan had no pass, which is no fault."""
-    surface = read_surface(folder / "surface.npz", root, missing)
-    plan = certificate = executed = None
-    if (folder / "plan.npz").exists():
-        plan = read_arrays(folder / "plan.npz", root, missing)
-        certificate = read_json(folder / "certificate.json", root, missing)
-        if folder != root:
-            executed = read_executed(folder / "executed.csv", root, missing)
-    files = tuple(sorted(entry.relative_to(root).as_posix() for entry in folder.iterdir() if entry.is_file()))
-    name = "plan" if folder == root else folder.name
-    return Cycle(name, surface, plan, certificate, executed, files, read_notes(folder / "learned.json", root, missing))
+@dataclass(frozen=True, slots=True)
+class _Reader:
+    """Reads the files of a run; what it cannot read, it notes."""
 
+    root: Path
+    missing: list[str] = field(default_factory=list)
 
-def read_notes(path: Path, root: Path, missing: list[str]) -> tuple[str, ...]:
-    """The notes of ``learned.json``, which a first measurement has not."""
-    learned = read_json(path, root, missing) if path.exists() else None
-    notes = (learned or {}).get("notes")
-    return tuple(map(str, notes)) if isinstance(notes, list) else ()
+    def lacks(self, path: Path, reason: str) -> None:
+        """Note what is wrong with a file."""
+        self.missing.append(f"{path.relative_to(self.root)}: {reason}")
 
-
-def read_surface(path: Path, root: Path, missing: list[str]) -> Surface | None:
-    """Read ``surface.npz``; without a mask, all data count."""
-    arrays = read_arrays(path, root, missing)
-    if arrays is None:
+    def read(self, path: Path, parse: Callable[[Path], T]) -> T | None:
+        """What ``parse`` makes of a file."""
+        try:
+            return parse(path)
+        except FileNotFoundError:
+            self.lacks(path, "not there")
+        except (OSError, ValueError, LookupError, EOFError, AttributeError, zipfile.BadZipFile, csv.Error) as error:
+            self.lacks(path, f"cannot be read ({error!r})" if path.suffix == ".csv" else f"cannot be read ({error})")
         return None
-    try:
-        height = np.asarray(arrays["height_nm"], dtype=np.float64)
-        pitch = float(arrays["pitch_mm"])
-    except (KeyError, TypeError, ValueError) as error:
-        missing.append(f"{path.relative_to(root)}: {error}")
-        return None
-    mask = np.asarray(arrays.get("metric_mask", np.isfinite(height)), dtype=np.bool_)
-    if height.ndim != 2 or mask.shape != height.shape:
-        missing.append(f"{path.relative_to(root)}: shapes {height.shape} and {mask.shape} do not fit")
-        return None
-    return Surface(height, mask, pitch)
+
+    def json(self, path: Path) -> dict[str, Any] | None:
+        """A JSON object."""
+        content = self.read(path, lambda path: [json.loads(path.read_text(encoding="utf-8"))])
+        if content is not None and not isinstance(content[0], dict):
+            self.lacks(path, "not an object")
+            return None
+        return content[0] if content else None
+
+    def cycle(self, folder: Path) -> Cycle:
+        """One cycle's folder. A cycle without a plan had no pass, which is no fault."""
+        surface = self.surface(folder / "surface.npz")
+        plan = certificate = executed = None
+        if (folder / "plan.npz").exists():
+            plan = self.read(folder / "plan.npz", _arrays)
+            certificate = self.json(folder / "certificate.json")
+            if folder != self.root:
+                executed = self.read(folder / "executed.csv", _executed)
+        files = (entry.relative_to(self.root).as_posix() for entry in folder.iterdir() if entry.is_file())
+        name = "plan" if folder == self.root else folder.name
+        learned = folder / "learned.json"  # which a first measurement has not
+        notes = (self.json(learned) or {}).get("notes") if learned.exists() else None
+        said = tuple(map(str, notes)) if isinstance(notes, list) else ()
+        return Cycle(name, surface, plan, certificate, executed, tuple(sorted(files)), said)
+
+    def surface(self, path: Path) -> Surface | None:
+        """``surface.npz``; without a mask, all data count."""
+        arrays = self.read(path, _arrays)
+        if arrays is None:
+            return None
+        try:
+            height = np.asarray(arrays["height_nm"], dtype=np.float64)
+            pitch = float(arrays["pitch_mm"])
+        except (KeyError, TypeError, ValueError) as error:
+            self.lacks(path, str(error))
+            return None
+        mask = np.asarray(arrays.get("metric_mask", np.isfinite(height)), dtype=np.bool_)
+        if height.ndim != 2 or mask.shape != height.shape:
+            self.lacks(path, f"shapes {height.shape} and {mask.shape} do not fit")
+            return None
+        return Surface(height, mask, pitch)
 
 
-def read_arrays(path: Path, root: Path, missing: list[str]) -> dict[str, NDArray[Any]] | None:
-    """Read all arrays of an ``.npz``."""
-    try:
-        # opened here, because numpy leaves a file that is no archive open
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files}
-    except FileNotFoundError:
-        missing.append(f"{path.relative_to(root)}: not there")
-    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
-        missing.append(f"{path.relative_to(root)}: cannot be read ({error})")
-    return None
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
+    # opened here, because numpy leaves a file that is no archive open
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+        return {name: stored[name] for name in stored.files}
 
 
-def read_json(path: Path, root: Path, missing: list[str]) -> dict[str, Any] | None:
-    """Read a JSON object."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        missing.append(f"{path.relative_to(root)}: not there")
-        return None
-    except (OSError, ValueError) as error:
-        missing.append(f"{path.relative_to(root)}: cannot be read ({error})")
-        return None
-    if isinstance(content, dict):
-        return content
-    missing.append(f"{path.relative_to(root)}: not an object")
-    return None
-
-
-def read_executed(path: Path, root: Path, missing: list[str]) -> Executed | None:
-    """Read ``executed.csv`` (seq, start_s, end_s, contact): the blocks in contact."""
+def _executed(path: Path) -> Executed:
+    """``executed.csv`` (seq, start_s, end_s, contact): the blocks in contact."""
     seconds: dict[int, float] = {}
-    try:
-        with path.open(encoding="utf-8", newline="") as lines:
-            table = csv.DictReader(lines)
-            if absent := EXECUTED_COLUMNS.difference(table.fieldnames or ()):
-                raise ValueError(f"no column {', '.join(sorted(absent))}")
-            for row in table:
-                if row["contact"].strip().lower() in ("1", "1.0", "true"):
-                    seq = int(float(row["seq"]))
-                    seconds[seq] = seconds.get(seq, 0.0) + float(row["end_s"]) - float(row["start_s"])
-    except FileNotFoundError:
-        missing.append(f"{path.relative_to(root)}: not there")
-        return None
-    except (OSError, ValueError, KeyError, AttributeError, csv.Error) as error:
-        missing.append(f"{path.relative_to(root)}: cannot be read ({error!r})")
-        return None
+    with path.open(encoding="utf-8", newline="") as lines:
+        table = csv.DictReader(lines)
+        if absent := EXECUTED_COLUMNS.difference(table.fieldnames or ()):
+            raise ValueError(f"no column {', '.join(sorted(absent))}")
+        for row in table:
+            if row["contact"].strip().lower() in ("1", "1.0", "true"):
+                seq = int(float(row["seq"]))
+                seconds[seq] = seconds.get(seq, 0.0) + float(row["end_s"]) - float(row["start_s"])
     order = sorted(seconds)
     return Executed(np.array(order, dtype=np.int64), np.array([seconds[seq] for seq in order], dtype=np.float64))

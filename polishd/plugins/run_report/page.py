@@ -1,37 +1,57 @@
-"""The page: one HTML file with its style and pictures inside."""
+"""The page: one HTML file with its style and pictures inside, by ``report.html.jinja``."""
 
 from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
-from polishd.plugins.run_report import naming
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
+
+from polishd.plugins.run_report import words
 from polishd.plugins.run_report.folder import RunFolder
-from polishd.plugins.run_report.values import duration, escape, figure, plain, text, when
+from polishd.plugins.run_report.words import duration, figure, plain, text, when
 
-VERDICTS: Mapping[str, tuple[str, str]] = {
-    "in_tolerance": ("good", "In tolerance"),
-    "cycles_used": ("bad", "Not in tolerance: all passes used"),
-    "diverged": ("bad", "Diverged: the surface got worse"),
-    "stopped": ("bad", "Stopped before the end"),
-    "failed": ("bad", "Ended by an error: see the notes"),
-    "planned": ("plain", "Plan: nothing was moved"),
+
+class Verdict(NamedTuple):
+    """How a run ended: what the style makes of it, and in words."""
+
+    kind: str
+    words: str
+
+
+class Column(NamedTuple):
+    """A column of the table of measurements."""
+
+    key: str
+    title: str
+    unit: str
+    shape: str
+
+
+VERDICTS: Mapping[str, Verdict] = {
+    "in_tolerance": Verdict("good", "In tolerance"),
+    "cycles_used": Verdict("bad", "Not in tolerance: all passes used"),
+    "diverged": Verdict("bad", "Diverged: the surface got worse"),
+    "stopped": Verdict("bad", "Stopped before the end"),
+    "failed": Verdict("bad", "Ended by an error: see the notes"),
+    "planned": Verdict("plain", "Plan: nothing was moved"),
+    "": Verdict("bad", "Unfinished: there is no summary"),
 }
-UNFINISHED = ("bad", "Unfinished: there is no summary")
 
-COLUMNS: Sequence[tuple[str, str, str]] = (
-    ("pv_nm", "PV<br>nm", ".1f"),
-    ("rms_nm", "RMS<br>nm", ".2f"),
-    ("lsf_rms_nm", "LSF RMS<br>nm", ".2f"),
-    ("band_rms_nm", "band RMS<br>nm", ".2f"),
-    ("predicted_rms_nm", "predicted<br>RMS nm", ".2f"),
-    ("dwell_s", "dwell<br>s", ",.0f"),
-    ("executed_s", "executed<br>s", ",.0f"),
-    ("rate", "learned<br>rate", ".3f"),
+COLUMNS: Sequence[Column] = (
+    Column("pv_nm", "PV", "nm", ".1f"),
+    Column("rms_nm", "RMS", "nm", ".2f"),
+    Column("lsf_rms_nm", "LSF RMS", "nm", ".2f"),
+    Column("band_rms_nm", "band RMS", "nm", ".2f"),
+    Column("predicted_rms_nm", "predicted", "RMS nm", ".2f"),
+    Column("dwell_s", "dwell", "s", ",.0f"),
+    Column("executed_s", "executed", "s", ",.0f"),
+    Column("rate", "learned", "rate", ".3f"),
 )
 
 CERTIFICATE: Mapping[str, str] = {
@@ -63,6 +83,11 @@ class Picture:
     content: bytes
     wide: bool = True
 
+    @property
+    def base64(self) -> str:
+        """The content as it stands inside the page."""
+        return base64.b64encode(self.content).decode("ascii")
+
 
 @dataclass(frozen=True, slots=True)
 class Section:
@@ -74,37 +99,42 @@ class Section:
     certificate: Mapping[str, Any] | None = None
     files: tuple[str, ...] = ()
 
+    @property
+    def certified(self) -> list[tuple[str, Any]]:
+        """Names and values of the certificate, known fields first."""
+        held = self.certificate or {}
+        keys = dict.fromkeys([*(key for key in CERTIFICATE if key in held), *held])
+        return [(CERTIFICATE.get(key, key), held[key]) for key in keys]
+
 
 def render(folder: RunFolder, sections: Sequence[Section]) -> str:
     """The whole page."""
-    title = f"{text(folder.summary.get('part_id')) or folder.path.name}: {'plan' if folder.planned else 'run'} report"
-    style = Path(__file__).with_name("report.css").read_text(encoding="utf-8")
-    parts = [
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
-        '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n<main>",
-        header(folder),
-        cycle_table(folder),
-        listing("Notes", notes_of(folder)),
-        listing("Missing from this report", folder.missing),
-        *(section_html(section) for section in sections),
-        "</main>\n</body>\n</html>\n",
-    ]
-    return "\n".join(part for part in parts if part)
-
-
-def header(folder: RunFolder) -> str:
-    """Verdict, part and job, and the figures that matter."""
-    summary = folder.summary
-    outcome = text(summary.get("outcome"))
-    known = VERDICTS.get(outcome, ("plain", outcome.replace("_", " ").capitalize())) if outcome else UNFINISHED
-    kind, verdict = VERDICTS["planned"] if folder.planned else known
-    facts = "".join(
-        f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in facts_of(folder) if value
+    rows, outcome = folder.rows(), "planned" if folder.planned else text(folder.summary.get("outcome"))
+    return _template().render(
+        folder=folder,
+        part=text(folder.summary.get("part_id")) or folder.path.name,
+        verdict=VERDICTS.get(outcome) or Verdict("plain", outcome.replace("_", " ").capitalize()),
+        facts=facts_of(folder),
+        rows=rows,
+        columns=[column for column in COLUMNS if any(figure(row.get(column.key), column.shape) for row in rows)],
+        notes=notes_of(folder),
+        sections=sections,
     )
-    part = text(summary.get("part_id")) or folder.path.name
-    badge = f'<p class="verdict {kind}">{escape(verdict)}</p>'
-    return f"<header>\n{badge}\n<h1>{escape(part)}</h1>\n<dl>{facts}</dl>\n</header>"
+
+
+@cache
+def _template() -> Template:
+    page = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    page.filters |= {"figure": figure, "plain": plain, "quote": quote, "text": text}
+    page.globals |= {name: getattr(words, name) for name in ("measurement", "interrupted", "share")}
+    return page.get_template("report.html.jinja")
 
 
 def facts_of(folder: RunFolder) -> list[tuple[str, str]]:
@@ -119,7 +149,7 @@ def facts_of(folder: RunFolder) -> list[tuple[str, str]]:
         (f"RMS{of_periods}", f"{' → '.join(measured)} nm" if measured else ""),
         ("predicted RMS", f"{figure(rows[0].get('predicted_rms_nm'), '.2f')} nm" if folder.planned and rows else ""),
         ("tolerance", f"{tolerance} nm" if tolerance else ""),
-        ("passes", "" if folder.planned or not rows else naming.passes(rows)),
+        ("passes", "" if folder.planned or not rows else words.passes(rows)),
         ("process time", duration(rows, "dwell_s" if folder.planned else "executed_s")),
         ("correction", text(summary.get("correction"))),
         ("job", text(summary.get("job"))),
@@ -135,82 +165,3 @@ def notes_of(folder: RunFolder) -> list[str]:
         learned = folder.cycles[index].notes if index < len(folder.cycles) else ()
         notes += [f"measurement {index}: {text(note)}" for note in (*(row.get("notes") or ()), *learned)]
     return notes
-
-
-def cycle_table(folder: RunFolder) -> str:
-    """A row per measurement; columns that hold nothing at all are left out."""
-    rows = folder.rows()
-    if not rows:
-        return ""
-    columns = [column for column in COLUMNS if any(figure(row.get(column[0]), column[2]) for row in rows)]
-    head = "".join(f'<th scope="col">{label}</th>' for _, label, _ in columns)
-    body = []
-    for index, row in enumerate(rows):
-        cells = "".join(f"<td>{figure(row.get(key), shape) or '–'}{_torn(row, key)}</td>" for key, _, shape in columns)
-        body.append(f'<tr><th scope="row">{naming.measurement(rows, index)}</th>{cells}</tr>')
-    note = (
-        "In the clear aperture, mean removed. LSF: low spatial frequency (figure). "
-        "Predicted, dwell and executed belong to the pass that follows the measurement in their row."
-    )
-    head = f'<thead><tr><th scope="col">measured</th>{head}</tr></thead>'
-    table = f'<table class="cycles">{head}<tbody>{"".join(body)}</tbody></table>'
-    return f'<div class="scroll">{table}</div>\n<p class="note">{note}</p>'
-
-
-def _torn(row: Mapping[str, Any], key: str) -> str:
-    return f"<br>{naming.share(row)}" if key == "executed_s" and naming.interrupted(row) else ""
-
-
-def section_html(section: Section) -> str:
-    """A section with its pictures, certificate and files."""
-    pictures = "\n".join(figure_html(picture) for picture in section.pictures)
-    folder = f" <small>{escape(section.folder)}</small>" if section.folder else ""
-    inside = [pictures, certificate_html(section.certificate), files_html(section.files)]
-    if not any(inside):
-        return ""
-    return (
-        f"<section>\n<h2>{escape(section.title)}{folder}</h2>\n"
-        + "\n".join(part for part in inside if part)
-        + "\n</section>"
-    )
-
-
-def figure_html(picture: Picture) -> str:
-    """A picture inside the page."""
-    data = base64.b64encode(picture.content).decode("ascii")
-    kind = "wide" if picture.wide else "half"
-    caption = escape(picture.caption)
-    return (
-        f'<figure class="{kind}"><img alt="{caption}" src="data:image/png;base64,{data}">'
-        f"<figcaption>{caption}</figcaption></figure>"
-    )
-
-
-def certificate_html(certificate: Mapping[str, Any] | None) -> str:
-    """The dwell solution's certificate, known fields first."""
-    if not certificate:
-        return ""
-    names = [
-        *(key for key in CERTIFICATE if key in certificate),
-        *(key for key in certificate if key not in CERTIFICATE),
-    ]
-    rows = "".join(
-        f'<tr><th scope="row">{escape(CERTIFICATE.get(key, key))}</th><td>{escape(plain(certificate[key]))}</td></tr>'
-        for key in names
-    )
-    title = "<summary>Certificate of the dwell solution</summary>"
-    return f"<details open>{title}<table><tbody>{rows}</tbody></table></details>"
-
-
-def files_html(files: Sequence[str]) -> str:
-    """Links to the files beside the page."""
-    links = ", ".join(f'<a href="{quote(name)}">{escape(Path(name).name)}</a>' for name in files)
-    return f'<p class="note">Files: {links}</p>' if links else ""
-
-
-def listing(title: str, entries: Sequence[Any]) -> str:
-    """A titled list, or nothing."""
-    if not entries:
-        return ""
-    items = "".join(f"<li>{escape(text(entry))}</li>" for entry in entries)
-    return f'<section class="list">\n<h2>{escape(title)}</h2>\n<ul>{items}</ul>\n</section>'

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from polishd.files import write_atomic
-from polishd.plugins.run_report import along_path, maps, naming, trend
+from polishd.plugins.run_report import along_path, maps, trend, words
 from polishd.plugins.run_report.folder import Cycle, RunFolder, Surface, read_folder
 from polishd.plugins.run_report.page import Picture, Section, render
 from polishd.show.style import png, polishd_style
@@ -64,7 +64,7 @@ class Album:
 def whole_run(folder: RunFolder, album: Album) -> Section:
     """Pictures of all measurements together; a plan has only one, and its spectrum."""
     rows, tolerance = folder.rows(), folder.summary.get("tolerance_nm")
-    surfaces = [(naming.measurement(rows, index).capitalize(), surface) for index, surface in measured(folder)]
+    surfaces = [(words.measurement(rows, index).capitalize(), surface) for index, surface in measured(folder)]
     period = folder.summary.get("tolerance_period_mm") or 0.0
     if len(surfaces) > 1:
         caption = (
@@ -92,12 +92,12 @@ def cycle_section(folder: RunFolder, index: int, album: Album) -> Section:
     cycle = folder.cycles[index]
     if cycle.plan is None:
         last_measurement(folder, index, album)
-        at = naming.measurement(folder.rows(), index)
+        at = words.measurement(folder.rows(), index)
         return Section(f"Measurement {at if index else 'at the start'}", cycle.name, album.take(), None, cycle.files)
     after = folder.cycles[index + 1].surface if index + 1 < len(folder.cycles) else None
     surface_pictures(cycle, after, album)
     path_pictures(folder, index, album)
-    title = "Plan" if folder.planned else naming.pass_after(folder.rows(), index)
+    title = "Plan" if folder.planned else words.pass_after(folder.rows(), index)
     return Section(title, "" if folder.planned else cycle.name, album.take(), cycle.certificate, cycle.files)
 
 

@@ -14,7 +14,7 @@ import qpsolvers
 from polishd import hookspecs
 from polishd.api import API_VERSION, ComputeError, DwellSolver
 from polishd.plugins import dwell_solvers
-from polishd.plugins.dwell_solvers import matrix, qp
+from polishd.plugins.dwell_solvers import qp
 from polishd.process.dwell import douglas_rachford, newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from tests.unit.process.gaussian import dwell_problem
@@ -147,10 +147,10 @@ def test_bounds_that_meet_leave_no_choice() -> None:
 
 def test_convolutions_are_written_out_as_the_matrix_that_they_are() -> None:
     problem = lattice_problem(radius_mm=7)
-    written = matrix.matrix_of(problem)
+    written = qp.matrix_of(problem)
     assert written.shape == (np.count_nonzero(problem.solve_mask), problem.effect.n)
     assert written.nnz < 0.2 * written.shape[0] * written.shape[1]
-    exact = matrix.matrix_of(as_matrix(problem)).toarray()
+    exact = qp.matrix_of(as_matrix(problem)).toarray()
     np.testing.assert_allclose(written.toarray(), exact, atol=1e-11 * exact.max())
 
 
@@ -161,7 +161,7 @@ def test_the_qp_and_the_transforms_agree() -> None:
 
 
 def test_too_many_convolutions_are_refused_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(matrix, "MOST_ENTRIES", 1000)
+    monkeypatch.setattr(qp, "MOST_ENTRIES", 1000)
     with pytest.raises(ComputeError, match=r"points of \d+ samples each are too many for a QP: use douglas_rachford"):
         qp.solve(lattice_problem(radius_mm=7), 5)
 

@@ -8,7 +8,7 @@ import pytest
 
 from polishd.api import BadMap, SurfaceMap, SurfaceReader
 from polishd.plugins.interferometer import files
-from polishd.plugins.interferometer.settled import Settled
+from polishd.plugins.interferometer.files import Settled
 
 
 def test_a_changed_file_is_not_claimed(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.api import BadMap
-from polishd.plugins.interferometer.formats.metropro import METROPRO, read, sniff
+from polishd.plugins.interferometer.formats.metropro import METROPRO, read
 
 PROTOCOL = Path(__file__).resolve().parents[3] / "docs" / "protocols" / "metropro_dat.md"
 MISSING = 0x7FFFFFF8
@@ -204,9 +204,9 @@ def test_no_more_is_allocated_than_the_file_warrants(path: Path) -> None:
 
 def test_sniff() -> None:
     assert METROPRO.name == "metropro"
-    assert sniff(dat(VECTOR), Path("a.xyz"))
-    assert not sniff(b"", Path("a.dat"))
-    assert not sniff(b"\x88\x1b\x03", Path("a.dat"))
+    assert METROPRO.sniff(dat(VECTOR), Path("a.xyz"))
+    assert not METROPRO.sniff(b"", Path("a.dat"))
+    assert not METROPRO.sniff(b"\x88\x1b\x03", Path("a.dat"))
 
 
 @given(st.integers(0, 849), st.binary(min_size=1, max_size=8), st.booleans())

@@ -18,9 +18,9 @@ import pytest
 from polishd.api import BadMap, DeviceContext, SurfaceError, SurfaceMap, SurfaceReader
 from polishd.model.instrument import Instrument
 from polishd.plugins.interferometer import files, folder, taken
+from polishd.plugins.interferometer.files import Settled
 from polishd.plugins.interferometer.folder import FolderOptions, Waiting, WatchedFolder
 from polishd.plugins.interferometer.formats.metropro import METROPRO
-from polishd.plugins.interferometer.settled import Settled
 from polishd.sim_backends.metropro import DatMap, pack
 
 PART, JOURNALLED = "P-1", "a" * 64

@@ -166,12 +166,25 @@ def test_an_interrupted_read_is_not_the_next_ones_answer(tmp_path: Path, monkeyp
     assert int(read(tmp_path, "map").part_id) != first
 
 
+def test_nobody_waits_for_another_ones_file(tmp_path: Path) -> None:
+    """Two cells in one process: a file of the one hangs, and the other's is read meanwhile; then both are served."""
+    hung = tmp_path / "hung.bin"
+    os.mkfifo(hung)
+    with ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(apart.read, parsers_apart.__name__, hung)
+        with hung.open("w") as pipe:  # opens once its worker has
+            other = int(read(tmp_path, "map").part_id)
+            assert not waiting.done()
+            pipe.write("map")
+        assert int(waiting.result().part_id) != other
+
+
 def test_many_threads_get_each_their_own_map_and_no_files_stay_open(tmp_path: Path) -> None:
     texts = ["map", "refuse", "raise", "map"] * 6
     paths = [tmp_path / f"{number}.bin" for number in range(len(texts))]
     for path, text in zip(paths, texts, strict=True):
         path.write_text(text)
-    apart.read(parsers_apart.__name__, paths[0])
+    apart.close()
     before = len(list(Path("/proc/self/fd").iterdir()))
 
     def outcome(path: Path) -> str:
@@ -182,4 +195,5 @@ def test_many_threads_get_each_their_own_map_and_no_files_stay_open(tmp_path: Pa
 
     with ThreadPoolExecutor(6) as pool:
         assert list(pool.map(outcome, paths)) == [str(path) for path in paths]
+    apart.close()
     assert len(list(Path("/proc/self/fd").iterdir())) == before

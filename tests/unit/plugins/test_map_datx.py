@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from polishd.api import BadMap, SurfaceMap
-from polishd.plugins.interferometer.formats.datx import DATX, read, sniff
+from polishd.plugins.interferometer.formats.datx import DATX
 from polishd.plugins.interferometer.formats.fourd import FOURD
 from tests.unit.plugins import map_files as make
 
@@ -25,7 +25,7 @@ Change = Callable[[h5py.File, h5py.Dataset], None]
 def found(tmp_path: Path, content: bytes) -> SurfaceMap:
     path = tmp_path / "map.datx"
     path.write_bytes(content)
-    return read(path)
+    return DATX.read(path)
 
 
 def same(surface: SurfaceMap, expected: Any = make.HEIGHT_NM) -> None:
@@ -55,7 +55,7 @@ def given(name: str, value: Any) -> Change:
 
 
 def test_the_measured_file(shared_data: Path) -> None:
-    surface = read(shared_data / "zygo_mx.datx")
+    surface = DATX.read(shared_data / "zygo_mx.datx")
     height = surface.height_nm
     assert height.shape == (259, 33)
     assert surface.taken_at is None, "its time is 719529 s: the days from the year 0 to 1970"
@@ -70,16 +70,16 @@ def test_the_measured_file(shared_data: Path) -> None:
 def test_the_measured_file_as_prysm_reads_it(shared_data: Path) -> None:
     prysm = pytest.importorskip("prysm.io")
     theirs = prysm.read_zygo_datx(shared_data / "zygo_mx.datx")["phase"]
-    np.testing.assert_allclose(read(shared_data / "zygo_mx.datx").height_nm, theirs, rtol=1e-9)
+    np.testing.assert_allclose(DATX.read(shared_data / "zygo_mx.datx").height_nm, theirs, rtol=1e-9)
 
 
 @pytest.mark.parametrize("cut", [1, 100, 4096, 60_000, 131_000])
 def test_the_measured_file_torn(shared_data: Path, tmp_path: Path, cut: int) -> None:
     path = tmp_path / "torn.datx"
     path.write_bytes((shared_data / "zygo_mx.datx").read_bytes()[:-cut])
-    assert sniff(path.read_bytes()[:4096], path)
+    assert DATX.sniff(path.read_bytes()[:4096], path)
     with pytest.raises(BadMap, match=re.escape(str(path))):
-        read(path)
+        DATX.read(path)
 
 
 def test_what_stands_in_a_file(tmp_path: Path) -> None:
@@ -311,7 +311,7 @@ def test_the_two_hdf5_formats_are_told_apart(tmp_path: Path) -> None:
         path.write_bytes(content)
         assert DATX.sniff(content[:4096], path) is is_datx
         assert FOURD.sniff(content[:4096], path) is not is_datx
-    assert not sniff(b"text", Path("a.datx"))
+    assert not DATX.sniff(b"text", Path("a.datx"))
 
 
 def test_written_files_read_back_exactly(tmp_path: Path) -> None:

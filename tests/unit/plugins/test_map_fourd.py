@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from polishd.api import BadMap, SurfaceMap
-from polishd.plugins.interferometer.formats.fourd import FOURD, read
+from polishd.plugins.interferometer.formats.fourd import FOURD
 from tests.unit.plugins import map_files as make
 
 Change = Callable[[h5py.File, h5py.Dataset], None]
@@ -20,7 +20,7 @@ Change = Callable[[h5py.File, h5py.Dataset], None]
 def found(tmp_path: Path, content: bytes) -> SurfaceMap:
     path = tmp_path / "map.h5"
     path.write_bytes(content)
-    return read(path)
+    return FOURD.read(path)
 
 
 def given(name: str, value: Any) -> Change:

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from polishd.api import BadMap, SurfaceMap
-from polishd.plugins.interferometer.formats.metropro import METROPRO, read
-from polishd.plugins.interferometer.formats.metropro_writer import COUNT_NM, write
+from polishd.plugins.interferometer.formats.metropro import COUNT_NM, METROPRO, read, write
 from tests.unit.plugins import map_files as make
 
 

@@ -54,7 +54,7 @@ def test_heights_come_back_the_right_way_up(tmp_path: Path, storage: x3pio.DataS
     assert surface.pitch_mm == pytest.approx(PITCH_MM)
     assert not surface.unsaid
     assert "upside down" in surface.orientation
-    assert surface.reader_version == x3p.VERSION
+    assert surface.reader_version == x3p.FORMAT.version
 
 
 def test_rows_lie_where_the_library_puts_them(tmp_path: Path) -> None:

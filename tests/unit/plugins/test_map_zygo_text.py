@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from polishd.api import BadMap, SurfaceMap
-from polishd.plugins.interferometer.formats.zygo_ascii import ZYGO_ASCII
+from polishd.plugins.interferometer.formats.zygo_text import ZYGO_ASCII
 from polishd.plugins.interferometer.formats.zygo_xyz import ZYGO_XYZ
 from tests.unit.plugins import map_files as make
 

@@ -21,10 +21,9 @@ from polishd.model.events import GateStopped, JobFinished, Measured, PlanWritten
 from polishd.plugins import run_report
 from polishd.plugins.run_report import trend
 from polishd.plugins.run_report.folder import Executed, Surface, read_folder
-from polishd.plugins.run_report.page import render
-from polishd.plugins.run_report.psd import radial_psd
+from polishd.plugins.run_report.page import CERTIFICATE, COLUMNS, Picture, Section, render
 from polishd.plugins.run_report.report import write_report
-from polishd.plugins.run_report.values import duration, plain, when
+from polishd.plugins.run_report.words import duration, plain, when
 
 N = 24
 PITCH_MM = 1.0
@@ -233,6 +232,34 @@ class TestARun:
         assert (reported / "report.html").stat().st_mode & 0o777 == 0o644
 
 
+FOREIGN = "<q a=\"1\" c='2'>{{ 7 * 7 }}&amp;</q>"
+
+
+def test_whatever_a_file_says_is_text_on_the_page(tmp_path: Path) -> None:
+    """In every place of the template that shows what is read: no tag, no attribute, no template of its own."""
+    row = {column.key: 1.0 for column in COLUMNS} | {"notes": [FOREIGN], "how": FOREIGN, "executed_s": FOREIGN}
+    summary = dict.fromkeys(("part_id", "job", "correction", "started", "outcome"), FOREIGN) | {"cycles": [row, row]}
+    (tmp_path / "summary.json").write_text(json.dumps(summary))
+    folder = read_folder(tmp_path)
+    folder.missing.append(FOREIGN)
+    certificate = dict.fromkeys([*CERTIFICATE, FOREIGN], FOREIGN)
+    picture = Picture("p", FOREIGN, b"png")
+    page = render(folder, [Section(FOREIGN, FOREIGN, (picture,), certificate, (f"cycle-00/{FOREIGN}",))])
+    assert "<q" not in page
+    assert "c='2'" not in page
+    assert "49" not in page
+    assert page.count("{{ 7 * 7 }}&amp;amp;") > len(CERTIFICATE) + 10
+    assert f'src="data:image/png;base64,{base64.b64encode(b"png").decode()}"' in page
+    assert 'href="cycle-00/%3Cq%20a%3D%221%22' in page
+
+
+def test_a_section_that_holds_nothing_is_not_on_the_page(tmp_path: Path) -> None:
+    page = render(read_folder(tmp_path), [Section("Nothing", "cycle-07", ())])
+    assert "Nothing" not in page
+    assert "Files:" not in page
+    assert page.endswith("</html>\n")
+
+
 def test_a_plan_shows_its_prediction_and_says_that_nothing_moved(plan_dir: Path) -> None:
     page = page_of(plan_dir)
     assert "Plan: nothing was moved" in page
@@ -382,14 +409,14 @@ class TestSpectrum:
         # White noise: the density is flat, variance times the area of a sample.
         rng = np.random.default_rng(5)
         height = 3.0 * rng.standard_normal((128, 128))
-        frequency, power = radial_psd(height, np.ones((128, 128), dtype=bool), 0.5)
+        frequency, power = trend.radial_psd(height, np.ones((128, 128), dtype=bool), 0.5)
         flat = power[frequency > 0.1]
         np.testing.assert_allclose(flat.mean(), 9.0 * 0.25, rtol=0.05)
 
     def test_a_ripple_stands_at_its_own_frequency(self) -> None:
         x = np.arange(128) * 0.5
         height = np.broadcast_to(np.sin(2 * np.pi * x / 8.0), (128, 128))
-        frequency, power = radial_psd(height.copy(), np.ones((128, 128), dtype=bool), 0.5)
+        frequency, power = trend.radial_psd(height.copy(), np.ones((128, 128), dtype=bool), 0.5)
         assert frequency[np.argmax(power)] == pytest.approx(1 / 8.0, rel=0.1)
 
     def test_tilt_and_holes_do_not_matter_much(self) -> None:
@@ -397,9 +424,11 @@ class TestSpectrum:
         height = rng.standard_normal((96, 96))
         mask = np.ones((96, 96), dtype=bool)
         tilted = height + 40 * np.linspace(-1, 1, 96)[:, None]
-        np.testing.assert_allclose(radial_psd(tilted, mask, 1.0)[1], radial_psd(height, mask, 1.0)[1], rtol=0.3)
+        np.testing.assert_allclose(
+            trend.radial_psd(tilted, mask, 1.0)[1], trend.radial_psd(height, mask, 1.0)[1], rtol=0.3
+        )
         tilted[40:44, 50:53] = np.nan
-        assert np.isfinite(radial_psd(tilted, mask, 1.0)[1]).all()
+        assert np.isfinite(trend.radial_psd(tilted, mask, 1.0)[1]).all()
 
 
 def test_a_surface_lies_where_its_grid_does() -> None:

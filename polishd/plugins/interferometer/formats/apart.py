@@ -2,7 +2,7 @@
 
 HDF5 2.0 allocates the length a text states before it looks, walks some broken heaps for ever, and crashes on others.
 A worker parses the file within bounds of memory and time and hands the map back; where it does not, the file is a
-BadMap, and the next file gets a new worker. One worker is kept, as it takes half a second to start.
+BadMap, and the next file gets a new worker. A worker is kept for the next file, as it takes half a second to start.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import NamedTuple
@@ -42,8 +42,9 @@ class Bounds(NamedTuple):
 
 
 USUAL = Bounds()
-_lock = threading.Lock()
-_kept: list[_Worker] = []
+_idle: list[_Worker] = []
+"""Workers that wait for a file. Each reads for one caller at a time, so that no cell waits for another's file; more
+are never kept than read at the same time."""
 
 
 def read(module: str, path: Path, bounds: Bounds = USUAL) -> SurfaceMap:
@@ -51,28 +52,31 @@ def read(module: str, path: Path, bounds: Bounds = USUAL) -> SurfaceMap:
 
     What says nothing about the file (the share is away, the worker cannot start) has an OSError with a number as cause.
     """
-    if not bounds.is_kept:
-        worker = _Worker(path)
-        try:
-            return worker.read(module, path, bounds)
-        finally:
+    worker = (_waiting() if bounds.is_kept else None) or _Worker(path)
+    try:
+        return worker.read(module, path, bounds)
+    finally:
+        if bounds.is_kept and worker.is_idle:
+            _idle.append(worker)
+        else:  # it died, or what it would say now would be of this file
             worker.kill()
-    with _lock:
-        if not _kept or not _kept[0].is_alive:
-            _kept[:] = [_Worker(path)]
-        try:
-            return _kept[0].read(module, path, bounds)
-        except BaseException:
-            if not _kept[0].is_idle:  # it died, or what it would say now would be of this file
-                _kept.pop().kill()
-            raise
+
+
+def _waiting() -> _Worker | None:
+    """A worker that waits and lives; those that have died meanwhile go."""
+    while _idle:
+        with suppress(IndexError):  # another thread took the last one
+            worker = _idle.pop()
+            if worker.is_alive:
+                return worker
+            worker.kill()
+    return None
 
 
 def close() -> None:
-    """End the worker; the next file gets a new one."""
-    with _lock:
-        while _kept:
-            _kept.pop().kill()
+    """End the workers that wait; the next file gets a new one."""
+    while worker := _waiting():
+        worker.kill()
 
 
 def make_room(size: int) -> None:

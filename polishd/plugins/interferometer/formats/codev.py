@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap, SurfaceReader
-from polishd.plugins.interferometer.formats.common import content_of, require_optics, require_size, sha256_of
+from polishd.api import BadMap, SurfaceMap
+from polishd.plugins.interferometer.formats.common import content_of, require_optics, require_size
+from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.numbers import block
-from polishd.plugins.interferometer.formats.scales import checked
+from polishd.plugins.interferometer.formats.scales import Pitch, checked
 
-NAME = "codev"
-VERSION = 1
+FORMAT = Format("codev", 1)
 MISSING = 32767
 """Of files that state no ``NDA``."""
 HEADER_LINES = 100
@@ -60,20 +60,15 @@ def read(path: Path) -> SurfaceMap:
     missing = values == no_data
     values *= nm
     values[missing] = np.nan
-    warnings, unsaid = _unsaid(header)
-    if not content[-1:].isspace():
-        warnings += _cut(path, content[-32:].split()[-1], b"%d" % no_data)
-    return SurfaceMap(
-        height_nm=checked(path, values, nm),
-        pitch_mm=None,
-        sha256=sha256_of(content),
-        path=path,
-        format=NAME,
+    cut = () if content[-1:].isspace() else _cut(path, content[-32:].split()[-1], b"%d" % no_data)
+    return FORMAT.surface(
+        path,
+        content,
+        checked(path, values, nm),
+        lateral=_pitch(header),
         factors={"nm_per_count": nm, "kind": header.kind, "x_over_y": header.number.get("XSC", 1.0)},
-        warnings=warnings,
-        unsaid=unsaid,
+        warnings=cut,
         orientation="the file's first row is the top (it does not say: prove it with an artefact)",
-        reader_version=VERSION,
     )
 
 
@@ -133,7 +128,8 @@ def _cut(path: Path, last: bytes, no_data: bytes) -> tuple[str, ...]:
     return () if last == no_data else (CUT,)
 
 
-def _unsaid(header: Header) -> tuple[tuple[str, ...], frozenset[str]]:
+def _pitch(header: Header) -> Pitch:
+    """None, and what else is left open."""
     warnings, unsaid = [NO_PITCH], {"pitch"}
     if header.kind == "WFR":
         warnings.append(WAVEFRONT)
@@ -141,7 +137,7 @@ def _unsaid(header: Header) -> tuple[tuple[str, ...], frozenset[str]]:
     if header.number.get("XSC", 1.0) != 1.0:
         warnings.append(f"XSC is {header.number['XSC']:g}: its pixels are not square")
         unsaid.add("square pixels")
-    return tuple(warnings), frozenset(unsaid)
+    return Pitch(None, tuple(warnings), frozenset(unsaid))
 
 
-CODEV = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=(".int",))
+CODEV = FORMAT.reader(read, ".int", sniff=sniff)

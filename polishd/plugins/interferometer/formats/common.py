@@ -1,13 +1,17 @@
-"""What all readers share: the whole content of a file, within bounds, and its hash."""
+"""What all readers share: a file's whole content within bounds, refusals, and somebody else's library within them."""
 
 from __future__ import annotations
 
 import hashlib
+import importlib
 import os
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile, ZipInfo
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +26,6 @@ ZERO_TAIL, MOST_ZEROS = 16, 0.05
 """So many samples of exactly zero at the very end are not measured where hardly any other is zero: preallocated."""
 OPTICS = {"IntfScaleFactor": (0.01, 100.0), "Wavelength (m)": (1e-7, 2e-5), "Obliquity": (0.01, 100.0)}
 """What the factors of an interferometer's heights may be."""
-
-
 EARLIEST_S = 315_532_800
 """1980: before it there were no such files. Small numbers are clocks never set, or days where seconds should be."""
 
@@ -112,3 +114,36 @@ def time_of(seconds: float) -> datetime | None:
         return datetime.fromtimestamp(seconds, UTC) if seconds >= EARLIEST_S else None
     except (OverflowError, ValueError, OSError):
         return None
+
+
+def members_of(path: Path, archive: ZipFile) -> list[ZipInfo]:
+    """The members of an archive; BadMap where they would unpack to more than any map."""
+    members = archive.infolist()
+    if sum(member.file_size for member in members) > MOST_BYTES:
+        raise BadMap(f"{path}: unpacks to more than {MOST_BYTES} bytes: no map of a camera")
+    return members
+
+
+@contextmanager
+def parsing(path: Path, library: str) -> Iterator[None]:
+    """Turn everything that somebody else's library raises in this block into BadMap; its warnings go unheard.
+
+    What a warning would be about (lengths, units, checksums) the readers check themselves.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except BadMap:
+        raise
+    except Exception as error:  # a parser may raise anything at all on a broken file
+        reason = str(error).strip() or type(error).__name__
+        raise BadMap(f"{path}: {library} cannot read it: {reason[:300]}") from error
+
+
+def extra(path: Path, module: str, name: str) -> Any:
+    """The module of an optional extra; BadMap with the command that installs it where it is not there."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise BadMap(f"{path}: needs the extra: pip install 'polishd[{name}]' ({error})") from error

@@ -8,20 +8,21 @@ fringes * scale * wavelength * obliquity.
 from __future__ import annotations
 
 import math
-from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats import apart, hdf5
 from polishd.plugins.interferometer.formats.common import require_optics, time_of
+from polishd.plugins.interferometer.formats.datx_writer import write
+from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, HeightUnit, Pitch, checked, height_unit, pitch
 
-NAME = "datx"
-VERSION = 2
+FORMAT = Format("datx", 2)
 MOST_LINKS = 10_000
 HUGE = 1e30
 """Heights beyond it are "no data", whatever the file says is."""
@@ -40,18 +41,11 @@ PARAMETER = {"Wavelength (m)": 1, "IntfScaleFactor": 2, "Obliquity": 3}
 """Where the Z converter of a file repeats them."""
 
 
-def sniff(head: bytes, path: Path) -> bool:
-    """True for an HDF5 file with Mx's table of links, or its older measurement."""
-    return hdf5.holds(head, path, ".datx")
-
-
-def read(path: Path) -> SurfaceMap:
-    """Read a map. BadMap for whatever is torn, linked elsewhere, or without scale; an unknown unit is ``unsaid``."""
-    return apart.read(__name__, path)
-
-
 def parse(path: Path) -> SurfaceMap:
-    """``read``, in this process: HDF5 may crash, hang or fill the memory on a broken file."""
+    """Read a map. BadMap for whatever is torn, linked elsewhere, or without scale; an unknown unit is ``unsaid``.
+
+    Run by ``apart``: HDF5 may crash, hang or fill the memory on a broken file.
+    """
     with hdf5.opened(path) as source:
         links = _links(source)
         data = _surface(source, links)
@@ -63,17 +57,9 @@ def parse(path: Path) -> SurfaceMap:
         origin = hdf5.attribute(source, data, "Coordinates")
         odd = _contradictions(source, data, optics)
         factors = {"unit": hdf5.text(source, data, "Unit"), "nm_per_unit": unit.nm, **optics, "window": str(origin)}
-    return SurfaceMap(
-        height_nm=checked(path, height, unit.nm),
-        pitch_mm=scale.mm,
-        sha256=source.sha256,
-        path=path,
-        format=NAME,
-        factors=factors,
-        warnings=unit.warnings + scale.warnings + odd,
-        unsaid=unit.unsaid | scale.unsaid,
-        reader_version=VERSION,
-        **about,
+    height_nm = checked(path, height, unit.nm)
+    return FORMAT.surface(
+        path, source.sha256, height_nm, height=unit, lateral=scale, factors=factors, warnings=odd, **about
     )
 
 
@@ -174,10 +160,9 @@ def _contradictions(source: hdf5.Opened, data: Any, optics: dict[str, float]) ->
     odd = [f"{field} {own:g}, and {other:g}" for field, own, other in unlike]
     if unit and name and unit.lower() != name.lower():
         odd.append(f"heights in {name}, and in {unit}")
-    frame = hdf5.attribute(source, data, "Coordinates")
-    first = np.ravel(frame)[0] if frame is not None else None
-    if isinstance(first, np.void) and {"Width", "Height"} <= set(first.dtype.names or ()):
-        frame_size = (int(first["Height"]), int(first["Width"]))
+    frame = hdf5.first(source, data, "Coordinates")
+    if isinstance(frame, np.void) and {"Width", "Height"} <= set(frame.dtype.names or ()):
+        frame_size = (int(frame["Height"]), int(frame["Width"]))
         odd += [f"samples of {data.shape}, and a frame of {frame_size}"] if frame_size != data.shape else []
     return tuple(f"its attributes contradict one another: {words}, of which the former is used" for words in odd)
 
@@ -206,24 +191,13 @@ def _about(source: hdf5.Opened, links: dict[tuple[str, str], str]) -> dict[str, 
 
     system = " ".join(["Zygo", text("System Type")]).strip()
     serial = text("System Serial Number")
+    stamp: Any = hdf5.first(source, node, key["Time Stamp"]) if "Time Stamp" in key else None
+    told = isinstance(stamp, np.void) and "time" in (stamp.dtype.names or ())
     return {
         "part_id": text("Part Serial Number") or text("Part Number"),
         "instrument": f"{system}, system {serial}" if serial else system,
-        "taken_at": _time(hdf5.attribute(source, node, key["Time Stamp"])) if "Time Stamp" in key else None,
+        "taken_at": time_of(float(stamp["time"])) if told else None,
     }
 
 
-def _time(value: Any) -> datetime | None:
-    first = np.ravel(value)[0] if value is not None else None
-    if not isinstance(first, np.void) or "time" not in (first.dtype.names or ()):
-        return None
-    return time_of(float(first["time"]))
-
-
-def _write(surface: SurfaceMap) -> bytes:
-    from polishd.plugins.interferometer.formats.datx_writer import write
-
-    return write(surface)
-
-
-DATX = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=(".datx",), write=_write)
+DATX = FORMAT.reader(partial(apart.read, __name__), ".datx", sniff=partial(hdf5.holds, suffix=".datx"), write=write)

@@ -5,11 +5,15 @@ from __future__ import annotations
 import hashlib
 import io
 import uuid
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from polishd.api import SurfaceMap
 from polishd.plugins.interferometer.formats.common import require_said
+
+if TYPE_CHECKING:
+    import h5py
 
 NO_DATA = float(np.finfo(np.float64).max)
 WAVELENGTH_M, SCALE, OBLIQUITY = 632.8e-9, 0.5, 1.0
@@ -45,11 +49,9 @@ def write(surface: SurfaceMap) -> bytes:
     return held.getvalue()
 
 
-def _data(file: object, place: str, surface: SurfaceMap) -> None:
+def _data(file: h5py.File, place: str, surface: SurfaceMap) -> None:
     import h5py
 
-    if not isinstance(file, h5py.File):
-        raise TypeError("a file of h5py is meant")
     rows, columns = surface.height_nm.shape
     metres = (surface.pitch_mm or 0.0) / 1e3
     height = np.where(np.isfinite(surface.height_nm), surface.height_nm, NO_DATA)
@@ -70,11 +72,9 @@ def _data(file: object, place: str, surface: SurfaceMap) -> None:
     data.attrs.create("Z Converter", np.array([("HeightCat", "NanoMeters", optics)], dtype=converter), dtype=converter)
 
 
-def _about(group: object, surface: SurfaceMap) -> None:
+def _about(group: h5py.Group, surface: SurfaceMap) -> None:
     import h5py
 
-    if not isinstance(group, h5py.Group):
-        raise TypeError("a group of h5py is meant")
     text = h5py.string_dtype("utf-8")
     prefix = "Data Context.Data Attributes"
     for name in ("Part Serial Number", "Part Number"):

@@ -13,28 +13,22 @@ from typing import Any
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, require_tail, sha256_of
-from polishd.plugins.interferometer.formats.library import extra, parsing
+from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, extra, parsing, require_tail
+from polishd.plugins.interferometer.formats.format import NOT_SAID, Format
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
 
-NAME = "fits"
-VERSION = 1
+FORMAT = Format("fits", 1, (b"SIMPLE  =",))
 BITPIX = (8, 16, 32, 64, -32, -64)
 MOST_EXTENSIONS = 64
-
-
-def sniff(head: bytes, path: Path) -> bool:  # noqa: ARG001  a reader may also judge by name
-    """True where the file starts with FITS' first keyword."""
-    return head.startswith(b"SIMPLE  =")
 
 
 def read(path: Path) -> SurfaceMap:
     """Read the first image. BadMap without astropy, for torn files, tables, cubes and compressed images."""
     fits = extra(path, "astropy.io.fits", "fits")
     content = content_of(path)
-    if not content.startswith(b"SIMPLE  ="):
+    if not FORMAT.sniff(content, path):
         raise BadMap(f"{path}: no FITS file: it starts with {content[:9]!r}")
     with parsing(path, "astropy"):
         options = {"memmap": False, "lazy_load_hdus": True, "disable_image_compression": True}
@@ -48,20 +42,18 @@ def read(path: Path) -> SurfaceMap:
             others = sum(_is_image(other.header) for other in hdus) - 1
     height_nm *= height.nm
     height_nm[np.isinf(height_nm)] = np.inf  # both signs alike: refused below
-    return SurfaceMap(
-        height_nm=checked(path, height_nm, height.nm),
-        pitch_mm=lateral.mm,
+    return FORMAT.surface(
+        path,
+        content,
+        checked(path, height_nm, height.nm),
+        height=height,
+        lateral=lateral,
         part_id=str(header.get("OBJECT", "")).strip(),
         instrument=str(header.get("INSTRUME", "")).strip(),
-        sha256=sha256_of(content),
-        path=path,
-        format=NAME,
         factors=factors | {"nm_per_unit": height.nm},
-        warnings=(*height.warnings, *lateral.warnings, "the file does not say that this is a surface")
-        + ((f"the first of {others + 1} images is taken",) if others else ()),
-        unsaid=height.unsaid | lateral.unsaid | {"surface", "orientation"},
+        warnings=(NOT_SAID, *((f"the first of {others + 1} images is taken",) if others else ())),
+        unsaid={"surface", "orientation"},
         orientation="rows turned upside down: FITS counts them from the bottom",
-        reader_version=VERSION,
     )
 
 
@@ -122,4 +114,4 @@ def _pitch(path: Path, header: Any) -> Pitch:
     return pitch(path, x_mm, y_mm)
 
 
-FITS = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=(".fits", ".fit", ".fts"))
+FITS = FORMAT.reader(read, ".fits", ".fit", ".fts")

@@ -7,18 +7,19 @@ surface already. Public readers leave it out.
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.api import BadMap, SurfaceMap
 from polishd.plugins.interferometer.formats import apart, hdf5
 from polishd.plugins.interferometer.formats.common import require_optics
+from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, nm_per, pitch
 
-NAME = "4d"
-VERSION = 2
+FORMAT = Format("4d", 2)
 GENRAW = "/measurement0/genraw"
 MISSING = 1e37
 WITH_UNIT = re.compile(r"([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(.*)", re.DOTALL)
@@ -35,18 +36,11 @@ class Measure(NamedTuple):
     unit: str
 
 
-def sniff(head: bytes, path: Path) -> bool:
-    """True for an HDF5 file with 4D's first measurement."""
-    return hdf5.holds(head, path, ".h5")
-
-
-def read(path: Path) -> SurfaceMap:
-    """Read a map. BadMap for whatever is torn, linked elsewhere, or without a wavelength; no wedge is ``unsaid``."""
-    return apart.read(__name__, path)
-
-
 def parse(path: Path) -> SurfaceMap:
-    """``read``, in this process: HDF5 may crash, hang or fill the memory on a broken file."""
+    """Read a map. BadMap for whatever is torn, linked elsewhere, or without a wavelength; no wedge is ``unsaid``.
+
+    Run by ``apart``: HDF5 may crash, hang or fill the memory on a broken file.
+    """
     with hdf5.opened(path) as source:
         data = hdf5.member(source, f"{GENRAW}/data")
         if data is None:
@@ -61,19 +55,17 @@ def parse(path: Path) -> SurfaceMap:
         instrument = _text(source, nodes, "instrument")
     waves[~(np.abs(waves) < MISSING)] = np.nan
     waves *= wavelength_nm * (1.0 if wedge is None else wedge)
-    return SurfaceMap(
-        height_nm=checked(path, waves, wavelength_nm),
-        pitch_mm=scale.mm,
+    return FORMAT.surface(
+        path,
+        source.sha256,
+        checked(path, waves, wavelength_nm),
+        lateral=scale,
         part_id=part,
         instrument=f"4D {instrument}".strip(),
-        sha256=source.sha256,
-        path=path,
-        format=NAME,
         factors={"wavelength_nm": wavelength_nm, "wedge": wedge},
-        warnings=scale.warnings + odd + _odd_wedge(wedge),
-        unsaid=scale.unsaid | (frozenset() if wedge else frozenset({"surface"})),
+        warnings=odd + _odd_wedge(wedge),
+        unsaid=set() if wedge else {"surface"},
         fiducials_px=fiducials,
-        reader_version=VERSION,
     )
 
 
@@ -155,4 +147,4 @@ def _listed(source: hdf5.Opened, node: Any) -> Any:
     return np.array(words or [np.nan], dtype=np.float64)
 
 
-FOURD = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=(".h5",))
+FOURD = FORMAT.reader(partial(apart.read, __name__), ".h5", sniff=partial(hdf5.holds, suffix=".h5"))

@@ -13,14 +13,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap, SurfaceReader
-from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, scaled, sha256_of
-from polishd.plugins.interferometer.formats.library import extra, parsing
+from polishd.api import BadMap, SurfaceMap
+from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, extra, parsing, scaled
+from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
 
-NAME = "gwy"
-VERSION = 1
-MAGIC = b"GWYPGwyContainer\0"
+FORMAT = Format("gwy", 1, (b"GWYPGwyContainer\0",))
 FIXED = {"b": 1, "c": 1, "i": 4, "q": 8, "d": 8}
 ITEM = {"C": 1, "I": 4, "Q": 8, "D": 8}
 MOST_COMPONENTS = 4096
@@ -37,16 +35,11 @@ class Part(NamedTuple):
     end: int
 
 
-def sniff(head: bytes, path: Path) -> bool:  # noqa: ARG001  a reader may also judge by name
-    """True where the file starts as Gwyddion's files of today do."""
-    return head.startswith(MAGIC)
-
-
 def read(path: Path) -> SurfaceMap:
     """Read the channel of the lowest number. BadMap without gwyfile, and for whatever is torn or holds no channel."""
     gwyfile = extra(path, "gwyfile.objects", "gwy")
     content = content_of(path)
-    if not content.startswith(MAGIC):
+    if not FORMAT.sniff(content, path):
         raise BadMap(f"{path}: no Gwyddion file: it starts with {content[:4].hex(' ')}")
     parts = _components(path, content, 4, len(content), MOST_COMPONENTS)
     channels = sorted(int(found[1]) for name in parts if (found := re.fullmatch(r"/(\d{1,6})/data", name)))
@@ -57,7 +50,7 @@ def read(path: Path) -> SurfaceMap:
     height = height_unit(_unit(field, "si_unit_z"))
     lateral = _pitch(path, field)
     height_nm = scaled(field.data, height.nm)
-    warnings = list(height.warnings + lateral.warnings)
+    warnings = []
     if len(channels) > 1:
         warnings.append(f"channel {channels[0]} of {', '.join(map(str, channels))} is taken")
     if f"{key}/mask" in parts:
@@ -66,17 +59,15 @@ def read(path: Path) -> SurfaceMap:
             raise BadMap(f"{path}: the mask is {mask.shape}, the data {height_nm.shape}")
         height_nm[mask > 0] = np.nan
         warnings.append(f"{int((mask > 0).sum())} samples under Gwyddion's mask are taken as missing")
-    return SurfaceMap(
-        height_nm=checked(path, height_nm, height.nm),
-        pitch_mm=lateral.mm,
-        sha256=sha256_of(content),
-        path=path,
-        format=NAME,
+    return FORMAT.surface(
+        path,
+        content,
+        checked(path, height_nm, height.nm),
+        height=height,
+        lateral=lateral,
         factors={"nm_per_unit": height.nm, "channel": channels[0]},
         warnings=tuple(warnings),
-        unsaid=height.unsaid | lateral.unsaid,
         orientation="as stored: Gwyddion's row 0 is the top",
-        reader_version=VERSION,
     )
 
 
@@ -164,4 +155,4 @@ def _pitch(path: Path, field: Any) -> Pitch:
     return pitch(path, sizes[0] / field["xres"] * factor / 1e6, sizes[1] / field["yres"] * factor / 1e6)
 
 
-GWY = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=(".gwy",))
+GWY = FORMAT.reader(read, ".gwy")

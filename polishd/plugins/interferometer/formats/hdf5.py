@@ -128,25 +128,28 @@ def attribute(source: Opened, node: Any, name: str) -> Any:
     return node.attrs[name]
 
 
-def text(source: Opened, node: Any, name: str) -> str:
-    """The text of an attribute, its first where it is a list; "" where it is absent."""
+def first(source: Opened, node: Any, name: str) -> Any:
+    """The value of an attribute, its first where it is a list, or None where it is absent or empty."""
     value = attribute(source, node, name)
-    if isinstance(value, np.ndarray):
-        value = value.ravel()[0]
+    return value.ravel()[0] if isinstance(value, np.ndarray) else value
+
+
+def text(source: Opened, node: Any, name: str) -> str:
+    """The text of an attribute; "" where it is absent."""
+    value = first(source, node, name)
     if isinstance(value, bytes):
         value = value.decode("latin-1")
     return value.strip("\0 \t\r\n") if isinstance(value, str) else "" if value is None else str(value)
 
 
 def number(source: Opened, node: Any, name: str) -> float | None:
-    """The number of an attribute, its first where it is a list; None where it is absent. BadMap for anything else."""
-    value = attribute(source, node, name)
-    if value is None:
-        return None
+    """The number of an attribute; None where it is absent. BadMap for anything else."""
+    value = first(source, node, name)
     try:
-        return float(np.ravel(value)[0])
+        return None if value is None else float(value)
     except (TypeError, ValueError) as error:
-        raise BadMap(f"{source.path}: its attribute {name!r} is {value!r}, not a number") from error
+        found = attribute(source, node, name)
+        raise BadMap(f"{source.path}: its attribute {name!r} is {found!r}, not a number") from error
 
 
 def is_plain(data: Any, dimensions: int) -> bool:

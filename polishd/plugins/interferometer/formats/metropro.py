@@ -5,69 +5,40 @@ What a file does not warrant is not allocated: its length must be the one that i
 
 from __future__ import annotations
 
-import math
 import os
 import struct
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import MOST_BYTES, require_optics, require_size, sha256_of, time_of
+from polishd.plugins.interferometer.formats.common import MOST_BYTES, MOST_SAMPLES, require_said
+from polishd.plugins.interferometer.formats.format import Format
+from polishd.plugins.interferometer.formats.zygo import MISSING, RESOLUTION, Header
 
-NAME = "metropro"
-VERSION = 2
-MAGIC = (b"\x88\x1b\x03\x6f", b"\x88\x1b\x03\x70", b"\x88\x1b\x03\x71")
+FORMAT = Format("metropro", 2, (b"\x88\x1b\x03\x6f", b"\x88\x1b\x03\x70", b"\x88\x1b\x03\x71"))
 HEADER_BYTES = (834, 4096)
 """The first two versions have the short one, the third the long one; each file states its own."""
-RESOLUTION = {0: 4096, 1: 32768, 2: 131072}
-MISSING = 2147483640
+FIELDS = {
+    "magic": (0, "4s"), "format": (4, "h"), "length": (6, "i"), "software": (10, "h"), "intensity": (52, "3H"),
+    "origin": (64, "2h"), "size": (68, "2H"), "phase_bytes": (72, "i"), "timestamp": (76, "i"), "comment": (80, "82s"),
+    "scale": (164, "f"), "wavelength_m": (168, "f"), "obliquity": (176, "f"), "camera_res_m": (184, "f"),
+    "resolution": (218, "h"), "sign": (232, "h"), "camera": (234, "2H"), "system": (242, "H"), "part": (258, "40s"),
+    "serial": (320, "40s"), "fiducials": (428, "h14f"),
+}  # fmt: skip
+"""Offset and layout of the header's fields, big-endian."""
 MOST_FIDUCIALS = 7
-NOT_CALIBRATED = "CameraRes is 0: the instrument was not calibrated, the map has no lateral scale"
 ZERO_TAIL = 4
 """So many samples of exactly zero at the very end are not measured: the file was preallocated."""
 
-
-@dataclass(frozen=True, slots=True)
-class Header:
-    """The fields of the header that decide correctness, as they stand in the file."""
-
-    length: int
-    intensity_bytes: int
-    columns: int
-    rows: int
-    origin: tuple[int, int]
-    timestamp: int
-    scale: float
-    wavelength_m: float
-    obliquity: float
-    camera_res_m: float
-    resolution: int
-    sign: int
-    system: int
-    part: str
-    serial: str
-    fiducials: tuple[float, ...]
-    """x, y, x, y ... of up to seven marks, on the camera."""
-
-    @property
-    def file_bytes(self) -> int:
-        """Length of the whole file."""
-        return self.length + self.intensity_bytes + 4 * self.columns * self.rows
-
-    @property
-    def nm_per_count(self) -> float:
-        """Height of one count, sign included."""
-        size = self.scale * self.wavelength_m * self.obliquity / RESOLUTION[self.resolution] * 1e9
-        return -size if self.sign else size
-
-
-def sniff(head: bytes, path: Path) -> bool:  # noqa: ARG001  a reader may also judge by name
-    """True where the file starts with one of MetroPro's magic numbers."""
-    return head[:4] in MAGIC
+RESOLVED, SCALE, WAVELENGTH_M = 2, 0.5, float(np.float32(632.8e-9))
+COUNT_NM = SCALE * WAVELENGTH_M / RESOLUTION[RESOLVED] * 1e9
+"""Height of one count in the files written here: 2.4 pm."""
+TEXT_BYTES = 40
+MOST_SIDE = 65_535
+LATEST_S = 2**31 - 1
 
 
 def read(path: Path) -> SurfaceMap:
@@ -77,72 +48,62 @@ def read(path: Path) -> SurfaceMap:
             header = _header(path, file.read(max(HEADER_BYTES)))
             _check_length(path, header, os.fstat(file.fileno()).st_size)
             file.seek(0)
-            content = file.read(header.file_bytes + 1)
+            content = file.read(_file_bytes(header) + 1)
     except OSError as error:
         raise BadMap(f"{path}: cannot be read: {error.strerror}") from error
     _check_length(path, header, len(content))
     height_nm = _height_nm(path, header, content)
-    pitch, warnings = pitch_mm(path, header.camera_res_m)
     fiducials, odd = _fiducials_px(header)
-    return SurfaceMap(
-        height_nm=height_nm,
-        pitch_mm=pitch,
-        part_id=header.serial or header.part,
-        instrument=f"Zygo MetroPro, system {header.system}",
-        taken_at=time_of(header.timestamp),
-        sha256=sha256_of(content),
-        path=path,
-        format=NAME,
-        factors=_factors(header),
-        warnings=warnings + odd,
-        unsaid=frozenset({"pitch"}) if pitch is None else frozenset(),
+    return FORMAT.surface(
+        path,
+        content,
+        height_nm,
+        factors=header.factors,
+        warnings=odd,
         fiducials_px=fiducials,
-        reader_version=VERSION,
+        **header.about(path),
     )
 
 
 def _header(path: Path, head: bytes) -> Header:
     if not head:
         raise BadMap(f"{path}: the file is empty")
-    if head[:4] not in MAGIC:
+    if not FORMAT.sniff(head, path):
         raise BadMap(f"{path}: no MetroPro file: it starts with {head[:4].hex(' ')}")
-    length = struct.unpack_from(">i", head, 6)[0] if len(head) >= min(HEADER_BYTES) else min(HEADER_BYTES)
+    length = _field(head, "length")[0] if len(head) >= min(HEADER_BYTES) else min(HEADER_BYTES)
     if length not in HEADER_BYTES:
         raise BadMap(f"{path}: states a header of {length} bytes, which no version has")
     if len(head) < length:
         raise BadMap(f"{path}: ends inside its header of {length} bytes, after {len(head)}")
-    width, height, buckets = struct.unpack_from(">HHH", head, 52)
-    columns, rows = struct.unpack_from(">HH", head, 68)
-    scale, wavelength_m = struct.unpack_from(">ff", head, 164)
+    width, height, buckets = _field(head, "intensity")
+    columns, rows = _field(head, "size")
+    count, *marks = _field(head, "fiducials")
+    plain = ("timestamp", "scale", "wavelength_m", "obliquity", "camera_res_m", "resolution", "sign")
     header = Header(
-        length=length,
-        intensity_bytes=2 * width * height * buckets,
+        start=length + 2 * width * height * buckets,
         columns=columns,
         rows=rows,
-        origin=struct.unpack_from(">hh", head, 64),
-        timestamp=struct.unpack_from(">i", head, 76)[0],
-        scale=scale,
-        wavelength_m=wavelength_m,
-        obliquity=struct.unpack_from(">f", head, 176)[0],
-        camera_res_m=struct.unpack_from(">f", head, 184)[0],
-        resolution=struct.unpack_from(">h", head, 218)[0],
-        sign=struct.unpack_from(">h", head, 232)[0],
-        system=struct.unpack_from(">H", head, 242)[0],
-        part=_text(head[258:298]),
-        serial=_text(head[320:360]),
-        fiducials=_marks(head),
+        origin=_field(head, "origin"),
+        instrument=f"Zygo MetroPro, system {_field(head, 'system')[0]}",
+        part=_text(head, "part"),
+        serial=_text(head, "serial"),
+        fiducials=tuple(marks[: 2 * count]) if 0 < count <= MOST_FIDUCIALS else (),
+        **{name: _field(head, name)[0] for name in plain},
     )
-    _check_fields(path, header)
+    header.check(path, MOST_SAMPLES)
+    if _file_bytes(header) > MOST_BYTES:
+        raise BadMap(f"{path}: its header asks for {_file_bytes(header)} bytes, more than {MOST_BYTES}")
     return header
 
 
-def _text(field: bytes) -> str:
+def _field(head: bytes, name: str) -> tuple[Any, ...]:
+    offset, layout = FIELDS[name]
+    return struct.unpack_from(f">{layout}", head, offset)
+
+
+def _text(head: bytes, name: str) -> str:
+    field: bytes = _field(head, name)[0]
     return field.partition(b"\0")[0].decode("latin-1").strip()
-
-
-def _marks(head: bytes) -> tuple[float, ...]:
-    (count,) = struct.unpack_from(">h", head, 428)
-    return struct.unpack_from(f">{2 * count}f", head, 430) if 0 < count <= MOST_FIDUCIALS else ()
 
 
 def _fiducials_px(header: Header) -> tuple[tuple[tuple[float, float], ...], tuple[str, ...]]:
@@ -154,24 +115,19 @@ def _fiducials_px(header: Header) -> tuple[tuple[tuple[float, float], ...], tupl
     return (), (f"its {len(marks)} fiducials are not used: they do not all lie on the map",)
 
 
-def _check_fields(path: Path, header: Header) -> None:
-    require_size(path, header.rows, header.columns)
-    if header.file_bytes > MOST_BYTES:
-        raise BadMap(f"{path}: its header asks for {header.file_bytes} bytes, more than {MOST_BYTES}")
-    if header.resolution not in RESOLUTION:
-        raise BadMap(f"{path}: PhaseRes is {header.resolution}, not 0, 1 or 2: the height's scale is not known")
-    optics = {"IntfScaleFactor": header.scale, "Wavelength (m)": header.wavelength_m, "Obliquity": header.obliquity}
-    require_optics(path, optics)
+def _file_bytes(header: Header) -> int:
+    return header.start + 4 * header.columns * header.rows
 
 
 def _check_length(path: Path, header: Header, size: int) -> None:
-    if size != header.file_bytes:
-        state = "torn, or still being written" if size < header.file_bytes else "more than its header asks for"
-        raise BadMap(f"{path}: has {size} bytes of {header.file_bytes}: {state}")
+    asked = _file_bytes(header)
+    if size != asked:
+        state = "torn, or still being written" if size < asked else "more than its header asks for"
+        raise BadMap(f"{path}: has {size} bytes of {asked}: {state}")
 
 
 def _height_nm(path: Path, header: Header, content: bytes) -> FloatArray:
-    counts = np.frombuffer(content, dtype=">i4", offset=header.length + header.intensity_bytes)
+    counts = np.frombuffer(content, dtype=">i4", offset=header.start)
     if not counts[-ZERO_TAIL:].any() and counts.size > ZERO_TAIL:
         raise BadMap(f"{path}: ends in a tail of zeros: preallocated, and not written to its end")
     missing = counts >= MISSING
@@ -183,31 +139,55 @@ def _height_nm(path: Path, header: Header, content: bytes) -> FloatArray:
     return height_nm.reshape(header.rows, header.columns)
 
 
-def pitch_mm(path: Path, metres: float) -> tuple[float | None, tuple[str, ...]]:
-    """Pitch of a CameraRes in m a pixel, and warnings; None where the instrument was not calibrated (0)."""
-    if metres == 0:
-        return None, (NOT_CALIBRATED,)
-    if not (math.isfinite(metres) and 1e-8 <= metres <= 0.1):
-        raise BadMap(f"{path}: CameraRes is {metres:g} m a pixel")
-    return metres * 1e3, ()
+def write(surface: SurfaceMap) -> bytes:
+    """Content of a file that reads back to within half a count; NaN is a missing sample, no pitch is CameraRes 0.
+
+    BadMap for what the format cannot hold: heights beyond 5.2 mm, a part's name of more than 40 characters, a map that
+    ends in exact zeros (readers take it for a file that was preallocated), or whose unit nobody has said.
+    """
+    require_said(surface, "pitch")
+    name = surface.path or "the map"
+    rows, columns = surface.height_nm.shape
+    if max(rows, columns) > MOST_SIDE or rows * columns > MOST_SAMPLES:
+        raise BadMap(f"{name}: {rows} rows x {columns} columns do not fit into a MetroPro file")
+    counts = np.rint(surface.height_nm / COUNT_NM)
+    if (np.abs(counts) >= MISSING).any():
+        raise BadMap(f"{name}: heights beyond {MISSING * COUNT_NM / 1e6:.1f} mm do not fit into a MetroPro file")
+    counts[~np.isfinite(counts)] = MISSING
+    if counts.size > ZERO_TAIL and not counts.ravel()[-ZERO_TAIL:].any():
+        raise BadMap(f"{name}: ends in samples of exactly 0 nm, which a MetroPro file shows as never written: "
+                     "subtract its mean, or mask them")  # fmt: skip
+    return _written_header(surface, rows, columns) + counts.astype(">i4").tobytes()
 
 
-def _factors(header: Header) -> dict[str, Any]:
-    return {
-        "scale": header.scale,
-        "wavelength_nm": header.wavelength_m * 1e9,
-        "obliquity": header.obliquity,
-        "counts_per_wave": RESOLUTION[header.resolution],
-        "negated": bool(header.sign),
-        "nm_per_count": header.nm_per_count,
-        "origin_px": header.origin,
-    }
+def _written_header(surface: SurfaceMap, rows: int, columns: int) -> bytes:
+    part = _latin(surface.part_id)
+    marks = [value for row, column in surface.fiducials_px[:MOST_FIDUCIALS] for value in (column, row)]
+    seconds = int(surface.taken_at.timestamp()) if surface.taken_at else 0
+    values: dict[str, tuple[int | float | bytes, ...]] = {
+        "magic": FORMAT.magic[:1], "format": (1,), "length": (min(HEADER_BYTES),), "software": (1,),
+        "size": (columns, rows), "phase_bytes": (4 * rows * columns,),
+        "timestamp": (seconds if 0 < seconds <= LATEST_S else 0,), "comment": (b"written by polishd",),
+        "scale": (SCALE,), "wavelength_m": (WAVELENGTH_M,), "obliquity": (1.0,),
+        "camera_res_m": ((surface.pitch_mm or 0.0) / 1e3,), "resolution": (RESOLVED,), "camera": (columns, rows),
+        "part": (part,), "serial": (part,),
+        "fiducials": (len(marks) // 2, *marks, *[0.0] * (2 * MOST_FIDUCIALS - len(marks))),
+    }  # fmt: skip
+    header = bytearray(min(HEADER_BYTES))
+    for name, value in values.items():
+        offset, layout = FIELDS[name]
+        struct.pack_into(f">{layout}", header, offset, *value)
+    return bytes(header)
 
 
-def _write(surface: SurfaceMap) -> bytes:
-    from polishd.plugins.interferometer.formats.metropro_writer import write
+def _latin(text: str) -> bytes:
+    try:
+        field = text.encode("latin-1")
+    except UnicodeEncodeError as error:
+        raise BadMap(f"the part's name {text!r} has characters that a MetroPro file cannot hold") from error
+    if len(field) > TEXT_BYTES:
+        raise BadMap(f"the part's name {text!r} is longer than the {TEXT_BYTES} characters of a MetroPro file")
+    return field
 
-    return write(surface)
 
-
-METROPRO = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=(".dat",), write=_write)
+METROPRO = FORMAT.reader(read, ".dat", write=write)

@@ -14,40 +14,36 @@ import numpy as np
 from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 
-from polishd.api import BadMap, SurfaceMap, SurfaceReader
-from polishd.plugins.interferometer.formats.common import MOST_BYTES, content_of, require_tail, scaled, sha256_of
+from polishd.api import BadMap, SurfaceMap
+from polishd.plugins.interferometer.formats.common import content_of, members_of, parsing, require_tail, scaled
+from polishd.plugins.interferometer.formats.format import NOT_SAID, Format
 from polishd.plugins.interferometer.formats.gridded import ORIENTATION, gridded
-from polishd.plugins.interferometer.formats.library import parsing
-from polishd.plugins.interferometer.formats.scales import NO_PITCH, checked, height_unit, pitch
+from polishd.plugins.interferometer.formats.scales import NO_PITCH, HeightUnit, checked, height_unit, pitch
 
-NAME = "npy"
-VERSION = 1
-MAGIC = b"\x93NUMPY"
+FORMAT = Format("npy", 1, (b"\x93NUMPY",))
 HEADERS = {(1, 0): npy_format.read_array_header_1_0, (2, 0): npy_format.read_array_header_2_0}
 AS_STORED = "as stored: row 0 taken for the top"
 METRES = "X, Y and Z are taken for metres: the file does not say"
-UNSAID = frozenset({"unit", "pitch", "surface", "orientation"})
 
 
 def sniff(head: bytes, path: Path) -> bool:
     """True for NumPy's magic, and for a zip archive that is called ``.npz``."""
-    return head.startswith(MAGIC) or (head[:4] == b"PK\x03\x04" and path.suffix.lower() == ".npz")
+    return FORMAT.sniff(head, path) or (head[:4] == b"PK\x03\x04" and path.suffix.lower() == ".npz")
 
 
 def read(path: Path) -> SurfaceMap:
     """Read the one map that the file holds. BadMap for pickles, complex or 3-D arrays, and several candidates."""
     content = content_of(path)
-    sha256 = sha256_of(content)
-    if content.startswith(MAGIC):
-        return _bare(path, array_of(path, "the file", content), sha256)
+    if FORMAT.sniff(content, path):
+        return _bare(path, array_of(path, "the file", content), content)
     arrays = _arrays(path, content)
     if {"X", "Y", "Z"} <= arrays.keys():
-        return _with_coordinates(path, arrays, sha256)
+        return _with_coordinates(path, arrays, content)
     maps = [name for name, array in arrays.items() if array.ndim == 2 and min(array.shape) > 1]
     if len(maps) != 1:
         names = ", ".join(f"{name} {array.shape}" for name, array in arrays.items()) or "nothing"
         raise BadMap(f"{path}: holds {names}: neither X, Y and Z nor one single 2-D array")
-    return _bare(path, arrays[maps[0]], sha256)
+    return _bare(path, arrays[maps[0]], content)
 
 
 def array_of(path: Path, name: str, content: bytes) -> NDArray[np.generic]:
@@ -69,52 +65,47 @@ def array_of(path: Path, name: str, content: bytes) -> NDArray[np.generic]:
 
 def _arrays(path: Path, content: bytes) -> dict[str, NDArray[np.generic]]:
     with parsing(path, "numpy"), zipfile.ZipFile(io.BytesIO(content)) as archive:
-        members = archive.infolist()
-        if sum(member.file_size for member in members) > MOST_BYTES:
-            raise BadMap(f"{path}: unpacks to more than {MOST_BYTES} bytes: no map of a camera")
+        members = members_of(path, archive)
         if len({member.filename for member in members}) < len(members):
             raise BadMap(f"{path}: has two arrays of one name")
         names = [member.filename for member in members]
         return {name.removesuffix(".npy"): array_of(path, name, archive.read(name)) for name in names}
 
 
-def _bare(path: Path, array: NDArray[np.generic], sha256: str) -> SurfaceMap:
+def _bare(path: Path, array: NDArray[np.generic], content: bytes) -> SurfaceMap:
     if array.ndim != 2 or not array.size:
         raise BadMap(f"{path}: holds an array of shape {array.shape}, not rows and columns")
     require_tail(path, array)
-    return SurfaceMap(
-        height_nm=checked(path, np.array(array, dtype=np.float64, order="C")),
-        pitch_mm=None,
-        sha256=sha256,
-        path=path,
-        format=NAME,
+    return FORMAT.surface(
+        path,
+        content,
+        checked(path, np.array(array, dtype=np.float64, order="C")),
+        height=height_unit(""),
+        lateral=NO_PITCH,
         factors={"nm_per_unit": 1.0},
-        warnings=(*NO_PITCH.warnings, *height_unit("").warnings, "the file does not say that this is a surface"),
-        unsaid=UNSAID,
+        warnings=(NOT_SAID,),
+        unsaid={"surface", "orientation"},
         orientation=AS_STORED,
-        reader_version=VERSION,
     )
 
 
-def _with_coordinates(path: Path, arrays: dict[str, NDArray[np.generic]], sha256: str) -> SurfaceMap:
+def _with_coordinates(path: Path, arrays: dict[str, NDArray[np.generic]], content: bytes) -> SurfaceMap:
     x, y, z = (np.asarray(arrays[name], dtype=np.float64) for name in "XYZ")
     if not x.shape == y.shape == z.shape or z.ndim != 2:
         raise BadMap(f"{path}: X, Y and Z have the shapes {x.shape}, {y.shape} and {z.shape}")
     others = sorted(name for name, array in arrays.items() if name not in "XYZ" and array.shape == z.shape)
     found = gridded(path, x.ravel(), y.ravel(), z.ravel())
     scale = pitch(path, found.pitch_x * 1e3, found.pitch_y * 1e3)
-    return SurfaceMap(
-        height_nm=checked(path, scaled(found.z, 1e9)),
-        pitch_mm=scale.mm,
-        sha256=sha256,
-        path=path,
-        format=NAME,
+    return FORMAT.surface(
+        path,
+        content,
+        checked(path, scaled(found.z, 1e9)),
+        height=HeightUnit(1e9, (METRES,)),
+        lateral=scale,
         factors={"nm_per_unit": 1e9},
-        warnings=(METRES, *scale.warnings, *(("Z is taken, not " + ", ".join(others),) if others else ())),
-        unsaid=scale.unsaid,
+        warnings=("Z is taken, not " + ", ".join(others),) if others else (),
         orientation=ORIENTATION,
-        reader_version=VERSION,
     )
 
 
-NPY = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=(".npy", ".npz"))
+NPY = FORMAT.reader(read, ".npy", ".npz", sniff=sniff)

@@ -12,15 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import content_of, scaled, sha256_of
+from polishd.plugins.interferometer.formats.common import content_of, parsing, scaled, sha256_of
+from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.gridded import ORIENTATION, Gridded, gridded
-from polishd.plugins.interferometer.formats.library import parsing
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
 
-NAME = "points"
-VERSION = 2
+FORMAT = Format("points", 2)
 SUFFIXES = (".csv", ".xyz", ".txt", ".asc", ".pts")
 MOST_HEADER_LINES = 64
 NUMBER = rb"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?"
@@ -69,19 +68,17 @@ def read(path: Path) -> SurfaceMap:
     lateral = _pitch(path, header, found)
     height = height_unit(header.units[2])
     height_nm = scaled(found.z, height.nm)
-    unsaid = lateral.unsaid | height.unsaid | ({"surface"} if header.wavefront else set())
     odd = ("its heights are a wavefront's",) * header.wavefront + (ODD_TITLES,) * header.unknown + (CUT,) * (not whole)
-    return SurfaceMap(
-        height_nm=checked(path, height_nm, height.nm),
-        pitch_mm=lateral.mm,
-        sha256=sha256,
-        path=path,
-        format=NAME,
+    return FORMAT.surface(
+        path,
+        sha256,
+        checked(path, height_nm, height.nm),
+        height=height,
+        lateral=lateral,
         factors={"nm_per_unit": height.nm, "points": len(table)},
-        warnings=height.warnings + lateral.warnings + odd,
-        unsaid=unsaid | ({"orientation"} if header.unknown else set()),
+        warnings=odd,
+        unsaid=({"surface"} if header.wavefront else set()) | ({"orientation"} if header.unknown else set()),
         orientation=ORIENTATION,
-        reader_version=VERSION,
     )
 
 
@@ -148,4 +145,4 @@ def _pitch(path: Path, header: Header, found: Gridded) -> Pitch:
     return pitch(path, found.pitch_x * units[0] / 1e6, found.pitch_y * units[1] / 1e6)
 
 
-POINTS = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=SUFFIXES)
+POINTS = FORMAT.reader(read, *SUFFIXES, sniff=sniff)

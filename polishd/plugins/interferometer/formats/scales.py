@@ -13,24 +13,18 @@ from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats.common import require_data
 
 NM_PER = {
-    "m": 1e9,
-    "meter": 1e9,
-    "metre": 1e9,
-    "cm": 1e7,
-    "mm": 1e6,
-    "millimeter": 1e6,
-    "millimetre": 1e6,
-    "um": 1e3,
-    "micrometer": 1e3,
-    "micrometre": 1e3,
-    "micron": 1e3,
-    "nm": 1.0,
-    "nanometer": 1.0,
-    "nanometre": 1.0,
-    "angstrom": 0.1,
-    "pm": 1e-3,
-    "in": 2.54e7,
-    "inch": 2.54e7,
+    name: nm
+    for names, nm in (
+        ("m meter metre", 1e9),
+        ("cm", 1e7),
+        ("mm millimeter millimetre", 1e6),
+        ("um micrometer micrometre micron", 1e3),
+        ("nm nanometer nanometre", 1.0),
+        ("angstrom", 0.1),
+        ("pm", 1e-3),
+        ("in inch", 2.54e7),
+    )
+    for name in names.split()
 }
 SQUARE_WITHIN = 1e-3
 """Relative difference of the pitches in x and y that still counts as square pixels."""
@@ -57,6 +51,8 @@ class HeightUnit(NamedTuple):
     unsaid: frozenset[str] = frozenset()
 
 
+SAID = HeightUnit(1.0)
+"""Of heights whose unit the format or the file says."""
 NO_PITCH = Pitch(None, ("the file gives no lateral scale",), frozenset({"pitch"}))
 
 

@@ -12,15 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap, SurfaceReader
-from polishd.plugins.interferometer.formats.common import content_of, require_tail, scaled, sha256_of
-from polishd.plugins.interferometer.formats.library import parsing
-from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, pitch
+from polishd.api import BadMap, SurfaceMap
+from polishd.plugins.interferometer.formats.common import content_of, parsing, require_tail, scaled
+from polishd.plugins.interferometer.formats.format import Format
+from polishd.plugins.interferometer.formats.scales import NO_PITCH, checked, pitch
 from polishd.plugins.interferometer.formats.x3p import TURNED
 
-NAME = "sdf"
-VERSION = 1
-MAGIC = (b"AISO-", b"BISO-", b"ABCR-", b"BBCR-")
+FORMAT = Format("sdf", 1, (b"AISO-", b"BISO-", b"ABCR-", b"BBCR-"))
 MOST_ASCII_BYTES = 2**26
 HEADER_BYTES = 81
 """Of binary files; the last byte but one is the type of the samples."""
@@ -29,9 +27,9 @@ MARKER = 1e37
 """Counts beyond this are the largest number of a floating type, not heights."""
 
 
-def sniff(head: bytes, path: Path) -> bool:  # noqa: ARG001  a reader may also judge by name
+def sniff(head: bytes, path: Path) -> bool:
     """True where the file starts with the magic of ISO 25178-71 or of its forerunner."""
-    return head.removeprefix(b"\xef\xbb\xbf")[:5].upper() in MAGIC
+    return FORMAT.sniff(head.removeprefix(b"\xef\xbb\xbf")[:5].upper(), path)
 
 
 def read(path: Path) -> SurfaceMap:
@@ -56,20 +54,16 @@ def read(path: Path) -> SurfaceMap:
     # ISO marks with a type's minimum, its forerunner with the maximum, and writers mix them up
     marked = (np.abs(file.data) > MARKER * header.z_scale) & np.isfinite(file.data)
     height_nm = scaled(np.where(marked, np.nan, file.data)[::-1], 1e9)
-    scale = _pitch(path, header.x_scale, header.y_scale)
-    return SurfaceMap(
-        height_nm=checked(path, height_nm),
-        pitch_mm=scale.mm,
+    x_m, y_m = header.x_scale, header.y_scale
+    return FORMAT.surface(
+        path,
+        content,
+        checked(path, height_nm),
+        lateral=NO_PITCH if x_m == 0 and y_m == 0 else pitch(path, x_m * 1e3, y_m * 1e3),
         instrument=header.manufacturer_id.strip(),
         taken_at=header.create_date,
-        sha256=sha256_of(content),
-        path=path,
-        format=NAME,
         factors={"nm_per_unit": 1e9, "z_scale": header.z_scale},
-        warnings=scale.warnings,
-        unsaid=scale.unsaid,
         orientation=TURNED,
-        reader_version=VERSION,
     )
 
 
@@ -79,8 +73,4 @@ def _require_text(path: Path, trailer: bytes) -> None:
         raise BadMap(f"{path}: {len(trailer)} bytes follow its samples, and are no text: more than its header asks for")
 
 
-def _pitch(path: Path, x_m: float, y_m: float) -> Pitch:
-    return NO_PITCH if x_m == 0 and y_m == 0 else pitch(path, x_m * 1e3, y_m * 1e3)
-
-
-SDF = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=(".sdf",))
+SDF = FORMAT.reader(read, ".sdf", sniff=sniff)

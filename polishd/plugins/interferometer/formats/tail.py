@@ -12,15 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats import apart
-from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, sha256_of
-from polishd.plugins.interferometer.formats.library import extra, parsing
+from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, extra, parsing, sha256_of
+from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, checked, height_unit, pitch
 
-NAME = "tail"
-VERSION = 1
+FORMAT = Format("tail", 1)
 BOUNDS = apart.Bounds(memory_bytes=3 * 2**30, memory_per_byte=16, cpu_s=120.0, wall_s=120.0, is_kept=False)
 """The library's own imports take 1 GiB of address space."""
 FORMATS = (
@@ -50,7 +49,7 @@ def read(path: Path) -> SurfaceMap:
 def parse(path: Path) -> SurfaceMap:
     """``read``, in this process. The library opens the file by its name: it must still be the one that was hashed."""
     sha256 = sha256_of(content_of(path))
-    library = extra(path, "SurfaceTopography", NAME)
+    library = extra(path, "SurfaceTopography", FORMAT.name)
     suffix = path.suffix.lower()
     with parsing(path, "SurfaceTopography"):
         reader = library.open_topography(str(path), format=FORMAT_OF[suffix])
@@ -61,19 +60,17 @@ def parse(path: Path) -> SurfaceMap:
         raise BadMap(f"{path}: changed while it was read")
     height = height_unit("nm" if unit is not None else "")
     lateral = pitch(path, pitch_nm[0] / 1e6, pitch_nm[1] / 1e6) if pitch_nm else NO_PITCH
-    return SurfaceMap(
-        height_nm=checked(path, height_nm),
-        pitch_mm=lateral.mm,
-        sha256=sha256,
-        path=path,
-        format=f"{NAME}:{kind}",
+    return FORMAT.surface(
+        path,
+        sha256,
+        checked(path, height_nm),
+        height=height,
+        lateral=lateral,
+        format=f"{FORMAT.name}:{kind}",
         factors={"unit": unit, "read_by": "SurfaceTopography"},
-        warnings=height.warnings
-        + lateral.warnings
-        + ((f"the default one of {channels} channels is taken",) if channels > 1 else ()),
-        unsaid=height.unsaid | lateral.unsaid | {"orientation"} | ({"surface"} if suffix in OPTICAL_PATH else set()),
+        warnings=(f"the default one of {channels} channels is taken",) if channels > 1 else (),
+        unsaid={"orientation", "surface"} if suffix in OPTICAL_PATH else {"orientation"},
         orientation="as stored, transposed from SurfaceTopography's [x, y]; its formats differ in their first row",
-        reader_version=VERSION,
         **about,
     )
 
@@ -104,4 +101,4 @@ def _about(info: Any) -> dict[str, Any]:
     return {"instrument": str(name or ""), "taken_at": taken if isinstance(taken, datetime) else None}
 
 
-TAIL = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=SUFFIXES)
+TAIL = FORMAT.reader(read, *SUFFIXES, sniff=sniff)

@@ -13,26 +13,19 @@ from typing import Any
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, require_tail, sha256_of
-from polishd.plugins.interferometer.formats.library import extra, parsing
+from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, extra, parsing, require_tail
+from polishd.plugins.interferometer.formats.format import NOT_SAID, Format
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
 
-NAME = "tiff"
-VERSION = 1
-MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+FORMAT = Format("tiff", 1, (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"))
 DEFLATE_AT_MOST = 1100
 """No compression of TIFF packs tighter: deflate's limit is 1032."""
 FLIPPED = {1: (1, 1), 2: (1, -1), 3: (-1, -1), 4: (-1, 1)}
 """Steps along rows and columns that put the tag Orientation's corner at the top left."""
 PHOTOMETRIC, ORIENTATION, NODATA = 262, 274, 42113
 MIN_IS_BLACK = 1
-
-
-def sniff(head: bytes, path: Path) -> bool:  # noqa: ARG001  a reader may also judge by name
-    """True where the file starts as TIFF or BigTIFF does."""
-    return head[:4] in MAGIC
 
 
 def read(path: Path) -> SurfaceMap:
@@ -46,17 +39,16 @@ def read(path: Path) -> SurfaceMap:
         _check_page(path, page, len(content))
         height_nm, turned = _heights(path, page)
         lateral = _pitch(path, file, page)
-    return SurfaceMap(
-        height_nm=checked(path, height_nm),
-        pitch_mm=lateral.mm,
-        sha256=sha256_of(content),
-        path=path,
-        format=NAME,
+    return FORMAT.surface(
+        path,
+        content,
+        checked(path, height_nm),
+        height=height_unit(""),
+        lateral=lateral,
         factors={"nm_per_unit": 1.0},
-        warnings=(*height_unit("").warnings, *lateral.warnings, "the file does not say that this is a surface"),
-        unsaid=lateral.unsaid | {"unit", "surface", "orientation"},
+        warnings=(NOT_SAID,),
+        unsaid={"surface", "orientation"},
         orientation=f"as displayed (TIFF's orientation {turned})",
-        reader_version=VERSION,
     )
 
 
@@ -135,4 +127,4 @@ def _ome_pitch(path: Path, text: str) -> Pitch:
     return pitch(path, sizes[0], sizes[1])
 
 
-TIFF = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=(".tif", ".tiff"))
+TIFF = FORMAT.reader(read, ".tif", ".tiff")

@@ -12,15 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import MOST_BYTES, content_of, require_said, scaled, sha256_of
+from polishd.plugins.interferometer.formats.common import content_of, members_of, parsing, require_said, scaled
+from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.gridded import ORIENTATION, gridded
-from polishd.plugins.interferometer.formats.library import parsing
 from polishd.plugins.interferometer.formats.scales import Pitch, checked, pitch
 
-NAME = "x3p"
-VERSION = 1
+FORMAT = Format("x3p", 1)
 MOST_XML_BYTES = 2**26
 NO_DATE, NOT_KNOWN = datetime.fromtimestamp(0, UTC), "not known"
 """What stands for them where the format needs something: others stumble over an empty field."""
@@ -44,21 +43,19 @@ def read(path: Path) -> SurfaceMap:
         if not isinstance(file, x3pio.Surface) or len(file.layers) != 1:
             raise BadMap(f"{path}: holds a {type(file).__name__} of {len(file.layers)} layers, not one surface")
         height_nm, scale, orientation = _surface(path, file.layers[0])
-    unsaid = scale.unsaid | ({"orientation"} if file.layers[0].placement.has_rotation else set())
+    rotated = file.layers[0].placement.has_rotation
     made = file.metadata
-    return SurfaceMap(
-        height_nm=checked(path, height_nm),
-        pitch_mm=scale.mm,
+    return FORMAT.surface(
+        path,
+        content,
+        checked(path, height_nm),
+        lateral=scale,
         instrument=_instrument(made.instrument) if made else "",
         taken_at=made.date if made and made.date and made.date != NO_DATE else None,
-        sha256=sha256_of(content),
-        path=path,
-        format=NAME,
         factors={"nm_per_unit": 1e9, "z_increment": file.header.z.increment},
-        warnings=scale.warnings + ((ROTATED,) if "orientation" in unsaid else ()),
-        unsaid=unsaid,
+        warnings=(ROTATED,) if rotated else (),
+        unsaid={"orientation"} if rotated else set(),
         orientation=orientation,
-        reader_version=VERSION,
     )
 
 
@@ -93,9 +90,7 @@ def write(surface: SurfaceMap) -> bytes:
 def _check_sizes(path: Path, content: bytes) -> None:
     """Refuse what would unpack to more than any map."""
     with parsing(path, "zipfile"), zipfile.ZipFile(io.BytesIO(content)) as archive:
-        members = archive.infolist()
-    if sum(member.file_size for member in members) > MOST_BYTES:
-        raise BadMap(f"{path}: unpacks to more than {MOST_BYTES} bytes: no map of a camera")
+        members = members_of(path, archive)
     text = sum(member.file_size for member in members if not member.filename.endswith(".bin"))
     if text > MOST_XML_BYTES:
         raise BadMap(f"{path}: unpacks to {text} bytes of text, more than {MOST_XML_BYTES}: write it with binary data")
@@ -121,4 +116,4 @@ def _instrument(instrument: object) -> str:
     return " ".join(field for field in fields if field and field not in {"not available", NOT_KNOWN})
 
 
-X3P = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=(".x3p",), write=write)
+X3P = FORMAT.reader(read, ".x3p", sniff=sniff, write=write)

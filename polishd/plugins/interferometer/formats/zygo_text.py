@@ -1,4 +1,6 @@
-"""The header that Zygo's two text formats share: 14 lines (13 in some XYZ files), ended by a line of ``#``.
+"""Zygo's two text formats: a header of 14 lines (13 in some XYZ files), and data, each ended by a line of ``#``.
+
+Zygo's ASCII files are read here: intensities, then the phase in the integer code of ``.dat``.
 
 Line 4 is the phase frame (x, y, columns, rows), 6 and 7 serial number and part, 8 source, IntfScaleFactor, wavelength
 (m), aperture, obliquity, magnification, CameraRes (m a pixel), time; 9 the camera and system; 11 starts with PhaseRes
@@ -11,74 +13,48 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from polishd.api import BadMap
-from polishd.plugins.interferometer.formats.common import require_optics, require_size, time_of
-from polishd.plugins.interferometer.formats.metropro import RESOLUTION, pitch_mm
+import numpy as np
+
+from polishd.api import BadMap, SurfaceMap
+from polishd.plugins.interferometer.formats.common import content_of, require_data
+from polishd.plugins.interferometer.formats.format import Format
+from polishd.plugins.interferometer.formats.numbers import block
+from polishd.plugins.interferometer.formats.zygo import MISSING, Header
 
 HASH = re.compile(rb"^[ \t]*#[ \t\r]*$", re.MULTILINE)
 MOST_HEADER = 16_384
 
 
 @dataclass(frozen=True, slots=True)
-class Header:
-    """What a header says, as it stands in the file; ``end`` is where the data start."""
+class TextFormat(Format):
+    """A format whose first line is its magic."""
 
-    origin: tuple[int, int]
-    columns: int
-    rows: int
-    part: str
-    serial: str
-    scale: float
-    wavelength_m: float
-    obliquity: float
-    camera_res_m: float
-    timestamp: float
-    system: str
-    resolution: int
-    sign: int
-    end: int
+    def sniff(self, head: bytes, path: Path) -> bool:  # noqa: ARG002  a reader may also judge by name
+        """True where the first line is the format's name."""
+        return head.lstrip().startswith(self.magic)
 
-    @property
-    def nm_per_count(self) -> float:
-        """Height of one count, sign included."""
-        size = self.scale * self.wavelength_m * self.obliquity / RESOLUTION[self.resolution] * 1e9
-        return -size if self.sign else size
+    def opened(self, path: Path, smallest: int) -> tuple[bytes, Header]:
+        """The whole content, and its header. ``smallest``: bytes of the shortest sample, which the frame's must fit.
 
-    def common(self, path: Path) -> dict[str, object]:
-        """The fields of a SurfaceMap that both formats take from the header."""
-        pitch, warnings = pitch_mm(path, self.camera_res_m)
-        return {
-            "pitch_mm": pitch,
-            "part_id": self.serial or self.part,
-            "instrument": f"Zygo, system {self.system}",
-            "taken_at": time_of(self.timestamp),
-            "path": path,
-            "unsaid": frozenset({"pitch"}) if pitch is None else frozenset(),
-            "warnings": warnings,
-        }
-
-
-def header_of(path: Path, content: bytes, smallest: int) -> Header:
-    """Read the header. ``smallest``: bytes of the shortest sample, by which the frame must fit into the file.
-
-    BadMap where it is no such header, or a factor or size is out of range.
-    """
-    end = HASH.search(content, 0, MOST_HEADER)
-    if end is None:
-        raise BadMap(f"{path}: its header does not end in a line of '#': torn, or another format")
-    lines = [line.strip() for line in content[: end.start()].decode("latin-1").split("\n")][:-1]
-    if len(lines) not in (13, 14):
-        raise BadMap(f"{path}: its header has {len(lines)} lines, not 14")
-    try:
-        header = _fields(lines, end.end())
-    except (ValueError, IndexError, OverflowError) as error:
-        raise BadMap(f"{path}: its header is not Zygo's: {error}") from error
-    require_size(path, header.rows, header.columns, (len(content) - header.end) / smallest)
-    optics = {"IntfScaleFactor": header.scale, "Wavelength (m)": header.wavelength_m, "Obliquity": header.obliquity}
-    require_optics(path, optics)
-    if header.resolution not in RESOLUTION:
-        raise BadMap(f"{path}: PhaseRes is {header.resolution}, not 0, 1 or 2: the height's scale is not known")
-    return header
+        BadMap where it is no such file, or a factor or size is out of range.
+        """
+        content = content_of(path)
+        name = self.magic[0].decode()
+        if not self.sniff(content[:4096], path):
+            kind = name.removesuffix(" Data File")
+            raise BadMap(f"{path}: no {kind} file: its first line is not '{name} ...'")
+        end = HASH.search(content, 0, MOST_HEADER)
+        if end is None:
+            raise BadMap(f"{path}: its header does not end in a line of '#': torn, or another format")
+        lines = [line.strip() for line in content[: end.start()].decode("latin-1").split("\n")][:-1]
+        if len(lines) not in (13, 14):
+            raise BadMap(f"{path}: its header has {len(lines)} lines, not 14")
+        try:
+            header = _fields(lines, end.end())
+        except (ValueError, IndexError, OverflowError) as error:
+            raise BadMap(f"{path}: its header is not Zygo's: {error}") from error
+        header.check(path, (len(content) - header.start) / smallest)
+        return content, header
 
 
 def _fields(lines: list[str], end: int) -> Header:
@@ -100,8 +76,43 @@ def _fields(lines: list[str], end: int) -> Header:
         obliquity=optics[4],
         camera_res_m=optics[6],
         timestamp=optics[7],
-        system=lines[8].split()[4],
+        instrument=f"Zygo, system {lines[8].split()[4]}",
         resolution=int(phase[0]),
         sign=int(phase[7]),
-        end=end,
+        start=end,
     )
+
+
+def require_end(path: Path, content: bytes, end: int, what: str) -> None:
+    """BadMap where anything but blanks follows."""
+    if content[end:].strip():
+        raise BadMap(f"{path}: something follows the end of its {what}: {content[end:].strip()[:20]!r}")
+
+
+ASCII = TextFormat("zygo_ascii", 1, (b"Zygo ASCII Data File",))
+
+
+def read(path: Path) -> SurfaceMap:
+    """Read a map. BadMap with path and reason for whatever is torn, broken or absurd."""
+    content, header = ASCII.opened(path, smallest=2)
+    counts = block(path, content, _phase(path, content, header.start), (header.rows, header.columns))
+    if (counts != np.trunc(counts)).any():
+        raise BadMap(f"{path}: its phase holds numbers that are no integers")
+    missing = counts >= MISSING
+    counts *= header.nm_per_count
+    counts[missing] = np.nan
+    height_nm = require_data(path, counts)
+    return ASCII.surface(path, content, height_nm, factors=header.factors, **header.about(path))
+
+
+def _phase(path: Path, content: bytes, start: int) -> tuple[int, int]:
+    """Where the phase stands: between the line that ends the intensities and the one that ends the file."""
+    intensity = HASH.search(content, start)
+    phase = HASH.search(content, intensity.end()) if intensity else None
+    if intensity is None or phase is None:
+        raise BadMap(f"{path}: its phase does not end in a line of '#': torn, or still being written")
+    require_end(path, content, phase.end(), "phase")
+    return intensity.end(), phase.start()
+
+
+ZYGO_ASCII = ASCII.reader(read, ".asc")

@@ -7,60 +7,40 @@ camera, from the phase frame's corner, or from 0.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import content_of, sha256_of
 from polishd.plugins.interferometer.formats.numbers import floats, pieces
 from polishd.plugins.interferometer.formats.scales import checked
-from polishd.plugins.interferometer.formats.zygo_text import HASH, Header, header_of
+from polishd.plugins.interferometer.formats.zygo import Header
+from polishd.plugins.interferometer.formats.zygo_text import HASH, TextFormat, require_end
 
-NAME = "zygo_xyz"
-VERSION = 1
-MAGIC = b"Zygo XYZ Data File"
+FORMAT = TextFormat("zygo_xyz", 1, (b"Zygo XYZ Data File",))
 NO_DATA = b"No Data"
 NM_PER_UM = 1e3
 SIGNED = "its header says an inverted sign, and the heights are taken as they stand: the program that wrote them did it"
 
 
-def sniff(head: bytes, path: Path) -> bool:  # noqa: ARG001  a reader may also judge by name
-    """True where the first line is the format's name."""
-    return head.lstrip().startswith(MAGIC)
-
-
 def read(path: Path) -> SurfaceMap:
     """Read a map: each pixel must be listed exactly once. BadMap for whatever is torn, broken or absurd."""
-    content = content_of(path)
-    if not sniff(content[:4096], path):
-        raise BadMap(f"{path}: no Zygo XYZ file: its first line is not '{MAGIC.decode()} ...'")
-    header = header_of(path, content, smallest=6)
-    height_nm = _heights_um(path, content, header) * NM_PER_UM
-    common: dict[str, Any] = header.common(path)
-    if header.sign:
-        common["warnings"] = (*common["warnings"], SIGNED)
-    return SurfaceMap(
-        height_nm=checked(path, height_nm, NM_PER_UM),
-        sha256=sha256_of(content),
-        format=NAME,
-        factors={"nm_per_unit": NM_PER_UM, "origin_px": header.origin},
-        reader_version=VERSION,
-        **common,
-    )
+    content, header = FORMAT.opened(path, smallest=6)
+    height_nm = checked(path, _heights_um(path, content, header) * NM_PER_UM, NM_PER_UM)
+    factors = {"nm_per_unit": NM_PER_UM, "origin_px": header.origin}
+    odd = (SIGNED,) if header.sign else ()
+    return FORMAT.surface(path, content, height_nm, factors=factors, warnings=odd, **header.about(path))
 
 
 def _end(path: Path, content: bytes, start: int) -> int:
     """Where the lines end: at a line of ``#`` with nothing after it, or at the end of a whole line."""
     mark = HASH.search(content, start)
-    if mark is None:
-        if not content.endswith(b"\n"):
-            raise BadMap(f"{path}: ends inside a line: torn, or still being written")
-        return len(content)
-    if content[mark.end() :].strip():
-        raise BadMap(f"{path}: something follows the end of its points: {content[mark.end() :].strip()[:20]!r}")
-    return mark.start()
+    if mark is not None:
+        require_end(path, content, mark.end(), "points")
+        return mark.start()
+    if not content.endswith(b"\n"):
+        raise BadMap(f"{path}: ends inside a line: torn, or still being written")
+    return len(content)
 
 
 def _heights_um(path: Path, content: bytes, header: Header) -> FloatArray:
@@ -68,7 +48,7 @@ def _heights_um(path: Path, content: bytes, header: Header) -> FloatArray:
     seen = np.zeros(grid.size, dtype=np.bool_)
     corner: tuple[int, int] | None = None
     count = 0
-    for piece in pieces(path, content, (header.end, _end(path, content, header.end)), (b"\n",)):
+    for piece in pieces(path, content, (header.start, _end(path, content, header.start)), (b"\n",)):
         points = _points(path, piece)
         if corner is None and len(points):
             corner = _corner(path, points[0], header)
@@ -101,4 +81,4 @@ def _corner(path: Path, first: FloatArray, header: Header) -> tuple[int, int]:
     raise BadMap(f"{path}: its first point ({first[0]:g}, {first[1]:g}) is no corner of its phase frame")
 
 
-ZYGO_XYZ = SurfaceReader(name=NAME, sniff=sniff, read=read, suffixes=(".xyz",))
+ZYGO_XYZ = FORMAT.reader(read, ".xyz")

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 from polishd.api import ProgramError
 from polishd.plugins.rnc_robot.languages.profile import Kind, Profile
-
-SHOWN = 80
+from polishd.plugins.rnc_robot.nc.refusals import refuse
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +44,7 @@ class Source:
 
     def refuse(self, line: int, reason: str, advice: str) -> ProgramError:
         """The error that names file and line, shows the line, says what is wrong with it and what to do."""
-        text = self.data.split(b"\n")[line - 1]
-        shown = text.decode("ascii", "backslashreplace").strip()
-        shown = shown if len(shown) <= SHOWN else shown[: SHOWN - 3] + "..."
-        return ProgramError(f'{self.name}, line {line}: {reason}: "{shown}". To do: {advice}.')
+        return refuse(self.name, line, self.data.split(b"\n")[line - 1], reason, advice)
 
 
 def statements(profile: Profile, source: Source) -> Iterator[Statement]:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from polishd.api import ProgramError
 from polishd.model.program import Encoding
 from polishd.model.surface import FloatArray
-from polishd.plugins.rnc_robot.dialect import Dialect
 from polishd.plugins.rnc_robot.nc import codes as c
+from polishd.plugins.rnc_robot.nc.dialect import Dialect
 from polishd.plugins.rnc_robot.nc.pieces import Scanner
 from polishd.plugins.rnc_robot.nc.points import Points, Tally
 
@@ -97,21 +95,16 @@ def tool_axis(pair: str, a_deg: FloatArray, b_deg: FloatArray, c_deg: FloatArray
     return np.stack(axis, axis=-1)
 
 
-class _Mode(NamedTuple):
-    slot: int
-    code: str
-
-
-_ASSUMED = (_Mode(c.UNIT, "G21"), _Mode(c.DISTANCE, "G90"), _Mode(c.FEED_MODE, "G94"))
+_ASSUMED = {c.UNIT: 21.0, c.DISTANCE: 90.0, c.FEED_MODE: 94.0}
+"""G codes of the modes that hold where nobody says one."""
 
 
 def warnings(scanner: Scanner, tally: Tally, encoding: Encoding, still: int) -> list[str]:
     """What was read over, and what was assumed."""
     dialect, at, found = scanner.dialect, scanner.at, []
-    for mode in _ASSUMED:
-        code = float(mode.code[1:])
-        if not at[mode.slot] and any(code in codes for codes in dialect.g.values()):
-            found.append(f"nobody said {mode.code}: assumed")
+    for slot, code in _ASSUMED.items():
+        if not at[slot] and any(code in codes for codes in dialect.g.values()):
+            found.append(f"nobody said G{code:g}: assumed")
     found += [f"nobody said where {axis} is: assumed 0" for k, axis in enumerate("XYZ") if not at[c.NAMED] >> k & 1]
     found += doubts(scanner, encoding)
     if tally.stray:

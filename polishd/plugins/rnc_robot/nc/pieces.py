@@ -10,10 +10,10 @@ import numpy as np
 
 from polishd.api import ProgramError
 from polishd.model.program import IntArray
-from polishd.model.surface import FloatArray
-from polishd.plugins.rnc_robot.dialect import Dialect
+from polishd.model.surface import BoolArray, FloatArray
 from polishd.plugins.rnc_robot.nc import codes as c
 from polishd.plugins.rnc_robot.nc import compiled
+from polishd.plugins.rnc_robot.nc.dialect import Dialect
 from polishd.plugins.rnc_robot.nc.refusals import explained, refuse, refuse_binary
 from polishd.plugins.rnc_robot.nc.scan import scan
 from polishd.plugins.rnc_robot.nc.tables import Found, Scratch, Tables, tables
@@ -47,6 +47,12 @@ class Piece:
         """The text of the program's line of that 1-based number."""
         index = number - self.first_line
         return self.text.split(b"\n", index + 1)[index]
+
+    def refuse_first(self, name: str, moves: IntArray, bad: BoolArray, reason: str, advice: str) -> None:
+        """ProgramError at the first of these moves that is bad."""
+        if bad.any():
+            line = int(moves[int(np.argmax(bad)), c.M_LINE])
+            raise refuse(name, line, self.line(line), reason, advice)
 
 
 class Scanner:

@@ -10,10 +10,9 @@ import numpy as np
 from polishd.api import ProgramError
 from polishd.model.program import Encoding, IntArray
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.plugins.rnc_robot.dialect import Dialect
 from polishd.plugins.rnc_robot.nc import codes as c
+from polishd.plugins.rnc_robot.nc.dialect import Dialect
 from polishd.plugins.rnc_robot.nc.pieces import Piece
-from polishd.plugins.rnc_robot.nc.refusals import refuse
 
 
 @dataclass(slots=True)
@@ -164,7 +163,7 @@ class PointReader:
         if inverse:
             scale = np.full(len(moves), 1.0 if self._counts_time else 60.0)
         else:
-            self._refuse_first(piece, moves, turns, "the tool turns on the spot, at a feed in deg/min",
+            piece.refuse_first(self.name, moves, turns, "the tool turns on the spot, at a feed in deg/min",
                                "have it posted with G93")  # fmt: skip
             scale = 60.0 * length_mm / (piece.places[feed, c.V_UNIT] * self._per_minute)
         time_s = number * scale if self._counts_time else scale / number
@@ -181,12 +180,12 @@ class PointReader:
     def _check_feeds(self, piece: Piece, moves: IntArray) -> None:
         kind = moves[:, c.M_KIND]
         inverse = self.encoding == "inverse"
-        self._refuse_first(
-            piece, moves, (kind >= c.K_INVERSE) != inverse, "G93 and G94 in one program: time sits in two places",
+        piece.refuse_first(
+            self.name, moves, (kind >= c.K_INVERSE) != inverse, "G93 and G94 in one program: time sits in two places",
             "have it posted with one",
         )  # fmt: skip
-        self._refuse_first(
-            piece, moves, (kind & c.K_ARC) != 0, "an arc, and time sits in the feed: it is no straight move",
+        piece.refuse_first(
+            self.name, moves, (kind & c.K_ARC) != 0, "an arc, and time sits in the feed: it is no straight move",
             "have it posted with straight moves (G1), or with dwells",
         )  # fmt: skip
 
@@ -197,15 +196,9 @@ class PointReader:
             return np.asarray(np.sqrt(squares))
         for axis in range(3):
             lost = np.isnan(before[:, axis]) & ~np.isnan(after[:, axis])
-            self._refuse_first(
-                piece, moves, lost, f"a feed move from nobody knows what {'XYZ'[axis]}", "go to its start with G0 first"
-            )
+            reason = f"a feed move from nobody knows what {'XYZ'[axis]}"
+            piece.refuse_first(self.name, moves, lost, reason, "go to its start with G0 first")
         return np.asarray(np.linalg.norm(np.nan_to_num(step, nan=0.0), axis=1))
-
-    def _refuse_first(self, piece: Piece, moves: IntArray, bad: BoolArray, reason: str, advice: str) -> None:
-        if bad.any():
-            line = int(moves[int(np.argmax(bad)), c.M_LINE])
-            raise refuse(self.name, line, piece.line(line), reason, advice)
 
 
 def counts_time(dialect: Dialect, encoding: Encoding) -> bool:

@@ -9,17 +9,16 @@ import numpy as np
 from polishd.api import Program, ProgramError
 from polishd.model.program import Encoding, IntArray
 from polishd.model.surface import FloatArray
-from polishd.plugins.rnc_robot.dialect import Dialect
 from polishd.plugins.rnc_robot.nc import codes as c
-from polishd.plugins.rnc_robot.nc import compiled
 from polishd.plugins.rnc_robot.nc.checks import doubts
+from polishd.plugins.rnc_robot.nc.dialect import Dialect
 from polishd.plugins.rnc_robot.nc.pieces import Piece, Scanner
 from polishd.plugins.rnc_robot.nc.points import PointReader, Points, counts_time, same_places
+from polishd.plugins.rnc_robot.nc.program import Row
 from polishd.plugins.rnc_robot.nc.refusals import refuse
-from polishd.plugins.rnc_robot.nc.rewriter import Row
 from polishd.plugins.rnc_robot.nc.tables import written_word
 from polishd.plugins.rnc_robot.nc.write import direct, reciprocal
-from polishd.plugins.rnc_robot.nc.writer import Edits, Numbers, refuse_long, refuse_times, refuse_unwritable, spliced
+from polishd.plugins.rnc_robot.nc.writer import Edits, numbers_of, refuse_long, refuse_times, spliced
 
 _TEXTS = [b"", b" F", b" f", b"93", b"94", b"G93\n", b"G93\r\n"]
 _NOTHING, _F, _, _93, _94, _LINE_93, _LINE_93_CRLF, _DWELL, _DWELL_CRLF = range(9)
@@ -40,7 +39,8 @@ def recode(dialect: Dialect, program: Program, time_s: FloatArray, encoding: Enc
     if encoding == "inverse" and dialect.feed.g93 == "refuse":
         raise ProgramError(f"{program.name}: {dialect.title} knows no inverse time (G93). To do: ask for another.")
     points = PointReader(dialect, program.name, program.encoding).read(piece)
-    texts = [*_TEXTS, *_dwell_blocks(dialect)]
+    written = dialect.dwell.written.encode("ascii")
+    texts = [*_TEXTS, b"\n" + written, b"\r\n" + written]
     if encoding == "dwell":
         _refuse_in_last_block(piece, scanner, int(program.line[-1]))
         parts = [_dwells(dialect, piece, points, times, program.name)]
@@ -83,11 +83,6 @@ def _plain(start: IntArray, end: IntArray, prefix: IntArray | int) -> Edits:
     return Edits(start, end, np.broadcast_to(np.asarray(prefix), (count,)), none, none - 1, none)
 
 
-def _dwell_blocks(dialect: Dialect) -> list[bytes]:
-    written = dialect.dwell.written.encode("ascii")
-    return [b"\n" + written, b"\r\n" + written]
-
-
 def _dwells(dialect: Dialect, piece: Piece, points: Points, times: FloatArray, name: str) -> Edits:
     """A block for each point, behind its move's line."""
     word = dialect.dwell.words[written_word(dialect)]
@@ -95,11 +90,9 @@ def _dwells(dialect: Dialect, piece: Piece, points: Points, times: FloatArray, n
     scale = 0.001 if (word.decimal if decimal else word.whole) == "ms" else 1.0
     style = (c.S_POINT if decimal else 0) | (c.S_KEEP if word.decimal != word.whole else 0)
     count = len(times)
-    numbers = Numbers(np.zeros(count, dtype=np.int64), np.full(count, -1))
-    styles = np.full(count, style)
-    run = compiled.kernel(direct, len(piece.text))
-    run(times, np.full(count, np.nan), np.full(count, scale), styles, dialect.dwell.decimals, 0, 0.0, numbers)
-    refuse_unwritable(name, points.line, times, numbers)
+    old, scales, styles = np.full(count, np.nan), np.full(count, scale), np.full(count, style)
+    size, decimals = len(piece.text), dialect.dwell.decimals
+    numbers, _ = numbers_of(direct, size, name, points.line, times, old, scales, styles, decimals, 0, 0.0)
     at, crlf = _line_ends(piece.text, points.tail)
     return Edits(at, at, np.where(crlf, _DWELL_CRLF, _DWELL), numbers.mantissa, numbers.decimals, styles)
 
@@ -179,23 +172,24 @@ class _Moves:
 
     def feeds(self, encoding: Encoding, times: FloatArray) -> Edits:
         """An F for each feed move, in its place or at the end of its block."""
-        count = len(times)
-        numbers = Numbers(np.zeros(count, dtype=np.int64), np.full(count, -1))
+        count, lines = len(times), self._rows[:, c.M_LINE]
         unsure = self._dialect.feed.whole == "unsure"
         style = self._rows[:, c.M_STYLE] | (c.S_POINT if unsure else 0)
-        nothing = np.full(count, np.nan)
         if encoding == "feed":
             self._refuse(self._length_mm == 0, "the tool turns on the spot: its feed would be in deg/min")
+        old, size = np.full(count, np.nan), len(self._piece.text)
         if counts_time(self._dialect, encoding):
-            run = compiled.kernel(direct, len(self._piece.text))
-            run(times, nothing, np.ones(count), style, self._dialect.dwell.decimals, 1, 0.0, numbers)
+            decimals = self._dialect.dwell.decimals
+            numbers, _ = numbers_of(
+                direct, size, self._name, lines, times, old, np.ones(count), style, decimals, 1, 0.0
+            )
         else:
             scale = np.full(count, 60.0) if encoding == "inverse" else 60.0 * self._length_mm / self._unit
-            lines = np.stack([self._rows[:, c.M_LINE]] * 2, axis=1)
-            most, state = self._dialect.feed.most_decimals, np.zeros(3)
-            run = compiled.kernel(reciprocal, len(self._piece.text))
-            run(times, nothing, scale, style, lines, self._number, most, state, numbers)
-        refuse_unwritable(self._name, self._rows[:, c.M_LINE], times, numbers)
+            most, f_lines = self._dialect.feed.most_decimals, np.stack([lines] * 2, axis=1)
+            state = np.zeros(3)
+            numbers, _ = numbers_of(
+                reciprocal, size, self._name, lines, times, old, scale, style, f_lines, self._number, most, state
+            )
         own = self._rows[:, c.M_START] >= 0
         return Edits(
             np.where(own, self._rows[:, c.M_START], self._rows[:, c.M_TAIL]),
@@ -204,12 +198,5 @@ class _Moves:
         )  # fmt: skip
 
     def _refuse(self, bad: Any, reason: str) -> None:
-        if bad.any():
-            line = int(self._rows[int(np.argmax(bad)), c.M_LINE])
-            raise refuse(
-                self._name,
-                line,
-                self._piece.line(line),
-                reason,
-                "keep the program's own encoding, or have it posted again",
-            )
+        advice = "keep the program's own encoding, or have it posted again"
+        self._piece.refuse_first(self._name, self._rows, bad, reason, advice)

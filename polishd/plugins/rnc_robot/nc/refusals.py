@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 
 from polishd.api import ProgramError
-from polishd.plugins.rnc_robot.dialect import Dialect, TextRules
 from polishd.plugins.rnc_robot.nc import codes as c
+from polishd.plugins.rnc_robot.nc.dialect import Dialect, TextRules
 
 _WITHOUT = "have it posted again without variables, expressions and loops"
 _CHARACTERS = {

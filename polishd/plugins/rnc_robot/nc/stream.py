@@ -12,8 +12,8 @@ import numpy as np
 from polishd.api import ProgramError
 from polishd.model.program import Encoding
 from polishd.model.surface import FloatArray
-from polishd.plugins.rnc_robot.dialect import Dialect
 from polishd.plugins.rnc_robot.nc.checks import Checks, unit, warnings
+from polishd.plugins.rnc_robot.nc.dialect import Dialect
 from polishd.plugins.rnc_robot.nc.pieces import PIECE_BYTES, Piece, Scanner
 from polishd.plugins.rnc_robot.nc.points import PointReader, Points, Tally
 from polishd.plugins.rnc_robot.nc.writer import Writer, refuse_times
@@ -60,11 +60,6 @@ class Passed:
     warnings: tuple[str, ...] = ()
 
 
-def look_through(dialect: Dialect, file: BinaryIO, name: str, progress: Progress | None = None) -> Passed:
-    """Read a program without keeping it. ProgramError names the line and the reason."""
-    return run_through(dialect, file, name, lambda _piece, _points, _checks: None, progress)
-
-
 def rewrite_stream(
     dialect: Dialect,
     file: BinaryIO,
@@ -92,7 +87,7 @@ def rewrite_stream(
         changed += int(np.count_nonzero(new != points.time_s))
         out.write(writer.write(piece, points, new))
 
-    passed = run_through(dialect, file, name, write, progress)
+    passed = look_through(dialect, file, name, progress, write)
     times.finish()
     passed.changed = changed
     return passed
@@ -118,8 +113,10 @@ def _guessed(dialect: Dialect, file: BinaryIO, name: str) -> Encoding:
     return tally.encoding(name)
 
 
-def run_through(dialect: Dialect, file: BinaryIO, name: str, each: Each, progress: Progress | None = None) -> Passed:
-    """Give ``each`` piece of a program with its points away, and check the whole. ProgramError names the line."""
+def look_through(
+    dialect: Dialect, file: BinaryIO, name: str, progress: Progress | None = None, each: Each | None = None
+) -> Passed:
+    """Read a program without keeping it; ``each`` piece with its points is given away. ProgramError names the line."""
     encoding = _guessed(dialect, file, name)
     scanner, tally, checks = Scanner(dialect, name), Tally(), Checks(dialect, name, encoding)
     reader, passed = PointReader(dialect, name, encoding), Passed(dialect.name, encoding)
@@ -129,7 +126,8 @@ def run_through(dialect: Dialect, file: BinaryIO, name: str, each: Each, progres
         points = reader.read(piece)
         checks.add(points, scanner)
         still += points.still
-        each(piece, points, checks)
+        if each is not None:
+            each(piece, points, checks)
         _note(passed, dialect, points)
     if tally.encoding(name) != encoding:
         raise ProgramError(

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from polishd.api import ConfigError
-from polishd.plugins.rnc_robot.dialect import Dialect
 from polishd.plugins.rnc_robot.nc import codes as c
+from polishd.plugins.rnc_robot.nc.dialect import Dialect
 
 _ACTIONS = {
     "neutral": c.NEUTRAL, "rapid": c.RAPID, "line": c.LINE_TO, "arc_cw": c.ARC_CW, "arc_ccw": c.ARC_CCW,
@@ -90,16 +90,12 @@ def _check_words(dialect: Dialect) -> None:
             if not word.isascii():
                 raise ConfigError(f"{where}: {key}: {word!r} is no ASCII text. To do: correct it.")
     taken = {*"NGMFXYZ", *(letter for pair in dialect.axes.rotary for letter in pair)}
-    for key, word in _neutral(dialect):
-        if word.upper() in taken:
-            raise ConfigError(f"{where}: {key}: {word!r} means something already. To do: take it out.")
+    for key in ("words.neutral", "words.keywords"):
+        for word in named[key]:
+            if word.upper() in taken:
+                raise ConfigError(f"{where}: {key}: {word!r} means something already. To do: take it out.")
     if written_word(dialect) not in dialect.dwell.words:
         raise ConfigError(f"{where}: dwell.written: ends in no word of dwell.words. To do: end it as in 'G4 P'.")
-
-
-def _neutral(dialect: Dialect) -> list[tuple[str, str]]:
-    neutral = [("words.neutral", word) for word in dialect.words.neutral]
-    return neutral + [("words.keywords", word) for word in dialect.words.keywords]
 
 
 def written_word(dialect: Dialect) -> str:

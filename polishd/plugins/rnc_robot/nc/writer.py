@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,8 +10,8 @@ import numpy as np
 from polishd.api import ProgramError
 from polishd.model.program import Encoding, IntArray
 from polishd.model.surface import FloatArray
-from polishd.plugins.rnc_robot.dialect import Dialect
 from polishd.plugins.rnc_robot.nc import compiled
+from polishd.plugins.rnc_robot.nc.dialect import Dialect
 from polishd.plugins.rnc_robot.nc.pieces import Piece
 from polishd.plugins.rnc_robot.nc.points import Points, counts_time
 from polishd.plugins.rnc_robot.nc.refusals import refuse
@@ -57,7 +58,6 @@ class Writer:
     def write(self, piece: Piece, points: Points, times_s: FloatArray) -> bytes:
         """The piece's text with these times, (n,) s."""
         numbers, own = self._numbers(points, times_s, len(piece.text)), points.start >= 0
-        refuse_unwritable(self._name, points.line, times_s, numbers)
         keep = numbers.decimals >= 0
         if not keep.any():
             return piece.text
@@ -71,19 +71,36 @@ class Writer:
         return text
 
     def _numbers(self, points: Points, times_s: FloatArray, size: int) -> Numbers:
-        count = len(times_s)
-        numbers = Numbers(np.zeros(count, dtype=np.int64), np.full(count, -1))
+        name, line, old, scale, style = self._name, points.line, points.time_s, points.scale, points.style
         if self._counts_time:
-            run = compiled.kernel(direct, size)
-            self._state[0] = run(
-                times_s, points.time_s, points.scale, points.style, self._usual, self._least, self._state[0], numbers
+            usual, least, residue = self._usual, self._least, self._state[0]
+            numbers, self._state[0] = numbers_of(
+                direct, size, name, line, times_s, old, scale, style, usual, least, residue
             )
-        else:
-            run = compiled.kernel(reciprocal, size)
-            lines = np.stack([points.line, points.f_line], axis=1)
-            most = self._dialect.feed.most_decimals
-            run(times_s, points.time_s, points.scale, points.style, lines, points.number, most, self._state, numbers)
-        return numbers
+            return numbers
+        lines, most = np.stack([points.line, points.f_line], axis=1), self._dialect.feed.most_decimals
+        return numbers_of(
+            reciprocal, size, name, line, times_s, old, scale, style, lines, points.number, most, self._state
+        )[0]
+
+
+def numbers_of(
+    rule: Callable[..., Any], size: int, name: str, line: IntArray, times: FloatArray, *arguments: Any
+) -> tuple[Numbers, Any]:
+    """The numbers that ``write.direct`` or ``write.reciprocal`` finds for (n,) times, and what it returns.
+
+    ProgramError at the first time that no number says: too large, or a feed of zero. ``size``: bytes of the text.
+    """
+    numbers = Numbers(np.zeros(len(times), dtype=np.int64), np.full(len(times), -1))
+    answer = compiled.kernel(rule, size)(times, *arguments, numbers)
+    bad = numbers.decimals == UNWRITABLE
+    if bad.any():
+        index = int(np.argmax(bad))
+        raise ProgramError(
+            f"{name}, line {line[index]}: no number that the controller takes says a time of {times[index]} s. "
+            "To do: solve again with times that the feed can hold."
+        )
+    return numbers, answer
 
 
 def spliced(text: bytes, edits: Edits, texts: list[bytes]) -> bytes:
@@ -112,17 +129,6 @@ def refuse_long(dialect: Dialect, name: str, text: bytes, first_line: int, lines
             name, number, line, f"longer than {longest} bytes once its time is changed",
             "split the line, or shorten its comment",
         )  # fmt: skip
-
-
-def refuse_unwritable(name: str, line: IntArray, times: FloatArray, numbers: Numbers) -> None:
-    """ProgramError at the first time that no number says: too large, or a feed of zero."""
-    bad = numbers.decimals == UNWRITABLE
-    if bad.any():
-        index = int(np.argmax(bad))
-        raise ProgramError(
-            f"{name}, line {line[index]}: no number that the controller takes says a time of {times[index]} s. "
-            "To do: solve again with times that the feed can hold."
-        )
 
 
 def refuse_times(dialect: Dialect, encoding: Encoding, name: str, line: IntArray, times: FloatArray) -> None:

@@ -16,7 +16,7 @@ import pytest
 from polishd.api import Program, ProgramError
 from polishd.plugins.rnc_robot import formats
 from polishd.plugins.rnc_robot.dialect import Dialect, dialect
-from polishd.plugins.rnc_robot.nc import compiled, scan, stream, write
+from polishd.plugins.rnc_robot.nc import compiled, scan, stream, write, writer
 from tests.corpus.fuzz import GRAMMARS, program
 from tests.corpus.table import Case, cases
 
@@ -115,6 +115,24 @@ def test_the_same_line_and_reason(body: str, line: int, monkeypatch: Patch) -> N
     assert isinstance(found, str)
     assert found.startswith(f"t.nc, line {line}: ")
     assert found == outcome("rs274", text, monkeypatch, NEVER)
+
+
+def test_a_numba_without_the_private_option_gives_the_same_numbers(monkeypatch: Patch) -> None:
+    assert compiled._uncounted() == {"_nrt": False}, "numba has lost the option: compiled code is seven times slower"
+    monkeypatch.setattr("numba.core.options.DefaultOptions", object())
+    assert compiled._uncounted() == {}
+    monkeypatch.setattr(compiled, "_folder", lambda _: None)
+    monkeypatch.setattr(compiled, "_register_parts", lambda: None)
+    counted = compiled._compiled.__wrapped__(write.direct)
+    assert counted is not compiled.kernel(write.direct, NEVER)
+    times, old, style = np.array([0.1234, 2.0, 0.3]), np.full(3, np.nan), np.full(3, 3)
+    results = []
+    for run in (write.direct, counted):
+        out = writer.Numbers(np.zeros(3, dtype=np.int64), np.full(3, -1))
+        results.append(
+            (run(times, old, np.ones(3), style, 3, 0, 0.0, out), out.mantissa.tolist(), out.decimals.tolist())
+        )
+    assert results[0] == results[1]
 
 
 def test_large_programs_are_compiled() -> None:

@@ -16,7 +16,8 @@ import pytest
 from polishd.api import Program, ProgramError
 from polishd.plugins.rnc_robot.dialect import Dialect
 from polishd.plugins.rnc_robot.dialect import dialect as load
-from polishd.plugins.rnc_robot.nc import reader, rewriter, stream
+from polishd.plugins.rnc_robot.nc import program as nc
+from polishd.plugins.rnc_robot.nc import stream
 from polishd.plugins.rnc_robot.nc.stream import Passed, look_through, rewrite_stream
 from polishd.workbench.programs.dwell_csv import DwellTable
 from polishd.workbench.programs.files import rewrite_file
@@ -123,16 +124,16 @@ def check_all(name: str, text: bytes, sizes: tuple[int, ...], cut: Callable[[int
     """Wherever the program is cut, it is the one that is read in one piece."""
     profile = cast(Dialect, dialect(name))
     cut(WHOLE)
-    found = reader.read(profile, text, "t.nc")
+    found = nc.read(profile, text, "t.nc")
     times = other_times(found)
-    expected = rewriter.rewrite(profile, found, times)
+    expected = nc.rewrite(profile, found, times)
     for size in sizes:
         cut(size)
         check_figures(found, look_through(profile, BytesIO(text), "t.nc"))
-        same_program(found, reader.read(profile, text, "t.nc"))
+        same_program(found, nc.read(profile, text, "t.nc"))
         new, passed = streamed(profile, text, times)
         assert new == expected, size
-        assert rewriter.rewrite(profile, found, times) == expected
+        assert nc.rewrite(profile, found, times) == expected
         assert passed.changed == np.count_nonzero(times != found.time_s)
         check_figures(found, passed)
         assert streamed(profile, text, found.time_s)[0] == text
@@ -164,7 +165,7 @@ def test_the_corpus_is_refused(case: Case, cut: Callable[[int], None]) -> None:
     with pytest.raises(ProgramError) as caught:
         look_through(profile, BytesIO(case.text), "t.nc")
     with pytest.raises(ProgramError) as same:
-        reader.read(profile, case.text, "t.nc")
+        nc.read(profile, case.text, "t.nc")
     assert str(caught.value) == str(same.value)
     cut(13)
     with pytest.raises(ProgramError, match=r"^t\.nc.*To do: "):
@@ -183,7 +184,7 @@ def test_rounding_is_carried_across_pieces(cut: Callable[[int], None]) -> None:
     body = "".join(f"G1 X{i % 9} F60\nG4 P0.100000\n" for i in range(200))
     cut(30)
     new, _ = streamed(RS274, whole(body), np.full(200, 0.2000004))
-    found = reader.read(RS274, new, "t.nc")
+    found = nc.read(RS274, new, "t.nc")
     assert abs(found.time_s.sum() - 200 * 0.2000004) <= 1e-6
 
 
@@ -233,7 +234,7 @@ def test_refused_as_in_memory(body: str, line: int, why: str, size: int, cut: Ca
     cut(size)
     for go in (
         lambda: look_through(RS274, BytesIO(text), "t.nc"),
-        lambda: reader.read(RS274, text, "t.nc"),
+        lambda: nc.read(RS274, text, "t.nc"),
     ):
         with pytest.raises(ProgramError) as caught:
             go()
@@ -256,7 +257,7 @@ def test_the_line_of_the_first_move_without_a_dwell(cut: Callable[[int], None]) 
 def test_a_time_that_stays_need_not_be_writable() -> None:
     """Longer than any time that may be asked for: whoever asks for no change gets none."""
     text = whole("G93\nG1 X1 F0.00000001\nX2 F60\n")
-    found = reader.read(RS274, text, "t.nc")
+    found = nc.read(RS274, text, "t.nc")
     assert found.time_s[0] == pytest.approx(6e9)
     new, _ = streamed(RS274, text, np.array([found.time_s[0], 2.0]))
     assert new == text.replace(b"F60", b"F30")
@@ -344,9 +345,9 @@ def test_a_refusal_leaves_nothing(
 def test_from_file_to_file(tmp_path: Path, size: int, cut: Callable[[int], None]) -> None:
     for name, text in TEXTS.items():
         cut(WHOLE)
-        found = reader.read(RS274, text, "t.nc")
+        found = nc.read(RS274, text, "t.nc")
         times = other_times(found, 3)
-        expected = rewriter.rewrite(RS274, found, times)
+        expected = nc.rewrite(RS274, found, times)
         (tmp_path / "p.nc").write_bytes(text)
         (tmp_path / "d.csv").write_text("".join(f"{time!r}\n" for time in times.tolist()))
         cut(size)
