@@ -23,9 +23,9 @@ import pytest
 
 from polishd.api import DeviceContext, SurfaceMap
 from polishd.plugins.interferometer import files, taken
+from polishd.plugins.interferometer.files import Settled
 from polishd.plugins.interferometer.folder import FolderOptions, Waiting, WatchedFolder
 from polishd.plugins.interferometer.formats.metropro import METROPRO
-from polishd.plugins.interferometer.files import Settled
 from polishd.sim_backends.metropro import DatMap, pack
 
 PART = "DEMO-100"
