@@ -57,6 +57,7 @@ class DeviceSection(Section):
 
     model_config = ConfigDict(extra="allow", frozen=True, strict=True)
     type: Text | None = None
+    """A device type that a loaded plugin has; its plugin says which other keys there are."""
 
     @model_validator(mode="after")
     def _one_or_several(self) -> Self:

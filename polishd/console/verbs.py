@@ -115,7 +115,7 @@ def _tell_last(last: Mapping[str, Any], name: str, cell: Path) -> None:
 def order_verb(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:
     """Give the running daemon an order; returns when it is obeyed."""
     config = load_config(cell)
-    answer = client.request(config.state_dir, verb, client.ORDER_S, {"reason": reason} if reason else {})
+    answer = client.request(config.state_dir, verb, args={"reason": reason} if reason else {})
     rows = [(key, for_cell(str(value), cell)) for key, value in answer.items() if value]
     emit(answer, as_json=as_json, table=lambda: key_table(f"{config.cell.name}: {verb}", rows))
 

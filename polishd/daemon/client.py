@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Any
 
 from polishd.daemon.sockets import SOCKET_NAME, address_of
-from polishd.daemon.verbs import SUBSCRIBE
+from polishd.daemon.verbs import SUBSCRIBE, VERBS
 from polishd.model.errors import LinkError, NoDaemon, ProtocolError
 
 ANSWER_S = 30.0
@@ -24,13 +24,15 @@ NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
 def request(
-    state_dir: Path, verb: str, within_s: float = ANSWER_S, args: Mapping[str, Any] = NOTHING
+    state_dir: Path, verb: str, within_s: float | None = None, args: Mapping[str, Any] = NOTHING
 ) -> dict[str, Any]:
     """Ask the daemon of that state folder; its answer has ``ok``, and ``error`` where that is false.
 
-    Verbs and their arguments stand in ``daemon.verbs``.
+    Verbs and their arguments stand in ``daemon.verbs``; ``within_s`` is long for those that change something.
     NoDaemon where none runs; LinkError where it does not answer in time.
     """
+    if within_s is None:
+        within_s = ORDER_S if verb in VERBS and VERBS[verb].changes else ANSWER_S
     with _asked(state_dir, verb, args, within_s) as connection, connection.makefile("rb") as lines:
         return _answer(lines.readline(), state_dir)
 

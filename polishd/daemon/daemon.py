@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.cycle import polish
-from polishd.daemon.endings import NEXT, as_json, causes, gone, standing
+from polishd.daemon.endings import NEXT, causes, gone, standing
 from polishd.daemon.events import EventBus
 from polishd.daemon.interruption import settle
 from polishd.daemon.job import Job
@@ -144,7 +144,7 @@ class Daemon:
         return {
             **self._standing("failed" if failure else outcome.value, reason).data,
             "exit_code": getattr(failure, "exit_code", 1) if failure else EXIT_CODES[outcome],
-            "causes": as_json(found),
+            "causes": [asdict(cause) for cause in found],
             "notes": [str(cause) for cause in found],
         }
 

@@ -9,7 +9,7 @@ import json
 import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -134,11 +134,6 @@ def last_ending(state_dir: Path) -> Mapping[str, Any]:
         return standing("unknown", f"no daemon has left word in {state_dir}", None).data
     except (OSError, ValueError, KeyError, TypeError) as error:
         return standing("unknown", f"{path} cannot be read: {error}", None).data
-
-
-def as_json(found: tuple[Cause, ...]) -> list[dict[str, Any]]:
-    """The causes, for the summary."""
-    return [asdict(cause) for cause in found]
 
 
 def now() -> str:

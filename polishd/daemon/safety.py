@@ -290,16 +290,11 @@ async def heard(samples: AsyncIterator[T], judge: Callable[[T], None], name: str
 
 def most_telling(errors: BaseExceptionGroup[BaseException]) -> BaseException:
     """The one error of a group that says what to do: ours before others, others before cancellation."""
-    flat = list(_flatten(errors))
     for kind in (SafetyStop, PolishdError, Exception):
-        for error in flat:
-            if isinstance(error, kind):
-                return error
-    return flat[0]
+        if (found := errors.subgroup(kind)) is not None:
+            return _first(found)
+    return _first(errors)
 
 
-def _flatten(errors: BaseExceptionGroup[BaseException]) -> list[BaseException]:
-    found: list[BaseException] = []
-    for error in errors.exceptions:
-        found.extend(_flatten(error) if isinstance(error, BaseExceptionGroup) else [error])
-    return found
+def _first(error: BaseException) -> BaseException:
+    return _first(error.exceptions[0]) if isinstance(error, BaseExceptionGroup) else error

@@ -255,17 +255,16 @@ def test_status_where_nothing_is_known(polishd: Polishd, files: DemoFiles, conte
 
 @pytest.mark.parametrize("verb", ["hold", "resume", "stop", "estop"])
 def test_orders(polishd: Polishd, files: DemoFiles, verb: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[tuple[Path, str, float, dict[str, str]]] = []
+    asked: list[tuple[Path, str, dict[str, str]]] = []
 
-    def request(state_dir: Path, word: str, within_s: float, args: dict[str, str]) -> dict[str, Any]:
-        asked.append((state_dir, word, within_s, args))
+    def request(state_dir: Path, word: str, args: dict[str, str]) -> dict[str, Any]:
+        asked.append((state_dir, word, args))
         return {"ok": True, "state": "held"}
 
     monkeypatch.setattr(client, "request", request)
     assert json.loads(polishd(verb, files.cell, "--json").out) == {"ok": True, "state": "held"}
     polishd(verb, files.cell, "--reason", "a scratch")
-    order = (files.state_dir, verb, client.ORDER_S)
-    assert asked == [(*order, {}), (*order, {"reason": "a scratch"})]
+    assert asked == [(files.state_dir, verb, args) for args in ({}, {"reason": "a scratch"})]
 
 
 def test_status(polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from polishd.daemon import service
+from polishd.daemon import client, service
 from polishd.daemon.client import request, subscribe
 from polishd.daemon.events import EventBus
 from polishd.daemon.service import serving
@@ -156,6 +156,13 @@ async def test_a_waiting_verb_holds_up_no_other(daemon: Path) -> None:
     waiting.cancel()
     with pytest.raises(asyncio.CancelledError):
         await waiting
+
+
+async def test_an_order_is_given_time_to_be_obeyed(daemon: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(client, "ORDER_S", 0.05)
+    with pytest.raises(LinkError, match=r"did not answer within 0\.05 s"):
+        await asyncio.to_thread(request, daemon, "stop")
+    assert (await asyncio.to_thread(request, daemon, "status"))["ok"]
 
 
 async def test_a_silent_daemon_is_told(daemon: Path) -> None:
