@@ -48,7 +48,6 @@ def fastest(recipe: Recipe, program: Program) -> Plan:
     feed = program.max_feed_mm_min if program.encoding == "dwell" else 60 * envelope.max_feed_mm_s
     return Plan(
         program=replace(program, time_s=asked, max_feed_mm_min=feed),
-        original_sha256=program.sha256,
         approach_blocks=int(program.block[0]),
         contact_blocks=int(program.block[-1]) + 1,
         expected_time_s=motion.least_time_s(program, envelope),

@@ -91,14 +91,7 @@ class Solved:
 
 def read_program(recipe: Recipe, path: Path) -> Program:
     """Read the job's program; ProgramError names file and line."""
-    return with_moves(recipe.format.read(read_program_bytes(path), path.name))
-
-
-def with_moves(program: Program) -> Program:
-    """A point that dwells begins where the last one ended: the move there takes time, and removes, too."""
-    if program.encoding != "dwell":
-        return program
-    return replace(program, start_mm=np.vstack([program.end_mm[:1], program.end_mm[:-1]]))
+    return recipe.format.read(read_program_bytes(path), path.name)
 
 
 def condition(
@@ -136,7 +129,9 @@ def condition(
 
 
 def in_part_frame(recipe: Recipe, program: Program) -> Program:
-    """The same program with its points and axes in the part's frame."""
+    """The same program with its points and axes in the part's frame; one that is there already stays."""
+    if program.frame == "part":
+        return program
     turn = Rotation.from_euler("z", recipe.program_rotation_deg, degrees=True)
     offset = np.asarray(recipe.program_offset_mm)
     return replace(
@@ -144,18 +139,16 @@ def in_part_frame(recipe: Recipe, program: Program) -> Program:
         start_mm=turn.apply(program.start_mm) + offset,
         end_mm=turn.apply(program.end_mm) + offset,
         axis=turn.apply(program.axis),
+        frame="part",
     )
 
 
 def as_polished(recipe: Recipe, program: Program) -> Program:
-    """The program in the part's frame, as the tool meets the part.
+    """The program in the part's frame, with the tool's axis: where it states none, the way the cell dips.
 
-    A dwell acts where its move ends. A program that states no tool axis is taken as dipped the way the cell dips;
-    ``run`` refuses it (``violations``), since the robot would not know.
+    ``run`` refuses a program that states none (``violations``), since the robot would not know.
     """
     part = in_part_frame(recipe, program)
-    if program.encoding == "dwell":
-        part = replace(part, start_mm=part.end_mm)
     if _states_no_axis(recipe, program):
         dip_deg = recipe.process.dip_deg
         part = replace(part, axis=tool_axes(part.end_mm, recipe.optic, dip_deg, recipe.options, recipe.placement))
@@ -223,14 +216,13 @@ def _at_limit(found: float, rate: float) -> str:
 def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan:
     """The rewritten program, read back from its own bytes, with what it is expected to do."""
     text = recipe.format.rewrite(program, solved.asked_s)
-    rewritten = with_moves(recipe.format.read(text, name))
+    rewritten = recipe.format.read(text, name)
     if rewritten.n != program.n or not np.array_equal(rewritten.end_mm, program.end_mm):
         raise ComputeError(f"{name}: the rewritten program does not read back as the same path; nothing was sent")
     expected = motion.delivered_time_s(rewritten, rewritten.time_s, envelope_of(recipe, program, solved.beliefs))
     blocks = rewritten.blocks
     return Plan(
         program=rewritten,
-        original_sha256=program.sha256,
         approach_blocks=int(rewritten.block[0]),
         contact_blocks=int(rewritten.block[-1]) + 1,
         expected_time_s=expected,

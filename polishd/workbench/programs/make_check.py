@@ -26,7 +26,7 @@ def require_cell_takes(config: CellConfig, hooks: Hooks, text: bytes, named: tup
     """
     without_map = {"instrument": InstrumentSection(), "part": config.part.model_copy(update={"nominal": None})}
     recipe = make_recipe(config.model_copy(update=without_map), hooks)
-    program = steps.with_moves(read(dialect_named(named[1]), text, named[0]))
+    program = read(dialect_named(named[1]), text, named[0])
     found = foresight.refusals(recipe, program, hooks.check_plan)
     if found:
         says = "\n".join(f"  {line}" for line in found)
