@@ -32,7 +32,7 @@ class Program:
     block: IntArray
     """(n,) 0-based index of that line among the lines that are streamed (see ``blocks``)."""
     start_mm: FloatArray
-    """(n, 3) where the tool tip is when the block begins: a dwell stays there. See ``travel_mm`` for what leads to it."""
+    """(n, 3) where the tool tip is when the block begins; a dwell stays there (what leads to it: ``travel_mm``)."""
     end_mm: FloatArray
     """(n, 3) where it is when the block ends."""
     axis: FloatArray

@@ -8,7 +8,7 @@ from polishd.hooks.loader import Hooks
 from polishd.model.errors import ProgramError
 from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
 from polishd.plugins.rnc_robot.formats import read
-from polishd.recipe import foresight, steps
+from polishd.recipe import foresight
 from polishd.recipe.making import make_recipe
 
 UNCHECKED = (
