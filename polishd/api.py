@@ -11,7 +11,9 @@ from polishd.hookspecs import (
     RemovalRequest,
     SurfaceReader,
     hookimpl,
+    learn_rate,
 )
+from polishd.model.beliefs import Belief, Beliefs, Evidence, Lesson
 from polishd.model.cycle import Event
 from polishd.model.devices import DeviceStatus, Executed, ForceSample, Identity, RobotProgress, SpeedSample
 from polishd.model.dwell import Certificate, DwellSolution
@@ -48,6 +50,8 @@ __all__ = [
     "API_VERSION",
     "ActuatorTimes",
     "BadMap",
+    "Belief",
+    "Beliefs",
     "ByteStream",
     "Certificate",
     "Clock",
@@ -69,12 +73,14 @@ __all__ = [
     "Effect",
     "Envelope",
     "Event",
+    "Evidence",
     "Executed",
     "ForceActuator",
     "ForceSample",
     "Grid",
     "HybridRobot",
     "Identity",
+    "Lesson",
     "LinkError",
     "MeasuredCompliance",
     "MeasuredTif",
@@ -110,4 +116,5 @@ __all__ = [
     "ToolProcess",
     "WrongPart",
     "hookimpl",
+    "learn_rate",
 ]

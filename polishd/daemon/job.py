@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from polishd.daemon.compute import Compute
@@ -14,18 +14,18 @@ from polishd.daemon.journal_records import MapRecord, PassRecord
 from polishd.daemon.safety import ContactLimits
 from polishd.model.cycle import Event
 from polishd.model.devices import Executed, RobotProgress
-from polishd.model.dwell import KeptStart
 from polishd.model.errors import ConfigError, GateStop, PlanRefused
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
+from polishd.process.conditioning import Masks
 from polishd.process.executed import executed_s
 from polishd.process.registration.record import Registration
 from polishd.recipe import dwell_step, steps
+from polishd.recipe.encoding import table
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import plan_arrays, save_plan, save_surface, save_verdict, surface_arrays
-from polishd.recipe.steps import Beliefs, Measured, Solved, Taught
+from polishd.recipe.records import Measured, Pass, Planned, Solved, Taught, figures, tolerated_nm
 
 DIVERGED_RATIO, DIVERGED_NM = 1.3, 1.0
 """A surface that is worse than the best one so far by this ratio, and by more than noise and ripple, ends the job."""
@@ -33,19 +33,6 @@ PROGRESS_BLOCKS = 50
 """Blocks between two progress events; between them nobody else has a turn on the event loop."""
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class Planned:
-    """A plan as the journal names it, and what the next cycle needs of it."""
-
-    plan: str
-    """Names in the array store: all its arrays, and what the next solve can start from."""
-    start: str
-    certificate: Mapping[str, Any]
-    asked_s: FloatArray
-    """(n,) time that it wrote into the program."""
-    kept: KeptStart
 
 
 class Job:
@@ -75,10 +62,12 @@ class Job:
         self._compute = compute
         self._publish = publish
         self._check_plan = check_plan
-        self._beliefs = Beliefs(block_overhead_s=recipe.envelope.block_overhead_s)
+        self._believed = steps.believed_at_first(recipe)
         self._surfaces: dict[int, Measured] = {}
         self._planned: dict[int, Planned] = {}
-        self._masks: tuple[Any, Any] | None = None
+        self._stored: tuple[str, str] = ("", "")
+        """Names in the array store of the last plan, and of what the next solve can start from."""
+        self._masks: Masks | None = None
         self._lay: Registration | None = None
         """Where the part lay in the last map."""
         self._blocks = 0
@@ -91,13 +80,12 @@ class Job:
         history, passes = self._journal.history, self._journal.passes
         if not history:
             return
-        first, last = self._measured(history[0]), self._measured(history[-1])
-        self._masks, self._lay = (first.solve_mask, first.metric_mask), last.registration
+        self._masks, self._lay = self._measured(history[0]).masks, self._measured(history[-1]).registration
         if passes:
             record = passes[-1]
+            planned = self._plan_of(record)
             self._surfaces = {found.cycle: self._measured(found) for found in history if found.cycle == record.cycle}
-            self._planned = {record.cycle: self._plan_of(record)}
-            self._beliefs = Beliefs(float(record.facts["rate"]), float(record.facts["block_overhead_s"]))
+            self._planned, self._believed = {record.cycle: planned}, planned.believed
         await self._for_people(self._remake)
 
     @property
@@ -110,29 +98,31 @@ class Job:
     async def measured(self, cycle: int, surface: SurfaceMap) -> Measured:
         """The map on the process grid; journalled and kept in the run folder."""
         measured = await self._compute(steps.condition, self.recipe, surface, self._masks, self._lay)
-        arrays = await asyncio.to_thread(self._journal.arrays.put, surface_arrays(measured))
-        told = {"spikes": measured.spikes, "notes": list(measured.notes), "run_dir": str(self._folder.path)}
-        stats = {**asdict(measured.stats), **told}
-        self._journal.record_map(cycle, surface.sha256, surface.path or "", stats, arrays)
-        self._masks, self._lay = (measured.solve_mask, measured.metric_mask), measured.registration
-        await self._for_people(save_surface, self._folder.cycle(cycle), surface, measured)
+        files = await asyncio.to_thread(measured.files)
+        arrays = await asyncio.to_thread(self._journal.arrays.put, files["surface.npz"])
+        facts = {**measured.facts(), "run_dir": str(self._folder.path)}
+        self._journal.record_map(cycle, surface.sha256, surface.path or "", facts, arrays)
+        self._masks, self._lay = measured.masks, measured.registration
+        folder = self._folder.cycle(cycle)
+        await self._for_people(folder.map_file, surface)
+        await self._for_people(folder.write, files)
         await self._for_people(self._remake)
-        self._publish(Event("measured", cycle, stats))
+        self._publish(Event("measured", cycle, facts))
         return measured
 
     def accepts(self, surface: Measured) -> bool:
         """Whether the figure is in tolerance, over the periods that the tolerance is for."""
-        return _figure(asdict(surface.stats)) <= self.recipe.tolerance_nm
+        return surface.figure_nm <= self.recipe.tolerance_nm
 
     def diverges(self, surface: Measured) -> bool:
         """Whether the surface is clearly worse than it has been."""
         torn = [record.cycle for record in self._journal.passes if record.how != "done"]
         since = max(torn, default=-1)  # a pass that was torn off leaves a step, which is nobody's divergence
-        earlier = [_figure(record.stats) for record in self._journal.history[:-1] if record.cycle > since]
+        earlier = [tolerated_nm(record.stats) for record in self._journal.history[:-1] if record.cycle > since]
         if not earlier:
             return False
         best = min(earlier)
-        return _figure(asdict(surface.stats)) > max(DIVERGED_RATIO * best, best + DIVERGED_NM)
+        return surface.figure_nm > max(DIVERGED_RATIO * best, best + DIVERGED_NM)
 
     # learn, solve, plan
 
@@ -144,19 +134,15 @@ class Job:
         if before is None or not done:
             return
         executed = await asyncio.to_thread(self.executed_s, cycle - 1)
-        times = (self._planned[cycle - 1].asked_s, executed)
-        taught: Taught = await self._compute(
-            steps.learn, self.recipe, self._program, (before, surface), times, self._beliefs
-        )
+        last = Pass(before, surface, self._planned[cycle - 1].asked_s, executed)
+        taught: Taught = await self._compute(steps.learn, self.recipe, self._program, last, self._believed)
         folder = self._folder.cycle(cycle)
-        await self._for_people(save_verdict, folder, taught.verdict, surface)
-        if taught.learned is None:
+        await self._for_people(folder.write, await asyncio.to_thread(taught.files))
+        if taught.verdict.stop:
             self._publish(Event("gate_stopped", cycle, {"stop": taught.verdict.stop, "cycle_dir": str(folder.path)}))
             raise GateStop(f"{taught.verdict.stop} (see {folder.path / 'gate.png'})")
-        self._beliefs = taught.beliefs
-        learned = {"beliefs": asdict(self._beliefs), **asdict(taught.learned)}
-        await self._for_people(folder.json, "learned.json", learned)
-        self._publish(Event("learned", cycle, asdict(self._beliefs)))
+        self._believed = taught.believed
+        self._publish(Event("learned", cycle, {**self._believed.facts(), "notes": taught.notes}))
 
     async def solve(self, cycle: int, surface: Measured) -> Solved:
         """Dwell with a certificate, kept in the run folder whether it will be used or not."""
@@ -165,26 +151,23 @@ class Job:
             self.recipe,
             self._program,
             surface,
-            self._beliefs,
+            self._believed,
             self._planned[cycle - 1].kept if cycle - 1 in self._planned else None,
             within_s=dwell_step.limit(self.recipe),
         )
-        await self._for_people(self._folder.cycle(cycle).json, "certificate.json", solved.dwell.certificate)
+        await self._for_people(self._folder.cycle(cycle).write, solved.files())
         self._publish(Event("solved", cycle, asdict(solved.dwell.certificate)))
         return solved
 
     async def plan(self, cycle: int, solved: Solved) -> Plan:
         """The rewritten program; what the next cycle needs of it is kept for the journal, the rest for people."""
         plan = await self._compute(steps.rewrite, self.recipe, self._program, solved, self._program.name)
-        store, dwell = self._journal.arrays, solved.dwell
-        self._planned[cycle] = Planned(
-            plan=await asyncio.to_thread(store.put, plan_arrays(self.recipe, plan, solved)),
-            start=await asyncio.to_thread(store.put, {"time_s": dwell.time_s, **dwell.state}),
-            certificate=asdict(dwell.certificate),
-            asked_s=solved.asked_s,
-            kept=KeptStart(dwell.time_s, dwell.state),
-        )
-        await self._for_people(save_plan, self._folder.cycle(cycle), self.recipe, plan, solved)
+        planned = Planned.of(plan, solved, steps.in_part_frame(self.recipe, plan.program))
+        files, store = await asyncio.to_thread(planned.files), self._journal.arrays
+        plan_name = await asyncio.to_thread(store.put, files["plan.npz"])
+        self._stored = plan_name, await asyncio.to_thread(store.put, planned.start())
+        self._planned[cycle] = planned
+        await self._for_people(self._folder.cycle(cycle).write, {"program.rnc": plan.program.text, **files})
         return plan
 
     def refuse_unsafe(self, plan: Plan) -> None:
@@ -199,13 +182,7 @@ class Job:
         """The intent, durable before anything moves."""
         planned = self._planned[cycle]
         self._planned = {cycle: planned}  # what came before is of no more use
-        facts = {
-            "certificate": planned.certificate,
-            "predicted_rms_nm": planned.certificate["predicted_rms_nm"],
-            "dwell_s": plan.total_s,
-            "rate": self._beliefs.rate,
-            "block_overhead_s": self._beliefs.block_overhead_s,
-        }
+        plan_name, start_name = self._stored
         self._blocks = 0
         self._journal.begin_pass(
             cycle,
@@ -213,9 +190,9 @@ class Job:
             robot.boot_id,
             len(plan.segments),
             contact=(plan.approach_blocks, plan.contact_blocks),
-            facts=facts,
-            plan=planned.plan,
-            start=planned.start,
+            facts=planned.facts(),
+            plan=plan_name,
+            start=start_name,
         )
         self._publish(Event("pass_begun", cycle, {"blocks": plan.contact_blocks, "dwell_s": plan.total_s}))
 
@@ -241,36 +218,28 @@ class Job:
     def cycles(self) -> list[dict[str, Any]]:
         """One entry a measurement; what belongs to the pass after it is None where there was none."""
         passes = {record.cycle: record for record in self._journal.passes}
-        return [
-            {
-                **{key: record.stats[key] for key in ("rms_nm", "pv_nm", "lsf_rms_nm", "band_rms_nm")},
-                "how": (passes[record.cycle].how or "begun") if record.cycle in passes else None,
-                **{key: _fact(passes.get(record.cycle), key) for key in ("predicted_rms_nm", "dwell_s", "rate")},
-                "executed_s": self._journal.contact_s(record.cycle) if record.cycle in passes else None,
-                "notes": record.stats.get("notes", []),
-            }
-            for record in self._journal.history
-        ]
+        return [self._entry(record, passes.get(record.cycle)) for record in self._journal.history]
+
+    def _entry(self, measured: MapRecord, run: PassRecord | None) -> dict[str, Any]:
+        return {
+            **figures(measured.stats, None if run is None else run.facts),
+            "how": None if run is None else run.how or "begun",
+            "executed_s": None if run is None else self._journal.contact_s(run.cycle),
+            "notes": measured.stats.get("notes", []),
+        }
 
     def summary(self) -> dict[str, Any]:
         """The job's part of ``summary.json``."""
-        return {
-            "part_id": self.recipe.part_id,
-            "correction": self.recipe.correction,
-            "tolerance_nm": self.recipe.tolerance_nm,
-            "tolerance_period_mm": self.recipe.tolerance_period_mm,
-            "lsf_period_mm": self.recipe.lsf_period_mm,
-            "cycles": self.cycles(),
-        }
+        return {**self.recipe.facts(), "cycles": self.cycles()}
 
     def _measured(self, record: MapRecord) -> Measured:
-        return steps.load_measured(self.recipe, self._journal.arrays.get(record.arrays), record.sha256)
+        instrument = self.recipe.instrument
+        by = "none" if instrument is None else instrument.register_by
+        return Measured.load(self._journal.arrays.get(record.arrays), {"sha256": record.sha256, **record.stats}, by)
 
     def _plan_of(self, record: PassRecord) -> Planned:
-        store = self._journal.arrays
-        start = store.get(record.start)
-        kept = KeptStart(start.pop("time_s"), start)
-        return Planned(record.plan, record.start, record.facts["certificate"], store.get(record.plan)["asked_s"], kept)
+        get = self._journal.arrays.get
+        return Planned.load(get(record.plan), get(record.start), record.facts, self.recipe.model.beliefs)
 
     async def _for_people(self, write: Callable[..., None], *arguments: Any) -> None:
         """Write to the run folder beside the event loop. What people cannot be left does not end a job."""
@@ -282,7 +251,7 @@ class Job:
     def _save_executed(self, cycle: int) -> None:
         blocks = self._journal.executed(cycle)
         columns = {"seq": blocks.seq, "start_s": blocks.start_s, "end_s": blocks.end_s, "contact": blocks.contact}
-        self._folder.cycle(cycle).table("executed.csv", columns)
+        self._folder.cycle(cycle).bytes("executed.csv", table(columns))
 
     def _remake(self) -> None:
         """Make anew what the report draws from, where somebody deleted it."""
@@ -298,12 +267,3 @@ class Job:
                 folder.json("certificate.json", record.facts["certificate"])
             if record.how == "done" and not folder.holds("executed.csv"):
                 self._save_executed(record.cycle)
-
-
-def _figure(stats: Mapping[str, Any]) -> float:
-    band = stats["band_rms_nm"]
-    return float(stats["rms_nm"] if band is None else band)
-
-
-def _fact(record: Any, key: str) -> float | None:
-    return None if record is None else float(record.facts[key])

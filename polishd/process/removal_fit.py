@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -16,6 +16,8 @@ from polishd.process.metrics import Removal, fitted
 TILES = 4
 """The mask is cut into this many tiles a side for the standard errors: residuals are correlated over a spot."""
 FEWEST = 50
+MIN_SIGNAL_NM = 1.5
+"""RMS of the predicted removal, less piston and tilt, below which it tells nothing: the map's noise is in it, too."""
 MOST_DRIFT_NM = 5.0
 """Largest RMS of the power, and of each astigmatism, by which two maps are believed to differ through the set-up."""
 EVEN = 1e-6
@@ -28,6 +30,9 @@ class Fit:
 
     rate: float
     rate_sigma: float
+    """Of its scatter over the tiles, and of what drift does to it."""
+    rate_scatter: float
+    """Of its scatter alone."""
     rate_excess: float
     """By how much the rate may be too high: the map's noise is in what it measured and in what was planned on it."""
     shift_mm: tuple[float, float]
@@ -57,17 +62,19 @@ def fit(
         pitch_mm: of the grid.
     """
     down, right = samples or (0, 0)
-    x_slope, y_slope = np.gradient(predicted_nm, axis=1) / pitch_mm, -np.gradient(predicted_nm, axis=0) / pitch_mm
     inner = mask if samples is None else scipy.ndimage.binary_erosion(mask)  # slopes need both neighbours
     both = shifted(inner, down, right) & mask
     model = np.full(mask.shape, np.nan)
     if np.count_nonzero(both) < FEWEST:
-        return Fit(float("nan"), float("inf"), float("inf"), (0.0, 0.0), (float("inf"),) * 2, 0.0, model)
-    signals = (predicted_nm,) if samples is None else (predicted_nm, x_slope, y_slope)
+        return no_fit(0.0, model)
+    signals = [predicted_nm]
+    if samples is not None:
+        signals += [np.gradient(predicted_nm, axis=1) / pitch_mm, -np.gradient(predicted_nm, axis=0) / pitch_mm]
     rows, columns = np.nonzero(both)
     terms = np.column_stack([*(shifted(s, down, right)[both] for s in signals), _plane(rows, columns)])
     measured = measured_nm[both]
-    factors, sigmas = _jackknifed(terms, measured, (rows, columns), _rate_and_shift(len(signals)))
+    found = _jackknifed(terms, measured, (rows, columns), _rate_and_shift(len(signals)))
+    factors, sigmas = found.factors, found.sigma
     model[both] = terms @ factors
     plane = terms[:, len(signals) :]
     own = measured - plane @ np.linalg.lstsq(plane, measured, rcond=None)[0]
@@ -80,9 +87,21 @@ def fit(
         sigmas[1:] = np.where(_told(terms[:, :3]), sigmas[1:], np.inf)
     excess = float(left @ left) / 2 / energy if energy > 0 else float("inf")
     return Fit(
-        float(rate), float(sigmas[0]), excess, (right * pitch_mm + float(x), -down * pitch_mm + float(y)),
-        (float(sigmas[1]), float(sigmas[2])), correlation, model,
-    )  # fmt: skip
+        rate=float(rate),
+        rate_sigma=float(sigmas[0]),
+        rate_scatter=float(found.scatter[0]),
+        rate_excess=excess,
+        shift_mm=(right * pitch_mm + float(x), -down * pitch_mm + float(y)),
+        shift_sigma_mm=(float(sigmas[1]), float(sigmas[2])),
+        correlation=correlation,
+        model_nm=model,
+    )
+
+
+def no_fit(correlation: float, model_nm: FloatArray) -> Fit:
+    """Where rate and shift are unknown."""
+    unknown = float("inf")
+    return Fit(float("nan"), unknown, unknown, unknown, (0.0, 0.0), (unknown, unknown), correlation, model_nm)
 
 
 def contest(other_nm: FloatArray, own_nm: FloatArray, measured_nm: FloatArray, mask: BoolArray) -> tuple[float, float]:
@@ -108,8 +127,8 @@ def contest(other_nm: FloatArray, own_nm: FloatArray, measured_nm: FloatArray, m
     def gap(factors: FloatArray) -> FloatArray:
         return np.asarray(factors[..., :1] - factors[..., 1:2], dtype=np.float64)
 
-    factors, sigma = _jackknifed(terms, measured_nm[mask], (rows, columns), gap)
-    return float(gap(factors)[0]), float(sigma[0])
+    found = _jackknifed(terms, measured_nm[mask], (rows, columns), gap)
+    return float(gap(found.factors)[0]), float(found.sigma[0])
 
 
 def _told(signals: FloatArray) -> BoolArray:
@@ -166,11 +185,25 @@ def _rate_and_shift(signals: int) -> Callable[[FloatArray], FloatArray]:
     return figures
 
 
+class _Jackknifed(NamedTuple):
+    """Factors of a fit, and standard errors of figures made of them."""
+
+    factors: FloatArray
+    scatter: FloatArray
+    """By the fit without each tile."""
+    drift: FloatArray
+    """What drift does to them."""
+
+    @property
+    def sigma(self) -> FloatArray:
+        return np.hypot(self.scatter, self.drift)
+
+
 def _jackknifed(
     terms: FloatArray, measured: FloatArray, places: tuple[np.ndarray, np.ndarray],
     figures: Callable[[FloatArray], FloatArray],
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Factors, and the standard errors of the figures: of the fit without each tile, and of what drift does to it."""
+) -> _Jackknifed:  # fmt: skip
+    """The fit by normal equations, whole and without each tile."""
     tile = _tiles(*places)
     tiles = np.unique(tile)
     normal = np.stack([terms[tile == k].T @ terms[tile == k] for k in tiles])
@@ -180,5 +213,5 @@ def _jackknifed(
     without = (np.linalg.pinv(normal.sum(0) - normal, hermitian=True) @ (right.sum(0) - right)[..., None])[..., 0]
     scatter = figures(without)
     drift = figures(factors - inverse @ (terms.T @ _drift(terms, measured, places))) - figures(factors)
-    square = (len(tiles) - 1) * np.mean((scatter - scatter.mean(axis=0)) ** 2, axis=0) + drift**2
-    return np.asarray(factors), np.sqrt(square)
+    square = (len(tiles) - 1) * np.mean((scatter - scatter.mean(axis=0)) ** 2, axis=0)
+    return _Jackknifed(np.asarray(factors), np.sqrt(square), drift)

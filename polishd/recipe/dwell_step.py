@@ -25,7 +25,9 @@ from polishd.process.edge.extension import extend
 from polishd.recipe import foresight
 from polishd.recipe.limit import Limit
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.steps import Beliefs, Measured, Solved, effect_of, envelope_of
+from polishd.recipe.records import Believed, Measured, Solved
+from polishd.recipe.staying import Staying
+from polishd.recipe.steps import believed_at_first, effect_of, envelope_of
 
 LEAST_COVERAGE = 0.9
 """A program that works less of the clear aperture than this is taken for another part's."""
@@ -51,37 +53,42 @@ def limit(recipe: Recipe) -> Limit:
 
 
 def solve(
-    recipe: Recipe, program: Program, measured: Measured, beliefs: Beliefs, warm: KeptStart | None = None
+    recipe: Recipe,
+    program: Program,
+    measured: Measured,
+    believed: Believed | None = None,
+    warm: KeptStart | None = None,
 ) -> Solved:
     """Dwell for the removal that the measured surface wants, within what the machine can deliver.
 
     What acceleration delivers late becomes the lower bound of the next round, so that the optimum knows of it.
-    ``warm`` is what was kept of the last cycle's solution. All of it together, removal model, rounds, choice,
+    ``believed`` is what the cycles have taught, None before the first; ``warm`` what was kept of the last one's
+    solution. All of it together, removal model, rounds, choice,
     cross-check and curve, has ``recipe.solve_s`` of CPU time: each solve is given what is left.
     """
     time_limit = TimeLimit(recipe.solve_s)
     foresight.require_path_time(recipe, program)
-    envelope = envelope_of(recipe, program, beliefs)
-    answer = effect_of(recipe, program, measured.grid, beliefs.rate)
+    believed = believed or believed_at_first(recipe)
+    envelope = envelope_of(recipe, program, believed)
+    answer = effect_of(recipe, program, measured.grid, believed)
     _require_coverage(program, answer, measured)
-    lower = motion.least_time_s(program, envelope)
-    upper = np.maximum(motion.most_time_s(program, envelope), lower)
-    foresight.require_removal_time(recipe, measured, answer, lower)
+    bounds = Bounds(motion.least_time_s(program, envelope), motion.most_time_s(program, envelope))
+    foresight.require_removal_time(recipe, measured, answer, bounds.lower_s)
     given = Given(measured, answer, envelope, time_limit)
-    found = _solve_within(recipe, program, given, (lower, upper), warm)
+    found = _solve_within(recipe, program, given, bounds, warm)
     for _ in range(ENVELOPE_ROUNDS):
         late = found.expected_s > found.dwell.time_s * 1.001 + 1e-4
         if not late.any():
             break
-        lower = np.where(late, np.maximum(lower, found.expected_s), lower)
-        upper = np.maximum(upper, lower)
-        found = _solve_within(recipe, program, given, (lower, upper), found.dwell)
+        bounds = bounds.raised(np.where(late, found.expected_s, 0.0))
+        found = _solve_within(recipe, program, given, bounds, found.dwell)
     if found.dwell.certificate.stopped == DEADLINE:
-        longer = _solve_within(recipe, program, given, (lower, upper), found.dwell, last=True)
+        longer = _solve_within(recipe, program, given, bounds, found.dwell, last=True)
         found = min(found, longer, key=lambda round_: round_.dwell.certificate.objective)
     dwell = _cross_checked(recipe, found.problem, _timed(found.dwell, time_limit), time_limit)
     dwell, curve = _with_curve(recipe, found.problem, _noted(measured, answer, dwell), time_limit)
-    return Solved(dwell, answer, found.asked_s, found.expected_s, beliefs, curve)
+    answer = replace(answer, effect=Staying(answer.effect, measured.grid))
+    return Solved(dwell, answer, found.asked_s, found.expected_s, believed, curve)
 
 
 def _require_coverage(program: Program, answer: RemovalAnswer, measured: Measured) -> None:
@@ -99,6 +106,18 @@ def _require_coverage(program: Program, answer: RemovalAnswer, measured: Measure
             f"{program.name}: the path reaches {share:.0%} of the clear aperture; is it the program of this part, "
             "and are program.offset_mm and program.rotation_deg right?"
         )
+
+
+class Bounds(NamedTuple):
+    """Time that the machine can give each timed point, (n,) s."""
+
+    lower_s: FloatArray
+    upper_s: FloatArray
+
+    def raised(self, least_s: FloatArray) -> Bounds:
+        """The lower one at least this, the upper one never below it."""
+        lower = np.maximum(self.lower_s, least_s)
+        return Bounds(lower, np.maximum(self.upper_s, lower))
 
 
 class Given(NamedTuple):
@@ -123,7 +142,7 @@ def _solve_within(
     recipe: Recipe,
     program: Program,
     given: Given,
-    bounds: tuple[FloatArray, FloatArray],
+    bounds: Bounds,
     warm: Start | None,
     *,
     last: bool = False,
@@ -178,11 +197,11 @@ def _searching(recipe: Recipe, time_limit: TimeLimit, what: str) -> Solve:
     return solve
 
 
-def _problem(recipe: Recipe, given: Given, bounds: tuple[FloatArray, FloatArray], warm: Start | None) -> DwellProblem:
+def _problem(recipe: Recipe, given: Given, bounds: Bounds, warm: Start | None) -> DwellProblem:
     """What the solver is given; for "pointwise" the static problem, bounded so that the quotient keeps its bounds."""
     measured, answer = given.measured, given.answer
     surface = _with_rim(recipe, measured, answer)
-    piston = choose_piston_nm(measured.height_nm, measured.metric_mask, answer.removal_nm(bounds[0]))
+    piston = choose_piston_nm(measured.height_nm, measured.metric_mask, answer.removal_nm(bounds.lower_s))
     scale = 1.0 if answer.divide_by is None else answer.divide_by
     return DwellProblem(
         effect=answer.effect,
@@ -190,8 +209,8 @@ def _problem(recipe: Recipe, given: Given, bounds: tuple[FloatArray, FloatArray]
         solve_mask=surface.mask,
         weight=surface.weight,
         metric_mask=measured.metric_mask,
-        lower_s=bounds[0] * scale,
-        upper_s=bounds[1] * scale,
+        lower_s=bounds.lower_s * scale,
+        upper_s=bounds.upper_s * scale,
         regularisation=regularisation_from_rho(answer.effect, measured.solve_mask, recipe.regularisation),
         band_period_mm=recipe.lsf_period_mm,
         warm=None if warm is None else KeptStart(warm.time_s * scale, warm.state),

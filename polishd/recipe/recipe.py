@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from polishd.hookspecs import DwellSolver, ProgramFormat, RemovalModel
 from polishd.model.dwell import Choice
@@ -65,3 +65,8 @@ class Recipe:
     tolerance_period_mm: float
     lsf_period_mm: float
     max_rate_change: float
+
+    def facts(self) -> dict[str, Any]:
+        """What a summary says of it."""
+        names = ("part_id", "correction", "tolerance_nm", "tolerance_period_mm", "lsf_period_mm")
+        return {name: getattr(self, name) for name in names}

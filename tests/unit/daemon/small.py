@@ -17,6 +17,7 @@ from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.safety import ContactLimits
 from polishd.hookspecs import DwellSolver, RemovalAnswer, RemovalModel, RemovalRequest
+from polishd.model.beliefs import Belief, Beliefs
 from polishd.model.cycle import Event, Outcome
 from polishd.model.dwell import Certificate
 from polishd.model.limits import Envelope
@@ -32,6 +33,7 @@ from polishd.process.paths.raster import raster
 from polishd.recipe import steps
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.recipe import Recipe
+from polishd.recipe.records import Believed
 from tests.fakes.devices import FakeCell
 from tests.rs274 import RS274
 from tests.unit.process.gaussian import envelope, rough, spot_effect
@@ -50,6 +52,11 @@ def gaussian_effect(request: RemovalRequest) -> RemovalAnswer:
     middle = (program.start_mm + program.end_mm) / 2
     effect = spot_effect(request.grid, middle, sigma_mm=1.5, rate_nm_s=20.0 * request.rate)
     return RemovalAnswer(effect, np.full(program.n, 1.3), np.full(program.n, 0.9), ("a spot for tests",))
+
+
+def at_rate(rate: float) -> Believed:
+    """What is believed where the tool removes so much of what its model says."""
+    return Believed(Beliefs(Belief(rate)))
 
 
 def pointwise_effect(request: RemovalRequest) -> RemovalAnswer:
@@ -202,7 +209,7 @@ class Bench:
             for seq, seconds in zip(blocks.seq, blocks.duration_s, strict=True):
                 if int(seq) in index:
                     time_s[index[int(seq)]] = seconds
-            answer = steps.effect_of(small_recipe(), program, self.surface.grid, self.rate)
+            answer = steps.effect_of(small_recipe(), program, self.surface.grid, at_rate(self.rate))
             self.surface = as_map(self.surface.height_nm - answer.effect.removal_nm(time_s))
         return self.surface
 

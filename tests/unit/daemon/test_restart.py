@@ -19,6 +19,7 @@ from polishd.daemon.cell import Cell
 from polishd.daemon.client import request_async
 from polishd.model.errors import ConfigError
 from polishd.model.surface import SurfaceMap
+from polishd.recipe.folder import RunFolder
 from tests.unit.daemon.small import as_map
 from tests.unit.daemon.test_app import Site
 
@@ -178,11 +179,8 @@ async def test_another_program_is_refused_and_the_old_one_goes_on(site: Rerun) -
 
 
 async def test_a_run_folder_that_cannot_be_written_ends_no_job(site: Rerun, monkeypatch: pytest.MonkeyPatch) -> None:
-    from polishd.daemon import job
-
     def full(*arguments: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    for name in ("save_surface", "save_plan"):
-        monkeypatch.setattr(job, name, full)
+    monkeypatch.setattr(RunFolder, "write", full)
     assert (await run_cell(site.config, site.hooks))["outcome"] == "in_tolerance"

@@ -16,7 +16,7 @@ from polishd.process.dwell.problem import DwellProblem
 from polishd.recipe import dwell_step, steps
 from polishd.recipe.dwell_step import require_certificate
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.steps import Beliefs, Measured, Solved
+from polishd.recipe.records import Measured, Solved
 from tests.unit.daemon.small import small_map, small_program, small_recipe
 
 
@@ -44,8 +44,8 @@ class Costly:
 
 
 def solved(recipe: Recipe) -> Solved:
-    measured: Measured = steps.condition(recipe, small_map(), None)
-    return dwell_step.solve(recipe, small_program(), measured, Beliefs())
+    measured: Measured = steps.condition(recipe, small_map())
+    return dwell_step.solve(recipe, small_program(), measured)
 
 
 def total_s() -> float:

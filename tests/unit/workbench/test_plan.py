@@ -24,6 +24,7 @@ from polishd.model.instrument import Commissioned, Instrument
 from polishd.model.program import Plan
 from polishd.model.surface import SurfaceMap
 from polishd.process.dwell.problem import DwellProblem
+from polishd.recipe.folder import RunFolder
 from polishd.workbench import plan as planning
 from polishd.workbench.plan import plan_part
 from tests.unit.daemon.small import CERTIFICATE, small_map, small_recipe, small_text
@@ -216,7 +217,7 @@ def test_a_disk_that_fills_while_it_writes(desk: Desk, monkeypatch: pytest.Monke
     def full(*arguments: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(planning, "save_plan", full)
+    monkeypatch.setattr(RunFolder, "write", full)
     desk.out.parent.mkdir()
     desk.refused(ConfigError, r"one: cannot be written: No space left on device; make room, or name another with --out")
 
