@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import KW_ONLY, asdict, dataclass, field
 from typing import Any
 
 from polishd.daemon.compute import Compute
@@ -25,7 +25,7 @@ from polishd.recipe import dwell_step, steps
 from polishd.recipe.encoding import table
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Measured, Pass, Planned, Solved, Taught, figures, tolerated_nm
+from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved, Taught, figures, tolerated_nm
 
 DIVERGED_RATIO, DIVERGED_NM = 1.3, 1.0
 """A surface that is worse than the best one so far by this ratio, and by more than noise and ripple, ends the job."""
@@ -35,49 +35,40 @@ PROGRESS_BLOCKS = 50
 log = logging.getLogger(__name__)
 
 
+@dataclass
 class Job:
     """What the cycle asks and tells; see ``cycle.polish`` for the order in which it does."""
 
-    def __init__(
-        self,
-        recipe: Recipe,
-        program: Program,
-        *,
-        journal: Journal,
-        folder: RunFolder,
-        compute: Compute,
-        publish: Callable[[Event], None],
-        check_plan: Callable[[Plan, Envelope], Sequence[str]],
-        contact: ContactLimits,
-        max_cycles: int,
-        lookahead_s: float,
-    ) -> None:
-        self.recipe = recipe
-        self.contact = contact
-        self.max_cycles = max_cycles
-        self.lookahead_s = lookahead_s
-        self._program = program
-        self._journal = journal
-        self._folder = folder
-        self._compute = compute
-        self._publish = publish
-        self._check_plan = check_plan
-        self._believed = steps.believed_at_first(recipe)
-        self._surfaces: dict[int, Measured] = {}
-        self._planned: dict[int, Planned] = {}
-        self._stored: tuple[str, str] = ("", "")
-        """Names in the array store of the last plan, and of what the next solve can start from."""
-        self._masks: Masks | None = None
-        self._lay: Registration | None = None
-        """Where the part lay in the last map."""
-        self._blocks = 0
+    recipe: Recipe
+    program: Program
+    _: KW_ONLY
+    journal: Journal
+    folder: RunFolder
+    compute: Compute
+    publish: Callable[[Event], None]
+    check_plan: Callable[[Plan, Envelope], Sequence[str]]
+    contact: ContactLimits
+    max_cycles: int
+    lookahead_s: float
+    _believed: Believed = field(init=False)
+    _surfaces: dict[int, Measured] = field(init=False, default_factory=dict)
+    _planned: dict[int, Planned] = field(init=False, default_factory=dict)
+    _stored: tuple[str, str] = field(init=False, default=("", ""))
+    """Names in the array store of the last plan, and of what the next solve can start from."""
+    _masks: Masks | None = field(init=False, default=None)
+    _lay: Registration | None = field(init=False, default=None)
+    """Where the part lay in the last map."""
+    _blocks: int = field(init=False, default=0)
+
+    def __post_init__(self) -> None:
+        self._believed = steps.believed_at_first(self.recipe)
 
     async def load(self) -> None:
         """Take up what an earlier run of the daemon knew: masks, beliefs, last surface and last plan.
 
         ConfigError where the store has lost something that the journal names.
         """
-        history, passes = self._journal.history, self._journal.passes
+        history, passes = self.journal.history, self.journal.passes
         if not history:
             return
         self._masks, self._lay = self._measured(history[0]).masks, self._measured(history[-1]).registration
@@ -91,23 +82,23 @@ class Job:
     @property
     def last_cycle(self) -> int:
         """The cycle that only measures: passes that were interrupted do not count as passes."""
-        return self.max_cycles + sum(record.how == "interrupted" for record in self._journal.passes)
+        return self.max_cycles + sum(record.how == "interrupted" for record in self.journal.passes)
 
     # measure
 
     async def measured(self, cycle: int, surface: SurfaceMap) -> Measured:
         """The map on the process grid; journalled and kept in the run folder."""
-        measured = await self._compute(steps.condition, self.recipe, surface, self._masks, self._lay)
+        measured = await self.compute(steps.condition, self.recipe, surface, self._masks, self._lay)
         files = await asyncio.to_thread(measured.files)
-        arrays = await asyncio.to_thread(self._journal.arrays.put, files["surface.npz"])
-        facts = {**measured.facts(), "run_dir": str(self._folder.path)}
-        self._journal.record_map(cycle, surface.sha256, surface.path or "", facts, arrays)
+        arrays = await asyncio.to_thread(self.journal.arrays.put, files["surface.npz"])
+        facts = {**measured.facts(), "run_dir": str(self.folder.path)}
+        self.journal.record_map(cycle, surface.sha256, surface.path or "", facts, arrays)
         self._masks, self._lay = measured.masks, measured.registration
-        folder = self._folder.cycle(cycle)
+        folder = self.folder.cycle(cycle)
         await self._for_people(folder.map_file, surface)
         await self._for_people(folder.write, files)
         await self._for_people(self._remake)
-        self._publish(Event("measured", cycle, facts))
+        self.publish(Event("measured", cycle, facts))
         return measured
 
     def accepts(self, surface: Measured) -> bool:
@@ -116,9 +107,9 @@ class Job:
 
     def diverges(self, surface: Measured) -> bool:
         """Whether the surface is clearly worse than it has been."""
-        torn = [record.cycle for record in self._journal.passes if record.how != "done"]
+        torn = [record.cycle for record in self.journal.passes if record.how != "done"]
         since = max(torn, default=-1)  # a pass that was torn off leaves a step, which is nobody's divergence
-        earlier = [tolerated_nm(record.stats) for record in self._journal.history[:-1] if record.cycle > since]
+        earlier = [tolerated_nm(record.stats) for record in self.journal.history[:-1] if record.cycle > since]
         if not earlier:
             return False
         best = min(earlier)
@@ -130,49 +121,49 @@ class Job:
         """Compare what the last pass removed with what its executed dwell should have; not after an interruption."""
         before = self._surfaces.get(cycle - 1)  # after a hold a cycle is measured, and learned from, again
         self._surfaces[cycle] = surface
-        done = [record for record in self._journal.passes if record.cycle == cycle - 1 and record.how == "done"]
+        done = [record for record in self.journal.passes if record.cycle == cycle - 1 and record.how == "done"]
         if before is None or not done:
             return
         executed = await asyncio.to_thread(self.executed_s, cycle - 1)
         last = Pass(before, surface, self._planned[cycle - 1].asked_s, executed)
-        taught: Taught = await self._compute(steps.learn, self.recipe, self._program, last, self._believed)
-        folder = self._folder.cycle(cycle)
+        taught: Taught = await self.compute(steps.learn, self.recipe, self.program, last, self._believed)
+        folder = self.folder.cycle(cycle)
         await self._for_people(folder.write, await asyncio.to_thread(taught.files))
         if taught.verdict.stop:
-            self._publish(Event("gate_stopped", cycle, {"stop": taught.verdict.stop, "cycle_dir": str(folder.path)}))
+            self.publish(Event("gate_stopped", cycle, {"stop": taught.verdict.stop, "cycle_dir": str(folder.path)}))
             raise GateStop(f"{taught.verdict.stop} (see {folder.path / 'gate.png'})")
         self._believed = taught.believed
-        self._publish(Event("learned", cycle, {**self._believed.facts(), "notes": taught.notes}))
+        self.publish(Event("learned", cycle, {**self._believed.facts(), "notes": taught.notes}))
 
     async def solve(self, cycle: int, surface: Measured) -> Solved:
         """Dwell with a certificate, kept in the run folder whether it will be used or not."""
-        solved = await self._compute(
+        solved = await self.compute(
             dwell_step.solve,
             self.recipe,
-            self._program,
+            self.program,
             surface,
             self._believed,
             self._planned[cycle - 1].kept if cycle - 1 in self._planned else None,
             within_s=dwell_step.limit(self.recipe),
         )
-        await self._for_people(self._folder.cycle(cycle).write, solved.files())
-        self._publish(Event("solved", cycle, asdict(solved.dwell.certificate)))
+        await self._for_people(self.folder.cycle(cycle).write, solved.files())
+        self.publish(Event("solved", cycle, asdict(solved.dwell.certificate)))
         return solved
 
     async def plan(self, cycle: int, solved: Solved) -> Plan:
         """The rewritten program; what the next cycle needs of it is kept for the journal, the rest for people."""
-        plan = await self._compute(steps.rewrite, self.recipe, self._program, solved, self._program.name)
+        plan = await self.compute(steps.rewrite, self.recipe, self.program, solved, self.program.name)
         planned = Planned.of(plan, solved, steps.in_part_frame(self.recipe, plan.program))
-        files, store = await asyncio.to_thread(planned.files), self._journal.arrays
+        files, store = await asyncio.to_thread(planned.files), self.journal.arrays
         plan_name = await asyncio.to_thread(store.put, files["plan.npz"])
         self._stored = plan_name, await asyncio.to_thread(store.put, planned.start())
         self._planned[cycle] = planned
-        await self._for_people(self._folder.cycle(cycle).write, {"program.rnc": plan.program.text, **files})
+        await self._for_people(self.folder.cycle(cycle).write, {"program.rnc": plan.program.text, **files})
         return plan
 
     def refuse_unsafe(self, plan: Plan) -> None:
         """PlanRefused with every violation that a check found."""
-        found = [*steps.violations(self.recipe, plan), *self._check_plan(plan, self.recipe.envelope)]
+        found = [*steps.violations(self.recipe, plan), *self.check_plan(plan, self.recipe.envelope)]
         if found:
             raise PlanRefused("the plan was refused, nothing moved:\n" + "\n".join(f"  {line}" for line in found))
 
@@ -184,7 +175,7 @@ class Job:
         self._planned = {cycle: planned}  # what came before is of no more use
         plan_name, start_name = self._stored
         self._blocks = 0
-        self._journal.begin_pass(
+        self.journal.begin_pass(
             cycle,
             plan.program.sha256,
             robot.boot_id,
@@ -194,37 +185,37 @@ class Job:
             plan=plan_name,
             start=start_name,
         )
-        self._publish(Event("pass_begun", cycle, {"blocks": plan.contact_blocks, "dwell_s": plan.total_s}))
+        self.publish(Event("pass_begun", cycle, {"blocks": plan.contact_blocks, "dwell_s": plan.total_s}))
 
     async def executed(self, cycle: int, block: Executed) -> None:
         """One block was executed in contact. Where many are told at once, others have their turns meanwhile."""
-        self._journal.executed_segment(cycle, block, contact=True)
+        self.journal.executed_segment(cycle, block, contact=True)
         self._blocks += 1
         if self._blocks % PROGRESS_BLOCKS == 0:
-            self._publish(Event("progress", cycle, {"block": block.seq + 1}))
+            self.publish(Event("progress", cycle, {"block": block.seq + 1}))
             await asyncio.sleep(0)
 
     async def end_pass(self, cycle: int) -> None:
         """The pass is over, tool lifted, robot at rest."""
-        self._journal.end_pass(cycle, "done")
+        self.journal.end_pass(cycle, "done")
         await self._for_people(self._save_executed, cycle)
-        self._publish(Event("pass_ended", cycle, {"executed_s": self._journal.contact_s(cycle)}))
+        self.publish(Event("pass_ended", cycle, {"executed_s": self.journal.contact_s(cycle)}))
 
     def executed_s(self, cycle: int) -> FloatArray:
         """(n,) process time that each timed point really had in that cycle's pass, s; 0 where it was not run."""
-        blocks = self._journal.executed(cycle)
-        return executed_s(self._program.block, blocks.seq[blocks.contact], blocks.duration_s[blocks.contact])
+        blocks = self.journal.executed(cycle)
+        return executed_s(self.program.block, blocks.seq[blocks.contact], blocks.duration_s[blocks.contact])
 
     def cycles(self) -> list[dict[str, Any]]:
         """One entry a measurement; what belongs to the pass after it is None where there was none."""
-        passes = {record.cycle: record for record in self._journal.passes}
-        return [self._entry(record, passes.get(record.cycle)) for record in self._journal.history]
+        passes = {record.cycle: record for record in self.journal.passes}
+        return [self._entry(record, passes.get(record.cycle)) for record in self.journal.history]
 
     def _entry(self, measured: MapRecord, run: PassRecord | None) -> dict[str, Any]:
         return {
             **figures(measured.stats, None if run is None else run.facts),
             "how": None if run is None else run.how or "begun",
-            "executed_s": None if run is None else self._journal.contact_s(run.cycle),
+            "executed_s": None if run is None else self.journal.contact_s(run.cycle),
             "notes": measured.stats.get("notes", []),
         }
 
@@ -235,10 +226,10 @@ class Job:
     def _measured(self, record: MapRecord) -> Measured:
         instrument = self.recipe.instrument
         by = "none" if instrument is None else instrument.register_by
-        return Measured.load(self._journal.arrays.get(record.arrays), {"sha256": record.sha256, **record.stats}, by)
+        return Measured.load(self.journal.arrays.get(record.arrays), {"sha256": record.sha256, **record.stats}, by)
 
     def _plan_of(self, record: PassRecord) -> Planned:
-        get = self._journal.arrays.get
+        get = self.journal.arrays.get
         return Planned.load(get(record.plan), get(record.start), record.facts, self.recipe.model.beliefs)
 
     async def _for_people(self, write: Callable[..., None], *arguments: Any) -> None:
@@ -249,19 +240,19 @@ class Job:
             log.error("the run folder cannot be written: %s; the job goes on without", error)
 
     def _save_executed(self, cycle: int) -> None:
-        blocks = self._journal.executed(cycle)
+        blocks = self.journal.executed(cycle)
         columns = {"seq": blocks.seq, "start_s": blocks.start_s, "end_s": blocks.end_s, "contact": blocks.contact}
-        self._folder.cycle(cycle).bytes("executed.csv", table(columns))
+        self.folder.cycle(cycle).bytes("executed.csv", table(columns))
 
     def _remake(self) -> None:
         """Make anew what the report draws from, where somebody deleted it."""
-        store = self._journal.arrays
-        for found in self._journal.history:
-            folder = self._folder.cycle(found.cycle)
+        store = self.journal.arrays
+        for found in self.journal.history:
+            folder = self.folder.cycle(found.cycle)
             if not folder.holds("surface.npz"):
                 folder.bytes("surface.npz", store.content(found.arrays))
-        for record in self._journal.passes:
-            folder = self._folder.cycle(record.cycle)
+        for record in self.journal.passes:
+            folder = self.folder.cycle(record.cycle)
             if not folder.holds("plan.npz"):
                 folder.bytes("plan.npz", store.content(record.plan))
                 folder.json("certificate.json", record.facts["certificate"])
