@@ -103,7 +103,7 @@ class Job:
 
     def accepts(self, surface: Measured) -> bool:
         """Whether the figure is in tolerance, over the periods that the tolerance is for."""
-        return surface.figure_nm <= self.recipe.tolerance_nm
+        return surface.figure_nm <= self.recipe.job.tolerance_nm
 
     def diverges(self, surface: Measured) -> bool:
         """Whether the surface is clearly worse than it has been."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -9,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import ndimage
 
+from polishd.config.sections import DwellSection
 from polishd.hookspecs import RemovalAnswer
 from polishd.model.dwell import Certificate, DwellSolution, KeptStart, Start
 from polishd.model.errors import ComputeError, ProgramError
@@ -41,6 +43,8 @@ EXTENDED_WEIGHT = 0.01
 """What an extended sample counts beside a measured one: enough to hold the rim, too little to cost the data."""
 LEAST_SAMPLES = 3.0
 """The extension's cut-off spans this many samples at least."""
+CROSS_CHECK_GAP = 1e-3
+"""Most by which an independent solver may be better."""
 LAST_SHARE = 0.25
 """Of the step's time, what no round may touch: the last solve goes on with it where it was not done."""
 DEADLINE = "deadline"
@@ -51,7 +55,7 @@ KILL_RATIO, KILL_SPARE_S = 2.0, 60.0
 
 def limit(recipe: Recipe) -> Limit:
     """When the compute worker is killed over `solve`, which keeps to ``dwell.within_s`` where its plugins do."""
-    return Limit(KILL_RATIO * recipe.solve_s + KILL_SPARE_S, f"dwell.within_s ({recipe.solve_s:g} s)")
+    return Limit(KILL_RATIO * recipe.dwell.within_s + KILL_SPARE_S, f"dwell.within_s ({recipe.dwell.within_s:g} s)")
 
 
 def solve(
@@ -65,10 +69,10 @@ def solve(
 
     What acceleration delivers late becomes the lower bound of the next round, so that the optimum knows of it.
     ``believed`` is what the cycles have taught, None before the first; ``warm`` is what was kept of the last one's
-    solution. All of it together, removal model, rounds, choice, cross-check and curve, has ``recipe.solve_s`` of CPU
+    solution. All of it together, removal model, rounds, choice, cross-check and curve, has ``dwell.within_s`` of CPU
     time: each solve is given what is left.
     """
-    time_limit = TimeLimit(recipe.solve_s)
+    time_limit = TimeLimit(recipe.dwell.within_s)
     foresight.require_path_time(recipe, program)
     believed = believed or believed_at_first(recipe)
     envelope = envelope_of(recipe, program, believed)
@@ -138,11 +142,15 @@ class _Step:
     envelope: Envelope
     time_limit: TimeLimit
 
+    @property
+    def dwell(self) -> DwellSection:
+        return self.recipe.dwell
+
     def round(self, bounds: Bounds, warm: Start | None, reserve: float = 0.0) -> Round:
         """Solve within these bounds; where one solve does it, ``reserve`` of the step's time is left for later."""
         problem, divide_by = self.problem(bounds, warm), self.answer.divide_by
-        if self.recipe.choose == "least":
-            found = self.recipe.solver.solve(problem, max(self.time_limit.left_s - reserve * self.recipe.solve_s, 0.0))
+        if self.dwell.choose == "least":
+            found = self.recipe.solver.solve(problem, max(self.time_limit.left_s - reserve * self.dwell.within_s, 0.0))
         else:
             chosen = self.chosen(problem)
             problem, found = chosen.problem, chosen.solution
@@ -166,13 +174,13 @@ class _Step:
             lower_s=bounds.lower_s * scale,
             upper_s=bounds.upper_s * scale,
             regularisation=self.regularisation,
-            band_period_mm=self.recipe.lsf_period_mm,
+            band_period_mm=self.recipe.job.lsf_period_mm,
             warm=None if warm is None else KeptStart(warm.time_s * scale, warm.state),
         )
 
     @cached_property
     def regularisation(self) -> float:
-        return regularisation_from_rho(self.answer.effect, self.measured.solve_mask, self.recipe.regularisation)
+        return regularisation_from_rho(self.answer.effect, self.measured.solve_mask, self.dwell.regularisation)
 
     @cached_property
     def surface(self) -> Whole:
@@ -180,16 +188,16 @@ class _Step:
 
     def chosen(self, problem: DwellProblem) -> Chosen:
         """The point of the residual-against-time curve that the recipe's rule takes."""
-        solve, divide_by = self.searching(f'choose = "{self.recipe.choose}"'), self.answer.divide_by
-        match self.recipe.choose:
+        solve, divide_by = self.searching(f'choose = "{self.dwell.choose}"'), self.answer.divide_by
+        match self.dwell.choose:
             case "knee":
                 return price_curve(problem, solve).knee()
             case "target":
-                return to_target(problem, self.recipe.target_nm, solve)
+                return to_target(problem, self.dwell.target_nm or 0.0, solve)
             case _:
                 # "pointwise" takes so much longer than it solves
                 static = 1.0 if divide_by is None else float(divide_by.mean())
-                return within_budget(problem, self.recipe.budget_s * static, solve)
+                return within_budget(problem, (self.dwell.budget_s or math.inf) * static, solve)
 
     def searching(self, what: str) -> Solve:
         """The recipe's solver for what needs many solves. One that was cut short would mislead it: a ComputeError."""
@@ -199,11 +207,11 @@ class _Step:
             nonlocal done
             found = recipe.solver.solve(problem, self.time_limit.left_s)
             certificate = found.certificate
-            if certificate.stopped == DEADLINE and certificate.kkt_residual > recipe.kkt_tolerance:
+            if certificate.stopped == DEADLINE and certificate.kkt_residual > recipe.dwell.kkt_tolerance:
                 raise ComputeError(
                     f"{what} takes many solves, and its time was over after {done}: {self.time_limit} were used, and "
                     f"the next solve's KKT residual was {certificate.kkt_residual:.2e} after {certificate.iterations} "
-                    f"iterations. Give it more time (dwell.within_s is {recipe.solve_s:g} s)"
+                    f"iterations. Give it more time (dwell.within_s is {recipe.dwell.within_s:g} s)"
                 )
             done += 1
             return found
@@ -245,7 +253,7 @@ class _Step:
 
     def with_curve(self, problem: DwellProblem, dwell: DwellSolution) -> tuple[DwellSolution, tuple[Row, ...]]:
         """The curve of residual against time where it is asked for; a plan is not refused for want of it."""
-        if not self.recipe.curve:
+        if not self.dwell.curve:
             return dwell, ()
         try:
             return dwell, tuple(price_curve(problem, self.searching("curve")).rows())
@@ -267,13 +275,13 @@ def _with_rim(recipe: Recipe, measured: Measured, answer: RemovalAnswer) -> Whol
     Only as far as the part goes: beyond it nothing has to be right, and asking for it costs time.
     """
     mask, pitch = measured.solve_mask, measured.grid.pitch_mm
-    gap = (measured.grid.radius_mm() <= recipe.aperture_mm / 2) & ~mask
-    if recipe.extension == "none" or not gap.any():
+    gap = (measured.grid.radius_mm() <= recipe.part.aperture_mm / 2) & ~mask
+    if recipe.dwell.extension == "none" or not gap.any():
         return Whole(measured.height_nm, mask, None)
     reach = max(float(ndimage.distance_transform_edt(~mask)[gap].max()) * pitch, pitch)
     own = 0.0 if answer.transfer is None else answer.transfer.cutoff_period_mm
     cutoff = max(own, LEAST_SAMPLES * pitch)
-    wider = extend(measured.height_nm, mask, pitch, reach, recipe.extension, cutoff_period_mm=cutoff)
+    wider = extend(measured.height_nm, mask, pitch, reach, recipe.dwell.extension, cutoff_period_mm=cutoff)
     whole = mask | (wider.mask & gap)
     return Whole(np.where(whole, wider.height_nm, 0.0), whole, np.where(mask, 1.0, EXTENDED_WEIGHT))
 
@@ -296,11 +304,11 @@ def _in_machine_time(dwell: DwellSolution, divide_by: FloatArray) -> DwellSoluti
 def require_certificate(certificate: Certificate, recipe: Recipe) -> None:
     """ComputeError unless the dwell is optimal as far as asked, within its bounds, and nobody found a better one."""
     wrong = []
-    if not certificate.kkt_residual <= recipe.kkt_tolerance:
-        wrong.append(f"KKT residual {certificate.kkt_residual:.2e} is above {recipe.kkt_tolerance:.2e}")
+    if not certificate.kkt_residual <= recipe.dwell.kkt_tolerance:
+        wrong.append(f"KKT residual {certificate.kkt_residual:.2e} is above {recipe.dwell.kkt_tolerance:.2e}")
     if not certificate.bound_violation_s <= 1e-9:
         wrong.append(f"a bound is violated by {certificate.bound_violation_s:.2e} s")
-    if certificate.cross_check_gap is not None and not certificate.cross_check_gap <= recipe.cross_check_gap:
+    if certificate.cross_check_gap is not None and not certificate.cross_check_gap <= CROSS_CHECK_GAP:
         wrong.append(f"{certificate.cross_check} found an objective that is {certificate.cross_check_gap:.2e} lower")
     if wrong:
         raise ComputeError(

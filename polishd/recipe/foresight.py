@@ -67,7 +67,7 @@ def check_pass(config: CellConfig, recipe: Recipe, program: Program) -> None:
 def pass_words(recipe: Recipe, program: Program, answer: RemovalAnswer) -> str:
     """What a pass takes as far as it is known without a map, beside its limit."""
     limit = recipe.envelope.max_pass_s
-    clear = steps.process_grid(recipe).radius_mm() <= recipe.aperture_mm / 2 - recipe.edge_mm
+    clear = steps.process_grid(recipe).radius_mm() <= recipe.part.aperture_mm / 2 - recipe.part.edge_mm
     mean = float(answer.removal_nm(np.full(program.n, limit / program.n))[clear].mean())
     own = float(motion.delivered_time_s(program, program.time_s, envelope_of(recipe, program)).sum())
     return (
@@ -88,7 +88,7 @@ def require_removal_time(recipe: Recipe, measured: Measured, answer: RemovalAnsw
 
     Only where the least residual is asked for: the other choices of a dwell may take less time than that.
     """
-    if recipe.choose != "least":
+    if recipe.dwell.choose != "least":
         return
     least = SURE * removal_time_s(measured, answer, lower_s)
     if not least <= recipe.envelope.max_pass_s:

@@ -56,30 +56,30 @@ def condition(
     profiled = as_profiled(surface, recipe.instrument)
     lies = CENTRED
     if recipe.instrument is not None:
-        lies = register(profiled, recipe.instrument, recipe.aperture_mm, last)
+        lies = register(profiled, recipe.instrument, recipe.part.aperture_mm, last)
     clean, spikes = cleaned(profiled, recipe.spike_mads)
     if recipe.nominal is not None:
         clean = less_nominal(clean, recipe.nominal, lies)
     part = conditioning.condition(
         clean,
-        aperture_mm=recipe.aperture_mm,
-        edge_mm=recipe.edge_mm,
+        aperture_mm=recipe.part.aperture_mm,
+        edge_mm=recipe.part.edge_mm,
         grid_mm=recipe.grid_mm,
         masks=masks,
-        removal=recipe.alignment,
+        removal=recipe.part.alignment,
         registration=lies,
     )
     clear = _on_map(clean, part.grid, part.metric_mask, lies)
-    figure = metrics.without(clean.height_nm, clear, recipe.alignment)
+    figure = metrics.without(clean.height_nm, clear, recipe.part.alignment)
     stats = metrics.surface_stats(
         figure,
         clear,
         clean.grid.pitch_mm,
-        lsf_period_mm=recipe.lsf_period_mm,
-        band_period_mm=recipe.tolerance_period_mm or None,
+        lsf_period_mm=recipe.job.lsf_period_mm,
+        band_period_mm=recipe.job.tolerance_period_mm or None,
     )
     height = np.where(part.solve_mask, part.height_nm, 0.0)
-    notes = alignment_notes(clean.height_nm, clear, recipe.alignment, recipe.tolerance_nm)
+    notes = alignment_notes(clean.height_nm, clear, recipe.part.alignment, recipe.job.tolerance_nm)
     return Measured(part.grid, height, part.solve_mask, part.metric_mask, stats, surface.sha256, lies, spikes, notes)
 
 
@@ -87,8 +87,8 @@ def in_part_frame(recipe: Recipe, program: Program) -> Program:
     """The same program with its points and axes in the part's frame; one that is there already stays."""
     if program.frame == "part":
         return program
-    turn = Rotation.from_euler("z", recipe.program_rotation_deg, degrees=True)
-    offset = np.asarray(recipe.program_offset_mm)
+    turn = Rotation.from_euler("z", recipe.program.rotation_deg, degrees=True)
+    offset = np.asarray(recipe.program.offset_mm)
     return replace(
         program,
         start_mm=turn.apply(program.start_mm) + offset,
@@ -131,7 +131,7 @@ def _request(recipe: Recipe, program: Program, grid: Grid, believed: Believed) -
         options=recipe.options,
         optic=recipe.optic,
         tif=recipe.tif,
-        rim=round_rim(recipe.aperture_mm / 2) if recipe.free_rim else None,
+        rim=round_rim(recipe.part.aperture_mm / 2) if recipe.part.rim == "free" else None,
         beliefs=believed.removal,
     )
 
@@ -145,7 +145,7 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
     low, high = 1 - recipe.max_rate_change, 1 + recipe.max_rate_change
     allowed = (low / believed.rate, high / believed.rate)
     # the part is set up anew for each map: nobody knows how much of a tilt was removed, even where tilt is figure
-    unknown: metrics.Removal = "power" if recipe.alignment == "power" else "tilt"
+    unknown: metrics.Removal = "power" if recipe.part.alignment == "power" else "tilt"
     verdict = gate.judge(predicted, measured, mask, grid.pitch_mm, allowed, removal=unknown)
     if verdict.stop:
         return Taught(believed, verdict, grid)
@@ -206,7 +206,7 @@ def violations(recipe: Recipe, plan: Plan) -> list[str]:
             f"{program.name}: states no tool axis (A and C words), and the process dips the tool by "
             f"{recipe.process.dip_deg:g} deg: post it with its axis"
         )
-    reach = recipe.aperture_mm / 2
+    reach = recipe.part.aperture_mm / 2
     ends = (("starts", program.line[0], program.start_mm[0]), ("ends", program.line[-1], program.end_mm[-1]))
     return found + [
         f"{program.name}:{line}: contact {word} at {point[0]:.2f}, {point[1]:.2f} mm, on the part (radius {reach:g}); "
@@ -218,7 +218,7 @@ def violations(recipe: Recipe, plan: Plan) -> list[str]:
 
 def process_grid(recipe: Recipe) -> Grid:
     """The grid that surfaces are brought to: the aperture and a margin, centred on the part."""
-    return conditioning.process_grid(recipe.aperture_mm, recipe.grid_mm)
+    return conditioning.process_grid(recipe.part.aperture_mm, recipe.grid_mm)
 
 
 def _on_map(surface: SurfaceMap, grid: Grid, mask: BoolArray, lies: Registration) -> BoolArray:

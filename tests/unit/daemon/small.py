@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from polishd.config.sections import PartSection
+from polishd.config.sections import DwellSection, JobSection, PartSection, ProgramSection
 from polishd.daemon.cycle import polish
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
@@ -66,21 +66,22 @@ def pointwise_effect(request: RemovalRequest) -> RemovalAnswer:
     return replace(answer, gamma=gamma, divide_by=gamma)
 
 
+PART = PartSection(id="P-1", aperture_mm=APERTURE_MM, edge_mm=2.0, origin_mm=(0, 0, 0), rotation_rpy_deg=(0, 0, 0))
+DWELL = DwellSection(extension="none", within_s=30.0)
+JOB = JobSection(id="small", tolerance_nm=0.5, lsf_period_mm=10.0)
+
+
 def small_recipe(**changes: Any) -> Recipe:
-    """The recipe, with changes."""
+    """The recipe, with changes: of its own fields, or else of keys of its sections."""
     recipe = Recipe(
-        part_id="P-1",
+        part=PART,
+        program=ProgramSection(path="small.rnc"),
+        dwell=DWELL,
+        job=JOB,
         instrument=None,
-        aperture_mm=APERTURE_MM,
-        edge_mm=2.0,
-        free_rim=False,
-        extension="none",
-        alignment=PartSection.model_fields["alignment"].default,
-        nominal=None,
         spike_mads=0.0,
+        nominal=None,
         grid_mm=1.0,
-        program_offset_mm=(0.0, 0.0, 0.0),
-        program_rotation_deg=0.0,
         process=ToolProcess(dip_deg=0.0),
         robot=HybridRobot(),
         placement=Placement((300.0, 220.0, 2315.0), np.diag([1.0, -1.0, -1.0])),
@@ -89,24 +90,19 @@ def small_recipe(**changes: Any) -> Recipe:
         tif=None,
         correction="none",
         envelope=envelope(),
+        max_rate_change=0.4,
         format=RS274,
         model=RemovalModel("gaussian", gaussian_effect),
         solver=DwellSolver(newton_cg.NAME, newton_cg.solve),
         cross_check=None,
-        cross_check_gap=1e-3,
-        regularisation=1e-4,
-        solve_s=30.0,
-        choose="least",
-        budget_s=np.inf,
-        target_nm=0.0,
-        curve=False,
-        kkt_tolerance=1e-4,
-        tolerance_nm=0.5,
-        tolerance_period_mm=0.0,
-        lsf_period_mm=10.0,
-        max_rate_change=0.4,
     )
-    return replace(recipe, **changes)
+    own = {name: changes.pop(name) for name in list(changes) if name in Recipe.__slots__}
+    for name in ("part", "program", "dwell", "job"):
+        section = getattr(recipe, name)
+        keys = {key: changes.pop(key) for key in list(changes) if key in type(section).model_fields}
+        recipe = replace(recipe, **{name: section.model_copy(update=keys)})
+    assert not changes, f"a recipe has no {changes}"
+    return replace(recipe, **own)
 
 
 def small_text(radius_mm: float = APERTURE_MM / 2 + 1) -> bytes:

@@ -96,7 +96,7 @@ def test_a_free_rim_reaches_the_removal_model() -> None:
         return gaussian_effect(request)
 
     for free in (False, True):
-        recipe = small_recipe(model=RemovalModel("asked", ask), free_rim=free)
+        recipe = small_recipe(model=RemovalModel("asked", ask), rim="free" if free else "ring")
         steps.effect_of(recipe, small_program(), steps.process_grid(recipe))
     ring, rim = (request.rim for request in seen)
     assert ring is None

@@ -64,7 +64,7 @@ def dwelling(text: bytes = b"") -> bytes:
 
 
 def test_in_part_frame_turns_first_and_moves_then(program: Program) -> None:
-    recipe = small_recipe(program_rotation_deg=90.0, program_offset_mm=(1.0, 2.0, 3.0))
+    recipe = small_recipe(rotation_deg=90.0, offset_mm=(1.0, 2.0, 3.0))
     tilted = replace(program, axis=np.tile([0.6, 0.0, 0.8], (program.n, 1)))
     part = steps.in_part_frame(recipe, tilted)
     x, y, z = program.end_mm.T
@@ -85,7 +85,7 @@ def test_effect_lies_where_the_part_frame_says(program: Program, measured: Measu
     upper = program.end_mm[:, 1] > 4
     time = upper.astype(float)
     plain = steps.effect_of(small_recipe(), program, measured.grid).effect.removal_nm(time)
-    turned = small_recipe(program_rotation_deg=180.0)
+    turned = small_recipe(rotation_deg=180.0)
     other = steps.effect_of(turned, program, measured.grid).effect.removal_nm(time)
     above = measured.grid.y_mm[:, None] + 0 * measured.grid.x_mm > 0
     assert plain[above].sum() > 50 * plain[~above].sum()
@@ -253,7 +253,7 @@ def test_a_path_that_covers_half_the_part_is_refused(measured: Measured) -> None
 
 
 def test_a_program_in_another_frame_is_refused(program: Program, measured: Measured) -> None:
-    away = small_recipe(program_offset_mm=(15.0, 0.0, 0.0))
+    away = small_recipe(offset_mm=(15.0, 0.0, 0.0))
     with pytest.raises(ProgramError, match="offset_mm"):
         dwell_step.solve(away, program, measured)
 
@@ -379,7 +379,7 @@ def test_landing_on_the_part_is_named(program: Program, solved: Solved) -> None:
 def test_the_landing_is_judged_in_the_parts_frame(program: Program, solved: Solved) -> None:
     plan = steps.rewrite(small_recipe(), program, solved, "small.rnc")
     x, y = program.start_mm[0, :2]
-    (only,) = steps.violations(small_recipe(program_offset_mm=(-float(x), -float(y), 0.0)), plan)
+    (only,) = steps.violations(small_recipe(offset_mm=(-float(x), -float(y), 0.0)), plan)
     assert "starts at 0.00, 0.00 mm" in only.replace("-0.00", "0.00")
 
 
