@@ -45,8 +45,6 @@ class Conditioned:
     """(ny, nx) valid data within the aperture, as of the first cycle."""
     metric_mask: BoolArray
     """(ny, nx) the same within the clear aperture: the aperture, and the part as the map shows it, less the edge."""
-    filled: int
-    """Samples of ``solve_mask`` that had no data in this map."""
 
 
 def condition(
@@ -91,7 +89,7 @@ def condition(
         raise BadMap(f"{missing} of {np.count_nonzero(solve)} samples that the first map had are missing in this one")
     height = fill_holes(np.where(aperture | solve, raw, np.nan))
     height = height - fitted(height, metric, removal)
-    return Conditioned(grid, np.where(aperture | solve, height, np.nan), solve, metric, missing)
+    return Conditioned(grid, np.where(aperture | solve, height, np.nan), solve, metric)
 
 
 def from_outline_mm(height_nm: FloatArray, pitch_mm: float) -> FloatArray:
