@@ -53,10 +53,6 @@ class Row:
     residual_nm: FloatArray = field(repr=False)
     """(ny, nx) what is left, NaN outside the aperture."""
 
-    def as_json(self) -> dict[str, Any]:
-        """The figures, without the map."""
-        return {name: getattr(self, name) for name in self.__slots__ if name != "residual_nm"}
-
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
