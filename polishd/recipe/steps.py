@@ -30,8 +30,6 @@ from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import CENTRED, Believed, Measured, Pass, Solved, Taught
 from polishd.recipe.staying import Staying
 
-INITIAL = Believed()
-"""The model's own rate, and no overhead but the data sheet's."""
 ROUNDING = 1e-3
 """Of a share of samples: files keep a pitch in seven digits, and a rim must not move with the last of them."""
 
@@ -114,9 +112,9 @@ def _states_no_axis(recipe: Recipe, program: Program) -> bool:
     return recipe.process.dip_deg > 0 and bool(np.all(program.axis == (0.0, 0.0, 1.0)))
 
 
-def effect_of(recipe: Recipe, program: Program, grid: Grid, believed: Believed = INITIAL) -> RemovalAnswer:
-    """Compliance, gamma and effect along the program, on the process grid, by what is believed of the removal."""
-    return recipe.model.effect(_request(recipe, program, grid, believed))
+def effect_of(recipe: Recipe, program: Program, grid: Grid, believed: Believed | None = None) -> RemovalAnswer:
+    """Compliance, gamma and effect along the program, on the process grid, by what is believed: None before a pass."""
+    return recipe.model.effect(_request(recipe, program, grid, believed or believed_at_first(recipe)))
 
 
 def _request(recipe: Recipe, program: Program, grid: Grid, believed: Believed) -> RemovalRequest:
@@ -185,9 +183,11 @@ def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan
     )
 
 
-def envelope_of(recipe: Recipe, program: Program, believed: Believed = INITIAL) -> Envelope:
+def envelope_of(recipe: Recipe, program: Program, believed: Believed | None = None) -> Envelope:
     """The machine's limits with the overhead that was learned; moves to a dwell run at the program's own feed."""
-    envelope = replace(recipe.envelope, block_overhead_s=believed.block_overhead_s or recipe.envelope.block_overhead_s)
+    envelope = recipe.envelope
+    if believed is not None and believed.block_overhead_s:
+        envelope = replace(envelope, block_overhead_s=believed.block_overhead_s)
     feed = program.max_feed_mm_min / 60
     if program.encoding == "dwell" and 0 < feed < envelope.max_feed_mm_s:
         envelope = replace(envelope, max_feed_mm_s=feed)

@@ -143,7 +143,7 @@ def test_a_model_of_somebody_else_is_asked_with_its_own_beliefs_and_learns(
 
     recipe = small_recipe(model=RemovalModel("worn", effect, beliefs=Worn(), learn=learn))
     believed = steps.believed_at_first(recipe)
-    removal = steps.effect_of(recipe, program, measured.grid, believed).removal_nm(solved.expected_s)
+    removal = steps.effect_of(recipe, program, measured.grid).removal_nm(solved.expected_s)
     after = replace(measured, height_nm=measured.height_nm - 0.9 * removal)
     taught = steps.learn(recipe, program, Pass(measured, after, solved.asked_s, solved.expected_s), believed)
     assert set(asked) == {Worn()}
