@@ -144,6 +144,18 @@ async def test_the_next_solve_starts_from_the_last_one_across_a_restart(
     assert np.array_equal(starts[1].state["multipliers"], np.arange(3.0)), "what its solver can start from, too"
 
 
+async def test_a_job_that_an_earlier_polishd_began_goes_on(site: Rerun) -> None:
+    """It kept where the part lay as an array, and of what it believed two numbers."""
+    await stopped_after_a_pass(site)
+    with sqlite3.connect(site.config.state_dir / "journal.sqlite") as journal:
+        journal.execute("UPDATE map SET stats = json_remove(stats, '$.registration', '$.sha256')")
+        journal.execute("UPDATE pass SET facts = json_remove(facts, '$.removal')")
+        assert "removal" not in journal.execute("SELECT facts FROM pass").fetchone()[0]
+    assert (await resumed(site))["outcome"] == "in_tolerance"
+    cycle, rate = site.learned()[0]
+    assert (cycle, rate) == (1, pytest.approx(RATE, rel=0.05))
+
+
 @pytest.mark.parametrize("what", ["arrays", "plan", "start"])
 async def test_a_store_that_lost_what_the_journal_names_is_told_before_anything_is_opened(
     site: Rerun, what: str
