@@ -6,7 +6,7 @@ import asyncio
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, asdict, dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from polishd.daemon.compute import Compute
 from polishd.daemon.journal import Journal
@@ -35,6 +35,13 @@ PROGRESS_BLOCKS = 50
 log = logging.getLogger(__name__)
 
 
+class Stored(NamedTuple):
+    """Names in the array store: of a plan's arrays, and of what the next solve can start from."""
+
+    plan: str = ""
+    start: str = ""
+
+
 @dataclass
 class Job:
     """What the cycle asks and tells; see ``cycle.polish`` for the order in which it does."""
@@ -53,8 +60,7 @@ class Job:
     _believed: Believed = field(init=False)
     _surfaces: dict[int, Measured] = field(init=False, default_factory=dict)
     _planned: dict[int, Planned] = field(init=False, default_factory=dict)
-    _stored: tuple[str, str] = field(init=False, default=("", ""))
-    """Names in the array store of the last plan, and of what the next solve can start from."""
+    _stored: Stored = field(init=False, default=Stored())
     _masks: Masks | None = field(init=False, default=None)
     _lay: Registration | None = field(init=False, default=None)
     """Where the part lay in the last map."""
@@ -155,8 +161,8 @@ class Job:
         plan = await self.compute(steps.rewrite, self.recipe, self.program, solved, self.program.name)
         planned = Planned.of(plan, solved, steps.in_part_frame(self.recipe, plan.program))
         files, store = await asyncio.to_thread(planned.files), self.journal.arrays
-        plan_name = await asyncio.to_thread(store.put, files["plan.npz"])
-        self._stored = plan_name, await asyncio.to_thread(store.put, planned.start())
+        names = [await asyncio.to_thread(store.put, arrays) for arrays in (files["plan.npz"], planned.start())]
+        self._stored = Stored(*names)
         self._planned[cycle] = planned
         await self._for_people(self.folder.cycle(cycle).write, {"program.rnc": plan.program.text, **files})
         return plan
@@ -173,7 +179,6 @@ class Job:
         """The intent, durable before anything moves."""
         planned = self._planned[cycle]
         self._planned = {cycle: planned}  # what came before is of no more use
-        plan_name, start_name = self._stored
         self._blocks = 0
         self.journal.begin_pass(
             cycle,
@@ -182,8 +187,7 @@ class Job:
             len(plan.segments),
             contact=(plan.approach_blocks, plan.contact_blocks),
             facts=planned.facts(),
-            plan=plan_name,
-            start=start_name,
+            **self._stored._asdict(),
         )
         self.publish(Event("pass_begun", cycle, {"blocks": plan.contact_blocks, "dwell_s": plan.total_s}))
 

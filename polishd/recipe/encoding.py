@@ -12,7 +12,9 @@ from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
+
+from polishd.model.errors import ConfigError
 
 Arrays = Mapping[str, NDArray[Any] | float]
 T = TypeVar("T")
@@ -35,13 +37,18 @@ def facts_of(record: Any) -> dict[str, Any]:
 def record_of(cls: type[T], facts: Mapping[str, Any], arrays: Mapping[str, Any] = MappingProxyType({})) -> T:
     """The dataclass that ``facts_of`` and ``arrays_of`` took apart, also from JSON; what it has no field for is left.
 
-    Raises:
-        pydantic.ValidationError: a fact of another type.
-        TypeError: a field is missing.
+    ConfigError where a field is missing, or a fact of another type: another polishd, or another plugin, wrote it.
     """
     hints = get_type_hints(cls)
-    found = {name: TypeAdapter(hints[name]).validate_python(value) for name, value in facts.items() if name in hints}
-    return cls(**found, **{name: value for name, value in arrays.items() if name in hints})
+    try:
+        found = {name: TypeAdapter(hints[name]).validate_python(fact) for name, fact in facts.items() if name in hints}
+        return cls(**found, **{name: value for name, value in arrays.items() if name in hints})
+    except (TypeError, ValidationError) as error:
+        problem = str(error).replace("\n", " ")
+        raise ConfigError(
+            f"what was kept as {cls.__name__} cannot be read: {problem}; finish the job with the polishd and the "
+            "plugins that wrote it, or give job.id a new name"
+        ) from error
 
 
 def npz(arrays: Arrays) -> bytes:

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from polishd.model.beliefs import Belief, Beliefs
+from polishd.model.errors import ConfigError
 from polishd.recipe.encoding import arrays_of, as_json, facts_of, npz, record_of, table
 
 LEVEL = Belief(0.0, unit="1/mm")
@@ -40,8 +40,10 @@ def test_what_it_has_no_field_for_is_left_and_what_is_missing_is_the_default() -
 
 
 def test_a_fact_of_another_kind_is_refused() -> None:
-    with pytest.raises(ValidationError):
+    with pytest.raises(ConfigError, match=r"what was kept as Beliefs cannot be read: .*value.*; finish the job with"):
         record_of(Beliefs, {"rate": {"value": "fast"}})
+    with pytest.raises(ConfigError, match=r"Belief cannot be read: .*missing .* 'value'"):
+        record_of(Belief, {"sigma": 1.0})
 
 
 def test_arrays() -> None:
