@@ -121,7 +121,7 @@ class Believed:
     def load(cls, facts: Mapping[str, Any], initial: Beliefs) -> Self:
         """From them again; ``initial`` is of the model's own kind. A job of an earlier polishd kept the two only."""
         if "removal" in facts:
-            removal = record_of(type(initial), facts["removal"])
+            removal = record_of(type(initial), {**facts_of(initial), **facts["removal"]})
         else:
             removal = replace(initial, rate=Belief(float(facts["rate"])))
         return cls(removal, float(facts["block_overhead_s"]))

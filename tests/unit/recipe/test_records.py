@@ -121,6 +121,8 @@ class Worn(Beliefs):
 def test_what_a_model_of_somebody_else_believes_is_kept_in_its_own_record() -> None:
     believed = Believed(Worn(Belief(0.9, 0.01), Belief(0.5, 0.1, "1/h")), 0.004)
     assert Believed.load(journalled(believed.facts()), Worn()) == believed
+    newer = Believed.load(journalled(at_rate(0.9).facts()), Worn(wear=Belief(0.1)))
+    assert newer.removal == Worn(Belief(0.9), Belief(0.1)), "what it did not know before is as at first"
     old = {"rate": 0.9, "block_overhead_s": 0.004}
     assert Believed.load(old, Worn()) == Believed(Worn(Belief(0.9)), 0.004)
 
