@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -70,19 +70,17 @@ def fit(
     signals = [predicted_nm]
     if samples is not None:
         signals += [np.gradient(predicted_nm, axis=1) / pitch_mm, -np.gradient(predicted_nm, axis=0) / pitch_mm]
-    rows, columns = np.nonzero(both)
-    terms = np.column_stack([*(shifted(s, down, right)[both] for s in signals), _plane(rows, columns)])
-    measured = measured_nm[both]
-    found = _jackknifed(terms, measured, (rows, columns), _rate_and_shift(len(signals)))
-    factors, sigmas = found.factors, found.sigma
+    figures = _rate_and_shift(len(signals))
+    found = _regressed([shifted(s, down, right) for s in signals], measured_nm, both, figures)
+    terms, factors, sigmas = found.terms, found.factors, found.sigma
     model[both] = terms @ factors
-    plane = terms[:, len(signals) :]
+    measured, plane = measured_nm[both], terms[:, len(signals) :]
     own = measured - plane @ np.linalg.lstsq(plane, measured, rcond=None)[0]
     left = measured - model[both]
     energy = float(terms[:, 0] @ terms[:, 0])
     explained = 1 - float(left @ left) / float(own @ own) if own.any() else 0.0
     correlation = float(np.sign(factors[0]) * np.sqrt(max(explained, 0.0)))
-    rate, x, y = _rate_and_shift(len(signals))(factors)
+    rate, x, y = figures(factors)
     if len(signals) > 1:
         sigmas[1:] = np.where(_told(terms[:, :3]), sigmas[1:], np.inf)
     excess = float(left @ left) / 2 / energy if energy > 0 else float("inf")
@@ -121,13 +119,11 @@ def contest(other_nm: FloatArray, own_nm: FloatArray, measured_nm: FloatArray, m
     """
     if np.count_nonzero(mask) < FEWEST:
         return 0.0, float("inf")
-    rows, columns = np.nonzero(mask)
-    terms = np.column_stack([other_nm[mask], own_nm[mask], _plane(rows, columns)])
 
     def gap(factors: FloatArray) -> FloatArray:
         return np.asarray(factors[..., :1] - factors[..., 1:2], dtype=np.float64)
 
-    found = _jackknifed(terms, measured_nm[mask], (rows, columns), gap)
+    found = _regressed([other_nm, own_nm], measured_nm, mask, gap)
     return float(gap(found.factors)[0]), float(found.sigma[0])
 
 
@@ -160,14 +156,13 @@ def _tiles(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return np.asarray(down * TILES + right)
 
 
-def _drift(terms: FloatArray, measured: FloatArray, places: tuple[np.ndarray, np.ndarray]) -> FloatArray:
+def _drift(terms: FloatArray, measured: FloatArray, rows: np.ndarray, columns: np.ndarray) -> FloatArray:
     """(m,) nm power and astigmatism that the fit would rather have beside its terms, as far as they are believed.
 
     Temperature and mount bend a part, and its reference, between two maps: alike in all tiles, so none shows it.
     """
-    rows, columns = places
     x, y = (v - v.mean() for v in (columns.astype(np.float64), rows.astype(np.float64)))
-    modes = np.linalg.qr(np.column_stack([_plane(*places), x**2 + y**2, x**2 - y**2, x * y]))[0][:, 3:]
+    modes = np.linalg.qr(np.column_stack([_plane(rows, columns), x**2 + y**2, x**2 - y**2, x * y]))[0][:, 3:]
     found = np.linalg.lstsq(np.column_stack([terms, modes]), measured, rcond=None)[0][terms.shape[1] :]
     most = MOST_DRIFT_NM * np.sqrt(rows.size)
     return np.asarray(modes @ np.clip(found, -most, most), dtype=np.float64)
@@ -185,9 +180,11 @@ def _rate_and_shift(signals: int) -> Callable[[FloatArray], FloatArray]:
     return figures
 
 
-class _Jackknifed(NamedTuple):
-    """Factors of a fit, and standard errors of figures made of them."""
+class _Regressed(NamedTuple):
+    """A linear fit, and standard errors of figures made of its factors."""
 
+    terms: FloatArray
+    """(m, k): the signals, and a plane."""
     factors: FloatArray
     scatter: FloatArray
     """By the fit without each tile."""
@@ -199,12 +196,13 @@ class _Jackknifed(NamedTuple):
         return np.hypot(self.scatter, self.drift)
 
 
-def _jackknifed(
-    terms: FloatArray, measured: FloatArray, places: tuple[np.ndarray, np.ndarray],
-    figures: Callable[[FloatArray], FloatArray],
-) -> _Jackknifed:  # fmt: skip
-    """The fit by normal equations, whole and without each tile."""
-    tile = _tiles(*places)
+def _regressed(
+    signals: Sequence[FloatArray], measured_nm: FloatArray, mask: BoolArray, figures: Callable[[FloatArray], FloatArray]
+) -> _Regressed:
+    """Least squares of (ny, nx) signals and a plane over a mask, by normal equations, whole and without each tile."""
+    rows, columns = np.nonzero(mask)
+    terms, measured = np.column_stack([*(s[mask] for s in signals), _plane(rows, columns)]), measured_nm[mask]
+    tile = _tiles(rows, columns)
     tiles = np.unique(tile)
     normal = np.stack([terms[tile == k].T @ terms[tile == k] for k in tiles])
     right = np.stack([terms[tile == k].T @ measured[tile == k] for k in tiles])
@@ -212,6 +210,6 @@ def _jackknifed(
     factors = inverse @ right.sum(0)
     without = (np.linalg.pinv(normal.sum(0) - normal, hermitian=True) @ (right.sum(0) - right)[..., None])[..., 0]
     scatter = figures(without)
-    drift = figures(factors - inverse @ (terms.T @ _drift(terms, measured, places))) - figures(factors)
+    drift = figures(factors - inverse @ (terms.T @ _drift(terms, measured, rows, columns))) - figures(factors)
     square = (len(tiles) - 1) * np.mean((scatter - scatter.mean(axis=0)) ** 2, axis=0)
-    return _Jackknifed(np.asarray(factors), np.sqrt(square), drift)
+    return _Regressed(terms, np.asarray(factors), np.sqrt(square), drift)
