@@ -100,4 +100,4 @@ def plan(blocks: int) -> Plan:
         start_mm=points, end_mm=points, axis=points, time_s=np.zeros(0), lines=blocks, max_feed_mm_min=700.0,
     )  # fmt: skip
     segments = tuple(Segment(seq, line) for seq, line in enumerate(lines))
-    return Plan(program, program.sha256, 0, blocks, np.zeros(0), np.zeros((1, 1)), segments)
+    return Plan(program, 0, blocks, np.zeros(0), np.zeros((1, 1)), segments)

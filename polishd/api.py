@@ -11,8 +11,10 @@ from polishd.hookspecs import (
     RemovalRequest,
     SurfaceReader,
     hookimpl,
+    learn_rate,
 )
 from polishd.model import events
+from polishd.model.beliefs import Belief, Beliefs, Evidence, Lesson
 from polishd.model.devices import DeviceStatus, Executed, ForceSample, Identity, RobotProgress, SpeedSample
 from polishd.model.dwell import Certificate, DwellSolution
 from polishd.model.errors import (
@@ -49,6 +51,8 @@ __all__ = [
     "API_VERSION",
     "ActuatorTimes",
     "BadMap",
+    "Belief",
+    "Beliefs",
     "ByteStream",
     "Certificate",
     "Clock",
@@ -70,12 +74,14 @@ __all__ = [
     "Effect",
     "Envelope",
     "Event",
+    "Evidence",
     "Executed",
     "ForceActuator",
     "ForceSample",
     "Grid",
     "HybridRobot",
     "Identity",
+    "Lesson",
     "LinkError",
     "MeasuredCompliance",
     "MeasuredTif",
@@ -112,4 +118,5 @@ __all__ = [
     "WrongPart",
     "events",
     "hookimpl",
+    "learn_rate",
 ]

@@ -13,6 +13,7 @@ from typing import Any
 
 import pluggy
 
+from polishd.model.beliefs import UNTAUGHT, Beliefs, Evidence, Lesson
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import BadMap, SurfaceError
 from polishd.model.events import Event
@@ -32,6 +33,7 @@ from polishd.model.program import Plan, Program
 from polishd.model.robot import RobotModel
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.ports.devices import Device
+from polishd.process import learning
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.edge.correctable import Transfer
 from polishd.process.edge.rim import Rim
@@ -141,6 +143,8 @@ class RemovalRequest:
     """The cell's measured TIF (``process.tif``), for models that use one."""
     rim: Rim | None = None
     """The part's rim where it is free; None: the part sits in a flush ring."""
+    beliefs: Beliefs = UNTAUGHT
+    """All that the model believes, its own record (``RemovalModel.beliefs``); ``rate`` is of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,12 +167,21 @@ class RemovalAnswer:
         return self.effect.removal_nm(time_s if self.divide_by is None else time_s * self.divide_by)
 
 
+def learn_rate(request: RemovalRequest, evidence: Evidence) -> Lesson:
+    """What a model learns that says nothing else: the removal rate."""
+    return learning.learn_rate(evidence)
+
+
 @dataclass(frozen=True, slots=True)
 class RemovalModel:
     """A removal model: ``hertz_preston`` is polishd's own. Runs in the compute worker; must be picklable."""
 
     name: str
     effect: Callable[[RemovalRequest], RemovalAnswer]
+    beliefs: Beliefs = UNTAUGHT
+    """What it believes before anything was polished. Its class is the record that is kept, and made again from JSON."""
+    learn: Callable[[RemovalRequest, Evidence], Lesson] = learn_rate
+    """(what the last pass's effect was asked with, what the pass did) -> what is believed after it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,6 @@ def plan_of(lines: Sequence[bytes], approach_blocks: int = 0) -> Plan:
     )
     return Plan(
         program=program,
-        original_sha256=program.sha256,
         approach_blocks=approach_blocks,
         contact_blocks=len(lines),
         expected_time_s=np.zeros(0),

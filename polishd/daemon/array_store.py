@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from polishd.files import sync_folder, write_atomic
 from polishd.model.errors import ConfigError, SafetyStop
-from polishd.recipe.arrays import Arrays, npz
+from polishd.recipe.encoding import Arrays, npz
 
 
 class ArrayStore:
@@ -21,9 +21,9 @@ class ArrayStore:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
-    def put(self, arrays: Arrays) -> str:
-        """Keep arrays; their hash, once they are durable. SafetyStop where the disk will not have them."""
-        content = npz(arrays)
+    def put(self, arrays: Arrays | bytes) -> str:
+        """Keep arrays, or their ``.npz``; its hash, once it is durable. SafetyStop where the disk will not have it."""
+        content = arrays if isinstance(arrays, bytes) else npz(arrays)
         sha256 = hashlib.sha256(content).hexdigest()
         try:
             if not self.folder.exists():

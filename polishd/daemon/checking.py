@@ -30,7 +30,7 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
     program = steps.read_program(recipe, config.program_path)
     foresight.check_pass(config, recipe, program)
     grid = steps.process_grid(recipe)
-    answer = steps.effect_of(recipe, program, grid, 1.0)
+    answer = steps.effect_of(recipe, program, grid)
     compliance, gamma = answer.compliance_um_per_n, answer.gamma
     return {
         "config": str(config.path),

@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 from asyncio.subprocess import PIPE, Process
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
@@ -65,20 +65,9 @@ class Compute:
                 message = pack((function, arguments))
             except Exception as error:
                 raise ComputeError(f"{name} cannot be sent to the worker: {error}") from error
-            watch = Watch(process.pid, limit, self._backstop)
-            try:
-                async with watch.kept():
-                    kind, value = await _exchange(process, message)
-            except TimeoutError:
-                used = str(watch)
-                await self._drop()
-                await self._spawn()
-                raise ComputeError(f"{name} was ended: it {used}") from None
-            except (OSError, EOFError) as error:
-                raise ComputeError(f"{name}: the worker died ({await self._drop()})") from error
-            except BaseException:
-                await self._drop()
-                raise
+            work = _exchange(process, message)
+            late, dead = f"{name} was ended", f"{name}: the worker died"
+            kind, value = await self._kept(process, limit, work, late=late, dead=dead)
         if kind == "error":
             raise value
         return value  # type: ignore[no-any-return]
@@ -103,21 +92,30 @@ class Compute:
         if process is None or process.returncode is not None:
             process = await self._spawn()
         if not self._ready:
-            watch = Watch(process.pid, Limit(START_S), self._backstop)
-            try:
-                async with watch.kept():
-                    await _receive(process)
-            except TimeoutError:
-                used = str(watch)
-                await self._drop()
-                raise ComputeError(f"the worker was not ready in time: it {used}") from None
-            except (OSError, EOFError) as error:
-                raise ComputeError(f"the worker did not start ({await self._drop()}); see stderr") from error
-            except BaseException:
-                await self._drop()
-                raise
+            late, dead = "the worker was not ready in time", "the worker did not start"
+            await self._kept(process, Limit(START_S), _receive(process), late=late, dead=dead, hint="; see stderr")
             self._ready = True
         return process
+
+    async def _kept(
+        self, process: Process, limit: Limit, work: Coroutine[Any, Any, T], *, late: str, dead: str, hint: str = ""
+    ) -> T:
+        """What the worker answers in time; else it is killed, and a ComputeError begins with ``late`` or ``dead``."""
+        watch = Watch(process.pid, limit, self._backstop)
+        try:
+            async with watch.kept():
+                return await work
+        except TimeoutError:
+            used = str(watch)
+            await self._drop()
+            if self._ready:  # the next call need not wait for it
+                await self._spawn()
+            raise ComputeError(f"{late}: it {used}") from None
+        except (OSError, EOFError) as error:
+            raise ComputeError(f"{dead} ({await self._drop()}){hint}") from error
+        except BaseException:
+            await self._drop()
+            raise
 
     async def _spawn(self) -> Process:
         self._refuse_closed()

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass, field
+from typing import Any, NamedTuple
 
 from polishd.daemon.compute import Compute
 from polishd.daemon.journal import Journal
@@ -14,19 +14,19 @@ from polishd.daemon.journal_records import MapRecord, PassRecord
 from polishd.daemon.safety import ContactLimits
 from polishd.model import events
 from polishd.model.devices import Executed, RobotProgress
-from polishd.model.dwell import KeptStart
 from polishd.model.errors import ConfigError, GateStop, PlanRefused
 from polishd.model.events import Event
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
+from polishd.process.conditioning import Masks
 from polishd.process.executed import executed_s
 from polishd.process.registration.record import Registration
 from polishd.recipe import dwell_step, steps
+from polishd.recipe.encoding import table
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import plan_arrays, save_plan, save_surface, save_verdict, surface_arrays
-from polishd.recipe.steps import Beliefs, Measured, Solved, Taught
+from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved, Taught, figures, tolerated_nm
 
 DIVERGED_RATIO, DIVERGED_NM = 1.3, 1.0
 """A surface that is worse than the best one so far by this ratio, and by more than noise and ripple, ends the job."""
@@ -36,104 +36,93 @@ PROGRESS_BLOCKS = 50
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class Planned:
-    """A plan as the journal names it, and what the next cycle needs of it."""
+class Stored(NamedTuple):
+    """Names in the array store: of a plan's arrays, and of what the next solve can start from."""
 
-    plan: str
-    """Names in the array store: all its arrays, and what the next solve can start from."""
-    start: str
-    certificate: Mapping[str, Any]
-    asked_s: FloatArray
-    """(n,) time that it wrote into the program."""
-    kept: KeptStart
+    plan: str = ""
+    start: str = ""
 
 
+@dataclass
 class Job:
     """What the cycle asks and tells; see ``cycle.polish`` for the order in which it does."""
 
-    def __init__(
-        self,
-        recipe: Recipe,
-        program: Program,
-        *,
-        journal: Journal,
-        folder: RunFolder,
-        compute: Compute,
-        publish: Callable[[Event], None],
-        check_plan: Callable[[Plan, Envelope], Sequence[str]],
-        contact: ContactLimits,
-        max_cycles: int,
-        lookahead_s: float,
-    ) -> None:
-        self.recipe = recipe
-        self.contact = contact
-        self.max_cycles = max_cycles
-        self.lookahead_s = lookahead_s
-        self._program = program
-        self._journal = journal
-        self._folder = folder
-        self._compute = compute
-        self._publish = publish
-        self._check_plan = check_plan
-        self._beliefs = Beliefs(block_overhead_s=recipe.envelope.block_overhead_s)
-        self._surfaces: dict[int, Measured] = {}
-        self._planned: dict[int, Planned] = {}
-        self._masks: tuple[Any, Any] | None = None
-        self._lay: Registration | None = None
-        """Where the part lay in the last map."""
-        self._blocks = 0
+    recipe: Recipe
+    program: Program
+    _: KW_ONLY
+    journal: Journal
+    folder: RunFolder
+    compute: Compute
+    publish: Callable[[Event], None]
+    check_plan: Callable[[Plan, Envelope], Sequence[str]]
+    contact: ContactLimits
+    max_cycles: int
+    lookahead_s: float
+    _believed: Believed = field(init=False)
+    _surfaces: dict[int, Measured] = field(init=False, default_factory=dict)
+    _planned: dict[int, Planned] = field(init=False, default_factory=dict)
+    _stored: Stored = field(init=False, default=Stored())
+    _masks: Masks | None = field(init=False, default=None)
+    _lay: Registration | None = field(init=False, default=None)
+    """Where the part lay in the last map."""
+    _blocks: int = field(init=False, default=0)
+
+    def __post_init__(self) -> None:
+        self._believed = steps.believed_at_first(self.recipe)
 
     async def load(self) -> None:
         """Take up what an earlier run of the daemon knew: masks, beliefs, last surface and last plan.
 
         ConfigError where the store has lost something that the journal names.
         """
-        history, passes = self._journal.history, self._journal.passes
+        history, passes = self.journal.history, self.journal.passes
         if not history:
             return
-        first, last = self._measured(history[0]), self._measured(history[-1])
-        self._masks, self._lay = (first.solve_mask, first.metric_mask), last.registration
+        self._masks, self._lay = self._measured(history[0]).masks, self._measured(history[-1]).registration
         if passes:
             record = passes[-1]
+            planned = self._plan_of(record)
             self._surfaces = {found.cycle: self._measured(found) for found in history if found.cycle == record.cycle}
-            self._planned = {record.cycle: self._plan_of(record)}
-            self._beliefs = Beliefs(float(record.facts["rate"]), float(record.facts["block_overhead_s"]))
+            self._planned, self._believed = {record.cycle: planned}, planned.believed
         await self._for_people(self._remake)
 
     @property
     def last_cycle(self) -> int:
         """The cycle that only measures: passes that were interrupted do not count as passes."""
-        return self.max_cycles + sum(record.how == "interrupted" for record in self._journal.passes)
+        return self.max_cycles + sum(record.how == "interrupted" for record in self.journal.passes)
 
     # measure
 
     async def measured(self, cycle: int, surface: SurfaceMap) -> Measured:
         """The map on the process grid; journalled and kept in the run folder."""
-        measured = await self._compute(steps.condition, self.recipe, surface, self._masks, self._lay)
-        arrays = await asyncio.to_thread(self._journal.arrays.put, surface_arrays(measured))
-        notes, run_dir = list(measured.notes), str(self._folder.path)
-        told = events.Measured(cycle=cycle, stats=measured.stats, spikes=measured.spikes, notes=notes, run_dir=run_dir)
-        self._journal.record_map(cycle, surface.sha256, surface.path or "", told.data, arrays)
-        self._masks, self._lay = (measured.solve_mask, measured.metric_mask), measured.registration
-        await self._for_people(save_surface, self._folder.cycle(cycle), surface, measured)
+        measured = await self.compute(steps.condition, self.recipe, surface, self._masks, self._lay)
+        files = await asyncio.to_thread(measured.files)
+        arrays = await asyncio.to_thread(self.journal.arrays.put, files["surface.npz"])
+        facts = {**measured.facts(), "run_dir": str(self.folder.path)}
+        self.journal.record_map(cycle, surface.sha256, surface.path or "", facts, arrays)
+        self._masks, self._lay = measured.masks, measured.registration
+        folder = self.folder.cycle(cycle)
+        await self._for_people(folder.map_file, surface)
+        await self._for_people(folder.write, files)
         await self._for_people(self._remake)
-        self._publish(told)
+        stats, notes = measured.stats, list(measured.notes)
+        told = {"spikes": measured.spikes, "run_dir": facts["run_dir"]}
+        self.publish(events.Measured(cycle=cycle, stats=stats, notes=notes, **told))
         return measured
 
     def accepts(self, surface: Measured) -> bool:
         """Whether the figure is in tolerance, over the periods that the tolerance is for."""
-        return _figure(asdict(surface.stats)) <= self.recipe.tolerance_nm
+        return surface.figure_nm <= self.recipe.job.tolerance_nm
 
     def diverges(self, surface: Measured) -> bool:
         """Whether the surface is clearly worse than it has been."""
-        torn = [record.cycle for record in self._journal.passes if record.how != "done"]
+        torn = [record.cycle for record in self.journal.passes if record.how != "done"]
         since = max(torn, default=-1)  # a pass that was torn off leaves a step, which is nobody's divergence
-        earlier = [_figure(record.stats) for record in self._journal.history[:-1] if record.cycle > since]
+        earlier = [tolerated_nm(record.stats) for record in self.journal.history[:-1] if record.cycle > since]
         if not earlier:
             return False
         best = min(earlier)
-        return _figure(asdict(surface.stats)) > max(DIVERGED_RATIO * best, best + DIVERGED_NM)
+        return surface.figure_nm > max(DIVERGED_RATIO * best, best + DIVERGED_NM)
 
     # learn, solve, plan
 
@@ -141,56 +130,49 @@ class Job:
         """Compare what the last pass removed with what its executed dwell should have; not after an interruption."""
         before = self._surfaces.get(cycle - 1)  # after a hold a cycle is measured, and learned from, again
         self._surfaces[cycle] = surface
-        done = [record for record in self._journal.passes if record.cycle == cycle - 1 and record.how == "done"]
+        done = [record for record in self.journal.passes if record.cycle == cycle - 1 and record.how == "done"]
         if before is None or not done:
             return
         executed = await asyncio.to_thread(self.executed_s, cycle - 1)
-        times = (self._planned[cycle - 1].asked_s, executed)
-        taught: Taught = await self._compute(
-            steps.learn, self.recipe, self._program, (before, surface), times, self._beliefs
-        )
-        folder = self._folder.cycle(cycle)
-        await self._for_people(save_verdict, folder, taught.verdict, surface)
-        if taught.learned is None:
-            self._publish(events.GateStopped(cycle=cycle, stop=taught.verdict.stop, cycle_dir=str(folder.path)))
+        last = Pass(before, surface, self._planned[cycle - 1].asked_s, executed)
+        taught: Taught = await self.compute(steps.learn, self.recipe, self.program, last, self._believed)
+        folder = self.folder.cycle(cycle)
+        await self._for_people(folder.write, await asyncio.to_thread(taught.files))
+        if taught.verdict.stop:
+            self.publish(events.GateStopped(cycle=cycle, stop=taught.verdict.stop, cycle_dir=str(folder.path)))
             raise GateStop(f"{taught.verdict.stop} (see {folder.path / 'gate.png'})")
-        self._beliefs = taught.beliefs
-        learned = {"beliefs": asdict(self._beliefs), **asdict(taught.learned)}
-        await self._for_people(folder.json, "learned.json", learned)
-        self._publish(events.Learned(cycle=cycle, **asdict(self._beliefs)))
+        self._believed = taught.believed
+        self.publish(events.Learned(cycle=cycle, notes=taught.notes, **self._believed.facts()))
 
     async def solve(self, cycle: int, surface: Measured) -> Solved:
         """Dwell with a certificate, kept in the run folder whether it will be used or not."""
-        solved = await self._compute(
+        solved = await self.compute(
             dwell_step.solve,
             self.recipe,
-            self._program,
+            self.program,
             surface,
-            self._beliefs,
+            self._believed,
             self._planned[cycle - 1].kept if cycle - 1 in self._planned else None,
             within_s=dwell_step.limit(self.recipe),
         )
-        await self._for_people(self._folder.cycle(cycle).json, "certificate.json", solved.dwell.certificate)
-        self._publish(events.Solved(cycle=cycle, certificate=solved.dwell.certificate))
+        await self._for_people(self.folder.cycle(cycle).write, solved.files())
+        self.publish(events.Solved(cycle=cycle, certificate=solved.dwell.certificate))
         return solved
 
     async def plan(self, cycle: int, solved: Solved) -> Plan:
         """The rewritten program; what the next cycle needs of it is kept for the journal, the rest for people."""
-        plan = await self._compute(steps.rewrite, self.recipe, self._program, solved, self._program.name)
-        store, dwell = self._journal.arrays, solved.dwell
-        self._planned[cycle] = Planned(
-            plan=await asyncio.to_thread(store.put, plan_arrays(self.recipe, plan, solved)),
-            start=await asyncio.to_thread(store.put, {"time_s": dwell.time_s, **dwell.state}),
-            certificate=asdict(dwell.certificate),
-            asked_s=solved.asked_s,
-            kept=KeptStart(dwell.time_s, dwell.state),
-        )
-        await self._for_people(save_plan, self._folder.cycle(cycle), self.recipe, plan, solved)
+        plan = await self.compute(steps.rewrite, self.recipe, self.program, solved, self.program.name)
+        planned = Planned.of(plan, solved, steps.in_part_frame(self.recipe, plan.program))
+        files, store = await asyncio.to_thread(planned.files), self.journal.arrays
+        names = [await asyncio.to_thread(store.put, arrays) for arrays in (files["plan.npz"], planned.start())]
+        self._stored = Stored(*names)
+        self._planned[cycle] = planned
+        await self._for_people(self.folder.cycle(cycle).write, {"program.rnc": plan.program.text, **files})
         return plan
 
     def refuse_unsafe(self, plan: Plan) -> None:
         """PlanRefused with every violation that a check found."""
-        found = [*steps.violations(self.recipe, plan), *self._check_plan(plan, self.recipe.envelope)]
+        found = [*steps.violations(self.recipe, plan), *self.check_plan(plan, self.recipe.envelope)]
         if found:
             raise PlanRefused("the plan was refused, nothing moved:\n" + "\n".join(f"  {line}" for line in found))
 
@@ -200,78 +182,62 @@ class Job:
         """The intent, durable before anything moves."""
         planned = self._planned[cycle]
         self._planned = {cycle: planned}  # what came before is of no more use
-        facts = {
-            "certificate": planned.certificate,
-            "predicted_rms_nm": planned.certificate["predicted_rms_nm"],
-            "dwell_s": plan.total_s,
-            "rate": self._beliefs.rate,
-            "block_overhead_s": self._beliefs.block_overhead_s,
-        }
         self._blocks = 0
-        self._journal.begin_pass(
+        self.journal.begin_pass(
             cycle,
             plan.program.sha256,
             robot.boot_id,
             len(plan.segments),
             contact=(plan.approach_blocks, plan.contact_blocks),
-            facts=facts,
-            plan=planned.plan,
-            start=planned.start,
+            facts=planned.facts(),
+            **self._stored._asdict(),
         )
-        self._publish(events.PassBegun(cycle=cycle, blocks=plan.contact_blocks, dwell_s=plan.total_s))
+        self.publish(events.PassBegun(cycle=cycle, blocks=plan.contact_blocks, dwell_s=plan.total_s))
 
     async def executed(self, cycle: int, block: Executed) -> None:
         """One block was executed in contact. Where many are told at once, others have their turns meanwhile."""
-        self._journal.executed_segment(cycle, block, contact=True)
+        self.journal.executed_segment(cycle, block, contact=True)
         self._blocks += 1
         if self._blocks % PROGRESS_BLOCKS == 0:
-            self._publish(events.Progress(cycle=cycle, block=block.seq + 1))
+            self.publish(events.Progress(cycle=cycle, block=block.seq + 1))
             await asyncio.sleep(0)
 
     async def end_pass(self, cycle: int) -> None:
         """The pass is over, tool lifted, robot at rest."""
-        self._journal.end_pass(cycle, "done")
+        self.journal.end_pass(cycle, "done")
         await self._for_people(self._save_executed, cycle)
-        self._publish(events.PassEnded(cycle=cycle, executed_s=self._journal.contact_s(cycle)))
+        self.publish(events.PassEnded(cycle=cycle, executed_s=self.journal.contact_s(cycle)))
 
     def executed_s(self, cycle: int) -> FloatArray:
         """(n,) process time that each timed point really had in that cycle's pass, s; 0 where it was not run."""
-        blocks = self._journal.executed(cycle)
-        return executed_s(self._program.block, blocks.seq[blocks.contact], blocks.duration_s[blocks.contact])
+        blocks = self.journal.executed(cycle)
+        return executed_s(self.program.block, blocks.seq[blocks.contact], blocks.duration_s[blocks.contact])
 
     def cycles(self) -> list[dict[str, Any]]:
         """One entry a measurement; what belongs to the pass after it is None where there was none."""
-        passes = {record.cycle: record for record in self._journal.passes}
-        return [
-            {
-                **{key: record.stats[key] for key in ("rms_nm", "pv_nm", "lsf_rms_nm", "band_rms_nm")},
-                "how": (passes[record.cycle].how or "begun") if record.cycle in passes else None,
-                **{key: _fact(passes.get(record.cycle), key) for key in ("predicted_rms_nm", "dwell_s", "rate")},
-                "executed_s": self._journal.contact_s(record.cycle) if record.cycle in passes else None,
-                "notes": record.stats.get("notes", []),
-            }
-            for record in self._journal.history
-        ]
+        passes = {record.cycle: record for record in self.journal.passes}
+        return [self._entry(record, passes.get(record.cycle)) for record in self.journal.history]
+
+    def _entry(self, measured: MapRecord, run: PassRecord | None) -> dict[str, Any]:
+        return {
+            **figures(measured.stats, None if run is None else run.facts),
+            "how": None if run is None else run.how or "begun",
+            "executed_s": None if run is None else self.journal.contact_s(run.cycle),
+            "notes": measured.stats.get("notes", []),
+        }
 
     def summary(self) -> dict[str, Any]:
         """The job's part of ``summary.json``."""
-        return {
-            "part_id": self.recipe.part_id,
-            "correction": self.recipe.correction,
-            "tolerance_nm": self.recipe.tolerance_nm,
-            "tolerance_period_mm": self.recipe.tolerance_period_mm,
-            "lsf_period_mm": self.recipe.lsf_period_mm,
-            "cycles": self.cycles(),
-        }
+        return {**self.recipe.facts(), "cycles": self.cycles()}
 
     def _measured(self, record: MapRecord) -> Measured:
-        return steps.load_measured(self.recipe, self._journal.arrays.get(record.arrays), record.sha256)
+        instrument = self.recipe.instrument
+        by = "none" if instrument is None else instrument.register_by
+        return Measured.load(self.journal.arrays.get(record.arrays), {"sha256": record.sha256, **record.stats}, by)
 
     def _plan_of(self, record: PassRecord) -> Planned:
-        store = self._journal.arrays
-        start = store.get(record.start)
-        kept = KeptStart(start.pop("time_s"), start)
-        return Planned(record.plan, record.start, record.facts["certificate"], store.get(record.plan)["asked_s"], kept)
+        get = self.journal.arrays.get
+        return Planned.load(get(record.plan), get(record.start), record.facts, self.recipe.model.beliefs)
 
     async def _for_people(self, write: Callable[..., None], *arguments: Any) -> None:
         """Write to the run folder beside the event loop. What people cannot be left does not end a job."""
@@ -281,30 +247,21 @@ class Job:
             log.error("the run folder cannot be written: %s; the job goes on without", error)
 
     def _save_executed(self, cycle: int) -> None:
-        blocks = self._journal.executed(cycle)
+        blocks = self.journal.executed(cycle)
         columns = {"seq": blocks.seq, "start_s": blocks.start_s, "end_s": blocks.end_s, "contact": blocks.contact}
-        self._folder.cycle(cycle).table("executed.csv", columns)
+        self.folder.cycle(cycle).bytes("executed.csv", table(columns))
 
     def _remake(self) -> None:
         """Make anew what the report draws from, where somebody deleted it."""
-        store = self._journal.arrays
-        for found in self._journal.history:
-            folder = self._folder.cycle(found.cycle)
+        store = self.journal.arrays
+        for found in self.journal.history:
+            folder = self.folder.cycle(found.cycle)
             if not folder.holds("surface.npz"):
                 folder.bytes("surface.npz", store.content(found.arrays))
-        for record in self._journal.passes:
-            folder = self._folder.cycle(record.cycle)
+        for record in self.journal.passes:
+            folder = self.folder.cycle(record.cycle)
             if not folder.holds("plan.npz"):
                 folder.bytes("plan.npz", store.content(record.plan))
                 folder.json("certificate.json", record.facts["certificate"])
             if record.how == "done" and not folder.holds("executed.csv"):
                 self._save_executed(record.cycle)
-
-
-def _figure(stats: Mapping[str, Any]) -> float:
-    band = stats["band_rms_nm"]
-    return float(stats["rms_nm"] if band is None else band)
-
-
-def _fact(record: Any, key: str) -> float | None:
-    return None if record is None else float(record.facts[key])

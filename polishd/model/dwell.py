@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 from numpy.typing import NDArray
 
@@ -45,20 +45,6 @@ class Certificate:
     """RMS of the periods above the problem's ``band_period_mm`` in the clear aperture; None: none was asked for."""
 
 
-class Start(Protocol):
-    """Where a solver can start: a solution of a problem much like its own, or what was kept of one."""
-
-    @property
-    def time_s(self) -> FloatArray:
-        """(n,) dwell."""
-        ...
-
-    @property
-    def state(self) -> Mapping[str, NDArray[Any]]:
-        """What its solver can start from again, by name."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class KeptStart:
     """A start that was kept with a run."""
@@ -82,3 +68,7 @@ class DwellSolution:
     upper_s: FloatArray = field(repr=False)
     state: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
     """What its solver can start from again, by name; kept with the run."""
+
+
+Start = KeptStart | DwellSolution
+"""Where a solver can start: what was kept of a run, or a solution of a problem much like its own."""

@@ -121,6 +121,7 @@ class Learned(Event):
     name: ClassVar[str] = "learned"
     rate: Annotated[float, "removal rate, relative to the model's own"]
     block_overhead_s: Annotated[float, "s that a block takes beyond its motion"]
+    removal: Annotated[Mapping[str, Any], "all that the removal model believes, with its standard errors"]
     notes: Annotated[Sequence[str], "what a person should know of it"]
 
 

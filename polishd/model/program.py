@@ -16,7 +16,7 @@ Encoding = Literal["feed", "dwell", "inverse"]
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A parsed RNC program: n timed points (blocks that carry time), in program order, program frame.
+    """A parsed RNC program: n timed points (blocks that carry time), in program order.
 
     A point is a feed move with its own dwell (``encoding == "dwell"``), or each feed move where time sits in
     the feed (``"feed"``: F in mm/min a block; ``"inverse"``: G93 F in 1/min).
@@ -32,9 +32,9 @@ class Program:
     block: IntArray
     """(n,) 0-based index of that line among the lines that are streamed (see ``blocks``)."""
     start_mm: FloatArray
-    """(n, 3) where the tool tip is when the block begins."""
+    """(n, 3) where the tool tip is when the block begins; a dwell stays there (what leads to it: ``travel_mm``)."""
     end_mm: FloatArray
-    """(n, 3) where it is when the block ends; equal to start for a dwell on the spot."""
+    """(n, 3) where it is when the block ends."""
     axis: FloatArray
     """(n, 3) unit tool axis at the block's end, from the tip into the spindle."""
     time_s: FloatArray
@@ -47,6 +47,8 @@ class Program:
     """(n,) feed of the move that leads to each point; NaN where unknown; empty where nobody asked."""
     unit: str = "s"
     """Unit of the numbers that carry the time, as they are written: "s", "ms", "mm/min", "1/min", ..."""
+    frame: Literal["program", "part"] = "program"
+    """Whose axes ``start_mm``, ``end_mm`` and ``axis`` are in: the program's own, as read, or the part's."""
 
     @property
     def n(self) -> int:
@@ -55,8 +57,15 @@ class Program:
 
     @property
     def length_mm(self) -> FloatArray:
-        """Path length of each block, (n,)."""
+        """Path length of each block itself, (n,): 0 for a dwell."""
         return np.asarray(np.linalg.norm(self.end_mm - self.start_mm, axis=1), dtype=np.float64)
+
+    @property
+    def travel_mm(self) -> FloatArray:
+        """Way that takes time at each timed point, (n,): the block, or the move from the last dwell to this one."""
+        if self.encoding != "dwell":
+            return self.length_mm
+        return np.asarray(np.linalg.norm(np.diff(self.end_mm, axis=0, prepend=self.end_mm[:1]), axis=1))
 
     @property
     def blocks(self) -> list[bytes]:
@@ -78,7 +87,6 @@ class Plan:
 
     program: Program
     """The rewritten program, read back from its own bytes."""
-    original_sha256: str
     approach_blocks: int
     """Blocks before the first timed point: run with the tool retracted, then the robot waits for contact."""
     contact_blocks: int

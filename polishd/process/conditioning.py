@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -24,6 +25,15 @@ MAX_FILLED = 0.05
 """Share of a frozen mask that later maps may lack and have filled."""
 
 
+class Masks(NamedTuple):
+    """Which samples count: frozen with the first map of a part."""
+
+    solve: BoolArray
+    """(ny, nx) in the solve."""
+    metric: BoolArray
+    """(ny, nx) in the figures: the clear aperture."""
+
+
 @dataclass(frozen=True, slots=True)
 class Conditioned:
     """A surface on the process grid, with its masks."""
@@ -35,8 +45,6 @@ class Conditioned:
     """(ny, nx) valid data within the aperture, as of the first cycle."""
     metric_mask: BoolArray
     """(ny, nx) the same within the clear aperture: the aperture, and the part as the map shows it, less the edge."""
-    filled: int
-    """Samples of ``solve_mask`` that had no data in this map."""
 
 
 def condition(
@@ -45,7 +53,7 @@ def condition(
     aperture_mm: float,
     edge_mm: float,
     grid_mm: float,
-    masks: tuple[BoolArray, BoolArray] | None = None,
+    masks: Masks | None = None,
     removal: Removal = "piston",
     margin_mm: float = MARGIN_MM,
     registration: Registration | None = None,
@@ -57,7 +65,7 @@ def condition(
         aperture_mm: diameter of the part's aperture.
         edge_mm: width of the rim outside the clear aperture.
         grid_mm: pitch of the process grid.
-        masks: ``(solve_mask, metric_mask)`` of an earlier map, to be kept; None for the first map.
+        masks: those of the first map, to be kept; None for the first map.
         removal: what is alignment, to be removed, and not figure, to be polished.
         margin_mm: reach of the grid beyond the aperture.
         registration: where the part lies in the map; None: its centre is the centre of the map's array.
@@ -73,7 +81,7 @@ def condition(
     radius = grid.radius_mm()
     aperture = radius <= aperture_mm / 2
     clear = (radius <= aperture_mm / 2 - edge_mm) & (from_outline_mm(raw, grid_mm) > edge_mm)
-    solve, metric = _new_masks(raw, aperture, clear) if masks is None else masks
+    solve, metric = masks or _new_masks(raw, aperture, clear)
     if solve.shape != grid.shape or metric.shape != grid.shape:
         raise BadMap(f"the masks of the first map are {solve.shape}, the process grid is {grid.shape}")
     missing = int(np.count_nonzero(solve & ~np.isfinite(raw)))
@@ -81,7 +89,7 @@ def condition(
         raise BadMap(f"{missing} of {np.count_nonzero(solve)} samples that the first map had are missing in this one")
     height = fill_holes(np.where(aperture | solve, raw, np.nan))
     height = height - fitted(height, metric, removal)
-    return Conditioned(grid, np.where(aperture | solve, height, np.nan), solve, metric, missing)
+    return Conditioned(grid, np.where(aperture | solve, height, np.nan), solve, metric)
 
 
 def from_outline_mm(height_nm: FloatArray, pitch_mm: float) -> FloatArray:
@@ -150,7 +158,7 @@ def _check(surface: SurfaceMap, aperture_mm: float) -> None:
         raise BadMap(f"{name} is {size:g} mm wide, the aperture {aperture_mm:g} mm")
 
 
-def _new_masks(raw: FloatArray, aperture: BoolArray, clear: BoolArray) -> tuple[BoolArray, BoolArray]:
+def _new_masks(raw: FloatArray, aperture: BoolArray, clear: BoolArray) -> Masks:
     solve = aperture & np.isfinite(raw)
     metric = clear & solve
     if np.count_nonzero(metric) < MIN_SAMPLES:
@@ -158,4 +166,4 @@ def _new_masks(raw: FloatArray, aperture: BoolArray, clear: BoolArray) -> tuple[
     if np.count_nonzero(solve) < MIN_VALID * np.count_nonzero(aperture):
         share = np.count_nonzero(solve) / np.count_nonzero(aperture)
         raise BadMap(f"only {share:.0%} of the aperture has data, less than {MIN_VALID:.0%}")
-    return solve, metric
+    return Masks(solve, metric)

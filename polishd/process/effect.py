@@ -53,7 +53,3 @@ class SparseEffect:
     def adjoint(self, weight: FloatArray) -> FloatArray:
         """(ny, nx) -> (n,)."""
         return np.asarray(self.matrix.T @ weight.ravel(), dtype=np.float64)
-
-    def scaled(self, factor: float) -> SparseEffect:
-        """The same effect at a rate that is ``factor`` times as high (learned between cycles)."""
-        return SparseEffect(self.grid, scipy.sparse.csr_array(self.matrix * factor))

@@ -11,10 +11,8 @@ from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.explanation import Explanation, explanations
 from polishd.process.metrics import Removal
 from polishd.process.orientation import ORIENTATIONS, orientations
-from polishd.process.removal_fit import Fit, contest, fit, levelled, shifted
+from polishd.process.removal_fit import MIN_SIGNAL_NM, Fit, contest, fit, levelled, no_fit, shifted
 
-MIN_SIGNAL_NM = 1.5
-"""RMS of the predicted removal, without piston and tilt, below which nothing can be told."""
 MIN_CORRELATION = 0.5
 """Least correlation of an explanation that stops the cell."""
 MAX_SHIFT_MM = 0.5
@@ -107,7 +105,7 @@ def judge(
     stop = _reason(seen, best, moved, final)
     undecidable = () if better else _undecidable(seen, moved)
     notes = () if stop else _notes(seen, moved, undecidable)
-    return _verdict(seen, (own, final), (best, stop, undecidable, notes))
+    return _verdict(seen, own, final, best=best, stop=stop, undecidable=undecidable, notes=notes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,10 +259,9 @@ def _undecidable(seen: _Pass, moved: Fit) -> tuple[str, ...]:
 
 
 def _verdict(
-    seen: _Pass, fits: tuple[Fit, Fit], said: tuple[Explanation, str, tuple[str, ...], tuple[str, ...]]
-) -> Verdict:
-    own, final = fits
-    best, stop, undecidable, notes = said
+    seen: _Pass, own: Fit, final: Fit, *, best: Explanation, stop: str, undecidable: tuple[str, ...],
+    notes: tuple[str, ...],
+) -> Verdict:  # fmt: skip
     predicted, measured = (np.where(seen.mask, v, np.nan) for v in (seen.predicted_nm, seen.measured_nm))
     return Verdict(
         stop, own.correlation, final.rate, final.rate_sigma, best, final.shift_mm, final.shift_sigma_mm, undecidable,
@@ -276,9 +273,8 @@ def _without_signal(own: Fit, seen: _Pass) -> Verdict:
     everywhere = orientations(seen.mask.shape)
     all_of_them = (Explanation(o, sign, 0.0, (0.0, 0.0)) for o in everywhere for sign in (False, True))
     everything = tuple(e.name for e in all_of_them if not e.as_it_is)
-    unknown = float("inf")
-    nothing = Fit(float("nan"), unknown, unknown, (0.0, 0.0), (unknown, unknown), own.correlation, own.model_nm)
     note = f"the predicted removal varies by less than {MIN_SIGNAL_NM:g} nm RMS: it shows no mistake of the map"
     best = Explanation(ORIENTATIONS[0], False, max(own.correlation, 0.0), (0.0, 0.0))
-    said = (best, "", (*everything, "shifted", SCALED_WORD), (note,))
-    return _verdict(seen, (own, nothing), said)
+    nothing = no_fit(own.correlation, own.model_nm)
+    undecidable = (*everything, "shifted", SCALED_WORD)
+    return _verdict(seen, own, nothing, best=best, stop="", undecidable=undecidable, notes=(note,))

@@ -32,21 +32,12 @@ def as_profiled(surface: SurfaceMap, instrument: Instrument | None) -> SurfaceMa
         The map with nothing ``unsaid``; what was applied stands in ``factors["profile"]``.
 
     Raises:
-        BadMap: what the file does not say the profile does not either, they contradict each other, the map is of
-            another instrument, or a profile was applied before.
+        BadMap: as `require_profile` does.
     """
-    name = surface.path.name if surface.path is not None else "the map"
-    if "profile" in surface.factors:
-        raise BadMap(f"{name} had the profile applied before: a second time would turn and scale it twice")
+    require_profile(surface, instrument)
     if instrument is None:
-        _all_said(name, surface)
         return surface
-    _of_this_instrument(name, surface, instrument)
-    unanswered = sorted(_asked(surface) - _answered(instrument))
-    if unanswered:
-        raise BadMap(f"{name}: its file does not say its {_words(unanswered)} and neither does the profile "
-                     f"{instrument.name!r}: give it {_answers(unanswered)}")  # fmt: skip
-    pitch = _pitch_mm(name, surface, instrument)
+    pitch = _pitch_mm(surface, instrument)
     unit = (instrument.unit_nm or 1.0) if "unit" in surface.unsaid else 1.0
     orientation = Orientation(instrument.mirror, instrument.rotation_deg)
     scaled = orientation.turn(surface.height_nm) * (instrument.sign * instrument.factor * unit)
@@ -63,6 +54,26 @@ def as_profiled(surface: SurfaceMap, instrument: Instrument | None) -> SurfaceMa
         orientation=f"{surface.orientation}; {orientation.name} by the profile {instrument.name}",
         fiducials_px=tuple(orientation.turn_point(mark, surface.height_nm.shape) for mark in surface.fiducials_px),
     )
+
+
+def require_profile(surface: SurfaceMap, instrument: Instrument | None) -> None:
+    """BadMap where a profile, or none, cannot be applied to a map: asked before anybody waits for its answer.
+
+    What the file does not say the profile does not either, they contradict each other, the map is of another
+    instrument, or a profile was applied before.
+    """
+    name = surface.path.name if surface.path is not None else "the map"
+    if "profile" in surface.factors:
+        raise BadMap(f"{name} had the profile applied before: a second time would turn and scale it twice")
+    if instrument is None:
+        _all_said(name, surface)
+        return
+    _of_this_instrument(name, surface, instrument)
+    unanswered = sorted(_asked(surface) - _answered(instrument))
+    if unanswered:
+        raise BadMap(f"{name}: its file does not say its {_words(unanswered)} and neither does the profile "
+                     f"{instrument.name!r}: give it {_answers(unanswered)}")  # fmt: skip
+    _require_pitch(name, surface, instrument)
 
 
 def _asked(surface: SurfaceMap) -> frozenset[str]:
@@ -89,16 +100,20 @@ def _of_this_instrument(name: str, surface: SurfaceMap, instrument: Instrument) 
                      "again")  # fmt: skip
 
 
-def _pitch_mm(name: str, surface: SurfaceMap, instrument: Instrument) -> float | None:
-    """The file's pitch where it gives one that the profile does not contradict, else the profile's."""
+def _pitch_mm(surface: SurfaceMap, instrument: Instrument) -> float | None:
+    """The file's pitch where it gives one, else the profile's."""
+    given, own = surface.pitch_mm, instrument.pitch_mm
+    return own if own is not None and (given is None or "pitch" in surface.unsaid) else given
+
+
+def _require_pitch(name: str, surface: SurfaceMap, instrument: Instrument) -> None:
     given, own = surface.pitch_mm, instrument.pitch_mm
     if given is None or own is None or "pitch" in surface.unsaid:
-        return own if own is not None else given
+        return
     if not abs(given / own - 1) <= instrument.pitch_tolerance:
         raise BadMap(f"{name} has a pitch of {given:g} mm, the profile {instrument.name!r} {own:g} mm, "
                      f"{abs(given / own - 1):.1%} apart and {instrument.pitch_tolerance:.1%} allowed: another zoom or "
                      "camera mode, or a wrong calibration; measure again, or mend the profile")  # fmt: skip
-    return given
 
 
 def _words(keys: list[str]) -> str:

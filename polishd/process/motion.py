@@ -55,7 +55,7 @@ def delivered_time_s(program: Program, time_s: FloatArray, envelope: Envelope) -
     asked = np.asarray(time_s, dtype=np.float64)
     if asked.shape != (program.n,) or not (np.isfinite(asked).all() and (asked >= 0).all()):
         raise ComputeError(f"each of the {program.n} timed points needs a finite time, not negative")
-    length = program.length_mm
+    length = program.travel_mm
     fastest = np.full(program.n, envelope.max_feed_mm_s)
     if program.encoding == "dwell":
         rest = np.zeros(program.n + 1)

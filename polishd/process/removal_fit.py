@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -16,6 +16,8 @@ from polishd.process.metrics import Removal, fitted
 TILES = 4
 """The mask is cut into this many tiles a side for the standard errors: residuals are correlated over a spot."""
 FEWEST = 50
+MIN_SIGNAL_NM = 1.5
+"""RMS of the predicted removal, less piston and tilt, below which it tells nothing: the map's noise is in it, too."""
 MOST_DRIFT_NM = 5.0
 """Largest RMS of the power, and of each astigmatism, by which two maps are believed to differ through the set-up."""
 EVEN = 1e-6
@@ -28,6 +30,9 @@ class Fit:
 
     rate: float
     rate_sigma: float
+    """Of its scatter over the tiles, and of what drift does to it."""
+    rate_scatter: float
+    """Of its scatter alone."""
     rate_excess: float
     """By how much the rate may be too high: the map's noise is in what it measured and in what was planned on it."""
     shift_mm: tuple[float, float]
@@ -57,32 +62,44 @@ def fit(
         pitch_mm: of the grid.
     """
     down, right = samples or (0, 0)
-    x_slope, y_slope = np.gradient(predicted_nm, axis=1) / pitch_mm, -np.gradient(predicted_nm, axis=0) / pitch_mm
     inner = mask if samples is None else scipy.ndimage.binary_erosion(mask)  # slopes need both neighbours
     both = shifted(inner, down, right) & mask
     model = np.full(mask.shape, np.nan)
     if np.count_nonzero(both) < FEWEST:
-        return Fit(float("nan"), float("inf"), float("inf"), (0.0, 0.0), (float("inf"),) * 2, 0.0, model)
-    signals = (predicted_nm,) if samples is None else (predicted_nm, x_slope, y_slope)
-    rows, columns = np.nonzero(both)
-    terms = np.column_stack([*(shifted(s, down, right)[both] for s in signals), _plane(rows, columns)])
-    measured = measured_nm[both]
-    factors, sigmas = _jackknifed(terms, measured, (rows, columns), _rate_and_shift(len(signals)))
+        return no_fit(0.0, model)
+    signals = [predicted_nm]
+    if samples is not None:
+        signals += [np.gradient(predicted_nm, axis=1) / pitch_mm, -np.gradient(predicted_nm, axis=0) / pitch_mm]
+    figures = _rate_and_shift(len(signals))
+    found = _regressed([shifted(s, down, right) for s in signals], measured_nm, both, figures)
+    terms, factors, sigmas = found.terms, found.factors, found.sigma
     model[both] = terms @ factors
-    plane = terms[:, len(signals) :]
+    measured, plane = measured_nm[both], terms[:, len(signals) :]
     own = measured - plane @ np.linalg.lstsq(plane, measured, rcond=None)[0]
     left = measured - model[both]
     energy = float(terms[:, 0] @ terms[:, 0])
     explained = 1 - float(left @ left) / float(own @ own) if own.any() else 0.0
     correlation = float(np.sign(factors[0]) * np.sqrt(max(explained, 0.0)))
-    rate, x, y = _rate_and_shift(len(signals))(factors)
+    rate, x, y = figures(factors)
     if len(signals) > 1:
         sigmas[1:] = np.where(_told(terms[:, :3]), sigmas[1:], np.inf)
     excess = float(left @ left) / 2 / energy if energy > 0 else float("inf")
     return Fit(
-        float(rate), float(sigmas[0]), excess, (right * pitch_mm + float(x), -down * pitch_mm + float(y)),
-        (float(sigmas[1]), float(sigmas[2])), correlation, model,
-    )  # fmt: skip
+        rate=float(rate),
+        rate_sigma=float(sigmas[0]),
+        rate_scatter=float(found.scatter[0]),
+        rate_excess=excess,
+        shift_mm=(right * pitch_mm + float(x), -down * pitch_mm + float(y)),
+        shift_sigma_mm=(float(sigmas[1]), float(sigmas[2])),
+        correlation=correlation,
+        model_nm=model,
+    )
+
+
+def no_fit(correlation: float, model_nm: FloatArray) -> Fit:
+    """Where rate and shift are unknown."""
+    unknown = float("inf")
+    return Fit(float("nan"), unknown, unknown, unknown, (0.0, 0.0), (unknown, unknown), correlation, model_nm)
 
 
 def contest(other_nm: FloatArray, own_nm: FloatArray, measured_nm: FloatArray, mask: BoolArray) -> tuple[float, float]:
@@ -102,14 +119,12 @@ def contest(other_nm: FloatArray, own_nm: FloatArray, measured_nm: FloatArray, m
     """
     if np.count_nonzero(mask) < FEWEST:
         return 0.0, float("inf")
-    rows, columns = np.nonzero(mask)
-    terms = np.column_stack([other_nm[mask], own_nm[mask], _plane(rows, columns)])
 
     def gap(factors: FloatArray) -> FloatArray:
         return np.asarray(factors[..., :1] - factors[..., 1:2], dtype=np.float64)
 
-    factors, sigma = _jackknifed(terms, measured_nm[mask], (rows, columns), gap)
-    return float(gap(factors)[0]), float(sigma[0])
+    found = _regressed([other_nm, own_nm], measured_nm, mask, gap)
+    return float(gap(found.factors)[0]), float(found.sigma[0])
 
 
 def _told(signals: FloatArray) -> BoolArray:
@@ -141,14 +156,13 @@ def _tiles(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return np.asarray(down * TILES + right)
 
 
-def _drift(terms: FloatArray, measured: FloatArray, places: tuple[np.ndarray, np.ndarray]) -> FloatArray:
+def _drift(terms: FloatArray, measured: FloatArray, rows: np.ndarray, columns: np.ndarray) -> FloatArray:
     """(m,) nm power and astigmatism that the fit would rather have beside its terms, as far as they are believed.
 
     Temperature and mount bend a part, and its reference, between two maps: alike in all tiles, so none shows it.
     """
-    rows, columns = places
     x, y = (v - v.mean() for v in (columns.astype(np.float64), rows.astype(np.float64)))
-    modes = np.linalg.qr(np.column_stack([_plane(*places), x**2 + y**2, x**2 - y**2, x * y]))[0][:, 3:]
+    modes = np.linalg.qr(np.column_stack([_plane(rows, columns), x**2 + y**2, x**2 - y**2, x * y]))[0][:, 3:]
     found = np.linalg.lstsq(np.column_stack([terms, modes]), measured, rcond=None)[0][terms.shape[1] :]
     most = MOST_DRIFT_NM * np.sqrt(rows.size)
     return np.asarray(modes @ np.clip(found, -most, most), dtype=np.float64)
@@ -166,12 +180,29 @@ def _rate_and_shift(signals: int) -> Callable[[FloatArray], FloatArray]:
     return figures
 
 
-def _jackknifed(
-    terms: FloatArray, measured: FloatArray, places: tuple[np.ndarray, np.ndarray],
-    figures: Callable[[FloatArray], FloatArray],
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Factors, and the standard errors of the figures: of the fit without each tile, and of what drift does to it."""
-    tile = _tiles(*places)
+class _Regressed(NamedTuple):
+    """A linear fit, and standard errors of figures made of its factors."""
+
+    terms: FloatArray
+    """(m, k): the signals, and a plane."""
+    factors: FloatArray
+    scatter: FloatArray
+    """By the fit without each tile."""
+    drift: FloatArray
+    """What drift does to them."""
+
+    @property
+    def sigma(self) -> FloatArray:
+        return np.hypot(self.scatter, self.drift)
+
+
+def _regressed(
+    signals: Sequence[FloatArray], measured_nm: FloatArray, mask: BoolArray, figures: Callable[[FloatArray], FloatArray]
+) -> _Regressed:
+    """Least squares of (ny, nx) signals and a plane over a mask, by normal equations, whole and without each tile."""
+    rows, columns = np.nonzero(mask)
+    terms, measured = np.column_stack([*(s[mask] for s in signals), _plane(rows, columns)]), measured_nm[mask]
+    tile = _tiles(rows, columns)
     tiles = np.unique(tile)
     normal = np.stack([terms[tile == k].T @ terms[tile == k] for k in tiles])
     right = np.stack([terms[tile == k].T @ measured[tile == k] for k in tiles])
@@ -179,6 +210,6 @@ def _jackknifed(
     factors = inverse @ right.sum(0)
     without = (np.linalg.pinv(normal.sum(0) - normal, hermitian=True) @ (right.sum(0) - right)[..., None])[..., 0]
     scatter = figures(without)
-    drift = figures(factors - inverse @ (terms.T @ _drift(terms, measured, places))) - figures(factors)
-    square = (len(tiles) - 1) * np.mean((scatter - scatter.mean(axis=0)) ** 2, axis=0) + drift**2
-    return np.asarray(factors), np.sqrt(square)
+    drift = figures(factors - inverse @ (terms.T @ _drift(terms, measured, rows, columns))) - figures(factors)
+    square = (len(tiles) - 1) * np.mean((scatter - scatter.mean(axis=0)) ** 2, axis=0)
+    return _Regressed(terms, np.asarray(factors), np.sqrt(square), drift)

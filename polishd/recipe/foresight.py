@@ -19,7 +19,8 @@ from polishd.process.dwell.setup import choose_piston_nm
 from polishd.process.path_compliance import path_compliance
 from polishd.recipe import steps
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.steps import Beliefs, Measured
+from polishd.recipe.records import Measured
+from polishd.recipe.steps import envelope_of
 
 SURE = 0.9
 """Of the time that the volume to be removed takes at the largest rate: an optimum may leave a little of it."""
@@ -43,12 +44,11 @@ def refusals(recipe: Recipe, program: Program, check_plan: Callable[[Plan, Envel
 
 def fastest(recipe: Recipe, program: Program) -> Plan:
     """The program at the largest feed that the machine has, or at its own where dwells carry the time."""
-    envelope = _envelope(recipe, program)
+    envelope = envelope_of(recipe, program)
     asked = np.zeros(program.n) if program.encoding == "dwell" else program.length_mm / envelope.max_feed_mm_s
     feed = program.max_feed_mm_min if program.encoding == "dwell" else 60 * envelope.max_feed_mm_s
     return Plan(
         program=replace(program, time_s=asked, max_feed_mm_min=feed),
-        original_sha256=program.sha256,
         approach_blocks=int(program.block[0]),
         contact_blocks=int(program.block[-1]) + 1,
         expected_time_s=motion.least_time_s(program, envelope),
@@ -67,9 +67,9 @@ def check_pass(config: CellConfig, recipe: Recipe, program: Program) -> None:
 def pass_words(recipe: Recipe, program: Program, answer: RemovalAnswer) -> str:
     """What a pass takes as far as it is known without a map, beside its limit."""
     limit = recipe.envelope.max_pass_s
-    clear = steps.process_grid(recipe).radius_mm() <= recipe.aperture_mm / 2 - recipe.edge_mm
+    clear = steps.process_grid(recipe).radius_mm() <= recipe.part.aperture_mm / 2 - recipe.part.edge_mm
     mean = float(answer.removal_nm(np.full(program.n, limit / program.n))[clear].mean())
-    own = float(motion.delivered_time_s(program, program.time_s, _envelope(recipe, program)).sum())
+    own = float(motion.delivered_time_s(program, program.time_s, envelope_of(recipe, program)).sum())
     return (
         f"{_least_s(recipe, program):.0f} s at the largest feed, {own:.0f} s as programmed; "
         f"limits.max_pass_s = {limit:g} s removes {mean:.1f} nm everywhere"
@@ -88,7 +88,7 @@ def require_removal_time(recipe: Recipe, measured: Measured, answer: RemovalAnsw
 
     Only where the least residual is asked for: the other choices of a dwell may take less time than that.
     """
-    if recipe.choose != "least":
+    if recipe.dwell.choose != "least":
         return
     least = SURE * removal_time_s(measured, answer, lower_s)
     if not least <= recipe.envelope.max_pass_s:
@@ -105,11 +105,7 @@ def removal_time_s(measured: Measured, answer: RemovalAnswer, lower_s: FloatArra
 
 
 def _least_s(recipe: Recipe, program: Program) -> float:
-    return float(motion.least_time_s(program, _envelope(recipe, program)).sum())
-
-
-def _envelope(recipe: Recipe, program: Program) -> Envelope:
-    return steps.envelope_of(recipe, program, Beliefs())
+    return float(motion.least_time_s(program, envelope_of(recipe, program)).sum())
 
 
 def _too_long(recipe: Recipe, what: str, seconds: float) -> str:

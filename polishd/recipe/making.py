@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -15,9 +14,6 @@ from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
 from polishd.recipe.files import read_map
 from polishd.recipe.recipe import Recipe
-
-CROSS_CHECK_GAP = 1e-3
-"""Most by which an independent solver may be better."""
 
 
 def instrument_of(config: CellConfig) -> Instrument | None:
@@ -58,18 +54,14 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
     solvers = hooks.dwell_solvers()
     cross_check = config.dwell.cross_check
     return Recipe(
-        part_id=config.part.id,
+        part=config.part,
+        program=config.program,
+        dwell=config.dwell,
+        job=config.job,
         instrument=instrument_of(config),
-        aperture_mm=config.part.aperture_mm,
-        edge_mm=config.part.edge_mm,
-        free_rim=config.part.rim == "free",
-        extension=config.dwell.extension,
-        alignment=config.part.alignment,
-        nominal=nominal_of(config, hooks),
         spike_mads=config.instrument.spike_mads,
+        nominal=nominal_of(config, hooks),
         grid_mm=config.process.grid_mm,
-        program_offset_mm=config.program.offset_mm,
-        program_rotation_deg=config.program.rotation_deg,
         process=config.tool_process(),
         robot=config.robot_model(),
         placement=config.placement(),
@@ -78,22 +70,11 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
         tif=config.measured_tif(),
         correction=config.process.correction,
         envelope=config.envelope(),
+        max_rate_change=config.limits.max_rate_change,
         format=_named(config, "program.format", config.program.format, hooks.program_formats()),
         model=_named(config, "process.removal_model", config.process.removal_model, hooks.removal_models()),
         solver=_named(config, "dwell.solver", config.dwell.solver, solvers),
         cross_check=_named(config, "dwell.cross_check", cross_check, solvers) if cross_check else None,
-        cross_check_gap=CROSS_CHECK_GAP,
-        regularisation=config.dwell.regularisation,
-        solve_s=config.dwell.within_s,
-        choose=config.dwell.choose,
-        budget_s=config.dwell.budget_s or math.inf,
-        target_nm=config.dwell.target_nm or 0.0,
-        curve=config.dwell.curve,
-        kkt_tolerance=config.dwell.kkt_tolerance,
-        tolerance_nm=config.job.tolerance_nm,
-        tolerance_period_mm=config.job.tolerance_period_mm,
-        lsf_period_mm=config.job.lsf_period_mm,
-        max_rate_change=config.limits.max_rate_change,
     )
 
 

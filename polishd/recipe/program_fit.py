@@ -37,7 +37,7 @@ def judged(recipe: Recipe, program: Program, covers: Literal["aperture", "zone"]
     found = program_coverage(recipe, program)
     said = (
         f"{program.name} reaches {found.reach_mm:.1f} mm from the part's centre, the part's radius is "
-        f"{recipe.aperture_mm / 2:g} mm; no point reaches {100 * found.unreached:.1f} % of the clear aperture"
+        f"{recipe.part.aperture_mm / 2:g} mm; no point reaches {100 * found.unreached:.1f} % of the clear aperture"
     )
     mend = "name the program of this part, or mend part.aperture_mm or program.offset_mm"
     if found.outside > MOST_OUTSIDE:
@@ -56,8 +56,8 @@ def program_coverage(recipe: Recipe, program: Program) -> Coverage:
         placed.start_mm,
         placed.end_mm,
         spot_mm=_spot_mm(recipe),
-        part_mm=recipe.aperture_mm / 2 + LANDING_MM,
-        clear_mm=recipe.aperture_mm / 2 - recipe.edge_mm,
+        part_mm=recipe.part.aperture_mm / 2 + LANDING_MM,
+        clear_mm=recipe.part.aperture_mm / 2 - recipe.part.edge_mm,
     )
 
 

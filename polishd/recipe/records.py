@@ -1,86 +1,289 @@
-"""What a cycle leaves in the run folder, and the arrays of it that the journal names."""
+"""What the steps of a cycle leave behind: one schema for the journal, its store, the run folder, and who reads them.
+
+A record has ``files``, what it leaves for people (docs/run-folder.md). One that a later run of the daemon needs again
+has ``facts``, which the journal's rows hold as JSON, and is made again from them and from the arrays of its ``.npz``.
+"""
 
 from __future__ import annotations
 
-from dataclasses import asdict, fields
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from polishd.model.program import Plan
-from polishd.model.surface import SurfaceMap
+from polishd.hookspecs import RemovalAnswer
+from polishd.model.beliefs import UNTAUGHT, Belief, Beliefs
+from polishd.model.dwell import Certificate, DwellSolution, KeptStart
+from polishd.model.program import IntArray, Plan, Program
+from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceStats
+from polishd.process.conditioning import Masks
 from polishd.process.gate import Verdict
-from polishd.recipe import steps
-from polishd.recipe.arrays import Arrays
-from polishd.recipe.folder import RunFolder
-from polishd.recipe.recipe import Recipe
-from polishd.recipe.steps import Measured, Solved
+from polishd.process.registration.record import Registration
+from polishd.recipe.encoding import Arrays, arrays_of, as_json, facts_of, npz, record_of, table
+
+CENTRED = Registration()
+FIGURES = ("rms_nm", "pv_nm", "lsf_rms_nm", "band_rms_nm")
+PASS_FIGURES = ("predicted_rms_nm", "dwell_s", "rate")
+
+Stored = Mapping[str, NDArray[Any]]
+"""Arrays as they are read back."""
 
 
-def save_surface(folder: RunFolder, surface: SurfaceMap, measured: Measured) -> None:
-    """The map's own file, and what is made of it on the process grid."""
-    if surface.path is not None:
-        folder.copy(surface.path, f"map{surface.path.suffix}")
-    folder.arrays("surface.npz", surface_arrays(measured))
-    folder.json("registration.json", measured.registration)
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One measurement on the process grid, with the masks that are frozen over all cycles."""
+
+    grid: Grid
+    height_nm: FloatArray
+    """(ny, nx), mean over the clear aperture removed; finite inside ``solve_mask``, 0 outside."""
+    solve_mask: BoolArray
+    metric_mask: BoolArray
+    stats: SurfaceStats
+    sha256: str
+    registration: Registration = CENTRED
+    """Where the part lay in the map."""
+    spikes: int = 0
+    """Samples of the map that were taken for spikes, and out."""
+    notes: tuple[str, ...] = ()
+    """What a person should know of how it was levelled."""
+
+    @property
+    def masks(self) -> Masks:
+        """For the maps that follow."""
+        return Masks(self.solve_mask, self.metric_mask)
+
+    @property
+    def figure_nm(self) -> float:
+        """The RMS that a tolerance is for: of its periods, where it has any."""
+        return tolerated_nm(self.facts())
+
+    def facts(self) -> dict[str, Any]:
+        """Its figures, and what else is no array."""
+        rest = {"spikes": self.spikes, "notes": list(self.notes), "sha256": self.sha256}
+        return {**asdict(self.stats), **rest, "registration": asdict(self.registration)}
+
+    def arrays(self) -> Arrays:
+        """What ``surface.npz`` holds."""
+        return {
+            "height_nm": np.where(self.solve_mask, self.height_nm, np.nan),
+            "solve_mask": self.solve_mask,
+            "metric_mask": self.metric_mask,
+            "pitch_mm": self.grid.pitch_mm,
+            "lies": np.array([*self.registration.shift_mm, self.registration.rotation_deg]),
+        }
+
+    def files(self) -> dict[str, bytes]:
+        """By name: see docs/run-folder.md."""
+        return {"surface.npz": npz(self.arrays()), "registration.json": as_json(self.registration)}
+
+    @classmethod
+    def load(cls, arrays: Stored, facts: Mapping[str, Any], register_by: str) -> Self:
+        """From both again.
+
+        ``register_by`` is the instrument's: a job of an earlier polishd kept where the part lay as an array only, or
+        not at all.
+        """
+        height = np.asarray(arrays["height_nm"], dtype=np.float64)
+        x, y, turn = map(float, arrays.get("lies", np.zeros(3)))
+        lies = {"registration": Registration(turn, (x, y), by=register_by)}
+        return record_of(
+            cls,
+            {**lies, **facts, "stats": record_of(SurfaceStats, facts)},
+            {
+                "grid": Grid(height.shape[0], height.shape[1], float(arrays["pitch_mm"])),
+                "height_nm": np.nan_to_num(height),
+                "solve_mask": np.asarray(arrays["solve_mask"], dtype=np.bool_),
+                "metric_mask": np.asarray(arrays["metric_mask"], dtype=np.bool_),
+            },
+        )
 
 
-def surface_arrays(measured: Measured) -> Arrays:
-    """What ``steps.load_measured`` makes a measurement of again."""
+@dataclass(frozen=True, slots=True)
+class Believed:
+    """What the cycles have taught: of the removal, by its model's own record; and of the machine."""
+
+    removal: Beliefs = UNTAUGHT
+    block_overhead_s: float = 0.0
+    """Time that a block takes beyond its motion."""
+
+    @property
+    def rate(self) -> float:
+        """Removal rate, relative to the model's."""
+        return self.removal.rate.value
+
+    def facts(self) -> dict[str, Any]:
+        """The two numbers that everybody asks for, and all that the model believes."""
+        return {"rate": self.rate, "block_overhead_s": self.block_overhead_s, "removal": asdict(self.removal)}
+
+    @classmethod
+    def load(cls, facts: Mapping[str, Any], initial: Beliefs) -> Self:
+        """From them again; ``initial`` is of the model's own kind. A job of an earlier polishd kept the two only."""
+        if "removal" in facts:
+            removal = record_of(type(initial), {**facts_of(initial), **facts["removal"]})
+        else:
+            removal = replace(initial, rate=Belief(float(facts["rate"])))
+        return cls(removal, float(facts["block_overhead_s"]))
+
+
+@dataclass(frozen=True, slots=True)
+class Pass:
+    """A pass, as learning takes it."""
+
+    before: Measured
+    after: Measured
+    asked_s: FloatArray
+    """(n,) time that was written into the program."""
+    executed_s: FloatArray
+    """(n,) time that each timed point had."""
+
+
+@dataclass(frozen=True, slots=True)
+class Taught:
+    """What a pass taught, or why nothing is believed of it."""
+
+    believed: Believed
+    verdict: Verdict
+    grid: Grid
+    found: Mapping[str, Any] | None = None
+    """How, by the removal model (``Lesson.found``); None where the gate stops."""
+    notes: tuple[str, ...] = ()
+
+    def files(self) -> dict[str, bytes]:
+        """What the gate found and what was learned or, where it stops, the maps that it compared, for the picture."""
+        words = facts_of(self.verdict)
+        words["best"]["name"] = self.verdict.best.name
+        files = {"gate.json": as_json(words)}
+        if self.found is None:
+            mask = np.isfinite(self.verdict.predicted_nm)
+            maps = {**arrays_of(self.verdict), "metric_mask": mask, "pitch_mm": np.array(self.grid.pitch_mm)}
+            return {**files, "gate.npz": npz(maps)}
+        believed = {**self.believed.facts(), "notes": self.notes}
+        return {**files, "learned.json": as_json({"beliefs": believed, **self.found, "notes": self.notes})}
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """A dwell solution with what it was derived from."""
+
+    dwell: DwellSolution
+    answer: RemovalAnswer
+    """Its effect stays in the process that solved (`staying.Staying`)."""
+    asked_s: FloatArray
+    """(n,) time to write into the program: the dwell less what a block takes by itself."""
+    expected_s: FloatArray
+    """(n,) time that the machine is expected to deliver."""
+    believed: Believed
+    curve: tuple[Mapping[str, Any], ...] = ()
+    """Residual against time where it was asked for: a certified optimum a row (`dwell.curve.Solved.row`)."""
+
+    def files(self) -> dict[str, bytes]:
+        """Kept whether the dwell will be used or not."""
+        curve = {"curve.json": as_json(list(self.curve))} if self.curve else {}
+        return {"certificate.json": as_json(self.dwell.certificate), **curve}
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """What is kept of a plan: the next cycle learns from it, and its solve starts from it.
+
+    Its arrays are those of ``plan.npz``, by name; points are in the part's frame.
+    """
+
+    certificate: Certificate
+    believed: Believed
+    """With which it was solved."""
+    state: Stored
+    """What its solver can start from again, by name."""
+    block: IntArray
+    """(n,) sequence number of each timed point's block."""
+    time_s: FloatArray
+    """(n,) solved dwell."""
+    asked_s: FloatArray
+    """(n,) time written into the program."""
+    expected_s: FloatArray
+    """(n,) time that the machine is expected to deliver."""
+    lower_s: FloatArray
+    """(n,) least time that motion allows."""
+    compliance_um_per_n: FloatArray
+    gamma: FloatArray
+    start_mm: FloatArray
+    end_mm: FloatArray
+    predicted_removal_nm: FloatArray
+    """(ny, nx) removal expected of the pass."""
+    residual_nm: FloatArray
+    """(ny, nx) surface expected after it."""
+    curve_s: FloatArray
+    curve_nm: FloatArray
+
+    @classmethod
+    def of(cls, plan: Plan, solved: Solved, part: Program) -> Self:
+        """Of a plan, what it was solved as, and its program in the part's frame."""
+        dwell, answer = solved.dwell, solved.answer
+        return cls(
+            certificate=dwell.certificate,
+            believed=solved.believed,
+            state=dwell.state,
+            block=part.block,
+            time_s=dwell.time_s,
+            asked_s=solved.asked_s,
+            expected_s=plan.expected_time_s,
+            lower_s=dwell.lower_s,
+            compliance_um_per_n=answer.compliance_um_per_n,
+            gamma=answer.gamma,
+            start_mm=part.start_mm,
+            end_mm=part.end_mm,
+            predicted_removal_nm=plan.predicted_removal_nm,
+            residual_nm=dwell.residual_nm,
+            curve_s=np.array([row["total_s"] for row in solved.curve]),
+            curve_nm=np.array([row["rms_nm"] for row in solved.curve]),
+        )
+
+    @property
+    def kept(self) -> KeptStart:
+        """What the next solve can start from."""
+        return KeptStart(self.time_s, self.state)
+
+    def facts(self) -> dict[str, Any]:
+        """What the journal knows of the pass that runs it."""
+        certificate = asdict(self.certificate)
+        total = {"predicted_rms_nm": certificate["predicted_rms_nm"], "dwell_s": float(self.expected_s.sum())}
+        return {"certificate": certificate, **total, **self.believed.facts()}
+
+    def start(self) -> Arrays:
+        """A store's file of its own: small beside the plan's."""
+        return {"time_s": self.time_s, **self.state}
+
+    def files(self) -> dict[str, bytes]:
+        """By name: see docs/run-folder.md. A block is the line before the one of its number."""
+        columns = {
+            "point": np.arange(self.block.size),
+            "line": self.block + 1,
+            "x_mm": self.end_mm[:, 0],
+            "y_mm": self.end_mm[:, 1],
+            "dwell_s": self.time_s,
+            "asked_s": self.asked_s,
+            "expected_s": self.expected_s,
+        }
+        return {"plan.npz": npz(arrays_of(self)), "dwell.csv": table(columns)}
+
+    @classmethod
+    def load(cls, arrays: Stored, start: Stored, facts: Mapping[str, Any], initial: Beliefs) -> Self:
+        """From ``plan.npz``, what ``start`` gave, and the facts of its pass."""
+        state = {name: value for name, value in start.items() if name != "time_s"}
+        rest = {"certificate": record_of(Certificate, facts["certificate"]), "state": state}
+        return record_of(cls, {}, {**arrays, **rest, "believed": Believed.load(facts, initial)})
+
+
+def tolerated_nm(facts: Mapping[str, Any]) -> float:
+    """Of a measurement's facts the RMS that a tolerance is for: of its periods, where it has any."""
+    return float(facts["rms_nm"] if facts["band_rms_nm"] is None else facts["band_rms_nm"])
+
+
+def figures(measured: Mapping[str, Any], planned: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Of the facts of both, what a summary's entry says; None for a pass that never was."""
     return {
-        "height_nm": np.where(measured.solve_mask, measured.height_nm, np.nan),
-        "solve_mask": measured.solve_mask,
-        "metric_mask": measured.metric_mask,
-        "pitch_mm": measured.grid.pitch_mm,
-        "lies": np.array([*measured.registration.shift_mm, measured.registration.rotation_deg]),
-    }
-
-
-def save_verdict(folder: RunFolder, verdict: Verdict, surface: Measured) -> None:
-    """What the gate found and, where it stops, the maps that it compared: for the picture."""
-    plain = {item.name: getattr(verdict, item.name) for item in fields(verdict)}
-    maps = {key: value for key, value in plain.items() if isinstance(value, np.ndarray)}
-    words = {key: value for key, value in plain.items() if key not in maps}
-    folder.json("gate.json", {**words, "best": {**asdict(verdict.best), "name": verdict.best.name}})
-    if verdict.stop:
-        folder.arrays("gate.npz", {**maps, "metric_mask": surface.metric_mask, "pitch_mm": surface.grid.pitch_mm})
-
-
-def save_plan(folder: RunFolder, recipe: Recipe, plan: Plan, solved: Solved) -> None:
-    """Program, dwell and arrays of a plan, in the part's frame."""
-    program = steps.in_part_frame(recipe, plan.program)
-    if solved.curve:
-        folder.json("curve.json", list(solved.curve))
-    folder.bytes("program.rnc", plan.program.text)
-    folder.table(
-        "dwell.csv",
-        {
-            "point": np.arange(program.n),
-            "line": program.line,
-            "x_mm": program.end_mm[:, 0],
-            "y_mm": program.end_mm[:, 1],
-            "dwell_s": solved.dwell.time_s,
-            "asked_s": solved.asked_s,
-            "expected_s": plan.expected_time_s,
-        },
-    )
-    folder.arrays("plan.npz", plan_arrays(recipe, plan, solved))
-
-
-def plan_arrays(recipe: Recipe, plan: Plan, solved: Solved) -> Arrays:
-    """A plan's arrays, in the part's frame: see docs/run-folder.md."""
-    program = steps.in_part_frame(recipe, plan.program)
-    return {
-        "block": plan.program.block,
-        "time_s": solved.dwell.time_s,
-        "asked_s": solved.asked_s,
-        "expected_s": plan.expected_time_s,
-        "lower_s": solved.dwell.lower_s,
-        "compliance_um_per_n": solved.answer.compliance_um_per_n,
-        "gamma": solved.answer.gamma,
-        "start_mm": program.start_mm,
-        "end_mm": program.end_mm,
-        "predicted_removal_nm": plan.predicted_removal_nm,
-        "residual_nm": solved.dwell.residual_nm,
-        "curve_s": np.array([row["total_s"] for row in solved.curve]),
-        "curve_nm": np.array([row["rms_nm"] for row in solved.curve]),
+        **{key: measured[key] for key in FIGURES},
+        **{key: None if planned is None else float(planned[key]) for key in PASS_FIGURES},
     }

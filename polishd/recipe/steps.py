@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from polishd.hookspecs import RemovalAnswer, RemovalRequest
-from polishd.model.dwell import DwellSolution
+from polishd.model.beliefs import Evidence
 from polishd.model.errors import ComputeError
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program, Segment
-from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap, SurfaceStats
-from polishd.process import conditioning, gate, learning, metrics, motion
+from polishd.model.surface import BoolArray, Grid, SurfaceMap
+from polishd.process import conditioning, gate, metrics, motion
 from polishd.process.alignment import alignment_notes
+from polishd.process.conditioning import Masks
 from polishd.process.edge.rim import round_rim
-from polishd.process.gate import Verdict
 from polishd.process.instrument import as_profiled
 from polishd.process.nominal import less_nominal
 from polishd.process.paths.wrist import tool_axes
@@ -30,82 +27,25 @@ from polishd.process.registration.register import register
 from polishd.process.spikes import cleaned
 from polishd.recipe.files import read_program_bytes
 from polishd.recipe.recipe import Recipe
+from polishd.recipe.records import CENTRED, Believed, Measured, Pass, Solved, Taught
+from polishd.recipe.staying import Staying
 
-CENTRED = Registration()
 ROUNDING = 1e-3
 """Of a share of samples: files keep a pitch in seven digits, and a rim must not move with the last of them."""
 
 
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """One measurement on the process grid, with the masks that are frozen over all cycles."""
-
-    grid: Grid
-    height_nm: FloatArray
-    """(ny, nx), mean over the clear aperture removed; finite inside ``solve_mask``."""
-    solve_mask: BoolArray
-    metric_mask: BoolArray
-    stats: SurfaceStats
-    sha256: str
-    registration: Registration = CENTRED
-    """Where the part lay in the map."""
-    spikes: int = 0
-    """Samples of the map that were taken for spikes, and out."""
-    notes: tuple[str, ...] = ()
-    """What a person should know of how it was levelled."""
-
-
-@dataclass(frozen=True, slots=True)
-class Beliefs:
-    """What the cycles have taught: removal rate relative to the model's, time a block takes beyond its motion."""
-
-    rate: float = 1.0
-    block_overhead_s: float = 0.0
-    notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Taught:
-    """What a pass taught, or why nothing is believed of it."""
-
-    beliefs: Beliefs
-    learned: learning.Learned | None
-    """None where the gate stops."""
-    verdict: Verdict
-
-
-@dataclass(frozen=True, slots=True)
-class Solved:
-    """A dwell solution with what it was derived from."""
-
-    dwell: DwellSolution
-    answer: RemovalAnswer
-    asked_s: FloatArray
-    """(n,) time to write into the program: the dwell less what a block takes by itself."""
-    expected_s: FloatArray
-    """(n,) time that the machine is expected to deliver."""
-    beliefs: Beliefs
-    curve: tuple[Mapping[str, Any], ...] = ()
-    """Residual against time where it was asked for: a certified optimum a row (`dwell.curve.Solved.row`)."""
-
-
 def read_program(recipe: Recipe, path: Path) -> Program:
     """Read the job's program; ProgramError names file and line."""
-    return with_moves(recipe.format.read(read_program_bytes(path), path.name))
+    return recipe.format.read(read_program_bytes(path), path.name)
 
 
-def with_moves(program: Program) -> Program:
-    """A point that dwells begins where the last one ended: the move there takes time, and removes, too."""
-    if program.encoding != "dwell":
-        return program
-    return replace(program, start_mm=np.vstack([program.end_mm[:1], program.end_mm[:-1]]))
+def believed_at_first(recipe: Recipe) -> Believed:
+    """What is believed before anything was polished."""
+    return Believed(recipe.model.beliefs, recipe.envelope.block_overhead_s)
 
 
 def condition(
-    recipe: Recipe,
-    surface: SurfaceMap,
-    masks: tuple[BoolArray, BoolArray] | None,
-    last: Registration | None = None,
+    recipe: Recipe, surface: SurfaceMap, masks: Masks | None = None, last: Registration | None = None
 ) -> Measured:
     """Bring a map onto the process grid and state its figures; BadMap where it cannot be trusted.
 
@@ -114,48 +54,54 @@ def condition(
     profiled = as_profiled(surface, recipe.instrument)
     lies = CENTRED
     if recipe.instrument is not None:
-        lies = register(profiled, recipe.instrument, recipe.aperture_mm, last)
+        lies = register(profiled, recipe.instrument, recipe.part.aperture_mm, last)
     clean, spikes = cleaned(profiled, recipe.spike_mads)
     if recipe.nominal is not None:
         clean = less_nominal(clean, recipe.nominal, lies)
     part = conditioning.condition(
         clean,
-        aperture_mm=recipe.aperture_mm,
-        edge_mm=recipe.edge_mm,
+        aperture_mm=recipe.part.aperture_mm,
+        edge_mm=recipe.part.edge_mm,
         grid_mm=recipe.grid_mm,
         masks=masks,
-        removal=recipe.alignment,
+        removal=recipe.part.alignment,
         registration=lies,
     )
     clear = _on_map(clean, part.grid, part.metric_mask, lies)
-    figure = metrics.without(clean.height_nm, clear, recipe.alignment)
-    stats = _stats(recipe, figure, clear, clean.grid.pitch_mm)
+    figure = metrics.without(clean.height_nm, clear, recipe.part.alignment)
+    stats = metrics.surface_stats(
+        figure,
+        clear,
+        clean.grid.pitch_mm,
+        lsf_period_mm=recipe.job.lsf_period_mm,
+        band_period_mm=recipe.job.tolerance_period_mm or None,
+    )
     height = np.where(part.solve_mask, part.height_nm, 0.0)
-    notes = alignment_notes(clean.height_nm, clear, recipe.alignment, recipe.tolerance_nm)
+    notes = alignment_notes(clean.height_nm, clear, recipe.part.alignment, recipe.job.tolerance_nm)
     return Measured(part.grid, height, part.solve_mask, part.metric_mask, stats, surface.sha256, lies, spikes, notes)
 
 
 def in_part_frame(recipe: Recipe, program: Program) -> Program:
-    """The same program with its points and axes in the part's frame."""
-    turn = Rotation.from_euler("z", recipe.program_rotation_deg, degrees=True)
-    offset = np.asarray(recipe.program_offset_mm)
+    """The same program with its points and axes in the part's frame; one that is there already stays."""
+    if program.frame == "part":
+        return program
+    turn = Rotation.from_euler("z", recipe.program.rotation_deg, degrees=True)
+    offset = np.asarray(recipe.program.offset_mm)
     return replace(
         program,
         start_mm=turn.apply(program.start_mm) + offset,
         end_mm=turn.apply(program.end_mm) + offset,
         axis=turn.apply(program.axis),
+        frame="part",
     )
 
 
 def as_polished(recipe: Recipe, program: Program) -> Program:
-    """The program in the part's frame, as the tool meets the part.
+    """The program in the part's frame, with the tool's axis: where it states none, the way the cell dips.
 
-    A dwell acts where its move ends. A program that states no tool axis is taken as dipped the way the cell dips;
-    ``run`` refuses it (``violations``), since the robot would not know.
+    ``run`` refuses a program that states none (``violations``), since the robot would not know.
     """
     part = in_part_frame(recipe, program)
-    if program.encoding == "dwell":
-        part = replace(part, start_mm=part.end_mm)
     if _states_no_axis(recipe, program):
         dip_deg = recipe.process.dip_deg
         part = replace(part, axis=tool_axes(part.end_mm, recipe.optic, dip_deg, recipe.options, recipe.placement))
@@ -166,82 +112,82 @@ def _states_no_axis(recipe: Recipe, program: Program) -> bool:
     return recipe.process.dip_deg > 0 and bool(np.all(program.axis == (0.0, 0.0, 1.0)))
 
 
-def effect_of(recipe: Recipe, program: Program, grid: Grid, rate: float) -> RemovalAnswer:
-    """Compliance, gamma and effect along the program, on the process grid."""
-    request = RemovalRequest(
+def effect_of(recipe: Recipe, program: Program, grid: Grid, believed: Believed | None = None) -> RemovalAnswer:
+    """Compliance, gamma and effect along the program, on the process grid, by what is believed: None before a pass."""
+    return recipe.model.effect(_request(recipe, program, grid, believed or believed_at_first(recipe)))
+
+
+def _request(recipe: Recipe, program: Program, grid: Grid, believed: Believed) -> RemovalRequest:
+    return RemovalRequest(
         program=as_polished(recipe, program),
         grid=grid,
         process=recipe.process,
         robot=recipe.robot,
         placement=recipe.placement,
         correction=recipe.correction,
-        rate=rate,
+        rate=believed.rate,
         options=recipe.options,
         optic=recipe.optic,
         tif=recipe.tif,
-        rim=round_rim(recipe.aperture_mm / 2) if recipe.free_rim else None,
+        rim=round_rim(recipe.part.aperture_mm / 2) if recipe.part.rim == "free" else None,
+        beliefs=believed.removal,
     )
-    return recipe.model.effect(request)
 
 
-def learn(
-    recipe: Recipe,
-    program: Program,
-    surfaces: tuple[Measured, Measured],
-    times: tuple[FloatArray, FloatArray],
-    beliefs: Beliefs,
-) -> Taught:
-    """Compare predicted with measured removal of the last pass; where the gate stops, nothing is learned from it.
-
-    ``surfaces`` are before and after it, ``times`` asked and executed, (n,) s.
-    """
-    (before, after), (asked_s, executed_s) = surfaces, times
-    mask = before.metric_mask
-    predicted = effect_of(recipe, program, before.grid, beliefs.rate).removal_nm(executed_s)
-    measured = before.height_nm - after.height_nm
+def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> Taught:
+    """Compare predicted with measured removal of the last pass; where the gate stops, nothing is learned from it."""
+    grid, mask = done.before.grid, done.before.metric_mask
+    request = _request(recipe, program, grid, believed)
+    predicted = recipe.model.effect(request).removal_nm(done.executed_s)
+    measured = done.before.height_nm - done.after.height_nm
     low, high = 1 - recipe.max_rate_change, 1 + recipe.max_rate_change
-    allowed = (low / beliefs.rate, high / beliefs.rate)
+    allowed = (low / believed.rate, high / believed.rate)
     # the part is set up anew for each map: nobody knows how much of a tilt was removed, even where tilt is figure
-    unknown: metrics.Removal = "power" if recipe.alignment == "power" else "tilt"
-    verdict = gate.judge(predicted, measured, mask, before.grid.pitch_mm, allowed, removal=unknown)
+    unknown: metrics.Removal = "power" if recipe.part.alignment == "power" else "tilt"
+    verdict = gate.judge(predicted, measured, mask, grid.pitch_mm, allowed, removal=unknown)
     if verdict.stop:
-        return Taught(beliefs, None, verdict)
-    learned = learning.learn_rate(verdict.predicted_nm, verdict.measured_nm, mask)
-    if not verdict.tells_rate:
-        learned = learning.withheld(learned)
-    rate = min(max(beliefs.rate * learned.rate, low), high)  # what is beyond them is so by less than its error
-    if rate != beliefs.rate * learned.rate:
-        learned = replace(learned, notes=(*learned.notes, _at_limit(beliefs.rate * learned.rate, rate)))
-    overhead = motion.learn_overhead_s(program, asked_s, executed_s, envelope_of(recipe, program, beliefs))
-    return Taught(Beliefs(rate, overhead, learned.notes), learned, verdict)
-
-
-def _at_limit(found: float, rate: float) -> str:
-    return f"a rate of {found:.3f} was found: {rate:.3f} is taken, the farthest that limits.max_rate_change allows"
+        return Taught(believed, verdict, grid)
+    evidence = Evidence(
+        beliefs=believed.removal,
+        executed_s=done.executed_s,
+        predicted_nm=verdict.predicted_nm,
+        measured_nm=verdict.measured_nm,
+        mask=mask,
+        pitch_mm=grid.pitch_mm,
+        tells_rate=verdict.tells_rate,
+        rates=(low, high),
+    )
+    lesson = recipe.model.learn(request, evidence)
+    envelope = envelope_of(recipe, program, believed)
+    overhead = motion.learn_overhead_s(program, done.asked_s, done.executed_s, envelope)
+    return Taught(Believed(lesson.beliefs, overhead), verdict, grid, lesson.found, lesson.notes)
 
 
 def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan:
     """The rewritten program, read back from its own bytes, with what it is expected to do."""
     text = recipe.format.rewrite(program, solved.asked_s)
-    rewritten = with_moves(recipe.format.read(text, name))
+    rewritten = recipe.format.read(text, name)
     if rewritten.n != program.n or not np.array_equal(rewritten.end_mm, program.end_mm):
         raise ComputeError(f"{name}: the rewritten program does not read back as the same path; nothing was sent")
-    expected = motion.delivered_time_s(rewritten, rewritten.time_s, envelope_of(recipe, program, solved.beliefs))
-    blocks = rewritten.blocks
+    expected = motion.delivered_time_s(rewritten, rewritten.time_s, envelope_of(recipe, program, solved.believed))
+    answer = solved.answer
+    if isinstance(answer.effect, Staying) and not answer.effect.here:  # the worker that solved is no more
+        answer = effect_of(recipe, program, answer.effect.grid, solved.believed)
     return Plan(
         program=rewritten,
-        original_sha256=program.sha256,
         approach_blocks=int(rewritten.block[0]),
         contact_blocks=int(rewritten.block[-1]) + 1,
         expected_time_s=expected,
-        predicted_removal_nm=solved.answer.removal_nm(expected),
-        segments=tuple(Segment(seq, line.rstrip(b"\r")) for seq, line in enumerate(blocks)),
+        predicted_removal_nm=answer.removal_nm(expected),
+        segments=tuple(Segment(seq, line.rstrip(b"\r")) for seq, line in enumerate(rewritten.blocks)),
     )
 
 
-def envelope_of(recipe: Recipe, program: Program, beliefs: Beliefs) -> Envelope:
+def envelope_of(recipe: Recipe, program: Program, believed: Believed | None = None) -> Envelope:
     """The machine's limits with the overhead that was learned; moves to a dwell run at the program's own feed."""
-    envelope = replace(recipe.envelope, block_overhead_s=beliefs.block_overhead_s or recipe.envelope.block_overhead_s)
+    envelope = recipe.envelope
+    if believed is not None and believed.block_overhead_s:
+        envelope = replace(envelope, block_overhead_s=believed.block_overhead_s)
     feed = program.max_feed_mm_min / 60
     if program.encoding == "dwell" and 0 < feed < envelope.max_feed_mm_s:
         envelope = replace(envelope, max_feed_mm_s=feed)
@@ -260,7 +206,7 @@ def violations(recipe: Recipe, plan: Plan) -> list[str]:
             f"{program.name}: states no tool axis (A and C words), and the process dips the tool by "
             f"{recipe.process.dip_deg:g} deg: post it with its axis"
         )
-    reach = recipe.aperture_mm / 2
+    reach = recipe.part.aperture_mm / 2
     ends = (("starts", program.line[0], program.start_mm[0]), ("ends", program.line[-1], program.end_mm[-1]))
     return found + [
         f"{program.name}:{line}: contact {word} at {point[0]:.2f}, {point[1]:.2f} mm, on the part (radius {reach:g}); "
@@ -272,29 +218,7 @@ def violations(recipe: Recipe, plan: Plan) -> list[str]:
 
 def process_grid(recipe: Recipe) -> Grid:
     """The grid that surfaces are brought to: the aperture and a margin, centred on the part."""
-    return conditioning.process_grid(recipe.aperture_mm, recipe.grid_mm)
-
-
-def load_measured(recipe: Recipe, arrays: Mapping[str, NDArray[Any]], sha256: str) -> Measured:
-    """A measurement as the run folder keeps it (``surface.npz``)."""
-    height = np.asarray(arrays["height_nm"], dtype=np.float64)
-    x, y, turn = map(float, arrays.get("lies", np.zeros(3)))  # a job of an earlier polishd had none
-    grid = Grid(height.shape[0], height.shape[1], float(arrays["pitch_mm"]))
-    solve, metric = (np.asarray(arrays[key], dtype=np.bool_) for key in ("solve_mask", "metric_mask"))
-    stats = _stats(recipe, height, metric, grid.pitch_mm)
-    by = recipe.instrument.register_by if recipe.instrument is not None else "none"
-    lay = Registration(turn, (x, y), by=by)
-    return Measured(grid, np.nan_to_num(height), solve, metric, stats, sha256, lay)
-
-
-def _stats(recipe: Recipe, height_nm: FloatArray, mask: BoolArray, pitch_mm: float) -> SurfaceStats:
-    return metrics.surface_stats(
-        height_nm,
-        mask,
-        pitch_mm,
-        lsf_period_mm=recipe.lsf_period_mm,
-        band_period_mm=recipe.tolerance_period_mm or None,
-    )
+    return conditioning.process_grid(recipe.part.aperture_mm, recipe.grid_mm)
 
 
 def _on_map(surface: SurfaceMap, grid: Grid, mask: BoolArray, lies: Registration) -> BoolArray:

@@ -16,8 +16,7 @@ from polishd.files import require_writable, unwritable
 from polishd.hooks.loader import Hooks
 from polishd.model.errors import ConfigError, PlanRefused, WrongPart
 from polishd.model.events import PlanWritten
-from polishd.model.program import Plan
-from polishd.model.surface import SurfaceMap
+from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.recipe import dwell_step, steps
 from polishd.recipe.dwell_step import require_certificate
 from polishd.recipe.files import read_map
@@ -25,8 +24,7 @@ from polishd.recipe.folder import RunFolder
 from polishd.recipe.making import make_recipe
 from polishd.recipe.program_fit import judged
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import save_plan, save_surface
-from polishd.recipe.steps import Beliefs, Measured, Solved
+from polishd.recipe.records import Measured, Planned, figures
 
 
 def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Path, out: Path) -> dict[str, Any]:
@@ -42,29 +40,25 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
     surface = read_map(map_path, hooks.surface_readers().values())
     notes = _require_part(surface, config.part.id, map_path)
     program = steps.read_program(recipe, program_path)
-    measured = steps.condition(recipe, surface, None)
-    solved = dwell_step.solve(recipe, program, measured, Beliefs(block_overhead_s=recipe.envelope.block_overhead_s))
+    measured = steps.condition(recipe, surface)
+    solved = dwell_step.solve(recipe, program, measured)
     require_certificate(solved.dwell.certificate, recipe)
     plan = steps.rewrite(recipe, program, solved, program_path.name)
     vetoes = hooks.check_plan(plan, recipe.envelope)
     if vetoes:
         raise PlanRefused("the plan was refused, nothing was written:\n" + "\n".join(f"  {v}" for v in vetoes))
+    planned = Planned.of(plan, solved, steps.in_part_frame(recipe, plan.program))
     if recipe.instrument is None or recipe.instrument.commissioned is None:
         notes.append("run will refuse: the cell has no commissioned instrument's profile (polishd check says more)")
     said, misfit = judged(recipe, program, config.program.covers)
     notes += [f"check will refuse: {said}{misfit}"] if misfit else []
     notes += [*surface.warnings, *measured.notes, *program.warnings]
     notes += [*steps.violations(recipe, plan), *solved.answer.notes]
-    summary = {
-        **_figures(recipe, measured, solved, plan),
-        "job": config.job.id,
-        "run_dir": str(out),
-        "notes": notes,
-    }
+    summary = {**_summary(recipe, measured, planned), "job": config.job.id, "run_dir": str(out), "notes": notes}
     with _appearing(out) as folder:
-        save_surface(folder, surface, measured)
-        folder.json("certificate.json", solved.dwell.certificate)
-        save_plan(folder, recipe, plan, solved)
+        folder.map_file(surface)
+        program_file = {"program.rnc": plan.program.text}
+        folder.write({**measured.files(), **solved.files(), **program_file, **planned.files()})
         folder.json("summary.json", summary)
         hooks.on_event(PlanWritten(run_dir=str(folder.path)))
     return summary
@@ -92,30 +86,20 @@ def _require_part(surface: SurfaceMap, part_id: str, path: Path) -> list[str]:
     return [] if surface.part_id else [f"{path.name} names no part; taken for {part_id!r} on your word"]
 
 
-def _figures(recipe: Recipe, measured: Measured, solved: Solved, plan: Plan) -> dict[str, Any]:
+def _summary(recipe: Recipe, measured: Measured, planned: Planned) -> dict[str, Any]:
     now = datetime.now(UTC).isoformat(timespec="seconds")
-    certificate = solved.dwell.certificate
-    cycle = {
-        **{key: asdict(measured.stats)[key] for key in ("rms_nm", "pv_nm", "lsf_rms_nm", "band_rms_nm")},
-        "predicted_rms_nm": certificate.predicted_rms_nm,
-        "dwell_s": plan.total_s,
-        "executed_s": None,
-        "rate": 1.0,
-    }
     return {
         "outcome": "planned",
-        "part_id": recipe.part_id,
-        "correction": recipe.correction,
-        "tolerance_nm": recipe.tolerance_nm,
-        "tolerance_period_mm": recipe.tolerance_period_mm,
-        "cycles": [cycle],
-        "certificate": asdict(certificate),
-        "gamma": [float(solved.answer.gamma.min()), float(solved.answer.gamma.max())],
-        "compliance_um_per_n": [
-            float(solved.answer.compliance_um_per_n.min()),
-            float(solved.answer.compliance_um_per_n.max()),
-        ],
-        "points": plan.program.n,
+        **recipe.facts(),
+        "cycles": [{**figures(measured.facts(), planned.facts()), "executed_s": None}],
+        "certificate": asdict(planned.certificate),
+        "gamma": _range(planned.gamma),
+        "compliance_um_per_n": _range(planned.compliance_um_per_n),
+        "points": planned.block.size,
         "started": now,
         "ended": now,
     }
+
+
+def _range(values: FloatArray) -> list[float]:
+    return [float(values.min()), float(values.max())]

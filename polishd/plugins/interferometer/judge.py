@@ -10,7 +10,7 @@ from polishd.api import BadMap, StaleMap, SurfaceMap, WrongPart
 from polishd.model.instrument import Instrument
 from polishd.plugins.interferometer.files import Identity
 from polishd.plugins.interferometer.taken import Ask, Taken
-from polishd.process.instrument import as_profiled
+from polishd.process.instrument import require_profile
 
 LATEST_S = 2.0**35
 """Some file systems can date a file later than datetime can hold; that is a thousand years from now."""
@@ -44,7 +44,7 @@ def require_plausible(surface: SurfaceMap, rules: Rules) -> None:
     if surface.part_id and surface.part_id != rules.part_id:
         raise WrongPart(f"it shows part {surface.part_id!r}, the part is {rules.part_id!r}")
     if rules.instrument is not None:
-        as_profiled(surface, rules.instrument)  # its answer is the daemon's business, a refusal is ours
+        require_profile(surface, rules.instrument)  # the daemon applies it, a refusal is ours
     elif surface.pitch_mm is None:
         raise BadMap("it has no lateral scale: such a map cannot drive polishing")
 

@@ -59,10 +59,10 @@ def positions(plan: Plan, envelope: Envelope) -> Iterator[str]:
     program = plan.program
     for index, (axis, (low, high)) in enumerate(zip("xyz", (envelope.x_mm, envelope.y_mm, envelope.z_mm), strict=True)):
         for name, values in (("starts", program.start_mm[:, index]), ("ends", program.end_mm[:, index])):
-            outside = ~((values >= low) & (values <= high))
-            yield from _lines(plan, outside, values, f"{name} at {axis} = {{:.6g}} mm, outside {low:g} to {high:g} mm")
+            inside = (values >= low) & (values <= high)
+            yield from _lines(plan, inside, values, f"{name} at {axis} = {{:.6g}} mm, outside {low:g} to {high:g} mm")
     length = np.linalg.norm(program.axis, axis=1)
-    yield from _lines(plan, ~(np.abs(length - 1) < 1e-6), length, "tool axis of length {:.6g}, not 1")
+    yield from _lines(plan, np.abs(length - 1) < 1e-6, length, "tool axis of length {:.6g}, not 1")
 
 
 def path(plan: Plan, envelope: Envelope) -> Iterator[str]:  # noqa: ARG001
@@ -72,7 +72,7 @@ def path(plan: Plan, envelope: Envelope) -> Iterator[str]:  # noqa: ARG001
         return  # there the moves between the points carry no time of their own
     gap = np.zeros(program.n)
     gap[1:] = np.linalg.norm(program.start_mm[1:] - program.end_mm[:-1], axis=1)
-    yield from _lines(plan, ~(gap <= SAME_PLACE_MM), gap, "an untimed move of {:.6g} mm leads here, in contact")
+    yield from _lines(plan, gap <= SAME_PLACE_MM, gap, "an untimed move of {:.6g} mm leads here, in contact")
 
 
 def times(plan: Plan, envelope: Envelope) -> Iterator[str]:
@@ -81,12 +81,10 @@ def times(plan: Plan, envelope: Envelope) -> Iterator[str]:
     if expected.shape != (program.n,):
         yield f"{program.n} timed points, but expected times of shape {expected.shape}"
         return
-    asked = program.time_s
-    lowest = asked >= 0 if program.encoding == "dwell" else asked > 0
-    delivered = expected >= 0 if program.encoding == "dwell" else expected > 0
-    yield from _lines(plan, ~(np.isfinite(asked) & lowest), asked, "asks for a time of {:.6g} s")
-    yield from _lines(plan, ~(np.isfinite(expected) & delivered), expected, "is expected to take {:.6g} s")
-    for name, total in (("is expected to take", plan.total_s), ("asks for", float(asked.sum()))):
+    for says, time_s in (("asks for a time of", program.time_s), ("is expected to take", expected)):
+        enough = time_s >= 0 if program.encoding == "dwell" else time_s > 0
+        yield from _lines(plan, np.isfinite(time_s) & enough, time_s, f"{says} {{:.6g}} s")
+    for name, total in (("is expected to take", plan.total_s), ("asks for", float(program.time_s.sum()))):
         if not total <= envelope.max_pass_s:
             needed = "" if not np.isfinite(total) else f": set it to {math.ceil(total)} or more, or plan less removal"
             yield f"the pass {name} {total:.6g} s, more than limits.max_pass_s = {envelope.max_pass_s:g} s{needed}"
@@ -94,24 +92,19 @@ def times(plan: Plan, envelope: Envelope) -> Iterator[str]:
 
 def feeds(plan: Plan, envelope: Envelope) -> Iterator[str]:
     """Feeds stay inside the machine's, as asked for and as expected."""
-    program = plan.program
-    top = envelope.max_feed_mm_s * (1 + DIGITS)
+    program, least, most = plan.program, envelope.min_feed_mm_s, envelope.max_feed_mm_s
+    top, low = most * (1 + DIGITS), least * (1 - DIGITS)
     largest = program.max_feed_mm_min / 60
     if not largest <= top:
-        yield f"the program asks for a feed of {largest:.6g} mm/s, above {envelope.max_feed_mm_s:g} mm/s"
+        yield f"the program asks for a feed of {largest:.6g} mm/s, above {most:g} mm/s"
     if plan.expected_time_s.shape != (program.n,) or program.encoding == "dwell":
         return  # a dwell's time is not its feed
     length = program.length_mm
-    moving = length > 0
     with np.errstate(divide="ignore", invalid="ignore"):
-        asked = np.where(moving, length / program.time_s, envelope.min_feed_mm_s)
-        expected = np.where(moving, length / plan.expected_time_s, envelope.min_feed_mm_s)
-    yield from _lines(plan, ~(asked <= top), asked, f"asks for {{:.6g}} mm/s, above {envelope.max_feed_mm_s:g} mm/s")
-    yield from _lines(
-        plan, ~(expected <= top), expected, f"is expected at {{:.6g}} mm/s, above {envelope.max_feed_mm_s:g} mm/s"
-    )
-    low = envelope.min_feed_mm_s * (1 - DIGITS)
-    yield from _lines(plan, ~(asked >= low), asked, f"asks for {{:.6g}} mm/s, below {envelope.min_feed_mm_s:g} mm/s")
+        asked, expected = (np.where(length > 0, length / t, least) for t in (program.time_s, plan.expected_time_s))
+    yield from _lines(plan, asked <= top, asked, f"asks for {{:.6g}} mm/s, above {most:g} mm/s")
+    yield from _lines(plan, expected <= top, expected, f"is expected at {{:.6g}} mm/s, above {most:g} mm/s")
+    yield from _lines(plan, asked >= low, asked, f"asks for {{:.6g}} mm/s, below {least:g} mm/s")
 
 
 def removal(plan: Plan, envelope: Envelope) -> Iterator[str]:
@@ -133,9 +126,9 @@ def removal(plan: Plan, envelope: Envelope) -> Iterator[str]:
 CHECKS: tuple[Check, ...] = (text, blocks, positions, path, times, feeds, removal)
 
 
-def _lines(plan: Plan, bad: BoolArray, values: FloatArray, says: str) -> Iterator[str]:
-    """A violation for the first bad points, with line and value, and the count of the rest."""
-    found = np.flatnonzero(bad)
+def _lines(plan: Plan, good: BoolArray, values: FloatArray, says: str) -> Iterator[str]:
+    """A violation for the first points that are not good, with line and value, and the count of the rest."""
+    found = np.flatnonzero(~good)
     for index in found[:SHOWN]:
         yield f"line {plan.program.line[index]}: {says.format(float(values[index]))}"
     if found.size > SHOWN:

@@ -4,29 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
-from polishd.api import (
-    ComputeError,
-    Effect,
-    Grid,
-    Placement,
-    Program,
-    RemovalAnswer,
-    RemovalRequest,
-    SparseEffect,
-)
-from polishd.model.surface import FloatArray
+from polishd.api import ComputeError, Effect, Grid, RemovalAnswer, RemovalRequest
 from polishd.process.compliance import depth_ratio
 from polishd.process.contact import contact_radius_mm, hertz_depth_mm
-from polishd.process.convolution import convolution_effect, on_nodes
-from polishd.process.dynamic_tif import corrected_spot, effect_matrix
+from polishd.process.convolution import on_nodes
+from polishd.process.dynamic_tif import CorrectedSpot, corrected_spot
 from polishd.process.edge.correctable import transfer
-from polishd.process.edge.edge_tif import sunk_at_rim
-from polishd.process.frames import surface_normals, upright
 from polishd.process.path_compliance import path_compliance
 from polishd.process.robot.refusal import require_number
 from polishd.process.spot import Spot
+from polishd.process.spot_path import SpotPath, levelled_axes
 
 MOST_CONVOLUTIONS = 6
 """A family of higher rank (the azimuth turns over the part) costs more as convolutions than as a matrix."""
@@ -44,12 +31,9 @@ def effect_along_path(request: RemovalRequest, spot: Spot, reference: float) -> 
     at = (request.robot, request.placement)
     path = path_compliance(program, process, *at, options=request.options, optic=request.optic)
     gamma = depth_ratio(path.compliance_mm_per_n, process, depth)
-    spots = corrected_spot(request.correction, gamma, process.depth_exponent, reference)
-    level = replace(program, axis=upright(program.axis, _normals_in_part(request)))
-    edge: list[str] = []
-    if request.rim is not None:
-        spots, *edge = sunk_at_rim(spots, request.rim, process, spot, level)
-    effect, how = _effect(request.grid, spot, level, (spots.depth_ratio, spots.factor * request.rate))
+    along = SpotPath(levelled_axes(program, request.optic), spot, process, request.rim)
+    spots, edge = along.at_rim(corrected_spot(request.correction, gamma, process.depth_exponent, reference))
+    effect, how = _effect(along, request.grid, replace(spots, factor=spots.factor * request.rate))
     notes = [f"rigid contact: depth {depth:.5f} mm, radius {float(contact_radius_mm(process, depth)):.4f} mm"]
     if gamma.size:
         notes.append(f"gamma {gamma.min():.4f} to {gamma.max():.4f}, mean {gamma.mean():.4f}")
@@ -63,24 +47,16 @@ def effect_along_path(request: RemovalRequest, spot: Spot, reference: float) -> 
     )
 
 
-def _effect(
-    grid: Grid, spot: Spot, program: Program, strength: tuple[FloatArray, FloatArray]
-) -> tuple[Effect, tuple[str, ...]]:
+def _effect(along: SpotPath, grid: Grid, spots: CorrectedSpot) -> tuple[Effect, tuple[str, ...]]:
     """Few convolutions where all points rest on nodes of the grid, else a matrix; and a note that says which."""
-    if on_nodes(grid, program):
-        found = convolution_effect(grid, spot, program, *strength)
+    if on_nodes(grid, along.program):
+        found = along.convolutions(grid, spots)
         if found.rank <= MOST_CONVOLUTIONS:
             note = (
                 f"the TIF's family is a sum of {found.rank} convolutions, truncated to {found.truncation:.1e} of a spot"
             )
             return found, (note,)
-    return SparseEffect(grid, effect_matrix(grid, spot, program, *strength)), ()
-
-
-def _normals_in_part(request: RemovalRequest) -> FloatArray:
-    """(n, 3) unit normals of the nominal optic where each block ends, part frame."""
-    here = Placement((0.0, 0.0, 0.0), np.eye(3))
-    return surface_normals(here, request.program.end_mm, request.optic)
+    return along.matrix(grid, spots), ()
 
 
 def _check(grid: Grid, rate: float) -> None:

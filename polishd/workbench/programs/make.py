@@ -29,7 +29,7 @@ from polishd.process.paths.apertures import Aperture
 from polishd.process.paths.raster import raster
 from polishd.process.paths.spiral import spiral
 from polishd.process.paths.wrist import largest_turn_deg, tool_axes
-from polishd.recipe import foresight, steps
+from polishd.recipe import foresight
 from polishd.recipe.making import make_recipe
 from polishd.show.style import save_picture
 from polishd.show.tables import emit, key_table, stderr
@@ -205,7 +205,7 @@ def _require_cell_takes(config: CellConfig, hooks: Hooks, program: Program) -> N
     """ProgramError with everything for which the cell's `plan` or `run` would refuse the program, whatever the map."""
     without_map = {"instrument": InstrumentSection(), "part": config.part.model_copy(update={"nominal": None})}
     recipe = make_recipe(config.model_copy(update=without_map), hooks)
-    found = foresight.refusals(recipe, steps.with_moves(program), hooks.check_plan)
+    found = foresight.refusals(recipe, program, hooks.check_plan)
     if found:
         says = "\n".join(f"  {line}" for line in found)
         raise ProgramError(

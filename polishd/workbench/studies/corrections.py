@@ -18,7 +18,7 @@ from polishd.model.dwell import Certificate
 from polishd.model.process import Correction
 from polishd.model.surface import FloatArray
 from polishd.process.conditioning import Conditioned
-from polishd.process.convolution import ConvolutionEffect, convolution_effect
+from polishd.process.convolution import ConvolutionEffect
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.setup import choose_piston_nm
@@ -52,10 +52,6 @@ class Row:
     """To make the solver's model and to solve."""
     residual_nm: FloatArray = field(repr=False)
     """(ny, nx) what is left, NaN outside the aperture."""
-
-    def as_json(self) -> dict[str, Any]:
-        """The figures, without the map."""
-        return {name: getattr(self, name) for name in self.__slots__ if name != "residual_nm"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +96,15 @@ def compare_corrections(study: CorrectionsStudy, read: ReadMap, tell: Tell) -> C
     tell("removing with both plants")
     plants = {"eq49": scene.effect(spots["linear"]), "depth": scene.effect(spots["exact"])}
     rows = [
-        make_row((plant, name), target - effect.removal_nm(time_s), start, (float(time_s.sum()), wall[name]), study)
+        make_row(
+            target - effect.removal_nm(time_s),
+            start,
+            study.lsf_period_mm,
+            plant=plant,
+            correction=name,
+            dwell_s=float(time_s.sum()),
+            wall_s=wall[name],
+        )
         for plant, effect in plants.items()
         for name, time_s in dwell.items()
     ]
@@ -119,8 +123,7 @@ def believed_spots(scene: Scene, exponent: float) -> dict[str, CorrectedSpot]:
 def solver_model(scene: Scene, correction: str, spot: CorrectedSpot) -> Effect:
     """The solver's effect; "exact" is a sum of convolutions where points are nodes: not the plant's own matrix."""
     if correction == "exact" and scene.on_nodes:
-        spot = scene.at_rim(spot)
-        return convolution_effect(scene.grid, scene.spot, scene.program, spot.depth_ratio, spot.factor)
+        return scene.convolutions(scene.grid, scene.at_rim(spot)[0])
     return scene.effect(spot)
 
 
@@ -156,24 +159,15 @@ def solver_notes(effect: Effect, certificate: Certificate) -> list[str]:
     return found
 
 
-def make_row(
-    name: tuple[str, str],
-    residual_nm: FloatArray,
-    start: Conditioned,
-    seconds: tuple[float, float],
-    study: CorrectionsStudy,
-) -> Row:
-    """Figures of a (ny, nx) residual; ``name`` is plant and correction, ``seconds`` dwell and wall."""
+def make_row(residual_nm: FloatArray, start: Conditioned, lsf_period_mm: float, **named: Any) -> Row:
+    """Figures of a (ny, nx) residual; ``named`` are the row's other fields."""
     inside = residual_nm[start.metric_mask]
     return Row(
-        plant=name[0],
-        correction=name[1],
+        **named,
         pv_nm=float(np.ptp(inside)),
         rms_nm=float(np.sqrt(np.mean(inside**2))),
         rms_piston_removed_nm=float(inside.std()),
-        band_rms_nm=band_rms(residual_nm, start.metric_mask, start.grid.pitch_mm, study.lsf_period_mm),
-        dwell_s=seconds[0],
-        wall_s=seconds[1],
+        band_rms_nm=band_rms(residual_nm, start.metric_mask, start.grid.pitch_mm, lsf_period_mm),
         residual_nm=np.where(start.solve_mask, residual_nm, np.nan),
     )
 

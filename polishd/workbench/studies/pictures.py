@@ -8,7 +8,6 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
 
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.metrics import radial_psd
@@ -67,11 +66,9 @@ def _setting(compared: Comparison) -> Figure:
     start, scene = compared.start, compared.scene
     inside = start.height_nm[start.metric_mask]
     title = f"start: {inside.std():.2f} nm RMS"
-    _bar(page, _map(axes[0], start.grid, start.height_nm, title, limit=_limit(start.height_nm)), [axes[0]], "nm")
-    gamma = _map(axes[1], scene.lattice, scene.on_lattice(scene.gamma), "gamma along the path")
-    _bar(page, gamma, [axes[1]], "")
-    dwell = _map(axes[2], scene.lattice, scene.on_lattice(compared.time_s["exact"]), "dwell of exact")
-    _bar(page, dwell, [axes[2]], "s a point")
+    _map(axes[0], start.grid, start.height_nm, title, "nm", diverging=True)
+    _map(axes[1], scene.lattice, scene.on_lattice(scene.gamma), "gamma along the path")
+    _map(axes[2], scene.lattice, scene.on_lattice(compared.time_s["exact"]), "dwell of exact", "s a point")
     return page
 
 
@@ -82,7 +79,7 @@ def _residuals(compared: Comparison, plant: str) -> Figure:
     for ax, row in zip(page.subplots(2, 3).ravel(), rows, strict=True):
         title = f"{row.correction}: {row.rms_nm:.3g} nm RMS, PV {row.pv_nm:.3g}"
         metric = np.where(compared.start.metric_mask, row.residual_nm, np.nan)
-        _bar(page, _map(ax, compared.start.grid, metric, title, limit=_limit(metric)), [ax], "nm")
+        _map(ax, compared.start.grid, metric, title, "nm", diverging=True)
     return page
 
 
@@ -127,8 +124,8 @@ def _passes(passes: Passes) -> Figure:
     axes = page.subplots(1, 3)
     gamma = np.where(passes.metric_mask, passes.gamma, np.nan)
     removal = np.where(passes.metric_mask, passes.removal_nm, np.nan)
-    _bar(page, _map(axes[0], passes.grid, gamma, "gamma"), [axes[0]], "")
-    _bar(page, _map(axes[1], passes.grid, removal, f"removal of {passes.passes} passes"), [axes[1]], "nm")
+    _map(axes[0], passes.grid, gamma, "gamma")
+    _map(axes[1], passes.grid, removal, f"removal of {passes.passes} passes", "nm")
     inside = passes.metric_mask
     axes[2].plot(passes.gamma[inside], passes.removal_nm[inside], ".", color=BLUE, markersize=2)
     axes[2].set(title=f"slope of the logarithms {passes.slope:.3f}")
@@ -137,13 +134,13 @@ def _passes(passes: Passes) -> Figure:
     return page
 
 
-def _map(ax: Axes, grid: Grid, values: FloatArray, title: str, limit: float | None = None) -> AxesImage:
-    """A map in mm; with a limit diverging about zero."""
+def _map(ax: Axes, grid: Grid, values: FloatArray, title: str, unit: str = "", *, diverging: bool = False) -> None:
+    """A map in mm with its bar; diverging about zero, with a scale that nearly the largest size sets."""
     half_x, half_y = grid.nx * grid.pitch_mm / 2, grid.ny * grid.pitch_mm / 2
-    colours = mpl.colormaps[SEQUENTIAL if limit is None else DIVERGING].with_extremes(bad=NO_DATA)
+    limit = max(float(np.nanpercentile(np.abs(values), 99.5)), 1e-9) if diverging else None
     image = ax.imshow(
         np.ma.masked_invalid(values),
-        cmap=colours,
+        cmap=mpl.colormaps[DIVERGING if diverging else SEQUENTIAL].with_extremes(bad=NO_DATA),
         vmin=None if limit is None else -limit,
         vmax=limit,
         extent=(-half_x, half_x, -half_y, half_y),
@@ -151,15 +148,6 @@ def _map(ax: Axes, grid: Grid, values: FloatArray, title: str, limit: float | No
     )
     ax.set(title=title, xlabel="x, mm")
     ax.spines[:].set_visible(False)
-    return image
-
-
-def _limit(values: FloatArray) -> float:
-    """Half the scale: nearly the largest size."""
-    return max(float(np.nanpercentile(np.abs(values), 99.5)), 1e-9)
-
-
-def _bar(page: Figure, image: AxesImage, axes: list[Axes], unit: str) -> None:
-    bar = page.colorbar(image, ax=axes, shrink=0.8, aspect=24, pad=0.02)
+    bar = ax.figure.colorbar(image, ax=[ax], shrink=0.8, aspect=24, pad=0.02)
     bar.set_label(unit)
     bar.outline.set_visible(False)

@@ -2,40 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from polishd.config.study import PartStudy
 from polishd.model.program import Program
 from polishd.model.surface import FloatArray, Grid
-from polishd.process import frames
 from polishd.process.compliance import depth_ratio
 from polishd.process.contact import hertz_depth_mm
-from polishd.process.dynamic_tif import CorrectedSpot, corrected_spot, effect_matrix
-from polishd.process.edge.edge_tif import sunk_at_rim
-from polishd.process.edge.rim import Rim
+from polishd.process.dynamic_tif import CorrectedSpot, corrected_spot
 from polishd.process.effect import SparseEffect
 from polishd.process.path_compliance import path_compliance
 from polishd.process.paths.spacing import on_optic
+from polishd.process.paths.wrist import tool_axes
 from polishd.process.spot import HertzSpot
+from polishd.process.spot_path import SpotPath, levelled_axes
 from polishd.workbench.studies.surface import study_grid
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
-    """A path of dwell points over a part, and what the robot makes of the contact there."""
+class Scene(SpotPath):
+    """A path of dwell points at rest on the optic, and what the robot makes of the contact there."""
 
     grid: Grid
-    program: Program
-    """n dwells at rest on the optic, part frame; the axes as seen where the surface lies level."""
     gamma: FloatArray
     """(n,) depth ratio (eq. 48)."""
     compliance_um_per_n: FloatArray
     """(n,) linear equivalent compliance."""
-    spot: HertzSpot
-    rim: Rim | None
-    """The part's, where it is free."""
     lattice: Grid
     """The dwell points are its nodes, those within the path's radius."""
     on_nodes: bool
@@ -50,17 +44,9 @@ class Scene:
         found[np.rint(row).astype(np.intp), np.rint(column).astype(np.intp)] = values
         return found
 
-    def at_rim(self, corrected: CorrectedSpot) -> CorrectedSpot:
-        """The spots as they sink over a free rim."""
-        if self.rim is None:
-            return corrected
-        return sunk_at_rim(corrected, self.rim, self.spot.process, self.spot, self.program)[0]
-
     def effect(self, corrected: CorrectedSpot) -> SparseEffect:
         """The effect matrix of these spots, each laid down on its own; deeper over a free rim."""
-        corrected = self.at_rim(corrected)
-        matrix = effect_matrix(self.grid, self.spot, self.program, corrected.depth_ratio, corrected.factor)
-        return SparseEffect(self.grid, matrix)
+        return self.matrix(self.grid, self.at_rim(corrected)[0])
 
 
 def make_scene(study: PartStudy) -> Scene:
@@ -71,30 +57,25 @@ def make_scene(study: PartStudy) -> Scene:
     lattice = study_grid(study, study.path.step_mm)
     with study.blame("part"):
         points = on_optic(optic, lattice_points(lattice, radius)[:, :2])
-        tip, normal = frames.points_to_base(placement, points), frames.surface_normals(placement, points, optic)
-        axis = frames.dipped_axes(options, placement, tip, normal, process.dip_deg) @ np.asarray(placement.rotation)
-        program = dwells(points, axis, study.title)
+        program = dwells(points, tool_axes(points, optic, process.dip_deg, options, placement), study.title)
         found = path_compliance(program, process, robot, placement, options=options, optic=optic)
     with study.blame("process"):
         depth = hertz_depth_mm(process)
     with study.blame("kinematics"):
         gamma = depth_ratio(found.compliance_mm_per_n, process, depth)
     words = f"gamma {gamma.min():.4f} to {gamma.max():.4f}, mean {gamma.mean():.4f}, at {len(gamma)} dwell points"
-    level = replace(program, axis=frames.upright(axis, normal @ np.asarray(placement.rotation)))
-    spot, notes = HertzSpot(process), (words, *found.notes)
-    rim = study.free_rim()
-    if rim is not None:
-        notes = (*notes, sunk_at_rim(corrected_spot("exact", gamma), rim, process, spot, level)[1])
+    path = SpotPath(levelled_axes(program, optic), HertzSpot(process), process, study.free_rim())
     return Scene(
+        path.program,
+        path.spot,
+        process,
+        path.rim,
         grid=study_grid(study, study.process.grid_mm),
-        program=level,
         gamma=gamma,
         compliance_um_per_n=found.compliance_mm_per_n * 1e3,
-        spot=spot,
-        rim=rim,
         lattice=lattice,
         on_nodes=study.path.step_mm == study.process.grid_mm,
-        notes=notes,
+        notes=(words, *found.notes, *path.at_rim(corrected_spot("exact", gamma))[1]),
     )
 
 

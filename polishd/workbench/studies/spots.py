@@ -50,26 +50,25 @@ def compute_spots(study: SpotsStudy, tell: Callable[[str], None]) -> tuple[SpotR
     """A row for each spot and reading of its size; ConfigError for a spot that cannot be."""
     rows = []
     for reading in READINGS:
-        for name, section in study.spots.items():
+        for name in study.spots:
             tell(f"spot {name}, size is the {reading}")
             with study.blame(f"spots.{name}"):
-                rows.append(compute_spot(study, (name, reading), section))
+                rows.append(compute_spot(study, name, reading))
     return tuple(rows)
 
 
-def compute_spot(study: SpotsStudy, name: tuple[str, str], section: SpotSection) -> SpotRow:
-    """One row; ``name`` is the spot's and the reading of its size."""
+def compute_spot(study: SpotsStudy, name: str, reading: str) -> SpotRow:
+    """One row; ``reading`` is what its size is taken for."""
+    section = study.spots[name]
     process = replace(
         study.tool_process(),
-        tool_radius_mm=section.size_mm / (1 if name[1] == "radius" else 2),
-        rpm=section.rpm,
-        force_n=section.force_n,
-        dip_deg=section.dip_deg,
+        tool_radius_mm=section.size_mm / (1 if reading == "radius" else 2),
+        **section.model_dump(include={"rpm", "force_n", "dip_deg"}),
     )
     figures = spot_figures(process)
     return SpotRow(
-        name=name[0],
-        size_is=name[1],
+        name=name,
+        size_is=reading,
         section=section,
         figures=figures,
         removal_depth_nm=figures.peak_nm_s * study.seconds,

@@ -58,7 +58,7 @@ def drawn_surface(study: CorrectionsStudy, rms_nm: float, period_mm: tuple[float
     height = random_waves(grid, period_mm, study.surface.seed)
     height -= fitted(height, metric, part.alignment)
     height *= rms_nm / height[metric].std()
-    return Conditioned(grid, np.where(solve, height, np.nan), solve, metric, 0)
+    return Conditioned(grid, np.where(solve, height, np.nan), solve, metric)
 
 
 def random_waves(grid: Grid, period_mm: tuple[float, float], seed: int) -> FloatArray:

@@ -16,6 +16,7 @@ from polishd.files import require_writable, write_atomic
 from polishd.hooks.loader import load_own
 from polishd.model.errors import ConfigError
 from polishd.model.surface import SurfaceMap
+from polishd.recipe.encoding import facts_of
 from polishd.recipe.files import read_map
 from polishd.show.tables import stderr, stdout
 from polishd.workbench.studies import pictures, tables
@@ -61,7 +62,7 @@ def study_verb(study: Path, out: Path | None, *, as_json: bool) -> None:
 def _answer(study: Study, tell: Tell) -> Answer:
     if isinstance(study, CorrectionsStudy):
         compared = compare_corrections(study, _read, tell)
-        rows = [row.as_json() for row in compared.rows]
+        rows = [facts_of(row) for row in compared.rows]
         shown = tables.correction_tables(study.title, compared)
         return Answer(rows, shown, tables.correction_notes(compared), pictures.of_corrections(compared))
     if isinstance(study, SpotsStudy):

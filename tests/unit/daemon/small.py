@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from polishd.config.sections import PartSection
+from polishd.config.sections import DwellSection, JobSection, PartSection, ProgramSection
 from polishd.daemon import app
 from polishd.daemon.cycle import polish
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.safety import ContactLimits
 from polishd.hookspecs import DwellSolver, RemovalAnswer, RemovalModel, RemovalRequest
+from polishd.model.beliefs import Belief, Beliefs
 from polishd.model.cycle import Outcome
 from polishd.model.dwell import Certificate
 from polishd.model.events import Event
@@ -34,6 +35,7 @@ from polishd.process.paths.raster import raster
 from polishd.recipe import steps
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.recipe import Recipe
+from polishd.recipe.records import Believed
 from tests.fakes.devices import FakeCell
 from tests.rs274 import RS274
 from tests.unit.process.gaussian import envelope, rough, spot_effect
@@ -54,6 +56,11 @@ def gaussian_effect(request: RemovalRequest) -> RemovalAnswer:
     return RemovalAnswer(effect, np.full(program.n, 1.3), np.full(program.n, 0.9), ("a spot for tests",))
 
 
+def at_rate(rate: float) -> Believed:
+    """What is believed where the tool removes so much of what its model says."""
+    return Believed(Beliefs(Belief(rate)))
+
+
 def pointwise_effect(request: RemovalRequest) -> RemovalAnswer:
     """The same, static, with a gamma that falls along x: the dwell is divided by it."""
     answer = gaussian_effect(request)
@@ -61,21 +68,22 @@ def pointwise_effect(request: RemovalRequest) -> RemovalAnswer:
     return replace(answer, gamma=gamma, divide_by=gamma)
 
 
+PART = PartSection(id="P-1", aperture_mm=APERTURE_MM, edge_mm=2.0, origin_mm=(0, 0, 0), rotation_rpy_deg=(0, 0, 0))
+DWELL = DwellSection(extension="none", within_s=30.0)
+JOB = JobSection(id="small", tolerance_nm=0.5, lsf_period_mm=10.0)
+
+
 def small_recipe(**changes: Any) -> Recipe:
-    """The recipe, with changes."""
+    """The recipe, with changes: of its own fields, or else of keys of its sections."""
     recipe = Recipe(
-        part_id="P-1",
+        part=PART,
+        program=ProgramSection(path="small.rnc"),
+        dwell=DWELL,
+        job=JOB,
         instrument=None,
-        aperture_mm=APERTURE_MM,
-        edge_mm=2.0,
-        free_rim=False,
-        extension="none",
-        alignment=PartSection.model_fields["alignment"].default,
-        nominal=None,
         spike_mads=0.0,
+        nominal=None,
         grid_mm=1.0,
-        program_offset_mm=(0.0, 0.0, 0.0),
-        program_rotation_deg=0.0,
         process=ToolProcess(dip_deg=0.0),
         robot=HybridRobot(),
         placement=Placement((300.0, 220.0, 2315.0), np.diag([1.0, -1.0, -1.0])),
@@ -84,24 +92,19 @@ def small_recipe(**changes: Any) -> Recipe:
         tif=None,
         correction="none",
         envelope=envelope(),
+        max_rate_change=0.4,
         format=RS274,
         model=RemovalModel("gaussian", gaussian_effect),
         solver=DwellSolver(newton_cg.NAME, newton_cg.solve),
         cross_check=None,
-        cross_check_gap=1e-3,
-        regularisation=1e-4,
-        solve_s=30.0,
-        choose="least",
-        budget_s=np.inf,
-        target_nm=0.0,
-        curve=False,
-        kkt_tolerance=1e-4,
-        tolerance_nm=0.5,
-        tolerance_period_mm=0.0,
-        lsf_period_mm=10.0,
-        max_rate_change=0.4,
     )
-    return replace(recipe, **changes)
+    own = {name: changes.pop(name) for name in list(changes) if name in Recipe.__slots__}
+    for name in ("part", "program", "dwell", "job"):
+        section = getattr(recipe, name)
+        keys = {key: changes.pop(key) for key in list(changes) if key in type(section).model_fields}
+        recipe = replace(recipe, **{name: section.model_copy(update=keys)})
+    assert not changes, f"a recipe has no {changes}"
+    return replace(recipe, **own)
 
 
 def small_text(radius_mm: float = APERTURE_MM / 2 + 1) -> bytes:
@@ -210,7 +213,7 @@ class Bench:
             for seq, seconds in zip(blocks.seq, blocks.duration_s, strict=True):
                 if int(seq) in index:
                     time_s[index[int(seq)]] = seconds
-            answer = steps.effect_of(small_recipe(), program, self.surface.grid, self.rate)
+            answer = steps.effect_of(small_recipe(), program, self.surface.grid, at_rate(self.rate))
             self.surface = as_map(self.surface.height_nm - answer.effect.removal_nm(time_s))
         return self.surface
 

@@ -61,10 +61,15 @@ def test_the_recipe_is_the_configs(configured: Any, hooks: Hooks) -> None:
         limits={"max_rate_change": 0.2},
     )
     recipe = make_recipe(config, hooks)
-    assert (recipe.part_id, recipe.aperture_mm, recipe.alignment, recipe.grid_mm) == ("P-9", 60.0, "power", 0.8)
-    assert (recipe.program_offset_mm, recipe.program_rotation_deg) == ((1.0, 2.0, 0.0), 90.0)
-    assert (recipe.correction, recipe.solve_s, recipe.kkt_tolerance) == ("linear", 7.0, 1e-5)
-    assert (recipe.tolerance_nm, recipe.tolerance_period_mm, recipe.max_rate_change) == (3.0, 12.0, 0.2)
+    assert (recipe.part.id, recipe.part.aperture_mm, recipe.part.alignment, recipe.grid_mm) == (
+        "P-9",
+        60.0,
+        "power",
+        0.8,
+    )
+    assert (recipe.program.offset_mm, recipe.program.rotation_deg) == ((1.0, 2.0, 0.0), 90.0)
+    assert (recipe.correction, recipe.dwell.within_s, recipe.dwell.kkt_tolerance) == ("linear", 7.0, 1e-5)
+    assert (recipe.job.tolerance_nm, recipe.job.tolerance_period_mm, recipe.max_rate_change) == (3.0, 12.0, 0.2)
     assert (recipe.format.name, recipe.model.name, recipe.solver.name) == ("rs274", "hertz_preston", "auto")
     assert recipe.cross_check is not None
     assert recipe.cross_check.name == "qp"
@@ -72,7 +77,7 @@ def test_the_recipe_is_the_configs(configured: Any, hooks: Hooks) -> None:
 
 def test_a_tilt_is_alignment_by_default(configured: Any, hooks: Hooks) -> None:
     """Every interferometer's map has one, and another each time."""
-    assert make_recipe(configured(), hooks).alignment == "tilt"
+    assert make_recipe(configured(), hooks).part.alignment == "tilt"
 
 
 def test_the_form_wanted_is_read_with_the_recipe(configured: Any, hooks: Hooks, tmp_path: Path) -> None:

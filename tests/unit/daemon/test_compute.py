@@ -20,7 +20,9 @@ from polishd.daemon.compute import Compute
 from polishd.daemon.compute_limit import process_cpu_s
 from polishd.daemon.priority import BEHIND
 from polishd.model.errors import BadMap, ComputeError
+from polishd.recipe import dwell_step, steps
 from polishd.recipe.limit import Limit
+from tests.unit.daemon.small import small_map, small_program, small_recipe
 
 
 def _jobs() -> ModuleType:
@@ -51,6 +53,20 @@ def alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
+
+
+async def test_what_a_dwell_was_solved_with_stays_in_the_worker(compute: Compute) -> None:
+    recipe, program = small_recipe(), small_program()
+    measured = await compute(steps.condition, recipe, small_map())
+    solved = await compute(dwell_step.solve, recipe, program, measured)
+    assert not solved.answer.effect.here
+    plan = await compute(steps.rewrite, recipe, program, solved, "small.rnc")
+    answer = steps.effect_of(recipe, program, measured.grid)
+    np.testing.assert_allclose(plan.predicted_removal_nm, answer.removal_nm(plan.expected_time_s), rtol=1e-12)
+    with pytest.raises(ComputeError):
+        await compute(jobs.be_killed)
+    again = await compute(steps.rewrite, recipe, program, solved, "small.rnc")
+    np.testing.assert_allclose(again.predicted_removal_nm, plan.predicted_removal_nm, rtol=1e-12)
 
 
 async def test_arrays_go_and_come_back(compute: Compute) -> None:

@@ -18,11 +18,12 @@ from polishd.model.program import Plan
 from polishd.model.surface import SurfaceMap
 from polishd.recipe import steps
 from polishd.recipe.dwell_step import require_certificate
-from polishd.recipe.steps import Measured
+from polishd.recipe.records import Measured
 from tests.rs274 import RS274
 from tests.unit.daemon.small import (
     CERTIFICATE,
     as_map,
+    at_rate,
     open_journal,
     small_job,
     small_map,
@@ -73,7 +74,7 @@ async def whole_cycle(job: Job, cycle: int, surface: SurfaceMap, rate: float = 1
     await job.learn(cycle, measured)
     plan = await planned(job, cycle, measured)
     await run(job, cycle, plan)
-    answer = steps.effect_of(small_recipe(), small_program(), surface.grid, rate)
+    answer = steps.effect_of(small_recipe(), small_program(), surface.grid, at_rate(rate))
     return as_map(surface.height_nm - answer.effect.removal_nm(plan.expected_time_s))
 
 
@@ -121,7 +122,7 @@ async def test_a_pass_is_journalled_before_it_moves(job: Job, journal: Journal) 
     assert (unfinished.program_sha256, unfinished.boot_id) == (plan.program.sha256, "boot-1")
     (record,) = journal.passes
     assert (record.contact_from, record.contact_to) == (plan.approach_blocks, plan.contact_blocks)
-    assert set(record.facts) == {"certificate", "predicted_rms_nm", "dwell_s", "rate", "block_overhead_s"}
+    assert set(record.facts) == {"certificate", "predicted_rms_nm", "dwell_s", "rate", "block_overhead_s", "removal"}
 
 
 async def test_a_pass_that_ended_is_kept_for_people(job: Job, journal: Journal, tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ from polishd.model.cycle import Outcome
 from polishd.model.devices import Executed, ForceSample, SpeedSample
 from polishd.model.program import Plan, Segment
 from polishd.model.times import ActuatorTimes, SpindleTimes
-from polishd.recipe.steps import Solved
+from polishd.recipe.records import Solved
 from tests.fakes.devices import FakeActuator, FakeCell, FakeMetrology, FakeRobot, FakeSpindle
 from tests.unit.daemon.small import small_job, small_map
 

@@ -18,6 +18,7 @@ from polishd.daemon.cell import Cell
 from polishd.daemon.client import request
 from polishd.model.errors import ConfigError
 from polishd.model.surface import SurfaceMap
+from polishd.recipe.folder import RunFolder
 from tests.unit.daemon.small import as_map, run_cell
 from tests.unit.daemon.test_app import Site
 
@@ -142,6 +143,18 @@ async def test_the_next_solve_starts_from_the_last_one_across_a_restart(
     assert np.array_equal(starts[1].state["multipliers"], np.arange(3.0)), "what its solver can start from, too"
 
 
+async def test_a_job_that_an_earlier_polishd_began_goes_on(site: Rerun) -> None:
+    """It kept where the part lay as an array, and of what it believed two numbers."""
+    await stopped_after_a_pass(site)
+    with sqlite3.connect(site.config.state_dir / "journal.sqlite") as journal:
+        journal.execute("UPDATE map SET stats = json_remove(stats, '$.registration', '$.sha256')")
+        journal.execute("UPDATE pass SET facts = json_remove(facts, '$.removal')")
+        assert "removal" not in journal.execute("SELECT facts FROM pass").fetchone()[0]
+    assert (await resumed(site))["outcome"] == "in_tolerance"
+    cycle, rate = site.learned()[0]
+    assert (cycle, rate) == (1, pytest.approx(RATE, rel=0.05))
+
+
 @pytest.mark.parametrize("what", ["arrays", "plan", "start"])
 async def test_a_store_that_lost_what_the_journal_names_is_told_before_anything_is_opened(
     site: Rerun, what: str
@@ -177,11 +190,8 @@ async def test_another_program_is_refused_and_the_old_one_goes_on(site: Rerun) -
 
 
 async def test_a_run_folder_that_cannot_be_written_ends_no_job(site: Rerun, monkeypatch: pytest.MonkeyPatch) -> None:
-    from polishd.daemon import job
-
     def full(*arguments: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    for name in ("save_surface", "save_plan"):
-        monkeypatch.setattr(job, name, full)
+    monkeypatch.setattr(RunFolder, "write", full)
     assert (await run_cell(site.config, site.hooks))["outcome"] == "in_tolerance"

@@ -25,7 +25,6 @@ def plan_of(text: bytes = FEED) -> Plan:
     segments = tuple(Segment(seq, block) for seq, block in enumerate(program.blocks))
     return Plan(
         program=program,
-        original_sha256="0" * 64,
         approach_blocks=int(program.block[0]),
         contact_blocks=int(program.block[-1]) + 1,
         expected_time_s=program.time_s + 0.01,

@@ -74,6 +74,11 @@ def program(points_mm: FloatArray, time_s: float | FloatArray = 0.1, encoding: E
     return Program(b"", "", "test", "rs274", encoding, lines + 1, lines, start, end, axis, time, n, 3000.0)
 
 
+def scaled(effect: SparseEffect, factor: float) -> SparseEffect:
+    """The same effect at a rate that is ``factor`` times as high."""
+    return SparseEffect(effect.grid, effect.matrix * factor)
+
+
 def envelope(**changes: float) -> Envelope:
     """The demo cell's envelope, with changes."""
     limits: dict[str, float] = {

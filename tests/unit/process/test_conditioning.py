@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from polishd.model.errors import BadMap
 from polishd.model.surface import Grid, SurfaceMap
-from polishd.process.conditioning import Conditioned, condition, fill_holes, process_grid
+from polishd.process.conditioning import Conditioned, Masks, condition, fill_holes, process_grid
 from polishd.process.metrics import polynomial
 from polishd.process.registration.resampling import resample_registered
 from tests.unit.process.gaussian import rough
@@ -82,7 +82,6 @@ def test_a_map_is_brought_onto_the_grid_and_levelled() -> None:
     tilted = conditioned(surface.with_height(surface.height_nm + 500 + 3 * x - 7 * y), removal="tilt")
     part = conditioned(surface, removal="tilt")
     assert part.grid == Grid(60, 60, 1.0)
-    assert part.filled == 0
     np.testing.assert_allclose(tilted.height_nm, part.height_nm, atol=1e-9)
     inside = part.height_nm[part.metric_mask]
     assert inside.mean() == pytest.approx(0, abs=1e-10)
@@ -129,11 +128,10 @@ def test_a_hole_is_filled_but_does_not_count() -> None:
 
 def test_frozen_masks_stay_and_their_holes_are_filled() -> None:
     first = conditioned(disc_map())
-    masks = (first.solve_mask, first.metric_mask)
+    masks = Masks(first.solve_mask, first.metric_mask)
     later = conditioned(with_hole(disc_map(), 5, -4, 2.5), masks=masks)
     np.testing.assert_array_equal(later.solve_mask, first.solve_mask)
     np.testing.assert_array_equal(later.metric_mask, first.metric_mask)
-    assert later.filled > 0
     assert np.isfinite(later.height_nm[later.solve_mask]).all()
     assert np.abs(later.height_nm - first.height_nm)[first.solve_mask].max() < 10
     with pytest.raises(BadMap, match="samples that the first map had are missing"):

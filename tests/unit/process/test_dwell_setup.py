@@ -18,7 +18,7 @@ from polishd.process.dwell.setup import (
     regularisation_from_rho,
     sigma_max,
 )
-from tests.unit.process.gaussian import dwell_problem, rough
+from tests.unit.process.gaussian import dwell_problem, rough, scaled
 
 PROBLEM = dwell_problem(radius_mm=10)
 EFFECT, MASK = PROBLEM.effect, PROBLEM.solve_mask
@@ -87,7 +87,7 @@ def test_sigma_max_is_the_largest_singular_value() -> None:
 def test_rho_is_dimensionless() -> None:
     p = regularisation_from_rho(EFFECT, MASK, 1e-4)
     assert p * np.count_nonzero(MASK) / sigma_max(EFFECT, MASK) ** 2 == pytest.approx(1e-4)
-    assert regularisation_from_rho(EFFECT.scaled(3.0), MASK, 1e-4) == pytest.approx(9 * p)
+    assert regularisation_from_rho(scaled(EFFECT, 3.0), MASK, 1e-4) == pytest.approx(9 * p)
     assert regularisation_from_rho(EFFECT, MASK, 0.0) == 0
 
 
@@ -99,9 +99,9 @@ def test_rho_out_of_range(rho: float) -> None:
 
 def test_effects_without_effect() -> None:
     with pytest.raises(ComputeError, match="zero or not finite"):
-        regularisation_from_rho(EFFECT.scaled(0.0), MASK, 1e-4)
+        regularisation_from_rho(scaled(EFFECT, 0.0), MASK, 1e-4)
     with pytest.raises(ComputeError, match="zero or not finite"):
-        regularisation_from_rho(EFFECT.scaled(float("nan")), MASK, 1e-4)
+        regularisation_from_rho(scaled(EFFECT, float("nan")), MASK, 1e-4)
     with pytest.raises(ComputeError, match="solve_mask is empty"):
         regularisation_from_rho(EFFECT, MASK & ~MASK, 1e-4)
 

@@ -14,7 +14,7 @@ from polishd.process.dwell.newton_cg import solve
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.validation import check
 from polishd.process.effect import SparseEffect
-from tests.unit.process.gaussian import dwell_problem
+from tests.unit.process.gaussian import dwell_problem, scaled
 
 GOOD = dwell_problem(radius_mm=6)
 N = GOOD.effect.n
@@ -58,7 +58,7 @@ CASES = {
     "P nan": ({"regularisation": float("nan")}, "regularisation must be finite and not negative"),
     "effect nan": ({"effect": effect(value=np.nan)}, "the effect is not finite"),
     "effect negative": ({"effect": effect(value=-1.0)}, "the effect is negative somewhere"),
-    "effect zero": ({"effect": GOOD.effect.scaled(0.0)}, "the effect is zero at every sample"),
+    "effect zero": ({"effect": scaled(GOOD.effect, 0.0)}, "the effect is zero at every sample"),
 }
 
 

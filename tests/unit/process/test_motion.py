@@ -86,12 +86,17 @@ def test_each_block_takes_its_overhead() -> None:
 
 
 def test_a_dwell_on_the_spot_takes_its_time_and_the_overhead() -> None:
-    points = line(*[1.0] * 9)
-    dwells = program(points, 0.2, "dwell")
+    dwells = program(np.zeros((10, 3)), 0.2, "dwell")
     limits = envelope(block_overhead_s=0.01)
     np.testing.assert_allclose(delivered_time_s(dwells, np.full(10, 0.2), limits), 0.21)
     np.testing.assert_allclose(least_time_s(dwells, limits), 0.01)
     np.testing.assert_allclose(most_time_s(dwells, limits), limits.max_pass_s)
+
+
+def test_a_dwell_takes_the_move_that_leads_to_it_from_rest_to_rest() -> None:
+    dwells = program(line(*[1.0] * 9), 0.2, "dwell")
+    move = 2 * np.sqrt(1.0 / A)
+    np.testing.assert_allclose(delivered_time_s(dwells, np.full(10, 0.2), envelope()), [0.2, *[0.2 + move] * 9])
 
 
 def test_most_time_is_that_of_the_smallest_feed_and_never_below_the_least() -> None:

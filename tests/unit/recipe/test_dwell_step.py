@@ -19,7 +19,7 @@ from polishd.process.edge.correctable import Transfer
 from polishd.recipe import dwell_step, foresight, steps
 from polishd.recipe.dwell_step import EXTENDED_WEIGHT
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.steps import Beliefs, Measured
+from polishd.recipe.records import Measured
 from tests.unit.daemon.small import (
     APERTURE_MM,
     gaussian_effect,
@@ -34,7 +34,7 @@ def short_sighted(recipe: Recipe, lost_mm: float) -> Measured:
     """A measurement whose map ends so far before the part's rim."""
     surface = small_map()
     seen = surface.grid.radius_mm() <= APERTURE_MM / 2 - lost_mm
-    return steps.condition(recipe, surface.with_height(np.where(seen, surface.height_nm, np.nan)), None)
+    return steps.condition(recipe, surface.with_height(np.where(seen, surface.height_nm, np.nan)))
 
 
 def asked(recipe: Recipe, measured: Measured) -> DwellProblem:
@@ -45,7 +45,7 @@ def asked(recipe: Recipe, measured: Measured) -> DwellProblem:
         given.append(problem)
         return newton_cg.solve(problem, within_s)
 
-    dwell_step.solve(replace(recipe, solver=DwellSolver("seen", solve)), small_program(), measured, Beliefs())
+    dwell_step.solve(replace(recipe, solver=DwellSolver("seen", solve)), small_program(), measured)
     return given[0]
 
 
@@ -67,12 +67,12 @@ def test_a_rim_without_data_is_extended_at_a_small_weight(method: str) -> None:
 
 
 def test_the_extended_rim_is_nearer_to_the_truth() -> None:
-    truth = steps.condition(small_recipe(), small_map(), None)
+    truth = steps.condition(small_recipe(), small_map())
     left = {}
     for method in ("none", "c1"):
         recipe = small_recipe(extension=method)
         measured = short_sighted(recipe, 1.0)
-        found = dwell_step.solve(recipe, small_program(), measured, Beliefs())
+        found = dwell_step.solve(recipe, small_program(), measured)
         rim = truth.solve_mask & ~measured.solve_mask
         after = truth.height_nm - found.answer.removal_nm(found.dwell.time_s)
         left[method] = float((after[rim] - after[measured.metric_mask].mean()).std())
@@ -96,8 +96,8 @@ def test_a_free_rim_reaches_the_removal_model() -> None:
         return gaussian_effect(request)
 
     for free in (False, True):
-        recipe = small_recipe(model=RemovalModel("asked", ask), free_rim=free)
-        steps.effect_of(recipe, small_program(), steps.process_grid(recipe), 1.0)
+        recipe = small_recipe(model=RemovalModel("asked", ask), rim="free" if free else "ring")
+        steps.effect_of(recipe, small_program(), steps.process_grid(recipe))
     ring, rim = (request.rim for request in seen)
     assert ring is None
     assert rim is not None
@@ -109,18 +109,18 @@ def test_the_certificate_says_what_is_out_of_reach() -> None:
         return replace(gaussian_effect(request), transfer=Transfer(np.zeros(1), np.ones(1), 0.05, 5.0, None))
 
     recipe = small_recipe(model=RemovalModel("short", short))
-    measured = steps.condition(recipe, small_map(), None)
-    (note,) = dwell_step.solve(recipe, small_program(), measured, Beliefs()).dwell.certificate.notes
+    measured = steps.condition(recipe, small_map())
+    (note,) = dwell_step.solve(recipe, small_program(), measured).dwell.certificate.notes
     assert "nm RMS of the surface has periods below 5.00 mm" in note
-    plain = dwell_step.solve(small_recipe(), small_program(), measured, Beliefs())
+    plain = dwell_step.solve(small_recipe(), small_program(), measured)
     assert plain.dwell.certificate.notes == ()
 
 
 def test_a_time_budget_is_kept_and_costs_residual() -> None:
-    measured = steps.condition(small_recipe(), small_map(), None)
-    free = dwell_step.solve(small_recipe(), small_program(), measured, Beliefs()).dwell.certificate
+    measured = steps.condition(small_recipe(), small_map())
+    free = dwell_step.solve(small_recipe(), small_program(), measured).dwell.certificate
     budget = 0.8 * free.dwell_total_s
-    kept = dwell_step.solve(small_recipe(choose="budget", budget_s=budget), small_program(), measured, Beliefs())
+    kept = dwell_step.solve(small_recipe(choose="budget", budget_s=budget), small_program(), measured)
     c = kept.dwell.certificate
     assert 0.95 * budget < c.dwell_total_s <= budget * 1.0001
     assert c.predicted_rms_nm > free.predicted_rms_nm
@@ -128,35 +128,33 @@ def test_a_time_budget_is_kept_and_costs_residual() -> None:
 
 
 def test_a_budget_below_what_motion_takes_is_refused_with_both_numbers() -> None:
-    measured = steps.condition(small_recipe(), small_map(), None)
+    measured = steps.condition(small_recipe(), small_map())
     with pytest.raises(ComputeError, match=r"0\.5 s"):
-        dwell_step.solve(small_recipe(choose="budget", budget_s=0.5), small_program(), measured, Beliefs())
+        dwell_step.solve(small_recipe(choose="budget", budget_s=0.5), small_program(), measured)
 
 
 def test_a_curve_comes_with_the_plan_if_asked_for() -> None:
-    measured = steps.condition(small_recipe(), small_map(), None)
-    solved = dwell_step.solve(small_recipe(curve=True), small_program(), measured, Beliefs())
+    measured = steps.condition(small_recipe(), small_map())
+    solved = dwell_step.solve(small_recipe(curve=True), small_program(), measured)
     totals, left = ([row[key] for row in solved.curve] for key in ("total_s", "rms_nm"))
     assert totals == sorted(totals)
     assert left[-1] < 0.5 * left[0]
     assert left[-1] == pytest.approx(solved.dwell.certificate.predicted_rms_nm, rel=0.05)
-    assert dwell_step.solve(small_recipe(), small_program(), measured, Beliefs()).curve == ()
+    assert dwell_step.solve(small_recipe(), small_program(), measured).curve == ()
 
 
 def test_a_target_is_met_in_the_least_time() -> None:
-    measured = steps.condition(small_recipe(), small_map(), None)
-    free = dwell_step.solve(small_recipe(), small_program(), measured, Beliefs()).dwell.certificate
+    measured = steps.condition(small_recipe(), small_map())
+    free = dwell_step.solve(small_recipe(), small_program(), measured).dwell.certificate
     aim = 1.5 * free.predicted_rms_nm
-    c = dwell_step.solve(
-        small_recipe(choose="target", target_nm=aim), small_program(), measured, Beliefs()
-    ).dwell.certificate
+    c = dwell_step.solve(small_recipe(choose="target", target_nm=aim), small_program(), measured).dwell.certificate
     assert 0.95 * aim < c.predicted_rms_nm <= aim * 1.001
     assert c.dwell_total_s < free.dwell_total_s
 
 
 def test_the_knee_is_a_point_of_the_curve() -> None:
-    measured = steps.condition(small_recipe(), small_map(), None)
-    found = dwell_step.solve(small_recipe(choose="knee", curve=True), small_program(), measured, Beliefs())
+    measured = steps.condition(small_recipe(), small_map())
+    found = dwell_step.solve(small_recipe(choose="knee", curve=True), small_program(), measured)
     product = found.dwell.certificate.dwell_total_s * found.dwell.certificate.predicted_rms_nm
     longest = max(found.curve, key=lambda row: row["total_s"])
     assert product <= longest["total_s"] * longest["rms_nm"] * 1.01
@@ -179,30 +177,30 @@ def test_a_removal_that_takes_too_long_is_refused_before_it_is_solved(
     model: Callable[[RemovalRequest], RemovalAnswer],
 ) -> None:
     kind = RemovalModel("m", model)
-    program, measured = small_program(), steps.condition(small_recipe(), small_map(rms_nm=200.0), None)
-    solved = dwell_step.solve(small_recipe(model=kind), program, measured, Beliefs())
+    program, measured = small_program(), steps.condition(small_recipe(), small_map(rms_nm=200.0))
+    solved = dwell_step.solve(small_recipe(model=kind), program, measured)
     takes = float(solved.expected_s.sum())
     with pytest.raises(
         PlanRefused, match=r"at least \d+ s, more than limits\.max_pass_s = .* set it to \d+ or more"
     ) as said:
-        dwell_step.solve(limited(0.5 * takes, model=kind), program, measured, Beliefs())
+        dwell_step.solve(limited(0.5 * takes, model=kind), program, measured)
     least = float(re.findall(r"at least (\d+) s", str(said.value))[0])
     assert 0.5 * takes < least < takes, "a lower bound, and not a poor one"
     with pytest.raises(AssertionError, match="solved"):
-        dwell_step.solve(limited(takes, model=kind), program, measured, Beliefs())
+        dwell_step.solve(limited(takes, model=kind), program, measured)
 
 
 def test_a_budget_may_take_less_than_all_of_the_removal() -> None:
-    measured = steps.condition(small_recipe(), small_map(rms_nm=200.0), None)
-    answer = steps.effect_of(small_recipe(), small_program(), measured.grid, 1.0)
+    measured = steps.condition(small_recipe(), small_map(rms_nm=200.0))
+    answer = steps.effect_of(small_recipe(), small_program(), measured.grid)
     least = foresight.removal_time_s(measured, answer, np.zeros(small_program().n))
     with pytest.raises(AssertionError, match="solved"):
-        dwell_step.solve(limited(0.5 * least, choose="knee"), small_program(), measured, Beliefs())
+        dwell_step.solve(limited(0.5 * least, choose="knee"), small_program(), measured)
 
 
 def test_a_path_that_takes_too_long_is_refused_before_anything_is_computed() -> None:
-    measured = steps.condition(small_recipe(), small_map(), None)
+    measured = steps.condition(small_recipe(), small_map())
     with pytest.raises(
         PlanRefused, match=r"small.rnc at the largest feed takes \d+ s, more than limits.max_pass_s = 3 s"
     ):
-        dwell_step.solve(limited(3.0, model=RemovalModel("never", never)), small_program(), measured, Beliefs())
+        dwell_step.solve(limited(3.0, model=RemovalModel("never", never)), small_program(), measured)

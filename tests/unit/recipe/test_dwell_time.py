@@ -16,7 +16,7 @@ from polishd.process.dwell.problem import DwellProblem
 from polishd.recipe import dwell_step, steps
 from polishd.recipe.dwell_step import require_certificate
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.steps import Beliefs, Measured, Solved
+from polishd.recipe.records import Measured, Solved
 from tests.unit.daemon.small import small_map, small_program, small_recipe
 
 
@@ -44,8 +44,8 @@ class Costly:
 
 
 def solved(recipe: Recipe) -> Solved:
-    measured: Measured = steps.condition(recipe, small_map(), None)
-    return dwell_step.solve(recipe, small_program(), measured, Beliefs())
+    measured: Measured = steps.condition(recipe, small_map())
+    return dwell_step.solve(recipe, small_program(), measured)
 
 
 def total_s() -> float:
@@ -56,14 +56,14 @@ def test_what_is_left_is_what_each_solve_gets(monkeypatch: pytest.MonkeyPatch) -
     budget = 0.8 * total_s()
     costly = Costly(monkeypatch, 1.0)
     other = DwellSolver("other", costly.solve)
-    solved(costly.recipe(solve_s=500.0, choose="budget", budget_s=budget, curve=True, cross_check=other))
+    solved(costly.recipe(within_s=500.0, choose="budget", budget_s=budget, curve=True, cross_check=other))
     assert len(costly.given) > 20, "search, cross-check and curve"
     assert costly.given == [500.0 - done for done in range(len(costly.given))]
 
 
 def test_the_last_solve_has_its_share(monkeypatch: pytest.MonkeyPatch) -> None:
     costly = Costly(monkeypatch, 100.0)
-    certificate = solved(costly.recipe(solve_s=40.0)).dwell.certificate
+    certificate = solved(costly.recipe(within_s=40.0)).dwell.certificate
     assert costly.given[0] == pytest.approx(30.0)
     assert costly.given[-1] == pytest.approx(10.0)
     assert sum(costly.given) == pytest.approx(40.0)
@@ -86,7 +86,7 @@ def test_the_last_solve_ends_what_the_rounds_began(monkeypatch: pytest.MonkeyPat
         costly.needs_s -= within_s
         return found
 
-    certificate = solved(costly.recipe(solver=DwellSolver("goes_on", goes_on), solve_s=40.0)).dwell.certificate
+    certificate = solved(costly.recipe(solver=DwellSolver("goes_on", goes_on), within_s=40.0)).dwell.certificate
     require_certificate(certificate, small_recipe())
 
 
@@ -94,7 +94,7 @@ def test_the_last_solve_ends_what_the_rounds_began(monkeypatch: pytest.MonkeyPat
 def test_a_search_that_is_cut_short_is_refused(choose: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     costly = Costly(monkeypatch, 2.0)
     with pytest.raises(ComputeError) as caught:
-        solved(costly.recipe(solve_s=3.0, **choose))
+        solved(costly.recipe(within_s=3.0, **choose))
     for words in (
         f'choose = "{choose["choose"]}" takes many solves, and its time was over after 1:',
         "3.0 s of CPU time and 6.0 s of wall time were used, and the next solve's KKT residual was 9.80e-03 after 7",
@@ -105,7 +105,7 @@ def test_a_search_that_is_cut_short_is_refused(choose: dict[str, Any], monkeypat
 
 def test_a_plan_is_not_refused_for_want_of_its_curve(monkeypatch: pytest.MonkeyPatch) -> None:
     costly = Costly(monkeypatch, 1.0)
-    found = solved(costly.recipe(solve_s=8.0, curve=True))
+    found = solved(costly.recipe(within_s=8.0, curve=True))
     assert found.curve == ()
     assert found.dwell.certificate.stopped == "converged"
     assert found.dwell.certificate.notes[-1].startswith("no curve of residual against time: curve takes many solves")
@@ -113,12 +113,12 @@ def test_a_plan_is_not_refused_for_want_of_its_curve(monkeypatch: pytest.MonkeyP
 
 def test_a_cross_check_that_is_cut_short_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     slow = DwellSolver("slow", Costly(monkeypatch, 100.0).solve)
-    certificate = solved(small_recipe(solve_s=10.0, cross_check=slow)).dwell.certificate
+    certificate = solved(small_recipe(within_s=10.0, cross_check=slow)).dwell.certificate
     assert (certificate.cross_check, certificate.cross_check_gap) == (None, None)
     assert certificate.notes[-1] == "cross-check by slow was not done in what was left of dwell.within_s"
 
 
 def test_the_workers_limit_follows_from_the_same_key() -> None:
-    limit = dwell_step.limit(small_recipe(solve_s=30.0))
+    limit = dwell_step.limit(small_recipe(within_s=30.0))
     assert limit.within_s == 120.0
     assert limit.key == "dwell.within_s (30 s)"

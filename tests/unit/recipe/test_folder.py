@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from polishd.model.surface import SurfaceMap
 from polishd.recipe.folder import RunFolder
 
 
@@ -17,6 +18,10 @@ from polishd.recipe.folder import RunFolder
 class Note:
     text: str
     count: int
+
+
+def of_file(path: Path | None) -> SurfaceMap:
+    return SurfaceMap(np.zeros((2, 2)), 1.0, path=path)
 
 
 @pytest.fixture
@@ -37,25 +42,31 @@ def test_a_folder_a_cycle(folder: RunFolder) -> None:
 
 
 def test_bytes_and_copies(folder: RunFolder, tmp_path: Path) -> None:
-    folder.bytes("program.rnc", b"G1\r\n")
     source = tmp_path / "scan.dat"
     source.write_bytes(b"\x00\xff")
-    folder.copy(source, "map.dat")
+    folder.write({"program.rnc": b"G1\r\n"})
+    folder.map_file(of_file(source))
     assert (folder.path / "program.rnc").read_bytes() == b"G1\r\n"
     assert (folder.path / "map.dat").read_bytes() == b"\x00\xff"
     assert sorted(path.name for path in folder.path.iterdir()) == ["map.dat", "program.rnc"]
 
 
+def test_a_map_without_a_file_leaves_none(folder: RunFolder) -> None:
+    folder.map_file(of_file(None))
+    assert list(folder.path.iterdir()) == []
+
+
 def test_a_copy_that_fails_leaves_the_old_one(folder: RunFolder, tmp_path: Path) -> None:
     folder.bytes("map.dat", b"old")
     with pytest.raises(FileNotFoundError):
-        folder.copy(tmp_path / "gone.dat", "map.dat")
+        folder.map_file(of_file(tmp_path / "gone.dat"))
     assert (folder.path / "map.dat").read_bytes() == b"old"
 
 
 def test_a_folder_that_somebody_deleted_is_made_anew(folder: RunFolder, tmp_path: Path) -> None:
     cycle = folder.cycle(0)
-    for write in (lambda: cycle.bytes("x", b"x"), lambda: cycle.copy(Path(__file__), "y"), lambda: cycle.json("z", {})):
+    here = of_file(Path(__file__))
+    for write in (lambda: cycle.bytes("x", b"x"), lambda: cycle.map_file(here), lambda: cycle.json("z", {})):
         shutil.rmtree(folder.path, ignore_errors=True)
         assert not cycle.holds("x")
         write()
@@ -82,24 +93,3 @@ def test_json_that_cannot_be_written_leaves_the_old_one(folder: RunFolder) -> No
     with pytest.raises(TypeError, match="not JSON: object"):
         folder.json("x.json", {"a": object()})
     assert json.loads((folder.path / "x.json").read_text()) == {"a": 1}
-
-
-def test_arrays(folder: RunFolder) -> None:
-    height = np.array([[1.5, np.nan], [-0.0, 1e300]])
-    folder.arrays("x.npz", {"height": height, "mask": np.isfinite(height), "pitch": 0.5})
-    with np.load(folder.path / "x.npz") as archive:
-        back = dict(archive)
-    assert set(back) == {"height", "mask", "pitch"}
-    assert np.array_equal(back["height"], height, equal_nan=True)
-    assert back["mask"].dtype == np.bool_
-    assert float(back["pitch"]) == 0.5
-
-
-def test_a_table(folder: RunFolder) -> None:
-    folder.table("x.csv", {"seq": np.arange(2), "t_s": np.array([0.1, 123456.789]), "on": np.array([True, False])})
-    assert (folder.path / "x.csv").read_text() == "seq,t_s,on\n0,0.1,1\n1,123456.789,0\n"
-
-
-def test_a_table_of_nothing_has_its_header(folder: RunFolder) -> None:
-    folder.table("x.csv", {"seq": np.zeros(0), "t_s": np.zeros(0)})
-    assert (folder.path / "x.csv").read_text().splitlines() == ["seq,t_s"]

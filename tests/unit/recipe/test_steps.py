@@ -22,10 +22,11 @@ from polishd.process.dwell.problem import DwellProblem
 from polishd.process.frames import dips_deg, surface_normals
 from polishd.recipe import dwell_step, steps
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.steps import Beliefs, Measured, Solved
+from polishd.recipe.records import Believed, Measured, Pass, Solved
 from tests.rs274 import RS274
 from tests.unit.daemon.small import (
     APERTURE_MM,
+    at_rate,
     gaussian_effect,
     pointwise_effect,
     small_map,
@@ -45,12 +46,12 @@ def program() -> Program:
 
 @pytest.fixture(scope="module")
 def measured() -> Measured:
-    return steps.condition(small_recipe(), small_map(), None)
+    return steps.condition(small_recipe(), small_map())
 
 
 @pytest.fixture(scope="module")
 def solved(program: Program, measured: Measured) -> Solved:
-    return dwell_step.solve(small_recipe(), program, measured, Beliefs())
+    return dwell_step.solve(small_recipe(), program, measured)
 
 
 def dwelling(text: bytes = b"") -> bytes:
@@ -63,7 +64,7 @@ def dwelling(text: bytes = b"") -> bytes:
 
 
 def test_in_part_frame_turns_first_and_moves_then(program: Program) -> None:
-    recipe = small_recipe(program_rotation_deg=90.0, program_offset_mm=(1.0, 2.0, 3.0))
+    recipe = small_recipe(rotation_deg=90.0, offset_mm=(1.0, 2.0, 3.0))
     tilted = replace(program, axis=np.tile([0.6, 0.0, 0.8], (program.n, 1)))
     part = steps.in_part_frame(recipe, tilted)
     x, y, z = program.end_mm.T
@@ -71,6 +72,8 @@ def test_in_part_frame_turns_first_and_moves_then(program: Program) -> None:
     assert part.start_mm[0] == pytest.approx([1 - program.start_mm[0, 1], 2 + program.start_mm[0, 0], 3])
     assert part.axis[0] == pytest.approx([0.0, 0.6, 0.8]), "an axis is turned, not moved"
     assert part.text == program.text
+    assert (program.frame, part.frame) == ("program", "part")
+    assert steps.in_part_frame(recipe, part) is part, "it is not turned twice"
 
 
 def test_no_rotation_and_no_offset_change_nothing(program: Program) -> None:
@@ -81,9 +84,9 @@ def test_effect_lies_where_the_part_frame_says(program: Program, measured: Measu
     """A program that covers the upper half of the part, turned by 180 degrees, works the lower half."""
     upper = program.end_mm[:, 1] > 4
     time = upper.astype(float)
-    plain = steps.effect_of(small_recipe(), program, measured.grid, 1.0).effect.removal_nm(time)
-    turned = small_recipe(program_rotation_deg=180.0)
-    other = steps.effect_of(turned, program, measured.grid, 1.0).effect.removal_nm(time)
+    plain = steps.effect_of(small_recipe(), program, measured.grid).effect.removal_nm(time)
+    turned = small_recipe(rotation_deg=180.0)
+    other = steps.effect_of(turned, program, measured.grid).effect.removal_nm(time)
     above = measured.grid.y_mm[:, None] + 0 * measured.grid.x_mm > 0
     assert plain[above].sum() > 50 * plain[~above].sum()
     assert other[~above].sum() > 50 * other[above].sum()
@@ -91,7 +94,7 @@ def test_effect_lies_where_the_part_frame_says(program: Program, measured: Measu
 
 def test_effect_follows_the_rate(program: Program, measured: Measured) -> None:
     one, two = (
-        steps.effect_of(small_recipe(), program, measured.grid, rate).effect.removal_nm(program.time_s)
+        steps.effect_of(small_recipe(), program, measured.grid, at_rate(rate)).effect.removal_nm(program.time_s)
         for rate in (1.0, 1.2)
     )
     assert two.max() == pytest.approx(1.2 * one.max())
@@ -116,18 +119,17 @@ def test_condition_states_figures_and_freezes_masks(measured: Measured) -> None:
     assert abs(measured.height_nm[measured.metric_mask].mean()) < 1e-6
     radius = measured.grid.radius_mm()
     assert radius[measured.metric_mask].max() <= APERTURE_MM / 2 - 2
-    masks = (measured.solve_mask, measured.metric_mask)
-    again = steps.condition(small_recipe(), small_map(seed=1), masks)
+    again = steps.condition(small_recipe(), small_map(seed=1), measured.masks)
     assert np.array_equal(again.solve_mask, measured.solve_mask)
 
 
 def test_condition_refuses_masks_of_another_grid(measured: Measured) -> None:
     with pytest.raises(BadMap, match="masks"):
-        steps.condition(small_recipe(grid_mm=2.0), small_map(), (measured.solve_mask, measured.metric_mask))
+        steps.condition(small_recipe(grid_mm=2.0), small_map(), measured.masks)
 
 
 def test_a_band_is_stated_where_the_tolerance_has_one() -> None:
-    stats = steps.condition(small_recipe(tolerance_period_mm=12.0), small_map(), None).stats
+    stats = steps.condition(small_recipe(tolerance_period_mm=12.0), small_map()).stats
     assert stats.band_rms_nm is not None
     assert 0 < stats.band_rms_nm < stats.rms_nm
 
@@ -135,10 +137,10 @@ def test_a_band_is_stated_where_the_tolerance_has_one() -> None:
 def test_tilt_is_figure_unless_it_is_alignment() -> None:
     surface = small_map()
     tilted = surface.with_height(surface.height_nm + 10.0 * surface.grid.x_mm)
-    assert steps.condition(small_recipe(alignment="piston"), tilted, None).stats.rms_nm > 40
-    levelled = steps.condition(small_recipe(), tilted, None)
+    assert steps.condition(small_recipe(alignment="piston"), tilted).stats.rms_nm > 40
+    levelled = steps.condition(small_recipe(), tilted)
     assert np.ptp(levelled.height_nm) < 200
-    plain = steps.condition(small_recipe(), surface, None)
+    plain = steps.condition(small_recipe(), surface)
     assert levelled.stats.rms_nm == pytest.approx(plain.stats.rms_nm, rel=1e-6), "the figure has no alignment in it"
 
 
@@ -146,14 +148,14 @@ def test_power_may_be_alignment_too(program: Program, measured: Measured, solved
     recipe = small_recipe(alignment="power")
     surface = small_map()
     bowl = surface.with_height(surface.height_nm + 3.0 * surface.grid.radius_mm() ** 2)
-    found, plain = (steps.condition(recipe, map_, None) for map_ in (bowl, surface))
+    found, plain = (steps.condition(recipe, map_) for map_ in (bowl, surface))
     assert found.stats.rms_nm == pytest.approx(plain.stats.rms_nm, rel=1e-6)
     plan = steps.rewrite(recipe, program, solved, "p.rnc")
     lost = 2.0 * measured.grid.radius_mm() ** 2  # the next alignment hides or shows as much
     after = replace(measured, height_nm=measured.height_nm - 0.9 * plan.predicted_removal_nm + lost)
-    taught = steps.learn(recipe, program, (measured, after), (solved.asked_s, plan.expected_time_s), Beliefs())
+    taught = steps.learn(recipe, program, Pass(measured, after, solved.asked_s, plan.expected_time_s), Believed())
     assert not taught.verdict.stop
-    assert taught.beliefs.rate == pytest.approx(0.9, abs=0.01)
+    assert taught.believed.rate == pytest.approx(0.9, abs=0.01)
 
 
 def test_spikes_and_the_nominal_form_are_taken_off() -> None:
@@ -162,27 +164,11 @@ def test_spikes_and_the_nominal_form_are_taken_off() -> None:
     spiked = surface.height_nm + form.height_nm
     spiked[surface.grid.ny // 2, surface.grid.nx // 2] += 1e5
     recipe = small_recipe(nominal=form, spike_mads=50.0)
-    found = steps.condition(recipe, surface.with_height(spiked), None)
+    found = steps.condition(recipe, surface.with_height(spiked))
     assert found.spikes == 1
-    plain = steps.condition(small_recipe(), surface, None)
+    plain = steps.condition(small_recipe(), surface)
     assert found.stats.rms_nm == pytest.approx(plain.stats.rms_nm, rel=0.01)
-    assert steps.condition(small_recipe(), surface.with_height(spiked), None).stats.rms_nm > 10 * plain.stats.rms_nm
-
-
-def test_load_measured_gives_back_what_was_kept(measured: Measured) -> None:
-    arrays = {
-        "height_nm": np.where(measured.solve_mask, measured.height_nm, np.nan),
-        "solve_mask": measured.solve_mask,
-        "metric_mask": measured.metric_mask,
-        "pitch_mm": np.asarray(1.0),
-        "lies": np.array([0.3, -0.2, 0.1]),
-    }
-    back = steps.load_measured(small_recipe(), arrays, "abc")
-    assert back.sha256 == "abc"
-    assert (back.registration.shift_mm, back.registration.rotation_deg) == ((0.3, -0.2), 0.1)
-    assert back.grid == measured.grid
-    assert np.array_equal(back.height_nm, measured.height_nm)
-    assert np.array_equal(back.metric_mask, measured.metric_mask)
+    assert steps.condition(small_recipe(), surface.with_height(spiked)).stats.rms_nm > 10 * plain.stats.rms_nm
 
 
 # solve
@@ -204,7 +190,7 @@ def test_pointwise_is_the_static_dwell_divided_by_gamma_within_the_real_bounds(
     program: Program, measured: Measured
 ) -> None:
     recipe = small_recipe(model=POINTWISE, envelope=replace(small_recipe().envelope, accel_mm_s2=1e9))
-    solved = dwell_step.solve(recipe, program, measured, Beliefs())
+    solved = dwell_step.solve(recipe, program, measured)
     gamma, dwell = solved.answer.gamma, solved.dwell
     least = program.length_mm / recipe.envelope.max_feed_mm_s
     np.testing.assert_allclose(dwell.lower_s, least, rtol=1e-5)
@@ -220,7 +206,7 @@ def test_pointwise_is_the_static_dwell_divided_by_gamma_within_the_real_bounds(
 def test_pointwise_asks_for_the_same_flat_surface_in_more_time(
     program: Program, measured: Measured, solved: Solved
 ) -> None:
-    pointwise = dwell_step.solve(small_recipe(model=POINTWISE), program, measured, Beliefs())
+    pointwise = dwell_step.solve(small_recipe(model=POINTWISE), program, measured)
     assert pointwise.dwell.certificate.predicted_rms_nm < 1.5 * solved.dwell.certificate.predicted_rms_nm
     more = pointwise.dwell.certificate.dwell_total_s / solved.dwell.certificate.dwell_total_s
     assert 1.1 < more < 1.4
@@ -228,13 +214,12 @@ def test_pointwise_asks_for_the_same_flat_surface_in_more_time(
 
 def test_what_was_planned_and_learned_pointwise_knows_of_the_division(program: Program, measured: Measured) -> None:
     recipe = small_recipe(model=POINTWISE)
-    solved = dwell_step.solve(recipe, program, measured, Beliefs())
+    solved = dwell_step.solve(recipe, program, measured)
     plan = steps.rewrite(recipe, program, solved, "p.rnc")
     np.testing.assert_allclose(plan.predicted_removal_nm, solved.answer.removal_nm(plan.expected_time_s), rtol=1e-12)
     after = replace(measured, height_nm=measured.height_nm - 0.93 * plan.predicted_removal_nm)
-    times = (solved.asked_s, plan.expected_time_s)
-    beliefs = steps.learn(recipe, program, (measured, after), times, Beliefs()).beliefs
-    assert beliefs.rate == pytest.approx(0.93, rel=1e-3)
+    done = Pass(measured, after, solved.asked_s, plan.expected_time_s)
+    assert steps.learn(recipe, program, done, Believed()).believed.rate == pytest.approx(0.93, rel=1e-3)
 
 
 def test_the_physics_of_the_recipe_reaches_the_removal_model(program: Program, measured: Measured) -> None:
@@ -247,7 +232,7 @@ def test_the_physics_of_the_recipe_reaches_the_removal_model(program: Program, m
     options = ComplianceOptions(projection="normal", dip_direction="fixed")
     tif = MeasuredTif(np.ones((3, 3)), 0.1)
     recipe = small_recipe(model=RemovalModel("asked", ask), options=options, optic=Optic(800.0), tif=tif)  # type: ignore[arg-type]
-    steps.effect_of(recipe, program, measured.grid, 1.0)
+    steps.effect_of(recipe, program, measured.grid)
     (request,) = asked
     assert (request.options, request.optic, request.tif) == (options, Optic(800.0), tif)  # type: ignore[attr-defined]
 
@@ -264,18 +249,18 @@ def test_a_program_without_an_axis_is_dipped_as_the_cell_dips(program: Program) 
 
 def test_a_path_that_covers_half_the_part_is_refused(measured: Measured) -> None:
     with pytest.raises(ProgramError, match=r"small\.rnc: the path reaches \d+% of the clear aperture"):
-        dwell_step.solve(small_recipe(), small_program(3.0), measured, Beliefs())
+        dwell_step.solve(small_recipe(), small_program(3.0), measured)
 
 
 def test_a_program_in_another_frame_is_refused(program: Program, measured: Measured) -> None:
-    away = small_recipe(program_offset_mm=(15.0, 0.0, 0.0))
+    away = small_recipe(offset_mm=(15.0, 0.0, 0.0))
     with pytest.raises(ProgramError, match="offset_mm"):
-        dwell_step.solve(away, program, measured, Beliefs())
+        dwell_step.solve(away, program, measured)
 
 
 def test_the_overhead_is_taken_off_what_is_asked(program: Program, measured: Measured, solved: Solved) -> None:
     overhead = 0.02
-    late = dwell_step.solve(small_recipe(), program, measured, Beliefs(block_overhead_s=overhead))
+    late = dwell_step.solve(small_recipe(), program, measured, Believed(block_overhead_s=overhead))
     assert late.asked_s == pytest.approx(np.maximum(late.dwell.time_s - overhead, 0.0))
     assert (late.dwell.lower_s >= overhead).all(), "no block is done sooner"
     assert (late.expected_s >= overhead).all()
@@ -286,7 +271,7 @@ def test_what_acceleration_delivers_is_known_to_the_optimum(
     program: Program, measured: Measured, solved: Solved, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(dwell_step, "ENVELOPE_ROUNDS", 0)
-    naive = dwell_step.solve(small_recipe(), program, measured, Beliefs())
+    naive = dwell_step.solve(small_recipe(), program, measured)
     wrong, known = (float(np.maximum(s.expected_s - s.dwell.time_s, 0).sum()) for s in (naive, solved))
     assert known < 0.8 * wrong
     assert solved.expected_s.sum() == pytest.approx(solved.dwell.time_s.sum(), rel=0.01)
@@ -294,8 +279,8 @@ def test_what_acceleration_delivers_is_known_to_the_optimum(
 
 def test_beliefs_come_before_the_data_sheet(program: Program, measured: Measured) -> None:
     recipe = small_recipe(envelope=replace(small_recipe().envelope, block_overhead_s=0.05))
-    stated = dwell_step.solve(recipe, program, measured, Beliefs())
-    learned = dwell_step.solve(recipe, program, measured, Beliefs(block_overhead_s=0.01))
+    stated = dwell_step.solve(recipe, program, measured)
+    learned = dwell_step.solve(recipe, program, measured, Believed(block_overhead_s=0.01))
     assert stated.dwell.lower_s.min() >= 0.05 > learned.dwell.lower_s.min() >= 0.01
 
 
@@ -303,7 +288,7 @@ def test_beliefs_come_before_the_data_sheet(program: Program, measured: Measured
 
 
 def checked(recipe: Recipe, program: Program, measured: Measured) -> DwellSolution:
-    return dwell_step.solve(recipe, program, measured, Beliefs()).dwell
+    return dwell_step.solve(recipe, program, measured).dwell
 
 
 def test_an_independent_solver_agrees(program: Program, measured: Measured) -> None:
@@ -338,7 +323,7 @@ def test_a_cross_check_that_fails_is_noted(program: Program, measured: Measured)
 def test_rewrite_reads_back(program: Program, solved: Solved) -> None:
     plan = steps.rewrite(small_recipe(), program, solved, "small.rnc")
     assert plan.program.time_s == pytest.approx(solved.asked_s, rel=0.02, abs=0.01)
-    assert plan.original_sha256 == program.sha256 != plan.program.sha256
+    assert plan.program.sha256 != program.sha256
     assert (plan.approach_blocks, plan.contact_blocks) == (program.block[0], program.block[-1] + 1)
     assert [segment.text for segment in plan.segments] == plan.program.text.split(b"\n")
     assert [segment.seq for segment in plan.segments] == list(range(len(plan.segments)))
@@ -347,7 +332,7 @@ def test_rewrite_reads_back(program: Program, solved: Solved) -> None:
 
 def test_segments_have_no_line_ends(measured: Measured) -> None:
     program = RS274.read(small_text().replace(b"\n", b"\r\n"), "dos.rnc")
-    solved = dwell_step.solve(small_recipe(), program, measured, Beliefs())
+    solved = dwell_step.solve(small_recipe(), program, measured)
     plan = steps.rewrite(small_recipe(), program, solved, "dos.rnc")
     assert not any(segment.text.endswith((b"\r", b"\n")) for segment in plan.segments)
 
@@ -370,10 +355,9 @@ def test_the_moves_of_a_dwelling_program_take_time(tmp_path: Path) -> None:
     path.write_bytes(dwelling())
     program = steps.read_program(small_recipe(), path)
     assert program.encoding == "dwell"
-    assert program.length_mm[1:] == pytest.approx(1.0)
-    assert program.length_mm[0] == 0.0, "the first move is the approach"
-    acts = steps.as_polished(small_recipe(), program)
-    assert np.array_equal(acts.start_mm, acts.end_mm), "a dwell acts where its move ends"
+    assert program.travel_mm[1:] == pytest.approx(1.0)
+    assert program.travel_mm[0] == 0.0, "the first move is the approach"
+    assert not program.length_mm.any(), "a dwell acts where its move ends"
 
 
 # what forbids to run
@@ -395,7 +379,7 @@ def test_landing_on_the_part_is_named(program: Program, solved: Solved) -> None:
 def test_the_landing_is_judged_in_the_parts_frame(program: Program, solved: Solved) -> None:
     plan = steps.rewrite(small_recipe(), program, solved, "small.rnc")
     x, y = program.start_mm[0, :2]
-    (only,) = steps.violations(small_recipe(program_offset_mm=(-float(x), -float(y), 0.0)), plan)
+    (only,) = steps.violations(small_recipe(offset_mm=(-float(x), -float(y), 0.0)), plan)
     assert "starts at 0.00, 0.00 mm" in only.replace("-0.00", "0.00")
 
 
@@ -413,25 +397,26 @@ def polished(before: Measured, removal_nm: np.ndarray) -> Measured:
 
 
 def removed(program: Program, measured: Measured, solved: Solved, rate: float) -> np.ndarray:
-    return rate * steps.effect_of(small_recipe(), program, measured.grid, 1.0).effect.removal_nm(solved.expected_s)
+    return rate * steps.effect_of(small_recipe(), program, measured.grid).effect.removal_nm(solved.expected_s)
 
 
 @pytest.mark.parametrize(("believed", "true"), [(1.0, 0.9), (0.9, 0.95), (1.0, 1.3)])
 def test_learn_the_rate(program: Program, measured: Measured, solved: Solved, believed: float, true: float) -> None:
     after = polished(measured, removed(program, measured, solved, true))
-    times = (solved.asked_s, solved.expected_s)
-    taught = steps.learn(small_recipe(), program, (measured, after), times, Beliefs(rate=believed))
-    assert taught.beliefs.rate == pytest.approx(true, rel=1e-3), "relative to the model, not to the last belief"
+    done = Pass(measured, after, solved.asked_s, solved.expected_s)
+    taught = steps.learn(small_recipe(), program, done, at_rate(believed))
+    assert taught.believed.rate == pytest.approx(true, rel=1e-3), "relative to the model, not to the last belief"
     assert taught.verdict.stop == ""
-    assert taught.learned is not None
-    assert taught.learned.rate == pytest.approx(true / believed, rel=1e-3)
+    assert taught.found is not None
+    assert taught.found["rate"] == pytest.approx(true / believed, rel=1e-3)
+    assert taught.believed.removal.rate.sigma == pytest.approx(believed * taught.found["rate_sigma"])
 
 
 def test_learn_the_overhead(program: Program, measured: Measured, solved: Solved) -> None:
     after = polished(measured, removed(program, measured, solved, 1.0))
-    times = (solved.asked_s, solved.expected_s + 0.007)
-    beliefs = steps.learn(small_recipe(), program, (measured, after), times, Beliefs()).beliefs
-    assert beliefs.block_overhead_s == pytest.approx(0.007, rel=0.05)
+    done = Pass(measured, after, solved.asked_s, solved.expected_s + 0.007)
+    believed = steps.learn(small_recipe(), program, done, Believed()).believed
+    assert believed.block_overhead_s == pytest.approx(0.007, rel=0.05)
 
 
 @pytest.mark.parametrize("true", [0.75, 1.25])
@@ -439,22 +424,22 @@ def test_a_rate_far_from_the_model_is_a_reason_to_stop(
     program: Program, measured: Measured, solved: Solved, true: float
 ) -> None:
     after = polished(measured, removed(program, measured, solved, true))
-    recipe, times = small_recipe(max_rate_change=0.2), (solved.asked_s, solved.expected_s)
-    taught = steps.learn(recipe, program, (measured, after), times, Beliefs())
+    done = Pass(measured, after, solved.asked_s, solved.expected_s)
+    taught = steps.learn(small_recipe(max_rate_change=0.2), program, done, Believed())
     assert f"{true:.3f} +- " in taught.verdict.stop
     assert "limits.max_rate_change" in taught.verdict.stop
-    assert taught.learned is None
+    assert taught.found is None
 
 
 def test_a_flipped_map_stops_at_the_gate_and_teaches_nothing(
     program: Program, measured: Measured, solved: Solved
 ) -> None:
     after = polished(measured, removed(program, measured, solved, 1.0)[:, ::-1])
-    times = (solved.asked_s, solved.expected_s)
-    taught = steps.learn(small_recipe(), program, (measured, after), times, Beliefs(rate=0.9))
+    done = Pass(measured, after, solved.asked_s, solved.expected_s)
+    taught = steps.learn(small_recipe(), program, done, at_rate(0.9))
     assert "flipped left-right" in taught.verdict.stop
-    assert taught.learned is None
-    assert taught.beliefs == Beliefs(rate=0.9)
+    assert taught.found is None
+    assert taught.believed == at_rate(0.9)
 
 
 @pytest.mark.parametrize("alignment", ["piston", "tilt", "power"])
@@ -465,31 +450,32 @@ def test_nothing_is_learned_from_what_the_gate_cannot_tell(
     """A pass that removed a wedge: the next set-up's tilt is as large, and says nothing of the rate."""
     recipe = small_recipe(alignment=alignment)
     time_s = 0.5 + 0.4 * program.end_mm[:, 0] / APERTURE_MM
-    wedge = steps.effect_of(recipe, program, measured.grid, 1.0).effect.removal_nm(time_s)
+    wedge = steps.effect_of(recipe, program, measured.grid).effect.removal_nm(time_s)
     plane = metrics.fitted(wedge, measured.metric_mask, "tilt")
     after = polished(measured, true * plane + wedge - plane)
-    taught = steps.learn(recipe, program, (measured, after), (time_s, time_s + 0.007), Beliefs(rate=0.9))
+    taught = steps.learn(recipe, program, Pass(measured, after, time_s, time_s + 0.007), at_rate(0.9))
     assert "scaled" in taught.verdict.undecidable
-    assert taught.beliefs.rate == 0.9
-    assert taught.beliefs.block_overhead_s > 0, "what the machine took is known all the same"
-    assert "rate" in taught.beliefs.notes[0]
+    assert taught.believed.rate == 0.9
+    assert taught.believed.block_overhead_s > 0, "what the machine took is known all the same"
+    assert "rate" in taught.notes[0]
 
 
 def test_a_fitted_rate_that_the_gate_could_not_have_refused_is_told_and_not_taken(
     program: Program, measured: Measured, solved: Solved
 ) -> None:
     weak = 0.15 * solved.expected_s
-    removal = steps.effect_of(small_recipe(), program, measured.grid, 1.0).effect.removal_nm(weak)
+    removal = steps.effect_of(small_recipe(), program, measured.grid).effect.removal_nm(weak)
     ripple = rough(measured.grid, 0.6 * removal[measured.metric_mask].std(), seed=3, cut_mm=6)
-    taught = steps.learn(
-        small_recipe(), program, (measured, polished(measured, 1.4 * removal + ripple)), (weak, weak), Beliefs()
-    )
+    done = Pass(measured, polished(measured, 1.4 * removal + ripple), weak, weak)
+    taught = steps.learn(small_recipe(), program, done, Believed())
     assert taught.verdict.stop == ""
     assert "scaled" in taught.verdict.undecidable
-    assert taught.learned is not None
-    assert taught.learned.measured_rate > 1 + 2 * taught.learned.rate_sigma, "learning by itself would have believed it"
-    assert taught.beliefs.rate == 1.0
-    assert "could not show a wrong one: the rate stays" in taught.beliefs.notes[0]
+    assert taught.found is not None
+    assert taught.found["measured_rate"] > 1 + 2 * taught.found["rate_sigma"], (
+        "learning by itself would have believed it"
+    )
+    assert taught.believed.rate == 1.0
+    assert "could not show a wrong one: the rate stays" in taught.notes[0]
 
 
 def test_a_rate_just_beyond_what_is_allowed_is_cut_and_said(
@@ -497,11 +483,11 @@ def test_a_rate_just_beyond_what_is_allowed_is_cut_and_said(
 ) -> None:
     ripple = rough(measured.grid, 0.05 * measured.stats.rms_nm, seed=3, cut_mm=6)
     after = polished(measured, removed(program, measured, solved, 1.205) + ripple)
-    times = (solved.asked_s, solved.expected_s)
-    taught = steps.learn(small_recipe(max_rate_change=0.2), program, (measured, after), times, Beliefs())
+    done = Pass(measured, after, solved.asked_s, solved.expected_s)
+    taught = steps.learn(small_recipe(max_rate_change=0.2), program, done, Believed())
     assert taught.verdict.stop == ""
-    assert taught.beliefs.rate == 1.2
-    assert "1.200 is taken, the farthest that limits.max_rate_change allows" in taught.beliefs.notes[-1]
+    assert taught.believed.rate == 1.2
+    assert "1.200 is taken, the farthest that limits.max_rate_change allows" in taught.notes[-1]
 
 
 # registration
@@ -514,10 +500,10 @@ def test_a_part_that_lies_off_the_centre_is_conditioned_as_if_it_did_not() -> No
     wide[6 : 6 + n, 6 : 6 + n] = surface.height_nm
     instrument = Instrument("bench", register_by="aperture", aperture_mm=APERTURE_MM + 1.0)
     recipe = small_recipe(instrument=instrument)
-    straight = steps.condition(recipe, surface.with_height(wide), None)
-    moved = steps.condition(recipe, surface.with_height(np.roll(wide, (-3, 2), (0, 1))), None)
+    straight = steps.condition(recipe, surface.with_height(wide))
+    moved = steps.condition(recipe, surface.with_height(np.roll(wide, (-3, 2), (0, 1))))
     assert moved.registration.shift_mm == pytest.approx((1.0, 1.5), abs=0.05)
-    plain = steps.condition(small_recipe(), surface, None)
+    plain = steps.condition(small_recipe(), surface)
     assert moved.stats.rms_nm == pytest.approx(plain.stats.rms_nm, rel=0.02)
     inside = moved.metric_mask & plain.metric_mask
     assert np.abs((moved.height_nm - straight.height_nm)[inside]).max() < 1.0
@@ -528,14 +514,14 @@ def test_a_part_that_lies_off_the_centre_is_conditioned_as_if_it_did_not() -> No
 def test_a_profile_is_applied_before_anything_else() -> None:
     surface = small_map()
     turned = surface.with_height(-np.rot90(surface.height_nm, -1)[:, ::-1])
-    plain = steps.condition(small_recipe(), surface, None)
+    plain = steps.condition(small_recipe(), surface)
     instrument = Instrument("bench", mirror=True, rotation_deg=90, sign=-1)
-    seen = steps.condition(small_recipe(instrument=instrument), turned, None)
+    seen = steps.condition(small_recipe(instrument=instrument), turned)
     np.testing.assert_allclose(seen.height_nm, plain.height_nm, atol=1e-9)
     assert seen.stats.rms_nm == pytest.approx(plain.stats.rms_nm)
 
 
 def test_everything_pickles(solved: Solved, measured: Measured) -> None:
     """The worker is another process."""
-    for value in (small_recipe(), solved, measured, Beliefs()):
+    for value in (small_recipe(), solved, measured, Believed()):
         assert type(pickle.loads(pickle.dumps(value))) is type(value)

@@ -24,6 +24,7 @@ from polishd.model.instrument import Commissioned, Instrument
 from polishd.model.program import Plan
 from polishd.model.surface import SurfaceMap
 from polishd.process.dwell.problem import DwellProblem
+from polishd.recipe.folder import RunFolder
 from polishd.workbench import plan as planning
 from polishd.workbench.plan import plan_part
 from tests.unit.daemon.small import CERTIFICATE, small_map, small_recipe, small_text
@@ -198,7 +199,7 @@ def test_a_busy_machine_is_no_reason_to_refuse(desk: Desk, monkeypatch: pytest.M
     begin = time.thread_time()
     desk.plan()
     enough_s = 3 * (time.thread_time() - begin)
-    desk.recipe = small_recipe(solve_s=enough_s, kkt_tolerance=2e-5)
+    desk.recipe = small_recipe(within_s=enough_s, kkt_tolerance=2e-5)
     desk.out = desk.out.with_name("two")
     slowness = 50.0 / enough_s  # 17 s for all of it on the wall; the backstop is above 60
     for clock in ("perf_counter", "monotonic"):
@@ -216,7 +217,7 @@ def test_a_disk_that_fills_while_it_writes(desk: Desk, monkeypatch: pytest.Monke
     def full(*arguments: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(planning, "save_plan", full)
+    monkeypatch.setattr(RunFolder, "write", full)
     desk.out.parent.mkdir()
     desk.refused(ConfigError, r"one: cannot be written: No space left on device; make room, or name another with --out")
 

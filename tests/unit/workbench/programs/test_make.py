@@ -213,7 +213,7 @@ def test_what_is_made_for_a_cell_is_what_its_plan_and_run_take(tmp_path: Path, w
     program = steps.read_program(recipe, tmp_path / "made.nc")
     plan = foresight.fastest(recipe, program)
     assert steps.violations(recipe, plan) == []
-    answer = steps.effect_of(replace(recipe, grid_mm=4.0), program, Grid(30, 30, 4.0), 1.0)
+    answer = steps.effect_of(replace(recipe, grid_mm=4.0), program, Grid(30, 30, 4.0))
     assert np.isfinite(answer.gamma).all()
 
 

@@ -12,6 +12,7 @@ from polishd.model.surface import SurfaceMap
 from polishd.process.contact import hertz_depth_mm, volume_rate_nm_mm2_s
 from polishd.process.convolution import ConvolutionEffect
 from polishd.process.effect import SparseEffect
+from polishd.recipe.encoding import facts_of
 from polishd.workbench.studies.corrections import (
     PLANTS,
     Comparison,
@@ -178,8 +179,8 @@ def test_the_dwell_brings_what_the_regularisation_allows(tmp_path: Path) -> None
 
 def test_rows_as_json(shipped: Comparison) -> None:
     keys = {"plant", "correction", "pv_nm", "rms_nm", "rms_piston_removed_nm", "band_rms_nm", "dwell_s", "wall_s"}
-    assert all(set(row.as_json()) == keys for row in shipped.rows)
-    assert all(isinstance(value, (str, float)) for row in shipped.rows for value in row.as_json().values())
+    assert all(set(facts_of(row)) == keys for row in shipped.rows)
+    assert all(isinstance(value, (str, float)) for row in shipped.rows for value in facts_of(row).values())
 
 
 def test_what_the_paper_prints() -> None:

@@ -1,0 +1,52 @@
+"""A spot laid down along a program: how it sinks over the part's rim, and its effect. Cells and studies share it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from polishd.model.process import Optic, Placement, ToolProcess
+from polishd.model.program import Program
+from polishd.model.surface import Grid
+from polishd.process.convolution import ConvolutionEffect, convolution_effect
+from polishd.process.dynamic_tif import CorrectedSpot, effect_matrix
+from polishd.process.edge.edge_tif import sunk_at_rim
+from polishd.process.edge.rim import Rim
+from polishd.process.effect import SparseEffect
+from polishd.process.frames import surface_normals, upright
+from polishd.process.spot import Spot
+
+
+@dataclass(frozen=True, slots=True)
+class SpotPath:
+    """Where a tool dwells or moves on a part, and what of it removes there."""
+
+    program: Program
+    """n timed points in the part's frame, the axes as seen where the surface lies level (`levelled_axes`)."""
+    spot: Spot
+    """The rigid robot's."""
+    process: ToolProcess
+    rim: Rim | None
+    """The part's, where it is free."""
+
+    def at_rim(self, spots: CorrectedSpot) -> tuple[CorrectedSpot, tuple[str, ...]]:
+        """The spots as they sink over a free rim, and notes on it."""
+        if self.rim is None:
+            return spots, ()
+        sunk, note = sunk_at_rim(spots, self.rim, self.process, self.spot, self.program)
+        return sunk, (note,)
+
+    def matrix(self, grid: Grid, spots: CorrectedSpot) -> SparseEffect:
+        """The effect of these spots, each laid down on its own."""
+        return SparseEffect(grid, effect_matrix(grid, self.spot, self.program, spots.depth_ratio, spots.factor))
+
+    def convolutions(self, grid: Grid, spots: CorrectedSpot) -> ConvolutionEffect:
+        """The same as a sum of convolutions. ComputeError unless all points rest on nodes of the grid."""
+        return convolution_effect(grid, self.spot, self.program, spots.depth_ratio, spots.factor)
+
+
+def levelled_axes(program: Program, optic: Optic) -> Program:
+    """The program, in the part's frame, with its axes as seen where the surface lies level."""
+    here = Placement((0.0, 0.0, 0.0), np.eye(3))
+    return replace(program, axis=upright(program.axis, surface_normals(here, program.end_mm, optic)))
