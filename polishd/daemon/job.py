@@ -157,7 +157,8 @@ class Job:
         self._beliefs = taught.beliefs
         learned = {"beliefs": asdict(self._beliefs), **asdict(taught.learned)}
         await self._for_people(folder.json, "learned.json", learned)
-        self._publish(events.Learned(cycle=cycle, **asdict(self._beliefs)))
+        beliefs = asdict(self._beliefs)
+        self._publish(events.Learned(cycle=cycle, notes=beliefs.pop("notes"), beliefs=beliefs))
 
     async def solve(self, cycle: int, surface: Measured) -> Solved:
         """Dwell with a certificate, kept in the run folder whether it will be used or not."""
