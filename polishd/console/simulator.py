@@ -29,22 +29,18 @@ def run_simulator(config: Path, options: Sequence[str]) -> int:
 def simulated_cell(config: Path, options: Sequence[str], log: Path) -> Iterator[None]:
     """In the background, ready for connections inside this block; its stderr goes to ``log``."""
     with log.open("wb") as stderr:
-        process = subprocess.Popen(
-            [sys.executable, "-m", MODULE, str(config), *options], stdout=subprocess.PIPE, stderr=stderr, text=True
-        )
-        try:
-            if process.stdout is None or not any(line.startswith("READY") for line in process.stdout):
-                raise DeviceFault(f"the simulated cell did not start: {last_words(log)}")
-            yield
-        finally:
-            process.terminate()
+        command = [sys.executable, "-m", MODULE, str(config), *options]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True) as process:
             try:
-                process.wait(END_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-            if process.stdout is not None:
-                process.stdout.close()
+                if process.stdout is None or not any(line.startswith("READY") for line in process.stdout):
+                    raise DeviceFault(f"the simulated cell did not start: {last_words(log)}")
+                yield
+            finally:
+                process.terminate()
+                try:
+                    process.wait(END_S)
+                except subprocess.TimeoutExpired:
+                    process.kill()
 
 
 def measure_artefact(config: Path, target: Path) -> None:

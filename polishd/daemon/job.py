@@ -142,7 +142,7 @@ class Job:
             self.publish(events.GateStopped(cycle=cycle, stop=taught.verdict.stop, cycle_dir=str(folder.path)))
             raise GateStop(f"{taught.verdict.stop} (see {folder.path / 'gate.png'})")
         self._believed = taught.believed
-        self.publish(events.Learned(cycle=cycle, notes=taught.notes, **self._believed.facts()))
+        self.publish(events.Learned(cycle=cycle, notes=taught.notes, beliefs=self._believed.facts()))
 
     async def solve(self, cycle: int, surface: Measured) -> Solved:
         """Dwell with a certificate, kept in the run folder whether it will be used or not."""

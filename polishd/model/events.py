@@ -23,14 +23,11 @@ class Event:
 
     @property
     def data(self) -> Mapping[str, Any]:
-        """Its own fields by name, as the socket and the journal have them; those of a record in it one by one."""
+        """Its own fields by name, as the socket and the journal have them; those of a record or mapping one by one."""
         found: dict[str, Any] = {}
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if is_dataclass(value) and not isinstance(value, type):
-                found |= asdict(value)
-            elif item.name != "cycle":
-                found[item.name] = value
+        for name in (item.name for item in fields(self) if item.name != "cycle"):
+            value = _plain(getattr(self, name))
+            found |= value if isinstance(value, Mapping) else {name: value}
         return found
 
     def facts(self) -> dict[str, Any]:
@@ -38,17 +35,18 @@ class Event:
         return {"name": self.name, "cycle": self.cycle, "data": dict(self.data)}
 
 
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(one) for key, one in value.items()}
+    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Opened(Event):
     """All devices of the cell answered and said who they are."""
 
     name: ClassVar[str] = "opened"
-    devices: Annotated[Mapping[str, Identity], "by name; the data has a key for each device"]
-
-    @property
-    def data(self) -> Mapping[str, Any]:
-        """Vendor, model, serial, firmware and boot id by device."""
-        return {name: asdict(identity) for name, identity in self.devices.items()}
+    devices: Annotated[Mapping[str, Identity], "by name: `vendor`, `model`, `serial`, `firmware`, `boot_id`"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,9 +117,11 @@ class Learned(Event):
     """The last pass was compared with what it removed."""
 
     name: ClassVar[str] = "learned"
-    rate: Annotated[float, "removal rate, relative to the model's own"]
-    block_overhead_s: Annotated[float, "s that a block takes beyond its motion"]
-    removal: Annotated[Mapping[str, Any], "all that the removal model believes, with its standard errors"]
+    beliefs: Annotated[
+        Mapping[str, Any],
+        "`rate`, relative to the model's own; `block_overhead_s` that a block takes beyond its motion; what else the "
+        "removal model believes",
+    ]
     notes: Annotated[Sequence[str], "what a person should know of it"]
 
 
