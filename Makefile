@@ -11,7 +11,7 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-long test-maps ways-out check format bench compare lock clean
+.PHONY: help demo test test-all test-long test-maps ways-out check format bench compare lock clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -19,7 +19,10 @@ help: ## show this list
 demo: $(VENV)/.installed ## polish a simulated part, from the first map to the report (ARGS="...")
 	@$(BIN)/polishd demo $(ARGS)
 
-test: $(VENV)/.installed ## run the tests, without the long campaigns (ARGS="...")
+test: $(VENV)/.installed ## run the tests, one of each kind (ARGS="...")
+	@$(ONE_THREAD) $(PYTEST) -n 2 --dist worksteal -m "not full and not slow and not hil" $(ARGS)
+
+test-all: $(VENV)/.installed ## run all tests but the long campaigns (ARGS="...")
 	@$(ONE_THREAD) $(PYTEST) -n 2 --dist worksteal -m "not slow and not hil" $(ARGS)
 
 test-long: $(VENV)/.installed ## run the long campaigns (ARGS="...")

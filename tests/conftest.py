@@ -6,6 +6,7 @@ import asyncio
 import inspect
 import os
 import signal
+import sys
 import time
 from collections.abc import AsyncIterator, Iterator
 from multiprocessing import forkserver, resource_tracker
@@ -15,6 +16,7 @@ import hypothesis
 import pytest
 
 from polishd.plugins.interferometer.formats import apart
+from tests.kinds import mark_others_full
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -24,6 +26,16 @@ SETTLE_S = 1.0
 # A shared machine is sometimes slow: pytest's own timeout catches what hangs. Same examples everywhere.
 hypothesis.settings.register_profile("polishd", deadline=None, derandomize=True, database=None)
 hypothesis.settings.load_profile("polishd")
+
+# Hundreds of processes are started here: what they import is compiled once, whatever the environment says of that.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Before -m chooses."""
+    mark_others_full(items)
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ A rig for another peer (a simulator, a real machine) is another function here: t
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -23,6 +23,7 @@ from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.linuxcnc import FakeLinuxCnc
 from tests.fakes.robot import FakeRobot
 from tests.fakes.wires import PtyWire, TcpWire, dribbled
+from tests.kinds import kind
 
 D = TypeVar("D")
 
@@ -176,16 +177,6 @@ async def _spindle(drive: Drive, wire: PtyWire | TcpWire, device: Spindle) -> As
         await wire.close()
 
 
-ROBOTS: list[Callable[[Path], AbstractAsyncContextManager[RobotRig]]] = [
-    robot_tcp,
-    robot_dribbled,
-    linuxcnc,
-    linuxcnc_dribbled,
-]
-ACTUATORS: list[Callable[[Path], AbstractAsyncContextManager[ActuatorRig]]] = [
-    actuator_rtu,
-    actuator_tcp,
-    actuator_ascii,
-    actuator_ascii_dribbled,
-]
-SPINDLES: list[Callable[[Path], AbstractAsyncContextManager[SpindleRig]]] = [spindle_slcan, spindle_socketcand]
+ROBOTS = [*kind(robot_tcp, robot_dribbled), *kind(linuxcnc, linuxcnc_dribbled)]
+ACTUATORS = [*kind(actuator_rtu, actuator_tcp), *kind(actuator_ascii, actuator_ascii_dribbled)]
+SPINDLES = kind(spindle_slcan, spindle_socketcand)

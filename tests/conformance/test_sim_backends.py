@@ -42,6 +42,7 @@ from tests.conformance.test_device import (  # noqa: F401 -- the suite itself, w
     watch,
 )
 from tests.programs import plan_of
+from tests.kinds import kind
 from tests.system.sim_rig import ROOT, Cell, alive, cell, wait_for
 
 # python-can leaves the socket of a bus that it refuses to open to the collector
@@ -82,8 +83,8 @@ class Place:
 
 
 ROBOTS = [Place("rtu_slcan", "robot")]
-ACTUATORS = [Place(name, "actuator") for name in CELLS]
-SPINDLES = [Place("rtu_slcan", "spindle"), Place("tcp_socketcand", "spindle")]
+ACTUATORS = kind(*(Place(name, "actuator") for name in CELLS))
+SPINDLES = kind(Place("rtu_slcan", "spindle"), Place("tcp_socketcand", "spindle"))
 
 
 STARTER = """
@@ -98,14 +99,19 @@ for line in sys.stdin:
 class Cells:
     """Cells by name, started when first asked for."""
 
-    def __init__(self, folder: Path, starter: Popen[str]) -> None:
+    def __init__(self, folder: Path, starter: Popen[str], stack: ExitStack) -> None:
         self.folder = folder
         self.starter = starter
+        self.stack = stack
         self.running: dict[str, Cell] = {}
         self.booted: dict[tuple[str, str], int] = {}
 
     def get(self, name: str) -> Cell:
         """The running cell."""
+        if name not in self.running:
+            folder = self.folder / name
+            folder.mkdir()
+            self.running[name] = self.stack.enter_context(cell(folder, CELLS[name]))
         return self.running[name]
 
     def pid(self, place: Place) -> int:
@@ -152,12 +158,7 @@ def cells(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cells]:
         starter = stack.enter_context(
             Popen([sys.executable, "-c", STARTER], stdin=PIPE, stdout=PIPE, text=True, cwd=ROOT)
         )
-        known = Cells(tmp_path_factory.mktemp("cells"), starter)
-        for name, config in CELLS.items():
-            folder = known.folder / name
-            folder.mkdir()
-            known.running[name] = stack.enter_context(cell(folder, config))
-        yield known
+        yield Cells(tmp_path_factory.mktemp("cells"), starter, stack)
 
 
 def connect(cells: Cells, place: Place) -> RobotLink | SpindleCan | Any:

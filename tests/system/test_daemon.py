@@ -86,6 +86,7 @@ def test_a_whole_job_is_polished_and_left_for_people_to_see(tmp_path: Path) -> N
     assert "http" not in page.replace("http://www.w3.org", "")
 
 
+@pytest.mark.full
 def test_what_was_learned_predicts_the_time_that_is_delivered(tmp_path: Path) -> None:
     """Acceleration and overhead are hidden: after one pass the total is known to 1 %, each block to 5 ms."""
     cell = small_cell(tmp_path / "cell", seed=5, speed=40.0, tolerance_nm=0.01, max_cycles=2)
@@ -103,6 +104,7 @@ def test_what_was_learned_predicts_the_time_that_is_delivered(tmp_path: Path) ->
     assert np.sqrt(np.mean((executed[1] - expected[1]) ** 2)) < 5e-3
 
 
+@pytest.mark.full
 def test_sigterm_in_contact_lifts_before_motion_stops_and_resume_measures_first(tmp_path: Path) -> None:
     with small_cell(tmp_path / "cell", seed=2) as files:
         with Daemon(files) as daemon:
@@ -146,6 +148,7 @@ def test_kill_9_leaves_the_tool_lifted_by_watchdogs_and_comes_up_held(tmp_path: 
         require_nothing_twice(files)
 
 
+@pytest.mark.full
 def test_a_job_goes_on_with_what_it_was_begun_with_and_needs_no_run_folder(tmp_path: Path) -> None:
     with small_cell(tmp_path / "cell", seed=2) as files:
         with Daemon(files) as daemon:
@@ -176,6 +179,7 @@ def test_a_job_goes_on_with_what_it_was_begun_with_and_needs_no_run_folder(tmp_p
     assert (files.run_dir / "report.html").stat().st_size > 0
 
 
+@pytest.mark.full
 def test_a_late_map_holds_until_it_comes(tmp_path: Path) -> None:
     """The instrument stands still for longer than anybody waits; a person starts it again, and resumes."""
     files = write_small(tmp_path / "cell", tolerance_nm=5.0, max_cycles=2)
@@ -200,6 +204,7 @@ def test_a_late_map_holds_until_it_comes(tmp_path: Path) -> None:
     assert [(cause["kind"], cause["ended"]) for cause in end["causes"]] == [("SurfaceError", False)]
 
 
+@pytest.mark.full
 def test_a_late_map_with_nobody_there_ends_with_its_own_code(tmp_path: Path) -> None:
     files = write_small(tmp_path / "cell")
     files.cell.write_text(with_values(files.cell.read_text(), {"metrology": {"timeout_s": 1.0}}))
@@ -232,6 +237,7 @@ def test_orders_over_the_socket(tmp_path: Path) -> None:
         assert daemon.process.wait(20.0) == 1
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("device", ["robot", "actuator", "spindle"])
 def test_a_device_that_dies_in_contact_ends_the_pass_safely(tmp_path: Path, device: str) -> None:
     with small_cell(tmp_path / "cell", seed=6) as files, Daemon(files) as daemon:
@@ -260,6 +266,7 @@ def test_a_device_that_is_not_there_is_named(tmp_path: Path) -> None:
     assert not files.run_dir.joinpath("cycle-00").exists()
 
 
+@pytest.mark.full
 def test_an_instrument_that_was_turned_over_is_stopped_by_the_gate_with_a_picture(tmp_path: Path) -> None:
     """Its profile was proved before; whoever turned it over told nobody. The first pass shows it."""
     files = write_small(tmp_path / "cell")
@@ -280,6 +287,7 @@ def test_an_instrument_that_was_turned_over_is_stopped_by_the_gate_with_a_pictur
     assert summary(files)["outcome"] == "failed"
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("fault", "mends"),
     [

@@ -23,7 +23,7 @@ from tests.system.cell_rig import Daemon, account, events, summary, write_small
 from tests.system.sim_rig import wait_for
 from tests.system.test_daemon import polishd, require_safe_order
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.system, pytest.mark.full, pytest.mark.timeout(400)]
 
 DEVICE, SAFETY = 5, 7
 ONE_PASS = {"tolerance_nm": 5.0, "max_cycles": 2}

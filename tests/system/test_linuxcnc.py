@@ -42,6 +42,7 @@ def require_safe_end(files: DemoFiles) -> None:
     assert last["force_zero"] < last["tool_lifted"] < last["motion_started"] < last["motion_stopped"], names
 
 
+@pytest.mark.full
 def test_linuxcnc_polishes_by_feed(tmp_path: Path) -> None:
     with linuxcnc_cell(tmp_path / "cell", tolerance_nm=0.01, max_cycles=1) as cell:
         files = cell.files
@@ -57,6 +58,7 @@ def test_linuxcnc_polishes_by_feed(tmp_path: Path) -> None:
     assert [program["loads"] for program in programs] == [1]
 
 
+@pytest.mark.full
 def test_a_dwell_is_left_before_it_is_held_and_a_silent_daemon_is_noticed_by_the_gate(tmp_path: Path) -> None:
     """LinuxCNC's dwell clock knows no pause: the tool is off before motion is held, and comes back by order only."""
     with linuxcnc_cell(tmp_path / "cell", "dwell", tolerance_nm=0.01, max_cycles=3) as cell:

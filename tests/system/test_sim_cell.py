@@ -240,6 +240,7 @@ def test_silence_makes_the_actuator_let_go(shared: Cell) -> None:
         coil.close()
 
 
+@pytest.mark.full
 def test_other_protocols(tmp_path: Path) -> None:
     config = SMALL + '[actuator]\nkind = "serial"\n[spindle]\nkind = "socketcand"\n'
     with cell(tmp_path, config) as running:
@@ -267,6 +268,7 @@ def test_other_protocols(tmp_path: Path) -> None:
             assert heard == b"< hi >< ok >", "who has not opened the bus in raw mode hears nothing of it"
 
 
+@pytest.mark.full
 def test_modbus_tcp(tmp_path: Path) -> None:
     with cell(tmp_path, SMALL + '[actuator]\nkind = "modbus_tcp"\n') as running:
         host, port = running.endpoints["actuator"].removeprefix("tcp://").split(":")
@@ -275,6 +277,7 @@ def test_modbus_tcp(tmp_path: Path) -> None:
             assert line_.recv(64) == struct.pack(">HHHB", 7, 0, 5, 1) + b"\x03\x02\x01\xf4"
 
 
+@pytest.mark.full
 def test_sigterm_ends_everything_and_leaves_the_account(tmp_path: Path) -> None:
     with cell(tmp_path) as running:
         pids = running.pids
@@ -292,6 +295,7 @@ def test_nobody_outlives_a_killed_supervisor(tmp_path: Path) -> None:
             wait_for(lambda pid=pid: not alive(pid), f"{pid} to end", 3.0)
 
 
+@pytest.mark.full
 def test_nobody_outlives_the_parent(tmp_path: Path) -> None:
     (tmp_path / "sim.toml").write_text(SMALL)
     command = [sys.executable, "-m", "polishd.sim_backends", str(tmp_path / "sim.toml")]
@@ -302,6 +306,7 @@ def test_nobody_outlives_the_parent(tmp_path: Path) -> None:
         wait_for(lambda pid=pid: not alive(pid), f"{pid} to end", 5.0)
 
 
+@pytest.mark.full
 def test_a_cell_that_cannot_start_says_why(tmp_path: Path) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -316,6 +321,7 @@ def test_a_cell_that_cannot_start_says_why(tmp_path: Path) -> None:
     assert not (tmp_path / "sim" / "endpoints.json").exists()
 
 
+@pytest.mark.full
 def test_a_rebooted_robot_has_a_new_boot_id_the_old_port_and_the_old_place(tmp_path: Path) -> None:
     with cell(tmp_path) as running:
         robot = running.robot()

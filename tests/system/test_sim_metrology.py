@@ -22,6 +22,7 @@ def dats(running: Cell) -> list[Path]:
     return sorted(running.maps.glob("*.dat"), key=lambda path: path.name.split("-")[1:])
 
 
+@pytest.mark.full
 def test_it_waits_until_the_tool_is_away(tmp_path: Path) -> None:
     with cell(tmp_path) as running:
         coil = running.coil()
@@ -56,6 +57,7 @@ def test_a_part_from_a_measured_map(tmp_path: Path) -> None:
         assert np.nanstd(difference) == pytest.approx(0.3, rel=0.1)
 
 
+@pytest.mark.full
 def test_a_nasty_instrument(tmp_path: Path) -> None:
     faults = "[interferometer]\nwrite_s = 0.3\ntemporary_suffix = ''\n[interferometer.faults]\n"
     faults += "preallocate = true\nduplicate_first = true\nwrong_part_first = true\n"
@@ -74,6 +76,7 @@ def test_a_nasty_instrument(tmp_path: Path) -> None:
         assert len(set(contents)) == 4
 
 
+@pytest.mark.full
 def test_an_unreadable_surface_starts_nothing(tmp_path: Path) -> None:
     import subprocess
     import sys
@@ -134,6 +137,7 @@ def test_blocks_arrive_once_and_in_order_through_a_bad_line(tmp_path: Path) -> N
         assert set(running.events("program_loaded")) == {"program_loaded"}
 
 
+@pytest.mark.full
 def test_a_device_may_lose_power_by_itself(tmp_path: Path) -> None:
     with cell(tmp_path, SMALL + "[robot.faults]\nreboot_after_s = 0.3\n") as running:
         robot = running.robot()

@@ -106,6 +106,7 @@ class TestCpuSeconds:
 
 
 class TestRace:
+    @pytest.mark.full
     def test_ours_and_peers_run_in_turns(self) -> None:
         turns: list[str] = []
         row = race("r", nap, {"a": nap, "b": nap}, progress=turns.append)
@@ -124,6 +125,7 @@ class TestRace:
         row = race("r", nap, {"peer": nap}, once_above_s=1000)
         assert row == Row("r", 3.0, {"peer": 20.0})
 
+    @pytest.mark.full
     def test_a_slow_peer_runs_once(self) -> None:
         turns: list[str] = []
         row = race("r", nap, {"slow": lambda: burn(0.2)}, progress=turns.append, once_above_s=0.1)

@@ -54,6 +54,7 @@ def interrupted(tmp_path: Path, at: str, *words: str) -> subprocess.CompletedPro
 
 
 # Imports from typer's on, of about a thousand: the program's own, numpy's parts in C, and scipy's.
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("number", [0, 20, 100, 250, 450, 700])
 def test_in_the_imports(tmp_path: Path, number: int) -> None:
     ended = interrupted(tmp_path, f"import {number}", "check", str(ROOT / "examples" / "cell.toml"))

@@ -43,7 +43,10 @@ BLOCK_S = LUMP_S / LUMP
 FSYNC_S = 0.3
 STALL_S = 0.05
 
-pytestmark = pytest.mark.skipif(not SCHEDSTAT.exists(), reason="the kernel does not tell how long threads waited")
+pytestmark = [
+    pytest.mark.full,
+    pytest.mark.skipif(not SCHEDSTAT.exists(), reason="the kernel does not tell how long threads waited"),
+]
 
 
 class SlowDisk:

@@ -95,6 +95,7 @@ async def stopped_after_a_pass(site: Rerun) -> None:
     site.stop_at = None
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("when", ["between the runs", "while held"])
 async def test_a_deleted_run_folder_costs_nothing_but_what_it_showed(site: Rerun, when: str) -> None:
     await stopped_after_a_pass(site)
@@ -143,6 +144,7 @@ async def test_the_next_solve_starts_from_the_last_one_across_a_restart(
     assert np.array_equal(starts[1].state["multipliers"], np.arange(3.0)), "what its solver can start from, too"
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("what", ["arrays", "plan", "start"])
 async def test_a_store_that_lost_what_the_journal_names_is_told_before_anything_is_opened(
     site: Rerun, what: str

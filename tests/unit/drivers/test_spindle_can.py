@@ -96,6 +96,7 @@ async def test_frames_of_others_are_ignored(rig: Rig) -> None:
     assert (await device.status()).state == "stopped"
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(("identifier", "what"), [(0x700, "no heartbeat"), (0x180, "no process data")])
 async def test_silence_is_a_lost_link(rig: Rig, identifier: int, what: str) -> None:
     device, drive, _ = rig

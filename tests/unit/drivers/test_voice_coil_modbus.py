@@ -88,6 +88,7 @@ async def test_a_write_is_not_repeated(rig: Rig) -> None:
     assert (await rig.device.status()).ready
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     "fault",
     [

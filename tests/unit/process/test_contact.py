@@ -82,6 +82,7 @@ def test_peak_and_volume_at_the_usual_unit_of_the_preston_constant() -> None:
     assert contact.volume_rate_nm_mm2_s(PAPER, DEPTH)[0] * 1e-6 == pytest.approx(9.72e-4, rel=5e-4)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("dip", [0.0, 3.0, 15.0, 60.0])
 def test_the_volume_rate_is_the_integral_of_the_rate(dip: float) -> None:
     """At 3 degrees the bonnet's pole, where it stands still, lies inside the contact: a cusp for both sides."""

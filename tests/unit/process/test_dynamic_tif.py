@@ -51,6 +51,7 @@ def sampled(
     return np.asarray(rate.reshape(grid.ny, fine, grid.nx, fine).mean(axis=(1, 3)))
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("pitch", "start", "end", "azimuth", "gamma"),
     [

@@ -26,6 +26,7 @@ def moved(height: FloatArray, x_mm: float, y_mm: float) -> FloatArray:
     return np.asarray(ndimage.shift(height, (-y_mm, x_mm), order=5, mode="nearest"))
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("seed", range(10))
 def test_good_passes_go_on(seed: int) -> None:
     """Noise, 10 % of rate, 0.2 mm of shift, any piston and tilt, and a removal model that is 10 % off in form."""
@@ -48,6 +49,7 @@ def test_a_small_shift_is_measured_and_noted() -> None:
     assert "(+0.2" in verdict.notes[0]
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("angle_deg", [0, 37, 90, 200, 315])
 @pytest.mark.parametrize("distance_mm", [1.0, 3.0])
 def test_shifts_stop(angle_deg: float, distance_mm: float) -> None:
@@ -104,6 +106,7 @@ def test_a_rate_that_may_as_well_be_allowed_goes_on_and_is_said(factor: float) -
     assert judge(PREDICTED, factor * PREDICTED + 2.0 * wide / wide.std(), MASK, GRID.pitch_mm).stop
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("way", ORIENTATIONS[1:], ids=lambda way: way.name)
 def test_turns_and_flips_stop_even_beside(way: Orientation, sign: int) -> None:

@@ -89,6 +89,7 @@ def test_forward_finds_the_assembly(robot: HybridRobot) -> None:
     np.testing.assert_allclose(got_axis[0], axis, rtol=0, atol=1e-12)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_round_trip_over_a_hundred_thousand_poses(robot: HybridRobot) -> None:
     tip, axis = random_poses(100_000, robot)

@@ -152,11 +152,13 @@ def test_cut_behind_every_byte(cut: Callable[[int], None]) -> None:
 WRITTEN = [case for case in cases() if case.refused is None and "unwritable" not in case.said]
 
 
+@pytest.mark.one_of_each("case.dialect")
 @pytest.mark.parametrize("case", WRITTEN, ids=str)
 def test_the_corpus(case: Case, cut: Callable[[int], None]) -> None:
     check_all(case.dialect, case.text, (13,), cut)
 
 
+@pytest.mark.one_of_each("case.dialect")
 @pytest.mark.parametrize("case", [case for case in cases() if case.refused is not None], ids=str)
 def test_the_corpus_is_refused(case: Case, cut: Callable[[int], None]) -> None:
     """In the stream as in memory; cut small, perhaps for another fault of the same program."""
@@ -171,6 +173,7 @@ def test_the_corpus_is_refused(case: Case, cut: Callable[[int], None]) -> None:
         look_through(profile, BytesIO(case.text), "t.nc")
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", GRAMMARS)
 def test_programs_of_every_dialect(name: str, cut: Callable[[int], None]) -> None:
     rng = Random(name)

@@ -86,6 +86,7 @@ def campaign(kind: str, ways: str, seed: int) -> tuple[HybridRobot | SerialRobot
     return truth, fit_stiffness(start, tests, hold_out=judge), unfitted
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(("kind", "ways"), [("hybrid", "down"), ("hybrid", "all ways"), ("serial", "all ways")])
 @pytest.mark.parametrize("seed", range(4))
 def test_forty_tests_with_noise_do_better_than_the_papers_model(kind: str, ways: str, seed: int) -> None:
@@ -203,6 +204,7 @@ def test_limbs_with_ea_have_their_ea_fitted() -> None:
     assert fit.robot.limb_stiffness_n_per_mm == start.limb_stiffness_n_per_mm
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("projection", ["linear", "quadratic"])
 def test_tests_that_measure_the_papers_projection(projection: Projection) -> None:
     rng = np.random.default_rng(10)

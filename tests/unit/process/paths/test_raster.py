@@ -50,6 +50,7 @@ def test_the_demo_raster() -> None:
     assert points[1, 0] > points[0, 0]  # to the right
 
 
+@pytest.mark.full
 @settings(max_examples=40)
 @given(st.floats(5, 60), st.floats(0.5, 4), st.floats(0.5, 3), st.floats(0, 3), st.floats(0, 8))
 def test_any_raster(radius: float, pitch: float, step: float, overrun: float, landing: float) -> None:

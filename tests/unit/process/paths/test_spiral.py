@@ -128,6 +128,7 @@ def test_steps_are_equal_along_the_surface(optic: Optic) -> None:
     assert size.max() < 0.11
 
 
+@pytest.mark.full
 def test_over_an_ellipse_the_turns_keep_its_shape() -> None:
     points = spiral(ellipse(80, 40), 1.0, 0.3, overrun_mm=0.0)
     curve = on_curve(points, ellipse(80, 40), 0.0)[1:]
@@ -183,6 +184,7 @@ def test_lengths_that_are_none(pitch: float, step: float, what: str) -> None:
         spiral(circle(50), 1.0, 1.0, overrun_mm=float("nan"))
 
 
+@pytest.mark.full
 def test_a_million_points() -> None:
     points = spiral(circle(1100), 1.0, 1.0, optic=Optic(4000.0, -1.0))
     assert 0.95e6 < len(points) < 1.05e6

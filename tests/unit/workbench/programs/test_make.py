@@ -200,6 +200,7 @@ def cell_with(tmp_path: Path, *changes: tuple[str, str]) -> Path:
     return path
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("words", [("raster",), ("spiral",), ("spiral", "--inwards")])
 def test_what_is_made_for_a_cell_is_what_its_plan_and_run_take(tmp_path: Path, words: tuple[str, ...]) -> None:
     cell = cell_with(tmp_path)
