@@ -22,7 +22,7 @@ from polishd.process.paths.raster import raster
 from polishd.process.paths.wrist import tool_axes
 from polishd.sim_backends.linuxcnc.server import ISOLATE
 from tests.commissioned import forged
-from tests.system.cell_rig import Daemon
+from tests.system.cell_rig import REPORT, Daemon
 from tests.system.sim_rig import LIMIT_S, ROOT, alive, wait_for
 
 PART = {"aperture_mm": 7.0, "edge_mm": 0.5}
@@ -70,7 +70,7 @@ class Cell:
         """What ``linuxcnc_moves`` tells."""
         programs = str(self.files.sim_dir / "linuxcnc" / "nc")
         command = [*self.inside, sys.executable, "-m", "tests.system.linuxcnc_moves", str(_port(self.files)), programs]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=2 * LIMIT_S, cwd=ROOT, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, cwd=ROOT, check=False)
         assert done.returncode == 0, done.stderr
         return dict(json.loads(done.stdout))
 
@@ -104,7 +104,7 @@ def write_files(out: Path, encoding: Encoding, **job: Any) -> DemoFiles:
     quick = {"robot": {"watchdog_s": QUICK_S}, "actuator": {"retract_s": 0.5}}
     cell = with_values(files.cell.read_text(), {"part": PART, "job": job, **quick})
     robot = 'type = "linuxcnc"\nprogram_dir = "sim/linuxcnc/nc"\ncontroller_dir = "/mnt/nc"'
-    cell = cell.replace(', "run_report"', "")  # takes seconds, and knows nothing of robots
+    cell = cell.replace(REPORT, "")
     files.cell.write_text(cell.replace('type = "robot_link"', robot))
     high = 1.0 if encoding == "feed" else 5.0  # for long dwells
     plant = {**PART, "pv_nm": high * 30.0, "rms_nm": high * 6.0, "speed": 1.0}

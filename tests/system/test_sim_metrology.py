@@ -9,7 +9,7 @@ import pytest
 
 from polishd.sim_backends import metropro
 from polishd.sim_backends.robot import frames as f
-from tests.system.sim_rig import SMALL, Cell, announced, cell, wait_for
+from tests.system.sim_rig import LIMIT_S, SMALL, Cell, announced, cell, wait_for
 
 pytestmark = pytest.mark.system
 
@@ -85,7 +85,7 @@ def test_an_unreadable_surface_starts_nothing(tmp_path: Path) -> None:
     bad.write_bytes(b"nonsense")
     (tmp_path / "sim.toml").write_text(SMALL)
     run = [sys.executable, "-m", "polishd.sim_backends", str(tmp_path / "sim.toml"), "--surface", str(bad)]
-    done = subprocess.run(run, capture_output=True, text=True, check=False, timeout=30)
+    done = subprocess.run(run, capture_output=True, text=True, check=False, timeout=LIMIT_S)
     assert done.returncode == 8
     assert "bad.dat" in done.stderr
 
