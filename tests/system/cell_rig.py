@@ -17,7 +17,8 @@ from polishd.console.simulator import simulated_cell
 from polishd.daemon import client
 from polishd.model.errors import PolishdError
 from tests.commissioned import forged
-from tests.system.sim_rig import LIMIT_S, wait_for
+from tests.patience import SOON_S
+from tests.system.sim_rig import wait_for
 
 Sections = Mapping[str, Mapping[str, Any]]
 
@@ -118,7 +119,7 @@ class Daemon:
 
     def wait(self) -> int:
         """Its exit code, once it ends by itself."""
-        return self.process.wait(LIMIT_S)
+        return self.process.wait(SOON_S)
 
     def end(self, number: int = signal.SIGTERM) -> int:
         """Send a signal and wait for the end; its exit code."""

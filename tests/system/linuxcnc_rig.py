@@ -22,8 +22,9 @@ from polishd.process.paths.raster import raster
 from polishd.process.paths.wrist import tool_axes
 from polishd.sim_backends.linuxcnc.server import ISOLATE
 from tests.commissioned import forged
+from tests.patience import SOON_S
 from tests.system.cell_rig import REPORT, Daemon
-from tests.system.sim_rig import LIMIT_S, ROOT, alive, wait_for
+from tests.system.sim_rig import ROOT, alive, wait_for
 
 PART = {"aperture_mm": 7.0, "edge_mm": 0.5}
 """A pass over it takes some seconds: LinuxCNC knows real time only."""
@@ -70,7 +71,7 @@ class Cell:
         """What ``linuxcnc_moves`` tells."""
         programs = str(self.files.sim_dir / "linuxcnc" / "nc")
         command = [*self.inside, sys.executable, "-m", "tests.system.linuxcnc_moves", str(_port(self.files)), programs]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, cwd=ROOT, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=SOON_S, cwd=ROOT, check=False)
         assert done.returncode == 0, done.stderr
         return dict(json.loads(done.stdout))
 
@@ -85,7 +86,7 @@ class Cell:
             "except TimeoutError: pass\n"
         )
         command = [*self.inside, sys.executable, "-c", talk, str(_port(self.files)), *lines]
-        said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=LIMIT_S).stdout
+        said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=SOON_S).stdout
         return said.split("\n")
 
 
@@ -139,7 +140,7 @@ def linuxcnc_cell(out: Path, encoding: Encoding = "feed", **job: Any) -> Iterato
         yield Cell(files, process)
     finally:
         process.terminate()
-        process.wait(LIMIT_S)
+        process.wait(SOON_S)
         if process.stdout is not None:
             process.stdout.close()
         wait_for(lambda: not alive(process.pid), "the simulator's end")

@@ -20,19 +20,19 @@ import serial
 
 from polishd.sim_backends.actuator.modbus import crc16, rtu
 from polishd.sim_backends.robot import frames as f
+from tests.patience import SOON_S
 
 ROOT = Path(__file__).resolve().parents[2]
-LIMIT_S = 240.0
-"""For what ends at once on an idle machine: only what hangs takes longer on a busy one."""
 SMALL = """
 [plant]
 aperture_mm = 40.0
 [robot]
 port = 0
+watchdog_s = 3.0
 """
 
 
-def wait_for(condition: Callable[[], Any], what: str, limit_s: float = LIMIT_S) -> Any:
+def wait_for(condition: Callable[[], Any], what: str, limit_s: float = SOON_S) -> Any:
     """The condition's first true value."""
     end = time.monotonic() + limit_s
     while time.monotonic() < end:
@@ -122,7 +122,7 @@ class Cell:
         for process in (*self.booted, self.process):
             process.send_signal(signal.SIGTERM)
         for process in (*self.booted, self.process):
-            process.wait(LIMIT_S)
+            process.wait(SOON_S)
             if process.stdout is not None:
                 process.stdout.close()
         return self.process.returncode
@@ -158,7 +158,7 @@ class RobotClient:
 
     def __init__(self, endpoint: str, role: str = "writer", executed_from: int = 0, lease: str = "") -> None:
         host, port = endpoint.removeprefix("tcp://").split(":")
-        self.socket = socket.create_connection((host, int(port)), timeout=5.0)
+        self.socket = socket.create_connection((host, int(port)), timeout=SOON_S)
         self.socket.settimeout(0.02)
         self.splitter = f.Splitter()
         self.executed: list[tuple[int, float, float]] = []
@@ -243,7 +243,7 @@ class CoilClient:
     """The actuator on Modbus RTU, raw."""
 
     def __init__(self, path: Path, baud: int = 115200) -> None:
-        self.line = serial.Serial(str(path), baud, timeout=1.0)
+        self.line = serial.Serial(str(path), baud, timeout=SOON_S)
 
     def ask(self, pdu: bytes, size: int) -> bytes:
         """Send a request; the answer's PDU."""

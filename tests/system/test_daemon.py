@@ -24,15 +24,16 @@ from polishd.console.demo_files import DemoFiles, with_values, write_demo
 from polishd.console.simulator import measure_artefact, simulated_cell
 from polishd.daemon import client
 from polishd.daemon.sockets import SOCKET_NAME
+from tests.patience import SOON_S
 from tests.system.cell_rig import ONE_PASS, Daemon, account, events, small_cell, summary, with_keys, write_small
-from tests.system.sim_rig import LIMIT_S, wait_for
+from tests.system.sim_rig import wait_for
 
 pytestmark = pytest.mark.system
 
 
 def polishd(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "polishd.cli", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=SOON_S, check=False)
 
 
 def require_nothing_twice(files: DemoFiles) -> None:
@@ -121,9 +122,7 @@ def test_sigterm_in_contact_lifts_before_motion_stops_and_resume_measures_first(
             assert not [e for e in events(files)[before:] if e["event"] in ("motion_started", "force_on")]
             maps = len(events(files, "map_dropped"))
             assert client.request(files.state_dir, "resume")["state"] == "polishing"
-            moved = wait_for(
-                lambda: [e for e in events(files)[before:] if e["event"] == "motion_started"], "motion"
-            )
+            moved = wait_for(lambda: [e for e in events(files)[before:] if e["event"] == "motion_started"], "motion")
             measured = [e for e in events(files, "map_dropped")[maps:] if e["mono_s"] < moved[0]["mono_s"]]
             assert measured, "a new measurement comes before motion"
             assert daemon.wait() == 0, daemon.output.read_text()
@@ -133,7 +132,7 @@ def test_sigterm_in_contact_lifts_before_motion_stops_and_resume_measures_first(
 
 @contextlib.contextmanager
 def quick_watchdogs_cell(out: Path) -> Iterator[DemoFiles]:
-    """The robot's watchdog stops motion long before a pass is over, and yet after the actuator's has lifted the tool."""
+    """The robot's watchdog stops motion before a pass is over, and after the actuator's has lifted the tool."""
     files = write_small(out, **ONE_PASS)
     robot = {"robot": {"silence_s": 2.0, "watchdog_s": 5.0}}
     actuator = {"actuator": {"silence_s": 1.0, "watchdog_ms": 2000, "retract_s": 2.0}}

@@ -125,6 +125,7 @@ def require_uncertain(files: DemoFiles, dwell: int, reason: str) -> None:
     assert max(told) == dwell - 2
 
 
+@pytest.mark.full
 def test_it_stops_where_it_is_told_and_is_held_aborted_and_refuses(tmp_path: Path) -> None:
     with linuxcnc_cell(tmp_path / "cell") as cell:
         said = cell.moves()

@@ -9,7 +9,8 @@ import pytest
 
 from polishd.sim_backends import metropro
 from polishd.sim_backends.robot import frames as f
-from tests.system.sim_rig import LIMIT_S, SMALL, Cell, announced, cell, wait_for
+from tests.patience import SOON_S
+from tests.system.sim_rig import SMALL, Cell, announced, cell, wait_for
 
 pytestmark = pytest.mark.system
 
@@ -85,11 +86,12 @@ def test_an_unreadable_surface_starts_nothing(tmp_path: Path) -> None:
     bad.write_bytes(b"nonsense")
     (tmp_path / "sim.toml").write_text(SMALL)
     run = [sys.executable, "-m", "polishd.sim_backends", str(tmp_path / "sim.toml"), "--surface", str(bad)]
-    done = subprocess.run(run, capture_output=True, text=True, check=False, timeout=LIMIT_S)
+    done = subprocess.run(run, capture_output=True, text=True, check=False, timeout=SOON_S)
     assert done.returncode == 8
     assert "bad.dat" in done.stderr
 
 
+@pytest.mark.full
 def test_blocks_arrive_once_and_in_order_through_a_bad_line(tmp_path: Path) -> None:
     """Damage, loss and disconnects on the robot's side; the writer asks for status and sends again from there."""
     faults = "\n[robot.faults]\ngarble_rate = 0.02\ndrop_rate = 0.02\ndisconnect_every_s = 0.3\n"

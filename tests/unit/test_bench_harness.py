@@ -62,6 +62,7 @@ class TestCpuSeconds:
         assert cost is not None
         assert cost >= 0.3
 
+    @pytest.mark.full
     def test_a_run_over_the_cap_is_killed_with_its_children(self, tmp_path: Path) -> None:
         def hang() -> None:
             child = subprocess.Popen(["sleep", "60"])
@@ -114,6 +115,7 @@ class TestRace:
         assert set(row.peers) == {"a", "b"}
         assert row.unit == "s"
 
+    @pytest.mark.full
     def test_the_quicker_wins(self) -> None:
         row = race("r", lambda: burn(0.05), {"slow": lambda: burn(0.2)})
         assert row.ratio is not None
@@ -132,6 +134,7 @@ class TestRace:
         assert [turn for turn in turns if "slow" in turn] == ["r: slow 1/3"]
         assert row.peers["slow"] is not None
 
+    @pytest.mark.full
     def test_a_stuck_peer_did_not_finish(self) -> None:
         turns: list[str] = []
         row = race("r", lambda: burn(0.01), {"stuck": lambda: time.sleep(60)}, progress=turns.append, peer_cap_s=0.5)

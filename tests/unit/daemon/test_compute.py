@@ -206,6 +206,7 @@ async def test_a_dead_worker_is_an_error_and_is_replaced(compute: Compute) -> No
     assert await compute(jobs.divide, 1.0, 4.0) == 0.25
 
 
+@pytest.mark.full
 async def test_cancelled_caller_ends_the_worker(compute: Compute) -> None:
     await compute.start()
     pid = compute.pid

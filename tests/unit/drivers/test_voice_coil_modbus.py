@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import struct
-import time
 from collections.abc import AsyncIterator, Iterable
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from polishd.drivers.transport.voice_coil import VoiceCoil
 from polishd.drivers.voice_coil_modbus import ModbusWire, voice_coil_modbus
 from tests.fakes.actuator import Coil, ModbusCoil, crc16
 from tests.fakes.wires import Once, PtyWire, TcpWire
+from tests.patience import SOON_S, within
 from tests.vectors import vectors
 
 
@@ -215,13 +215,12 @@ async def test_retracting_waits_for_one_other_request_at_most(rig: Rig) -> None:
     await asyncio.gather(*polls)
 
 
+@pytest.mark.full
 async def test_a_stuck_tool_is_a_fault(rig: Rig) -> None:
     await rig.device.set_force(12.0)
     rig.coil.stuck = True
-    began = time.monotonic()
-    with pytest.raises(DeviceFault, match=r"not retracted after 0\.7 s"):
+    with within(1.5), pytest.raises(DeviceFault, match=r"not retracted after 0\.7 s"):
         await rig.device.make_safe()
-    assert time.monotonic() - began < 1.5
     rig.coil.fault = 4
     with pytest.raises(DeviceFault, match="drive"):
         await rig.device.retract()
@@ -239,7 +238,7 @@ async def test_no_contact_is_a_fault(rig: Rig) -> None:
 async def test_retracting_ends_a_landing(rig: Rig) -> None:
     rig.coil.stuck = True
     landing = asyncio.create_task(rig.device.set_force(12.0))
-    async with asyncio.timeout(1):
+    async with asyncio.timeout(SOON_S):
         while not rig.coil.command:  # noqa: ASYNC110
             await asyncio.sleep(0.01)
     await rig.device.retract()

@@ -60,6 +60,7 @@ async def test_a_doubled_answer_is_dropped(rig: Rig) -> None:
         assert (await rig.device.identify()).vendor == "Fake Coils"
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     "fault",
     [

@@ -120,6 +120,7 @@ def test_the_shift_keeps_the_force_and_gives_the_moment_of_eq_33() -> None:
     assert integral(thick, DEPTH, lambda x, y, r: x * pressure(x, y, r)) == pytest.approx(shift * force, rel=1e-6)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("normal_force", ["axial", "resolved"])
 @pytest.mark.parametrize("thick", [False, True])
 def test_force_and_moment_are_hertz_and_shift_times_force(normal_force: NormalForce, thick: bool) -> None:

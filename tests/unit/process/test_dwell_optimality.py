@@ -124,6 +124,7 @@ def test_whatever_the_regularisation(solve: Solve, rho: float) -> None:
     assert certificate.kkt_residual <= 1e-6
 
 
+@pytest.mark.full
 def test_transforms_that_give_up_on_an_ill_conditioned_problem_say_so() -> None:
     found = by_transforms(lattice_problem(radius_mm=5, rho=1e-8), 1e-9).certificate
     assert found.stopped == "iterations"

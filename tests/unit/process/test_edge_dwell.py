@@ -91,6 +91,7 @@ def test_the_sunk_spot_takes_less_time_at_the_rim() -> None:
     assert plain.reached_mm > plain.wanted_mm
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("seed", [3, 4])
 def test_where_the_map_ends_before_the_part_the_extension_saves_the_rim(seed: int) -> None:
     """The data end 3 mm before the rim: what the dwell does there is judged against the truth."""

@@ -60,6 +60,7 @@ def test_shifts_stop(angle_deg: float, distance_mm: float) -> None:
     assert np.nanstd(verdict.best_residual_nm) < 0.5 * np.nanstd(verdict.residual_nm)
 
 
+@pytest.mark.full
 def test_shifts_on_a_fine_grid_stop_too() -> None:
     fine = Grid(200, 200, 0.5)
     predicted = 60 + rough(fine, rms_nm=10)
@@ -69,6 +70,7 @@ def test_shifts_on_a_fine_grid_stop_too() -> None:
     assert verdict.stop
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("factor", "said"), [(0.5, "half"), (2.0, "double"), (0.02, "hardly"), (1.5, "1.500"), (3, "3")]
 )
@@ -78,6 +80,7 @@ def test_factors_stop(factor: float, said: str) -> None:
     assert verdict.rate == pytest.approx(factor, abs=0.01)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("factor", [0.62, 0.8, 1.38])
 def test_a_rate_to_be_learned_goes_on(factor: float) -> None:
     assert judge(PREDICTED, factor * PREDICTED + noise(4), MASK, GRID.pitch_mm).stop == ""

@@ -81,6 +81,7 @@ def test_good_passes_are_not_stopped(count: int) -> None:
     assert len(stopped) <= 3e-3 * count
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("count", COUNTS)
 def test_mistakes_are_stopped_or_said_to_be_undecidable(count: int) -> None:

@@ -271,6 +271,7 @@ def test_one_springy_joint_lets_the_tip_go_one_way_only() -> None:
     np.testing.assert_allclose(matrix, np.diag([232.3**2 / 1e7, 0, 0]), rtol=0, atol=1e-12)
 
 
+@pytest.mark.full
 def test_reachable_agrees_with_the_inverse() -> None:
     tip, axis = tilted(60)
     tip[::3] *= 1.9

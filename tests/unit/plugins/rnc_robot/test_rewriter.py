@@ -179,6 +179,7 @@ def test_only_time_changes_and_the_total_is_kept(encoding: str, data: st.DataObj
     assert abs(new.time_s.sum() - times.sum()) <= largest
 
 
+@pytest.mark.full
 def test_the_total_of_many_dwells_is_exact_to_one_quantum() -> None:
     n = 5000
     body = b"".join(b"G1 X%d\nG4 P0.5\n" % (i % 90) for i in range(n))

@@ -138,6 +138,7 @@ def check_all(name: str, text: bytes, sizes: tuple[int, ...], cut: Callable[[int
         assert streamed(profile, text, found.time_s)[0] == text
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", TEXTS)
 def test_cut_anywhere(name: str, cut: Callable[[int], None]) -> None:
     check_all("rs274", TEXTS[name], SIZES, cut)

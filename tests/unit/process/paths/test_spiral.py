@@ -84,6 +84,7 @@ def test_it_runs_counterclockwise_from_the_centre() -> None:
     assert angle[-1] - angle[0] == pytest.approx(2 * np.pi * 26, rel=0.05)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", APERTURES)
 @pytest.mark.parametrize("optic", [FLAT, Optic(120.0, -0.5, (1e-8,), (30.0, 10.0))])
 def test_any_aperture_is_covered(name: str, optic: Optic) -> None:
@@ -148,6 +149,7 @@ def test_the_way_out_is_straight_on() -> None:
     assert len(spiral(circle(60), 1.0, 0.5, landing_mm=0.0)) < len(points)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("inwards", [False, True])
 @pytest.mark.parametrize("optic", [FLAT, Optic(120.0, -0.5, (1e-8,), (30.0, 10.0))])
 @pytest.mark.parametrize("name", APERTURES)

@@ -78,6 +78,7 @@ def test_what_is_said_is_what_is_written(shape: str, to: str, tmp_path: Path) ->
     assert 0 < said["largest_turn_deg"] < 95
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("shape", ["raster", "spiral"])
 @pytest.mark.parametrize(
     ("words", "optic"),
@@ -257,6 +258,7 @@ def test_the_limit_of_turns_is_the_paths() -> None:
     assert inspect.signature(make).parameters["turn_limit"].default == TURN_LIMIT_DEG
 
 
+@pytest.mark.full
 def test_people_get_a_table_and_a_picture(tmp_path: Path) -> None:
     picture = tmp_path / "path.png"
     said = call("spiral", "--aperture", "annulus:40,12", "--out", tmp_path / "x.nc", "--picture", picture, *OFF_AXIS)

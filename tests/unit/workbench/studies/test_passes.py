@@ -34,11 +34,13 @@ def shipped() -> Passes:
     return polish(FIG_12)
 
 
+@pytest.mark.full
 def test_removal_goes_as_the_power_of_gamma_that_hertz_says(shipped: Passes) -> None:
     assert shipped.slope == pytest.approx(1.5, abs=0.02)
     assert shipped.correlation > 0.999
 
 
+@pytest.mark.full
 def test_removal_is_the_volume_rate_over_the_cell(shipped: Passes) -> None:
     """Far from the rim, of a lattice of 1 mm: seconds times volume rate at the local depth, per mm^2."""
     process = study_of(FIG_12).tool_process()
