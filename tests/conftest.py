@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gzip
 import inspect
 import os
 import signal
@@ -19,6 +20,7 @@ from polishd.plugins.interferometer.formats import apart
 from tests.kinds import mark_others_full
 
 ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT / "tests" / "data"
 
 # What is ending when the test ends may take this long to be gone.
 SETTLE_S = 10.0
@@ -38,13 +40,26 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     mark_others_full(items)
 
 
-@pytest.fixture
-def shared_data() -> Path:
-    """Folder of measured maps beside the project; the test is skipped where it is absent."""
-    path = ROOT.parent / "shared" / "data"
-    if not path.is_dir():
-        pytest.skip("no ../shared/data beside the project")
-    return path
+class MeasuredMaps:
+    """``maps / name`` is the file; the test is skipped where it is neither in tests/data nor beside the project."""
+
+    def __init__(self, unpacked: Path) -> None:
+        self._unpacked = unpacked
+
+    def __truediv__(self, name: str) -> Path:
+        packed, unpacked = DATA / f"{name}.gz", self._unpacked / name
+        if packed.exists() and not unpacked.exists():
+            unpacked.write_bytes(gzip.decompress(packed.read_bytes()))
+        for path in (DATA / name, unpacked, ROOT.parent / "shared" / "data" / name):
+            if path.exists():
+                return path
+        pytest.skip(f"{name} is not in tests/data, and there is no ../shared/data beside the project")
+
+
+@pytest.fixture(scope="session")
+def shared_data(tmp_path_factory: pytest.TempPathFactory) -> MeasuredMaps:
+    """Maps that were really measured, by their file's name."""
+    return MeasuredMaps(tmp_path_factory.mktemp("maps"))
 
 
 @pytest.fixture(autouse=True)
