@@ -8,6 +8,8 @@ PYTEST := $(BIN)/python -m pytest
 
 # One thread per process: tests run two at a time, and benchmarks count CPU seconds.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+# Tests start Python hundreds of times: what it compiles is kept, whatever the environment says.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import gzip
 import inspect
 import os
@@ -34,10 +35,20 @@ sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 
+# What collecting makes stays to the end: looking for garbage in it only takes time.
+gc.disable()
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Before -m chooses."""
     mark_others_full(items)
+
+
+def pytest_collection_finish() -> None:
+    """Garbage is collected from here on."""
+    gc.freeze()
+    gc.enable()
 
 
 class MeasuredMaps:
