@@ -18,6 +18,7 @@ from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
 from polishd.drivers.voice_coil_modbus import voice_coil_modbus
 from polishd.drivers.voice_coil_serial import voice_coil_serial
+from polishd.model.times import ActuatorTimes
 from tests.fakes.actuator import AsciiCoil, Coil, ModbusCoil
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.linuxcnc import FakeLinuxCnc
@@ -26,6 +27,8 @@ from tests.fakes.wires import PtyWire, TcpWire, dribbled
 from tests.kinds import kind
 
 D = TypeVar("D")
+PATIENT = ActuatorTimes(silence_s=1.0, watchdog_s=2.0)
+"""A busy machine is silent for longer than the wire of an actuator would be."""
 
 
 @dataclass
@@ -108,7 +111,7 @@ async def actuator_rtu(folder: Path) -> AsyncIterator[ActuatorRig]:
     """voice_coil_modbus on a serial line."""
     coil = Coil()
     wire = PtyWire(ModbusCoil(coil, rtu=True), folder / "rtu")
-    async with _actuator(coil, wire, voice_coil_modbus(SerialLine(wire.path))) as rig:
+    async with _actuator(coil, wire, voice_coil_modbus(SerialLine(wire.path), PATIENT)) as rig:
         yield rig
 
 
@@ -117,7 +120,7 @@ async def actuator_tcp(_: Path) -> AsyncIterator[ActuatorRig]:
     """voice_coil_modbus on TCP."""
     coil = Coil()
     wire = await TcpWire(ModbusCoil(coil, rtu=False)).start()
-    async with _actuator(coil, wire, voice_coil_modbus(Tcp("127.0.0.1", wire.port))) as rig:
+    async with _actuator(coil, wire, voice_coil_modbus(Tcp("127.0.0.1", wire.port), PATIENT)) as rig:
         yield rig
 
 
@@ -126,7 +129,7 @@ async def actuator_ascii(folder: Path) -> AsyncIterator[ActuatorRig]:
     """voice_coil_serial on a serial line."""
     coil = Coil()
     wire = PtyWire(AsciiCoil(coil), folder / "ascii")
-    async with _actuator(coil, wire, voice_coil_serial(SerialLine(wire.path))) as rig:
+    async with _actuator(coil, wire, voice_coil_serial(SerialLine(wire.path), PATIENT)) as rig:
         yield rig
 
 
@@ -136,7 +139,7 @@ async def actuator_ascii_dribbled(folder: Path) -> AsyncIterator[ActuatorRig]:
     coil = Coil()
     wire = PtyWire(AsciiCoil(coil), folder / "ascii")
     wire.peer.filter = lambda data: [b"\xff*noise$", *dribbled(data)]
-    async with _actuator(coil, wire, voice_coil_serial(SerialLine(wire.path))) as rig:
+    async with _actuator(coil, wire, voice_coil_serial(SerialLine(wire.path), PATIENT)) as rig:
         yield rig
 
 

@@ -104,6 +104,7 @@ async def test_a_cut_link_is_known_at_once(any_device: AnyRig) -> None:
         await watch(any_device.device)
 
 
+@pytest.mark.one_of_each
 async def test_a_silent_link_is_known_at_once(any_device: AnyRig) -> None:
     await any_device.device.open()
     any_device.mute()

@@ -283,6 +283,7 @@ async def test_a_process_that_hangs_is_known_at_once(any_device: Rig[Any]) -> No
         await any_device.device.make_safe()
 
 
+@pytest.mark.one_of_each
 async def test_a_device_that_was_booted_again_says_so(any_device: Rig[Any], cells: Cells, request: Any) -> None:
     place = request.node.callspec.params["any_device"]
     await any_device.device.open()
@@ -367,6 +368,7 @@ async def test_the_robot_holds_and_resumes_without_losing_or_repeating(robot: Ro
     assert [one.seq for one in await executed(robot.device, len(slow))] == list(range(len(slow)))
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("how", ["cut", "mute"])
 async def test_all_who_wait_for_a_dead_robot_hear_of_it(robot: RobotRig, how: str) -> None:
     plan = plan_of([b"G21 G90 G94", b"G1 X1 Z0 F300", b"G4 P500", b"M2"])
@@ -440,6 +442,7 @@ async def test_an_actuator_that_nobody_cares_for_lets_go_by_itself(actuator: Act
     assert (await actuator.device.status()).ready
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("how", ["cut", "mute"])
 async def test_samples_of_a_dead_actuator_end_and_it_is_not_taken_up_again(actuator: ActuatorRig, how: str) -> None:
     await actuator.device.set_force(12.0)
@@ -485,6 +488,7 @@ async def test_a_spindle_that_nobody_cares_for_stops_and_says_why(
     assert (await first(spindle.device, lambda one: one.fault == 0)).rpm == 0.0
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("how", ["cut", "mute"])
 async def test_samples_of_a_dead_spindle_end(spindle: SpindleRig, how: str) -> None:
     await spindle.device.set_speed(500.0)

@@ -331,6 +331,7 @@ CODES = {
 }  # fmt: skip
 
 
+@pytest.mark.one_of_each("code")
 @pytest.mark.parametrize(("name", "code"), CODES.items())
 def test_each_error_has_its_code(
     polishd: Polishd, files: DemoFiles, name: str, code: int, monkeypatch: pytest.MonkeyPatch

@@ -227,6 +227,7 @@ async def test_calls_take_turns(compute: Compute) -> None:
     assert answers == [0.0, 1.0, 2.0, 3.0, 4.0]
 
 
+@pytest.mark.full
 async def test_closed_for_good() -> None:
     compute = Compute()
     await compute.start()

@@ -97,6 +97,7 @@ async def test_what_a_person_can_mend_holds_and_resume_goes_on(bench: Bench, err
     assert "polishd resume CELL.toml" in state.data["next"]
 
 
+@pytest.mark.full
 async def test_a_map_that_is_late_again_holds_again(bench: Bench) -> None:
     bench.fake.metrology.measure = failing(bench, StaleMap("late"), StaleMap("late"))
     async with Running(bench) as running:

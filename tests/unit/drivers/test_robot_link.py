@@ -66,6 +66,7 @@ async def test_readers_see_it_all(pair: Pair) -> None:
     await reader.close()
 
 
+@pytest.mark.full
 async def test_pings_keep_it_running(pair: Pair) -> None:
     robot, fake = pair
     fake.block_s, fake.watchdog_s = 1.8, 1.2

@@ -142,6 +142,7 @@ def pictures_in(page: str) -> list[bytes]:
 
 
 class TestEvents:
+    @pytest.mark.one_of_each
     @pytest.mark.parametrize("name", ["job_finished", "plan_written"])
     def test_what_is_complete_is_reported_by_another_process(
         self, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

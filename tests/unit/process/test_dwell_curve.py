@@ -39,12 +39,10 @@ def whole_curve() -> Curve:
 
 def made(pairs: list[tuple[float, float]]) -> Curve:
     """A curve of these total times and residuals."""
-    points = []
+    points, first = [], whole_curve().points[0].solution
     for total_s, rms_nm in pairs:
-        certificate = replace(
-            whole_curve().points[0].solution.certificate, dwell_total_s=total_s, predicted_rms_nm=rms_nm
-        )
-        points.append(Solved(PROBLEM, replace(whole_curve().points[0].solution, certificate=certificate)))
+        certificate = replace(first.certificate, dwell_total_s=total_s, predicted_rms_nm=rms_nm)
+        points.append(Solved(PROBLEM, replace(first, certificate=certificate)))
     return Curve("price_nm2_per_s", tuple(points))
 
 

@@ -161,6 +161,7 @@ def test_the_factor_multiplies() -> None:
     assert abs(effect(grid, moves, factor=0.4) - 0.4 * effect(grid, moves)).max() < 1e-12
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("pitch", [1.0, 0.5])
 def test_a_raster_of_ten_thousand_blocks_takes_well_below_two_seconds(pitch: float) -> None:
     moves, grid = raster(1.0), Grid(int(106 / pitch), int(106 / pitch), pitch)

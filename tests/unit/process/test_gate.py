@@ -138,6 +138,7 @@ def test_the_picture_shows_both_ways() -> None:
     assert np.nanstd(verdict.residual_nm) > 10
 
 
+@pytest.mark.full
 def test_a_turn_that_noise_brings_about_is_not_claimed() -> None:
     """On a small part some turn always fits noise better; the one claimed here was "transposed and negated"."""
     small = Grid(30, 30, 1.0)

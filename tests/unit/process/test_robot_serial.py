@@ -145,6 +145,7 @@ def test_inverse_finds_the_joints_again(turns: tuple[float, ...], robot: SerialR
     np.testing.assert_allclose(got[0], joints, rtol=0, atol=1e-9)
 
 
+@pytest.mark.full
 def test_round_trip_over_random_poses() -> None:
     tip, axis = tilted(30_000)
     joints = serial_inverse_kinematics(UR5, tip, axis)

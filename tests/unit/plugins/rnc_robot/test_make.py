@@ -201,6 +201,7 @@ def test_no_robot_language_is_made() -> None:
         path_program(LINE, UP[:5], 900.0, "bad", to="rs275")
 
 
+@pytest.mark.one_of_each
 @pytest.mark.skipif(shutil.which("rs274") is None, reason="LinuxCNC is not installed")
 @pytest.mark.parametrize("encoding", ["feed", "inverse", "dwell"])
 def test_linuxcnc_reads_it(encoding: Encoding, tmp_path: Path) -> None:

@@ -201,6 +201,7 @@ def test_the_feed_of_the_move_before_a_cut(cut: Callable[[int], None]) -> None:
 # Where the time sits is guessed from the beginning.
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("leads", [1, 4, 6, 30])
 @pytest.mark.parametrize("size", [8, 64, WHOLE])
 def test_dwells_that_begin_late(leads: int, size: int, cut: Callable[[int], None]) -> None:

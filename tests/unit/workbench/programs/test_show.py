@@ -102,6 +102,7 @@ def test_a_feed_that_nobody_knows_is_no_number(polishd: Polishd, program: Path) 
     assert (answer["encoding"], answer["unit"], answer["dwell_total_s"]) == ("inverse", "1/min", 3.0)
 
 
+@pytest.mark.full
 def test_of_very_many_points_some_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     read_back = read(dialect("rs274"), DWELL, "p.rnc")
     whole = program_picture.program_picture(read_back)

@@ -48,6 +48,7 @@ def test_removal_is_the_volume_rate_over_the_cell(shipped: Passes) -> None:
     assert np.allclose(shipped.removal_nm[shipped.metric_mask], 10 * 0.01 * rate, rtol=2e-3)
 
 
+@pytest.mark.full
 def test_equal_dwell_does_not_remove_equally(shipped: Passes) -> None:
     inside = shipped.removal_nm[shipped.metric_mask]
     assert (shipped.mean_nm, shipped.rms_nm) == (inside.mean(), inside.std())
@@ -95,6 +96,7 @@ def test_a_lattice_too_wide_for_the_spot_is_refused_with_its_place(tmp_path: Pat
     assert str(caught.value).startswith(f"{path}:{line_of(path, '[path]')}: path: no dwell point reaches some samples")
 
 
+@pytest.mark.full
 def test_as_json(shipped: Passes) -> None:
     answer = shipped.as_json()
     assert answer["passes"] == 10

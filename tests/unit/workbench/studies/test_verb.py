@@ -43,6 +43,7 @@ def test_corrections_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert len(printed.out.splitlines()) == 1
 
 
+@pytest.mark.full
 def test_corrections_for_people(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     study_verb(small(tmp_path), out, as_json=False)
