@@ -21,14 +21,14 @@ from typing import Any
 
 import pytest
 
-from polishd.api import DeviceRefused, Executed, ForceSample, LinkError, Robot, SpeedSample
+from polishd.api import DeviceRefused, Executed, ForceSample, LinkError, Robot, SpeedSample, SpindleTimes
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp, parse_address
 from polishd.drivers.voice_coil_modbus import voice_coil_modbus
 from polishd.drivers.voice_coil_serial import voice_coil_serial
 from tests.conformance.conftest import BOUND_S, PROMPT_S, seen
-from tests.conformance.rigs import ActuatorRig, Rig, RobotRig, SpindleRig
+from tests.conformance.rigs import PATIENT, ActuatorRig, Rig, RobotRig, SpindleRig
 from tests.conformance.test_device import (  # noqa: F401 -- the suite itself, with this module's any_device
     test_a_cancelled_call_harms_no_later_one,
     test_it_can_be_opened_again,
@@ -173,11 +173,11 @@ def connect(cells: Cells, place: Place) -> RobotLink | SpindleCan | Any:
         case Tcp() if place.device == "robot":
             return RobotLink(address)
         case Slcan() | Socketcand():
-            return SpindleCan(address)
+            return SpindleCan(address, SpindleTimes(silence_s=1.5))
         case SerialLine() if place.cell == "ascii":
-            return voice_coil_serial(address)
+            return voice_coil_serial(address, PATIENT)
         case SerialLine() | Tcp():
-            return voice_coil_modbus(address)
+            return voice_coil_modbus(address, PATIENT)
     raise AssertionError(address)
 
 
