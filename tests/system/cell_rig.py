@@ -33,7 +33,6 @@ PATIENT: Sections = {
     "actuator": {"silence_s": 3.0, "watchdog_ms": 5000},
     "spindle": {"silence_s": 6.0, "watchdog_s": 6.0},
     "job": {"lookahead_s": 12.0},
-    "limits": {"force_grace_s": 2.0},
 }
 """On a busy machine every process is silent for a while: only one that hangs is so for as long as this."""
 PATIENT_SIM: Sections = {"robot": {"watchdog_s": 20.0}, "spindle": {"watchdog_s": 6.0}}

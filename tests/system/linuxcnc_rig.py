@@ -23,7 +23,7 @@ from polishd.process.paths.wrist import tool_axes
 from polishd.sim_backends.linuxcnc.server import ISOLATE
 from tests.commissioned import forged
 from tests.patience import SOON_S
-from tests.system.cell_rig import REPORT, Daemon
+from tests.system.cell_rig import REPORT, Daemon, with_keys
 from tests.system.sim_rig import ROOT, alive, wait_for
 
 PART = {"aperture_mm": 7.0, "edge_mm": 0.5}
@@ -102,10 +102,9 @@ class _Daemon(Daemon):
 def write_files(out: Path, encoding: Encoding, **job: Any) -> DemoFiles:
     """The demo's files with a tiny part and LinuxCNC for a robot; its program has time in feeds or in dwells."""
     files = write_demo(out, None, 2.0, 4, None)
-    quick = {"robot": {"watchdog_s": QUICK_S}, "actuator": {"retract_s": 0.5}}
-    cell = with_values(files.cell.read_text(), {"part": PART, "job": job, **quick})
+    cell = with_values(files.cell.read_text(), {"part": PART, "job": job, "robot": {"watchdog_s": QUICK_S}})
     robot = 'type = "linuxcnc"\nprogram_dir = "sim/linuxcnc/nc"\ncontroller_dir = "/mnt/nc"'
-    cell = cell.replace(REPORT, "")
+    cell = with_keys(cell.replace(REPORT, ""), {"actuator": {"silence_s": 0.8, "retract_s": 0.5}})
     files.cell.write_text(cell.replace('type = "robot_link"', robot))
     high = 1.0 if encoding == "feed" else 5.0  # for long dwells
     plant = {**PART, "pv_nm": high * 30.0, "rms_nm": high * 6.0, "speed": 1.0}

@@ -10,7 +10,7 @@ import pytest
 from polishd.sim_backends import metropro
 from polishd.sim_backends.robot import frames as f
 from tests.patience import SOON_S
-from tests.system.sim_rig import SMALL, Cell, announced, cell, wait_for
+from tests.system.sim_rig import SMALL, Cell, RobotClient, announced, cell, wait_for
 
 pytestmark = pytest.mark.system
 
@@ -141,14 +141,22 @@ def test_blocks_arrive_once_and_in_order_through_a_bad_line(tmp_path: Path) -> N
 
 @pytest.mark.full
 def test_a_device_may_lose_power_by_itself(tmp_path: Path) -> None:
-    with cell(tmp_path, SMALL + "[robot.faults]\nreboot_after_s = 0.3\n") as running:
+    with cell(tmp_path, SMALL + "[robot.faults]\nreboot_after_s = 3.0\n") as running:
         robot = running.robot()
         first = robot.until(lambda: robot.status.get("boot_id"), "a boot id", ping=False)
         robot.until(lambda: robot.closed, "the power cut", ping=False)
         wait_for(lambda: running.events("boot", "reboot", "lost").count("boot") == 6, "the boot in the log")
-        again = running.robot()
+        again = wait_for(lambda: connected(running), "its port")
         assert again.until(lambda: again.status.get("boot_id"), "a boot id") != first
         assert running.pids["robot"] in children_of(running.pids["supervisor"])
+
+
+def connected(running: Cell) -> RobotClient | None:
+    """A connection, once the robot listens again."""
+    try:
+        return running.robot()
+    except ConnectionError:
+        return None
 
 
 def children_of(pid: int) -> list[int]:

@@ -26,8 +26,8 @@ class Rig:
         self.coil = Coil()
         self.peer = ModbusCoil(self.coil, rtu=True)
         self.line = PtyWire(self.peer, path)
-        self.wire = ModbusWire(SerialLine(path))
-        self.device = VoiceCoil(self.wire, ActuatorTimes(watchdog_s=0.5, landing_s=1.0, retract_s=0.5))
+        self.wire = ModbusWire(SerialLine(path), silence_s=0.6)
+        self.device = VoiceCoil(self.wire, ActuatorTimes(watchdog_s=1.0, landing_s=1.0, retract_s=0.5))
 
     def writes(self, register: int) -> list[int]:
         """What was written there."""
@@ -65,15 +65,16 @@ async def test_the_answer_vector_is_read(rig: Rig) -> None:
 
 
 async def test_a_late_answer_is_not_the_next_ones(rig: Rig) -> None:
-    loop = asyncio.get_running_loop()
+    kept: list[bytes] = []
 
-    def late(data: bytes) -> Iterable[bytes]:
-        loop.call_later(0.35, rig.line.write, data)
+    def keep(data: bytes) -> Iterable[bytes]:
+        kept.append(data)
         return []
 
-    rig.peer.filter = Once(late)
+    rig.peer.filter = Once(keep)
     with pytest.raises(LinkError):
         await rig.device.status()  # its answer will say: retracted, set point 0
+    asyncio.get_running_loop().call_soon(rig.line.write, kept.pop())  # when the next question is to be asked
     rig.coil.setpoint_n, rig.coil.boots = 9.0, 77
     assert (await rig.device.identify()).boot_id == "77"
     assert (await rig.wire.read()).setpoint_n == 9.0
