@@ -6,12 +6,14 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip -qq --disable-pip-version-check --no-input
 PYTEST := $(BIN)/python -m pytest
 
-# One thread per process: tests run two at a time, and benchmarks count CPU seconds.
+# One thread per process: tests run side by side, and benchmarks count CPU seconds. Three on two cores, as many tests wait.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+# Tests start Python hundreds of times: what it compiles is kept, whatever the environment says.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-long test-maps ways-out check format reference bench compare lock clean
+.PHONY: help demo test test-all test-long test-maps ways-out check format reference bench compare lock clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -19,17 +21,20 @@ help: ## show this list
 demo: $(VENV)/.installed ## polish a simulated part, from the first map to the report (ARGS="...")
 	@$(BIN)/polishd demo $(ARGS)
 
-test: $(VENV)/.installed ## run the tests, without the long campaigns (ARGS="...")
-	@$(ONE_THREAD) $(PYTEST) -n 2 --dist worksteal -m "not slow and not hil" $(ARGS)
+test: $(VENV)/.installed ## run the tests, one of each kind (ARGS="...")
+	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m "not full and not slow and not hil" $(ARGS)
+
+test-all: $(VENV)/.installed ## run all tests but the long campaigns (ARGS="...")
+	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m "not slow and not hil" $(ARGS)
 
 test-long: $(VENV)/.installed ## run the long campaigns (ARGS="...")
-	@$(ONE_THREAD) $(PYTEST) -n 2 --dist worksteal -m "slow and not hil" $(ARGS)
+	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m "slow and not hil" $(ARGS)
 
 test-maps: $(VENV)/.installed ## of those, 100,000 broken files of each map format and 10,000 writes into the folder
-	@$(ONE_THREAD) $(PYTEST) -n 2 --dist worksteal -m slow tests/unit/plugins/test_map_fuzz.py tests/campaigns $(ARGS)
+	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m slow tests/unit/plugins/test_map_fuzz.py tests/campaigns $(ARGS)
 
 ways-out: $(VENV)/.installed ## of those, every way out of contact in real time, and its table in docs/cycle.md
-	@$(ONE_THREAD) $(PYTEST) -n 2 --dist worksteal -m slow tests/campaigns/test_ways_out.py $(ARGS)
+	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m slow tests/campaigns/test_ways_out.py $(ARGS)
 	@$(BIN)/python -m tests.campaigns.ways_out
 
 check: $(VENV)/.installed ## lint, format, types, layers

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import gc
+import gzip
 import inspect
 import os
 import signal
+import sys
 import time
 from collections.abc import AsyncIterator, Iterator
 from multiprocessing import forkserver, resource_tracker
@@ -15,24 +18,59 @@ import hypothesis
 import pytest
 
 from polishd.plugins.interferometer.formats import apart
+from tests.kinds import mark_others_full
 
 ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT / "tests" / "data"
 
 # What is ending when the test ends may take this long to be gone.
-SETTLE_S = 1.0
+SETTLE_S = 10.0
 
 # A shared machine is sometimes slow: pytest's own timeout catches what hangs. Same examples everywhere.
 hypothesis.settings.register_profile("polishd", deadline=None, derandomize=True, database=None)
 hypothesis.settings.load_profile("polishd")
 
+# Hundreds of processes are started here: what they import is compiled once, whatever the environment says of that.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
-@pytest.fixture
-def shared_data() -> Path:
-    """Folder of measured maps beside the project; the test is skipped where it is absent."""
-    path = ROOT.parent / "shared" / "data"
-    if not path.is_dir():
-        pytest.skip("no ../shared/data beside the project")
-    return path
+
+# What collecting makes stays to the end: looking for garbage in it only takes time.
+gc.disable()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Before -m chooses."""
+    mark_others_full(items)
+
+
+def pytest_collection_finish() -> None:
+    """Garbage is collected from here on."""
+    gc.freeze()
+    gc.enable()
+
+
+class MeasuredMaps:
+    """``maps / name`` is the file; the test is skipped where it is neither in tests/data nor beside the project."""
+
+    def __init__(self, unpacked: Path) -> None:
+        self._unpacked = unpacked
+
+    def __truediv__(self, name: str) -> Path:
+        packed, unpacked = DATA / f"{name}.gz", self._unpacked / name
+        if packed.exists() and not unpacked.exists():
+            unpacked.write_bytes(gzip.decompress(packed.read_bytes()))
+        for path in (DATA / name, unpacked, ROOT.parent / "shared" / "data" / name):
+            if path.exists():
+                return path
+        pytest.skip(f"{name} is not in tests/data, and there is no ../shared/data beside the project")
+
+
+@pytest.fixture(scope="session")
+def shared_data(tmp_path_factory: pytest.TempPathFactory) -> MeasuredMaps:
+    """Maps that were really measured, by their file's name."""
+    return MeasuredMaps(tmp_path_factory.mktemp("maps"))
 
 
 @pytest.fixture(autouse=True)

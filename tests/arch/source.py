@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
@@ -18,7 +19,16 @@ class Source:
 
     name: str
     text: str
-    tree: ast.Module
+
+    @cached_property
+    def tree(self) -> ast.Module:
+        """The file's syntax."""
+        return ast.parse(self.text, self.name)
+
+    @cached_property
+    def nodes(self) -> list[ast.AST]:
+        """All of its syntax, level by level."""
+        return list(ast.walk(self.tree))
 
     @property
     def lines(self) -> int:
@@ -40,15 +50,15 @@ class Source:
 
     def functions(self) -> Iterator[Function]:
         """Every function and method, nested ones too."""
-        return (node for node in ast.walk(self.tree) if isinstance(node, Function))
+        return (node for node in self.nodes if isinstance(node, Function))
 
     def classes(self) -> Iterator[ast.ClassDef]:
         """Every class."""
-        return (node for node in ast.walk(self.tree) if isinstance(node, ast.ClassDef))
+        return (node for node in self.nodes if isinstance(node, ast.ClassDef))
 
     def imports(self) -> Iterator[tuple[ast.stmt, str]]:
         """Each import statement with the dotted module it names, wherever it stands in the file."""
-        for node in ast.walk(self.tree):
+        for node in self.nodes:
             if isinstance(node, ast.Import):
                 yield from ((node, alias.name) for alias in node.names)
             elif isinstance(node, ast.ImportFrom) and node.level == 0:
@@ -56,7 +66,7 @@ class Source:
 
     def calls(self) -> Iterator[tuple[ast.Call, str]]:
         """Each call with its dotted callee; ``get_loop().create_task`` reads ``get_loop().create_task``."""
-        return ((node, ast.unparse(node.func)) for node in ast.walk(self.tree) if isinstance(node, ast.Call))
+        return ((node, ast.unparse(node.func)) for node in self.nodes if isinstance(node, ast.Call))
 
 
 _parsed: dict[Path, Source] = {}
@@ -71,8 +81,7 @@ def sources(root: Path, folder: str = "polishd") -> list[Source]:
 
 def _source(root: Path, path: Path) -> Source:
     if path not in _parsed:
-        text = path.read_text()
-        _parsed[path] = Source(path.relative_to(root).as_posix(), text, ast.parse(text, path.name))
+        _parsed[path] = Source(path.relative_to(root).as_posix(), path.read_text())
     return _parsed[path]
 
 

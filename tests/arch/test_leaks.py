@@ -51,22 +51,29 @@ LEAKS = {
 
 
 def run(tmp_path: Path, text: str) -> str:
-    """Run pytest on these tests, with the project's conftest and settings; what it printed."""
-    (tmp_path / "conftest.py").write_text((ROOT / "tests" / "conftest.py").read_text())
+    """Run pytest on these tests, with the project's conftest and settings, less patient; what it printed."""
+    conftest = (ROOT / "tests" / "conftest.py").read_text()
+    assert "SETTLE_S = 10.0" in conftest
+    (tmp_path / "conftest.py").write_text(conftest.replace("SETTLE_S = 10.0", "SETTLE_S = 0.3"))
     (tmp_path / "test_it.py").write_text(HEAD + text)
     pytest_ = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-c", str(ROOT / "pyproject.toml")]
     result = subprocess.run([*pytest_, str(tmp_path)], cwd=tmp_path, capture_output=True, text=True, check=False)
     return result.stdout + result.stderr
 
 
-def test_what_ends_is_no_leak(tmp_path: Path) -> None:
-    output = run(tmp_path, CLEAN)
-    assert "3 passed" in output, output
-    assert "error" not in output, output
+@pytest.fixture(scope="module")
+def output(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """What is printed of all of them."""
+    leaks = [text.replace("test(", f"test_{name.replace(' ', '_')}(") for name, text in LEAKS.items()]
+    return run(tmp_path_factory.mktemp("leaks"), "\n".join([CLEAN, *leaks]))
+
+
+def test_what_ends_is_no_leak(output: str) -> None:
+    assert re.search(rf"\b{3 + len(LEAKS)} passed, {len(LEAKS)} errors", output), output
+    for name in ("a_group", "a_process", "a_spawned_process"):
+        assert f"teardown of test_{name} " not in output, output
 
 
 @pytest.mark.parametrize("leak", LEAKS)
-def test_a_leak_fails_the_test(tmp_path: Path, leak: str) -> None:
-    output = run(tmp_path, LEAKS[leak])
-    assert "left running" in output, output
-    assert re.search(r"\b1 error", output), output
+def test_a_leak_fails_the_test(output: str, leak: str) -> None:
+    assert re.search(rf"ERROR at teardown of test_{leak.replace(' ', '_')} _+\n.*left running", output), output

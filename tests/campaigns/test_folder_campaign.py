@@ -167,6 +167,7 @@ def play(root: Path, seed: int, writes: int) -> World:
     return world
 
 
+@pytest.mark.full
 def test_300_writes(tmp_path: Path) -> None:
     world = play(tmp_path, seed=1, writes=WRITES)
     assert len(world.journal) > 60

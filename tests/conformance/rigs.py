@@ -6,7 +6,7 @@ A rig for another peer (a simulator, a real machine) is another function here: t
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -17,13 +17,17 @@ from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
 from polishd.drivers.voice_coil import voice_coil_modbus, voice_coil_serial
+from polishd.model.times import ActuatorTimes
 from tests.fakes.actuator import AsciiCoil, Coil, ModbusCoil
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.linuxcnc import FakeLinuxCnc
 from tests.fakes.robot import FakeRobot
 from tests.fakes.wires import PtyWire, TcpWire, dribbled
+from tests.kinds import kind
 
 D = TypeVar("D")
+PATIENT = ActuatorTimes(silence_s=1.0, watchdog_s=2.0)
+"""A busy machine is silent for longer than the wire of an actuator would be."""
 
 
 @dataclass
@@ -106,7 +110,7 @@ async def actuator_rtu(folder: Path) -> AsyncIterator[ActuatorRig]:
     """voice_coil_modbus on a serial line."""
     coil = Coil()
     wire = PtyWire(ModbusCoil(coil, rtu=True), folder / "rtu")
-    async with _actuator(coil, wire, voice_coil_modbus(SerialLine(wire.path))) as rig:
+    async with _actuator(coil, wire, voice_coil_modbus(SerialLine(wire.path), PATIENT)) as rig:
         yield rig
 
 
@@ -115,7 +119,7 @@ async def actuator_tcp(_: Path) -> AsyncIterator[ActuatorRig]:
     """voice_coil_modbus on TCP."""
     coil = Coil()
     wire = await TcpWire(ModbusCoil(coil, rtu=False)).start()
-    async with _actuator(coil, wire, voice_coil_modbus(Tcp("127.0.0.1", wire.port))) as rig:
+    async with _actuator(coil, wire, voice_coil_modbus(Tcp("127.0.0.1", wire.port), PATIENT)) as rig:
         yield rig
 
 
@@ -124,7 +128,7 @@ async def actuator_ascii(folder: Path) -> AsyncIterator[ActuatorRig]:
     """voice_coil_serial on a serial line."""
     coil = Coil()
     wire = PtyWire(AsciiCoil(coil), folder / "ascii")
-    async with _actuator(coil, wire, voice_coil_serial(SerialLine(wire.path))) as rig:
+    async with _actuator(coil, wire, voice_coil_serial(SerialLine(wire.path), PATIENT)) as rig:
         yield rig
 
 
@@ -134,7 +138,7 @@ async def actuator_ascii_dribbled(folder: Path) -> AsyncIterator[ActuatorRig]:
     coil = Coil()
     wire = PtyWire(AsciiCoil(coil), folder / "ascii")
     wire.peer.filter = lambda data: [b"\xff*noise$", *dribbled(data)]
-    async with _actuator(coil, wire, voice_coil_serial(SerialLine(wire.path))) as rig:
+    async with _actuator(coil, wire, voice_coil_serial(SerialLine(wire.path), PATIENT)) as rig:
         yield rig
 
 
@@ -175,16 +179,6 @@ async def _spindle(drive: Drive, wire: PtyWire | TcpWire, device: Spindle) -> As
         await wire.close()
 
 
-ROBOTS: list[Callable[[Path], AbstractAsyncContextManager[RobotRig]]] = [
-    robot_tcp,
-    robot_dribbled,
-    linuxcnc,
-    linuxcnc_dribbled,
-]
-ACTUATORS: list[Callable[[Path], AbstractAsyncContextManager[ActuatorRig]]] = [
-    actuator_rtu,
-    actuator_tcp,
-    actuator_ascii,
-    actuator_ascii_dribbled,
-]
-SPINDLES: list[Callable[[Path], AbstractAsyncContextManager[SpindleRig]]] = [spindle_slcan, spindle_socketcand]
+ROBOTS = [*kind(robot_tcp, robot_dribbled), *kind(linuxcnc, linuxcnc_dribbled)]
+ACTUATORS = [*kind(actuator_rtu, actuator_tcp), *kind(actuator_ascii, actuator_ascii_dribbled)]
+SPINDLES = kind(spindle_slcan, spindle_socketcand)

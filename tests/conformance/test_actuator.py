@@ -9,8 +9,9 @@ from collections.abc import Callable
 import pytest
 
 from polishd.api import DeviceRefused, ForceActuator, ForceSample, LinkError
-from tests.conformance.conftest import PROMPT_S, seen, within
+from tests.conformance.conftest import PROMPT_S, seen
 from tests.conformance.rigs import ActuatorRig
+from tests.patience import SOON_S, within
 
 
 @pytest.fixture
@@ -21,7 +22,7 @@ async def opened(actuator: ActuatorRig) -> ForceActuator:
 
 async def sample_where(device: ForceActuator, condition: Callable[[ForceSample], bool]) -> ForceSample:
     """The first sample of that kind."""
-    async with asyncio.timeout(3.0):
+    async with asyncio.timeout(SOON_S):
         async for sample in device.samples():
             if condition(sample):
                 return sample
@@ -33,6 +34,7 @@ async def test_it_is_an_actuator(actuator: ActuatorRig) -> None:
 
 
 async def test_it_lands_and_regulates(opened: ForceActuator) -> None:
+    began_s = time.monotonic()
     await opened.set_force(12.0)
     sample = await sample_where(opened, lambda one: True)
     assert sample.in_contact
@@ -40,7 +42,7 @@ async def test_it_lands_and_regulates(opened: ForceActuator) -> None:
     assert sample.force_n == pytest.approx(12.0)
     assert sample.setpoint_n == pytest.approx(12.0)
     assert sample.fault == 0
-    assert abs(sample.at_s - time.monotonic()) < 0.5
+    assert began_s < sample.at_s <= time.monotonic()
 
 
 async def test_it_changes_force_in_contact(opened: ForceActuator) -> None:
@@ -87,6 +89,7 @@ async def test_make_safe_after_close_in_contact(actuator: ActuatorRig, opened: F
     assert actuator.safe()
 
 
+@pytest.mark.one_of_each("force_n")
 @pytest.mark.parametrize("force_n", [-1.0, 50.5, float("nan"), float("inf")])
 async def test_impossible_forces_are_refused(opened: ForceActuator, force_n: float) -> None:
     with pytest.raises(DeviceRefused):
@@ -104,6 +107,7 @@ async def test_samples_come_at_a_steady_rate(opened: ForceActuator) -> None:
     assert 0.45 < at[-1] - at[0] < 1.5
 
 
+@pytest.mark.full
 async def test_samples_feed_the_watchdog(opened: ForceActuator) -> None:
     await opened.set_force(12.0)
     until = time.monotonic() + 0.8
@@ -112,9 +116,10 @@ async def test_samples_feed_the_watchdog(opened: ForceActuator) -> None:
     assert sample.fault == 0
 
 
+@pytest.mark.one_of_each
 async def test_without_samples_it_retracts_by_itself(actuator: ActuatorRig, opened: ForceActuator) -> None:
     await opened.set_force(12.0)
-    await asyncio.wait_for(seen(actuator.safe), 3.0)
+    await seen(actuator.safe)
     assert actuator.safe()
     status = await opened.status()
     assert (status.ready, status.detail) == (False, "watchdog ran out")

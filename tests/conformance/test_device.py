@@ -9,8 +9,9 @@ import pytest
 from polishd.api import Device, ForceActuator, LinkError, Robot, Spindle
 from polishd.config.cell import PORTS
 from polishd.daemon.port_checks import lacking
-from tests.conformance.conftest import BOUND_S, PROMPT_S, within
+from tests.conformance.conftest import BOUND_S, PROMPT_S
 from tests.conformance.rigs import Rig
+from tests.patience import within
 
 AnyRig = Rig[Robot] | Rig[ForceActuator] | Rig[Spindle]
 
@@ -103,6 +104,7 @@ async def test_a_cut_link_is_known_at_once(any_device: AnyRig) -> None:
         await watch(any_device.device)
 
 
+@pytest.mark.one_of_each
 async def test_a_silent_link_is_known_at_once(any_device: AnyRig) -> None:
     await any_device.device.open()
     any_device.mute()
@@ -117,6 +119,7 @@ async def test_make_safe_on_a_cut_link_says_so_in_bounded_time(any_device: AnyRi
         await any_device.device.make_safe()
 
 
+@pytest.mark.one_of_each
 async def test_make_safe_on_a_silent_link_says_so_in_bounded_time(any_device: AnyRig) -> None:
     await any_device.device.open()
     any_device.mute()
@@ -132,6 +135,7 @@ async def test_opening_a_dead_link_says_so_in_bounded_time(any_device: AnyRig) -
         await any_device.device.make_safe()
 
 
+@pytest.mark.one_of_each
 async def test_opening_a_silent_link_says_so_in_bounded_time(any_device: AnyRig) -> None:
     any_device.mute()
     with within(BOUND_S), pytest.raises(LinkError):

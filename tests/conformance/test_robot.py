@@ -9,8 +9,9 @@ from itertools import pairwise
 import pytest
 
 from polishd.api import DeviceRefused, Executed, LinkError, Plan, Robot, Segment
-from tests.conformance.conftest import PROMPT_S, seen, within
+from tests.conformance.conftest import PROMPT_S, seen
 from tests.conformance.rigs import RobotRig
+from tests.patience import within
 from tests.programs import plan_of
 
 
@@ -173,7 +174,7 @@ async def test_make_safe_stops_a_running_robot_after_close(robot: RobotRig, open
 async def test_buffer_tells_what_is_ahead(opened: Robot) -> None:
     assert opened.buffer_s == 0.0
     await loaded(opened, 40)
-    await asyncio.wait_for(seen(lambda: opened.buffer_s > 0.0), 1.0)
+    await seen(lambda: opened.buffer_s > 0.0)
 
 
 async def test_a_program_cannot_be_changed_while_it_runs(opened: Robot) -> None:

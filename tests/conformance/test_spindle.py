@@ -9,8 +9,9 @@ from collections.abc import Callable
 import pytest
 
 from polishd.api import DeviceRefused, LinkError, SpeedSample, Spindle
-from tests.conformance.conftest import PROMPT_S, seen, within
+from tests.conformance.conftest import PROMPT_S, seen
 from tests.conformance.rigs import SpindleRig
+from tests.patience import SOON_S, within
 
 
 @pytest.fixture
@@ -21,7 +22,7 @@ async def opened(spindle: SpindleRig) -> Spindle:
 
 async def sample_where(device: Spindle, condition: Callable[[SpeedSample], bool]) -> SpeedSample:
     """The first sample of that kind."""
-    async with asyncio.timeout(4.0):
+    async with asyncio.timeout(SOON_S):
         async for sample in device.samples():
             if condition(sample):
                 return sample
@@ -33,12 +34,13 @@ async def test_it_is_a_spindle(spindle: SpindleRig) -> None:
 
 
 async def test_it_returns_at_speed(opened: Spindle) -> None:
+    began_s = time.monotonic()
     await opened.set_speed(1000.0)
     sample = await sample_where(opened, lambda one: True)
     assert sample.rpm == pytest.approx(1000.0, rel=0.02)
     assert sample.setpoint_rpm == 1000.0
     assert sample.fault == 0
-    assert abs(sample.at_s - time.monotonic()) < 0.5
+    assert began_s < sample.at_s <= time.monotonic()
     assert (await opened.status()).state == "at_speed"
 
 
@@ -76,6 +78,7 @@ async def test_impossible_speeds_are_refused(spindle: SpindleRig, opened: Spindl
     assert spindle.safe()
 
 
+@pytest.mark.full
 async def test_samples_keep_it_running(opened: Spindle) -> None:
     await opened.set_speed(1000.0)
     until = time.monotonic() + 1.6
@@ -86,7 +89,7 @@ async def test_samples_keep_it_running(opened: Spindle) -> None:
 
 async def test_it_stops_by_itself_when_nobody_cares(spindle: SpindleRig, opened: Spindle) -> None:
     await opened.set_speed(1000.0)
-    await asyncio.wait_for(seen(spindle.safe), 4.0)
+    await seen(spindle.safe)
     sample = await sample_where(opened, lambda one: one.fault != 0)
     assert sample.fault == 1
     assert not (await opened.status()).ready

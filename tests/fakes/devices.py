@@ -180,7 +180,8 @@ class FakeRobot(FakeDevice):
 
     @property
     def buffer_s(self) -> float:
-        return sum(self._seconds(block) for block in self.loaded[self.done :])
+        ahead = self.loaded[self.done :]
+        return sum(map(self.block_s, ahead)) if callable(self.block_s) else sum([self.block_s] * len(ahead))
 
     def _seconds(self, block: Segment) -> float:
         return self.block_s(block) if callable(self.block_s) else self.block_s

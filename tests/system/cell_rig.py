@@ -7,7 +7,7 @@ import json
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Self
 
@@ -17,30 +17,65 @@ from polishd.console.simulator import simulated_cell
 from polishd.daemon import client
 from polishd.model.errors import PolishdError
 from tests.commissioned import forged
+from tests.patience import SOON_S
 from tests.system.sim_rig import wait_for
 
+Sections = Mapping[str, Mapping[str, Any]]
+
 APERTURE_MM = 30.0
+ONE_PASS = {"tolerance_nm": 5.0, "max_cycles": 2}
+"""So that a job is a pass or two."""
+REPORT = ', "run_report"'
+"""Takes seconds: only where somebody looks at it."""
+
+PATIENT: Sections = {
+    "robot": {"silence_s": 6.0, "watchdog_s": 20.0},
+    "actuator": {"silence_s": 3.0, "watchdog_ms": 5000},
+    "spindle": {"silence_s": 6.0, "watchdog_s": 6.0},
+    "job": {"lookahead_s": 12.0},
+}
+"""On a busy machine every process is silent for a while: only one that hangs is so for as long as this."""
+PATIENT_SIM: Sections = {"robot": {"watchdog_s": 20.0}, "spindle": {"watchdog_s": 6.0}}
 
 
-def write_small(out: Path, **job: Any) -> DemoFiles:
+def write_small(out: Path, *, report: bool = False, patient: bool = True, **job: Any) -> DemoFiles:
     """The demo's files with a small part, so that a pass takes seconds."""
     from polishd.console.demo_files import write_demo
 
     files = write_demo(out, None, 2.0, 4, None)
     part = {"part": {"aperture_mm": APERTURE_MM}, "job": job}
-    files.cell.write_text(with_values(files.cell.read_text(), part))
+    cell = with_values(files.cell.read_text(), part)
+    assert REPORT in cell
+    files.cell.write_text(cell if report else cell.replace(REPORT, ""))
     sim = {"plant": {"aperture_mm": APERTURE_MM, "pv_nm": 100.0}}
     files.sim.write_text(with_values(files.sim.read_text(), sim))
+    if patient:
+        files.cell.write_text(with_keys(files.cell.read_text(), PATIENT))
+        files.sim.write_text(with_keys(files.sim.read_text(), PATIENT_SIM))
     forged(files.profile)
     config = load_config(files.cell)
     config.program_path.write_bytes(demo_program(config))
     return files
 
 
+def with_keys(text: str, sections: Sections) -> str:
+    """The TOML text with these keys, also those that the template leaves at their defaults."""
+    lines, wanted = [], {}
+    for line in text.splitlines():
+        if line.startswith("["):
+            wanted = sections.get(line[1:].partition("]")[0], {})
+            lines += [line, *(f"{key} = {json.dumps(value)}" for key, value in wanted.items())]
+        elif line.partition("=")[0].strip() not in wanted:
+            lines.append(line)
+    return "\n".join(lines) + "\n"
+
+
 @contextlib.contextmanager
-def small_cell(out: Path, seed: int = 1, speed: float = 10.0, **job: Any) -> Iterator[DemoFiles]:
+def small_cell(
+    out: Path, seed: int = 1, speed: float = 10.0, *, report: bool = False, **job: Any
+) -> Iterator[DemoFiles]:
     """A running simulator for the small part."""
-    files = write_small(out, **job)
+    files = write_small(out, report=report, **job)
     options = ["--state", str(files.sim_dir), "--seed", str(seed), "--speed", f"{speed:g}"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):
         yield files
@@ -72,21 +107,23 @@ class Daemon:
             assert self.process.poll() is None, self.output.read_text()
             return {}
 
-    def wait_for_state(self, state: str, limit_s: float = 30.0) -> dict[str, Any]:
+    def wait_for_state(self, state: str) -> dict[str, Any]:
         """Its status once it is in that state."""
-        return dict(wait_for(lambda: (s := self.status()).get("state") == state and s, f"state {state}", limit_s))
+        return dict(wait_for(lambda: (s := self.status()).get("state") == state and s, f"state {state}"))
 
-    def wait_in_contact(self, blocks: int = 150, limit_s: float = 60.0) -> None:
+    def wait_in_contact(self, blocks: int = 150) -> None:
         """Returns in the middle of a pass."""
         before = len(events(self.files, "blocks"))
-        wait_for(
-            lambda: any(e.get("at_seq", 0) > blocks for e in events(self.files, "blocks")[before:]), "a pass", limit_s
-        )
+        wait_for(lambda: any(e.get("at_seq", 0) > blocks for e in events(self.files, "blocks")[before:]), "a pass")
+
+    def wait(self) -> int:
+        """Its exit code, once it ends by itself."""
+        return self.process.wait(SOON_S)
 
     def end(self, number: int = signal.SIGTERM) -> int:
         """Send a signal and wait for the end; its exit code."""
         self.process.send_signal(number)
-        return self.process.wait(20.0)
+        return self.wait()
 
 
 def events(files: DemoFiles, *names: str) -> list[dict[str, Any]]:

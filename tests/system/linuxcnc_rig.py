@@ -22,8 +22,9 @@ from polishd.process.paths.raster import raster
 from polishd.process.paths.wrist import tool_axes
 from polishd.sim_backends.linuxcnc.server import ISOLATE
 from tests.commissioned import forged
-from tests.system.cell_rig import Daemon
-from tests.system.sim_rig import LIMIT_S, ROOT, alive, wait_for
+from tests.patience import SOON_S
+from tests.system.cell_rig import REPORT, Daemon, with_keys
+from tests.system.sim_rig import ROOT, alive, wait_for
 
 PART = {"aperture_mm": 7.0, "edge_mm": 0.5}
 """A pass over it takes some seconds: LinuxCNC knows real time only."""
@@ -70,7 +71,7 @@ class Cell:
         """What ``linuxcnc_moves`` tells."""
         programs = str(self.files.sim_dir / "linuxcnc" / "nc")
         command = [*self.inside, sys.executable, "-m", "tests.system.linuxcnc_moves", str(_port(self.files)), programs]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=2 * LIMIT_S, cwd=ROOT, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=SOON_S, cwd=ROOT, check=False)
         assert done.returncode == 0, done.stderr
         return dict(json.loads(done.stdout))
 
@@ -85,7 +86,7 @@ class Cell:
             "except TimeoutError: pass\n"
         )
         command = [*self.inside, sys.executable, "-c", talk, str(_port(self.files)), *lines]
-        said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=LIMIT_S).stdout
+        said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=SOON_S).stdout
         return said.split("\n")
 
 
@@ -101,10 +102,9 @@ class _Daemon(Daemon):
 def write_files(out: Path, encoding: Encoding, **job: Any) -> DemoFiles:
     """The demo's files with a tiny part and LinuxCNC for a robot; its program has time in feeds or in dwells."""
     files = write_demo(out, None, 2.0, 4, None)
-    quick = {"robot": {"watchdog_s": QUICK_S}, "actuator": {"retract_s": 0.5}}
-    cell = with_values(files.cell.read_text(), {"part": PART, "job": job, **quick})
+    cell = with_values(files.cell.read_text(), {"part": PART, "job": job, "robot": {"watchdog_s": QUICK_S}})
     robot = 'type = "linuxcnc"\nprogram_dir = "sim/linuxcnc/nc"\ncontroller_dir = "/mnt/nc"'
-    cell = cell.replace(', "run_report"', "")  # takes seconds, and knows nothing of robots
+    cell = with_keys(cell.replace(REPORT, ""), {"actuator": {"silence_s": 0.8, "retract_s": 0.5}})
     files.cell.write_text(cell.replace('type = "robot_link"', robot))
     high = 1.0 if encoding == "feed" else 5.0  # for long dwells
     plant = {**PART, "pv_nm": high * 30.0, "rms_nm": high * 6.0, "speed": 1.0}
@@ -139,7 +139,7 @@ def linuxcnc_cell(out: Path, encoding: Encoding = "feed", **job: Any) -> Iterato
         yield Cell(files, process)
     finally:
         process.terminate()
-        process.wait(LIMIT_S)
+        process.wait(SOON_S)
         if process.stdout is not None:
             process.stdout.close()
         wait_for(lambda: not alive(process.pid), "the simulator's end")

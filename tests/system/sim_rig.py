@@ -20,18 +20,19 @@ import serial
 
 from polishd.sim_backends.actuator.modbus import crc16, rtu
 from polishd.sim_backends.robot import frames as f
+from tests.patience import SOON_S
 
 ROOT = Path(__file__).resolve().parents[2]
-LIMIT_S = 15.0
 SMALL = """
 [plant]
 aperture_mm = 40.0
 [robot]
 port = 0
+watchdog_s = 3.0
 """
 
 
-def wait_for(condition: Callable[[], Any], what: str, limit_s: float = LIMIT_S) -> Any:
+def wait_for(condition: Callable[[], Any], what: str, limit_s: float = SOON_S) -> Any:
     """The condition's first true value."""
     end = time.monotonic() + limit_s
     while time.monotonic() < end:
@@ -121,7 +122,7 @@ class Cell:
         for process in (*self.booted, self.process):
             process.send_signal(signal.SIGTERM)
         for process in (*self.booted, self.process):
-            process.wait(LIMIT_S)
+            process.wait(SOON_S)
             if process.stdout is not None:
                 process.stdout.close()
         return self.process.returncode
@@ -143,7 +144,7 @@ def cell(folder: Path, config: str = SMALL, *arguments: str) -> Iterator[Cell]:
         running.end()
         pids = running.pids.values() if (running.state / "pids.json").exists() else []
         for pid in pids:
-            wait_for(lambda pid=pid: not alive(pid), f"process {pid} to end", 5.0)
+            wait_for(lambda pid=pid: not alive(pid), f"process {pid} to end")
 
 
 def announced(lines: Sequence[bytes], sha256: str = "ab" * 32) -> dict[str, Any]:
@@ -157,7 +158,7 @@ class RobotClient:
 
     def __init__(self, endpoint: str, role: str = "writer", executed_from: int = 0, lease: str = "") -> None:
         host, port = endpoint.removeprefix("tcp://").split(":")
-        self.socket = socket.create_connection((host, int(port)), timeout=5.0)
+        self.socket = socket.create_connection((host, int(port)), timeout=SOON_S)
         self.socket.settimeout(0.02)
         self.splitter = f.Splitter()
         self.executed: list[tuple[int, float, float]] = []
@@ -242,7 +243,7 @@ class CoilClient:
     """The actuator on Modbus RTU, raw."""
 
     def __init__(self, path: Path, baud: int = 115200) -> None:
-        self.line = serial.Serial(str(path), baud, timeout=1.0)
+        self.line = serial.Serial(str(path), baud, timeout=SOON_S)
 
     def ask(self, pdu: bytes, size: int) -> bytes:
         """Send a request; the answer's PDU."""

@@ -142,6 +142,7 @@ async def pester(port: int, end: asyncio.Event) -> int:
     return visits
 
 
+@pytest.mark.full
 async def test_monitors_that_come_and_go_do_not_disturb_the_job(tmp_path: Path) -> None:
     plan = zigzag(2_000, 0.1, 600.0)
     async with witnessed_robot(tmp_path, speed=15.0) as witness:
@@ -161,6 +162,7 @@ async def test_monitors_that_come_and_go_do_not_disturb_the_job(tmp_path: Path) 
     require_executed_once_and_in_order(witness, plan)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("blocks", [300, pytest.param(1500, marks=pytest.mark.slow)])
 async def test_a_robot_of_50_blocks_a_second_does_not_starve_when_the_link_stalls(tmp_path: Path, blocks: int) -> None:
     """A second of silence in every two, and the daemon's own stream with 1.5 s of look-ahead."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -11,6 +12,7 @@ import sqlite3
 import stat
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +24,16 @@ from polishd.console.demo_files import DemoFiles, with_values, write_demo
 from polishd.console.simulator import measure_artefact, simulated_cell
 from polishd.daemon import client
 from polishd.daemon.sockets import SOCKET_NAME
-from tests.system.cell_rig import Daemon, account, events, small_cell, summary, write_small
+from tests.patience import SOON_S
+from tests.system.cell_rig import ONE_PASS, Daemon, account, events, small_cell, summary, with_keys, write_small
 from tests.system.sim_rig import wait_for
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(400)]
+pytestmark = pytest.mark.system
 
 
 def polishd(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "polishd.cli", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=SOON_S, check=False)
 
 
 def require_nothing_twice(files: DemoFiles) -> None:
@@ -62,9 +65,9 @@ def require_safe_order(log: list[dict[str, Any]]) -> None:
 
 
 def test_a_whole_job_is_polished_and_left_for_people_to_see(tmp_path: Path) -> None:
-    with small_cell(tmp_path / "cell", seed=3, speed=40.0) as files:
+    with small_cell(tmp_path / "cell", seed=3, speed=40.0, report=True) as files:
         with Daemon(files) as daemon:
-            assert daemon.process.wait(300.0) == 0, daemon.output.read_text()
+            assert daemon.wait() == 0, daemon.output.read_text()
         require_nothing_twice(files)
         measured = events(files, "measured")
     end = summary(files)
@@ -86,11 +89,12 @@ def test_a_whole_job_is_polished_and_left_for_people_to_see(tmp_path: Path) -> N
     assert "http" not in page.replace("http://www.w3.org", "")
 
 
+@pytest.mark.full
 def test_what_was_learned_predicts_the_time_that_is_delivered(tmp_path: Path) -> None:
     """Acceleration and overhead are hidden: after one pass the total is known to 1 %, each block to 5 ms."""
     cell = small_cell(tmp_path / "cell", seed=5, speed=40.0, tolerance_nm=0.01, max_cycles=2)
     with cell as files, Daemon(files) as daemon:
-        assert daemon.process.wait(300.0) == 1, daemon.output.read_text()
+        assert daemon.wait() == 1, daemon.output.read_text()
     expected, executed = [], []
     for cycle in (0, 1):
         folder = files.run_dir / f"cycle-{cycle:02d}"
@@ -103,6 +107,7 @@ def test_what_was_learned_predicts_the_time_that_is_delivered(tmp_path: Path) ->
     assert np.sqrt(np.mean((executed[1] - expected[1]) ** 2)) < 5e-3
 
 
+@pytest.mark.full
 def test_sigterm_in_contact_lifts_before_motion_stops_and_resume_measures_first(tmp_path: Path) -> None:
     with small_cell(tmp_path / "cell", seed=2) as files:
         with Daemon(files) as daemon:
@@ -117,20 +122,31 @@ def test_sigterm_in_contact_lifts_before_motion_stops_and_resume_measures_first(
             assert not [e for e in events(files)[before:] if e["event"] in ("motion_started", "force_on")]
             maps = len(events(files, "map_dropped"))
             assert client.request(files.state_dir, "resume")["state"] == "polishing"
-            moved = wait_for(
-                lambda: [e for e in events(files)[before:] if e["event"] == "motion_started"], "motion", 40
-            )
+            moved = wait_for(lambda: [e for e in events(files)[before:] if e["event"] == "motion_started"], "motion")
             measured = [e for e in events(files, "map_dropped")[maps:] if e["mono_s"] < moved[0]["mono_s"]]
             assert measured, "a new measurement comes before motion"
-            assert daemon.process.wait(300.0) == 0, daemon.output.read_text()
+            assert daemon.wait() == 0, daemon.output.read_text()
         require_nothing_twice(files)
     assert summary(files)["outcome"] == "in_tolerance"
 
 
+@contextlib.contextmanager
+def quick_watchdogs_cell(out: Path) -> Iterator[DemoFiles]:
+    """The robot's watchdog stops motion before a pass is over, and after the actuator's has lifted the tool."""
+    files = write_small(out, **ONE_PASS)
+    robot = {"robot": {"silence_s": 2.0, "watchdog_s": 5.0}}
+    actuator = {"actuator": {"silence_s": 1.0, "watchdog_ms": 2000, "retract_s": 2.0}}
+    files.cell.write_text(with_keys(files.cell.read_text(), {**robot, **actuator}))
+    files.sim.write_text(with_keys(files.sim.read_text(), {"robot": {"watchdog_s": 5.0}}))
+    options = ["--state", str(files.sim_dir), "--seed", "4", "--speed", "10"]
+    with simulated_cell(files.sim, options, files.out / "sim.stderr"):
+        yield files
+
+
 def test_kill_9_leaves_the_tool_lifted_by_watchdogs_and_comes_up_held(tmp_path: Path) -> None:
-    with small_cell(tmp_path / "cell", seed=4, speed=4.0) as files:
+    with quick_watchdogs_cell(tmp_path / "cell") as files:
         with Daemon(files) as daemon:
-            daemon.wait_in_contact(60)
+            daemon.wait_in_contact(20)
             daemon.end(signal.SIGKILL)
         wait_for(lambda: events(files)[-1]["event"] in ("motion_stopped", "spindle_stopped"), "watchdogs")
         wait_for(lambda: {"watchdog"} & {e.get("detail") for e in events(files, "motion_stopped")}, "robot's watchdog")
@@ -142,12 +158,13 @@ def test_kill_9_leaves_the_tool_lifted_by_watchdogs_and_comes_up_held(tmp_path: 
         with Daemon(files) as daemon:
             assert "uncertain" in daemon.wait_for_state("held")["reason"]
             assert client.request(files.state_dir, "resume")["ok"]
-            assert daemon.process.wait(300.0) == 0, daemon.output.read_text()
+            assert daemon.wait() == 0, daemon.output.read_text()
         require_nothing_twice(files)
 
 
+@pytest.mark.full
 def test_a_job_goes_on_with_what_it_was_begun_with_and_needs_no_run_folder(tmp_path: Path) -> None:
-    with small_cell(tmp_path / "cell", seed=2) as files:
+    with small_cell(tmp_path / "cell", seed=2, report=True) as files:
         with Daemon(files) as daemon:
             daemon.wait_in_contact()
             assert daemon.end() == 1
@@ -169,16 +186,17 @@ def test_a_job_goes_on_with_what_it_was_begun_with_and_needs_no_run_folder(tmp_p
         with Daemon(files) as daemon:
             assert "interrupted" in daemon.wait_for_state("held")["reason"]
             assert client.request(files.state_dir, "resume")["ok"]
-            assert daemon.process.wait(300.0) == 0, daemon.output.read_text()
+            assert daemon.wait() == 0, daemon.output.read_text()
         require_nothing_twice(files)
     assert summary(files)["outcome"] == "in_tolerance"
     assert (files.run_dir / "cycle-00" / "surface.npz").stat().st_size > 0, "made anew"
     assert (files.run_dir / "report.html").stat().st_size > 0
 
 
+@pytest.mark.full
 def test_a_late_map_holds_until_it_comes(tmp_path: Path) -> None:
     """The instrument stands still for longer than anybody waits; a person starts it again, and resumes."""
-    files = write_small(tmp_path / "cell", tolerance_nm=5.0, max_cycles=2)
+    files = write_small(tmp_path / "cell", **ONE_PASS)
     files.cell.write_text(with_values(files.cell.read_text(), {"metrology": {"timeout_s": 8.0}}))
     options = ["--state", str(files.sim_dir), "--seed", "3", "--speed", "80"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):
@@ -192,7 +210,7 @@ def test_a_late_map_holds_until_it_comes(tmp_path: Path) -> None:
                 assert not events(files, "motion_started", "force_on")
                 os.kill(instrument, signal.SIGCONT)
                 assert polishd("resume", files.cell).returncode == 0
-                assert daemon.process.wait(300.0) == 0, daemon.output.read_text()
+                assert daemon.wait() == 0, daemon.output.read_text()
         finally:
             os.kill(instrument, signal.SIGCONT)
     end = summary(files)
@@ -200,6 +218,7 @@ def test_a_late_map_holds_until_it_comes(tmp_path: Path) -> None:
     assert [(cause["kind"], cause["ended"]) for cause in end["causes"]] == [("SurfaceError", False)]
 
 
+@pytest.mark.full
 def test_a_late_map_with_nobody_there_ends_with_its_own_code(tmp_path: Path) -> None:
     files = write_small(tmp_path / "cell")
     files.cell.write_text(with_values(files.cell.read_text(), {"metrology": {"timeout_s": 1.0}}))
@@ -216,8 +235,9 @@ def test_a_late_map_with_nobody_there_ends_with_its_own_code(tmp_path: Path) -> 
 
 
 def test_orders_over_the_socket(tmp_path: Path) -> None:
-    with small_cell(tmp_path / "cell", seed=5) as files, Daemon(files) as daemon:
-        daemon.wait_in_contact()
+    # so slow that the pass is not over before the orders come
+    with small_cell(tmp_path / "cell", seed=5, speed=3.0) as files, Daemon(files) as daemon:
+        daemon.wait_in_contact(20)
         assert stat.S_IMODE((files.state_dir / SOCKET_NAME).stat().st_mode) == 0o600
         second = polishd("run", files.cell)
         assert second.returncode == 3
@@ -229,18 +249,19 @@ def test_orders_over_the_socket(tmp_path: Path) -> None:
         assert status["cycles"][0]["rms_nm"] > 10.0
         assert polishd("resume", files.cell).returncode == 0
         assert polishd("stop", files.cell).returncode == 0
-        assert daemon.process.wait(20.0) == 1
+        assert daemon.wait() == 1
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("device", ["robot", "actuator", "spindle"])
 def test_a_device_that_dies_in_contact_ends_the_pass_safely(tmp_path: Path, device: str) -> None:
     with small_cell(tmp_path / "cell", seed=6) as files, Daemon(files) as daemon:
-        daemon.wait_in_contact()
+        daemon.wait_in_contact(60)
         pids = json.loads((files.sim_dir / "pids.json").read_text())
         signal_number = signal.SIGSTOP if device != "robot" else signal.SIGKILL
         subprocess.run(["kill", f"-{int(signal_number)}", str(pids[device])], check=True)
         try:
-            code = daemon.process.wait(60.0)
+            code = daemon.wait()
         finally:
             subprocess.run(["kill", "-CONT", str(pids[device])], check=False)
         assert code in (5, 7), daemon.output.read_text()
@@ -249,8 +270,6 @@ def test_a_device_that_dies_in_contact_ends_the_pass_safely(tmp_path: Path, devi
 
 
 def test_a_device_that_is_not_there_is_named(tmp_path: Path) -> None:
-    from tests.system.cell_rig import write_small
-
     files = write_small(tmp_path / "cell")
     answer = polishd("run", files.cell)
     assert answer.returncode == 5
@@ -260,17 +279,18 @@ def test_a_device_that_is_not_there_is_named(tmp_path: Path) -> None:
     assert not files.run_dir.joinpath("cycle-00").exists()
 
 
+@pytest.mark.full
 def test_an_instrument_that_was_turned_over_is_stopped_by_the_gate_with_a_picture(tmp_path: Path) -> None:
     """Its profile was proved before; whoever turned it over told nobody. The first pass shows it."""
-    files = write_small(tmp_path / "cell")
+    files = write_small(tmp_path / "cell", report=True)
     files.sim.write_text(with_values(files.sim.read_text(), {"interferometer.faults": {"mirror": True}}))
     options = ["--state", str(files.sim_dir), "--seed", "3", "--speed", "40"]
     with simulated_cell(files.sim, options, tmp_path / "log"):
         with Daemon(files) as daemon:
-            held = daemon.wait_for_state("held", 90.0)
+            held = daemon.wait_for_state("held")
             assert "GateStop: the measured removal looks like" in held["reason"]
             assert polishd("stop", files.cell).returncode == 0
-            assert daemon.process.wait(60.0) == 10, daemon.output.read_text()
+            assert daemon.wait() == 10, daemon.output.read_text()
         require_safe_order(events(files))
     assert len(events(files, "map_dropped")) == 2, "one pass, and no more"
     picture = files.run_dir / "cycle-01" / "gate.png"
@@ -280,6 +300,7 @@ def test_an_instrument_that_was_turned_over_is_stopped_by_the_gate_with_a_pictur
     assert summary(files)["outcome"] == "failed"
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("fault", "mends"),
     [

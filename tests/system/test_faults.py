@@ -19,16 +19,13 @@ import pytest
 
 from polishd.console.demo_files import DemoFiles
 from polishd.console.simulator import simulated_cell
-from tests.system.cell_rig import Daemon, account, events, summary, write_small
+from tests.system.cell_rig import ONE_PASS, Daemon, account, events, summary, write_small
 from tests.system.sim_rig import wait_for
 from tests.system.test_daemon import polishd, require_safe_order
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.system, pytest.mark.full]
 
 DEVICE, SAFETY = 5, 7
-ONE_PASS = {"tolerance_nm": 5.0, "max_cycles": 2}
-"""So that a job is a pass or two."""
-
 LIFTING_S = 0.6
 """Longest from noticing a fault to a lifted tool, wall time."""
 
@@ -114,7 +111,7 @@ def test_a_nasty_instrument_and_late_replies_do_not_keep_a_job_from_its_toleranc
     """Each map comes after another part's and after the last one again, in files of full length from the start."""
     with faulty_cell(tmp_path / "cell", NASTY, seed=3, speed=80.0) as files:
         with Daemon(files) as daemon:
-            assert daemon.process.wait(300.0) == 0, daemon.output.read_text()
+            assert daemon.wait() == 0, daemon.output.read_text()
         require_contact_once(files, 80.0)
         dropped = [event["file"] for event in events(files, "map_dropped")]
         measured = [event["true_rms_nm"] for event in events(files, "measured")]
@@ -139,7 +136,7 @@ BAD_WIRES: dict[str, Faults] = {
 def test_a_bad_wire_ends_in_tolerance_or_safe_with_a_device_error(tmp_path: Path, device: str) -> None:
     with faulty_cell(tmp_path / "cell", BAD_WIRES[device], seed=2, speed=80.0) as files:
         with Daemon(files, "--no-hold") as daemon:
-            code = daemon.process.wait(300.0)
+            code = daemon.wait()
             said = daemon.output.read_text()
         assert "Traceback" not in said
         assert code in (0, DEVICE, SAFETY), said
@@ -155,7 +152,7 @@ def test_a_bad_wire_ends_in_tolerance_or_safe_with_a_device_error(tmp_path: Path
 def test_a_force_that_sticks_is_a_safety_stop_and_a_person_decides(tmp_path: Path) -> None:
     with faulty_cell(tmp_path / "cell", {"actuator": {"stuck_force_after_s": 1.5}}, seed=4, speed=20.0) as files:
         with Daemon(files) as daemon:
-            assert daemon.process.wait(300.0) == SAFETY, daemon.output.read_text()
+            assert daemon.wait() == SAFETY, daemon.output.read_text()
             said = daemon.output.read_text()
         assert "force" in said
         assert "outside" in said

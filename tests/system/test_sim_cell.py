@@ -20,6 +20,7 @@ from polishd.config.simulator import load_simulator
 from polishd.sim_backends import metropro
 from polishd.sim_backends.actuator.ascii import body, line
 from polishd.sim_backends.robot import frames as f
+from tests.patience import SOON_S
 from tests.system.sim_rig import ROOT, SMALL, Cell, alive, cell, end_pid, wait_for
 from tests.unit.sim_backends.vectors import vectors
 
@@ -240,6 +241,7 @@ def test_silence_makes_the_actuator_let_go(shared: Cell) -> None:
         coil.close()
 
 
+@pytest.mark.full
 def test_other_protocols(tmp_path: Path) -> None:
     config = SMALL + '[actuator]\nkind = "serial"\n[spindle]\nkind = "socketcand"\n'
     with cell(tmp_path, config) as running:
@@ -248,7 +250,7 @@ def test_other_protocols(tmp_path: Path) -> None:
         assert body(coil.line.readline().strip()).startswith("8,ST,0,")
         coil.close()
         host, port = running.endpoints["spindle"].removeprefix("socketcand://").split("/")[0].split(":")
-        with socket.create_connection((host, int(port)), timeout=5.0) as bus:
+        with socket.create_connection((host, int(port)), timeout=SOON_S) as bus:
             assert bus.recv(6) == b"< hi >"
             bus.sendall(b"< open can0 >< rawmode >< send 605 8 40 18 10 04 00 00 00 00 >")
             got = b""
@@ -257,7 +259,7 @@ def test_other_protocols(tmp_path: Path) -> None:
             assert b"4318100439300000" in got.replace(b" ", b"")
             while b"frame 705" not in got:  # the heartbeat, which the whole bus hears
                 got += bus.recv(4096)
-            with socket.create_connection((host, int(port)), timeout=5.0) as newcomer:
+            with socket.create_connection((host, int(port)), timeout=SOON_S) as newcomer:
                 heard, beats = b"", got.count(b"frame 705")
                 while got.count(b"frame 705") < beats + 3:
                     got += bus.recv(4096)
@@ -267,14 +269,16 @@ def test_other_protocols(tmp_path: Path) -> None:
             assert heard == b"< hi >< ok >", "who has not opened the bus in raw mode hears nothing of it"
 
 
+@pytest.mark.full
 def test_modbus_tcp(tmp_path: Path) -> None:
     with cell(tmp_path, SMALL + '[actuator]\nkind = "modbus_tcp"\n') as running:
         host, port = running.endpoints["actuator"].removeprefix("tcp://").split(":")
-        with socket.create_connection((host, int(port)), timeout=5.0) as line_:
+        with socket.create_connection((host, int(port)), timeout=SOON_S) as line_:
             line_.sendall(struct.pack(">HHHB", 7, 0, 6, 1) + struct.pack(">BHH", 3, 2, 1))
             assert line_.recv(64) == struct.pack(">HHHB", 7, 0, 5, 1) + b"\x03\x02\x01\xf4"
 
 
+@pytest.mark.full
 def test_sigterm_ends_everything_and_leaves_the_account(tmp_path: Path) -> None:
     with cell(tmp_path) as running:
         pids = running.pids
@@ -289,26 +293,28 @@ def test_nobody_outlives_a_killed_supervisor(tmp_path: Path) -> None:
         pids = running.pids
         running.process.kill()
         for pid in pids.values():
-            wait_for(lambda pid=pid: not alive(pid), f"{pid} to end", 3.0)
+            wait_for(lambda pid=pid: not alive(pid), f"{pid} to end")
 
 
+@pytest.mark.full
 def test_nobody_outlives_the_parent(tmp_path: Path) -> None:
     (tmp_path / "sim.toml").write_text(SMALL)
     command = [sys.executable, "-m", "polishd.sim_backends", str(tmp_path / "sim.toml")]
     script = f"import subprocess; p = subprocess.Popen({command!r}, stdout=-1); p.stdout.readline()"
-    subprocess.run([sys.executable, "-c", script], check=True, cwd=ROOT, timeout=30)
+    subprocess.run([sys.executable, "-c", script], check=True, cwd=ROOT, timeout=SOON_S)
     pids = json.loads((tmp_path / "sim" / "pids.json").read_text())
     for pid in pids.values():
-        wait_for(lambda pid=pid: not alive(pid), f"{pid} to end", 5.0)
+        wait_for(lambda pid=pid: not alive(pid), f"{pid} to end")
 
 
+@pytest.mark.full
 def test_a_cell_that_cannot_start_says_why(tmp_path: Path) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         (tmp_path / "sim.toml").write_text(f"[robot]\nport = {taken.getsockname()[1]}\n")
         run = [sys.executable, "-m", "polishd.sim_backends", str(tmp_path / "sim.toml")]
-        done = subprocess.run(run, capture_output=True, text=True, check=False, cwd=ROOT, timeout=30)
+        done = subprocess.run(run, capture_output=True, text=True, check=False, cwd=ROOT, timeout=SOON_S)
     assert done.returncode == 1
     assert "READY" not in done.stdout
     assert "in use" in done.stderr
@@ -316,6 +322,7 @@ def test_a_cell_that_cannot_start_says_why(tmp_path: Path) -> None:
     assert not (tmp_path / "sim" / "endpoints.json").exists()
 
 
+@pytest.mark.full
 def test_a_rebooted_robot_has_a_new_boot_id_the_old_port_and_the_old_place(tmp_path: Path) -> None:
     with cell(tmp_path) as running:
         robot = running.robot()
@@ -338,6 +345,7 @@ def test_a_rebooted_robot_has_a_new_boot_id_the_old_port_and_the_old_place(tmp_p
         robot.close()
 
 
+@pytest.mark.full
 def test_an_actuator_that_loses_power_presses_no_more(tmp_path: Path) -> None:
     with cell(tmp_path) as running:
         robot = running.robot()

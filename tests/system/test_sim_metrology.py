@@ -9,7 +9,8 @@ import pytest
 
 from polishd.sim_backends import metropro
 from polishd.sim_backends.robot import frames as f
-from tests.system.sim_rig import SMALL, Cell, announced, cell, wait_for
+from tests.patience import SOON_S
+from tests.system.sim_rig import SMALL, Cell, RobotClient, announced, cell, wait_for
 
 pytestmark = pytest.mark.system
 
@@ -22,6 +23,7 @@ def dats(running: Cell) -> list[Path]:
     return sorted(running.maps.glob("*.dat"), key=lambda path: path.name.split("-")[1:])
 
 
+@pytest.mark.full
 def test_it_waits_until_the_tool_is_away(tmp_path: Path) -> None:
     with cell(tmp_path) as running:
         coil = running.coil()
@@ -56,6 +58,7 @@ def test_a_part_from_a_measured_map(tmp_path: Path) -> None:
         assert np.nanstd(difference) == pytest.approx(0.3, rel=0.1)
 
 
+@pytest.mark.full
 def test_a_nasty_instrument(tmp_path: Path) -> None:
     faults = "[interferometer]\nwrite_s = 0.3\ntemporary_suffix = ''\n[interferometer.faults]\n"
     faults += "preallocate = true\nduplicate_first = true\nwrong_part_first = true\n"
@@ -74,6 +77,7 @@ def test_a_nasty_instrument(tmp_path: Path) -> None:
         assert len(set(contents)) == 4
 
 
+@pytest.mark.full
 def test_an_unreadable_surface_starts_nothing(tmp_path: Path) -> None:
     import subprocess
     import sys
@@ -82,11 +86,12 @@ def test_an_unreadable_surface_starts_nothing(tmp_path: Path) -> None:
     bad.write_bytes(b"nonsense")
     (tmp_path / "sim.toml").write_text(SMALL)
     run = [sys.executable, "-m", "polishd.sim_backends", str(tmp_path / "sim.toml"), "--surface", str(bad)]
-    done = subprocess.run(run, capture_output=True, text=True, check=False, timeout=30)
+    done = subprocess.run(run, capture_output=True, text=True, check=False, timeout=SOON_S)
     assert done.returncode == 8
     assert "bad.dat" in done.stderr
 
 
+@pytest.mark.full
 def test_blocks_arrive_once_and_in_order_through_a_bad_line(tmp_path: Path) -> None:
     """Damage, loss and disconnects on the robot's side; the writer asks for status and sends again from there."""
     faults = "\n[robot.faults]\ngarble_rate = 0.02\ndrop_rate = 0.02\ndisconnect_every_s = 0.3\n"
@@ -134,15 +139,24 @@ def test_blocks_arrive_once_and_in_order_through_a_bad_line(tmp_path: Path) -> N
         assert set(running.events("program_loaded")) == {"program_loaded"}
 
 
+@pytest.mark.full
 def test_a_device_may_lose_power_by_itself(tmp_path: Path) -> None:
-    with cell(tmp_path, SMALL + "[robot.faults]\nreboot_after_s = 0.3\n") as running:
+    with cell(tmp_path, SMALL + "[robot.faults]\nreboot_after_s = 3.0\n") as running:
         robot = running.robot()
         first = robot.until(lambda: robot.status.get("boot_id"), "a boot id", ping=False)
         robot.until(lambda: robot.closed, "the power cut", ping=False)
         wait_for(lambda: running.events("boot", "reboot", "lost").count("boot") == 6, "the boot in the log")
-        again = running.robot()
+        again = wait_for(lambda: connected(running), "its port")
         assert again.until(lambda: again.status.get("boot_id"), "a boot id") != first
         assert running.pids["robot"] in children_of(running.pids["supervisor"])
+
+
+def connected(running: Cell) -> RobotClient | None:
+    """A connection, once the robot listens again."""
+    try:
+        return running.robot()
+    except ConnectionError:
+        return None
 
 
 def children_of(pid: int) -> list[int]:

@@ -62,6 +62,7 @@ class TestCpuSeconds:
         assert cost is not None
         assert cost >= 0.3
 
+    @pytest.mark.full
     def test_a_run_over_the_cap_is_killed_with_its_children(self, tmp_path: Path) -> None:
         def hang() -> None:
             child = subprocess.Popen(["sleep", "60"])
@@ -106,6 +107,7 @@ class TestCpuSeconds:
 
 
 class TestRace:
+    @pytest.mark.full
     def test_ours_and_peers_run_in_turns(self) -> None:
         turns: list[str] = []
         row = race("r", nap, {"a": nap, "b": nap}, progress=turns.append)
@@ -113,6 +115,7 @@ class TestRace:
         assert set(row.peers) == {"a", "b"}
         assert row.unit == "s"
 
+    @pytest.mark.full
     def test_the_quicker_wins(self) -> None:
         row = race("r", lambda: burn(0.05), {"slow": lambda: burn(0.2)})
         assert row.ratio is not None
@@ -124,12 +127,14 @@ class TestRace:
         row = race("r", nap, {"peer": nap}, once_above_s=1000)
         assert row == Row("r", 3.0, {"peer": 20.0})
 
+    @pytest.mark.full
     def test_a_slow_peer_runs_once(self) -> None:
         turns: list[str] = []
         row = race("r", nap, {"slow": lambda: burn(0.2)}, progress=turns.append, once_above_s=0.1)
         assert [turn for turn in turns if "slow" in turn] == ["r: slow 1/3"]
         assert row.peers["slow"] is not None
 
+    @pytest.mark.full
     def test_a_stuck_peer_did_not_finish(self) -> None:
         turns: list[str] = []
         row = race("r", lambda: burn(0.01), {"stuck": lambda: time.sleep(60)}, progress=turns.append, peer_cap_s=0.5)

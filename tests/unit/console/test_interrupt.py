@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -43,6 +44,14 @@ sys.addaudithook(interrupt)
 """
 
 
+@pytest.fixture(autouse=True)
+def heard() -> Iterator[None]:
+    """A shell that runs these tests in the background has them, and who they start, ignore Ctrl-C."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def interrupted(tmp_path: Path, at: str, *words: str) -> subprocess.CompletedProcess[str]:
     """``polishd`` as its script starts it, which is sent SIGINT at an event: ``import 40``, ``open map.npy``."""
     (tmp_path / "sitecustomize.py").write_text(HOOK)
@@ -54,6 +63,7 @@ def interrupted(tmp_path: Path, at: str, *words: str) -> subprocess.CompletedPro
 
 
 # Imports from typer's on, of about a thousand: the program's own, numpy's parts in C, and scipy's.
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("number", [0, 20, 100, 250, 450, 700])
 def test_in_the_imports(tmp_path: Path, number: int) -> None:
     ended = interrupted(tmp_path, f"import {number}", "check", str(ROOT / "examples" / "cell.toml"))

@@ -78,6 +78,7 @@ CODES = {
 }  # fmt: skip
 
 
+@pytest.mark.one_of_each("code")
 @pytest.mark.parametrize("when", ["before any begins", "as it begins"])
 @pytest.mark.parametrize(("name", "code"), CODES.items())
 def test_each_error_has_its_code(

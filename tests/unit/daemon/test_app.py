@@ -461,6 +461,7 @@ async def test_run_cell_tells_what_failed_and_leaves_the_summary(site: Site) -> 
         assert journal.resumed, "it may be gone on with"
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 async def test_a_signal_stops_safely(site: Site, number: int) -> None:
     async with asyncio.TaskGroup() as group:

@@ -77,6 +77,7 @@ async def test_arrays_go_and_come_back(compute: Compute) -> None:
     doubled[0, 0] = 7.0  # writable
 
 
+@pytest.mark.full
 async def test_started_lazily_and_kept_warm(compute: Compute) -> None:
     assert compute.pid is None
     await compute.start()
@@ -87,6 +88,7 @@ async def test_started_lazily_and_kept_warm(compute: Compute) -> None:
     assert first != os.getpid()
 
 
+@pytest.mark.full
 async def test_printing_does_not_disturb(compute: Compute, capfd: pytest.CaptureFixture[str]) -> None:
     assert await compute(jobs.say, "hello") == "hello"
     assert await compute(jobs.say, "again") == "again"
@@ -96,12 +98,14 @@ async def test_printing_does_not_disturb(compute: Compute, capfd: pytest.Capture
     assert "raw" in captured.err
 
 
+@pytest.mark.full
 async def test_numerical_threads_are_limited() -> None:
     async with Compute(threads=2) as compute:
         assert await compute(jobs.variable, "OPENBLAS_NUM_THREADS") == "2"
         assert await compute(jobs.variable, "OMP_NUM_THREADS") == "2"
 
 
+@pytest.mark.full
 async def test_our_errors_come_back_as_themselves(compute: Compute) -> None:
     with pytest.raises(BadMap, match="a hole") as caught:
         await compute(jobs.bad_map)
@@ -117,6 +121,7 @@ async def test_other_errors_are_compute_errors_with_their_traceback(compute: Com
     assert await compute(jobs.divide, 1.0, 2.0) == 0.5
 
 
+@pytest.mark.full
 async def test_what_cannot_travel_is_an_error_and_the_worker_stays(compute: Compute) -> None:
     with pytest.raises(ComputeError, match="this and that"):
         await compute(jobs.stubborn)
@@ -128,6 +133,7 @@ async def test_what_cannot_travel_is_an_error_and_the_worker_stays(compute: Comp
     assert await compute(jobs.pid) == pid
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     "job", [jobs.burn_on, jobs.threads_burn_on, jobs.ignore_everything], ids=lambda job: job.__name__
 )
@@ -143,6 +149,7 @@ async def test_killed_when_its_cpu_time_is_used_and_restarted(compute: Compute, 
     assert await compute(jobs.divide, 1.0, 2.0) == 0.5
 
 
+@pytest.mark.full
 async def test_one_that_sleeps_is_killed_at_the_backstop() -> None:
     async with Compute(backstop=lambda within_s: {50.0: 1.0}.get(within_s, 100.0)) as compute:
         await compute.start()
@@ -153,6 +160,7 @@ async def test_one_that_sleeps_is_killed_at_the_backstop() -> None:
         assert not alive(before)
 
 
+@pytest.mark.full
 async def test_one_that_is_starved_gets_its_cpu_time(compute: Compute) -> None:
     """Stopped for longer than its limit, as a busy machine may leave it."""
     await compute.start()
@@ -168,6 +176,7 @@ async def test_one_that_is_starved_gets_its_cpu_time(compute: Compute) -> None:
     assert await call == worker
 
 
+@pytest.mark.full
 async def test_starting_does_not_count(compute: Compute, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "sitecustomize.py").write_text("import time\nwhile time.process_time() < 1.0:\n    pass\n")
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -176,14 +185,17 @@ async def test_starting_does_not_count(compute: Compute, tmp_path: Path, monkeyp
     assert process_cpu_s(compute.pid) > 1.0
 
 
+@pytest.mark.full
 async def test_the_loop_comes_before_computing(compute: Compute) -> None:
     assert await compute(jobs.nice) == os.getpriority(os.PRIO_PROCESS, 0) + BEHIND
 
 
+@pytest.mark.full
 async def test_a_ready_worker_has_numpy(compute: Compute) -> None:
     assert await compute(eval, "'numpy' in __import__('sys').modules and 'scipy.sparse' in __import__('sys').modules")
 
 
+@pytest.mark.full
 async def test_a_worker_that_cannot_start_is_told(
     compute: Compute, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -195,6 +207,7 @@ async def test_a_worker_that_cannot_start_is_told(
     assert await compute(jobs.divide, 1.0, 2.0) == 0.5
 
 
+@pytest.mark.full
 async def test_a_dead_worker_is_an_error_and_is_replaced(compute: Compute) -> None:
     with pytest.raises(ComputeError, match=r"die: the worker died \(exit code 3\)"):
         await compute(jobs.die, 3)
@@ -209,6 +222,7 @@ async def test_a_dead_worker_is_an_error_and_is_replaced(compute: Compute) -> No
     assert await compute(jobs.divide, 1.0, 4.0) == 0.25
 
 
+@pytest.mark.full
 async def test_cancelled_caller_ends_the_worker(compute: Compute) -> None:
     await compute.start()
     pid = compute.pid
@@ -223,11 +237,13 @@ async def test_cancelled_caller_ends_the_worker(compute: Compute) -> None:
     assert await compute(jobs.divide, 1.0, 2.0) == 0.5
 
 
+@pytest.mark.full
 async def test_calls_take_turns(compute: Compute) -> None:
     answers = await asyncio.gather(*(compute(jobs.divide, float(n), 1.0) for n in range(5)))
     assert answers == [0.0, 1.0, 2.0, 3.0, 4.0]
 
 
+@pytest.mark.full
 async def test_closed_for_good() -> None:
     compute = Compute()
     await compute.start()
@@ -244,6 +260,7 @@ async def test_closed_for_good() -> None:
         await compute(jobs.pid)
 
 
+@pytest.mark.full
 async def test_the_loop_runs_on_beside_a_call(compute: Compute) -> None:
     """The loop ticks at the same time as the worker works: it would not once, if a call blocked it."""
     await compute.start()

@@ -47,6 +47,7 @@ def test_any_value_travels(value: object) -> None:
     assert received(message(value)) == value
 
 
+@pytest.mark.full
 @given(st.lists(VALUES, max_size=5))
 def test_messages_do_not_run_into_each_other(values: list[object]) -> None:
     stream = io.BytesIO(b"".join(map(message, values)))

@@ -73,6 +73,7 @@ def force_that_fails(bench: Bench, after: int = 120) -> None:
 # held
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     "error",
     [SurfaceError("no map came"), StaleMap("an old one"), LinkError("cut"), DeviceFault("hot"), GateStop("flipped")],
@@ -95,6 +96,7 @@ async def test_what_a_person_can_mend_holds_and_resume_goes_on(bench: Bench, err
     assert "polishd resume CELL.toml" in state.data["next"]
 
 
+@pytest.mark.full
 async def test_a_map_that_is_late_again_holds_again(bench: Bench) -> None:
     bench.fake.metrology.measure = failing(bench, StaleMap("late"), StaleMap("late"))
     async with Running(bench) as running:
@@ -196,6 +198,7 @@ async def test_a_device_that_will_not_close_does_not_hide_what_ended_it(bench: B
             await running.outcome()
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(("error", "code"), [(StaleMap("late"), 8), (LinkError("cut"), 5), (GateStop("turned"), 10)])
 async def test_no_hold_ends_with_the_causes_own_code(site: Site, error: PolishdError, code: int) -> None:
     def refuse() -> SurfaceMap:

@@ -51,6 +51,7 @@ def python(*arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen([*arguments], stdout=-1, stderr=-1, text=True, env=environment)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("after", [1, 40, 90, 160])
 def test_kill_loses_nothing_acknowledged(tmp_path: Path, after: int) -> None:
     acknowledged = 0

@@ -95,6 +95,7 @@ async def stopped_after_a_pass(site: Rerun) -> None:
     site.stop_at = None
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("when", ["between the runs", "while held"])
 async def test_a_deleted_run_folder_costs_nothing_but_what_it_showed(site: Rerun, when: str) -> None:
     await stopped_after_a_pass(site)
@@ -155,6 +156,7 @@ async def test_a_job_that_an_earlier_polishd_began_goes_on(site: Rerun) -> None:
     assert (cycle, rate) == (1, pytest.approx(RATE, rel=0.05))
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("what", ["arrays", "plan", "start"])
 async def test_a_store_that_lost_what_the_journal_names_is_told_before_anything_is_opened(
     site: Rerun, what: str

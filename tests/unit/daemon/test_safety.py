@@ -20,6 +20,7 @@ from polishd.model.devices import ForceSample
 from polishd.model.errors import ConfigError, DeviceFault, LinkError, PolishdError, SafetyStop
 from polishd.model.times import ActuatorTimes, RobotTimes, SpindleTimes
 from tests.fakes.devices import FakeCell, FakeDevice, blank
+from tests.patience import SOON_S
 
 LIMITS = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, grace_s=0.3)
 SAFE = ["spindle.make_safe", "actuator.make_safe", "lifted", "robot.make_safe"]
@@ -337,7 +338,7 @@ async def test_samples_that_end_are_silence(fake: FakeCell, device: str) -> None
     await until(fake, "pressing")
     fake.devices[device].ends = True  # type: ignore[attr-defined]
     with pytest.raises(LinkError, match=device):
-        await asyncio.wait_for(task, 5.0)
+        await asyncio.wait_for(task, SOON_S)
     assert {"robot.make_safe", "spindle.make_safe", "lifted"} <= set(fake.events)
 
 

@@ -134,6 +134,7 @@ def test_a_job_of_an_earlier_polishd_says_how_it_can_be_finished(cell: Path) -> 
         go_on(cell)
 
 
+@pytest.mark.full
 def test_run_refuses_what_differs_before_it_asks_a_device(cell: Path) -> None:
     config = load_config(cell)
     assert config.profile_path is not None

@@ -56,9 +56,10 @@ async def bus() -> AsyncIterator[EventBus]:
 
 
 @pytest.fixture
-async def daemon(tmp_path: Path, bus: EventBus) -> AsyncIterator[Path]:
+async def daemon(tmp_path: Path, bus: EventBus, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Path]:
     async with serving(tmp_path, HANDLERS, bus):
         yield tmp_path
+        monkeypatch.setattr(service, "WRITE_S", 0.0)  # nobody waits for a verb that never answers
 
 
 async def until_subscribed(bus: EventBus, count: int = 1) -> None:
@@ -208,12 +209,15 @@ async def test_a_subscriber_that_never_reads_is_dropped(
         assert (await ask(daemon, "status"))["ok"]
 
 
-async def test_daemons_end_ends_sessions_and_removes_the_socket(tmp_path: Path, bus: EventBus) -> None:
+async def test_daemons_end_ends_sessions_and_removes_the_socket(
+    tmp_path: Path, bus: EventBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
     async with AsyncExitStack() as stack:
         await stack.enter_async_context(serving(tmp_path, HANDLERS, bus))
         waiting = asyncio.create_task(ask(tmp_path, "stop"))
         idle, writer = await asyncio.open_unix_connection(tmp_path / "polishd.sock")
         assert (await ask(tmp_path, "status"))["ok"]
+        monkeypatch.setattr(service, "WRITE_S", 0.1)
     with pytest.raises(LinkError, match="hung up before it answered"):
         await waiting
     assert await idle.read() == b""

@@ -10,6 +10,7 @@ import pytest
 
 from polishd.api import LinkError, ProtocolError
 from polishd.drivers.transport.background import Background, Ready, open_blocking
+from tests.patience import SOON_S
 
 
 class Work:
@@ -168,7 +169,7 @@ async def test_a_late_open_is_undone(cancelled: bool) -> None:
             await blocked(undone, make, 5.0 if cancelled else 0.02)
     assert undone == []
     go.set()
-    async with asyncio.timeout(2):
+    async with asyncio.timeout(SOON_S):
         while not undone:  # noqa: ASYNC110 -- a thread ends
             await asyncio.sleep(0.005)
     assert undone == ["late"]

@@ -13,6 +13,7 @@ from polishd.drivers.robot_link import RobotLink, driver
 from polishd.drivers.transport.address import Tcp
 from tests.fakes import robot as wire
 from tests.fakes.robot import FakeRobot
+from tests.patience import SOON_S
 from tests.programs import plan_of
 
 Pair = tuple[RobotLink, FakeRobot]
@@ -132,7 +133,7 @@ async def test_who_sends_hears_that_the_program_was_dropped(pair: Pair) -> None:
     assert not sending.done(), "it waits for credit"
     await robot.abort()
     with pytest.raises(DeviceRefused, match="dropped"):
-        async with asyncio.timeout(2):
+        async with asyncio.timeout(SOON_S):
             await sending
     assert (await robot.progress()).state == "idle"
 
@@ -146,7 +147,7 @@ async def test_hold_and_abort_pass_a_send_that_waits_for_credit(pair: Pair) -> N
     sending = asyncio.create_task(robot.send(PLAN.segments))
     while len(fake.lines) < fake.window:  # noqa: ASYNC110
         await asyncio.sleep(0.001)
-    async with asyncio.timeout(2):
+    async with asyncio.timeout(SOON_S):
         await robot.hold()
     assert fake.state == "held"
     assert not sending.done()

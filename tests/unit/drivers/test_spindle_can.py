@@ -16,6 +16,7 @@ from polishd.drivers.spindle_can import SpindleCan, bus, codec
 from polishd.drivers.transport.address import Slcan, Socketcand
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.wires import Peer, PtyWire, TcpWire
+from tests.patience import SOON_S, within
 
 Rig = tuple[SpindleCan, Drive, PtyWire]
 
@@ -77,12 +78,13 @@ async def test_a_missing_object_is_a_protocol_error(rig: Rig) -> None:
         await device.identify()
 
 
+@pytest.mark.full
 async def test_noise_on_the_adapter_is_survived(rig: Rig) -> None:
     device, _, wire = rig
     await device.set_speed(1000.0)
     for noise in (b"\xff", b"\x80\x81\r", b"t\r", b"txyz\r", b"t1853\r", b"\a", b"t18580", b"z\r\r\r", b"T0000\r"):
         wire.write(noise)
-        async with asyncio.timeout(2):
+        async with asyncio.timeout(SOON_S):
             async for sample in device.samples():
                 assert sample.rpm == pytest.approx(1000.0)
                 break
@@ -96,15 +98,16 @@ async def test_frames_of_others_are_ignored(rig: Rig) -> None:
     assert (await device.status()).state == "stopped"
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(("identifier", "what"), [(0x700, "no heartbeat"), (0x180, "no process data")])
 async def test_silence_is_a_lost_link(rig: Rig, identifier: int, what: str) -> None:
     device, drive, _ = rig
     await device.set_speed(1000.0)
     drive.mute.add(identifier)
     began = time.monotonic()
-    with pytest.raises(LinkError, match=what):
+    with within(1.8), pytest.raises(LinkError, match=what):
         await watch(device)
-    assert 0.3 < time.monotonic() - began < 1.8
+    assert time.monotonic() - began > 0.3
     with pytest.raises(LinkError):
         await device.status()
     drive.mute.clear()
@@ -134,10 +137,14 @@ async def test_commands_are_repeated_while_somebody_cares(rig: Rig) -> None:
     device, drive, _ = rig
     await device.set_speed(1000.0)
     drive.commands.clear()
-    with pytest.raises(TimeoutError):
-        async with asyncio.timeout(0.55):
-            await watch(device)
-    assert 3 <= len(drive.commands) <= 7
+    began = time.monotonic()
+    watching = asyncio.create_task(watch(device))
+    while len(drive.commands) < 6:  # noqa: ASYNC110 -- pytest's timeout is the limit
+        await asyncio.sleep(0.01)
+    assert time.monotonic() - began > 0.4, "ten a second"
+    watching.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await watching
     assert set(drive.commands) == {(1, 1000)}
 
 
@@ -168,6 +175,7 @@ async def test_a_drive_fault_is_a_fault(rig: Rig) -> None:
     assert (status.ready, status.detail) == (False, "drive")
 
 
+@pytest.mark.full
 async def test_a_jammed_spindle_is_a_fault(rig: Rig) -> None:
     device, drive, _ = rig
     device._times = SpindleTimes(spin_s=0.5)
@@ -204,6 +212,7 @@ async def test_make_safe_stops_a_drive_whose_link_was_lost(rig: Rig) -> None:
     assert drive.commands[-1] == (0, 0)
 
 
+@pytest.mark.full
 async def test_another_node_is_not_there(rig: Rig) -> None:
     device, _, wire = rig
     await device.close()
@@ -243,12 +252,11 @@ async def test_what_is_no_socketcand_server(monkeypatch: pytest.MonkeyPatch, gre
 
 
 async def test_nobody_at_the_socketcand_address() -> None:
-    began = time.monotonic()
-    with pytest.raises(LinkError):
+    with within(1.0), pytest.raises(LinkError):
         await SpindleCan(Socketcand("127.0.0.1", 9, "can0")).open()
-    assert time.monotonic() - began < 1.0
 
 
+@pytest.mark.full
 async def test_a_socketcand_server_that_goes_away(tmp_path: Path) -> None:
     drive = Drive()
     wire = await TcpWire(SocketcandPeer(drive)).start()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import struct
-import time
 from collections.abc import AsyncIterator, Iterable
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from polishd.drivers.voice_coil.device import VoiceCoil
 from polishd.drivers.voice_coil.modbus import ModbusWire
 from tests.fakes.actuator import Coil, ModbusCoil, crc16
 from tests.fakes.wires import Once, PtyWire, TcpWire
+from tests.patience import SOON_S, within
 from tests.vectors import vectors
 
 
@@ -27,8 +27,8 @@ class Rig:
         self.coil = Coil()
         self.peer = ModbusCoil(self.coil, rtu=True)
         self.line = PtyWire(self.peer, path)
-        self.wire = ModbusWire(SerialLine(path), 1, 0.3)
-        self.device = VoiceCoil(self.wire, ActuatorTimes(watchdog_s=0.5, landing_s=1.0, retract_s=0.5))
+        self.wire = ModbusWire(SerialLine(path), 1, 0.6)
+        self.device = VoiceCoil(self.wire, ActuatorTimes(watchdog_s=1.0, landing_s=1.0, retract_s=0.5))
 
     def writes(self, register: int) -> list[int]:
         """What was written there."""
@@ -66,15 +66,16 @@ async def test_the_answer_vector_is_read(rig: Rig) -> None:
 
 
 async def test_a_late_answer_is_not_the_next_ones(rig: Rig) -> None:
-    loop = asyncio.get_running_loop()
+    kept: list[bytes] = []
 
-    def late(data: bytes) -> Iterable[bytes]:
-        loop.call_later(0.35, rig.line.write, data)
+    def keep(data: bytes) -> Iterable[bytes]:
+        kept.append(data)
         return []
 
-    rig.peer.filter = Once(late)
+    rig.peer.filter = Once(keep)
     with pytest.raises(LinkError):
         await rig.device.status()  # its answer will say: retracted, set point 0
+    asyncio.get_running_loop().call_soon(rig.line.write, kept.pop())  # when the next question is to be asked
     rig.coil.setpoint_n, rig.coil.boots = 9.0, 77
     assert (await rig.device.identify()).boot_id == "77"
     assert (await rig.wire.read()).setpoint_n == 9.0
@@ -89,6 +90,7 @@ async def test_a_write_is_not_repeated(rig: Rig) -> None:
     assert (await rig.device.status()).ready
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     "fault",
     [
@@ -215,13 +217,12 @@ async def test_retracting_waits_for_one_other_request_at_most(rig: Rig) -> None:
     await asyncio.gather(*polls)
 
 
+@pytest.mark.full
 async def test_a_stuck_tool_is_a_fault(rig: Rig) -> None:
     await rig.device.set_force(12.0)
     rig.coil.stuck = True
-    began = time.monotonic()
-    with pytest.raises(DeviceFault, match=r"not retracted after 0\.7 s"):
+    with within(1.5), pytest.raises(DeviceFault, match=r"not retracted after 0\.7 s"):
         await rig.device.make_safe()
-    assert time.monotonic() - began < 1.5
     rig.coil.fault = 4
     with pytest.raises(DeviceFault, match="drive"):
         await rig.device.retract()
@@ -239,7 +240,7 @@ async def test_no_contact_is_a_fault(rig: Rig) -> None:
 async def test_retracting_ends_a_landing(rig: Rig) -> None:
     rig.coil.stuck = True
     landing = asyncio.create_task(rig.device.set_force(12.0))
-    async with asyncio.timeout(1):
+    async with asyncio.timeout(SOON_S):
         while not rig.coil.command:  # noqa: ASYNC110
             await asyncio.sleep(0.01)
     await rig.device.retract()

@@ -11,7 +11,6 @@ import numpy as np
 import sdfio
 import tifffile
 import x3pio
-from astropy.io import fits as astropy_fits
 from gwyfile.objects import GwyContainer, GwyDataField
 from numpy.typing import NDArray
 
@@ -92,6 +91,8 @@ def gwy_bytes(container: Any) -> bytes:
 
 def fits_file(array: NDArray[Any] | None = None, **cards: Any) -> bytes:
     """By astropy, big-endian doubles in nm unless an array is given; first row the lowest."""
+    from astropy.io import fits as astropy_fits
+
     hdu = astropy_fits.PrimaryHDU(heights_nm()[::-1] if array is None else array)
     words = {"BUNIT": "nm", "CDELT1": PITCH_MM, "CDELT2": PITCH_MM, "CUNIT1": "mm", "CUNIT2": "mm"}
     for name, value in (words | cards).items():

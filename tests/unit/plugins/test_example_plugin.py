@@ -50,6 +50,7 @@ def read(plugin: ModuleType, folder: Path, text: str) -> SurfaceMap:
     return surface
 
 
+@pytest.mark.full
 def test_it_installs_as_a_distribution_of_its_own(tmp_path: Path) -> None:
     pip = [sys.executable, "-m", "pip", "-qq", "--disable-pip-version-check", "install", "--no-index", "--no-deps"]
     subprocess.run([*pip, "--no-build-isolation", "--target", str(tmp_path), str(FOLDER)], check=True)

@@ -26,9 +26,11 @@ from polishd.api import (
     SurfaceMap,
     SurfaceReader,
 )
+from polishd.plugins.interferometer import folder as folder_module
 from polishd.plugins.interferometer import polishd_device_types, polishd_surface_readers
 from polishd.plugins.interferometer.folder import WATCHED_FOLDER, FolderOptions, WatchedFolder
 from polishd.plugins.interferometer.formats.metropro import METROPRO
+from tests.patience import SOON_S, OwnClock
 
 PART = "DEMO-100"
 
@@ -53,8 +55,9 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def make(tmp_path: Path, folder: Path) -> Callable[..., WatchedFolder]:
-    """Makes the device; options as in the config."""
+def make(tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., WatchedFolder]:
+    """Makes the device; options as in the config. Its time is not up because the machine is busy."""
+    monkeypatch.setattr(folder_module, "time", OwnClock())
 
     def build(readers: tuple[SurfaceReader, ...] = (METROPRO,), **options: Any) -> WatchedFolder:
         context = DeviceContext(base_dir=tmp_path, state_dir=tmp_path / "state", part_id=PART, readers=readers)
@@ -66,9 +69,9 @@ def make(tmp_path: Path, folder: Path) -> Callable[..., WatchedFolder]:
     return build
 
 
-async def until(condition: Callable[[], bool], within_s: float = 10.0) -> None:
+async def until(condition: Callable[[], bool]) -> None:
     """Wait until it holds."""
-    async with asyncio.timeout(within_s):
+    async with asyncio.timeout(SOON_S):
         while not condition():
             await asyncio.sleep(0.005)
 

@@ -47,6 +47,7 @@ def test_a_map_arrives_whole_and_can_be_changed(tmp_path: Path) -> None:
     assert int(surface.part_id) != os.getpid()
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("what", "reason"),
     [

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from astropy.io import fits as astropy_fits
 
 from polishd.api import BadMap
 from polishd.plugins.interferometer.formats import fits
@@ -48,11 +47,15 @@ def test_integers_are_scaled_in_double_and_blank_is_missing(tmp_path: Path) -> N
 
 
 def test_the_library_agrees(tmp_path: Path) -> None:
+    from astropy.io import fits as astropy_fits
+
     path = put(tmp_path, hand_made(INTEGERS.tobytes(), BSCALE="0.5", BZERO="2.0"))
     np.testing.assert_allclose(fits.read(path).height_nm, astropy_fits.getdata(path)[::-1])
 
 
 def test_the_first_image_extension_is_taken(tmp_path: Path) -> None:
+    from astropy.io import fits as astropy_fits
+
     image = astropy_fits.ImageHDU(heights_nm()[::-1])
     image.header["BUNIT"] = "um"
     file = io.BytesIO()
@@ -110,6 +113,8 @@ def test_headers_that_say_nonsense_are_refused(tmp_path: Path, cards: dict[str, 
 
 
 def test_cubes_and_tables_and_infinities_are_refused(tmp_path: Path) -> None:
+    from astropy.io import fits as astropy_fits
+
     table = io.BytesIO()
     astropy_fits.BinTableHDU(np.zeros(3, dtype=[("z", "f8")])).writeto(table)
     broken = (fits_file(np.zeros((2, 3, 4))), table.getvalue(), fits_file(np.full((2, 2), np.inf)))
@@ -132,6 +137,8 @@ def test_without_the_extra_it_says_so(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_the_first_of_several_images_is_taken_with_a_warning(tmp_path: Path) -> None:
+    from astropy.io import fits as astropy_fits
+
     file = io.BytesIO()
     images = [astropy_fits.PrimaryHDU(heights_nm()[::-1]), astropy_fits.ImageHDU(np.ones((2, 2)))]
     astropy_fits.HDUList(images).writeto(file)

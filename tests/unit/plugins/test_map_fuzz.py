@@ -90,6 +90,7 @@ def test_every_reader_is_fuzzed() -> None:
     assert all(VARIANTS.values()), {name for name, files in VARIANTS.items() if not files}
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", VARIANTS)
 def test_broken_files_are_maps_or_refused(name: str, tmp_path: Path) -> None:
     maps = fuzz(name, PARTS, QUICK, tmp_path, measure_every=2)

@@ -81,6 +81,7 @@ def test_pixels_that_are_not_square_have_no_pitch(tmp_path: Path, library: Path)
     assert "square pixels" in tail.read(put(tmp_path, library, y_nm=3e3)).unsaid
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("body", "said"),
     [

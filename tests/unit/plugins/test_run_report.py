@@ -143,6 +143,7 @@ def pictures_in(page: str) -> list[bytes]:
 
 
 class TestEvents:
+    @pytest.mark.one_of_each
     @pytest.mark.parametrize("kind", [partial(JobFinished, outcome="in_tolerance"), PlanWritten])
     def test_what_is_complete_is_reported_by_another_process(
         self, kind: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

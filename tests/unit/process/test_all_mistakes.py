@@ -96,6 +96,7 @@ def caught_by(mistake: Mistake) -> dict[str, str]:
     return {name: reason for name, reason in said.items() if reason}
 
 
+@pytest.mark.one_of_each("mistake.way.mirror", "mistake.sign")
 @pytest.mark.parametrize("mistake", ALL, ids=str)
 def test_each_mistake_is_caught_by_those_who_can_see_it(mistake: Mistake) -> None:
     expected = set() if mistake.none else {"commissioning", "gate"}
@@ -104,6 +105,7 @@ def test_each_mistake_is_caught_by_those_who_can_see_it(mistake: Mistake) -> Non
     assert set(caught_by(mistake)) == expected
 
 
+@pytest.mark.one_of_each("mistake.way.mirror", "mistake.sign")
 @pytest.mark.parametrize("mistake", [m for m in ALL if not m.none], ids=str)
 def test_each_is_called_by_its_name(mistake: Mistake) -> None:
     said = caught_by(mistake)
@@ -133,6 +135,7 @@ PARTS = {
 }
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", PARTS)
 def test_the_gate_knows_them_on_other_parts(name: str) -> None:
     """Where the part turned over covers half of itself, too: the two are compared where both have data."""

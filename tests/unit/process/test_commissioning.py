@@ -74,6 +74,7 @@ def test_the_form_of_the_base_does_not_count(bumps: tuple[Bump, ...], power_nm: 
     assert (proof.pitch_ratio, proof.scale) == pytest.approx((1, 1), abs=0.01)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("way", ORIENTATIONS, ids=lambda way: way.name)
 @pytest.mark.parametrize("was", [ORIENTATIONS[0], ORIENTATIONS[5]], ids=lambda way: way.name)
 def test_the_message_gives_the_profile_that_is_right(way: Orientation, was: Orientation) -> None:

@@ -88,6 +88,7 @@ def test_peak_and_volume_at_the_usual_unit_of_the_preston_constant() -> None:
     assert contact.volume_rate_nm_mm2_s(PAPER, DEPTH)[0] * 1e-6 == pytest.approx(9.72e-4, rel=5e-4)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("dip", [0.0, 3.0, 15.0, 60.0])
 def test_the_volume_rate_is_the_integral_of_the_rate(dip: float) -> None:
     """At 3 degrees the bonnet's pole, where it stands still, lies inside the contact: a cusp for both sides."""
@@ -125,6 +126,7 @@ def test_the_shift_keeps_the_force_and_gives_the_moment_of_eq_33() -> None:
     assert integral(thick, DEPTH, lambda x, y, r: x * pressure(x, y, r)) == pytest.approx(shift * force, rel=1e-6)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("normal_force", ["axial", "resolved"])
 @pytest.mark.parametrize("thick", [False, True])
 def test_force_and_moment_are_hertz_and_shift_times_force(normal_force: NormalForce, thick: bool) -> None:

@@ -158,6 +158,7 @@ def test_points_that_reach_nothing_but_the_corner_are_noted() -> None:
     assert any(note.startswith("1 points reach no sample") for note in found.certificate.notes)
 
 
+@pytest.mark.full
 def test_many_points_on_the_maps_own_samples_are_a_convolution(monkeypatch: pytest.MonkeyPatch) -> None:
     x, y = np.meshgrid(X[0] + 0.5 * np.arange(-5, 36), Y[0] - 0.5 * np.arange(-5, 26))
     case = replace(CASE, points_mm=np.stack([x.ravel(), y.ravel()], axis=1), rho=1e-4)
@@ -230,6 +231,7 @@ def test_a_budget_below_the_floor() -> None:
         dwell_from_arrays(replace(CASE, lower_s=0.1), budget_s=3.0)
 
 
+@pytest.mark.full
 def test_the_documented_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(EXAMPLE), run_name="__main__")
     printed = capsys.readouterr().out

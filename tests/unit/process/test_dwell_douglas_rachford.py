@@ -55,6 +55,7 @@ def test_float64_takes_over_where_float32_has_no_digits(problem: DwellProblem, b
     assert found.certificate.objective == pytest.approx(best.certificate.objective, rel=1e-10)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     "changes",
     [

@@ -100,6 +100,7 @@ def test_nnls_finds_the_same_objective(solve: Solve) -> None:
     assert 0 < certificate.at_lower < problem.effect.n  # else the bound was not tried
 
 
+@pytest.mark.one_of_each
 @each
 @pytest.mark.parametrize("seed", [0, 1])
 def test_clarabel_finds_the_same_objective(solve: Solve, seed: int) -> None:
@@ -111,6 +112,7 @@ def test_clarabel_finds_the_same_objective(solve: Solve, seed: int) -> None:
     assert certificate.bound_violation_s == 0
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("solve", "rho"),
     [(solve, rho) for solve in SOLVERS for rho in (1e-2, 1e-5)] + [(by_newton, 1e-6), (by_interior_point, 1e-8)],
@@ -122,6 +124,7 @@ def test_whatever_the_regularisation(solve: Solve, rho: float) -> None:
     assert certificate.kkt_residual <= 1e-6
 
 
+@pytest.mark.full
 def test_transforms_that_give_up_on_an_ill_conditioned_problem_say_so() -> None:
     found = by_transforms(lattice_problem(radius_mm=5, rho=1e-8), 1e-9).certificate
     assert found.stopped == "iterations"
@@ -153,6 +156,7 @@ def test_bounds_are_never_violated(solver: ModuleType, seed: int, within_s: floa
     assert found.certificate.bound_violation_s == 0
 
 
+@pytest.mark.one_of_each
 @each
 @few
 @given(seed=SEED, prices=st.lists(st.floats(0, 30), min_size=2, max_size=2, unique=True))
@@ -168,6 +172,7 @@ def test_more_time_never_hurts(solve: Solve, seed: int, prices: list[float]) -> 
     assert free.value(cheap) <= free.value(dear) + 1e-8 * scale
 
 
+@pytest.mark.one_of_each
 @each
 @few
 @given(seed=SEED, raised=st.floats(1.01, 3.0))
@@ -179,6 +184,7 @@ def test_wider_bounds_never_hurt(solve: Solve, seed: int, raised: float) -> None
     assert more <= less * (1 + 1e-8)
 
 
+@pytest.mark.one_of_each
 @each
 @few
 @given(seed=SEED, factor=st.floats(0.1, 50.0))
@@ -189,6 +195,7 @@ def test_scaling_the_map_scales_the_dwell(solve: Solve, seed: int, factor: float
     assert scaled.certificate.objective == pytest.approx(factor**2 * once.certificate.objective, rel=1e-8)
 
 
+@pytest.mark.one_of_each
 @each
 @few
 @given(seed=SEED, factor=st.floats(0.01, 100.0))
@@ -220,6 +227,7 @@ def laid(row: int, column: int, seed: int) -> DwellProblem:
     return replace(part, effect=effect, target_nm=target, solve_mask=mask, metric_mask=clear)
 
 
+@pytest.mark.one_of_each
 @each
 @few
 @given(seed=SEED, row=st.integers(-7, 7), column=st.integers(-7, 7))

@@ -18,6 +18,8 @@ from polishd.process.dwell.curve import Solved, highest_price, price_curve
 from polishd.process.dwell.problem import DwellProblem
 from tests.unit.process.exact_dwell import by_nnls, by_pivoting, clipped_lsmr, fista, richardson_lucy
 
+pytestmark = pytest.mark.full
+
 TIF_PITCH_MM = 0.25
 CASES = {
     # rows, columns, peak nm/s, sigma mm, points, RMS at the start

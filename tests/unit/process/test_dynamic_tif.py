@@ -51,6 +51,7 @@ def sampled(
     return np.asarray(rate.reshape(grid.ny, fine, grid.nx, fine).mean(axis=(1, 3)))
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("pitch", "start", "end", "azimuth", "gamma"),
     [
@@ -72,6 +73,7 @@ def test_a_column_is_what_brute_force_says(
     assert np.abs(got - want).max() < (3e-3 if pitch >= 0.5 else 2e-2) * want.max()
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(("pitch", "largest", "half"), [(0.5, 0.012, 0.006), (1.0, 0.006, 0.003)])
 def test_how_right_a_cell_is_is_what_the_docstring_says(pitch: float, largest: float, half: float) -> None:
     """Any place in the cell, azimuth and gamma from 0.75 to 1; of 500 such the worst were 1.10 and 0.54 %."""
@@ -159,6 +161,7 @@ def test_the_factor_multiplies() -> None:
     assert abs(effect(grid, moves, factor=0.4) - 0.4 * effect(grid, moves)).max() < 1e-12
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("pitch", [1.0, 0.5])
 def test_a_raster_of_ten_thousand_blocks_takes_well_below_two_seconds(pitch: float) -> None:
     moves, grid = raster(1.0), Grid(int(106 / pitch), int(106 / pitch), pitch)

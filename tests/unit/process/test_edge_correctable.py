@@ -92,6 +92,7 @@ def test_the_azimuth_does_not_matter_to_the_mean_over_directions() -> None:
     assert one.cutoff_period_mm == pytest.approx(other.cutoff_period_mm, rel=2e-3)
 
 
+@pytest.mark.full
 def test_the_directions_and_frequencies_are_enough(monkeypatch: pytest.MonkeyPatch) -> None:
     rough = transfer(HertzSpot(ToolProcess()))
     monkeypatch.setattr(module, "DIRECTIONS", 180)

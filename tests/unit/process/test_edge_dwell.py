@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pytest
@@ -33,11 +34,26 @@ POINTS = raster(circle(2 * RADIUS), 1.0, 1.0, overrun_mm=2.0)[:, :2]
 PATH = program(POINTS[:-1], POINTS[1:], 0.3)
 GAMMA, ONE = np.full(PATH.n, 0.87), np.ones(PATH.n)
 RIM = round_rim(RADIUS)
-SUNK = rim_contact(ToolProcess(), RIM, contact_centres_mm(SPOT, PATH, GAMMA), GAMMA).depth_ratio
-PLAIN = SparseEffect(GRID, effect_matrix(GRID, SPOT, PATH, GAMMA, ONE))
-FREE = SparseEffect(GRID, effect_matrix(GRID, SPOT, PATH, SUNK, ONE))
 METHODS: tuple[Extension, ...] = ("nearest", "c1", "gerchberg_papoulis")
 LEAST = PATH.length_mm / 50
+
+
+@cache
+def sunk() -> FloatArray:
+    """Depth ratios of a tool that hangs over the rim."""
+    return rim_contact(ToolProcess(), RIM, contact_centres_mm(SPOT, PATH, GAMMA), GAMMA).depth_ratio
+
+
+@cache
+def plain_effect() -> SparseEffect:
+    """The spot wherever it is the same."""
+    return SparseEffect(GRID, effect_matrix(GRID, SPOT, PATH, GAMMA, ONE))
+
+
+@cache
+def free_effect() -> SparseEffect:
+    """The spot as it becomes over a free rim."""
+    return SparseEffect(GRID, effect_matrix(GRID, SPOT, PATH, sunk(), ONE))
 
 
 def surface(seed: int, cut_mm: float = 6.0) -> FloatArray:
@@ -71,8 +87,8 @@ def left(target: FloatArray, plant: SparseEffect, time_s: FloatArray, inner: Boo
 def test_a_free_rim_must_be_known() -> None:
     target = surface(3)
     inner = GRID.radius_mm() <= RADIUS - BLANK
-    unaware = left(target, FREE, dwell(PLAIN, target, PART), inner)
-    aware = left(target, FREE, dwell(FREE, target, PART), inner)
+    unaware = left(target, free_effect(), dwell(plain_effect(), target, PART), inner)
+    aware = left(target, free_effect(), dwell(free_effect(), target, PART), inner)
     assert unaware.rim > 5
     assert aware.rim < 0.1 * unaware.rim
     assert aware.inner < 1.1 * unaware.inner
@@ -80,21 +96,22 @@ def test_a_free_rim_must_be_known() -> None:
 
 def test_the_sunk_spot_takes_less_time_at_the_rim() -> None:
     target = surface(3)
-    plain, free = (dwell(effect, target, PART).sum() for effect in (PLAIN, FREE))
+    plain, free = (dwell(effect, target, PART).sum() for effect in (plain_effect(), free_effect()))
     assert free < plain
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("seed", [3, 4])
 def test_where_the_map_ends_before_the_part_the_extension_saves_the_rim(seed: int) -> None:
     """The data end 3 mm before the rim: what the dwell does there is judged against the truth."""
     target = surface(seed, cut_mm=12.0)
     data = GRID.radius_mm() <= RADIUS - BLANK
-    bare = left(target, PLAIN, dwell(PLAIN, target, data), data)
+    bare = left(target, plain_effect(), dwell(plain_effect(), target, data), data)
     rims: dict[str, float] = {"none": bare.rim}
     for method in METHODS:
         wider = extend(np.where(data, target, np.nan), data, 1.0, BLANK, method, cutoff_period_mm=12.0)
-        time = dwell(PLAIN, wider.height_nm, wider.mask, np.where(data, 1.0, 0.01))
-        found = left(target, PLAIN, time, data)
+        time = dwell(plain_effect(), wider.height_nm, wider.mask, np.where(data, 1.0, 0.01))
+        found = left(target, plain_effect(), time, data)
         rims[method] = found.rim
         assert found.inner < 1.2 * bare.inner + 0.05
     assert rims["nearest"] < 0.5 * rims["none"]

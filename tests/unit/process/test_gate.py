@@ -26,6 +26,7 @@ def moved(height: FloatArray, x_mm: float, y_mm: float) -> FloatArray:
     return np.asarray(ndimage.shift(height, (-y_mm, x_mm), order=5, mode="nearest"))
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("seed", range(10))
 def test_good_passes_go_on(seed: int) -> None:
     """Noise, 10 % of rate, 0.2 mm of shift, any piston and tilt, and a removal model that is 10 % off in form."""
@@ -48,6 +49,7 @@ def test_a_small_shift_is_measured_and_noted() -> None:
     assert "(+0.2" in verdict.notes[0]
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("angle_deg", [0, 37, 90, 200, 315])
 @pytest.mark.parametrize("distance_mm", [1.0, 3.0])
 def test_shifts_stop(angle_deg: float, distance_mm: float) -> None:
@@ -58,6 +60,7 @@ def test_shifts_stop(angle_deg: float, distance_mm: float) -> None:
     assert np.nanstd(verdict.best_residual_nm) < 0.5 * np.nanstd(verdict.residual_nm)
 
 
+@pytest.mark.full
 def test_shifts_on_a_fine_grid_stop_too() -> None:
     fine = Grid(200, 200, 0.5)
     predicted = 60 + rough(fine, rms_nm=10)
@@ -67,6 +70,7 @@ def test_shifts_on_a_fine_grid_stop_too() -> None:
     assert verdict.stop
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("factor", "said"), [(0.5, "half"), (2.0, "double"), (0.02, "hardly"), (1.5, "1.500"), (3, "3")]
 )
@@ -76,6 +80,7 @@ def test_factors_stop(factor: float, said: str) -> None:
     assert verdict.rate == pytest.approx(factor, abs=0.01)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("factor", [0.62, 0.8, 1.38])
 def test_a_rate_to_be_learned_goes_on(factor: float) -> None:
     assert judge(PREDICTED, factor * PREDICTED + noise(4), MASK, GRID.pitch_mm).stop == ""
@@ -104,6 +109,7 @@ def test_a_rate_that_may_as_well_be_allowed_goes_on_and_is_said(factor: float) -
     assert judge(PREDICTED, factor * PREDICTED + 2.0 * wide / wide.std(), MASK, GRID.pitch_mm).stop
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("way", ORIENTATIONS[1:], ids=lambda way: way.name)
 def test_turns_and_flips_stop_even_beside(way: Orientation, sign: int) -> None:
@@ -132,6 +138,7 @@ def test_the_picture_shows_both_ways() -> None:
     assert np.nanstd(verdict.residual_nm) > 10
 
 
+@pytest.mark.full
 def test_a_turn_that_noise_brings_about_is_not_claimed() -> None:
     """On a small part some turn always fits noise better; the one claimed here was "transposed and negated"."""
     small = Grid(30, 30, 1.0)

@@ -71,6 +71,7 @@ def a_pass(seed: int) -> Pass:
     return Pass(grid, mask, predicted, rng.uniform(0.85, 1.15) * removed, before - after + bent + 300 - 2 * x)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("count", COUNTS)
 def test_good_passes_are_not_stopped(count: int) -> None:
     """Of 1000, 61 were before significance was asked for; now 2, where the maps' noise is as large as the removal."""
@@ -80,6 +81,8 @@ def test_good_passes_are_not_stopped(count: int) -> None:
     assert len(stopped) <= 3e-3 * count
 
 
+@pytest.mark.full
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("count", COUNTS)
 def test_mistakes_are_stopped_or_said_to_be_undecidable(count: int) -> None:
     """A turn, flip or negation; and a shift of 2 mm."""
@@ -100,6 +103,7 @@ def test_mistakes_are_stopped_or_said_to_be_undecidable(count: int) -> None:
     assert named > 0.85 * sure > 0.35 * count
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 @pytest.mark.parametrize("count", COUNTS)
 def test_factors_are_stopped_or_said_to_be_undecidable(count: int, factor: float) -> None:

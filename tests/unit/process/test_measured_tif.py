@@ -17,7 +17,6 @@ PAPER = ToolProcess()
 DEPTH = contact.hertz_depth_mm(PAPER)
 SECONDS = 60.0
 VOLUME = float(contact.volume_rate_nm_mm2_s(PAPER, DEPTH)[0]) * 60e-6
-REAL = Path(__file__).resolve().parents[3] / ".." / "shared" / "data" / "measured_tif.npz"
 Place = tuple[float, float]
 
 
@@ -209,10 +208,9 @@ def test_the_width_of_a_gaussian() -> None:
     assert fwhm_mm(np.exp(-(right**2 + up**2) / 2), 0.05) == pytest.approx(2 * np.sqrt(2 * np.log(2)), rel=5e-3)
 
 
-@pytest.mark.skipif(not REAL.exists(), reason="the shared folder with the measured TIF is absent")
-def test_a_tif_that_was_really_measured() -> None:
+def test_a_tif_that_was_really_measured(shared_data: Path) -> None:
     """A fluid-jet spot, ring-shaped, its file cut off at a disc that touches the map's border."""
-    data = np.load(REAL)
+    data = np.load(shared_data / "measured_tif.npz")
     removal, pitch = data["Z"] * 1e9, data["m_per_pixel"].item() * 1e3
     tif, report = tif_from_maps(removal, np.zeros_like(removal), pitch, 1.0)
     assert report.volume_mm3_min == pytest.approx(0.0056, rel=0.02)

@@ -16,6 +16,7 @@ GRID = Grid(300, 300, 1.0)
 MASKS = shapes(GRID)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", sorted(MASKS))
 def test_band_rms_is_within_one_percent(name: str) -> None:
     """50 surfaces over four shapes: each band of each within 1 %, and their maps sum to the surface."""

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from prysm.interferogram import psd as prysm_psd
 
 from polishd.model.errors import BadMap
 from polishd.model.surface import Grid
@@ -87,6 +86,8 @@ def test_a_whole_number_of_waves_is_one_line_of_known_height() -> None:
 
 
 def test_prysm_has_the_same_density_where_nothing_is_masked() -> None:
+    from prysm.interferogram import psd as prysm_psd
+
     grid = Grid(64, 64, 0.5)
     mask = np.ones(grid.shape, dtype=bool)
     level = without(rough(grid, cut_mm=2), mask, "tilt")

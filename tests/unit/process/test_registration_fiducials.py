@@ -34,6 +34,7 @@ def test_exact_marks_in_any_order_are_placed_exactly(seed: int) -> None:
     assert (placed.used, placed.by) == (4, "fiducials")
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(("grid", "nominal"), [(MAP, MARKS_MM), (MAP, SEVEN_MM[:6]), (Grid(880, 864, 0.118), SEVEN_MM)])
 def test_accuracy_at_a_twentieth_of_a_pixel(grid: Grid, nominal: Points) -> None:
     """RMS over 300 seeds within 0.05 px and 0.005 deg; no placement can do better than least squares on this noise."""
@@ -165,6 +166,7 @@ def wrong_sets(rng: np.random.Generator) -> Iterator[np.ndarray]:
     yield rng.permutation(np.vstack([kept, rng.uniform(0, MAP.nx - 1, (6 - len(kept), 2))]))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("rounds", [400, pytest.param(2000, marks=pytest.mark.slow)])
 def test_no_wrong_set_is_accepted(rounds: int) -> None:
     """10,000 of them in the long campaign."""

@@ -61,6 +61,7 @@ def test_a_full_map_has_no_marks() -> None:
 # outline
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("what", ["whole", "drop-outs", "clipped", "cut through", "dirty rim"])
 def test_the_outline_is_found_whatever_is_missing(what: str, seed: int) -> None:

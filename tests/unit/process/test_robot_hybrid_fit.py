@@ -29,6 +29,7 @@ def test_a_perturbed_start_ends_in_the_published_range(factor: float, sample: fi
     np.testing.assert_allclose(after, shipped, rtol=0, atol=0.02)  # the sample is coarser than that of the fit
 
 
+@pytest.mark.full
 def test_the_guess_ends_at_the_shipped_robot(capsys: pytest.CaptureFixture[str]) -> None:
     fitted = fit_robot.fit(dataclasses.replace(SHIPPED, **fit_robot.GUESS), fit_robot.workspace(25))
     for name in fit_robot.GUESS:

@@ -142,6 +142,7 @@ def test_inverse_finds_the_joints_again(turns: tuple[float, ...], robot: SerialR
     np.testing.assert_allclose(got[0], joints, rtol=0, atol=1e-9)
 
 
+@pytest.mark.full
 def test_round_trip_over_random_poses() -> None:
     tip, axis = tilted(30_000)
     joints = serial_inverse_kinematics(UR5, tip, axis)
@@ -266,6 +267,7 @@ def test_one_springy_joint_lets_the_tip_go_one_way_only() -> None:
     np.testing.assert_allclose(matrix, np.diag([232.3**2 / 1e7, 0, 0]), rtol=0, atol=1e-12)
 
 
+@pytest.mark.full
 def test_reachable_agrees_with_the_inverse() -> None:
     tip, axis = tilted(60)
     tip[::3] *= 1.9

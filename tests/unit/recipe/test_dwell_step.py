@@ -49,6 +49,7 @@ def asked(recipe: Recipe, measured: Measured) -> DwellProblem:
     return given[0]
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("method", ["nearest", "c1", "gerchberg_papoulis"])
 def test_a_rim_without_data_is_extended_at_a_small_weight(method: str) -> None:
     recipe = small_recipe(extension=method)
@@ -116,6 +117,7 @@ def test_the_certificate_says_what_is_out_of_reach() -> None:
     assert plain.dwell.certificate.notes == ()
 
 
+@pytest.mark.full
 def test_a_time_budget_is_kept_and_costs_residual() -> None:
     measured = steps.condition(small_recipe(), small_map())
     free = dwell_step.solve(small_recipe(), small_program(), measured).dwell.certificate
@@ -152,6 +154,7 @@ def test_a_target_is_met_in_the_least_time() -> None:
     assert c.dwell_total_s < free.dwell_total_s
 
 
+@pytest.mark.full
 def test_the_knee_is_a_point_of_the_curve() -> None:
     measured = steps.condition(small_recipe(), small_map())
     found = dwell_step.solve(small_recipe(choose="knee", curve=True), small_program(), measured)

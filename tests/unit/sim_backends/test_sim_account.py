@@ -20,6 +20,7 @@ from polishd.sim_backends.plant import part as parts
 from polishd.sim_backends.plant.account import Account
 from polishd.sim_backends.plant.server import PlantServer, build
 from polishd.sim_backends.runtime import Start
+from tests.patience import SOON_S
 
 SMALL = SimConfig(plant=Plant(aperture_mm=10.0, ring_mm=4.0))
 
@@ -74,7 +75,7 @@ def test_it_is_written_whole_beside_the_truth(tmp_path: Path) -> None:
 
 async def until(condition: Callable[[], object]) -> None:
     """Wait until it is so."""
-    async with asyncio.timeout(5.0):
+    async with asyncio.timeout(SOON_S):
         while not condition():  # noqa: ASYNC110 -- nobody tells
             await asyncio.sleep(0.005)
 
@@ -193,7 +194,7 @@ async def test_who_does_not_introduce_himself_is_not_heard(server: PlantServer) 
     async with listener:
         reader, writer = await asyncio.open_unix_connection(str(path))
         writer.write(bus.pack_json({"event": "force_on", "t": 0.0}))
-        assert await asyncio.wait_for(reader.read(), 5.0) == b""
+        assert await asyncio.wait_for(reader.read(), SOON_S) == b""
         writer.close()
         await writer.wait_closed()
     assert server.writers == {}

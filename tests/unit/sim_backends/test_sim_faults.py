@@ -16,6 +16,7 @@ from polishd.model.errors import ConfigError
 from polishd.sim_backends import bus
 from polishd.sim_backends.faults import Mischief, Outlet
 from polishd.sim_backends.wire import PtyPort
+from tests.patience import SOON_S
 
 
 def mischief(**faults: Any) -> Mischief:
@@ -53,7 +54,7 @@ def test_the_same_seed_gives_the_same_mischief() -> None:
 async def paced(outlet: Outlet, frames: list[bytes], written: list[bytes], expected: int) -> float:
     """Seconds until all has been written."""
     begin = time.monotonic()
-    async with asyncio.timeout(5.0), asyncio.TaskGroup() as group:
+    async with asyncio.timeout(SOON_S), asyncio.TaskGroup() as group:
         worker = group.create_task(outlet.run())
         for frame in frames:
             outlet.send(frame)
@@ -86,7 +87,7 @@ async def test_a_terminal_behind_a_stable_name(tmp_path: Path) -> None:
     try:
         host = os.open(tmp_path / "line", os.O_RDWR | os.O_NOCTTY)
         os.write(host, b"\x01\r\n\x04")
-        assert await asyncio.wait_for(heard.get(), 2.0) == b"\x01\r\n\x04"
+        assert await asyncio.wait_for(heard.get(), SOON_S) == b"\x01\r\n\x04"
         port.write(b"\x03\r\xff")
         assert os.read(host, 10) == b"\x03\r\xff"
         os.close(host)

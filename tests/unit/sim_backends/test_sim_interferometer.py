@@ -17,6 +17,7 @@ from polishd.config.simulator import Interferometer as Section
 from polishd.sim_backends import metropro
 from polishd.sim_backends.interferometer import Interferometer, as_seen, write_artefact
 from polishd.sim_backends.wire import Wire
+from tests.patience import SOON_S
 
 TRUE = np.where(np.hypot(*np.mgrid[-8:9, -8:9]) < 8.5, 10.0 * np.mgrid[-8:9, -8:9][0], np.nan)
 
@@ -58,7 +59,7 @@ def sizes_of(folder: Path, end: str) -> list[int]:
 
 async def until(condition: Callable[[], object]) -> None:
     """Wait until it is so."""
-    async with asyncio.timeout(5.0):
+    async with asyncio.timeout(SOON_S):
         while not condition():  # noqa: ASYNC110 -- nobody tells
             await asyncio.sleep(0.005)
 
@@ -97,6 +98,7 @@ async def test_nasty_files_come_first_and_the_right_one_last(tmp_path: Path) -> 
     assert [data["file"] for name, data in link.events if name == "map_dropped"] == [found[1].name, found[4].name]
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("preallocate", [False, True])
 @pytest.mark.parametrize("suffix", [".part", ""])
 async def test_a_file_grows_or_fills_under_the_name_that_is_configured(
@@ -127,7 +129,7 @@ async def test_one_request_one_map(tmp_path: Path) -> None:
     for count in (1, 2):
         link.asked.clear()
         request.write_text("{}")
-        await asyncio.wait_for(link.asked.wait(), 5.0)
+        await asyncio.wait_for(link.asked.wait(), SOON_S)
         assert not request.exists()
         assert len(files(tmp_path)) == count - 1, "the plant has not given the surface yet"
         device.maps.put_nowait(TRUE)
@@ -168,9 +170,9 @@ async def test_every_connection_has_its_own_receiver(tmp_path: Path) -> None:
         host, port = (await wire.open_tcp(0, b"hello ")).split(":")
         lines = [await asyncio.open_connection(host, int(port)) for _ in range(2)]
         for number, (reader, writer) in enumerate(lines):
-            assert await asyncio.wait_for(reader.readexactly(6), 5.0) == b"hello "
+            assert await asyncio.wait_for(reader.readexactly(6), SOON_S) == b"hello "
             writer.write(b"abc")
-            assert await asyncio.wait_for(reader.readexactly(5), 5.0) == b"%d:abc" % number
+            assert await asyncio.wait_for(reader.readexactly(5), SOON_S) == b"%d:abc" % number
         for _, writer in lines:
             writer.close()
         await until(lambda: not wire.cuts)
@@ -187,7 +189,7 @@ async def test_a_wire_may_be_cut_now_and_then(tmp_path: Path) -> None:
         for _ in range(2):
             reader, writer = await asyncio.open_connection(host, int(port))
             with contextlib.suppress(ConnectionError):
-                assert await asyncio.wait_for(reader.read(), 5.0) == b""
+                assert await asyncio.wait_for(reader.read(), SOON_S) == b""
             writer.close()
         cutting.cancel()
         runtime.server.close()

@@ -17,6 +17,7 @@ from polishd.sim_backends.linuxcnc import server
 from polishd.sim_backends.linuxcnc.gate import Gate, Watchdog, address
 from polishd.sim_backends.linuxcnc.machine import AXES, Machine
 from polishd.sim_backends.linuxcnc.motion import STILL_SAMPLES, Loaded, Sampled
+from tests.patience import SOON_S
 
 POSE = (1.0, -2.0, 60.0, 15.0, -90.0)
 
@@ -120,7 +121,7 @@ def test_the_watchdog_wakes_with_a_client_holds_without_and_lets_go_when_the_pro
 @pytest.fixture
 def served() -> Iterator[tuple[Gate, socket.socket]]:
     server_side = socket.create_server(("127.0.0.1", 0))
-    server_side.settimeout(2.0)
+    server_side.settimeout(SOON_S)
     gate = Gate(("127.0.0.1", 0), ("127.0.0.1", server_side.getsockname()[1]), Watchdog(1.0))
     yield gate, server_side
     gate.close()
@@ -134,11 +135,11 @@ def turn(gate: Gate, times: int = 5) -> None:
 
 def test_the_gate_passes_bytes_both_ways_and_hears_clients_only(served: tuple[Gate, socket.socket]) -> None:
     gate, server_side = served
-    with socket.create_connection(("127.0.0.1", gate.port), timeout=2.0) as client:
+    with socket.create_connection(("127.0.0.1", gate.port), timeout=SOON_S) as client:
         turn(gate)
         behind, _ = server_side.accept()
         with behind:
-            behind.settimeout(2.0)
+            behind.settimeout(SOON_S)
             behind.sendall(b"unasked\r\n")
             turn(gate)
             assert client.recv(99) == b"unasked\r\n"
@@ -156,7 +157,7 @@ def test_the_gate_hangs_up_where_nobody_is_behind() -> None:
     with socket.create_server(("127.0.0.1", 0)) as nobody:
         port = nobody.getsockname()[1]
     gate = Gate(("127.0.0.1", 0), ("127.0.0.1", port), Watchdog(1.0))
-    with socket.create_connection(("127.0.0.1", gate.port), timeout=2.0) as client:
+    with socket.create_connection(("127.0.0.1", gate.port), timeout=SOON_S) as client:
         turn(gate)
         assert client.recv(1) == b""
     gate.close()

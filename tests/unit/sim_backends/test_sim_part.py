@@ -83,6 +83,7 @@ def test_a_measured_part_keeps_its_holes_and_its_size(tmp_path: Path) -> None:
     assert not part.clear[41, 51]
 
 
+@pytest.mark.full
 def test_the_shared_map_becomes_a_part(shared_data: Path) -> None:
     part = parts.from_map(shared_data / "zygo_metropro.dat", CONFIG)
     seen = part.map_nm()

@@ -128,6 +128,7 @@ async def test_an_order_that_is_refused_is_told_and_the_link_lives(rig: Rig) -> 
     assert len(await executed(rig.robot)) == len(BLOCKS)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("lost", ["get program_line", "get time", "get operator_display"])
 async def test_an_answer_that_does_not_come_ends_the_link_at_once(rig: Rig, lost: str) -> None:
     await load(rig.robot)

@@ -76,11 +76,13 @@ def agree(name: str, text: bytes, patch: Patch) -> None:
         assert written(name, found, times, patch, NEVER) == written(name, found, times, patch, 0)
 
 
+@pytest.mark.one_of_each("case.dialect")
 @pytest.mark.parametrize("case", cases(), ids=str)
 def test_the_corpus(case: Case, monkeypatch: Patch) -> None:
     agree(case.dialect, case.text, monkeypatch)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", GRAMMARS)
 def test_in_pieces(name: str, monkeypatch: Patch) -> None:
     """Arrays are kept from piece to piece; a larger one needs larger arrays."""

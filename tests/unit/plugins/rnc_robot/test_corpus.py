@@ -46,6 +46,7 @@ def test_bytes_are_as_they_were_written() -> None:
     assert b"\xa0" in texts["rs274/non_breaking_space"]
 
 
+@pytest.mark.one_of_each("case.dialect")
 @pytest.mark.parametrize("case", REFUSED, ids=str)
 def test_refused(case: Case) -> None:
     with pytest.raises(ProgramError) as caught:
@@ -58,6 +59,7 @@ def test_refused(case: Case) -> None:
     assert "To do: " in message
 
 
+@pytest.mark.one_of_each("case.dialect")
 @pytest.mark.parametrize("case", READ, ids=str)
 def test_read(case: Case) -> None:
     said = case.said
@@ -80,6 +82,7 @@ def test_read(case: Case) -> None:
         assert any(re.search(said["warns"], warning) for warning in program.warnings), program.warnings
 
 
+@pytest.mark.one_of_each("case.dialect")
 @pytest.mark.parametrize("case", READ, ids=str)
 def test_identity_rewrite_changes_nothing(case: Case) -> None:
     program = read(case)
@@ -87,6 +90,7 @@ def test_identity_rewrite_changes_nothing(case: Case) -> None:
     assert rewrite(case, program, program.time_s.copy()) == case.text
 
 
+@pytest.mark.one_of_each("case.dialect")
 @pytest.mark.parametrize("case", READ, ids=str)
 def test_other_times_change_numbers_only(case: Case) -> None:
     program = read(case)

@@ -158,6 +158,7 @@ def campaign(name: str, lines: int, seed: int, patch: pytest.MonkeyPatch) -> tup
     return counts[1], counts[0]
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", DIALECTS)
 def test_small_share(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     read, refused = campaign(name, SMALL, 0, monkeypatch)
@@ -179,6 +180,7 @@ def test_every_profile_is_fuzzed() -> None:
     assert len(DIALECTS) * LARGE * 10 >= 1_000_000
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", DIALECTS)
 def test_clean_programs_are_read(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the generator calls valid is: else the fuzz would only meet refusals."""

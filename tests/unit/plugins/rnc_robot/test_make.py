@@ -71,6 +71,7 @@ def test_what_is_written() -> None:
     ]
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", NC)
 def test_feeds_read_back(name: str) -> None:
     feed = np.linspace(300, 3000, len(LENGTH))
@@ -83,6 +84,7 @@ def test_feeds_read_back(name: str) -> None:
     assert not [warning for warning in found.warnings if "steps of" not in warning]
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", sorted(set(NC) - NO_INVERSE))
 def test_inverse_time_reads_back(name: str) -> None:
     """Also where F behind G93 is seconds and not 1/min."""
@@ -100,6 +102,7 @@ def test_no_inverse_time_is_said(name: str) -> None:
         made(name, "inverse")
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", NC)
 def test_dwells_read_back(name: str) -> None:
     """Each within one quantum of the one meant, and so the total."""
@@ -113,6 +116,7 @@ def test_dwells_read_back(name: str) -> None:
     np.testing.assert_allclose(found.end_mm, POINTS[1:], atol=5.1e-5)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("name", "word"),
     [
@@ -197,6 +201,7 @@ def test_no_robot_language_is_made() -> None:
         path_program(LINE, UP[:5], 900.0, "bad", to="rs275")
 
 
+@pytest.mark.one_of_each
 @pytest.mark.skipif(shutil.which("rs274") is None, reason="LinuxCNC is not installed")
 @pytest.mark.parametrize("encoding", ["feed", "inverse", "dwell"])
 def test_linuxcnc_reads_it(encoding: Encoding, tmp_path: Path) -> None:

@@ -154,6 +154,7 @@ ALL = [
 ]
 
 
+@pytest.mark.one_of_each("name", "before", "after")
 @pytest.mark.parametrize(("name", "before", "after", "form"), ALL, ids=map("-".join, ALL))
 def test_there_and_back(name: str, before: Encoding, after: Encoding, form: str) -> None:
     old = formats.read(profile(name), written(name, before, FORMS[form]), "old.nc")
@@ -332,6 +333,7 @@ def random_program(encoding: Encoding, seed: int, n: int) -> bytes:
     return "\n".join([*lines, "G0 Z90", "M2", ""]).encode()
 
 
+@pytest.mark.one_of_each
 @pytest.mark.skipif(NO_RS274, reason="no rs274 (LinuxCNC) on this machine")
 @pytest.mark.parametrize("seed", [0, 1], ids=["inch", "mm"])
 @pytest.mark.parametrize(("before", "after"), CHANGES)

@@ -155,6 +155,7 @@ def quanta(new: Program) -> Times:
     return np.array(found)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("encoding", ["feed", "dwell", "inverse"])
 @given(data=st.data())
 def test_only_time_changes_and_the_total_is_kept(encoding: str, data: st.DataObject) -> None:
@@ -178,6 +179,7 @@ def test_only_time_changes_and_the_total_is_kept(encoding: str, data: st.DataObj
     assert abs(new.time_s.sum() - times.sum()) <= largest
 
 
+@pytest.mark.full
 def test_the_total_of_many_dwells_is_exact_to_one_quantum() -> None:
     n = 5000
     body = b"".join(b"G1 X%d\nG4 P0.5\n" % (i % 90) for i in range(n))
@@ -188,6 +190,7 @@ def test_the_total_of_many_dwells_is_exact_to_one_quantum() -> None:
     assert abs(new.time_s.sum() - times.sum()) <= 1e-6
 
 
+@pytest.mark.full
 def test_the_total_of_many_feeds_is_exact_to_one_quantum() -> None:
     n = 5000
     points = np.stack([np.arange(n) % 70, np.arange(n) // 70, np.zeros(n)], axis=1).astype(float)

@@ -123,11 +123,13 @@ def prove(folder: Path, encoding: str, units: str, mode: str, n: int) -> None:
     assert abs(exact.sum() - asked.sum()) <= quanta.max()
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("shape", SHAPES, ids="-".join)
 def test_small(tmp_path: Path, shape: tuple[str, str, str]) -> None:
     prove(tmp_path, *shape, n=500)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("shape", QUICK, ids="-".join)
 def test_100_000_points(tmp_path: Path, shape: tuple[str, str, str]) -> None:
     prove(tmp_path, *shape, n=100_000)
@@ -142,6 +144,7 @@ def test_100_000_points_in_every_shape(tmp_path: Path, shape: tuple[str, str, st
 READ = [case for case in cases() if case.dialect == "rs274" and case.refused is None]
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("case", READ, ids=str)
 def test_the_corpus_expects_what_the_interpreter_does(case: Case) -> None:
     run = interpret(case.path)

@@ -139,6 +139,7 @@ def check_all(name: str, text: bytes, sizes: tuple[int, ...], cut: Callable[[int
         assert streamed(profile, text, found.time_s)[0] == text
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", TEXTS)
 def test_cut_anywhere(name: str, cut: Callable[[int], None]) -> None:
     check_all("rs274", TEXTS[name], SIZES, cut)
@@ -153,11 +154,13 @@ def test_cut_behind_every_byte(cut: Callable[[int], None]) -> None:
 WRITTEN = [case for case in cases() if case.refused is None and "unwritable" not in case.said]
 
 
+@pytest.mark.one_of_each("case.dialect")
 @pytest.mark.parametrize("case", WRITTEN, ids=str)
 def test_the_corpus(case: Case, cut: Callable[[int], None]) -> None:
     check_all(case.dialect, case.text, (13,), cut)
 
 
+@pytest.mark.one_of_each("case.dialect")
 @pytest.mark.parametrize("case", [case for case in cases() if case.refused is not None], ids=str)
 def test_the_corpus_is_refused(case: Case, cut: Callable[[int], None]) -> None:
     """In the stream as in memory; cut small, perhaps for another fault of the same program."""
@@ -172,6 +175,7 @@ def test_the_corpus_is_refused(case: Case, cut: Callable[[int], None]) -> None:
         look_through(profile, BytesIO(case.text), "t.nc")
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", GRAMMARS)
 def test_programs_of_every_dialect(name: str, cut: Callable[[int], None]) -> None:
     rng = Random(name)
@@ -198,6 +202,7 @@ def test_the_feed_of_the_move_before_a_cut(cut: Callable[[int], None]) -> None:
 # Where the time sits is guessed from the beginning.
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("leads", [1, 4, 6, 30])
 @pytest.mark.parametrize("size", [8, 64, WHOLE])
 def test_dwells_that_begin_late(leads: int, size: int, cut: Callable[[int], None]) -> None:

@@ -64,6 +64,7 @@ def test_what_the_rewriter_writes_is_proved(text: str, with_rs274: bool) -> None
     assert found.range_before_s == pytest.approx((0.5, 2.0), rel=1e-4)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("with_rs274", WITH)
 @pytest.mark.parametrize(
     ("old", "new"),

@@ -43,6 +43,7 @@ def wrong(profile: AnyDialect, text: bytes, encoding: Encoding | None) -> str | 
     return next((str(change) for change in found.other_changes if change.kind != "timing"), None)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", DIALECTS)
 def test_whatever_the_rewriter_writes_is_proved(name: str) -> None:
     profile, said = dialect(name), programs(name)
@@ -51,6 +52,7 @@ def test_whatever_the_rewriter_writes_is_proved(name: str) -> None:
     assert {key: words for key, words in bad.items() if words} == {}
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", DIALECTS)
 def test_a_lost_line_is_seen(name: str) -> None:
     """The last line that moves is taken out: refused, or never the same motion."""

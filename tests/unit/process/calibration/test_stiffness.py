@@ -85,6 +85,7 @@ def campaign(kind: str, ways: str, seed: int) -> tuple[HybridRobot | SerialRobot
     return truth, fit_stiffness(start, tests, hold_out=judge), unfitted
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(("kind", "ways"), [("hybrid", "down"), ("hybrid", "all ways"), ("serial", "all ways")])
 @pytest.mark.parametrize("seed", range(4))
 def test_forty_tests_with_noise_do_better_than_the_papers_model(kind: str, ways: str, seed: int) -> None:
@@ -96,6 +97,7 @@ def test_forty_tests_with_noise_do_better_than_the_papers_model(kind: str, ways:
     assert fit.held_out.mean_percent < unfitted / 2
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(("kind", "ways"), [("hybrid", "down"), ("hybrid", "all ways"), ("serial", "all ways")])
 def test_the_uncertainty_covers_what_was_found(kind: str, ways: str) -> None:
     """Of what is determined well: the others' held values are wrong by up to 40 %, and lean on the rest."""
@@ -162,6 +164,7 @@ def test_the_tests_along_other_ways_find_it() -> None:
     assert c.given == HYBRID.c_stiffness_n_mm_per_rad
 
 
+@pytest.mark.full
 def test_a_given_stiffness_that_the_tests_speak_against_is_not_kept() -> None:
     rng = np.random.default_rng(7)
     truth = dataclasses.replace(HYBRID, a_stiffness_n_mm_per_rad=1e13)
@@ -202,6 +205,7 @@ def test_limbs_with_ea_have_their_ea_fitted() -> None:
     assert fit.robot.limb_stiffness_n_per_mm == start.limb_stiffness_n_per_mm
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("projection", ["linear", "quadratic"])
 def test_tests_that_measure_the_papers_projection(projection: Projection) -> None:
     rng = np.random.default_rng(10)

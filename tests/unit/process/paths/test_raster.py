@@ -50,6 +50,7 @@ def test_the_demo_raster() -> None:
     assert points[1, 0] > points[0, 0]  # to the right
 
 
+@pytest.mark.full
 @settings(max_examples=40)
 @given(st.floats(5, 60), st.floats(0.5, 4), st.floats(0.5, 3), st.floats(0, 3), st.floats(0, 8))
 def test_any_raster(radius: float, pitch: float, step: float, overrun: float, landing: float) -> None:
@@ -94,6 +95,7 @@ def test_the_way_in_lies_on_the_first_line() -> None:
     assert (np.diff(first[:-1, 0]) > 0).all()
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", APERTURES)
 @pytest.mark.parametrize("direction", [0.0, 30.0, 90.0, -137.0])
 def test_any_aperture_in_any_direction(name: str, direction: float) -> None:
@@ -163,6 +165,7 @@ def test_an_optic_that_ends_before_the_path_does() -> None:
         raster(circle(98), 1.0, 1.0, optic=Optic(50.0), overrun_mm=2.0)
 
 
+@pytest.mark.full
 def test_a_million_points() -> None:
     points = raster(circle(1100), 1.0, 1.0, optic=Optic(4000.0, -1.0))
     assert 0.95e6 < len(points) < 1.05e6

@@ -84,6 +84,7 @@ def test_it_runs_counterclockwise_from_the_centre() -> None:
     assert angle[-1] - angle[0] == pytest.approx(2 * np.pi * 26, rel=0.05)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", APERTURES)
 @pytest.mark.parametrize("optic", [FLAT, Optic(120.0, -0.5, (1e-8,), (30.0, 10.0))])
 def test_any_aperture_is_covered(name: str, optic: Optic) -> None:
@@ -128,6 +129,7 @@ def test_steps_are_equal_along_the_surface(optic: Optic) -> None:
     assert size.max() < 0.11
 
 
+@pytest.mark.full
 def test_over_an_ellipse_the_turns_keep_its_shape() -> None:
     points = spiral(ellipse(80, 40), 1.0, 0.3, overrun_mm=0.0)
     curve = on_curve(points, ellipse(80, 40), 0.0)[1:]
@@ -147,6 +149,7 @@ def test_the_way_out_is_straight_on() -> None:
     assert len(spiral(circle(60), 1.0, 0.5, landing_mm=0.0)) < len(points)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("inwards", [False, True])
 @pytest.mark.parametrize("optic", [FLAT, Optic(120.0, -0.5, (1e-8,), (30.0, 10.0))])
 @pytest.mark.parametrize("name", APERTURES)
@@ -183,6 +186,7 @@ def test_lengths_that_are_none(pitch: float, step: float, what: str) -> None:
         spiral(circle(50), 1.0, 1.0, overrun_mm=float("nan"))
 
 
+@pytest.mark.full
 def test_a_million_points() -> None:
     points = spiral(circle(1100), 1.0, 1.0, optic=Optic(4000.0, -1.0))
     assert 0.95e6 < len(points) < 1.05e6

@@ -71,6 +71,7 @@ def made_up(path: Path, n: int, spread: float, seed: int) -> Path:
     return path
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(("n", "spread"), [(12, 0.4), (40, 0.4), (40, 0.15)])
 def test_random_numbers_are_not_believed(polishd: Polishd, tmp_path: Path, n: int, spread: float, seed: int) -> None:
@@ -82,6 +83,7 @@ def test_random_numbers_are_not_believed(polishd: Polishd, tmp_path: Path, n: in
     assert not out.exists()
 
 
+@pytest.mark.full
 def test_random_numbers_are_written_if_one_insists_and_the_fragment_says_so(polishd: Polishd, tmp_path: Path) -> None:
     tests, out = made_up(tmp_path / "t.csv", 40, 0.4, 1), tmp_path / "stiff.toml"
     told = polishd("calibrate", "stiffness", tests)
@@ -93,6 +95,7 @@ def test_random_numbers_are_written_if_one_insists_and_the_fragment_says_so(poli
     load_config(cell_with(tmp_path, "stiff.toml"))
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("noise", [0.03, 0.05])
 @pytest.mark.parametrize("n", [12, 40])
 @pytest.mark.parametrize("seed", range(5))
@@ -103,6 +106,7 @@ def test_good_tests_are_believed(polishd: Polishd, tmp_path: Path, n: int, noise
     assert out.exists()
 
 
+@pytest.mark.full
 def test_held_out_tests_of_another_robot_are_told(polishd: Polishd, tmp_path: Path) -> None:
     tests, other = loading_tests(tmp_path / "t.csv", 40, 0.03, 1), made_up(tmp_path / "o.csv", 40, 0.4, 2)
     (doubt,) = polishd("calibrate", "stiffness", tests, "--held-out", other, "--json").answer["doubts"]

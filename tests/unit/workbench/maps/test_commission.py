@@ -85,6 +85,7 @@ def test_for_people(polishd: Polishd, ours: Path, good: Path) -> None:
         assert words in said.out, words
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("change", "mend"),
     [

@@ -45,6 +45,7 @@ def lossy(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     return install
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("first", WRITERS)
 @pytest.mark.parametrize("second", WRITERS)
 def test_each_pair_comes_back(polishd: Polishd, tmp_path: Path, source: Path, first: str, second: str) -> None:
@@ -63,6 +64,7 @@ def test_each_pair_comes_back(polishd: Polishd, tmp_path: Path, source: Path, fi
     assert polishd("map", two, "--json").answer["missing"] == np.count_nonzero(np.isnan(surface()))
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", ["zygo_metropro.dat", "zygo_mx.datx", "profilometer.x3p", "mountainsmap.sdf"])
 @pytest.mark.parametrize("suffix", WRITERS)
 def test_real_maps_keep_their_figures(

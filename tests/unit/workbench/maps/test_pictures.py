@@ -33,6 +33,7 @@ def test_it_is_drawn(polishd: Polishd, tmp_path: Path, good: Path) -> None:
     assert 20_000 < out.stat().st_size < both
 
 
+@pytest.mark.full
 def test_a_flat_map_is_drawn(polishd: Polishd, tmp_path: Path) -> None:
     """No height, no spectrum, no range of colours."""
     height = np.zeros((12, 12))
@@ -43,6 +44,7 @@ def test_a_flat_map_is_drawn(polishd: Polishd, tmp_path: Path) -> None:
     assert out.read_bytes().startswith(PNG)
 
 
+@pytest.mark.full
 def test_a_narrow_map_with_many_bands_is_drawn(polishd: Polishd, tmp_path: Path) -> None:
     """Upright and lying, beside one without a scale: rows of unlike many panels."""
     height = np.random.default_rng(2).normal(0.0, 5.0, (90, 12))
@@ -86,6 +88,7 @@ def test_too_many_maps_for_a_picture(polishd: Polishd, good: Path) -> None:
     assert not good.with_name("p.png").exists()
 
 
+@pytest.mark.full
 def test_names_are_taken_as_they_are(polishd: Polishd, good: Path) -> None:
     """Neither as mathematics nor as UTF-8, and a long one is cut."""
     odd = good.rename(good.with_name(os.fsdecode(b"m\xff$x_{$.dat")))

@@ -53,6 +53,7 @@ def test_a_plugin_named_last_is_asked_first(polishd: Polishd, cell: Path) -> Non
     assert "a plugin of the cell" in polishd("map", "formats", "--cell", cell).out
 
 
+@pytest.mark.full
 def test_every_verb_reads_as_the_cell_does(polishd: Polishd, cell: Path, table: Path, tmp_path: Path) -> None:
     assert polishd("map", table, "--json", "--cell", cell).answer["format"] == "acme"
     compared = polishd("map", "compare", table, table, "--json", "--cell", cell).answer

@@ -46,6 +46,7 @@ def test_a_smaller_depth_removes_as_its_power_of_1_5(polishd: Polishd) -> None:
     assert part["contact_radius_mm"] / whole["contact_radius_mm"] == pytest.approx(0.87**0.5)
 
 
+@pytest.mark.full
 def test_people_get_a_table_and_a_picture(polishd: Polishd, tmp_path: Path) -> None:
     said = polishd("tif", EXAMPLE, "--out", tmp_path / "spot.png")
     assert said.code == 0

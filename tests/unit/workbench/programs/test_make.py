@@ -78,6 +78,7 @@ def test_what_is_said_is_what_is_written(shape: str, to: str, tmp_path: Path) ->
     assert 0 < said["largest_turn_deg"] < 95
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("shape", ["raster", "spiral"])
 @pytest.mark.parametrize(
     ("words", "optic"),
@@ -204,6 +205,7 @@ def cell_with(tmp_path: Path, *changes: tuple[str, str]) -> Path:
     return path
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("words", [("raster",), ("spiral",), ("spiral", "--inwards")])
 def test_what_is_made_for_a_cell_is_what_its_plan_and_run_take(tmp_path: Path, words: tuple[str, ...]) -> None:
     cell = cell_with(tmp_path)
@@ -260,6 +262,7 @@ def test_the_limit_of_turns_is_the_paths() -> None:
     assert inspect.signature(make).parameters["turn_limit_deg"].default == TURN_LIMIT_DEG
 
 
+@pytest.mark.full
 def test_people_get_a_table_and_a_picture(tmp_path: Path) -> None:
     picture = tmp_path / "path.png"
     said = call("spiral", "--aperture", "annulus:40,12", "--out", tmp_path / "x.nc", "--picture", picture, *OFF_AXIS)

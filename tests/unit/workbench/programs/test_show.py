@@ -102,6 +102,7 @@ def test_a_feed_that_nobody_knows_is_no_number(polishd: Polishd, program: Path) 
     assert (answer["encoding"], answer["unit"], answer["dwell_total_s"]) == ("inverse", "1/min", 3.0)
 
 
+@pytest.mark.full
 def test_of_very_many_points_some_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     read_back = read(dialect("rs274"), DWELL, "p.rnc")
     whole = program_picture.program_picture(read_back)
@@ -329,6 +330,7 @@ def test_dialects_are_listed(polishd: Polishd) -> None:
         assert dialect(name).name == name
 
 
+@pytest.mark.full
 def test_a_pipe_that_breaks_is_no_traceback(program: Path, tmp_path: Path) -> None:
     program.write_bytes(b"G21 G90 G94\nG0 X0 Y0 Z0\n" + b"".join(b"G1 X%d F9\n" % i for i in range(1, 50)) + b"M2\n")
     for words in (["inspect", str(program)], ["verify", str(program), str(program), "--json"]):

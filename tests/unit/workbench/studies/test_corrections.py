@@ -25,6 +25,8 @@ from polishd.workbench.studies.corrections import (
 from polishd.workbench.studies.paper import TABLE_IV, TABLE_IV_RATIO
 from tests.unit.workbench.studies import studies
 
+pytestmark = pytest.mark.full
+
 ORDER = ["none", "calibrated", "pointwise", "linear", "power", "exact"]
 
 

@@ -34,11 +34,13 @@ def shipped() -> Passes:
     return polish(FIG_12)
 
 
+@pytest.mark.full
 def test_removal_goes_as_the_power_of_gamma_that_hertz_says(shipped: Passes) -> None:
     assert shipped.slope == pytest.approx(1.5, abs=0.02)
     assert shipped.correlation > 0.999
 
 
+@pytest.mark.full
 def test_removal_is_the_volume_rate_over_the_cell(shipped: Passes) -> None:
     """Far from the rim, of a lattice of 1 mm: seconds times volume rate at the local depth, per mm^2."""
     process = study_of(FIG_12).tool_process()
@@ -46,6 +48,7 @@ def test_removal_is_the_volume_rate_over_the_cell(shipped: Passes) -> None:
     assert np.allclose(shipped.removal_nm[shipped.metric_mask], 10 * 0.01 * rate, rtol=2e-3)
 
 
+@pytest.mark.full
 def test_equal_dwell_does_not_remove_equally(shipped: Passes) -> None:
     inside = shipped.removal_nm[shipped.metric_mask]
     assert (shipped.mean_nm, shipped.rms_nm) == (inside.mean(), inside.std())
@@ -93,6 +96,7 @@ def test_a_lattice_too_wide_for_the_spot_is_refused_with_its_place(tmp_path: Pat
     assert str(caught.value).startswith(f"{path}:{line_of(path, '[path]')}: path: no dwell point reaches some samples")
 
 
+@pytest.mark.full
 def test_as_json(shipped: Passes) -> None:
     answer = shipped.as_json()
     assert answer["passes"] == 10

@@ -43,6 +43,7 @@ def test_corrections_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert len(printed.out.splitlines()) == 1
 
 
+@pytest.mark.full
 def test_corrections_for_people(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     study_verb(small(tmp_path), out, as_json=False)
@@ -59,6 +60,7 @@ def test_corrections_for_people(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert f"written to {out}" in said
 
 
+@pytest.mark.full
 def test_out_gets_pictures_and_the_same_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "deep" / "out"
     study_verb(small(tmp_path), out, as_json=True)

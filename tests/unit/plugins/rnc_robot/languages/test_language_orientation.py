@@ -84,6 +84,7 @@ def in_languages(rotation: Rotation) -> dict[str, bytes]:
     }
 
 
+@pytest.mark.full
 @given(st.integers(0, 2**32 - 1))
 def test_one_pose_in_four_languages_is_one_pose(seed: int) -> None:
     rotation = Rotation.random(random_state=seed)

@@ -222,6 +222,7 @@ def outcome(language: Profile, text: bytes) -> tuple[Program | None, str]:
         return None, str(refused)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", LANGUAGES)
 @given(data=st.data())
 def test_whatever_happens_to_a_program_it_is_read_or_refused_and_its_bytes_stay(name: str, data: st.DataObject) -> None:

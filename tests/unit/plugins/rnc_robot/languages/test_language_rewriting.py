@@ -51,6 +51,7 @@ written = st.one_of(
 times = st.floats(0, 300, allow_nan=False)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", LANGUAGES)
 @given(pairs=st.lists(st.tuples(written, times, st.booleans()), min_size=1, max_size=30))
 def test_each_dwell_and_their_sum_are_within_one_quantum_and_nothing_else_changes(
@@ -75,6 +76,7 @@ def test_each_dwell_and_their_sum_are_within_one_quantum_and_nothing_else_change
     assert (again.end_mm == program.end_mm).all()
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", LANGUAGES)
 def test_the_residue_is_carried_over_thousands_of_dwells(name: str) -> None:
     language = profile(name)
@@ -127,6 +129,7 @@ def test_a_number_is_written_as_the_old_one_was(old: bytes, quanta: int, decimal
     assert styled(quanta, decimals, old) == new
 
 
+@pytest.mark.full
 @given(
     st.from_regex(r"[+]?([0-9]{1,6}\.?[0-9]{0,6}|\.[0-9]{1,6})(e-?[0-3])?", fullmatch=True),
     st.integers(0, 10**9),

@@ -55,6 +55,7 @@ def test_a_program_of_as_many_lines_as_the_controller_takes_fits() -> None:
     assert len(split(limited("fanuc-tp", 22), text)) == 2
 
 
+@pytest.mark.full
 @given(st.integers(1, 60), st.integers(6, 40))
 def test_parts_are_complete_and_make_up_the_whole(points: int, lines: int) -> None:
     text = job(points)
