@@ -17,7 +17,7 @@ from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
 from polishd.drivers.voice_coil import voice_coil_modbus, voice_coil_serial
-from polishd.model.times import ActuatorTimes
+from polishd.model.times import ActuatorTimes, SpindleTimes
 from tests.fakes.actuator import AsciiCoil, Coil, ModbusCoil
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.linuxcnc import FakeLinuxCnc
@@ -27,7 +27,8 @@ from tests.kinds import kind
 
 D = TypeVar("D")
 PATIENT = ActuatorTimes(silence_s=1.0, watchdog_s=2.0)
-"""A busy machine is silent for longer than the wire of an actuator would be."""
+PATIENT_SPINDLE = SpindleTimes(silence_s=1.5, watchdog_s=2.0)
+"""A busy machine is silent for longer than the wires of actuators and spindles would be."""
 
 
 @dataclass
@@ -156,7 +157,7 @@ async def spindle_slcan(folder: Path) -> AsyncIterator[SpindleRig]:
     """spindle_can behind a serial adapter."""
     drive = Drive()
     wire = PtyWire(SlcanPeer(drive), folder / "slcan")
-    async with _spindle(drive, wire, SpindleCan(Slcan(wire.path))) as rig:
+    async with _spindle(drive, wire, SpindleCan(Slcan(wire.path), PATIENT_SPINDLE)) as rig:
         yield rig
 
 
@@ -165,7 +166,7 @@ async def spindle_socketcand(_: Path) -> AsyncIterator[SpindleRig]:
     """spindle_can behind a socketcand server."""
     drive = Drive()
     wire = await TcpWire(SocketcandPeer(drive)).start()
-    async with _spindle(drive, wire, SpindleCan(Socketcand("127.0.0.1", wire.port, "can0"))) as rig:
+    async with _spindle(drive, wire, SpindleCan(Socketcand("127.0.0.1", wire.port, "can0"), PATIENT_SPINDLE)) as rig:
         yield rig
 
 

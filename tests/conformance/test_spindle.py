@@ -81,7 +81,7 @@ async def test_impossible_speeds_are_refused(spindle: SpindleRig, opened: Spindl
 @pytest.mark.full
 async def test_samples_keep_it_running(opened: Spindle) -> None:
     await opened.set_speed(1000.0)
-    until = time.monotonic() + 1.6
+    until = time.monotonic() + 3.0
     sample = await sample_where(opened, lambda one: one.at_s > until or one.fault != 0)
     assert sample.fault == 0
     assert sample.rpm == pytest.approx(1000.0, rel=0.02)

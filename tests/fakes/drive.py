@@ -11,6 +11,8 @@ from tests.fakes.wires import Peer
 
 RAMP_RPM_S = 20_000.0
 """Ten times the real drive's, to spare time."""
+WATCHDOG_S = 2.0
+"""Longer than the real drive's: a busy machine is silent for a while."""
 OBJECTS = {
     (0x1018, 1): 0x439,
     (0x1018, 2): 0x1001,
@@ -76,7 +78,7 @@ class Drive:
 
     def _tick(self) -> None:
         now = time.monotonic()
-        if now > self._heard + 0.5 and self._target:
+        if now > self._heard + WATCHDOG_S and self._target:
             self._target, self.fault = 0, self.fault | 1
         step = 0.0 if self.jammed else RAMP_RPM_S * (now - self._at)
         self._at = now

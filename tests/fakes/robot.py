@@ -17,7 +17,7 @@ WELCOME, ACK, NAK, ACCEPTED, EXECUTED, STATUS, RESEND = range(0x81, 0x88)
 class FakeRobot:
     """Listens on a TCP port; all in the loop of the test, without tasks."""
 
-    def __init__(self, *, window: int = 64, block_s: float = 0.005, watchdog_s: float = 1.5) -> None:
+    def __init__(self, *, window: int = 64, block_s: float = 0.005, watchdog_s: float = 3.0) -> None:
         self.window, self.block_s, self.watchdog_s = window, block_s, watchdog_s
         self.boots = 1
         self.stops = 0

@@ -20,7 +20,7 @@ def small_plan(blocks: int = 20, approach: int = 3, retreat: int = 2) -> Plan:
     timed = blocks - approach - retreat
     points = np.column_stack([np.arange(timed + 1.0), np.zeros((timed + 1, 2))])
     segments = tuple(Segment(seq, b"G1 X%d" % seq) for seq in range(blocks))
-    return Plan(program(points), "", approach, blocks - retreat, np.full(timed, 0.1), np.zeros((1, 1)), segments)
+    return Plan(program(points), approach, blocks - retreat, np.full(timed, 0.1), np.zeros((1, 1)), segments)
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from polishd.api import BadMap
-from polishd.plugins.interferometer.formats import npy
+from polishd.plugins.interferometer.formats import common, npy
 from tests.unit.plugins.map_files_other import (
     PITCH_MM,
     coordinates_m,
@@ -141,7 +141,7 @@ def test_torn_and_padded_files_are_refused(tmp_path: Path) -> None:
 def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bomb = zipped({"Z.npy": npy_file() + bytes(10**6)})
     assert len(bomb) < 4000
-    monkeypatch.setattr(npy, "MOST_BYTES", 10**6)
+    monkeypatch.setattr(common, "MOST_BYTES", 10**6)
     with pytest.raises(BadMap, match="unpacks to more than"):
         npy.read(put(tmp_path, bomb))
 

@@ -11,7 +11,7 @@ import pytest
 import x3pio
 
 from polishd.api import BadMap, SurfaceMap
-from polishd.plugins.interferometer.formats import x3p
+from polishd.plugins.interferometer.formats import common, x3p
 from tests.unit.plugins.map_files_other import HOLES, PITCH_MM, heights_nm, unzipped, x3p_file, zipped
 
 
@@ -143,7 +143,7 @@ def test_a_torn_archive_is_refused(tmp_path: Path) -> None:
 
 
 def test_what_unpacks_to_more_than_any_map_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(x3p, "MOST_BYTES", 1000)
+    monkeypatch.setattr(common, "MOST_BYTES", 1000)
     with pytest.raises(BadMap, match="unpacks to more than 1000"):
         x3p.read(put(tmp_path, x3p_file()))
 
