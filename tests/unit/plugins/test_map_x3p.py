@@ -143,9 +143,12 @@ def test_a_torn_archive_is_refused(tmp_path: Path) -> None:
 
 
 def test_what_unpacks_to_more_than_any_map_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bomb = io.BytesIO()
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("main.xml", bytes(10_000))
     monkeypatch.setattr(common, "MOST_BYTES", 1000)
     with pytest.raises(BadMap, match="unpacks to more than 1000"):
-        x3p.read(put(tmp_path, x3p_file()))
+        x3p.read(put(tmp_path, bomb.getvalue()))
 
 
 def test_only_archives_of_that_name_are_claimed() -> None:
