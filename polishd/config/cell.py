@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -86,11 +84,6 @@ class CellConfig(PartDocument):
     def profile_path(self) -> Path | None:
         """The instrument's profile, or None where the cell names none."""
         return None if self.instrument.profile is None else self.resolve(self.instrument.profile)
-
-    @property
-    def sha256(self) -> str:
-        """Hash of all values in force, overrides and defaults included."""
-        return hashlib.sha256(json.dumps(self.effective(), sort_keys=True).encode()).hexdigest()
 
     @property
     def devices(self) -> dict[str, DeviceSection]:

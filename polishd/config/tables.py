@@ -25,8 +25,8 @@ TIF_KEYS = ("rate_nm_s", "pitch_mm", "azimuth_deg", "depth_ratio", "rotates")
 def read_columns(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> dict[str, FloatArray]:
     """Columns (n,) of a CSV file with a header line; ``#`` starts a comment line. Others of its columns are ignored.
 
-    Raises ConfigError ``FILE:LINE: ...`` for a file that cannot be read, a column that is missing, or an entry that is
-    no finite number.
+    Raises ConfigError ``FILE:LINE: ...`` for a file that cannot be read, a column that is missing or stands twice, or
+    an entry that is no finite number.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -37,6 +37,11 @@ def read_columns(path: Path, names: Sequence[str], optional: Sequence[str] = ())
     if len(rows) < 2:
         raise ConfigError(f"{path}: holds no table; write a line of column names ({', '.join(names)}), then numbers")
     header = [name.strip() for name in next(csv.reader([rows[0][1]]))]
+    for name in (*names, *optional):
+        if header.count(name) > 1:
+            raise ConfigError(
+                f"{path}:{rows[0][0]}: the column {name!r} stands there {header.count(name)} times; keep one"
+            )
     for name in names:
         if name not in header:
             raise ConfigError(

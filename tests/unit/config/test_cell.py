@@ -259,8 +259,8 @@ def test_overrides_replace_one_key_and_its_errors_name_them(tmp_path: Path, exam
     plain, other = load_config(path), load_config(path, {"process.correction": "none"})
     assert other.process.correction == "none"
     assert other.process.model_copy(update={"correction": "exact"}) == plain.process
-    assert plain.sha256 != other.sha256
-    assert plain.sha256 == load_config(path).sha256
+    assert plain.effective() != other.effective()
+    assert plain.effective() == load_config(path).effective()
     message = refused(tmp_path, example, {"process.correction": "nine"})
     assert message.startswith("FILE (override): process.correction: 'nine' is not allowed")
     assert refused(tmp_path, example, {"a.b": 1}).startswith("FILE (override): a: unknown key")

@@ -75,6 +75,10 @@ def test_a_measured_cell_names_a_table(tmp_path: Path, example: str) -> None:
     [
         (None, r"loaded\.csv: cannot be read"),
         ("", r"loaded\.csv: holds no table"),
+        (
+            "x_mm,x_mm,y_mm,z_mm,compliance_um_per_n\n1,1,2,3,4\n",
+            r"loaded\.csv:1: the column 'x_mm' stands there 2 times",
+        ),
         ("x_mm,y_mm,z_mm,compliance\n1,2,3,4\n", r"loaded\.csv:1: the column 'compliance_um_per_n' is missing"),
         ("x_mm,y_mm,z_mm,compliance_um_per_n\n1,2,3,1.5\n\n1,2,x,4\n", r"loaded\.csv:4: z_mm is 'x'"),
         ("x_mm,y_mm,z_mm,compliance_um_per_n\n1,2,3\n", r"loaded\.csv:2: compliance_um_per_n is nothing"),
@@ -163,7 +167,7 @@ def test_a_fragment_replaces_what_the_cell_says(tmp_path: Path, example: str) ->
         "kinematics.a_stiffness_n_mm_per_rad": str(tmp_path / "stiff.toml"),
         "process.preston": str(tmp_path / "tif.toml"),
     }
-    assert config.sha256 != cell(tmp_path, example).sha256
+    assert config.effective() != cell(tmp_path, example).effective()
 
 
 def test_an_override_has_the_last_word(tmp_path: Path, example: str) -> None:
