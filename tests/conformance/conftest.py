@@ -13,8 +13,8 @@ from tests.conformance.rigs import ActuatorRig, RobotRig, SpindleRig
 
 PROMPT_S = 2.5
 """A dead link is known after so long: less than a second, and room for what else a machine does."""
-BOUND_S = 4.0
-"""No call to a dead device takes longer."""
+BOUND_S = 8 * rigs.PATIENT.silence_s
+"""No call to a dead device takes longer: four answers, each of which may still come as late again."""
 
 
 async def seen(condition: Callable[[], bool]) -> None:
