@@ -27,11 +27,11 @@ test: $(VENV)/.installed ## run the tests, one of each kind (ARGS="...")
 test-all: $(VENV)/.installed ## run all tests but the long campaigns (ARGS="...")
 	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m "not slow and not hil" $(ARGS)
 
-# Those against the clock by themselves, and first: what computes would starve the machines that they simulate.
+# Those that run machines in real time by themselves, and first: others would starve what they simulate.
+REAL_TIME := tests/campaigns/test_ways_out.py tests/system
 test-long: $(VENV)/.installed ## run the long campaigns (ARGS="...")
-	@$(ONE_THREAD) $(PYTEST) -n 2 --dist worksteal -m "slow and not hil" tests/campaigns tests/system $(ARGS)
-	@$(ONE_THREAD) $(PYTEST) -n 2 --dist worksteal -m "slow and not hil" \
-	    --ignore=tests/campaigns --ignore=tests/system $(ARGS)
+	@$(ONE_THREAD) $(PYTEST) -n 1 -m "slow and not hil" $(REAL_TIME) $(ARGS)
+	@$(ONE_THREAD) $(PYTEST) -n 2 --dist worksteal -m "slow and not hil" $(REAL_TIME:%=--ignore=%) $(ARGS)
 
 test-maps: $(VENV)/.installed ## of those, 100,000 broken files of each map format and 10,000 writes into the folder
 	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m slow tests/unit/plugins/test_map_fuzz.py tests/campaigns $(ARGS)
