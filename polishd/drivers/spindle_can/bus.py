@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import os
 from collections.abc import Callable
+from typing import Any
 
 import can
 from can.interfaces.slcan import slcanBus
@@ -72,11 +73,24 @@ def _socketcand(address: Socketcand) -> can.BusABC:
     """python-can takes a frame that comes along with the server's last ok for a refusal: by chance, so ask again."""
     for left in reversed(range(OPEN_TRIES)):
         try:
-            return SocketCanDaemonBus(channel=address.channel, host=address.host, port=address.port)  # type: ignore[no-untyped-call]
+            return TidySocketcand(channel=address.channel, host=address.host, port=address.port)
         except can.CanError as error:
             if not left or "< ok >< frame" not in str(error):
                 raise
     raise LinkError(f"{address}: did not open")
+
+
+class TidySocketcand(SocketCanDaemonBus):
+    """python-can leaves the socket open where the server's greeting is not what it waits for."""
+
+    def __init__(self, **where: Any) -> None:
+        try:
+            super().__init__(**where)  # type: ignore[no-untyped-call]
+        except can.CanError:
+            left_open = getattr(self, "_SocketCanDaemonBus__socket", None)
+            if left_open is not None:
+                left_open.close()
+            raise
 
 
 class PromptSlcan(slcanBus):
