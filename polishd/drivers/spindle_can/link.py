@@ -16,7 +16,8 @@ OPEN_S = 1.0
 REPEAT_S = 0.1
 LEASE_S = 1.0
 """So long after somebody last cared, commands are repeated no more."""
-SDO_S = 1.0
+SDO_S = 3.0
+"""For an object that is read. Whether the drive lives is told by its heartbeat, and sooner."""
 
 
 class DriveLink(Background):
