@@ -16,6 +16,7 @@ from typing import Any
 
 from polishd.config.cell import port_of
 from polishd.daemon.journal import Journal
+from polishd.daemon.states import State
 from polishd.files import write_atomic
 from polishd.model.errors import PolishdError
 from polishd.model.events import Event, StateChanged
@@ -103,7 +104,7 @@ def keeping(state_dir: Path, run_dir: Path) -> Callable[[Event], None]:
     """A sink for the bus that keeps what each change of state says, for the case that the daemon is killed."""
 
     def keep(event: Event) -> None:
-        if isinstance(event, StateChanged) and event.state != "finished":
+        if isinstance(event, StateChanged) and event.state != State.FINISHED:
             keep_ending(state_dir, {**event.data, "run_dir": str(run_dir)})
 
     return keep
@@ -126,7 +127,7 @@ def last_ending(state_dir: Path) -> Mapping[str, Any]:
     try:
         facts: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         state, reason = facts["state"], facts["reason"]
-        if state not in {"starting", "polishing", "held"}:
+        if state not in set(State) - {State.FINISHED}:
             return facts
         was = f"the daemon was killed, or its machine went down, while {state}{f': {reason}' if reason else ''}"
         return {**facts, **standing("killed", was, tuple(facts["unsafe"])).data}
