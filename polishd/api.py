@@ -5,6 +5,7 @@ from polishd.hookspecs import (
     DeviceContext,
     DeviceType,
     DwellSolver,
+    NotifierType,
     ProgramFormat,
     RemovalAnswer,
     RemovalModel,
@@ -15,6 +16,7 @@ from polishd.hookspecs import (
 )
 from polishd.model import events
 from polishd.model.beliefs import Belief, Beliefs, Evidence, Lesson
+from polishd.model.concern import Concern, Severity, Standing
 from polishd.model.devices import DeviceStatus, Executed, ForceSample, Identity, RobotProgress, SpeedSample
 from polishd.model.dwell import Certificate, DwellSolution
 from polishd.model.errors import (
@@ -37,6 +39,7 @@ from polishd.model.errors import (
 )
 from polishd.model.events import Event
 from polishd.model.limits import Envelope
+from polishd.model.notification import Notification
 from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Optic, Placement, ToolProcess
 from polishd.model.program import Plan, Program, Segment
 from polishd.model.robot import HybridRobot, MeasuredCompliance, SerialRobot
@@ -46,6 +49,7 @@ from polishd.ports import ByteStream, Clock, Device, ForceActuator, Metrology, R
 from polishd.process.convolution import ConvolutionEffect
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.effect import Effect, SparseEffect
+from polishd.secret import SecretPlace, hide, read_secret
 
 __all__ = [
     "API_VERSION",
@@ -58,6 +62,7 @@ __all__ = [
     "Clock",
     "ComplianceOptions",
     "ComputeError",
+    "Concern",
     "ConfigError",
     "ConvolutionEffect",
     "Correction",
@@ -86,6 +91,8 @@ __all__ = [
     "MeasuredCompliance",
     "MeasuredTif",
     "Metrology",
+    "Notification",
+    "NotifierType",
     "Optic",
     "Placement",
     "Plan",
@@ -103,13 +110,16 @@ __all__ = [
     "RobotProgress",
     "RobotTimes",
     "SafetyStop",
+    "SecretPlace",
     "Segment",
     "SerialRobot",
+    "Severity",
     "SparseEffect",
     "SpeedSample",
     "Spindle",
     "SpindleTimes",
     "StaleMap",
+    "Standing",
     "SurfaceError",
     "SurfaceMap",
     "SurfaceReader",
@@ -117,6 +127,8 @@ __all__ = [
     "ToolProcess",
     "WrongPart",
     "events",
+    "hide",
     "hookimpl",
     "learn_rate",
+    "read_secret",
 ]

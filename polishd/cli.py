@@ -100,6 +100,14 @@ def probe(cell: Cell, as_json: Json = False) -> None:
 
 
 @app.command()
+def notify(cell: Cell, as_json: Json = False) -> None:
+    """Send a test through each notifier of a cell, and say how it went. Opens no device."""
+    from polishd.console.notify import notify_verb
+
+    notify_verb(cell, as_json=as_json)
+
+
+@app.command()
 def status(cell: Cell, as_json: Json = False) -> None:
     """What the daemon of a cell is doing."""
     from polishd.console.verbs import status_verb

@@ -19,6 +19,7 @@ from polishd.model.errors import BadMap, SurfaceError
 from polishd.model.events import Event
 from polishd.model.instrument import Instrument
 from polishd.model.limits import Envelope
+from polishd.model.notification import Notification
 from polishd.model.process import (
     FLAT,
     SHIPPED_OPTIONS,
@@ -195,6 +196,21 @@ class DwellSolver:
     solve: Callable[[DwellProblem, float], DwellSolution]
 
 
+@dataclass(frozen=True, slots=True)
+class NotifierType:
+    """A way to reach a person that the config can name: ``[notify.mail] type = "email"``."""
+
+    name: str
+    options: type[Any]
+    """A pydantic model: the keys of the notifier's config section besides ``type``, ``severity`` and ``repeat_s``."""
+    build: Callable[[Any, Path], Callable[[Notification], None]]
+    """(validated options, folder that relative paths start from) -> what sends. Sends nothing.
+
+    What sends is called in a thread of its own and may take a minute; whatever it raises, it is called again later
+    with the same notification. When, how often, and what is not sent at all is not its affair.
+    """
+
+
 @hookspec
 def polishd_device_types() -> Sequence[DeviceType]:
     """Declare kinds of devices."""
@@ -234,6 +250,12 @@ def polishd_check_plan(plan: Plan, envelope: Envelope) -> Sequence[str]:
 @hookspec
 def polishd_on_event(event: Event) -> None:
     """Hear of an event: a record of ``polishd.model.events``. An exception is logged and changes nothing."""
+    raise AssertionError("a hook specification is not called")
+
+
+@hookspec
+def polishd_notifiers() -> Sequence[NotifierType]:
+    """Declare ways to reach a person."""
     raise AssertionError("a hook specification is not called")
 
 

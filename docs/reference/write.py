@@ -48,8 +48,8 @@ HEAD = "<!-- Written by `make reference` from the models; a test fails where it 
 TITLES = {"cell": "A cell", "study": "A study", "profile": "An instrument's profile", "simulator": "The simulator"}
 INTRODUCTIONS = {
     "cell": """A cell's file, as [examples/cell.toml](../../examples/cell.toml) shows it with comments. Relative paths
-start from its folder. The options of `[robot]`, `[actuator]`, `[spindle]` and `[metrology]` are those of their `type`;
-these are polishd's own, and other plugins bring others.""",
+start from its folder. The options of `[robot]`, `[actuator]`, `[spindle]`, `[metrology]` and `[notify.NAME]` are those
+of their `type`; these are polishd's own, and other plugins bring others.""",
     "study": """A study's file; what studies compute: [studies.md](../studies.md). `kind` says which keys it has.
 `[part]`, `[kinematics]`, `[compliance]` and `[process]` are those of [a cell](cell.md), with their defaults.""",
     "profile": """An instrument's profile, as [examples/instrument.toml](../../examples/instrument.toml) shows it with
@@ -140,11 +140,14 @@ def _tables(model: type[BaseModel], name: str) -> list[Table]:
 
 
 def cell() -> list[Table]:
-    """The tables of a cell's file in the order of the example, its devices those of polishd's own types."""
+    """The tables of a cell's file in the order of the example; devices and notifiers are polishd's own types."""
     written = list(key_lines((FOLDER / "../../examples/cell.toml").read_text()))
-    devices = [(f'[{kind.port}] type = "{kind.name}"', kind.options) for kind in load_own().device_types().values()]
-    found = [table for table in tables(CellConfig) if table[1] is not DeviceSection] + devices
-    return [("", CellConfig), *sorted(found, key=lambda table: written.index((re.findall(r"\w+", table[0])[0],)))]
+    own = load_own()
+    found = [table for table in tables(CellConfig) if table[1] is not DeviceSection]
+    found += [(f'[{kind.port}] type = "{kind.name}"', kind.options) for kind in own.device_types().values()]
+    found += [(f'[notify.NAME] type = "{kind.name}"', kind.options) for kind in own.notifiers().values()]
+    order = {name[0]: place for place, name in enumerate(reversed(written))}  # what it has not comes last
+    return [("", CellConfig), *sorted(found, key=lambda table: -order.get(re.findall(r"\w+", table[0])[0], -1))]
 
 
 def files() -> dict[str, list[Table]]:

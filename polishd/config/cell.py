@@ -21,13 +21,14 @@ from polishd.config.sections import (
     JobSection,
     LimitsSection,
     MachineSection,
+    NotifySection,
     PluginsSection,
     Port,
     ProgramSection,
 )
 from polishd.config.tables import read_tif
 from polishd.config.values import Name, Texts
-from polishd.hookspecs import DeviceType
+from polishd.hookspecs import DeviceType, NotifierType
 from polishd.model.errors import ConfigError
 from polishd.model.limits import Envelope
 from polishd.model.process import MeasuredTif
@@ -54,6 +55,7 @@ class CellConfig(PartDocument):
     dwell: DwellSection = DwellSection()
     job: JobSection
     limits: LimitsSection = LimitsSection()
+    notify: Mapping[Name, NotifySection] = {}
 
     @property
     def path(self) -> Path:
@@ -195,8 +197,24 @@ def device_options(config: CellConfig, device: str, device_types: Mapping[str, D
         )
     if kind.port != port:
         raise config.error(f"{device}.type", f"{named!r} is a kind of {kind.port}; use one of {listed(fitting)}")
-    options: type[BaseModel] = kind.options
-    given, section = dict(raw.model_extra or {}), tuple(device.split("."))
+    return kind, _judged(config, tuple(device.split(".")), kind.options, dict(raw.model_extra or {}))
+
+
+def notifier_options(config: CellConfig, name: str, types: Mapping[str, NotifierType]) -> tuple[NotifierType, Any]:
+    """The notifier type that ``[notify.NAME]`` names, and the keys of that type as its options model."""
+    section = config.notify[name]
+    kind = types.get(section.type)
+    if kind is None:
+        raise config.error(
+            f"notify.{name}.type",
+            f"unknown type {section.type!r}{did_you_mean(section.type, types)} The loaded plugins have: "
+            f"{listed(types)}; plugins.load must name its plugin, for polishd's own 'notifications'",
+        )
+    return kind, _judged(config, ("notify", name), kind.options, dict(section.model_extra or {}))
+
+
+def _judged(config: CellConfig, section: Location, options: type[BaseModel], given: Mapping[str, Any]) -> Any:
+    """A plugin's options; ConfigError with a line for each fault."""
     found = _unknown_options(config, section, options, given)
     try:
         value = options.model_validate(given)
@@ -204,7 +222,7 @@ def device_options(config: CellConfig, device: str, device_types: Mapping[str, D
         found += [line for line in problems(error, options, config.source, section) if line not in found]
     else:
         if not found:
-            return kind, value
+            return value
     raise ConfigError("\n".join(found))
 
 

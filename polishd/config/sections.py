@@ -77,6 +77,18 @@ class DeviceSection(Section):
         return {f"{port}.{name}": DeviceSection.model_validate(keys) for name, keys in self.tables.items()}
 
 
+class NotifySection(Section):
+    """A way to reach a person: `[notify.mail]`, by names of the user's. `type` says which other keys there are."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, strict=True, allow_inf_nan=False)
+    type: Text
+    """A notifier type that a loaded plugin has: `email`, `webhook` and `command` of polishd's `notifications`."""
+    severity: Literal["info", "warning", "alarm"] = "warning"
+    """The least that is told: `warning` is all for which the cell needs a person, `alarm` what cannot wait."""
+    repeat_s: Annotated[float, Field(ge=0, le=86400)] = 1800.0
+    """What happens again within that time is counted, and told once at its end; 0: each time."""
+
+
 class CellSection(Section):
     """Who this cell is, and where it keeps its state."""
 

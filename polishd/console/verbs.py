@@ -14,9 +14,9 @@ from rich.console import Group
 from rich.table import Table
 
 from polishd.config.cell import load_config
-from polishd.console.last_words import for_cell, last_words
+from polishd.console.last_words import last_words
 from polishd.daemon import client
-from polishd.daemon.endings import Cause, last_ending
+from polishd.daemon.endings import Cause, for_cell, last_ending
 from polishd.hooks.cell import load_cell, plugins_of
 from polishd.hooks.checks import DECLARATIONS
 from polishd.hooks.loader import load_own

@@ -16,9 +16,10 @@ from datetime import UTC, datetime
 from typing import Any
 
 from polishd.config.cell import CellConfig
-from polishd.daemon.assembly import build_cell, contact_limits, require_time_limits
+from polishd.daemon.assembly import build_cell, build_notifiers, contact_limits, require_time_limits
 from polishd.daemon.cell import Cell
 from polishd.daemon.compute import Compute
+from polishd.daemon.courier import Notifier
 from polishd.daemon.daemon import Daemon
 from polishd.daemon.endings import keep_ending, keeping, now
 from polishd.daemon.events import EventBus
@@ -26,12 +27,12 @@ from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.lock import locked
 from polishd.daemon.log import logging_to
+from polishd.daemon.notifications import Notifications
 from polishd.daemon.priority import loop_first
 from polishd.daemon.same_job import require_same, terms_of
 from polishd.daemon.service import serving
 from polishd.daemon.states import State
 from polishd.hooks.loader import Hooks
-from polishd.model import events
 from polishd.model.cycle import Outcome
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.model.events import Event
@@ -100,6 +101,7 @@ class _Ready:
     recipe: Recipe
     program: Program
     cell: Cell
+    notifiers: Sequence[Notifier]
     journal: Journal
     kept: ExitStack
     context: Context
@@ -134,10 +136,11 @@ def _made_ready(run: CellRun, context: Context, kept: ExitStack) -> _Ready:
     require_fit(config, recipe, program)
     cell = build_cell(config, hooks)
     require_time_limits(config, cell)
+    notifiers = build_notifiers(config, hooks)
     kept.enter_context(locked(config.state_dir))
     kept.enter_context(logging_to(config.state_dir))
     journal = kept.enter_context(_journal(config, program))
-    return _Ready(run, recipe, program, cell, journal, kept, context)
+    return _Ready(run, recipe, program, cell, notifiers, journal, kept, context)
 
 
 async def _run(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[str, Any] | Exception:
@@ -156,7 +159,14 @@ async def _run(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[str, A
 async def _run_job(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[str, Any]:
     config, hooks, journal = ready.run.config, ready.run.hooks, ready.journal
     folder = run_folder(config, journal)
-    bus = EventBus(hooks.on_event, ready.run.show, sinks=(journal.record_event, keeping(config.state_dir, folder.path)))
+    notifications = Notifications(config, folder.path)
+    bus = EventBus(
+        hooks.on_event,
+        ready.run.show,
+        notifications.hear,
+        sinks=(journal.record_event, keeping(config.state_dir, folder.path)),
+    )
+    notifications.start(ready.notifiers, _telling(bus.publish))
     try:
         async with Compute() as compute:
             job = Job(
@@ -177,6 +187,24 @@ async def _run_job(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[st
                 return await _serve(config, daemon, folder)
     finally:
         await bus.close()
+        await notifications.close()
+
+
+def _telling(publish: Callable[[Event], None]) -> Callable[[Event], None]:
+    """For threads that have something to tell on the bus."""
+    loop = asyncio.get_running_loop()
+
+    def on_the_loop(event: Event) -> None:
+        with suppress(PolishdError):  # a lost journal: that is what ends the daemon
+            publish(event)
+
+    def tell(event: Event) -> None:
+        try:
+            loop.call_soon_threadsafe(on_the_loop, event)
+        except RuntimeError:  # who tells was left behind, and the loop is closed
+            log.warning("nobody hears any more of: %s", event.facts())
+
+    return tell
 
 
 async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[str, Any]:
@@ -192,7 +220,7 @@ async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[
             log.exception("the daemon ends")
             failure = error
             with suppress(PolishdError):  # a lost journal: that is what ended it
-                daemon.bus.publish(events.Failed(error=str(error), kind=type(error).__name__))
+                daemon.bus.publish(daemon.failure(error))
         last = daemon.last_words(outcome, failure)
         keep_ending(config.state_dir, {**last, "run_dir": str(folder.path)})
         summary = {

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
-from polishd.config.cell import PORTS, CellConfig, device_options, port_of
+from polishd.config.cell import PORTS, CellConfig, device_options, notifier_options, port_of
 from polishd.daemon.cell import Cell, MonotonicClock
+from polishd.daemon.courier import Notifier
 from polishd.daemon.port_checks import lacking
 from polishd.daemon.safety import ContactLimits
 from polishd.daemon.time_limits import Limit, too_short
 from polishd.hooks.loader import Hooks
 from polishd.hookspecs import DeviceContext
+from polishd.model.concern import Severity
 from polishd.model.errors import ConfigError, PluginError, PolishdError
 from polishd.ports.devices import Device
 from polishd.recipe.making import instrument_of
@@ -35,34 +39,54 @@ def build_cell(config: CellConfig, hooks: Hooks) -> Cell:
     return Cell(devices, config.used, MonotonicClock())
 
 
+def build_notifiers(config: CellConfig, hooks: Hooks) -> list[Notifier]:
+    """Whoever the config wants told, each ready to send; nothing is sent. Raises as ``build_cell``."""
+    found = []
+    for name, section in config.notify.items():
+        kind, options = notifier_options(config, name, hooks.notifiers())
+        who = f"plugin {hooks.plugin_of('polishd_notifiers', kind.name)!r}, notifier type {kind.name!r}"
+        with _blaming(config, f"notify.{name}", options, who):
+            send = kind.build(options, config.base_dir)
+            if not callable(send):
+                raise TypeError(f"{type(send).__name__} cannot be called")
+        found.append(Notifier(name, section.type, Severity(section.severity), section.repeat_s, send))
+    return found
+
+
 def _built(config: CellConfig, hooks: Hooks, name: str, context: DeviceContext) -> Device:
     kind, options = device_options(config, name, hooks.device_types())
-    try:
+    who = f"plugin {hooks.plugin_of('polishd_device_types', kind.name)!r}, device type {kind.name!r}"
+    with _blaming(config, name, options, who):
         device = kind.build(options, context)
+    port = PORTS[port_of(name)].protocol
+    if lacks := lacking(device, port):
+        raise _broken(config, name, who, f"{type(device).__name__} is no {port.__name__}: {'; '.join(lacks)}")
+    return device
+
+
+@contextmanager
+def _blaming(config: CellConfig, section: str, options: Any, who: str) -> Iterator[None]:
+    """What a plugin raises as it builds from a section: a ConfigError with its key, else the plugin is at fault."""
+    try:
+        yield
     except ConfigError as error:
-        raise config.error(_blamed(name, options, str(error)), str(error)) from error
+        raise config.error(_blamed(section, options, str(error)), str(error)) from error
     except PolishdError:
         raise
     except Exception as error:  # a plugin may raise anything at all
         reason = " ".join(f"{type(error).__name__}: {error}".split())
-        raise _broken(config, hooks, name, f"cannot be built: {reason}") from error
-    port = PORTS[port_of(name)].protocol
-    if lacks := lacking(device, port):
-        raise _broken(config, hooks, name, f"{type(device).__name__} is no {port.__name__}: {'; '.join(lacks)}")
-    return device
+        raise _broken(config, section, who, f"cannot be built: {reason}") from error
 
 
-def _blamed(device: str, options: Any, problem: str) -> str:
+def _blamed(section: str, options: Any, problem: str) -> str:
     """The key whose value the problem quotes; the section's where it quotes none."""
     quoted = (key for key, value in options if isinstance(value, str) and repr(value) in problem)
-    return ".".join([device, *list(quoted)[:1]])
+    return ".".join([section, *list(quoted)[:1]])
 
 
-def _broken(config: CellConfig, hooks: Hooks, device: str, what: str) -> PluginError:
-    kind = str(config.devices[device].type)
-    plugin = hooks.plugin_of("polishd_device_types", kind)
-    problem = f"plugin {plugin!r}, device type {kind!r}: {what}; mend the plugin (nothing was opened)"
-    return PluginError(str(config.error(f"{device}.type", problem)))
+def _broken(config: CellConfig, section: str, who: str, what: str) -> PluginError:
+    problem = f"{who}: {what}; mend the plugin (nothing was opened)"
+    return PluginError(str(config.error(f"{section}.type", problem)))
 
 
 def require_time_limits(config: CellConfig, cell: Cell) -> tuple[Limit, ...]:

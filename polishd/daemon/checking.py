@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from polishd.config.cell import CellConfig
-from polishd.daemon.assembly import build_cell, require_time_limits
+from polishd.daemon.assembly import build_cell, build_notifiers, require_time_limits
 from polishd.daemon.cell import Cell
 from polishd.daemon.lock import locked
 from polishd.daemon.priority import host
@@ -27,6 +27,7 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
     recipe = make_recipe(config, hooks)
     cell = build_cell(config, hooks)
     chain = require_time_limits(config, cell)
+    notifiers = build_notifiers(config, hooks)
     program = steps.read_program(recipe, config.program_path)
     foresight.check_pass(config, recipe, program)
     grid = steps.process_grid(recipe)
@@ -50,6 +51,7 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
         "gamma": f"{gamma.min():.3f} to {gamma.max():.3f}",
         "correction": recipe.correction,
         "removal of the program as it is": f"{np.max(answer.effect.removal_nm(program.time_s)):.1f} nm at most",
+        "notifications": ", ".join(f"{one.name} ({one.type}, {one.least})" for one in notifiers) or "nobody",
         "host": host(),
         "time limits": [limit.row() for limit in chain],
     }

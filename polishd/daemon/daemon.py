@@ -26,6 +26,7 @@ from polishd.daemon.safety import make_safe
 from polishd.daemon.service import Handler
 from polishd.daemon.states import ORDERS, State, Trigger, following, obeyed
 from polishd.model import events
+from polishd.model.concern import Standing
 from polishd.model.cycle import EXIT_CODES, Outcome
 from polishd.model.errors import DeviceFault, DeviceRefused, PolishdError
 from polishd.recipe.folder import RunFolder
@@ -148,7 +149,19 @@ class Daemon:
                 self.job.journal.copy_to, folder.path / "journal.sqlite"
             )  # others may be in contact
         finally:
-            self.bus.publish(events.JobFinished(run_dir=str(folder.path), outcome=summary["outcome"]))
+            self.bus.publish(
+                events.JobFinished(
+                    run_dir=str(folder.path),
+                    outcome=summary["outcome"],
+                    reason=summary["reason"],
+                    standing=Standing.of(summary),
+                )
+            )
+
+    def failure(self, error: Exception) -> events.Failed:
+        """It ends the daemon, which leaves the cell as it stands now."""
+        kind = type(error).__name__
+        return events.Failed(error=str(error), kind=kind, standing=self._standing("failed", "").standing)
 
     def flush(self) -> None:
         """Make durable what the journal still buffers."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import logging
+import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ from polishd.config.cell import port_of
 from polishd.daemon.journal import Journal
 from polishd.daemon.states import State
 from polishd.files import write_atomic
+from polishd.model.concern import Standing
 from polishd.model.errors import PolishdError
 from polishd.model.events import Event, StateChanged
 
@@ -56,11 +58,18 @@ def standing(state: str, reason: str, unsafe: Sequence[str] | None) -> StateChan
     return StateChanged(
         state=state,
         reason=reason,
-        tool_off=confirmed("actuator"),
-        robot_at_rest=confirmed("robot"),
-        unsafe=list(unsafe or ()),
-        next=NEXT.get(state, ""),
+        standing=Standing(
+            tool_off=confirmed("actuator"),
+            robot_at_rest=confirmed("robot"),
+            unsafe=list(unsafe or ()),
+            next=NEXT.get(state, ""),
+        ),
     )
+
+
+def for_cell(text: str, cell: Path) -> str:
+    """With commands that can be copied."""
+    return text.replace("CELL.toml", shlex.quote(str(cell)))
 
 
 def gone(names: Iterable[str]) -> tuple[str, ...]:

@@ -33,6 +33,7 @@ RULES = (
     Rule(("cell.*",), True, "names and places; the job stays in the run folder in which it began"),
     Rule(("plugins.*",), True, "what a plugin does for the job is named by other keys"),
     Rule(("robot.*", "actuator.*", "spindle.*", "metrology.*"), True, "how a device is reached, and its time limits"),
+    Rule(("notify.*",), True, "who hears of it"),
     Rule(("roles.*",), False, "another robot or tool removes otherwise, and what was learned is of this one"),
     Rule(("dwell.*",), True, "how the next dwell is chosen; each has a certificate of its own"),
     Rule(("limits.*", "machine.x_mm", "machine.y_mm", "machine.z_mm"), True, "what is refused from now on"),

@@ -15,6 +15,7 @@ from polishd.hookspecs import (
     PROJECT,
     DeviceType,
     DwellSolver,
+    NotifierType,
     ProgramFormat,
     RemovalModel,
     SurfaceReader,
@@ -27,6 +28,7 @@ DECLARATIONS: dict[str, type[Any]] = {
     "polishd_surface_readers": SurfaceReader,
     "polishd_removal_models": RemovalModel,
     "polishd_dwell_solvers": DwellSolver,
+    "polishd_notifiers": NotifierType,
 }
 """Hooks that declare records, and the kind of record."""
 
@@ -76,15 +78,16 @@ def wrong_records(hook: str, records: Any) -> str | None:
             return f"{hook} must return {kind.__name__}, not {type(record).__name__}"
         if not isinstance(record.name, str) or not record.name:
             return f"{hook}: {kind.__name__}.name must be a word, not {record.name!r}"
-        if isinstance(record, DeviceType) and (reason := _wrong_device(record)):
-            return f"{hook}: device type {record.name!r}: {reason}"
+        if isinstance(record, DeviceType | NotifierType) and (reason := _wrong_type(record)):
+            kind_name = "device" if isinstance(record, DeviceType) else "notifier"
+            return f"{hook}: {kind_name} type {record.name!r}: {reason}"
     names = [record.name for record in records]
     twice = {name for name in names if names.count(name) > 1}
     return f"{hook} declares {listed(twice)} twice" if twice else None
 
 
-def _wrong_device(record: DeviceType) -> str | None:
-    if record.port not in PORTS:
+def _wrong_type(record: DeviceType | NotifierType) -> str | None:
+    if isinstance(record, DeviceType) and record.port not in PORTS:
         return f"port {record.port!r} does not exist; ports: {listed(PORTS)}"
     if not hasattr(record.options, "model_validate"):
         return "options must be a pydantic model"

@@ -16,7 +16,15 @@ import pluggy
 from polishd import hookspecs
 from polishd.config.places import did_you_mean, listed
 from polishd.hooks.checks import DECLARATIONS, Refused, misspelt_hooks, wrong_records, wrong_version
-from polishd.hookspecs import PROJECT, DeviceType, DwellSolver, ProgramFormat, RemovalModel, SurfaceReader
+from polishd.hookspecs import (
+    PROJECT,
+    DeviceType,
+    DwellSolver,
+    NotifierType,
+    ProgramFormat,
+    RemovalModel,
+    SurfaceReader,
+)
 from polishd.model.errors import PluginError
 from polishd.model.events import Event
 from polishd.model.limits import Envelope
@@ -92,6 +100,10 @@ class Hooks:
     def dwell_solvers(self) -> dict[str, DwellSolver]:
         """By name."""
         return self._records("polishd_dwell_solvers")
+
+    def notifiers(self) -> dict[str, NotifierType]:
+        """By name."""
+        return self._records("polishd_notifiers")
 
     def check_plan(self, plan: Plan, envelope: Envelope) -> list[str]:
         """All violations, each with its plugin's name; an exception or a wrong answer is one too."""

@@ -1,6 +1,7 @@
 """What happens in a cell: one record an event, for ``polishd_on_event``, the socket's subscribers, journal and log.
 
-The table of events in docs/plugins.md is made from these records: what a class says is when it happens.
+The table of events in docs/plugins.md is made from these records: what a class says is when it happens. The table in
+docs/notifications.md is made from their ``concern``: what that says is whom it concerns.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from typing import Annotated, Any, ClassVar
 
+from polishd.model.concern import NOT_ASKED, Concern, Severity, Standing
 from polishd.model.devices import Identity
 from polishd.model.dwell import Certificate
 from polishd.model.surface import SurfaceStats
@@ -34,6 +36,10 @@ class Event:
         """``{"name", "cycle", "data"}``, as a subscriber gets it."""
         return {"name": self.name, "cycle": self.cycle, "data": dict(self.data)}
 
+    def concern(self) -> Concern | None:
+        """Nobody's."""
+        return None
+
 
 def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
@@ -49,6 +55,12 @@ class Opened(Event):
     devices: Annotated[Mapping[str, Identity], "by name: `vendor`, `model`, `serial`, `firmware`, `boot_id`"]
 
 
+STANDING = (
+    "`tool_off`: `yes`, `not confirmed` or `not asked`; `robot_at_rest`: the same; `unsafe`: each device that did not "
+    "confirm being safe: `name: why`; `next`: what a person may do"
+)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StateChanged(Event):
     """The daemon's state is another one."""
@@ -56,10 +68,13 @@ class StateChanged(Event):
     name: ClassVar[str] = "state"
     state: Annotated[str, "`starting`, `polishing`, `held` or `finished`"]
     reason: Annotated[str, "why it is held, or how the job ended"]
-    tool_off: Annotated[str, "`yes`, `not confirmed` or `not asked`"]
-    robot_at_rest: Annotated[str, "the same"]
-    unsafe: Annotated[Sequence[str], "each device that did not confirm being safe: `name: why`"]
-    next: Annotated[str, "what a person may do"]
+    standing: Annotated[Standing, STANDING]
+
+    def concern(self) -> Concern | None:
+        """Warning where the cell is held; alarm where a device did not confirm, too."""
+        if self.state != "held":
+            return None
+        return self.standing.concern(Severity.WARNING, f"held: {self.reason}", "it is held, and waits for a person")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,6 +102,11 @@ class Failed(Event):
     name: ClassVar[str] = "failed"
     error: Annotated[str, "what was wrong, and what to do"]
     kind: Annotated[str, "the error's class"]
+    standing: Annotated[Standing, "as of `state`"] = NOT_ASKED
+
+    def concern(self) -> Concern:
+        """Alarm."""
+        return self.standing.concern(Severity.ALARM, f"failed: {self.kind}: {self.error}", "the daemon has ended")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,6 +187,37 @@ class JobFinished(Event):
     name: ClassVar[str] = "job_finished"
     run_dir: Annotated[str, "the run folder"]
     outcome: Annotated[str, "`in_tolerance`, `cycles_used`, `diverged`, `stopped` or `failed`"]
+    reason: Annotated[str, "why it was stopped or failed; else empty"] = ""
+    standing: Annotated[Standing, "as of `state`"] = NOT_ASKED
+
+    def concern(self) -> Concern | None:
+        """Info where in tolerance or stopped, else warning; alarm where a device did not confirm. Not where failed."""
+        if self.outcome == "failed":
+            return None
+        severity = Severity.INFO if self.outcome in {"in_tolerance", "stopped"} else Severity.WARNING
+        what = ": ".join(filter(None, [self.outcome, self.reason]))
+        return self.standing.concern(severity, what, "the daemon has ended")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NotificationFailed(Event):
+    """Nobody was reached through a notifier. Told once until it has sent all that waits, and when some is given up."""
+
+    name: ClassVar[str] = "notification_failed"
+    notifier: Annotated[str, "its name: `mail` of `[notify.mail]`"]
+    error: Annotated[str, "why"]
+    waiting: Annotated[int, "how many wait for it to work again"]
+    given_up: Annotated[int, "how many were too old or too many, and are only in the log"] = 0
+
+    def concern(self) -> Concern:
+        """Warning, through the other notifiers."""
+        lost = f", {self.given_up} given up" if self.given_up else ""
+        return Concern(
+            Severity.WARNING,
+            f"notifications by {self.notifier!r} fail: {self.error}",
+            f"the cell goes on; {self.waiting} wait and are tried again{lost}",
+            f"mend what it names or [notify.{self.notifier}]; polishd notify CELL.toml tries it",
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -179,6 +230,6 @@ class PlanWritten(Event):
 
 EVENTS: tuple[type[Event], ...] = (
     Opened, StateChanged, Ordered, Held, Failed, Measured, GateStopped, Learned, Solved, PassBegun, Progress, PassEnded,
-    JobFinished, PlanWritten,
+    JobFinished, NotificationFailed, PlanWritten,
 )  # fmt: skip
 """Every kind, in the order in which they come in a job."""

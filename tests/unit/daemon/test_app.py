@@ -421,6 +421,9 @@ class Site:
             run_dir=tmp_path / "run",
             program_path=tmp_path / "program.rnc",
             profile_path=None,
+            base_dir=tmp_path,
+            cell=SimpleNamespace(name="small-cell"),
+            notify={},
             part=SimpleNamespace(id="P-1"),
             job=SimpleNamespace(id="small", max_cycles=3, lookahead_s=8.0),
             resolve=lambda text: tmp_path / text,
@@ -518,7 +521,8 @@ async def test_run_cell_tells_what_failed_and_leaves_the_summary(site: Site) -> 
     ]
     assert summary["notes"][0].endswith(" ended: BadMap: all holes")
     failed = next(event for event in site.told if event.name == "failed")
-    assert failed.data == {"error": "all holes", "kind": "BadMap"}
+    assert (failed.data["error"], failed.data["kind"], failed.data["tool_off"]) == ("all holes", "BadMap", "yes")
+    assert failed.data["next"] == summary["next"]
     with Journal.open(site.config.state_dir, job="small", part_id="P-1") as journal:
         assert journal.resumed, "it may be gone on with"
 

@@ -15,7 +15,7 @@ from polishd.daemon import events
 from polishd.daemon.events import EventBus
 from polishd.daemon.log import logging_to
 from polishd.model.errors import SafetyStop
-from polishd.model.events import Event, JobFinished, Progress
+from polishd.model.events import Event, PlanWritten, Progress
 
 
 async def test_all_are_told_in_order() -> None:
@@ -169,7 +169,7 @@ async def test_one_cells_end_leaves_the_others_log_as_it_is(tmp_path: Path) -> N
 
 async def test_log_is_json_lines_with_events_and_errors(tmp_path: Path) -> None:
     with logging_to(tmp_path):
-        EventBus().publish(JobFinished(cycle=2, run_dir=tmp_path, outcome="x"))  # type: ignore[arg-type]
+        EventBus().publish(PlanWritten(cycle=2, run_dir=tmp_path))  # type: ignore[arg-type]
         logging.getLogger("polishd.somewhere").warning("%d things", 3)
         try:
             raise ValueError("oh")
@@ -179,11 +179,11 @@ async def test_log_is_json_lines_with_events_and_errors(tmp_path: Path) -> None:
     logging.getLogger("polishd.somewhere").error("after")
     lines = [json.loads(line) for line in (tmp_path / "polishd.log").read_text().splitlines()]
     assert [(line["level"], line["message"]) for line in lines] == [
-        ("info", "job_finished"),
+        ("info", "plan_written"),
         ("warning", "3 things"),
         ("error", "it failed"),
     ]
-    assert lines[0]["event"] == {"name": "job_finished", "cycle": 2, "data": {"run_dir": str(tmp_path), "outcome": "x"}}
+    assert lines[0]["event"] == {"name": "plan_written", "cycle": 2, "data": {"run_dir": str(tmp_path)}}
     assert lines[1]["logger"] == "polishd.somewhere"
     assert lines[1]["at"].endswith("+00:00")
     assert "ValueError: oh" in lines[2]["error"]

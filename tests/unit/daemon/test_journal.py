@@ -16,7 +16,7 @@ from polishd.daemon.journal import Journal
 from polishd.model.cycle import Outcome, Phase
 from polishd.model.devices import Executed
 from polishd.model.errors import ConfigError, LinkError, PolishdError
-from polishd.model.events import JobFinished
+from polishd.model.events import PlanWritten
 from tests.unit.daemon.small import told_phases
 
 
@@ -267,10 +267,8 @@ def test_ending_a_pass_twice_keeps_the_first_word(journal: Journal) -> None:
 
 def test_events_are_kept(tmp_path: Path) -> None:
     with opened(tmp_path) as journal:
-        journal.record_event(JobFinished(cycle=1, run_dir=Path("x"), outcome="y"))  # type: ignore[arg-type]
-    assert rows(tmp_path, "SELECT cycle, name, data FROM event") == [
-        (1, "job_finished", '{"run_dir": "x", "outcome": "y"}')
-    ]
+        journal.record_event(PlanWritten(cycle=1, run_dir=Path("x")))  # type: ignore[arg-type]
+    assert rows(tmp_path, "SELECT cycle, name, data FROM event") == [(1, "plan_written", '{"run_dir": "x"}')]
 
 
 def test_copy_is_whole_and_stands_alone(tmp_path: Path, journal: Journal) -> None:

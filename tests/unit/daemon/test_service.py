@@ -19,7 +19,7 @@ from polishd.daemon.events import EventBus
 from polishd.daemon.service import serving
 from polishd.daemon.sockets import LINE_BYTES
 from polishd.model.errors import ConfigError, DeviceRefused, LinkError, ProtocolError
-from polishd.model.events import Failed, PassEnded, Progress
+from polishd.model.events import Failed, Held, PassEnded, Progress
 
 
 async def status() -> Mapping[str, Any]:
@@ -175,11 +175,11 @@ async def test_subscribers_hear_events(daemon: Path, bus: EventBus) -> None:
     heard = [asyncio.create_task(asyncio.to_thread(lambda: list(subscribe(daemon)))) for _ in range(2)]
     await until_subscribed(bus, 2)
     bus.publish(PassEnded(cycle=1, executed_s=2.5))
-    bus.publish(Failed(error="cut", kind="LinkError"))
+    bus.publish(Held(error="cut", kind="LinkError"))
     await bus.close()
     expected = [
         {"name": "pass_ended", "cycle": 1, "data": {"executed_s": 2.5}},
-        {"name": "failed", "cycle": None, "data": {"error": "cut", "kind": "LinkError"}},
+        {"name": "held", "cycle": None, "data": {"error": "cut", "kind": "LinkError"}},
     ]
     assert await asyncio.gather(*heard) == [expected, expected]
 

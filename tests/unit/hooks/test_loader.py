@@ -42,6 +42,8 @@ def polishd_removal_models(): return [RemovalModel("preston", anything)]
 @hookimpl
 def polishd_dwell_solvers(): return [DwellSolver("qp", anything)]
 @hookimpl
+def polishd_notifiers(): return [NotifierType("pager", Options, build)]
+@hookimpl
 def polishd_check_plan(plan, envelope): return [f"{plan} in {envelope}"]
 @hookimpl
 def polishd_on_event(event): HEARD.append(event.name)
@@ -73,6 +75,7 @@ def test_every_hook_is_called(install: Any) -> None:
     assert list(hooks.surface_readers()) == ["dat", "xyz"]
     assert list(hooks.removal_models()) == ["preston"]
     assert list(hooks.dwell_solvers()) == ["qp"]
+    assert list(hooks.notifiers()) == ["pager"]
     assert checks(hooks) == ["all: plan in envelope"]
     app: list[str] = []
     hooks.cli(app)
@@ -123,6 +126,10 @@ BROKEN = {
     "declares_options": (
         "@hookimpl\ndef polishd_device_types(): return [DeviceType('x', 'robot', dict, print)]",
         "device type 'x': options must be a pydantic model",
+    ),
+    "declares_notifier": (
+        "@hookimpl\ndef polishd_notifiers(): return [NotifierType('x', dict, print)]",
+        "notifier type 'x': options must be a pydantic model",
     ),
     "declaring_raises": ("@hookimpl\ndef polishd_dwell_solvers(): return 1 / 0", "ZeroDivisionError"),
 }

@@ -1,0 +1,92 @@
+"""Somebody hears of it: events that concern a person become notifications, and each notifier's courier takes them."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from polishd.config.cell import CellConfig
+from polishd.daemon.courier import Attempt, Courier, Notifier, kept_in, read_outbox
+from polishd.daemon.endings import for_cell, now
+from polishd.model.concern import Concern, Severity
+from polishd.model.events import Event, NotificationFailed
+from polishd.model.notification import Notification
+
+END_S = 10.0
+"""Longest that the daemon's end waits until the last notifications are sent; what is not is kept for the next start."""
+SEND_TO_THE_END_S = 8.0
+"""Of that, for sending."""
+
+
+class Notifications:
+    """Tells whomever a cell's config names; ``hear`` is a listener of the event bus."""
+
+    def __init__(self, config: CellConfig, run_dir: Path) -> None:
+        self._config = config
+        self._known = {"job": config.job.id, "part": config.part.id, "run_dir": str(run_dir)}
+        """Of the job under way: events that have a field of that name say it anew."""
+        self._couriers: tuple[Courier, ...] = ()
+
+    def start(self, notifiers: Sequence[Notifier], tell: Callable[[Event], None]) -> None:
+        """Begin to send, what an earlier run left first; ``tell`` is called by other threads when that fails."""
+        self._couriers = tuple(Courier(notifier, self._config.state_dir, tell) for notifier in notifiers)
+
+    def hear(self, event: Event) -> None:
+        """Hand it to the couriers where it concerns a person."""
+        data = event.data
+        self._known |= {key: data[key] for key in self._known if key in data}
+        concern = event.concern() if self._couriers else None
+        if concern is None:
+            return
+        notification = _notification(event.name, event.cycle, concern, self._config, self._known)
+        for courier in self._couriers:
+            if not (isinstance(event, NotificationFailed) and event.notifier == courier.notifier.name):
+                courier.take(notification)
+
+    async def close(self) -> None:
+        """Send what waits, or keep it: within ``END_S`` seconds. Nothing may be heard after it."""
+        began_s = time.monotonic()
+        for courier in self._couriers:
+            courier.end(began_s + SEND_TO_THE_END_S)
+        for courier in self._couriers:
+            await asyncio.to_thread(courier.join, began_s + END_S - time.monotonic())
+
+
+def try_out(config: CellConfig, notifiers: Sequence[Notifier]) -> list[dict[str, Any]]:
+    """Send a test through each notifier, side by side; how it went: ``notifier``, ``type``, ``error``, ``waiting``."""
+    concern = Concern(Severity.INFO, "this is a test: somebody called polishd notify", "as it was", "nothing")
+    known = {"job": config.job.id, "part": config.part.id, "run_dir": ""}
+    test = _notification("test", None, concern, config, known)
+    attempts = [Attempt(notifier, test, lambda _: None) for notifier in notifiers]
+    return [
+        {
+            "notifier": notifier.name,
+            "type": notifier.type,
+            "severity": notifier.least.value,
+            "error": attempt.wait(),
+            "waiting": len(read_outbox(kept_in(config.state_dir, notifier.name), notifier.repeat_s)[0].waiting),
+        }
+        for notifier, attempt in zip(notifiers, attempts, strict=True)
+    ]
+
+
+def _notification(
+    event: str, cycle: int | None, concern: Concern, config: CellConfig, known: Mapping[str, Any]
+) -> Notification:
+    """A concern in the words of a person who is not there; ``known`` has ``job``, ``part`` and ``run_dir``."""
+    return Notification(
+        id=uuid4().hex,
+        event=event,
+        severity=concern.severity,
+        what=for_cell(concern.what, config.path),
+        now=for_cell(concern.now, config.path),
+        todo=for_cell(concern.todo, config.path),
+        cell=config.cell.name,
+        cycle=cycle,
+        at=now(),
+        **known,
+    )

@@ -1,0 +1,80 @@
+"""What concerns a person: how severe it is, how a cell stands, and the words for both."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from enum import StrEnum
+from typing import Any, Self
+
+AT_THE_MACHINE: Mapping[str, str] = {  # by port
+    "actuator": "the tool may press on the part: switch the actuator off, and see it lifted, before anything moves",
+    "robot": "it may still move: stop it at its own controller, and keep out of its reach",
+    "spindle": "it may still turn: switch its drive off before you reach in",
+}
+
+
+class Severity(StrEnum):
+    """How soon a person is wanted."""
+
+    INFO = "info"
+    """Nobody: it is good to know."""
+    WARNING = "warning"
+    """The cell is safe, and waits for somebody."""
+    ALARM = "alarm"
+    """Now: the daemon is gone, or a device did not confirm that it is safe."""
+
+    @property
+    def rank(self) -> int:
+        """0 is the least."""
+        return list(Severity).index(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Concern:
+    """An event in the words of whoever is called at night; commands in it name ``CELL.toml``."""
+
+    severity: Severity
+    what: str
+    """What happened."""
+    now: str
+    """What the cell does now."""
+    todo: str
+    """What a person may do."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Standing:
+    """How a cell stands, as its devices confirmed it, and what to do."""
+
+    tool_off: str
+    """``yes``, ``not confirmed`` or ``not asked``."""
+    robot_at_rest: str
+    """The same."""
+    unsafe: Sequence[str]
+    """Each device that did not confirm being safe: ``name: why``."""
+    next: str
+    """What a person may do."""
+
+    @classmethod
+    def of(cls, facts: Mapping[str, Any]) -> Self:
+        """From facts of an event, a summary or what ``status`` found, by the names of the fields."""
+        return cls(**{item.name: facts[item.name] for item in fields(cls)})
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Names and texts; who did not confirm with what to do at the machine."""
+        rows = [("tool off the part", self.tool_off), ("robot at rest", self.robot_at_rest)]
+        for entry in self.unsafe:
+            device, _, why = entry.partition(": ")
+            advice = AT_THE_MACHINE.get(device.partition(".")[0], "look at it")
+            rows.append((f"{device} did not confirm", f"{why}; {advice}"))
+        return rows
+
+    def concern(self, severity: Severity, what: str, does: str) -> Concern:
+        """What happened to a cell that stands so; an alarm where a device did not confirm."""
+        now = [does, *(f"{name}: {text}" for name, text in self.rows())]
+        return Concern(Severity.ALARM if self.unsafe else severity, what, "; ".join(now), self.next)
+
+
+NOT_ASKED = Standing(tool_off="not asked", robot_at_rest="not asked", unsafe=(), next="")
+"""Nothing is known of its devices."""

@@ -1,0 +1,77 @@
+"""A notification: what a person is told who is not there."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from polishd.model.concern import Severity
+
+TITLE_LETTERS = 140
+_WITH_A_DIGIT = re.compile(r"\S*\d\S*")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Notification:
+    """An event that concerns a person, with all that somebody far away needs. ``facts`` has it for programs."""
+
+    id: str
+    """The same when it is sent again: a receiver may drop what it has."""
+    event: str
+    severity: Severity
+    what: str
+    """What happened."""
+    now: str
+    """What the cell does now."""
+    todo: str
+    """What to do."""
+    cell: str
+    job: str
+    part: str
+    cycle: int | None
+    run_dir: str
+    at: str
+    """When it happened: ISO 8601, UTC."""
+    times: int = 1
+    """How often it happened since ``since``; only the last one is told here."""
+    since: str = ""
+    """When it happened first, of several times."""
+
+    @property
+    def thing(self) -> str:
+        """The same for what happens again; words that have a digit in them do not make it another thing."""
+        words = _WITH_A_DIGIT.sub("#", self.what)
+        return f"{self.severity} {self.event} {self.job} {self.part} {words}"
+
+    @property
+    def title(self) -> str:
+        """One short line."""
+        line = " ".join(f"{self.cell}: {self.severity}: {self.what}".split())
+        return line if len(line) <= TITLE_LETTERS else f"{line[: TITLE_LETTERS - 3]}..."
+
+    @property
+    def text(self) -> str:
+        """All of it, for people."""
+        cycle = "" if self.cycle is None else f", cycle {self.cycle}"
+        often = f" ({self.times} times since {self.since})" if self.times > 1 else ""
+        lines = [
+            f"what happened: {self.what}",
+            f"the cell now: {self.now}",
+            f"what to do: {self.todo}",
+            "",
+            f"cell {self.cell}, job {self.job}, part {self.part}{cycle}",
+            f"at {self.at}{often}",
+            f"run folder: {self.run_dir}",
+        ]
+        return "\n".join(lines) + "\n"
+
+    def again(self, earlier: Notification | None) -> Notification:
+        """This one, counted with what happened before it and was not told."""
+        if earlier is None:
+            return self
+        return replace(self, times=earlier.times + self.times, since=earlier.since or earlier.at)
+
+    def facts(self) -> dict[str, Any]:
+        """JSON-ready, with ``title`` and ``text``."""
+        return {**asdict(self), "title": self.title, "text": self.text}
