@@ -16,7 +16,7 @@ from typing import Any, get_args, get_origin
 from pydantic import BaseModel
 
 from polishd.config.cell import CellConfig
-from polishd.config.places import key_lines, plain_kind, section_of, variants
+from polishd.config.places import plain_kind, section_of, variants
 from polishd.config.profile_sections import ProfileFile
 from polishd.config.sections import DeviceSection
 from polishd.config.simulator import SimConfig
@@ -140,11 +140,14 @@ def _tables(model: type[BaseModel], name: str) -> list[Table]:
 
 
 def cell() -> list[Table]:
-    """The tables of a cell's file in the order of the example, its devices those of polishd's own types."""
-    written = list(key_lines((FOLDER / "../../examples/cell.toml").read_text()))
+    """The tables of a cell's file in the order of the example, its devices those of polishd's own types.
+
+    What few cells need stands there as a comment.
+    """
+    written = re.findall(r"^(?:# )?\[+(\w+)", (FOLDER / "../../examples/cell.toml").read_text(), re.MULTILINE)
     devices = [(f'[{kind.port}] type = "{kind.name}"', kind.options) for kind in load_own().device_types().values()]
     found = [table for table in tables(CellConfig) if table[1] is not DeviceSection] + devices
-    return [("", CellConfig), *sorted(found, key=lambda table: written.index((re.findall(r"\w+", table[0])[0],)))]
+    return [("", CellConfig), *sorted(found, key=lambda table: written.index(re.findall(r"\w+", table[0])[0]))]
 
 
 def files() -> dict[str, list[Table]]:
