@@ -16,7 +16,7 @@ from typing import Any, get_args, get_origin
 from pydantic import BaseModel
 
 from polishd.config.cell import CellConfig
-from polishd.config.places import key_lines, plain_kind, section_of, variants
+from polishd.config.places import plain_kind, section_of, variants
 from polishd.config.profile_sections import ProfileFile
 from polishd.config.sections import DeviceSection
 from polishd.config.simulator import SimConfig
@@ -140,14 +140,18 @@ def _tables(model: type[BaseModel], name: str) -> list[Table]:
 
 
 def cell() -> list[Table]:
-    """The tables of a cell's file in the order of the example; devices and notifiers are polishd's own types."""
-    written = list(key_lines((FOLDER / "../../examples/cell.toml").read_text()))
+    """The tables of a cell's file in the order of the example; devices and notifiers are polishd's own types.
+
+    What few cells need stands there as a comment, or comes last.
+    """
+    written = re.findall(r"^(?:# )?\[+(\w+)", (FOLDER / "../../examples/cell.toml").read_text(), re.MULTILINE)
     own = load_own()
     found = [table for table in tables(CellConfig) if table[1] is not DeviceSection]
     found += [(f'[{kind.port}] type = "{kind.name}"', kind.options) for kind in own.device_types().values()]
     found += [(f'[notify.NAME] type = "{kind.name}"', kind.options) for kind in own.notifiers().values()]
-    order = {name[0]: place for place, name in enumerate(reversed(written))}  # what it has not comes last
-    return [("", CellConfig), *sorted(found, key=lambda table: -order.get(re.findall(r"\w+", table[0])[0], -1))]
+    order = {name: place for place, name in reversed(list(enumerate(written)))}
+    last = len(written)
+    return [("", CellConfig), *sorted(found, key=lambda table: order.get(re.findall(r"\w+", table[0])[0], last))]
 
 
 def files() -> dict[str, list[Table]]:

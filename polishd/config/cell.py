@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, BeforeValidator, ValidationError
 
 from polishd.config.document import parse_toml
 from polishd.config.physics import PartDocument
@@ -27,7 +27,8 @@ from polishd.config.sections import (
     ProgramSection,
 )
 from polishd.config.tables import read_tif
-from polishd.config.values import Name, Texts
+from polishd.config.tolerance import ToleranceSection
+from polishd.config.values import Name, Texts, as_tuple
 from polishd.hookspecs import DeviceType, NotifierType
 from polishd.model.errors import ConfigError
 from polishd.model.limits import Envelope
@@ -54,6 +55,7 @@ class CellConfig(PartDocument):
     machine: MachineSection
     dwell: DwellSection = DwellSection()
     job: JobSection
+    tolerance: Annotated[tuple[ToleranceSection, ...], BeforeValidator(as_tuple)] = ()
     limits: LimitsSection = LimitsSection()
     notify: Mapping[Name, NotifySection] = {}
 
@@ -152,9 +154,29 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> CellC
     for key, value in (overrides or {}).items():
         _override(raw, key, value, source)
     config = CellConfig.of(raw, source)
-    if found := [str(config.error(key, problem)) for key, problem in _wrong_devices(config)]:
+    wrong = (*_wrong_devices(config), *_wrong_tolerance(config))
+    if found := [str(config.error(key, problem)) for key, problem in wrong]:
         raise ConfigError("\n".join(found))
     return config
+
+
+def _wrong_tolerance(config: CellConfig) -> Iterator[tuple[str, str]]:
+    """(key, what is wrong) of what the part is to be."""
+    job, lines = config.job, [line for section in config.tolerance for line in section.lines]
+    if job.tolerance_nm is None and not lines:
+        yield "job.tolerance_nm", "is missing; add it: tolerance_nm = ..., or the drawing's lines: [[tolerance]]"
+    if job.tolerance_nm is not None and lines:
+        yield "job.tolerance_nm", "there are [[tolerance]] lines, too; keep one of both: rms_nm in a line says the same"
+    if job.tolerance_period_mm and lines:
+        yield (
+            "job.tolerance_period_mm",
+            "goes with job.tolerance_nm; write periods_above_mm into the [[tolerance]] lines",
+        )
+    if config.part.alignment == "power" and any(line.figure == "A" for line in lines):
+        yield (
+            "tolerance",
+            '3/A is the power, which part.alignment = "power" takes off: nothing is left to judge; use "tilt"',
+        )
 
 
 def _wrong_devices(config: CellConfig) -> Iterator[tuple[str, str]]:

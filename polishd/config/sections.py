@@ -251,10 +251,10 @@ class JobSection(Section):
 
     id: Name
     """The job's name: a run folder has it, and a daemon that is started again goes on with the same."""
-    tolerance_nm: Positive
-    """RMS in the clear aperture at which the part is done."""
+    tolerance_nm: Positive | None = None
+    """RMS in the clear aperture at which the part is done: the short form of a `[[tolerance]]` with `rms_nm`."""
     tolerance_period_mm: NotNegative = 0.0
-    """Period above which the tolerance counts; 0: all periods."""
+    """Period above which `tolerance_nm` counts; 0: all periods."""
     lsf_period_mm: Positive = 33.0
     """Period above which the low-frequency figure (`lsf_rms_nm`) counts."""
     max_cycles: Annotated[int, Field(ge=1, le=100)] = 4

@@ -24,7 +24,7 @@ from polishd.daemon import client
 from polishd.daemon.sockets import SOCKET_NAME
 from polishd.files import require_writable
 from polishd.model.errors import ConfigError, LinkError, PolishdError
-from polishd.show.tables import cycle_table, stderr, stdout
+from polishd.show.tables import outcome_tables, stderr, stdout
 from polishd.workbench.maps.commission import Proved, prove_profile
 
 START_S = 60.0
@@ -66,7 +66,7 @@ def run_demo(options: DemoOptions, *, as_json: bool) -> int:
     if as_json:
         typer.echo(json.dumps(summary))
     else:
-        stdout.print(cycle_table(summary))
+        stdout.print(outcome_tables(summary))
         for note in summary["notes"]:
             stdout.print(note, markup=False)
         stdout.print(f"report: {files.run_dir / 'report.html'}", markup=False, soft_wrap=True)

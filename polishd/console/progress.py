@@ -10,6 +10,7 @@ from typing import Any
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from polishd.console.last_words import last_words
+from polishd.model.tolerance import judged_of, worst
 from polishd.show.tables import stderr
 
 Show = Callable[[str, int | None, Mapping[str, Any]], None]
@@ -42,9 +43,7 @@ class _Line:
         """An event."""
         match name:
             case "measured":
-                band = data["band_rms_nm"]
-                beyond = "" if band is None else f", {band:.2f} nm in the tolerance's band"
-                self._print(f"measurement {cycle}: RMS {data['rms_nm']:.2f} nm, PV {data['pv_nm']:.1f} nm{beyond}")
+                self._measured(cycle, data)
                 self._update(f"cycle {cycle}: solving", total=None, note="")
             case "solved":
                 note = f"predicted RMS {data['predicted_rms_nm']:.2f} nm, KKT {data['kkt_residual']:.1e}"
@@ -66,6 +65,14 @@ class _Line:
                 pass
         for note in data.get("notes", ()):
             self._print(f"note: {note}")
+
+    def _measured(self, cycle: int | None, data: Mapping[str, Any]) -> None:
+        band = data["band_rms_nm"]
+        beyond = "" if band is None else f", {band:.2f} nm in the tolerance's band"
+        self._print(f"measurement {cycle}: RMS {data['rms_nm']:.2f} nm, PV {data['pv_nm']:.1f} nm{beyond}")
+        if len(judged := judged_of(data)) > 1:
+            held = sum(one.holds for one in judged)
+            self._print(f"{held} of {len(judged)} lines of the tolerance hold; the worst: {worst(judged)}")
 
     def _update(self, what: str, **fields: Any) -> None:
         self._bar.update(self._task, description=f"{self._prefix}{what}", **fields)

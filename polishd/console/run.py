@@ -18,7 +18,7 @@ from polishd.daemon.app import CellRun, run_cells
 from polishd.hooks.cell import load_cell
 from polishd.model.errors import ConfigError, PolishdError, SafetyStop
 from polishd.model.events import Event
-from polishd.show.tables import cycle_table, emit
+from polishd.show.tables import emit, outcome_tables
 
 Ended = Mapping[str, Any] | Exception
 
@@ -40,10 +40,10 @@ def run_verb(cells: Sequence[Path], correction: str | None, *, holds: bool, as_j
     summaries = {name: found for (name, _), found in named if not isinstance(found, Exception)}
     codes = [_code(found) for found in ended]
     if summaries and len(cells) == 1:
-        emit(summaries[""], as_json=as_json, table=lambda: cycle_table(summaries[""]))
+        emit(summaries[""], as_json=as_json, table=lambda: outcome_tables(summaries[""]))
     elif summaries:
         whole = {"exit_code": worst(codes), "cells": {name: _facts(found) for (name, _), found in named}}
-        emit(whole, as_json=as_json, table=lambda: Group(*map(cycle_table, summaries.values())))
+        emit(whole, as_json=as_json, table=lambda: Group(*map(outcome_tables, summaries.values())))
     for (name, cell), found in named:
         _tell_end(found, cell, f"{name}: " if name else "")
     return worst(codes)

@@ -21,7 +21,8 @@ from polishd.hooks.cell import load_cell, plugins_of
 from polishd.hooks.checks import DECLARATIONS
 from polishd.hooks.loader import load_own
 from polishd.model.errors import NoDaemon
-from polishd.show.tables import cycle_table, emit, key_table, record_table, stderr, stdout
+from polishd.model.tolerance import judged_of, worst
+from polishd.show.tables import emit, key_table, outcome_tables, record_table, stderr, stdout
 
 
 def plan_verb(cell: Path, surface: Path, program: Path, out: Path, correction: str | None, *, as_json: bool) -> None:
@@ -31,7 +32,7 @@ def plan_verb(cell: Path, surface: Path, program: Path, out: Path, correction: s
     config, hooks = load_cell(cell, correction)
     with stderr.status("solving the dwell"):
         summary = plan_part(config, hooks, surface, program, out)
-    emit(summary, as_json=as_json, table=lambda: cycle_table(summary))
+    emit(summary, as_json=as_json, table=lambda: outcome_tables(summary))
     if not as_json:
         for note in summary["notes"]:
             stdout.print(f"note: {note}", markup=False)
@@ -95,8 +96,14 @@ def status_verb(cell: Path, *, as_json: bool) -> None:
     words = {key: value for key, value in answer.items() if key not in {"ok", "cycles", "devices"}}
     rows = [(key, for_cell(str(value), cell)) for key, value in words.items() if value]
     rows += [(name, _device(facts)) for name, facts in answer.get("devices", {}).items()]
-    rows += [(f"measurement {i}", f"RMS {c['rms_nm']:.2f} nm") for i, c in enumerate(answer.get("cycles", []))]
+    rows += [(f"measurement {i}", _measured(cycle)) for i, cycle in enumerate(answer.get("cycles", []))]
     emit(answer, as_json=as_json, table=lambda: key_table(config.cell.name, rows))
+
+
+def _measured(cycle: Mapping[str, Any]) -> str:
+    farthest = worst(judged_of(cycle))
+    judged = f"; {'in tolerance' if farthest.holds else 'not in tolerance'}: {farthest}" if farthest else ""
+    return f"RMS {cycle['rms_nm']:.2f} nm{judged}"
 
 
 def _device(facts: Mapping[str, Any]) -> str:

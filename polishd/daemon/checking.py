@@ -49,6 +49,7 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
         "reach": f"all {program.n} points",
         "compliance_um_per_n": f"{compliance.min():.3f} to {compliance.max():.3f}",
         "gamma": f"{gamma.min():.3f} to {gamma.max():.3f}",
+        "tolerance": foresight.tolerance_words(recipe, answer),
         "correction": recipe.correction,
         "removal of the program as it is": f"{np.max(answer.effect.removal_nm(program.time_s)):.1f} nm at most",
         "notifications": ", ".join(f"{one.name} ({one.type}, {one.least})" for one in notifiers) or "nobody",

@@ -19,6 +19,7 @@ from polishd.model.events import Event
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
+from polishd.model.tolerance import holds
 from polishd.process.conditioning import Masks
 from polishd.process.executed import executed_s
 from polishd.process.registration.record import Registration
@@ -106,13 +107,13 @@ class Job:
         await self._for_people(folder.write, files)
         await self._for_people(self._remake)
         stats, notes = measured.stats, list(measured.notes)
-        told = {"spikes": measured.spikes, "run_dir": facts["run_dir"]}
+        told = {"spikes": measured.spikes, "judged": facts["judged"], "run_dir": facts["run_dir"]}
         self.publish(events.Measured(cycle=cycle, stats=stats, notes=notes, **told))
         return measured
 
     def accepts(self, surface: Measured) -> bool:
-        """Whether the figure is in tolerance, over the periods that the tolerance is for."""
-        return surface.figure_nm <= self.recipe.job.tolerance_nm
+        """Whether all lines of the tolerance hold."""
+        return holds(surface.judged)
 
     def diverges(self, surface: Measured) -> bool:
         """Whether the surface is clearly worse than it has been."""

@@ -37,7 +37,11 @@ RULES = (
     Rule(("roles.*",), False, "another robot or tool removes otherwise, and what was learned is of this one"),
     Rule(("dwell.*",), True, "how the next dwell is chosen; each has a certificate of its own"),
     Rule(("limits.*", "machine.x_mm", "machine.y_mm", "machine.z_mm"), True, "what is refused from now on"),
-    Rule(("job.tolerance_nm", "job.max_cycles", "job.lookahead_s"), True, "when the job ends, and how it is streamed"),
+    Rule(
+        ("job.tolerance_nm", "tolerance", "job.max_cycles", "job.lookahead_s"),
+        True,
+        "when the job ends, and how it is streamed",
+    ),
     Rule(("job.id",), False, "another id is another job"),
     Rule(("part.*",), False, "masks and heights are of this part, and its place says what the robot's compliance does"),
     Rule(("program.*",), False, "executed times belong to this program's points, and to where they lie on the part"),

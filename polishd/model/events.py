@@ -118,6 +118,10 @@ class Measured(Event):
         SurfaceStats,
         "nm: `rms_nm`, `pv_nm`, `lsf_rms_nm`, `band_rms_nm` (None where the whole surface counts); `samples`",
     ]
+    judged: Annotated[
+        Sequence[Mapping[str, Any]],
+        "each line of the tolerance: `what`, `value`, `limit`, `unit`, `uncertainty` (None: not known), `holds`",
+    ] = ()
     spikes: Annotated[int, "samples that were taken for spikes"]
     notes: Annotated[Sequence[str], "what a person should know of the map"]
     run_dir: Annotated[str, "the run folder"]

@@ -26,6 +26,7 @@ from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
 from polishd.process.edge.correctable import correctable
 from polishd.process.edge.extension import extend
+from polishd.process.tolerance import out_of_reach
 from polishd.recipe import foresight
 from polishd.recipe.limit import Limit
 from polishd.recipe.recipe import Recipe
@@ -249,7 +250,11 @@ class _Step:
         if not found.resolved:
             return dwell
         left = f"{found.beyond_reach_rms_nm:.2f} nm RMS of the surface has periods below {spot.cutoff_period_mm:.2f} mm"
-        return _with_note(dwell, f"{left}: no dwell with this spot removes it")
+        dwell = _with_note(dwell, f"{left}: no dwell with this spot removes it")
+        on_grid = measured.height_nm, measured.metric_mask, measured.grid.pitch_mm
+        for line in out_of_reach(self.recipe.lines, *on_grid, spot.cutoff_period_mm):
+            dwell = _with_note(dwell, f"that alone has {line}: this spot cannot bring the part into tolerance")
+        return dwell
 
     def with_curve(self, problem: DwellProblem, dwell: DwellSolution) -> tuple[DwellSolution, tuple[Row, ...]]:
         """The curve of residual against time where it is asked for; a plan is not refused for want of it."""

@@ -17,6 +17,7 @@ from polishd.model.surface import FloatArray
 from polishd.process import motion
 from polishd.process.dwell.setup import choose_piston_nm
 from polishd.process.path_compliance import path_compliance
+from polishd.process.tolerance import only_beyond
 from polishd.recipe import steps
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import Measured
@@ -74,6 +75,18 @@ def pass_words(recipe: Recipe, program: Program, answer: RemovalAnswer) -> str:
         f"{_least_s(recipe, program):.0f} s at the largest feed, {own:.0f} s as programmed; "
         f"limits.max_pass_s = {limit:g} s removes {mean:.1f} nm everywhere"
     )
+
+
+def tolerance_words(recipe: Recipe, answer: RemovalAnswer) -> str:
+    """Each line of the tolerance with its limit, and which of them this spot can only leave as they are."""
+    said = [f"{line.what} <= {line.limit:g} {line.unit}" for line in recipe.lines]
+    if answer.transfer is not None:
+        cutoff = answer.transfer.cutoff_period_mm
+        said += [
+            f"{line.what} can only be left as it is: this spot corrects no period below {cutoff:.2f} mm"
+            for line in only_beyond(recipe.lines, cutoff)
+        ]
+    return "; ".join(said)
 
 
 def require_path_time(recipe: Recipe, program: Program) -> None:

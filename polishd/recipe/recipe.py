@@ -12,6 +12,7 @@ from polishd.model.limits import Envelope
 from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Optic, Placement, ToolProcess
 from polishd.model.robot import RobotModel
 from polishd.model.surface import SurfaceMap
+from polishd.model.tolerance import Line
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +42,18 @@ class Recipe:
     model: RemovalModel
     solver: DwellSolver
     cross_check: DwellSolver | None
+    tolerance: tuple[Line, ...] = ()
+    """The drawing's lines; none where the job has the short form."""
+
+    @property
+    def lines(self) -> tuple[Line, ...]:
+        """What the part is judged by: it is accepted when all of them hold."""
+        if self.job.tolerance_nm is None:
+            return self.tolerance
+        return (Line("rms", self.job.tolerance_nm, self.job.tolerance_period_mm),)
 
     def facts(self) -> dict[str, Any]:
         """What a summary says of it."""
         job = self.job.model_dump(include={"tolerance_nm", "tolerance_period_mm", "lsf_period_mm"})
-        return {"part_id": self.part.id, "correction": self.correction, **job}
+        lines = [{"what": line.what, "limit": line.limit, "unit": line.unit} for line in self.lines]
+        return {"part_id": self.part.id, "correction": self.correction, **job, "tolerance": lines}

@@ -18,6 +18,7 @@ from polishd.model.beliefs import UNTAUGHT, Belief, Beliefs
 from polishd.model.dwell import Certificate, DwellSolution, KeptStart
 from polishd.model.program import IntArray, Plan, Program
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceStats
+from polishd.model.tolerance import Judged
 from polishd.process.conditioning import Masks
 from polishd.process.gate import Verdict
 from polishd.process.registration.record import Registration
@@ -47,7 +48,9 @@ class Measured:
     spikes: int = 0
     """Samples of the map that were taken for spikes, and out."""
     notes: tuple[str, ...] = ()
-    """What a person should know of how it was levelled."""
+    """What a person should know of how it was levelled, and of figures that are near to their limits."""
+    judged: tuple[Judged, ...] = ()
+    """Each line of the tolerance."""
 
     @property
     def masks(self) -> Masks:
@@ -56,12 +59,13 @@ class Measured:
 
     @property
     def figure_nm(self) -> float:
-        """The RMS that a tolerance is for: of its periods, where it has any."""
+        """The RMS that the surface may not get worse in: of the short tolerance's periods, where it has any."""
         return tolerated_nm(self.facts())
 
     def facts(self) -> dict[str, Any]:
         """Its figures, and what else is no array."""
-        rest = {"spikes": self.spikes, "notes": list(self.notes), "sha256": self.sha256}
+        judged = [one.facts() for one in self.judged]
+        rest = {"spikes": self.spikes, "notes": list(self.notes), "sha256": self.sha256, "judged": judged}
         return {**asdict(self.stats), **rest, "registration": asdict(self.registration)}
 
     def arrays(self) -> Arrays:
@@ -277,7 +281,7 @@ class Planned:
 
 
 def tolerated_nm(facts: Mapping[str, Any]) -> float:
-    """Of a measurement's facts the RMS that a tolerance is for: of its periods, where it has any."""
+    """Of a measurement's facts the RMS that may not get worse: of the short tolerance's periods, where it has any."""
     return float(facts["rms_nm"] if facts["band_rms_nm"] is None else facts["band_rms_nm"])
 
 
@@ -285,5 +289,6 @@ def figures(measured: Mapping[str, Any], planned: Mapping[str, Any] | None) -> d
     """Of the facts of both, what a summary's entry says; None for a pass that never was."""
     return {
         **{key: measured[key] for key in FIGURES},
+        "judged": measured.get("judged", []),
         **{key: None if planned is None else float(planned[key]) for key in PASS_FIGURES},
     }

@@ -25,6 +25,7 @@ from polishd.process.paths.wrist import tool_axes
 from polishd.process.registration.record import Registration
 from polishd.process.registration.register import register
 from polishd.process.spikes import cleaned
+from polishd.process.tolerance import judge, notes_of
 from polishd.recipe.files import read_program_bytes
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import CENTRED, Believed, Measured, Pass, Solved, Taught
@@ -77,8 +78,13 @@ def condition(
         band_period_mm=recipe.job.tolerance_period_mm or None,
     )
     height = np.where(part.solve_mask, part.height_nm, 0.0)
-    notes = alignment_notes(clean.height_nm, clear, recipe.part.alignment, recipe.job.tolerance_nm)
-    return Measured(part.grid, height, part.solve_mask, part.metric_mask, stats, surface.sha256, lies, spikes, notes)
+    repeats = None if recipe.instrument is None else recipe.instrument.repeatability_nm
+    judged = judge(recipe.lines, figure, clear, clean.grid.pitch_mm, repeats)
+    wanted = min((line.limit for line in recipe.lines if line.unit == "nm"), default=0.0)
+    notes = (*alignment_notes(clean.height_nm, clear, recipe.part.alignment, wanted), *notes_of(judged))
+    return Measured(
+        part.grid, height, part.solve_mask, part.metric_mask, stats, surface.sha256, lies, spikes, notes, judged
+    )
 
 
 def in_part_frame(recipe: Recipe, program: Program) -> Program:

@@ -9,10 +9,11 @@ from typing import Any
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console, RenderableType
+from rich.console import Console, Group, RenderableType
 from rich.markup import escape
 from rich.table import Table
 
+from polishd.model.tolerance import Judged, judged_of
 from polishd.plain import plain
 
 WIDE = 160
@@ -37,6 +38,34 @@ def cycle_table(summary: Mapping[str, Any]) -> Table:
         figures = [_figure(cycle.get(key), 3 if key == "rate" else 2) for key in columns]
         table.add_row(str(number), *figures, *([_torn(cycle)] if torn else []))
     return table
+
+
+def outcome_tables(summary: Mapping[str, Any]) -> RenderableType:
+    """The measurements, and below them the drawing's lines, where there is more than the short tolerance."""
+    if summary.get("tolerance_nm") is not None or not any(cycle.get("judged") for cycle in summary["cycles"]):
+        return cycle_table(summary)
+    return Group(cycle_table(summary), tolerance_table(summary))
+
+
+def tolerance_table(summary: Mapping[str, Any]) -> Table:
+    """One row a line of the tolerance: what each measurement had, the worst line of the last one first."""
+    judged = [judged_of(cycle) for cycle in summary["cycles"]]
+    by_line = [{one.what: one for one in measured} for measured in judged]
+    table = Table(title=f"{summary['job']}: tolerance", title_justify="left")
+    for name in ("line", "limit", *map(str, range(len(judged)))):
+        table.add_column(name, justify="left" if name == "line" else "right")
+    table.add_column("last one holds")
+    for line in sorted(judged[-1], key=lambda one: -one.excess):
+        values = [_figure(found[line.what].value, 2) if line.what in found else "" for found in by_line]
+        table.add_row(escape(line.what), f"{line.limit:g} {line.unit}", *values, _holding(line))
+    return table
+
+
+def _holding(line: Judged) -> str:
+    word = "yes" if line.holds else f"no, {line.excess:.3g} times the limit"
+    if line.uncertainty is None:
+        return word
+    return f"{word}; {'not ' if line.unsure else ''}sure: +- {line.uncertainty:.2g} {line.unit}"
 
 
 def key_table(title: str, rows: Iterable[tuple[str, object]]) -> Table:

@@ -53,7 +53,7 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
     said, misfit = judged(recipe, program, config.program.covers)
     notes += [f"check will refuse: {said}{misfit}"] if misfit else []
     notes += [*surface.warnings, *measured.notes, *program.warnings]
-    notes += [*steps.violations(recipe, plan), *solved.answer.notes]
+    notes += [*steps.violations(recipe, plan), *solved.answer.notes, *planned.certificate.notes]
     summary = {**_summary(recipe, measured, planned), "job": config.job.id, "run_dir": str(out), "notes": notes}
     with _appearing(out) as folder:
         folder.map_file(surface)

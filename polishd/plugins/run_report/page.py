@@ -117,6 +117,7 @@ def render(folder: RunFolder, sections: Sequence[Section]) -> str:
         facts=facts_of(folder),
         rows=rows,
         columns=[column for column in COLUMNS if any(figure(row.get(column.key), column.shape) for row in rows)],
+        lines=words.lines(rows),
         notes=notes_of(folder),
         sections=sections,
     )
@@ -148,7 +149,7 @@ def facts_of(folder: RunFolder) -> list[tuple[str, str]]:
     return [
         (f"RMS{of_periods}", f"{' → '.join(measured)} nm" if measured else ""),
         ("predicted RMS", f"{figure(rows[0].get('predicted_rms_nm'), '.2f')} nm" if folder.planned and rows else ""),
-        ("tolerance", f"{tolerance} nm" if tolerance else ""),
+        ("tolerance", f"{tolerance} nm" if tolerance else words.tolerance(rows)),
         ("passes", "" if folder.planned or not rows else words.passes(rows)),
         ("process time", duration(rows, "dwell_s" if folder.planned else "executed_s")),
         ("correction", text(summary.get("correction"))),

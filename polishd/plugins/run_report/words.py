@@ -73,6 +73,35 @@ def passes(rows: Rows) -> str:
     return f"{whole}, and {torn} interrupted" if torn else str(whole)
 
 
+def lines(rows: Rows) -> list[list[str]]:
+    """Of more than one line of the tolerance each: what, limit, what each measurement had, whether the last holds."""
+    judged = [[one for one in row.get("judged") or () if isinstance(one, Mapping)] for row in rows]
+    if not judged or len(judged[-1]) < 2:
+        return []
+    had = [{one.get("what"): one for one in measured} for measured in judged]
+    return [
+        [
+            text(line.get("what")),
+            f"{figure(line.get('limit'), 'g')} {text(line.get('unit'))}",
+            *(figure(found.get(line.get("what"), {}).get("value"), ".3g") or "–" for found in had),
+            ("yes" if line.get("holds") else "no") + _sure(line),
+        ]
+        for line in judged[-1]
+    ]
+
+
+def tolerance(rows: Rows) -> str:
+    """How many of the lines the last measurement keeps."""
+    judged = [one for one in (rows[-1].get("judged") or () if rows else ()) if isinstance(one, Mapping)]
+    return f"{sum(bool(one.get('holds')) for one in judged)} of {len(judged)} lines hold" if judged else ""
+
+
+def _sure(line: Mapping[str, Any]) -> str:
+    """The instrument's uncertainty, where it is known."""
+    sigma = figure(line.get("uncertainty"), ".2g")
+    return f" (± {sigma} {text(line.get('unit'))})" if sigma else ""
+
+
 def measurement(rows: Rows, index: int) -> str:
     """``start``, or after which pass it was taken."""
     if index == 0:

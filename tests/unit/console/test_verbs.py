@@ -56,6 +56,7 @@ def test_check(polishd: Polishd, files: DemoFiles) -> None:
     assert said.code == 0
     assert "timed points" in facts["program"]
     assert facts["correction"] == "exact"
+    assert facts["tolerance"] == "RMS <= 2 nm"
     assert {limit["key"]: limit["seconds"] for limit in facts["time limits"]}["robot.watchdog_s"] == 8.0
     people = polishd("check", files.cell)
     assert (people.code, "nothing was opened" in people.out) == (0, True)

@@ -16,6 +16,7 @@ from polishd.model.devices import Executed, RobotProgress
 from polishd.model.errors import ComputeError, PlanRefused
 from polishd.model.program import Plan
 from polishd.model.surface import SurfaceMap
+from polishd.model.tolerance import Line
 from polishd.recipe import steps
 from polishd.recipe.dwell_step import require_certificate
 from polishd.recipe.records import Measured
@@ -189,6 +190,26 @@ async def test_the_tolerance_may_be_for_a_band(tmp_path: Path, journal: Journal)
     assert measured.stats.band_rms_nm is not None
     assert measured.stats.band_rms_nm < 15.0 < measured.stats.rms_nm
     assert job.accepts(measured)
+
+
+async def test_a_part_is_accepted_when_all_lines_hold(tmp_path: Path, journal: Journal) -> None:
+    lines = (Line("rms", 15.0, above_mm=18.0), Line("pv", 60.0))
+    job = small_job(tmp_path, journal, recipe=small_recipe(tolerance_nm=None, tolerance=lines))
+    measured = await job.measured(0, small_map())
+    assert [one.holds for one in measured.judged] == [True, False]
+    assert not job.accepts(measured)
+    (entry,) = job.summary()["cycles"]
+    assert [(one["what"], one["holds"]) for one in entry["judged"]] == [
+        ("RMS of periods above 18 mm", True),
+        ("PV", False),
+    ]
+    assert job.accepts(await job.measured(1, small_map(4.0)))
+
+
+async def test_what_was_judged_is_what_a_restart_knows(tmp_path: Path, journal: Journal) -> None:
+    first = await small_job(tmp_path, journal).measured(0, small_map())
+    again = small_job(tmp_path, journal)._measured(journal.history[0])
+    assert again.judged == first.judged != ()
 
 
 async def test_diverges_against_the_best_so_far(job: Job) -> None:

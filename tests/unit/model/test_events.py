@@ -43,7 +43,7 @@ def test_data_is_json_with_the_fields_of_records_one_by_one() -> None:
     facts = json.loads(json.dumps(event.facts()))
     assert (facts["name"], facts["cycle"], facts["data"]["rms_nm"], facts["data"]["spikes"]) == ("measured", 2, 1.5, 3)
     assert set(facts["data"]) == {
-        "rms_nm", "pv_nm", "lsf_rms_nm", "band_rms_nm", "samples", "spikes", "notes", "run_dir"
+        "rms_nm", "pv_nm", "lsf_rms_nm", "band_rms_nm", "samples", "judged", "spikes", "notes", "run_dir"
     }  # fmt: skip
     assert PassEnded(executed_s=1.0).facts() == {"name": "pass_ended", "cycle": None, "data": {"executed_s": 1.0}}
 

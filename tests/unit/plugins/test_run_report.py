@@ -18,6 +18,7 @@ from matplotlib.image import imread
 
 from polishd.api import PolishdError, SurfaceStats
 from polishd.model.events import GateStopped, JobFinished, Measured, PlanWritten
+from polishd.model.tolerance import Judged
 from polishd.plugins import run_report
 from polishd.plugins.run_report import trend
 from polishd.plugins.run_report.folder import Executed, Surface, read_folder
@@ -286,6 +287,19 @@ def test_a_tolerance_on_long_periods_is_judged_and_drawn_on_them(run_dir: Path) 
     labels = [text.get_text() for text in trend.rms_per_measurement(rows, 2.0, 7.0).axes[0].get_legend().texts]
     assert "measured, periods above 7 mm" in labels
     assert "measured, all periods" in labels
+
+
+def test_the_drawings_lines_stand_with_what_each_measurement_had(run_dir: Path) -> None:
+    def judged(rms_nm: float, pv_nm: float) -> list[dict[str, Any]]:
+        return [Judged("RMS", rms_nm, 2.0, "nm", 0.2).facts(), Judged("3/B", pv_nm, 20.0, "nm").facts()]
+
+    rows = [{"rms_nm": 9.0, "judged": judged(9.0, 55.0)}, {"rms_nm": 1.8, "judged": judged(1.8, 22.0)}]
+    write_summary(run_dir, rows, tolerance_nm=None)
+    page = words_of(run_dir)
+    assert "<dt>tolerance</dt><dd>1 of 2 lines hold</dd>" in page
+    cells = [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row) for row in re.findall(r"<tr>(.*?)</tr>", page)]
+    assert ["RMS", "2 nm", "9", "1.8", "yes (± 0.2 nm)"] in cells
+    assert ["3/B", "20 nm", "55", "22", "no"] in cells
 
 
 def test_an_interrupted_pass_is_no_pass_like_the_others(undrawn: None, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import pytest
 from polishd.hookspecs import DwellSolver, RemovalAnswer, RemovalModel, RemovalRequest
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError, PlanRefused
+from polishd.model.tolerance import Line
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.edge.correctable import Transfer
@@ -109,10 +110,13 @@ def test_the_certificate_says_what_is_out_of_reach() -> None:
     def short(request: RemovalRequest) -> RemovalAnswer:
         return replace(gaussian_effect(request), transfer=Transfer(np.zeros(1), np.ones(1), 0.05, 5.0, None))
 
-    recipe = small_recipe(model=RemovalModel("short", short))
+    lines = (Line("rms", 0.5), Line("rms", 500.0), Line("pv", 1.0), Line("rms", 0.5, above_mm=8.0))
+    recipe = small_recipe(model=RemovalModel("short", short), tolerance_nm=None, tolerance=lines)
     measured = steps.condition(recipe, small_map())
-    (note,) = dwell_step.solve(recipe, small_program(), measured).dwell.certificate.notes
+    note, *unreached = dwell_step.solve(recipe, small_program(), measured).dwell.certificate.notes
     assert "nm RMS of the surface has periods below 5.00 mm" in note
+    assert [re.split(r" [\d.]+ nm of ", line)[0] for line in unreached] == ["that alone has RMS", "that alone has PV"]
+    assert "nm allowed: this spot cannot bring the part into tolerance" in unreached[0]
     plain = dwell_step.solve(small_recipe(), small_program(), measured)
     assert plain.dwell.certificate.notes == ()
 

@@ -9,12 +9,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
+from rich.console import Console, Group
 from rich.table import Table
 
 from polishd.console.progress import progress
 from polishd.daemon.endings import standing
-from polishd.show.tables import cycle_table, emit, figure_table, key_table, record_table, stderr
+from polishd.model.tolerance import Judged
+from polishd.show.tables import (
+    cycle_table,
+    emit,
+    figure_table,
+    key_table,
+    outcome_tables,
+    record_table,
+    stderr,
+    tolerance_table,
+)
 
 CYCLES: list[dict[str, Any]] = [
     {
@@ -60,6 +70,24 @@ def test_the_tolerances_band_has_its_column() -> None:
     table = cycle_table({"job": "j", "outcome": "x", "cycles": CYCLES, "tolerance_period_mm": 7.0})
     header, first = shown(table)[2], shown(table)[4]
     assert first[header.index("> 7 mm nm")] == "18.50"
+
+
+def judged(pv_nm: float) -> list[dict[str, Any]]:
+    lines = [Judged("RMS", pv_nm / 10, 2.0, "nm", 0.3), Judged("PV", pv_nm, 12.0, "nm")]
+    return [line.facts() for line in lines]
+
+
+def test_the_drawings_lines_stand_below_the_worst_first() -> None:
+    cycles = [{**CYCLES[0], "judged": judged(100.0)}, {**CYCLES[1], "judged": judged(18.0)}]
+    summary = {"job": "j", "outcome": "x", "cycles": cycles}
+    title, _, header, _, first, second, _ = shown(tolerance_table(summary))
+    assert title == ["j: tolerance"]
+    assert header == ["line", "limit", "0", "1", "last one holds"]
+    assert first == ["PV", "12 nm", "100.00", "18.00", "no, 1.5 times the limit"]
+    assert second == ["RMS", "2 nm", "10.00", "1.80", "yes; not sure: +- 0.3 nm"]
+    assert isinstance(outcome_tables(summary), Group)
+    assert isinstance(outcome_tables({**summary, "tolerance_nm": 2.0}), Table), "which is in the table of measurements"
+    assert isinstance(outcome_tables({"job": "j", "outcome": "x", "cycles": CYCLES}), Table), "of an earlier polishd"
 
 
 def test_no_cycles() -> None:

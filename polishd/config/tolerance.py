@@ -1,0 +1,119 @@
+"""The drawing's tolerances: a line of the file each, made into what a surface is judged by (docs/tolerance.md)."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from polishd.config.values import Positive, Section, Text
+from polishd.model.tolerance import Figure, Line
+
+FIGURES: dict[str, Figure] = {
+    "rms_nm": "rms",
+    "pv_nm": "pv",
+    "slope_rms_urad": "slope_rms",
+    "slope_max_urad": "slope_max",
+    "psd_nm2_mm2": "psd",
+}
+GOES_WITH = {
+    "periods_above_mm": (*FIGURES,),
+    "periods_below_mm": (*FIGURES,),
+    "integration_mm": ("slope_rms_urad", "slope_max_urad"),
+    "exponent": ("psd_nm2_mm2",),
+    "wavelength_nm": ("iso10110",),
+}
+"""Keys that say more of a figure, and of which."""
+_NUMBER = r"(\d+(?:[.,]\d+)?|-)"
+_FORM = re.compile(rf"(?:3/\s*)?{_NUMBER}\s*(?:\(\s*{_NUMBER}\s*(?:/\s*{_NUMBER}\s*)?\))?")
+_RMS = re.compile(rf"RMS([tia])\s*<\s*{_NUMBER}")
+_EXAMPLE = '"3/200(50/20)", with "-" for what has no limit, and "RMSi < 5" after a ";"'
+
+
+class ToleranceSection(Section):
+    """One line of the drawing: a figure in the clear aperture with its limit.
+
+    A part is accepted when all lines hold.
+    """
+
+    rms_nm: Positive | None = None
+    """Most RMS about the mean."""
+    pv_nm: Positive | None = None
+    """Most peak to valley."""
+    slope_rms_urad: Positive | None = None
+    """Most RMS of the slope's magnitude, over `integration_mm`. [urad]"""
+    slope_max_urad: Positive | None = None
+    """Largest magnitude of the slope, over `integration_mm`. [urad]"""
+    psd_nm2_mm2: Positive | None = None
+    """A of the upper line `A / f^exponent` of the radially averaged two-dimensional PSD, f in 1/mm. [nm^2 mm^2]"""
+    iso10110: Text | None = None
+    """The form tolerance as ISO 10110-5 writes it, in nm of surface: `3/A(B/C)`, `-` for what has no limit, and RMSt,
+    RMSi or RMSa after it: `3/200(50/-); RMSi < 5`."""
+    periods_above_mm: Positive | None = None
+    """Only periods above this count; left out: all shorter ones, too."""
+    periods_below_mm: Positive | None = None
+    """Only periods below this count; left out: all longer ones, too."""
+    integration_mm: Positive | None = None
+    """Distance of the two samples whose difference a slope is."""
+    exponent: Annotated[float, Field(ge=0, le=10)] | None = None
+    """Of the PSD's upper line; left out: 0, a level line. [1]"""
+    wavelength_nm: Positive | None = None
+    """`iso10110` counts fringe spacings, of half this wavelength, as drawings before 2015 do; left out: nm."""
+
+    @property
+    def lines(self) -> tuple[Line, ...]:
+        """What a surface is judged by: one line, or one for each limit of `iso10110`."""
+        if self.iso10110 is not None:
+            scale = 1.0 if self.wavelength_nm is None else self.wavelength_nm / 2
+            return tuple(Line(figure, limit * scale) for figure, limit in notation(self.iso10110).items())
+        key, figure = next((key, figure) for key, figure in FIGURES.items() if getattr(self, key) is not None)
+        above, below = self.periods_above_mm or 0.0, self.periods_below_mm
+        return (Line(figure, getattr(self, key), above, below, self.integration_mm, self.exponent or 0.0),)
+
+    @model_validator(mode="after")
+    def _is_one_line(self) -> Self:
+        known = (*FIGURES, "iso10110")
+        named = [key for key in known if getattr(self, key) is not None]
+        if len(named) != 1:
+            there = f"there are {', '.join(named)}" if named else "there is none"
+            raise ValueError(
+                f"a line of [[tolerance]] has one of {', '.join(known)}: {there}; one header for each line"
+            )
+        for key, figures in GOES_WITH.items():
+            if getattr(self, key) is not None and named[0] not in figures:
+                raise ValueError(f"{key}: goes with {' or '.join(figures)}, not with {named[0]}; remove it")
+        self._require_whole(named[0])
+        if self.iso10110 is not None:
+            notation(self.iso10110)
+        return self
+
+    def _require_whole(self, figure: str) -> None:
+        above, below = self.periods_above_mm, self.periods_below_mm
+        if figure.startswith("slope") and self.integration_mm is None:
+            raise ValueError(f"integration_mm: is missing; {figure} is another figure over another length: add it")
+        if figure == "psd_nm2_mm2" and (above is None or below is None):
+            missing = "periods_above_mm" if above is None else "periods_below_mm"
+            raise ValueError(f"{missing}: is missing; a PSD's line goes from one period to another: add both")
+        if above is not None and below is not None and above >= below:
+            raise ValueError(f"periods_below_mm: {below:g} leaves no period above {above:g}; exchange or mend them")
+
+
+def notation(text: str) -> dict[Figure, float]:
+    """The limits in a form tolerance of ISO 10110-5, by figure, as it counts; ValueError where it is none."""
+    first, *rest = (part.strip() for part in text.split(";"))
+    found: dict[Figure, str | None] = {}
+    if form := _FORM.fullmatch(first):
+        found = {"A": form[1], "B": form[2], "C": form[3]}
+    else:
+        rest.insert(0, first)
+    named: dict[str, Figure] = {"t": "RMSt", "i": "RMSi", "a": "RMSa"}
+    for part in rest:
+        rms = _RMS.fullmatch(part)
+        if rms is None or named[rms[1]] in found:
+            raise ValueError(f"iso10110: {text!r} is no form tolerance of ISO 10110-5; write {_EXAMPLE}")
+        found[named[rms[1]]] = rms[2]
+    limits = {figure: float(value.replace(",", ".")) for figure, value in found.items() if value not in {None, "-"}}
+    if not limits or min(limits.values()) <= 0:
+        raise ValueError(f"iso10110: {text!r} has no limit above 0; write {_EXAMPLE}")
+    return limits
