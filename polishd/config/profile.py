@@ -19,6 +19,8 @@ from polishd.model.instrument import Commissioned, Instrument
 from polishd.process.commissioning import Bump
 
 RECORD = "commissioned"
+UNPROVED = {RECORD, "repeatability"}
+"""What no artefact proves: it may be written, and mended, without voiding the proof."""
 COMMENT = "written by polishd map commission; void once a value above is changed"
 
 
@@ -47,7 +49,7 @@ def load_profile(path: Path) -> Profile:
     """
     raw, source = parse_toml(path)
     given = ProfileFile.of(raw, source)
-    values = given.model_dump(mode="json", exclude={RECORD})
+    values = given.model_dump(mode="json", exclude=UNPROVED)
     sha256 = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
     record = None if given.commissioned is None else Commissioned(**dict(given.commissioned))
     unproved = _unproved(path, record, sha256)
@@ -111,5 +113,6 @@ def _instrument(given: ProfileFile, raw: dict[str, Any]) -> Instrument:
         max_shift_mm=given.registration.max_shift_mm,
         max_turn_deg=given.registration.max_turn_deg,
         max_drift_mm=given.registration.max_drift_mm,
+        repeatability_nm=given.repeatability.rms_nm,
         raw=raw,
     )

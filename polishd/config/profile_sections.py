@@ -78,6 +78,13 @@ class RegistrationTable(Section):
     """Most shift against the last map of the same part."""
 
 
+class RepeatabilityTable(Section):
+    """How well the instrument repeats itself: no part of the proof, but all figures are read beside it."""
+
+    rms_nm: Positive | None = _PLAIN.repeatability_nm
+    """RMS of what one map of a part has and the mean of many has not, levelled, in one set-up; left out: not known."""
+
+
 class BumpTable(Bump):
     """A Gaussian bump of the artefact; a hollow where its height is negative."""
 
@@ -126,6 +133,7 @@ class ProfileFile(Document):
     aperture: ApertureTable = ApertureTable()
     fiducials: FiducialsTable = FiducialsTable()
     registration: RegistrationTable = RegistrationTable()
+    repeatability: RepeatabilityTable = RepeatabilityTable()
     artefact: ArtefactTable | None = None
     commissioned: RecordTable | None = None
 

@@ -60,6 +60,8 @@ class Instrument:
     max_turn_deg: float = 2.0
     max_drift_mm: float = 0.5
     """Most shift against the last map of the same part."""
+    repeatability_nm: float | None = None
+    """RMS of what one map of a part has and the mean of many has not; None: not known."""
     commissioned: Commissioned | None = None
     raw: Mapping[str, Any] = field(default_factory=dict)
     """The values as the file gives them."""
