@@ -7,6 +7,7 @@ from typing import Any
 
 from polishd.config.sections import DwellSection, JobSection, PartSection, ProgramSection
 from polishd.hookspecs import DwellSolver, ProgramFormat, RemovalModel
+from polishd.model.handling import NOTHING, Between, TouchOff
 from polishd.model.instrument import Instrument
 from polishd.model.limits import Envelope
 from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Optic, Placement, ToolProcess
@@ -41,6 +42,9 @@ class Recipe:
     model: RemovalModel
     solver: DwellSolver
     cross_check: DwellSolver | None
+    touch_off: TouchOff | None = None
+    """How the part's seat is proved; None: nobody proves it."""
+    between: Between = NOTHING
 
     def facts(self) -> dict[str, Any]:
         """What a summary says of it."""

@@ -79,7 +79,8 @@ def from_map(path: Path, config: Plant) -> TruePart:
 
 def swelling_nm(part: TruePart, config: SimConfig, since_s: float) -> FloatArray:
     """(map rows, map columns) by which the part stands higher so long after a pass (simulated clock): it is warm."""
-    radius = Grid(*part.valid.shape, part.grid.pitch_mm).radius_mm() * 2.0 / config.plant.aperture_mm
+    rows, columns = part.valid.shape
+    radius = Grid(rows, columns, part.grid.pitch_mm).radius_mm() * 2.0 / config.plant.aperture_mm
     return np.asarray(config.truth.warm_nm * math.exp(-since_s / config.truth.warm_s) * radius**2)
 
 

@@ -174,6 +174,7 @@ def test_a_tool_that_rests_without_turning_removes_nothing_and_is_booked() -> No
     (stand,) = plant.account.stands
     assert (stand["most_n"], stand["most_rpm"]) == (pytest.approx(0.8), 0.0)
 
+
 def test_the_truth_scales_removal() -> None:
     def depth(hidden: Truth) -> float:
         plant = world(hidden)
