@@ -17,7 +17,7 @@ from polishd.daemon.cell import Cell
 from polishd.daemon.command import run_command
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
-from polishd.daemon.safety import ContactLimits, contact
+from polishd.daemon.safety import ContactLimits, contact, in_band
 from polishd.daemon.stream import Stream, streaming
 from polishd.model import events
 from polishd.model.cycle import Phase
@@ -124,14 +124,15 @@ class Handling:
             await stream.approach()
             try:
                 async with contact(cell, limits):
-                    position_mm = await self._position_mm()
+                    position_mm = await self._position_mm(limits)
             except WrongSeat as nothing:
                 await self._away(stream, nothing)
                 raise WrongSeat(_nothing(asked, place, str(nothing))) from nothing
             await stream.retreat()
         return position_mm
 
-    async def _position_mm(self) -> float:
+    async def _position_mm(self, limits: ContactLimits) -> float:
+        """Of readings under the force asked for only; where that does not act, the watch ends the contact."""
         found: list[float] = []
         async with aclosing(self._cell.actuator.samples()) as samples:  # type: ignore[type-var]
             async for sample in samples:
@@ -140,7 +141,8 @@ class Handling:
                         "the actuator tells no position, and a touch-off needs one: leave [touch_off] out, or take "
                         "another actuator"
                     )
-                found.append(sample.position_mm)
+                if in_band(sample, limits):
+                    found.append(sample.position_mm)
                 if len(found) == READINGS:
                     break
         return float(np.mean(found))

@@ -226,7 +226,7 @@ async def _watch_force(cell: Cell, touch: _Touch) -> None:
             raise WrongSeat(f"the tool is {sample.position_mm:.2f} mm out, and met nothing")
         if touch.leaving:  # by our word only: an actuator that lifts by itself has lost its force
             return
-        if _in_band(sample, limits):
+        if in_band(sample, limits):
             good_at = sample.at_s
             touch.landed.set()
         elif touch.landed.is_set() and sample.at_s - good_at > limits.grace_s:
@@ -242,7 +242,8 @@ async def _watch_force(cell: Cell, touch: _Touch) -> None:
         raise
 
 
-def _in_band(sample: ForceSample, limits: ContactLimits) -> bool:
+def in_band(sample: ForceSample, limits: ContactLimits) -> bool:
+    """Whether the tool presses as it should."""
     return sample.in_contact and abs(sample.force_n - limits.force_n) <= limits.force_band * limits.force_n
 
 
