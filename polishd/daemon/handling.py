@@ -88,10 +88,10 @@ class Handling:
             later = await job.measured(cycle, await self._cell.metrology.next_map(after=self._journal.last_map_id))
             changes.append(await job.compute(steps.change_nm, job.recipe, surface, later))
             maps, agree = len(changes) + 1, changes[-1] <= limit_nm
-            job.publish(events.Repeated(cycle=cycle, maps=maps, change_nm=changes[-1], limit_nm=limit_nm))
-            note = f"{'settled' if agree else 'not settled'}: {maps} maps, the last two {changes[-1]:.2f} nm apart"
-            facts = {"settled": agree, "change_nm": changes, "limit_nm": limit_nm, "notes": [note]}
-            await job.leave(cycle, "settling.json", facts)
+            notes = [f"{'settled' if agree else 'not settled'}: {maps} maps, the last two {changes[-1]:.2f} nm apart"]
+            told = {"change_nm": changes[-1], "limit_nm": limit_nm}
+            job.publish(events.Repeated(cycle=cycle, maps=maps, notes=notes, **told))
+            await job.leave(cycle, "settling.json", {"settled": agree, **told, "change_nm": changes, "notes": notes})
             if agree:
                 return later
             surface = later
@@ -109,8 +109,9 @@ class Handling:
             raise PlanRefused("the touch-off was refused, nothing moved:\n" + "\n".join(f"  {line}" for line in found))
         met_mm = [await self._met(asked, place, plan, meets_mm) for place, plan in enumerate(plans)]
         seat = seat_of(asked, meets_mm - np.array(met_mm))
-        job.publish(events.TouchedOff(cycle=cycle, seat=seat, most_off_mm=asked.most_off_mm))
-        await job.leave(cycle, "touch_off.json", facts_of(asked, seat))
+        facts, notes = facts_of(asked, seat), [f"the part sits {seat}"]
+        job.publish(events.TouchedOff(cycle=cycle, seat=seat, most_off_mm=asked.most_off_mm, notes=notes))
+        await job.leave(cycle, "touch_off.json", {**facts, "notes": notes})
         if seat.worst_mm > asked.most_off_mm:
             raise WrongSeat(_wrong(asked, seat))
 
@@ -160,8 +161,12 @@ class Handling:
 
 def facts_of(asked: TouchOff, seat: Seat) -> dict[str, object]:
     """What the run folder keeps of a touch-off."""
-    places = {"places_mm": asked.places_mm[:, :2].tolist(), "most_off_mm": asked.most_off_mm, "force_n": asked.force_n}
-    return {"seat": asdict(seat), **places, "notes": [f"the part sits {seat}"]}
+    places = {
+        "places_mm": asked.places_mm[:, :2].round(3).tolist(),
+        "most_off_mm": asked.most_off_mm,
+        "force_n": asked.force_n,
+    }
+    return {"seat": asdict(seat), **places}
 
 
 def _wrong(asked: TouchOff, seat: Seat) -> str:

@@ -240,7 +240,7 @@ class Job:
 
     def summary(self) -> dict[str, Any]:
         """The job's part of ``summary.json``."""
-        return {**self.recipe.facts(), "cycles": self.cycles()}
+        return {**self.recipe.facts(), "cycles": self.cycles(), "phase_times_s": self.journal.phase_times_s()}
 
     def _measured(self, record: MapRecord) -> Measured:
         instrument = self.recipe.instrument

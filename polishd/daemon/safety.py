@@ -223,7 +223,7 @@ async def _watch_force(cell: Cell, touch: _Touch) -> None:
         if sample.fault:
             raise DeviceFault(f"actuator: fault bits {sample.fault:#06x} while in contact")
         if sample.position_mm is not None and sample.position_mm > limits.deepest_mm:
-            raise WrongSeat(f"the tool is {sample.position_mm:.2f} mm out, and met nothing")
+            raise WrongSeat(f"the tool is {sample.position_mm:.2f} mm out of its rest, at most {limits.deepest_mm:.2f}")
         if touch.leaving:  # by our word only: an actuator that lifts by itself has lost its force
             return
         if in_band(sample, limits):

@@ -112,6 +112,7 @@ class Repeated(Event):
     maps: Annotated[int, "maps of this measurement so far"]
     change_nm: Annotated[float, "RMS by which it differs from the one before"]
     limit_nm: Annotated[float, "what that may be"]
+    notes: Annotated[Sequence[str], "the same in words"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,6 +158,7 @@ class TouchedOff(Event):
         "most that any point of the part is off",
     ]
     most_off_mm: Annotated[float, "what that may be"]
+    notes: Annotated[Sequence[str], "the same in words"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
