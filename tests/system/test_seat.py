@@ -110,3 +110,23 @@ def test_every_way_out_of_a_touch_off_lifts_the_tool(tmp_path: Path, order: str)
         log = [event["event"] for event in events(files)]
         assert "spindle_ramping" not in log
         assert log.index("force_zero") < log.index("tool_lifted")
+
+
+@pytest.mark.full
+def test_a_part_that_is_warm_of_its_pass_is_measured_until_it_has_settled(tmp_path: Path) -> None:
+    files = write_small(tmp_path / "cell", **ONE_PASS)
+    cell = with_keys(files.cell.read_text(), {"between": {"settle.wait_s": 0.5, "settle.maps": 100}})
+    files.cell.write_text(cell)
+    files.profile.write_text(with_keys(files.profile.read_text(), {"repeatability": {"rms_nm": 0.3}}))
+    files.sim.write_text(with_keys(files.sim.read_text(), {"truth": {"warm_nm": 20.0, "warm_s": 40.0}}))
+    options = ["--state", str(files.sim_dir), "--seed", "1", "--speed", "20"]
+    with simulated_cell(files.sim, options, files.out / "sim.stderr"), Daemon(files) as daemon:
+        assert daemon.wait() == 0, daemon.output.read_text()
+        measured = events(files, "measured")
+    end = summary(files)
+    assert end["cycles"][-1]["rms_nm"] == pytest.approx(measured[-1]["true_rms_nm"], abs=0.5)
+    kept = json.loads((files.run_dir / f"cycle-{len(end['cycles']) - 1:02d}/settling.json").read_text())
+    assert kept["settled"]
+    assert kept["change_nm"][-1] <= kept["limit_nm"] < kept["change_nm"][0]
+    assert len(measured) > 2 * len(end["cycles"]), "after the pass two maps were not enough"
+    assert end["phase_times_s"]["settle"] > 1.0

@@ -27,6 +27,7 @@ from polishd.model.errors import (
 )
 from polishd.model.handling import Between, Settle, Step, TouchOff
 from polishd.model.surface import SurfaceMap
+from polishd.recipe import steps
 from tests.unit.daemon.small import Bench, as_map, open_journal, small_map, small_recipe
 
 RIM_MM, PLACE_MM = 12.0, 11.0
@@ -55,7 +56,7 @@ def sits(bench: Bench, *positions_mm: float | None) -> None:
     bench.fake.actuator.touch_mm = lambda: left.pop(0) if left else 5.0
 
 
-def steps(bench: Bench, *phases: str) -> list[str]:
+def ended(bench: Bench, *phases: str) -> list[str]:
     return [line for line in bench.phases() if line.split()[1] in phases]
 
 
@@ -76,7 +77,7 @@ async def test_the_seat_is_proved_at_three_places_before_contact_with_the_spindl
     ]
     assert calls[: 3 * len(touch)] == 3 * touch
     assert calls[3 * len(touch) :][:3] == ["robot.prepare", "spindle.set_speed 1000", CONTACT]
-    assert steps(bench, "touch_off", "run") == ["0 touch_off done", "0 run done"]
+    assert ended(bench, "touch_off", "run") == ["0 touch_off done", "0 run done"]
     (told,) = [event for event in job.told if event.name == "touched_off"]
     assert told.seat.worst_mm == pytest.approx(0.0, abs=1e-9)
     kept = json.loads((bench.tmp_path / "run/cycle-00/touch_off.json").read_text())
@@ -269,7 +270,7 @@ async def test_a_step_of_a_person_is_asked_for_once(bench: Bench) -> None:
         await bench.polish(job)
     assert bench.journal.unfinished() is None, "nothing is under way while the person is at it"
     assert await bench.polish(job) is Outcome.CYCLES_USED
-    assert steps(bench, "clean") == ["1 clean failed"]
+    assert ended(bench, "clean") == ["1 clean failed"]
 
 
 async def test_a_command_that_failed_is_run_again(bench: Bench, tmp_path: Path) -> None:
@@ -279,7 +280,7 @@ async def test_a_command_that_failed_is_run_again(bench: Bench, tmp_path: Path) 
     with pytest.raises(HandlingError, match=r"clean: .* ended with 1: no water; see to it"):
         await bench.polish(job)
     assert await bench.polish(job) is Outcome.CYCLES_USED
-    assert steps(bench, "clean") == ["1 clean failed", "1 clean done"]
+    assert ended(bench, "clean") == ["1 clean failed", "1 clean done"]
 
 
 # settling
@@ -316,7 +317,7 @@ async def test_maps_are_taken_until_two_in_a_row_agree(bench: Bench) -> None:
     assert sorted(path.name for path in folder.glob("settling-*")) == ["settling-00", "settling-01", "settling-02"]
     assert (folder / "settling-02/surface.npz").exists()
     assert (folder / "surface.npz").exists()
-    assert steps(bench, "settle") == ["0 settle done", "1 settle done"]
+    assert ended(bench, "settle") == ["0 settle done", "1 settle done"]
 
 
 async def test_a_part_that_does_not_settle_is_told(bench: Bench) -> None:
@@ -335,3 +336,42 @@ async def test_a_part_that_does_not_settle_is_told(bench: Bench) -> None:
 async def no_sleep(seconds: float) -> None:
     """The cell's clock stands: who waits for it gets a turn."""
     await asyncio.sleep(0)
+
+
+class WarmPart:
+    """A part that swells in each pass and cools from map to map: what its maps show, and what it is."""
+
+    def __init__(self, bench: Bench, swells_nm: float) -> None:
+        self._truth = bench.measure
+        self._journal = bench.journal
+        self._swells_nm = swells_nm
+        self._warm_nm = 0.0
+        self._passes = 0
+        self.true_nm = 0.0
+        bench.fake.clock.sleep = no_sleep  # type: ignore[method-assign]
+        bench.fake.metrology.measure = self.measure
+
+    def measure(self) -> SurfaceMap:
+        true = self._truth()
+        self.true_nm = steps.condition(small_recipe(), true).stats.rms_nm
+        self._warm_nm *= 0.3
+        if len(self._journal.passes) > self._passes:
+            self._passes, self._warm_nm = len(self._journal.passes), self._swells_nm
+        radius = true.grid.radius_mm() / RIM_MM
+        return as_map(true.height_nm + self._warm_nm * radius**2)
+
+
+@pytest.mark.parametrize(
+    ("settle", "outcome"),
+    [(Settle(limit_nm=0.2, maps=9, wait_s=60.0), Outcome.IN_TOLERANCE), (None, Outcome.CYCLES_USED)],
+)
+async def test_a_warm_part_is_judged_rightly_only_once_it_has_settled(
+    bench: Bench, settle: Settle | None, outcome: Outcome
+) -> None:
+    """Its first map after a pass shows a swelling that is no figure: by that the good part would be polished on."""
+    part = WarmPart(bench, swells_nm=12.0)
+    recipe = small_recipe(tolerance_nm=1.5, between=Between(settle=settle))
+    assert await bench.polish(bench.job(recipe=recipe, max_cycles=1)) is outcome
+    assert part.true_nm < 1.0, "the part is in tolerance, whatever its map says"
+    seen_nm = bench.journal.history[-1].stats["rms_nm"]
+    assert (seen_nm == pytest.approx(part.true_nm, abs=0.05)) is (settle is not None)
