@@ -86,6 +86,9 @@ class ProgramFormat:
     """(file content, name for messages) -> Program."""
     rewrite: Callable[[Program, FloatArray], bytes]
     """(program, (n,) seconds) -> file content; changes only numbers that carry time."""
+    make: Callable[[FloatArray, FloatArray, float, str], bytes] | None = None
+    """((n, 3) points in mm, (n, 3) unit tool axes, mm/min, name) -> content of a program along them that rises from
+    the last one and ends, by way of a safe height to the first; None where no programs are made in this format."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ValidationError
 
 from polishd.config.document import parse_toml
+from polishd.config.handling import BetweenSection, TouchOffSection
 from polishd.config.physics import PartDocument
 from polishd.config.places import Location, Source, did_you_mean, key_lines, listed, problems
 from polishd.config.sections import (
@@ -54,6 +55,8 @@ class CellConfig(PartDocument):
     program: ProgramSection
     machine: MachineSection
     dwell: DwellSection = DwellSection()
+    touch_off: TouchOffSection | None = None
+    between: BetweenSection = BetweenSection()
     job: JobSection
     tolerance: Annotated[tuple[ToleranceSection, ...], BeforeValidator(as_tuple)] = ()
     limits: LimitsSection = LimitsSection()

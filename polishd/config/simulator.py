@@ -39,6 +39,12 @@ class Plant(Section):
     """Where the part's centre truly lies in the robot's base frame; `part.origin_mm` of the cell."""
     rotation_rpy_deg: Vector = (180.0, 0.0, 0.0)
     """How it truly lies there, intrinsic x-y'-z''; `part.rotation_rpy_deg` of the cell."""
+    seat_height_mm: float = 0.0
+    """How much higher the part sits than all of that says, along its normal; negative: lower."""
+    seat_tilt_deg: Pair = (0.0, 0.0)
+    """And how it is tilted there, about its x and y."""
+    seat_empty: bool = False
+    """No part lies in its ring: the tool finds nothing to press on. Maps show one all the same."""
     program_offset_mm: Vector = (0.0, 0.0, 0.0)
     """Where the program's frame truly lies on the part; `program.offset_mm` of the cell."""
     program_rotation_deg: float = 0.0
@@ -62,6 +68,10 @@ class Truth(Section):
     """Correlation time of that scatter, process time."""
     map_noise_nm: NotNegative = 0.3
     """Scatter of each sample of a map."""
+    warm_nm: float = 0.0
+    """How much higher the part's rim than its centre stands right after a pass, for it is warm."""
+    warm_s: Positive = 300.0
+    """Time in which that falls to 37 %, simulated clock."""
     accel_mm_s2: Positive = 1000.0
     """What the robot truly accelerates with."""
     accel_spread: ShareOrNone = 0.05

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from polishd.daemon.cell import Cell
+from polishd.daemon.handling import Handling
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.safety import contact
@@ -21,9 +22,12 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
     Returns with the tool lifted and the robot standing still. Raises PolishdError (the cell is then safe too)
     when a map, a plan, a device or a computation is refused.
     """
+    handling = Handling(cell, job, journal)
     for cycle in journal.remaining(job.last_cycle + 1):  # one measurement more than passes
+        await handling.clean(cycle)
         async with journal.phase(cycle, Phase.MEASURE):
             surface = await job.measured(cycle, await cell.metrology.next_map(after=journal.last_map_id))
+        surface = await handling.settled(cycle, surface)
         async with journal.phase(cycle, Phase.LEARN):
             await job.learn(cycle, surface)  # first: no figure is believed of a map that the gate stops
         if job.accepts(surface):
@@ -39,6 +43,9 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
             plan = await job.plan(cycle, solved)
             job.refuse_unsafe(plan)
         await cell.restore_links()  # here, out of contact, a lost link may be opened again
+        await handling.ready(
+            cycle
+        )  # the pad, and the part's seat: nothing is pressed on a part that does not sit right
         feed = streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=cell.limits.buffer_s)
         async with journal.phase(cycle, Phase.RUN), feed as stream:
             await job.begin_pass(cycle, plan, await cell.robot.progress())

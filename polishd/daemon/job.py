@@ -31,6 +31,8 @@ from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved, Ta
 
 DIVERGED_RATIO, DIVERGED_NM = 1.3, 1.0
 """A surface that is worse than the best one so far by this ratio, and by more than noise and ripple, ends the job."""
+MEASUREMENT = ("map.*", "surface.npz", "registration.json")
+"""What a measurement leaves in its cycle's folder."""
 PROGRESS_BLOCKS = 50
 """Blocks between two progress events; between them nobody else has a turn on the event loop."""
 
@@ -67,6 +69,8 @@ class Job:
     _lay: Registration | None = field(init=False, default=None)
     """Where the part lay in the last map."""
     _blocks: int = field(init=False, default=0)
+    handled: set[tuple[int, str]] = field(init=False, default_factory=set)
+    """Cycles and steps beside polishing (``Phase``) that were done, or that a person was asked for."""
 
     def __post_init__(self) -> None:
         self._believed = steps.believed_at_first(self.recipe)
@@ -110,6 +114,14 @@ class Job:
         told = {"spikes": measured.spikes, "judged": facts["judged"], "run_dir": facts["run_dir"]}
         self.publish(events.Measured(cycle=cycle, stats=stats, notes=notes, **told))
         return measured
+
+    async def set_aside(self, cycle: int, number: int) -> None:
+        """Make room in the run folder for another map of the same cycle; the journal has both."""
+        await self._for_people(self.folder.cycle(cycle).set_aside, f"settling-{number:02d}", MEASUREMENT)
+
+    async def leave(self, cycle: int, name: str, content: Any) -> None:
+        """A JSON file in the cycle's folder."""
+        await self._for_people(self.folder.cycle(cycle).json, name, content)
 
     def accepts(self, surface: Measured) -> bool:
         """Whether all lines of the tolerance hold."""
@@ -229,7 +241,7 @@ class Job:
 
     def summary(self) -> dict[str, Any]:
         """The job's part of ``summary.json``."""
-        return {**self.recipe.facts(), "cycles": self.cycles()}
+        return {**self.recipe.facts(), "cycles": self.cycles(), "phase_times_s": self.journal.phase_times_s()}
 
     def _measured(self, record: MapRecord) -> Measured:
         instrument = self.recipe.instrument

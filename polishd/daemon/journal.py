@@ -138,6 +138,12 @@ class Journal(AbstractContextManager["Journal", None]):
         seq, start_s, end_s, contact, recovered = self._store.read_table(sql, (self._job, cycle), 5).T.copy()
         return ExecutedBlocks(seq.astype(np.int64), start_s, end_s, contact.astype(bool), recovered.astype(bool))
 
+    def phase_times_s(self) -> dict[str, float]:
+        """Seconds that each phase of this job took in all, by the clock on the wall, in the order of a cycle."""
+        sql = "SELECT phase, sum(ended - started) FROM phase WHERE job = ? AND ended IS NOT NULL GROUP BY phase"
+        found = dict(self._store.read(sql, (self._job,)))
+        return {phase.value: found[phase.value] for phase in Phase if phase.value in found}
+
     def errors(self) -> list[tuple[float, str, Mapping[str, Any]]]:
         """What held or ended this job's daemon, in time order: Unix time, event's name, its data."""
         sql = "SELECT at, name, data FROM event WHERE job = ? AND name IN ('held', 'failed') ORDER BY id"

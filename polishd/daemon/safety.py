@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import math
 import time
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
@@ -20,13 +21,15 @@ from typing import TypeVar, cast
 from polishd.daemon.cell import Cell
 from polishd.daemon.time_limits import safe_within_s
 from polishd.model.devices import ForceSample, SpeedSample
-from polishd.model.errors import DeviceFault, LinkError, PolishdError, SafetyStop
+from polishd.model.errors import DeviceFault, LinkError, PolishdError, SafetyStop, WrongSeat
 from polishd.ports.devices import ForceActuator, Robot
 
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
+STILL_RPM = 5.0
+"""A spindle told to rest may read so much."""
 LOOK_S = 0.05
 """Between two looks at a silence: it is counted in steps, so that a daemon that was stalled hears first."""
 
@@ -40,6 +43,8 @@ class ContactLimits:
     force_band: float
     """Relative; outside it for longer than ``grace_s`` is a safety stop."""
     grace_s: float
+    deepest_mm: float = math.inf
+    """The tool is lifted where it is farther out than that, whether it touches or not."""
 
 
 @dataclass(slots=True)
@@ -217,9 +222,11 @@ async def _watch_force(cell: Cell, touch: _Touch) -> None:
         nonlocal good_at
         if sample.fault:
             raise DeviceFault(f"actuator: fault bits {sample.fault:#06x} while in contact")
+        if sample.position_mm is not None and sample.position_mm > limits.deepest_mm:
+            raise WrongSeat(f"the tool is {sample.position_mm:.2f} mm out of its rest, at most {limits.deepest_mm:.2f}")
         if touch.leaving:  # by our word only: an actuator that lifts by itself has lost its force
             return
-        if _in_band(sample, limits):
+        if in_band(sample, limits):
             good_at = sample.at_s
             touch.landed.set()
         elif touch.landed.is_set() and sample.at_s - good_at > limits.grace_s:
@@ -235,7 +242,8 @@ async def _watch_force(cell: Cell, touch: _Touch) -> None:
         raise
 
 
-def _in_band(sample: ForceSample, limits: ContactLimits) -> bool:
+def in_band(sample: ForceSample, limits: ContactLimits) -> bool:
+    """Whether the tool presses as it should."""
     return sample.in_contact and abs(sample.force_n - limits.force_n) <= limits.force_band * limits.force_n
 
 
@@ -246,7 +254,7 @@ async def _watch_speed(cell: Cell, limits: ContactLimits) -> None:
         nonlocal good_at
         if sample.fault:
             raise DeviceFault(f"spindle: fault {sample.fault} while in contact")
-        if good_at is None or abs(sample.rpm - limits.rpm) <= 0.05 * abs(limits.rpm):
+        if good_at is None or abs(sample.rpm - limits.rpm) <= max(0.05 * abs(limits.rpm), STILL_RPM):
             good_at = sample.at_s
         elif sample.at_s - good_at > limits.grace_s:
             raise SafetyStop(

@@ -7,12 +7,16 @@ from enum import StrEnum
 
 
 class Phase(StrEnum):
-    """The phases of a cycle, in time order."""
+    """The phases of a cycle, in time order; those beside measuring and polishing only where the cell asks for them."""
 
+    CLEAN = "clean"
     MEASURE = "measure"
+    SETTLE = "settle"
     LEARN = "learn"
     SOLVE = "solve"
     PLAN = "plan"
+    CONDITION = "condition"
+    TOUCH_OFF = "touch_off"
     RUN = "run"
 
 

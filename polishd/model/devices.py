@@ -40,6 +40,8 @@ class ForceSample:
     in_contact: bool
     retracted: bool
     fault: int = 0
+    position_mm: float | None = None
+    """How far the tool is out, from its rest; None where the actuator does not say."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ PolishdError
     StaleMap       it was measured before the last pass ended
     BadMap         it cannot be read, or not be trusted
     WrongPart      it shows another part
+    NotSettled     no two in a row agree within the instrument's noise
   GateStop *       a pass did not do what its plan said: mend why       (10)
   ComputeError     fall back, or stop before RUN                        (10)
   DeviceError *    a device is the cause                                (5)
@@ -21,6 +22,8 @@ PolishdError
     DeviceRefused  the device understood and said no
     DeviceFault    the device says that it is broken
   SafetyStop       the cell left contact by itself                      (7)
+  HandlingError *  somebody has to see to part or pad, then go on       (11)
+    WrongSeat      the part does not sit where it should
 """
 
 
@@ -75,6 +78,10 @@ class WrongPart(SurfaceError):
     """The map shows another part than the job's."""
 
 
+class NotSettled(SurfaceError):
+    """Maps of a part that nobody touches go on changing."""
+
+
 class GateStop(PolishdError):
     """What a pass removed is better explained by a mistake in instrument or alignment than by its plan."""
 
@@ -121,3 +128,14 @@ class SafetyStop(PolishdError):
     """A limit was crossed in contact; force was taken off, the tool lifted, then motion stopped."""
 
     exit_code = 7
+
+
+class HandlingError(PolishdError):
+    """A step beside polishing is a person's, or failed; nothing is in contact."""
+
+    exit_code = 11
+    mendable = True
+
+
+class WrongSeat(HandlingError):
+    """A touch-off found the part too high, too low, tilted, or not at all; nothing was polished."""

@@ -13,6 +13,7 @@ from typing import Annotated, Any, ClassVar
 from polishd.model.concern import NOT_ASKED, Concern, Severity, Standing
 from polishd.model.devices import Identity
 from polishd.model.dwell import Certificate
+from polishd.model.handling import Seat
 from polishd.model.surface import SurfaceStats
 
 
@@ -128,6 +129,17 @@ class Measured(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Repeated(Event):
+    """Another map was taken, to see whether the part has settled."""
+
+    name: ClassVar[str] = "repeated"
+    maps: Annotated[int, "maps of this measurement so far"]
+    change_nm: Annotated[float, "RMS by which it differs from the one before"]
+    limit_nm: Annotated[float, "what that may be"]
+    notes: Annotated[Sequence[str], "the same in words"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GateStopped(Event):
     """The gate stopped a map: another lay explains it better than the last pass."""
 
@@ -157,6 +169,20 @@ class Solved(Event):
     certificate: Annotated[
         Certificate, "`predicted_rms_nm`, `kkt_residual`, `dwell_total_s` and all else that `certificate.json` has"
     ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TouchedOff(Event):
+    """The tool met the part at three places, and their heights say how it sits."""
+
+    name: ClassVar[str] = "touched_off"
+    seat: Annotated[
+        Seat,
+        "`height_mm`: how much too high the centre is; `tilt_deg` about x and y; `off_mm` of each place; `worst_mm`: "
+        "most that any point of the part is off",
+    ]
+    most_off_mm: Annotated[float, "what that may be"]
+    notes: Annotated[Sequence[str], "the same in words"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -233,7 +259,7 @@ class PlanWritten(Event):
 
 
 EVENTS: tuple[type[Event], ...] = (
-    Opened, StateChanged, Ordered, Held, Failed, Measured, GateStopped, Learned, Solved, PassBegun, Progress, PassEnded,
-    JobFinished, NotificationFailed, PlanWritten,
+    Opened, StateChanged, Ordered, Held, Failed, Measured, Repeated, GateStopped, Learned, Solved, TouchedOff,
+    PassBegun, Progress, PassEnded, JobFinished, NotificationFailed, PlanWritten,
 )  # fmt: skip
 """Every kind, in the order in which they come in a job."""

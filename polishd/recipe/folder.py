@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,13 @@ class RunFolder:
     def holds(self, name: str) -> bool:
         """Whether the file is there."""
         return (self.path / name).exists()
+
+    def set_aside(self, name: str, patterns: Sequence[str]) -> None:
+        """Move files into a subfolder of that name."""
+        folder = RunFolder(self.path / name)
+        folder.create()
+        for path in [path for pattern in patterns for path in self.path.glob(pattern)]:
+            path.replace(folder.path / path.name)
 
     def write(self, files: Mapping[str, bytes]) -> None:
         """What a record leaves (its ``files``)."""

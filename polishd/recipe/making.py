@@ -13,6 +13,7 @@ from polishd.model.errors import ConfigError, SurfaceError
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
 from polishd.recipe.files import read_map
+from polishd.recipe.handling import between_of, touch_off_of
 from polishd.recipe.recipe import Recipe
 
 
@@ -52,13 +53,15 @@ def require_commissioned(config: CellConfig, recipe: Recipe) -> None:
 def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
     """Everything that the computing steps need; ConfigError names the key that no loaded plugin serves."""
     solvers = hooks.dwell_solvers()
+    program = _named(config, "program.format", config.program.format, hooks.program_formats())
+    instrument = instrument_of(config)
     cross_check = config.dwell.cross_check
     return Recipe(
         part=config.part,
         program=config.program,
         dwell=config.dwell,
         job=config.job,
-        instrument=instrument_of(config),
+        instrument=instrument,
         spike_mads=config.instrument.spike_mads,
         nominal=nominal_of(config, hooks),
         grid_mm=config.process.grid_mm,
@@ -71,11 +74,13 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
         correction=config.process.correction,
         envelope=config.envelope(),
         max_rate_change=config.limits.max_rate_change,
-        format=_named(config, "program.format", config.program.format, hooks.program_formats()),
+        format=program,
         model=_named(config, "process.removal_model", config.process.removal_model, hooks.removal_models()),
         solver=_named(config, "dwell.solver", config.dwell.solver, solvers),
         cross_check=_named(config, "dwell.cross_check", cross_check, solvers) if cross_check else None,
         tolerance=tuple(line for section in config.tolerance for line in section.lines),
+        touch_off=touch_off_of(config, program),
+        between=between_of(config, instrument),
     )
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from polishd.config.sections import DwellSection, JobSection, PartSection, ProgramSection
 from polishd.hookspecs import DwellSolver, ProgramFormat, RemovalModel
+from polishd.model.handling import NOTHING, Between, TouchOff
 from polishd.model.instrument import Instrument
 from polishd.model.limits import Envelope
 from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Optic, Placement, ToolProcess
@@ -44,6 +45,9 @@ class Recipe:
     cross_check: DwellSolver | None
     tolerance: tuple[Line, ...] = ()
     """The drawing's lines; none where the job has the short form."""
+    touch_off: TouchOff | None = None
+    """How the part's seat is proved; None: nobody proves it."""
+    between: Between = NOTHING
 
     @property
     def lines(self) -> tuple[Line, ...]:

@@ -87,6 +87,12 @@ def condition(
     )
 
 
+def change_nm(recipe: Recipe, before: Measured, after: Measured) -> float:
+    """RMS in the clear aperture of what changed from one measurement to the next, without its alignment."""
+    changed = metrics.without(after.height_nm - before.height_nm, before.metric_mask, _unknown(recipe))
+    return float(np.sqrt(np.mean(changed[before.metric_mask] ** 2)))
+
+
 def in_part_frame(recipe: Recipe, program: Program) -> Program:
     """The same program with its points and axes in the part's frame; one that is there already stays."""
     if program.frame == "part":
@@ -148,9 +154,7 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
     measured = done.before.height_nm - done.after.height_nm
     low, high = 1 - recipe.max_rate_change, 1 + recipe.max_rate_change
     allowed = (low / believed.rate, high / believed.rate)
-    # the part is set up anew for each map: nobody knows how much of a tilt was removed, even where tilt is figure
-    unknown: metrics.Removal = "power" if recipe.part.alignment == "power" else "tilt"
-    verdict = gate.judge(predicted, measured, mask, grid.pitch_mm, allowed, removal=unknown)
+    verdict = gate.judge(predicted, measured, mask, grid.pitch_mm, allowed, removal=_unknown(recipe))
     if verdict.stop:
         return Taught(believed, verdict, grid)
     evidence = Evidence(
@@ -167,6 +171,11 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
     envelope = envelope_of(recipe, program, believed)
     overhead = motion.learn_overhead_s(program, done.asked_s, done.executed_s, envelope)
     return Taught(Believed(lesson.beliefs, overhead), verdict, grid, lesson.found, lesson.notes)
+
+
+def _unknown(recipe: Recipe) -> metrics.Removal:
+    """Of the change from one map to the next: the part is set up anew for each, even where tilt is figure."""
+    return "power" if recipe.part.alignment == "power" else "tilt"
 
 
 def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan:

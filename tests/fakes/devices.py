@@ -200,12 +200,18 @@ class FakeActuator(FakeDevice):
         self.reads: Callable[[ForceSample], ForceSample] = lambda sample: sample
         self.silent = False
         self.ends = False
+        self.touch_mm: Callable[[], float | None] = lambda: 5.0
+        """Position at which it meets the part; None: nothing is there."""
+        self.position_mm = 0.0
 
     async def set_force(self, force_n: float) -> None:
         await self.did("set_force", f" {force_n:g}")
         if self.retracted and force_n:
             self.retracted = False
-            await self.clock.until(self.clock.at_s + self.landing_s)
+            touch_mm, begun_s = self.touch_mm(), self.clock.at_s
+            while touch_mm is None or self.position_mm < touch_mm:
+                self.position_mm = min(5.0 * (self.clock.at_s - begun_s) / self.landing_s, touch_mm or 10.0)
+                await self.clock.until(self.clock.at_s + SAMPLE_S)
         self.force_n = force_n
 
     async def samples(self) -> AsyncIterator[ForceSample]:
@@ -213,7 +219,8 @@ class FakeActuator(FakeDevice):
             if self.silent:
                 await asyncio.Event().wait()
             touching = not self.retracted and self.force_n > 0
-            sample = ForceSample(self.clock.at_s, self.force_n, self.force_n, touching, self.retracted)
+            position_mm = 0.0 if self.retracted else self.position_mm
+            sample = ForceSample(self.clock.at_s, self.force_n, self.force_n, touching, self.retracted, 0, position_mm)
             yield self.reads(sample)
             self.clock.advance(SAMPLE_S)
             await asyncio.sleep(0)
@@ -230,7 +237,7 @@ class FakeActuator(FakeDevice):
         self.force_n = 0.0
         if not self.retracted:
             await self.clock.until(self.clock.at_s + self.lifting_s)
-            self.retracted = True
+            self.retracted, self.position_mm = True, 0.0
             self.events.append("lifted")
 
 

@@ -38,14 +38,17 @@ PATIENT: Sections = {
 PATIENT_SIM: Sections = {"robot": {"watchdog_s": 20.0}, "spindle": {"watchdog_s": 6.0}}
 
 
-def write_small(out: Path, *, report: bool = False, patient: bool = True, **job: Any) -> DemoFiles:
-    """The demo's files with a small part, so that a pass takes seconds."""
+def write_small(
+    out: Path, *, report: bool = False, patient: bool = True, touch_off: bool = False, **job: Any
+) -> DemoFiles:
+    """The demo's files with a small part, so that a pass takes seconds; its seat is proved where it is asked for."""
     from polishd.console.demo_files import write_demo
 
     files = write_demo(out, None, 2.0, 4, None)
     part = {"part": {"aperture_mm": APERTURE_MM}, "job": job}
     cell = with_values(files.cell.read_text(), part)
     assert REPORT in cell
+    cell = cell if touch_off else without(cell, "touch_off")
     files.cell.write_text(cell if report else cell.replace(REPORT, ""))
     sim = {"plant": {"aperture_mm": APERTURE_MM, "pv_nm": 100.0}}
     files.sim.write_text(with_values(files.sim.read_text(), sim))
@@ -68,6 +71,13 @@ def with_keys(text: str, sections: Sections) -> str:
         elif line.partition("=")[0].strip() not in wanted:
             lines.append(line)
     return "\n".join(lines) + "\n"
+
+
+def without(text: str, section: str) -> str:
+    """The TOML text less one of its sections."""
+    head, found, rest = text.partition(f"[{section}]")
+    assert found
+    return head + "[" + rest.partition("\n[")[2]
 
 
 @contextlib.contextmanager

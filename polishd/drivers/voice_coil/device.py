@@ -178,6 +178,7 @@ class VoiceCoil:
                 in_contact=reading.state is State.CONTACT,
                 retracted=reading.state is State.RETRACTED,
                 fault=reading.fault,
+                position_mm=reading.position_um / 1000,
             )
             due = max(due + BEAT_S, time.monotonic())
             await asyncio.sleep(due - time.monotonic())

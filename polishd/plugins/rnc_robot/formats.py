@@ -9,6 +9,7 @@ from polishd.model.program import Encoding
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot import languages
 from polishd.plugins.rnc_robot.dialect import AnyDialect, Dialect
+from polishd.plugins.rnc_robot.make import path_program
 from polishd.plugins.rnc_robot.nc import program as nc
 from polishd.plugins.rnc_robot.nc.recode import recode
 
@@ -32,6 +33,12 @@ def rewrite(dialect: AnyDialect, program: Program, time_s: FloatArray, encoding:
     return languages.rewrite(dialect, program, time_s)
 
 
+def make(dialect: Dialect, points_mm: FloatArray, axis: FloatArray, feed_mm_min: float, name: str) -> bytes:
+    """A program along (n, 3) points with (n, 3) tool axes, time in its feeds. ProgramError."""
+    return path_program(points_mm, axis, feed_mm_min, name, to=dialect)
+
+
 def format_of(dialect: AnyDialect) -> ProgramFormat:
     """What the daemon knows of a dialect."""
-    return ProgramFormat(dialect.name, partial(read, dialect), partial(rewrite, dialect))
+    made = partial(make, dialect) if isinstance(dialect, Dialect) else None
+    return ProgramFormat(dialect.name, partial(read, dialect), partial(rewrite, dialect), made)

@@ -21,6 +21,9 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 T = TypeVar("T")
 
+NOTED = ("learned.json", "settling.json", "touch_off.json")
+"""Files of a cycle that say something for people, each where it came to that."""
+
 EXECUTED_COLUMNS = frozenset({"seq", "start_s", "end_s", "contact"})
 
 
@@ -83,7 +86,7 @@ class Cycle:
     executed: Executed | None
     files: tuple[str, ...]
     notes: tuple[str, ...] = ()
-    """What was said of what the pass before it taught."""
+    """What was said of what the pass before it taught, of the part's settling, and of its seat."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,10 +158,13 @@ class _Reader:
                 executed = self.read(folder / "executed.csv", _executed)
         files = (entry.relative_to(self.root).as_posix() for entry in folder.iterdir() if entry.is_file())
         name = "plan" if folder == self.root else folder.name
-        learned = folder / "learned.json"  # which a first measurement has not
-        notes = (self.json(learned) or {}).get("notes") if learned.exists() else None
-        said = tuple(map(str, notes)) if isinstance(notes, list) else ()
-        return Cycle(name, surface, plan, certificate, executed, tuple(sorted(files)), said)
+        said = [note for file in NOTED for note in self.notes(folder / file)]
+        return Cycle(name, surface, plan, certificate, executed, tuple(sorted(files)), tuple(said))
+
+    def notes(self, path: Path) -> list[str]:
+        """What a file says for people; nothing where it is not there."""
+        notes = (self.json(path) or {}).get("notes") if path.exists() else None
+        return [str(note) for note in notes] if isinstance(notes, list) else []
 
     def surface(self, path: Path) -> Surface | None:
         """``surface.npz``; without a mask, all data count."""

@@ -152,6 +152,7 @@ def facts_of(folder: RunFolder) -> list[tuple[str, str]]:
         ("tolerance", f"{tolerance} nm" if tolerance else words.tolerance(rows)),
         ("passes", "" if folder.planned or not rows else words.passes(rows)),
         ("process time", duration(rows, "dwell_s" if folder.planned else "executed_s")),
+        ("time on the wall", words.spent(summary.get("phase_times_s"))),
         ("correction", text(summary.get("correction"))),
         ("job", text(summary.get("job"))),
         ("started", when(summary.get("started"))),

@@ -18,7 +18,18 @@ def duration(rows: Rows, key: str) -> str:
     values = [row[key] for row in rows if isinstance(row.get(key), int | float)]
     if not values:
         return ""
-    minutes, seconds = divmod(round(sum(values)), 60)
+    return _long(sum(values))
+
+
+def spent(phase_times_s: Any) -> str:
+    """How long each phase took; empty where nobody says."""
+    times = phase_times_s.items() if isinstance(phase_times_s, Mapping) else ()
+    told = [f"{name.replace('_', '-')} {_long(value)}" for name, value in times if isinstance(value, int | float)]
+    return ", ".join(told)
+
+
+def _long(seconds: float) -> str:
+    minutes, seconds = divmod(round(seconds), 60)
     return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min {seconds:02d} s"
 
 

@@ -12,7 +12,10 @@ RETRACTED, EXTENDING, CONTACT, RETRACTING, FAULT = range(5)
 WATCHDOG, OVER_FORCE, DRIVE, ENCODER = 1, 2, 4, 8
 
 TOUCH_UM = 5000.0
+"""Where the tool's tip is where the program says: there it meets a part that lies where it should."""
 STROKE_UM = 10000.0
+FOLLOWS_UM = 50.0
+"""The bonnet keeps touching a surface that moves away from it by so much within a step."""
 LIFTED_UM = 200.0
 """So far from the touch the tool counts as lifted."""
 RISE_N_S = 240.0
@@ -48,8 +51,8 @@ class VoiceCoil:
     watchdog_ms: int = 500
     heartbeat: int = 0
     engaged: bool = False
-    near: bool = False
-    """Whether the part is within reach of the tool, as the plant says."""
+    touch_um: float | None = None
+    """Position at which the tool meets the part, as the plant says; None: nothing is within its reach."""
     faults: int = 0
     position_um: float = 0.0
     force_n: float = 0.0
@@ -62,6 +65,8 @@ class VoiceCoil:
     _clung_s: float = 0.0
     _fed_s: float = 0.0
     _touching: bool = False
+    _touched_um: float = TOUCH_UM
+    """Where it met the part last."""
     _contact_s: float = 0.0
     _noise: float = 0.0
 
@@ -142,12 +147,13 @@ class VoiceCoil:
                 self._changed(before)
 
     def _extend(self, dt: float) -> None:
-        target = TOUCH_UM if self.near else STROKE_UM
-        step_um = TOUCH_UM / self.pace.land_s * dt
-        self.position_um = min(self.position_um + step_um, max(target, self.position_um))
-        if self.near:
-            self.position_um = min(self.position_um, TOUCH_UM)
-        touching = self.near and self.position_um >= TOUCH_UM
+        touch_um = self.touch_um
+        self.position_um += TOUCH_UM / self.pace.land_s * dt
+        self.position_um = min(self.position_um, STROKE_UM if touch_um is None else touch_um)
+        give_um = FOLLOWS_UM if self._touching else 0.0
+        touching = touch_um is not None and self.position_um >= touch_um - give_um
+        if touching:
+            self._touched_um = self.position_um
         if touching != self._touching:
             self.report("tool_landed" if touching else "contact_lost", self.now_s)
         self._touching = touching
@@ -170,10 +176,11 @@ class VoiceCoil:
             return
         if self.position_um <= 0.0:
             return
-        above = self.position_um > TOUCH_UM - LIFTED_UM
+        lifted_um = self._touched_um - LIFTED_UM
+        above = self.position_um > lifted_um
         lift_s = self.pace.lift_s * (1.0 - self.pace.cling)
         self.position_um = max(self.position_um - TOUCH_UM / lift_s * dt, 0.0)
-        if above and self.position_um <= TOUCH_UM - LIFTED_UM:
+        if above and self.position_um <= lifted_um:
             self.report("tool_lifted", self.now_s)
         if self.position_um == 0.0:
             self.report("retracted", self.now_s)

@@ -31,13 +31,13 @@ async def main(runtime: Runtime) -> None:
         now_s=time.monotonic(),
         pace=Pace(config.land_s / speed, config.lift_s / speed, config.cling, config.rest_n),
         stuck_after_s=config.faults.stuck_force_after_s,
-        near=bool(runtime.link.welcome.get("near")),
+        touch_um=runtime.link.welcome.get("touch_um"),
     )
 
     def on_message(message: Message | FloatArray) -> None:
-        if isinstance(message, dict) and "near" in message:
+        if isinstance(message, dict) and "touch_um" in message:
             coil.step(time.monotonic())
-            coil.near = bool(message["near"])
+            coil.touch_um = message["touch_um"]
 
     runtime.link.on_message = on_message
     wire = Wire(runtime, config.faults, lambda outlet: _feed(runtime, coil, outlet))

@@ -62,15 +62,19 @@ class Account:
         if book is not None and len(seq):
             np.add.at(book, seq.astype(np.int64), seconds)
 
-    def stand(self, x_mm: float, y_mm: float, at_s: float, seconds: float) -> None:
-        """Contact at standstill."""
+    def stand(
+        self, x_mm: float, y_mm: float, at_s: float, seconds: float, *, force_n: float = 0.0, rpm: float = 0.0
+    ) -> None:
+        """Contact at standstill, under that force and at that speed of the spindle."""
         self.standstill_s += seconds
         last = self.stands[-1] if self.stands else None
         if last and at_s - last["until_s"] < 0.5 and abs(last["x_mm"] - x_mm) + abs(last["y_mm"] - y_mm) < 0.01:
             last["seconds"] += seconds
             last["until_s"] = at_s
+            last["most_n"], last["most_rpm"] = max(last["most_n"], force_n), max(last["most_rpm"], rpm)
         else:
-            self.stands.append({"x_mm": x_mm, "y_mm": y_mm, "from_s": at_s, "until_s": at_s, "seconds": seconds})
+            times = {"from_s": at_s, "until_s": at_s, "seconds": seconds}
+            self.stands.append({"x_mm": x_mm, "y_mm": y_mm, **times, "most_n": force_n, "most_rpm": rpm})
 
     def write(self, folder: Path, part: TruePart, process_s: float) -> None:
         """``dwell_account.json`` and ``truth.npz``, each replaced whole."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage, optimize
 
-from polishd.config.simulator import Plant
+from polishd.config.simulator import Plant, SimConfig
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.sim_backends import metropro
 
@@ -75,6 +75,13 @@ def from_map(path: Path, config: Plant) -> TruePart:
     inside = ndimage.distance_transform_edt(np.pad(outline, 1))[1:-1, 1:-1] * data.pitch_mm
     height = fill(np.pad(data.height_nm, pad, constant_values=np.nan))
     return TruePart(grid, height, pad, valid, valid & (inside > config.edge_mm), data.origin_px)
+
+
+def swelling_nm(part: TruePart, config: SimConfig, since_s: float) -> FloatArray:
+    """(map rows, map columns) by which the part stands higher so long after a pass (simulated clock): it is warm."""
+    rows, columns = part.valid.shape
+    radius = Grid(rows, columns, part.grid.pitch_mm).radius_mm() * 2.0 / config.plant.aperture_mm
+    return np.asarray(config.truth.warm_nm * math.exp(-since_s / config.truth.warm_s) * radius**2)
 
 
 def fill(height_nm: FloatArray) -> FloatArray:

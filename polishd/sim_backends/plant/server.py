@@ -41,7 +41,7 @@ class PlantServer:
     """When a measurement was asked for that is not served yet."""
     write_s: float = math.inf
     """The account is written once everything before that time is integrated."""
-    _near: bool = False
+    _touch_um: float | None = None
     _summary: tuple[float, int] = (0.0, -1)
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -73,7 +73,7 @@ class PlantServer:
         horizon = min(now, self.robot_mark, self.world.force.mark_s, self.world.rpm.mark_s)
         for wall, process in self.world.integrate(horizon):
             self.witness.clock(wall, process)
-        self._tell_near()
+        self._tell_touch()
         self._measure(horizon)
         if horizon >= self.write_s:
             self.write_s = math.inf
@@ -101,7 +101,7 @@ class PlantServer:
             self.robot_mark = at_s
         elif device in {"actuator", "spindle"}:
             self._timeline(device).connect(at_s)
-        welcome = {"pose": list(world.pose), "near": world.near, "pitch_mm": world.part.grid.pitch_mm}
+        welcome = {"pose": list(world.pose), "touch_um": world.touch_um, "pitch_mm": world.part.grid.pitch_mm}
         writer.write(bus.pack_json({**welcome, "origin_px": list(world.part.origin_px)}))
 
     def _leave(self, device: str) -> None:
@@ -149,17 +149,18 @@ class PlantServer:
             self._summary = (wall, seq)
             self.witness.add("robot", "blocks", wall, at_seq=seq)
 
-    def _tell_near(self) -> None:
-        near = self.world.near
-        if near != self._near and "actuator" in self.writers:
-            self._near = near
-            self.writers["actuator"].write(bus.pack_json({"near": near}))
+    def _tell_touch(self) -> None:
+        touch_um = self.world.touch_um
+        if touch_um != self._touch_um and "actuator" in self.writers:
+            self._touch_um = touch_um
+            self.writers["actuator"].write(bus.pack_json({"touch_um": touch_um}))
 
     def _measure(self, horizon_s: float) -> None:
         if self.asked_s is None or horizon_s < max(self.asked_s, self.safe_s) or self.moving or self.extended:
             return
         self.asked_s = None
-        seen = self.world.part.map_nm()
+        since_s = (horizon_s - self.world.polished_s) * self.start.speed
+        seen = self.world.part.map_nm() + parts.swelling_nm(self.world.part, self.start.config, since_s)
         rms, pv = self.world.part.stats()
         self.witness.add("plant", "measured", horizon_s, true_rms_nm=round(rms, 4), true_pv_nm=round(pv, 4))
         self._write()

@@ -21,6 +21,8 @@ from polishd.sim_backends.truth import HiddenTruth
 
 REACH_MM = 4.5
 """So far the actuator's stroke lets the bonnet follow the surface."""
+TOUCH_UM = 5000.0
+"""The actuator's position in which the tool's tip is where the program says."""
 TOUCH_N = 0.02
 SEQ, WALL0, WALL1, DT, X = range(len(ROW) - 4)
 GAP_S = 1e-5
@@ -43,6 +45,8 @@ class World:
     rpm: Timeline = field(default_factory=Timeline)
     account: Account = field(default_factory=Account)
     process_s: float = 0.0
+    polished_s: float = -math.inf
+    """Wall time of the last contact of a tool that turned."""
     _queue: list[tuple[str, FloatArray]] = field(default_factory=list)
     _noise: float = 0.0
     _frames: Frames = field(init=False)
@@ -85,10 +89,12 @@ class World:
         self.pose = (x, y, z, a, c)
 
     @property
-    def near(self) -> bool:
-        """Whether the tool's tip is within reach of the part's surface."""
-        place, _ = self._frames.in_part(np.array([self.pose]))
-        return bool(self._within(place)[0])
+    def touch_um(self) -> float | None:
+        """Position of the actuator, um, at which the tool meets the part; None where nothing is within its reach."""
+        place, axis = self._frames.in_part(np.array([self.pose]))
+        if not self._within(place)[0]:
+            return None
+        return round(TOUCH_UM + 1000.0 * float(self._gap_mm(place)[0] / axis[0, 2]), 0)
 
     def integrate(self, horizon_s: float) -> list[tuple[float, float]]:
         """Wear the part; returns (wall, process) pairs of the clocks."""
@@ -119,6 +125,9 @@ class World:
         begin = self.process_s + np.cumsum(rows[:, DT]) - rows[:, DT]
         rows, force, place, axis, begin = (v[touching] for v in (rows, force, place, axis, begin))
         force = force * (1.0 + self._force_noise(rows[:, DT]))
+        rpm = np.abs(self.rpm.at(middle[touching]))
+        if rpm.any():
+            self.polished_s = float(rows[-1, WALL1])
         before = None if self.account.way_out is None else self.part.height_nm.copy()
         compliance = equivalent_compliance(
             self.hidden.robot, *self._frames.in_base(place, axis), self._frames.to_base[:, 2]
@@ -130,10 +139,10 @@ class World:
             centre_mm=place[:, :2],
             axis=axis,
             depth_mm=worn_depth_mm(self.tool, force, axis, compliance),
-            rpm=np.abs(self.rpm.at(middle[touching])),
+            rpm=rpm,
             seconds=rows[:, DT] * np.array([self.hidden.rate_at(t) for t in begin]),
         )
-        self._book(program, rows, place)
+        self._book(program, rows, place, np.stack([force, rpm], axis=1))
         if before is not None:
             self._book_way_out(rows, before - self.part.height_nm)
 
@@ -154,17 +163,28 @@ class World:
             way_out.standing_s += float(seconds[standing].sum())
             way_out.standing_nm += removed_nm
 
-    def _book(self, program: str, rows: FloatArray, place: FloatArray) -> None:
+    def _book(self, program: str, rows: FloatArray, place: FloatArray, acted: FloatArray) -> None:
+        """``acted`` (n, 2): force in N and spindle speed in rpm."""
         moving = rows[:, SEQ] >= 0
         self.account.dwell(program, rows[moving, SEQ], rows[moving, DT])
-        for row, spot in zip(rows[~moving], place[~moving], strict=True):
-            self.account.stand(float(spot[0]), float(spot[1]), float(row[WALL1]), float(row[DT]))
+        for row, spot, (force_n, rpm) in zip(rows[~moving], place[~moving], acted[~moving].tolist(), strict=True):
+            self.account.stand(
+                float(spot[0]), float(spot[1]), float(row[WALL1]), float(row[DT]), force_n=force_n, rpm=rpm
+            )
 
     def _within(self, place: FloatArray) -> BoolArray:
         grid = self.part.grid
         half_x, half_y = grid.nx * grid.pitch_mm / 2.0, grid.ny * grid.pitch_mm / 2.0
         flat = (np.abs(place[:, 0]) <= half_x) & (np.abs(place[:, 1]) <= half_y)
-        return np.asarray(flat & (np.abs(place[:, 2]) <= REACH_MM))
+        if self.config.plant.seat_empty:
+            flat &= np.hypot(place[:, 0], place[:, 1]) > self.config.plant.aperture_mm / 2.0
+        return np.asarray(flat & (np.abs(self._gap_mm(place)) <= REACH_MM))
+
+    def _gap_mm(self, place: FloatArray) -> FloatArray:
+        """(n,) from the part, as it truly sits, up to the tool's tip."""
+        plant = self.config.plant
+        about_x, about_y = (math.tan(math.radians(angle)) for angle in plant.seat_tilt_deg)
+        return np.asarray(place[:, 2] - plant.seat_height_mm - about_x * place[:, 1] + about_y * place[:, 0])
 
     def _force_noise(self, seconds: FloatArray) -> FloatArray:
         """Relative force error, correlated over ``force_noise_s`` of process time."""

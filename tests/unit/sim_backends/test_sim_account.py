@@ -124,14 +124,14 @@ def test_a_device_is_told_where_things_are(server: PlantServer) -> None:
     robot, actuator = arrive(server, "robot", now), arrive(server, "actuator", now)
     assert robot.told("pose") == [list(SMALL.robot.home)]
     assert robot.told("pitch_mm") == [0.5]
-    assert actuator.told("near") == [False]
+    assert actuator.told("touch_um") == [None]
     server._hear("robot", {"mark": now + 0.1, "pose": [0.0, 0.0, 0.0, 15.0, 0.0]})
-    server._tell_near()
-    server._tell_near()
-    assert actuator.told("near") == [False, True], "once for each change"
+    server._tell_touch()
+    server._tell_touch()
+    assert actuator.told("touch_um") == [None, 5000.0], "once for each change"
     server._hear("robot", {"mark": now + 0.2, "pose": [0.0, 0.0, 9.0, 15.0, 0.0]})
-    server._tell_near()
-    assert actuator.told("near") == [False, True, False]
+    server._tell_touch()
+    assert actuator.told("touch_um") == [None, 5000.0, None]
 
 
 def test_a_measurement_waits_for_the_tool_and_the_robot(server: PlantServer) -> None:

@@ -17,13 +17,13 @@ from tests.unit.sim_backends.vectors import vectors
 class Bench:
     """A coil on a bench, with its log."""
 
-    def __init__(self, near: bool = True, **options: Any) -> None:
+    def __init__(self, touch_um: float | None = 5000.0, **options: Any) -> None:
         self.log = []
         self.coil = VoiceCoil(
             rng=np.random.default_rng(1),
             report=lambda name, at_s, **data: self.log.append((name, at_s)),
             now_s=0.0,
-            near=near,
+            touch_um=touch_um,
             **options,
         )
 
@@ -58,8 +58,23 @@ def test_it_lands_and_presses() -> None:
     assert bench.names == ["force_setpoint", "engage", "tool_landed", "force_on"]
 
 
+@pytest.mark.parametrize("touch_um", [4500.0, 5300.0])
+def test_its_position_is_where_the_part_is(touch_um: float) -> None:
+    bench = Bench(touch_um=touch_um).pressed(0.8)
+    assert (bench.coil.state, bench.coil.position_um) == (CONTACT, touch_um)
+
+
+def test_it_follows_a_surface_that_slopes() -> None:
+    bench = Bench().pressed()
+    for touch_um in (5001.0, 5010.0, 4990.0):
+        bench.coil.touch_um = touch_um
+        bench.until(bench.coil.now_s + 0.1)
+        assert (bench.coil.position_um, bench.coil.force_n) == (touch_um, 12.0)
+    assert "contact_lost" not in bench.names
+
+
 def test_without_a_part_it_finds_nothing_to_press() -> None:
-    bench = Bench(near=False).pressed()
+    bench = Bench(touch_um=None).pressed()
     assert (bench.coil.state, bench.coil.force_n) == (EXTENDING, 0.0)
     assert bench.coil.position_um == 10000.0
 
@@ -102,7 +117,7 @@ def test_samples_describe_the_force_without_a_gap() -> None:
 
 def test_a_part_that_goes_away_takes_the_force_with_it() -> None:
     bench = Bench().pressed()
-    bench.coil.near = False
+    bench.coil.touch_um = None
     bench.until(0.4)
     assert (bench.coil.state, bench.coil.force_n) == (EXTENDING, 0.0)
     assert "contact_lost" in bench.names

@@ -27,9 +27,9 @@ LIMITS = Limits(
 )
 
 
-def world(hidden: Truth = PERFECT, pose: Pose = HOME) -> World:
+def world(hidden: Truth = PERFECT, pose: Pose = HOME, **seat: Any) -> World:
     """A small flat part that the tool touches with 12 N at 1000 rpm from the start."""
-    config = SimConfig(plant=Plant(aperture_mm=40.0, rms_nm=0.0), truth=hidden)
+    config = SimConfig(plant=Plant(aperture_mm=40.0, rms_nm=0.0, **seat), truth=hidden)
     made = World(
         config,
         truth.draw(hidden, 1),
@@ -137,15 +137,42 @@ def test_a_tool_that_stands_in_contact_digs_a_pit() -> None:
 @pytest.mark.parametrize(("z", "near"), [(0.0, True), (4.4, True), (4.6, False), (-4.6, False), (30.0, False)])
 def test_reach(z: float, near: bool) -> None:
     plant = world(pose=(0.0, 0.0, z, 15.0, 0.0))
-    assert plant.near is near
+    assert (plant.touch_um is not None) is near
     plant.stand_until(0.1)
     plant.integrate(math.inf)
     assert bool(plant.part.height_nm.any()) is near
 
 
 def test_beside_the_ring_there_is_nothing_to_touch() -> None:
-    assert not world(pose=(60.0, 0.0, 0.0, 15.0, 0.0)).near
-    assert world(pose=(30.0, 0.0, 0.0, 15.0, 0.0)).near
+    assert world(pose=(60.0, 0.0, 0.0, 15.0, 0.0)).touch_um is None
+    assert world(pose=(30.0, 0.0, 0.0, 15.0, 0.0)).touch_um == 5000.0
+
+
+@pytest.mark.parametrize(
+    ("seat", "touch_um"),
+    [
+        ({"seat_height_mm": 0.5}, 5000.0 - 500.0 / math.cos(math.radians(15))),
+        ({"seat_tilt_deg": (1.0, 0.0)}, 5000.0 - 1000.0 * 9.0 * math.tan(math.radians(1)) / math.cos(math.radians(15))),
+        ({"seat_tilt_deg": (0.0, 1.0)}, 5000.0 + 1000.0 * 6.0 * math.tan(math.radians(1)) / math.cos(math.radians(15))),
+        ({"seat_empty": True}, None),
+    ],
+)
+def test_the_tool_meets_the_part_where_it_truly_sits(seat: dict[str, Any], touch_um: float | None) -> None:
+    """A part that is turned about x rises towards +y; about y, it falls towards +x."""
+    found = world(pose=(6.0, 9.0, 0.0, 15.0, 0.0), **seat).touch_um
+    assert found == (touch_um if touch_um is None else pytest.approx(touch_um, abs=1.0))
+
+
+def test_a_tool_that_rests_without_turning_removes_nothing_and_is_booked() -> None:
+    plant = world()
+    plant.force.push([(0.0, 12.0), (0.0, 0.8)], math.inf)
+    plant.rpm.push([(0.0, 1000.0), (0.0, 0.0)], math.inf)
+    plant.stand_until(2.0)
+    plant.integrate(math.inf)
+    assert not plant.part.height_nm.any()
+    assert not math.isfinite(plant.polished_s)
+    (stand,) = plant.account.stands
+    assert (stand["most_n"], stand["most_rpm"]) == (pytest.approx(0.8), 0.0)
 
 
 def test_the_truth_scales_removal() -> None:

@@ -1,0 +1,190 @@
+"""Beside polishing: the part is cleaned, measured until it has settled, its pad conditioned, and its seat proved.
+
+All of it happens out of contact, but for the touch-off. There the tool rests on the part with at most 1 N and a spindle
+that stands: what does not slide removes nothing, whatever it presses (Preston: pressure times speed). It is contact all
+the same, watched and left like any other (``safety.contact``).
+"""
+
+from __future__ import annotations
+
+import logging
+from contextlib import aclosing
+from dataclasses import asdict
+
+import numpy as np
+
+from polishd.daemon.cell import Cell
+from polishd.daemon.command import run_command
+from polishd.daemon.job import Job
+from polishd.daemon.journal import Journal
+from polishd.daemon.safety import ContactLimits, contact, in_band
+from polishd.daemon.stream import Stream, streaming
+from polishd.model import events
+from polishd.model.cycle import Phase
+from polishd.model.errors import DeviceError, DeviceRefused, HandlingError, NotSettled, PlanRefused, WrongSeat
+from polishd.model.handling import Seat, Settle, Step, TouchOff
+from polishd.model.program import Plan
+from polishd.process.seat import seat_of
+from polishd.recipe import steps, touch_off
+from polishd.recipe.records import Measured
+
+log = logging.getLogger(__name__)
+
+FORCE_BAND = 0.25
+"""Of the touch-off: with 0.8 N no more than 1 N acts."""
+READINGS = 5
+"""Of the position, whose mean counts: 0.25 s."""
+
+
+class Handling:
+    """What one who polishes does besides. A seat once proved stays so until somebody may have touched the part."""
+
+    def __init__(self, cell: Cell, job: Job, journal: Journal) -> None:
+        self._cell = cell
+        self._job = job
+        self._journal = journal
+        self._seated = False
+
+    async def clean(self, cycle: int) -> None:
+        """What comes between a pass and the next measurement. HandlingError where a person is to do it."""
+        await self._step(cycle, Phase.CLEAN, self._job.recipe.between.clean)
+
+    async def settled(self, cycle: int, surface: Measured) -> Measured:
+        """The measurement that counts: maps are taken until two in a row agree. NotSettled where none do."""
+        settle = self._job.recipe.between.settle
+        if settle is None:
+            return surface
+        async with self._journal.phase(cycle, Phase.SETTLE):
+            return await self._repeated(cycle, surface, settle)
+
+    async def ready(self, cycle: int) -> None:
+        """Pad and seat, before a pass; the links are up. HandlingError, WrongSeat: nothing was polished."""
+        await self._step(cycle, Phase.CONDITION, self._job.recipe.between.condition)
+        asked = self._job.recipe.touch_off
+        if asked is None or (self._seated and not asked.each_pass):
+            return
+        async with self._journal.phase(cycle, Phase.TOUCH_OFF):
+            await self._touch_off(cycle, asked)
+        self._seated = True
+
+    async def _step(self, cycle: int, phase: Phase, step: Step | None) -> None:
+        """Between passes only, and once: a person who resumes has done it, a command that failed is run again."""
+        job = self._job
+        if step is None or not self._journal.passes or (cycle, phase) in job.handled:
+            return
+        async with self._journal.phase(cycle, phase):
+            if step.person:
+                job.handled.add((cycle, phase))
+                raise HandlingError(f"{phase}: {step.person}; that done: polishd resume")
+            part = {"POLISHD_STEP": phase.value, "POLISHD_PART": job.recipe.part.id, "POLISHD_JOB": job.recipe.job.id}
+            await run_command(phase.value, step, {**part, "POLISHD_CYCLE": str(cycle)})
+            job.handled.add((cycle, phase))
+
+    async def _repeated(self, cycle: int, surface: Measured, settle: Settle) -> Measured:
+        job, limit_nm, changes = self._job, settle.limit_nm, list[float]()
+        while len(changes) < settle.maps - 1:
+            await self._cell.clock.sleep(settle.wait_s)
+            await job.set_aside(cycle, len(changes))
+            later = await job.measured(cycle, await self._cell.metrology.next_map(after=self._journal.last_map_id))
+            changes.append(await job.compute(steps.change_nm, job.recipe, surface, later))
+            maps, agree = len(changes) + 1, changes[-1] <= limit_nm
+            notes = [f"{'settled' if agree else 'not settled'}: {maps} maps, the last two {changes[-1]:.2f} nm apart"]
+            told = {"change_nm": changes[-1], "limit_nm": limit_nm}
+            job.publish(events.Repeated(cycle=cycle, maps=maps, notes=notes, **told))
+            await job.leave(cycle, "settling.json", {"settled": agree, **told, "change_nm": changes, "notes": notes})
+            if agree:
+                return later
+            surface = later
+        raise NotSettled(
+            f"the part does not settle: from map to map it changed by {', '.join(f'{one:.2f}' for one in changes)} nm; "
+            f"{limit_nm:.2f} nm are the instrument's noise. To do: look for what warms or moves it; or give it more "
+            "time, between.settle.wait_s or maps"
+        )
+
+    async def _touch_off(self, cycle: int, asked: TouchOff) -> None:
+        job = self._job
+        meets_mm = asked.position_mm or self._cell.limits.actuator.stroke_mm / 2
+        plans = await job.compute(touch_off.plans, job.recipe, asked)
+        if found := [line for plan in plans for line in job.check_plan(plan, job.recipe.envelope)]:
+            raise PlanRefused("the touch-off was refused, nothing moved:\n" + "\n".join(f"  {line}" for line in found))
+        met_mm = [await self._met(asked, place, plan, meets_mm) for place, plan in enumerate(plans)]
+        seat = seat_of(asked, meets_mm - np.array(met_mm))
+        facts, notes = facts_of(asked, seat), [f"the part sits {seat}"]
+        job.publish(events.TouchedOff(cycle=cycle, seat=seat, most_off_mm=asked.most_off_mm, notes=notes))
+        await job.leave(cycle, "touch_off.json", {**facts, "notes": notes})
+        if seat.worst_mm > asked.most_off_mm:
+            raise WrongSeat(_wrong(asked, seat))
+
+    async def _met(self, asked: TouchOff, place: int, plan: Plan, meets_mm: float) -> float:
+        """The actuator's position, mm, where the tool met the part at that place."""
+        cell, job = self._cell, self._job
+        deepest_mm = meets_mm + float(asked.reach_mm[place])
+        limits = ContactLimits(asked.force_n, 0.0, FORCE_BAND, job.contact.grace_s, deepest_mm)
+        feed = streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=cell.limits.buffer_s)
+        async with feed as stream:
+            await stream.approach()
+            try:
+                async with contact(cell, limits):
+                    position_mm = await self._position_mm(limits)
+            except WrongSeat as nothing:
+                await self._away(stream, nothing)
+                raise WrongSeat(_nothing(asked, place, str(nothing))) from nothing
+            await stream.retreat()
+        return position_mm
+
+    async def _position_mm(self, limits: ContactLimits) -> float:
+        """Of readings under the force asked for only; where that does not act, the watch ends the contact."""
+        found: list[float] = []
+        async with aclosing(self._cell.actuator.samples()) as samples:  # type: ignore[type-var]
+            async for sample in samples:
+                if sample.position_mm is None:
+                    raise DeviceRefused(
+                        "the actuator tells no position, and a touch-off needs one: leave [touch_off] out, or take "
+                        "another actuator"
+                    )
+                if in_band(sample, limits):
+                    found.append(sample.position_mm)
+                if len(found) == READINGS:
+                    break
+        return float(np.mean(found))
+
+    async def _away(self, stream: Stream, error: WrongSeat) -> None:
+        """The robot leaves the place too, where the tool is known to be up."""
+        if self._cell.unsafe:
+            return
+        try:
+            await stream.retreat()
+        except DeviceError as late:
+            log.warning("the robot stays at the place of the touch-off: %s", late)
+            error.add_note(str(late))
+
+
+def facts_of(asked: TouchOff, seat: Seat) -> dict[str, object]:
+    """What the run folder keeps of a touch-off."""
+    places = {
+        "places_mm": asked.places_mm[:, :2].round(3).tolist(),
+        "most_off_mm": asked.most_off_mm,
+        "force_n": asked.force_n,
+    }
+    return {"seat": asdict(seat), **places}
+
+
+def _wrong(asked: TouchOff, seat: Seat) -> str:
+    met = "; ".join(
+        f"{abs(off):.2f} mm too {'high' if off > 0 else 'low'} at x {x:.1f}, y {y:.1f} mm"
+        for off, (x, y, _) in zip(seat.off_mm, asked.places_mm.tolist(), strict=True)
+    )
+    return (
+        f"the part sits {seat} ({met}): up to {seat.worst_mm:.2f} mm off, at most {asked.most_off_mm:g} mm "
+        "(touch_off.most_off_mm). Nothing was polished. To do: clean its seat and seat it again; or mend "
+        "part.origin_mm, part.rotation_rpy_deg or touch_off.position_mm"
+    )
+
+
+def _nothing(asked: TouchOff, place: int, said: str) -> str:
+    x, y, _ = asked.places_mm[place].tolist()
+    return (
+        f"no part was found at x {x:.1f}, y {y:.1f} mm down to {asked.most_off_mm:g} mm below where it should be "
+        f"({said}): it is missing, or sits too low. Nothing was polished. To do: seat it; or mend part.origin_mm or "
+        "touch_off.position_mm"
+    )
