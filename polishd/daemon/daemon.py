@@ -180,13 +180,16 @@ class Daemon:
     # what happens in each state
 
     async def _start(self) -> Turn:
-        stop = await unless(self._orders.asked_to_stop(), self._cell.open())
+        stop = await unless(self._orders.asked_to_stop(), self._cell.open(self._busy))
         if stop is not None:
             return Turn(Trigger.STOP, self._stopped_by(stop))
         self.bus.publish(events.Opened(devices=self._cell.identities))
         if (found := await self._made_safe()) is not None:
             return found
         return Turn(Trigger.INTERRUPTED, BEGUN) if self.job.journal.resumed else Turn(Trigger.READY)
+
+    async def _busy(self, what: str) -> None:
+        await self.become(following(self.state, Trigger.BUSY), what)
 
     async def _polish(self) -> Turn:
         self._cell.emergency = False

@@ -19,6 +19,7 @@ PolishdError
       NoDaemon     no daemon runs for this cell: start one
     ProtocolError  the wire speaks, but not what was agreed
     DeviceRefused  the device understood and said no
+      DeviceBusy   it serves another client: a start waits for its watchdog
     DeviceFault    the device says that it is broken
   SafetyStop       the cell left contact by itself                      (7)
 """
@@ -111,6 +112,10 @@ class ProtocolError(DeviceError):
 
 class DeviceRefused(DeviceError):
     """The device understood the command and refused it."""
+
+
+class DeviceBusy(DeviceRefused):
+    """The device serves another client, which may be an earlier run of ours; its own watchdog lets go of that."""
 
 
 class DeviceFault(DeviceError):
