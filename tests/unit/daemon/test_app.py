@@ -449,6 +449,7 @@ class Site:
         (tmp_path / "program.rnc").write_bytes(self.program.text)
         self.config: Any = SimpleNamespace(
             path=self.path,
+            cell=SimpleNamespace(name="bench"),
             state_dir=tmp_path / "state",
             run_dir=tmp_path / "run",
             program_path=tmp_path / "program.rnc",
