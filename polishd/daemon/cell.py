@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
@@ -49,6 +50,8 @@ class Cell:
     """Who answered, since the cell was opened."""
     unsafe: tuple[str, ...] = ()
     """Devices that did not confirm being safe when last asked: ``name: why``."""
+    heard_s: dict[str, float] = field(default_factory=dict)
+    """When each device last answered, by ``time.monotonic``."""
     emergency: bool = False
     """Motion is to stop at once, whatever the part costs: somebody asked for it."""
 
@@ -86,6 +89,10 @@ class Cell:
         """How long things may take in contact, as the job's devices state it."""
         return TimeLimits(self.actuator.times, self.robot.times, self.spindle.times)
 
+    def hears(self, name: str) -> None:
+        """That device has answered."""
+        self.heard_s[name] = time.monotonic()
+
     async def open(self, waiting: Waiting | None = None) -> None:
         """Open and identify all devices; on the first failure close what was opened and raise.
 
@@ -97,6 +104,7 @@ class Cell:
                 await self._opened(name, device, waiting)
                 async with _answering(name):
                     found[name] = await device.identify()
+                self.hears(name)
         except BaseException:
             await self.close()
             raise
@@ -127,6 +135,7 @@ class Cell:
             try:
                 async with _answering(name):
                     await device.status()
+                self.hears(name)
             except LinkError:
                 async with _answering(name):
                     await device.close()

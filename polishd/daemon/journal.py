@@ -86,6 +86,11 @@ class Journal(AbstractContextManager["Journal", None]):
     # what is known: from memory, but for ``executed``
 
     @property
+    def path(self) -> Path:
+        """Its file."""
+        return self._store.path
+
+    @property
     def unsaved_s(self) -> float:
         """For how long the oldest record that is not durable has waited for the disk, s."""
         return self._store.unsaved_s

@@ -21,6 +21,7 @@ PolishdError
     DeviceRefused  the device understood and said no
       DeviceBusy   it serves another client: a start waits for its watchdog
     DeviceFault    the device says that it is broken
+    HostFault      the cell's own computer nears a limit
   SafetyStop       the cell left contact by itself                      (7)
 """
 
@@ -120,6 +121,10 @@ class DeviceBusy(DeviceRefused):
 
 class DeviceFault(DeviceError):
     """The device reports a fault of its own."""
+
+
+class HostFault(DeviceError):
+    """The computer of the cell, or its disk, nears a limit: contact is left before that is reached."""
 
 
 class SafetyStop(PolishdError):
