@@ -55,10 +55,8 @@ class _Line:
                 self._bar.update(self._task, completed=data["block"])
             case "pass_ended" | "job_finished":
                 self._update(AFTER[name].format(cycle=cycle), total=None, note="")
-            case "state" if data["state"] == "held":
-                for word, text in [("held", data["reason"]), *last_words(data, self._cell)]:
-                    self._print(f"{word}: {text}")
-                self._update("held", total=None, note="")
+            case "state":
+                self._state(data)
             case "failed" | "notification_failed":
                 self._print(f"{data.get('kind') or data['notifier']}: {data['error']}", style="red")
             case _:
@@ -73,6 +71,17 @@ class _Line:
         if len(judged := judged_of(data)) > 1:
             held = sum(one.holds for one in judged)
             self._print(f"{held} of {len(judged)} lines of the tolerance hold; the worst: {worst(judged)}")
+
+    def _state(self, data: Mapping[str, Any]) -> None:
+        match data["state"]:
+            case "held":
+                for word, text in [("held", data["reason"]), *last_words(data, self._cell)]:
+                    self._print(f"{word}: {text}")
+                self._update("held", total=None, note="")
+            case "starting" if data["reason"]:
+                self._print(f"starting: {data['reason']}")
+            case _:
+                pass
 
     def _update(self, what: str, **fields: Any) -> None:
         self._bar.update(self._task, description=f"{self._prefix}{what}", **fields)

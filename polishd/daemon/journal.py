@@ -86,6 +86,16 @@ class Journal(AbstractContextManager["Journal", None]):
     # what is known: from memory, but for ``executed``
 
     @property
+    def path(self) -> Path:
+        """Its file."""
+        return self._store.path
+
+    @property
+    def unsaved_s(self) -> float:
+        """For how long the oldest record that is not durable has waited for the disk, s."""
+        return self._store.unsaved_s
+
+    @property
     def begun(self) -> bool:
         """Whether this job has measured anything: from then on it goes on with what it was begun with."""
         return bool(self._known.maps or self._known.passes)

@@ -40,6 +40,7 @@ class Trigger(StrEnum):
     READY = "every device confirmed that it is safe"
     UNSAFE = "a device did not confirm that it is safe"
     INTERRUPTED = "an earlier run, or an order, left a pass or the job open"
+    UNFIT = "the computer nears a limit"
     MENDABLE = "an error that a person can mend"
     ERROR = "any other error"
     DONE = "the job has its outcome"
@@ -68,16 +69,19 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition(_START, Trigger.READY, _POLISH, "the job is a new one"),
     Transition(_START, Trigger.INTERRUPTED, _HELD, "nothing moves until `resume`", _END),
     Transition(_START, Trigger.UNSAFE, _HELD, "nothing is measured or moved before it does", _END),
+    Transition(_START, Trigger.UNFIT, _HELD, "no room on a disk, say", _END),
     Transition(_START, Trigger.STOP, _END, "also while a device is waited for"),
     Transition(_START, Trigger.ERROR, _END, "a device that cannot be opened, too"),
     Transition(_POLISH, Trigger.DONE, _END, "in tolerance, diverged, or all passes used"),
     Transition(_POLISH, Trigger.HOLD, _HELD, "once contact is left; what it cut off is settled"),
     Transition(_POLISH, Trigger.ESTOP, _HELD, "as `hold`, and motion stops first"),
+    Transition(_POLISH, Trigger.UNFIT, _HELD, "once contact is left; what it cut off is settled", _END),
     Transition(_POLISH, Trigger.MENDABLE, _HELD, "only where it cuts off no pass", _END),
     Transition(_POLISH, Trigger.STOP, _END, "once contact is left; the job stays open"),
     Transition(_POLISH, Trigger.ERROR, _END, "once contact is left; the job stays open"),
     Transition(_HELD, Trigger.RESUME, _POLISH, "once lost links are open again and every device is safe"),
     Transition(_HELD, Trigger.UNSAFE, _HELD, "`resume` is refused, and tries again the next time", _END),
+    Transition(_HELD, Trigger.UNFIT, _HELD, "the same", _END),
     Transition(_HELD, Trigger.MENDABLE, _HELD, "the same: the cause is not mended yet", _END),
     Transition(_HELD, Trigger.INTERRUPTED, _HELD, "the same, once: it is told before it goes on", _END),
     Transition(_HELD, Trigger.HOLD, _HELD, "its reason is added"),

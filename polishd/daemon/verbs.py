@@ -40,7 +40,7 @@ REASON = Argument("reason", str, "why, for whoever reads the journal and `status
 VERBS: Mapping[str, Verb] = {
     verb.name: verb
     for verb in (
-        Verb("status", "state and why, phase, cycle, devices, what was measured so far", changes=False),
+        Verb("status", "state and why, phase, cycle, devices, health, what was measured so far", changes=False),
         Verb(SUBSCRIBE, "events from now on, one a line, until either side ends", changes=False),
         Verb("hold", "leave contact, stand still, and wait for `resume`", True, (REASON,)),
         Verb("resume", "go on, with a new measurement first", True, (REASON,)),
