@@ -37,9 +37,11 @@ class Notifications:
 
     def hear(self, event: Event) -> None:
         """Hand it to the couriers where it concerns a person."""
+        if not self._couriers:
+            return
         data = event.data
         self._known |= {key: data[key] for key in self._known if key in data}
-        concern = event.concern() if self._couriers else None
+        concern = event.concern()
         if concern is None:
             return
         notification = _notification(event.name, event.cycle, concern, self._config, self._known)

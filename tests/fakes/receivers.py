@@ -36,11 +36,14 @@ class MailServer:
     """One for each connection."""
     came: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(0))
     """One for each mail."""
+    read: int = 0
+    """Mails that were waited for."""
 
     def wait(self) -> EmailMessage:
         """The next mail, once it is there."""
         assert self.came.acquire(timeout=SOON_S)
-        return self.taken[-1][1]
+        self.read += 1
+        return self.taken[self.read - 1][1]
 
 
 class _Smtp(socketserver.StreamRequestHandler):
@@ -133,11 +136,14 @@ class Hook:
     posted: list[tuple[str, dict[str, str], bytes]] = field(default_factory=list)
     """(path, headers in lower case, body)."""
     came: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(0))
+    read: int = 0
+    """Bodies that were waited for."""
 
     def wait(self) -> dict[str, Any]:
         """The next body, once it is there."""
         assert self.came.acquire(timeout=SOON_S)
-        return dict(json.loads(self.posted[-1][2]))
+        self.read += 1
+        return dict(json.loads(self.posted[self.read - 1][2]))
 
 
 class _Http(BaseHTTPRequestHandler):

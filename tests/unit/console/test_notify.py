@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from polishd.daemon.assembly import build_notifiers
 from polishd.daemon.courier import kept_in
+from polishd.hooks.cell import load_cell
 from tests.fakes.receivers import web_server
 from tests.unit.said import Polishd
 
+DOCS = Path(__file__).resolve().parents[3] / "docs" / "notifications.md"
 SECRET = "hunter2-and-more"
 LOAD = '"plan_guard"'
 PAGER = """
@@ -73,6 +77,19 @@ def test_all_well_is_0_and_what_a_daemon_left_is_counted(cell: Any, polishd: Pol
     told = polishd("notify", path, "--json")
     assert (told.code, json.loads(told.out)["notifiers"][0]["waiting"]) == (0, 1)
     assert json.loads(kept.read_text())["waiting"] == [left], "it is the daemon's to send"
+
+
+def test_the_example_of_the_docs_is_one(cell: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (text,) = re.findall(r"^```toml\n(.*?)^```", DOCS.read_text(), re.DOTALL | re.MULTILINE)
+    path = cell(text)
+    monkeypatch.setenv("NTFY_TOKEN", SECRET)
+    for name, content in {"mail.password": SECRET, "chat.url": "https://chat.example.org/T0", "siren.py": ""}.items():
+        (tmp_path / name).write_text(content)
+        (tmp_path / name).chmod(0o700)
+    found = build_notifiers(*load_cell(path))
+    assert [(one.name, one.least) for one in found] == [
+        ("mail", "warning"), ("chat", "info"), ("phone", "alarm"), ("siren", "alarm")
+    ]  # fmt: skip
 
 
 OWN = ("notifications",)
