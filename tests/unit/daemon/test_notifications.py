@@ -136,7 +136,7 @@ async def test_what_could_not_be_sent_at_the_end_is_sent_at_the_next_start(site:
     assert (told["notifier"], told["waiting"]) == ("email", 1)
     assert "refused" in told["error"]
     log = (site.config.state_dir / "polishd.log").read_text()
-    assert "1 notifications by 'email' wait in" in log
+    assert "'email': what waits for the next start: 1, in " in log
     assert SECRET not in log
     site.measure = None
     with mail_server(port) as server:
@@ -170,6 +170,22 @@ async def test_a_broken_notifier_takes_nothing_down(site: Site, told_by: Any) ->
     assert summary["outcome"] == "in_tolerance"
     assert [one.event for one in told] == ["job_finished"]
     assert [one["error"] for one in journalled(site, "notification_failed")] == ["SystemExit: who wrote this"]
+
+
+async def test_what_waits_for_a_notifier_that_is_gone_is_told(
+    site: Site, told_by: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def breaks(_: Notification) -> None:
+        raise OSError("down")
+
+    monkeypatch.setattr(outbox, "FIRST_PAUSE_S", 1e6)
+    told_by(notifier(breaks, "old", Severity.INFO))
+    await run_cell(site.config, site.hooks)
+    told_by(notifier(lambda _: None, "new", Severity.INFO))
+    await run_cell(site.config, site.hooks)
+    log = (site.config.state_dir / "polishd.log").read_text()
+    assert "old.json: 1 wait in it for a notifier that the config does not name any more" in log
+    assert waiting(site, "old") == ["in_tolerance"]
 
 
 async def test_who_wants_nothing_has_no_folder(site: Site, told_by: Any) -> None:
@@ -253,9 +269,11 @@ def test_what_is_less_severe_than_wanted_is_not_told(
 
 
 def test_the_end_is_one_more_chance_for_all_that_waits(
-    tmp_path: Path, sending: Courier, people: People, notification: Notification
+    tmp_path: Path, sending: Courier, people: People, notification: Notification, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whatever the pause after a failure."""
+    monkeypatch.setattr(outbox, "FIRST_PAUSE_S", 1e6)
+    monkeypatch.setattr(outbox, "LONGEST_PAUSE_S", 1e6)
     sending.take(notification)
     assert people.failed.acquire(timeout=SOON_S)
     people.deaf = False
@@ -263,6 +281,18 @@ def test_the_end_is_one_more_chance_for_all_that_waits(
     sending.join(SOON_S)
     assert people.told == [notification]
     assert json.loads(kept_in(tmp_path, "pager").read_text())["waiting"] == []
+
+
+def test_the_end_is_no_second_chance(sending: Courier, people: People, notification: Notification) -> None:
+    """Where nobody answers, nobody waits for all the time that there is."""
+    sending.take(notification)
+    assert people.failed.acquire(timeout=SOON_S)
+    sending.end(time.monotonic() + SOON_S)
+    with within(5.0):
+        sending.join(SOON_S)
+    assert people.called.acquire(timeout=SOON_S)
+    assert people.called.acquire(timeout=SOON_S)
+    assert not people.called.acquire(blocking=False)
 
 
 def test_one_that_never_comes_back_is_told_and_not_called_again_until_it_does(
