@@ -137,7 +137,7 @@ class Courier:
             self._heed(item)
         self._keep()
         if left := len(self._outbox.waiting):
-            log.error("%d notifications by %r wait in %s for the next start", left, self.notifier.name, self._path)
+            log.error("%r: what waits for the next start: %d, in %s", self.notifier.name, left, self._path)
 
     def _heed(self, item: Notification | Attempt | _End) -> None:
         match item:
@@ -174,7 +174,7 @@ class Courier:
             self._outbox.sent(attempt.notification)
             self._failing = self._failing and bool(self._outbox.waiting)
             log.info("%r was told: %s", self.notifier.name, attempt.notification.title)
-        elif not attempt.overdue:
+        else:
             self._failed(attempt.notification, attempt.error)
 
     def _notice_overdue(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -15,6 +16,8 @@ from polishd.daemon.endings import for_cell, now
 from polishd.model.concern import Concern, Severity
 from polishd.model.events import Event, NotificationFailed
 from polishd.model.notification import Notification
+
+log = logging.getLogger(__name__)
 
 END_S = 10.0
 """Longest that the daemon's end waits until the last notifications are sent; what is not is kept for the next start."""
@@ -34,12 +37,18 @@ class Notifications:
     def start(self, notifiers: Sequence[Notifier], tell: Callable[[Event], None]) -> None:
         """Begin to send, what an earlier run left first; ``tell`` is called by other threads when that fails."""
         self._couriers = tuple(Courier(notifier, self._config.state_dir, tell) for notifier in notifiers)
+        ours = {kept_in(self._config.state_dir, notifier.name) for notifier in notifiers}
+        for path in sorted(set(kept_in(self._config.state_dir, "").parent.glob("*.json")) - ours):
+            if left := len(read_outbox(path, 0.0)[0].waiting):
+                log.warning("%s: %d wait in it for a notifier that the config does not name any more", path, left)
 
     def hear(self, event: Event) -> None:
         """Hand it to the couriers where it concerns a person."""
+        if not self._couriers:
+            return
         data = event.data
         self._known |= {key: data[key] for key in self._known if key in data}
-        concern = event.concern() if self._couriers else None
+        concern = event.concern()
         if concern is None:
             return
         notification = _notification(event.name, event.cycle, concern, self._config, self._known)

@@ -241,11 +241,11 @@ class NotificationFailed(Event):
 
     def concern(self) -> Concern:
         """Warning, through the other notifiers."""
-        lost = f", {self.given_up} given up" if self.given_up else ""
+        lost = f"; given up: {self.given_up}" if self.given_up else ""
         return Concern(
             Severity.WARNING,
             f"notifications by {self.notifier!r} fail: {self.error}",
-            f"the cell goes on; {self.waiting} wait and are tried again{lost}",
+            f"the cell goes on; waiting until it works again: {self.waiting}{lost}",
             f"mend what it names or [notify.{self.notifier}]; polishd notify CELL.toml tries it",
         )
 

@@ -62,7 +62,7 @@ class Notification:
             "",
             f"cell {self.cell}, job {self.job}, part {self.part}{cycle}",
             f"at {self.at}{often}",
-            f"run folder: {self.run_dir}",
+            *([f"run folder: {self.run_dir}"] if self.run_dir else []),
         ]
         return "\n".join(lines) + "\n"
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import smtplib
-import socket
 from contextlib import suppress
 from datetime import datetime
 from email.message import EmailMessage
@@ -102,11 +101,11 @@ class Mail:
             smtp.close()
 
     def _connected(self) -> smtplib.SMTP:
-        options, name = self._options, socket.gethostname()
+        options = self._options
         if options.security == "tls":
-            smtp: smtplib.SMTP = smtplib.SMTP_SSL(options.host, self._port, name, timeout=STEP_S, context=self._context)
+            smtp: smtplib.SMTP = smtplib.SMTP_SSL(options.host, self._port, timeout=STEP_S, context=self._context)
         else:
-            smtp = smtplib.SMTP(options.host, self._port, name, timeout=STEP_S)
+            smtp = smtplib.SMTP(options.host, self._port, timeout=STEP_S)
         try:
             if options.security == "starttls":
                 smtp.starttls(context=self._context)

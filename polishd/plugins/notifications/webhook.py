@@ -111,8 +111,8 @@ class Webhook:
             connection = HTTPConnection(host, parts.port, timeout=STEP_S)
         try:
             connection.request("POST", path, body, dict(headers))
-            answer = connection.getresponse()
-            said = " ".join(answer.read(SAID_BYTES).decode("utf-8", "replace").split())
+            with connection.getresponse() as answer:
+                said = " ".join(answer.read(SAID_BYTES).decode("utf-8", "replace").split())
             if not 200 <= answer.status <= 299:
                 raise HTTPException(f"answered {answer.status} {answer.reason}: {said}".rstrip(": "))
         finally:

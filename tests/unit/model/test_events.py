@@ -16,6 +16,7 @@ from polishd.model.events import EVENTS, Event, Measured, Opened, PassEnded
 from polishd.model.surface import SurfaceStats
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "plugins.md"
+NOTIFICATIONS = DOCS.with_name("notifications.md")
 
 
 def row(kind: type[Event]) -> str:
@@ -23,6 +24,17 @@ def row(kind: type[Event]) -> str:
     hints = get_type_hints(kind, include_extras=True)
     own = [f"`{item.name}`: {hints[item.name].__metadata__[0]}" for item in fields(kind) if item.name != "cycle"]
     return f"| `{kind.__name__}`, `{kind.name}` | {kind.__doc__} | {'; '.join(own)} |"
+
+
+def concerns() -> str:
+    """The table of those that concern a person, from what their ``concern`` says of itself."""
+    kinds = [kind for kind in EVENTS if kind.concern is not Event.concern]
+    rows = [f"| `{kind.__name__}`, `{kind.name}` | {kind.concern.__doc__} |" for kind in kinds]
+    return "\n".join(["| event | severity |", "|---|---|", *rows])
+
+
+def test_the_docs_say_which_events_concern_a_person() -> None:
+    assert concerns() in NOTIFICATIONS.read_text(), concerns()
 
 
 def test_the_docs_have_every_event_with_its_fields() -> None:
