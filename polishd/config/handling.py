@@ -12,8 +12,8 @@ from polishd.config.values import Pair, Positive, Seconds, Section, Text, Texts,
 class TouchOffSection(Section):
     """Height and seat of the part, proved before contact: left out, nobody proves them."""
 
-    force_n: Annotated[float, Field(gt=0, le=1)] = 0.8
-    """Force with which the tool rests on each place, its spindle at rest."""
+    force_n: Annotated[float, Field(gt=0, le=0.8)] = 0.8
+    """Force with which the tool rests on each place, its spindle at rest; a quarter more is let pass, 1 N at most."""
     position_mm: Positive | None = None
     """Position of the actuator, in contact with that force, where the tool's tip is where the program says; left out:
     half of `actuator.stroke_mm`."""

@@ -16,7 +16,7 @@ from polishd.daemon.safety import make_safe
 from polishd.hooks.loader import Hooks
 from polishd.model.devices import Identity
 from polishd.model.errors import DeviceFault
-from polishd.recipe import foresight, steps
+from polishd.recipe import foresight, steps, touch_off
 from polishd.recipe.making import make_recipe, why_not_commissioned
 from polishd.recipe.program_fit import require_fit
 from polishd.recipe.recipe import Recipe
@@ -45,6 +45,7 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
         "instrument": _instrument(config, recipe),
         "program": f"{program.name}: {program.n} timed points, {program.lines} lines, time in the {program.encoding}",
         "covers": require_fit(config, recipe, program),
+        "seat": _seat(recipe, hooks),
         "pass": foresight.pass_words(recipe, program, answer),
         "reach": f"all {program.n} points",
         "compliance_um_per_n": f"{compliance.min():.3f} to {compliance.max():.3f}",
@@ -61,6 +62,16 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
 def _devices(cell: Cell) -> str:
     used = cell.used.values()
     return ", ".join(name if name in used else f"{name} (not used by this job)" for name in cell.devices)
+
+
+def _seat(recipe: Recipe, hooks: Hooks) -> str:
+    """How it is proved, and where; PlanRefused where a plugin does not let the tool go there."""
+    asked = recipe.touch_off
+    if asked is None:
+        return "nobody proves it: the cell has no [touch_off]"
+    touch_off.require_allowed(recipe, touch_off.plans(recipe, asked), hooks.check_plan)
+    places = "; ".join(f"x {x:.1f}, y {y:.1f} mm" for x, y, _ in asked.places_mm + 0.0)
+    return f"proved with {asked.force_n:g} N at {places}: at most {asked.most_off_mm:g} mm off"
 
 
 def _instrument(config: CellConfig, recipe: Recipe) -> str:

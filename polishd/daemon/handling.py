@@ -21,7 +21,7 @@ from polishd.daemon.safety import ContactLimits, contact, in_band
 from polishd.daemon.stream import Stream, streaming
 from polishd.model import events
 from polishd.model.cycle import Phase
-from polishd.model.errors import DeviceError, DeviceRefused, HandlingError, NotSettled, PlanRefused, WrongSeat
+from polishd.model.errors import DeviceError, DeviceRefused, HandlingError, NotSettled, WrongSeat
 from polishd.model.handling import Seat, Settle, Step, TouchOff
 from polishd.model.program import Plan
 from polishd.process.seat import seat_of
@@ -105,8 +105,7 @@ class Handling:
         job = self._job
         meets_mm = asked.position_mm or self._cell.limits.actuator.stroke_mm / 2
         plans = await job.compute(touch_off.plans, job.recipe, asked)
-        if found := [line for plan in plans for line in job.check_plan(plan, job.recipe.envelope)]:
-            raise PlanRefused("the touch-off was refused, nothing moved:\n" + "\n".join(f"  {line}" for line in found))
+        touch_off.require_allowed(job.recipe, plans, job.check_plan)
         met_mm = [await self._met(asked, place, plan, meets_mm) for place, plan in enumerate(plans)]
         seat = seat_of(asked, meets_mm - np.array(met_mm))
         facts, notes = facts_of(asked, seat), [f"the part sits {seat}"]

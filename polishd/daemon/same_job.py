@@ -36,7 +36,7 @@ RULES = (
     Rule(("notify.*",), True, "who hears of it"),
     Rule(("roles.*",), False, "another robot or tool removes otherwise, and what was learned is of this one"),
     Rule(("dwell.*",), True, "how the next dwell is chosen; each has a certificate of its own"),
-    Rule(("touch_off", "touch_off.*", "between", "between.*"), True, "what is done beside polishing removes nothing"),
+    Rule(("touch_off*", "between.*"), True, "what is done beside polishing removes nothing"),
     Rule(("limits.*", "machine.x_mm", "machine.y_mm", "machine.z_mm"), True, "what is refused from now on"),
     Rule(
         ("job.tolerance_nm", "tolerance", "job.max_cycles", "job.lookahead_s"),

@@ -106,7 +106,10 @@ class ForceActuator(Device, Protocol):
         ...
 
     def samples(self) -> AsyncIterator[ForceSample]:
-        """Readings at the driver's rate, for as long as they are iterated; iterating feeds the watchdog."""
+        """Readings at the driver's rate, for as long as they are iterated; iterating feeds the watchdog.
+
+        A touch-off needs their ``position_mm``.
+        """
         ...
 
     async def retract(self) -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from polishd.model.errors import ProgramError
+from polishd.model.errors import PlanRefused, ProgramError
 from polishd.model.handling import TouchOff
+from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Segment
 from polishd.process import motion
 from polishd.recipe import steps
@@ -25,6 +28,12 @@ def plans(recipe: Recipe, asked: TouchOff) -> tuple[Plan, ...]:
     Raises ProgramError where the format cannot say them.
     """
     return tuple(_plan(recipe, asked, place) for place in range(len(asked.places_mm)))
+
+
+def require_allowed(recipe: Recipe, made: Sequence[Plan], check: Callable[[Plan, Envelope], Sequence[str]]) -> None:
+    """PlanRefused with all that the plugins find against them: a touch-off moves like any plan."""
+    if found := [f"  {plan.program.name}: {line}" for plan in made for line in check(plan, recipe.envelope)]:
+        raise PlanRefused("\n".join(["the touch-off was refused, nothing moved:", *found]))
 
 
 def _plan(recipe: Recipe, asked: TouchOff, place: int) -> Plan:

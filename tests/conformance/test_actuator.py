@@ -45,6 +45,12 @@ async def test_it_lands_and_regulates(opened: ForceActuator) -> None:
     assert began_s < sample.at_s <= time.monotonic()
 
 
+async def test_it_tells_how_far_the_tool_is_out(opened: ForceActuator) -> None:
+    assert (await sample_where(opened, lambda one: one.retracted)).position_mm == 0.0
+    await opened.set_force(0.8)
+    assert (await sample_where(opened, lambda one: one.in_contact)).position_mm == pytest.approx(5.0)
+
+
 async def test_it_changes_force_in_contact(opened: ForceActuator) -> None:
     await opened.set_force(12.0)
     await opened.set_force(7.25)

@@ -23,11 +23,13 @@ from polishd.process.paths.wrist import tool_axes
 from polishd.sim_backends.linuxcnc.server import ISOLATE
 from tests.commissioned import forged
 from tests.patience import SOON_S
-from tests.system.cell_rig import REPORT, Daemon, with_keys
+from tests.system.cell_rig import REPORT, Daemon, with_keys, without
 from tests.system.sim_rig import ROOT, alive, wait_for
 
 PART = {"aperture_mm": 7.0, "edge_mm": 0.5}
 """A pass over it takes some seconds: LinuxCNC knows real time only."""
+ON_RING = {"places_mm": [[0.0, 5.0], [-4.3, -2.5], [4.3, -2.5]]}
+"""The part's own rim is narrower than the tool's contact."""
 DWELL_PITCH_MM = 1.75
 RAPID_MM_MIN = 3000.0
 QUICK_S = 2.5
@@ -99,12 +101,13 @@ class _Daemon(Daemon):
             self.process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
 
 
-def write_files(out: Path, encoding: Encoding, **job: Any) -> DemoFiles:
+def write_files(out: Path, encoding: Encoding, *, touch_off: bool = False, **job: Any) -> DemoFiles:
     """The demo's files with a tiny part and LinuxCNC for a robot; its program has time in feeds or in dwells."""
     files = write_demo(out, None, 2.0, 4, None)
     cell = with_values(files.cell.read_text(), {"part": PART, "job": job, "robot": {"watchdog_s": QUICK_S}})
     robot = 'type = "linuxcnc"\nprogram_dir = "sim/linuxcnc/nc"\ncontroller_dir = "/mnt/nc"'
-    cell = with_keys(cell.replace(REPORT, ""), {"actuator": {"silence_s": 0.8, "retract_s": 0.5}})
+    cell = with_keys(cell.replace(REPORT, ""), {"actuator": {"silence_s": 0.8, "retract_s": 0.5}, "touch_off": ON_RING})
+    cell = cell if touch_off else without(cell, "touch_off")
     files.cell.write_text(cell.replace('type = "robot_link"', robot))
     high = 1.0 if encoding == "feed" else 5.0  # for long dwells
     plant = {**PART, "pv_nm": high * 30.0, "rms_nm": high * 6.0, "speed": 1.0}
@@ -125,10 +128,10 @@ def dwell_program(config: CellConfig) -> bytes:
 
 
 @contextlib.contextmanager
-def linuxcnc_cell(out: Path, encoding: Encoding = "feed", **job: Any) -> Iterator[Cell]:
+def linuxcnc_cell(out: Path, encoding: Encoding = "feed", *, touch_off: bool = False, **job: Any) -> Iterator[Cell]:
     """The simulator with LinuxCNC, up, on and homed, for the time of the block."""
     require_linuxcnc()
-    files = write_files(out, encoding, **job)
+    files = write_files(out, encoding, touch_off=touch_off, **job)
     command = [*APART, sys.executable, "-m", "polishd.sim_backends", str(files.sim), "--state", str(files.sim_dir)]
     with (files.out / "sim.stderr").open("wb") as stderr:
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True)

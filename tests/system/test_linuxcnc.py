@@ -14,7 +14,7 @@ from polishd.console.demo_files import DemoFiles
 from polishd.daemon import client
 from tests.system.cell_rig import account, events, summary
 from tests.system.linuxcnc_moves import CORNER, END, START
-from tests.system.linuxcnc_rig import Cell, linuxcnc_cell
+from tests.system.linuxcnc_rig import ON_RING, Cell, linuxcnc_cell
 from tests.system.sim_rig import wait_for
 from tests.system.test_daemon import require_safe_order
 
@@ -56,6 +56,20 @@ def test_linuxcnc_polishes_by_feed(tmp_path: Path) -> None:
     first, final = polished["cycles"]
     assert final["rms_nm"] < 0.8 * first["rms_nm"]
     assert [program["loads"] for program in programs] == [1]
+
+
+@pytest.mark.full
+def test_the_seat_is_proved_at_three_places_with_linuxcnc_too(tmp_path: Path) -> None:
+    with linuxcnc_cell(tmp_path / "cell", touch_off=True, tolerance_nm=0.01, max_cycles=1) as cell:
+        files = cell.files
+        with cell.daemon() as daemon:
+            assert daemon.wait() == 1, daemon.output.read_text()
+        require_safe_end(files)
+        touched = account(files)["stands"][:3]
+    assert summary(files)["outcome"] == "cycles_used"
+    places = [(stand["x_mm"], stand["y_mm"]) for stand in touched]
+    assert np.array(places) == pytest.approx(np.array(ON_RING["places_mm"]), abs=0.01)
+    assert all(stand["most_n"] <= 1.0 and stand["most_rpm"] == 0.0 for stand in touched), touched
 
 
 @pytest.mark.full

@@ -90,8 +90,10 @@ def test_what_check_finds(
     assert says in said.err
 
 
-def test_check_says_what_the_program_covers(polishd: Polishd, files: DemoFiles) -> None:
-    covers = polishd("check", files.cell, "--json").answer["covers"]
+def test_check_says_what_the_program_covers_and_where_the_seat_is_proved(polishd: Polishd, files: DemoFiles) -> None:
+    found = polishd("check", files.cell, "--json").answer
+    assert found["seat"].startswith("proved with 0.8 N at x 0.0, y 8.5 mm; x -7.4, ")
+    covers = found["covers"]
     assert covers.startswith("program.rnc reaches 16.0 mm from the part's centre, the part's radius is 10 mm; ")
     assert covers.endswith("no point reaches 0.0 % of the clear aperture")
 

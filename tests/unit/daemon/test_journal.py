@@ -141,6 +141,20 @@ def test_a_new_job_leaves_none_of_the_arrays_of_the_one_before(tmp_path: Path) -
         assert list((tmp_path / "store").iterdir()) == []
 
 
+async def test_what_each_phase_took_in_all(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the order of a cycle, over all cycles and attempts; what has not ended counts for nothing yet."""
+    times = iter([100.0, 104.0, 110.0, 111.0, 120.0, 123.5, 130.0])
+    monkeypatch.setattr("polishd.daemon.journal.time.time", lambda: next(times))
+    for cycle, phase in ((0, Phase.RUN), (1, Phase.MEASURE), (1, Phase.RUN)):
+        async with journal.phase(cycle, phase):
+            pass
+    running = journal.phase(2, Phase.SOLVE)
+    await running.__aenter__()
+    monkeypatch.undo()
+    assert list(journal.phase_times_s().items()) == [("measure", 1.0), ("run", 7.5)]
+    await running.__aexit__(None, None, None)
+
+
 async def test_phases_tell_how_they_ended(journal: Journal) -> None:
     async with journal.phase(0, Phase.MEASURE):
         assert told_phases(journal) == [(0, "measure", None, None)]

@@ -24,7 +24,7 @@ from polishd.plugins.run_report import trend
 from polishd.plugins.run_report.folder import Executed, Surface, read_folder
 from polishd.plugins.run_report.page import CERTIFICATE, COLUMNS, Picture, Section, render
 from polishd.plugins.run_report.report import write_report
-from polishd.plugins.run_report.words import duration, plain, when
+from polishd.plugins.run_report.words import duration, plain, spent, when
 
 N = 24
 PITCH_MM = 1.0
@@ -274,7 +274,11 @@ def test_what_was_said_of_a_map_and_of_a_pass_is_on_the_page(undrawn: None, run_
     rows = json.loads((run_dir / "summary.json").read_text())["cycles"]
     write_summary(run_dir, [{**rows[0], "notes": ["a tilt of 150 nm"]}, *rows[1:]])
     (run_dir / "cycle-01/learned.json").write_text(json.dumps({"notes": ["the rate <stays>"]}))
+    (run_dir / "cycle-01/settling.json").write_text(json.dumps({"notes": ["settled: 3 maps"]}))
+    (run_dir / "cycle-00/touch_off.json").write_text(json.dumps({"notes": ["the part sits 0.02 mm too high"]}))
     page = page_of(run_dir)
+    assert "<li>measurement 1: settled: 3 maps</li>" in page
+    assert "<li>measurement 0: the part sits 0.02 mm too high</li>" in page
     assert "<li>measurement 0: a tilt of 150 nm</li>" in page
     assert "<li>measurement 1: the rate &lt;stays&gt;</li>" in page
     assert "learned.json" not in missing_in(page), "a first measurement has none"
@@ -464,6 +468,18 @@ def test_times_as_text() -> None:
     assert when(None) == ""
     assert duration([{"dwell_s": 61.4}, {"dwell_s": None}], "dwell_s") == "1 min 01 s"
     assert duration([{}], "dwell_s") == ""
+
+
+@pytest.mark.parametrize(
+    ("times", "shown"),
+    [
+        ({"measure": 61.4, "touch_off": 30, "run": 7260.0}, "measure 1 min 01 s, touch-off 0 min 30 s, run 2 h 01 min"),
+        ({"measure": "long"}, ""),
+        (None, ""),
+    ],
+)
+def test_what_each_phase_took_as_text(times: object, shown: str) -> None:
+    assert spent(times) == shown
 
 
 def test_the_gates_picture_is_drawn_of_what_it_left(tmp_path: Path) -> None:
