@@ -8,6 +8,7 @@ the same, watched and left like any other (``safety.contact``).
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from contextlib import aclosing
 from dataclasses import asdict
 
@@ -17,8 +18,10 @@ from polishd.daemon.cell import Cell
 from polishd.daemon.command import run_command
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
+from polishd.daemon.journal_records import BlockRecord
 from polishd.daemon.safety import ContactLimits, contact, in_band
 from polishd.daemon.stream import Stream, streaming
+from polishd.daemon.touch import Touch
 from polishd.model import events
 from polishd.model.cycle import Phase
 from polishd.model.errors import DeviceError, DeviceRefused, HandlingError, NotSettled, WrongSeat
@@ -123,7 +126,7 @@ class Handling:
         async with feed as stream:
             await stream.approach()
             try:
-                async with contact(cell, limits):
+                async with contact(cell, limits, Touch(_no_block, cell.limits.robot.silence_s)):
                     position_mm = await self._position_mm(limits)
             except WrongSeat as nothing:
                 await self._away(stream, nothing)
@@ -156,6 +159,10 @@ class Handling:
         except DeviceError as late:
             log.warning("the robot stays at the place of the touch-off: %s", late)
             error.add_note(str(late))
+
+
+def _no_block(_: Sequence[BlockRecord]) -> None:
+    """The robot stands while the tool touches: there is none to record."""
 
 
 def facts_of(asked: TouchOff, seat: Seat) -> dict[str, object]:

@@ -7,7 +7,6 @@ is crossed while the daemon polishes makes it leave contact and hold, while it s
 from __future__ import annotations
 
 import asyncio
-import math
 import os
 import time
 from collections import deque
@@ -19,6 +18,7 @@ from pathlib import Path
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.job import Job
+from polishd.daemon.journal_store import LATE_S
 from polishd.daemon.safety import most_telling
 
 BEAT_S = 0.1
@@ -36,6 +36,10 @@ MEMORY_SHARE = 0.02
 """Of the computer's memory; with less left the kernel begins to kill."""
 SHARE = 0.5
 """Of a watchdog: what is later than that may be too late the next time."""
+
+
+NEAR = 0.75
+"""Of what a row may wait for its commit: beyond all of it the pass ends over it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,13 +131,12 @@ class Health:
     def _of_contact(self) -> list[Figure]:
         limits = self._cell.limits
         fed_s = min(limits.actuator.watchdog_s, limits.spindle.watchdog_s, limits.robot.watchdog_s)
-        robot_s = limits.robot.watchdog_s if math.isfinite(limits.robot.watchdog_s) else limits.actuator.alone_s
         lags = nlargest(2, (lag for _, lag in self._lags))
         second = lags[1] if len(lags) > 1 else 0.0  # one may be chance
         busy, slow = "too much else runs on this computer", "the disk of cell.state_dir is too slow"
         return [
             Figure("loop_lag_s", second, SHARE * fed_s, busy),
-            Figure("journal_s", self._job().journal.unsaved_s, SHARE * robot_s, slow),
+            Figure("journal_s", self._job().journal.unsaved_s, NEAR * LATE_S, slow),
         ]
 
 

@@ -8,6 +8,7 @@ thread of its own commits it, so that a slow disk never stalls the event loop wh
 from __future__ import annotations
 
 import asyncio
+import math
 import sqlite3
 import threading
 import time
@@ -25,6 +26,8 @@ from polishd.model.surface import FloatArray
 COMMIT_S = 0.25
 """Longest that a buffered row waits for its commit."""
 COMMIT_ROWS = 512
+LATE_S = 2.0
+"""A row that has waited longer for its commit ends contact: so much may be executed and not recorded, at any time."""
 
 Row = tuple[str, tuple[Any, ...]]
 """One SQL statement and its values."""
@@ -44,7 +47,8 @@ class Store:
         self._pending = threading.Condition()
         self._closing = False
         self._failure: str | None = None
-        self._unsaved_at: float | None = None
+        self._oldest_s = (math.inf, math.inf)
+        """Since when rows wait for their commit: those of the transaction that is under way, and the others."""
         self._waiters: list[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = []
         self._thread = threading.Thread(target=self._commit_groups, name="journal", daemon=True)
 
@@ -58,8 +62,7 @@ class Store:
     @property
     def unsaved_s(self) -> float:
         """For how long the oldest row that is not durable has waited for the disk; 0 where there is none."""
-        since = self._unsaved_at
-        return 0.0 if since is None or self._closing else time.monotonic() - since
+        return 0.0 if self._closing else max(time.monotonic() - min(self._oldest_s), 0.0)
 
     def write(self, *rows: Row) -> None:
         """Commit what is buffered and these rows in one transaction; durable when it returns."""
@@ -67,17 +70,26 @@ class Store:
             with self._pending:
                 rows = (*self._buffer, *rows)
                 self._buffer.clear()
-                self._unsaved_at = self._unsaved_at or time.monotonic()
+                self._oldest_s = (self._oldest_s[1], math.inf)
             self._transaction(rows)
             with self._pending:
-                self._unsaved_at = time.monotonic() if self._buffer else None
+                self._oldest_s = (math.inf, self._oldest_s[1])
+
+    def require_in_time(self) -> None:
+        """SafetyStop where a row has waited for more than ``LATE_S`` for its commit."""
+        self._check()
+        if (waited_s := self.unsaved_s) > LATE_S:
+            raise SafetyStop(
+                f"journal: {self.path}: a commit has taken {waited_s:.1f} s, and no more than {LATE_S:g} s may go "
+                "unrecorded; look at the disk, and at what else writes to it"
+            )
 
     def buffer(self, row: Row) -> None:
         """Leave a row to the thread; durable within ``COMMIT_S`` seconds, or after ``write``."""
         self._check()
         with self._pending:
             self._buffer.append(row)
-            self._unsaved_at = self._unsaved_at or time.monotonic()
+            self._oldest_s = (self._oldest_s[0], min(self._oldest_s[1], time.monotonic()))
             if len(self._buffer) == 1 or len(self._buffer) == COMMIT_ROWS:
                 self._pending.notify()
 
