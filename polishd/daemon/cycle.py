@@ -46,9 +46,7 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
             plan = await job.plan(cycle, solved)
             job.refuse_unsafe(plan)
         await cell.restore_links()  # here, out of contact, a lost link may be opened again
-        await handling.ready(
-            cycle
-        )  # the pad, and the part's seat: nothing is pressed on a part that does not sit right
+        await handling.ready(cycle)  # pad and seat: nothing is pressed on a part that does not sit right
         feed = streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=cell.limits.buffer_s)
         async with journal.phase(cycle, Phase.RUN), feed as stream:
             await job.begin_pass(cycle, plan, await cell.robot.progress(), cell.limits.unseen_s)
