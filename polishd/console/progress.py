@@ -59,8 +59,8 @@ class _Line:
                 for word, text in [("held", data["reason"]), *last_words(data, self._cell)]:
                     self._print(f"{word}: {text}")
                 self._update("held", total=None, note="")
-            case "failed":
-                self._print(f"{data['kind']}: {data['error']}", style="red")
+            case "failed" | "found":
+                self._print(f"{data['kind']}: {data.get('error') or data['what']}", style="red")
             case _:
                 pass
         for note in data.get("notes", ()):

@@ -13,6 +13,7 @@ PolishdError
     BadMap         it cannot be read, or not be trusted
     WrongPart      it shows another part
   GateStop *       a pass did not do what its plan said: mend why       (10)
+  ToolStop *       the tool is no longer what plans count with: see to it (10)
   ComputeError     fall back, or stop before RUN                        (10)
   DeviceError *    a device is the cause                                (5)
     LinkError      the wire is dead or silent
@@ -77,6 +78,13 @@ class WrongPart(SurfaceError):
 
 class GateStop(PolishdError):
     """What a pass removed is better explained by a mistake in instrument or alignment than by its plan."""
+
+    exit_code = 10
+    mendable = True
+
+
+class ToolStop(PolishdError):
+    """Passes show a tool that wore, a removal rate that drifted, or another spot."""
 
     exit_code = 10
     mendable = True

@@ -7,12 +7,15 @@ from typing import Any
 
 from polishd.config.sections import DwellSection, JobSection, PartSection, ProgramSection
 from polishd.hookspecs import DwellSolver, ProgramFormat, RemovalModel
+from polishd.model.finding import FindingLimits
 from polishd.model.instrument import Instrument
 from polishd.model.limits import Envelope
 from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Optic, Placement, ToolProcess
 from polishd.model.robot import RobotModel
 from polishd.model.surface import SurfaceMap
 from polishd.model.tolerance import Line
+
+DEFAULT = FindingLimits()
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +45,7 @@ class Recipe:
     model: RemovalModel
     solver: DwellSolver
     cross_check: DwellSolver | None
+    finding: FindingLimits = DEFAULT
     tolerance: tuple[Line, ...] = ()
     """The drawing's lines; none where the job has the short form."""
 

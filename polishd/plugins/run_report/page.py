@@ -37,6 +37,7 @@ VERDICTS: Mapping[str, Verdict] = {
     "in_tolerance": Verdict("good", "In tolerance"),
     "cycles_used": Verdict("bad", "Not in tolerance: all passes used"),
     "diverged": Verdict("bad", "Diverged: the surface got worse"),
+    "stalled": Verdict("bad", "Stalled: passes brought too little"),
     "stopped": Verdict("bad", "Stopped before the end"),
     "failed": Verdict("bad", "Ended by an error: see the notes"),
     "planned": Verdict("plain", "Plan: nothing was moved"),
