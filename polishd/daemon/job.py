@@ -141,7 +141,8 @@ class Job:
             return
         executed = await asyncio.to_thread(self.executed_s, cycle - 1)
         planned = self._planned[cycle - 1]
-        last = Pass(before, surface, planned.asked_s, executed, planned.certificate.predicted_rms_nm)
+        expected_nm = planned.certificate.predicted_rms_nm
+        last = Pass(before, surface, planned.asked_s, executed, predicted_rms_nm=expected_nm)
         taught: Taught = await self.compute(steps.learn, self.recipe, self.program, last, self._believed)
         folder = self.folder.cycle(cycle)
         await self._for_people(folder.write, await asyncio.to_thread(taught.files))
@@ -244,6 +245,7 @@ class Job:
             **figures(measured.stats, None if run is None else run.facts),
             "how": None if run is None else run.how or "begun",
             "executed_s": None if run is None else self.journal.contact_s(run.cycle),
+            "found": [] if run is None else [one["what"] for one in run.facts.get("findings", ())],
             "notes": measured.stats.get("notes", []),
         }
 

@@ -57,7 +57,7 @@ class FindingLimits:
     """Beyond these, and surely so, something is found."""
 
     max_rate_drift: float = 0.25
-    max_spot_change: float = 0.2
+    max_spot_change: float = 0.3
     least_gain: float = 0.3
 
 

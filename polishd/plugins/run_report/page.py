@@ -161,9 +161,10 @@ def facts_of(folder: RunFolder) -> list[tuple[str, str]]:
 
 
 def notes_of(folder: RunFolder) -> list[str]:
-    """The summary's notes, and those of each measurement and of what was learned by it."""
+    """The summary's notes, those of each measurement and of what was learned by it, and what was found in passes."""
     notes = [text(note) for note in folder.summary.get("notes") or []]
     for index, row in enumerate(folder.rows()):
         learned = folder.cycles[index].notes if index < len(folder.cycles) else ()
         notes += [f"measurement {index}: {text(note)}" for note in (*(row.get("notes") or ()), *learned)]
+        notes += [f"{words.pass_after(folder.rows(), index)}: {text(found)}" for found in row.get("found") or ()]
     return notes

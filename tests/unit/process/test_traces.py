@@ -89,11 +89,11 @@ def test_a_pass_that_removes_nothing_uneven_shows_nothing() -> None:
 
 @pytest.mark.parametrize("seeds", [12, pytest.param(400, marks=[pytest.mark.slow, pytest.mark.timeout(3600)])])
 def test_how_often_a_good_pass_shows_what_is_not_there(seeds: int) -> None:
-    """The shipped limits; docs/wear.md states what the long run found."""
+    """At limits of 10 %, well below those shipped."""
     rng = np.random.default_rng(7)
     shown = [Passed(s, noise_nm=rng.uniform(0.1, 0.5), figure_nm=rng.uniform(4, 20)).shows() for s in range(seeds)]
-    assert sum(beyond(one.fade, one.fade_sigma, 0.25) for one in shown) == 0
-    assert sum(beyond(one.width, one.width_sigma, 0.2) for one in shown) == 0
+    assert sum(beyond(one.fade, one.fade_sigma, 0.1) for one in shown) == 0
+    assert sum(beyond(one.width, one.width_sigma, 0.1) for one in shown) == 0
 
 
 def test_the_half_width_of_a_transfer_function() -> None:
