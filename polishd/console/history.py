@@ -65,7 +65,7 @@ def _row(job: JobHistory) -> Sequence[str]:
         "" if job.ended_s is None else _took(job.ended_s - job.began_s),
         f"{job.passes}{torn}",
         rms,
-        str(job.worst or ""),
+        "" if job.worst is None else f"{job.worst.what} {job.worst.value:.3g} of {job.worst.limit:g} {job.worst.unit}",
         "" if job.rate is None else f"{job.rate:.3f}",
         str(len(job.faults) or ""),
         job.outcome.replace("_", " "),

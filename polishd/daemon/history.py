@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +12,13 @@ from typing import Any
 from urllib.parse import quote
 
 from polishd.daemon.journal import JOURNAL_NAME
-from polishd.model.errors import ConfigError
+from polishd.model.errors import ConfigError, ToolStop
 from polishd.model.tolerance import Judged, judged_of, worst
 
-FAULTS = ("held", "failed", "gate_stopped", "found")
+FAULTS = ("held", "failed", "found")
 """Events that somebody had to see to."""
+TOLD = ToolStop.__name__
+"""An error whose cause is an event of its own, ``found``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,12 +111,13 @@ def _jobs(journal: sqlite3.Connection) -> Iterator[JobHistory]:
             interrupted=sum(how not in {None, "done"} for how in hows),
             contact_s=sum((facts.get("shown") or {}).get("contact_s", 0.0) for _, facts in run.values()),
             measured=tuple(_measurement(*found, run.get(cycle - 1, ("", {}))[1]) for cycle, found in last.items()),
-            faults=tuple(_fault(*event) for event in events.get(number, ())),
+            faults=tuple(_faults(events.get(number, ()))),
         )
 
 
-def _by_job(journal: sqlite3.Connection, sql: str, values: Sequence[Any] = ()) -> dict[int, list[tuple[Any, ...]]]:
-    found: dict[int, list[tuple[Any, ...]]] = {}
+def _by_job(journal: sqlite3.Connection, sql: str, values: Sequence[Any] = ()) -> dict[int, list[Any]]:
+    """The other columns of the rows, by their first one."""
+    found: dict[int, list[Any]] = {}
     for job, *row in journal.execute(sql, values):
         found.setdefault(job, []).append(tuple(row))
     return found
@@ -127,6 +130,13 @@ def _measurement(at_s: float, stats: Mapping[str, Any], before: Mapping[str, Any
     return Measurement(at_s, stats["rms_nm"], judged, rate.get("value"), rate.get("sigma"), predicted)
 
 
-def _fault(at_s: float, name: str, data: str) -> Fault:
-    said = json.loads(data)
-    return Fault(at_s, said.get("kind") or name, said.get("error") or said.get("what") or said.get("stop") or "")
+def _faults(events: Iterable[tuple[float, str, str]]) -> Iterator[Fault]:
+    """Each once: an error that held the cell, and ended its daemon as nobody mended it, is one."""
+    last = ("", "")
+    for at_s, name, data in events:
+        said = json.loads(data)
+        fault = Fault(at_s, said["kind"], said["what" if name == "found" else "error"])
+        again = name == "failed" and last == (fault.kind, fault.what)
+        last = (fault.kind, fault.what)
+        if fault.kind != TOLD and not again:
+            yield fault

@@ -70,20 +70,30 @@ def _rate(series: Series, shown: Shown, limits: FindingLimits) -> Finding | None
     return _tool(word, falls=since.value < 0, within=_by_wear(series, since.value))
 
 
-def _tool(word: str, *, falls: bool, within: bool) -> Finding:
+def _tool(word: str, *, falls: bool, within: bool | None) -> Finding:
     if falls and within:
         return Finding("wear", f"{word}, and it falls while the tool polishes: dress or change the tool", "cell")
-    where = "within the pass" if within else "and not within the passes"
-    return Finding("drift", f"{word}, {where}: look at slurry, temperature, force and speed; then the tool", "cell")
+    within_words = {
+        True: "within the pass",
+        False: "and not within the passes",
+        None: "within the passes or between them",
+    }
+    advice = "look at slurry, temperature, force and speed; then the tool"
+    return Finding("drift", f"{word}, {within_words[within]}: {advice}", "cell")
 
 
-def _by_wear(series: Series, change: float) -> bool:
-    """Whether what was lost within the passes explains a fall between them."""
-    if change >= 0 or not series.faded_h:
+def _by_wear(series: Series, change: float) -> bool | None:
+    """Whether what was lost within the passes explains a fall between them; None: they do not show it."""
+    if change >= 0:
         return False
+    if not series.faded_h:
+        return None
     scale = series.contact_h / series.faded_h  # passes that showed no fade wore the tool, too
     lost, sigma = scale * series.faded, scale * math.sqrt(series.faded_variance)
-    return lost < -2 * sigma and lost <= BY_WEAR * math.log1p(max(change, -0.99))
+    share = BY_WEAR * math.log1p(max(change, -0.99))
+    if lost < -2 * sigma and lost <= share:
+        return True
+    return False if lost - 2 * sigma > share else None
 
 
 def _spot(shown: Shown, limits: FindingLimits) -> Finding | None:

@@ -13,7 +13,7 @@ from polishd.daemon.watching import watch
 from polishd.model.beliefs import Belief
 from polishd.model.cycle import Outcome
 from polishd.model.errors import ConfigError
-from polishd.model.events import Found, Held, Learned
+from polishd.model.events import Failed, Found, Held, Learned
 from polishd.model.finding import FindingLimits, Shown
 from polishd.model.tolerance import Judged
 
@@ -31,7 +31,9 @@ def polished(folder: Path, job: str, *, rms_nm: float = 1.5, outcome: Outcome | 
         watch(journal, 0, SHOWN, FindingLimits())
         journal.record_event(Learned(beliefs={}, notes=[]))
         journal.record_event(Held(error="the wire is dead", kind="LinkError"))
+        journal.record_event(Failed(error="the wire is dead", kind="LinkError"))
         journal.record_event(Found(kind="wear", what="the rate fell", stops="cell"))
+        journal.record_event(Held(error="the rate fell", kind="ToolStop"))
         journal.record_map(2, f"{job}2", "x", {"rms_nm": rms_nm})
         if outcome is not None:
             journal.record_outcome(outcome)

@@ -70,6 +70,13 @@ def test_a_rate_that_falls_between_the_passes_is_drift() -> None:
     assert "and not within the passes: look at slurry, temperature, force and speed" in first.what
 
 
+@pytest.mark.parametrize("fade", [None, (-0.05, 0.2)])
+def test_a_fall_of_which_nobody_knows_where_it_was_says_so(fade: tuple[float, float] | None) -> None:
+    (first, *_) = found([a_pass(rate=rate, fade=fade) for rate in (1.0, 1.0, 1.0, 0.7)])
+    assert first.kind == "drift"
+    assert "within the passes or between them: look at slurry" in first.what
+
+
 def test_a_rate_that_rises_is_no_wear() -> None:
     assert kinds([a_pass(rate=rate, fade=(0.1, 0.02)) for rate in (1.0, 1.0, 1.0, 1.4)]) == ["drift"]
 
