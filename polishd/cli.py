@@ -162,6 +162,20 @@ def service_show(cells: Served, *, system: Scope) -> None:
 
 
 @app.command()
+def history(
+    cell: Cell,
+    out: Annotated[
+        Path | None, Option(metavar="PICTURE.png", help="Picture: convergence, removal rate, faults over weeks.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """What became of the cell's parts: figures, removal rate and faults of all jobs. Needs no daemon."""
+    from polishd.console.history import history_verb
+
+    history_verb(cell, out, as_json=as_json)
+
+
+@app.command()
 def plugins(
     cell: Annotated[Path | None, Argument(metavar="[CELL.toml]")] = None,
     as_json: Json = False,

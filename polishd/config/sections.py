@@ -18,13 +18,17 @@ from polishd.config.values import (
     Seconds,
     Section,
     Share,
+    ShareOrNone,
     Text,
     Texts,
     Vector,
     as_tuple,
 )
 from polishd.model.dwell import Choice
+from polishd.model.finding import FindingLimits
 from polishd.model.process import FLAT
+
+_FINDING = FindingLimits()
 
 MOST_FEED_MM_S = 1000.0
 MOST_ACCEL_MM_S2 = 20_000.0
@@ -278,3 +282,16 @@ class LimitsSection(Section):
     max_rate_change: Share = 0.4
     """How far from 1 a learned removal rate may be, relative: beyond it the limit is taken, and where two standard
     errors do not explain that, the cell is held. [1]"""
+    max_rate_drift: Share = _FINDING.max_rate_drift
+    """How far the removal rate may move during one pass, or from that of the first passes of this process, relative:
+    beyond it, and surely so, the cell is held. [1]"""
+    max_spot_change: Share = _FINDING.max_spot_change
+    """How much wider or narrower than the model's the spot may be, relative; likewise. [1]"""
+    least_gain: ShareOrNone = _FINDING.least_gain
+    """Least share of the predicted gain in RMS that a pass must bring: two in a row that bring less end the job as
+    stalled; 0: none does. [1]"""
+
+    @property
+    def finding(self) -> FindingLimits:
+        """What is looked for in the passes, and beyond what."""
+        return FindingLimits(self.max_rate_drift, self.max_spot_change, self.least_gain)

@@ -57,8 +57,9 @@ class _Line:
                 self._update(AFTER[name].format(cycle=cycle), total=None, note="")
             case "state":
                 self._state(data)
-            case "failed" | "notification_failed":
-                self._print(f"{data.get('kind') or data['notifier']}: {data['error']}", style="red")
+            case "failed" | "found" | "notification_failed":
+                who = data.get("kind") or data["notifier"]
+                self._print(f"{who}: {data.get('error') or data['what']}", style="red")
             case _:
                 pass
         for note in data.get("notes", ()):

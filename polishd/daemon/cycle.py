@@ -20,7 +20,7 @@ from polishd.recipe.dwell_step import require_certificate
 
 
 async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
-    """Run cycles until the part is in tolerance, the cycles are used, or the surface gets worse.
+    """Run cycles until the part is in tolerance, the cycles are used, or passes bring too little, or harm.
 
     Returns with the tool lifted and the robot standing still. Raises PolishdError (the cell is then safe too)
     when a map, a plan, a device or a computation is refused.
@@ -39,6 +39,9 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
             return Outcome.DIVERGED
         if cycle == job.last_cycle:
             return Outcome.CYCLES_USED
+        if job.stalled:
+            return Outcome.STALLED
+        job.require_tool()
         async with journal.phase(cycle, Phase.SOLVE):
             solved = await job.solve(cycle, surface)
             require_certificate(solved.dwell.certificate, job.recipe)

@@ -39,6 +39,7 @@ NEXT: Mapping[str, str] = {
     "in_tolerance": _OVER,
     "cycles_used": f"the part is not in tolerance: {_OVER}",
     "diverged": f"the surface got worse: {_OVER}",
+    "stalled": f"passes bring too little of what was predicted: {_OVER}",
 }
 """What to do, by state or outcome: nobody is told to resume where no daemon runs, nor to run where one is held."""
 

@@ -15,10 +15,12 @@ from polishd.daemon.compute import Compute
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord, MapRecord, PassRecord
 from polishd.daemon.safety import ContactLimits
+from polishd.daemon.watching import watch
 from polishd.model import events
 from polishd.model.devices import RobotProgress
-from polishd.model.errors import ConfigError, GateStop, PlanRefused, SafetyStop
+from polishd.model.errors import ConfigError, GateStop, PlanRefused, SafetyStop, ToolStop
 from polishd.model.events import Event
+from polishd.model.finding import Finding
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
@@ -65,6 +67,8 @@ class Job:
     contact: ContactLimits
     max_cycles: int
     lookahead_s: float
+    findings: tuple[Finding, ...] = field(init=False, default=())
+    """What was found in the last pass, and not told before."""
     _believed: Believed = field(init=False)
     _surfaces: dict[int, Measured] = field(init=False, default_factory=dict)
     _planned: dict[int, Planned] = field(init=False, default_factory=dict)
@@ -145,13 +149,16 @@ class Job:
 
     async def learn(self, cycle: int, surface: Measured) -> None:
         """Compare what the last pass removed with what its executed dwell should have; not after an interruption."""
+        self.findings = ()
         before = self._surfaces.get(cycle - 1)  # after a hold a cycle is measured, and learned from, again
         self._surfaces[cycle] = surface
         done = [record for record in self.journal.passes if record.cycle == cycle - 1 and record.how == "done"]
         if before is None or not done:
             return
         times = await asyncio.to_thread(self._at_points, cycle - 1)
-        last = Pass(before, surface, self._planned[cycle - 1].asked_s, *times)
+        planned = self._planned[cycle - 1]
+        expected_nm = planned.certificate.predicted_rms_nm
+        last = Pass(before, surface, planned.asked_s, *times, predicted_rms_nm=expected_nm)
         taught: Taught = await self.compute(steps.learn, self.recipe, self.program, last, self._believed)
         folder = self.folder.cycle(cycle)
         await self._for_people(folder.write, await asyncio.to_thread(taught.files))
@@ -160,6 +167,20 @@ class Job:
             raise GateStop(f"{taught.verdict.stop} (see {folder.path / 'gate.png'})")
         self._believed = taught.believed
         self.publish(events.Learned(cycle=cycle, notes=taught.notes, beliefs=self._believed.facts()))
+        if taught.shown is not None:
+            self.findings = watch(self.journal, cycle - 1, taught.shown, self.recipe.finding)
+            for found in self.findings:
+                self.publish(events.Found(cycle=cycle, kind=found.kind, what=found.what, stops=found.stops))
+
+    @property
+    def stalled(self) -> bool:
+        """Whether passes bring so little that no more should be made."""
+        return any(found.kind == "stall" for found in self.findings)
+
+    def require_tool(self) -> None:
+        """ToolStop where the last pass shows that the tool is no longer what plans count with."""
+        if of_tool := [found.what for found in self.findings if found.stops == "cell"]:
+            raise ToolStop("; ".join(of_tool))
 
     async def solve(self, cycle: int, surface: Measured) -> Solved:
         """Dwell with a certificate, kept in the run folder whether it will be used or not."""
@@ -252,6 +273,7 @@ class Job:
             "how": None if run is None else run.how or "begun",
             "executed_s": None if run is None else self.journal.contact_s(run.cycle),
             "uncertain": None if run is None else [[a, end - 1] for a, end in self.journal.uncertain(run.cycle)],
+            "found": [] if run is None else [one["what"] for one in run.facts.get("findings", ())],
             "notes": measured.stats.get("notes", []),
         }
 

@@ -248,6 +248,22 @@ class Journal(AbstractContextManager["Journal", None]):
         """Make all that is buffered durable now."""
         self._store.write()
 
+    def add_facts(self, cycle: int, facts: Mapping[str, Any]) -> None:
+        """What became known of that cycle's pass after it: stands beside what it was begun with."""
+        record = self._known.passes[cycle]
+        whole = {**record.facts, **facts}
+        text = json.dumps(whole, default=plain)
+        self._store.write(("UPDATE pass SET facts = ? WHERE job = ? AND cycle = ?", (text, self._job, cycle)))
+        self._known.passes[cycle] = replace(record, facts=json.loads(text))
+
+    def passes_before(self, cycle: int, most: int) -> list[Mapping[str, Any]]:
+        """Facts of the last whole passes of any job of this cell before that cycle's, the latest first."""
+        sql = (
+            "SELECT facts FROM pass WHERE how = 'done' AND (job < ? OR (job = ? AND cycle < ?)) "
+            "ORDER BY job DESC, cycle DESC LIMIT ?"
+        )
+        return [json.loads(facts) for (facts,) in self._store.read(sql, (self._job, self._job, cycle, most))]
+
     def end_pass(self, cycle: int, how: str) -> None:
         """The pass is over, and it is known how: ``done``, ``stopped: ...``, ``interrupted``."""
         now = time.time()

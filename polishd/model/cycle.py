@@ -26,12 +26,14 @@ class Outcome(StrEnum):
     IN_TOLERANCE = "in_tolerance"
     CYCLES_USED = "cycles_used"
     DIVERGED = "diverged"
+    STALLED = "stalled"
     STOPPED = "stopped"
 
 
 EXIT_CODES: Mapping[Outcome, int] = {
     Outcome.IN_TOLERANCE: 0,
     Outcome.CYCLES_USED: 1,
+    Outcome.STALLED: 1,
     Outcome.STOPPED: 1,
     Outcome.DIVERGED: 6,
 }

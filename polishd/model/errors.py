@@ -14,6 +14,7 @@ PolishdError
     WrongPart      it shows another part
     NotSettled     no two in a row agree within the instrument's noise
   GateStop *       a pass did not do what its plan said: mend why       (10)
+  ToolStop *       the tool is no longer what plans count with: see to it (10)
   ComputeError     fall back, or stop before RUN                        (10)
   DeviceError *    a device is the cause                                (5)
     LinkError      the wire is dead or silent
@@ -86,6 +87,13 @@ class NotSettled(SurfaceError):
 
 class GateStop(PolishdError):
     """What a pass removed is better explained by a mistake in instrument or alignment than by its plan."""
+
+    exit_code = 10
+    mendable = True
+
+
+class ToolStop(PolishdError):
+    """Passes show a tool that wore, a removal rate that drifted, or another spot."""
 
     exit_code = 10
     mendable = True

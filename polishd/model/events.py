@@ -162,6 +162,16 @@ class Learned(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Found(Event):
+    """The last pass, with those before it, shows a stall, a drift, a worn tool or another spot."""
+
+    name: ClassVar[str] = "found"
+    kind: Annotated[str, "`stall`, `drift`, `wear` or `spot`"]
+    what: Annotated[str, "what was found, and what to do"]
+    stops: Annotated[str, "`job`: this one does not go on; `cell`: no job should, until a person has seen to the tool"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Solved(Event):
     """The dwell of the next pass was solved."""
 
@@ -216,7 +226,7 @@ class JobFinished(Event):
 
     name: ClassVar[str] = "job_finished"
     run_dir: Annotated[str, "the run folder"]
-    outcome: Annotated[str, "`in_tolerance`, `cycles_used`, `diverged`, `stopped` or `failed`"]
+    outcome: Annotated[str, "`in_tolerance`, `cycles_used`, `diverged`, `stalled`, `stopped` or `failed`"]
     reason: Annotated[str, "why it was stopped or failed; else empty"] = ""
     standing: Annotated[Standing, "as of `state`"] = NOT_ASKED
 
@@ -259,7 +269,7 @@ class PlanWritten(Event):
 
 
 EVENTS: tuple[type[Event], ...] = (
-    Opened, StateChanged, Ordered, Held, Failed, Measured, Repeated, GateStopped, Learned, Solved, TouchedOff,
+    Opened, StateChanged, Ordered, Held, Failed, Measured, Repeated, GateStopped, Learned, Found, Solved, TouchedOff,
     PassBegun, Progress, PassEnded, JobFinished, NotificationFailed, PlanWritten,
 )  # fmt: skip
 """Every kind, in the order in which they come in a job."""

@@ -71,7 +71,7 @@ def fit(
     if samples is not None:
         signals += [np.gradient(predicted_nm, axis=1) / pitch_mm, -np.gradient(predicted_nm, axis=0) / pitch_mm]
     figures = _rate_and_shift(len(signals))
-    found = _regressed([shifted(s, down, right) for s in signals], measured_nm, both, figures)
+    found = regressed([shifted(s, down, right) for s in signals], measured_nm, both, figures)
     terms, factors, sigmas = found.terms, found.factors, found.sigma
     model[both] = terms @ factors
     measured, plane = measured_nm[both], terms[:, len(signals) :]
@@ -123,7 +123,7 @@ def contest(other_nm: FloatArray, own_nm: FloatArray, measured_nm: FloatArray, m
     def gap(factors: FloatArray) -> FloatArray:
         return np.asarray(factors[..., :1] - factors[..., 1:2], dtype=np.float64)
 
-    found = _regressed([other_nm, own_nm], measured_nm, mask, gap)
+    found = regressed([other_nm, own_nm], measured_nm, mask, gap)
     return float(gap(found.factors)[0]), float(found.sigma[0])
 
 
@@ -180,7 +180,7 @@ def _rate_and_shift(signals: int) -> Callable[[FloatArray], FloatArray]:
     return figures
 
 
-class _Regressed(NamedTuple):
+class Regressed(NamedTuple):
     """A linear fit, and standard errors of figures made of its factors."""
 
     terms: FloatArray
@@ -193,12 +193,13 @@ class _Regressed(NamedTuple):
 
     @property
     def sigma(self) -> FloatArray:
+        """Of both."""
         return np.hypot(self.scatter, self.drift)
 
 
-def _regressed(
+def regressed(
     signals: Sequence[FloatArray], measured_nm: FloatArray, mask: BoolArray, figures: Callable[[FloatArray], FloatArray]
-) -> _Regressed:
+) -> Regressed:
     """Least squares of (ny, nx) signals and a plane over a mask, by normal equations, whole and without each tile."""
     rows, columns = np.nonzero(mask)
     terms, measured = np.column_stack([*(s[mask] for s in signals), _plane(rows, columns)]), measured_nm[mask]
@@ -212,4 +213,4 @@ def _regressed(
     scatter = figures(without)
     drift = figures(factors - inverse @ (terms.T @ _drift(terms, measured, rows, columns))) - figures(factors)
     square = (len(tiles) - 1) * np.mean((scatter - scatter.mean(axis=0)) ** 2, axis=0)
-    return _Regressed(terms, np.asarray(factors), np.sqrt(square), drift)
+    return Regressed(terms, np.asarray(factors), np.sqrt(square), drift)

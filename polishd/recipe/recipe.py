@@ -7,6 +7,7 @@ from typing import Any
 
 from polishd.config.sections import DwellSection, JobSection, PartSection, ProgramSection
 from polishd.hookspecs import DwellSolver, ProgramFormat, RemovalModel
+from polishd.model.finding import FindingLimits
 from polishd.model.handling import NOTHING, Between, TouchOff
 from polishd.model.instrument import Instrument
 from polishd.model.limits import Envelope
@@ -14,6 +15,8 @@ from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Op
 from polishd.model.robot import RobotModel
 from polishd.model.surface import SurfaceMap
 from polishd.model.tolerance import Line
+
+DEFAULT = FindingLimits()
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,7 @@ class Recipe:
     model: RemovalModel
     solver: DwellSolver
     cross_check: DwellSolver | None
+    finding: FindingLimits = DEFAULT
     tolerance: tuple[Line, ...] = ()
     """The drawing's lines; none where the job has the short form."""
     touch_off: TouchOff | None = None

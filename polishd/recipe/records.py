@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from polishd.hookspecs import RemovalAnswer
 from polishd.model.beliefs import UNTAUGHT, Belief, Beliefs
 from polishd.model.dwell import Certificate, DwellSolution, KeptStart
+from polishd.model.finding import Shown
 from polishd.model.program import IntArray, Plan, Program
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceStats
 from polishd.model.tolerance import Judged
@@ -143,6 +144,8 @@ class Pass:
     """(n,) time that each timed point had."""
     acting_s: FloatArray | None = None
     """(n,) the time that it would have taken at the process's own force and speed to remove as much; None: the same."""
+    predicted_rms_nm: float | None = None
+    """RMS that its plan expected after it; None: not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,6 +158,8 @@ class Taught:
     found: Mapping[str, Any] | None = None
     """How, by the removal model (``Lesson.found``); None where the gate stops."""
     notes: tuple[str, ...] = ()
+    shown: Shown | None = None
+    """What the pass showed of its process; None where the gate stops."""
 
     def files(self) -> dict[str, bytes]:
         """What the gate found and what was learned or, where it stops, the maps that it compared, for the picture."""
@@ -165,8 +170,10 @@ class Taught:
             mask = np.isfinite(self.verdict.predicted_nm)
             maps = {**arrays_of(self.verdict), "metric_mask": mask, "pitch_mm": np.array(self.grid.pitch_mm)}
             return {**files, "gate.npz": npz(maps)}
+        shown = None if self.shown is None else asdict(self.shown)
         believed = {**self.believed.facts(), "notes": self.notes}
-        return {**files, "learned.json": as_json({"beliefs": believed, **self.found, "notes": self.notes})}
+        learned = {"beliefs": believed, **self.found, "shown": shown, "notes": self.notes}
+        return {**files, "learned.json": as_json(learned)}
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,6 +29,7 @@ from polishd.process.tolerance import judge, notes_of
 from polishd.recipe.files import read_program_bytes
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import CENTRED, Believed, Measured, Pass, Solved, Taught
+from polishd.recipe.showing import shown_by
 from polishd.recipe.staying import Staying
 
 ROUNDING = 1e-3
@@ -150,8 +151,8 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
     """Compare predicted with measured removal of the last pass; where the gate stops, nothing is learned from it."""
     grid, mask = done.before.grid, done.before.metric_mask
     request = _request(recipe, program, grid, believed)
-    acting_s = done.executed_s if done.acting_s is None else done.acting_s
-    predicted = recipe.model.effect(request).removal_nm(acting_s)
+    answer = recipe.model.effect(request)
+    predicted = answer.removal_nm(done.executed_s if done.acting_s is None else done.acting_s)
     measured = done.before.height_nm - done.after.height_nm
     low, high = 1 - recipe.max_rate_change, 1 + recipe.max_rate_change
     allowed = (low / believed.rate, high / believed.rate)
@@ -171,7 +172,8 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
     lesson = recipe.model.learn(request, evidence)
     envelope = envelope_of(recipe, program, believed)
     overhead = motion.learn_overhead_s(program, done.asked_s, done.executed_s, envelope)
-    return Taught(Believed(lesson.beliefs, overhead), verdict, grid, lesson.found, lesson.notes)
+    shown = shown_by(done, answer, predicted, verdict, believed.rate)
+    return Taught(Believed(lesson.beliefs, overhead), verdict, grid, lesson.found, lesson.notes, shown)
 
 
 def _unknown(recipe: Recipe) -> metrics.Removal:

@@ -37,6 +37,7 @@ VERDICTS: Mapping[str, Verdict] = {
     "in_tolerance": Verdict("good", "In tolerance"),
     "cycles_used": Verdict("bad", "Not in tolerance: all passes used"),
     "diverged": Verdict("bad", "Diverged: the surface got worse"),
+    "stalled": Verdict("bad", "Stalled: passes brought too little"),
     "stopped": Verdict("bad", "Stopped before the end"),
     "failed": Verdict("bad", "Ended by an error: see the notes"),
     "planned": Verdict("plain", "Plan: nothing was moved"),
@@ -161,9 +162,10 @@ def facts_of(folder: RunFolder) -> list[tuple[str, str]]:
 
 
 def notes_of(folder: RunFolder) -> list[str]:
-    """The summary's notes, and those of each measurement and of what was learned by it."""
+    """The summary's notes, those of each measurement and of what was learned by it, and what was found in passes."""
     notes = [text(note) for note in folder.summary.get("notes") or []]
     for index, row in enumerate(folder.rows()):
         learned = folder.cycles[index].notes if index < len(folder.cycles) else ()
         notes += [f"measurement {index}: {text(note)}" for note in (*(row.get("notes") or ()), *learned)]
+        notes += [f"{words.pass_after(folder.rows(), index)}: {text(found)}" for found in row.get("found") or ()]
     return notes

@@ -15,7 +15,18 @@ import pytest
 from polishd.hookspecs import DwellSolver
 from polishd.model.cycle import Outcome
 from polishd.model.dwell import DwellSolution
-from polishd.model.errors import BadMap, ComputeError, DeviceFault, GateStop, LinkError, PlanRefused, SafetyStop
+from polishd.model.errors import (
+    BadMap,
+    ComputeError,
+    DeviceFault,
+    GateStop,
+    LinkError,
+    PlanRefused,
+    SafetyStop,
+    ToolStop,
+)
+from polishd.model.events import Found
+from polishd.model.finding import Finding
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.recipe import steps
@@ -289,3 +300,39 @@ async def test_garbage_is_searched_for_in_little_while_the_tool_presses(bench: B
     await bench.polish(bench.job(recipe=small_recipe(tolerance_nm=1.5)))
     assert min(frozen) > 10_000
     assert gc.get_freeze_count() == 0
+
+
+# what passes show
+
+
+async def test_passes_that_bring_nothing_end_the_job(bench: Bench) -> None:
+    job = bench.job(recipe=small_recipe(tolerance_nm=1e-6), max_cycles=9)
+    assert await bench.polish(job) is Outcome.STALLED
+    assert [event.kind for event in job.told if isinstance(event, Found)] == ["stall"]
+    assert len(bench.journal.passes) < 9
+
+
+async def test_a_worn_tool_waits_for_a_person_who_may_go_on_with_it(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    worn = Finding("wear", "the rate fell", "cell")
+    told = [(worn,), ()]
+    monkeypatch.setattr("polishd.daemon.job.watch", lambda *_: told.pop(0))
+    job = bench.job(recipe=small_recipe(tolerance_nm=1e-6), max_cycles=2)
+    with pytest.raises(ToolStop, match="the rate fell"):
+        await bench.polish(job)
+    assert len(bench.journal.passes) == 1
+    assert [event.stops for event in job.told if isinstance(event, Found)] == ["cell"]
+    bench.fake.metrology.measure = lambda: as_map(bench.measure().height_nm + 1e-6)
+    monkeypatch.setattr("polishd.daemon.job.watch", lambda *_: ())
+    assert await bench.polish(job) is Outcome.CYCLES_USED
+
+
+async def test_a_part_in_tolerance_is_accepted_by_a_worn_tool_too(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    worn = Finding("wear", "the rate fell", "cell")
+    monkeypatch.setattr("polishd.daemon.job.watch", lambda *_: (worn,))
+    job = bench.job(recipe=small_recipe(tolerance_nm=5.0))
+    assert await bench.polish(job) is Outcome.IN_TOLERANCE
+    assert job.findings == (worn,), "whoever begins the next job is told"

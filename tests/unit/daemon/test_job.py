@@ -381,3 +381,11 @@ def test_all_that_is_wrong_is_told() -> None:
     bad = replace(CERTIFICATE, kkt_residual=1.0, bound_violation_s=1.0)
     with pytest.raises(ComputeError, match=r"KKT residual .*; a bound is violated"):
         require_certificate(bad, small_recipe())
+
+
+async def test_what_was_found_in_a_pass_stands_in_its_entry(job: Job, journal: Journal) -> None:
+    plan = await planned(job, 0, await job.measured(0, small_map()))
+    await run(job, 0, plan)
+    await measure(job, 1, 2.0)
+    journal.add_facts(0, {"findings": [{"kind": "wear", "what": "the rate fell", "stops": "cell"}]})
+    assert [entry["found"] for entry in job.cycles()] == [["the rate fell"], []]

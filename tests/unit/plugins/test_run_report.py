@@ -272,7 +272,7 @@ def test_a_plan_shows_its_prediction_and_says_that_nothing_moved(plan_dir: Path)
 
 def test_what_was_said_of_a_map_and_of_a_pass_is_on_the_page(undrawn: None, run_dir: Path) -> None:
     rows = json.loads((run_dir / "summary.json").read_text())["cycles"]
-    write_summary(run_dir, [{**rows[0], "notes": ["a tilt of 150 nm"]}, *rows[1:]])
+    write_summary(run_dir, [{**rows[0], "notes": ["a tilt of 150 nm"], "found": ["the rate fell"]}, *rows[1:]])
     (run_dir / "cycle-01/learned.json").write_text(json.dumps({"notes": ["the rate <stays>"]}))
     (run_dir / "cycle-01/settling.json").write_text(json.dumps({"notes": ["settled: 3 maps"]}))
     (run_dir / "cycle-00/touch_off.json").write_text(json.dumps({"notes": ["the part sits 0.02 mm too high"]}))
@@ -280,6 +280,7 @@ def test_what_was_said_of_a_map_and_of_a_pass_is_on_the_page(undrawn: None, run_
     assert "<li>measurement 1: settled: 3 maps</li>" in page
     assert "<li>measurement 0: the part sits 0.02 mm too high</li>" in page
     assert "<li>measurement 0: a tilt of 150 nm</li>" in page
+    assert "<li>Pass 1: the rate fell</li>" in page
     assert "<li>measurement 1: the rate &lt;stays&gt;</li>" in page
     assert "learned.json" not in missing_in(page), "a first measurement has none"
 

@@ -182,7 +182,7 @@ def test_what_a_pass_taught_leaves(program: Program, measured: Measured, solved:
     learned = json.loads(files["learned.json"])
     assert set(learned["beliefs"]) == {"rate", "block_overhead_s", "removal", "notes"}
     assert learned["beliefs"]["removal"]["rate"]["sigma"] == learned["rate_sigma"]
-    keys = {"beliefs", "rate", "measured_rate", "rate_sigma", "correlation", "explained", "notes"}
+    keys = {"beliefs", "rate", "measured_rate", "rate_sigma", "correlation", "explained", "shown", "notes"}
     assert set(learned) == keys
 
 

@@ -1,0 +1,142 @@
+"""The history of a cell over its parts: read from the journal's rows, beside a daemon that may be running."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from polishd.daemon.journal import JOURNAL_NAME
+from polishd.model.errors import ConfigError, ToolStop
+from polishd.model.tolerance import Judged, judged_of, worst
+
+FAULTS = ("held", "failed", "found")
+"""Events that somebody had to see to."""
+TOLD = ToolStop.__name__
+"""An error whose cause is an event of its own, ``found``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """One map of a part, and the pass before it."""
+
+    at_s: float
+    """Unix time."""
+    rms_nm: float
+    judged: tuple[Judged, ...]
+    rate: float | None
+    """Removal rate that the pass before it showed, relative to the model's own; None: it showed none."""
+    rate_sigma: float | None
+    predicted_nm: float | None
+    """RMS that the plan of that pass expected."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """An event that somebody had to see to."""
+
+    at_s: float
+    kind: str
+    """The error's class, or what was found."""
+    what: str
+
+
+@dataclass(frozen=True, slots=True)
+class JobHistory:
+    """One job, from its row and those that name it."""
+
+    job: str
+    part_id: str
+    began_s: float
+    ended_s: float | None
+    outcome: str
+    """Empty: it is under way, or was given up."""
+    passes: int
+    """That came to their end."""
+    interrupted: int
+    contact_s: float
+    measured: tuple[Measurement, ...]
+    faults: tuple[Fault, ...]
+
+    @property
+    def rate(self) -> float | None:
+        """The last that a pass showed."""
+        return next((one.rate for one in reversed(self.measured) if one.rate is not None), None)
+
+    @property
+    def worst(self) -> Judged | None:
+        """The line of the tolerance that the last measurement keeps worst."""
+        return worst(self.measured[-1].judged) if self.measured else None
+
+
+def read_history(state_dir: Path) -> list[JobHistory]:
+    """All jobs of a cell in the order in which they began; ConfigError where there is no journal, or it cannot be read.
+
+    The file is opened for reading only, and nothing waits for it: a daemon may be in contact meanwhile.
+    """
+    path = state_dir / JOURNAL_NAME
+    if not path.exists():
+        raise ConfigError(f"{path}: is not there: no job was begun in this cell yet; polishd run CELL.toml begins one")
+    try:
+        with closing(sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro", uri=True)) as journal:
+            journal.execute("BEGIN")  # one moment for all that is read
+            return list(_jobs(journal))
+    except (sqlite3.Error, ValueError) as error:
+        raise ConfigError(f"{path}: the history cannot be read: {error}; polishd run brings an old journal up to date, "
+                          "or names what is wrong with it") from error  # fmt: skip
+
+
+def _jobs(journal: sqlite3.Connection) -> Iterator[JobHistory]:
+    maps = _by_job(journal, "SELECT job, cycle, taken, stats FROM map ORDER BY id")
+    passes = _by_job(journal, "SELECT job, cycle, how, facts FROM pass ORDER BY job, cycle")
+    marks = ", ".join("?" * len(FAULTS))
+    events = _by_job(journal, f"SELECT job, at, name, data FROM event WHERE name IN ({marks}) ORDER BY id", FAULTS)  # noqa: S608
+    for number, *row in journal.execute("SELECT id, name, part_id, started, ended, outcome FROM job ORDER BY id"):
+        name, part_id, began_s, ended_s, outcome = row
+        run = {cycle: (how, json.loads(facts)) for cycle, how, facts in passes.get(number, ())}
+        last = {cycle: (taken, json.loads(stats)) for cycle, taken, stats in maps.get(number, ())}
+        hows = [how for how, _ in run.values()]
+        yield JobHistory(
+            job=name,
+            part_id=part_id,
+            began_s=began_s,
+            ended_s=ended_s,
+            outcome=outcome or "",
+            passes=hows.count("done"),
+            interrupted=sum(how not in {None, "done"} for how in hows),
+            contact_s=sum((facts.get("shown") or {}).get("contact_s", 0.0) for _, facts in run.values()),
+            measured=tuple(_measurement(*found, run.get(cycle - 1, ("", {}))[1]) for cycle, found in last.items()),
+            faults=tuple(_faults(events.get(number, ()))),
+        )
+
+
+def _by_job(journal: sqlite3.Connection, sql: str, values: Sequence[Any] = ()) -> dict[int, list[Any]]:
+    """The other columns of the rows, by their first one."""
+    found: dict[int, list[Any]] = {}
+    for job, *row in journal.execute(sql, values):
+        found.setdefault(job, []).append(tuple(row))
+    return found
+
+
+def _measurement(at_s: float, stats: Mapping[str, Any], before: Mapping[str, Any]) -> Measurement:
+    rate = (before.get("shown") or {}).get("rate") or {}
+    judged = judged_of(stats)
+    predicted = before.get("predicted_rms_nm")
+    return Measurement(at_s, stats["rms_nm"], judged, rate.get("value"), rate.get("sigma"), predicted)
+
+
+def _faults(events: Iterable[tuple[float, str, str]]) -> Iterator[Fault]:
+    """Each once: an error that held the cell, and ended its daemon as nobody mended it, is one."""
+    last = ("", "")
+    for at_s, name, data in events:
+        said = json.loads(data)
+        fault = Fault(at_s, said["kind"], said["what" if name == "found" else "error"])
+        again = name == "failed" and last == (fault.kind, fault.what)
+        last = (fault.kind, fault.what)
+        if fault.kind != TOLD and not again:
+            yield fault
