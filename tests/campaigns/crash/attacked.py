@@ -1,4 +1,4 @@
-"""``polishd run`` that is killed at one of its journal's commits: ``-m tests.campaigns.crash.attacked N WHERE CELL ...``.
+"""``polishd run`` that is killed at a commit of its journal: ``-m tests.campaigns.crash.attacked N WHERE CELL ...``.
 
 ``WHERE``: ``before`` the N-th COMMIT, ``amid`` its rows (after the first), or ``after`` it, when nobody knows yet that
 it is durable.

@@ -6,6 +6,7 @@ act may be there or not, whatever came later is; a write may be there in some of
 
 from __future__ import annotations
 
+import itertools
 import random
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -142,7 +143,7 @@ def _torn(op: Op, luck: random.Random) -> Mapping[int, bytes]:
     """Some sectors of a write: from its beginning, any, or none (its length alone)."""
     end = op.offset + len(op.data)
     edges = [op.offset, *range((op.offset // SECTOR + 1) * SECTOR, end, SECTOR), end]
-    sectors = list(zip(edges, edges[1:], strict=False))
+    sectors = list(itertools.pairwise(edges))
     kind = luck.randrange(3)
     kept = sectors[: luck.randrange(len(sectors))] if kind == 0 else []
     if kind == 1:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import random
 import signal
+import subprocess
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -23,6 +24,8 @@ from tests.campaigns.crash.site import LOOK_S, Site
 from tests.patience import SOON_S
 from tests.system.cell_rig import with_keys, write_small
 
+CELLS = 2
+"""Side by side."""
 SPEED = 30.0
 ATTACKS = 12
 """Of one cell, and then it goes on to the end of its job."""
@@ -40,6 +43,7 @@ STANDS_S = 0.05
 """Longest that a tool may stand on the part where motion goes on: a corner at which the robot turns."""
 ROBOT_STANDS_S = 4.0
 """Longest where the robot was killed or stopped: silence, force off, and the watchdog of the actuator behind them."""
+STOPS_S, STOPS_SHARE = (0.1, 0.3, 1.0, 2.0, 5.0, 60.0), (8, 8, 8, 8, 2, 1)
 NEVER = 3.0
 """So long an attack may have no effect."""
 
@@ -227,7 +231,7 @@ def stopped(who: str) -> Callable[[Campaign], None]:
         cell.begin()
         cell.until_contact()
         pids = [cell.site.pid] if who == "daemon" else [cell.site.device(who)]
-        seconds = cell.luck.choice((0.1, 0.3, 1.0, 2.0, 4.0, 60.0) if cell.luck.random() < 0.1 else (0.1, 0.3, 1.0, 2.0))
+        seconds = cell.luck.choices(STOPS_S, STOPS_SHARE)[0]
         for number, then_s in ((signal.SIGSTOP, seconds), (signal.SIGCONT, 0.0)):
             for pid in filter(None, pids):
                 os.kill(pid, number)
@@ -296,7 +300,10 @@ def part(folder: Path, seed: int, number: int, attacks: int = ATTACKS) -> Count:
     count, luck = Count(), random.Random(f"{seed} {number}")
     with attacked_cell(folder, seed + number) as site:
         campaign = Campaign(site, luck, count, number * attacks)
-        for attack in drawn(luck, attacks):
-            campaign.attack(attack)
-        campaign.finish()
+        try:
+            for attack in drawn(luck, attacks):
+                campaign.attack(attack)
+            campaign.finish()
+        except (AssertionError, subprocess.TimeoutExpired) as error:
+            count.wrong("stuck", f"part {number}, after {attack.name}: {error}")
     return count

@@ -82,9 +82,7 @@ def marking(marks: Path) -> Any:
         polishd.files.os = SimpleNamespace(**{**vars(os), "fsync": lambda _: None})  # type: ignore[attr-defined]
 
     def connect(path: Path) -> sqlite3.Connection:
-        connection = sqlite3.connect(
-            path, isolation_level=None, check_same_thread=False, timeout=5.0, factory=Marking
-        )
+        connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=5.0, factory=Marking)
         connection.execute(f"PRAGMA wal_autocheckpoint={CHECKPOINT_PAGES}")
         return connection
 

@@ -134,10 +134,15 @@ class Site:
     def reboot(self, name: str) -> None:
         """Kill it, as a power cut does; it is back when this returns."""
         os.kill(self.device(name), signal.SIGKILL)
-        command = [sys.executable, "-m", "polishd.sim_backends", str(self.files.sim), "--state", str(self.files.sim_dir)]
-        process = subprocess.Popen(
-            [*command, "--device", name, "--rebooted"], stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, cwd=ROOT
-        )
+        command = [
+            sys.executable,
+            "-m",
+            "polishd.sim_backends",
+            str(self.files.sim),
+            "--state",
+            str(self.files.sim_dir),
+        ]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, cwd=ROOT)
         self.booted.append(process)
         assert process.stdout is not None
         assert json.loads(process.stdout.readline())["ready"] == name
@@ -180,7 +185,7 @@ class Site:
             journal.close()
 
     def twice(self) -> list[str]:
-        """Blocks that the plant saw in contact for longer than the journal says that they were, or may have been, run."""
+        """Blocks that the plant saw in contact for longer than the journal says that they were, or may have been."""
         journal, found = self.journal(), []
         try:
             for program in account(self.files)["programs"]:

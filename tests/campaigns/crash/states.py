@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import shutil
 import tempfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -18,8 +18,10 @@ from tests.campaigns.crash.judge import Judge, Promised, Promises, Verdict
 from tests.campaigns.crash.recording import Op
 
 PROCESSES = 2
-PLAIN = 4
-"""Variants of a crash that are not drawn: all of it is there, nothing, names alone, contents alone."""
+KEY_BYTES = 32
+"""Half of a state's name is of what is on the disk, half of what was promised."""
+AT_ONCE = 8
+"""Variants of a crash that one process tries at each prefix before it tells."""
 MEMORY = Path("/dev/shm")
 """Where a disk of each state is laid out: what is synced there costs nothing."""
 
@@ -79,25 +81,26 @@ def round_of(recording: Sequence[Op], variants: Sequence[int], seed: int, known:
 
 
 def rounds(recording: Sequence[Op], first: int, seed: int, known: set[bytes]) -> Iterator[tuple[int, Tried]]:
-    """Without end, several side by side: how many variants were tried, and what came of them."""
-    context = get_context("forkserver")
-    with ProcessPoolExecutor(PROCESSES, mp_context=context, initializer=os.nice, initargs=(0,)) as pool:
+    """Without end, several side by side: how many variants have been tried by then, and what came of a round."""
+    with ProcessPoolExecutor(PROCESSES, mp_context=get_context("forkserver")) as pool:
         while True:
-            chunks = [(first + k,) for k in range(PROCESSES)]
-            if first == 0:
-                chunks = [tuple(range(PLAIN))]
+            chunks = [range(first + k * AT_ONCE, first + (k + 1) * AT_ONCE) for k in range(PROCESSES)]
             before = frozenset(known)
-            for tried in pool.map(round_of, *zip(*[(recording, chunk, seed, before) for chunk in chunks], strict=True)):
-                known |= tried.keys
-                yield first, tried
-            first += sum(map(len, chunks))
+            tasks = [pool.submit(round_of, recording, chunk, seed, before) for chunk in chunks]
+            for chunk, task in zip(chunks, tasks, strict=True):
+                yield chunk.stop, task.result()
+            first = chunks[-1].stop
 
 
 def _key(files: Files, promised: Promised) -> bytes:
     """A name of this state."""
     content = hashlib.blake2b(digest_size=16)
     for path, data in sorted(files.items()):
-        content.update(f"{path} {len(data)} ".encode())
-        content.update(data)
-    content.update(repr(promised).encode())
-    return content.digest()
+        content.update(path.encode() + _digest(data))
+    return content.digest() + hashlib.blake2b(repr(promised).encode(), digest_size=16).digest()
+
+
+@lru_cache(64)
+def _digest(data: bytes) -> bytes:
+    """Most files of a state are those of the state before."""
+    return hashlib.blake2b(data, digest_size=16).digest()
