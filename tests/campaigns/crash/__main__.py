@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import shutil
 import sys
@@ -11,12 +12,12 @@ import time
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
-from tests.campaigns.crash import kills
+from tests.campaigns.crash import kills, model
 from tests.campaigns.crash.figures import SAID, Figures, table, write_page
 from tests.campaigns.crash.states import rounds
 
 FOLDER = Path("build/crash")
-STATES, KILLS = 100_000, 2_000
+STATES, KILLS, FAULTS = 100_000, 2_000, 3
 
 
 def say(*words: object) -> None:
@@ -53,6 +54,18 @@ def run_kills(figures: Figures, wanted: int, until_s: float) -> None:
                 say(f"crash: {figures.kills} of {wanted} kills, wrong: {figures.all['kills']['bad'] or 'none'}")
 
 
+def run_model(figures: Figures, faults: int) -> None:
+    """Once for each text of it."""
+    of = hashlib.sha256(model.MODEL.read_bytes()).hexdigest()[:16]
+    if model.MISSING:
+        say(f"crash: THE MODEL IS NOT CHECKED: {model.MISSING}; on Debian: apt-get install spin gcc")
+    elif figures.all["model"].get("of") != of or figures.all["model"]["faults"] < faults:
+        say(f"crash: checking the model with {faults} faults")
+        held = [model.check(faults), model.check(faults, lives=True)]
+        caught = [broken for broken in model.BROKEN if model.check(2, broken=broken).wrong]
+        figures.add_model(of, faults, held, caught)
+
+
 def one_part(seed: int, number: int) -> kills.Count:
     """A cell in a folder of its own, which stays where something was wrong."""
     folder = Path(tempfile.mkdtemp(prefix="polishd-crash-"))
@@ -69,6 +82,7 @@ def main() -> int:
     parse = argparse.ArgumentParser(prog="make crash", description=__doc__)
     parse.add_argument("--states", type=int, default=STATES, help="different crash states in all")
     parse.add_argument("--kills", type=int, default=KILLS, help="killed processes in all")
+    parse.add_argument("--faults", type=int, default=FAULTS, help="of the model; 0: it is not checked")
     parse.add_argument("--seed", type=int, default=1, help="another one begins anew")
     parse.add_argument("--minutes", type=float, default=1e9, help="longest that this sitting goes on with each")
     parse.add_argument("--folder", type=Path, default=FOLDER, help="where figures are kept between sittings")
@@ -77,7 +91,9 @@ def main() -> int:
     figures = Figures(options.folder, options.seed)
     run_states(figures, options.states, time.monotonic() + 60 * options.minutes)
     run_kills(figures, options.kills, time.monotonic() + 60 * options.minutes)
-    if options.folder == FOLDER:
+    if options.faults:
+        run_model(figures, options.faults)
+    if options.folder == FOLDER and all(figures.all[name] for name in ("states", "kills", "model")):
         write_page(figures.all)
     found = figures.summary()
     if not options.json:

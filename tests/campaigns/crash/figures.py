@@ -8,7 +8,7 @@ import os
 import pickle
 import platform
 import sqlite3
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,6 +17,7 @@ from typing import Any
 from polishd.files import write_atomic
 from tests.campaigns.crash.daemon_recording import recorded_daemon
 from tests.campaigns.crash.kills import ATTACKS_KNOWN, Count
+from tests.campaigns.crash.model import BROKEN, Checked
 from tests.campaigns.crash.recording import ROOT, Op
 from tests.campaigns.crash.states import KEY_BYTES, Tried
 
@@ -29,6 +30,7 @@ SAID = {
     "dug": "tools that stood on the part for longer than they may",
     "not_held": "starts that were not held",
     "stuck": "jobs that could not go on",
+    "model": "promises that the model breaks",
 }
 """What may not be."""
 PAGE = ROOT / "docs" / "reliability.md"
@@ -56,7 +58,7 @@ class Figures:
         if (self.all.get("of"), self.all.get("seed")) != (proved(), seed):
             for old in folder.glob("*"):
                 old.unlink() if old.is_file() else None
-            self.all = {"of": proved(), "seed": seed, "states": {}, "kills": {}}
+            self.all = {"of": proved(), "seed": seed, "states": {}, "kills": {}, "model": {}}
         keys = folder / "states.keys"
         content = keys.read_bytes() if keys.exists() else b""
         self.keys = {content[k : k + KEY_BYTES] for k in range(0, len(content), KEY_BYTES)}
@@ -110,9 +112,18 @@ class Figures:
         _add(mine, count.bad, count.examples)
         self._save()
 
+    def add_model(self, of: str, faults: int, held: list[Checked], caught: list[str]) -> None:
+        """What holds in how many states, and which broken ones were caught."""
+        wrong = [found.wrong for found in held if found.wrong]
+        wrong += [f"{broken} was not caught" for broken in BROKEN if broken not in caught]
+        states = [found.states for found in held]
+        self.all["model"] = {"of": of, "faults": faults, "states": states, "caught": caught, "examples": wrong}
+        self.all["model"]["bad"] = {"model": len(wrong)}
+        self._save()
+
     def summary(self) -> dict[str, Any]:
         """For the last line."""
-        bad = Counter(self.all["states"].get("bad", {})) + Counter(self.all["kills"].get("bad", {}))
+        bad = wrong(self.all)
         return {"states": self.states, "kills": self.kills, **{name: bad[name] for name in SAID}, **self._of()}
 
     def _of(self) -> dict[str, Any]:
@@ -137,10 +148,15 @@ def _told(recording: list[Op]) -> dict[str, int]:
     return {"acts": sum(kinds.values()) - kinds["mark"], "syncs": kinds["sync"], "commits": commits}
 
 
+def wrong(all_: Mapping[str, Any]) -> Counter[str]:
+    """What may not be, in all of it."""
+    return sum((Counter(all_[name].get("bad", {})) for name in ("states", "kills", "model")), Counter[str]())
+
+
 def table(all_: Mapping[str, Any]) -> str:
     """For the page."""
-    states, kills = Counter(all_["states"]), Counter(all_["kills"])
-    bad = Counter(states["bad"] or {}) + Counter(kills["bad"] or {})
+    states, kills, model = (defaultdict(int, all_[name]) for name in ("states", "kills", "model"))
+    bad = wrong(all_)
     attacks = Counter(kills["attacks"] or {})
     each = ", ".join(f"{attack.name} {attacks[attack.name]}" for attack in ATTACKS_KNOWN)
     rows = [
@@ -154,6 +170,8 @@ def table(all_: Mapping[str, Any]) -> str:
         ("starts that came up held, and went on when told to", f"{kills['went_on']:,}"),
         ("jobs that went on to their end", f"{kills['finished']:,}"),
         ("longest that a tool stood on the part after an attack, s", f"{kills['dug_s']:g}"),
+        ("states of the model", f"{max(model['states'] or [0]):,}, with {model['faults']} faults"),
+        ("... daemons that break it, and were caught", ", ".join(model["caught"] or ["not checked"])),
         *((f"**{said}**", f"**{bad[name]}**") for name, said in SAID.items()),
     ]
     of = f"Sources {all_['of']}, seed {all_['seed']}, {all_['on']}, {all_['cores']} cores, {all_['at']}."

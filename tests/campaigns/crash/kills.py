@@ -6,9 +6,11 @@ block been in contact that the journal does not know of, and does the next start
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
 import signal
+import socket
 import subprocess
 import time
 from collections import Counter
@@ -142,16 +144,20 @@ class Campaign:
         end_s = time.monotonic() + SOON_S
         while not site.ended and not any(e["event"] == "tool_landed" for e in site.log.look()[before:]):
             assert time.monotonic() < end_s, "the tool does not come to the part"
-            if site.state().get("state") == "held":  # an error that a person can mend
-                site.order("resume")
-            time.sleep(LOOK_S)
+            self._go_on()
         time.sleep(self.luck.uniform(0.0, 1.5))
 
     def until_ended(self, within_s: float = NEVER) -> None:
         """Or not: then it did the daemon no harm."""
         end_s = time.monotonic() + within_s
         while not self.site.ended and time.monotonic() < end_s:
-            time.sleep(LOOK_S)
+            self._go_on()
+
+    def _go_on(self) -> None:
+        """Wait a little; an error that a person can mend is mended."""
+        if self.site.state().get("state") == "held":
+            self.site.order("resume")
+        time.sleep(LOOK_S)
 
     def finish(self) -> None:
         """To the end of the job, undisturbed; a start that fails over what an attack left is tried again."""
@@ -286,6 +292,9 @@ def attacked_cell(folder: Path, seed: int) -> Iterator[Site]:
     files = write_small(folder, patient=False, tolerance_nm=0.01, max_cycles=100)
     files.cell.write_text(with_keys(files.cell.read_text(), QUICK))
     files.sim.write_text(with_values(with_keys(files.sim.read_text(), QUICK_SIM), {"actuator": {"lift_s": 4.0}}))
+    port = _port()
+    files.cell.write_text(with_values(files.cell.read_text(), {"robot": {"address": f"tcp://127.0.0.1:{port}"}}))
+    files.sim.write_text(with_values(files.sim.read_text(), {"robot": {"port": port}}))
     options = ["--state", str(files.sim_dir), "--seed", str(seed), "--speed", f"{SPEED:g}"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):
         site = Site(files)
@@ -293,6 +302,16 @@ def attacked_cell(folder: Path, seed: int) -> Iterator[Site]:
             yield site
         finally:
             site.close()
+
+
+def _port() -> int:
+    """A free one that the system gives to nobody by itself: while the robot is down it stays free."""
+    while True:
+        with (
+            contextlib.suppress(OSError),
+            socket.create_server(("127.0.0.1", random.randrange(20_000, 32_000))) as free,
+        ):
+            return int(free.getsockname()[1])
 
 
 def part(folder: Path, seed: int, number: int, attacks: int = ATTACKS) -> Count:

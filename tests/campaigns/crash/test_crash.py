@@ -71,7 +71,19 @@ def test_a_crash_keeps_what_was_synced_and_may_lose_all_else() -> None:
 @pytest.mark.system
 @pytest.mark.timeout(1800)
 def test_five_minutes_of_make_crash(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "tests.campaigns.crash", "--states", "20000", "--kills", "60", "--minutes", "2"]
+    command = [
+        sys.executable,
+        "-m",
+        "tests.campaigns.crash",
+        "--states",
+        "20000",
+        "--kills",
+        "60",
+        "--minutes",
+        "2",
+        "--faults",
+        "2",
+    ]
     done = subprocess.run([*command, "--folder", str(tmp_path), "--json"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
