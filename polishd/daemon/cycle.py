@@ -5,12 +5,15 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
+from polishd.daemon.recording import recording
 from polishd.daemon.safety import contact
 from polishd.daemon.stream import streaming
+from polishd.daemon.touch import Touch
 from polishd.model.cycle import Outcome, Phase
 from polishd.recipe.dwell_step import require_certificate
 
@@ -41,13 +44,18 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
         await cell.restore_links()  # here, out of contact, a lost link may be opened again
         feed = streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=cell.limits.buffer_s)
         async with journal.phase(cycle, Phase.RUN), feed as stream:
-            await job.begin_pass(cycle, plan, await cell.robot.progress())
+            await job.begin_pass(cycle, plan, await cell.robot.progress(), cell.limits.unseen_s)
             await stream.approach()
-            with short_collections():
-                async with contact(cell, job.contact):
-                    async for block in stream.polish():
-                        await job.executed(cycle, block)  # what was done, not what was asked, feeds the next cycle
-            await stream.retreat()
+            # what was done, not what was asked, feeds the next cycle
+            touch = Touch(partial(job.executed, cycle), cell.limits.robot.silence_s)
+            try:
+                with short_collections():
+                    async with recording(cell, journal, cycle, touch) as recorder, contact(cell, job.contact, touch):
+                        await recorder.follow(stream)
+                await stream.retreat()
+            except BaseException:
+                await job.cut_off(cycle)
+                raise
             await job.end_pass(cycle)
     return Outcome.CYCLES_USED
 

@@ -5,21 +5,25 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from polishd.daemon.compute import Compute
 from polishd.daemon.journal import Journal
-from polishd.daemon.journal_records import MapRecord, PassRecord
+from polishd.daemon.journal_records import BlockRecord, MapRecord, PassRecord
 from polishd.daemon.safety import ContactLimits
 from polishd.model import events
-from polishd.model.devices import Executed, RobotProgress
-from polishd.model.errors import ConfigError, GateStop, PlanRefused
+from polishd.model.devices import RobotProgress
+from polishd.model.errors import ConfigError, GateStop, PlanRefused, SafetyStop
 from polishd.model.events import Event
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.process.conditioning import Masks
+from polishd.process.contact import relative_removal
 from polishd.process.executed import executed_s
 from polishd.process.registration.record import Registration
 from polishd.recipe import dwell_step, steps
@@ -31,7 +35,7 @@ from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved, Ta
 DIVERGED_RATIO, DIVERGED_NM = 1.3, 1.0
 """A surface that is worse than the best one so far by this ratio, and by more than noise and ripple, ends the job."""
 PROGRESS_BLOCKS = 50
-"""Blocks between two progress events; between them nobody else has a turn on the event loop."""
+"""Blocks between two progress events."""
 
 log = logging.getLogger(__name__)
 
@@ -133,8 +137,8 @@ class Job:
         done = [record for record in self.journal.passes if record.cycle == cycle - 1 and record.how == "done"]
         if before is None or not done:
             return
-        executed = await asyncio.to_thread(self.executed_s, cycle - 1)
-        last = Pass(before, surface, self._planned[cycle - 1].asked_s, executed)
+        times = await asyncio.to_thread(self._at_points, cycle - 1)
+        last = Pass(before, surface, self._planned[cycle - 1].asked_s, *times)
         taught: Taught = await self.compute(steps.learn, self.recipe, self.program, last, self._believed)
         folder = self.folder.cycle(cycle)
         await self._for_people(folder.write, await asyncio.to_thread(taught.files))
@@ -178,8 +182,8 @@ class Job:
 
     # run
 
-    async def begin_pass(self, cycle: int, plan: Plan, robot: RobotProgress) -> None:
-        """The intent, durable before anything moves."""
+    async def begin_pass(self, cycle: int, plan: Plan, robot: RobotProgress, reach_s: float) -> None:
+        """The intent, durable before anything moves, with how far the tool can get unseen."""
         planned = self._planned[cycle]
         self._planned = {cycle: planned}  # what came before is of no more use
         self._blocks = 0
@@ -191,16 +195,16 @@ class Job:
             contact=(plan.approach_blocks, plan.contact_blocks),
             facts=planned.facts(),
             **self._stored._asdict(),
+            reach_s=reach_s,
         )
         self.publish(events.PassBegun(cycle=cycle, blocks=plan.contact_blocks, dwell_s=plan.total_s))
 
-    async def executed(self, cycle: int, block: Executed) -> None:
-        """One block was executed in contact. Where many are told at once, others have their turns meanwhile."""
-        self.journal.executed_segment(cycle, block, contact=True)
-        self._blocks += 1
-        if self._blocks % PROGRESS_BLOCKS == 0:
-            self.publish(events.Progress(cycle=cycle, block=block.seq + 1))
-            await asyncio.sleep(0)
+    def executed(self, cycle: int, records: Sequence[BlockRecord]) -> None:
+        """Blocks were executed while the tool was on the part, or may have been."""
+        self.journal.record_executed(cycle, records)
+        before, self._blocks = self._blocks, self._blocks + len(records)
+        if self._blocks // PROGRESS_BLOCKS > before // PROGRESS_BLOCKS:
+            self.publish(events.Progress(cycle=cycle, block=records[-1].block.seq + 1))
 
     async def end_pass(self, cycle: int) -> None:
         """The pass is over, tool lifted, robot at rest."""
@@ -208,10 +212,21 @@ class Job:
         await self._for_people(self._save_executed, cycle)
         self.publish(events.PassEnded(cycle=cycle, executed_s=self.journal.contact_s(cycle)))
 
+    async def cut_off(self, cycle: int) -> None:
+        """The pass did not come to its end: what is known of it is there for people, unless the journal is lost."""
+        with suppress(SafetyStop):
+            await self._for_people(self._save_executed, cycle)
+
     def executed_s(self, cycle: int) -> FloatArray:
         """(n,) process time that each timed point really had in that cycle's pass, s; 0 where it was not run."""
-        blocks = self.journal.executed(cycle)
-        return executed_s(self.program.block, blocks.seq[blocks.contact], blocks.duration_s[blocks.contact])
+        return self._at_points(cycle)[0]
+
+    def _at_points(self, cycle: int) -> tuple[FloatArray, FloatArray]:
+        """(n,) the same, and weighted by the force and the speed that really acted, s."""
+        blocks, point = self.journal.executed(cycle), self.program.block
+        run, seconds = blocks.possible, blocks.duration_s
+        acting = seconds * relative_removal(self.recipe.process, blocks.force_n, blocks.rpm)
+        return executed_s(point, blocks.seq[run], seconds[run]), executed_s(point, blocks.seq[run], acting[run])
 
     def cycles(self) -> list[dict[str, Any]]:
         """One entry a measurement; what belongs to the pass after it is None where there was none."""
@@ -223,6 +238,7 @@ class Job:
             **figures(measured.stats, None if run is None else run.facts),
             "how": None if run is None else run.how or "begun",
             "executed_s": None if run is None else self.journal.contact_s(run.cycle),
+            "uncertain": None if run is None else [[a, end - 1] for a, end in self.journal.uncertain(run.cycle)],
             "notes": measured.stats.get("notes", []),
         }
 
@@ -247,9 +263,21 @@ class Job:
             log.error("the run folder cannot be written: %s; the job goes on without", error)
 
     def _save_executed(self, cycle: int) -> None:
+        """Of a pass that was interrupted also the blocks that it may have reached, with nothing but their numbers."""
         blocks = self.journal.executed(cycle)
-        columns = {"seq": blocks.seq, "start_s": blocks.start_s, "end_s": blocks.end_s, "contact": blocks.contact}
-        self.folder.cycle(cycle).bytes("executed.csv", table(columns))
+        record = next(found for found in self.journal.passes if found.cycle == cycle)
+        reached = np.arange(*(record.uncertain or (0, 0)))
+        columns = {
+            "start_s": blocks.start_s,
+            "end_s": blocks.end_s,
+            "contact": blocks.touched,
+            "force_n": blocks.force_n,
+            "rpm": blocks.rpm,
+        }
+        unknown = np.full(reached.size, np.nan)
+        whole = {name: np.concatenate([column, unknown]) for name, column in columns.items()}
+        content = table({"seq": np.concatenate([blocks.seq, reached]), **whole})
+        self.folder.cycle(cycle).bytes("executed.csv", content)
 
     def _remake(self) -> None:
         """Make anew what the report draws from, where somebody deleted it."""
@@ -258,10 +286,12 @@ class Job:
             folder = self.folder.cycle(found.cycle)
             if not folder.holds("surface.npz"):
                 folder.bytes("surface.npz", store.content(found.arrays))
-        for record in self.journal.passes:
+        passes = self.journal.passes
+        for record in passes:
             folder = self.folder.cycle(record.cycle)
             if not folder.holds("plan.npz"):
                 folder.bytes("plan.npz", store.content(record.plan))
                 folder.json("certificate.json", record.facts["certificate"])
-            if record.how == "done" and not folder.holds("executed.csv"):
+            told_more = record is passes[-1] and record.how != "done"  # by the robot, after it was interrupted
+            if told_more or not folder.holds("executed.csv"):
                 self._save_executed(record.cycle)

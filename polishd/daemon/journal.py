@@ -6,7 +6,7 @@ import asyncio
 import json
 import logging
 import time
-from collections.abc import AsyncIterator, Iterable, Iterator, Mapping
+from collections.abc import AsyncIterator, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -16,12 +16,11 @@ from typing import Any, NoReturn, Self
 import numpy as np
 
 from polishd.daemon.array_store import ArrayStore
-from polishd.daemon.journal_memory import Known, read_job, read_tally
-from polishd.daemon.journal_records import ExecutedBlocks, MapRecord, PassRecord, Tally
+from polishd.daemon.journal_memory import Known, read_job, read_tally, read_unknown
+from polishd.daemon.journal_records import BlockRecord, ExecutedBlocks, MapRecord, PassRecord, Tally, joined
 from polishd.daemon.journal_schema import Connect, connect
 from polishd.daemon.journal_store import Row, Store
 from polishd.model.cycle import Outcome, Phase
-from polishd.model.devices import Executed
 from polishd.model.errors import PolishdError
 from polishd.model.events import Event
 from polishd.plain import plain
@@ -33,9 +32,13 @@ NOTHING = Tally()
 
 _INTENT = (
     "INSERT INTO pass (job, cycle, program_sha256, boot_id, blocks, contact_from, contact_to, facts, started, plan, "
-    "start) VALUES (?,?,?,?,?,?,?,?,?,?,?)"
+    "start, reach_s) VALUES (?,?,?,?,?,?,?,?,?,?,?,?)"
 )
-_SEGMENT = "INSERT OR IGNORE INTO segment VALUES (?, ?, ?, ?, ?, ?, ?)"
+_SEGMENT = "INSERT OR IGNORE INTO segment VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
+_EXECUTED = (
+    "SELECT seq, start_s, end_s, touched, recovered, force_n, rpm, told_s FROM segment WHERE job = ? AND cycle = ? "
+    "ORDER BY seq"
+)
 
 
 class Journal(AbstractContextManager["Journal", None]):
@@ -129,14 +132,20 @@ class Journal(AbstractContextManager["Journal", None]):
         return self._known.tallies.get(cycle, NOTHING)
 
     def contact_s(self, cycle: int) -> float:
-        """Process time of the blocks that were executed in contact in that cycle's pass."""
+        """Process time of the blocks that are known to have been executed in contact in that cycle's pass."""
         return self.tally(cycle).contact_s
+
+    def uncertain(self, cycle: int) -> tuple[tuple[int, int], ...]:
+        """Blocks of that cycle's pass of which nobody knows whether the tool touched: ranges, ends excluded."""
+        record = self._known.passes.get(cycle)
+        tail = () if record is None or record.uncertain is None else (record.uncertain,)
+        return joined([*self._known.unknown.get(cycle, ()), *tail])
 
     def executed(self, cycle: int) -> ExecutedBlocks:
         """What the robot executed in that cycle's pass; empty where there was none. Grows with it: call in a thread."""
-        sql = "SELECT seq, start_s, end_s, in_contact, recovered FROM segment WHERE job = ? AND cycle = ? ORDER BY seq"
-        seq, start_s, end_s, contact, recovered = self._store.read_table(sql, (self._job, cycle), 5).T.copy()
-        return ExecutedBlocks(seq.astype(np.int64), start_s, end_s, contact.astype(bool), recovered.astype(bool))
+        found = self._store.read_table(_EXECUTED, (self._job, cycle), 8).T.copy()
+        seq, start_s, end_s, touched, recovered, *rest = found
+        return ExecutedBlocks(seq.astype(np.int64), start_s, end_s, touched, recovered.astype(bool), *rest)
 
     def errors(self) -> list[tuple[float, str, Mapping[str, Any]]]:
         """What held or ended this job's daemon, in time order: Unix time, event's name, its data."""
@@ -147,7 +156,7 @@ class Journal(AbstractContextManager["Journal", None]):
         """The pass that was begun and never ended, or None."""
         return next((record for record in self.passes if record.ended_s is None), None)
 
-    # what is recorded; all but executed_segment and record_event are durable when they return
+    # what is recorded; all but record_executed and record_event are durable when they return
 
     @asynccontextmanager
     async def phase(self, cycle: int, phase: Phase) -> AsyncIterator[None]:
@@ -191,30 +200,41 @@ class Journal(AbstractContextManager["Journal", None]):
         facts: Mapping[str, Any] | None = None,
         plan: str = "",
         start: str = "",
+        reach_s: float | None = None,
     ) -> None:
         """The intent to run a program: durable before the robot is started. A cycle has one pass, ever.
 
         ``contact`` is the range of sequence numbers with the tool on the part (end excluded; default: all);
-        ``facts`` is kept for the summary; ``plan`` and ``start`` name arrays that a later cycle needs.
+        ``facts`` is kept for the summary; ``plan`` and ``start`` name arrays that a later cycle needs. ``reach_s``: the
+        longest that the tool can stay on the part after the last block that is recorded (``TimeLimits.unseen_s``).
         """
         if cycle in self._known.passes:
             raise PolishdError(f"journal: cycle {cycle} has had its pass; nothing is run twice")
         first, end = contact or (0, blocks)
         text, now = json.dumps(dict(facts or {}), default=plain), time.time()
         begun = (cycle, program_sha256, boot_id, blocks, first, end)
-        self._store.write((_INTENT, (self._job, *begun, text, now, plan, start)))
-        self._known.passes[cycle] = PassRecord(*begun, json.loads(text), now, plan=plan, start=start)
+        self._store.write((_INTENT, (self._job, *begun, text, now, plan, start, reach_s)))
+        known = PassRecord(*begun, json.loads(text), now, plan=plan, start=start, reach_s=reach_s)
+        self._known.passes[cycle] = known
         self._known.tallies[cycle] = NOTHING
 
-    def executed_segment(self, cycle: int, block: Executed, contact: bool | None = None) -> None:
-        """A block was executed (buffered: durable within 0.25 s). One that is recorded already changes nothing."""
-        row = self._segment(cycle, block, contact, recovered=False)
-        self._store.buffer(row)
-        tally = self.tally(cycle)
-        if block.seq > tally.last_seq:
-            touching = row[1][5]
-            seconds = tally.contact_s + touching * (block.end_s - block.start_s)
-            self._known.tallies[cycle] = Tally(tally.done + 1, block.seq, seconds)
+    def record_executed(self, cycle: int, records: Sequence[BlockRecord]) -> None:
+        """Blocks were executed (buffered: durable within 0.25 s). One that is recorded already changes nothing."""
+        for record in records:
+            self._store.buffer(self._segment(cycle, record, recovered=False))
+        last, tally = self.tally(cycle).last_seq, self.tally(cycle)
+        new = [record for record in records if record.block.seq > last]
+        if not new:
+            return
+        contact_s = sum(record.block.end_s - record.block.start_s for record in new if record.touched)
+        self._known.tallies[cycle] = Tally(tally.done + len(new), new[-1].block.seq, tally.contact_s + contact_s)
+        unknown = [(record.block.seq, record.block.seq + 1) for record in new if record.touched is None]
+        if unknown:
+            self._known.unknown[cycle] = joined([*self._known.unknown.get(cycle, ()), *unknown])
+
+    def require_in_time(self) -> None:
+        """SafetyStop where what was executed has waited too long for its commit: contact is left over it."""
+        self._store.require_in_time()
 
     def flush(self) -> None:
         """Make all that is buffered durable now."""
@@ -229,10 +249,17 @@ class Journal(AbstractContextManager["Journal", None]):
         if record.ended_s is None:
             self._known.passes[cycle] = replace(record, ended_s=now, how=how)
 
-    def reconcile(self, cycle: int, executed: Iterable[Executed]) -> None:
+    def reconcile(self, cycle: int, records: Iterable[BlockRecord]) -> None:
         """Add blocks that the robot says it executed and the journal does not know."""
-        self._store.write(*(self._segment(cycle, block, None, recovered=True) for block in executed))
+        self._store.write(*(self._segment(cycle, record, recovered=True) for record in records))
         self._known.tallies[cycle] = read_tally(self._store, self._job, cycle)
+        self._known.unknown[cycle] = read_unknown(self._store, self._job, cycle)
+
+    def mark_uncertain(self, cycle: int, first: int, end: int) -> None:
+        """After the last record the tool may have touched those blocks (end excluded), and no others."""
+        sql = "UPDATE pass SET uncertain_from = ?, uncertain_to = ? WHERE job = ? AND cycle = ?"
+        self._store.write((sql, (first, end, self._job, cycle)))
+        self._known.passes[cycle] = replace(self._known.passes[cycle], uncertain=(first, end))
 
     def record_event(self, event: Event) -> None:
         """Keep an event (buffered)."""
@@ -271,11 +298,10 @@ class Journal(AbstractContextManager["Journal", None]):
         sql = "UPDATE phase SET ended = ?, outcome = ?, error = ? WHERE id = ?"
         self._store.write((sql, (time.time(), outcome, error, number)))
 
-    def _segment(self, cycle: int, block: Executed, contact: bool | None, *, recovered: bool) -> Row:
-        record = self._known.passes.get(cycle)
-        within = record is not None and record.contact_from <= block.seq < record.contact_to
-        touching = within if contact is None else contact
-        return _SEGMENT, (self._job, cycle, block.seq, block.start_s, block.end_s, touching, recovered)
+    def _segment(self, cycle: int, record: BlockRecord, *, recovered: bool) -> Row:
+        block = record.block
+        known = (record.touched, recovered, record.force_n, record.rpm, record.told_s)
+        return _SEGMENT, (self._job, cycle, block.seq, block.start_s, block.end_s, *known)
 
 
 def _begin(store: Store, job: str, part_id: str) -> int:

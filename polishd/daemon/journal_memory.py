@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from polishd.daemon.journal_records import MapRecord, PassRecord, Tally
+from polishd.daemon.journal_records import MapRecord, PassRecord, Tally, joined
 from polishd.daemon.journal_store import Store
 
 
@@ -26,6 +26,8 @@ class Known:
     phase: tuple[int, str] | None
     """The cycle and the phase that began last."""
     tallies: dict[int, Tally]
+    unknown: dict[int, tuple[tuple[int, int], ...]]
+    """By cycle, executed blocks of which nobody knows whether the tool touched: ranges, ends excluded."""
 
 
 def read_job(store: Store, job: int) -> Known:
@@ -35,7 +37,7 @@ def read_job(store: Store, job: int) -> Known:
     maps = "SELECT cycle, sha256, path, stats, taken, arrays FROM map WHERE job = ? ORDER BY id"
     passes = (
         "SELECT cycle, program_sha256, boot_id, blocks, contact_from, contact_to, facts, started, ended, how, plan, "
-        "start FROM pass WHERE job = ? ORDER BY cycle"
+        "start, reach_s, uncertain_from, uncertain_to FROM pass WHERE job = ? ORDER BY cycle"
     )
     phases = store.read("SELECT cycle, phase FROM phase WHERE job = ? ORDER BY id DESC LIMIT 1", (job,))
     begun = [_decoded(row, 6) for row in store.read(passes, (job,))]
@@ -44,20 +46,31 @@ def read_job(store: Store, job: int) -> Known:
         run_dir=run_dir,
         last_map_id=last[0][0] if last else None,
         maps={row[0]: MapRecord(*_decoded(row, 3)) for row in store.read(maps, (job,))},
-        passes={row[0]: PassRecord(*row) for row in begun},
+        passes={row[0]: replace(PassRecord(*row[:-2]), uncertain=_range(*row[-2:])) for row in begun},
         phase=(phases[0][0], phases[0][1]) if phases else None,
         tallies={cycle: read_tally(store, job, cycle) for cycle, *_ in begun},
+        unknown={cycle: read_unknown(store, job, cycle) for cycle, *_ in begun},
     )
 
 
 def read_tally(store: Store, job: int, cycle: int) -> Tally:
     """How much of that pass the file holds."""
     sql = (
-        "SELECT count(*), ifnull(max(seq), -1), total((end_s - start_s) * in_contact) "
+        "SELECT count(*), ifnull(max(seq), -1), total((end_s - start_s) * touched) "
         "FROM segment WHERE job = ? AND cycle = ?"
     )
     ((done, last_seq, contact_s),) = store.read(sql, (job, cycle))
     return Tally(done, last_seq, contact_s)
+
+
+def read_unknown(store: Store, job: int, cycle: int) -> tuple[tuple[int, int], ...]:
+    """Executed blocks of that pass of which the file does not say whether the tool touched."""
+    sql = "SELECT seq FROM segment WHERE job = ? AND cycle = ? AND touched IS NULL ORDER BY seq"
+    return joined((seq, seq + 1) for (seq,) in store.read(sql, (job, cycle)))
+
+
+def _range(first: int | None, end: int | None) -> tuple[int, int] | None:
+    return None if first is None or end is None else (first, end)
 
 
 def _decoded(row: tuple[Any, ...], column: int) -> tuple[Any, ...]:

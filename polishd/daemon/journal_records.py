@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from polishd.model.devices import Executed
 from polishd.model.program import IntArray
 from polishd.model.surface import BoolArray, FloatArray
 
@@ -41,6 +44,24 @@ class PassRecord:
     plan: str = ""
     """Names in the array store: the plan, and what the next solve can start from."""
     start: str = ""
+    reach_s: float | None = None
+    """Longest that the tool can stay on the part after the last block that is recorded, s; None: nobody said."""
+    uncertain: tuple[int, int] | None = None
+    """Blocks after the last record that it may have touched: sequence numbers, end excluded; None: not judged yet."""
+
+
+@dataclass(frozen=True, slots=True)
+class BlockRecord:
+    """A block that was executed, and what is known of the tool meanwhile."""
+
+    block: Executed
+    touched: bool | None
+    """The tool was on the part for all of it, or for none of it; None: nobody knows."""
+    force_n: float | None = None
+    """Mean force; None: not known."""
+    rpm: float | None = None
+    told_s: float | None = None
+    """When the robot told of it, on the monotonic clock of the daemon that ran the pass."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +73,7 @@ class Tally:
     last_seq: int = -1
     """The last of them; -1 for none."""
     contact_s: float = 0.0
-    """Process time of those in contact."""
+    """Process time of those in contact, as far as that is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,12 +84,38 @@ class ExecutedBlocks:
     start_s: FloatArray
     end_s: FloatArray
     """Times are the robot's process clock."""
-    contact: BoolArray
-    """The tool was on the part, as far as the record knows."""
+    touched: FloatArray
+    """1: the tool was on the part, 0: off it, NaN: not known."""
     recovered: BoolArray
-    """Recorded after an interruption, on the robot's word: the force at that time is not known."""
+    """Recorded after an interruption, on the robot's word."""
+    force_n: FloatArray
+    """Mean over the block, as the daemon's samples had it; NaN where that is not known. So with ``rpm``."""
+    rpm: FloatArray
+    told_s: FloatArray
+    """When the robot told of it, on the monotonic clock of the daemon that ran the pass; NaN where recovered."""
 
     @property
     def duration_s(self) -> FloatArray:
         """(n,) process time of each block."""
         return self.end_s - self.start_s
+
+    @property
+    def contact(self) -> BoolArray:
+        """(n,) the tool is known to have been on the part."""
+        return np.asarray(self.touched == 1, dtype=np.bool_)
+
+    @property
+    def possible(self) -> BoolArray:
+        """(n,) the tool is not known to have been off the part."""
+        return np.asarray(self.touched != 0, dtype=np.bool_)
+
+
+def joined(ranges: Iterable[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
+    """Ranges of sequence numbers, ends excluded, in order; those that meet are one."""
+    found: list[tuple[int, int]] = []
+    for first, end in ranges:
+        if found and first <= found[-1][1]:
+            found[-1] = found[-1][0], max(end, found[-1][1])
+        elif first < end:
+            found.append((first, end))
+    return tuple(found)

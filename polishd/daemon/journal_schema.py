@@ -11,7 +11,7 @@ from pathlib import Path
 from polishd.files import sync_folder
 from polishd.model.errors import ConfigError
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 SCHEMA = """
 CREATE TABLE job (
@@ -27,15 +27,20 @@ CREATE TABLE pass (
     job INTEGER NOT NULL REFERENCES job, cycle INTEGER NOT NULL, program_sha256 TEXT NOT NULL,
     boot_id TEXT NOT NULL, blocks INTEGER NOT NULL, contact_from INTEGER NOT NULL, contact_to INTEGER NOT NULL,
     facts TEXT NOT NULL, started REAL NOT NULL, ended REAL, how TEXT,
-    plan TEXT NOT NULL DEFAULT '', start TEXT NOT NULL DEFAULT '', PRIMARY KEY (job, cycle));
+    plan TEXT NOT NULL DEFAULT '', start TEXT NOT NULL DEFAULT '',
+    reach_s REAL, uncertain_from INTEGER, uncertain_to INTEGER, PRIMARY KEY (job, cycle));
 CREATE TABLE segment (
     job INTEGER NOT NULL, cycle INTEGER NOT NULL, seq INTEGER NOT NULL, start_s REAL NOT NULL, end_s REAL NOT NULL,
-    in_contact INTEGER NOT NULL, recovered INTEGER NOT NULL, PRIMARY KEY (job, cycle, seq)) WITHOUT ROWID;
+    touched INTEGER, recovered INTEGER NOT NULL, force_n REAL, rpm REAL, told_s REAL,
+    PRIMARY KEY (job, cycle, seq)) WITHOUT ROWID;
 CREATE TABLE event (
     id INTEGER PRIMARY KEY, job INTEGER NOT NULL, at REAL NOT NULL, cycle INTEGER, name TEXT NOT NULL,
     data TEXT NOT NULL);
 """
-"""``job.terms`` is JSON, see ``same_job``; ``map.arrays``, ``pass.plan`` and ``pass.start`` name files of the store."""
+"""``job.terms`` is JSON, see ``same_job``; ``map.arrays``, ``pass.plan`` and ``pass.start`` name files of the store.
+
+``segment.touched`` is NULL where nobody knows.
+"""
 
 FROM_1 = """
 ALTER TABLE job RENAME COLUMN config_sha256 TO terms;
@@ -45,6 +50,24 @@ ALTER TABLE map ADD COLUMN arrays TEXT NOT NULL DEFAULT '';
 ALTER TABLE pass ADD COLUMN plan TEXT NOT NULL DEFAULT '';
 ALTER TABLE pass ADD COLUMN start TEXT NOT NULL DEFAULT '';
 """
+
+FROM_2 = """
+ALTER TABLE pass ADD COLUMN reach_s REAL;
+ALTER TABLE pass ADD COLUMN uncertain_from INTEGER;
+ALTER TABLE pass ADD COLUMN uncertain_to INTEGER;
+ALTER TABLE segment RENAME TO segment_2;
+CREATE TABLE segment (
+    job INTEGER NOT NULL, cycle INTEGER NOT NULL, seq INTEGER NOT NULL, start_s REAL NOT NULL, end_s REAL NOT NULL,
+    touched INTEGER, recovered INTEGER NOT NULL, force_n REAL, rpm REAL, told_s REAL,
+    PRIMARY KEY (job, cycle, seq)) WITHOUT ROWID;
+INSERT INTO segment SELECT job, cycle, seq, start_s, end_s,
+    CASE WHEN recovered AND in_contact THEN NULL ELSE in_contact END, recovered, NULL, NULL, NULL FROM segment_2;
+DROP TABLE segment_2;
+"""
+"""Of a block that was recovered, contact had been told by its place in the program."""
+
+STEPS = {1: FROM_1, 2: FROM_2}
+"""From each earlier format to the next."""
 
 Connect = Callable[[Path], sqlite3.Connection]
 
@@ -57,7 +80,7 @@ def connect(path: Path) -> sqlite3.Connection:
 def open_file(path: Path, connect: Connect = connect) -> sqlite3.Connection:
     """The journal's file with the tables of this format, made or brought up to date; ConfigError where it cannot be.
 
-    Of a file of format 1 a copy stays beside it (``old_copy``).
+    Of a file of an earlier format a copy stays beside it (``old_copy``).
     """
     try:
         connection = connect(path)
@@ -76,9 +99,9 @@ def open_file(path: Path, connect: Connect = connect) -> sqlite3.Connection:
     return connection
 
 
-def old_copy(path: Path) -> Path:
-    """Where a journal of format 1 is kept as it was."""
-    return path.with_suffix(".v1.sqlite")
+def old_copy(path: Path, version: int) -> Path:
+    """Where a journal of an earlier format is kept as it was."""
+    return path.with_suffix(f".v{version}.sqlite")
 
 
 def copy_whole(connection: sqlite3.Connection, path: Path) -> None:
@@ -100,14 +123,14 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> None:
     connection.execute("PRAGMA synchronous=FULL")
     connection.execute("PRAGMA foreign_keys=ON")
     (version,) = connection.execute("PRAGMA user_version").fetchone()
-    if version not in {0, 1, SCHEMA_VERSION}:
+    if version not in {0, *STEPS, SCHEMA_VERSION}:
         raise ConfigError(
             f"{path}: the journal has format {version}, this polishd writes format {SCHEMA_VERSION}; "
             "use the polishd that wrote it, or move the file aside to start a new one"
         )
-    if version == 1:
-        copy_whole(connection, old_copy(path))
+    if version in STEPS:
+        copy_whole(connection, old_copy(path, version))
     if version != SCHEMA_VERSION:
-        script = SCHEMA if version == 0 else FROM_1
+        script = "".join(STEPS[step] for step in range(version, SCHEMA_VERSION)) if version else SCHEMA
         connection.executescript(f"BEGIN IMMEDIATE; {script} PRAGMA user_version={SCHEMA_VERSION}; COMMIT;")
         sync_folder(path.parent)

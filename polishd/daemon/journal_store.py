@@ -8,8 +8,10 @@ thread of its own commits it, so that a slow disk never stalls the event loop wh
 from __future__ import annotations
 
 import asyncio
+import math
 import sqlite3
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,6 +26,8 @@ from polishd.model.surface import FloatArray
 COMMIT_S = 0.25
 """Longest that a buffered row waits for its commit."""
 COMMIT_ROWS = 512
+LATE_S = 2.0
+"""A row that has waited longer for its commit ends contact: so much may be executed and not recorded, at any time."""
 
 Row = tuple[str, tuple[Any, ...]]
 """One SQL statement and its values."""
@@ -43,6 +47,8 @@ class Store:
         self._pending = threading.Condition()
         self._closing = False
         self._failure: str | None = None
+        self._oldest_s = (math.inf, math.inf)
+        """Since when rows wait for their commit: those of the transaction that is under way, and the others."""
         self._waiters: list[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = []
         self._thread = threading.Thread(target=self._commit_groups, name="journal", daemon=True)
 
@@ -59,13 +65,27 @@ class Store:
             with self._pending:
                 rows = (*self._buffer, *rows)
                 self._buffer.clear()
+                self._oldest_s = (self._oldest_s[1], math.inf)
             self._transaction(rows)
+            with self._pending:
+                self._oldest_s = (math.inf, self._oldest_s[1])
+
+    def require_in_time(self) -> None:
+        """SafetyStop where a row has waited for more than ``LATE_S`` for its commit."""
+        self._check()
+        waited_s = time.monotonic() - min(self._oldest_s)
+        if waited_s > LATE_S:
+            raise SafetyStop(
+                f"journal: {self.path}: a commit has taken {waited_s:.1f} s, and no more than {LATE_S:g} s may go "
+                "unrecorded; look at the disk, and at what else writes to it"
+            )
 
     def buffer(self, row: Row) -> None:
         """Leave a row to the thread; durable within ``COMMIT_S`` seconds, or after ``write``."""
         self._check()
         with self._pending:
             self._buffer.append(row)
+            self._oldest_s = (self._oldest_s[0], min(self._oldest_s[1], time.monotonic()))
             if len(self._buffer) == 1 or len(self._buffer) == COMMIT_ROWS:
                 self._pending.notify()
 

@@ -19,6 +19,7 @@ from typing import TypeVar, cast
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.time_limits import safe_within_s
+from polishd.daemon.touch import Touch
 from polishd.model.devices import ForceSample, SpeedSample
 from polishd.model.errors import DeviceFault, LinkError, PolishdError, SafetyStop
 from polishd.ports.devices import ForceActuator, Robot
@@ -43,44 +44,46 @@ class ContactLimits:
 
 
 @dataclass(slots=True)
-class _Touch:
+class _Watch:
     """One contact, as its watchers see it."""
 
     limits: ContactLimits
+    touch: Touch
     landed: asyncio.Event = field(default_factory=asyncio.Event)
-    leaving: bool = False
     silent: bool = False
     """The actuator does not answer any more."""
 
 
 @asynccontextmanager
-async def contact(cell: Cell, limits: ContactLimits) -> AsyncIterator[None]:
+async def contact(cell: Cell, limits: ContactLimits, touch: Touch) -> AsyncIterator[None]:
     """The tool presses and spins inside this block, watched; whatever ends the block, contact ends first.
 
     Enter it with the robot standing at a landing point off the part, tool retracted. Both are watched from the moment
     that they are switched on: landing takes seconds, and a spindle or an actuator that nobody feeds stops by itself.
+    ``touch`` hears all samples, and when the tool is ordered off and is off.
     """
-    touch = _Touch(limits)
+    watch = _Watch(limits, touch)
     try:
         await cell.spindle.set_speed(limits.rpm)
         async with asyncio.TaskGroup() as group:
             watchers = [
-                group.create_task(_watch_speed(cell, limits), name="watch spindle"),
-                group.create_task(_watch_force(cell, touch), name="watch force"),
+                group.create_task(_watch_speed(cell, watch), name="watch spindle"),
+                group.create_task(_watch_force(cell, watch), name="watch force"),
             ]
-            await _land(cell, touch)
+            await _land(cell, watch)
             yield
-            touch.leaving = True
+            touch.leave()
             # Still watched: the tool is off before the watchers, or a fault while leaving would go unseen.
             await leave_contact(cell)
+            touch.off(cell.clock.now_s())
             for watcher in watchers:
                 watcher.cancel()
         await cell.spindle.set_speed(0.0)
     except BaseExceptionGroup as errors:
-        await make_safe(cell, in_contact=True, silent=touch.silent)
+        await make_safe(cell, touch, silent=watch.silent)
         raise most_telling(errors) from errors
     except BaseException:
-        await make_safe(cell, in_contact=True, silent=touch.silent)
+        await make_safe(cell, touch, silent=watch.silent)
         raise
 
 
@@ -90,16 +93,16 @@ async def leave_contact(cell: Cell) -> None:
     await cell.actuator.retract()
 
 
-async def make_safe(cell: Cell, *, in_contact: bool = False, silent: bool = False) -> None:
+async def make_safe(cell: Cell, touch: Touch | None = None, *, silent: bool = False) -> None:
     """Tool lifted and spindle off side by side, and the robot stopped once the lift is confirmed; whatever fails.
 
-    All devices of the cell are asked. ``in_contact``: where the job's actuator does not lift, its robot takes the
-    tool away; ``silent``: it is known not to answer, so the robot does that at once. ``cell.emergency``: motion stops
-    at once, whatever the part costs.
+    All devices of the cell are asked. With the ``touch`` of a contact that is left: where the job's actuator does not
+    lift, its robot takes the tool away; ``silent``: it is known not to answer, so the robot does that at once.
+    ``cell.emergency``: motion stops at once, whatever the part costs.
 
     Runs to its end even if the caller is cancelled meanwhile; failures are logged and kept in ``cell.unsafe``.
     """
-    task = asyncio.ensure_future(_Leaving(cell, in_contact=in_contact, silent=silent).run())
+    task = asyncio.ensure_future(_Leaving(cell, touch, silent=silent).run())
     cancelled: asyncio.CancelledError | None = None
     while not task.done():
         try:
@@ -116,9 +119,9 @@ async def make_safe(cell: Cell, *, in_contact: bool = False, silent: bool = Fals
 class _Leaving:
     """One way to safety: what was asked of the devices, and who did not confirm."""
 
-    def __init__(self, cell: Cell, *, in_contact: bool, silent: bool) -> None:
+    def __init__(self, cell: Cell, touch: Touch | None, *, silent: bool) -> None:
         self._cell = cell
-        self._in_contact = in_contact
+        self._touch = touch
         self._silent = silent
         self._failures: dict[str, str] = {}
         self._lifted_mm = 0.0
@@ -127,6 +130,8 @@ class _Leaving:
     async def run(self) -> None:
         """Steps that do not depend on each other run side by side."""
         cell, tool = self._cell, self._cell.used["actuator"]
+        if self._touch is not None:
+            self._touch.leave()
         actuators, robots = cell.at("actuator"), cell.at("robot")
         async with asyncio.TaskGroup() as group:
             for name in cell.acting:
@@ -142,7 +147,7 @@ class _Leaving:
     async def _stop_motion(self, robot: str, lifts: Mapping[str, asyncio.Task[bool]]) -> None:
         """Which tool an idle robot may hold is not known: it waits for all."""
         used = self._cell.used
-        presses = self._in_contact and robot == used["robot"]
+        presses = self._touch is not None and robot == used["robot"]
         if not self._cell.emergency:
             its_own = {used["actuator"]: lifts[used["actuator"]]} if presses else lifts
             await self._until_lifted(robot, its_own, presses=presses)
@@ -172,6 +177,7 @@ class _Leaving:
             )
             return False
         self._lifted_mm = limits.lift_mm
+        self._off(self._cell.clock.now_s())
         return True
 
     async def _moves(self, name: str) -> bool:
@@ -185,7 +191,7 @@ class _Leaving:
 
     async def _step(self, name: str) -> bool:
         """Whether the device confirmed."""
-        device = self._cell.devices[name]
+        device, begun_s = self._cell.devices[name], self._cell.clock.now_s()
         within_s = safe_within_s(getattr(device, "times", None))
         try:
             async with asyncio.timeout(within_s):
@@ -193,16 +199,24 @@ class _Leaving:
         except Exception as error:  # noqa: BLE001 - a plugin may raise anything: the others are asked all the same
             self._failures[name] = str(error) or f"no answer within {within_s:g} s"
             log.error("make_safe: %s did not confirm (%s); its own watchdog takes over", name, self._failures[name])
+            if name == self._cell.used["actuator"] and isinstance(error, LinkError | TimeoutError):
+                self._off(begun_s + self._cell.limits.actuator.alone_s)  # whatever of this reached it says the same
             return False
+        if name == self._cell.used["actuator"]:
+            self._off(self._cell.clock.now_s())
         return True
 
+    def _off(self, at_s: float) -> None:
+        if self._touch is not None:
+            self._touch.off(at_s)
 
-async def _land(cell: Cell, touch: _Touch) -> None:
-    limits, landing_s = touch.limits, cell.limits.actuator.landing_s
+
+async def _land(cell: Cell, watch: _Watch) -> None:
+    limits, landing_s = watch.limits, cell.limits.actuator.landing_s
     try:
         async with asyncio.timeout(landing_s + limits.grace_s):
             await cell.actuator.set_force(limits.force_n)
-            await touch.landed.wait()
+            await watch.landed.wait()
     except TimeoutError:
         raise SafetyStop(
             f"the tool did not land: no force within {limits.force_band:.0%} of {limits.force_n:g} N after "
@@ -210,19 +224,20 @@ async def _land(cell: Cell, touch: _Touch) -> None:
         ) from None
 
 
-async def _watch_force(cell: Cell, touch: _Touch) -> None:
-    limits, good_at = touch.limits, 0.0
+async def _watch_force(cell: Cell, watch: _Watch) -> None:
+    limits, good_at = watch.limits, 0.0
 
     def judge(sample: ForceSample) -> None:
         nonlocal good_at
+        watch.touch.force(sample)
         if sample.fault:
             raise DeviceFault(f"actuator: fault bits {sample.fault:#06x} while in contact")
-        if touch.leaving:  # by our word only: an actuator that lifts by itself has lost its force
+        if watch.touch.left:  # by our word only: an actuator that lifts by itself has lost its force
             return
         if _in_band(sample, limits):
             good_at = sample.at_s
-            touch.landed.set()
-        elif touch.landed.is_set() and sample.at_s - good_at > limits.grace_s:
+            watch.landed.set()
+        elif watch.landed.is_set() and sample.at_s - good_at > limits.grace_s:
             raise SafetyStop(
                 f"force {sample.force_n:.2f} N is outside {limits.force_n:g} N +- {limits.force_band:.0%} "
                 f"for more than {limits.grace_s:g} s"
@@ -231,7 +246,7 @@ async def _watch_force(cell: Cell, touch: _Touch) -> None:
     try:
         await heard(cell.actuator.samples(), judge, "actuator", cell.limits.reading_s)
     except LinkError:
-        touch.silent = True
+        watch.silent = True
         raise
 
 
@@ -239,11 +254,13 @@ def _in_band(sample: ForceSample, limits: ContactLimits) -> bool:
     return sample.in_contact and abs(sample.force_n - limits.force_n) <= limits.force_band * limits.force_n
 
 
-async def _watch_speed(cell: Cell, limits: ContactLimits) -> None:
+async def _watch_speed(cell: Cell, watch: _Watch) -> None:
+    limits = watch.limits
     good_at: float | None = None
 
     def judge(sample: SpeedSample) -> None:
         nonlocal good_at
+        watch.touch.speed(sample)
         if sample.fault:
             raise DeviceFault(f"spindle: fault {sample.fault} while in contact")
         if good_at is None or abs(sample.rpm - limits.rpm) <= 0.05 * abs(limits.rpm):

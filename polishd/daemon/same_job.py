@@ -75,7 +75,7 @@ def require_same(config: CellConfig, terms: Mapping[str, Any], journal: Journal)
         raise config.error(
             "job.id",
             f"the job {name!r} was begun by an earlier polishd, which did not write down what a later run needs: put "
-            f"{old_copy(path)} back as {path.name} and finish it with that polishd, or give job.id a new name",
+            f"{old_copy(path, 1)} back as {path.name} and finish it with that polishd, or give job.id a new name",
         )
     changed = [key for key in sorted({*begun, *terms}) if not may_change(key)]
     lines = [

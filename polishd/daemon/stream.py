@@ -92,6 +92,10 @@ class Stream:
         finally:
             self._in_contact = False
 
+    def leave(self) -> None:
+        """Contact is being left: the robot may stand, or run dry, when it likes. What it executes is told further."""
+        self._in_contact, self._target = False, None
+
     async def retreat(self) -> None:
         """The rest of the program, tool retracted."""
         last = len(self._plan.segments)

@@ -12,12 +12,15 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from polishd.daemon.journal_store import LATE_S
 from polishd.model.times import ActuatorTimes, RobotTimes, SpindleTimes
 
 ANSWERS_S = 3.0
 """What a device may take beyond its own action to confirm it: a link opened again, a few requests."""
 LIFT_MARGIN_MM = 5.0
 """A robot that takes the tool away goes so much farther than the actuator can follow."""
+LOOK_S = 0.1
+"""Between two looks at a state that nobody tells of by himself."""
 BEAT_S = 0.15
 """Most between two heartbeats of ours; three periods of a driver's."""
 
@@ -73,6 +76,15 @@ class TimeLimits:
     def buffer_s(self) -> float:
         """Motion that must be left in contact: an actuator that hears nothing more lifts within it."""
         return self.actuator.alone_s
+
+    @property
+    def unseen_s(self) -> float:
+        """Longest that the tool can stay on the part after the end of the last block that is recorded.
+
+        The robot tells late, the next sample is waited for, then the commit; then the actuator hears nothing more, or
+        is told to lift.
+        """
+        return self.robot.silence_s + self.reading_s + LATE_S + 2 * LOOK_S + self.actuator.alone_s
 
     @property
     def lift_mm(self) -> float:

@@ -141,6 +141,17 @@ def volume_rate_nm_mm2_s(process: ToolProcess, depth_mm: Depth) -> FloatArray:
     return np.asarray(preston_nm_s(process) * scale[:, 0, 0] * mean, dtype=np.float64)
 
 
+def relative_removal(process: ToolProcess, force_n: FloatArray, rpm: FloatArray) -> FloatArray:
+    """(n,) volume removed a second at (n,) forces and speeds, over that at the process's own.
+
+    Depth goes as ``force^(2/3)`` (eq. 28), volume as ``depth^depth_exponent`` and as the speed (eq. 16); the spot's
+    size, which goes as ``force^(1/3)``, is left as it is. NaN: the process's own.
+    """
+    force = np.where(np.isnan(force_n), 1.0, np.clip(force_n / process.force_n, 0.0, None))
+    speed = np.where(np.isnan(rpm), 1.0, np.abs(rpm) / process.rpm)
+    return np.asarray(force ** (2 / 3 * process.depth_exponent) * speed, dtype=np.float64)
+
+
 @cache
 def _disc() -> tuple[FloatArray, FloatArray, FloatArray]:
     """Nodes of the unit disc: (16, 1) radii, (32,) angles and (16, 32) weights, for what goes as ``sqrt(1 - rho^2)``.

@@ -1,16 +1,19 @@
-"""After an interrupted pass: nothing is run twice, and what is not known is said."""
+"""After an interrupted pass: nothing is run twice, and what is not known is said, and no more than that."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from polishd.daemon import interruption
-from polishd.daemon.interruption import settle
+from polishd.daemon.interruption import mark, settle
 from polishd.daemon.journal import Journal
-from polishd.model.devices import Executed
+from polishd.daemon.journal_records import BlockRecord
+from polishd.daemon.touch import Touch
+from polishd.model.devices import Executed, RobotProgress
 from polishd.model.errors import LinkError
 from polishd.model.program import Segment
 from tests.fakes.devices import FakeCell
@@ -18,6 +21,9 @@ from tests.unit.daemon.small import open_journal
 
 BLOCKS = 40
 CONTACT = (5, 35)
+REACH_S = 6.0
+PLAN = {"block": np.arange(5, 35), "asked_s": np.full(30, 1.0), "expected_s": np.full(30, 1.2)}
+"""Each block of contact is written to take a second."""
 
 
 @pytest.fixture
@@ -35,11 +41,22 @@ def fake() -> FakeCell:
     return fake
 
 
-def interrupted(journal: Journal, until: int = 18) -> None:
-    """A pass that was begun; blocks of contact are recorded up to there."""
-    journal.begin_pass(2, "sha", "boot-1", BLOCKS, contact=CONTACT)
+def interrupted(
+    journal: Journal, until: int = 18, *, wall_s: float = 1.0, reach_s: float | None = REACH_S, off_from: int = BLOCKS
+) -> None:
+    """A pass that was begun; blocks of contact are recorded up to there, one told each ``wall_s``."""
+    plan = journal.arrays.put(PLAN)
+    journal.begin_pass(2, "sha", "boot-1", BLOCKS, contact=CONTACT, plan=plan, reach_s=reach_s)
     for seq in range(CONTACT[0], until):
-        journal.executed_segment(2, Executed(seq, seq, seq + 1.0), contact=True)
+        block = Executed(seq, float(seq), seq + 1.0)
+        journal.record_executed(2, [BlockRecord(block, seq < off_from, 12.0, 1000.0, 50.0 + seq * wall_s)])
+
+
+def touched(journal: Journal) -> dict[int, str]:
+    """By block: ``+`` known to touch, ``-`` known not to, ``?``; of those that are recorded."""
+    blocks = journal.executed(2)
+    words = {1.0: "+", 0.0: "-"}
+    return {int(seq): words.get(float(known), "?") for seq, known in zip(blocks.seq, blocks.touched, strict=True)}
 
 
 async def test_nothing_to_settle(fake: FakeCell, journal: Journal) -> None:
@@ -49,36 +66,67 @@ async def test_nothing_to_settle(fake: FakeCell, journal: Journal) -> None:
     assert await settle(fake.cell, journal) == ""
 
 
+# the robot remembers
+
+
 async def test_the_same_robot_run_tells_the_rest(fake: FakeCell, journal: Journal) -> None:
     interrupted(journal)
     said = await settle(fake.cell, journal)
-    assert "pass 2 was interrupted: 13 of 40 blocks are recorded as executed in contact" in said
-    assert "uncertain: blocks 18 to 21." in said
+    assert "pass 2 was interrupted: 16 of 40 blocks are recorded as executed; uncertain: blocks 18 to 21." in said
     blocks = journal.executed(2)
     assert list(blocks.seq) == list(range(5, 21)), "each once"
     assert list(blocks.seq[blocks.recovered]) == [18, 19, 20]
-    assert blocks.contact.all()
+    assert [touched(journal)[seq] for seq in (17, 18, 19, 20)] == ["+", "?", "?", "?"]
+    assert journal.uncertain(2) == ((18, 22),), "the robot stands in the last one"
     assert journal.passes[0].how == "interrupted"
     assert next(journal.remaining(9)) == 3, "the pass is not begun again"
     assert fake.events == [], "it is only asked"
+
+
+async def test_what_ran_after_the_actuator_must_have_let_go_was_not_touched(fake: FakeCell, journal: Journal) -> None:
+    """The tool can have stayed on the part for six seconds more, which are as many blocks, and a little."""
+    interrupted(journal)
+    fake.robot.done = fake.robot.until = 33
+    said = await settle(fake.cell, journal)
+    found = touched(journal)
+    # 12 s of the robot's in 12 s of ours, less what its words may be late: at most 1.14 s of its in one of ours
+    assert [seq for seq in range(18, 33) if found[seq] == "-"] == list(range(25, 33))
+    assert "uncertain: blocks 18 to 24." in said
+    assert journal.passes[0].uncertain == (33, 33)
+
+
+async def test_how_fast_the_robots_clock_went_counts(fake: FakeCell, journal: Journal) -> None:
+    interrupted(journal, wall_s=0.5)
+    fake.robot.done = fake.robot.until = 34
+    await settle(fake.cell, journal)
+    assert journal.uncertain(2) == ((18, 35),), "twice as fast, and a little more: 16 s"
+
+
+async def test_a_pass_that_has_just_begun_does_not_tell_how_fast(fake: FakeCell, journal: Journal) -> None:
+    interrupted(journal, 7)
+    fake.robot.done = fake.robot.until = 33
+    await settle(fake.cell, journal)
+    assert journal.uncertain(2) == ((7, 34),)
 
 
 async def test_blocks_off_the_part_are_recovered_as_such(fake: FakeCell, journal: Journal) -> None:
     """The daemon died on the way out: the tool was lifted by then."""
     interrupted(journal, 35)
     fake.robot.done = 38
-    said = await settle(fake.cell, journal)
-    assert "uncertain: blocks 35 to 38." in said
-    blocks = journal.executed(2)
-    assert not blocks.contact[blocks.recovered].any()
+    assert "no block is uncertain" in await settle(fake.cell, journal)
+    assert [touched(journal)[seq] for seq in (34, 35, 37)] == ["+", "-", "-"]
+
+
+async def test_what_follows_a_block_that_the_tool_was_off_in_is_not_touched(fake: FakeCell, journal: Journal) -> None:
+    interrupted(journal, off_from=16)
+    assert "no block is uncertain" in await settle(fake.cell, journal)
+    assert touched(journal) == {seq: "+" if seq < 16 else "-" for seq in range(5, 21)}
 
 
 async def test_nothing_recorded_yet(fake: FakeCell, journal: Journal) -> None:
     interrupted(journal, CONTACT[0])
-    assert "0 of 40 blocks" in await settle(fake.cell, journal)
-    blocks = journal.executed(2)
-    assert list(blocks.seq) == list(range(21))
-    assert list(blocks.seq[blocks.contact]) == list(range(5, 21))
+    assert "21 of 40 blocks" in await settle(fake.cell, journal)
+    assert touched(journal) == {seq: "-" if seq < CONTACT[0] else "?" for seq in range(21)}
 
 
 async def test_the_block_under_way_is_uncertain_although_all_others_are_known(fake: FakeCell, journal: Journal) -> None:
@@ -87,26 +135,81 @@ async def test_the_block_under_way_is_uncertain_although_all_others_are_known(fa
     assert not journal.executed(2).recovered.any()
 
 
-async def test_the_end_of_the_program_is_the_end_of_doubt(fake: FakeCell, journal: Journal) -> None:
-    interrupted(journal, 35)
-    fake.robot.done = BLOCKS
-    assert "uncertain: blocks 35 to 39." in await settle(fake.cell, journal)
+async def test_the_way_in_is_not_touched(fake: FakeCell, journal: Journal) -> None:
+    interrupted(journal, CONTACT[0])
+    fake.robot.done = fake.robot.until = 3
+    assert "no block is uncertain" in await settle(fake.cell, journal)
+    assert touched(journal) == dict.fromkeys(range(3), "-")
+
+
+async def test_what_was_marked_when_contact_was_left_is_the_bound(fake: FakeCell, journal: Journal) -> None:
+    """The link was lost then; now the robot tells what ran, and the lift had been confirmed."""
+    interrupted(journal)
+    journal.mark_uncertain(2, 18, 20)
+    await settle(fake.cell, journal)
+    assert [touched(journal)[seq] for seq in (18, 19, 20)] == ["?", "?", "-"]
+    assert journal.uncertain(2) == ((18, 20),)
+
+
+async def test_a_robot_that_still_runs_is_not_taken_to_stand(fake: FakeCell, journal: Journal) -> None:
+    interrupted(journal)
+    fake.robot.until = 30
+    await settle(fake.cell, journal)
+    assert journal.uncertain(2) == ((18, 25),), "as far as it can come within the time"
+
+
+# it has forgotten, or says nothing
 
 
 @pytest.mark.parametrize(("field", "value"), [("boot_id", "boot-2"), ("plan_sha256", "other"), ("plan_sha256", "")])
 async def test_a_robot_that_has_forgotten(fake: FakeCell, journal: Journal, field: str, value: str) -> None:
+    """What the tool can have reached within the time is marked, by the time that is written, and no more."""
     setattr(fake.robot, field, value)
     interrupted(journal)
     said = await settle(fake.cell, journal)
-    assert "uncertain: blocks 18 to 39 (the robot has forgotten them)" in said
+    assert "uncertain: blocks 18 to 24 (as far as the tool can have come: the robot does not remember)" in said
     assert list(journal.executed(2).seq) == list(range(5, 18)), "what another run says is not believed"
     assert journal.passes[0].how == "interrupted"
+
+
+@pytest.mark.parametrize(
+    ("recorded", "wall_s", "reach_s", "end"),
+    [
+        (18, 1.0, 2.0, 21),
+        (18, 0.5, 2.0, 24),  # twice as fast as is written: somebody turned the override up
+        (18, 5.0, 2.0, 20),  # slower; but it may have gone on at full speed
+        (18, 1.0, None, 35),  # an earlier polishd did not say
+        (7, 1.0, 2.0, 35),  # too little to know how fast
+        (33, 1.0, 9.0, 35),
+    ],
+)
+async def test_how_far_the_tool_can_have_come(
+    fake: FakeCell, journal: Journal, recorded: int, wall_s: float, reach_s: float | None, end: int
+) -> None:
+    fake.robot.boot_id = "boot-2"
+    interrupted(journal, recorded, wall_s=wall_s, reach_s=reach_s)
+    await settle(fake.cell, journal)
+    assert journal.uncertain(2) == ((recorded, end),)
+
+
+async def test_what_was_marked_stands_where_the_robot_has_forgotten(fake: FakeCell, journal: Journal) -> None:
+    interrupted(journal)
+    journal.mark_uncertain(2, 18, 19)
+    fake.robot.boot_id = "boot-2"
+    await settle(fake.cell, journal)
+    assert journal.uncertain(2) == ((18, 19),)
+
+
+async def test_a_tool_that_was_off_stays_off(fake: FakeCell, journal: Journal) -> None:
+    interrupted(journal, off_from=16)
+    fake.robot.boot_id = "boot-2"
+    assert "no block is uncertain" in await settle(fake.cell, journal)
 
 
 async def test_a_robot_whose_link_is_down(fake: FakeCell, journal: Journal) -> None:
     fake.robot.acts.fails["progress"] = LinkError("gone")
     interrupted(journal)
-    assert "18 to 39" in await settle(fake.cell, journal)
+    assert "18 to 24" in await settle(fake.cell, journal)
     assert journal.passes[0].how == "interrupted"
 
 
@@ -114,13 +217,13 @@ async def test_a_robot_that_does_not_answer(fake: FakeCell, journal: Journal, mo
     monkeypatch.setattr(interruption, "ASK_S", 0.02)
     fake.robot.acts.hangs.add("progress")
     interrupted(journal)
-    assert "18 to 39" in await settle(fake.cell, journal)
+    assert "18 to 24" in await settle(fake.cell, journal)
 
 
 async def test_a_robot_that_stops_amid_its_account(
     fake: FakeCell, journal: Journal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Half an account is none: all is uncertain, and nothing waits for ever."""
+    """Half an account is none, and nothing waits for ever."""
     monkeypatch.setattr(interruption, "ASK_S", 0.02)
     interrupted(journal)
     progress = fake.robot.progress
@@ -130,10 +233,48 @@ async def test_a_robot_that_stops_amid_its_account(
         return type(told)(told.state, told.program_sha256, 40, 30, 0.0, told.boot_id)
 
     fake.robot.progress = boasts  # type: ignore[method-assign, assignment]
-    assert "18 to 39" in await settle(fake.cell, journal)
+    assert "18 to 24" in await settle(fake.cell, journal)
 
 
 async def test_settling_twice_says_nothing_the_second_time(fake: FakeCell, journal: Journal) -> None:
     interrupted(journal)
     assert await settle(fake.cell, journal)
     assert await settle(fake.cell, journal) == ""
+
+
+# when contact is left
+
+
+def left(journal: Journal, *, off_s: float, told_s: float) -> Touch:
+    """A contact that was left: when the robot told of a block last, and from when on the tool is off."""
+    touch = Touch(lambda records: journal.record_executed(2, records), 1.5)
+    touch.begin(0.0)
+    touch.leave()
+    touch.told(Executed(17, 17.0, 18.0), told_s)
+    touch.off(off_s)
+    return touch
+
+
+@pytest.mark.parametrize(
+    ("robot", "off_s", "marked"),
+    [
+        (RobotProgress("held", "sha", 40, 18, 0.0), 103.0, (18, 19)),  # it stands in this one
+        (RobotProgress("running", "sha", 40, 18, 9.0), 103.0, (18, 23)),  # 3 s, and its word may have been late
+        (None, 103.0, (18, 23)),
+        (None, 98.0, (18, 18)),  # it was off before this one began
+        (None, float("inf"), (18, 35)),  # nobody knows that it is off
+    ],
+)
+async def test_what_can_be_touched_after_the_last_word(
+    fake: FakeCell, journal: Journal, robot: RobotProgress | None, off_s: float, marked: tuple[int, int]
+) -> None:
+    interrupted(journal, 17)
+    await mark(fake.cell, journal, 2, left(journal, off_s=off_s, told_s=100.0), robot)
+    assert journal.passes[0].uncertain == marked
+    assert journal.passes[0].ended_s is None, "the robot may still tell"
+
+
+async def test_a_tool_that_never_left_its_landing_point_has_touched_nothing(fake: FakeCell, journal: Journal) -> None:
+    interrupted(journal, CONTACT[0])
+    await mark(fake.cell, journal, 2, Touch(lambda records: None, 1.5), None)
+    assert journal.uncertain(2) == ()

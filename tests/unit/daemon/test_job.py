@@ -12,6 +12,7 @@ import pytest
 
 from polishd.daemon.job import DIVERGED_RATIO, PROGRESS_BLOCKS, Job
 from polishd.daemon.journal import Journal
+from polishd.daemon.journal_records import BlockRecord
 from polishd.model.devices import Executed, RobotProgress
 from polishd.model.errors import ComputeError, PlanRefused
 from polishd.model.program import Plan
@@ -57,12 +58,22 @@ async def planned(job: Job, cycle: int, surface: Measured) -> Plan:
     return await job.plan(cycle, await job.solve(cycle, surface))
 
 
-async def run(job: Job, cycle: int, plan: Plan, *, late_s: float = 0.0, end: bool = True, blocks: int = 10**6) -> None:
+async def run(
+    job: Job,
+    cycle: int,
+    plan: Plan,
+    *,
+    late_s: float = 0.0,
+    end: bool = True,
+    blocks: int = 10**6,
+    force_n: float | None = 12.0,
+) -> None:
     """The pass, as expected and this much later a block."""
-    await job.begin_pass(cycle, plan, ROBOT)
+    await job.begin_pass(cycle, plan, ROBOT, 9.5)
     at_s = 100.0
     for seq, time_s in list(zip(plan.program.block, plan.expected_time_s, strict=True))[:blocks]:
-        await job.executed(cycle, Executed(int(seq), at_s, at_s + float(time_s) + late_s))
+        block = Executed(int(seq), at_s, at_s + float(time_s) + late_s)
+        job.executed(cycle, [BlockRecord(block, True, force_n, 1000.0)])
         at_s += float(time_s) + late_s
     if end:
         await job.end_pass(cycle)
@@ -116,7 +127,7 @@ async def test_a_plan_leaves_program_dwell_and_certificate(job: Job, tmp_path: P
 
 async def test_a_pass_is_journalled_before_it_moves(job: Job, journal: Journal) -> None:
     plan = await planned(job, 0, await job.measured(0, small_map()))
-    await job.begin_pass(0, plan, ROBOT)
+    await job.begin_pass(0, plan, ROBOT, 9.5)
     unfinished = journal.unfinished()
     assert unfinished is not None
     assert (unfinished.program_sha256, unfinished.boot_id) == (plan.program.sha256, "boot-1")
@@ -130,7 +141,8 @@ async def test_a_pass_that_ended_is_kept_for_people(job: Job, journal: Journal, 
     await run(job, 0, plan)
     assert journal.passes[0].how == "done"
     rows = (tmp_path / "run/cycle-00/executed.csv").read_text().splitlines()
-    assert rows[0] == "seq,start_s,end_s,contact"
+    assert rows[0] == "seq,start_s,end_s,contact,force_n,rpm"
+    assert rows[1].endswith(",1,12,1000")
     assert len(rows) - 1 == plan.program.n
     names = [event.name for event in job.told]  # type: ignore[attr-defined]
     progress = plan.program.n // PROGRESS_BLOCKS
@@ -159,8 +171,8 @@ async def test_blocks_that_were_not_run_have_no_time(job: Job) -> None:
 
 async def test_time_out_of_contact_does_not_count(job: Job, journal: Journal) -> None:
     plan = await planned(job, 0, await job.measured(0, small_map()))
-    await job.begin_pass(0, plan, ROBOT)
-    journal.executed_segment(0, Executed(int(plan.program.block[0]), 0.0, 5.0), contact=False)
+    await job.begin_pass(0, plan, ROBOT, 9.5)
+    journal.record_executed(0, [BlockRecord(Executed(int(plan.program.block[0]), 0.0, 5.0), False)])
     journal.flush()
     assert not job.executed_s(0).any()
 
@@ -171,7 +183,7 @@ async def test_the_move_to_a_dwell_counts_for_its_point(tmp_path: Path, journal:
     job = small_job(tmp_path, journal, program=program)
     journal.begin_pass(0, "sha", "boot", 8, contact=(3, 7))
     for seq, start_s, end_s in [(2, 0, 9), (3, 10, 11.5), (5, 11.5, 11.75), (6, 11.75, 14)]:
-        journal.executed_segment(0, Executed(seq, start_s, end_s))
+        journal.record_executed(0, [BlockRecord(Executed(seq, start_s, end_s), seq >= 3)])
     assert job.executed_s(0) == pytest.approx([1.5, 2.5])
 
 

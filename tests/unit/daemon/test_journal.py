@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.daemon import journal_store
+from polishd.daemon import journal_schema, journal_store
 from polishd.daemon.journal import Journal
+from polishd.daemon.journal_records import BlockRecord
 from polishd.model.cycle import Outcome, Phase
 from polishd.model.devices import Executed
-from polishd.model.errors import ConfigError, LinkError, PolishdError
+from polishd.model.errors import ConfigError, LinkError, PolishdError, SafetyStop
 from polishd.model.events import JobFinished
 from tests.unit.daemon.small import told_phases
 
@@ -26,6 +27,10 @@ def opened(state_dir: Path, job: str = "job", part_id: str = "P1") -> Journal:
 
 def block(seq: int) -> Executed:
     return Executed(seq, seq * 0.1, seq * 0.1 + 0.05)
+
+
+def touched(seq: int, *what: float) -> list[BlockRecord]:
+    return [BlockRecord(block(seq), True, *what)]
 
 
 @pytest.fixture
@@ -72,7 +77,7 @@ async def test_job_goes_on_where_it_was(tmp_path: Path) -> None:
             journal.record_map(0, "aa", "maps/0.dat", {"rms_nm": 18.0})
         journal.begin_pass(0, "prog0", "boot", 10, facts={"predicted_rms_nm": 5.0})
         for seq in range(10):
-            journal.executed_segment(0, block(seq))
+            journal.record_executed(0, touched(seq))
         journal.end_pass(0, "done")
         journal.record_map(1, "bb", "maps/1.dat", {"rms_nm": 5.5})
     with opened(tmp_path) as journal:
@@ -163,7 +168,7 @@ async def test_what_is_buffered_in_a_phase_is_durable_at_its_end(tmp_path: Path,
 
     async def interrupted() -> None:
         async with journal.phase(0, Phase.RUN):
-            journal.executed_segment(0, block(0))
+            journal.record_executed(0, touched(0))
             raise LinkError("gone")
 
     with pytest.raises(LinkError):
@@ -185,14 +190,20 @@ def test_a_cycle_has_one_pass(journal: Journal) -> None:
 
 def test_executed_blocks_come_back_as_arrays(journal: Journal) -> None:
     journal.begin_pass(2, "prog", "boot", 6, contact=(1, 5))
-    for seq in (0, 1, 2, 4):
-        journal.executed_segment(2, block(seq))
-    journal.executed_segment(2, block(5), contact=True)
-    journal.executed_segment(2, Executed(2, 99.0, 100.0))  # told again after a reconnect: the first word stands
+    journal.record_executed(2, [BlockRecord(block(0), False), *touched(1, 12.1, 998.0, 7.5), *touched(2), *touched(4)])
+    journal.record_executed(2, [BlockRecord(block(5), None)])
+    again = BlockRecord(Executed(2, 99.0, 100.0), True)
+    journal.record_executed(2, [again])  # told again after a reconnect: the first word stands
     found = journal.executed(2)
     np.testing.assert_array_equal(found.seq, [0, 1, 2, 4, 5])
     assert found.seq.dtype == np.int64
-    np.testing.assert_array_equal(found.contact, [False, True, True, True, True])
+    np.testing.assert_array_equal(found.touched, [0, 1, 1, 1, np.nan])
+    np.testing.assert_array_equal(found.contact, [False, True, True, True, False])
+    np.testing.assert_array_equal(found.possible, [False, True, True, True, True])
+    assert (found.force_n[1], found.rpm[1], found.told_s[1]) == (12.1, 998.0, 7.5)
+    assert np.isnan([found.force_n[2], found.rpm[2], found.told_s[2]]).all()
+    assert journal.uncertain(2) == ((5, 6),)
+    assert journal.contact_s(2) == pytest.approx(0.15), "as far as it is known"
     np.testing.assert_allclose(found.start_s, found.seq * 0.1)
     np.testing.assert_allclose(found.duration_s, 0.05)
     assert not found.recovered.any()
@@ -200,7 +211,7 @@ def test_executed_blocks_come_back_as_arrays(journal: Journal) -> None:
 
 def test_group_commit_by_time(tmp_path: Path, journal: Journal) -> None:
     journal.begin_pass(0, "prog", "boot", 3)
-    journal.executed_segment(0, block(0))
+    journal.record_executed(0, touched(0))
     wait_until(lambda: rows(tmp_path, "SELECT count(*) FROM segment") == [(1,)])
 
 
@@ -208,16 +219,16 @@ def test_group_commit_by_number(tmp_path: Path, journal: Journal, monkeypatch: p
     monkeypatch.setattr(journal_store, "COMMIT_S", 1e6)
     journal.begin_pass(0, "prog", "boot", 1000)
     for seq in range(journal_store.COMMIT_ROWS - 1):
-        journal.executed_segment(0, block(seq))
+        journal.record_executed(0, touched(seq))
     assert rows(tmp_path, "SELECT count(*) FROM segment") == [(0,)]
-    journal.executed_segment(0, block(999))
+    journal.record_executed(0, touched(999))
     wait_until(lambda: rows(tmp_path, "SELECT count(*) FROM segment") == [(journal_store.COMMIT_ROWS,)])
 
 
 def test_a_stalled_disk_does_not_stall_the_recording(
     tmp_path: Path, journal: Journal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """executed_segment is called from the event loop in contact: it never waits for a commit."""
+    """record_executed is called from the event loop in contact: it never waits for a commit."""
     journal.begin_pass(0, "prog", "boot", 5000)
     stalled, release = threading.Event(), threading.Event()
     commit = journal._store._transaction
@@ -228,34 +239,64 @@ def test_a_stalled_disk_does_not_stall_the_recording(
         commit(rows)
 
     monkeypatch.setattr(journal._store, "_transaction", slow)
-    journal.executed_segment(0, block(0))
+    journal.record_executed(0, touched(0))
     assert stalled.wait(30)
     for seq in range(1, 2000):
-        journal.executed_segment(0, block(seq))  # would never return if it waited
+        journal.record_executed(0, touched(seq))  # would never return if it waited
     release.set()
     assert journal.executed(0).seq.size == 2000
 
 
+def test_a_disk_that_does_not_keep_up_is_told(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What may go unrecorded in contact has an end: contact is left over it, and the rows are written all the same."""
+    journal.begin_pass(0, "prog", "boot", 9)
+    stalled, release = threading.Event(), threading.Event()
+    commit = journal._store._transaction
+
+    def slow(rows: list[journal_store.Row]) -> None:
+        stalled.set()
+        assert release.wait(30)
+        commit(rows)
+
+    journal.require_in_time()
+    monkeypatch.setattr(journal._store, "_transaction", slow)
+    monkeypatch.setattr(journal_store, "LATE_S", 0.0)
+    journal.record_executed(0, touched(0))
+    assert stalled.wait(30)
+    with pytest.raises(SafetyStop, match=r"a commit has taken 0\.\d s, and no more than 0 s may go unrecorded"):
+        journal.require_in_time()
+    journal.record_executed(0, touched(1))
+    release.set()
+    assert journal.executed(0).seq.tolist() == [0, 1]
+    journal.require_in_time()
+
+
 def test_interrupted_pass_is_told_and_reconciled(tmp_path: Path) -> None:
     with opened(tmp_path) as journal:
-        journal.begin_pass(0, "prog", "boot", 10, contact=(2, 9))
+        journal.begin_pass(0, "prog", "boot", 10, contact=(2, 9), reach_s=9.5)
         for seq in range(4):
-            journal.executed_segment(0, block(seq))
+            journal.record_executed(0, touched(seq))
     with opened(tmp_path) as journal:
         found = journal.unfinished()
         assert found is not None
         assert (found.cycle, found.program_sha256, found.boot_id, found.blocks) == (0, "prog", "boot", 10)
         assert (journal.tally(0).done, journal.tally(0).last_seq) == (4, 3)
         assert list(journal.remaining(3)) == [1, 2]  # never the same pass again
-        journal.reconcile(0, [block(seq) for seq in range(6)])
+        journal.reconcile(0, [BlockRecord(block(seq), None) for seq in range(6)])
         assert (journal.tally(0).done, journal.tally(0).last_seq) == (6, 5)
         journal.reconcile(0, [])
         assert journal.tally(0).done == 6
         executed = journal.executed(0)
         np.testing.assert_array_equal(executed.recovered, [False] * 4 + [True] * 2)
-        np.testing.assert_array_equal(executed.contact, [False, False, True, True, True, True])
+        np.testing.assert_array_equal(executed.touched, [1, 1, 1, 1, np.nan, np.nan])
+        assert journal.uncertain(0) == ((4, 6),)
+        journal.mark_uncertain(0, 6, 8)
+        assert journal.uncertain(0) == ((4, 8),)
         journal.end_pass(0, "interrupted")
         assert journal.unfinished() is None
+    with opened(tmp_path) as journal:
+        assert journal.uncertain(0) == ((4, 8),)
+        assert (journal.passes[0].reach_s, journal.passes[0].uncertain) == (9.5, (6, 8))
 
 
 def test_ending_a_pass_twice_keeps_the_first_word(journal: Journal) -> None:
@@ -275,7 +316,7 @@ def test_events_are_kept(tmp_path: Path) -> None:
 
 def test_copy_is_whole_and_stands_alone(tmp_path: Path, journal: Journal) -> None:
     journal.begin_pass(0, "prog", "boot", 5)
-    journal.executed_segment(0, block(0))
+    journal.record_executed(0, touched(0))
     target = tmp_path / "run" / "journal.sqlite"
     target.parent.mkdir()
     for _ in range(2):
@@ -327,12 +368,48 @@ PRAGMA user_version = 1;
 """  # noqa: E501
 
 
+# what the polishd of format 2 had beside that, and a pass of which the robot told the rest
+FORMAT_2 = f"""
+{FORMAT_1} {journal_schema.FROM_1}
+UPDATE job SET terms = '{{}}' WHERE id = 2;
+INSERT INTO segment VALUES (2, 0, 0, 9.5, 10.0, 0, 0), (2, 0, 3, 11.5, 12.0, 1, 1), (2, 0, 4, 12.0, 12.5, 0, 1);
+PRAGMA user_version = 2;
+"""
+
+
+def made(state_dir: Path, script: str) -> Path:
+    connection = sqlite3.connect(state_dir / "journal.sqlite")
+    connection.executescript(f"PRAGMA journal_mode=WAL; {script}")
+    connection.close()
+    return state_dir
+
+
 @pytest.fixture
 def of_format_1(tmp_path: Path) -> Path:
-    connection = sqlite3.connect(tmp_path / "journal.sqlite")
-    connection.executescript(f"PRAGMA journal_mode=WAL; {FORMAT_1}")
-    connection.close()
-    return tmp_path
+    return made(tmp_path, FORMAT_1)
+
+
+@pytest.fixture
+def of_format_2(tmp_path: Path) -> Path:
+    return made(tmp_path, FORMAT_2)
+
+
+def test_a_journal_of_format_2_is_read_on(of_format_2: Path) -> None:
+    """Contact of what the robot told after an interruption was marked by its place in the program: nobody knew."""
+    for _ in range(2):
+        with opened(of_format_2) as journal:
+            assert journal.resumed
+            assert journal.terms == {}
+            blocks = journal.executed(0)
+            np.testing.assert_array_equal(blocks.touched, [0, 1, 1, np.nan, 0])
+            np.testing.assert_array_equal(blocks.recovered, [False, False, False, True, True])
+            assert np.isnan([blocks.force_n, blocks.rpm, blocks.told_s]).all()
+            assert (journal.uncertain(0), journal.contact_s(0)) == (((3, 4),), 1.5)
+            assert (journal.passes[0].reach_s, journal.passes[0].uncertain) == (None, None)
+    assert rows(of_format_2, "PRAGMA user_version") == [(3,)]
+    kept = sqlite3.connect(of_format_2 / "journal.v2.sqlite")
+    assert kept.execute("SELECT total(in_contact) FROM segment").fetchone() == (3.0,)
+    kept.close()
 
 
 def test_a_journal_of_format_1_is_read_on(of_format_1: Path) -> None:
@@ -348,7 +425,7 @@ def test_a_journal_of_format_1_is_read_on(of_format_1: Path) -> None:
             assert [record.blocks for record in journal.passes] == [5]
             assert journal.unfinished() == journal.passes[0]
             assert journal.tally(0).done == 2
-    assert rows(of_format_1, "PRAGMA user_version") == [(2,)]
+    assert rows(of_format_1, "PRAGMA user_version") == [(3,)]
 
 
 def test_a_journal_of_format_1_is_kept_as_it_was(of_format_1: Path) -> None:
@@ -359,10 +436,11 @@ def test_a_journal_of_format_1_is_kept_as_it_was(of_format_1: Path) -> None:
     kept.close()
 
 
-def test_a_journal_brought_up_to_date_has_the_tables_of_a_new_one(of_format_1: Path) -> None:
-    opened(of_format_1).close()
-    (of_format_1 / "new").mkdir()
-    opened(of_format_1 / "new").close()
+@pytest.mark.parametrize("script", [FORMAT_1, FORMAT_2], ids=["1", "2"])
+def test_a_journal_brought_up_to_date_has_the_tables_of_a_new_one(tmp_path: Path, script: str) -> None:
+    opened(made(tmp_path, script)).close()
+    (tmp_path / "new").mkdir()
+    opened(tmp_path / "new").close()
 
     def columns(state_dir: Path) -> dict[str, set[tuple[object, ...]]]:
         return {
@@ -370,7 +448,7 @@ def test_a_journal_brought_up_to_date_has_the_tables_of_a_new_one(of_format_1: P
             for table in ("job", "map", "phase", "pass", "segment", "event")
         }
 
-    assert columns(of_format_1) == columns(of_format_1 / "new")
+    assert columns(tmp_path) == columns(tmp_path / "new")
 
 
 def test_a_migration_that_fails_changes_nothing(of_format_1: Path) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from polishd.daemon.journal import Journal
+from polishd.daemon.journal_records import BlockRecord
 from polishd.model.cycle import Phase
 from polishd.model.devices import Executed
 from polishd.model.errors import ConfigError, LinkError, SafetyStop
@@ -32,6 +33,7 @@ WRITER = """
 import sys
 from pathlib import Path
 from polishd.daemon.journal import Journal
+from polishd.daemon.journal_records import BlockRecord
 from polishd.model.devices import Executed
 journal = Journal.open(Path(sys.argv[1]), job="job", part_id="P1")
 if not journal.passes:
@@ -39,7 +41,7 @@ if not journal.passes:
 seq = journal.executed(0).seq.size
 while True:
     for _ in range(7):
-        journal.executed_segment(0, Executed(seq, seq * 1.0, seq + 0.5))
+        journal.record_executed(0, [BlockRecord(Executed(seq, seq * 1.0, seq + 0.5), True)])
         seq += 1
     journal.flush()
     print(seq, flush=True)
@@ -85,7 +87,11 @@ async def test_full_disk_loses_the_journal_for_good(tmp_path: Path) -> None:
     journal._store.buffer(big)  # the thread finds out
     with pytest.raises(SafetyStop, match=r"journal lost: .*journal\.sqlite: .*full"):
         await watch
-    for act in (journal.flush, lambda: journal.executed_segment(0, block(0)), lambda: journal.end_pass(0, "done")):
+    for act in (
+        journal.flush,
+        lambda: journal.record_executed(0, [BlockRecord(block(0), True)]),
+        lambda: journal.end_pass(0, "done"),
+    ):
         with pytest.raises(SafetyStop, match="polishing without a record is refused"):
             act()
     with pytest.raises(SafetyStop):
@@ -153,7 +159,7 @@ def test_journal_of_another_format_is_refused(tmp_path: Path) -> None:
     connection = sqlite3.connect(tmp_path / "journal.sqlite")
     connection.execute("PRAGMA user_version = 99")
     connection.close()
-    with pytest.raises(ConfigError, match="has format 99, this polishd writes format 2"):
+    with pytest.raises(ConfigError, match="has format 99, this polishd writes format 3"):
         opened(tmp_path)
 
 

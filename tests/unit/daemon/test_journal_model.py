@@ -12,11 +12,16 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from polishd.daemon.journal import Journal
+from polishd.daemon.journal_records import BlockRecord
 from polishd.model.cycle import Outcome
 from polishd.model.devices import Executed
 
 CYCLES = 4
 BLOCKS = 12
+
+
+def record(seq: int, touched: bool | None) -> BlockRecord:
+    return BlockRecord(Executed(seq, float(seq), seq + 0.5), touched)
 
 
 class JournalMachine(RuleBasedStateMachine):
@@ -33,7 +38,8 @@ class JournalMachine(RuleBasedStateMachine):
     def _new_job(self) -> None:
         self.maps: dict[int, str] = {}
         self.passes: dict[int, str | None] = {}
-        self.blocks: dict[int, dict[int, bool]] = {}
+        self.blocks: dict[int, dict[int, bool | None]] = {}
+        self.recovered: dict[int, set[int]] = {}
         self.fresh = True
 
     def _open(self) -> Journal:
@@ -65,17 +71,17 @@ class JournalMachine(RuleBasedStateMachine):
     def begin(self) -> None:
         cycle = self.next_cycle
         self.journal.begin_pass(cycle, f"prog{cycle}", "boot", BLOCKS, contact=(2, BLOCKS - 2))
-        self.passes[cycle], self.blocks[cycle] = None, {}
+        self.passes[cycle], self.blocks[cycle], self.recovered[cycle] = None, {}, set()
 
     @precondition(lambda self: self.running is not None)
-    @rule(number=st.integers(1, 4))
-    def execute(self, number: int) -> None:
+    @rule(number=st.integers(1, 4), touched=st.sampled_from([True, False, None]))
+    def execute(self, number: int, touched: bool | None) -> None:
         cycle: Any = self.running
         for _ in range(number):
             seq = max(self.blocks[cycle], default=-1) + 1
             if seq < BLOCKS:
-                self.journal.executed_segment(cycle, Executed(seq, float(seq), seq + 0.5))
-                self.blocks[cycle][seq] = False
+                self.journal.record_executed(cycle, [record(seq, touched)])
+                self.blocks[cycle][seq] = touched
 
     @precondition(lambda self: self.running is not None)
     @rule(upto=st.integers(0, BLOCKS))
@@ -83,9 +89,10 @@ class JournalMachine(RuleBasedStateMachine):
         cycle: Any = self.running
         new = [seq for seq in range(upto) if seq not in self.blocks[cycle]]
         before = self.journal.tally(cycle).done
-        self.journal.reconcile(cycle, [Executed(seq, float(seq), seq + 0.5) for seq in range(upto)])
+        self.journal.reconcile(cycle, [record(seq, None) for seq in range(upto)])
         assert self.journal.tally(cycle).done - before == len(new)
-        self.blocks[cycle].update(dict.fromkeys(new, True))
+        self.blocks[cycle].update(dict.fromkeys(new))
+        self.recovered[cycle].update(new)
 
     @precondition(lambda self: self.running is not None)
     @rule(how=st.sampled_from(["done", "stopped", "interrupted"]))
@@ -121,9 +128,11 @@ class JournalMachine(RuleBasedStateMachine):
         for cycle, blocks in self.blocks.items():
             found = journal.executed(cycle)
             np.testing.assert_array_equal(found.seq, sorted(blocks))
-            np.testing.assert_array_equal(found.recovered, [blocks[seq] for seq in sorted(blocks)])
-            np.testing.assert_array_equal(found.contact, [2 <= seq < BLOCKS - 2 for seq in sorted(blocks)])
+            np.testing.assert_array_equal(found.recovered, [seq in self.recovered[cycle] for seq in sorted(blocks)])
+            np.testing.assert_array_equal(found.touched, np.array([blocks[seq] for seq in sorted(blocks)], dtype=float))
             assert journal.contact_s(cycle) == float(found.duration_s[found.contact].sum())
+            unknown = [seq for first, end in journal.uncertain(cycle) for seq in range(first, end)]
+            assert unknown == [seq for seq in sorted(blocks) if blocks[seq] is None]
 
     @invariant()
     def tells_what_is_unfinished(self) -> None:

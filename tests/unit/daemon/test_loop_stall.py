@@ -25,6 +25,7 @@ from polishd.daemon.cell import Cell, MonotonicClock
 from polishd.daemon.daemon import Daemon
 from polishd.daemon.events import EventBus
 from polishd.daemon.journal import Journal
+from polishd.daemon.journal_records import BlockRecord
 from polishd.daemon.log import logging_to
 from polishd.daemon.service import serving
 from polishd.model.cycle import Outcome
@@ -175,7 +176,7 @@ def long_history(journal: Journal) -> None:
     facts["certificate"] = {}
     journal.begin_pass(cycle, "sha", "boot-0", EARLIER_BLOCKS, facts=facts)
     for seq in range(EARLIER_BLOCKS):
-        journal.executed_segment(cycle, Executed(seq, seq * 0.1, seq * 0.1 + 0.1), contact=True)
+        journal.record_executed(cycle, [BlockRecord(Executed(seq, seq * 0.1, seq * 0.1 + 0.1), True)])
     journal.end_pass(cycle, "done")
 
 

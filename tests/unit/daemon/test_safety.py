@@ -16,6 +16,7 @@ from polishd.config.cell import PORTS
 from polishd.daemon import time_limits
 from polishd.daemon.cell import Cell
 from polishd.daemon.safety import ContactLimits, contact, heard, make_safe, most_telling
+from polishd.daemon.touch import Touch
 from polishd.model.devices import ForceSample
 from polishd.model.errors import ConfigError, DeviceFault, LinkError, PolishdError, SafetyStop
 from polishd.model.times import ActuatorTimes, RobotTimes, SpindleTimes
@@ -29,6 +30,11 @@ LIFTED = ["actuator.set_force 0", "actuator.retract", "lifted"]
 UNTOUCHED = [step for step in SAFE if step != "lifted"]
 
 
+def untold() -> Touch:
+    """Of no robot."""
+    return Touch(lambda records: None, 1.5)
+
+
 @pytest.fixture
 def fake() -> FakeCell:
     return FakeCell()
@@ -36,7 +42,7 @@ def fake() -> FakeCell:
 
 async def polish_for(fake: FakeCell, seconds: float = 1.0, limits: ContactLimits = LIMITS) -> None:
     """In contact for that long by the fake clock: readings let it pass."""
-    async with contact(fake.cell, limits):
+    async with contact(fake.cell, limits, untold()):
         fake.events.append("pressing")
         end_s = fake.clock.at_s + seconds
         while fake.clock.at_s < end_s:  # noqa: ASYNC110
@@ -44,7 +50,7 @@ async def polish_for(fake: FakeCell, seconds: float = 1.0, limits: ContactLimits
 
 
 async def forever(fake: FakeCell) -> None:
-    async with contact(fake.cell, LIMITS):
+    async with contact(fake.cell, LIMITS, untold()):
         fake.events.append("pressing")
         await asyncio.Event().wait()
 
@@ -73,14 +79,14 @@ async def test_the_normal_end_lifts_and_leaves_motion_alone(fake: FakeCell) -> N
 
 async def test_an_exception_in_the_block(fake: FakeCell) -> None:
     with pytest.raises(KeyError, match="mine"):
-        async with contact(fake.cell, LIMITS):
+        async with contact(fake.cell, LIMITS, untold()):
             raise KeyError("mine")
     assert fake.events == [*INTO, *SAFE]
 
 
 async def test_an_error_of_ours_in_the_block_comes_out_as_itself(fake: FakeCell) -> None:
     with pytest.raises(LinkError, match="the robot is gone"):
-        async with contact(fake.cell, LIMITS):
+        async with contact(fake.cell, LIMITS, untold()):
             raise LinkError("the robot is gone")
     assert fake.events[-4:] == SAFE
 
@@ -286,7 +292,7 @@ async def test_an_actuator_that_answers_after_all_ends_the_waiting(fake: FakeCel
 async def test_an_actuator_that_does_not_lift_is_left_by_the_robot(fake: FakeCell) -> None:
     fake.actuator.acts.fails["make_safe"] = DeviceFault("does not retract")
     with pytest.raises(KeyError):
-        async with contact(fake.cell, LIMITS):
+        async with contact(fake.cell, LIMITS, untold()):
             raise KeyError
     steps = [*INTO, "spindle.make_safe", "actuator.make_safe", "robot.lift 15", "robot.make_safe"]
     assert fake.events == steps
@@ -326,7 +332,7 @@ async def test_an_emergency_stops_motion_at_once(fake: FakeCell) -> None:
     stopped: list[bool] = []
     fake.robot.acts.before["make_safe"] = lambda: stopped.append(fake.actuator.retracted)
     with pytest.raises(KeyError):
-        async with contact(fake.cell, LIMITS):
+        async with contact(fake.cell, LIMITS, untold()):
             raise KeyError
     assert stopped == [False], "whatever the part costs"
     assert sorted(fake.events[2:]) == sorted(SAFE)
@@ -431,7 +437,7 @@ async def test_everything_broken_is_told(fake: FakeCell) -> None:
     for name in ("actuator", "robot", "spindle"):
         fake.devices[name].acts.fails["make_safe"] = LinkError(f"no {name}")
     with pytest.raises(KeyError):
-        async with contact(fake.cell, LIMITS):
+        async with contact(fake.cell, LIMITS, untold()):
             raise KeyError
     assert fake.events[-3:] == ["actuator.make_safe", "robot.lift 15", "robot.make_safe"]
     lifted = "actuator: no actuator; the robot has lifted the tool off the part by 15 mm"
@@ -516,7 +522,7 @@ async def test_only_the_jobs_devices_are_in_contact_and_its_robot_waits_for_its_
     twins.right.actuator.make_safe = slowly  # type: ignore[method-assign]
     twins.left.robot.acts.before["make_safe"] = go_on.set
     with pytest.raises(KeyError):
-        async with contact(twins.cell, LIMITS):
+        async with contact(twins.cell, LIMITS, untold()):
             raise KeyError
     events = twins.left.events
     assert "actuator.left.set_force 12" in events
@@ -561,7 +567,7 @@ def test_most_telling(errors: list[BaseException], told: type[BaseException]) ->
 
 async def test_two_faults_at_once_tell_the_safety_stop(fake: FakeCell) -> None:
     async def starves() -> None:
-        async with contact(fake.cell, LIMITS):
+        async with contact(fake.cell, LIMITS, untold()):
             try:
                 await asyncio.Event().wait()
             finally:

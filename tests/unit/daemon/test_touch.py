@@ -1,0 +1,147 @@
+"""What samples and orders say of each block: touched, not touched, or not known, with its force and its speed."""
+
+from __future__ import annotations
+
+import pytest
+
+from polishd.daemon.journal_records import BlockRecord
+from polishd.daemon.touch import FRESH_S, LUMP_S, Touch
+from polishd.model.devices import Executed, ForceSample, SpeedSample
+
+LATE_S = 1.5
+
+
+class Contact:
+    """A contact that lands at 0 s; blocks and samples by the time at which they come."""
+
+    def __init__(self) -> None:
+        self.records: list[BlockRecord] = []
+        self.touch = Touch(self.records.extend, LATE_S)
+        self.force(0.0)
+        self.touch.begin(0.02)
+
+    def force(self, at_s: float, force_n: float = 12.0, *, on: bool = True) -> None:
+        self.touch.force(ForceSample(at_s, force_n, 12.0, on, not on))
+
+    def speed(self, at_s: float, rpm: float = 1000.0) -> None:
+        self.touch.speed(SpeedSample(at_s, rpm, 1000.0))
+
+    def told(self, seq: int, at_s: float) -> None:
+        self.touch.told(Executed(seq, float(seq), seq + 1.0), at_s)
+
+    @property
+    def touched(self) -> dict[int, bool | None]:
+        return {record.block.seq: record.touched for record in self.records}
+
+
+@pytest.fixture
+def contact() -> Contact:
+    return Contact()
+
+
+def test_a_block_between_samples_in_contact_touched(contact: Contact) -> None:
+    contact.told(0, 0.1)
+    assert contact.records == [], "it waits for a sample after it"
+    contact.force(0.15)
+    contact.told(1, 0.2)
+    contact.force(0.2)
+    assert contact.touched == {0: True, 1: True}
+
+
+def test_contact_that_is_lost_after_a_block_leaves_it_unknown(contact: Contact) -> None:
+    contact.force(0.05)
+    contact.told(0, 0.1)
+    contact.force(0.15, 0.0, on=False)
+    assert contact.touched == {0: None}
+
+
+def test_contact_that_comes_back_counts_once_no_word_can_be_older(contact: Contact) -> None:
+    contact.told(0, 1.0)
+    contact.force(1.05, 0.0, on=False)
+    contact.force(1.1)
+    for seq, at_s in enumerate((1.2, 2.5, 2.7, 2.9), start=1):
+        contact.told(seq, at_s)
+        contact.force(at_s + 0.05)
+    # the block of 2.9 began after the word of 2.7, which may be 1.5 s late: contact had come back by then
+    assert contact.touched == {0: None, 1: None, 2: None, 3: None, 4: True}
+
+
+def test_force_and_speed_are_means_of_the_samples_around(contact: Contact) -> None:
+    contact.force(1.0, 10.0)
+    contact.speed(1.0, 990.0)
+    contact.told(0, 1.0)
+    for at_s, force_n in ((1.05, 10.0), (1.1, 11.0), (1.2, 13.0), (1.3, 15.0)):
+        contact.force(at_s, force_n)
+    contact.speed(1.25, 1010.0)
+    contact.told(1, 1.3)
+    contact.force(1.35, 16.0)
+    first, second = contact.records
+    assert (first.force_n, first.rpm, first.told_s) == (pytest.approx((12.0 + 10.0) / 2), 990.0, 1.0)
+    assert second.force_n == pytest.approx((10.0 + 10.0 + 11.0 + 13.0 + 15.0) / 5)
+    assert second.rpm == pytest.approx(1000.0)
+
+
+def test_blocks_of_one_word_share_its_time(contact: Contact) -> None:
+    """The robot tells of many at once: each lies somewhere between this word and the one before."""
+    contact.told(0, 1.0)
+    contact.force(1.0, 8.0)
+    contact.told(1, 2.0)
+    contact.told(2, 2.0 + LUMP_S / 2)
+    contact.force(2.0 + LUMP_S / 2, 16.0)
+    contact.told(3, 2.0 + LUMP_S)  # of the same word, and after the sample
+    contact.force(2.1, 16.0)
+    _, *others = contact.records
+    assert [record.told_s for record in others] == [2.0, 2.0, 2.0]
+    assert others[0].force_n == others[1].force_n == others[2].force_n == pytest.approx(12.0)
+
+
+def test_no_sample_is_no_knowledge() -> None:
+    records: list[BlockRecord] = []
+    touch = Touch(records.extend, LATE_S)
+    touch.begin(0.0)
+    touch.told(Executed(0, 0.0, 1.0), 1.0)
+    touch.leave()
+    touch.flush()
+    assert records == [BlockRecord(Executed(0, 0.0, 1.0), None, None, None, 1.0)]
+
+
+# leaving
+
+
+@pytest.mark.parametrize(("silent_s", "known"), [(0.9 * FRESH_S, True), (1.1 * FRESH_S, None)])
+def test_what_waits_when_contact_is_left_is_judged_by_a_fresh_sample(
+    contact: Contact, silent_s: float, known: bool | None
+) -> None:
+    contact.force(3.0)
+    contact.told(0, 3.0 + silent_s)
+    contact.touch.leave()
+    assert contact.records == [], "a journal that is lost keeps no tool on the part"
+    contact.touch.flush()
+    contact.touch.flush()
+    assert [record.touched for record in contact.records] == [known]
+
+
+def test_from_the_order_until_the_lift_nobody_knows_then_it_is_off(contact: Contact) -> None:
+    contact.force(3.0)
+    contact.touch.leave()
+    contact.force(3.05, 0.1)  # tells nothing: the tool rests on the part for half of its lift
+    for seq, at_s in enumerate((3.1, 4.0, 5.0, 6.0, 6.6, 8.0)):
+        if at_s == 5.0:
+            contact.touch.off(4.5)
+            contact.touch.off(9.0)  # by its watchdog it would have been off then
+        contact.told(seq, at_s)
+    # the word of 6.0 may be 1.5 s late: what follows it is the first that began after the lift for sure
+    assert contact.touched == {0: None, 1: None, 2: None, 3: None, 4: False, 5: False}
+    assert [record.force_n for record in contact.records] == [None] * 6
+
+
+def test_what_follows_the_last_word(contact: Contact) -> None:
+    assert Touch(contact.records.extend, LATE_S).up, "the robot was never told to run"
+    contact.told(0, 3.0)
+    contact.touch.leave()
+    assert not contact.touch.up
+    contact.touch.off(2.0)
+    assert not contact.touch.up, "the robot's word may be late"
+    contact.touch.off(1.5)
+    assert contact.touch.up
+    assert (contact.touch.last_seq, contact.touch.told_s) == (0, 3.0)
