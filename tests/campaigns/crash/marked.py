@@ -21,6 +21,7 @@ import numpy as np
 
 import polishd.files
 from polishd.daemon.journal import Journal
+from polishd.daemon.journal_records import BlockRecord
 from polishd.daemon.lock import locked
 from polishd.model.cycle import Outcome, Phase
 from polishd.model.devices import Executed
@@ -109,7 +110,8 @@ async def script(state: Path, connect: Any) -> None:
 def _settle(journal: Journal) -> None:
     if (torn := journal.unfinished()) is not None:
         begin = journal.tally(torn.cycle).last_seq + 1
-        journal.reconcile(torn.cycle, [_block(seq) for seq in range(begin, begin + GROUP)])
+        journal.reconcile(torn.cycle, [_block(seq, None) for seq in range(begin, begin + GROUP)])
+        journal.mark_uncertain(torn.cycle, begin + GROUP, begin + 2 * GROUP)
         journal.end_pass(torn.cycle, "interrupted")
 
 
@@ -124,15 +126,15 @@ async def _cycle(journal: Journal, job: str, *, whole: bool) -> None:
     journal.begin_pass(cycle, program, "boot", BLOCKS, contact=(2, BLOCKS - 2), plan=plan, start=start)
     Marking.mark(moves=program)
     for seq in range(BLOCKS if whole else BLOCKS // 2):
-        journal.executed_segment(cycle, _block(seq))
+        journal.record_executed(cycle, [_block(seq, 2 <= seq < BLOCKS - 2)])
         if seq % GROUP == 0:
             journal.flush()
     if whole:
         journal.end_pass(cycle, "done")
 
 
-def _block(seq: int) -> Executed:
-    return Executed(seq, seq * 0.1, seq * 0.1 + 0.05)
+def _block(seq: int, touched: bool | None) -> BlockRecord:
+    return BlockRecord(Executed(seq, seq * 0.1, seq * 0.1 + 0.05), touched)
 
 
 def main(marks: str, what: str, *arguments: str) -> int:
