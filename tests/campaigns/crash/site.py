@@ -135,18 +135,12 @@ class Site:
     def reboot(self, name: str) -> None:
         """Kill it, as a power cut does; it is back when this returns."""
         end_pid(self.device(name))
-        command = [
-            sys.executable,
-            "-m",
-            "polishd.sim_backends",
-            str(self.files.sim),
-            "--state",
-            str(self.files.sim_dir),
-        ]
+        simulator = (sys.executable, "-m", "polishd.sim_backends", str(self.files.sim))
+        command = [*simulator, "--state", str(self.files.sim_dir), "--device", name, "--rebooted"]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, cwd=ROOT)
         self.booted.append(process)
         assert process.stdout is not None
-        assert process.stdout.readline().startswith(b'{"ready"'), f"the {name} does not boot"
+        assert b"ready" in process.stdout.readline(), f"the {name} does not boot"
         pids = json.loads((self.files.sim_dir / "pids.json").read_text())
         (self.files.sim_dir / "pids.json").write_text(json.dumps({**pids, name: process.pid}))
 
