@@ -196,14 +196,16 @@ class Site:
     def _accounted(self, journal: sqlite3.Connection, sha256: str, blocks: int) -> Any:
         """(blocks,) s in contact that the journal tells of; inf where it says that nobody knows."""
         run_s = np.zeros(blocks)
-        passes = "SELECT job, cycle, how FROM pass WHERE program_sha256 = ?"
-        for job, cycle, how in journal.execute(passes, (sha256,)).fetchall():
-            rows = "SELECT seq, end_s - start_s FROM segment WHERE job = ? AND cycle = ?"
+        passes = "SELECT job, cycle, ended, uncertain_from, uncertain_to FROM pass WHERE program_sha256 = ?"
+        for job, cycle, ended, first, end in journal.execute(passes, (sha256,)).fetchall():
             last = -1
-            for seq, seconds in journal.execute(rows, (job, cycle)):
-                run_s[seq] += seconds
-                last = max(last, seq)
-            if how != "done":
+            rows = "SELECT seq, end_s - start_s, touched FROM segment WHERE job = ? AND cycle = ? ORDER BY seq"
+            for seq, seconds, touched in journal.execute(rows, (job, cycle)):
+                run_s[seq] += math.inf if touched is None else seconds * touched
+                last = seq
+            if first is not None:
+                run_s[first:end] = math.inf
+            elif ended is None:  # killed: the next start will judge how far it can have come
                 run_s[last + 1 :] = math.inf
         return run_s
 
