@@ -75,6 +75,14 @@ def unwritable(path: Path, error: OSError) -> ConfigError:
     return ConfigError(f"{path}: cannot be written: {error.strerror}; {todo}")
 
 
+def make_folder(folder: Path, mode: int = 0o777) -> None:
+    """The folder, and those above it, where they are not there yet; a power cut does not take them away again."""
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    folder.mkdir(parents=True, exist_ok=True, mode=mode)
+    for path in missing:
+        sync_folder(path.parent)
+
+
 def sync_folder(folder: Path) -> None:
     """Make renames and new names in ``folder`` durable; some network shares cannot, and say so."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)

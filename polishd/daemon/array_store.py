@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polishd.files import sync_folder, write_atomic
+from polishd.files import make_folder, write_atomic
 from polishd.model.errors import ConfigError, SafetyStop
 from polishd.recipe.encoding import Arrays, npz
 
@@ -26,9 +26,7 @@ class ArrayStore:
         content = arrays if isinstance(arrays, bytes) else npz(arrays)
         sha256 = hashlib.sha256(content).hexdigest()
         try:
-            if not self.folder.exists():
-                self.folder.mkdir(parents=True)
-                sync_folder(self.folder.parent)
+            make_folder(self.folder)
             write_atomic(self._path(sha256), content, mode=0o600)
         except OSError as error:
             raise SafetyStop(

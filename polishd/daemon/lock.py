@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from polishd.files import make_folder
 from polishd.model.errors import ConfigError
 
 LOCK_NAME = "lock"
@@ -20,7 +21,7 @@ def locked(state_dir: Path) -> Iterator[None]:
     The file stays: removing it would let two daemons lock two files of one name.
     """
     try:
-        state_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+        make_folder(state_dir, mode=0o700)
         handle = os.open(state_dir / LOCK_NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     except OSError as error:
         raise ConfigError(

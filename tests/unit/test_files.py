@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from polishd.files import require_writable, sync_folder, whole_file, write_atomic
+from polishd.files import make_folder, require_writable, sync_folder, whole_file, write_atomic
 from polishd.model.errors import ConfigError
 
 
@@ -75,6 +75,15 @@ def test_content_is_synced_before_the_rename_and_the_folder_after(
     monkeypatch.setattr(os, "fsync", watched)
     write_atomic(path, b"x")
     assert order == [("file", False), ("folder", True)]
+
+
+def test_new_folders_are_synced_where_they_got_their_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced: list[Path] = []
+    monkeypatch.setattr("polishd.files.sync_folder", synced.append)
+    make_folder(tmp_path / "a" / "b", mode=0o700)
+    make_folder(tmp_path / "a" / "b")
+    assert sorted(synced) == [tmp_path, tmp_path / "a"]
+    assert (tmp_path / "a" / "b").stat().st_mode & 0o777 == 0o700
 
 
 def test_missing_folder_is_the_callers_error(tmp_path: Path) -> None:

@@ -1,0 +1,174 @@
+"""What the real journal makes of a disk after a crash, against what it had promised by then."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sqlite3
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from polishd.daemon.journal import JOURNAL_NAME, Journal
+from polishd.daemon.journal_schema import connect
+from polishd.model.errors import PolishdError
+from tests.campaigns.crash.disk import Files
+from tests.campaigns.crash.recording import STATE, Op
+
+
+@dataclass(frozen=True, slots=True)
+class Promised:
+    """What the program had said and done when the power failed."""
+
+    versions: Sequence[str]
+    """Digests that the journal may have: after the last commit that returned, and after each that had begun since."""
+    moved: tuple[str, ...]
+    """Programs with which the robot had been sent off."""
+    job: str
+    """Under whose name the journal was open."""
+
+
+@dataclass(slots=True)
+class Promises:
+    """Follows the marks."""
+
+    begun: Path | None = None
+    """A journal that was there before."""
+    _moved: tuple[str, ...] = ()
+    _job: str = ""
+    _reference: sqlite3.Connection = field(default_factory=lambda: sqlite3.connect(":memory:", isolation_level=None))
+    _versions: list[str] = field(default_factory=list)
+    _loaded: str = ""
+
+    def __post_init__(self) -> None:
+        self._reference.execute("PRAGMA foreign_keys=ON")
+        if self.begun is not None:
+            with sqlite3.connect(self.begun) as before:
+                before.backup(self._reference)
+        self._versions.append(digest(self._reference))
+
+    def take(self, mark: Op) -> None:
+        """The next mark."""
+        what: Mapping[str, Any] = mark.what
+        if "commit" in what:
+            for sql, values in what["commit"]:
+                if values is None:
+                    self._reference.executescript(sql)
+                else:
+                    self._reference.execute(sql, values)
+            self._versions.append(digest(self._reference))
+        elif "durable" in what:
+            self._versions = self._versions[-1:]
+        elif "job" in what:
+            self._job = what["job"]
+        elif "loads" in what:
+            self._loaded = what["loads"]
+        else:
+            self._moved = (*self._moved, what.get("moves", self._loaded))
+
+    def now(self) -> Promised:
+        """As of the last mark."""
+        return Promised(tuple(self._versions), self._moved, self._job)
+
+
+@cache
+def _columns(schema: str) -> str:
+    """SQL that gives all of a table of that schema as one text; by C, since it is asked a hundred thousand times."""
+    with sqlite3.connect(":memory:") as empty:
+        empty.execute(schema)
+        ((table,),) = empty.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
+        names = [row[1] for row in empty.execute(f"PRAGMA table_info({table})")]
+    return f"SELECT group_concat({'||'.join(f'quote({name})' for name in names)}) FROM {table}"
+
+
+def digest(connection: sqlite3.Connection) -> str:
+    """All that it holds."""
+    tables = connection.execute("SELECT sql FROM sqlite_master WHERE type = 'table' ORDER BY name").fetchall()
+    held = [connection.execute(_columns(sql)).fetchone()[0] for (sql,) in tables]
+    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    return hashlib.blake2b(repr((version, *tables, *held)).encode(), digest_size=16).hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What was wrong; empty where nothing was."""
+
+    lost: str = ""
+    twice_unmarked: str = ""
+    unopenable: str = ""
+
+
+class Judge:
+    """Puts what a crash left into a folder, and starts there."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._there: Files = {}
+
+    def judge(self, files: Files, promised: Promised) -> Verdict:
+        """Open it with the real journal."""
+        self._put(files)
+        state = self._folder / STATE
+        state.mkdir(parents=True, exist_ok=True)  # as a daemon does when it takes the lock
+        found = _Found()
+        try:
+            for path in state.glob("*.json"):
+                json.loads(path.read_bytes())
+            journal = Journal.open(state, job=promised.job, part_id="P1", connect=found.connect)
+        except (PolishdError, sqlite3.Error, ValueError) as error:
+            return Verdict(unopenable=f"{type(error).__name__}: {error}")
+        with journal:
+            lost = "" if found.version in promised.versions else "the journal is none that it can be"
+            return Verdict(lost or _arrays(journal), _unmarked(journal, found.programs, promised.moved))
+
+    def _put(self, files: Files) -> None:
+        """Arrays that are there already are not written again."""
+        for path in (self._folder / STATE).rglob("*"):
+            name = str(path.relative_to(self._folder))
+            if path.is_file() and (JOURNAL_NAME in name or files.get(name) is not self._there.get(name)):
+                path.unlink()
+        for name, content in files.items():
+            path = self._folder / name
+            if not path.exists():
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(content)
+        self._there = files
+
+
+@dataclass(slots=True)
+class _Found:
+    """What the file held before the journal did anything with it."""
+
+    version: str = ""
+    programs: frozenset[str] = frozenset()
+
+    def connect(self, path: Path) -> sqlite3.Connection:
+        """A ``Connect``."""
+        connection = connect(path)
+        self.version = digest(connection)
+        if connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'pass'").fetchall():
+            self.programs = frozenset(name for (name,) in connection.execute("SELECT program_sha256 FROM pass"))
+        return connection
+
+
+def _arrays(journal: Journal) -> str:
+    """What its rows name, by its own means."""
+    try:
+        for name in (
+            *(record.arrays for record in journal.history),
+            *(name for record in journal.passes for name in (record.plan, record.start)),
+        ):
+            journal.arrays.content(name)
+    except PolishdError as error:
+        return str(error)
+    return ""
+
+
+def _unmarked(journal: Journal, programs: frozenset[str], moved: tuple[str, ...]) -> str:
+    """What the robot was sent off with, and would be run again as if it had never been."""
+    if unknown := sorted(set(moved) - programs):
+        return f"the robot was sent off, and no pass says so: {unknown}"
+    again = [record.cycle for record in journal.passes if record.cycle in journal.remaining(1000)]
+    return f"passes that are run again: {again}" if again else ""

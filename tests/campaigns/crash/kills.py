@@ -1,0 +1,339 @@
+"""The campaign of kills: a cell whose daemon, worker and devices are killed, stopped and starved, again and again.
+
+Every attack is followed by the same questions: does everything come to rest, has the tool stood on the part, has any
+block been in contact that the journal does not know of, and does the next start come up held and go on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import signal
+import socket
+import subprocess
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from polishd.console.demo_files import with_values
+from polishd.console.simulator import simulated_cell
+from tests.campaigns.crash.attacked import WHERE
+from tests.campaigns.crash.site import EXTENDED, LOOK_S, Site
+from tests.patience import SOON_S
+from tests.system.cell_rig import with_keys, write_small
+
+CELLS = 2
+"""Side by side."""
+SPEED = 30.0
+ATTACKS = 12
+"""Of one cell, and then it goes on to the end of its job."""
+COMMITS = 60
+"""At which of a sitting's first commits a daemon is killed: the first pass begins at about the thirtieth."""
+QUICK = {
+    "robot": {"silence_s": 1.2, "watchdog_s": 3.0},
+    "actuator": {"silence_s": 0.6, "watchdog_ms": 1000, "retract_s": 1.0},
+    "spindle": {"silence_s": 1.0, "watchdog_s": 1.0},
+    "job": {"lookahead_s": 3.0},
+}
+"""Real time, as short as a busy machine allows: one that is too slow for it leaves contact, which is an attack, too."""
+QUICK_SIM = {"robot": {"watchdog_s": 3.0}, "spindle": {"watchdog_s": 1.0}}
+STANDS_S = 0.05
+"""Longest that a tool may stand on the part where motion goes on: a corner at which the robot turns."""
+ROBOT_STANDS_S = 4.0
+"""Longest where the robot was killed or stopped: silence, force off, and the watchdog of the actuator behind them."""
+STOPS_S, STOPS_SHARE = (0.1, 0.3, 1.0, 2.0, 5.0, 60.0), (8, 8, 8, 8, 2, 1)
+NEVER = 3.0
+"""So long an attack may have no effect."""
+
+
+@dataclass(slots=True)
+class Count:
+    """What was done, and what came of it."""
+
+    attacks: Counter[str] = field(default_factory=Counter)
+    kills: int = 0
+    in_contact: int = 0
+    """Of the attacks: while the tool was on its way to the part, or on it."""
+    went_on: int = 0
+    """Starts that came up held and went on when they were told to."""
+    finished: int = 0
+    """Jobs that went on to their end."""
+    bad: Counter[str] = field(default_factory=Counter)
+    examples: list[str] = field(default_factory=list)
+    dug_s: float = 0.0
+    """Longest that the tool stood on the part after an attack."""
+
+    def wrong(self, kind: str, what: str) -> None:
+        """One more."""
+        self.bad[kind] += 1
+        self.examples.append(f"{kind}: {what}")
+
+
+@dataclass(frozen=True, slots=True)
+class Attack:
+    """One way to hurt a cell, with the daemon not yet running; it has ended when this returns."""
+
+    name: str
+    do: Callable[[Campaign], None]
+    share: int
+    kills: bool = True
+    stands_s: float = STANDS_S
+
+
+class Campaign:
+    """One cell, and what befalls it."""
+
+    def __init__(self, site: Site, luck: random.Random, count: Count, number: int) -> None:
+        self.site, self.luck, self.count = site, luck, count
+        self._number = number
+        """Of the attack, over all parts: which commit is next."""
+        self._stands_s = 0.0
+        """Longest that the attack before may have cost."""
+
+    def attack(self, attack: Attack) -> None:
+        """Do it, and ask."""
+        self._number += 1
+        self.count.attacks[attack.name] += 1
+        self.count.kills += attack.kills
+        try:
+            attack.do(self)
+        finally:
+            self.site.kill()
+        self._ask(attack)
+
+    def strike(self) -> None:
+        """Now: count where the tool is."""
+        self.count.in_contact += self.site.log.last("actuator", EXTENDED)
+
+    def _ask(self, attack: Attack) -> None:
+        self.site.rest()
+        name = f"{attack.name} {self._number}"
+        for said in self.site.twice():
+            self.count.wrong("twice_unmarked", f"{name}: {said}")
+        dug_s = self.site.dug_s()
+        self.count.dug_s = max(self.count.dug_s, dug_s)
+        if dug_s > max(attack.stands_s, self._stands_s):  # the plant may write down later how the last one ended
+            self.count.wrong("dug", f"{name}: the tool stood for {dug_s:.2f} s")
+        self._stands_s = attack.stands_s
+
+    def begin(self) -> None:
+        """Have the daemon that was started polish: it comes up held if its job is under way, and nothing moves."""
+        site = self.site
+        held, before = site.job_under_way(), len(site.log.look())
+        while not site.ended:
+            state = site.state().get("state")
+            if state == "held":
+                self._require_still(before)
+                site.order("resume")
+                self.count.went_on += 1
+                return
+            if state == "polishing" and not held:
+                return
+            if state == "polishing" and held:
+                self.count.wrong("not_held", f"attack {self._number}: it goes on by itself")
+                return
+            time.sleep(LOOK_S)
+
+    def _require_still(self, before: int) -> None:
+        moved = [e for e in self.site.log.look()[before:] if e["event"] in {"motion_started", "force_on", "engage"}]
+        if moved:
+            self.count.wrong("not_held", f"attack {self._number}: {moved[0]}")
+
+    def until_contact(self) -> None:
+        """And then as long again as luck will have it."""
+        site, before = self.site, len(self.site.log.look())
+        end_s = time.monotonic() + SOON_S
+        while not site.ended and not any(e["event"] == "tool_landed" for e in site.log.look()[before:]):
+            assert time.monotonic() < end_s, "the tool does not come to the part"
+            self._go_on()
+        time.sleep(self.luck.uniform(0.0, 1.5))
+
+    def until_ended(self, within_s: float = NEVER) -> None:
+        """Or not: then it did the daemon no harm."""
+        end_s = time.monotonic() + within_s
+        while not self.site.ended and time.monotonic() < end_s:
+            self._go_on()
+
+    def _go_on(self) -> None:
+        """Wait a little; an error that a person can mend is mended."""
+        if self.site.state().get("state") == "held":
+            self.site.order("resume")
+        time.sleep(LOOK_S)
+
+    def finish(self) -> None:
+        """To the end of the job, undisturbed; a start that fails over what an attack left is tried again."""
+        journal = self.site.journal()
+        ((job,),) = journal.execute("SELECT max(id) FROM job").fetchall()
+        ((done,),) = journal.execute("SELECT count(*) FROM pass WHERE job = ? AND how = 'done'", (job,)).fetchall()
+        journal.close()
+        self.site.change(max_cycles=done + 1)
+        self.site.start()
+        self.begin()
+        assert self.site.process is not None
+        code = self.site.process.wait(SOON_S)
+        if code not in {0, 1, 6} or self.site.job_under_way():
+            self.count.wrong("stuck", f"after attack {self._number} the job does not end: exit code {code}")
+        self.count.finished += 1
+        self._ask(Attack("end", Campaign.finish, 0))
+
+    def commit(self) -> int:
+        """The commit at which the next daemon is killed: each in turn."""
+        return self._number // len(WHERE) % COMMITS + 1
+
+    def where(self) -> str:
+        """On which side of it."""
+        return WHERE[self._number % len(WHERE)]
+
+
+def at_commit(cell: Campaign) -> None:
+    """The daemon, at one of its commits."""
+    cell.site.start(("-m", "tests.campaigns.crash.attacked", str(cell.commit()), cell.where()))
+    cell.begin()
+    cell.until_ended(SOON_S)
+    cell.strike()
+
+
+def at_random(cell: Campaign) -> None:
+    """The daemon, at any moment."""
+    cell.site.start()
+    end_s = time.monotonic() + cell.luck.uniform(0.0, 8.0)
+    cell.begin()
+    cell.until_ended(end_s - time.monotonic())
+    cell.strike()
+
+
+def in_contact(cell: Campaign) -> None:
+    """The daemon, with the tool on the part."""
+    cell.site.start()
+    cell.begin()
+    cell.until_contact()
+    cell.strike()
+
+
+def worker(cell: Campaign) -> None:
+    """The compute worker: the daemon ends over it, or has another one."""
+    cell.site.start()
+    cell.begin()
+    time.sleep(cell.luck.uniform(0.0, 2.5))
+    cell.strike()
+    for pid in cell.site.workers():
+        os.kill(pid, signal.SIGKILL)
+    cell.until_ended()
+
+
+def rebooted(device: str) -> Callable[[Campaign], None]:
+    """A device loses its power in contact, and boots."""
+
+    def do(cell: Campaign) -> None:
+        cell.site.start()
+        cell.begin()
+        cell.until_contact()
+        cell.strike()
+        cell.site.reboot(device)
+        cell.until_ended()
+
+    return do
+
+
+def stopped(who: str) -> Callable[[Campaign], None]:
+    """Somebody stands still for a while."""
+
+    def do(cell: Campaign) -> None:
+        cell.site.start()
+        cell.begin()
+        cell.until_contact()
+        cell.strike()
+        pids = [cell.site.pid] if who == "daemon" else [cell.site.device(who)]
+        seconds = cell.luck.choices(STOPS_S, STOPS_SHARE)[0]
+        for number, then_s in ((signal.SIGSTOP, seconds), (signal.SIGCONT, 0.0)):
+            for pid in filter(None, pids):
+                os.kill(pid, number)
+            time.sleep(then_s)
+        cell.until_ended()
+
+    return do
+
+
+def disk(calls: str, fault: str) -> Callable[[Campaign], None]:
+    """The n-th of these system calls, and all of them from then on, do what a broken disk does."""
+
+    def do(cell: Campaign) -> None:
+        inject = f"inject={calls}:{fault}:when={cell.luck.randrange(1, 30)}+"
+        tracer = ("strace", "-f", "-qq", "--seccomp-bpf", "-o", "/dev/null", "-e", f"trace={calls}", "-e", inject)
+        cell.site.start(tracer=tracer)
+        cell.begin()
+        cell.until_ended(6.0)
+
+    return do
+
+
+SYNCS, WRITES = "fsync,fdatasync", "pwrite64"
+ATTACKS_KNOWN = (
+    Attack("daemon at a commit", at_commit, 10),
+    Attack("daemon at random", at_random, 4),
+    Attack("daemon in contact", in_contact, 4),
+    Attack("worker", worker, 2),
+    Attack("robot", rebooted("robot"), 1, stands_s=ROBOT_STANDS_S),
+    Attack("actuator", rebooted("actuator"), 1),
+    Attack("spindle", rebooted("spindle"), 1),
+    Attack("interferometer", rebooted("interferometer"), 1),
+    Attack("SIGSTOP daemon", stopped("daemon"), 1, kills=False),
+    Attack("SIGSTOP robot", stopped("robot"), 1, kills=False, stands_s=ROBOT_STANDS_S),
+    Attack("SIGSTOP actuator", stopped("actuator"), 1, kills=False),
+    Attack("SIGSTOP spindle", stopped("spindle"), 1, kills=False),
+    Attack("ENOSPC", disk(WRITES, "error=ENOSPC"), 1, kills=False),
+    Attack("EIO of a write", disk(WRITES, "error=EIO"), 1, kills=False),
+    Attack("EIO of an fsync", disk(SYNCS, "error=EIO"), 1, kills=False),
+    Attack("slow fsync", disk(SYNCS, "delay_exit=400000"), 1, kills=False),
+)
+
+
+def drawn(luck: random.Random, number: int) -> Iterator[Attack]:
+    """So many attacks, each kind by its share."""
+    yield from luck.choices(ATTACKS_KNOWN, [attack.share for attack in ATTACKS_KNOWN], k=number)
+
+
+@contextmanager
+def attacked_cell(folder: Path, seed: int) -> Iterator[Site]:
+    """A cell whose watchdogs are quick, running."""
+    files = write_small(folder, patient=False, tolerance_nm=0.01, max_cycles=100)
+    files.cell.write_text(with_keys(files.cell.read_text(), QUICK))
+    files.sim.write_text(with_values(with_keys(files.sim.read_text(), QUICK_SIM), {"actuator": {"lift_s": 4.0}}))
+    port = _port()
+    files.cell.write_text(with_values(files.cell.read_text(), {"robot": {"address": f"tcp://127.0.0.1:{port}"}}))
+    files.sim.write_text(with_values(files.sim.read_text(), {"robot": {"port": port}}))
+    options = ["--state", str(files.sim_dir), "--seed", str(seed), "--speed", f"{SPEED:g}"]
+    with simulated_cell(files.sim, options, files.out / "sim.stderr"):
+        site = Site(files)
+        try:
+            yield site
+        finally:
+            site.close()
+
+
+def _port() -> int:
+    """A free one that the system gives to nobody by itself: while the robot is down it stays free."""
+    while True:
+        with (
+            contextlib.suppress(OSError),
+            socket.create_server(("127.0.0.1", random.randrange(20_000, 32_000))) as free,
+        ):
+            return int(free.getsockname()[1])
+
+
+def part(folder: Path, seed: int, number: int, attacks: int = ATTACKS) -> Count:
+    """One cell: so many attacks, drawn by seed and number, and on to the end of its job."""
+    count, luck = Count(), random.Random(f"{seed} {number}")
+    with attacked_cell(folder, seed + number) as site:
+        campaign = Campaign(site, luck, count, number * attacks)
+        try:
+            for attack in drawn(luck, attacks):
+                campaign.attack(attack)
+            campaign.finish()
+        except (AssertionError, subprocess.TimeoutExpired) as error:
+            count.wrong("stuck", f"part {number}, after {attack.name}: {error}")
+    return count

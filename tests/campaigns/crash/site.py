@@ -1,0 +1,220 @@
+"""A simulated cell under attack: its daemon is started, killed and started again, and the plant is the witness."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from polishd.console.demo_files import DemoFiles, with_values
+from polishd.daemon import client
+from polishd.daemon.journal import JOURNAL_NAME
+from polishd.model.errors import PolishdError
+from tests.campaigns.crash.recording import ROOT
+from tests.patience import SOON_S
+from tests.system.cell_rig import APERTURE_MM, account
+from tests.system.sim_rig import end_pid
+
+LOOK_S = 0.03
+MOVING = {"motion_started": True, "motion_stopped": False, "boot": False, "lost": False}
+EXTENDED = {"engage": True, "retracted": False, "boot": False, "lost": False}
+SHARE, SLACK_S = 1.02, 0.002
+"""Of a block's time in contact beside what the journal says it was run: the plant integrates in steps."""
+
+
+class Log:
+    """The simulator's own log, read on."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._at = path, 0
+        self.events: list[dict[str, Any]] = []
+
+    def look(self) -> list[dict[str, Any]]:
+        """All events so far."""
+        with self._path.open("rb") as file:
+            file.seek(self._at)
+            text = file.read()
+        whole = text[: text.rfind(b"\n") + 1]
+        self._at += len(whole)
+        self.events += map(json.loads, whole.splitlines())
+        return self.events
+
+    def last(self, device: str, states: dict[str, bool]) -> bool:
+        """The state after the last of its events that is one of these."""
+        told = (states[e["event"]] for e in reversed(self.look()) if e["device"] == device and e["event"] in states)
+        return next(told, False)
+
+
+class Site:
+    """One cell, and whoever runs it."""
+
+    def __init__(self, files: DemoFiles) -> None:
+        self.files = files
+        self.log = Log(files.sim_dir / "sim.log")
+        self.process: subprocess.Popen[bytes] | None = None
+        self.booted: list[subprocess.Popen[bytes]] = []
+        self._dug_s = 0.0
+
+    # the daemon
+
+    def start(self, command: Sequence[str] = ("-m", "polishd"), tracer: Sequence[str] = ()) -> None:
+        """``polishd run``, or what stands for it."""
+        run = ["run"] if command[-1] == "polishd" else []
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        with self.files.daemon_log.open("ab") as log:
+            self.process = subprocess.Popen(
+                [*tracer, sys.executable, *command, *run, str(self.files.cell)],
+                stdout=log, stderr=log, stdin=subprocess.DEVNULL, cwd=ROOT, env=environment, start_new_session=True,
+            )  # fmt: skip
+
+    @property
+    def ended(self) -> bool:
+        """No daemon runs."""
+        return self.process is None or self.process.poll() is not None
+
+    @property
+    def pid(self) -> int:
+        """The daemon's, whoever traces it; 0 while it has not taken its lock."""
+        try:
+            return int((self.files.state_dir / "lock").read_text() or 0)
+        except FileNotFoundError:
+            return 0
+
+    def kill(self) -> None:
+        """All of it: the daemon, its worker, its tracer."""
+        if self.process is not None:
+            try:
+                os.killpg(self.process.pid, signal.SIGKILL)
+            except ProcessLookupError:
+                pass
+            self.process.wait(SOON_S)
+            self.process = None
+
+    def state(self) -> dict[str, Any]:
+        """What ``status`` says; empty where nobody answers."""
+        try:
+            return client.request(self.files.state_dir, "status", 5.0)
+        except PolishdError:
+            return {}
+
+    def order(self, verb: str) -> None:
+        """As the command line does; it may end meanwhile."""
+        try:
+            client.request(self.files.state_dir, verb, 60.0)
+        except PolishdError:
+            pass
+
+    def workers(self) -> list[int]:
+        """The compute worker."""
+        found = []
+        for path in Path("/proc").glob("[0-9]*/cmdline"):
+            try:
+                parent = int((path.parent / "stat").read_text().rpartition(")")[2].split()[1])
+                if parent == self.pid and b"compute_worker" in path.read_bytes():
+                    found.append(int(path.parent.name))
+            except (OSError, IndexError):
+                continue  # it ended meanwhile
+        return found
+
+    # the simulator
+
+    def device(self, name: str) -> int:
+        """Its process id."""
+        return int(json.loads((self.files.sim_dir / "pids.json").read_text())[name])
+
+    def reboot(self, name: str) -> None:
+        """Kill it, as a power cut does; it is back when this returns."""
+        end_pid(self.device(name))
+        simulator = (sys.executable, "-m", "polishd.sim_backends", str(self.files.sim))
+        command = [*simulator, "--state", str(self.files.sim_dir), "--device", name, "--rebooted"]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, cwd=ROOT)
+        self.booted.append(process)
+        assert process.stdout is not None
+        assert b"ready" in process.stdout.readline(), f"the {name} does not boot"
+        pids = json.loads((self.files.sim_dir / "pids.json").read_text())
+        (self.files.sim_dir / "pids.json").write_text(json.dumps({**pids, name: process.pid}))
+
+    def rest(self) -> None:
+        """Wait until nothing moves, and nothing presses."""
+        end_s = time.monotonic() + SOON_S
+        while self.log.last("robot", MOVING) or self.log.last("actuator", EXTENDED):
+            assert time.monotonic() < end_s, f"the cell does not come to rest: {self.log.events[-10:]}"
+            time.sleep(LOOK_S)
+
+    def close(self) -> None:
+        """Nobody stays."""
+        self.kill()
+        for process in self.booted:
+            process.terminate()
+            process.wait(SOON_S)
+            if process.stdout is not None:
+                process.stdout.close()
+
+    # the witness
+
+    def journal(self) -> sqlite3.Connection:
+        """To read."""
+        return sqlite3.connect(f"file:{self.files.state_dir / JOURNAL_NAME}?mode=ro", uri=True)
+
+    def job_under_way(self) -> bool:
+        """The next start comes up held."""
+        if not (self.files.state_dir / JOURNAL_NAME).exists():
+            return False
+        journal = self.journal()
+        try:
+            sql = "SELECT 1 FROM job WHERE outcome IS NULL"
+            return bool(journal.execute(sql).fetchall())
+        except sqlite3.OperationalError:  # killed before it had tables
+            return False
+        finally:
+            journal.close()
+
+    def twice(self) -> list[str]:
+        """Blocks that the plant saw in contact for longer than the journal says that they were, or may have been."""
+        journal, found = self.journal(), []
+        try:
+            for program in account(self.files)["programs"]:
+                contact = np.array(program["contact_s"])
+                excess = contact - self._accounted(journal, program["sha256"], len(contact))
+                late = np.flatnonzero(excess > contact * (1 - 1 / SHARE) + SLACK_S)
+                if late.size:
+                    found.append(f"{program['sha256'][:8]}: blocks {late[:5]}, {excess[late[:5]]} s too long")
+        finally:
+            journal.close()
+        return found
+
+    def _accounted(self, journal: sqlite3.Connection, sha256: str, blocks: int) -> Any:
+        """(blocks,) s in contact that the journal tells of; inf where it says that nobody knows."""
+        run_s = np.zeros(blocks)
+        passes = "SELECT job, cycle, ended, uncertain_from, uncertain_to FROM pass WHERE program_sha256 = ?"
+        for job, cycle, ended, first, end in journal.execute(passes, (sha256,)).fetchall():
+            last = -1
+            rows = "SELECT seq, end_s - start_s, touched FROM segment WHERE job = ? AND cycle = ? ORDER BY seq"
+            for seq, seconds, touched in journal.execute(rows, (job, cycle)):
+                run_s[seq] += math.inf if touched is None else seconds * touched
+                last = seq
+            if first is not None:
+                run_s[first:end] = math.inf
+            elif ended is None:  # killed: the next start will judge how far it can have come
+                run_s[last + 1 :] = math.inf
+        return run_s
+
+    def dug_s(self) -> float:
+        """Seconds that the tool stood on the part, pressing, since the last call."""
+        inside = (s for s in account(self.files)["stands"] if math.hypot(s["x_mm"], s["y_mm"]) < APERTURE_MM / 2)
+        before, self._dug_s = self._dug_s, sum(stand["seconds"] for stand in inside)
+        return self._dug_s - before
+
+    def change(self, **job: Any) -> None:
+        """Another value of [job] in the cell's file."""
+        self.files.cell.write_text(with_values(self.files.cell.read_text(), {"job": job}))

@@ -1,0 +1,109 @@
+"""Tokens of `make crash`, that what it asks can be answered with no, and (slow) five minutes of it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.campaigns.crash import kills
+from tests.campaigns.crash.disk import Disk
+from tests.campaigns.crash.figures import SAID
+from tests.campaigns.crash.marked import NO_STORE_SYNC, NORMAL
+from tests.campaigns.crash.recording import Op, recorded_script
+from tests.campaigns.crash.states import round_of
+
+needs_strace = pytest.mark.skipif(shutil.which("strace") is None, reason="strace records the writes")
+
+
+@needs_strace
+def test_a_recording_without_a_crash_is_what_was_written(tmp_path: Path) -> None:
+    disk = Disk()
+    for op in recorded_script(tmp_path):
+        disk.apply(op)
+    left = {path: path.read_bytes() for path in (tmp_path / "state").rglob("*") if path.is_file()}
+    assert disk.seen() == {str(path.relative_to(tmp_path)): data for path, data in left.items() if path.name != "lock"}
+
+
+@needs_strace
+def test_no_crash_loses_or_repeats_anything(tmp_path: Path) -> None:
+    tried = round_of(recorded_script(tmp_path), range(2), 1, frozenset())
+    assert len(tried.keys) > 200
+    assert not tried.bad, tried.examples
+
+
+@needs_strace
+@pytest.mark.one_of_each
+@pytest.mark.parametrize("weak", [NORMAL, NO_STORE_SYNC])
+def test_what_is_not_synced_is_found_to_be_lost(tmp_path: Path, weak: str) -> None:
+    tried = round_of(recorded_script(tmp_path, weak), range(2), 1, frozenset())
+    assert tried.bad["lost"] > len(tried.keys) / 10
+    assert tried.bad["twice_unmarked"]
+
+
+def test_a_crash_keeps_what_was_synced_and_may_lose_all_else() -> None:
+    """A file of four sectors, one of them overwritten after its sync, in a folder that was synced before the file."""
+    disk, content = Disk(), bytes(range(256)) * 8
+    acts = (
+        Op("mkdir", "state", 1, 1),
+        Op("sync", "", 2, 2),
+        Op("create", "state/a", 3, 3),
+        Op("write", "state/a", 4, 4, data=content),
+        Op("sync", "state/a", 5, 5),
+        Op("write", "state/a", 6, 6, offset=512, data=b"x" * 1024),
+    )
+    for op in acts:
+        disk.apply(op)
+    left = {tuple(disk.crashed(variant, "seed").items()) for variant in range(200)}
+    assert () in left, "the name was not synced"
+    found = {files[0][1] for files in left if files}
+    assert {file[:512] for file in found} == {content[:512]}
+    assert {file[512:1024] for file in found} == {file[1024:1536] for file in found} == {content[512:1024], b"x" * 512}
+    assert len(found) == 4, "each sector by itself"
+
+
+@pytest.mark.slow
+@pytest.mark.system
+@pytest.mark.timeout(1800)
+def test_five_minutes_of_make_crash(tmp_path: Path) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "tests.campaigns.crash",
+        "--states",
+        "20000",
+        "--kills",
+        "60",
+        "--minutes",
+        "2",
+        "--faults",
+        "2",
+    ]
+    done = subprocess.run([*command, "--folder", str(tmp_path), "--json"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert found["states"] > 500
+    assert found["kills"] > 5
+    assert not any(found[name] for name in SAID)
+
+
+@pytest.mark.slow
+@pytest.mark.system
+@pytest.mark.timeout(900)
+def test_the_plant_tells_what_a_journal_leaves_out(tmp_path: Path) -> None:
+    """The witness can say no: a block in the middle of a pass is taken out of the journal."""
+    with kills.attacked_cell(tmp_path / "cell", 1) as site:
+        kills.in_contact(kills.Campaign(site, kills.random.Random(1), kills.Count(), 0))
+        site.kill()
+        site.rest()
+        assert not site.twice()
+        journal = sqlite3.connect(site.files.state_dir / "journal.sqlite")
+        journal.execute("DELETE FROM segment WHERE seq = (SELECT max(seq) / 2 FROM segment)")
+        journal.commit()
+        journal.close()
+        assert site.twice()
