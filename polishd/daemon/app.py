@@ -14,6 +14,8 @@ from contextvars import Context, copy_context
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
+from itertools import chain, count
+from pathlib import Path
 from typing import Any
 
 from polishd.config.cell import CellConfig
@@ -26,7 +28,7 @@ from polishd.daemon.endings import keep_ending, keeping, now
 from polishd.daemon.events import EventBus
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
-from polishd.daemon.lock import locked
+from polishd.daemon.lock import locked, unusable
 from polishd.daemon.log import logging_to
 from polishd.daemon.notifications import Notifications
 from polishd.daemon.priority import loop_first
@@ -150,7 +152,10 @@ def _made_ready(run: CellRun, context: Context, kept: ExitStack) -> _Ready:
     require_time_limits(config, cell)
     notifiers = build_notifiers(config, hooks)
     kept.enter_context(locked(config.state_dir))
-    kept.enter_context(logging_to(config.state_dir))
+    try:
+        kept.enter_context(logging_to(config.state_dir))
+    except OSError as error:
+        raise unusable(config.state_dir, error) from error
     journal = kept.enter_context(_journal(config, program))
     return _Ready(run, recipe, program, cell, notifiers, journal, kept, context)
 
@@ -240,7 +245,7 @@ async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[
         summary = {
             "outcome": last.pop("state"),
             "job": config.job.id,
-            **daemon.figures(),
+            **_figures(daemon.job),
             "run_dir": str(folder.path),
             "started": started,
             "ended": now(),
@@ -258,19 +263,44 @@ async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[
     return summary
 
 
+def _figures(job: Job) -> dict[str, Any]:
+    """What was measured and done, for the summary; nothing where the journal is lost."""
+    try:
+        found = job.summary()
+    except PolishdError as lost:
+        log.error("the journal cannot be asked any more: %s", lost)
+        return {"cycles": []}
+    for cycle in found["cycles"]:
+        if cycle["how"] == "begun":
+            cycle["how"] = "interrupted"  # it is over now; the next start settles it in the journal
+    return found
+
+
 def run_folder(config: CellConfig, journal: Journal) -> RunFolder:
     """The folder of the job that goes on, or a new one."""
     if journal.begun and journal.run_dir:
         path = config.resolve(journal.run_dir)
     else:
-        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
-        path = config.run_dir or config.state_dir / "runs" / f"{config.job.id}-{stamp}"
+        path = config.run_dir or _new_folder(config)
         journal.record_run_dir(path)
     folder = RunFolder(path)
-    folder.bytes("cell.toml", config.path.read_bytes())
-    if config.profile_path is not None:
-        folder.bytes("instrument.toml", config.profile_path.read_bytes())
+    try:
+        folder.bytes("cell.toml", config.path.read_bytes())
+        if config.profile_path is not None:
+            folder.bytes("instrument.toml", config.profile_path.read_bytes())
+    except OSError as error:
+        why = f"{folder.path}: the run folder cannot be written: {error.strerror}"
+        if not journal.begun:
+            raise ConfigError(f"{why}; mend it, or name another") from error
+        log.error("%s; the job goes on without", why)
     return folder
+
+
+def _new_folder(config: CellConfig) -> Path:
+    """Named by job and time; a clock that was set back leads to no folder of an earlier job."""
+    path = config.state_dir / "runs" / f"{config.job.id}-{datetime.now(UTC):%Y%m%dT%H%M%S}"
+    others = (path.with_name(f"{path.name}-{number}") for number in count(2))
+    return next(one for one in chain([path], others) if not one.exists())
 
 
 def _journal(config: CellConfig, program: Program) -> Journal:

@@ -8,7 +8,6 @@ holds, any other one ends the daemon (docs/cycle.md).
 from __future__ import annotations
 
 import asyncio
-import logging
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
@@ -31,8 +30,6 @@ from polishd.model.concern import Standing
 from polishd.model.cycle import EXIT_CODES, Outcome
 from polishd.model.errors import DeviceFault, DeviceRefused, HostFault, PolishdError
 from polishd.recipe.folder import RunFolder
-
-log = logging.getLogger(__name__)
 
 ORDERED, STOPPED, BEGUN = "held by order", "stopped by order", "this job was begun earlier"
 EMERGENCY = "motion was stopped at once, by order"
@@ -184,18 +181,6 @@ class Daemon:
             "causes": [asdict(cause) for cause in found],
             "notes": [str(cause) for cause in found],
         }
-
-    def figures(self) -> dict[str, Any]:
-        """What was measured and done, for the summary; nothing where the journal is lost."""
-        try:
-            found = self.job.summary()
-        except PolishdError as lost:
-            log.error("the journal cannot be asked any more: %s", lost)
-            return {"cycles": []}
-        for cycle in found["cycles"]:
-            if cycle["how"] == "begun":
-                cycle["how"] = "interrupted"  # it is over now; the next start settles it in the journal
-        return found
 
     # what happens in each state
 

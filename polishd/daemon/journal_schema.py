@@ -90,13 +90,18 @@ def open_file(path: Path, connect: Connect = connect) -> sqlite3.Connection:
         _prepare(connection, path)
     except (sqlite3.Error, OSError) as error:
         connection.close()
-        raise ConfigError(
-            f"{path}: the journal cannot be used: {error}; move the file aside to start a new one"
-        ) from error
+        raise ConfigError(f"{path}: the journal cannot be used: {error}; {_advice(error)}") from error
     except ConfigError:
         connection.close()
         raise
     return connection
+
+
+def _advice(error: sqlite3.Error | OSError) -> str:
+    """A file that is no journal may go; one that the disk refuses must stay, with the job in it."""
+    if getattr(error, "sqlite_errorname", "").startswith(("SQLITE_NOTADB", "SQLITE_CORRUPT")):
+        return "move the file aside to start a new one"
+    return "leave the file where it is, and mend the disk, or its rights"
 
 
 def old_copy(path: Path, version: int) -> Path:

@@ -24,9 +24,7 @@ def locked(state_dir: Path) -> Iterator[None]:
         make_folder(state_dir, mode=0o700)
         handle = os.open(state_dir / LOCK_NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     except OSError as error:
-        raise ConfigError(
-            f"{state_dir}: the state folder cannot be used: {error.strerror}; mend it, or change cell.state_dir"
-        ) from error
+        raise unusable(state_dir, error) from error
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -36,9 +34,18 @@ def locked(state_dir: Path) -> Iterator[None]:
                 f"{state_dir}: another polishd runs this cell (pid {pid}); "
                 "stop it first (polishd stop), or give this cell a state_dir of its own"
             ) from error
-        os.ftruncate(handle, 0)
-        os.pwrite(handle, f"{os.getpid()}\n".encode(), 0)
+        try:
+            os.ftruncate(handle, 0)
+            os.pwrite(handle, f"{os.getpid()}\n".encode(), 0)
+        except OSError as error:
+            raise unusable(state_dir, error) from error
         yield
         os.ftruncate(handle, 0)
     finally:
         os.close(handle)
+
+
+def unusable(state_dir: Path, error: OSError) -> ConfigError:
+    """What the system says of a state folder that is full, read-only, or somebody else's."""
+    where = error.filename or state_dir
+    return ConfigError(f"{where}: the state folder cannot be used: {error.strerror}; mend it, or change cell.state_dir")

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from polishd.daemon import app
+from polishd.daemon.app import _figures as figures_of
 from polishd.daemon.client import request
 from polishd.daemon.endings import RECORD_NAME, last_ending
 from polishd.daemon.journal import Journal
@@ -375,7 +376,7 @@ async def test_an_interrupted_pass_costs_none_of_max_cycles_and_is_marked(tmp_pa
         async with Running(bench, **changes) as running:
             with pytest.raises(SafetyStop):
                 await running.outcome()
-            (begun,) = running.daemon.figures()["cycles"]
+            (begun,) = figures_of(running.daemon.job)["cycles"]
             assert begun["how"] == "interrupted", "though nobody has settled it yet"
     with open_journal(tmp_path) as journal:
         again = Bench(tmp_path, journal)
@@ -384,6 +385,6 @@ async def test_an_interrupted_pass_costs_none_of_max_cycles_and_is_marked(tmp_pa
             await running.held()
             await running.daemon.handlers["resume"]()
             assert await running.outcome() is Outcome.CYCLES_USED
-        cycles = running.daemon.figures()["cycles"]
+        cycles = figures_of(running.daemon.job)["cycles"]
     assert [cycle["how"] for cycle in cycles] == ["interrupted", "done", "done", None]
     assert 0.2 < cycles[0]["executed_s"] / cycles[0]["dwell_s"] < 0.8

@@ -112,7 +112,7 @@ async def test_a_journal_that_is_lost_at_the_end_is_its_own_cells_affair(
 async def test_one_that_ends_does_not_end_the_other(sites: Sites, broken: Any) -> None:
     sites.breaks[0] = broken
     first, second = await sites.run()
-    assert isinstance(first, OSError) if broken is no_run_folder else first["exit_code"] == 5
+    assert isinstance(first, ConfigError) if broken is no_run_folder else first["exit_code"] == 5
     assert second["outcome"] == "in_tolerance"
     with locked(sites.all[0].config.state_dir):
         pass
