@@ -29,6 +29,7 @@ from tests.unit.daemon.test_app import Site
 SECRET = "hunter2-and-more"
 KINDS = {kind.name: kind for kind in polishd_notifiers()}
 SAFE = Standing(tool_off="yes", robot_at_rest="yes", unsafe=(), next="polishd resume CELL.toml goes on")
+KNOWN = {"job": "small", "part": "P-1", "run_dir": "before"}
 HELD = StateChanged(state="held", reason="LinkError: cut", standing=SAFE)
 
 
@@ -229,7 +230,7 @@ def people() -> People:
 def notification(tmp_path: Path, site: Site) -> Notification:
     """Of a cell that is held."""
     heard: list[Notification] = []
-    teller = Notifications(site.config, tmp_path)
+    teller = Notifications(site.config, KNOWN)
     teller._couriers = (type("Ear", (), {"take": heard.append, "notifier": notifier(heard.append)}),)  # type: ignore[assignment]
     teller.hear(HELD)
     return heard[0]
@@ -379,7 +380,7 @@ def test_what_is_given_up_is_in_the_log_with_all_its_words(
 
 async def test_two_broken_notifiers_tell_of_each_other_once(site: Site, people: People) -> None:
     """What fails is not told by what fails; no failure leads to another for ever."""
-    teller = Notifications(site.config, site.config.base_dir)
+    teller = Notifications(site.config, KNOWN)
     failed = threading.Semaphore(0)
 
     def tell(event: Event) -> None:
@@ -401,7 +402,7 @@ async def test_two_broken_notifiers_tell_of_each_other_once(site: Site, people: 
 
 def test_what_is_known_of_the_job_is_what_events_said_last(site: Site) -> None:
     heard: list[Notification] = []
-    teller = Notifications(site.config, Path("before"))
+    teller = Notifications(site.config, KNOWN)
     teller._couriers = (type("Ear", (), {"take": heard.append, "notifier": notifier(heard.append)}),)  # type: ignore[assignment]
     teller.hear(HELD)
     teller.hear(Measured(stats=SurfaceStats(rms_nm=1, pv_nm=2, lsf_rms_nm=1), spikes=0, notes=(), run_dir="after"))
@@ -426,6 +427,7 @@ DEAF = Standing(tool_off="not confirmed", robot_at_rest="yes", unsafe=("actuator
         (JobFinished(run_dir="r", outcome="in_tolerance", standing=DEAF), "alarm"),
         (JobFinished(run_dir="r", outcome="diverged", standing=SAFE), "warning"),
         (JobFinished(run_dir="r", outcome="failed", standing=SAFE), None),
+        (JobFinished(run_dir="r", outcome="in_tolerance"), None),
         (NotificationFailed(notifier="mail", error="no", waiting=1), "warning"),
     ],
 )
