@@ -37,6 +37,8 @@ HELD = StateChanged(state="held", reason="LinkError: cut", standing=SAFE)
 def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Site:
     (tmp_path / "secret").write_text(SECRET)
     (tmp_path / "secret").chmod(0o600)
+    for limit in ("SEND_TO_THE_END_S", "END_S"):
+        monkeypatch.setattr(notifications, limit, SOON_S)
     return Site(tmp_path, monkeypatch)
 
 
@@ -443,9 +445,13 @@ def test_whom_an_event_concerns(event: Event, severity: str | None) -> None:
 
 
 async def test_trying_it_out_tells_how_each_went(site: Site, people: People, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(courier, "SEND_S", 0.05)
     back, told = threading.Event(), list[Notification]()
-    notifiers = [notifier(told.append), notifier(people.hear, "deaf"), notifier(lambda _: back.wait() and None, "hung")]
+
+    def hangs(_: Notification) -> None:
+        assert back.wait(SOON_S)
+
+    monkeypatch.setattr(courier.Attempt, "left_s", lambda attempt: 0.05 if attempt._send is hangs else SOON_S)
+    notifiers = [notifier(told.append), notifier(people.hear, "deaf"), notifier(hangs, "hung")]
     found = try_out(site.config, notifiers)
     back.set()
     assert [one["error"] for one in found] == ["", "OSError: nobody answers", courier.HUNG]
