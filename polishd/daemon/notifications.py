@@ -40,7 +40,14 @@ class Notifications:
 
     def start(self, notifiers: Sequence[Notifier], tell: Callable[[Event], None]) -> None:
         """Begin to send, what an earlier run left first; ``tell`` is called by other threads when that fails."""
-        self._couriers = tuple(Courier(notifier, self._config.state_dir, tell) for notifier in notifiers)
+
+        def failed(event: NotificationFailed) -> None:
+            self._hand(event)  # and not by way of the bus, which may be closed already
+            tell(event)
+
+        self._couriers = tuple(Courier(notifier, self._config.state_dir, failed) for notifier in notifiers)
+        for courier in self._couriers:
+            courier.start()
         ours = {kept_in(self._config.state_dir, notifier.name) for notifier in notifiers}
         for path in sorted(set(kept_in(self._config.state_dir, "").parent.glob("*.json")) - ours):
             if left := len(read_outbox(path, 0.0)[0].waiting):
@@ -48,8 +55,10 @@ class Notifications:
 
     def hear(self, event: Event) -> None:
         """Hand it to the couriers where it concerns a person."""
-        if not self._couriers:
-            return
+        if self._couriers and not isinstance(event, NotificationFailed):
+            self._hand(event)
+
+    def _hand(self, event: Event) -> None:
         data = event.data
         self._known |= {key: data[said] for key, said in SAID.items() if said in data}
         concern = event.concern()
