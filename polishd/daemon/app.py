@@ -25,12 +25,11 @@ from polishd.daemon.compute import Compute
 from polishd.daemon.courier import Notifier
 from polishd.daemon.daemon import Daemon
 from polishd.daemon.endings import keep_ending, keeping, now
-from polishd.daemon.events import EventBus
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.lock import locked, unusable
 from polishd.daemon.log import logging_to
-from polishd.daemon.notifications import Notifications
+from polishd.daemon.notifications import told
 from polishd.daemon.priority import loop_first
 from polishd.daemon.same_job import require_same, terms_of
 from polishd.daemon.service import serving
@@ -182,48 +181,27 @@ def _name(ready: _Ready) -> str:
 async def _run_job(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[str, Any]:
     config, hooks, journal = ready.run.config, ready.run.hooks, ready.journal
     folder = run_folder(config, journal)
-    notifications = Notifications(config, folder.path)
-    told = keeping(config.state_dir, folder.path), stopping.supervisor.hears(_name(ready))
-    bus = EventBus(hooks.on_event, ready.run.show, notifications.hear, sinks=(journal.record_event, *told))
-    notifications.start(ready.notifiers, _telling(bus.publish))
-    try:
-        async with Compute() as compute:
-            job = Job(
-                ready.recipe,
-                ready.program,
-                journal=journal,
-                folder=folder,
-                compute=compute,
-                publish=bus.publish,
-                check_plan=hooks.check_plan,
-                contact=contact_limits(config),
-                max_cycles=config.job.max_cycles,
-                lookahead_s=config.job.lookahead_s,
-            )
-            await job.load()
-            daemon = Daemon(ready.cell, job, bus, holds=holds)
-            with stopping.telling(daemon):
-                return await _serve(config, daemon, folder)
-    finally:
-        await bus.close()
-        await notifications.close()
-
-
-def _telling(publish: Callable[[Event], None]) -> Callable[[Event], None]:
-    """For threads that have something to tell on the bus."""
-    loop = asyncio.get_running_loop()
-
-    def on_the_loop(event: Event) -> None:
-        with suppress(PolishdError):  # a lost journal: that is what ends the daemon
-            publish(event)
-
-    def tell(event: Event) -> None:
-        try:
-            loop.call_soon_threadsafe(on_the_loop, event)
-        except RuntimeError:  # who tells was left behind, and the loop is closed
-            log.warning("nobody hears any more of: %s", event.facts())
-
-    return tell
+    kept = keeping(config.state_dir, folder.path), stopping.supervisor.hears(_name(ready))
+    sinks = (journal.record_event, *kept)
+    known = {"job": config.job.id, "part": config.part.id, "run_dir": str(folder.path)}
+    listeners = (hooks.on_event, ready.run.show)
+    async with told(config, ready.notifiers, known, listeners, sinks) as bus, Compute() as compute:
+        job = Job(
+            ready.recipe,
+            ready.program,
+            journal=journal,
+            folder=folder,
+            compute=compute,
+            publish=bus.publish,
+            check_plan=hooks.check_plan,
+            contact=contact_limits(config),
+            max_cycles=config.job.max_cycles,
+            lookahead_s=config.job.lookahead_s,
+        )
+        await job.load()
+        daemon = Daemon(ready.cell, job, bus, holds=holds)
+        with stopping.telling(daemon):
+            return await _serve(config, daemon, folder)
 
 
 async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[str, Any]:

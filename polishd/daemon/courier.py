@@ -98,6 +98,9 @@ class Courier:
         self._thread = threading.Thread(
             target=copy_context().run, args=(self._work,), name=f"courier {notifier.name}", daemon=True
         )
+
+    def start(self) -> None:
+        """Begin with what an earlier run left."""
         self._thread.start()
 
     def take(self, notification: Notification) -> None:
@@ -196,7 +199,7 @@ class Courier:
         for notification in lost:
             log.error("%r was never told: %s", self.notifier.name, notification.text)
         if lost:
-            self._say("they could not be sent for too long", len(lost))
+            self._say("what waits is too old, or too much", len(lost))
 
     def _say(self, error: str, given_up: int = 0) -> None:
         name, waiting = self.notifier.name, len(self._outbox.waiting)

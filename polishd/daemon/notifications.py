@@ -5,15 +5,17 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import asynccontextmanager, suppress
 from typing import Any
 from uuid import uuid4
 
 from polishd.config.cell import CellConfig
 from polishd.daemon.courier import Attempt, Courier, Notifier, kept_in, read_outbox
 from polishd.daemon.endings import for_cell, now
+from polishd.daemon.events import EventBus, Sink
 from polishd.model.concern import Concern, Severity
+from polishd.model.errors import PolishdError
 from polishd.model.events import Event, NotificationFailed
 from polishd.model.notification import Notification
 
@@ -23,20 +25,29 @@ END_S = 10.0
 """Longest that the daemon's end waits until the last notifications are sent; what is not is kept for the next start."""
 SEND_TO_THE_END_S = 8.0
 """Of that, for sending."""
+SAID = {"job": "job", "part": "part_id", "run_dir": "run_dir"}
+"""What is told of the job under way, and how events call it."""
 
 
 class Notifications:
     """Tells whomever a cell's config names; ``hear`` is a listener of the event bus."""
 
-    def __init__(self, config: CellConfig, run_dir: Path) -> None:
+    def __init__(self, config: CellConfig, known: Mapping[str, str]) -> None:
         self._config = config
-        self._known = {"job": config.job.id, "part": config.part.id, "run_dir": str(run_dir)}
-        """Of the job under way: events that have a field of that name say it anew."""
+        self._known = dict(known)
+        """Of the job under way: ``job``, ``part`` and ``run_dir``. Events that say one of them say it anew."""
         self._couriers: tuple[Courier, ...] = ()
 
     def start(self, notifiers: Sequence[Notifier], tell: Callable[[Event], None]) -> None:
         """Begin to send, what an earlier run left first; ``tell`` is called by other threads when that fails."""
-        self._couriers = tuple(Courier(notifier, self._config.state_dir, tell) for notifier in notifiers)
+
+        def failed(event: NotificationFailed) -> None:
+            self._hand(event)  # and not by way of the bus, which may be closed already
+            tell(event)
+
+        self._couriers = tuple(Courier(notifier, self._config.state_dir, failed) for notifier in notifiers)
+        for courier in self._couriers:
+            courier.start()
         ours = {kept_in(self._config.state_dir, notifier.name) for notifier in notifiers}
         for path in sorted(set(kept_in(self._config.state_dir, "").parent.glob("*.json")) - ours):
             if left := len(read_outbox(path, 0.0)[0].waiting):
@@ -44,10 +55,12 @@ class Notifications:
 
     def hear(self, event: Event) -> None:
         """Hand it to the couriers where it concerns a person."""
-        if not self._couriers:
-            return
+        if self._couriers and not isinstance(event, NotificationFailed):
+            self._hand(event)
+
+    def _hand(self, event: Event) -> None:
         data = event.data
-        self._known |= {key: data[key] for key in self._known if key in data}
+        self._known |= {key: data[said] for key, said in SAID.items() if said in data}
         concern = event.concern()
         if concern is None:
             return
@@ -63,6 +76,42 @@ class Notifications:
             courier.end(began_s + SEND_TO_THE_END_S)
         for courier in self._couriers:
             await asyncio.to_thread(courier.join, began_s + END_S - time.monotonic())
+
+
+@asynccontextmanager
+async def told(
+    config: CellConfig,
+    notifiers: Sequence[Notifier],
+    known: Mapping[str, str],
+    listeners: Sequence[Sink],
+    sinks: Sequence[Sink],
+) -> AsyncIterator[EventBus]:
+    """An event bus of these listeners and sinks, and of people; at its end all have heard everything, within limits."""
+    people = Notifications(config, known)
+    bus = EventBus(*listeners, people.hear, sinks=tuple(sinks))
+    people.start(notifiers, _publishing(bus))
+    try:
+        yield bus
+    finally:
+        await bus.close()
+        await people.close()
+
+
+def _publishing(bus: EventBus) -> Sink:
+    """For threads that have something to tell."""
+    loop = asyncio.get_running_loop()
+
+    def publish(event: Event) -> None:
+        with suppress(PolishdError):  # a lost journal: that is what ends the daemon
+            bus.publish(event)
+
+    def tell(event: Event) -> None:
+        try:
+            loop.call_soon_threadsafe(publish, event)
+        except RuntimeError:  # who tells was left behind, and the loop is closed
+            log.warning("nobody hears any more of: %s", event.facts())
+
+    return tell
 
 
 def try_out(config: CellConfig, notifiers: Sequence[Notifier]) -> list[dict[str, Any]]:

@@ -99,7 +99,7 @@ class Outbox:
         self._failures = 0
 
     def failed(self, notification: Notification, now_s: float) -> None:
-        """It is tried again, after a pause and after the others."""
+        """It is tried again, after a pause and after the others; unless it was given up meanwhile."""
         self._tries[notification.id] += 1
         self._failures += 1
         self._failed_s = now_s
@@ -129,7 +129,7 @@ class Outbox:
         return min(FIRST_PAUSE_S * 2 ** (self._failures - 1), LONGEST_PAUSE_S) if self._failures else 0.0
 
     def _drop(self, notification: Notification) -> None:
-        self.waiting.remove(notification)
+        self.waiting = [one for one in self.waiting if one.id != notification.id]
         del self._tries[notification.id]
 
 

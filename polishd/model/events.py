@@ -228,11 +228,11 @@ class JobFinished(Event):
     run_dir: Annotated[str, "the run folder"]
     outcome: Annotated[str, "`in_tolerance`, `cycles_used`, `diverged`, `stalled`, `stopped` or `failed`"]
     reason: Annotated[str, "why it was stopped or failed; else empty"] = ""
-    standing: Annotated[Standing, "as of `state`"] = NOT_ASKED
+    standing: Annotated[Standing | None, "as of `state`; None where the daemon goes on"] = None
 
     def concern(self) -> Concern | None:
         """Info where in tolerance or stopped, else warning; alarm where a device did not confirm. Not where failed."""
-        if self.outcome == "failed":
+        if self.standing is None or self.outcome == "failed":
             return None
         severity = Severity.INFO if self.outcome in {"in_tolerance", "stopped"} else Severity.WARNING
         what = ": ".join(filter(None, [self.outcome, self.reason]))

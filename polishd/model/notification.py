@@ -53,14 +53,14 @@ class Notification:
     @property
     def text(self) -> str:
         """All of it, for people."""
-        cycle = "" if self.cycle is None else f", cycle {self.cycle}"
+        of = [("cell", self.cell), ("job", self.job), ("part", self.part), ("cycle", self.cycle)]
         often = f" ({self.times} times since {self.since})" if self.times > 1 else ""
         lines = [
             f"what happened: {self.what}",
             f"the cell now: {self.now}",
             f"what to do: {self.todo}",
             "",
-            f"cell {self.cell}, job {self.job}, part {self.part}{cycle}",
+            ", ".join(f"{name} {value}" for name, value in of if value not in {None, ""}),
             f"at {self.at}{often}",
             *([f"run folder: {self.run_dir}"] if self.run_dir else []),
         ]

@@ -137,6 +137,17 @@ def test_what_waits_too_long_or_is_too_much_is_given_up_the_least_severe_first()
     assert outbox.waiting == []
 
 
+def test_what_was_given_up_while_it_was_sent_is_over_all_the_same() -> None:
+    outbox = Outbox(HALF_HOUR_S)
+    outbox.add(notification(), NOON_S)
+    due = outbox.due(NOON_S)
+    assert due is not None
+    assert outbox.give_up(NOON_S + 2 * KEPT_S) == [due]
+    outbox.failed(due, NOON_S)
+    outbox.sent(due)
+    assert outbox.waiting == []
+
+
 @pytest.mark.parametrize("jump_s", [-365 * 86400.0, 365 * 86400.0])
 def test_a_clock_that_jumps_silences_nobody(jump_s: float) -> None:
     outbox = Outbox(HALF_HOUR_S)
@@ -168,7 +179,7 @@ def test_each_event_is_sent_or_counted_once(steps: list[tuple[int, bool, float]]
     outbox, now_s, told, sent = Outbox(HALF_HOUR_S), NOON_S, 0, 0
     for word, works, pause_s in steps:
         now_s += pause_s
-        outbox.add(notification(f"held: {'abcdef'[word]}", now_s), now_s)
+        outbox.add(notification(f"held: {'abcdef'[word]}", now_s, id=str(told)), now_s)
         told += 1
         outbox = Outbox.of(json.loads(json.dumps(outbox.facts())), HALF_HOUR_S)
         if works:
