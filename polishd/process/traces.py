@@ -35,7 +35,8 @@ def traces(
 ) -> Traces:
     """Both by least squares, beside rate, shift and plane: ``measured = rate (predicted + fade late + width s^2 L)``.
 
-    A spot that is wider by a little smooths what it removes, as diffusion does: L is the prediction's Laplacian.
+    A spot that is wider by a little smooths what it removes, as diffusion does: L is the prediction's Laplacian. All
+    are smoothed by the spot's size first: what is shorter is noise, and ripple of the raster, which grids take unlike.
 
     Args:
         predicted_nm: (ny, nx) removal predicted of what was executed, positive = removed; also beside the mask.
@@ -49,13 +50,17 @@ def traces(
     signal = levelled(predicted_nm, mask)[mask]
     if mask.sum() < FEWEST or np.sqrt(np.mean(signal**2)) < MIN_SIGNAL_NM:
         return Traces()
-    bent = scipy.ndimage.laplace(predicted_nm, mode="nearest") * (spot_mm / pitch_mm) ** 2
-    slopes = [np.gradient(predicted_nm, axis=axis) for axis in (0, 1)]
+    reach = spot_mm / pitch_mm
+    predicted, late, measured = (
+        scipy.ndimage.gaussian_filter(height, reach) for height in (predicted_nm, late_nm, measured_nm)
+    )
+    bent = scipy.ndimage.laplace(predicted, mode="nearest") * reach**2
+    slopes = [np.gradient(predicted, axis=axis) for axis in (0, 1)]
 
     def figures(factors: FloatArray) -> FloatArray:
         return np.asarray(factors[..., 1:3] / factors[..., :1], dtype=np.float64)
 
-    found = regressed([predicted_nm, late_nm, bent, *slopes], measured_nm, mask, figures)
+    found = regressed([predicted, late, bent, *slopes], measured, mask, figures)
     (fade, width), (fade_sigma, width_sigma) = figures(found.factors), found.sigma
     return Traces(float(fade), float(fade_sigma), float(width), float(width_sigma))
 

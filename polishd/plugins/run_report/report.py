@@ -63,7 +63,8 @@ class Album:
 
 def whole_run(folder: RunFolder, album: Album) -> Section:
     """Pictures of all measurements together; a plan has only one, and its spectrum."""
-    rows, tolerance = folder.rows(), folder.summary.get("tolerance_nm")
+    rows = folder.rows()
+    tolerance = folder.summary.get("tolerance_nm") or words.rms_limit(rows)
     surfaces = [(words.measurement(rows, index).capitalize(), surface) for index, surface in measured(folder)]
     period = folder.summary.get("tolerance_period_mm") or 0.0
     if len(surfaces) > 1:

@@ -107,6 +107,12 @@ def tolerance(rows: Rows) -> str:
     return f"{sum(bool(one.get('holds')) for one in judged)} of {len(judged)} lines hold" if judged else ""
 
 
+def rms_limit(rows: Rows) -> Any:
+    """The limit of the line that is of the whole surface's RMS, which its picture shows; None: there is none."""
+    judged = (rows[-1].get("judged") or ()) if rows else ()
+    return next((one.get("limit") for one in judged if isinstance(one, Mapping) and one.get("what") == "RMS"), None)
+
+
 def _sure(line: Mapping[str, Any]) -> str:
     """The instrument's uncertainty, where it is known."""
     sigma = figure(line.get("uncertainty"), ".2g")
