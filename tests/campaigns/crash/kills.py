@@ -26,8 +26,8 @@ from tests.campaigns.crash.site import EXTENDED, LOOK_S, Site
 from tests.patience import SOON_S
 from tests.system.cell_rig import with_keys, write_small
 
-CELLS = 2
-"""Side by side."""
+CELLS = 3
+"""Side by side: they mostly wait for their watchdogs."""
 SPEED = 30.0
 ATTACKS = 12
 """Of one cell, and then it goes on to the end of its job."""

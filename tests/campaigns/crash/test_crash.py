@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import random
 import shutil
 import sqlite3
 import subprocess
@@ -16,7 +18,9 @@ from tests.campaigns.crash.disk import Disk
 from tests.campaigns.crash.figures import SAID
 from tests.campaigns.crash.marked import NO_STORE_SYNC, NORMAL
 from tests.campaigns.crash.recording import Op, recorded_script
+from tests.campaigns.crash.site import Site
 from tests.campaigns.crash.states import round_of
+from tests.system.sim_rig import wait_for
 
 needs_strace = pytest.mark.skipif(shutil.which("strace") is None, reason="strace records the writes")
 
@@ -98,12 +102,18 @@ def test_five_minutes_of_make_crash(tmp_path: Path) -> None:
 def test_the_plant_tells_what_a_journal_leaves_out(tmp_path: Path) -> None:
     """The witness can say no: a block in the middle of a pass is taken out of the journal."""
     with kills.attacked_cell(tmp_path / "cell", 1) as site:
-        kills.in_contact(kills.Campaign(site, kills.random.Random(1), kills.Count(), 0))
+        site.start()
+        kills.Campaign(site, random.Random(1), kills.Count(), 0).begin()
+        wait_for(lambda: _recorded(site) > 50, "blocks in the journal")
         site.kill()
         site.rest()
         assert not site.twice()
-        journal = sqlite3.connect(site.files.state_dir / "journal.sqlite")
-        journal.execute("DELETE FROM segment WHERE seq = (SELECT max(seq) / 2 FROM segment)")
-        journal.commit()
-        journal.close()
+        with sqlite3.connect(site.files.state_dir / "journal.sqlite") as journal:
+            journal.execute("DELETE FROM segment WHERE seq = (SELECT max(seq) - 25 FROM segment)")
         assert site.twice()
+
+
+def _recorded(site: Site) -> int:
+    with contextlib.suppress(sqlite3.OperationalError), contextlib.closing(site.journal()) as journal:
+        return int(journal.execute("SELECT count(*) FROM segment WHERE touched").fetchone()[0])
+    return 0
