@@ -222,15 +222,7 @@ class Journal(AbstractContextManager["Journal", None]):
         """Blocks were executed (buffered: durable within 0.25 s). One that is recorded already changes nothing."""
         for record in records:
             self._store.buffer(self._segment(cycle, record, recovered=False))
-        last, tally = self.tally(cycle).last_seq, self.tally(cycle)
-        new = [record for record in records if record.block.seq > last]
-        if not new:
-            return
-        contact_s = sum(record.block.end_s - record.block.start_s for record in new if record.touched)
-        self._known.tallies[cycle] = Tally(tally.done + len(new), new[-1].block.seq, tally.contact_s + contact_s)
-        unknown = [(record.block.seq, record.block.seq + 1) for record in new if record.touched is None]
-        if unknown:
-            self._known.unknown[cycle] = joined([*self._known.unknown.get(cycle, ()), *unknown])
+        self._known.add(cycle, records)
 
     def require_in_time(self) -> None:
         """SafetyStop where what was executed has waited too long for its commit: contact is left over it."""

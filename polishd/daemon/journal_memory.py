@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from polishd.daemon.journal_records import MapRecord, PassRecord, Tally, joined
+from polishd.daemon.journal_records import BlockRecord, MapRecord, PassRecord, Tally, joined
 from polishd.daemon.journal_store import Store
 
 
@@ -28,6 +28,17 @@ class Known:
     tallies: dict[int, Tally]
     unknown: dict[int, tuple[tuple[int, int], ...]]
     """By cycle, executed blocks of which nobody knows whether the tool touched: ranges, ends excluded."""
+
+    def add(self, cycle: int, records: Sequence[BlockRecord]) -> None:
+        """Blocks were executed; those that were before change nothing."""
+        tally = self.tallies.get(cycle, Tally())
+        new = [record for record in records if record.block.seq > tally.last_seq]
+        if new:
+            contact_s = sum(record.block.end_s - record.block.start_s for record in new if record.touched)
+            self.tallies[cycle] = Tally(tally.done + len(new), new[-1].block.seq, tally.contact_s + contact_s)
+        unknown = [(record.block.seq, record.block.seq + 1) for record in new if record.touched is None]
+        if unknown:
+            self.unknown[cycle] = joined([*self.unknown.get(cycle, ()), *unknown])
 
 
 def read_job(store: Store, job: int) -> Known:

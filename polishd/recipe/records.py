@@ -137,8 +137,8 @@ class Pass:
     """(n,) time that was written into the program."""
     executed_s: FloatArray
     """(n,) time that each timed point had."""
-    acting_s: FloatArray
-    """(n,) the same at the process's own force and speed: how long it would have taken to remove as much."""
+    acting_s: FloatArray | None = None
+    """(n,) the time that it would have taken at the process's own force and speed to remove as much; None: the same."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -138,7 +138,8 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
     """Compare predicted with measured removal of the last pass; where the gate stops, nothing is learned from it."""
     grid, mask = done.before.grid, done.before.metric_mask
     request = _request(recipe, program, grid, believed)
-    predicted = recipe.model.effect(request).removal_nm(done.acting_s)
+    acting_s = done.executed_s if done.acting_s is None else done.acting_s
+    predicted = recipe.model.effect(request).removal_nm(acting_s)
     measured = done.before.height_nm - done.after.height_nm
     low, high = 1 - recipe.max_rate_change, 1 + recipe.max_rate_change
     allowed = (low / believed.rate, high / believed.rate)

@@ -69,10 +69,12 @@ def figure_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str
 
 
 def _torn(cycle: Mapping[str, Any]) -> str:
-    """How much of the pass was executed, where it did not come to its end."""
+    """How much of the pass was executed, where it did not come to its end, and what nobody knows of it."""
     if cycle.get("how") in {None, "done"}:
         return ""
-    return f"interrupted at {cycle['executed_s'] / cycle['dwell_s']:.0%}"
+    torn = f"interrupted at {cycle['executed_s'] / cycle['dwell_s']:.0%}"
+    uncertain = sum(last - first + 1 for first, last in cycle.get("uncertain") or ())
+    return f"{torn}, {uncertain} blocks uncertain" if uncertain else torn
 
 
 def _figure(value: object, digits: int) -> str:

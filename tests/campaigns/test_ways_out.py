@@ -25,6 +25,9 @@ def test_the_tool_is_off_before_motion_stops(tmp_path: Path, way: Way, lift_s: f
         assert cost.standing_nm < 250.0, "the spindle stops and the force goes at once"
     else:
         require_tool_off_first(cost)
+    assert cost.disagreements == []
+    assert cost.as_before, "what ran while contact was left: a journal without it would not have agreed"
+    assert 0 < cost.uncertain < cost.left, "marked is what the tool can have reached, not the rest of the program"
 
 
 def require_tool_off_first(cost: Cost) -> None:

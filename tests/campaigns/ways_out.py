@@ -12,6 +12,7 @@ import json
 import os
 import resource
 import signal
+import sqlite3
 import threading
 import time
 import tomllib
@@ -21,11 +22,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from polishd.console.demo_files import DemoFiles, with_values
 from polishd.console.simulator import simulated_cell
 from polishd.daemon import client
 from polishd.model.errors import LinkError
 from tests.fakes import proxy
+from tests.system.agreement import disagreements, passes
 from tests.system.cell_rig import Daemon, account, events, write_small
 from tests.system.sim_rig import wait_for
 
@@ -94,6 +98,10 @@ class Way:
     """Longest standing contact that this way may cost: motion has ended before anybody was asked."""
     lifts: bool = True
     """The actuator lifts in the end."""
+    ends: bool = True
+    """The daemon does; else it is held."""
+    tells: bool = True
+    """The daemon can journal how it ended; else the next start does."""
 
 
 WAYS = (
@@ -103,13 +111,13 @@ WAYS = (
     Way("actuator hung, pressing", lambda rig: rig.press("actuator", signal.SIGUSR2), lifts=False),
     Way("robot link lost", Rig.cut_robot),
     Way("robot stands", lambda rig: rig.press("robot", signal.SIGUSR2), stands_s=20.0),
-    Way("journal lost", Rig.lose_journal),
-    Way("hold", lambda rig: rig.order("hold")),
+    Way("journal lost", Rig.lose_journal, tells=False),
+    Way("hold", lambda rig: rig.order("hold"), ends=False),
     Way("stop", lambda rig: rig.order("stop")),
     Way("SIGTERM twice", Rig.terminate_twice),
-    Way("kill -9", lambda rig: rig.daemon.process.kill()),
+    Way("kill -9", lambda rig: rig.daemon.process.kill(), tells=False),
     Way("emergency stop", lambda rig: rig.press("robot", signal.SIGUSR1), stands_s=20.0),
-    Way("estop by order", lambda rig: rig.order("estop"), stands_s=20.0),
+    Way("estop by order", lambda rig: rig.order("estop"), stands_s=20.0, ends=False),
 )
 
 
@@ -127,6 +135,14 @@ class Cost:
     """Deepest place that was polished since the cause, along the program too."""
     touched_s: float
     """When the tool last touched the part, whoever took it off."""
+    disagreements: list[str]
+    """Of the journal with the plant's account."""
+    as_before: list[str]
+    """The same of a journal that holds only what was told before contact was left, as it used to be."""
+    uncertain: int
+    """Blocks of which nobody knows whether the tool touched."""
+    left: int
+    """Blocks of contact that were still to come when it was left."""
 
     def at(self, what: str) -> float | None:
         """When it happened first; None where it did not."""
@@ -157,6 +173,7 @@ def measure(way: Way, lift_s: float, folder: Path) -> Cost:
             caused_s = time.monotonic()
             way.cause(rig)
             _until_at_rest(rig, way)
+            _until_settled(rig, way)
     return _cost(way, lift_s, caused_s, files)
 
 
@@ -175,6 +192,17 @@ def _until_at_rest(rig: Rig, way: Way) -> None:
     wait_for(rests, f"the cell to come to rest after {way.name}", SETTLE_S)
 
 
+def _until_settled(rig: Rig, way: Way) -> None:
+    """The daemon has journalled what it knows, and where it could not, the next one has."""
+    if not way.ends:
+        rig.daemon.wait_for_state("held")
+    else:
+        wait_for(lambda: rig.daemon.process.poll() is not None, "the daemon's end", SETTLE_S)
+    if not way.tells:
+        with Daemon(rig.files) as again:
+            again.wait_for_state("held")
+
+
 def _cost(way: Way, lift_s: float, caused_s: float, files: DemoFiles) -> Cost:
     told = account(files)["way_out"]
     order = [
@@ -185,7 +213,23 @@ def _cost(way: Way, lift_s: float, caused_s: float, files: DemoFiles) -> Cost:
     firsts = [pair for k, pair in enumerate(order) if pair[1] not in {word for _, word in order[:k]}]
     figures = (told["contact_s"], told["standing_s"], told["standing_peak_nm"], told["peak_nm"])
     figures = (*figures, told["until_s"] - caused_s)
-    return Cost(way.name, lift_s, firsts, *(round(figure, 3) for figure in figures))
+    journal, books = files.state_dir / "journal.sqlite", account(files)["programs"]
+    (run,) = passes(journal)
+    seen = (disagreements(journal, books), disagreements(_as_before(journal), books))
+    left = run.contact[1] - int(np.flatnonzero(run.touched == 1)[-1]) - 1
+    rounded = (round(figure, 3) for figure in figures)
+    return Cost(way.name, lift_s, firsts, *rounded, *seen, run.uncertain.size, left)
+
+
+def _as_before(journal: Path) -> Path:
+    """A copy that knows nothing of what ran while contact was left."""
+    copy = journal.with_name("as-before.sqlite")
+    with contextlib.closing(sqlite3.connect(journal)) as whole, contextlib.closing(sqlite3.connect(copy)) as file:
+        whole.backup(file)
+        file.execute("DELETE FROM segment WHERE touched IS NOT 1")
+        file.execute("UPDATE pass SET uncertain_from = NULL, uncertain_to = NULL")
+        file.commit()
+    return copy
 
 
 @contextmanager

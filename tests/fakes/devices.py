@@ -138,7 +138,7 @@ class FakeRobot(FakeDevice):
         if "progress" in self.acts.hangs:
             await asyncio.Event().wait()
         ended = "done" if self.done == self.ends_at else "running"
-        state: RobotState = "held" if self.stands or self.until == self.done else ended
+        state: RobotState = "held" if self._is_held() else ended
         return RobotProgress(state, self.plan_sha256, len(self.loaded), self.done, self.buffer_s, self.boot_id, "fake")
 
     async def executed(self, from_seq: int = 0) -> AsyncIterator[Executed]:

@@ -8,26 +8,22 @@ from __future__ import annotations
 import contextlib
 import json
 import re
-import sqlite3
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from polishd.console.demo_files import DemoFiles
 from polishd.console.simulator import simulated_cell
-from tests.system.cell_rig import ONE_PASS, Daemon, account, events, summary, write_small
+from tests.system.cell_rig import ONE_PASS, Daemon, events, summary, write_small
 from tests.system.sim_rig import wait_for
-from tests.system.test_daemon import polishd, require_safe_order
+from tests.system.test_daemon import polishd, require_nothing_twice, require_safe_order
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
 
 DEVICE, SAFETY = 5, 7
-LIFTING_S = 0.6
-"""Longest from noticing a fault to a lifted tool, wall time."""
 
 Faults = Mapping[str, Mapping[str, Any]]
 
@@ -70,27 +66,6 @@ def require_off_the_part(files: DemoFiles) -> None:
             require_safe_order(events(files))
 
 
-def require_contact_once(files: DemoFiles, speed: float) -> None:
-    """The plant's account beside the journal: what was in contact was run once, in order, and the rest is the way out.
-
-    Blocks that ran while the tool was being lifted are not journalled: contact with them is as short as lifting is.
-    """
-    with contextlib.closing(sqlite3.connect(files.state_dir / "journal.sqlite")) as journal:
-        for program in account(files)["programs"]:
-            assert program["loads"] == 1, "a program that was loaded twice may have been run twice"
-            rows = journal.execute(
-                "SELECT seq, end_s - start_s FROM segment JOIN pass USING (job, cycle) WHERE program_sha256 = ?",
-                (program["sha256"],),
-            ).fetchall()
-            assert len({seq for seq, _ in rows}) == len(rows), "a block is executed once"
-            contact, run = np.array(program["contact_s"]), np.zeros(program["blocks"])
-            for seq, seconds in rows:
-                run[seq] = seconds
-            beyond = int(max((seq for seq, _ in rows), default=-1)) + 1
-            assert (contact[:beyond] <= run[:beyond] * 1.02 + 0.002).all()
-            assert contact[beyond:].sum() < LIFTING_S * speed
-
-
 def test_faults_are_put_into_the_simulators_file() -> None:
     text = '[a]\nx = 1\n[actuator.faults]  # c\njitter_s = 0.1\n\n[spindle]\nkind = "slcan"\n'
     found = tomllib.loads(with_faults(text, {"actuator": {"late_rate": 0.5}, "robot": {"drop_rate": 0.1}}))
@@ -115,7 +90,7 @@ def test_a_nasty_instrument_and_late_replies_do_not_keep_a_job_from_its_toleranc
     with faulty_cell(tmp_path / "cell", NASTY, seed=3, speed=80.0) as files:
         with Daemon(files) as daemon:
             assert daemon.wait() == 0, daemon.output.read_text()
-        require_contact_once(files, 80.0)
+        require_nothing_twice(files)
         dropped = [event["file"] for event in events(files, "map_dropped")]
         measured = [event["true_rms_nm"] for event in events(files, "measured")]
     end = summary(files)
@@ -149,7 +124,7 @@ def test_a_bad_wire_ends_in_tolerance_or_safe_with_a_device_error(tmp_path: Path
             assert device in said
         if events(files, "tool_landed"):
             require_off_the_part(files)
-        require_contact_once(files, 80.0)
+        require_nothing_twice(files)
 
 
 def test_a_force_that_sticks_is_a_safety_stop_and_a_person_decides(tmp_path: Path) -> None:
@@ -160,7 +135,7 @@ def test_a_force_that_sticks_is_a_safety_stop_and_a_person_decides(tmp_path: Pat
         assert "force" in said
         assert "outside" in said
         require_off_the_part(files)
-        require_contact_once(files, 20.0)
+        require_nothing_twice(files)
         landed, off = events(files, "tool_landed")[-1], events(files, "force_zero")[-1]
         # stuck for the grace time, and then acted upon
         assert 0.2 < off["mono_s"] - landed["mono_s"] - 1.5 < 2.0

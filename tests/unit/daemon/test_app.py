@@ -20,6 +20,7 @@ from polishd.daemon.client import request
 from polishd.daemon.daemon import Daemon
 from polishd.daemon.events import EventBus
 from polishd.daemon.journal import Journal
+from polishd.daemon.journal_records import BlockRecord
 from polishd.model.cycle import Outcome
 from polishd.model.devices import Executed
 from polishd.model.errors import BadMap, ConfigError, LinkError, PolishdError, SafetyStop
@@ -91,7 +92,7 @@ def begin_earlier(tmp_path: Path, *, interrupted: bool) -> None:
     with open_journal(tmp_path) as journal:
         if interrupted:
             journal.begin_pass(0, "sha", "boot-0", 300, contact=(4, 290))
-            journal.executed_segment(0, Executed(4, 0.0, 1.0))
+            journal.record_executed(0, [BlockRecord(Executed(4, 0.0, 1.0), True)])
 
 
 # its end

@@ -217,6 +217,44 @@ async def test_force_lost_in_contact(bench: Bench) -> None:
     assert bench.journal.tally(unfinished.cycle).last_seq == bench.fake.robot.done - 1
 
 
+async def test_what_runs_while_the_tool_is_lifted_is_recorded_at_once(bench: Bench) -> None:
+    """A lift takes 4 s here, and motion goes on: nobody knows whether those blocks were touched."""
+    left: list[int] = []
+    bench.fake.robot.block_s = 0.5
+    bench.fake.actuator.acts.before["make_safe"] = lambda: left.append(bench.fake.robot.done)
+    bench.fake.actuator.reads = lambda s: replace(s, fault=4) if bench.fake.robot.done > 100 else s
+    with pytest.raises(DeviceFault, match="fault bits"):
+        await bench.polish()
+    blocks, done = bench.journal.executed(0), bench.fake.robot.done
+    assert list(blocks.seq) == list(range(bench.journal.passes[0].contact_from, done)), "each once, to the last"
+    assert done - left[0] >= 8, "they ran"
+    assert (blocks.touched[blocks.seq < 100] == 1).all()
+    assert np.isfinite(blocks.force_n[blocks.seq < 100]).all()
+    assert np.isnan(blocks.touched[blocks.seq > left[0]]).all()
+    assert not blocks.recovered.any()
+    assert bench.journal.uncertain(0)[-1][1] == done + 1, "and the one that the robot stands in"
+    rows = (bench.tmp_path / "run/cycle-00/executed.csv").read_text().splitlines()
+    assert len(rows) == 1 + blocks.seq.size + 1
+
+
+async def test_a_robot_that_says_no_more_leaves_a_bound(bench: Bench) -> None:
+    """Its link is lost: marked is what the tool can have reached until it was up, and not the rest of the program."""
+    bench.fake.robot.block_s = 0.5
+    cut = lambda: bench.fake.robot.acts.fails.update({"progress": LinkError("gone")})  # noqa: E731
+    bench.fake.actuator.acts.before["make_safe"] = lambda: (cut(), setattr(bench.fake.robot, "stands", True))
+    bench.fake.actuator.reads = lambda s: replace(s, fault=4) if bench.fake.robot.done > 100 else s
+    with pytest.raises(LinkError, match="gone"):
+        await bench.polish()
+    (record,) = bench.journal.passes
+    assert record.uncertain is not None
+    first, end = record.uncertain
+    assert first == bench.journal.tally(0).last_seq + 1
+    # 4 s of lift, and 1.5 s by which its last word may have been late; blocks are written to take less than 0.5 s
+    assert 0.5 * (end - first) >= 5.5
+    assert end < record.contact_to
+    assert record.ended_s is None, "the next start asks the robot"
+
+
 async def test_the_feeder_dies_in_contact(bench: Bench) -> None:
     bench.fake.robot.acts.before["send"] = lambda: bench.fake.robot.acts.fails.update(
         {"send": LinkError("cut")} if bench.fake.robot.done > 5 else {}

@@ -79,12 +79,14 @@ async def run(
         await job.end_pass(cycle)
 
 
-async def whole_cycle(job: Job, cycle: int, surface: SurfaceMap, rate: float = 1.0) -> SurfaceMap:
+async def whole_cycle(
+    job: Job, cycle: int, surface: SurfaceMap, rate: float = 1.0, force_n: float | None = 12.0
+) -> SurfaceMap:
     """Measure, learn, plan and run; the surface afterwards, on the map's own grid."""
     measured = await job.measured(cycle, surface)
     await job.learn(cycle, measured)
     plan = await planned(job, cycle, measured)
-    await run(job, cycle, plan)
+    await run(job, cycle, plan, force_n=force_n)
     answer = steps.effect_of(small_recipe(), small_program(), surface.grid, at_rate(rate))
     return as_map(surface.height_nm - answer.effect.removal_nm(plan.expected_time_s))
 
@@ -258,6 +260,31 @@ async def test_the_rate_is_learned_and_used(job: Job, journal: Journal, tmp_path
     assert journal.passes[1].facts["rate"] == pytest.approx(0.8, rel=0.05)
     learned = json.loads((tmp_path / "run/cycle-01/learned.json").read_text())
     assert learned["beliefs"]["rate"] == journal.passes[1].facts["rate"]
+
+
+@pytest.mark.parametrize(("force_n", "rate"), [(9.6, 1.0), (None, 0.8)])
+async def test_what_a_wrong_force_removed_is_no_wrong_rate(job: Job, force_n: float | None, rate: float) -> None:
+    """The tool pressed with 80 % all along, and removed as much less: nothing is learned, if that is known."""
+    surface = await whole_cycle(job, 0, small_map(), rate=0.8, force_n=force_n)
+    await job.learn(1, await job.measured(1, surface))
+    told = job.told[-1]  # type: ignore[attr-defined]
+    assert told.name == "learned"
+    assert told.data["rate"] == pytest.approx(rate, rel=0.02)
+
+
+async def test_a_pass_that_was_cut_off_is_kept_for_people_with_what_nobody_knows(
+    job: Job, journal: Journal, tmp_path: Path
+) -> None:
+    plan = await planned(job, 0, await job.measured(0, small_map()))
+    await run(job, 0, plan, end=False, blocks=5)
+    journal.record_executed(0, [BlockRecord(Executed(plan.approach_blocks + 5, 300.0, 301.0), None)])
+    last = plan.approach_blocks + 5
+    journal.mark_uncertain(0, last + 1, last + 3)
+    await job.cut_off(0)
+    _, *rows = (tmp_path / "run/cycle-00/executed.csv").read_text().splitlines()
+    assert [row.split(",")[3] for row in rows] == ["1"] * 5 + ["nan"] * 3
+    assert rows[-2:] == [f"{last + k},nan,nan,nan,nan,nan" for k in (1, 2)]
+    assert job.cycles()[0]["uncertain"] == [[last, last + 2]]
 
 
 async def test_nothing_is_learned_from_a_pass_that_was_torn_off(job: Job, journal: Journal) -> None:

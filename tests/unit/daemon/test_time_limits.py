@@ -28,6 +28,10 @@ def test_the_tool_is_up_before_anything_stops_by_itself() -> None:
     assert safe_within_s(coil) > coil.lifted_s, "the daemon waits for longer than the lift takes"
 
 
+def test_what_goes_unseen_is_what_each_may_be_late_by_and_then_the_lift() -> None:
+    assert pytest.approx(LIMITS.robot.silence_s + LIMITS.reading_s + 2.2 + LIMITS.actuator.alone_s) == LIMITS.unseen_s
+
+
 @pytest.mark.parametrize(
     ("changed", "lookahead_s", "expected"),
     [

@@ -190,3 +190,28 @@ def test_without_dip_there_is_no_moment() -> None:
 def test_a_process_that_cannot_be_is_refused_by_name(name: str, value: object, says: str) -> None:
     with pytest.raises(ComputeError, match=says):
         contact.hertz_depth_mm(dataclasses.replace(PAPER, **{name: value}))
+
+
+def test_removal_goes_with_force_and_speed_as_the_models_own_volume() -> None:
+    process, factor = ToolProcess(), np.array([0.5, 1.0, 1.3])
+    found = contact.relative_removal(process, process.force_n * factor, np.full(3, process.rpm))
+    own = [
+        contact.volume_rate_nm_mm2_s(other, contact.hertz_depth_mm(other))[0]
+        for other in (dataclasses.replace(process, force_n=process.force_n * share) for share in factor)
+    ]
+    assert found == pytest.approx(own / own[1], rel=2e-3), "but for the bonnet's height over a deeper contact"
+    faster = contact.relative_removal(process, np.full(2, process.force_n), process.rpm * np.array([0.9, -1.1]))
+    assert faster == pytest.approx([0.9, 1.1])
+
+
+def test_a_fitted_exponent_is_the_processs_law() -> None:
+    process = ToolProcess(depth_exponent=1.2)
+    found = contact.relative_removal(process, np.array([24.0]), np.array([process.rpm]))
+    assert found == pytest.approx([2 ** (2 / 3 * 1.2)])
+
+
+def test_what_is_not_known_is_the_processs_own() -> None:
+    unknown = np.array([np.nan, 12.0, np.nan])
+    found = contact.relative_removal(ToolProcess(), unknown, np.array([500.0, np.nan, np.nan]))
+    assert found == pytest.approx([0.5, 1.0, 1.0])
+    assert contact.relative_removal(ToolProcess(), np.array([-0.01]), np.array([1000.0])) == [0.0], "noise about zero"

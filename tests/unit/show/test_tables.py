@@ -46,12 +46,12 @@ def test_cycles() -> None:
 
 
 def test_an_interrupted_pass_is_no_pass_like_the_others() -> None:
-    torn = {**CYCLES[0], "how": "interrupted", "executed_s": 15.125}
+    torn = {**CYCLES[0], "how": "interrupted", "executed_s": 15.125, "uncertain": [[18, 21], [30, 30]]}
     _, _, header, _, first, second, last, _ = shown(
         cycle_table({"job": "j", "outcome": "in_tolerance", "cycles": [torn, {**CYCLES[0], "how": "done"}, CYCLES[1]]})
     )
     assert header[-1] == "pass"
-    assert first[-1] == "interrupted at 25%"
+    assert first[-1] == "interrupted at 25%, 5 blocks uncertain"
     assert second[-1] == "0.988", "the others are as ever"
     assert not any(last[4:])
 

@@ -1,0 +1,76 @@
+"""The journal beside the plant's own account of contact: they agree, but for what the journal calls uncertain."""
+
+from __future__ import annotations
+
+import contextlib
+import sqlite3
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from polishd.console.demo_files import DemoFiles
+from tests.system.cell_rig import account
+
+SHARE, LEAST_S = 0.02, 0.01
+"""What the plant's steps make of a block's time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What the journal tells of one pass; (n,) arrays by block."""
+
+    sha256: str
+    run_s: np.ndarray[Any, Any]
+    """Process time; 0 where no record is."""
+    touched: np.ndarray[Any, Any]
+    """1, 0, NaN: not known; 0 where no record is."""
+    contact: tuple[int, int]
+    """The range in which the tool is on the part, as planned."""
+
+    @property
+    def uncertain(self) -> np.ndarray[Any, Any]:
+        """(k,) sequence numbers."""
+        return np.flatnonzero(np.isnan(self.touched))
+
+
+def passes(journal: Path) -> list[Told]:
+    """All passes of a journal's file, read beside whoever writes it."""
+    with contextlib.closing(sqlite3.connect(f"file:{journal}?mode=ro", uri=True)) as file:
+        told = []
+        columns = "job, cycle, program_sha256, blocks, contact_from, contact_to, uncertain_from, uncertain_to"
+        for row in file.execute(f"SELECT {columns} FROM pass").fetchall():
+            job, cycle, sha256, blocks, first, end, *tail = row
+            run_s, touched = np.zeros(blocks), np.zeros(blocks)
+            rows = "SELECT seq, end_s - start_s, touched FROM segment WHERE job = ? AND cycle = ?"
+            for seq, seconds, known in file.execute(rows, (job, cycle)):
+                run_s[seq], touched[seq] = seconds, np.nan if known is None else known
+            if tail[0] is not None:
+                touched[tail[0] : tail[1]] = np.nan
+            told.append(Told(sha256, run_s, touched, (first, end)))
+    return told
+
+
+def disagreements(journal: Path, books: list[dict[str, Any]]) -> list[str]:
+    """Where they contradict each other: by pass and block, what the journal says, and what the plant saw."""
+    told, found = {one.sha256: one for one in passes(journal)}, []
+    for book in books:
+        contact_s, one = np.array(book["contact_s"]), told[book["sha256"]]
+        slack_s = SHARE * one.run_s + LEAST_S
+        wrong = {
+            "touched": (one.touched == 1) & (np.abs(contact_s - one.run_s) > slack_s),
+            "not touched": (one.touched == 0) & (contact_s > LEAST_S),
+            "executed": np.isnan(one.touched) & (one.run_s > 0) & (contact_s > one.run_s + slack_s),
+        }
+        found += [
+            f"{one.sha256[:8]} block {seq}: {says} in {one.run_s[seq]:.3f} s; the plant saw {contact_s[seq]:.3f} s"
+            for says, where in wrong.items()
+            for seq in np.flatnonzero(where)
+        ]
+    return found
+
+
+def require_agreement(files: DemoFiles) -> None:
+    """Of a cell that rests, or polishes whole passes."""
+    assert disagreements(files.state_dir / "journal.sqlite", account(files)["programs"]) == []
