@@ -112,7 +112,7 @@ class Campaign:
     def _ask(self, attack: Attack) -> None:
         self.site.rest()
         name = f"{attack.name} {self._number}"
-        for said in self.site.twice():
+        for said in self.site.contradictions():
             self.count.wrong("twice_unmarked", f"{name}: {said}")
         dug_s = self.site.dug_s()
         self.count.dug_s = max(self.count.dug_s, dug_s)
