@@ -14,9 +14,10 @@ from pathlib import Path
 
 from tests.campaigns.crash import kills, model
 from tests.campaigns.crash.figures import SAID, Figures, table, write_page
+from tests.campaigns.crash.recording import ROOT
 from tests.campaigns.crash.states import rounds
 
-FOLDER = Path("build/crash")
+FOLDER = ROOT / "build" / "crash"
 STATES, KILLS, FAULTS = 100_000, 2_000, 3
 
 
@@ -84,16 +85,17 @@ def main() -> int:
     parse.add_argument("--kills", type=int, default=KILLS, help="killed processes in all")
     parse.add_argument("--faults", type=int, default=FAULTS, help="of the model; 0: it is not checked")
     parse.add_argument("--seed", type=int, default=1, help="another one begins anew")
-    parse.add_argument("--minutes", type=float, default=1e9, help="longest that this sitting goes on with each")
+    parse.add_argument("--minutes", type=float, default=1e9, help="of each in this sitting; what was begun is ended")
     parse.add_argument("--folder", type=Path, default=FOLDER, help="where figures are kept between sittings")
     parse.add_argument("--json", action="store_true", help="nothing but the last line, which is JSON in any case")
     options = parse.parse_args()
-    figures = Figures(options.folder, options.seed)
+    folder = options.folder.resolve()  # strace tells whole paths
+    figures = Figures(folder, options.seed)
     run_states(figures, options.states, time.monotonic() + 60 * options.minutes)
     run_kills(figures, options.kills, time.monotonic() + 60 * options.minutes)
     if options.faults:
         run_model(figures, options.faults)
-    if options.folder == FOLDER and all(figures.all[name] for name in ("states", "kills", "model")):
+    if folder == FOLDER and all(figures.all[name] for name in ("states", "kills", "model")):
         write_page(figures.all)
     found = figures.summary()
     if not options.json:

@@ -13,6 +13,7 @@ from pathlib import Path
 from polishd.console.demo_files import DemoFiles, with_values
 from polishd.daemon import client
 from polishd.daemon.lock import LOCK_NAME
+from tests.campaigns.crash.disk import Disk
 from tests.campaigns.crash.recording import MARKS, ROOT, Op, marked, ops, traced
 from tests.patience import SOON_S
 from tests.system.cell_rig import Daemon, small_cell
@@ -74,4 +75,9 @@ def recorded_daemon(folder: Path) -> list[Op]:
             daemon.wait_for_state("held")
             order(daemon, "resume")
             daemon.process.wait(SOON_S)
-        return ops(files.out, files.out / MARKS, *accounts)
+    recording = ops(folder, folder / MARKS, *accounts)
+    disk = Disk()
+    for op in recording:
+        disk.apply(op)
+    disk.require_complete(folder)
+    return recording

@@ -10,9 +10,9 @@ import itertools
 import random
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 
-from tests.campaigns.crash.recording import Op
+from tests.campaigns.crash.recording import LEFT_OUT, STATE, Op
 
 SECTOR = 512
 FOLDER = -1
@@ -64,6 +64,11 @@ class Disk:
         """What a program sees: no crash."""
         return {path: _content(self.files[n].kept, ((op, op.data) for op in self.files[n].pending))
                 for path, n in self.names.items() if n != FOLDER}  # fmt: skip
+
+    def require_complete(self, folder: Path) -> None:
+        """The recording tells of all that was done: without a crash it gives the files that are there."""
+        there = (path for path in (folder / STATE).rglob("*") if path.is_file() and not str(path).endswith(LEFT_OUT))
+        assert self.seen() == {str(path.relative_to(folder)): path.read_bytes() for path in there}
 
     def crashed(self, variant: int, seed: str) -> Files:
         """What a crash now may leave; the first variants are the plain ones, all others are drawn by the seed."""

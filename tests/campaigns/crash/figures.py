@@ -25,7 +25,7 @@ PROVED = ("polishd/daemon", "polishd/files.py")
 """What the figures are of: where it changes, they begin anew."""
 SAID = {
     "lost": "acknowledged, and lost",
-    "twice_unmarked": "polished, and no mark that it was",
+    "twice_unmarked": "polished, and the journal does not tell so",
     "unopenable": "journals that do not open",
     "dug": "tools that stood on the part for longer than they may",
     "not_held": "starts that were not held",

@@ -26,8 +26,8 @@ from tests.campaigns.crash.site import EXTENDED, LOOK_S, Site
 from tests.patience import SOON_S
 from tests.system.cell_rig import with_keys, write_small
 
-CELLS = 2
-"""Side by side."""
+CELLS = 3
+"""Side by side: they mostly wait for their watchdogs."""
 SPEED = 30.0
 ATTACKS = 12
 """Of one cell, and then it goes on to the end of its job."""
@@ -112,7 +112,7 @@ class Campaign:
     def _ask(self, attack: Attack) -> None:
         self.site.rest()
         name = f"{attack.name} {self._number}"
-        for said in self.site.twice():
+        for said in self.site.contradictions():
             self.count.wrong("twice_unmarked", f"{name}: {said}")
         dug_s = self.site.dug_s()
         self.count.dug_s = max(self.count.dug_s, dug_s)

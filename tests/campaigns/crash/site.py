@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -14,22 +15,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from polishd.console.demo_files import DemoFiles, with_values
 from polishd.daemon import client
 from polishd.daemon.journal import JOURNAL_NAME
 from polishd.model.errors import PolishdError
 from tests.campaigns.crash.recording import ROOT
 from tests.patience import SOON_S
+from tests.system.agreement import disagreements
 from tests.system.cell_rig import APERTURE_MM, account
 from tests.system.sim_rig import end_pid
 
 LOOK_S = 0.03
 MOVING = {"motion_started": True, "motion_stopped": False, "boot": False, "lost": False}
 EXTENDED = {"engage": True, "retracted": False, "boot": False, "lost": False}
-SHARE, SLACK_S = 1.02, 0.002
-"""Of a block's time in contact beside what the journal says it was run: the plant integrates in steps."""
 
 
 class Log:
@@ -93,10 +91,8 @@ class Site:
     def kill(self) -> None:
         """All of it: the daemon, its worker, its tracer."""
         if self.process is not None:
-            try:
+            with contextlib.suppress(ProcessLookupError):
                 os.killpg(self.process.pid, signal.SIGKILL)
-            except ProcessLookupError:
-                pass
             self.process.wait(SOON_S)
             self.process = None
 
@@ -109,10 +105,8 @@ class Site:
 
     def order(self, verb: str) -> None:
         """As the command line does; it may end meanwhile."""
-        try:
+        with contextlib.suppress(PolishdError):
             client.request(self.files.state_dir, verb, 60.0)
-        except PolishdError:
-            pass
 
     def workers(self) -> list[int]:
         """The compute worker."""
@@ -162,52 +156,31 @@ class Site:
 
     # the witness
 
+    @property
+    def _path(self) -> Path:
+        return self.files.state_dir / JOURNAL_NAME
+
     def journal(self) -> sqlite3.Connection:
         """To read."""
-        return sqlite3.connect(f"file:{self.files.state_dir / JOURNAL_NAME}?mode=ro", uri=True)
+        return sqlite3.connect(f"file:{self._path}?mode=ro", uri=True)
 
     def job_under_way(self) -> bool:
         """The next start comes up held."""
-        if not (self.files.state_dir / JOURNAL_NAME).exists():
+        if not self._path.exists():
             return False
-        journal = self.journal()
-        try:
-            sql = "SELECT 1 FROM job WHERE outcome IS NULL"
-            return bool(journal.execute(sql).fetchall())
-        except sqlite3.OperationalError:  # killed before it had tables
-            return False
-        finally:
-            journal.close()
+        with contextlib.suppress(sqlite3.OperationalError), contextlib.closing(self.journal()) as journal:
+            return bool(journal.execute("SELECT 1 FROM job WHERE outcome IS NULL").fetchall())
+        return False  # killed before it had tables
 
-    def twice(self) -> list[str]:
-        """Blocks that the plant saw in contact for longer than the journal says that they were, or may have been."""
-        journal, found = self.journal(), []
-        try:
-            for program in account(self.files)["programs"]:
-                contact = np.array(program["contact_s"])
-                excess = contact - self._accounted(journal, program["sha256"], len(contact))
-                late = np.flatnonzero(excess > contact * (1 - 1 / SHARE) + SLACK_S)
-                if late.size:
-                    found.append(f"{program['sha256'][:8]}: blocks {late[:5]}, {excess[late[:5]]} s too long")
-        finally:
-            journal.close()
-        return found
-
-    def _accounted(self, journal: sqlite3.Connection, sha256: str, blocks: int) -> Any:
-        """(blocks,) s in contact that the journal tells of; inf where it says that nobody knows."""
-        run_s = np.zeros(blocks)
-        passes = "SELECT job, cycle, ended, uncertain_from, uncertain_to FROM pass WHERE program_sha256 = ?"
-        for job, cycle, ended, first, end in journal.execute(passes, (sha256,)).fetchall():
-            last = -1
-            rows = "SELECT seq, end_s - start_s, touched FROM segment WHERE job = ? AND cycle = ? ORDER BY seq"
-            for seq, seconds, touched in journal.execute(rows, (job, cycle)):
-                run_s[seq] += math.inf if touched is None else seconds * touched
-                last = seq
-            if first is not None:
-                run_s[first:end] = math.inf
-            elif ended is None:  # killed: the next start will judge how far it can have come
-                run_s[last + 1 :] = math.inf
-        return run_s
+    def contradictions(self) -> list[str]:
+        """Where the journal and the plant's account of contact tell different things of passes that are settled."""
+        with contextlib.closing(self.journal()) as journal:
+            rows = journal.execute("SELECT program_sha256, ended IS NOT NULL FROM pass").fetchall()
+        settled = dict(rows)
+        books = account(self.files)["programs"]
+        unknown = [book["sha256"][:8] for book in books if book["sha256"] not in settled and any(book["contact_s"])]
+        known = [book for book in books if settled.get(book["sha256"])]
+        return [f"{name}: polished, and no pass" for name in unknown] + disagreements(self._path, known)
 
     def dug_s(self) -> float:
         """Seconds that the tool stood on the part, pressing, since the last call."""

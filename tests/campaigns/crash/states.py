@@ -81,14 +81,16 @@ def round_of(recording: Sequence[Op], variants: Sequence[int], seed: int, known:
 
 
 def rounds(recording: Sequence[Op], first: int, seed: int, known: set[bytes]) -> Iterator[tuple[int, Tried]]:
-    """Without end, several side by side: how many variants have been tried by then, and what came of a round."""
+    """While there are new states, several side by side: how many variants have been tried, and what came of a round."""
     with ProcessPoolExecutor(PROCESSES, mp_context=get_context("forkserver")) as pool:
         while True:
             chunks = [range(first + k * AT_ONCE, first + (k + 1) * AT_ONCE) for k in range(PROCESSES)]
             before = frozenset(known)
             tasks = [pool.submit(round_of, recording, chunk, seed, before) for chunk in chunks]
-            for chunk, task in zip(chunks, tasks, strict=True):
-                yield chunk.stop, task.result()
+            found = [task.result() for task in tasks]
+            yield from zip((chunk.stop for chunk in chunks), found, strict=True)
+            if not any(tried.keys for tried in found):
+                return
             first = chunks[-1].stop
 
 
