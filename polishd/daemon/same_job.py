@@ -13,7 +13,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from polishd.config.cell import CellConfig
+from polishd.config.cell import FILES, CellConfig
 from polishd.daemon.journal import JOURNAL_NAME, Journal
 from polishd.daemon.journal_schema import old_copy
 from polishd.model.errors import ConfigError
@@ -46,9 +46,6 @@ RULES = (
     Rule(("job.tolerance_period_mm", "job.lsf_period_mm"), False, "figures of all measurements count the same periods"),
 )
 """The first rule that fits a key holds for it; one that none fits may not change."""
-
-FILES = ("program.path", "program.dialects", "instrument.profile", "part.nominal", "process.tif", "kinematics.table")
-"""Keys that name files: what counts is the content, wherever it lies."""
 
 
 def may_change(key: str) -> bool:
