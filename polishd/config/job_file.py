@@ -81,7 +81,7 @@ def _sections() -> list[str]:
     return [name for name in CellConfig.model_fields if name not in OF_THE_CELL]
 
 
-def _value(values: Mapping[str, Any], key: tuple[str, ...]) -> Any:
+def _value(values: Any, key: tuple[str, ...]) -> Any:
     for name in key:
-        values = values.get(name) if isinstance(values, Mapping) else None  # type: ignore[assignment]
+        values = values.get(name) if isinstance(values, dict) else None
     return values

@@ -16,7 +16,7 @@ from typing import Any, NoReturn, Self
 import numpy as np
 
 from polishd.daemon.array_store import ArrayStore
-from polishd.daemon.journal_memory import Known, read_job, read_tally
+from polishd.daemon.journal_memory import Known, nothing_known, read_job, read_tally
 from polishd.daemon.journal_records import ExecutedBlocks, MapRecord, PassRecord, Tally
 from polishd.daemon.journal_schema import Connect, connect
 from polishd.daemon.journal_store import Row, Store
@@ -30,6 +30,8 @@ log = logging.getLogger(__name__)
 
 JOURNAL_NAME, ARRAYS_NAME = "journal.sqlite", "store"
 NOTHING = Tally()
+NO_JOB = 0
+"""What happens between jobs is recorded under this number."""
 
 _INTENT = (
     "INSERT INTO pass (job, cycle, program_sha256, boot_id, blocks, contact_from, contact_to, facts, started, plan, "
@@ -68,20 +70,40 @@ class Journal(AbstractContextManager["Journal", None]):
         ``terms`` is what the job is begun with (``same_job``): kept with a job of which nothing is measured yet.
         A job of another name that was not finished is over then. ConfigError where the file cannot be used.
         """
-        store, arrays = Store.open(state_dir / JOURNAL_NAME, connect), ArrayStore(state_dir / ARRAYS_NAME)
+        cell = cls.of_cell(state_dir, connect)
         try:
-            rows = store.read("SELECT id, name FROM job WHERE outcome IS NULL ORDER BY id DESC LIMIT 1")
-            resumed = bool(rows) and rows[0][1] == job
-            number = int(rows[0][0]) if resumed else _begin(store, job, part_id)
-            if not resumed:
-                arrays.clear()
-            journal = cls(store, arrays, number, read_job(store, number), resumed=resumed)
-            if not journal.begun:
-                journal._take(part_id, terms)
+            return cell.of_job(job, part_id, terms)
         except BaseException:
-            store.close()
+            cell.close()
             raise
+
+    @classmethod
+    def of_cell(cls, state_dir: Path, connect: Connect = connect) -> Self:
+        """The journal of a state folder between jobs: it has events of its own. ConfigError as of ``open``."""
+        store, arrays = Store.open(state_dir / JOURNAL_NAME, connect), ArrayStore(state_dir / ARRAYS_NAME)
+        return cls(store, arrays, NO_JOB, nothing_known(store), resumed=False)
+
+    def of_job(self, job: str, part_id: str, terms: Mapping[str, Any]) -> Self:
+        """The same, with its unfinished job of that name, or a new one."""
+        rows = self._store.read("SELECT id, name FROM job WHERE outcome IS NULL ORDER BY id DESC LIMIT 1")
+        resumed = bool(rows) and rows[0][1] == job
+        number = int(rows[0][0]) if resumed else _begin(self._store, job, part_id)
+        if not resumed:
+            _drop_plans(self._store, self.arrays)
+        journal = type(self)(self._store, self.arrays, number, read_job(self._store, number), resumed=resumed)
+        if not journal.begun:
+            journal._take(part_id, terms)
         return journal
+
+    @property
+    def store(self) -> Store:
+        """Its file, which the queue shares."""
+        return self._store
+
+    @property
+    def number(self) -> int:
+        """Of its job's row; ``NO_JOB`` between jobs."""
+        return self._job
 
     # what is known: from memory, but for ``executed``
 
@@ -241,12 +263,16 @@ class Journal(AbstractContextManager["Journal", None]):
 
     def record_outcome(self, outcome: Outcome) -> None:
         """The job is over; the next Journal of this state folder begins a new one."""
-        sql = "UPDATE job SET ended = ?, outcome = ? WHERE id = ?"
-        self._store.write((sql, (time.time(), outcome.value, self._job)))
+        self._store.write(self.outcome_row(outcome.value))
+
+    def outcome_row(self, outcome: str, detail: str = "") -> Row:
+        """The same, to be written together with what else ends then."""
+        sql = "UPDATE job SET ended = ?, outcome = ?, detail = ? WHERE id = ?"
+        return sql, (time.time(), outcome, detail, self._job)
 
     def copy_to(self, path: Path) -> None:
-        """A whole copy for the run folder."""
-        self._store.copy_to(path)
+        """A copy of this job for the run folder."""
+        self._store.copy_to(path, self._job)
 
     async def lost(self) -> NoReturn:
         """Raise SafetyStop as soon as the journal is lost; until then wait. For a watcher in contact."""
@@ -286,3 +312,11 @@ def _begin(store: Store, job: str, part_id: str) -> int:
     new = "INSERT INTO job (name, part_id, terms, started) VALUES (?, ?, 'null', ?)"
     store.write((sql, (time.time(), f"{job} took its place")), (new, (job, part_id, time.time())))
     return int(store.read("SELECT max(id) FROM job")[0][0])
+
+
+def _drop_plans(store: Store, arrays: ArrayStore) -> None:
+    """What jobs that are over kept to go on with; their maps stay, for their history."""
+    over = "plan != '' AND job IN (SELECT id FROM job WHERE outcome IS NOT NULL)"
+    for names in store.read(f"SELECT plan, start FROM pass WHERE {over}"):  # noqa: S608 - no value is in it
+        arrays.remove(*names)
+    store.write((f"UPDATE pass SET plan = '', start = '' WHERE {over}", ()))  # noqa: S608

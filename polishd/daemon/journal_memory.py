@@ -28,10 +28,14 @@ class Known:
     tallies: dict[int, Tally]
 
 
+def nothing_known(store: Store) -> Known:
+    """Between jobs."""
+    return Known(None, "", _last_map(store), {}, {}, None, {})
+
+
 def read_job(store: Store, job: int) -> Known:
     """All that is known of a job."""
     ((terms, run_dir),) = store.read("SELECT terms, run_dir FROM job WHERE id = ?", (job,))
-    last = store.read("SELECT sha256 FROM map ORDER BY id DESC LIMIT 1")
     maps = "SELECT cycle, sha256, path, stats, taken, arrays FROM map WHERE job = ? ORDER BY id"
     passes = (
         "SELECT cycle, program_sha256, boot_id, blocks, contact_from, contact_to, facts, started, ended, how, plan, "
@@ -42,7 +46,7 @@ def read_job(store: Store, job: int) -> Known:
     return Known(
         terms=json.loads(terms),
         run_dir=run_dir,
-        last_map_id=last[0][0] if last else None,
+        last_map_id=_last_map(store),
         maps={row[0]: MapRecord(*_decoded(row, 3)) for row in store.read(maps, (job,))},
         passes={row[0]: PassRecord(*row) for row in begun},
         phase=(phases[0][0], phases[0][1]) if phases else None,
@@ -58,6 +62,11 @@ def read_tally(store: Store, job: int, cycle: int) -> Tally:
     )
     ((done, last_seq, contact_s),) = store.read(sql, (job, cycle))
     return Tally(done, last_seq, contact_s)
+
+
+def _last_map(store: Store) -> str | None:
+    found = store.read("SELECT sha256 FROM map ORDER BY id DESC LIMIT 1")
+    return found[0][0] if found else None
 
 
 def _decoded(row: tuple[Any, ...], column: int) -> tuple[Any, ...]:

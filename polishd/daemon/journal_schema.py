@@ -5,15 +5,29 @@ from __future__ import annotations
 import contextlib
 import os
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from polishd.files import sync_folder
 from polishd.model.errors import ConfigError
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
-SCHEMA = """
+QUEUE = """
+CREATE TABLE queue (
+    id INTEGER PRIMARY KEY, place INTEGER NOT NULL, name TEXT NOT NULL, part_id TEXT NOT NULL, path TEXT NOT NULL,
+    content TEXT NOT NULL, files TEXT NOT NULL, added REAL NOT NULL, job INTEGER REFERENCES job, begun REAL,
+    ended REAL, verdict TEXT, reason TEXT NOT NULL DEFAULT '', fault TEXT NOT NULL DEFAULT '');
+CREATE INDEX queue_of_name ON queue (name);
+CREATE INDEX queue_to_do ON queue (place) WHERE ended IS NULL;
+CREATE INDEX map_of_job ON map (job);
+CREATE INDEX phase_of_job ON phase (job);
+CREATE INDEX event_of_job ON event (job);
+"""
+"""What came with format 3 for the queue. A journal knows many jobs: what one of them asks is found by an index."""
+
+SCHEMA = (
+    """
 CREATE TABLE job (
     id INTEGER PRIMARY KEY, name TEXT NOT NULL, part_id TEXT NOT NULL, terms TEXT NOT NULL,
     started REAL NOT NULL, ended REAL, outcome TEXT, detail TEXT, run_dir TEXT NOT NULL DEFAULT '');
@@ -35,6 +49,8 @@ CREATE TABLE event (
     id INTEGER PRIMARY KEY, job INTEGER NOT NULL, at REAL NOT NULL, cycle INTEGER, name TEXT NOT NULL,
     data TEXT NOT NULL);
 """
+    + QUEUE
+)
 """``job.terms`` is JSON, see ``same_job``; ``map.arrays``, ``pass.plan`` and ``pass.start`` name files of the store."""
 
 FROM_1 = """
@@ -45,6 +61,11 @@ ALTER TABLE map ADD COLUMN arrays TEXT NOT NULL DEFAULT '';
 ALTER TABLE pass ADD COLUMN plan TEXT NOT NULL DEFAULT '';
 ALTER TABLE pass ADD COLUMN start TEXT NOT NULL DEFAULT '';
 """
+UPGRADES = {0: SCHEMA, 1: FROM_1 + QUEUE, 2: QUEUE}
+"""From each format to this one."""
+
+OF_A_JOB = ("map", "phase", "pass", "segment", "event", "queue")
+"""Tables whose rows name a job."""
 
 Connect = Callable[[Path], sqlite3.Connection]
 
@@ -57,7 +78,7 @@ def connect(path: Path) -> sqlite3.Connection:
 def open_file(path: Path, connect: Connect = connect) -> sqlite3.Connection:
     """The journal's file with the tables of this format, made or brought up to date; ConfigError where it cannot be.
 
-    Of a file of format 1 a copy stays beside it (``old_copy``).
+    Of a file of an earlier format a copy stays beside it (``old_copy``).
     """
     try:
         connection = connect(path)
@@ -76,19 +97,40 @@ def open_file(path: Path, connect: Connect = connect) -> sqlite3.Connection:
     return connection
 
 
-def old_copy(path: Path) -> Path:
-    """Where a journal of format 1 is kept as it was."""
-    return path.with_suffix(".v1.sqlite")
+def old_copy(path: Path, version: int = 1) -> Path:
+    """Where a journal of an earlier format is kept as it was."""
+    return path.with_suffix(f".v{version}.sqlite")
 
 
 def copy_whole(connection: sqlite3.Connection, path: Path) -> None:
     """A whole, durable copy, as of now, which stands alone."""
+    with _partial(path) as partial, contextlib.closing(sqlite3.connect(partial)) as copy:
+        connection.backup(copy)
+        copy.execute("PRAGMA journal_mode=DELETE")
+
+
+def copy_job(connection: sqlite3.Connection, path: Path, job: int) -> None:
+    """A durable journal of that job alone, as of now: however many there are, it is as large as the job."""
+    with _partial(path) as partial:
+        with contextlib.closing(sqlite3.connect(partial)) as copy:
+            copy.executescript(f"{SCHEMA} PRAGMA user_version={SCHEMA_VERSION};")
+        connection.execute("ATTACH ? AS copy", (str(partial),))
+        try:
+            for table, key in {"job": "id", **dict.fromkeys(OF_A_JOB, "job")}.items():
+                names = ", ".join(row[1] for row in connection.execute(f"PRAGMA copy.table_info({table})"))
+                sql = f"INSERT INTO copy.{table} ({names}) SELECT {names} FROM main.{table} WHERE {key} = ?"  # noqa: S608
+                connection.execute(sql, (job,))
+        finally:
+            connection.execute("DETACH copy")
+
+
+@contextlib.contextmanager
+def _partial(path: Path) -> Iterator[Path]:
+    """A file to write, which becomes ``path`` at the end, durable."""
     partial = path.with_name(f".{path.name}.partial")
     with contextlib.suppress(FileNotFoundError):
         partial.unlink()
-    with contextlib.closing(sqlite3.connect(partial)) as copy:
-        connection.backup(copy)
-        copy.execute("PRAGMA journal_mode=DELETE")
+    yield partial
     with partial.open("rb") as file:
         os.fsync(file.fileno())
     partial.replace(path)
@@ -100,14 +142,14 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> None:
     connection.execute("PRAGMA synchronous=FULL")
     connection.execute("PRAGMA foreign_keys=ON")
     (version,) = connection.execute("PRAGMA user_version").fetchone()
-    if version not in {0, 1, SCHEMA_VERSION}:
+    if version not in {*UPGRADES, SCHEMA_VERSION}:
         raise ConfigError(
             f"{path}: the journal has format {version}, this polishd writes format {SCHEMA_VERSION}; "
             "use the polishd that wrote it, or move the file aside to start a new one"
         )
-    if version == 1:
-        copy_whole(connection, old_copy(path))
+    if version in UPGRADES and version:
+        copy_whole(connection, old_copy(path, version))
     if version != SCHEMA_VERSION:
-        script = SCHEMA if version == 0 else FROM_1
+        script = UPGRADES[version]
         connection.executescript(f"BEGIN IMMEDIATE; {script} PRAGMA user_version={SCHEMA_VERSION}; COMMIT;")
         sync_folder(path.parent)

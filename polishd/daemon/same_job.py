@@ -7,7 +7,7 @@ the values of before; under others they would be taken for what they are not.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -32,7 +32,11 @@ RULES = (
     Rule(("include",), True, "a way to write the same values"),
     Rule(("cell.*",), True, "names and places; the job stays in the run folder in which it began"),
     Rule(("plugins.*",), True, "what a plugin does for the job is named by other keys"),
-    Rule(("robot.*", "actuator.*", "spindle.*", "metrology.*"), True, "how a device is reached, and its time limits"),
+    Rule(
+        ("robot.*", "actuator.*", "spindle.*", "metrology.*", "loader.*"),
+        True,
+        "how a device is reached, and its time limits",
+    ),
     Rule(("roles.*",), False, "another robot or tool removes otherwise, and what was learned is of this one"),
     Rule(("dwell.*",), True, "how the next dwell is chosen; each has a certificate of its own"),
     Rule(("limits.*", "machine.x_mm", "machine.y_mm", "machine.z_mm"), True, "what is refused from now on"),
@@ -55,12 +59,19 @@ def may_change(key: str) -> bool:
 
 def terms_of(config: CellConfig, program_sha256: str) -> dict[str, Any]:
     """All values in force by dotted key, JSON-ready; a file as ``{"file", "sha256"}``, the program's as it was read."""
-    terms = dict(_flat(config.effective()))
-    for key in FILES:
-        if named := terms.get(key):
-            terms[key] = [_file(config, name) for name in named] if isinstance(named, list) else _file(config, named)
+    terms = dict(_flat(config.effective())) | file_terms(config, FILES)
     terms["program.path"]["sha256"] = program_sha256
     return terms
+
+
+def file_terms(config: CellConfig, keys: Iterable[str]) -> dict[str, Any]:
+    """Of those keys, the files that they name: ``{"file", "sha256"}`` each, by key. ConfigError where one is gone."""
+    values = dict(_flat(config.effective()))
+    named = {key: values[key] for key in keys if values.get(key)}
+    return {
+        key: [_file(config, one) for one in name] if isinstance(name, list) else _file(config, name)
+        for key, name in named.items()
+    }
 
 
 def require_same(config: CellConfig, terms: Mapping[str, Any], journal: Journal) -> None:
