@@ -31,7 +31,7 @@ from polishd.hookspecs import DeviceType
 from polishd.model.errors import ConfigError
 from polishd.model.limits import Envelope
 from polishd.model.process import MeasuredTif
-from polishd.ports.devices import ForceActuator, Metrology, Robot, Spindle
+from polishd.ports.devices import ForceActuator, Loader, Metrology, Robot, Spindle
 
 
 class CellConfig(PartDocument):
@@ -46,6 +46,7 @@ class CellConfig(PartDocument):
     robot: Annotated[DeviceSection, Port(Robot)]
     spindle: Annotated[DeviceSection, Port(Spindle)]
     metrology: Annotated[DeviceSection, Port(Metrology, acts=False)]
+    loader: Annotated[DeviceSection | None, Port(Loader)] = None
     roles: Mapping[str, Name] = {}
     """Which of several devices at a port the job uses: ``robot = "left"``."""
     instrument: InstrumentSection = InstrumentSection()

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from polishd.model.times import ActuatorTimes, RobotTimes, SpindleTimes
+from polishd.model.times import ActuatorTimes, LoaderTimes, RobotTimes, SpindleTimes
 
 ANSWERS_S = 3.0
 """What a device may take beyond its own action to confirm it: a link opened again, a few requests."""
@@ -48,7 +48,7 @@ def safe_within_s(times: object) -> float:
     match times:
         case ActuatorTimes():
             return times.lifted_s + ANSWERS_S
-        case RobotTimes():
+        case RobotTimes() | LoaderTimes():
             return times.stop_s + ANSWERS_S
         case SpindleTimes():
             return times.spin_s + ANSWERS_S
