@@ -107,16 +107,12 @@ class LoaderLine:
         await self._order(request)
         while (reading := await self._read()).state is not State.IDLE:
             if reading.state is State.FAULT:
-                what = f"fault {reading.fault} ({reading.faults})"
-                raise DeviceFault(
-                    f"{self._lines.name}: {what} over {request}; clear it at the loader, and reset it there"
-                )
+                what = f"{self._lines.name}: fault {reading.fault} ({reading.faults}) {over}"
+                raise DeviceFault(f"{what}; look what it holds, clear it, and reset it at the loader")
             if reading.state is State.STOPPED or self._stops != stops:
                 raise DeviceRefused(f"{self._lines.name}: was stopped {over}")
             if time.monotonic() > deadline:
-                raise DeviceFault(
-                    f"{self._lines.name}: {request} was not done after {self._times.change_s:g} s; look at it"
-                )
+                raise DeviceFault(f"{self._lines.name}: not done after {self._times.change_s:g} s {over}; look at it")
             await asyncio.sleep(LOOK_S)
 
     async def _stop(self) -> None:
