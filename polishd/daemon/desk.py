@@ -61,7 +61,8 @@ class Desk:
 
     async def list(self) -> Mapping[str, Any]:
         """All jobs."""
-        return {"jobs": [entry.facts() for entry in self._queue.entries()]}
+        entries = await asyncio.to_thread(self._queue.entries)
+        return {"jobs": [entry.facts() for entry in entries]}
 
     async def add(self, path: str, content: str) -> Mapping[str, Any]:
         """Put one at the end."""
@@ -78,6 +79,6 @@ class Desk:
         return await self.list()
 
     async def remove(self, job: str, reason: str = "") -> Mapping[str, Any]:
-        """Take one out that waits."""
+        """Take one out that waits; one under way, too, which is put aside: a daemon refuses that unless it is held."""
         self._queue.remove(job, reason)
         return await self.list()

@@ -23,6 +23,7 @@ from polishd.model.errors import ConfigError
 
 REMOVED = "removed"
 """The verdict of a job that a person took out before it began."""
+BY_A_PERSON = "put aside by a person"
 _COLUMNS = "id, name, part_id, path, content, files, added, job, begun, ended, verdict, reason, fault"
 
 
@@ -80,6 +81,8 @@ class Queue:
 
     def __init__(self, store: Store) -> None:
         self._store = store
+        self._to_do: list[Entry] | None = None
+        """What ``to_do`` answers, for ``status`` does not go to the disk; None: it changed."""
 
     @classmethod
     @contextmanager
@@ -98,11 +101,17 @@ class Queue:
 
     def to_do(self) -> list[Entry]:
         """The one under way, and those that wait, in their order."""
-        return self._where("ended IS NULL ORDER BY begun IS NULL, place")
+        if self._to_do is None:
+            self._to_do = self._where("ended IS NULL ORDER BY begun IS NULL, place")
+        return self._to_do
 
     def under_way(self) -> Entry | None:
         """The job that was begun and has not ended."""
-        return next(iter(self._where("ended IS NULL AND begun IS NOT NULL")), None)
+        return next((entry for entry in self.to_do() if entry.begun_s is not None), None)
+
+    def next(self) -> Entry | None:
+        """The first of those that wait."""
+        return next(iter(self._waiting()), None)
 
     def last_ended(self) -> Entry | None:
         """The job that was worked last."""
@@ -121,7 +130,7 @@ class Queue:
             (place + 1 + n, job.name, job.part_id, str(job.file.path), job.file.text, json.dumps(dict(job.files)))
             for n, job in enumerate(jobs)
         ]
-        self._store.write(*((sql, (*row, time.time())) for row in rows))
+        self._write(*((sql, (*row, time.time())) for row in rows))
 
     def move(self, name: str, where: str, other: str = "") -> None:
         """Put a job that waits ``before`` or ``after`` another one that does, or ``first`` or ``last`` of all."""
@@ -139,24 +148,35 @@ class Queue:
             place for (place,) in self._store.read("SELECT place FROM queue WHERE begun IS NULL AND ended IS NULL")
         )
         sql = "UPDATE queue SET place = ? WHERE id = ?"
-        self._store.write(*((sql, (place, entry.id)) for place, entry in zip(places, order, strict=True)))
+        self._write(*((sql, (place, entry.id)) for place, entry in zip(places, order, strict=True)))
 
     def remove(self, name: str, reason: str = "") -> None:
-        """Take a job out that waits; its row stays, with its end."""
-        self._store.write(self._end_row(_named(self._waiting(), name), REMOVED, reason, ""))
+        """Take a job out that waits; its row stays, with its end. One that no daemon goes on with is put aside."""
+        entry = self.under_way()
+        if entry is None or entry.name != name:
+            self._write(self._end_row(_named(self._waiting(), name), REMOVED, reason, ""))
+            return
+        over = "UPDATE job SET ended = ?, outcome = 'put aside', detail = ? WHERE id = ?"
+        self.end(entry, Verdict("put aside", reason or BY_A_PERSON, ""), (over, (time.time(), reason, entry.job)))
 
     def begin(self, entry: Entry, job: int) -> None:
         """It is under way, as that row of the journal's jobs."""
-        self._store.write(("UPDATE queue SET begun = ?, job = ? WHERE id = ?", (time.time(), job, entry.id)))
+        self._write(("UPDATE queue SET begun = ?, job = ? WHERE id = ?", (time.time(), job, entry.id)))
 
     def end(self, entry: Entry, verdict: Verdict, *also: Row) -> None:
         """It is over, durably, together with other rows; one that never came to its begin has begun and ended now."""
         begun = ("UPDATE queue SET begun = ifnull(begun, ?) WHERE id = ?", (time.time(), entry.id))
-        self._store.write(begun, self._end_row(entry, verdict.how, verdict.reason, verdict.fault), *also)
+        self._write(begun, self._end_row(entry, verdict.how, verdict.reason, verdict.fault), *also)
 
     def _end_row(self, entry: Entry, verdict: str, reason: str, fault: str) -> Row:
         sql = "UPDATE queue SET ended = ?, verdict = ?, reason = ?, fault = ? WHERE id = ?"
         return sql, (time.time(), verdict, reason, fault, entry.id)
+
+    def _write(self, *rows: Row) -> None:
+        try:
+            self._store.write(*rows)
+        finally:
+            self._to_do = None
 
     def _waiting(self) -> list[Entry]:
         return [entry for entry in self.to_do() if entry.begun_s is None]

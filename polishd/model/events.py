@@ -42,6 +42,38 @@ def _plain(value: Any) -> Any:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class JobBegun(Event):
+    """A job of the queue begins; its part is put in next."""
+
+    name: ClassVar[str] = "job_begun"
+    job: Annotated[str, "its `job.id`"]
+    part_id: Annotated[str, "its part"]
+    run_dir: Annotated[str, "the run folder"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PartChanged(Event):
+    """The part of a job is on the seat, as the loader or a person says; its map still has to prove it."""
+
+    name: ClassVar[str] = "part_changed"
+    part_id: Annotated[str, "the part"]
+    by: Annotated[str, "`loader` or `a person`"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JobEnded(Event):
+    """A job of the queue is over."""
+
+    name: ClassVar[str] = "job_ended"
+    job: Annotated[str, "its `job.id`"]
+    part_id: Annotated[str, "its part"]
+    verdict: Annotated[str, "`accepted`, `rejected` or `put aside`"]
+    reason: Annotated[str, "why"]
+    stops: Annotated[str, "why the queue stops over it; empty where it goes on"]
+    run_dir: Annotated[str, "the run folder; empty where the job never began"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Opened(Event):
     """All devices of the cell answered and said who they are."""
 
@@ -162,7 +194,7 @@ class PassEnded(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JobFinished(Event):
-    """The daemon is done, whichever way; the run folder is whole."""
+    """The run of a job is over, whichever way; the run folder is whole."""
 
     name: ClassVar[str] = "job_finished"
     run_dir: Annotated[str, "the run folder"]
@@ -178,7 +210,7 @@ class PlanWritten(Event):
 
 
 EVENTS: tuple[type[Event], ...] = (
-    Opened, StateChanged, Ordered, Held, Failed, Measured, GateStopped, Learned, Solved, PassBegun, Progress, PassEnded,
-    JobFinished, PlanWritten,
+    Opened, StateChanged, Ordered, Held, Failed, JobBegun, PartChanged, Measured, GateStopped, Learned, Solved,
+    PassBegun, Progress, PassEnded, JobFinished, JobEnded, PlanWritten,
 )  # fmt: skip
 """Every kind, in the order in which they come in a job."""

@@ -167,5 +167,8 @@ class Loader(Device, Protocol):
         ...
 
     async def load(self, part_id: str) -> None:
-        """Put that part on the empty seat; returns when the loader is clear. WrongPart where it has no such part."""
+        """Put that part on the empty seat, or leave it there; returns when the loader is clear of the cell.
+
+        WrongPart where it has no such part; DeviceRefused where another one is on the seat.
+        """
         ...

@@ -46,6 +46,12 @@ async def test_an_empty_seat_is_unloaded_already(opened: Loader) -> None:
     assert await opened.loaded() is None
 
 
+async def test_a_part_that_is_there_stays(opened: Loader) -> None:
+    for _ in range(2):
+        await opened.load(OTHER)
+        assert await opened.loaded() == OTHER
+
+
 async def test_a_part_that_it_has_not_is_the_wrong_part(opened: Loader) -> None:
     with pytest.raises(WrongPart, match="has no part 'P-2'"):
         await opened.load("P-2")

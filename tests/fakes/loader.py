@@ -70,6 +70,8 @@ class FakeLoader(Peer):
             return "ERR,busy,it moves" if self.state == 1 else "ERR,fault,a fault is set"
         if name == "LD" and part.replace("%20", " ") not in self.magazine:
             return "ERR,part,no such part"
+        if name == "LD" and self.seat == part:
+            return "OK"
         if name == "LD" and self.seat:
             return "ERR,occupied,a part is on the seat"
         self._order, self._until, self._stopped = request, time.monotonic() + self.move_s, False

@@ -56,9 +56,11 @@ class Arm:
         return self.says or self.seat
 
     def load(self, part: str) -> Refusal:
-        """Begin to put a part on, or go on with that."""
+        """Begin to put a part on, or go on with that; nothing is to be done where it is there."""
         if self.store and part not in self.store:
             return "part"
+        if self.seen == part and self._order is None and not self.fault:
+            return ""
         return self._begin(part, self.load_s, "occupied" if self.seat else "")
 
     def unload(self) -> Refusal:

@@ -86,8 +86,18 @@ def test_the_job_under_way_comes_first_and_is_not_moved(tmp_path: Path) -> None:
         for wrong in ("a", "x"):
             with pytest.raises(ConfigError, match=rf"no job '{wrong}' waits in the queue.*There wait: 'b', 'c'"):
                 queue.move(wrong, "last")
-        with pytest.raises(ConfigError, match="no job 'a' waits"):
-            queue.remove("a")
+
+
+def test_a_job_under_way_that_nobody_goes_on_with_is_put_aside(tmp_path: Path) -> None:
+    with Journal.of_cell(tmp_path) as journal:
+        queue = Queue(journal.store)
+        queue.add([job("a")])
+        queue.begin(queue.to_do()[0], journal.of_job("a", "P-1", {}).number)
+    with Queue.at_rest(tmp_path) as queue:
+        queue.remove("a", "broken")
+        assert [(entry.state, entry.reason) for entry in queue.entries()] == [("put aside", "broken")]
+    with Journal.open(tmp_path, job="a", part_id="P-1") as journal:
+        assert not journal.resumed
 
 
 def test_moving_says_what_is_no_place(queue: Queue) -> None:

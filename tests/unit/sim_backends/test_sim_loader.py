@@ -44,6 +44,11 @@ def test_a_part_goes_and_another_comes() -> None:
     assert bench.told == ["loader_moves", "loader_clear"] * 2
 
 
+def test_a_part_that_is_there_stays() -> None:
+    bench = Bench()
+    assert (bench.arm.load("P-1"), bench.arm.state, bench.seats) == ("", IDLE, [])
+
+
 def test_it_takes_its_time_and_refuses_others_meanwhile() -> None:
     bench = Bench(seat="")
     assert bench.arm.load("P-2") == ""
@@ -119,6 +124,7 @@ def test_its_line_is_that_of_the_document() -> None:
     assert ask("load") == [LINES["ok"]]
     bench.after(2.0)
     assert ask("status_request") == [LINES["status"]]
-    (busy,) = slave.feed(b"garbage\r\n" + LINES["load"] + b"\r\n")
-    assert b"ERR,occupied," in busy
+    bench.arm.seat = "P-1"
+    (occupied,) = slave.feed(b"garbage\r\n" + LINES["load"] + b"\r\n")
+    assert b"ERR,occupied," in occupied
     assert list(slave.feed(LINES["load"].replace(b"lens", b"lend") + b"\r\n")) == [], "its checksum is wrong"
