@@ -113,9 +113,12 @@ def _tell_last(last: Mapping[str, Any], name: str, cell: Path) -> None:
 
 
 def order_verb(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:
-    """Give the running daemon an order; returns when it is obeyed."""
+    """Give the running daemon an order; returns when it is obeyed, and ends with the error where it is refused."""
     config = load_config(cell)
     answer = client.request(config.state_dir, verb, args={"reason": reason} if reason else {})
+    if not answer["ok"]:
+        typer.echo(json.dumps(answer) if as_json else f"polishd: {answer['error']}", err=not as_json)
+        raise typer.Exit(answer.get("exit_code", 1))
     rows = [(key, for_cell(str(value), cell)) for key, value in answer.items() if value]
     emit(answer, as_json=as_json, table=lambda: key_table(f"{config.cell.name}: {verb}", rows))
 

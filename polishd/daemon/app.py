@@ -29,6 +29,7 @@ from polishd.daemon.log import logging_to
 from polishd.daemon.priority import loop_first
 from polishd.daemon.same_job import require_same, terms_of
 from polishd.daemon.service import serving
+from polishd.daemon.states import State
 from polishd.hooks.loader import Hooks
 from polishd.model import events
 from polishd.model.cycle import Outcome
@@ -171,7 +172,7 @@ async def _run_job(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[st
                 lookahead_s=config.job.lookahead_s,
             )
             await job.load()
-            daemon = Daemon(ready.cell, job, journal, bus, holds=holds)
+            daemon = Daemon(ready.cell, job, bus, holds=holds)
             with stopping.telling(daemon):
                 return await _serve(config, daemon, folder)
     finally:
@@ -185,7 +186,7 @@ async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[
     outcome = Outcome.STOPPED
     async with serving(config.state_dir, daemon.handlers, daemon.bus):
         try:
-            await daemon.become("starting", "")
+            await daemon.become(State.STARTING, "")
             outcome = await daemon.run()
         except Exception as error:
             log.exception("the daemon ends")
@@ -210,7 +211,7 @@ async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[
             summary["notes"] = [*summary["notes"], f"{folder.path} is not whole: {error}"]
             summary["exit_code"] = summary["exit_code"] or getattr(error, "exit_code", 1)
         with suppress(PolishdError):  # of a lost journal, which has been told
-            await daemon.become("finished", summary["outcome"])
+            await daemon.become(State.FINISHED, summary["outcome"])
             daemon.flush()
     return summary
 

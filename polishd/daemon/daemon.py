@@ -1,19 +1,19 @@
 """The daemon of one cell: one job, and the person who may hold, resume or stop it.
 
-States: ``starting``, ``polishing``, ``held`` (safe, waits for a person) and ``finished``. Hold, stop, SIGTERM and every
-error leave contact in the same order (``safety.make_safe``). After an interruption nothing moves until ``resume``. An
-error that a person can mend holds, any other one ends the daemon (docs/cycle.md).
+It goes from state to state by the table in ``states``. Hold, stop, SIGTERM and every error leave contact in the same
+order (``safety.make_safe``). After an interruption nothing moves until ``resume``. An error that a person can mend
+holds, any other one ends the daemon (docs/cycle.md).
 """
 
 from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.cycle import polish
@@ -21,65 +21,61 @@ from polishd.daemon.endings import NEXT, causes, gone, standing
 from polishd.daemon.events import EventBus
 from polishd.daemon.interruption import settle
 from polishd.daemon.job import Job
-from polishd.daemon.journal import Journal
-from polishd.daemon.safety import make_safe, most_telling
+from polishd.daemon.orders import Order, Orders, unless
+from polishd.daemon.safety import make_safe
 from polishd.daemon.service import Handler
+from polishd.daemon.states import ORDERS, State, Trigger, following, obeyed
 from polishd.model import events
 from polishd.model.cycle import EXIT_CODES, Outcome
-from polishd.model.errors import PolishdError
+from polishd.model.errors import DeviceFault, DeviceRefused, PolishdError
 from polishd.recipe.folder import RunFolder
 
 log = logging.getLogger(__name__)
 
-State = Literal["starting", "polishing", "held", "finished"]
-ORDERS: Mapping[str, tuple[State, ...]] = {
-    "hold": ("held", "finished"),
-    "resume": ("polishing", "finished"),
-    "stop": ("finished",),
-    "estop": ("held", "finished"),
-}
-"""Verbs that change something, and the states in which they are obeyed."""
 ORDERED, STOPPED, BEGUN = "held by order", "stopped by order", "this job was begun earlier"
 EMERGENCY = "motion was stopped at once, by order"
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
-    """What somebody wants."""
+class Turn:
+    """What ended a state's work, and what is known of it."""
 
-    verb: str
+    trigger: Trigger
     reason: str = ""
-
-    def said(self, word: str) -> str:
-        """With the reason that was given."""
-        return f"{word}: {self.reason}" if self.reason else word
+    outcome: Outcome = Outcome.STOPPED
+    error: Exception | None = None
 
 
 class Daemon:
-    """Runs a job, and obeys orders at once."""
+    """Runs a job on a cell that it opens and closes, and obeys orders at once."""
 
-    def __init__(self, cell: Cell, job: Job, journal: Journal, bus: EventBus, *, holds: bool = True) -> None:
+    def __init__(self, cell: Cell, job: Job, bus: EventBus, *, holds: bool = True) -> None:
         self.job = job
+        """The one under way, with the journal that knows it."""
         self.bus = bus
         self._cell = cell
-        self._journal = journal
         self._holds = holds
         """Wait for a person where one can mend the cause; else end with it."""
-        self._last = Order("resume")
-        """The last order: one that came with an error is not forgotten over it."""
-        self._orders: asyncio.Queue[Order] = asyncio.Queue()
+        self._error: Exception | None = None
+        """What it is held over."""
+        self._orders = Orders()
         self._changed = asyncio.Condition()
-        self.state: State = "starting"
+        self._does: Mapping[State, Callable[[], Awaitable[Turn]]] = {
+            State.STARTING: self._start,
+            State.POLISHING: self._polish,
+            State.HELD: self._wait,
+        }
+        self.state = State.STARTING
         self.reason = ""
 
     @property
     def handlers(self) -> dict[str, Handler]:
         """Who obeys the verbs of the socket."""
-        return {"status": self.status, **{verb: partial(self._order, verb) for verb in ORDERS}}
+        return {"status": self.status, **{verb.value: partial(self._order, verb) for verb in ORDERS}}
 
     async def status(self) -> Mapping[str, Any]:
         """State, why, and what was measured so far."""
-        cycle, phase = self._journal.phase_now
+        cycle, phase = self.job.journal.phase_now
         return {
             "state": self.state,
             "reason": self.reason,
@@ -98,14 +94,15 @@ class Daemon:
 
     def stop(self) -> None:
         """As SIGTERM does."""
-        self._orders.put_nowait(Order("stop"))
+        self._orders.give(Order(Trigger.STOP))
 
     async def run(self) -> Outcome:
-        """Until the job ends, or a person ends it. Raises what ended it otherwise; the cell is safe and closed then."""
-        await self._cell.open()
-        self.bus.publish(events.Opened(devices=self._cell.identities))
+        """From state to state until the job ends, or a person ends it; the cell is safe and closed then.
+
+        Raises what ended it otherwise.
+        """
         try:
-            outcome = await self._until_done()
+            outcome = await self._until_finished()
         except BaseException as error:
             try:
                 await self._leave()
@@ -115,9 +112,27 @@ class Daemon:
         await self._leave()
         return outcome
 
+    async def _until_finished(self) -> Outcome:
+        while True:
+            try:
+                turn = await self._does[self.state]()
+            except Exception as error:  # noqa: BLE001 - it is raised below, or a person is asked to mend it
+                turn = self._failed(error)
+            state = following(self.state, turn.trigger, unattended=not self._holds)
+            if state is State.FINISHED:
+                if turn.error is not None:
+                    raise turn.error
+                self.reason = turn.reason or self.reason
+                return turn.outcome
+            if turn.trigger in {Trigger.MENDABLE, Trigger.UNSAFE}:
+                self.bus.publish(events.Held(error=str(turn.error), kind=type(turn.error).__name__))
+            self._error = turn.error
+            await self.become(state, turn.reason)
+
     async def _leave(self) -> None:
-        await make_safe(self._cell)
-        await self._cell.close()
+        if self._cell.identities:
+            await make_safe(self._cell)
+            await self._cell.close()
 
     def _standing(self, state: str, reason: str) -> events.StateChanged:
         """By what the devices confirmed."""
@@ -127,19 +142,21 @@ class Daemon:
         """Leave journal and summary in the run folder, and tell whoever reports."""
         try:
             if summary["outcome"] == outcome.value and outcome is not Outcome.STOPPED:
-                self._journal.record_outcome(outcome)
+                self.job.journal.record_outcome(outcome)
             folder.json("summary.json", summary)
-            await asyncio.to_thread(self._journal.copy_to, folder.path / "journal.sqlite")  # others may be in contact
+            await asyncio.to_thread(
+                self.job.journal.copy_to, folder.path / "journal.sqlite"
+            )  # others may be in contact
         finally:
             self.bus.publish(events.JobFinished(run_dir=str(folder.path), outcome=summary["outcome"]))
 
     def flush(self) -> None:
         """Make durable what the journal still buffers."""
-        self._journal.flush()
+        self.job.journal.flush()
 
     def last_words(self, outcome: Outcome, failure: Exception | None) -> dict[str, Any]:
         """The end as ``status`` tells it when no daemon runs: how, why, how the cell stands, and what to do."""
-        found = causes(self._journal, failure)
+        found = causes(self.job.journal, failure)
         reason = f"{type(failure).__name__}: {failure}" if failure else self.reason
         return {
             **self._standing("failed" if failure else outcome.value, reason).data,
@@ -160,39 +177,76 @@ class Daemon:
                 cycle["how"] = "interrupted"  # it is over now; the next start settles it in the journal
         return found
 
-    async def _until_done(self) -> Outcome:
+    # what happens in each state
+
+    async def _start(self) -> Turn:
+        stop = await unless(self._orders.asked_to_stop(), self._cell.open())
+        if stop is not None:
+            return Turn(Trigger.STOP, self._stopped_by(stop))
+        self.bus.publish(events.Opened(devices=self._cell.identities))
+        if (found := await self._made_safe()) is not None:
+            return found
+        return Turn(Trigger.INTERRUPTED, BEGUN) if self.job.journal.resumed else Turn(Trigger.READY)
+
+    async def _polish(self) -> Turn:
+        self._cell.emergency = False
+        journal = self.job.journal
+        done: list[Outcome] = []
+
+        async def work() -> None:
+            done.append(await polish(self._cell, self.job, journal))
+
+        try:
+            order = await unless(self._orders.interrupting(), work(), journal.lost())
+        except PolishdError as error:
+            turn = self._failed(error)
+            if turn.trigger is not Trigger.MENDABLE:
+                return turn
+            await make_safe(self._cell)
+            stopped = self._orders.last.verb is Trigger.STOP  # in the same moment
+            return replace(turn, trigger=Trigger.STOP, reason=self._stopped_by(self._orders.last)) if stopped else turn
+        if order is None:
+            return Turn(Trigger.DONE, outcome=done[0])
+        if order.verb is Trigger.STOP:
+            return Turn(Trigger.STOP, self._stopped_by(order))
         await make_safe(self._cell)
-        held = await settle(self._cell, self._journal) or (BEGUN if self._journal.resumed else "")
-        if held and not self._holds:
-            self.reason = held
-            return Outcome.STOPPED
-        error: PolishdError | None = None
-        while True:
-            if held and not await self._wait_for_resume(held):
-                if error is not None:
-                    raise error  # nobody has mended it
-                return Outcome.STOPPED
-            self._cell.emergency = False
-            await self.become("polishing", "")
-            try:
-                outcome = await self._polish(mended=error is not None)
-            except PolishdError as failure:
-                if not self._can_wait_for(failure):
-                    raise
-                error, held = failure, self._held_over(failure)
-                continue
-            if outcome is not None:
-                return outcome
-            error, held = None, self._held_by(self._last, await settle(self._cell, self._journal))
+        settled = "" if self._cell.unsafe else await settle(self._cell, journal)
+        return Turn(order.verb, self._held_by(order, settled))
 
-    def _can_wait_for(self, failure: PolishdError) -> bool:
-        """Whether a person can mend it while the daemon waits; not where it cut off a pass."""
-        return self._holds and failure.mendable and all(record.ended_s is not None for record in self._journal.passes)
+    async def _wait(self) -> Turn:
+        """Until an order changes something, or is refused."""
+        order = await self._orders.next()
+        if order.verb is Trigger.STOP:
+            return Turn(order.verb, self._stopped_by(order), error=self._error)
+        if order.verb is not Trigger.RESUME:
+            said = f"{self.reason}; {order.said(ORDERED)}" if order.reason else self.reason
+            return Turn(order.verb, said, error=self._error)
+        try:
+            await self._cell.restore_links()  # out of contact: what was lost meanwhile is opened again
+            refused = await self._made_safe()
+        except PolishdError:
+            order.refused = True
+            raise
+        order.refused = refused is not None
+        return refused or Turn(Trigger.RESUME)
 
-    def _held_over(self, failure: PolishdError) -> str:
-        kind = type(failure).__name__
-        self.bus.publish(events.Held(error=str(failure), kind=kind))
-        return f"{kind}: {failure}"
+    async def _made_safe(self) -> Turn | None:
+        """None where every device confirmed, and no pass was left open; nothing is measured or moved before."""
+        await make_safe(self._cell)
+        if self._cell.unsafe:
+            error = DeviceFault(f"not confirmed to be safe: {'; '.join(self._cell.unsafe)}")
+            return self._failed(error, Trigger.UNSAFE)
+        settled = await settle(self._cell, self.job.journal)
+        return Turn(Trigger.INTERRUPTED, settled) if settled else None
+
+    def _failed(self, error: Exception, mended: Trigger = Trigger.MENDABLE) -> Turn:
+        """A person is asked to mend what can be while the daemon waits; not where it cut off a pass."""
+        waits = isinstance(error, PolishdError) and error.mendable and bool(self._cell.identities)
+        if self.state is State.POLISHING:
+            waits = waits and all(record.ended_s is not None for record in self.job.journal.passes)
+        return Turn(mended if waits else Trigger.ERROR, f"{type(error).__name__}: {error}", error=error)
+
+    # orders
 
     def _held_by(self, order: Order, settled: str) -> str:
         """The order, where it says more than what it interrupted."""
@@ -200,67 +254,27 @@ class Daemon:
         said += [order.said(ORDERED)] if order.reason or not settled else []
         return "; ".join([*said, settled] if settled else said)
 
-    async def _polish(self, *, mended: bool) -> Outcome | None:
-        """The outcome of the job, or None when it was held."""
-        try:
-            async with asyncio.TaskGroup() as group:
-                work = group.create_task(self._work(mended=mended), name="polish")
-                order = group.create_task(self._interrupting(), name="orders")
-                journal = group.create_task(self._journal.lost(), name="journal")
-                await asyncio.wait({work, order, journal}, return_when=asyncio.FIRST_COMPLETED)
-                for task in (work, order, journal):
-                    task.cancel()
-        except BaseExceptionGroup as errors:
-            raise most_telling(errors) from errors
-        if not work.cancelled():
-            return work.result()
-        return Outcome.STOPPED if order.result().verb == "stop" else None
-
-    async def _work(self, *, mended: bool) -> Outcome:
-        if mended:  # out of contact: what was lost meanwhile is opened again before anybody measures
-            await self._cell.restore_links()
-            await make_safe(self._cell)
-        return await polish(self._cell, self.job, self._journal)
-
-    async def _interrupting(self) -> Order:
-        """The next order that ends polishing."""
-        while (order := await self._orders.get()).verb == "resume":
-            pass
-        self._last = order
-        self._stopped_by(order)
-        return order
-
-    async def _wait_for_resume(self, reason: str) -> bool:
-        await make_safe(self._cell)
-        if self._last.verb == "stop":
-            return False
-        await self.become("held", reason)
-        while (order := await self._orders.get()).verb in {"hold", "estop"}:
-            if order.reason:
-                await self.become("held", f"{self.reason}; {order.said(ORDERED)}")
-        self._stopped_by(order)
-        return order.verb == "resume"
-
-    def _stopped_by(self, order: Order) -> None:
+    def _stopped_by(self, order: Order) -> str:
         """What was said with the order to stop is told at the end."""
-        if order.verb == "stop" and order.reason:
-            self.reason = f"{order.said(STOPPED)}; {self.reason}".removesuffix("; ")
+        return f"{order.said(STOPPED)}; {self.reason}".removesuffix("; ") if order.reason else self.reason
 
     async def become(self, state: State, reason: str) -> None:
-        """Change state; whoever waits for an order to be obeyed is told."""
+        """Change state; whoever waits for an order to be obeyed, or refused, is told."""
         async with self._changed:
             self.state, self.reason = state, reason
             self._changed.notify_all()
-        known = state in {"held", "finished"}  # meanwhile it may be killed
+        known = state in {State.HELD, State.FINISHED}  # meanwhile it may be killed
         self.bus.publish(self._standing(state, reason) if known else standing(state, reason, gone(self._cell.acting)))
 
-    async def _order(self, verb: str, reason: str = "") -> Mapping[str, Any]:
-        """Give an order and answer when it is obeyed."""
+    async def _order(self, verb: Trigger, reason: str = "") -> Mapping[str, Any]:
+        """Give an order and answer when it is obeyed; DeviceRefused with the reason why the cell stays held."""
         order = Order(verb, " ".join(reason.split()))
-        self._cell.emergency = self._cell.emergency or verb == "estop"
-        self._orders.put_nowait(order)
+        self._cell.emergency = self._cell.emergency or verb is Trigger.ESTOP
+        self._orders.give(order)
         with suppress(PolishdError):  # a lost journal: polishing ends over it, and the order is obeyed all the same
             self.bus.publish(events.Ordered(order=verb, reason=order.reason))
         async with self._changed:
-            await self._changed.wait_for(lambda: self.state in ORDERS[verb])
+            await self._changed.wait_for(lambda: order.refused or self.state in obeyed(verb))
+        if order.refused and self.state is State.HELD:
+            raise DeviceRefused(f"{verb} is refused, the cell stays held: {self.reason}")
         return {"state": self.state, "reason": self.reason, "next": NEXT.get(self.state, "")}

@@ -16,6 +16,7 @@ from typing import Any
 
 from polishd.config.cell import port_of
 from polishd.daemon.journal import Journal
+from polishd.daemon.states import State
 from polishd.files import write_atomic
 from polishd.model.errors import PolishdError
 from polishd.model.events import Event, StateChanged
@@ -26,6 +27,8 @@ RECORD_NAME = "ending.json"
 _AGAIN = "polishd run CELL.toml; it comes up held, and polishd resume CELL.toml starts with a new measurement"
 _OVER = "look at report.html in the run folder; this job is over, polishd run CELL.toml begins a new one"
 NEXT: Mapping[str, str] = {
+    "idle": "polishd job add CELL.toml JOB.toml adds a job to the queue; polishd stop CELL.toml ends the daemon",
+    "changing": "where there is no loader: put the part in, then polishd resume CELL.toml",
     "held": (
         "when nothing is left to mend: polishd resume CELL.toml goes on, with a new measurement first; a file of the "
         "cell that was changed counts only after polishd stop CELL.toml and polishd run CELL.toml"
@@ -103,7 +106,7 @@ def keeping(state_dir: Path, run_dir: Path) -> Callable[[Event], None]:
     """A sink for the bus that keeps what each change of state says, for the case that the daemon is killed."""
 
     def keep(event: Event) -> None:
-        if isinstance(event, StateChanged) and event.state != "finished":
+        if isinstance(event, StateChanged) and event.state != State.FINISHED:
             keep_ending(state_dir, {**event.data, "run_dir": str(run_dir)})
 
     return keep
@@ -126,7 +129,7 @@ def last_ending(state_dir: Path) -> Mapping[str, Any]:
     try:
         facts: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         state, reason = facts["state"], facts["reason"]
-        if state not in {"starting", "polishing", "held"}:
+        if state not in set(State) - {State.FINISHED}:
             return facts
         was = f"the daemon was killed, or its machine went down, while {state}{f': {reason}' if reason else ''}"
         return {**facts, **standing("killed", was, tuple(facts["unsafe"])).data}

@@ -267,6 +267,17 @@ def test_orders(polishd: Polishd, files: DemoFiles, verb: str, monkeypatch: pyte
     assert asked == [(files.state_dir, verb, args) for args in ({}, {"reason": "a scratch"})]
 
 
+def test_an_order_that_is_refused_says_why_and_ends_so(
+    polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer = {"ok": False, "error": "resume is refused: spindle: deaf", "exit_code": 5}
+    monkeypatch.setattr(client, "request", lambda *_, **__: answer)
+    people = polishd("resume", files.cell)
+    assert (people.code, people.out, people.err) == (5, "", "polishd: resume is refused: spindle: deaf\n")
+    programs = polishd("resume", files.cell, "--json")
+    assert (programs.code, json.loads(programs.out)) == (5, answer)
+
+
 def test_status(polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPatch) -> None:
     answer = {
         "ok": True,

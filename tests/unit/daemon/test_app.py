@@ -22,7 +22,15 @@ from polishd.daemon.events import EventBus
 from polishd.daemon.journal import Journal
 from polishd.model.cycle import Outcome
 from polishd.model.devices import Executed
-from polishd.model.errors import BadMap, ConfigError, LinkError, PolishdError, SafetyStop
+from polishd.model.errors import (
+    BadMap,
+    ConfigError,
+    DeviceFault,
+    DeviceRefused,
+    LinkError,
+    PolishdError,
+    SafetyStop,
+)
 from polishd.model.events import Event, Ordered
 from polishd.model.program import Program
 from tests.unit.daemon.small import (
@@ -56,7 +64,7 @@ class Running:
         self.told: list[Event] = []
         job = bench.job(**{"recipe": small_recipe(tolerance_nm=1.5)} | changes)
         bus = EventBus(sinks=(bench.journal.record_event, self.told.append))
-        self.daemon = Daemon(bench.fake.cell, job, bench.journal, bus, holds=holds)
+        self.daemon = Daemon(bench.fake.cell, job, bus, holds=holds)
         self.task: asyncio.Task[Outcome] | None = None
 
     async def __aenter__(self) -> Self:
@@ -118,12 +126,65 @@ async def test_an_error_in_contact_leaves_the_cell_safe_and_closed(bench: Bench)
     assert bench.fake.events[-7:] == [*SAFE, *CLOSED]
 
 
-async def test_a_cell_that_cannot_be_made_safe_is_closed_and_told(bench: Bench) -> None:
-    bench.fake.spindle.acts.fails["make_safe"] = LinkError("deaf")
+async def test_a_cell_that_is_not_safe_is_held_until_it_is(bench: Bench) -> None:
+    spindle = bench.fake.spindle.acts
+    spindle.fails["make_safe"] = LinkError("deaf")
     async with Running(bench) as running:
-        await running.outcome()
+        await running.held()
+        assert running.daemon.reason == "DeviceFault: not confirmed to be safe: spindle: deaf"
         assert (await running.daemon.status())["unsafe"] == ["spindle: deaf"]
+        with pytest.raises(DeviceRefused, match=r"resume is refused, the cell stays held: DeviceFault: .* deaf"):
+            await running.daemon.handlers["resume"]()
+        assert bench.fake.of(*MOVES, "metrology.next_map") == []
+        spindle.fails.clear()
+        assert (await running.daemon.handlers["resume"]())["state"] == "polishing"
+        assert await running.outcome() is Outcome.IN_TOLERANCE
+    assert running.states() == ["held", "held", "polishing"]
     assert bench.fake.events[-4:] == CLOSED
+
+
+async def test_a_cell_that_is_not_safe_ends_where_nobody_is_there(bench: Bench) -> None:
+    bench.fake.spindle.acts.fails["make_safe"] = LinkError("deaf")
+    async with Running(bench, holds=False) as running:
+        with pytest.raises(DeviceFault, match="spindle: deaf"):
+            await running.outcome()
+    assert bench.fake.of(*MOVES, "metrology.next_map") == []
+    assert bench.fake.events[-4:] == CLOSED
+
+
+async def test_a_pass_is_settled_once_the_cell_is_safe_and_told_before_it_goes_on(tmp_path: Path) -> None:
+    begin_earlier(tmp_path, interrupted=True)
+    with open_journal(tmp_path) as journal:
+        bench = Bench(tmp_path, journal)
+        bench.fake.robot.acts.fails["make_safe"] = LinkError("it still moves")
+        async with Running(bench) as running:
+            await running.held()
+            assert journal.unfinished() is not None, "a robot that may move has not done yet"
+            bench.fake.robot.acts.fails.clear()
+            with pytest.raises(DeviceRefused, match="pass 0 was interrupted: 1 of 300"):
+                await running.daemon.handlers["resume"]()
+            assert bench.fake.of(*MOVES, "metrology.next_map") == []
+            await running.daemon.handlers["resume"]()
+            assert await running.outcome() is Outcome.IN_TOLERANCE
+
+
+async def test_a_start_that_waits_for_a_device_can_be_stopped(bench: Bench) -> None:
+    bench.fake.spindle.acts.hangs.add("open")
+    async with Running(bench) as running:
+        while "spindle.open" not in bench.fake.events:  # noqa: ASYNC110
+            await asyncio.sleep(0)
+        hold = asyncio.create_task(running.daemon.handlers["hold"]())
+        await asyncio.sleep(0)
+        running.daemon.stop()
+        assert await running.outcome() is Outcome.STOPPED
+        hold.cancel()
+    assert bench.fake.events[-4:] == CLOSED
+
+
+async def test_hold_at_a_start_holds_when_the_cell_is_open(bench: Bench) -> None:
+    async with Running(bench) as running:
+        assert (await running.daemon.handlers["hold"]())["state"] == "held"
+        assert bench.moved() == []
 
 
 async def test_a_device_that_is_not_there(bench: Bench) -> None:
@@ -203,7 +264,8 @@ async def test_hold_leaves_contact_and_resume_measures_first(bench: Bench) -> No
         count = len(bench.fake.events)
         assert (await verbs["resume"]())["state"] == "polishing"
         assert await running.outcome() is Outcome.IN_TOLERANCE
-    assert bench.fake.events[count] == "metrology.next_map", "nothing moves before a new measurement"
+    since = [event for event in bench.fake.events[count:] if event.startswith((*MOVES, "metrology.next_map"))]
+    assert since[0] == "metrology.next_map", "nothing moves before a new measurement"
     assert [record.cycle for record in bench.journal.passes][:2] == [0, 1], "pass 0 is not run again"
     assert running.states() == ["polishing", "held", "polishing"]
 

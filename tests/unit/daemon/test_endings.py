@@ -117,8 +117,8 @@ async def test_a_link_that_was_lost_is_opened_again_before_anybody_measures(benc
         await running.held()
         assert "LinkError: spindle: gone" in running.daemon.reason
         maps = len(bench.fake.of("next_map"))
-        await running.daemon.handlers["resume"]()
-        await running.held()
+        with pytest.raises(DeviceRefused, match="resume is refused, the cell stays held: LinkError: spindle: gone"):
+            await running.daemon.handlers["resume"]()
         assert len(bench.fake.of("next_map")) == maps, "nobody measures for a cell that cannot polish"
         bench.fake.metrology.acts.before.clear()
         spindle.fails.clear()
@@ -270,7 +270,8 @@ async def test_a_device_that_did_not_confirm_is_named_when_no_daemon_runs_any_mo
     def deaf(config: Any, hooks: Any) -> Any:
         found = build(config, hooks)
         assert site.bench is not None
-        site.bench.fake.actuator.acts.fails["make_safe"] = LinkError("no answer")
+        actuator = site.bench.fake.actuator.acts
+        actuator.before["set_force"] = lambda: actuator.fails.update({"make_safe": LinkError("no answer")})
         return found
 
     monkeypatch.setattr(app, "build_cell", deaf)

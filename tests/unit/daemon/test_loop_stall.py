@@ -213,7 +213,7 @@ async def test_the_loop_is_never_held_for_long_in_contact(tmp_path: Path, monkey
         monkeypatch.setattr(job, "learn", learn_nothing)
         monkeypatch.setattr(job, "diverges", lambda surface: False)  # the maps are of no one part
         monkeypatch.setattr(job, "plan", functools.partial(with_long_plan, job.plan))
-        daemon, asker = Daemon(cell, job, journal, bus), Asker(tmp_path)
+        daemon, asker = Daemon(cell, job, bus), Asker(tmp_path)
         async with serving(tmp_path, daemon.handlers, bus):
             asker.start()
             try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from polishd.daemon.daemon import ORDERS
 from polishd.daemon.verbs import VERBS, Verb
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "cycle.md"
@@ -19,7 +18,3 @@ def row(verb: Verb) -> str:
 def test_the_docs_have_every_verb_with_its_arguments() -> None:
     table = ["| verb | what | changes anything | arguments |", "|---|---|---|---|", *map(row, VERBS.values())]
     assert "\n".join(table) in DOCS.read_text(), "\n".join(table)
-
-
-def test_the_orders_are_those_that_change_something() -> None:
-    assert set(ORDERS) == {verb.name for verb in VERBS.values() if verb.changes == "an order"}

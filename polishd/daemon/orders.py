@@ -1,0 +1,74 @@
+"""What a person wants: orders that were given and are not taken yet, and work that they end."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Coroutine
+from dataclasses import dataclass
+from typing import Any
+
+from polishd.daemon.safety import most_telling
+from polishd.daemon.states import Trigger
+
+
+@dataclass(slots=True)
+class Order:
+    """One of ``states.ORDERS``, and why."""
+
+    verb: Trigger
+    reason: str = ""
+    refused: bool = False
+    """It was tried, and the cell did not come to it."""
+
+    def said(self, word: str) -> str:
+        """With the reason that was given."""
+        return f"{word}: {self.reason}" if self.reason else word
+
+
+class Orders:
+    """In the order in which they came."""
+
+    def __init__(self) -> None:
+        self._waiting: asyncio.Queue[Order] = asyncio.Queue()
+        self.last = Order(Trigger.RESUME)
+        """The last one that ended polishing: where it came with an error, it is not forgotten over it."""
+
+    def give(self, order: Order) -> None:
+        """It is taken as soon as what happens now can be ended."""
+        self._waiting.put_nowait(order)
+
+    async def next(self) -> Order:
+        """Any."""
+        return await self._waiting.get()
+
+    async def interrupting(self) -> Order:
+        """The next one that ends polishing."""
+        while (order := await self._waiting.get()).verb is Trigger.RESUME:
+            pass
+        self.last = order
+        return order
+
+    async def asked_to_stop(self) -> Order:
+        """While the cell is opened. All orders stay where they are: should it be open just now, they come next."""
+        seen: list[Order] = []
+        try:
+            while not seen or seen[-1].verb is not Trigger.STOP:
+                seen.append(await self._waiting.get())
+            return seen[-1]
+        finally:
+            for order in seen:
+                self._waiting.put_nowait(order)
+
+
+async def unless(order: Coroutine[Any, Any, Order], *work: Coroutine[Any, Any, None]) -> Order | None:
+    """The order that ended the work, or None where the work, the first of them, came to its end."""
+    try:
+        async with asyncio.TaskGroup() as group:
+            ordered = group.create_task(order, name="orders")
+            tasks = [group.create_task(one, name="work") for one in work]
+            await asyncio.wait({ordered, *tasks}, return_when=asyncio.FIRST_COMPLETED)
+            for task in (ordered, *tasks):
+                task.cancel()
+    except BaseExceptionGroup as errors:
+        raise most_telling(errors) from errors
+    return ordered.result() if tasks[0].cancelled() else None
