@@ -58,17 +58,21 @@ def demo(
 
 @app.command()
 def run(
+    *,
     cells: Annotated[
         list[Path], Argument(metavar="CELL.toml...", help="Each cell's configuration.", show_default=False)
     ],
     correction: Correction = None,
     no_hold: Annotated[bool, Option("--no-hold", help="End where it would wait for a person to mend.")] = False,
+    queue: Annotated[bool, Option("--queue", help="Work the queue of polishd job; wait for more.")] = False,
+    until_empty: Annotated[bool, Option("--until-empty", help="With --queue: end when no job waits.")] = False,
     as_json: Json = False,
 ) -> None:
     """Run the daemon of a cell, or of several, until their jobs end. After an interruption one comes up held."""
     from polishd.console.run import run_verb
 
-    raise typer.Exit(run_verb(cells, correction, holds=not no_hold, as_json=as_json))
+    how = {"queue": queue, "until_empty": until_empty}
+    raise typer.Exit(run_verb(cells, correction, holds=not no_hold, as_json=as_json, **how))
 
 
 @app.command()

@@ -12,21 +12,23 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import Context, copy_context
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from typing import Any
 
 from polishd.config.cell import CellConfig
-from polishd.daemon.assembly import build_cell, contact_limits, require_time_limits
+from polishd.daemon.assembly import build_cell, require_time_limits
 from polishd.daemon.cell import Cell
 from polishd.daemon.compute import Compute
 from polishd.daemon.daemon import Daemon
+from polishd.daemon.desk import Desk
 from polishd.daemon.endings import keep_ending, keeping, now
 from polishd.daemon.events import EventBus
-from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.lock import locked
 from polishd.daemon.log import logging_to
+from polishd.daemon.making import make_job, run_folder
 from polishd.daemon.priority import loop_first
+from polishd.daemon.queue import Queue
+from polishd.daemon.queue_app import run_queue
 from polishd.daemon.same_job import require_same, terms_of
 from polishd.daemon.service import serving
 from polishd.daemon.states import State
@@ -53,6 +55,10 @@ class CellRun:
     hooks: Hooks
     show: Callable[[Event], None] = lambda _: None
     """Is told each event, for a person."""
+    queue: bool = False
+    """Work the queue, not the job of the cell's file, ..."""
+    until_empty: bool = False
+    """... until it is empty."""
 
 
 @dataclass(slots=True)
@@ -97,8 +103,8 @@ class _Ready:
     """A cell of which all is read and nothing is open but its state folder, which ``kept`` gives back."""
 
     run: CellRun
-    recipe: Recipe
-    program: Program
+    work: tuple[Recipe, Program] | None
+    """Of the cell's own job; None where a queue is worked."""
     cell: Cell
     journal: Journal
     kept: ExitStack
@@ -128,16 +134,22 @@ async def run_cells(cells: Sequence[CellRun], *, holds: bool = True) -> list[dic
 
 def _made_ready(run: CellRun, context: Context, kept: ExitStack) -> _Ready:
     config, hooks = run.config, run.hooks
-    recipe = make_recipe(config, hooks)
-    require_commissioned(config, recipe)
-    program = read_program(recipe, config.program_path)
-    require_fit(config, recipe, program)
+    work = None if run.queue else _own_work(config, hooks)
     cell = build_cell(config, hooks)
     require_time_limits(config, cell)
     kept.enter_context(locked(config.state_dir))
     kept.enter_context(logging_to(config.state_dir))
-    journal = kept.enter_context(_journal(config, program))
-    return _Ready(run, recipe, program, cell, journal, kept, context)
+    journal = kept.enter_context(_journal(config, work[1]) if work else Journal.of_cell(config.state_dir))
+    return _Ready(run, work, cell, journal, kept, context)
+
+
+def _own_work(config: CellConfig, hooks: Hooks) -> tuple[Recipe, Program]:
+    """Of the job that the cell's own file describes."""
+    recipe = make_recipe(config, hooks)
+    require_commissioned(config, recipe)
+    program = read_program(recipe, config.program_path)
+    require_fit(config, recipe, program)
+    return recipe, program
 
 
 async def _run(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[str, Any] | Exception:
@@ -155,21 +167,29 @@ async def _run(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[str, A
 
 async def _run_job(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[str, Any]:
     config, hooks, journal = ready.run.config, ready.run.hooks, ready.journal
+    if ready.work is None:
+        return await run_queue(
+            config,
+            hooks,
+            ready.cell,
+            journal,
+            show=ready.run.show,
+            telling=stopping.telling,
+            holds=holds,
+            until_empty=ready.run.until_empty,
+        )
     folder = run_folder(config, journal)
     bus = EventBus(hooks.on_event, ready.run.show, sinks=(journal.record_event, keeping(config.state_dir, folder.path)))
     try:
         async with Compute() as compute:
-            job = Job(
-                ready.recipe,
-                ready.program,
+            job = make_job(
+                config,
+                hooks,
+                *ready.work,
                 journal=journal,
                 folder=folder,
                 compute=compute,
                 publish=bus.publish,
-                check_plan=hooks.check_plan,
-                contact=contact_limits(config),
-                max_cycles=config.job.max_cycles,
-                lookahead_s=config.job.lookahead_s,
             )
             await job.load()
             daemon = Daemon(ready.cell, job, bus, holds=holds)
@@ -184,7 +204,8 @@ async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[
     started = now()
     failure: Exception | None = None
     outcome = Outcome.STOPPED
-    async with serving(config.state_dir, daemon.handlers, daemon.bus):
+    desk = Desk(config, Queue(daemon.job.journal.store))  # the queue waits meanwhile
+    async with serving(config.state_dir, {**desk.handlers, **daemon.handlers}, daemon.bus):
         try:
             await daemon.become(State.STARTING, "")
             outcome = await daemon.run()
@@ -216,28 +237,19 @@ async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[
     return summary
 
 
-def run_folder(config: CellConfig, journal: Journal) -> RunFolder:
-    """The folder of the job that goes on, or a new one."""
-    if journal.begun and journal.run_dir:
-        path = config.resolve(journal.run_dir)
-    else:
-        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
-        path = config.run_dir or config.state_dir / "runs" / f"{config.job.id}-{stamp}"
-        journal.record_run_dir(path)
-    folder = RunFolder(path)
-    folder.bytes("cell.toml", config.path.read_bytes())
-    if config.profile_path is not None:
-        folder.bytes("instrument.toml", config.profile_path.read_bytes())
-    return folder
-
-
 def _journal(config: CellConfig, program: Program) -> Journal:
     """The cell's journal; ConfigError where its job was begun with something else."""
     terms = terms_of(config, program.sha256)
-    journal = Journal.open(config.state_dir, job=config.job.id, part_id=config.part.id, terms=terms)
+    cell = Journal.of_cell(config.state_dir)
     try:
+        if (other := Queue(cell.store).under_way()) is not None:
+            raise ConfigError(
+                f"{config.state_dir}: the job {other.name!r} of the queue is under way; go on with it: polishd run "
+                f"{config.path} --queue; or put it aside: polishd job remove {config.path} {other.name}"
+            )
+        journal = cell.of_job(config.job.id, config.part.id, terms)
         require_same(config, terms, journal)
     except ConfigError:
-        journal.close()
+        cell.close()
         raise
     return journal

@@ -21,6 +21,7 @@ from polishd.daemon.endings import NEXT, causes, gone, standing
 from polishd.daemon.events import EventBus
 from polishd.daemon.interruption import settle
 from polishd.daemon.job import Job
+from polishd.daemon.making import NoJob
 from polishd.daemon.orders import Order, Orders, unless
 from polishd.daemon.safety import make_safe
 from polishd.daemon.service import Handler
@@ -49,7 +50,7 @@ class Turn:
 class Daemon:
     """Runs a job on a cell that it opens and closes, and obeys orders at once."""
 
-    def __init__(self, cell: Cell, job: Job, bus: EventBus, *, holds: bool = True) -> None:
+    def __init__(self, cell: Cell, job: Job | NoJob, bus: EventBus, *, holds: bool = True) -> None:
         self.job = job
         """The one under way, with the journal that knows it."""
         self.bus = bus
@@ -80,6 +81,8 @@ class Daemon:
             "state": self.state,
             "reason": self.reason,
             "next": NEXT.get(self.state, ""),
+            "job": "" if isinstance(self.job, NoJob) else self.job.recipe.job.id,
+            "part": "" if isinstance(self.job, NoJob) else self.job.recipe.part.id,
             "phase": phase,
             "cycle": cycle,
             "cycles": self.job.cycles(),
@@ -190,11 +193,13 @@ class Daemon:
 
     async def _polish(self) -> Turn:
         self._cell.emergency = False
-        journal = self.job.journal
+        job, journal = self.job, self.job.journal
+        if isinstance(job, NoJob):
+            raise RuntimeError("a fault of polishd: there is no job to polish; please report it")
         done: list[Outcome] = []
 
         async def work() -> None:
-            done.append(await polish(self._cell, self.job, journal))
+            done.append(await polish(self._cell, job, journal))
 
         try:
             order = await unless(self._orders.interrupting(), work(), journal.lost())

@@ -267,8 +267,7 @@ class Journal(AbstractContextManager["Journal", None]):
 
     def outcome_row(self, outcome: str, detail: str = "") -> Row:
         """The same, to be written together with what else ends then."""
-        sql = "UPDATE job SET ended = ?, outcome = ?, detail = ? WHERE id = ?"
-        return sql, (time.time(), outcome, detail, self._job)
+        return over_row(self._job, outcome, detail)
 
     def copy_to(self, path: Path) -> None:
         """A copy of this job for the run folder."""
@@ -302,6 +301,11 @@ class Journal(AbstractContextManager["Journal", None]):
         within = record is not None and record.contact_from <= block.seq < record.contact_to
         touching = within if contact is None else contact
         return _SEGMENT, (self._job, cycle, block.seq, block.start_s, block.end_s, touching, recovered)
+
+
+def over_row(job: int, outcome: str, detail: str) -> Row:
+    """A job is over, and how."""
+    return "UPDATE job SET ended = ?, outcome = ?, detail = ? WHERE id = ?", (time.time(), outcome, detail, job)
 
 
 def _begin(store: Store, job: str, part_id: str) -> int:

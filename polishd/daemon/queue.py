@@ -15,7 +15,7 @@ from typing import Any
 
 from polishd.config.job_file import JobFile
 from polishd.config.places import did_you_mean, listed
-from polishd.daemon.journal import JOURNAL_NAME
+from polishd.daemon.journal import JOURNAL_NAME, over_row
 from polishd.daemon.journal_store import Row, Store
 from polishd.daemon.lock import locked
 from polishd.daemon.verdicts import Verdict
@@ -156,8 +156,8 @@ class Queue:
         if entry is None or entry.name != name:
             self._write(self._end_row(_named(self._waiting(), name), REMOVED, reason, ""))
             return
-        over = "UPDATE job SET ended = ?, outcome = 'put aside', detail = ? WHERE id = ?"
-        self.end(entry, Verdict("put aside", reason or BY_A_PERSON, ""), (over, (time.time(), reason, entry.job)))
+        over = [over_row(entry.job, "put aside", reason)] if entry.job else []
+        self.end(entry, Verdict("put aside", reason or BY_A_PERSON, ""), *over)
 
     def begin(self, entry: Entry, job: int) -> None:
         """It is under way, as that row of the journal's jobs."""

@@ -5,7 +5,6 @@ The table in docs/queue.md is made from this one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -56,7 +55,7 @@ RULES = (
 TORN = Rule(
     (errors.DeviceError, errors.SafetyStop), "put aside", "goes on", "its pass was cut off: somebody should look at it"
 )
-"""Of errors that cut off a pass, where every device confirmed that it is safe; where one did not, the queue stops."""
+"""Of errors that cut off a pass, once every device confirmed that it is safe; where one did not, the daemon ends."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,22 +80,19 @@ def rule_of(end: Outcome | errors.PolishdError, *, torn: bool = False) -> Rule:
     return next(rule for rule, kind in kinds if isinstance(end, kind))
 
 
-def judge(
-    end: Outcome | errors.PolishdError, *, torn: bool, unsafe: Sequence[str], previous: str, reason: str = ""
-) -> Verdict | None:
+def judge(end: Outcome | errors.PolishdError, *, torn: bool, previous: str) -> Verdict | None:
     """The verdict; None where the job is not over (``Rule.how``).
 
-    ``torn``: it cut off a pass; ``unsafe``: devices that did not confirm; ``previous``: the fault of the job before.
+    ``torn``: it cut off a pass, and every device confirmed since that it is safe; ``previous``: the fault of the job
+    before.
     """
     rule = rule_of(end, torn=torn)
     if rule.how is None:
         return None
     fault = "" if rule.how == "accepted" else end.value if isinstance(end, Outcome) else type(end).__name__
-    told = reason or (rule.why if isinstance(end, Outcome) else f"{fault}: {end}")
+    told = rule.why if isinstance(end, Outcome) else f"{fault}: {end}"
     stops = ""
-    if unsafe:
-        stops = f"not confirmed to be safe: {'; '.join(unsafe)}"
-    elif rule.queue == "stops":
+    if rule.queue == "stops":
         stops = rule.why
     elif fault and fault == previous:
         stops = f"two parts in a row ended with the same fault, {fault}"

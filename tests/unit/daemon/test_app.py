@@ -15,11 +15,11 @@ from typing import Any, Self
 import pytest
 
 from polishd.daemon import app, cell
-from polishd.daemon.app import run_folder
 from polishd.daemon.client import request
 from polishd.daemon.daemon import Daemon
 from polishd.daemon.events import EventBus
 from polishd.daemon.journal import Journal
+from polishd.daemon.making import run_folder
 from polishd.model.cycle import Outcome
 from polishd.model.devices import Executed
 from polishd.model.errors import (
