@@ -14,6 +14,7 @@ from polishd.daemon.daemon import Daemon
 from polishd.daemon.desk import Desk
 from polishd.daemon.endings import keep_ending, keeping, now
 from polishd.daemon.events import EventBus
+from polishd.daemon.job_maker import JobMaker
 from polishd.daemon.journal import Journal
 from polishd.daemon.queue_daemon import QueueDaemon
 from polishd.daemon.service import serving
@@ -43,7 +44,7 @@ async def run_queue(
 ) -> dict[str, Any]:
     """Work the queue; its summary. PolishdError where the job that is under way cannot go on: nothing was opened."""
     async with Compute() as compute:
-        shift = Shift(config, hooks, cell, journal, compute)
+        shift = Shift(journal, JobMaker(config, hooks, cell, compute))
 
         def keep(event: Event) -> None:
             keeping(config.state_dir, shift.folder.path if shift.folder else config.state_dir)(event)

@@ -1,43 +1,36 @@
-"""The jobs of a queue on one cell: made from the queue's entries, one at a time, and ended with their verdict."""
+"""The jobs of a queue on one cell, one at a time: begun, and ended with their verdict."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
-from polishd.config.cell import CellConfig
-from polishd.daemon.assembly import look_for_part, require_time_limits
-from polishd.daemon.cell import Cell
-from polishd.daemon.compute import Compute
-from polishd.daemon.desk import require_unchanged
 from polishd.daemon.endings import now
 from polishd.daemon.events import EventBus
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal, over_row
-from polishd.daemon.making import NoJob, make_job, run_folder
+from polishd.daemon.making import NoJob
 from polishd.daemon.queue import Entry, Queue
-from polishd.daemon.same_job import require_same, terms_of
 from polishd.daemon.verdicts import Verdict
-from polishd.hooks.cell import hooks_of_job
-from polishd.hooks.loader import Hooks
 from polishd.model import events
-from polishd.model.errors import ConfigError, PolishdError
+from polishd.model.errors import PolishdError
 from polishd.model.events import Event
 from polishd.recipe.folder import RunFolder
-from polishd.recipe.making import make_recipe, require_commissioned
-from polishd.recipe.program_fit import require_fit
-from polishd.recipe.steps import read_program
 
 log = logging.getLogger(__name__)
+
+Begin = Callable[[Entry, Queue, Journal, Callable[[Event], None]], Awaitable[tuple[Job, RunFolder]]]
+"""Makes an entry's job ready, journals it as under way, and makes its run folder; see ``job_maker.JobMaker``."""
 
 
 class Shift:
     """What the daemon of a queue knows of its jobs; nothing in it grows with their number."""
 
-    def __init__(self, config: CellConfig, hooks: Hooks, cell: Cell, journal: Journal, compute: Compute) -> None:
+    def __init__(self, journal: Journal, make: Begin) -> None:
+        """``journal`` is that of the cell, between jobs."""
         self.queue = Queue(journal.store)
         self.ended: Counter[str] = Counter()
         """How many jobs ended so, in this run of the daemon."""
@@ -47,7 +40,7 @@ class Shift:
         self.folder: RunFolder | None = None
         self.bus: EventBus | None = None
         """Who is told; made with this shift as one that hears."""
-        self._config, self._hooks, self._cell, self._of_cell, self._compute = config, hooks, cell, journal, compute
+        self._of_cell, self._make = journal, make
         self._began = ""
         self._news = asyncio.Event()
 
@@ -76,37 +69,8 @@ class Shift:
         return self.queue.under_way() or self.queue.next()
 
     async def begin(self, entry: Entry) -> Job:
-        """Its job, journalled as under way; where an earlier run began it, with all that is known of it.
-
-        PolishdError where anything of it is wrong; nothing has moved then. The numbers are worked in the compute
-        worker, and files are read in threads: other cells of this process may be in contact.
-        """
-        new = entry.begun_s is None
-        lay = require_unchanged if new else _laid_over
-        config = await asyncio.to_thread(lay, self._config, entry)
-        hooks = await asyncio.to_thread(hooks_of_job, self._config, self._hooks, config)
-        recipe = await asyncio.to_thread(make_recipe, config, hooks)
-        require_commissioned(config, recipe)
-        program = await self._compute(read_program, recipe, config.program_path)
-        await self._compute(require_fit, config, recipe, program)
-        require_time_limits(config, self._cell)
-        terms = await asyncio.to_thread(terms_of, config, program.sha256)
-        journal = self._of_cell.of_job(entry.name, entry.part_id, terms)
-        require_same(config, terms, journal)
-        self.queue.begin(entry, journal.number)
-        await look_for_part(self._cell, config, hooks)
-        self.folder = run_folder(config, journal, entry.content)
-        job = make_job(
-            config,
-            hooks,
-            recipe,
-            program,
-            journal=journal,
-            folder=self.folder,
-            compute=self._compute,
-            publish=self.tell,
-        )
-        await job.load()
+        """Its job is under way; PolishdError where anything of it is wrong: nothing has moved then."""
+        job, self.folder = await self._make(entry, self.queue, self._of_cell, self.tell)
         self.job, self.entry, self._began = job, entry, now()
         return job
 
@@ -120,7 +84,7 @@ class Shift:
         try:
             await asyncio.to_thread(folder.json, "summary.json", told)
             await asyncio.to_thread(job.journal.copy_to, folder.path / "journal.sqlite")
-        except (OSError, ConfigError) as error:
+        except (OSError, PolishdError) as error:
             log.error("%s is not whole: %s; the journal has it all", folder.path, error)
         self.tell(events.JobFinished(run_dir=str(folder.path), outcome=str(summary["outcome"])))
         self._told_end(entry, verdict, str(folder.path))
@@ -137,11 +101,6 @@ class Shift:
         self.ended[verdict.how] += 1
         said: dict[str, Any] = {"verdict": verdict.how, "reason": verdict.reason, "stops": verdict.stops}
         self.tell(events.JobEnded(job=entry.name, part_id=entry.part_id, run_dir=run_dir, **said))
-
-
-def _laid_over(cell: CellConfig, entry: Entry) -> CellConfig:
-    """Of a job that is under way: ``require_same`` says what may have changed since."""
-    return entry.file.laid_over(cell)
 
 
 def _outcome(verdict: Verdict) -> str:

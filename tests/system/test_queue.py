@@ -17,7 +17,6 @@ import pytest
 from polishd.console.demo_files import DemoFiles, free_port
 from polishd.console.simulator import simulated_cell
 from tests.system.cell_rig import Daemon, events, with_keys, write_small
-from tests.system.sim_rig import wait_for
 
 pytestmark = pytest.mark.system
 
