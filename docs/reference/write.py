@@ -48,8 +48,8 @@ HEAD = "<!-- Written by `make reference` from the models; a test fails where it 
 TITLES = {"cell": "A cell", "study": "A study", "profile": "An instrument's profile", "simulator": "The simulator"}
 INTRODUCTIONS = {
     "cell": """A cell's file, as [examples/cell.toml](../../examples/cell.toml) shows it with comments. Relative paths
-start from its folder. The options of `[robot]`, `[actuator]`, `[spindle]` and `[metrology]` are those of their `type`;
-these are polishd's own, and other plugins bring others.""",
+start from its folder. The options of `[robot]`, `[actuator]`, `[spindle]`, `[metrology]` and `[loader]` are those of their
+`type`; these are polishd's own, and other plugins bring others.""",
     "study": """A study's file; what studies compute: [studies.md](../studies.md). `kind` says which keys it has.
 `[part]`, `[kinematics]`, `[compliance]` and `[process]` are those of [a cell](cell.md), with their defaults.""",
     "profile": """An instrument's profile, as [examples/instrument.toml](../../examples/instrument.toml) shows it with
@@ -144,7 +144,11 @@ def cell() -> list[Table]:
     written = list(key_lines((FOLDER / "../../examples/cell.toml").read_text()))
     devices = [(f'[{kind.port}] type = "{kind.name}"', kind.options) for kind in load_own().device_types().values()]
     found = [table for table in tables(CellConfig) if table[1] is not DeviceSection] + devices
-    return [("", CellConfig), *sorted(found, key=lambda table: written.index((re.findall(r"\w+", table[0])[0],)))]
+    place = {name: at for at, (name, *_) in reversed(list(enumerate(written)))}  # what it does not show comes last
+    return [
+        ("", CellConfig),
+        *sorted(found, key=lambda table: place.get(re.findall(r"\w+", table[0])[0], len(written))),
+    ]
 
 
 def files() -> dict[str, list[Table]]:

@@ -85,11 +85,7 @@ class Journal(AbstractContextManager["Journal", None]):
 
     def of_job(self, job: str, part_id: str, terms: Mapping[str, Any]) -> Self:
         """The same, with its unfinished job of that name, or a new one."""
-        rows = self._store.read("SELECT id, name FROM job WHERE outcome IS NULL ORDER BY id DESC LIMIT 1")
-        resumed = bool(rows) and rows[0][1] == job
-        number = int(rows[0][0]) if resumed else _begin(self._store, job, part_id)
-        if not resumed:
-            _drop_plans(self._store, self.arrays)
+        number, resumed = _taken_up(self._store, self.arrays, job, part_id)
         journal = type(self)(self._store, self.arrays, number, read_job(self._store, number), resumed=resumed)
         if not journal.begun:
             journal._take(part_id, terms)
@@ -263,11 +259,7 @@ class Journal(AbstractContextManager["Journal", None]):
 
     def record_outcome(self, outcome: Outcome) -> None:
         """The job is over; the next Journal of this state folder begins a new one."""
-        self._store.write(self.outcome_row(outcome.value))
-
-    def outcome_row(self, outcome: str, detail: str = "") -> Row:
-        """The same, to be written together with what else ends then."""
-        return over_row(self._job, outcome, detail)
+        self._store.write(over_row(self._job, outcome.value))
 
     def copy_to(self, path: Path) -> None:
         """A copy of this job for the run folder."""
@@ -303,9 +295,19 @@ class Journal(AbstractContextManager["Journal", None]):
         return _SEGMENT, (self._job, cycle, block.seq, block.start_s, block.end_s, touching, recovered)
 
 
-def over_row(job: int, outcome: str, detail: str) -> Row:
-    """A job is over, and how."""
+def over_row(job: int, outcome: str, detail: str = "") -> Row:
+    """A job is over, and how: to be written together with what else ends then."""
     return "UPDATE job SET ended = ?, outcome = ?, detail = ? WHERE id = ?", (time.time(), outcome, detail, job)
+
+
+def _taken_up(store: Store, arrays: ArrayStore, job: str, part_id: str) -> tuple[int, bool]:
+    """The number of the unfinished job of that name, or of a new one; and whether it is the former."""
+    rows = store.read("SELECT id, name FROM job WHERE outcome IS NULL ORDER BY id DESC LIMIT 1")
+    if rows and rows[0][1] == job:
+        return int(rows[0][0]), True
+    number = _begin(store, job, part_id)
+    _drop_plans(store, arrays)
+    return number, False
 
 
 def _begin(store: Store, job: str, part_id: str) -> int:

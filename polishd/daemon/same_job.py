@@ -33,7 +33,7 @@ RULES = (
     Rule(("cell.*",), True, "names and places; the job stays in the run folder in which it began"),
     Rule(("plugins.*",), True, "what a plugin does for the job is named by other keys"),
     Rule(
-        ("robot.*", "actuator.*", "spindle.*", "metrology.*", "loader.*"),
+        ("robot.*", "actuator.*", "spindle.*", "metrology.*", "loader", "loader.*"),
         True,
         "how a device is reached, and its time limits",
     ),

@@ -79,7 +79,7 @@ class Shift:
         entry, job, folder = self.entry, self.job, self.folder
         if entry is None or folder is None:
             raise RuntimeError("a fault of polishd: no job is under way; please report it")
-        self.queue.end(entry, verdict, job.journal.outcome_row(_outcome(verdict), verdict.reason))
+        self.queue.end(entry, verdict, over_row(job.journal.number, _outcome(verdict), verdict.reason))
         told = {**summary, "run_dir": str(folder.path), "started": self._began, "ended": now()}
         try:
             await asyncio.to_thread(folder.json, "summary.json", told)

@@ -86,7 +86,7 @@ class StateChanged(Event):
     """The daemon's state is another one."""
 
     name: ClassVar[str] = "state"
-    state: Annotated[str, "`starting`, `polishing`, `held` or `finished`"]
+    state: Annotated[str, "`starting`, `idle`, `changing`, `polishing`, `held` or `finished`"]
     reason: Annotated[str, "why it is held, or how the job ended"]
     tool_off: Annotated[str, "`yes`, `not confirmed` or `not asked`"]
     robot_at_rest: Annotated[str, "the same"]

@@ -11,7 +11,7 @@ import pytest
 from polishd.config.cell import CellConfig, load_config
 from polishd.config.job_file import JobFile
 from polishd.daemon.desk import Desk, new_job, require_unchanged
-from polishd.daemon.journal import JOURNAL_NAME, Journal
+from polishd.daemon.journal import JOURNAL_NAME, Journal, over_row
 from polishd.daemon.journal_store import Store
 from polishd.daemon.queue import NewJob, Queue
 from polishd.daemon.verdicts import RULES, Verdict, judge, rule_of
@@ -128,7 +128,7 @@ def test_a_job_that_is_done_is_not_done_again_but_one_put_aside_may(tmp_path: Pa
         (entry,) = queue.to_do()
         journal = cell.of_job("a", "P-1", {})
         queue.begin(entry, journal.number)
-        queue.end(entry, Verdict(how, "why", "BadMap"), journal.outcome_row(how, "why"))  # type: ignore[arg-type]
+        queue.end(entry, Verdict(how, "why", "BadMap"), over_row(journal.number, how, "why"))  # type: ignore[arg-type]
         assert (queue.under_way(), names(queue)) == (None, [])
         assert (found := queue.last_ended()) is not None
         assert (found.state, found.reason, found.fault) == (how, "why", "BadMap")
