@@ -14,7 +14,7 @@ from polishd.daemon.desk import Desk, new_job, require_unchanged
 from polishd.daemon.journal import JOURNAL_NAME, Journal, over_row
 from polishd.daemon.journal_store import Store
 from polishd.daemon.queue import NewJob, Queue
-from polishd.daemon.verdicts import RULES, Verdict, judge, rule_of
+from polishd.daemon.verdicts import RULES, TORN, Rule, Verdict, judge, rule_of
 from polishd.model.cycle import Outcome
 from polishd.model.errors import (
     BadMap,
@@ -218,6 +218,20 @@ def test_every_error_and_outcome_has_a_row() -> None:
         assert rule_of(end) in RULES
     for outcome in set(Outcome) - {Outcome.STOPPED}:
         assert rule_of(outcome) in RULES
+
+
+def row(rule: Rule, *, torn: bool = False) -> str:
+    """As the table has it."""
+    ends = ", ".join(f"`{end.value if isinstance(end, Outcome) else end.__name__}`" for end in rule.ends)
+    part = rule.how or "its job is not over"
+    return f"| {ends}{' that cut off a pass' if torn else ''} | {part} | {rule.queue} | {rule.why} |"
+
+
+def test_the_docs_show_the_table() -> None:
+    head = ["| what ended it | the part is | the queue | why |", "|---|---|---|---|"]
+    table = [*head, row(TORN, torn=True), *map(row, RULES)]
+    docs = Path(__file__).resolve().parents[3] / "docs" / "queue.md"
+    assert "\n".join(table) in docs.read_text(), "\n".join(table)
 
 
 # the desk
