@@ -183,6 +183,28 @@ def job_remove(*, cell: Cell, job: JobId, reason: Reason = "", as_json: Json = F
     remove_verb(cell, job, reason, as_json=as_json)
 
 
+service = typer.Typer(name="service", help="Run a cell as a service of systemd.", no_args_is_help=True)
+
+Served = Annotated[list[Path], Argument(metavar="CELL.toml...", help="Each cell's configuration.", show_default=False)]
+Scope = Annotated[bool, Option("--system/--user", help="The computer's systemd, or that of the present user.")]
+
+
+@service.command("install")
+def service_install(cells: Served, *, system: Scope) -> None:
+    """Write a unit that runs these cells in one process, supervised; says how to start it."""
+    from polishd.console.service import install_verb
+
+    install_verb(cells, system=system)
+
+
+@service.command("show")
+def service_show(cells: Served, *, system: Scope) -> None:
+    """Print that unit; nothing is written."""
+    from polishd.console.service import show_verb
+
+    show_verb(cells, system=system)
+
+
 @app.command()
 def plugins(
     cell: Annotated[Path | None, Argument(metavar="[CELL.toml]")] = None,
@@ -211,6 +233,7 @@ def version() -> None:
     typer.echo(__version__)
 
 
+app.add_typer(service)
 app.add_typer(workbench)
 
 

@@ -56,16 +56,25 @@ class _Line:
                 self._bar.update(self._task, completed=data["block"])
             case "pass_ended" | "job_finished":
                 self._update(AFTER[name].format(cycle=cycle), total=None, note="")
-            case "state" if data["state"] == "held":
-                for word, text in [("held", data["reason"]), *last_words(data, self._cell)]:
-                    self._print(f"{word}: {text}")
-                self._update("held", total=None, note="")
+            case "state":
+                self._state(data)
             case "failed":
                 self._print(f"{data['kind']}: {data['error']}", style="red")
             case _:
                 pass
         for note in data.get("notes", ()):
             self._print(f"note: {note}")
+
+    def _state(self, data: Mapping[str, Any]) -> None:
+        match data["state"]:
+            case "held":
+                for word, text in [("held", data["reason"]), *last_words(data, self._cell)]:
+                    self._print(f"{word}: {text}")
+                self._update("held", total=None, note="")
+            case "starting" if data["reason"]:
+                self._print(f"starting: {data['reason']}")
+            case _:
+                pass
 
     def _update(self, what: str, **fields: Any) -> None:
         self._bar.update(self._task, description=f"{self._prefix}{what}", **fields)

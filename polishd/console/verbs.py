@@ -92,16 +92,24 @@ def status_verb(cell: Path, *, as_json: bool) -> None:
         else:
             _tell_last(last, config.cell.name, cell)
         raise typer.Exit(absent.exit_code) from None
-    words = {key: value for key, value in answer.items() if key not in {"ok", "cycles", "devices"}}
+    words = {key: value for key, value in answer.items() if key not in {"ok", "cycles", "devices", "health"}}
     rows = [(key, for_cell(str(value), cell)) for key, value in words.items() if value]
     rows += [(name, _device(facts)) for name, facts in answer.get("devices", {}).items()]
     rows += [(f"measurement {i}", f"RMS {c['rms_nm']:.2f} nm") for i, c in enumerate(answer.get("cycles", []))]
+    rows += [(name, _figure(facts)) for name, facts in answer.get("health", {}).items()]
     emit(answer, as_json=as_json, table=lambda: key_table(config.cell.name, rows))
+
+
+def _figure(facts: Mapping[str, Any]) -> str:
+    bound = "least" if facts["least"] else "most"
+    return f"{facts['value']:.4g} (at {bound} {facts['limit']:.4g}{'' if facts['fits'] else ': ' + facts['advice']})"
 
 
 def _device(facts: Mapping[str, Any]) -> str:
     who = " ".join(facts[key] for key in ("vendor", "model", "serial") if facts.get(key))
-    return who + ("" if facts["used"] else " (not used by this job)")
+    heard_s = facts.get("heard_s_ago")
+    heard = "" if heard_s is None else f", heard {heard_s:.1f} s ago"
+    return who + heard + ("" if facts["used"] else " (not used by this job)")
 
 
 def _tell_last(last: Mapping[str, Any], name: str, cell: Path) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import Context, copy_context
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from polishd.config.cell import CellConfig
@@ -32,6 +33,7 @@ from polishd.daemon.queue_app import run_queue
 from polishd.daemon.same_job import require_same, terms_of
 from polishd.daemon.service import serving
 from polishd.daemon.states import State
+from polishd.daemon.supervisor import Supervisor
 from polishd.hooks.loader import Hooks
 from polishd.model import events
 from polishd.model.cycle import Outcome
@@ -65,12 +67,14 @@ class CellRun:
 class Stopping:
     """SIGTERM and SIGINT are for all cells of the process, for those too that are not quite there yet."""
 
+    supervisor: Supervisor
     asked: bool = False
     daemons: list[Daemon] = field(default_factory=list)
 
     def ask(self) -> None:
         """Stop all."""
         self.asked = True
+        self.supervisor.stopping()
         for daemon in self.daemons:
             daemon.stop()
 
@@ -125,11 +129,19 @@ async def run_cells(cells: Sequence[CellRun], *, holds: bool = True) -> list[dic
         for run in cells:
             context = copy_context()
             ready.append(context.run(_made_ready, run, context, kept.enter_context(ExitStack())))
-        stopping = Stopping()
+        stopping = Stopping(Supervisor(len(ready)))
         with loop_first(), stopping.signals():
             async with asyncio.TaskGroup() as group:
                 tasks = [group.create_task(_run(one, stopping, holds=holds), context=one.context) for one in ready]
+                feeding = group.create_task(stopping.supervisor.feed(partial(_written, ready)), name="watchdog")
+                await asyncio.wait(tasks)
+                feeding.cancel()
     return [task.result() for task in tasks]
+
+
+def _written(cells: Sequence[_Ready], within_s: float) -> bool:
+    """Whether no journal has waited for longer than that for its disk."""
+    return all(one.journal.unsaved_s < within_s for one in cells)
 
 
 def _made_ready(run: CellRun, context: Context, kept: ExitStack) -> _Ready:
@@ -162,7 +174,13 @@ async def _run(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[str, A
                 log.exception("the daemon could not begin, or not end as it should")
                 raise
     except Exception as error:  # noqa: BLE001 - the others go on
+        stopping.supervisor.status(_name(ready), f"{_name(ready)}: ended: {error}")
         return error
+
+
+def _name(ready: _Ready) -> str:
+    """Of the cell; with its file, which no other has."""
+    return f"{ready.run.config.cell.name} ({ready.run.config.path.name})"
 
 
 async def _run_job(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[str, Any]:
@@ -174,12 +192,14 @@ async def _run_job(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[st
             ready.cell,
             journal,
             show=ready.run.show,
+            hears=stopping.supervisor.hears(_name(ready)),
             telling=stopping.telling,
             holds=holds,
             until_empty=ready.run.until_empty,
         )
     folder = run_folder(config, journal)
-    bus = EventBus(hooks.on_event, ready.run.show, sinks=(journal.record_event, keeping(config.state_dir, folder.path)))
+    told = keeping(config.state_dir, folder.path), stopping.supervisor.hears(_name(ready))
+    bus = EventBus(hooks.on_event, ready.run.show, sinks=(journal.record_event, *told))
     try:
         async with Compute() as compute:
             job = make_job(
@@ -233,7 +253,7 @@ async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[
             summary["exit_code"] = summary["exit_code"] or getattr(error, "exit_code", 1)
         with suppress(PolishdError):  # of a lost journal, which has been told
             await daemon.become(State.FINISHED, summary["outcome"])
-            daemon.flush()
+            daemon.job.journal.flush()
     return summary
 
 

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Mapping
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from typing import cast
 
 from polishd.config.cell import PORTS, port_of
-from polishd.daemon.time_limits import TimeLimits
+from polishd.daemon.time_limits import TimeLimits, released_within_s
 from polishd.model.devices import Identity
-from polishd.model.errors import LinkError
+from polishd.model.errors import DeviceBusy, LinkError
 from polishd.ports.clock import Clock
 from polishd.ports.devices import Device, ForceActuator, Metrology, Robot, Spindle
 
 OPEN_S = 15.0
 """Longest that opening and identifying one device may take."""
+BUSY_AGAIN_S = 0.5
+"""After so long a busy device is asked again."""
+
+Waiting = Callable[[str], Awaitable[None]]
+"""Is told, once, what is waited for and until when."""
 
 
 class MonotonicClock:
@@ -44,6 +50,8 @@ class Cell:
     """Who answered, since the cell was opened."""
     unsafe: tuple[str, ...] = ()
     """Devices that did not confirm being safe when last asked: ``name: why``."""
+    heard_s: dict[str, float] = field(default_factory=dict)
+    """When each device last answered, by ``time.monotonic``."""
     emergency: bool = False
     """Motion is to stop at once, whatever the part costs: somebody asked for it."""
 
@@ -81,18 +89,45 @@ class Cell:
         """How long things may take in contact, as the job's devices state it."""
         return TimeLimits(self.actuator.times, self.robot.times, self.spindle.times)
 
-    async def open(self) -> None:
-        """Open and identify all devices; on the first failure close what was opened and raise."""
+    def hears(self, name: str) -> None:
+        """That device has answered."""
+        self.heard_s[name] = time.monotonic()
+
+    async def open(self, waiting: Waiting | None = None) -> None:
+        """Open and identify all devices; on the first failure close what was opened and raise.
+
+        With ``waiting``, one that still serves a client that is gone is asked again, until it must have let go of it.
+        """
         found = {}
         try:
             for name, device in self.devices.items():
+                await self._opened(name, device, waiting)
                 async with _answering(name):
-                    await device.open()
                     found[name] = await device.identify()
+                self.hears(name)
         except BaseException:
             await self.close()
             raise
         self.identities = found
+
+    async def _opened(self, name: str, device: Device, waiting: Waiting | None) -> None:
+        begun_s, within_s = self.clock.now_s(), released_within_s(getattr(device, "times", None))
+        told = waiting is None
+        while True:
+            try:
+                async with _answering(name):
+                    await device.open()
+                return
+            except DeviceBusy as busy:
+                if waiting is None:
+                    raise
+                if self.clock.now_s() - begun_s > within_s:
+                    why = f"it stayed so for {within_s:g} s, longer than its own watchdog allows one that is gone"
+                    raise DeviceBusy(f"{busy}; {why}: stop the program that has it") from busy
+                if not told:
+                    await waiting(f"{name} still serves its last client; it is asked again for up to {within_s:g} s")
+                told = True
+            await self.clock.sleep(BUSY_AGAIN_S)
 
     async def restore_links(self) -> None:
         """Open again what was lost meanwhile, and leave it safe. Only out of contact: nothing is retried in it."""
@@ -100,6 +135,7 @@ class Cell:
             try:
                 async with _answering(name):
                     await device.status()
+                self.hears(name)
             except LinkError:
                 async with _answering(name):
                     await device.close()

@@ -13,12 +13,13 @@ from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.cycle import polish
 from polishd.daemon.endings import NEXT, causes, gone, standing
 from polishd.daemon.events import EventBus
+from polishd.daemon.health import Health
 from polishd.daemon.interruption import settle
 from polishd.daemon.job import Job
 from polishd.daemon.making import NoJob
@@ -28,7 +29,7 @@ from polishd.daemon.service import Handler
 from polishd.daemon.states import ORDERS, State, Trigger, following, obeyed
 from polishd.model import events
 from polishd.model.cycle import EXIT_CODES, Outcome
-from polishd.model.errors import DeviceFault, DeviceRefused, PolishdError
+from polishd.model.errors import DeviceFault, DeviceRefused, HostFault, PolishdError
 from polishd.recipe.folder import RunFolder
 
 log = logging.getLogger(__name__)
@@ -60,12 +61,15 @@ class Daemon:
         self._error: Exception | None = None
         """What it is held over."""
         self._orders = Orders()
+        self._unfit = False
+        """Said, since polishing began."""
         self._changed = asyncio.Condition()
         self._does: Mapping[State, Callable[[], Awaitable[Turn]]] = {
             State.STARTING: self._start,
             State.POLISHING: self._polish,
             State.HELD: self._wait,
         }
+        self._health = Health(cell, lambda: self.job)
         self.state = State.STARTING
         self.reason = ""
 
@@ -81,19 +85,20 @@ class Daemon:
             "state": self.state,
             "reason": self.reason,
             "next": NEXT.get(self.state, ""),
-            "job": "" if isinstance(self.job, NoJob) else self.job.recipe.job.id,
-            "part": "" if isinstance(self.job, NoJob) else self.job.recipe.part.id,
+            **self.job.names(),
             "phase": phase,
             "cycle": cycle,
             "cycles": self.job.cycles(),
             "unsafe": list(self._cell.unsafe),
+            "health": {figure.name: {**asdict(figure), "fits": figure.fits} for figure in self._health.figures()},
             "devices": {name: self._told(name) for name in self._cell.devices},
         }
 
     def _told(self, name: str) -> dict[str, Any]:
         """Who it said it is, and whether the job uses it."""
         found = self._cell.identities.get(name)
-        return {**(asdict(found) if found else {}), "used": name in self._cell.used.values()}
+        age_s = self._health.ages_s().get(name)
+        return {**(asdict(found) if found else {}), "used": name in self._cell.used.values(), "heard_s_ago": age_s}
 
     def stop(self) -> None:
         """As SIGTERM does."""
@@ -105,7 +110,8 @@ class Daemon:
         Raises what ended it otherwise.
         """
         try:
-            outcome = await self._until_finished()
+            async with self._health.watching(self._endangered):
+                outcome = await self._until_finished()
         except BaseException as error:
             try:
                 await self._leave()
@@ -127,7 +133,7 @@ class Daemon:
                     raise turn.error
                 self.reason = turn.reason or self.reason
                 return turn.outcome
-            if turn.trigger in {Trigger.MENDABLE, Trigger.UNSAFE}:
+            if turn.error is not None and turn.error is not self._error:
                 self.bus.publish(events.Held(error=str(turn.error), kind=type(turn.error).__name__))
             self._error = turn.error
             await self.become(state, turn.reason)
@@ -147,15 +153,10 @@ class Daemon:
             if summary["outcome"] == outcome.value and outcome is not Outcome.STOPPED:
                 self.job.journal.record_outcome(outcome)
             folder.json("summary.json", summary)
-            await asyncio.to_thread(
-                self.job.journal.copy_to, folder.path / "journal.sqlite"
-            )  # others may be in contact
+            copy = self.job.journal.copy_to
+            await asyncio.to_thread(copy, folder.path / "journal.sqlite")  # others may be in contact
         finally:
             self.bus.publish(events.JobFinished(run_dir=str(folder.path), outcome=summary["outcome"]))
-
-    def flush(self) -> None:
-        """Make durable what the journal still buffers."""
-        self.job.journal.flush()
 
     def last_words(self, outcome: Outcome, failure: Exception | None) -> dict[str, Any]:
         """The end as ``status`` tells it when no daemon runs: how, why, how the cell stands, and what to do."""
@@ -183,7 +184,7 @@ class Daemon:
     # what happens in each state
 
     async def _start(self) -> Turn:
-        stop = await unless(self._orders.asked_to_stop(), self._cell.open())
+        stop = await unless(self._orders.asked_to_stop(), self._cell.open(self._busy))
         if stop is not None:
             return Turn(Trigger.STOP, self._stopped_by(stop))
         self.bus.publish(events.Opened(devices=self._cell.identities))
@@ -191,11 +192,12 @@ class Daemon:
             return found
         return Turn(Trigger.INTERRUPTED, BEGUN) if self.job.journal.resumed else Turn(Trigger.READY)
 
+    async def _busy(self, what: str) -> None:
+        await self.become(following(self.state, Trigger.BUSY), what)
+
     async def _polish(self) -> Turn:
-        self._cell.emergency = False
-        job, journal = self.job, self.job.journal
-        if isinstance(job, NoJob):
-            raise RuntimeError("a fault of polishd: there is no job to polish; please report it")
+        self._cell.emergency = self._unfit = False
+        job, journal = cast(Job, self.job), self.job.journal  # between jobs nobody polishes
         done: list[Outcome] = []
 
         async def work() -> None:
@@ -216,6 +218,9 @@ class Daemon:
             return Turn(Trigger.STOP, self._stopped_by(order))
         await make_safe(self._cell)
         settled = "" if self._cell.unsafe else await settle(self._cell, journal)
+        if order.verb is Trigger.UNFIT:
+            unfit = HostFault("; ".join(filter(None, (order.reason, settled))))
+            return Turn(Trigger.UNFIT, f"HostFault: {unfit}", error=unfit)
         return Turn(order.verb, self._held_by(order, settled))
 
     async def _wait(self) -> Turn:
@@ -241,8 +246,11 @@ class Daemon:
         if self._cell.unsafe:
             error = DeviceFault(f"not confirmed to be safe: {'; '.join(self._cell.unsafe)}")
             return self._failed(error, Trigger.UNSAFE)
-        settled = await settle(self._cell, self.job.journal)
-        return Turn(Trigger.INTERRUPTED, settled) if settled else None
+        if settled := await settle(self._cell, self.job.journal):
+            return Turn(Trigger.INTERRUPTED, settled)
+        await self._health.look()
+        unfit = self._health.wrong(in_contact=False)
+        return self._failed(HostFault(unfit), Trigger.UNFIT) if unfit else None
 
     def _failed(self, error: Exception, mended: Trigger = Trigger.MENDABLE) -> Turn:
         """A person is asked to mend what can be while the daemon waits; not where it cut off a pass."""
@@ -252,6 +260,12 @@ class Daemon:
         return Turn(mended if waits else Trigger.ERROR, f"{type(error).__name__}: {error}", error=error)
 
     # orders
+
+    def _endangered(self, what: str) -> None:
+        """Contact is left while the computer still can."""
+        if self.state is State.POLISHING and not self._unfit:
+            self._unfit = True
+            self._orders.give(Order(Trigger.UNFIT, what))
 
     def _held_by(self, order: Order, settled: str) -> str:
         """The order, where it says more than what it interrupted."""

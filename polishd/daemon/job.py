@@ -213,6 +213,10 @@ class Job:
         blocks = self.journal.executed(cycle)
         return executed_s(self.program.block, blocks.seq[blocks.contact], blocks.duration_s[blocks.contact])
 
+    def names(self) -> dict[str, str]:
+        """Of job and part."""
+        return {"job": self.recipe.job.id, "part": self.recipe.part.id}
+
     def cycles(self) -> list[dict[str, Any]]:
         """One entry a measurement; what belongs to the pass after it is None where there was none."""
         passes = {record.cycle: record for record in self.journal.passes}

@@ -47,8 +47,10 @@ class Journal(AbstractContextManager["Journal", None]):
     """
 
     def __init__(self, store: Store, arrays: ArrayStore, job: int, known: Known, *, resumed: bool) -> None:
-        self._store = store
-        self._job = job
+        self._store = self.store = store
+        """Its file; the queue shares it."""
+        self._job = self.number = job
+        """Of its job's row; ``NO_JOB`` between jobs."""
         self._known = known
         self.arrays = arrays
         """Large arrays that its rows name."""
@@ -91,17 +93,12 @@ class Journal(AbstractContextManager["Journal", None]):
             journal._take(part_id, terms)
         return journal
 
-    @property
-    def store(self) -> Store:
-        """Its file, which the queue shares."""
-        return self._store
-
-    @property
-    def number(self) -> int:
-        """Of its job's row; ``NO_JOB`` between jobs."""
-        return self._job
-
     # what is known: from memory, but for ``executed``
+
+    @property
+    def unsaved_s(self) -> float:
+        """For how long the oldest record that is not durable has waited for the disk, s."""
+        return self._store.unsaved_s
 
     @property
     def begun(self) -> bool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import sqlite3
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -43,6 +44,7 @@ class Store:
         self._pending = threading.Condition()
         self._closing = False
         self._failure: str | None = None
+        self._unsaved_at: float | None = None
         self._waiters: list[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = []
         self._thread = threading.Thread(target=self._commit_groups, name="journal", daemon=True)
 
@@ -53,19 +55,29 @@ class Store:
         store._thread.start()
         return store
 
+    @property
+    def unsaved_s(self) -> float:
+        """For how long the oldest row that is not durable has waited for the disk; 0 where there is none."""
+        since = self._unsaved_at
+        return 0.0 if since is None or self._closing else time.monotonic() - since
+
     def write(self, *rows: Row) -> None:
         """Commit what is buffered and these rows in one transaction; durable when it returns."""
         with self._sound():
             with self._pending:
                 rows = (*self._buffer, *rows)
                 self._buffer.clear()
+                self._unsaved_at = self._unsaved_at or time.monotonic()
             self._transaction(rows)
+            with self._pending:
+                self._unsaved_at = time.monotonic() if self._buffer else None
 
     def buffer(self, row: Row) -> None:
         """Leave a row to the thread; durable within ``COMMIT_S`` seconds, or after ``write``."""
         self._check()
         with self._pending:
             self._buffer.append(row)
+            self._unsaved_at = self._unsaved_at or time.monotonic()
             if len(self._buffer) == 1 or len(self._buffer) == COMMIT_ROWS:
                 self._pending.notify()
 

@@ -25,6 +25,10 @@ class NoJob:
 
     journal: Journal
 
+    def names(self) -> dict[str, str]:
+        """Of job and part: there are none."""
+        return {"job": "", "part": ""}
+
     def cycles(self) -> list[dict[str, Any]]:
         """Nothing was measured."""
         return []

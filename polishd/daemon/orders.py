@@ -13,7 +13,7 @@ from polishd.daemon.states import Trigger
 
 @dataclass(slots=True)
 class Order:
-    """One of ``states.ORDERS``, and why."""
+    """One of ``states.ORDERS``, and why; or ``UNFIT``, which the computer gives."""
 
     verb: Trigger
     reason: str = ""

@@ -38,6 +38,7 @@ async def run_queue(
     journal: Journal,
     *,
     show: Callable[[Event], None],
+    hears: Callable[[Event], None],
     telling: Telling,
     holds: bool,
     until_empty: bool,
@@ -49,7 +50,7 @@ async def run_queue(
         def keep(event: Event) -> None:
             keeping(config.state_dir, shift.folder.path if shift.folder else config.state_dir)(event)
 
-        bus = shift.bus = EventBus(hooks.on_event, show, sinks=(shift.record, keep))
+        bus = shift.bus = EventBus(hooks.on_event, show, sinks=(shift.record, keep, hears))
         try:
             await taken_up(shift)
             desk = Desk(config, shift.queue, shift.added)
@@ -76,7 +77,7 @@ async def _serve(config: CellConfig, daemon: QueueDaemon, shift: Shift) -> dict[
         keep_ending(config.state_dir, last)
         with suppress(PolishdError):  # of a lost journal, which has been told
             await daemon.become(State.FINISHED, last["state"])
-            daemon.flush()
+            daemon.job.journal.flush()
     outcome_word = last.pop("state")
     return {"outcome": outcome_word, "jobs": dict(shift.ended), "started": started, "ended": now(), **last}
 

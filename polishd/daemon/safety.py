@@ -194,6 +194,7 @@ class _Leaving:
             self._failures[name] = str(error) or f"no answer within {within_s:g} s"
             log.error("make_safe: %s did not confirm (%s); its own watchdog takes over", name, self._failures[name])
             return False
+        self._cell.hears(name)
         return True
 
 
@@ -215,6 +216,7 @@ async def _watch_force(cell: Cell, touch: _Touch) -> None:
 
     def judge(sample: ForceSample) -> None:
         nonlocal good_at
+        cell.hears(cell.used["actuator"])
         if sample.fault:
             raise DeviceFault(f"actuator: fault bits {sample.fault:#06x} while in contact")
         if touch.leaving:  # by our word only: an actuator that lifts by itself has lost its force
@@ -244,6 +246,7 @@ async def _watch_speed(cell: Cell, limits: ContactLimits) -> None:
 
     def judge(sample: SpeedSample) -> None:
         nonlocal good_at
+        cell.hears(cell.used["spindle"])
         if sample.fault:
             raise DeviceFault(f"spindle: fault {sample.fault} while in contact")
         if good_at is None or abs(sample.rpm - limits.rpm) <= 0.05 * abs(limits.rpm):

@@ -44,6 +44,7 @@ class Trigger(StrEnum):
     READY = "every device confirmed that it is safe"
     UNSAFE = "a device did not confirm that it is safe"
     INTERRUPTED = "an earlier run, or an order, left a pass or the job open"
+    UNFIT = "the computer nears a limit"
     MENDABLE = "an error that a person can mend"
     ERROR = "any other error"
     DONE = "the job has its outcome"
@@ -80,6 +81,7 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition(_START, Trigger.BETWEEN, _IDLE, "no job of the queue was under way"),
     Transition(_START, Trigger.INTERRUPTED, _HELD, "nothing moves until `resume`", _END),
     Transition(_START, Trigger.UNSAFE, _HELD, "nothing is measured or moved before it does", _END),
+    Transition(_START, Trigger.UNFIT, _HELD, "no room on a disk, say", _END),
     Transition(_START, Trigger.STOP, _END, "also while a device is waited for"),
     Transition(_START, Trigger.ERROR, _END, "a device that cannot be opened, too"),
     Transition(_IDLE, Trigger.NEXT, _CHANGE, "also one over which the cell was held"),
@@ -106,6 +108,7 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition(_POLISH, Trigger.DONE, _END, "in tolerance, diverged, or all passes used"),
     Transition(_POLISH, Trigger.HOLD, _HELD, "once contact is left; what it cut off is settled"),
     Transition(_POLISH, Trigger.ESTOP, _HELD, "as `hold`, and motion stops first"),
+    Transition(_POLISH, Trigger.UNFIT, _HELD, "once contact is left; what it cut off is settled", _END),
     Transition(_POLISH, Trigger.MENDABLE, _HELD, "only where it cuts off no pass", _END),
     Transition(_POLISH, Trigger.STOP, _END, "once contact is left; the job stays open"),
     Transition(_POLISH, Trigger.ERROR, _END, "once contact is left; the job stays open"),
@@ -114,6 +117,7 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition(_HELD, Trigger.ENDED, _IDLE, "`polishd job remove` puts the job aside over which it is held"),
     Transition(_HELD, Trigger.STOPS, _HELD, "the same, with a queue that stops over it", _END),
     Transition(_HELD, Trigger.UNSAFE, _HELD, "`resume` is refused, and tries again the next time", _END),
+    Transition(_HELD, Trigger.UNFIT, _HELD, "the same", _END),
     Transition(_HELD, Trigger.MENDABLE, _HELD, "the same: the cause is not mended yet", _END),
     Transition(_HELD, Trigger.INTERRUPTED, _HELD, "the same, once: it is told before it goes on", _END),
     Transition(_HELD, Trigger.HOLD, _HELD, "its reason is added"),

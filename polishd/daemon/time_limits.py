@@ -56,6 +56,12 @@ def safe_within_s(times: object) -> float:
             return ANSWERS_S
 
 
+def released_within_s(times: object) -> float:
+    """Longest until a device lets go of a client that is gone: its watchdog, its own action, and its word."""
+    watchdog_s: float = getattr(times, "watchdog_s", 0.0)
+    return (watchdog_s if math.isfinite(watchdog_s) else 0.0) + safe_within_s(times)
+
+
 @dataclass(frozen=True, slots=True)
 class TimeLimits:
     """The daemon's own limits, derived from what the job's devices state."""

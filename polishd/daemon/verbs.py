@@ -47,7 +47,7 @@ OTHER = Argument("other", str, "the job that waits before or after which")
 VERBS: Mapping[str, Verb] = {
     verb.name: verb
     for verb in (
-        Verb("status", "state and why, phase, cycle, devices, what was measured so far"),
+        Verb("status", "state and why, phase, cycle, devices, health, what was measured so far"),
         Verb(SUBSCRIBE, "events from now on, one a line, until either side ends"),
         Verb("hold", "leave contact, stand still, and wait for `resume`", "an order", (REASON,)),
         Verb("resume", "go on, with a new measurement first", "an order", (REASON,)),

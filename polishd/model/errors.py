@@ -19,7 +19,9 @@ PolishdError
       NoDaemon     no daemon runs for this cell: start one
     ProtocolError  the wire speaks, but not what was agreed
     DeviceRefused  the device understood and said no
+      DeviceBusy   it serves another client: a start waits for its watchdog
     DeviceFault    the device says that it is broken
+    HostFault      the cell's own computer nears a limit
   SafetyStop       the cell left contact by itself                      (7)
 """
 
@@ -113,8 +115,16 @@ class DeviceRefused(DeviceError):
     """The device understood the command and refused it."""
 
 
+class DeviceBusy(DeviceRefused):
+    """The device serves another client, which may be an earlier run of ours; its own watchdog lets go of that."""
+
+
 class DeviceFault(DeviceError):
     """The device reports a fault of its own."""
+
+
+class HostFault(DeviceError):
+    """The computer of the cell, or its disk, nears a limit: contact is left before that is reached."""
 
 
 class SafetyStop(PolishdError):

@@ -8,7 +8,16 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-from polishd.api import ByteStream, DeviceRefused, LinkError, ProtocolError, RobotTimes, Segment
+from polishd.api import (
+    ByteStream,
+    DeviceBusy,
+    DeviceError,
+    DeviceRefused,
+    LinkError,
+    ProtocolError,
+    RobotTimes,
+    Segment,
+)
 from polishd.drivers.robot_link.frames import Kind, encode
 from polishd.drivers.robot_link.messages import PROTOCOL, Ack, Nak, Progress, Welcome, command
 from polishd.drivers.robot_link.session import ExecutionRecord, Session
@@ -55,7 +64,7 @@ class Connection(Background):
         return self.session.present()
 
     async def open(self, client: str, lease: str = "") -> None:
-        """Connect and be welcomed; DeviceRefused where another writer has the robot, or its watchdog is too short."""
+        """Connect and be welcomed; DeviceBusy where another writer has it, DeviceRefused: too short a watchdog."""
         self._stream = await open_stream(self._address, CONNECT_S)
         try:
             hello = {
@@ -190,7 +199,7 @@ class Connection(Background):
                 future.set_exception(_refused(self._address, answer))
 
 
-def _refused(address: Tcp, nak: Nak) -> DeviceRefused | ProtocolError:
-    error = ProtocolError if nak.code == "protocol" else DeviceRefused
+def _refused(address: Tcp, nak: Nak) -> DeviceError:
+    kinds: dict[str, type[DeviceError]] = {"protocol": ProtocolError, "busy": DeviceBusy}
     name = Kind(nak.of).name if nak.of in tuple(Kind) else f"frame type {nak.of}"
-    return error(f"{address}: {name} was refused: {nak.code}: {nak.text}")
+    return kinds.get(nak.code, DeviceRefused)(f"{address}: {name} was refused: {nak.code}: {nak.text}")

@@ -57,7 +57,7 @@ class RobotLink:
         return self._connection.progress.buffer_s
 
     async def open(self) -> None:
-        """See Device. DeviceRefused while another writer has the robot. Records missed meanwhile are asked for."""
+        """See Device. DeviceBusy while another writer has the robot. Records missed meanwhile are asked for."""
         await self.close()
         kept = self._record
         connection = await self._connect(kept)

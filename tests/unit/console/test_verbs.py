@@ -286,8 +286,12 @@ def test_status(polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPa
         "unsafe": [],
         "cycles": [{"rms_nm": 20.456}],
         "devices": {
-            "robot.left": {"vendor": "Acme", "model": "arm", "serial": "7", "used": True},
-            "robot.right": {"used": False},
+            "robot.left": {"vendor": "Acme", "model": "arm", "serial": "7", "used": True, "heard_s_ago": 0.25},
+            "robot.right": {"used": False, "heard_s_ago": None},
+        },
+        "health": {
+            "loop_lag_s": {"value": 0.012, "limit": 0.5, "least": False, "fits": True, "advice": "end something"},
+            "state_disk_mb": {"value": 12.0, "limit": 128, "least": True, "fits": False, "advice": "make room"},
         },
     }
     monkeypatch.setattr(client, "request", lambda state_dir, verb: answer)
@@ -296,7 +300,9 @@ def test_status(polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPa
     assert "RMS 20.46 nm" in people
     assert "by order" in people
     assert "robot.left" in people
-    assert "Acme arm 7" in people
+    assert "Acme arm 7, heard 0.2 s ago" in people
+    assert "0.012 (at most 0.5)" in people
+    assert "12 (at least 128: make room)" in people
     assert "(not used by this job)" in people
     assert "unsafe" not in people, "nothing to say"
 

@@ -25,6 +25,7 @@ from polishd.model.devices import Executed
 from polishd.model.errors import (
     BadMap,
     ConfigError,
+    DeviceBusy,
     DeviceFault,
     DeviceRefused,
     LinkError,
@@ -166,6 +167,37 @@ async def test_a_pass_is_settled_once_the_cell_is_safe_and_told_before_it_goes_o
             assert bench.fake.of(*MOVES, "metrology.next_map") == []
             await running.daemon.handlers["resume"]()
             assert await running.outcome() is Outcome.IN_TOLERANCE
+
+
+async def test_a_robot_that_still_serves_an_earlier_run_is_waited_for(bench: Bench) -> None:
+    robot, clock = bench.fake.robot, bench.fake.clock
+    robot.acts.fails["open"] = DeviceBusy("robot: HELLO was refused: busy")
+    async with Running(bench) as running:
+        for _ in range(3):
+            while not clock._sleepers:  # noqa: ASYNC110
+                await asyncio.sleep(0)
+            clock.advance(1.0)
+        assert running.daemon.state == "starting"
+        assert running.daemon.reason == "robot still serves its last client; it is asked again for up to 16 s"
+        robot.acts.fails.clear()
+        while running.daemon.state == "starting":
+            clock.advance(1.0)
+            await asyncio.sleep(0)
+        assert await running.outcome() is Outcome.IN_TOLERANCE
+    assert bench.fake.events.count("robot.open") == 4
+    assert running.states() == ["starting", "polishing"], "it is said once"
+
+
+async def test_a_robot_that_another_program_has_is_not_waited_for_for_ever(bench: Bench) -> None:
+    bench.fake.robot.acts.fails["open"] = DeviceBusy("robot: HELLO was refused: busy")
+    async with Running(bench) as running:
+        while running.task and not running.task.done():
+            bench.fake.clock.advance(1.0)
+            await asyncio.sleep(0)
+        with pytest.raises(DeviceBusy, match=r"busy; it stayed so for 16 s, .*: stop the program"):
+            await running.outcome()
+    assert bench.fake.of(*MOVES, "make_safe") == []
+    assert bench.fake.events[-4:] == CLOSED
 
 
 async def test_a_start_that_waits_for_a_device_can_be_stopped(bench: Bench) -> None:
@@ -417,6 +449,7 @@ class Site:
         (tmp_path / "program.rnc").write_bytes(self.program.text)
         self.config: Any = SimpleNamespace(
             path=self.path,
+            cell=SimpleNamespace(name="bench"),
             state_dir=tmp_path / "state",
             run_dir=tmp_path / "run",
             program_path=tmp_path / "program.rnc",

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from polishd.api import DeviceFault, DeviceRefused, LinkError
+from polishd.api import DeviceBusy, DeviceFault, DeviceRefused, LinkError
 from polishd.drivers.robot_link import RobotLink, driver
 from polishd.drivers.transport.address import Tcp
 from tests.fakes import robot as wire
@@ -38,7 +38,7 @@ async def follow(robot: RobotLink) -> int:
 async def test_one_writer_only(pair: Pair) -> None:
     _, fake = pair
     second = RobotLink(Tcp("127.0.0.1", fake.port))
-    with pytest.raises(DeviceRefused, match="busy"):
+    with pytest.raises(DeviceBusy, match="busy"):
         await second.open()
     reader = RobotLink(Tcp("127.0.0.1", fake.port), role="reader")
     await reader.open()

@@ -1,0 +1,178 @@
+"""How the computer of a cell does: figures with limits, which are looked at while the daemon runs.
+
+The limits follow from the devices' watchdogs and from what the present pass still has to write; none is a key. One that
+is crossed while the daemon polishes makes it leave contact and hold, while it still can (docs/host.md).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import os
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from heapq import nlargest
+from pathlib import Path
+
+from polishd.daemon.cell import Cell
+from polishd.daemon.job import Job
+from polishd.daemon.making import NoJob
+from polishd.daemon.safety import most_telling
+
+BEAT_S = 0.1
+"""Between two looks at the loop."""
+SLOW_S = 2.0
+"""Between two looks at disks and memory."""
+WINDOW_S = 60.0
+"""For so long a lag of the loop is remembered."""
+MB = 1e6
+BLOCK_MB = 200 / MB
+"""A block of a pass: its row of the journal twice (file and WAL), and its share of events and log."""
+SPARE_MB = 64.0
+"""What is written beside the blocks: WAL, log, the arrays of a measurement, pictures and pages of the report."""
+MEMORY_SHARE = 0.02
+"""Of the computer's memory; with less left the kernel begins to kill."""
+SHARE = 0.5
+"""Of a watchdog: what is later than that may be too late the next time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One of them; the unit is in the name."""
+
+    name: str
+    value: float
+    limit: float
+    advice: str
+    least: bool = False
+    """The limit is the least that must be left; else the most that may be."""
+
+    @property
+    def fits(self) -> bool:
+        """It is within its limit."""
+        return self.value >= self.limit if self.least else self.value <= self.limit
+
+    def __str__(self) -> str:
+        """With its limit."""
+        return f"{self.name} {self.value:.4g}, at {'least' if self.least else 'most'} {self.limit:.4g}"
+
+
+class Health:
+    """Of one daemon's computer."""
+
+    def __init__(self, cell: Cell, job: Callable[[], Job | NoJob]) -> None:
+        self._cell = cell
+        self._job = job
+        self._lags: deque[tuple[float, float]] = deque()
+        self._left: dict[str, Figure] = {}
+
+    def figures(self) -> list[Figure]:
+        """As of now; those of disks and memory as of the last look."""
+        return [*self._of_contact(), *self._left.values()]
+
+    def wrong(self, *, in_contact: bool) -> str:
+        """Each figure over its limit, and what to do; empty where all fit. Loop and journal count in contact."""
+        figures = self.figures() if in_contact else list(self._left.values())
+        return "; ".join(f"{figure}: {figure.advice}" for figure in figures if not figure.fits)
+
+    def ages_s(self) -> Mapping[str, float]:
+        """How long ago each device last answered, s; those only that have."""
+        now_s = time.monotonic()
+        return {name: now_s - heard_s for name, heard_s in self._cell.heard_s.items()}
+
+    async def look(self) -> None:
+        """At disks and memory."""
+        job = self._job()
+        journal, begun = job.journal, job.journal.unfinished()
+        state_dir = journal.store.path.parent
+        if isinstance(job, NoJob):
+            blocks, run_dir = 0, state_dir
+        else:
+            done = 0 if begun is None else journal.tally(begun.cycle).done
+            blocks, run_dir = (len(job.program.block) if begun is None else begun.blocks) - done, job.folder.path
+        self._left = await asyncio.to_thread(_left, state_dir, run_dir, blocks)
+
+    @asynccontextmanager
+    async def watching(self, danger: Callable[[str], None]) -> AsyncIterator[None]:
+        """Look at it all inside this block; ``danger`` is told what is wrong, again and again while it is."""
+        try:
+            async with asyncio.TaskGroup() as group:
+                tasks = [group.create_task(self._beat(danger)), group.create_task(self._look_on())]
+                try:
+                    yield
+                finally:
+                    for task in tasks:
+                        task.cancel()
+        except BaseExceptionGroup as errors:
+            raise most_telling(errors) from errors
+
+    async def _beat(self, danger: Callable[[str], None]) -> None:
+        pressed = False
+        while True:
+            due_s = time.monotonic() + BEAT_S
+            await asyncio.sleep(BEAT_S)
+            now_s = time.monotonic()
+            pressing = self._job().journal.unfinished() is not None
+            if pressing and not pressed:
+                self._lags.clear()  # out of contact the loop may be late
+            pressed = pressing
+            self._lags.append((now_s, now_s - due_s))
+            while self._lags[0][0] < now_s - WINDOW_S:
+                self._lags.popleft()
+            if found := self.wrong(in_contact=pressing):
+                danger(found)
+
+    async def _look_on(self) -> None:
+        while True:
+            await self.look()
+            await asyncio.sleep(SLOW_S)
+
+    def _of_contact(self) -> list[Figure]:
+        limits = self._cell.limits
+        fed_s = min(limits.actuator.watchdog_s, limits.spindle.watchdog_s, limits.robot.watchdog_s)
+        robot_s = limits.robot.watchdog_s if math.isfinite(limits.robot.watchdog_s) else limits.actuator.alone_s
+        lags = nlargest(2, (lag for _, lag in self._lags))
+        second = lags[1] if len(lags) > 1 else 0.0  # one may be chance
+        busy, slow = "too much else runs on this computer", "the disk of cell.state_dir is too slow"
+        return [
+            Figure("loop_lag_s", second, SHARE * fed_s, busy),
+            Figure("journal_s", self._job().journal.unsaved_s, SHARE * robot_s, slow),
+        ]
+
+
+def _left(state_dir: Path, run_dir: Path, blocks: int) -> dict[str, Figure]:
+    """Room for what a pass still writes: so many blocks, and in the end a copy of its job in the run folder."""
+    state, run = _there(state_dir), _there(run_dir)
+    state_mb = run_mb = SPARE_MB + blocks * BLOCK_MB
+    if state.stat().st_dev == run.stat().st_dev:
+        state_mb = run_mb = state_mb + run_mb
+    found = [_room("state_disk_mb", state, state_mb), _room("run_disk_mb", run, run_mb)]
+    if (memory := _memory_mb()) is not None:
+        total_mb, left_mb = memory
+        advice = "end other programs on this computer"
+        found.append(Figure("memory_mb", left_mb, MEMORY_SHARE * total_mb, advice, least=True))
+    return {figure.name: figure for figure in found}
+
+
+def _room(name: str, folder: Path, least_mb: float) -> Figure:
+    disk = os.statvfs(folder)
+    left_mb = disk.f_bavail * disk.f_frsize / MB
+    return Figure(name, left_mb, least_mb, f"make room on the disk of {folder}", least=True)
+
+
+def _memory_mb() -> tuple[float, float] | None:
+    """All, and what programs may still have; None where the kernel does not say."""
+    try:
+        lines = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text().splitlines())
+    except OSError:
+        return None
+    total_mb, left_mb = (int(lines[key].split()[0]) * 1024 / MB for key in ("MemTotal", "MemAvailable"))
+    return total_mb, left_mb
+
+
+def _there(folder: Path) -> Path:
+    """The folder, or the nearest above it that exists."""
+    return next(path for path in (folder, *folder.parents) if path.exists())

@@ -1,0 +1,51 @@
+"""Starts that find something else than they left: a robot that serves somebody else, a run folder that is gone."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+from pathlib import Path
+
+import pytest
+
+from polishd.console.simulator import simulated_cell
+from polishd.daemon import client
+from tests.system.cell_rig import Daemon, events, small_cell, summary, with_keys, write_small
+from tests.system.sim_rig import RobotClient, wait_for
+
+
+@pytest.mark.full
+def test_a_pass_that_was_killed_goes_on_though_its_run_folder_was_deleted(tmp_path: Path) -> None:
+    with small_cell(tmp_path / "cell", seed=2, speed=20.0) as files:
+        with Daemon(files) as daemon:
+            daemon.wait_in_contact()
+            assert daemon.end(signal.SIGKILL) == -signal.SIGKILL
+        shutil.rmtree(files.run_dir)
+        before = len(events(files))
+        with Daemon(files) as daemon:
+            held = daemon.wait_for_state("held")
+            assert "interrupted" in held["reason"]
+            assert held["unsafe"] == []
+            assert not [e for e in events(files)[before:] if e["event"] in ("motion_started", "force_on")]
+            assert client.request(files.state_dir, "resume")["state"] == "polishing"
+            assert daemon.wait() == 0, daemon.output.read_text()
+    assert summary(files)["outcome"] == "in_tolerance"
+
+
+@pytest.mark.full
+def test_a_robot_that_still_serves_somebody_is_waited_for_and_status_says_so(tmp_path: Path) -> None:
+    """Its watchdog is long: the lease goes when the other client hangs up, not because this machine is slow."""
+    files = write_small(tmp_path / "cell")
+    for path in (files.cell, files.sim):
+        path.write_text(with_keys(path.read_text(), {"robot": {"watchdog_s": 120.0}}))
+    with simulated_cell(files.sim, ["--state", str(files.sim_dir), "--seed", "2"], files.out / "sim.stderr"):
+        other = RobotClient(json.loads((files.sim_dir / "endpoints.json").read_text())["robot"], role="writer")
+        with Daemon(files) as daemon:
+            waits = wait_for(lambda: (s := daemon.status()).get("reason") and s, "word of the robot")
+            assert waits["state"] == "starting"
+            assert waits["reason"].startswith("robot still serves its last client; it is asked again for up to 128 s")
+            other.close()
+            daemon.wait_for_state("polishing")
+            assert daemon.end() == 1
+        assert "starting: robot still serves its last client" in daemon.output.read_text()

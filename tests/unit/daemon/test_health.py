@@ -1,0 +1,144 @@
+"""The computer's figures and their limits, and that contact is left before one of them is reached."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from polishd.daemon import health
+from polishd.daemon.health import Figure, Health
+from polishd.model.cycle import Outcome
+from polishd.model.errors import DeviceRefused, HostFault
+from polishd.model.events import Held
+from tests.unit.daemon.small import Bench, open_journal
+from tests.unit.daemon.test_app import SAFE, Running
+
+
+class Disk:
+    """What ``statvfs`` says."""
+
+    def __init__(self) -> None:
+        self.left_mb = 1e6
+
+    def statvfs(self, folder: Path) -> Any:
+        assert folder.exists()
+        return SimpleNamespace(f_bavail=self.left_mb * 1e6 / 4096, f_frsize=4096)
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    with open_journal(tmp_path) as journal:
+        yield Bench(tmp_path, journal)
+
+
+@pytest.fixture
+def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
+    found = Disk()
+    monkeypatch.setattr(health, "SLOW_S", 0.0)
+    monkeypatch.setattr(health, "BEAT_S", 0.001)
+    monkeypatch.setattr(os, "statvfs", found.statvfs)
+    return found
+
+
+async def lifted_and_held(running: Running) -> str:
+    """The reason, once contact was left in the usual order."""
+    await running.held()
+    assert running.bench.fake.of("make_safe")[3:6] == SAFE
+    assert running.bench.fake.actuator.retracted
+    assert running.bench.journal.passes[0].how == "interrupted"
+    return running.daemon.reason
+
+
+async def test_a_disk_that_fills_up_in_contact_is_left_before_it_is_full(bench: Bench, disk: Disk) -> None:
+    async with Running(bench) as running:
+        await running.in_contact()
+        disk.left_mb = 100.0
+        reason = await lifted_and_held(running)
+        assert reason.startswith("HostFault: state_disk_mb 100, at least 128")
+        assert "make room on the disk of" in reason
+        assert "pass 0 was interrupted" in reason
+        (held,) = (event for event in running.told if isinstance(event, Held))
+        assert held.kind == "HostFault"
+        with pytest.raises(DeviceRefused, match="the cell stays held: HostFault: state_disk_mb 100"):
+            await running.daemon.handlers["resume"]()
+        disk.left_mb = 1e6
+        await running.daemon.handlers["resume"]()
+        assert await running.outcome() is Outcome.IN_TOLERANCE
+
+
+async def test_a_disk_that_is_full_at_the_start_holds_before_anything_is_measured(bench: Bench, disk: Disk) -> None:
+    disk.left_mb = 0.0
+    async with Running(bench) as running:
+        await running.held()
+        assert "state_disk_mb 0, at least" in running.daemon.reason
+        assert bench.moved() == []
+        assert "metrology.next_map" not in bench.fake.events
+        figures = (await running.daemon.status())["health"]
+        assert figures["run_disk_mb"]["fits"] is False
+        assert figures["memory_mb"]["fits"] is True
+
+
+async def test_a_disk_that_is_full_ends_it_where_nobody_is_there(bench: Bench, disk: Disk) -> None:
+    disk.left_mb = 0.0
+    async with Running(bench, holds=False) as running:
+        with pytest.raises(HostFault, match="make room"):
+            await running.outcome()
+
+
+async def test_a_loop_that_is_late_twice_in_contact_is_no_loop_to_press_with(bench: Bench, disk: Disk) -> None:
+    async with Running(bench) as running:
+        await running.in_contact()
+        lags = running.daemon._health._lags
+        while running.daemon.state == "polishing":  # it is cleared when contact begins
+            lags.append((time.monotonic(), 0.6))
+            await asyncio.sleep(0)
+        assert (await lifted_and_held(running)).startswith("HostFault: loop_lag_s 0.6, at most 0.5: too much else runs")
+        await running.daemon.handlers["resume"]()
+        assert await running.outcome() is Outcome.IN_TOLERANCE, "out of contact the loop may have been late"
+
+
+async def test_a_loop_that_is_late_once_is_chance(bench: Bench) -> None:
+    found = Health(bench.fake.cell, bench.job)
+    found._lags.append((time.monotonic(), 0.6))
+    assert found.wrong(in_contact=True) == ""
+    found._lags.append((time.monotonic(), 0.7))
+    assert found.wrong(in_contact=True).startswith("loop_lag_s 0.6, at most 0.5")
+    assert found.wrong(in_contact=False) == ""
+
+
+async def test_a_disk_that_hangs_in_contact_is_left(bench: Bench, disk: Disk, monkeypatch: pytest.MonkeyPatch) -> None:
+    async with Running(bench) as running:
+        await running.in_contact()
+        monkeypatch.setattr(type(bench.journal), "unsaved_s", 4.5)
+        assert (await lifted_and_held(running)).startswith("HostFault: journal_s 4.5, at most 4: the disk of")
+
+
+async def test_devices_that_answer_have_an_age(bench: Bench) -> None:
+    async with Running(bench) as running:
+        await running.in_contact()
+        devices = (await running.daemon.status())["devices"]
+        assert all(0 <= devices[name]["heard_s_ago"] < 60 for name in ("robot", "actuator", "spindle", "metrology"))
+
+
+def test_a_figure_says_its_limit() -> None:
+    assert str(Figure("loop_lag_s", 0.25, 0.5, "")) == "loop_lag_s 0.25, at most 0.5"
+    assert Figure("memory_mb", 1.0, 1.0, "", least=True).fits
+
+
+def test_what_must_be_left_falls_as_blocks_are_done(tmp_path: Path) -> None:
+    run = tmp_path / "not" / "there"
+    many, few = (health._left(tmp_path, run, blocks)["state_disk_mb"].limit for blocks in (1_000_000, 0))
+    assert few == pytest.approx(2 * health.SPARE_MB)
+    assert many - few == pytest.approx(2 * 200.0)
+
+
+def test_memory_is_not_judged_where_the_kernel_does_not_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(health, "_memory_mb", lambda: None)
+    assert set(health._left(tmp_path, tmp_path, 0)) == {"state_disk_mb", "run_disk_mb"}
