@@ -198,7 +198,7 @@ async def _run_job(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[st
             until_empty=ready.run.until_empty,
         )
     folder = run_folder(config, journal)
-    told = keeping(config.state_dir, folder.path), stopping.supervisor.hears(_name(ready))
+    told = keeping(config.state_dir, lambda: folder.path), stopping.supervisor.hears(_name(ready))
     bus = EventBus(hooks.on_event, ready.run.show, sinks=(journal.record_event, *told))
     try:
         async with Compute() as compute:

@@ -37,11 +37,7 @@ async def look_for_part(cell: Cell, config: CellConfig, hooks: Hooks) -> None:
     """
     context = await asyncio.to_thread(_context, config, hooks)
     for name in [name for name in cell.devices if not PORTS[port_of(name)].acts]:
-        device = _built(config, hooks, name, context)
-        before, cell.devices = cell.devices[name], {**cell.devices, name: device}
-        if cell.identities:
-            await before.close()
-            await device.open()
+        await cell.exchange(name, _built(config, hooks, name, context))
 
 
 def _context(config: CellConfig, hooks: Hooks) -> DeviceContext:

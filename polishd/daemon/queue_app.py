@@ -12,7 +12,7 @@ from polishd.daemon.cell import Cell
 from polishd.daemon.compute import Compute
 from polishd.daemon.daemon import Daemon
 from polishd.daemon.desk import Desk
-from polishd.daemon.endings import keep_ending, keeping, now
+from polishd.daemon.endings import keep_ending, keeping, now, of_queue
 from polishd.daemon.events import EventBus
 from polishd.daemon.job_maker import JobMaker
 from polishd.daemon.journal import Journal
@@ -46,10 +46,7 @@ async def run_queue(
     """Work the queue; its summary. PolishdError where the job that is under way cannot go on: nothing was opened."""
     async with Compute() as compute:
         shift = Shift(journal, JobMaker(config, hooks, cell, compute))
-
-        def keep(event: Event) -> None:
-            keeping(config.state_dir, shift.folder.path if shift.folder else config.state_dir)(event)
-
+        keep = keeping(config.state_dir, lambda: shift.folder.path if shift.folder else None, queue=True)
         bus = shift.bus = EventBus(hooks.on_event, show, sinks=(shift.record, keep, hears))
         try:
             await taken_up(shift)
@@ -86,7 +83,7 @@ def _last_words(daemon: QueueDaemon, shift: Shift, outcome: Outcome, failure: Ex
     """As of one job; one that ended because nothing waits is no failure, unless a part was not accepted."""
     last: dict[str, Any] = daemon.last_words(outcome, failure)
     folder: Mapping[str, Any] = {"run_dir": str(shift.folder.path)} if shift.folder else {}
-    last["next"] = last["next"].replace("polishd run CELL.toml", "polishd run CELL.toml --queue")
+    last["next"] = of_queue(last["next"])
     if failure is None and shift.first() is None and outcome is not Outcome.STOPPED:
         last |= {"state": "empty", "next": EMPTY, "exit_code": int(set(shift.ended) - {"accepted"} != set())}
     return {**last, **folder}

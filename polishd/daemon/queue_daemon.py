@@ -10,6 +10,7 @@ from typing import Any
 from polishd.daemon.cell import Cell
 from polishd.daemon.daemon import Daemon, Turn
 from polishd.daemon.desk import Desk
+from polishd.daemon.endings import of_queue
 from polishd.daemon.events import EventBus
 from polishd.daemon.interruption import settle
 from polishd.daemon.job import Job
@@ -56,7 +57,8 @@ class QueueDaemon(Daemon):
         """Of the cell, and of the queue."""
         waiting = [entry for entry in self._shift.queue.to_do() if entry.begun_s is None]
         next_job = f"{waiting[0].name} (part {waiting[0].part_id})" if waiting else ""
-        return {**await super().status(), "waiting": len(waiting), "next_job": next_job}
+        found = await super().status()
+        return {**found, "next": of_queue(found["next"]), "waiting": len(waiting), "next_job": next_job}
 
     # what happens in each state
 
@@ -135,6 +137,8 @@ class QueueDaemon(Daemon):
     async def _changed_by_person(self, part: str) -> Turn:
         if part == self._part_in:
             return Turn(Trigger.CHANGED)
+        if not self._holds:
+            raise DeviceRefused(f"a person is to put part {part!r} in, and --no-hold waits for none; see docs/queue.md")
         self._part_in = ""
         order = await self._orders.next()
         if order.verb is not Trigger.RESUME:

@@ -20,7 +20,7 @@ from tests.system.cell_rig import Daemon, events, with_keys, write_small
 
 pytestmark = pytest.mark.system
 
-SPEED = 20.0
+SPEED = 40.0
 
 
 def job_text(name: str, part: str) -> str:
@@ -97,6 +97,7 @@ def test_three_parts_without_a_person_and_one_that_comes_while_it_runs(tmp_path:
         assert len(list((files.run_dir).glob("*/summary.json"))) == 3
 
 
+@pytest.mark.full
 def test_a_wrong_part_is_put_aside_and_a_kill_in_between_loses_nothing(tmp_path: Path) -> None:
     with queue_cell(tmp_path / "cell", wrong=["P-1"], mistaken=["P-3"]) as files:
         add(files, ("one", "P-1"), ("two", "P-2"), ("three", "P-3"), ("four", "P-4"))

@@ -190,6 +190,13 @@ async def test_without_a_loader_a_person_changes_the_parts(hall: Hall) -> None:
     assert hall.verdicts() == {"a": "accepted", "b": "accepted"}
 
 
+async def test_without_a_loader_nobody_is_waited_for_where_nobody_is(hall: Hall) -> None:
+    hall.add("a")
+    with pytest.raises(DeviceRefused, match="put part 'P-a' in, and --no-hold waits for none"):
+        await hall.run(holds=False)
+    assert hall.verdicts() == {"a": "under way"}
+
+
 async def test_it_waits_for_a_job_and_takes_one_that_is_added(hall: Hall) -> None:
     hall.fake.with_loader()
     await hall.start()
