@@ -48,11 +48,12 @@ def _hash(terms: Any) -> str:
 
 
 class Desk:
-    """Answers for the queue of one cell."""
+    """Answers for the queue of one cell, from threads: a tool may be in contact meanwhile, and disks are slow."""
 
     def __init__(self, cell: CellConfig, queue: Queue, changed: Callable[[], None] = lambda: None) -> None:
         """``changed`` is called when something was added."""
         self._cell, self._queue, self._changed = cell, queue, changed
+        self._turn = asyncio.Lock()
 
     @property
     def handlers(self) -> dict[str, Handler]:
@@ -68,17 +69,20 @@ class Desk:
         """Put one at the end."""
         if not (where := Path(path)).is_absolute():
             raise ConfigError(f"{path}: is no absolute path; say where the job's file lies")
-        job = await asyncio.to_thread(new_job, self._cell, JobFile(where, content))
-        self._queue.add([job])
+        async with self._turn:
+            job = await asyncio.to_thread(new_job, self._cell, JobFile(where, content))
+            await asyncio.to_thread(self._queue.add, [job])
         self._changed()
         return {"job": job.name, "waiting": len(self._queue.to_do())}
 
     async def move(self, job: str, where: str, other: str = "") -> Mapping[str, Any]:
         """Change the order."""
-        self._queue.move(job, where, other)
+        async with self._turn:
+            await asyncio.to_thread(self._queue.move, job, where, other)
         return await self.list()
 
     async def remove(self, job: str, reason: str = "") -> Mapping[str, Any]:
         """Take one out that waits; one under way, too, which is put aside: a daemon refuses that unless it is held."""
-        self._queue.remove(job, reason)
+        async with self._turn:
+            await asyncio.to_thread(self._queue.remove, job, reason)
         return await self.list()

@@ -24,6 +24,7 @@ from polishd.model.errors import ConfigError
 REMOVED = "removed"
 """The verdict of a job that a person took out before it began."""
 BY_A_PERSON = "put aside by a person"
+TO_DO = "ended IS NULL ORDER BY begun IS NULL, place"
 _COLUMNS = "id, name, part_id, path, content, files, added, job, begun, ended, verdict, reason, fault"
 
 
@@ -82,7 +83,7 @@ class Queue:
     def __init__(self, store: Store) -> None:
         self._store = store
         self._to_do: list[Entry] | None = None
-        """What ``to_do`` answers, for ``status`` does not go to the disk; None: it changed."""
+        """What ``to_do`` answers: ``status`` does not go to the disk. None: nobody has asked yet."""
 
     @classmethod
     @contextmanager
@@ -102,7 +103,7 @@ class Queue:
     def to_do(self) -> list[Entry]:
         """The one under way, and those that wait, in their order."""
         if self._to_do is None:
-            self._to_do = self._where("ended IS NULL ORDER BY begun IS NULL, place")
+            self._to_do = self._where(TO_DO)
         return self._to_do
 
     def under_way(self) -> Entry | None:
@@ -112,6 +113,10 @@ class Queue:
     def next(self) -> Entry | None:
         """The first of those that wait."""
         return next(iter(self._waiting()), None)
+
+    def holds(self, entry: Entry) -> bool:
+        """Whether it waits, or is under way."""
+        return any(one.id == entry.id for one in self.to_do())
 
     def last_ended(self) -> Entry | None:
         """The job that was worked last."""
@@ -160,7 +165,9 @@ class Queue:
         self.end(entry, Verdict("put aside", reason or BY_A_PERSON, ""), *over)
 
     def begin(self, entry: Entry, job: int) -> None:
-        """It is under way, as that row of the journal's jobs."""
+        """It is under way, as that row of the journal's jobs; ConfigError where it was taken out meanwhile."""
+        if not self.holds(entry):
+            raise ConfigError(f"the job {entry.name!r} was taken out of the queue")
         self._write(("UPDATE queue SET begun = ?, job = ? WHERE id = ?", (time.time(), job, entry.id)))
 
     def end(self, entry: Entry, verdict: Verdict, *also: Row) -> None:
@@ -173,10 +180,8 @@ class Queue:
         return sql, (time.time(), verdict, reason, fault, entry.id)
 
     def _write(self, *rows: Row) -> None:
-        try:
-            self._store.write(*rows)
-        finally:
-            self._to_do = None
+        self._store.write(*rows)
+        self._to_do = self._where(TO_DO)
 
     def _waiting(self) -> list[Entry]:
         return [entry for entry in self.to_do() if entry.begun_s is None]

@@ -99,6 +99,8 @@ class QueueDaemon(Daemon):
         try:
             self.job = await self._shift.begin(entry)
         except PolishdError as error:
+            if not self._shift.queue.holds(entry):
+                return Turn(Trigger.ENDED)  # somebody took it out meanwhile
             verdict = self._judged(error)
             if verdict is None:
                 raise

@@ -53,6 +53,8 @@ class Hall:
         self.fake = FakeCell()
         self.refused: dict[str, PolishdError] = {}
         """Jobs that cannot begin."""
+        self.taken_out: set[str] = set()
+        """Jobs that somebody takes out while they are made ready."""
         self.told: list[Event] = []
         self.polished: list[str] = []
         self.queue = Queue(journal.store)
@@ -65,6 +67,8 @@ class Hall:
     async def make(self, entry: Entry, queue: Queue, journal: Journal, publish: Any) -> tuple[Job, RunFolder]:
         if entry.name in self.refused:
             raise self.refused[entry.name]
+        if entry.name in self.taken_out:
+            queue.remove(entry.name, "by the test")
         own = journal.of_job(entry.name, entry.part_id, {})
         queue.begin(entry, own.number)
         folder = RunFolder(self.tmp_path / "runs" / entry.name)
@@ -237,6 +241,14 @@ async def test_a_job_that_cannot_begin_is_put_aside_and_nothing_moves_for_it(hal
     await hall.run()
     assert hall.verdicts() == {"a": "put aside", "b": "accepted"}
     assert hall.fake.of("loader.load") == ["loader.load P-b"]
+
+
+async def test_a_job_that_is_taken_out_while_it_is_made_ready_does_not_begin(hall: Hall) -> None:
+    hall.add("a", "b").fake.with_loader()
+    hall.taken_out.add("a")
+    await hall.run()
+    assert hall.verdicts() == {"a": "removed", "b": "accepted"}
+    assert hall.polished == ["b"]
 
 
 async def test_two_parts_in_a_row_with_the_same_fault_stop_it_and_resume_goes_on_with_the_next(hall: Hall) -> None:
