@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -318,6 +319,20 @@ async def test_without_confirmation_a_cut_pass_ends_the_daemon_and_the_job_stays
     with pytest.raises(SafetyStop, match="force"):
         await hall.run()
     assert hall.verdicts() == {"a": "under way", "b": "waiting"}
+
+
+async def test_a_lost_journal_ends_the_daemon_and_nothing_goes_on(hall: Hall) -> None:
+    hall.add("a", "b").fake.with_loader()
+
+    def end(_job: Job) -> PolishdError:
+        hall.journal.store._fail(sqlite3.OperationalError("disk I/O error"))
+        return BadMap("x")
+
+    hall.ends["a"] = [end]
+    with pytest.raises(SafetyStop, match="journal lost"):
+        await hall.run()
+    assert hall.polished == ["a"]
+    assert hall.fake.of("loader.load") == ["loader.load P-a"]
 
 
 async def test_without_a_person_it_ends_where_it_would_stop(hall: Hall) -> None:
