@@ -45,8 +45,8 @@ from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Op
 from polishd.model.program import Plan, Program, Segment
 from polishd.model.robot import HybridRobot, MeasuredCompliance, SerialRobot
 from polishd.model.surface import Grid, SurfaceMap, SurfaceStats
-from polishd.model.times import ActuatorTimes, RobotTimes, SpindleTimes
-from polishd.ports import ByteStream, Clock, Device, ForceActuator, Metrology, Robot, Spindle
+from polishd.model.times import ActuatorTimes, LoaderTimes, RobotTimes, SpindleTimes
+from polishd.ports import ByteStream, Clock, Device, ForceActuator, Loader, Metrology, Robot, Spindle
 from polishd.process.convolution import ConvolutionEffect
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.effect import Effect, SparseEffect
@@ -90,6 +90,8 @@ __all__ = [
     "Identity",
     "Lesson",
     "LinkError",
+    "Loader",
+    "LoaderTimes",
     "MeasuredCompliance",
     "MeasuredTif",
     "Metrology",

@@ -24,10 +24,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
+jobs = typer.Typer(name="job", help="The queue of a cell: parts, one after another.", no_args_is_help=True)
+app.add_typer(jobs)
+
 STDOUT = 1
 """Its descriptor."""
 
 Reason = Annotated[str, Option("--reason", metavar="TEXT", help="Why: for the journal, and for status.")]
+JobId = Annotated[str, Argument(metavar="ID", help="Its job.id.", show_default=False)]
 Correction = Annotated[
     Literal["none", "pointwise", "linear", "power", "exact"] | None, Option(help="Override process.correction.")
 ]
@@ -54,17 +58,21 @@ def demo(
 
 @app.command()
 def run(
+    *,
     cells: Annotated[
         list[Path], Argument(metavar="CELL.toml...", help="Each cell's configuration.", show_default=False)
     ],
     correction: Correction = None,
     no_hold: Annotated[bool, Option("--no-hold", help="End where it would wait for a person to mend.")] = False,
+    queue: Annotated[bool, Option("--queue", help="Work the queue of polishd job; wait for more.")] = False,
+    until_empty: Annotated[bool, Option("--until-empty", help="With --queue: end when no job waits.")] = False,
     as_json: Json = False,
 ) -> None:
     """Run the daemon of a cell, or of several, until their jobs end. After an interruption one comes up held."""
     from polishd.console.run import run_verb
 
-    raise typer.Exit(run_verb(cells, correction, holds=not no_hold, as_json=as_json))
+    how = {"queue": queue, "until_empty": until_empty}
+    raise typer.Exit(run_verb(cells, correction, holds=not no_hold, as_json=as_json, **how))
 
 
 @app.command()
@@ -137,6 +145,50 @@ def stop(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
 def estop(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
     """Stop motion at once, whatever the part costs; then wait for resume. No substitute for the button."""
     _order(cell, "estop", reason, as_json=as_json)
+
+
+@jobs.command("add")
+def job_add(
+    *,
+    cell: Cell,
+    files: Annotated[list[Path], Argument(metavar="JOB.toml...", help="Jobs, in their order.", show_default=False)],
+    as_json: Json = False,
+) -> None:
+    """Judge jobs as a whole, as check does, and put them at the end of the queue: all of them, or none."""
+    from polishd.console.jobs import add_verb
+
+    add_verb(cell, files, as_json=as_json)
+
+
+@jobs.command("list")
+def job_list(cell: Cell, as_json: Json = False) -> None:
+    """The queue: what is under way, what waits, and how each job ended."""
+    from polishd.console.jobs import list_verb
+
+    list_verb(cell, as_json=as_json)
+
+
+@jobs.command("move")
+def job_move(
+    *,
+    cell: Cell,
+    job: JobId,
+    where: Annotated[Literal["before", "after", "first", "last"], Argument(show_default=False)],
+    other: Annotated[str, Argument(metavar="[OTHER]", help="Before or after which job.", show_default=False)] = "",
+    as_json: Json = False,
+) -> None:
+    """Move a job that waits: before ID, after ID, first, last."""
+    from polishd.console.jobs import move_verb
+
+    move_verb(cell, job, where, other, as_json=as_json)
+
+
+@jobs.command("remove")
+def job_remove(*, cell: Cell, job: JobId, reason: Reason = "", as_json: Json = False) -> None:
+    """Take a job out that waits; the one over which the cell is held is put aside."""
+    from polishd.console.jobs import remove_verb
+
+    remove_verb(cell, job, reason, as_json=as_json)
 
 
 service = typer.Typer(name="service", help="Run a cell as a service of systemd.", no_args_is_help=True)

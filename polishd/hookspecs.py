@@ -53,7 +53,7 @@ class DeviceType:
 
     name: str
     port: str
-    """A section for devices: ``robot``, ``actuator``, ``spindle`` or ``metrology``."""
+    """A section for devices: ``robot``, ``actuator``, ``spindle``, ``metrology`` or ``loader``."""
     options: type[Any]
     """A pydantic model: the keys of the device's config section besides ``type``."""
     build: Callable[[Any, DeviceContext], Device]

@@ -34,7 +34,7 @@ from polishd.hookspecs import DeviceType, NotifierType
 from polishd.model.errors import ConfigError
 from polishd.model.limits import Envelope
 from polishd.model.process import MeasuredTif
-from polishd.ports.devices import ForceActuator, Metrology, Robot, Spindle
+from polishd.ports.devices import ForceActuator, Loader, Metrology, Robot, Spindle
 
 
 class CellConfig(PartDocument):
@@ -49,6 +49,7 @@ class CellConfig(PartDocument):
     robot: Annotated[DeviceSection, Port(Robot)]
     spindle: Annotated[DeviceSection, Port(Spindle)]
     metrology: Annotated[DeviceSection, Port(Metrology, acts=False)]
+    loader: Annotated[DeviceSection | None, Port(Loader)] = None
     roles: Mapping[str, Name] = {}
     """Which of several devices at a port the job uses: ``robot = "left"``."""
     instrument: InstrumentSection = InstrumentSection()
@@ -112,6 +113,11 @@ class CellConfig(PartDocument):
         return self.model_dump(mode="json")
 
     @property
+    def raw(self) -> Mapping[str, Any]:
+        """The values as they were written, fragments and overrides laid over them."""
+        return self._raw
+
+    @property
     def included(self) -> dict[str, str]:
         """Dotted keys that came from an included fragment, and the file."""
         parts = self._source.included
@@ -135,6 +141,9 @@ PORTS: Mapping[str, Port] = {
 }
 """What each port asks; in the order in which devices are opened."""
 
+FILES = ("program.path", "program.dialects", "instrument.profile", "part.nominal", "process.tif", "kinematics.table")
+"""Keys that name files: what counts is the content, wherever it lies."""
+
 
 def port_of(device: str) -> str:
     """The port of a device, by its name."""
@@ -153,7 +162,7 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> CellC
     for fragment, part in fragments:
         if "include" in fragment:
             raise ConfigError(part.error(("include",), "a fragment includes no other; name all in the cell's file"))
-        _lay_over(raw, fragment)
+        lay_over(raw, fragment)
     for key, value in (overrides or {}).items():
         _override(raw, key, value, source)
     config = CellConfig.of(raw, source)
@@ -272,11 +281,11 @@ def _included(raw: Mapping[str, Any], source: Source) -> list[str]:
     return names
 
 
-def _lay_over(raw: dict[str, Any], fragment: Mapping[str, Any]) -> None:
+def lay_over(raw: dict[str, Any], fragment: Mapping[str, Any]) -> None:
     """Keys of the fragment's tables replace those of the file's."""
     for name, value in fragment.items():
         if isinstance(value, dict) and isinstance(raw.get(name), dict):
-            _lay_over(raw[name], value)
+            lay_over(raw[name], value)
         else:
             raw[name] = value
 

@@ -20,6 +20,7 @@ class Document(Section):
 
     _path: Path = PrivateAttr(default=Path("none.toml"))
     _source: Source = PrivateAttr(default=Source("none.toml", ""))
+    _raw: Mapping[str, Any] = PrivateAttr(default_factory=dict)
 
     @classmethod
     def of(cls, raw: Mapping[str, Any], source: Source) -> Self:
@@ -28,7 +29,7 @@ class Document(Section):
             made = cls.model_validate(raw)
         except ValidationError as error:
             raise ConfigError("\n".join(problems(error, cls, source))) from error
-        made._path, made._source = Path(source.file).absolute(), source
+        made._path, made._source, made._raw = Path(source.file).absolute(), source, raw
         return made
 
     @property
@@ -52,7 +53,11 @@ class Document(Section):
 
 def parse_toml(path: Path) -> tuple[dict[str, Any], Source]:
     """A TOML file's values, and the text that says where they stand; ConfigError with file and line."""
-    text = toml_text(path)
+    return parse_text(toml_text(path), path)
+
+
+def parse_text(text: str, path: Path) -> tuple[dict[str, Any], Source]:
+    """The same of a text that stood in that file."""
     try:
         return tomllib.loads(text), Source(str(path), text)
     except tomllib.TOMLDecodeError as error:  # which says "... (at line 3, column 5)" or "(at end of document)"

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field
 
 from polishd.config.document import Document, parse_toml
-from polishd.config.values import Bump, NotNegative, Pair, Positive, Section, ShareOrNone, Vector, as_tuple
+from polishd.config.values import Bump, NotNegative, Pair, Positive, Section, ShareOrNone, Texts, Vector, as_tuple
 
 Rate = Annotated[float, Field(ge=0, le=1)]
 Port = Annotated[int, Field(ge=0, le=65535)]
@@ -223,6 +223,39 @@ class Interferometer(Section):
     faults: MapFaults = MapFaults()
 
 
+class LoaderFaults(Faults):
+    """What a loader can do beyond that, by the part that it is asked for; dropping and jamming once each."""
+
+    wrong: Texts = ()
+    """Parts in whose place it brings another, and says so."""
+    mistaken: Texts = ()
+    """Parts in whose place it brings another, and does not notice."""
+    drops: Texts = ()
+    """Parts that it drops on the way."""
+    jams: Texts = ()
+    """Parts over which it jams."""
+
+
+class Loader(Section):
+    """The part loader. Its times go with the simulated clock."""
+
+    kind: Literal["tcp", "serial"] = "tcp"
+    """Its line."""
+    port: Port = 0
+    """TCP port on loopback; 0: any that is free. [1]"""
+    baud: Annotated[int, Field(ge=1200)] = 115200
+    """Pace of the serial line. [bit/s]"""
+    parts: Texts = ()
+    """What it has in store; left out: whatever it is asked for."""
+    load_s: Positive = 30.0
+    """From its place to the seat and away again."""
+    unload_s: Positive = 20.0
+    """And back."""
+    watchdog_s: Positive = 5.0
+    """It moves, and hears nothing for so long, wall time: it stops."""
+    faults: LoaderFaults = LoaderFaults()
+
+
 class SimConfig(Document):
     """The whole of SIM.toml."""
 
@@ -232,6 +265,7 @@ class SimConfig(Document):
     actuator: Actuator = Actuator()
     spindle: Spindle = Spindle()
     interferometer: Interferometer = Interferometer()
+    loader: Loader | None = None
 
 
 def load_simulator(path: Path) -> SimConfig:

@@ -61,7 +61,7 @@ class _Line:
                 who = data.get("kind") or data["notifier"]
                 self._print(f"{who}: {data.get('error') or data['what']}", style="red")
             case _:
-                pass
+                self._show_queue(name, data)
         for note in data.get("notes", ()):
             self._print(f"note: {note}")
 
@@ -81,6 +81,21 @@ class _Line:
                 self._update("held", total=None, note="")
             case "starting" if data["reason"]:
                 self._print(f"starting: {data['reason']}")
+            case "idle" | "changing" as state:
+                if data["reason"]:
+                    self._print(data["reason"])
+                self._update({"idle": "next job", "changing": "changing the part"}[state], total=None, note="")
+            case _:
+                pass
+
+    def _show_queue(self, name: str, data: Mapping[str, Any]) -> None:
+        """What happens between jobs."""
+        match name:
+            case "job_begun":
+                self._print(f"job {data['job']}, part {data['part_id']}")
+            case "job_ended":
+                why = f": {data['reason']}" if data["verdict"] != "accepted" else ""
+                self._print(f"job {data['job']} {data['verdict']}{why}")
             case _:
                 pass
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import typer
-from rich.console import Group
+from rich.console import Group, RenderableType
 
 from polishd.config.cell import CellConfig
 from polishd.console.last_words import tell
@@ -18,19 +18,33 @@ from polishd.daemon.app import CellRun, run_cells
 from polishd.hooks.cell import load_cell
 from polishd.model.errors import ConfigError, PolishdError, SafetyStop
 from polishd.model.events import Event
-from polishd.show.tables import emit, outcome_tables
+from polishd.show.tables import emit, key_table, outcome_tables
 
 Ended = Mapping[str, Any] | Exception
 
 
-def run_verb(cells: Sequence[Path], correction: str | None, *, holds: bool, as_json: bool) -> int:
+def run_verb(
+    cells: Sequence[Path],
+    correction: str | None,
+    *,
+    holds: bool,
+    as_json: bool,
+    queue: bool = False,
+    until_empty: bool = False,
+) -> int:
     """Run the daemons; the worst exit code. The last lines on stderr say how each cell stands and what to do."""
     try:
+        if until_empty and not queue:
+            raise ConfigError("--until-empty goes with --queue; add that, or leave both away")
+        if queue and correction is not None:
+            raise ConfigError(
+                "--correction is for the cell's own job; a job of the queue says process.correction itself"
+            )
         loaded = [load_cell(cell, correction) for cell in cells]
         names = _names(cells, [config for config, _ in loaded])
         with progress(names) as shows:
             runs = [
-                CellRun(config, hooks, partial(_shown, show))
+                CellRun(config, hooks, partial(_shown, show), queue, until_empty)
                 for (config, hooks), show in zip(loaded, shows, strict=True)
             ]
             ended = asyncio.run(run_cells(runs, holds=holds))
@@ -40,13 +54,20 @@ def run_verb(cells: Sequence[Path], correction: str | None, *, holds: bool, as_j
     summaries = {name: found for (name, _), found in named if not isinstance(found, Exception)}
     codes = [_code(found) for found in ended]
     if summaries and len(cells) == 1:
-        emit(summaries[""], as_json=as_json, table=lambda: outcome_tables(summaries[""]))
+        emit(summaries[""], as_json=as_json, table=lambda: _table(summaries[""]))
     elif summaries:
         whole = {"exit_code": worst(codes), "cells": {name: _facts(found) for (name, _), found in named}}
-        emit(whole, as_json=as_json, table=lambda: Group(*map(outcome_tables, summaries.values())))
+        emit(whole, as_json=as_json, table=lambda: Group(*map(_table, summaries.values())))
     for (name, cell), found in named:
         _tell_end(found, cell, f"{name}: " if name else "")
     return worst(codes)
+
+
+def _table(summary: Mapping[str, Any]) -> RenderableType:
+    """Of a job its measurements; of a queue how many jobs ended how."""
+    if "jobs" not in summary:
+        return outcome_tables(summary)
+    return key_table(f"queue: {summary['outcome']}", summary["jobs"].items())
 
 
 def worst(codes: Sequence[int]) -> int:

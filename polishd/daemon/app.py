@@ -12,25 +12,25 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import Context, copy_context
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from functools import partial
-from itertools import chain, count
-from pathlib import Path
 from typing import Any
 
 from polishd.config.cell import CellConfig
-from polishd.daemon.assembly import build_cell, build_notifiers, contact_limits, require_time_limits
+from polishd.daemon.assembly import build_cell, build_notifiers, require_time_limits
 from polishd.daemon.cell import Cell
 from polishd.daemon.compute import Compute
 from polishd.daemon.courier import Notifier
 from polishd.daemon.daemon import Daemon
+from polishd.daemon.desk import Desk
 from polishd.daemon.endings import keep_ending, keeping, now
-from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.lock import locked, unusable
 from polishd.daemon.log import logging_to
+from polishd.daemon.making import figures, make_job, run_folder
 from polishd.daemon.notifications import told
 from polishd.daemon.priority import loop_first
+from polishd.daemon.queue import Queue
+from polishd.daemon.queue_app import run_queue
 from polishd.daemon.same_job import require_same, terms_of
 from polishd.daemon.service import serving
 from polishd.daemon.states import State
@@ -57,6 +57,10 @@ class CellRun:
     hooks: Hooks
     show: Callable[[Event], None] = lambda _: None
     """Is told each event, for a person."""
+    queue: bool = False
+    """Work the queue, not the job of the cell's file, ..."""
+    until_empty: bool = False
+    """... until it is empty."""
 
 
 @dataclass(slots=True)
@@ -103,8 +107,8 @@ class _Ready:
     """A cell of which all is read and nothing is open but its state folder, which ``kept`` gives back."""
 
     run: CellRun
-    recipe: Recipe
-    program: Program
+    work: tuple[Recipe, Program] | None
+    """Of the cell's own job; None where a queue is worked."""
     cell: Cell
     notifiers: Sequence[Notifier]
     journal: Journal
@@ -143,10 +147,7 @@ def _written(cells: Sequence[_Ready], within_s: float) -> bool:
 
 def _made_ready(run: CellRun, context: Context, kept: ExitStack) -> _Ready:
     config, hooks = run.config, run.hooks
-    recipe = make_recipe(config, hooks)
-    require_commissioned(config, recipe)
-    program = read_program(recipe, config.program_path)
-    require_fit(config, recipe, program)
+    work = None if run.queue else _own_work(config, hooks)
     cell = build_cell(config, hooks)
     require_time_limits(config, cell)
     notifiers = build_notifiers(config, hooks)
@@ -155,8 +156,17 @@ def _made_ready(run: CellRun, context: Context, kept: ExitStack) -> _Ready:
         kept.enter_context(logging_to(config.state_dir))
     except OSError as error:
         raise unusable(config.state_dir, error) from error
-    journal = kept.enter_context(_journal(config, program))
-    return _Ready(run, recipe, program, cell, notifiers, journal, kept, context)
+    journal = kept.enter_context(_journal(config, work[1]) if work else Journal.of_cell(config.state_dir))
+    return _Ready(run, work, cell, notifiers, journal, kept, context)
+
+
+def _own_work(config: CellConfig, hooks: Hooks) -> tuple[Recipe, Program]:
+    """Of the job that the cell's own file describes."""
+    recipe = make_recipe(config, hooks)
+    require_commissioned(config, recipe)
+    program = read_program(recipe, config.program_path)
+    require_fit(config, recipe, program)
+    return recipe, program
 
 
 async def _run(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[str, Any] | Exception:
@@ -180,24 +190,26 @@ def _name(ready: _Ready) -> str:
 
 async def _run_job(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[str, Any]:
     config, hooks, journal = ready.run.config, ready.run.hooks, ready.journal
+    if ready.work is None:
+        return await run_queue(
+            config,
+            hooks,
+            ready.cell,
+            ready.notifiers,
+            journal,
+            show=ready.run.show,
+            hears=stopping.supervisor.hears(_name(ready)),
+            telling=stopping.telling,
+            holds=holds,
+            until_empty=ready.run.until_empty,
+        )
     folder = run_folder(config, journal)
-    kept = keeping(config.state_dir, folder.path), stopping.supervisor.hears(_name(ready))
+    kept = keeping(config.state_dir, lambda: folder.path), stopping.supervisor.hears(_name(ready))
     sinks = (journal.record_event, *kept)
     known = {"job": config.job.id, "part": config.part.id, "run_dir": str(folder.path)}
     listeners = (hooks.on_event, ready.run.show)
     async with told(config, ready.notifiers, known, listeners, sinks) as bus, Compute() as compute:
-        job = Job(
-            ready.recipe,
-            ready.program,
-            journal=journal,
-            folder=folder,
-            compute=compute,
-            publish=bus.publish,
-            check_plan=hooks.check_plan,
-            contact=contact_limits(config),
-            max_cycles=config.job.max_cycles,
-            lookahead_s=config.job.lookahead_s,
-        )
+        job = make_job(config, hooks, *ready.work, journal=journal, folder=folder, compute=compute, publish=bus.publish)
         await job.load()
         daemon = Daemon(ready.cell, job, bus, holds=holds)
         with stopping.telling(daemon):
@@ -209,7 +221,8 @@ async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[
     started = now()
     failure: Exception | None = None
     outcome = Outcome.STOPPED
-    async with serving(config.state_dir, daemon.handlers, daemon.bus):
+    desk = Desk(config, Queue(daemon.job.journal.store))  # the queue waits meanwhile
+    async with serving(config.state_dir, {**desk.handlers, **daemon.handlers}, daemon.bus):
         try:
             await daemon.become(State.STARTING, "")
             outcome = await daemon.run()
@@ -223,7 +236,7 @@ async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[
         summary = {
             "outcome": last.pop("state"),
             "job": config.job.id,
-            **_figures(daemon.job),
+            **figures(daemon.job),
             "run_dir": str(folder.path),
             "started": started,
             "ended": now(),
@@ -237,57 +250,23 @@ async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[
             summary["exit_code"] = summary["exit_code"] or getattr(error, "exit_code", 1)
         with suppress(PolishdError):  # of a lost journal, which has been told
             await daemon.become(State.FINISHED, summary["outcome"])
-            daemon.flush()
+            daemon.job.journal.flush()
     return summary
-
-
-def _figures(job: Job) -> dict[str, Any]:
-    """What was measured and done, for the summary; nothing where the journal is lost."""
-    try:
-        found = job.summary()
-    except PolishdError as lost:
-        log.error("the journal cannot be asked any more: %s", lost)
-        return {"cycles": []}
-    for cycle in found["cycles"]:
-        if cycle["how"] == "begun":
-            cycle["how"] = "interrupted"  # it is over now; the next start settles it in the journal
-    return found
-
-
-def run_folder(config: CellConfig, journal: Journal) -> RunFolder:
-    """The folder of the job that goes on, or a new one."""
-    if journal.begun and journal.run_dir:
-        path = config.resolve(journal.run_dir)
-    else:
-        path = config.run_dir or _new_folder(config)
-        journal.record_run_dir(path)
-    folder = RunFolder(path)
-    try:
-        folder.bytes("cell.toml", config.path.read_bytes())
-        if config.profile_path is not None:
-            folder.bytes("instrument.toml", config.profile_path.read_bytes())
-    except OSError as error:
-        why = f"{folder.path}: the run folder cannot be written: {error.strerror}"
-        if not journal.begun:
-            raise ConfigError(f"{why}; mend it, or name another") from error
-        log.error("%s; the job goes on without", why)
-    return folder
-
-
-def _new_folder(config: CellConfig) -> Path:
-    """Named by job and time; a clock that was set back leads to no folder of an earlier job."""
-    path = config.state_dir / "runs" / f"{config.job.id}-{datetime.now(UTC):%Y%m%dT%H%M%S}"
-    others = (path.with_name(f"{path.name}-{number}") for number in count(2))
-    return next(one for one in chain([path], others) if not one.exists())
 
 
 def _journal(config: CellConfig, program: Program) -> Journal:
     """The cell's journal; ConfigError where its job was begun with something else."""
     terms = terms_of(config, program.sha256)
-    journal = Journal.open(config.state_dir, job=config.job.id, part_id=config.part.id, terms=terms)
+    cell = Journal.of_cell(config.state_dir)
     try:
+        if (other := Queue(cell.store).under_way()) is not None:
+            raise ConfigError(
+                f"{config.state_dir}: the job {other.name!r} of the queue is under way; go on with it: polishd run "
+                f"{config.path} --queue; or put it aside: polishd job remove {config.path} {other.name}"
+            )
+        journal = cell.of_job(config.job.id, config.part.id, terms)
         require_same(config, terms, journal)
     except ConfigError:
-        journal.close()
+        cell.close()
         raise
     return journal

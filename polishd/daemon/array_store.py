@@ -51,10 +51,10 @@ class ArrayStore:
         with np.load(io.BytesIO(self.content(sha256)), allow_pickle=False) as archive:
             return dict(archive)
 
-    def clear(self) -> None:
-        """Remove all: no job that could go on needs them."""
-        for path in self.folder.glob("*"):
-            path.unlink()
+    def remove(self, *names: str) -> None:
+        """Remove what nobody will ask for again; what is not there is no error."""
+        for name in filter(None, names):
+            self._path(name).unlink(missing_ok=True)
 
     def _path(self, sha256: str) -> Path:
         return self.folder / f"{sha256}.npz"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -28,15 +29,29 @@ def build_cell(config: CellConfig, hooks: Hooks) -> Cell:
         ConfigError: a section is wrong; names file, line and key.
         PluginError: a device's plugin is: it raises something else, or the device lacks what the port asks.
     """
-    context = DeviceContext(
+    context = _context(config, hooks)
+    devices = {name: _built(config, hooks, name, context) for name in config.devices}
+    return Cell(devices, config.used, MonotonicClock())
+
+
+async def look_for_part(cell: Cell, config: CellConfig, hooks: Hooks) -> None:
+    """Devices that only look are built anew, for the part and the instrument of that config's job.
+
+    Opened where the cell is open. Errors as of ``build_cell``, and DeviceError where one does not answer.
+    """
+    context = await asyncio.to_thread(_context, config, hooks)
+    for name in [name for name in cell.devices if not PORTS[port_of(name)].acts]:
+        await cell.exchange(name, _built(config, hooks, name, context))
+
+
+def _context(config: CellConfig, hooks: Hooks) -> DeviceContext:
+    return DeviceContext(
         base_dir=config.base_dir,
         state_dir=config.state_dir,
         part_id=config.part.id,
         readers=tuple(hooks.surface_readers().values()),
         instrument=instrument_of(config),
     )
-    devices = {name: _built(config, hooks, name, context) for name in config.devices}
-    return Cell(devices, config.used, MonotonicClock())
 
 
 def build_notifiers(config: CellConfig, hooks: Hooks) -> list[Notifier]:

@@ -129,6 +129,14 @@ class Cell:
                 told = True
             await self.clock.sleep(BUSY_AGAIN_S)
 
+    async def exchange(self, name: str, device: Device) -> None:
+        """Put another device in the place of that one, which is closed; open where the cell is."""
+        before, self.devices = self.devices[name], {**self.devices, name: device}
+        if self.identities:
+            async with _answering(name):
+                await before.close()
+                await device.open()
+
     async def restore_links(self) -> None:
         """Open again what was lost meanwhile, and leave it safe. Only out of contact: nothing is retried in it."""
         for name, device in self.devices.items():

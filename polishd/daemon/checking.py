@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from polishd.config.cell import CellConfig
+from polishd.config.job_file import JobFile
 from polishd.daemon.assembly import build_cell, build_notifiers, require_time_limits
 from polishd.daemon.cell import Cell
+from polishd.daemon.desk import new_job
 from polishd.daemon.lock import locked
 from polishd.daemon.priority import host
+from polishd.daemon.queue import NewJob
 from polishd.daemon.safety import make_safe
+from polishd.hooks.cell import hooks_of_job
 from polishd.hooks.loader import Hooks
 from polishd.model.devices import Identity
-from polishd.model.errors import DeviceFault
+from polishd.model.errors import DeviceFault, PolishdError
 from polishd.recipe import foresight, steps, touch_off
 from polishd.recipe.making import make_recipe, why_not_commissioned
 from polishd.recipe.program_fit import require_fit
@@ -57,6 +63,30 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
         "host": host(),
         "time limits": [limit.row() for limit in chain],
     }
+
+
+def judged_jobs(cell: CellConfig, hooks: Hooks, paths: Sequence[Path]) -> list[NewJob]:
+    """The jobs of these files, each judged as a whole, as ``polishd check`` does; the first fault of each is raised.
+
+    Jobs that differ by name and part alone are judged once.
+    """
+    jobs, wrong, judged = [], [], set()
+    for path in paths:
+        try:
+            file = JobFile.read(path)
+            config = file.laid_over(cell)
+            jobs.append(new_job(cell, file))
+            values = {**config.effective(), "job": {**config.job.model_dump(), "id": ""}}
+            values["part"] = {**config.part.model_dump(), "id": ""}
+            if (same := json.dumps([values, jobs[-1].files], sort_keys=True)) not in judged:
+                check_cell(config, hooks_of_job(cell, hooks, config))
+                judged.add(same)
+        except PolishdError as error:
+            said = str(error)
+            wrong.append((error, said if str(path) in said else f"{path}: {said}"))
+    if wrong:
+        raise type(wrong[0][0])("\n".join(said for _, said in wrong))
+    return jobs
 
 
 def _devices(cell: Cell) -> str:

@@ -12,7 +12,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.cycle import polish
@@ -21,6 +21,7 @@ from polishd.daemon.events import EventBus
 from polishd.daemon.health import Health
 from polishd.daemon.interruption import settle
 from polishd.daemon.job import Job
+from polishd.daemon.making import NoJob
 from polishd.daemon.orders import Order, Orders, unless
 from polishd.daemon.safety import make_safe
 from polishd.daemon.service import Handler
@@ -48,7 +49,7 @@ class Turn:
 class Daemon:
     """Runs a job on a cell that it opens and closes, and obeys orders at once."""
 
-    def __init__(self, cell: Cell, job: Job, bus: EventBus, *, holds: bool = True) -> None:
+    def __init__(self, cell: Cell, job: Job | NoJob, bus: EventBus, *, holds: bool = True) -> None:
         self.job = job
         """The one under way, with the journal that knows it."""
         self.bus = bus
@@ -82,6 +83,7 @@ class Daemon:
             "state": self.state,
             "reason": self.reason,
             "next": NEXT.get(self.state, ""),
+            **self.job.names(),
             "phase": phase,
             "cycle": cycle,
             "cycles": self.job.cycles(),
@@ -149,9 +151,8 @@ class Daemon:
             if summary["outcome"] == outcome.value and outcome is not Outcome.STOPPED:
                 self.job.journal.record_outcome(outcome)
             folder.json("summary.json", summary)
-            await asyncio.to_thread(
-                self.job.journal.copy_to, folder.path / "journal.sqlite"
-            )  # others may be in contact
+            copy = self.job.journal.copy_to
+            await asyncio.to_thread(copy, folder.path / "journal.sqlite")  # others may be in contact
         finally:
             self.bus.publish(
                 events.JobFinished(
@@ -166,10 +167,6 @@ class Daemon:
         """It ends the daemon, which leaves the cell as it stands now."""
         kind = type(error).__name__
         return events.Failed(error=str(error), kind=kind, standing=self._standing("failed", "").standing)
-
-    def flush(self) -> None:
-        """Make durable what the journal still buffers."""
-        self.job.journal.flush()
 
     def last_words(self, outcome: Outcome, failure: Exception | None) -> dict[str, Any]:
         """The end as ``status`` tells it when no daemon runs: how, why, how the cell stands, and what to do."""
@@ -198,11 +195,11 @@ class Daemon:
 
     async def _polish(self) -> Turn:
         self._cell.emergency = self._unfit = False
-        journal = self.job.journal
+        job, journal = cast(Job, self.job), self.job.journal  # between jobs nobody polishes
         done: list[Outcome] = []
 
         async def work() -> None:
-            done.append(await polish(self._cell, self.job, journal))
+            done.append(await polish(self._cell, job, journal))
 
         try:
             order = await unless(self._orders.interrupting(), work(), journal.lost())

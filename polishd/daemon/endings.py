@@ -29,6 +29,8 @@ RECORD_NAME = "ending.json"
 _AGAIN = "polishd run CELL.toml; it comes up held, and polishd resume CELL.toml starts with a new measurement"
 _OVER = "look at report.html in the run folder; this job is over, polishd run CELL.toml begins a new one"
 NEXT: Mapping[str, str] = {
+    "idle": "polishd job add CELL.toml JOB.toml adds a job to the queue; polishd stop CELL.toml ends the daemon",
+    "changing": "where there is no loader: put the part in, then polishd resume CELL.toml",
     "held": (
         "when nothing is left to mend: polishd resume CELL.toml goes on, with a new measurement first; a file of the "
         "cell that was changed counts only after polishd stop CELL.toml and polishd run CELL.toml"
@@ -42,6 +44,11 @@ NEXT: Mapping[str, str] = {
     "stalled": f"passes bring too little of what was predicted: {_OVER}",
 }
 """What to do, by state or outcome: nobody is told to resume where no daemon runs, nor to run where one is held."""
+
+
+def of_queue(text: str) -> str:
+    """What to do, where a queue was worked."""
+    return text.replace("polishd run CELL.toml", "polishd run CELL.toml --queue")
 
 
 def standing(state: str, reason: str, unsafe: Sequence[str] | None) -> StateChanged:
@@ -110,12 +117,12 @@ def causes(journal: Journal, failure: Exception | None) -> tuple[Cause, ...]:
     return tuple(found)
 
 
-def keeping(state_dir: Path, run_dir: Path) -> Callable[[Event], None]:
+def keeping(state_dir: Path, run_dir: Callable[[], Path | None], *, queue: bool = False) -> Callable[[Event], None]:
     """A sink for the bus that keeps what each change of state says, for the case that the daemon is killed."""
 
     def keep(event: Event) -> None:
         if isinstance(event, StateChanged) and event.state != State.FINISHED:
-            keep_ending(state_dir, {**event.data, "run_dir": str(run_dir)})
+            keep_ending(state_dir, {**event.data, "run_dir": str(run_dir() or ""), "queue": queue})
 
     return keep
 
@@ -140,7 +147,8 @@ def last_ending(state_dir: Path) -> Mapping[str, Any]:
         if state not in set(State) - {State.FINISHED}:
             return facts
         was = f"the daemon was killed, or its machine went down, while {state}{f': {reason}' if reason else ''}"
-        return {**facts, **standing("killed", was, tuple(facts["unsafe"])).data}
+        told = {**facts, **standing("killed", was, tuple(facts["unsafe"])).data}
+        return {**told, "next": of_queue(told["next"])} if facts.get("queue") else told
     except FileNotFoundError:
         return standing("unknown", f"no daemon has left word in {state_dir}", None).data
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -19,6 +19,7 @@ from pathlib import Path
 from polishd.daemon.cell import Cell
 from polishd.daemon.job import Job
 from polishd.daemon.journal_store import LATE_S
+from polishd.daemon.making import NoJob
 from polishd.daemon.safety import most_telling
 
 BEAT_S = 0.1
@@ -66,7 +67,7 @@ class Figure:
 class Health:
     """Of one daemon's computer."""
 
-    def __init__(self, cell: Cell, job: Callable[[], Job]) -> None:
+    def __init__(self, cell: Cell, job: Callable[[], Job | NoJob]) -> None:
         self._cell = cell
         self._job = job
         self._lags: deque[tuple[float, float]] = deque()
@@ -89,9 +90,14 @@ class Health:
     async def look(self) -> None:
         """At disks and memory."""
         job = self._job()
-        begun = job.journal.unfinished()
-        blocks = len(job.program.block) if begun is None else begun.blocks - job.journal.tally(begun.cycle).done
-        self._left = await asyncio.to_thread(_left, job.journal.path, job.folder.path, blocks)
+        journal, begun = job.journal, job.journal.unfinished()
+        state_dir = journal.store.path.parent
+        if isinstance(job, NoJob):
+            blocks, run_dir = 0, state_dir
+        else:
+            done = 0 if begun is None else journal.tally(begun.cycle).done
+            blocks, run_dir = (len(job.program.block) if begun is None else begun.blocks) - done, job.folder.path
+        self._left = await asyncio.to_thread(_left, state_dir, run_dir, blocks)
 
     @asynccontextmanager
     async def watching(self, danger: Callable[[str], None]) -> AsyncIterator[None]:
@@ -140,11 +146,10 @@ class Health:
         ]
 
 
-def _left(journal: Path, run_dir: Path, blocks: int) -> dict[str, Figure]:
-    """Room for what a pass still writes: so many blocks, and in the end a copy of all in the run folder."""
-    state, run = _there(journal.parent), _there(run_dir)
-    state_mb = SPARE_MB + blocks * BLOCK_MB
-    run_mb = state_mb + (journal.stat().st_size / MB if journal.exists() else 0.0)
+def _left(state_dir: Path, run_dir: Path, blocks: int) -> dict[str, Figure]:
+    """Room for what a pass still writes: so many blocks, and in the end a copy of its job in the run folder."""
+    state, run = _there(state_dir), _there(run_dir)
+    state_mb = run_mb = SPARE_MB + blocks * BLOCK_MB
     if state.stat().st_dev == run.stat().st_dev:
         state_mb = run_mb = state_mb + run_mb
     found = [_room("state_disk_mb", state, state_mb), _room("run_disk_mb", run, run_mb)]

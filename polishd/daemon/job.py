@@ -262,6 +262,10 @@ class Job:
         acting = seconds * relative_removal(self.recipe.process, blocks.force_n, blocks.rpm)
         return executed_s(point, blocks.seq[run], seconds[run]), executed_s(point, blocks.seq[run], acting[run])
 
+    def names(self) -> dict[str, str]:
+        """Of job and part."""
+        return {"job": self.recipe.job.id, "part": self.recipe.part.id}
+
     def cycles(self) -> list[dict[str, Any]]:
         """One entry a measurement; what belongs to the pass after it is None where there was none."""
         passes = {record.cycle: record for record in self.journal.passes}

@@ -16,7 +16,7 @@ from typing import Any, NoReturn, Self
 import numpy as np
 
 from polishd.daemon.array_store import ArrayStore
-from polishd.daemon.journal_memory import Known, read_job, read_tally, read_unknown
+from polishd.daemon.journal_memory import Known, nothing_known, read_job, read_tally, read_unknown
 from polishd.daemon.journal_records import BlockRecord, ExecutedBlocks, MapRecord, PassRecord, Tally, joined
 from polishd.daemon.journal_schema import Connect, connect
 from polishd.daemon.journal_store import Row, Store
@@ -29,6 +29,8 @@ log = logging.getLogger(__name__)
 
 JOURNAL_NAME, ARRAYS_NAME = "journal.sqlite", "store"
 NOTHING = Tally()
+NO_JOB = 0
+"""What happens between jobs is recorded under this number."""
 
 _INTENT = (
     "INSERT INTO pass (job, cycle, program_sha256, boot_id, blocks, contact_from, contact_to, facts, started, plan, "
@@ -48,8 +50,10 @@ class Journal(AbstractContextManager["Journal", None]):
     """
 
     def __init__(self, store: Store, arrays: ArrayStore, job: int, known: Known, *, resumed: bool) -> None:
-        self._store = store
-        self._job = job
+        self._store = self.store = store
+        """Its file; the queue shares it."""
+        self._job = self.number = job
+        """Of its job's row; ``NO_JOB`` between jobs."""
         self._known = known
         self.arrays = arrays
         """Large arrays that its rows name."""
@@ -71,27 +75,28 @@ class Journal(AbstractContextManager["Journal", None]):
         ``terms`` is what the job is begun with (``same_job``): kept with a job of which nothing is measured yet.
         A job of another name that was not finished is over then. ConfigError where the file cannot be used.
         """
-        store, arrays = Store.open(state_dir / JOURNAL_NAME, connect), ArrayStore(state_dir / ARRAYS_NAME)
+        cell = cls.of_cell(state_dir, connect)
         try:
-            rows = store.read("SELECT id, name FROM job WHERE outcome IS NULL ORDER BY id DESC LIMIT 1")
-            resumed = bool(rows) and rows[0][1] == job
-            number = int(rows[0][0]) if resumed else _begin(store, job, part_id)
-            if not resumed:
-                arrays.clear()
-            journal = cls(store, arrays, number, read_job(store, number), resumed=resumed)
-            if not journal.begun:
-                journal._take(part_id, terms)
+            return cell.of_job(job, part_id, terms)
         except BaseException:
-            store.close()
+            cell.close()
             raise
+
+    @classmethod
+    def of_cell(cls, state_dir: Path, connect: Connect = connect) -> Self:
+        """The journal of a state folder between jobs: it has events of its own. ConfigError as of ``open``."""
+        store, arrays = Store.open(state_dir / JOURNAL_NAME, connect), ArrayStore(state_dir / ARRAYS_NAME)
+        return cls(store, arrays, NO_JOB, nothing_known(store), resumed=False)
+
+    def of_job(self, job: str, part_id: str, terms: Mapping[str, Any]) -> Self:
+        """The same, with its unfinished job of that name, or a new one."""
+        number, resumed = _taken_up(self._store, self.arrays, job, part_id)
+        journal = type(self)(self._store, self.arrays, number, read_job(self._store, number), resumed=resumed)
+        if not journal.begun:
+            journal._take(part_id, terms)
         return journal
 
     # what is known: from memory, but for ``executed``
-
-    @property
-    def path(self) -> Path:
-        """Its file."""
-        return self._store.path
 
     @property
     def unsaved_s(self) -> float:
@@ -292,12 +297,11 @@ class Journal(AbstractContextManager["Journal", None]):
 
     def record_outcome(self, outcome: Outcome) -> None:
         """The job is over; the next Journal of this state folder begins a new one."""
-        sql = "UPDATE job SET ended = ?, outcome = ? WHERE id = ?"
-        self._store.write((sql, (time.time(), outcome.value, self._job)))
+        self._store.write(over_row(self._job, outcome.value))
 
     def copy_to(self, path: Path) -> None:
-        """A whole copy for the run folder."""
-        self._store.copy_to(path)
+        """A copy of this job for the run folder."""
+        self._store.copy_to(path, self._job)
 
     async def lost(self) -> NoReturn:
         """Raise SafetyStop as soon as the journal is lost; until then wait. For a watcher in contact."""
@@ -328,6 +332,21 @@ class Journal(AbstractContextManager["Journal", None]):
         return _SEGMENT, (self._job, cycle, block.seq, block.start_s, block.end_s, *known)
 
 
+def over_row(job: int, outcome: str, detail: str = "") -> Row:
+    """A job is over, and how: to be written together with what else ends then."""
+    return "UPDATE job SET ended = ?, outcome = ?, detail = ? WHERE id = ?", (time.time(), outcome, detail, job)
+
+
+def _taken_up(store: Store, arrays: ArrayStore, job: str, part_id: str) -> tuple[int, bool]:
+    """The number of the unfinished job of that name, or of a new one; and whether it is the former."""
+    rows = store.read("SELECT id, name FROM job WHERE outcome IS NULL ORDER BY id DESC LIMIT 1")
+    if rows and rows[0][1] == job:
+        return int(rows[0][0]), True
+    number = _begin(store, job, part_id)
+    _drop_plans(store, arrays)
+    return number, False
+
+
 def _begin(store: Store, job: str, part_id: str) -> int:
     """A new row; a job that was not finished is over then, and the log says so."""
     for (name,) in store.read("SELECT name FROM job WHERE outcome IS NULL"):
@@ -336,3 +355,11 @@ def _begin(store: Store, job: str, part_id: str) -> int:
     new = "INSERT INTO job (name, part_id, terms, started) VALUES (?, ?, 'null', ?)"
     store.write((sql, (time.time(), f"{job} took its place")), (new, (job, part_id, time.time())))
     return int(store.read("SELECT max(id) FROM job")[0][0])
+
+
+def _drop_plans(store: Store, arrays: ArrayStore) -> None:
+    """What jobs that are over kept to go on with; their maps stay, for their history."""
+    over = "plan != '' AND job IN (SELECT id FROM job WHERE outcome IS NOT NULL)"
+    for names in store.read(f"SELECT plan, start FROM pass WHERE {over}"):  # noqa: S608 - no value is in it
+        arrays.remove(*names)
+    store.write((f"UPDATE pass SET plan = '', start = '' WHERE {over}", ()))  # noqa: S608

@@ -41,10 +41,14 @@ class Known:
             self.unknown[cycle] = joined([*self.unknown.get(cycle, ()), *unknown])
 
 
+def nothing_known(store: Store) -> Known:
+    """Between jobs."""
+    return Known(None, "", _last_map(store), {}, {}, None, {}, {})
+
+
 def read_job(store: Store, job: int) -> Known:
     """All that is known of a job."""
     ((terms, run_dir),) = store.read("SELECT terms, run_dir FROM job WHERE id = ?", (job,))
-    last = store.read("SELECT sha256 FROM map ORDER BY id DESC LIMIT 1")
     maps = "SELECT cycle, sha256, path, stats, taken, arrays FROM map WHERE job = ? ORDER BY id"
     passes = (
         "SELECT cycle, program_sha256, boot_id, blocks, contact_from, contact_to, facts, started, ended, how, plan, "
@@ -55,7 +59,7 @@ def read_job(store: Store, job: int) -> Known:
     return Known(
         terms=json.loads(terms),
         run_dir=run_dir,
-        last_map_id=last[0][0] if last else None,
+        last_map_id=_last_map(store),
         maps={row[0]: MapRecord(*_decoded(row, 3)) for row in store.read(maps, (job,))},
         passes={row[0]: replace(PassRecord(*row[:-2]), uncertain=_range(*row[-2:])) for row in begun},
         phase=(phases[0][0], phases[0][1]) if phases else None,
@@ -82,6 +86,11 @@ def read_unknown(store: Store, job: int, cycle: int) -> tuple[tuple[int, int], .
 
 def _range(first: int | None, end: int | None) -> tuple[int, int] | None:
     return None if first is None or end is None else (first, end)
+
+
+def _last_map(store: Store) -> str | None:
+    found = store.read("SELECT sha256 FROM map ORDER BY id DESC LIMIT 1")
+    return found[0][0] if found else None
 
 
 def _decoded(row: tuple[Any, ...], column: int) -> tuple[Any, ...]:

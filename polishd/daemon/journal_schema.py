@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from polishd.files import sync_folder
@@ -13,7 +13,21 @@ from polishd.model.errors import ConfigError
 
 SCHEMA_VERSION = 3
 
-SCHEMA = """
+QUEUE = """
+CREATE TABLE queue (
+    id INTEGER PRIMARY KEY, place INTEGER NOT NULL, name TEXT NOT NULL, part_id TEXT NOT NULL, path TEXT NOT NULL,
+    content TEXT NOT NULL, files TEXT NOT NULL, added REAL NOT NULL, job INTEGER REFERENCES job, begun REAL,
+    ended REAL, verdict TEXT, reason TEXT NOT NULL DEFAULT '', fault TEXT NOT NULL DEFAULT '');
+CREATE INDEX queue_of_name ON queue (name);
+CREATE INDEX queue_to_do ON queue (place) WHERE ended IS NULL;
+CREATE INDEX map_of_job ON map (job);
+CREATE INDEX phase_of_job ON phase (job);
+CREATE INDEX event_of_job ON event (job);
+"""
+"""What came with format 3 for the queue. A journal knows many jobs: what one of them asks is found by an index."""
+
+SCHEMA = (
+    """
 CREATE TABLE job (
     id INTEGER PRIMARY KEY, name TEXT NOT NULL, part_id TEXT NOT NULL, terms TEXT NOT NULL,
     started REAL NOT NULL, ended REAL, outcome TEXT, detail TEXT, run_dir TEXT NOT NULL DEFAULT '');
@@ -37,6 +51,8 @@ CREATE TABLE event (
     id INTEGER PRIMARY KEY, job INTEGER NOT NULL, at REAL NOT NULL, cycle INTEGER, name TEXT NOT NULL,
     data TEXT NOT NULL);
 """
+    + QUEUE
+)
 """``job.terms`` is JSON, see ``same_job``; ``map.arrays``, ``pass.plan`` and ``pass.start`` name files of the store.
 
 ``segment.touched`` is NULL where nobody knows.
@@ -50,7 +66,6 @@ ALTER TABLE map ADD COLUMN arrays TEXT NOT NULL DEFAULT '';
 ALTER TABLE pass ADD COLUMN plan TEXT NOT NULL DEFAULT '';
 ALTER TABLE pass ADD COLUMN start TEXT NOT NULL DEFAULT '';
 """
-
 FROM_2 = """
 ALTER TABLE pass ADD COLUMN reach_s REAL;
 ALTER TABLE pass ADD COLUMN uncertain_from INTEGER;
@@ -66,8 +81,11 @@ DROP TABLE segment_2;
 """
 """Of a block that was recovered, contact had been told by its place in the program."""
 
-STEPS = {1: FROM_1, 2: FROM_2}
+STEPS = {1: FROM_1, 2: FROM_2 + QUEUE}
 """From each earlier format to the next."""
+
+OF_A_JOB = ("map", "phase", "pass", "segment", "event", "queue")
+"""Tables whose rows name a job."""
 
 Connect = Callable[[Path], sqlite3.Connection]
 
@@ -111,12 +129,33 @@ def old_copy(path: Path, version: int) -> Path:
 
 def copy_whole(connection: sqlite3.Connection, path: Path) -> None:
     """A whole, durable copy, as of now, which stands alone."""
+    with _partial(path) as partial, contextlib.closing(sqlite3.connect(partial)) as copy:
+        connection.backup(copy)
+        copy.execute("PRAGMA journal_mode=DELETE")
+
+
+def copy_job(connection: sqlite3.Connection, path: Path, job: int) -> None:
+    """A durable journal of that job alone, as of now: however many there are, it is as large as the job."""
+    with _partial(path) as partial:
+        with contextlib.closing(sqlite3.connect(partial)) as copy:
+            copy.executescript(f"{SCHEMA} PRAGMA user_version={SCHEMA_VERSION};")
+        connection.execute("ATTACH ? AS copy", (str(partial),))
+        try:
+            for table, key in {"job": "id", **dict.fromkeys(OF_A_JOB, "job")}.items():
+                names = ", ".join(row[1] for row in connection.execute(f"PRAGMA copy.table_info({table})"))
+                sql = f"INSERT INTO copy.{table} ({names}) SELECT {names} FROM main.{table} WHERE {key} = ?"  # noqa: S608
+                connection.execute(sql, (job,))
+        finally:
+            connection.execute("DETACH copy")
+
+
+@contextlib.contextmanager
+def _partial(path: Path) -> Iterator[Path]:
+    """A file to write, which becomes ``path`` at the end, durable."""
     partial = path.with_name(f".{path.name}.partial")
     with contextlib.suppress(FileNotFoundError):
         partial.unlink()
-    with contextlib.closing(sqlite3.connect(partial)) as copy:
-        connection.backup(copy)
-        copy.execute("PRAGMA journal_mode=DELETE")
+    yield partial
     with partial.open("rb") as file:
         os.fsync(file.fileno())
     partial.replace(path)

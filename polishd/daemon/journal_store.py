@@ -19,7 +19,7 @@ from typing import Any, NoReturn, Self
 
 import numpy as np
 
-from polishd.daemon.journal_schema import Connect, connect, copy_whole, open_file
+from polishd.daemon.journal_schema import Connect, connect, copy_job, open_file
 from polishd.model.errors import SafetyStop
 from polishd.model.surface import FloatArray
 
@@ -112,13 +112,13 @@ class Store:
                 pieces.append(np.array(rows, dtype=np.float64))
         return np.concatenate(pieces)
 
-    def copy_to(self, path: Path) -> None:
-        """A whole, durable copy, as of now."""
+    def copy_to(self, path: Path, job: int) -> None:
+        """A durable copy of that job, as of now."""
         self.write()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             with self._use:
-                copy_whole(self._connection, path)
+                copy_job(self._connection, path, job)
         except (sqlite3.Error, OSError) as error:
             raise SafetyStop(f"journal: {path}: the copy failed: {error}") from error
 

@@ -7,13 +7,13 @@ the values of before; under others they would be taken for what they are not.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from polishd.config.cell import CellConfig
+from polishd.config.cell import FILES, CellConfig
 from polishd.daemon.journal import JOURNAL_NAME, Journal
 from polishd.daemon.journal_schema import old_copy
 from polishd.model.errors import ConfigError
@@ -32,7 +32,11 @@ RULES = (
     Rule(("include",), True, "a way to write the same values"),
     Rule(("cell.*",), True, "names and places; the job stays in the run folder in which it began"),
     Rule(("plugins.*",), True, "what a plugin does for the job is named by other keys"),
-    Rule(("robot.*", "actuator.*", "spindle.*", "metrology.*"), True, "how a device is reached, and its time limits"),
+    Rule(
+        ("robot.*", "actuator.*", "spindle.*", "metrology.*", "loader", "loader.*"),
+        True,
+        "how a device is reached, and its time limits",
+    ),
     Rule(("notify.*",), True, "who hears of it"),
     Rule(("roles.*",), False, "another robot or tool removes otherwise, and what was learned is of this one"),
     Rule(("dwell.*",), True, "how the next dwell is chosen; each has a certificate of its own"),
@@ -53,9 +57,6 @@ RULES = (
 )
 """The first rule that fits a key holds for it; one that none fits may not change."""
 
-FILES = ("program.path", "program.dialects", "instrument.profile", "part.nominal", "process.tif", "kinematics.table")
-"""Keys that name files: what counts is the content, wherever it lies."""
-
 
 def may_change(key: str) -> bool:
     """Whether a dotted key may have another value when a job goes on."""
@@ -64,12 +65,19 @@ def may_change(key: str) -> bool:
 
 def terms_of(config: CellConfig, program_sha256: str) -> dict[str, Any]:
     """All values in force by dotted key, JSON-ready; a file as ``{"file", "sha256"}``, the program's as it was read."""
-    terms = dict(_flat(config.effective()))
-    for key in FILES:
-        if named := terms.get(key):
-            terms[key] = [_file(config, name) for name in named] if isinstance(named, list) else _file(config, named)
+    terms = dict(_flat(config.effective())) | file_terms(config, FILES)
     terms["program.path"]["sha256"] = program_sha256
     return terms
+
+
+def file_terms(config: CellConfig, keys: Iterable[str]) -> dict[str, Any]:
+    """Of those keys, the files that they name: ``{"file", "sha256"}`` each, by key. ConfigError where one is gone."""
+    values = dict(_flat(config.effective()))
+    named = {key: values[key] for key in keys if values.get(key)}
+    return {
+        key: [_file(config, one) for one in name] if isinstance(name, list) else _file(config, name)
+        for key, name in named.items()
+    }
 
 
 def require_same(config: CellConfig, terms: Mapping[str, Any], journal: Journal) -> None:

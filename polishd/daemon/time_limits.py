@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from polishd.daemon.journal_store import LATE_S
-from polishd.model.times import ActuatorTimes, RobotTimes, SpindleTimes
+from polishd.model.times import ActuatorTimes, LoaderTimes, RobotTimes, SpindleTimes
 
 ANSWERS_S = 3.0
 """What a device may take beyond its own action to confirm it: a link opened again, a few requests."""
@@ -51,7 +51,7 @@ def safe_within_s(times: object) -> float:
     match times:
         case ActuatorTimes():
             return times.lifted_s + ANSWERS_S
-        case RobotTimes():
+        case RobotTimes() | LoaderTimes():
             return times.stop_s + ANSWERS_S
         case SpindleTimes():
             return times.spin_s + ANSWERS_S

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from polishd.config.places import did_you_mean, listed
 
@@ -17,11 +17,12 @@ SUBSCRIBE = "subscribe"
 
 @dataclass(frozen=True, slots=True)
 class Argument:
-    """One argument; none has to be given."""
+    """One argument."""
 
     name: str
     kind: type
     what: str
+    required: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,22 +31,37 @@ class Verb:
 
     name: str
     what: str
-    changes: bool
-    """It is an order: the cell is another one afterwards."""
+    changes: Literal["", "an order", "the queue"] = ""
+    """An order: the cell is another one afterwards."""
     arguments: tuple[Argument, ...] = ()
 
 
 REASON = Argument("reason", str, "why, for whoever reads the journal and `status`")
 
+PATH = Argument("path", str, "where the job's file lay: paths in it start from its folder", required=True)
+CONTENT = Argument("content", str, "its text", required=True)
+JOB = Argument("job", str, "`job.id`", required=True)
+WHERE = Argument("where", str, "`before`, `after`, `first` or `last`", required=True)
+OTHER = Argument("other", str, "the job that waits before or after which")
+
 VERBS: Mapping[str, Verb] = {
     verb.name: verb
     for verb in (
-        Verb("status", "state and why, phase, cycle, devices, health, what was measured so far", changes=False),
-        Verb(SUBSCRIBE, "events from now on, one a line, until either side ends", changes=False),
-        Verb("hold", "leave contact, stand still, and wait for `resume`", True, (REASON,)),
-        Verb("resume", "go on, with a new measurement first", True, (REASON,)),
-        Verb("stop", "leave contact, stand still, and end the daemon", True, (REASON,)),
-        Verb("estop", "stop motion at once, whatever the part costs; then wait for `resume`", True, (REASON,)),
+        Verb("status", "state and why, phase, cycle, devices, health, what was measured so far"),
+        Verb(SUBSCRIBE, "events from now on, one a line, until either side ends"),
+        Verb("hold", "leave contact, stand still, and wait for `resume`", "an order", (REASON,)),
+        Verb("resume", "go on, with a new measurement first", "an order", (REASON,)),
+        Verb("stop", "leave contact, stand still, and end the daemon", "an order", (REASON,)),
+        Verb("estop", "stop motion at once, whatever the part costs; then wait for `resume`", "an order", (REASON,)),
+        Verb("job_list", "the jobs of the queue: that under way, those that wait, those that ended"),
+        Verb("job_add", "put a job at the end of the queue", "the queue", (PATH, CONTENT)),
+        Verb("job_move", "move a job that waits", "the queue", (JOB, WHERE, OTHER)),
+        Verb(
+            "job_remove",
+            "take a job out that waits, or put the one aside over which the cell is held",
+            "the queue",
+            (JOB, REASON),
+        ),
     )
 }
 """An order is answered when it is obeyed."""
@@ -68,7 +84,10 @@ def read_request(line: bytes, offered: Iterable[str]) -> tuple[str, dict[str, An
         )
     if verb not in known:
         raise ValueError(f"unknown verb {verb!r}{did_you_mean(verb, known)} Known: {listed(known)}")
-    kinds = {argument.name: argument.kind for argument in VERBS[verb].arguments}
+    arguments = VERBS[verb].arguments
+    kinds = {argument.name: argument.kind for argument in arguments}
+    if missing := [argument.name for argument in arguments if argument.required and argument.name not in given]:
+        raise ValueError(f"{verb}: {', '.join(map(repr, missing))} must be given")
     for name, value in given.items():
         if name not in kinds:
             raise ValueError(f"{verb}: unknown argument {name!r}{did_you_mean(name, kinds)} Known: {listed(kinds)}")

@@ -19,3 +19,12 @@ def load_cell(cell: Path, correction: str | None = None) -> tuple[CellConfig, Ho
     hooks = plugins_of(config)
     hooks.report.require()
     return config, hooks
+
+
+def hooks_of_job(cell: CellConfig, hooks: Hooks, job: CellConfig) -> Hooks:
+    """The cell's plugins for a job that is laid over it: with dialects of its own, where it names any."""
+    if job.dialect_paths == cell.dialect_paths:
+        return hooks
+    found = plugins_of(job)
+    found.report.require()
+    return found

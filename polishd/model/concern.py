@@ -11,6 +11,7 @@ AT_THE_MACHINE: Mapping[str, str] = {  # by port
     "actuator": "the tool may press on the part: switch the actuator off, and see it lifted, before anything moves",
     "robot": "it may still move: stop it at its own controller, and keep out of its reach",
     "spindle": "it may still turn: switch its drive off before you reach in",
+    "loader": "it may still move, or hold a part: stop it at its own controller, and keep out of its reach",
 }
 
 

@@ -49,6 +49,38 @@ def _plain(value: Any) -> Any:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class JobBegun(Event):
+    """A job of the queue begins; its part is put in next."""
+
+    name: ClassVar[str] = "job_begun"
+    job: Annotated[str, "its `job.id`"]
+    part_id: Annotated[str, "its part"]
+    run_dir: Annotated[str, "the run folder"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PartChanged(Event):
+    """The part of a job is on the seat, as the loader or a person says; its map still has to prove it."""
+
+    name: ClassVar[str] = "part_changed"
+    part_id: Annotated[str, "the part"]
+    by: Annotated[str, "`loader` or `a person`"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JobEnded(Event):
+    """A job of the queue is over."""
+
+    name: ClassVar[str] = "job_ended"
+    job: Annotated[str, "its `job.id`"]
+    part_id: Annotated[str, "its part"]
+    verdict: Annotated[str, "`accepted`, `rejected` or `put aside`"]
+    reason: Annotated[str, "why"]
+    stops: Annotated[str, "why the queue stops over it; empty where it goes on"]
+    run_dir: Annotated[str, "the run folder; empty where the job never began"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Opened(Event):
     """All devices of the cell answered and said who they are."""
 
@@ -67,7 +99,7 @@ class StateChanged(Event):
     """The daemon's state is another one."""
 
     name: ClassVar[str] = "state"
-    state: Annotated[str, "`starting`, `polishing`, `held` or `finished`"]
+    state: Annotated[str, "`starting`, `idle`, `changing`, `polishing`, `held` or `finished`"]
     reason: Annotated[str, "why it is held, or how the job ended"]
     standing: Annotated[Standing, STANDING]
 
@@ -222,7 +254,7 @@ class PassEnded(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JobFinished(Event):
-    """The daemon is done, whichever way; the run folder is whole."""
+    """The run of a job is over, whichever way; the run folder is whole."""
 
     name: ClassVar[str] = "job_finished"
     run_dir: Annotated[str, "the run folder"]
@@ -269,7 +301,7 @@ class PlanWritten(Event):
 
 
 EVENTS: tuple[type[Event], ...] = (
-    Opened, StateChanged, Ordered, Held, Failed, Measured, Repeated, GateStopped, Learned, Found, Solved, TouchedOff,
-    PassBegun, Progress, PassEnded, JobFinished, NotificationFailed, PlanWritten,
+    Opened, StateChanged, Ordered, Held, Failed, JobBegun, PartChanged, Measured, Repeated, GateStopped, Learned, Found,
+    Solved, TouchedOff, PassBegun, Progress, PassEnded, JobFinished, JobEnded, NotificationFailed, PlanWritten,
 )  # fmt: skip
 """Every kind, in the order in which they come in a job."""

@@ -53,3 +53,15 @@ class SpindleTimes:
     """It hears nothing for so long: it stops by itself."""
     spin_s: float = 8.0
     """From standstill to its speed, or back."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoaderTimes:
+    """The longest that a loader takes, wall time."""
+
+    silence_s: float = 2.0
+    """No answer for so long: its link counts as lost."""
+    change_s: float = 120.0
+    """From the order to take a part off, or to put one on, until it is clear of the cell."""
+    stop_s: float = 5.0
+    """From the order to standstill."""

@@ -14,7 +14,7 @@ from typing import Protocol, runtime_checkable
 from polishd.model.devices import DeviceStatus, Executed, ForceSample, Identity, RobotProgress, SpeedSample
 from polishd.model.program import Plan, Segment
 from polishd.model.surface import SurfaceMap
-from polishd.model.times import ActuatorTimes, RobotTimes, SpindleTimes
+from polishd.model.times import ActuatorTimes, LoaderTimes, RobotTimes, SpindleTimes
 
 
 @runtime_checkable
@@ -144,5 +144,34 @@ class Metrology(Device, Protocol):
 
         ``after`` is the sha256 of the last map taken; the same content is never given twice. A refused file is
         quarantined with its reason and waiting goes on; SurfaceError is raised when asking again cannot help.
+        """
+        ...
+
+
+@runtime_checkable
+class Loader(Device, Protocol):
+    """Changes parts: one is on the cell's seat, the others are with it. Carries one at a time.
+
+    It is asked to move only while every tool is up and every robot stands, and nothing else moves until it has
+    returned. ``make_safe`` stops it where it is; ``unload`` or ``load`` goes on from there.
+    """
+
+    @property
+    def times(self) -> LoaderTimes:
+        """How long its actions may take."""
+        ...
+
+    async def loaded(self) -> str | None:
+        """The id of the part on the seat, by its own word; None: the seat is empty."""
+        ...
+
+    async def unload(self) -> None:
+        """Take the part off the seat; returns when the loader is clear of the cell. An empty seat is no error."""
+        ...
+
+    async def load(self, part_id: str) -> None:
+        """Put that part on the empty seat, or leave it there; returns when the loader is clear of the cell.
+
+        WrongPart where it has no such part; DeviceRefused where another one is on the seat.
         """
         ...

@@ -32,6 +32,8 @@ class Interferometer:
     folder: Path
     rng: np.random.Generator
     maps: asyncio.Queue[FloatArray] = field(default_factory=asyncio.Queue)
+    part: str = ""
+    """What is on the seat; empty: the cell's one part."""
     last: bytes = b""
     numbers: itertools.count[int] = field(default_factory=itertools.count)
     origin: tuple[int, int] = (0, 0)
@@ -60,7 +62,7 @@ class Interferometer:
             await self.write("wrong", self._file(np.where(np.isfinite(measured), -measured, np.nan), "OTHER-7"))
         if faults.duplicate_first and self.last:
             await self.write("again", self.last)
-        self.last = self._file(measured, start.config.plant.part_id)
+        self.last = self._file(measured, self.part or start.config.plant.part_id)
         name = await self.write("map", self.last)
         self.runtime.link.event("map_dropped", file=name)
 
@@ -129,9 +131,12 @@ async def main(runtime: Runtime) -> None:
     instrument = Interferometer(runtime, folder, stream(runtime.start.seed + runtime.boot_count, "interferometer"))
     x, y = runtime.link.welcome["origin_px"]
     instrument.origin, instrument.pitch_mm = (x, y), float(runtime.link.welcome["pitch_mm"])
+    instrument.part = runtime.link.welcome["part"]
 
     def on_message(message: Message | FloatArray) -> None:
-        if not isinstance(message, dict):
+        if isinstance(message, dict):
+            instrument.part = message["part"]
+        else:
             instrument.maps.put_nowait(message)
 
     runtime.link.on_message = on_message

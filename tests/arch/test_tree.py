@@ -39,9 +39,13 @@ def test_there_are_examples() -> None:
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_the_example_loads(path: Path) -> None:
     from polishd.config.cell import load_config  # not at the top: the rules should run while this does not
+    from polishd.config.job_file import JobFile
     from polishd.config.profile import load_profile
     from polishd.config.study import load_study
 
     keys = tomllib.loads(path.read_text()).keys()
+    if path.name == "job.toml":
+        JobFile.read(path).laid_over(load_config(path.with_name("cell.toml")))
+        return
     load = load_study if "kind" in keys else load_profile if "artefact" in keys else load_config
     load(path)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.conformance import rigs
-from tests.conformance.rigs import ActuatorRig, RobotRig, SpindleRig
+from tests.conformance.rigs import ActuatorRig, LoaderRig, RobotRig, SpindleRig
 
 PROMPT_S = 2.5
 """A dead link is known after so long: less than a second, and room for what else a machine does."""
@@ -41,12 +41,18 @@ async def spindle(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterat
         yield rig
 
 
+@pytest.fixture(params=rigs.LOADERS, ids=lambda rig: rig.__name__)
+async def loader(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[LoaderRig]:
+    async with request.param(tmp_path) as rig:
+        yield rig
+
+
 @pytest.fixture(
-    params=[*rigs.ROBOTS, *rigs.ACTUATORS, *rigs.SPINDLES],
+    params=[*rigs.ROBOTS, *rigs.ACTUATORS, *rigs.SPINDLES, *rigs.LOADERS],
     ids=lambda rig: rig.__name__,
 )
 async def any_device(
     request: pytest.FixtureRequest, tmp_path: Path
-) -> AsyncIterator[RobotRig | ActuatorRig | SpindleRig]:
+) -> AsyncIterator[RobotRig | ActuatorRig | SpindleRig | LoaderRig]:
     async with request.param(tmp_path) as rig:
         yield rig

@@ -11,16 +11,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from polishd.api import ForceActuator, Robot, Spindle
+from polishd.api import ForceActuator, Loader, Robot, Spindle
 from polishd.drivers.linuxcnc.driver import LinuxCnc
+from polishd.drivers.loader_line import LoaderLine
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
 from polishd.drivers.voice_coil import voice_coil_modbus, voice_coil_serial
-from polishd.model.times import ActuatorTimes, SpindleTimes
+from polishd.model.times import ActuatorTimes, LoaderTimes, SpindleTimes
 from tests.fakes.actuator import AsciiCoil, Coil, ModbusCoil
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.linuxcnc import FakeLinuxCnc
+from tests.fakes.loader import FakeLoader
 from tests.fakes.robot import FakeRobot
 from tests.fakes.wires import PtyWire, TcpWire, dribbled
 from tests.kinds import kind
@@ -28,6 +30,7 @@ from tests.kinds import kind
 D = TypeVar("D")
 PATIENT = ActuatorTimes(silence_s=1.0, watchdog_s=2.0)
 PATIENT_SPINDLE = SpindleTimes(silence_s=1.5, watchdog_s=2.0)
+PATIENT_LOADER = LoaderTimes(silence_s=1.0)
 """A busy machine is silent for longer than the wires of actuators and spindles would be."""
 
 
@@ -49,6 +52,7 @@ class Rig(Generic[D]):
 RobotRig = Rig[Robot]
 ActuatorRig = Rig[ForceActuator]
 SpindleRig = Rig[Spindle]
+LoaderRig = Rig[Loader]
 
 
 @asynccontextmanager
@@ -180,6 +184,35 @@ async def _spindle(drive: Drive, wire: PtyWire | TcpWire, device: Spindle) -> As
         await wire.close()
 
 
+@asynccontextmanager
+async def loader_serial(folder: Path) -> AsyncIterator[LoaderRig]:
+    """loader_line on a serial line."""
+    fake = FakeLoader()
+    wire = PtyWire(fake, folder / "loader")
+    async with _loader(fake, wire, LoaderLine(SerialLine(wire.path), PATIENT_LOADER)) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def loader_tcp_dribbled(_: Path) -> AsyncIterator[LoaderRig]:
+    """loader_line over TCP, byte by byte, with garbage before each answer."""
+    fake = FakeLoader()
+    fake.filter = lambda data: [b"\xff*noise$", *dribbled(data)]
+    wire = await TcpWire(fake).start()
+    async with _loader(fake, wire, LoaderLine(Tcp("127.0.0.1", wire.port), PATIENT_LOADER)) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def _loader(fake: FakeLoader, wire: PtyWire | TcpWire, device: Loader) -> AsyncIterator[LoaderRig]:
+    try:
+        yield Rig(device, wire.cut, lambda: setattr(fake, "silent", True), lambda: fake.state != 1)
+    finally:
+        await device.close()
+        await wire.close()
+
+
 ROBOTS = [*kind(robot_tcp, robot_dribbled), *kind(linuxcnc, linuxcnc_dribbled)]
 ACTUATORS = [*kind(actuator_rtu, actuator_tcp), *kind(actuator_ascii, actuator_ascii_dribbled)]
 SPINDLES = kind(spindle_slcan, spindle_socketcand)
+LOADERS = kind(loader_serial, loader_tcp_dribbled)

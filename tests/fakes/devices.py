@@ -15,7 +15,7 @@ from polishd.model.devices import DeviceStatus, Executed, ForceSample, Identity,
 from polishd.model.errors import DeviceRefused, LinkError
 from polishd.model.program import Plan, Segment
 from polishd.model.surface import SurfaceMap
-from polishd.model.times import ActuatorTimes, RobotTimes, SpindleTimes
+from polishd.model.times import ActuatorTimes, LoaderTimes, RobotTimes, SpindleTimes
 
 SAMPLE_S = 0.005
 """What one reading lets pass, of the fake clock."""
@@ -287,6 +287,27 @@ class FakeMetrology(FakeDevice):
         return self.maps.pop(0)
 
 
+class FakePartLoader(FakeDevice):
+    """Changes parts at once; ``brings`` another one than it is asked for."""
+
+    def __init__(self, events: list[str], clock: ManualClock) -> None:
+        super().__init__("loader", events, clock)
+        self.times = LoaderTimes()
+        self.seat: str | None = None
+        self.brings: dict[str, str] = {}
+
+    async def loaded(self) -> str | None:
+        return self.seat
+
+    async def unload(self) -> None:
+        await self.did("unload", f" {self.seat}")
+        self.seat = None
+
+    async def load(self, part_id: str) -> None:
+        await self.did("load", f" {part_id}")
+        self.seat = self.brings.get(part_id, part_id)
+
+
 @dataclass
 class FakeCell:
     """The devices of a cell, with what they share."""
@@ -300,6 +321,12 @@ class FakeCell:
         self.spindle = FakeSpindle(self.events, self.clock)
         self.metrology = FakeMetrology(self.events, self.clock)
         self.cell = Cell(self.devices, {name: name for name in self.devices}, self.clock)
+
+    def with_loader(self) -> FakePartLoader:
+        """Parts are changed by this one."""
+        loader = FakePartLoader(self.events, self.clock)
+        self.cell.devices, self.cell.used = {**self.devices, "loader": loader}, {**self.cell.used, "loader": "loader"}
+        return loader
 
     @property
     def devices(self) -> dict[str, FakeDevice]:

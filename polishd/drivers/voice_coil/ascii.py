@@ -1,16 +1,12 @@
-"""Numbered requests over a byte stream: a late answer is dropped by its number, so silence costs no reopening."""
+"""The voice coil's requests on numbered lines: a late answer is dropped, so silence costs no reopening."""
 
 from __future__ import annotations
 
-import time
-
-from polishd.api import ByteStream, DeviceRefused, Identity, LinkError, ProtocolError
+from polishd.api import Identity, ProtocolError
 from polishd.drivers.transport.address import SerialLine, Tcp
-from polishd.drivers.transport.streams import LineReader, open_stream
+from polishd.drivers.transport.numbered import NumberedLines
 from polishd.drivers.voice_coil import codec
 from polishd.drivers.voice_coil.device import Reading
-
-OPEN_S = 1.0
 
 
 class AsciiWire:
@@ -18,37 +14,29 @@ class AsciiWire:
 
     def __init__(self, address: SerialLine | Tcp, silence_s: float) -> None:
         """An answer comes within ``silence_s``."""
-        self._silence_s = silence_s
-        self.name = str(address)
-        self._address = address
-        self._stream: ByteStream | None = None
-        self._lines: LineReader | None = None
-        self._number = 0
+        self._lines = NumberedLines(address, silence_s)
+        self.name = self._lines.name
 
     @property
     def connected(self) -> bool:
         """See VoiceCoilWire."""
-        return self._stream is not None
+        return self._lines.connected
 
     async def connect(self) -> None:
         """See VoiceCoilWire."""
-        await self.disconnect()
-        self._stream = await open_stream(self._address, OPEN_S)
-        self._lines = LineReader(self._stream, longest=codec.LONGEST)
+        await self._lines.connect()
 
     async def disconnect(self) -> None:
         """See VoiceCoilWire."""
-        stream, self._stream = self._stream, None
-        if stream is not None:
-            await stream.close()
+        await self._lines.disconnect()
 
     async def identity(self) -> Identity:
         """See VoiceCoilWire."""
-        return codec.identity(await self._ask("ID?"))
+        return codec.identity(await self._lines.ask("ID?"))
 
     async def read(self) -> Reading:
         """See VoiceCoilWire."""
-        return codec.status(await self._ask("ST?"))
+        return codec.status(await self._lines.ask("ST?"))
 
     async def beat(self) -> None:
         """See VoiceCoilWire."""
@@ -67,28 +55,6 @@ class AsciiWire:
         await self._tell("ENG" if engage else "RET")
 
     async def _tell(self, request: str) -> None:
-        answer = await self._ask(request)
+        answer = await self._lines.ask(request)
         if answer != "OK":
             raise ProtocolError(f"{self.name}: {request} was answered by {answer!r}")
-
-    async def _ask(self, request: str) -> str:
-        if self._stream is None or self._lines is None:
-            raise LinkError(f"{self.name}: is not open")
-        self._number = (self._number + 1) & 0xFFFF
-        deadline = time.monotonic() + self._silence_s
-        try:
-            await self._stream.write(codec.encode(self._number, request))
-            answer = await self._answer(self._lines, deadline)
-        except LinkError as error:
-            if time.monotonic() < deadline:  # not merely silent: the wire itself is gone
-                await self.disconnect()
-            raise LinkError(f"{self.name}: no answer to {request} ({error})") from error
-        if answer.startswith("ERR,"):
-            raise DeviceRefused(f"{self.name}: {request} was refused: {answer.removeprefix('ERR,')}")
-        return answer
-
-    async def _answer(self, lines: LineReader, deadline: float) -> str:
-        while True:
-            numbered = codec.decode(await lines.next(max(deadline - time.monotonic(), 0.0)))
-            if numbered is not None and numbered[0] == self._number:
-                return numbered[1]

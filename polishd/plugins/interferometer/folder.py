@@ -25,6 +25,7 @@ from polishd.api import (
     StaleMap,
     SurfaceError,
     SurfaceMap,
+    WrongPart,
 )
 from polishd.files import write_atomic
 from polishd.plugins.interferometer import files
@@ -81,6 +82,8 @@ class Waiting:
     ask: Ask | None = None
     requested: bool = False
     refused: list[str] = field(default_factory=list)
+    another_part: bool = False
+    """A map of another part came."""
     trouble: str = ""
     """What keeps the folder from being served now."""
 
@@ -147,7 +150,8 @@ class WatchedFolder:
                 with suppress(OSError):
                     self._request.unlink(missing_ok=True)
         told = "; ".join([*wait.refused, *([wait.trouble] if wait.trouble else [])]) or "no file came"
-        raise SurfaceError(
+        kind = WrongPart if wait.another_part else SurfaceError
+        raise kind(
             f"{self._folder}: no map of part {self._rules.part_id!r} in {options.timeout_s:g} s: {told}. "
             f"To do: look at the instrument{f' and into {self._refused}' if wait.refused else ''}."
         )
@@ -295,6 +299,7 @@ class WatchedFolder:
         except OSError as problem:
             wait.trouble = f"{path} cannot be moved to {self._refused}: {problem.strerror or problem}"
             reason += f" (and it cannot be moved to {self._refused}: {problem.strerror or problem})"
+        wait.another_part = wait.another_part or isinstance(error, WrongPart)
         if reason not in wait.refused:
             wait.refused.append(reason)
 

@@ -8,6 +8,7 @@ import math
 import os
 import signal
 import time
+import zlib
 from dataclasses import asdict, dataclass, field
 
 from polishd.model.surface import FloatArray
@@ -39,6 +40,10 @@ class PlantServer:
     """When the robot or the actuator last started or came to rest."""
     asked_s: float | None = None
     """When a measurement was asked for that is not served yet."""
+    seat: str = ""
+    """The part on it; empty where there is none."""
+    others: dict[str, parts.TruePart] = field(default_factory=dict)
+    """Parts that were on it before, as they left it."""
     write_s: float = math.inf
     """The account is written once everything before that time is integrated."""
     _touch_um: float | None = None
@@ -85,6 +90,18 @@ class PlantServer:
         self.world.mark_way_out(time.monotonic())
         self.witness.add("plant", "way_out_marked", time.monotonic())
 
+    def change(self, part: str) -> None:
+        """The loader has put that part on the seat, or with an empty name has taken it off."""
+        if self.seat:
+            self.others[self.seat] = self.world.part
+        self.seat = part
+        if part:
+            seed = self.start.seed + zlib.crc32(part.encode())
+            known = part in self.others
+            self.world.part = self.others.pop(part) if known else parts.make(self.start.config.plant, seed)
+        if "interferometer" in self.writers:
+            self.writers["interferometer"].write(bus.pack_json({"part": part}))
+
     def finish(self) -> None:
         """The end: everything is written down."""
         for timeline in (self.world.force, self.world.rpm):
@@ -102,7 +119,7 @@ class PlantServer:
         elif device in {"actuator", "spindle"}:
             self._timeline(device).connect(at_s)
         welcome = {"pose": list(world.pose), "touch_um": world.touch_um, "pitch_mm": world.part.grid.pitch_mm}
-        writer.write(bus.pack_json({**welcome, "origin_px": list(world.part.origin_px)}))
+        writer.write(bus.pack_json({**welcome, "origin_px": list(world.part.origin_px), "part": self.seat}))
 
     def _leave(self, device: str) -> None:
         now = time.monotonic()
@@ -124,6 +141,8 @@ class PlantServer:
             self._note(device, message.pop("event"), message.pop("t"), message)
         elif "measure" in message:
             self.asked_s = float(message["t"])
+        elif "part" in message:
+            self.change(message["part"])
         elif device == "robot":
             self.robot_mark = float(message["mark"])
             self.world.stand_until(self.robot_mark, message["pose"])
@@ -135,6 +154,8 @@ class PlantServer:
             self.moving, self.safe_s = MOVING[name], max(at_s, self.safe_s)
         if device == "actuator" and name in EXTENDED:
             self.extended, self.safe_s = EXTENDED[name], max(at_s, self.safe_s)
+        if device == "loader":
+            data = {**data, "robot_moves": self.moving, "tool_is_out": self.extended}
         if name == "program_loaded":
             self.world.account.load(data["sha256"], data["blocks"])
         self.witness.add(device, name, at_s, **data)
@@ -157,6 +178,8 @@ class PlantServer:
 
     def _measure(self, horizon_s: float) -> None:
         if self.asked_s is None or horizon_s < max(self.asked_s, self.safe_s) or self.moving or self.extended:
+            return
+        if not self.seat:
             return
         self.asked_s = None
         since_s = (horizon_s - self.world.polished_s) * self.start.speed
@@ -184,7 +207,7 @@ def build(start: Start) -> PlantServer:
     witness = Witness(log)
     witness.add("plant", "boot", time.monotonic(), seed=start.seed, true_rms_nm=round(rms, 4), true_pv_nm=round(pv, 4))
     replace(start.state / "truth.json", json.dumps(asdict(hidden), indent=1).encode())
-    return PlantServer(start, world, witness)
+    return PlantServer(start, world, witness, seat=config.plant.part_id)
 
 
 async def main(start: Start) -> None:

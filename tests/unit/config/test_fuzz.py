@@ -51,7 +51,12 @@ def test_any_value_for_any_key(number: int, literal: str) -> None:
     message = outcome(text)
     if message:
         placed(message, len(LINES))
-        assert f"FILE:{number + 1}: " in message or "[section" in message or key in message.partition(": ")[2] or key == "type"
+        assert (
+            f"FILE:{number + 1}: " in message
+            or "[section" in message
+            or key in message.partition(": ")[2]
+            or key == "type"
+        )
 
 
 @given(st.sampled_from(KEYED))

@@ -14,13 +14,13 @@ from typing import Any, Self
 
 import pytest
 
-from polishd.daemon import app, cell
-from polishd.daemon.app import run_folder
+from polishd.daemon import app, cell, making
 from polishd.daemon.client import request
 from polishd.daemon.daemon import Daemon
 from polishd.daemon.events import EventBus
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
+from polishd.daemon.making import run_folder
 from polishd.model.cycle import Outcome
 from polishd.model.devices import Executed
 from polishd.model.errors import (
@@ -477,7 +477,7 @@ class Site:
         monkeypatch.setattr(app, "make_recipe", lambda config, hooks: self.recipe)
         monkeypatch.setattr(app, "read_program", lambda recipe, path: self.program)
         monkeypatch.setattr(app, "build_cell", self.build)
-        monkeypatch.setattr(app, "contact_limits", lambda config: LIMITS)
+        monkeypatch.setattr(making, "contact_limits", lambda config: LIMITS)
         monkeypatch.setattr(app, "Compute", InProcess)
         monkeypatch.setattr(app, "_journal", kept)
 

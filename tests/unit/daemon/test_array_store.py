@@ -52,9 +52,8 @@ def test_a_disk_that_takes_nothing_stops_the_job(store: ArrayStore, tmp_path: Pa
         store.put({"a": np.arange(9)})
 
 
-def test_clear_leaves_nothing(store: ArrayStore) -> None:
-    store.clear()  # before anything was kept
-    store.put({"a": np.arange(9)})
-    (store.folder / ".cut-off.tmp").write_bytes(b"half")
-    store.clear()
-    assert list(store.folder.iterdir()) == []
+def test_what_is_removed_is_gone_and_the_rest_stays(store: ArrayStore) -> None:
+    store.remove("never-kept", "")
+    one, other = store.put({"a": np.arange(9)}), store.put({"a": np.arange(8)})
+    store.remove(one, "")
+    assert [path.name for path in store.folder.iterdir()] == [f"{other}.npz"]

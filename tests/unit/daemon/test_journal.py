@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from polishd.daemon import journal_schema, journal_store
-from polishd.daemon.journal import Journal
+from polishd.daemon.journal import NO_JOB, Journal
 from polishd.daemon.journal_records import BlockRecord
+from polishd.daemon.journal_schema import OF_A_JOB
 from polishd.model.cycle import Outcome, Phase
 from polishd.model.devices import Executed
 from polishd.model.errors import ConfigError, LinkError, PolishdError, SafetyStop
@@ -134,16 +135,6 @@ def test_a_job_keeps_what_it_was_begun_with_once_it_has_measured(tmp_path: Path)
     with Journal.open(tmp_path, job="job", part_id="P1", terms={"part.edge_mm": 6.0}) as journal:
         assert journal.resumed
         assert journal.terms == {"part.edge_mm": 5.0}
-
-
-def test_a_new_job_leaves_none_of_the_arrays_of_the_one_before(tmp_path: Path) -> None:
-    with opened(tmp_path) as journal:
-        name = journal.arrays.put({"a": np.arange(3)})
-    with opened(tmp_path) as journal:
-        assert np.array_equal(journal.arrays.get(name)["a"], np.arange(3)), "the job goes on"
-        journal.record_outcome(Outcome.IN_TOLERANCE)
-    with opened(tmp_path):
-        assert list((tmp_path / "store").iterdir()) == []
 
 
 async def test_what_each_phase_took_in_all(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -337,6 +328,44 @@ def test_copy_is_whole_and_stands_alone(tmp_path: Path, journal: Journal) -> Non
     assert rows(target.parent, "SELECT seq FROM segment") == [(0,)]
 
 
+def test_a_copy_holds_its_own_job_alone(tmp_path: Path) -> None:
+    target = tmp_path / "run" / "journal.sqlite"
+    for name in ("one", "two"):
+        with opened(tmp_path, name) as journal:
+            journal.record_map(0, name, "x", {})
+            journal.begin_pass(0, "prog", "boot", 5)
+            journal.executed_segment(0, block(0))
+            journal.copy_to(target)
+            journal.record_outcome(Outcome.IN_TOLERANCE)
+    assert rows(target.parent, "SELECT name FROM job") == [("two",)]
+    assert rows(target.parent, "SELECT sha256 FROM map") == [("two",)]
+    assert rows(target.parent, "SELECT job, seq FROM segment") == [(2, 0)]
+
+
+def test_of_a_job_that_is_over_the_maps_stay_and_the_plans_go(tmp_path: Path) -> None:
+    with opened(tmp_path) as journal:
+        surface, plan, start = (journal.arrays.put({"a": np.arange(n)}) for n in (3, 4, 5))
+        journal.record_map(0, "aa", "x", {}, surface)
+        journal.begin_pass(0, "prog", "boot", 5, plan=plan, start=start)
+    with opened(tmp_path) as journal:
+        assert journal.arrays.content(plan), "it goes on"
+        journal.record_outcome(Outcome.IN_TOLERANCE)
+    with opened(tmp_path, "next") as journal:
+        assert [path.stem for path in journal.arrays.folder.iterdir()] == [surface]
+    assert rows(tmp_path, "SELECT plan, start FROM pass") == [("", "")]
+
+
+def test_between_jobs_it_knows_of_none_and_keeps_what_happens(tmp_path: Path) -> None:
+    with opened(tmp_path, "one") as journal:
+        journal.record_map(0, "aa", "x", {})
+        journal.record_outcome(Outcome.IN_TOLERANCE)
+    with Journal.of_cell(tmp_path) as cell:
+        assert (cell.history, cell.passes, cell.unfinished(), cell.last_map_id) == ((), (), None, "aa")
+        cell.record_event(PlanWritten(run_dir=""))
+        assert cell.of_job("two", "P2", {}).last_map_id == "aa"
+    assert rows(tmp_path, "SELECT job FROM event") == [(NO_JOB,)]
+
+
 def test_close_is_idempotent(tmp_path: Path) -> None:
     journal = opened(tmp_path)
     journal.close()
@@ -457,7 +486,7 @@ def test_a_journal_brought_up_to_date_has_the_tables_of_a_new_one(tmp_path: Path
     def columns(state_dir: Path) -> dict[str, set[tuple[object, ...]]]:
         return {
             table: {column[1:] for column in rows(state_dir, f"PRAGMA table_info({table})")}
-            for table in ("job", "map", "phase", "pass", "segment", "event")
+            for table in ("job", *OF_A_JOB)
         }
 
     assert columns(tmp_path) == columns(tmp_path / "new")

@@ -163,7 +163,12 @@ def flattened(cell: Path) -> list[str]:
 
 
 def test_each_key_has_a_rule_and_each_rule_a_key(cell: Path) -> None:
-    keys = [*flattened(cell), "roles.robot", "notify.mail.to"]  # of a cell with several devices, and people
+    keys = [
+        *flattened(cell),
+        "roles.robot",
+        "notify.mail.to",
+        "loader.type",
+    ]  # of a cell with several devices, and people
     fits: Callable[[str, str], bool] = fnmatchcase
     assert [key for key in keys if not any(fits(key, one) for rule in RULES for one in rule.keys)] == []
     assert [one for rule in RULES for one in rule.keys if not any(fits(key, one) for key in keys)] == []

@@ -54,10 +54,10 @@ def test_without_a_person_nothing_is_held_but_by_order() -> None:
 
 
 def test_an_order_is_obeyed_where_it_leads() -> None:
-    assert set(ORDERS) == {verb.name for verb in VERBS.values() if verb.changes}
+    assert set(ORDERS) == {verb.name for verb in VERBS.values() if verb.changes == "an order"}
     assert {order: obeyed(order) for order in ORDERS} == {
         Trigger.HOLD: {State.HELD, State.FINISHED},
-        Trigger.RESUME: {State.POLISHING, State.FINISHED},
+        Trigger.RESUME: {State.IDLE, State.POLISHING, State.FINISHED},
         Trigger.STOP: {State.FINISHED},
         Trigger.ESTOP: {State.HELD, State.FINISHED},
     }

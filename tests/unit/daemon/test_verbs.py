@@ -12,7 +12,7 @@ DOCS = Path(__file__).resolve().parents[3] / "docs" / "cycle.md"
 def row(verb: Verb) -> str:
     """As the table has it."""
     arguments = "; ".join(f"`{one.name}` ({one.kind.__name__}): {one.what}" for one in verb.arguments)
-    return f"| `{verb.name}` | {verb.what} | {'an order' if verb.changes else ''} | {arguments} |"
+    return f"| `{verb.name}` | {verb.what} | {verb.changes} | {arguments} |"
 
 
 def test_the_docs_have_every_verb_with_its_arguments() -> None:

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.api import Identity, ProtocolError
+from polishd.drivers.transport import numbered
 from polishd.drivers.voice_coil import codec, registers
 from polishd.drivers.voice_coil.device import Reading, State
 from tests.fakes.actuator import Coil, ModbusCoil
@@ -61,40 +62,40 @@ def test_identity_of_other_bytes_is_a_protocol_error() -> None:
 
 def test_ascii_vectors() -> None:
     lines = vectors("voice_coil_serial")
-    assert codec.encode(7, "F,12.00") == lines["set_force"].encode() + b"\r\n"
-    assert codec.encode(8, "ST?") == lines["status_request"].encode() + b"\r\n"
-    assert codec.decode(lines["ok"].encode() + b"\r") == (7, "OK")
-    numbered = codec.decode(lines["status"].encode())
-    assert numbered is not None
-    assert numbered[0] == 8
-    assert codec.status(numbered[1]) == CONTACT
+    assert numbered.encode(7, "F,12.00") == lines["set_force"].encode() + b"\r\n"
+    assert numbered.encode(8, "ST?") == lines["status_request"].encode() + b"\r\n"
+    assert numbered.decode(lines["ok"].encode() + b"\r") == (7, "OK")
+    answer = numbered.decode(lines["status"].encode())
+    assert answer is not None
+    assert answer[0] == 8
+    assert codec.status(answer[1]) == CONTACT
 
 
 @given(st.integers(0, 0xFFFF), st.text("ABC?,.0123 -", min_size=1, max_size=60))
 def test_lines_are_read_as_they_are_written(number: int, body: str) -> None:
-    assert codec.decode(codec.encode(number, body).rstrip(b"\n")) == (number, body)
+    assert numbered.decode(numbered.encode(number, body).rstrip(b"\n")) == (number, body)
 
 
 @given(st.binary(max_size=200))
 def test_broken_lines_are_none(noise: bytes) -> None:
-    numbered = codec.decode(noise)
-    assert numbered is None or codec.encode(*numbered).rstrip() == noise[noise.rfind(b"$") :].rstrip()
+    answer = numbered.decode(noise)
+    assert answer is None or numbered.encode(*answer).rstrip() == noise[noise.rfind(b"$") :].rstrip()
 
 
-@pytest.mark.parametrize("at", range(len(codec.encode(8, "ST?").strip())))
+@pytest.mark.parametrize("at", range(len(numbered.encode(8, "ST?").strip())))
 def test_a_flipped_bit_is_seen(at: int) -> None:
-    broken = bytearray(codec.encode(8, "ST?").strip())
+    broken = bytearray(numbered.encode(8, "ST?").strip())
     broken[at] ^= 0x02
-    assert codec.decode(bytes(broken)) is None
+    assert numbered.decode(bytes(broken)) is None
 
 
 @pytest.mark.parametrize("line", [b"", b"$*00", b"$OK*04", b"$x,OK*4B", b"$123456,OK*1E", b"7,OK*1F", b"$7,OK*1f"])
 def test_lines_without_sense_are_none(line: bytes) -> None:
-    assert codec.decode(line) is None
+    assert numbered.decode(line) is None
 
 
 def test_noise_before_a_line_is_dropped() -> None:
-    assert codec.decode(b"\xff\x00$7,O$7,OK*1F") == (7, "OK")
+    assert numbered.decode(b"\xff\x00$7,O$7,OK*1F") == (7, "OK")
 
 
 @pytest.mark.parametrize(

@@ -101,10 +101,10 @@ async def test_refusals(rig: Rig) -> None:
 
 
 async def test_request_numbers_wrap(rig: Rig) -> None:
-    rig.wire._number = 0xFFFE
+    rig.wire._lines._number = 0xFFFE
     for _ in range(4):
         await rig.device.status()
-    assert rig.wire._number == 2
+    assert rig.wire._lines._number == 2
 
 
 async def test_a_hung_up_line_is_opened_again_out_of_contact(tmp_path: Path) -> None:

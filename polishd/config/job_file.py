@@ -1,0 +1,87 @@
+"""A job's file: part, program, tolerance and what else of the recipe is its own, laid over the cell's file.
+
+What a job says replaces what the cell says; what it leaves out is the cell's. Who the cell is, and what it consists of,
+no job may change.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from polishd.config.cell import FILES, PORTS, CellConfig, lay_over
+from polishd.config.document import parse_text
+from polishd.config.places import listed
+from polishd.files import toml_text
+from polishd.model.errors import ConfigError
+
+OF_THE_CELL = ("include", "cell", "plugins", *PORTS, "roles", "machine", "kinematics")
+"""What a job cannot say."""
+OWN = (("job", "id"), ("part", "id"))
+"""What each job says for itself: its name, and the part that its maps must show."""
+
+
+@dataclass(frozen=True, slots=True)
+class JobFile:
+    """A job's file as it was read; paths in it start from its own folder."""
+
+    path: Path
+    """Absolute."""
+    text: str = field(repr=False)
+
+    @classmethod
+    def read(cls, path: Path) -> JobFile:
+        """ConfigError where it cannot be read."""
+        return cls(path.absolute(), toml_text(path))
+
+    def laid_over(self, cell: CellConfig) -> CellConfig:
+        """The cell with this job; ConfigError, a line each: ``FILE:LINE: section.key: what is wrong; what to do``."""
+        fragment, source = parse_text(self.text, self.path)
+        wrong = [
+            source.error((name,), f"is the cell's, and no job's; a job has sections {listed(_sections())}")
+            for name in fragment
+            if name in OF_THE_CELL
+        ]
+        wrong += [
+            source.error(key, f"is missing; add it: {key[-1]} = ... (each job says its own)")
+            for key in OWN
+            if _value(fragment, key) is None
+        ]
+        if wrong:
+            raise ConfigError("\n".join(wrong))
+        for key, value in self._named(fragment):
+            section, name = key.split(".")
+            fragment[section][name] = value
+        raw = copy.deepcopy(dict(cell.raw))
+        lay_over(raw, fragment)
+        return CellConfig.of(raw, replace(cell.source, included=(*cell.source.included, source)))
+
+    def names(self) -> list[str]:
+        """The keys by which it names files itself."""
+        fragment, _ = parse_text(self.text, self.path)
+        return [key for key, _ in self._named(fragment)]
+
+    def _named(self, fragment: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+        """(dotted key, absolute path or paths); what is no text is left to the section's own check."""
+        for key in FILES:
+            match _value(fragment, tuple(key.split("."))):
+                case str() as name:
+                    yield key, self._absolute(name)
+                case [*names] if all(isinstance(name, str) for name in names):
+                    yield key, [self._absolute(name) for name in names]
+
+    def _absolute(self, name: str) -> str:
+        return str(self.path.parent / Path(name).expanduser()) if name else name
+
+
+def _sections() -> list[str]:
+    return [name for name in CellConfig.model_fields if name not in OF_THE_CELL]
+
+
+def _value(values: Any, key: tuple[str, ...]) -> Any:
+    for name in key:
+        values = values.get(name) if isinstance(values, dict) else None
+    return values

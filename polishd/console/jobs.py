@@ -1,0 +1,81 @@
+"""``polishd job``: the queue of a cell. A running daemon is asked; where none runs, the journal is written here."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from polishd.config.cell import CellConfig, load_config
+from polishd.daemon import client
+from polishd.daemon.desk import Desk
+from polishd.daemon.queue import Queue
+from polishd.hooks.cell import load_cell
+from polishd.model.errors import NoDaemon, PolishdError
+from polishd.show.tables import emit, record_table
+
+COLUMNS = ("job", "part", "state", "added", "why")
+
+
+def add_verb(cell: Path, files: Sequence[Path], *, as_json: bool) -> None:
+    """Judge them all, then add them."""
+    from polishd.daemon.checking import judged_jobs
+
+    config, hooks = load_cell(cell)
+    jobs = judged_jobs(config, hooks, files)
+    try:
+        client.request(config.state_dir, "job_list")
+    except NoDaemon:
+        with Queue.at_rest(config.state_dir) as queue:
+            queue.add(jobs)
+    else:
+        for job in jobs:
+            _ask(config, "job_add", path=str(job.file.path), content=job.file.text)
+    list_verb(cell, as_json=as_json)
+
+
+def list_verb(cell: Path, *, as_json: bool) -> None:
+    """Show the queue."""
+    config = load_config(cell)
+    _show(config, _ask(config, "job_list"), as_json=as_json)
+
+
+def move_verb(cell: Path, job: str, where: str, other: str, *, as_json: bool) -> None:
+    """Change the order."""
+    config = load_config(cell)
+    _show(config, _ask(config, "job_move", job=job, where=where, other=other), as_json=as_json)
+
+
+def remove_verb(cell: Path, job: str, reason: str, *, as_json: bool) -> None:
+    """Take one out."""
+    config = load_config(cell)
+    _show(config, _ask(config, "job_remove", job=job, reason=reason), as_json=as_json)
+
+
+def _ask(config: CellConfig, verb: str, **arguments: str) -> Mapping[str, Any]:
+    try:
+        answer = client.request(config.state_dir, verb, args=arguments)
+    except NoDaemon:
+        with Queue.at_rest(config.state_dir) as queue:
+            return asyncio.run(_answered(Desk(config, queue), verb, arguments))
+    if not answer["ok"]:
+        refusal = PolishdError(answer["error"])
+        refusal.exit_code = answer.get("exit_code", refusal.exit_code)
+        raise refusal
+    return answer
+
+
+async def _answered(desk: Desk, verb: str, arguments: Mapping[str, str]) -> Mapping[str, Any]:
+    return await desk.handlers[verb](**arguments)
+
+
+def _show(config: CellConfig, answer: Mapping[str, Any], *, as_json: bool) -> None:
+    found = {"jobs": answer["jobs"]}
+    rows = [(job["name"], job["part_id"], job["state"], _day(job["added_s"]), job["reason"]) for job in found["jobs"]]
+    emit(found, as_json=as_json, table=lambda: record_table(f"{config.cell.name}: queue", COLUMNS, rows))
+
+
+def _day(at_s: float) -> str:
+    return f"{datetime.fromtimestamp(at_s).astimezone():%Y-%m-%d %H:%M}"

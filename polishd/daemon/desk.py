@@ -1,0 +1,88 @@
+"""The queue's desk: what is asked of the queue, over the socket of a running daemon or, where none runs, by hand."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from polishd.config.cell import CellConfig
+from polishd.config.job_file import JobFile
+from polishd.daemon.queue import Entry, NewJob, Queue
+from polishd.daemon.same_job import file_terms
+from polishd.daemon.service import Handler
+from polishd.model.errors import ConfigError
+
+
+def new_job(cell: CellConfig, file: JobFile) -> NewJob:
+    """The job of a file, as the queue takes it; ConfigError where its values, or the files that it names, are wrong.
+
+    Reads those files: in a daemon call it in a thread. Whether its program fits is judged by who adds it
+    (``checking.judged_jobs``), and again when it begins.
+    """
+    config = file.laid_over(cell)
+    return NewJob(config.job.id, config.part.id, file, file_terms(config, file.names()))
+
+
+def require_unchanged(cell: CellConfig, entry: Entry) -> CellConfig:
+    """The cell with that job laid over it; ConfigError where a file that it names is not what it was when it was added.
+
+    It was judged with that content. Another one is another job: polishing with it would be nobody's decision.
+    """
+    config = entry.file.laid_over(cell)
+    for key, now in file_terms(config, entry.file.names()).items():
+        if now != (then := entry.files.get(key)):
+            raise config.error(key, f"{_file(now)} was changed since the job was added ({_hash(then)}): add it again")
+    return config
+
+
+def _file(terms: Any) -> str:
+    return ", ".join(map(_file, terms)) if isinstance(terms, list) else f"{terms['file']} ({_hash(terms)})"
+
+
+def _hash(terms: Any) -> str:
+    if isinstance(terms, list):
+        return ", ".join(map(_hash, terms))
+    return f"sha256 {terms['sha256'][:12]}" if terms else "without it"
+
+
+class Desk:
+    """Answers for the queue of one cell, from threads: a tool may be in contact meanwhile, and disks are slow."""
+
+    def __init__(self, cell: CellConfig, queue: Queue, changed: Callable[[], None] = lambda: None) -> None:
+        """``changed`` is called when something was added."""
+        self._cell, self._queue, self._changed = cell, queue, changed
+        self._turn = asyncio.Lock()
+
+    @property
+    def handlers(self) -> dict[str, Handler]:
+        """Who obeys the verbs of the socket."""
+        return {"job_list": self.list, "job_add": self.add, "job_move": self.move, "job_remove": self.remove}
+
+    async def list(self) -> Mapping[str, Any]:
+        """All jobs."""
+        entries = await asyncio.to_thread(self._queue.entries)
+        return {"jobs": [entry.facts() for entry in entries]}
+
+    async def add(self, path: str, content: str) -> Mapping[str, Any]:
+        """Put one at the end."""
+        if not (where := Path(path)).is_absolute():
+            raise ConfigError(f"{path}: is no absolute path; say where the job's file lies")
+        async with self._turn:
+            job = await asyncio.to_thread(new_job, self._cell, JobFile(where, content))
+            await asyncio.to_thread(self._queue.add, [job])
+        self._changed()
+        return {"job": job.name, "waiting": len(self._queue.to_do())}
+
+    async def move(self, job: str, where: str, other: str = "") -> Mapping[str, Any]:
+        """Change the order."""
+        async with self._turn:
+            await asyncio.to_thread(self._queue.move, job, where, other)
+        return await self.list()
+
+    async def remove(self, job: str, reason: str = "") -> Mapping[str, Any]:
+        """Take one out that waits; one under way, too, which is put aside: a daemon refuses that unless it is held."""
+        async with self._turn:
+            await asyncio.to_thread(self._queue.remove, job, reason)
+        return await self.list()

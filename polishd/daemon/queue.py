@@ -1,0 +1,214 @@
+"""The queue of parts: rows of the journal, the only truth of what waits, what is under way, and how each job ended.
+
+What was added is what runs: a row holds the job file's text as it was judged, and the hashes of the files it names.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from polishd.config.job_file import JobFile
+from polishd.config.places import did_you_mean, listed
+from polishd.daemon.journal import JOURNAL_NAME, over_row
+from polishd.daemon.journal_store import Row, Store
+from polishd.daemon.lock import locked
+from polishd.daemon.verdicts import Verdict
+from polishd.model.errors import ConfigError
+
+REMOVED = "removed"
+"""The verdict of a job that a person took out before it began."""
+BY_A_PERSON = "put aside by a person"
+TO_DO = "ended IS NULL ORDER BY begun IS NULL, place"
+_COLUMNS = "id, name, part_id, path, content, files, added, job, begun, ended, verdict, reason, fault"
+
+
+@dataclass(frozen=True, slots=True)
+class NewJob:
+    """A job that was judged and may wait."""
+
+    name: str
+    """``job.id``."""
+    part_id: str
+    file: JobFile
+    files: Mapping[str, Any]
+    """By key, the files that it names itself: ``{"file", "sha256"}``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A job of the queue. Times are Unix times."""
+
+    id: int
+    name: str
+    part_id: str
+    path: str
+    content: str
+    files: Mapping[str, Any]
+    added_s: float
+    job: int | None
+    """Its row in the journal's jobs, from its begin on."""
+    begun_s: float | None
+    ended_s: float | None
+    verdict: str | None
+    reason: str
+    """Why it ended so."""
+    fault: str
+    """What was wrong, in one word; two in a row stop the queue. Empty where nothing was."""
+
+    @property
+    def state(self) -> str:
+        """``waiting``, ``under way``, or its verdict."""
+        return self.verdict or ("waiting" if self.begun_s is None else "under way")
+
+    @property
+    def file(self) -> JobFile:
+        """The job's file, as it was when it was added."""
+        return JobFile(Path(self.path), self.content)
+
+    def facts(self) -> dict[str, Any]:
+        """For people and programs; the file's text is left out."""
+        known = asdict(self)
+        return {"state": self.state, **{key: known[key] for key in known if key not in {"id", "content", "job"}}}
+
+
+class Queue:
+    """Jobs in the order in which they are worked; one at most is under way."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._to_do: list[Entry] | None = None
+        """What ``to_do`` answers: ``status`` does not go to the disk. None: nobody has asked yet."""
+
+    @classmethod
+    @contextmanager
+    def at_rest(cls, state_dir: Path) -> Iterator[Queue]:
+        """The queue of a cell that no daemon runs; ConfigError where one does."""
+        with locked(state_dir):
+            store = Store.open(state_dir / JOURNAL_NAME)
+            try:
+                yield cls(store)
+            finally:
+                store.close()
+
+    def entries(self) -> list[Entry]:
+        """All there ever were: those that ended, as they ended; the one under way; those that wait, in their order."""
+        return self._where("1 ORDER BY ended IS NULL, ended, begun IS NULL, place")
+
+    def to_do(self) -> list[Entry]:
+        """The one under way, and those that wait, in their order."""
+        if self._to_do is None:
+            self._to_do = self._where(TO_DO)
+        return self._to_do
+
+    def under_way(self) -> Entry | None:
+        """The job that was begun and has not ended."""
+        return next((entry for entry in self.to_do() if entry.begun_s is not None), None)
+
+    def next(self) -> Entry | None:
+        """The first of those that wait."""
+        return next(iter(self._waiting()), None)
+
+    def holds(self, entry: Entry) -> bool:
+        """Whether it waits, or is under way."""
+        return any(one.id == entry.id for one in self.to_do())
+
+    def last_ended(self) -> Entry | None:
+        """The job that was worked last."""
+        return next(
+            iter(self._where("begun IS NOT NULL AND ended IS NOT NULL ORDER BY ended DESC, id DESC LIMIT 1")), None
+        )
+
+    def add(self, jobs: Sequence[NewJob]) -> None:
+        """Put them at the end, all or none; ConfigError where a name is in the queue already, or is done."""
+        wrong = [line for number, job in enumerate(jobs) if (line := self._taken(job, jobs[:number]))]
+        if wrong:
+            raise ConfigError("\n".join(wrong))
+        ((place,),) = self._store.read("SELECT ifnull(max(place), 0) FROM queue")
+        sql = "INSERT INTO queue (place, name, part_id, path, content, files, added) VALUES (?,?,?,?,?,?,?)"
+        rows = [
+            (place + 1 + n, job.name, job.part_id, str(job.file.path), job.file.text, json.dumps(dict(job.files)))
+            for n, job in enumerate(jobs)
+        ]
+        self._write(*((sql, (*row, time.time())) for row in rows))
+
+    def move(self, name: str, where: str, other: str = "") -> None:
+        """Put a job that waits ``before`` or ``after`` another one that does, or ``first`` or ``last`` of all."""
+        waiting = self._waiting()
+        moved = _named(waiting, name)
+        rest = [entry for entry in waiting if entry is not moved]
+        if where in {"before", "after"}:
+            at = rest.index(_named(rest, other)) + (where == "after")
+        elif where in {"first", "last"}:
+            at = 0 if where == "first" else len(rest)
+        else:
+            raise ConfigError(f"{where!r} is no place; say before ID, after ID, first or last")
+        order = [*rest[:at], moved, *rest[at:]]
+        places = sorted(
+            place for (place,) in self._store.read("SELECT place FROM queue WHERE begun IS NULL AND ended IS NULL")
+        )
+        sql = "UPDATE queue SET place = ? WHERE id = ?"
+        self._write(*((sql, (place, entry.id)) for place, entry in zip(places, order, strict=True)))
+
+    def remove(self, name: str, reason: str = "") -> None:
+        """Take a job out that waits; its row stays, with its end. One that no daemon goes on with is put aside."""
+        entry = self.under_way()
+        if entry is None or entry.name != name:
+            self._write(self._end_row(_named(self._waiting(), name), REMOVED, reason, ""))
+            return
+        over = [over_row(entry.job, "put aside", reason)] if entry.job else []
+        self.end(entry, Verdict("put aside", reason or BY_A_PERSON, ""), *over)
+
+    def begin(self, entry: Entry, job: int) -> None:
+        """It is under way, as that row of the journal's jobs; ConfigError where it was taken out meanwhile."""
+        if not self.holds(entry):
+            raise ConfigError(f"the job {entry.name!r} was taken out of the queue")
+        self._write(("UPDATE queue SET begun = ?, job = ? WHERE id = ?", (time.time(), job, entry.id)))
+
+    def end(self, entry: Entry, verdict: Verdict, *also: Row) -> None:
+        """It is over, durably, together with other rows; one that never came to its begin has begun and ended now."""
+        begun = ("UPDATE queue SET begun = ifnull(begun, ?) WHERE id = ?", (time.time(), entry.id))
+        self._write(begun, self._end_row(entry, verdict.how, verdict.reason, verdict.fault), *also)
+
+    def _end_row(self, entry: Entry, verdict: str, reason: str, fault: str) -> Row:
+        sql = "UPDATE queue SET ended = ?, verdict = ?, reason = ?, fault = ? WHERE id = ?"
+        return sql, (time.time(), verdict, reason, fault, entry.id)
+
+    def _write(self, *rows: Row) -> None:
+        self._store.write(*rows)
+        self._to_do = self._where(TO_DO)
+
+    def _waiting(self) -> list[Entry]:
+        return [entry for entry in self.to_do() if entry.begun_s is None]
+
+    def _taken(self, job: NewJob, before: Iterable[NewJob]) -> str:
+        """Why a name cannot be added; empty where it can. One that was put aside or removed may come again."""
+        sql = "SELECT ifnull(verdict, 'in the queue') FROM queue WHERE name = ? AND ifnull(verdict, '') NOT IN (?, ?)"
+        done = (
+            "SELECT ifnull(outcome, 'under way') FROM job WHERE name = ? AND ifnull(outcome, '') NOT IN ('stopped', ?)"
+        )
+        found = self._store.read(sql, (job.name, REMOVED, "put aside")) or self._store.read(
+            done, (job.name, "put aside")
+        )
+        twice = any(job.name == other.name for other in before)
+        if not (found or twice):
+            return ""
+        how = "named twice" if twice else found[0][0]
+        return f"{job.file.path}: job.id: {job.name!r} is {how} already; give this job a name of its own"
+
+    def _where(self, condition: str, values: Sequence[Any] = ()) -> list[Entry]:
+        rows = self._store.read(f"SELECT {_COLUMNS} FROM queue WHERE {condition}", values)  # noqa: S608 - our own words
+        return [Entry(*row[:5], json.loads(row[5]), *row[6:]) for row in rows]  # type: ignore[call-arg]
+
+
+def _named(entries: Sequence[Entry], name: str) -> Entry:
+    for entry in entries:
+        if entry.name == name:
+            return entry
+    names = [entry.name for entry in entries]
+    raise ConfigError(f"no job {name!r} waits in the queue{did_you_mean(name, names)} There wait: {listed(names)}")

@@ -1,0 +1,92 @@
+"""``polishd run --queue``: the daemon of one cell's queue, from the journal's word to its summary."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, suppress
+from typing import Any
+
+from polishd.config.cell import CellConfig
+from polishd.daemon.cell import Cell
+from polishd.daemon.compute import Compute
+from polishd.daemon.courier import Notifier
+from polishd.daemon.daemon import Daemon
+from polishd.daemon.desk import Desk
+from polishd.daemon.endings import keep_ending, keeping, now, of_queue
+from polishd.daemon.job_maker import JobMaker
+from polishd.daemon.journal import Journal
+from polishd.daemon.notifications import told
+from polishd.daemon.queue_daemon import QueueDaemon
+from polishd.daemon.service import serving
+from polishd.daemon.shift import Shift, taken_up
+from polishd.daemon.states import State
+from polishd.hooks.loader import Hooks
+from polishd.model.cycle import Outcome
+from polishd.model.errors import PolishdError
+from polishd.model.events import Event
+
+log = logging.getLogger(__name__)
+
+Telling = Callable[[Daemon], AbstractContextManager[None]]
+
+
+async def run_queue(
+    config: CellConfig,
+    hooks: Hooks,
+    cell: Cell,
+    notifiers: Sequence[Notifier],
+    journal: Journal,
+    *,
+    show: Callable[[Event], None],
+    hears: Callable[[Event], None],
+    telling: Telling,
+    holds: bool,
+    until_empty: bool,
+) -> dict[str, Any]:
+    """Work the queue; its summary. PolishdError where the job that is under way cannot go on: nothing was opened."""
+    async with Compute() as compute:
+        shift = Shift(journal, JobMaker(config, hooks, cell, compute))
+        keep = keeping(config.state_dir, lambda: shift.folder.path if shift.folder else None, queue=True)
+        sinks, nothing = (shift.record, keep, hears), {"job": "", "part": "", "run_dir": ""}
+        async with told(config, notifiers, nothing, (hooks.on_event, show), sinks) as bus:
+            shift.bus = bus
+            await taken_up(shift)
+            desk = Desk(config, shift.queue, shift.added)
+            daemon = QueueDaemon(cell, shift, desk, bus, holds=holds, until_empty=until_empty)
+            with telling(daemon):
+                return await _serve(config, daemon, shift)
+
+
+async def _serve(config: CellConfig, daemon: QueueDaemon, shift: Shift) -> dict[str, Any]:
+    """Answer the socket until the queue is left; the cell is safe then."""
+    started, failure, outcome = now(), None, Outcome.STOPPED
+    async with serving(config.state_dir, daemon.handlers, daemon.bus):
+        try:
+            await daemon.become(State.STARTING, "")
+            outcome = await daemon.run()
+        except Exception as error:
+            log.exception("the daemon ends")
+            failure = error
+            with suppress(PolishdError):  # a lost journal: that is what ended it
+                daemon.bus.publish(daemon.failure(error))
+        last = _last_words(daemon, shift, outcome, failure)
+        keep_ending(config.state_dir, last)
+        with suppress(PolishdError):  # of a lost journal, which has been told
+            await daemon.become(State.FINISHED, last["state"])
+            daemon.job.journal.flush()
+    outcome_word = last.pop("state")
+    return {"outcome": outcome_word, "jobs": dict(shift.ended), "started": started, "ended": now(), **last}
+
+
+def _last_words(daemon: QueueDaemon, shift: Shift, outcome: Outcome, failure: Exception | None) -> dict[str, Any]:
+    """As of one job; one that ended because nothing waits is no failure, unless a part was not accepted."""
+    last: dict[str, Any] = daemon.last_words(outcome, failure)
+    folder: Mapping[str, Any] = {"run_dir": str(shift.folder.path)} if shift.folder else {}
+    last["next"] = of_queue(last["next"])
+    if failure is None and shift.first() is None and outcome is not Outcome.STOPPED:
+        last |= {"state": "empty", "next": EMPTY, "exit_code": int(set(shift.ended) - {"accepted"} != set())}
+    return {**last, **folder}
+
+
+EMPTY = "the queue is empty: polishd job add CELL.toml JOB.toml adds to it, polishd run CELL.toml --queue goes on"

@@ -1,0 +1,247 @@
+"""The daemon of a queue: job after job on a cell that is opened once, by the same table of states."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from polishd.daemon.cell import Cell
+from polishd.daemon.daemon import Daemon, Turn
+from polishd.daemon.desk import Desk
+from polishd.daemon.endings import of_queue
+from polishd.daemon.events import EventBus
+from polishd.daemon.interruption import settle
+from polishd.daemon.job import Job
+from polishd.daemon.making import figures
+from polishd.daemon.orders import Order, unless
+from polishd.daemon.queue import BY_A_PERSON, Entry
+from polishd.daemon.safety import make_safe
+from polishd.daemon.service import Handler
+from polishd.daemon.shift import Shift
+from polishd.daemon.states import State, Trigger
+from polishd.daemon.verdicts import Verdict, judge
+from polishd.model import events
+from polishd.model.cycle import Outcome
+from polishd.model.errors import DeviceFault, DeviceRefused, PolishdError, WrongPart
+from polishd.ports.devices import Loader
+
+IN_THE_WAY = (
+    "the robot stands where its last pass was cut off, and the loader must not move under it; drive the robot away at "
+    "its own controller, then resume"
+)
+
+
+class QueueDaemon(Daemon):
+    """Works the queue until it is stopped, or until it is empty."""
+
+    def __init__(
+        self, cell: Cell, shift: Shift, desk: Desk, bus: EventBus, *, holds: bool = True, until_empty: bool = False
+    ) -> None:
+        super().__init__(cell, shift.job, bus, holds=holds)
+        self._shift, self._desk, self._until_empty = shift, desk, until_empty
+        self._does = {**self._does, State.IDLE: self._next, State.CHANGING: self._change}
+        self._asides: asyncio.Queue[tuple[Entry, Order]] = asyncio.Queue()
+        begun = shift.entry is not None and shift.job.journal.begun
+        self._part_in = shift.entry.part_id if begun and shift.entry else ""
+        """The part in the cell, as far as is known; a map proves it."""
+        self._in_the_way = False
+        """The robot may stand over the part: its last pass was cut off, and nobody has said since that it may go on."""
+
+    @property
+    def handlers(self) -> dict[str, Handler]:
+        """Who obeys the verbs of the socket; of the queue's, taking out a job that is under way is ours."""
+        return {**super().handlers, **self._desk.handlers, "job_remove": self._remove}
+
+    async def status(self) -> Mapping[str, Any]:
+        """Of the cell, and of the queue."""
+        waiting = [entry for entry in self._shift.queue.to_do() if entry.begun_s is None]
+        next_job = f"{waiting[0].name} (part {waiting[0].part_id})" if waiting else ""
+        found = await super().status()
+        return {**found, "next": of_queue(found["next"]), "waiting": len(waiting), "next_job": next_job}
+
+    # what happens in each state
+
+    async def _start(self) -> Turn:
+        return _between(await super()._start(), Trigger.READY)
+
+    async def _wait(self) -> Turn:
+        turns: list[Turn] = []
+
+        async def work() -> None:
+            turns.append(await Daemon._wait(self))
+
+        aside = await unless(self._asked_aside(), work())
+        if aside is not None:
+            kind = type(self._error).__name__ if self._error else ""
+            reason = aside.reason or f"{BY_A_PERSON}, held over: {self.reason}"
+            return await self._ended(Verdict("put aside", reason, kind))
+        if turns[0].trigger is Trigger.RESUME:
+            self._in_the_way = False  # a person has looked
+        return _between(turns[0], Trigger.RESUME)
+
+    async def _next(self) -> Turn:
+        """Between jobs, or back in one over which the cell was held."""
+        if isinstance(self.job, Job):
+            return Turn(Trigger.NEXT, self._to_change())
+        turns: list[Turn] = []
+
+        async def work() -> None:
+            turns.append(await self._begin())
+
+        order = await unless(self._orders.interrupting(), work(), self.job.journal.lost())
+        return turns[0] if order is None else self._interrupted(order)
+
+    async def _begin(self) -> Turn:
+        if self._until_empty and self._shift.first() is None:
+            return Turn(Trigger.EMPTY, outcome=Outcome.IN_TOLERANCE)
+        entry = await self._shift.next()
+        try:
+            self.job = await self._shift.begin(entry)
+        except PolishdError as error:
+            if not self._shift.queue.holds(entry):
+                return Turn(Trigger.ENDED)  # somebody took it out meanwhile
+            verdict = self._judged(error)
+            if verdict is None:
+                raise
+            self._shift.refuse(entry, verdict)
+            return _after(verdict, entry.name, Turn(Trigger.ERROR, error=error))
+        run_dir = str(self._shift.folder.path) if self._shift.folder else ""
+        self.bus.publish(events.JobBegun(job=entry.name, part_id=entry.part_id, run_dir=run_dir))
+        return Turn(Trigger.NEXT, self._to_change())
+
+    async def _change(self) -> Turn:
+        """Put the job's part in. No loader moves before every device has confirmed that it is safe."""
+        if self._shift.entry is None:
+            raise RuntimeError("a fault of polishd: no job is under way; please report it")
+        part, port = self._shift.entry.part_id, self._cell.used.get("loader")
+        if port is None:
+            return await self._changed_by_person(part)
+        if self._in_the_way:
+            raise DeviceRefused(IN_THE_WAY)
+        await make_safe(self._cell)
+        if self._cell.unsafe:
+            error = DeviceFault(f"not confirmed to be safe: {'; '.join(self._cell.unsafe)}")
+            return self._failed(error, Trigger.UNSAFE)
+        loader: Any = self._cell.devices[port]
+        try:
+            order = await unless(self._orders.interrupting(), self._load(loader, part), self.job.journal.lost())
+        except WrongPart as error:
+            return await self._over(error, Turn(Trigger.MENDABLE, error=error))
+        except PolishdError:
+            await make_safe(self._cell)
+            raise
+        if order is None:
+            return Turn(Trigger.CHANGED)
+        await make_safe(self._cell)
+        return self._interrupted(order)
+
+    async def _changed_by_person(self, part: str) -> Turn:
+        if part == self._part_in:
+            return Turn(Trigger.CHANGED)
+        if not self._holds:
+            raise DeviceRefused(f"a person is to put part {part!r} in, and --no-hold waits for none; see docs/queue.md")
+        self._part_in = ""
+        order = await self._orders.next()
+        if order.verb is not Trigger.RESUME:
+            return self._interrupted(order)
+        self._is_in(part, "a person")
+        return Turn(Trigger.RESUME)
+
+    async def _load(self, loader: Loader, part: str) -> None:
+        """By the loader's own word; the next map has to prove it, too."""
+        if await loader.loaded() not in {None, part}:
+            await loader.unload()
+        await loader.load(part)
+        if (found := await loader.loaded()) != part:
+            raise WrongPart(f"{self._cell.used['loader']}: {found or 'nothing'!r} is on the seat instead of {part!r}")
+        if part != self._part_in:
+            self._is_in(part, "loader")
+
+    async def _polish(self) -> Turn:
+        turn = await super()._polish()
+        ended = turn.trigger in {Trigger.DONE, Trigger.MENDABLE, Trigger.ERROR}
+        if not ended or not (turn.trigger is Trigger.DONE or isinstance(turn.error, PolishdError)):
+            return turn
+        torn = self.job.journal.unfinished() is not None
+        if torn:
+            await make_safe(self._cell)
+            if self._cell.unsafe:
+                return turn  # it ends the daemon, and the job stays open: a person has to look first
+            await settle(self._cell, self.job.journal)
+            self._in_the_way = True
+        end = turn.error if isinstance(turn.error, PolishdError) else turn.outcome
+        return await self._over(end, turn, torn=torn)
+
+    async def _over(self, end: Outcome | PolishdError, turn: Turn, *, torn: bool = False) -> Turn:
+        """After the verdict on that end; the turn itself where the job is not over."""
+        verdict = self._judged(end, torn=torn)
+        return turn if verdict is None else await self._ended(verdict, turn)
+
+    def _judged(self, end: Outcome | PolishdError, *, torn: bool = False) -> Verdict | None:
+        before = self._shift.queue.last_ended()
+        return judge(end, torn=torn, previous=before.fault if before else "")
+
+    async def _ended(self, verdict: Verdict, turn: Turn | None = None) -> Turn:
+        entry, turn = self._shift.entry, turn or Turn(Trigger.ENDED)
+        failure = turn.error if isinstance(turn.error, Exception) else None
+        last = self.last_words(turn.outcome, failure)
+        name = entry.name if entry else ""
+        told = {"job": name, "verdict": verdict.how, "reason": verdict.reason, "next": verdict.stops}
+        outcome = "failed" if failure else "put aside" if verdict.how == "put aside" else turn.outcome.value
+        notes = [*last["notes"], *([verdict.reason] if verdict.how == "put aside" else [])]
+        await self._shift.end(verdict, {**last, **figures(self.job), **told, "outcome": outcome, "notes": notes})
+        self.job = self._shift.job
+        return _after(verdict, name, turn)
+
+    # orders
+
+    async def _remove(self, job: str, reason: str = "") -> Mapping[str, Any]:
+        """Take one out that waits, or put the one aside over which the cell is held."""
+        entry = self._shift.entry
+        if entry is None or entry.name != job:
+            return await self._desk.remove(job, reason)
+        if self.state is not State.HELD or self._cell.unsafe:
+            why = "a device is not confirmed to be safe" if self._cell.unsafe else f"the cell is {self.state}"
+            raise DeviceRefused(f"{job!r} is under way, and {why}: hold the cell first (polishd hold)")
+        self._asides.put_nowait((entry, Order(Trigger.ENDED, " ".join(reason.split()))))
+        async with self._changed:
+            await self._changed.wait_for(lambda: self._shift.entry is not entry or self.state is not State.HELD)
+        if self._shift.entry is entry:
+            raise DeviceRefused(f"{job!r} goes on: somebody was faster")
+        return await self._desk.list()
+
+    async def _asked_aside(self) -> Order:
+        while (asked := await self._asides.get())[0] is not self._shift.entry:
+            pass
+        return asked[1]
+
+    def _interrupted(self, order: Order) -> Turn:
+        if order.verb is Trigger.STOP:
+            return Turn(Trigger.STOP, self._stopped_by(order))
+        return Turn(order.verb, self._held_by(order, ""))
+
+    def _is_in(self, part: str, by: str) -> None:
+        self._part_in = part
+        self.bus.publish(events.PartChanged(part_id=part, by=by))
+
+    def _to_change(self) -> str:
+        """What a person reads while the part is changed."""
+        entry = self._shift.entry
+        if entry is None or (entry.part_id == self._part_in and "loader" not in self._cell.used):
+            return ""
+        who = "the loader puts" if "loader" in self._cell.used else "a person is to put"
+        return f"{entry.name}: {who} part {entry.part_id!r} in"
+
+
+def _between(turn: Turn, trigger: Trigger) -> Turn:
+    """Where one job would be polished, a queue is looked at."""
+    return replace(turn, trigger=Trigger.BETWEEN) if turn.trigger is trigger else turn
+
+
+def _after(verdict: Verdict, name: str, turn: Turn) -> Turn:
+    if not verdict.stops:
+        return Turn(Trigger.ENDED)
+    reason = f"the queue stopped: {verdict.stops}; {name} was {verdict.how}: {verdict.reason}"
+    return replace(turn, trigger=Trigger.STOPS, reason=reason)

@@ -1,0 +1,123 @@
+"""The jobs of a queue on one cell, one at a time: begun, and ended with their verdict."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import Counter
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any
+
+from polishd.daemon.endings import now
+from polishd.daemon.events import EventBus
+from polishd.daemon.job import Job
+from polishd.daemon.journal import Journal, over_row
+from polishd.daemon.making import NoJob
+from polishd.daemon.queue import Entry, Queue
+from polishd.daemon.verdicts import Verdict
+from polishd.model import events
+from polishd.model.errors import PolishdError
+from polishd.model.events import Event
+from polishd.recipe.folder import RunFolder
+
+log = logging.getLogger(__name__)
+
+Begin = Callable[[Entry, Queue, Journal, Callable[[Event], None]], Awaitable[tuple[Job, RunFolder]]]
+"""Makes an entry's job ready, journals it as under way, and makes its run folder; see ``job_maker.JobMaker``."""
+
+
+class Shift:
+    """What the daemon of a queue knows of its jobs; nothing in it grows with their number."""
+
+    def __init__(self, journal: Journal, make: Begin) -> None:
+        """``journal`` is that of the cell, between jobs."""
+        self.queue = Queue(journal.store)
+        self.ended: Counter[str] = Counter()
+        """How many jobs ended so, in this run of the daemon."""
+        self.entry: Entry | None = None
+        """The job that is under way in this run."""
+        self.job: Job | NoJob = NoJob(journal)
+        self.folder: RunFolder | None = None
+        self.bus: EventBus | None = None
+        """Who is told; made with this shift as one that hears."""
+        self._of_cell, self._make = journal, make
+        self._began = ""
+        self._news = asyncio.Event()
+
+    def record(self, event: Event) -> None:
+        """Keep it with the job under way, or with none."""
+        self.job.journal.record_event(event)
+
+    def tell(self, event: Event) -> None:
+        """Publish an event."""
+        if self.bus is not None:
+            self.bus.publish(event)
+
+    def added(self) -> None:
+        """Something was added to the queue."""
+        self._news.set()
+
+    async def next(self) -> Entry:
+        """The job that was begun by an earlier run, or the first that waits, as soon as there is one."""
+        while (entry := self.first()) is None:
+            self._news.clear()
+            await self._news.wait()
+        return entry
+
+    def first(self) -> Entry | None:
+        """The same, as of now; None where the queue is empty."""
+        return self.queue.under_way() or self.queue.next()
+
+    async def begin(self, entry: Entry) -> Job:
+        """Its job is under way; PolishdError where anything of it is wrong: nothing has moved then."""
+        job, self.folder = await self._make(entry, self.queue, self._of_cell, self.tell)
+        self.job, self.entry, self._began = job, entry, now()
+        return job
+
+    async def end(self, verdict: Verdict, summary: Mapping[str, Any]) -> None:
+        """The job under way is over: first in the journal, then in its run folder, then told."""
+        entry, job, folder = self.entry, self.job, self.folder
+        if entry is None or folder is None:
+            raise RuntimeError("a fault of polishd: no job is under way; please report it")
+        self.queue.end(entry, verdict, over_row(job.journal.number, _outcome(verdict), verdict.reason))
+        told = {**summary, "run_dir": str(folder.path), "started": self._began, "ended": now()}
+        try:
+            await asyncio.to_thread(folder.json, "summary.json", told)
+            await asyncio.to_thread(job.journal.copy_to, folder.path / "journal.sqlite")
+        except (OSError, PolishdError) as error:
+            log.error("%s is not whole: %s; the journal has it all", folder.path, error)
+        self.tell(events.JobFinished(run_dir=str(folder.path), outcome=str(summary["outcome"])))
+        self._told_end(entry, verdict, str(folder.path))
+        self.job, self.entry, self.folder = NoJob(self._of_cell), None, None
+
+    def refuse(self, entry: Entry, verdict: Verdict) -> None:
+        """A job that could not begin is over."""
+        entry = next((one for one in self.queue.to_do() if one.id == entry.id), entry)
+        also = [over_row(entry.job, _outcome(verdict), verdict.reason)] if entry.job else []
+        self.queue.end(entry, verdict, *also)
+        self._told_end(entry, verdict, "")
+
+    def _told_end(self, entry: Entry, verdict: Verdict, run_dir: str) -> None:
+        self.ended[verdict.how] += 1
+        said: dict[str, Any] = {"verdict": verdict.how, "reason": verdict.reason, "stops": verdict.stops}
+        self.tell(events.JobEnded(job=entry.name, part_id=entry.part_id, run_dir=run_dir, **said))
+
+
+def _outcome(verdict: Verdict) -> str:
+    """As the journal's jobs have it."""
+    return {"accepted": "in_tolerance", "put aside": "put aside"}.get(verdict.how, verdict.fault)
+
+
+async def taken_up(shift: Shift) -> None:
+    """Make the job ready that an earlier run left under way; before any device is opened.
+
+    Raises PolishdError where it cannot go on like this.
+    """
+    entry = shift.queue.under_way()
+    if entry is None:
+        return
+    try:
+        await shift.begin(entry)
+    except PolishdError as error:
+        aside = f"or put it aside: polishd job remove CELL.toml {entry.name}"
+        raise type(error)(f"{error}\nthe job {entry.name!r} of the queue is under way; mend that, {aside}") from error

@@ -1,0 +1,99 @@
+"""What each ending of a job means for its part, and for the queue: one table, which the queue works by.
+
+The table in docs/queue.md is made from this one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from polishd.model import errors
+from polishd.model.cycle import Outcome
+
+How = Literal["accepted", "rejected", "put aside"]
+Queue = Literal["goes on", "stops", "waits"]
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """One row: what ended a job, what becomes of its part, and what of the queue."""
+
+    ends: tuple[Outcome | type[errors.PolishdError], ...]
+    how: How | None
+    """None: the job is not over; a person mends the cause while the cell is held, or the daemon ends."""
+    queue: Queue
+    why: str
+
+
+RULES = (
+    Rule((Outcome.IN_TOLERANCE,), "accepted", "goes on", "the part is in tolerance"),
+    Rule((Outcome.CYCLES_USED,), "rejected", "goes on", "all its passes are used"),
+    Rule(
+        (Outcome.DIVERGED,), "rejected", "goes on", "its surface got worse: the next part tells whether it is the cell"
+    ),
+    Rule(
+        (errors.GateStop,),
+        "put aside",
+        "stops",
+        "instrument or alignment is wrong, and would be for the next part, too",
+    ),
+    Rule((errors.SurfaceError,), "put aside", "goes on", "its map cannot be trusted, or shows another part"),
+    Rule(
+        (errors.ProgramError, errors.PlanRefused, errors.ComputeError, errors.ConfigError, errors.PluginError),
+        "put aside",
+        "goes on",
+        "nothing moves for a job that cannot be read, computed or planned",
+    ),
+    Rule(
+        (errors.DeviceError,), None, "waits", "the device is at fault, not the part: the job goes on when it is mended"
+    ),
+    Rule((errors.PolishdError,), "put aside", "stops", "what is not known to be safe is a person's to judge"),
+)
+"""The first row that fits holds; of errors that came out of contact."""
+
+TORN = Rule(
+    (errors.DeviceError, errors.SafetyStop), "put aside", "goes on", "its pass was cut off: somebody should look at it"
+)
+"""Of errors that cut off a pass, once every device confirmed that it is safe; where one did not, the daemon ends."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """How a job ended, and whether the queue goes on."""
+
+    how: How
+    reason: str
+    fault: str
+    """The error's class, or the outcome; empty for an accepted part."""
+    stops: str = ""
+    """Why the queue stops; empty where it goes on."""
+
+
+def rule_of(end: Outcome | errors.PolishdError, *, torn: bool = False) -> Rule:
+    """The row for that end."""
+    if isinstance(end, Outcome):
+        return next(rule for rule in RULES if end in rule.ends)
+    if torn:
+        return TORN
+    kinds = [(rule, kind) for rule in RULES for kind in rule.ends if isinstance(kind, type)]
+    return next(rule for rule, kind in kinds if isinstance(end, kind))
+
+
+def judge(end: Outcome | errors.PolishdError, *, torn: bool, previous: str) -> Verdict | None:
+    """The verdict; None where the job is not over (``Rule.how``).
+
+    ``torn``: it cut off a pass, and every device confirmed since that it is safe; ``previous``: the fault of the job
+    before.
+    """
+    rule = rule_of(end, torn=torn)
+    if rule.how is None:
+        return None
+    fault = "" if rule.how == "accepted" else end.value if isinstance(end, Outcome) else type(end).__name__
+    told = rule.why if isinstance(end, Outcome) else f"{fault}: {end}"
+    stops = ""
+    if rule.queue == "stops":
+        stops = rule.why
+    elif fault and fault == previous:
+        stops = f"two parts in a row ended with the same fault, {fault}"
+    return Verdict(rule.how, told, fault, stops)

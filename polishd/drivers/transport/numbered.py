@@ -1,0 +1,96 @@
+"""Numbered lines with a checksum over a byte stream: a late answer is dropped by its number, never taken for another.
+
+A line is ``$`` number ``,`` body ``*`` XOR of what stands between, two hex digits, CR LF. Each request has one answer.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from functools import reduce
+from operator import xor
+
+from polishd.api import ByteStream, DeviceRefused, LinkError
+from polishd.drivers.transport.address import SerialLine, Tcp
+from polishd.drivers.transport.streams import LineReader, open_stream
+
+LONGEST = 120
+"""Bytes of a line."""
+OPEN_S = 1.0
+_LINE = re.compile(rb"\$([ -)+-~]*)\*([0-9A-F]{2})\r?")
+
+
+def encode(number: int, body: str) -> bytes:
+    """A numbered request as a line."""
+    text = f"{number},{body}".encode("ascii")
+    return b"$%b*%02X\r\n" % (text, _checksum(text))
+
+
+def decode(line: bytes) -> tuple[int, str] | None:
+    """Number and body of a line without its LF; None where it is broken: such lines are dropped."""
+    start = line.rfind(b"$")
+    match = _LINE.fullmatch(line[start:]) if start >= 0 and len(line) - start <= LONGEST else None
+    if match is None or int(match[2], 16) != _checksum(match[1]):
+        return None
+    number, comma, body = match[1].decode("ascii").partition(",")
+    if not (comma and number.isdigit() and len(number) <= 5):
+        return None
+    return int(number), body
+
+
+class NumberedLines:
+    """Asks one request at a time; the caller sees to that."""
+
+    def __init__(self, address: SerialLine | Tcp, silence_s: float) -> None:
+        """An answer comes within ``silence_s``."""
+        self.name = str(address)
+        """For messages."""
+        self._silence_s = silence_s
+        self._address = address
+        self._stream: ByteStream | None = None
+        self._lines: LineReader | None = None
+        self._number = 0
+
+    @property
+    def connected(self) -> bool:
+        """False before ``connect``, and once the wire itself is gone."""
+        return self._stream is not None
+
+    async def connect(self) -> None:
+        """Open the wire, anew where it is open."""
+        await self.disconnect()
+        self._stream = await open_stream(self._address, OPEN_S)
+        self._lines = LineReader(self._stream, longest=LONGEST)
+
+    async def disconnect(self) -> None:
+        """Idempotent."""
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            await stream.close()
+
+    async def ask(self, request: str) -> str:
+        """The answer's body. LinkError where none comes in time; DeviceRefused for ``ERR,...``."""
+        if self._stream is None or self._lines is None:
+            raise LinkError(f"{self.name}: is not open")
+        self._number = (self._number + 1) & 0xFFFF
+        deadline = time.monotonic() + self._silence_s
+        try:
+            await self._stream.write(encode(self._number, request))
+            answer = await self._answer(self._lines, deadline)
+        except LinkError as error:
+            if time.monotonic() < deadline:  # not merely silent: the wire itself is gone
+                await self.disconnect()
+            raise LinkError(f"{self.name}: no answer to {request} ({error})") from error
+        if answer.startswith("ERR,"):
+            raise DeviceRefused(f"{self.name}: {request} was refused: {answer.removeprefix('ERR,')}")
+        return answer
+
+    async def _answer(self, lines: LineReader, deadline: float) -> str:
+        while True:
+            numbered = decode(await lines.next(max(deadline - time.monotonic(), 0.0)))
+            if numbered is not None and numbered[0] == self._number:
+                return numbered[1]
+
+
+def _checksum(text: bytes) -> int:
+    return reduce(xor, text, 0)

@@ -1,0 +1,42 @@
+"""The part loader: the device type ``loader_line``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from polishd.api import ConfigError, DeviceContext, DeviceType, Loader, LoaderTimes, hookimpl
+from polishd.drivers.loader_line import LoaderLine
+from polishd.drivers.transport.address import SerialLine, Tcp, parse_address
+
+POLISHD_API = 1
+
+
+class LoaderLineOptions(BaseModel):
+    """Keys of ``[loader]`` with ``type = "loader_line"``."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    address: str
+    """``serial:PATH?baud=115200`` or ``tcp://host:port``."""
+    silence_s: Annotated[float, Field(ge=0.2, le=60.0)] = 2.0
+    """No answer for so long: the link is lost."""
+    change_s: Annotated[float, Field(gt=0.0, le=3600.0)] = 120.0
+    """Longest from the order to take a part off, or to put one on, until it is clear of the cell."""
+    stop_s: Annotated[float, Field(gt=0.0, le=120.0)] = 5.0
+    """Longest from the order to standstill."""
+
+
+def _build(options: LoaderLineOptions, context: DeviceContext) -> Loader:
+    address = parse_address(options.address, context.base_dir)
+    if not isinstance(address, Tcp | SerialLine):
+        raise ConfigError(f"[loader] address {options.address!r}: a loader is reached over serial: or tcp://")
+    return LoaderLine(address, LoaderTimes(options.silence_s, options.change_s, options.stop_s))
+
+
+@hookimpl
+def polishd_device_types() -> Sequence[DeviceType]:
+    """``loader_line``."""
+    return [DeviceType("loader_line", "loader", LoaderLineOptions, _build)]

@@ -1,0 +1,131 @@
+"""A queue of parts on a simulated cell with a loader, as processes over real wires."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from polishd.console.demo_files import DemoFiles, free_port
+from polishd.console.simulator import simulated_cell
+from tests.system.cell_rig import Daemon, events, with_keys, write_small
+
+pytestmark = pytest.mark.system
+
+SPEED = 40.0
+
+
+def job_text(name: str, part: str) -> str:
+    """A job that a pass or two bring into tolerance."""
+    return f'[job]\nid = "{name}"\ntolerance_nm = 5.0\nmax_cycles = 3\n[part]\nid = "{part}"\n'
+
+
+def write_queue_cell(out: Path, **faults: list[str]) -> DemoFiles:
+    """The small cell's files, with a loader."""
+    files = write_small(out)
+    port = free_port()
+    cell = files.cell.read_text().replace('"interferometer"', '"interferometer", "loader"')
+    cell += f'\n[loader]\ntype = "loader_line"\naddress = "tcp://127.0.0.1:{port}"\n'
+    files.cell.write_text(with_keys(cell, {"metrology": {"timeout_s": 8.0}}))
+    told = "".join(f"{name} = {json.dumps(parts)}\n" for name, parts in faults.items())
+    with files.sim.open("a") as sim:
+        sim.write(f"\n[loader]\nport = {port}\n[loader.faults]\n{told}")
+    return files
+
+
+def polishd(*words: object) -> subprocess.CompletedProcess[str]:
+    """The command line."""
+    command = [sys.executable, "-m", "polishd", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def add(files: DemoFiles, *jobs: tuple[str, str]) -> None:
+    """``polishd job add``."""
+    paths = [files.out / f"{name}.toml" for name, _ in jobs]
+    for path, (name, part) in zip(paths, jobs, strict=True):
+        path.write_text(job_text(name, part))
+    said = polishd("job", "add", files.cell, *paths)
+    assert said.returncode == 0, said.stderr
+
+
+def queue(files: DemoFiles) -> dict[str, dict[str, Any]]:
+    """``polishd job list``, by name."""
+    said = polishd("job", "list", files.cell, "--json")
+    assert said.returncode == 0, said.stderr
+    return {job["name"]: job for job in json.loads(said.stdout)["jobs"]}
+
+
+def journal(files: DemoFiles, sql: str) -> list[tuple[Any, ...]]:
+    """What the journal's file says."""
+    with contextlib.closing(sqlite3.connect(files.state_dir / "journal.sqlite")) as connection:
+        return connection.execute(sql).fetchall()
+
+
+@contextlib.contextmanager
+def queue_cell(out: Path, **faults: list[str]) -> Iterator[DemoFiles]:
+    files = write_queue_cell(out, **faults)
+    options = ["--state", str(files.sim_dir), "--seed", "1", "--speed", f"{SPEED:g}"]
+    with simulated_cell(files.sim, options, files.out / "sim.stderr"):
+        yield files
+
+
+def test_three_parts_without_a_person_and_one_that_comes_while_it_runs(tmp_path: Path) -> None:
+    with queue_cell(tmp_path / "cell") as files:
+        add(files, ("one", "P-1"), ("two", "P-2"))
+        with Daemon(files, "--queue", "--until-empty") as daemon:
+            daemon.wait_for_state("polishing")
+            assert daemon.status()["job"] == "one"
+            assert daemon.status()["next_job"] == "two (part P-2)"
+            add(files, ("three", "P-3"))
+            assert daemon.wait() == 0, daemon.output.read_text()
+        assert {name: job["state"] for name, job in queue(files).items()} == {
+            "one": "accepted",
+            "two": "accepted",
+            "three": "accepted",
+        }
+        moves = events(files, "loader_moves")
+        assert [event["part"] for event in moves] == ["", "P-1", "", "P-2", "", "P-3"]
+        assert not any(event["robot_moves"] or event["tool_is_out"] for event in moves)
+        assert len(list((files.run_dir).glob("*/summary.json"))) == 3
+
+
+@pytest.mark.full
+def test_a_wrong_part_is_put_aside_and_a_kill_in_between_loses_nothing(tmp_path: Path) -> None:
+    with queue_cell(tmp_path / "cell", wrong=["P-1"], mistaken=["P-3"]) as files:
+        add(files, ("one", "P-1"), ("two", "P-2"), ("three", "P-3"), ("four", "P-4"))
+        with Daemon(files, "--queue", "--until-empty") as daemon:
+            daemon.wait_in_contact(50)
+            daemon.end(signal.SIGKILL)
+        assert queue(files)["one"]["state"] == "put aside"
+        assert "'OTHER-7' is on the seat instead of 'P-1'" in queue(files)["one"]["reason"]
+        assert queue(files)["two"]["state"] == "under way"
+        with Daemon(files, "--queue", "--until-empty") as daemon:
+            assert "pass 0 was interrupted" in daemon.wait_for_state("held")["reason"]
+            assert polishd("resume", files.cell).returncode == 0
+            assert daemon.wait() == 1, daemon.output.read_text()
+        found = queue(files)
+        assert {name: job["state"] for name, job in found.items()} == {
+            "one": "put aside",
+            "two": "accepted",
+            "three": "put aside",
+            "four": "accepted",
+        }
+        assert found["three"]["reason"].startswith("WrongPart: ")
+        assert "it shows part 'OTHER-7'" in found["three"]["reason"]
+        assert journal(files, "SELECT name, count(*) FROM job GROUP BY name ORDER BY min(id)") == [
+            ("one", 1),
+            ("two", 1),
+            ("three", 1),
+            ("four", 1),
+        ]
+        assert journal(files, "SELECT how FROM pass JOIN job ON job = id WHERE name = 'two' AND cycle = 0") == [
+            ("interrupted",)
+        ]
