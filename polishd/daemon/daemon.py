@@ -12,7 +12,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.cycle import polish
@@ -213,7 +213,7 @@ class Daemon:
 
     async def _wait(self) -> Turn:
         """Until an order changes something, or is refused."""
-        order = await self._orders.next()
+        order = cast(Order, await unless(self._orders.next(), self._cell.listen()))
         if order.verb is Trigger.STOP:
             return Turn(order.verb, self._stopped_by(order), error=self._error)
         if order.verb is not Trigger.RESUME:
