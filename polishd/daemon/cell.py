@@ -117,7 +117,7 @@ class Cell:
 
     async def _opened(self, name: str, device: Device, waiting: Waiting | None) -> None:
         begun_s, within_s = self.clock.now_s(), released_within_s(getattr(device, "times", None))
-        told = waiting is None
+        told = False
         while True:
             try:
                 async with _answering(name):
