@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from typing import cast
+from typing import NoReturn, cast
 
 from polishd.config.cell import PORTS, port_of
 from polishd.daemon.time_limits import TimeLimits, released_within_s
 from polishd.model.devices import Identity
-from polishd.model.errors import DeviceBusy, LinkError
+from polishd.model.errors import DeviceBusy, DeviceError, LinkError
 from polishd.ports.clock import Clock
 from polishd.ports.devices import Device, ForceActuator, Metrology, Robot, Spindle
 
+log = logging.getLogger(__name__)
+
 OPEN_S = 15.0
 """Longest that opening and identifying one device may take."""
+LISTEN_S = 10.0
+"""Between two questions to a device of which nothing is wanted."""
 BUSY_AGAIN_S = 0.5
 """After so long a busy device is asked again."""
 
@@ -112,7 +117,7 @@ class Cell:
 
     async def _opened(self, name: str, device: Device, waiting: Waiting | None) -> None:
         begun_s, within_s = self.clock.now_s(), released_within_s(getattr(device, "times", None))
-        told = waiting is None
+        told = False
         while True:
             try:
                 async with _answering(name):
@@ -149,6 +154,18 @@ class Cell:
                     await device.close()
                     await device.open()
                     await device.make_safe()
+
+    async def listen(self) -> NoReturn:
+        """Ask each device for its state now and then, for as long as nobody else does; one that is silent is logged."""
+        while True:
+            await self.clock.sleep(LISTEN_S)
+            for name, device in self.devices.items():
+                try:
+                    async with _answering(name):
+                        await device.status()
+                    self.hears(name)
+                except DeviceError as error:
+                    log.info("%s does not answer while nothing is asked of it: %s", name, error)
 
     async def close(self) -> None:
         """Close all devices, whatever one of them says."""

@@ -223,7 +223,7 @@ class Daemon:
 
     async def _wait(self) -> Turn:
         """Until an order changes something, or is refused."""
-        order = await self._orders.next()
+        order = cast(Order, await unless(self._orders.next(), self._cell.listen()))
         if order.verb is Trigger.STOP:
             return Turn(order.verb, self._stopped_by(order), error=self._error)
         if order.verb is not Trigger.RESUME:

@@ -15,7 +15,7 @@ import pytest
 from polishd.daemon import health
 from polishd.daemon.health import Figure, Health
 from polishd.model.cycle import Outcome
-from polishd.model.errors import DeviceRefused, HostFault
+from polishd.model.errors import DeviceRefused, HostFault, LinkError
 from polishd.model.events import Held
 from tests.unit.daemon.small import Bench, open_journal
 from tests.unit.daemon.test_app import SAFE, Running
@@ -125,6 +125,22 @@ async def test_devices_that_answer_have_an_age(bench: Bench) -> None:
         await running.in_contact()
         devices = (await running.daemon.status())["devices"]
         assert all(0 <= devices[name]["heard_s_ago"] < 60 for name in ("robot", "actuator", "spindle", "metrology"))
+
+
+async def test_while_it_is_held_every_device_is_asked_now_and_then(bench: Bench) -> None:
+    fake = bench.fake
+    async with Running(bench) as running:
+        await running.in_contact()
+        await running.daemon.handlers["hold"]()
+        fake.cell.heard_s.clear()
+        fake.spindle.acts.fails["status"] = LinkError("gone")
+        asked = len(fake.events)
+        while "metrology" not in fake.cell.heard_s:
+            fake.clock.advance(1.0)
+            await asyncio.sleep(0)
+        assert fake.events[asked:] == [f"{name}.status" for name in fake.cell.devices]
+        assert running.daemon.state == "held"
+        assert set(fake.cell.heard_s) == {"actuator", "robot", "metrology"}
 
 
 def test_a_figure_says_its_limit() -> None:
