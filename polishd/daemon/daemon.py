@@ -235,7 +235,7 @@ class Daemon:
         except PolishdError:
             order.refused = True
             raise
-        order.refused = refused is not None
+        order.refused, order.taken = refused is not None, refused is None
         return refused or Turn(Trigger.RESUME)
 
     async def _made_safe(self) -> Turn | None:
@@ -291,7 +291,7 @@ class Daemon:
         with suppress(PolishdError):  # a lost journal: polishing ends over it, and the order is obeyed all the same
             self.bus.publish(events.Ordered(order=verb, reason=order.reason))
         async with self._changed:
-            await self._changed.wait_for(lambda: order.refused or self.state in obeyed(verb))
+            await self._changed.wait_for(lambda: order.refused or order.taken or self.state in obeyed(verb))
         if order.refused and self.state is State.HELD:
             raise DeviceRefused(f"{verb} is refused, the cell stays held: {self.reason}")
         return {"state": self.state, "reason": self.reason, "next": NEXT.get(self.state, "")}

@@ -19,6 +19,8 @@ class Order:
     reason: str = ""
     refused: bool = False
     """It was tried, and the cell did not come to it."""
+    taken: bool = False
+    """It was tried, and the cell goes on by it: with a queue through states that nobody may see."""
 
     def said(self, word: str) -> str:
         """With the reason that was given."""

@@ -320,13 +320,14 @@ class FakeCell:
         self.actuator = FakeActuator(self.events, self.clock)
         self.spindle = FakeSpindle(self.events, self.clock)
         self.metrology = FakeMetrology(self.events, self.clock)
+        self.loader = FakePartLoader(self.events, self.clock)
         self.cell = Cell(self.devices, {name: name for name in self.devices}, self.clock)
 
     def with_loader(self) -> FakePartLoader:
         """Parts are changed by this one."""
-        loader = FakePartLoader(self.events, self.clock)
-        self.cell.devices, self.cell.used = {**self.devices, "loader": loader}, {**self.cell.used, "loader": "loader"}
-        return loader
+        self.cell.devices = {**self.devices, "loader": self.loader}
+        self.cell.used = {**self.cell.used, "loader": "loader"}
+        return self.loader
 
     @property
     def devices(self) -> dict[str, FakeDevice]:

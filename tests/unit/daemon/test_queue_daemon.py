@@ -110,6 +110,12 @@ class Hall:
             await asyncio.sleep(0)
         assert self.daemon.state == state, self.task
 
+    async def until_again(self, state: str) -> None:
+        """Once all that is to happen has happened."""
+        for _ in range(100):
+            await asyncio.sleep(0)
+        await self.until(state)
+
     async def wait(self, condition: Callable[[], Any]) -> None:
         """Until it is so; pytest's timeout is the limit."""
         while not condition() and not self.task.done():  # noqa: ASYNC110
@@ -362,6 +368,8 @@ async def test_a_jam_holds_and_the_same_part_is_tried_again(hall: Hall) -> None:
     assert hall.fake.events[-3:] != []
     assert hall.daemon.reason == "DeviceFault: jammed"
     assert "loader.make_safe" in hall.fake.events[hall.fake.events.index("loader.load P-a") :]
+    assert (await hall.order("resume"))["state"] in {"idle", "changing", "held"}, "it was taken, and jams again"
+    await hall.until_again("held")
     del loader.acts.fails["load"]
     await hall.order("resume")
     await hall.task
