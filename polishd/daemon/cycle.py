@@ -45,13 +45,14 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
         feed = streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=cell.limits.buffer_s)
         async with journal.phase(cycle, Phase.RUN), feed as stream:
             await job.begin_pass(cycle, plan, await cell.robot.progress(), cell.limits.unseen_s)
-            await stream.approach()
             # what was done, not what was asked, feeds the next cycle
             touch = Touch(partial(job.executed, cycle), cell.limits.robot.silence_s)
             try:
-                with short_collections():
-                    async with recording(cell, journal, cycle, touch) as recorder, contact(cell, job.contact, touch):
-                        await recorder.follow(stream)
+                async with recording(cell, journal, cycle, touch) as recorder:
+                    await stream.approach()
+                    with short_collections():
+                        async with contact(cell, job.contact, touch):
+                            await recorder.follow(stream)
                 await stream.retreat()
             except BaseException:
                 await job.cut_off(cycle)

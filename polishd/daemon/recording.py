@@ -92,7 +92,7 @@ class Recorder:
 
 @asynccontextmanager
 async def recording(cell: Cell, journal: Journal, cycle: int, touch: Touch) -> AsyncIterator[Recorder]:
-    """Enter contact inside: the recorder outlives it, so that what runs while the tool is lifted is recorded, too."""
+    """From before contact until it is left: what runs while the tool is lifted is recorded, too."""
     try:
         async with asyncio.TaskGroup() as group:
             recorder = Recorder(cell, journal, cycle, touch, group)

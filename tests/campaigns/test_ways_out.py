@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.campaigns.ways_out import LIFTS_S, PAGE, SAVED, WAYS, Cost, Way, measure, rows_of, save
+from tests.campaigns.ways_out import FORGOTTEN, LIFTS_S, PAGE, SAVED, WAYS, Cost, Way, measure, rows_of, save
 
 CASES = [(way, lift_s) for way in WAYS for lift_s in LIFTS_S]
 SLACK_S = 0.05
@@ -25,6 +25,20 @@ def test_the_tool_is_off_before_motion_stops(tmp_path: Path, way: Way, lift_s: f
         assert cost.standing_nm < 250.0, "the spindle stops and the force goes at once"
     else:
         require_tool_off_first(cost)
+    require_all_recorded(cost)
+
+
+@pytest.mark.slow
+@pytest.mark.system
+@pytest.mark.timeout(400)
+def test_a_robot_that_has_forgotten_leaves_no_more_than_a_bound(tmp_path: Path) -> None:
+    cost = measure(FORGOTTEN, 4.0, tmp_path / "cell")
+    require_all_recorded(cost)
+    assert cost.uncertain < cost.left / 2
+
+
+def require_all_recorded(cost: Cost) -> None:
+    """By the plant's account of each block, beside the journal."""
     assert cost.disagreements == []
     assert cost.as_before, "what ran while contact was left: a journal without it would not have agreed"
     assert 0 < cost.uncertain < cost.left, "marked is what the tool can have reached, not the rest of the program"

@@ -102,6 +102,8 @@ class Way:
     """The daemon does; else it is held."""
     tells: bool = True
     """The daemon can journal how it ended; else the next start does."""
+    forgets: bool = False
+    """The robot is another one by then, as far as the journal knows."""
 
 
 WAYS = (
@@ -119,6 +121,9 @@ WAYS = (
     Way("emergency stop", lambda rig: rig.press("robot", signal.SIGUSR1), stands_s=20.0),
     Way("estop by order", lambda rig: rig.order("estop"), stands_s=20.0, ends=False),
 )
+
+
+FORGOTTEN = Way("kill -9, and the robot forgets", lambda rig: rig.daemon.process.kill(), tells=False, forgets=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,6 +203,10 @@ def _until_settled(rig: Rig, way: Way) -> None:
         rig.daemon.wait_for_state("held")
     else:
         wait_for(lambda: rig.daemon.process.poll() is not None, "the daemon's end", SETTLE_S)
+    if way.forgets:
+        with contextlib.closing(sqlite3.connect(rig.files.state_dir / "journal.sqlite")) as journal:
+            journal.execute("UPDATE pass SET boot_id = 'of another boot'")
+            journal.commit()
     if not way.tells:
         with Daemon(rig.files) as again:
             again.wait_for_state("held")

@@ -1,0 +1,62 @@
+"""What the campaigns hold the journal to: it finds each way in which journal and plant can contradict each other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from polishd.daemon.journal_records import BlockRecord
+from polishd.model.devices import Executed
+from tests.system.agreement import disagreements
+from tests.unit.daemon.small import open_journal
+
+RUN_S = 0.1
+
+
+def kept(state_dir: Path, touched: list[bool | None], tail: tuple[int, int] = (0, 0)) -> Path:
+    """A journal of ten blocks of contact, those recorded first."""
+    with open_journal(state_dir) as journal:
+        journal.begin_pass(0, "sha", "boot", 10)
+        records = [
+            BlockRecord(Executed(seq, seq * RUN_S, (seq + 1) * RUN_S), known) for seq, known in enumerate(touched)
+        ]
+        journal.record_executed(0, records)
+        journal.mark_uncertain(0, *tail)
+    return state_dir / "journal.sqlite"
+
+
+def book(*contact_s: float) -> list[dict[str, Any]]:
+    return [{"sha256": "sha", "contact_s": [*contact_s, *[0.0] * (10 - len(contact_s))]}]
+
+
+@pytest.mark.parametrize(
+    ("touched", "tail", "contact_s"),
+    [
+        ([True, True], (2, 2), (0.1, 0.1)),
+        ([True, None, None, False], (4, 4), (0.1, 0.1, 0.03)),
+        ([True], (1, 4), (0.1, 0.1, 0.1, 0.05)),
+    ],
+)
+def test_agreement(
+    tmp_path: Path, touched: list[bool | None], tail: tuple[int, int], contact_s: tuple[float, ...]
+) -> None:
+    assert disagreements(kept(tmp_path, touched, tail), book(*contact_s)) == []
+
+
+@pytest.mark.parametrize(
+    ("touched", "tail", "contact_s", "says"),
+    [
+        ([True, True], (2, 2), (0.1, 0.05), "block 1: touched in 0.100 s; the plant saw 0.050 s"),
+        ([True, True], (2, 2), (0.1, 0.2), "block 1: touched in 0.100 s; the plant saw 0.200 s"),
+        ([True, False], (2, 2), (0.1, 0.03), "block 1: not touched in 0.100 s; the plant saw 0.030 s"),
+        ([True, None], (2, 2), (0.1, 0.2), "block 1: executed in 0.100 s; the plant saw 0.200 s"),
+        ([True], (1, 2), (0.1, 0.1, 0.1), "block 2: not touched in 0.000 s; the plant saw 0.100 s"),
+    ],
+)
+def test_contradictions(
+    tmp_path: Path, touched: list[bool | None], tail: tuple[int, int], contact_s: tuple[float, ...], says: str
+) -> None:
+    (found,) = disagreements(kept(tmp_path, touched, tail), book(*contact_s))
+    assert found.endswith(says)
