@@ -12,12 +12,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
-from tests.campaigns.crash.recording import LEFT_OUT, STATE, Op
+from tests.campaigns.crash.recording import STATE, Op, files_in
 
 SECTOR = 512
 FOLDER = -1
 """In place of a file's number: the name is a folder's."""
-Files = dict[str, bytes]
+Files = Mapping[str, bytes]
 
 
 @dataclass(slots=True)
@@ -44,6 +44,12 @@ class Disk:
     entries: list[tuple[Op, Mapping[str, int | None]]] = field(default_factory=list)
     """Changes of names that are not durable."""
 
+    @classmethod
+    def of(cls, files: Files) -> Disk:
+        """One with these files in the state folder."""
+        names = {path: number for number, path in enumerate(files)} | ({STATE: FOLDER} if files else {})
+        return cls([_File(data) for data in files.values()], dict(names), names)
+
     def apply(self, op: Op) -> bool:
         """The next act; whether it may change what is on the disk after a crash."""
         if op.kind == "mark":
@@ -67,8 +73,7 @@ class Disk:
 
     def require_complete(self, folder: Path) -> None:
         """The recording tells of all that was done: without a crash it gives the files that are there."""
-        there = (path for path in (folder / STATE).rglob("*") if path.is_file() and not str(path).endswith(LEFT_OUT))
-        assert self.seen() == {str(path.relative_to(folder)): path.read_bytes() for path in there}
+        assert self.seen() == files_in(folder)
 
     def crashed(self, variant: int, seed: str) -> Files:
         """What a crash now may leave; the first variants are the plain ones, all others are drawn by the seed."""

@@ -7,6 +7,7 @@ import json
 import os
 import pickle
 import platform
+import shutil
 import sqlite3
 from collections import Counter, defaultdict
 from collections.abc import Mapping
@@ -67,7 +68,10 @@ class Figures:
         """That of an earlier sitting, or a new one."""
         path = self._folder / "recording.pickle"
         if not path.exists():
-            write_atomic(path, pickle.dumps(recorded_daemon(self._folder / "recorded")))
+            folder = self._folder / "recorded"
+            shutil.rmtree(folder, ignore_errors=True)  # of a sitting that was interrupted
+            write_atomic(path, pickle.dumps(recorded_daemon(folder)))
+            shutil.rmtree(folder)
         found: list[Op] = pickle.loads(path.read_bytes())
         self.all["states"].update(_told(found))
         return found

@@ -34,8 +34,8 @@ class Promised:
 class Promises:
     """Follows the marks."""
 
-    begun: Path | None = None
-    """A journal that was there before."""
+    begun: bytes = b""
+    """The journal that was there before."""
     _moved: tuple[str, ...] = ()
     _job: str = ""
     _reference: sqlite3.Connection = field(default_factory=lambda: sqlite3.connect(":memory:", isolation_level=None))
@@ -44,9 +44,8 @@ class Promises:
 
     def __post_init__(self) -> None:
         self._reference.execute("PRAGMA foreign_keys=ON")
-        if self.begun is not None:
-            with sqlite3.connect(self.begun) as before:
-                before.backup(self._reference)
+        if self.begun:
+            self._reference.deserialize(self.begun[:18] + b"\1\1" + self.begun[20:])  # no WAL in memory
         self._versions.append(digest(self._reference))
 
     def take(self, mark: Op) -> None:
@@ -160,7 +159,8 @@ def _arrays(journal: Journal) -> str:
             *(record.arrays for record in journal.history),
             *(name for record in journal.passes for name in (record.plan, record.start)),
         ):
-            journal.arrays.content(name)
+            if name:
+                journal.arrays.content(name)
     except PolishdError as error:
         return str(error)
     return ""

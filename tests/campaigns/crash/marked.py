@@ -2,7 +2,8 @@
 
 A mark is a line in a file of its own, so that it stands in its place among the recorded system calls: what a commit is
 about to write, and that it has returned. ``python -m tests.campaigns.crash.marked MARKS daemon CELL.toml ...`` is
-``polishd run``; ``... script STATE_DIR`` is a job of a second, by the journal's own methods.
+``polishd run``; ``... script STATE_DIR`` is a job of a second, by the journal's own methods; ``... open STATE_DIR``
+opens and closes it.
 """
 
 from __future__ import annotations
@@ -142,6 +143,9 @@ def main(marks: str, what: str, *arguments: str) -> int:
     connect = marking(Path(marks))
     if what == "script":
         asyncio.run(script(Path(arguments[0]), connect))
+        return 0
+    if what == "open":
+        opened(Journal.open, connect, Path(arguments[0]), job="job", part_id="P1").close()
         return 0
     Journal.open = functools.partial(opened, Journal.open, connect)  # type: ignore[method-assign]
     from polishd.__main__ import main as polishd

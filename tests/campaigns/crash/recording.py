@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from polishd.sim_backends.robot import frames
@@ -58,18 +59,28 @@ def traced(account: Path, command: Sequence[str]) -> list[str]:
     return [*STRACE, "-o", str(account), *command]
 
 
-def recorded_script(folder: Path, weak: str = "") -> list[Op]:
-    """The journal's own methods, on ``folder/state``."""
+def recorded(folder: Path, what: str = "script", weak: str = "") -> list[Op]:
+    """The journal's own methods, on ``folder/state``: see ``crash.marked``."""
     marks, account = folder / MARKS, folder / "account"
-    command = traced(account, marked(marks, "script", folder / "state"))
+    command = traced(account, marked(marks, what, folder / "state"))
+    sizes = {name: len(data) for name, data in files_in(folder).items()}
     environment = {**os.environ, WEAK: weak, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     subprocess.run(command, check=True, cwd=ROOT, env=environment)
-    return ops(folder, marks, account)
+    return ops(folder, marks, account, sizes=sizes)
 
 
-def ops(watched: Path, marks: Path, *accounts: Path) -> list[Op]:
-    """What of these, one after the other, concerns files below ``watched``, marks, and the robot's wire; by time."""
-    reader = _Reader(watched, marks)
+def files_in(folder: Path) -> dict[str, bytes]:
+    """What is in the state folder in it, but for what is left out."""
+    there = (path for path in (folder / STATE).rglob("*") if path.is_file() and not str(path).endswith(LEFT_OUT))
+    return {str(path.relative_to(folder)): path.read_bytes() for path in there}
+
+
+def ops(watched: Path, marks: Path, *accounts: Path, sizes: Mapping[str, int] = MappingProxyType({})) -> list[Op]:
+    """What of these, one after the other, concerns files below ``watched``, marks, and the robot's wire; by time.
+
+    ``sizes``: of the files that were there before.
+    """
+    reader = _Reader(watched, marks, sizes)
     found = [op for account in accounts for op in reader.read(account)]
     return sorted(found, key=lambda op: op.at)
 
@@ -85,14 +96,15 @@ def _bytes(raw: str) -> bytes:
 class _Reader:
     """Takes strace's lines apart."""
 
-    def __init__(self, watched: Path, marks: Path) -> None:
+    def __init__(self, watched: Path, marks: Path, sizes: Mapping[str, int]) -> None:
         self._watched = str(watched)
         self._marks = str(marks)
         self._open: dict[str, tuple[int, str]] = {}
         """By thread: what has begun, and when."""
         self._position: dict[tuple[str, str], int] = {}
         """By process-wide file number and path."""
-        self._sizes: dict[str, int] = {}
+        self._sizes = dict(sizes)
+        """Of files that are there."""
         self._appending: set[tuple[str, str]] = set()
         self._lines = 0
 

@@ -12,10 +12,12 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
+from types import MappingProxyType
 
+from polishd.daemon.journal import JOURNAL_NAME
 from tests.campaigns.crash.disk import Disk, Files
 from tests.campaigns.crash.judge import Judge, Promised, Promises, Verdict
-from tests.campaigns.crash.recording import Op
+from tests.campaigns.crash.recording import STATE, Op
 
 PROCESSES = 2
 KEY_BYTES = 32
@@ -50,9 +52,9 @@ class Tried:
         self.examples += other.examples
 
 
-def crashes(recording: Sequence[Op]) -> Iterator[tuple[int, Disk, Promised]]:
+def crashes(recording: Sequence[Op], before: Files) -> Iterator[tuple[int, Disk, Promised]]:
     """Each prefix of the recording that ends before something may change on the disk; the last one is all of it."""
-    disk, promises = Disk(), Promises()
+    disk, promises = Disk.of(before), Promises(before.get(f"{STATE}/{JOURNAL_NAME}", b""))
     for number, op in enumerate(recording):
         if op.kind == "mark":
             promises.take(op)
@@ -62,13 +64,22 @@ def crashes(recording: Sequence[Op]) -> Iterator[tuple[int, Disk, Promised]]:
     yield len(recording), disk, promises.now()
 
 
-def round_of(recording: Sequence[Op], variants: Sequence[int], seed: int, known: frozenset[bytes]) -> Tried:
-    """These variants of a crash at each prefix; states that are known are not judged again."""
+def round_of(
+    recording: Sequence[Op],
+    variants: Sequence[int],
+    seed: int,
+    known: frozenset[bytes] = frozenset(),
+    before: Files = MappingProxyType({}),
+) -> Tried:
+    """These variants of a crash at each prefix; states that are known are not judged again.
+
+    ``before``: the files that were there when the recording began.
+    """
     tried = Tried()
     folder = Path(tempfile.mkdtemp(prefix="polishd-crash-", dir=MEMORY if MEMORY.is_dir() else None))
     try:
         judge = Judge(folder)
-        for number, disk, promised in crashes(recording):
+        for number, disk, promised in crashes(recording, before):
             for variant in variants if disk.pending() else (variants[:1] if 0 in variants else ()):
                 files = disk.crashed(variant, f"{seed} {number}")
                 key = _key(files, promised)

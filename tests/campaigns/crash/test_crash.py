@@ -17,10 +17,11 @@ from tests.campaigns.crash import kills
 from tests.campaigns.crash.disk import Disk
 from tests.campaigns.crash.figures import BEGIN, END, PAGE, SAID
 from tests.campaigns.crash.marked import NO_STORE_SYNC, NORMAL
-from tests.campaigns.crash.recording import Op, recorded_script
+from tests.campaigns.crash.recording import Op, files_in, recorded
 from tests.campaigns.crash.site import Site
 from tests.campaigns.crash.states import round_of
 from tests.system.sim_rig import wait_for
+from tests.unit.daemon.test_journal import FORMAT_1, FORMAT_2, made
 
 needs_strace = pytest.mark.skipif(shutil.which("strace") is None, reason="strace records the writes")
 
@@ -28,7 +29,7 @@ needs_strace = pytest.mark.skipif(shutil.which("strace") is None, reason="strace
 @needs_strace
 def test_a_recording_without_a_crash_is_what_was_written(tmp_path: Path) -> None:
     disk = Disk()
-    for op in recorded_script(tmp_path):
+    for op in recorded(tmp_path):
         disk.apply(op)
     disk.require_complete(tmp_path)
     assert len(disk.seen()) > 3, "the journal, and arrays"
@@ -36,7 +37,7 @@ def test_a_recording_without_a_crash_is_what_was_written(tmp_path: Path) -> None
 
 @needs_strace
 def test_no_crash_loses_or_repeats_anything(tmp_path: Path) -> None:
-    tried = round_of(recorded_script(tmp_path), range(2), 1, frozenset())
+    tried = round_of(recorded(tmp_path), range(2), 1)
     assert len(tried.keys) > 200
     assert not tried.bad, tried.examples
 
@@ -45,9 +46,21 @@ def test_no_crash_loses_or_repeats_anything(tmp_path: Path) -> None:
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("weak", [NORMAL, NO_STORE_SYNC])
 def test_what_is_not_synced_is_found_to_be_lost(tmp_path: Path, weak: str) -> None:
-    tried = round_of(recorded_script(tmp_path, weak), range(2), 1, frozenset())
+    tried = round_of(recorded(tmp_path, weak=weak), range(2), 1)
     assert tried.bad["lost"] > len(tried.keys) / 10
     assert tried.bad["twice_unmarked"]
+
+
+@needs_strace
+@pytest.mark.one_of_each
+@pytest.mark.parametrize("script", [FORMAT_2, FORMAT_1], ids=["2", "1"])
+def test_a_crash_amid_a_migration_leaves_the_old_journal_or_the_new_one(tmp_path: Path, script: str) -> None:
+    (tmp_path / "state").mkdir()
+    made(tmp_path / "state", script)
+    before = files_in(tmp_path)
+    tried = round_of(recorded(tmp_path, "open"), range(12), 1, before=before)
+    assert len(tried.keys) > 50
+    assert not tried.bad, tried.examples
 
 
 def test_a_crash_keeps_what_was_synced_and_may_lose_all_else() -> None:
