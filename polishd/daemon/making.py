@@ -18,6 +18,7 @@ from polishd.daemon.journal import Journal
 from polishd.hooks.loader import Hooks
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.model.events import Event
+from polishd.model.finding import Finding
 from polishd.model.program import Program
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.recipe import Recipe
@@ -30,6 +31,7 @@ class NoJob:
     """What a daemon has between jobs: the journal of its cell."""
 
     journal: Journal
+    findings: tuple[Finding, ...] = ()
 
     def names(self) -> dict[str, str]:
         """Of job and part: there are none."""

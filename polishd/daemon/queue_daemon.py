@@ -181,7 +181,8 @@ class QueueDaemon(Daemon):
 
     def _judged(self, end: Outcome | PolishdError, *, torn: bool = False) -> Verdict | None:
         before = self._shift.queue.last_ended()
-        return judge(end, torn=torn, previous=before.fault if before else "")
+        tool = "; ".join(found.what for found in self.job.findings if found.stops == "cell")
+        return judge(end, torn=torn, previous=before.fault if before else "", tool=tool)
 
     async def _ended(self, verdict: Verdict, turn: Turn | None = None) -> Turn:
         entry, turn = self._shift.entry, turn or Turn(Trigger.ENDED)

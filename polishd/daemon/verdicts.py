@@ -29,6 +29,7 @@ class Rule:
 RULES = (
     Rule((Outcome.IN_TOLERANCE,), "accepted", "goes on", "the part is in tolerance"),
     Rule((Outcome.CYCLES_USED,), "rejected", "goes on", "all its passes are used"),
+    Rule((Outcome.STALLED,), "put aside", "goes on", "its passes bring too little, and a person may find why"),
     Rule(
         (Outcome.DIVERGED,), "rejected", "goes on", "its surface got worse: the next part tells whether it is the cell"
     ),
@@ -38,6 +39,11 @@ RULES = (
         "stops",
         "instrument or alignment is wrong, and would be for the next part, too",
     ),
+    Rule(
+        (errors.ToolStop,), "put aside", "stops", "the tool would remove otherwise than planned from the next part, too"
+    ),
+    Rule((errors.WrongSeat,), "put aside", "goes on", "it does not sit where it should; nothing was polished"),
+    Rule((errors.HandlingError,), None, "waits", "a person is asked to clean or to condition, and the job goes on"),
     Rule((errors.SurfaceError,), "put aside", "goes on", "its map cannot be trusted, or shows another part"),
     Rule(
         (errors.ProgramError, errors.PlanRefused, errors.ComputeError, errors.ConfigError, errors.PluginError),
@@ -80,11 +86,11 @@ def rule_of(end: Outcome | errors.PolishdError, *, torn: bool = False) -> Rule:
     return next(rule for rule, kind in kinds if isinstance(end, kind))
 
 
-def judge(end: Outcome | errors.PolishdError, *, torn: bool, previous: str) -> Verdict | None:
+def judge(end: Outcome | errors.PolishdError, *, torn: bool, previous: str, tool: str = "") -> Verdict | None:
     """The verdict; None where the job is not over (``Rule.how``).
 
     ``torn``: it cut off a pass, and every device confirmed since that it is safe; ``previous``: the fault of the job
-    before.
+    before; ``tool``: what its passes showed of the tool, over which no job should go on, whatever became of this one.
     """
     rule = rule_of(end, torn=torn)
     if rule.how is None:
@@ -94,6 +100,8 @@ def judge(end: Outcome | errors.PolishdError, *, torn: bool, previous: str) -> V
     stops = ""
     if rule.queue == "stops":
         stops = rule.why
+    elif tool:
+        stops = tool
     elif fault and fault == previous:
         stops = f"two parts in a row ended with the same fault, {fault}"
     return Verdict(rule.how, told, fault, stops)

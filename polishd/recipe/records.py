@@ -147,6 +147,11 @@ class Pass:
     predicted_rms_nm: float | None = None
     """RMS that its plan expected after it; None: not known."""
 
+    @property
+    def acted_s(self) -> FloatArray:
+        """(n,) ``acting_s``, or what was executed where nothing is known of force and speed."""
+        return self.executed_s if self.acting_s is None else self.acting_s
+
 
 @dataclass(frozen=True, slots=True)
 class Taught:

@@ -27,7 +27,7 @@ def shown_by(done: Pass, answer: RemovalAnswer, predicted_nm: FloatArray, verdic
     grid, mask = done.before.grid, done.before.metric_mask
     seen = Traces()
     if verdict.tells_rate and answer.transfer is not None:
-        late = answer.removal_nm(done.executed_s * _lateness(done.executed_s))
+        late = answer.removal_nm(done.acted_s * _lateness(done.executed_s))
         spot_mm = half_width_mm(answer.transfer)
         measured = done.before.height_nm - done.after.height_nm
         seen = traces(predicted_nm, late, measured, mask, pitch_mm=grid.pitch_mm, spot_mm=spot_mm)

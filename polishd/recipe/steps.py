@@ -152,7 +152,7 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
     grid, mask = done.before.grid, done.before.metric_mask
     request = _request(recipe, program, grid, believed)
     answer = recipe.model.effect(request)
-    predicted = answer.removal_nm(done.executed_s if done.acting_s is None else done.acting_s)
+    predicted = answer.removal_nm(done.acted_s)
     measured = done.before.height_nm - done.after.height_nm
     low, high = 1 - recipe.max_rate_change, 1 + recipe.max_rate_change
     allowed = (low / believed.rate, high / believed.rate)
