@@ -6,18 +6,17 @@ import asyncio
 import json
 import logging
 import time
-from collections.abc import AsyncIterator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, NoReturn, Self
 
-import numpy as np
-
 from polishd.daemon.array_store import ArrayStore
+from polishd.daemon.journal_knowledge import NOTHING, JobKnowledge
 from polishd.daemon.journal_memory import Known, nothing_known, read_job, read_tally, read_unknown
-from polishd.daemon.journal_records import BlockRecord, ExecutedBlocks, MapRecord, PassRecord, Tally, joined
+from polishd.daemon.journal_records import BlockRecord, MapRecord, PassRecord
 from polishd.daemon.journal_schema import Connect, connect
 from polishd.daemon.journal_store import Row, Store
 from polishd.model.cycle import Outcome, Phase
@@ -28,7 +27,6 @@ from polishd.plain import plain
 log = logging.getLogger(__name__)
 
 JOURNAL_NAME, ARRAYS_NAME = "journal.sqlite", "store"
-NOTHING = Tally()
 NO_JOB = 0
 """What happens between jobs is recorded under this number."""
 
@@ -37,24 +35,18 @@ _INTENT = (
     "start, reach_s) VALUES (?,?,?,?,?,?,?,?,?,?,?,?)"
 )
 _SEGMENT = "INSERT OR IGNORE INTO segment VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
-_EXECUTED = (
-    "SELECT seq, start_s, end_s, touched, recovered, force_n, rpm, told_s FROM segment WHERE job = ? AND cycle = ? "
-    "ORDER BY seq"
-)
 
 
-class Journal(AbstractContextManager["Journal", None]):
-    """One job's view of the journal.
+class Journal(JobKnowledge, AbstractContextManager["Journal", None]):
+    """One job's view of the journal: what is known of it, and what is recorded.
 
     Any error of the disk raises SafetyStop, from then on from every method that goes to it: polishing stops.
     """
 
     def __init__(self, store: Store, arrays: ArrayStore, job: int, known: Known, *, resumed: bool) -> None:
-        self._store = self.store = store
+        super().__init__(store, job, known)
+        self.store = store
         """Its file; the queue shares it."""
-        self._job = self.number = job
-        """Of its job's row; ``NO_JOB`` between jobs."""
-        self._known = known
         self.arrays = arrays
         """Large arrays that its rows name."""
         self.resumed = resumed
@@ -95,87 +87,6 @@ class Journal(AbstractContextManager["Journal", None]):
         if not journal.begun:
             journal._take(part_id, terms)
         return journal
-
-    # what is known: from memory, but for ``executed``
-
-    @property
-    def unsaved_s(self) -> float:
-        """For how long the oldest record that is not durable has waited for the disk, s."""
-        return self._store.unsaved_s
-
-    @property
-    def begun(self) -> bool:
-        """Whether this job has measured anything: from then on it goes on with what it was begun with."""
-        return bool(self._known.maps or self._known.passes)
-
-    @property
-    def terms(self) -> Mapping[str, Any] | None:
-        """What this job was begun with; None where the polishd that began it did not write it down."""
-        return self._known.terms
-
-    @property
-    def run_dir(self) -> str:
-        """Its run folder; empty where none was made yet."""
-        return self._known.run_dir
-
-    def remaining(self, cycles: int) -> Iterator[int]:
-        """Cycles yet to do of so many: each starts with a measurement, so one after a begun pass is a new one."""
-        yield from range(max(self._known.passes, default=-1) + 1, cycles)
-
-    @property
-    def last_map_id(self) -> str | None:
-        """sha256 of the last map taken, by any job of this cell."""
-        return self._known.last_map_id
-
-    @property
-    def history(self) -> tuple[MapRecord, ...]:
-        """The maps of this job, the last one of each cycle."""
-        return tuple(self._known.maps.values())
-
-    @property
-    def passes(self) -> tuple[PassRecord, ...]:
-        """The passes begun by this job."""
-        return tuple(self._known.passes.values())
-
-    @property
-    def phase_now(self) -> tuple[int | None, str | None]:
-        """The cycle and the phase that began last, in this run of the daemon or an earlier one."""
-        return self._known.phase or (None, None)
-
-    def tally(self, cycle: int) -> Tally:
-        """How much of that cycle's pass is recorded as executed."""
-        return self._known.tallies.get(cycle, NOTHING)
-
-    def contact_s(self, cycle: int) -> float:
-        """Process time of the blocks that are known to have been executed in contact in that cycle's pass."""
-        return self.tally(cycle).contact_s
-
-    def uncertain(self, cycle: int) -> tuple[tuple[int, int], ...]:
-        """Blocks of that cycle's pass of which nobody knows whether the tool touched: ranges, ends excluded."""
-        record = self._known.passes.get(cycle)
-        tail = () if record is None or record.uncertain is None else (record.uncertain,)
-        return joined([*self._known.unknown.get(cycle, ()), *tail])
-
-    def executed(self, cycle: int) -> ExecutedBlocks:
-        """What the robot executed in that cycle's pass; empty where there was none. Grows with it: call in a thread."""
-        found = self._store.read_table(_EXECUTED, (self._job, cycle), 8).T.copy()
-        seq, start_s, end_s, touched, recovered, *rest = found
-        return ExecutedBlocks(seq.astype(np.int64), start_s, end_s, touched, recovered.astype(bool), *rest)
-
-    def phase_times_s(self) -> dict[str, float]:
-        """Seconds that each phase of this job took in all, by the clock on the wall, in the order of a cycle."""
-        sql = "SELECT phase, sum(ended - started) FROM phase WHERE job = ? AND ended IS NOT NULL GROUP BY phase"
-        found = dict(self._store.read(sql, (self._job,)))
-        return {phase.value: found[phase.value] for phase in Phase if phase.value in found}
-
-    def errors(self) -> list[tuple[float, str, Mapping[str, Any]]]:
-        """What held or ended this job's daemon, in time order: Unix time, event's name, its data."""
-        sql = "SELECT at, name, data FROM event WHERE job = ? AND name IN ('held', 'failed') ORDER BY id"
-        return [(at, name, json.loads(data)) for at, name, data in self._store.read(sql, (self._job,))]
-
-    def unfinished(self) -> PassRecord | None:
-        """The pass that was begun and never ended, or None."""
-        return next((record for record in self.passes if record.ended_s is None), None)
 
     # what is recorded; all but record_executed and record_event are durable when they return
 
@@ -260,14 +171,6 @@ class Journal(AbstractContextManager["Journal", None]):
         text = json.dumps(whole, default=plain)
         self._store.write(("UPDATE pass SET facts = ? WHERE job = ? AND cycle = ?", (text, self._job, cycle)))
         self._known.passes[cycle] = replace(record, facts=json.loads(text))
-
-    def passes_before(self, cycle: int, most: int) -> list[Mapping[str, Any]]:
-        """Facts of the last whole passes of any job of this cell before that cycle's, the latest first."""
-        sql = (
-            "SELECT facts FROM pass WHERE how = 'done' AND (job < ? OR (job = ? AND cycle < ?)) "
-            "ORDER BY job DESC, cycle DESC LIMIT ?"
-        )
-        return [json.loads(facts) for (facts,) in self._store.read(sql, (self._job, self._job, cycle, most))]
 
     def end_pass(self, cycle: int, how: str) -> None:
         """The pass is over, and it is known how: ``done``, ``stopped: ...``, ``interrupted``."""
