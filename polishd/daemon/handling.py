@@ -87,14 +87,16 @@ class Handling:
         job, limit_nm, changes = self._job, settle.limit_nm, list[float]()
         while len(changes) < settle.maps - 1:
             await self._cell.clock.sleep(settle.wait_s)
-            await job.set_aside(cycle, len(changes))
+            await job.people.set_aside(cycle, len(changes))
             later = await job.measured(cycle, await self._cell.metrology.next_map(after=self._journal.last_map_id))
             changes.append(await job.compute(steps.change_nm, job.recipe, surface, later))
             maps, agree = len(changes) + 1, changes[-1] <= limit_nm
             notes = [f"{'settled' if agree else 'not settled'}: {maps} maps, the last two {changes[-1]:.2f} nm apart"]
             told = {"change_nm": changes[-1], "limit_nm": limit_nm}
             job.publish(events.Repeated(cycle=cycle, maps=maps, notes=notes, **told))
-            await job.leave(cycle, "settling.json", {"settled": agree, **told, "change_nm": changes, "notes": notes})
+            await job.people.leave(
+                cycle, "settling.json", {"settled": agree, **told, "change_nm": changes, "notes": notes}
+            )
             if agree:
                 return later
             surface = later
@@ -113,7 +115,7 @@ class Handling:
         seat = seat_of(asked, meets_mm - np.array(met_mm))
         facts, notes = facts_of(asked, seat), [f"the part sits {seat}"]
         job.publish(events.TouchedOff(cycle=cycle, seat=seat, most_off_mm=asked.most_off_mm, notes=notes))
-        await job.leave(cycle, "touch_off.json", {**facts, "notes": notes})
+        await job.people.leave(cycle, "touch_off.json", {**facts, "notes": notes})
         if seat.worst_mm > asked.most_off_mm:
             raise WrongSeat(_wrong(asked, seat))
 

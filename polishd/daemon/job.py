@@ -9,16 +9,15 @@ from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from polishd.daemon.compute import Compute
+from polishd.daemon.for_people import ForPeople
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord, MapRecord, PassRecord
 from polishd.daemon.safety import ContactLimits
 from polishd.daemon.watching import watch
 from polishd.model import events
 from polishd.model.devices import RobotProgress
-from polishd.model.errors import ConfigError, GateStop, PlanRefused, SafetyStop, ToolStop
+from polishd.model.errors import GateStop, PlanRefused, SafetyStop, ToolStop
 from polishd.model.events import Event
 from polishd.model.finding import Finding
 from polishd.model.limits import Envelope
@@ -30,15 +29,12 @@ from polishd.process.contact import relative_removal
 from polishd.process.executed import executed_s
 from polishd.process.registration.record import Registration
 from polishd.recipe import dwell_step, steps
-from polishd.recipe.encoding import table
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved, Taught, figures, tolerated_nm
 
 DIVERGED_RATIO, DIVERGED_NM = 1.3, 1.0
 """A surface that is worse than the best one so far by this ratio, and by more than noise and ripple, ends the job."""
-MEASUREMENT = ("map.*", "surface.npz", "registration.json")
-"""What a measurement leaves in its cycle's folder."""
 PROGRESS_BLOCKS = 50
 """Blocks between two progress events."""
 
@@ -80,7 +76,11 @@ class Job:
     handled: set[tuple[int, str]] = field(init=False, default_factory=set)
     """Cycles and steps beside polishing (``Phase``) that were done, or that a person was asked for."""
 
+    people: ForPeople = field(init=False)
+    """What it leaves in its run folder."""
+
     def __post_init__(self) -> None:
+        self.people = ForPeople(self.folder, self.journal)
         self._believed = steps.believed_at_first(self.recipe)
 
     async def load(self) -> None:
@@ -97,7 +97,7 @@ class Job:
             planned = self._plan_of(record)
             self._surfaces = {found.cycle: self._measured(found) for found in history if found.cycle == record.cycle}
             self._planned, self._believed = {record.cycle: planned}, planned.believed
-        await self._for_people(self._remake)
+        await self.people.remake()
 
     @property
     def last_cycle(self) -> int:
@@ -115,21 +115,13 @@ class Job:
         self.journal.record_map(cycle, surface.sha256, surface.path or "", facts, arrays)
         self._masks, self._lay = measured.masks, measured.registration
         folder = self.folder.cycle(cycle)
-        await self._for_people(folder.map_file, surface)
-        await self._for_people(folder.write, files)
-        await self._for_people(self._remake)
+        await self.people.keep(folder.map_file, surface)
+        await self.people.keep(folder.write, files)
+        await self.people.remake()
         stats, notes = measured.stats, list(measured.notes)
         told = {"spikes": measured.spikes, "judged": facts["judged"], "run_dir": facts["run_dir"]}
         self.publish(events.Measured(cycle=cycle, stats=stats, notes=notes, **told))
         return measured
-
-    async def set_aside(self, cycle: int, number: int) -> None:
-        """Make room in the run folder for another map of the same cycle; the journal has both."""
-        await self._for_people(self.folder.cycle(cycle).set_aside, f"settling-{number:02d}", MEASUREMENT)
-
-    async def leave(self, cycle: int, name: str, content: Any) -> None:
-        """A JSON file in the cycle's folder."""
-        await self._for_people(self.folder.cycle(cycle).json, name, content)
 
     def accepts(self, surface: Measured) -> bool:
         """Whether all lines of the tolerance hold."""
@@ -161,7 +153,7 @@ class Job:
         last = Pass(before, surface, planned.asked_s, *times, predicted_rms_nm=expected_nm)
         taught: Taught = await self.compute(steps.learn, self.recipe, self.program, last, self._believed)
         folder = self.folder.cycle(cycle)
-        await self._for_people(folder.write, await asyncio.to_thread(taught.files))
+        await self.people.keep(folder.write, await asyncio.to_thread(taught.files))
         if taught.verdict.stop:
             self.publish(events.GateStopped(cycle=cycle, stop=taught.verdict.stop, cycle_dir=str(folder.path)))
             raise GateStop(f"{taught.verdict.stop} (see {folder.path / 'gate.png'})")
@@ -193,7 +185,7 @@ class Job:
             self._planned[cycle - 1].kept if cycle - 1 in self._planned else None,
             within_s=dwell_step.limit(self.recipe),
         )
-        await self._for_people(self.folder.cycle(cycle).write, solved.files())
+        await self.people.keep(self.folder.cycle(cycle).write, solved.files())
         self.publish(events.Solved(cycle=cycle, certificate=solved.dwell.certificate))
         return solved
 
@@ -205,7 +197,7 @@ class Job:
         names = [await asyncio.to_thread(store.put, arrays) for arrays in (files["plan.npz"], planned.start())]
         self._stored = Stored(*names)
         self._planned[cycle] = planned
-        await self._for_people(self.folder.cycle(cycle).write, {"program.rnc": plan.program.text, **files})
+        await self.people.keep(self.folder.cycle(cycle).write, {"program.rnc": plan.program.text, **files})
         return plan
 
     def refuse_unsafe(self, plan: Plan) -> None:
@@ -243,13 +235,13 @@ class Job:
     async def end_pass(self, cycle: int) -> None:
         """The pass is over, tool lifted, robot at rest."""
         self.journal.end_pass(cycle, "done")
-        await self._for_people(self._save_executed, cycle)
+        await self.people.executed(cycle)
         self.publish(events.PassEnded(cycle=cycle, executed_s=self.journal.contact_s(cycle)))
 
     async def cut_off(self, cycle: int) -> None:
         """The pass did not come to its end: what is known of it is there for people, unless the journal is lost."""
         with suppress(SafetyStop):
-            await self._for_people(self._save_executed, cycle)
+            await self.people.executed(cycle)
 
     def executed_s(self, cycle: int) -> FloatArray:
         """(n,) process time that each timed point really had in that cycle's pass, s; 0 where it was not run."""
@@ -293,44 +285,3 @@ class Job:
     def _plan_of(self, record: PassRecord) -> Planned:
         get = self.journal.arrays.get
         return Planned.load(get(record.plan), get(record.start), record.facts, self.recipe.model.beliefs)
-
-    async def _for_people(self, write: Callable[..., None], *arguments: Any) -> None:
-        """Write to the run folder beside the event loop. What people cannot be left does not end a job."""
-        try:
-            await asyncio.to_thread(write, *arguments)
-        except (OSError, ConfigError) as error:
-            log.error("the run folder cannot be written: %s; the job goes on without", error)
-
-    def _save_executed(self, cycle: int) -> None:
-        """Of a pass that was interrupted also the blocks that it may have reached, with nothing but their numbers."""
-        blocks = self.journal.executed(cycle)
-        record = next(found for found in self.journal.passes if found.cycle == cycle)
-        reached = np.arange(*(record.uncertain or (0, 0)))
-        columns = {
-            "start_s": blocks.start_s,
-            "end_s": blocks.end_s,
-            "contact": blocks.touched,
-            "force_n": blocks.force_n,
-            "rpm": blocks.rpm,
-        }
-        unknown = np.full(reached.size, np.nan)
-        whole = {name: np.concatenate([column, unknown]) for name, column in columns.items()}
-        content = table({"seq": np.concatenate([blocks.seq, reached]), **whole})
-        self.folder.cycle(cycle).bytes("executed.csv", content)
-
-    def _remake(self) -> None:
-        """Make anew what the report draws from, where somebody deleted it."""
-        store = self.journal.arrays
-        for found in self.journal.history:
-            folder = self.folder.cycle(found.cycle)
-            if not folder.holds("surface.npz"):
-                folder.bytes("surface.npz", store.content(found.arrays))
-        passes = self.journal.passes
-        for record in passes:
-            folder = self.folder.cycle(record.cycle)
-            if not folder.holds("plan.npz"):
-                folder.bytes("plan.npz", store.content(record.plan))
-                folder.json("certificate.json", record.facts["certificate"])
-            told_more = record is passes[-1] and record.how != "done"  # by the robot, after it was interrupted
-            if told_more or not folder.holds("executed.csv"):
-                self._save_executed(record.cycle)
