@@ -104,16 +104,20 @@ class LoaderLine:
 
     async def _change(self, request: str) -> None:
         stops, deadline, over = self._stops, time.monotonic() + self._times.change_s, f"over {request}"
+        self._require_sound(await self._read(), over)
         await self._order(request)
         while (reading := await self._read()).state is not State.IDLE:
-            if reading.state is State.FAULT:
-                what = f"{self._lines.name}: fault {reading.fault} ({reading.faults}) {over}"
-                raise DeviceFault(f"{what}; look what it holds, clear it, and reset it at the loader")
+            self._require_sound(reading, over)
             if reading.state is State.STOPPED or self._stops != stops:
                 raise DeviceRefused(f"{self._lines.name}: was stopped {over}")
             if time.monotonic() > deadline:
                 raise DeviceFault(f"{self._lines.name}: not done after {self._times.change_s:g} s {over}; look at it")
             await asyncio.sleep(LOOK_S)
+
+    def _require_sound(self, reading: Reading, over: str) -> None:
+        if reading.state is State.FAULT:
+            what = f"{self._lines.name}: fault {reading.fault} ({reading.faults}) {over}"
+            raise DeviceFault(f"{what}; look what it holds, clear it, and reset it at the loader")
 
     async def _stop(self) -> None:
         await self._order("STOP")
