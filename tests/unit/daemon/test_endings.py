@@ -15,10 +15,10 @@ from typing import Any
 import pytest
 
 from polishd.daemon import app
-from polishd.daemon.app import _figures as figures_of
 from polishd.daemon.client import request
 from polishd.daemon.endings import RECORD_NAME, last_ending
 from polishd.daemon.journal import Journal
+from polishd.daemon.making import figures as figures_of
 from polishd.model import errors
 from polishd.model.cycle import Outcome
 from polishd.model.devices import ForceSample

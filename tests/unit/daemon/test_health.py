@@ -117,7 +117,7 @@ async def test_a_disk_that_hangs_in_contact_is_left(bench: Bench, disk: Disk, mo
     async with Running(bench) as running:
         await running.in_contact()
         monkeypatch.setattr(type(bench.journal), "unsaved_s", 4.5)
-        assert (await lifted_and_held(running)).startswith("HostFault: journal_s 4.5, at most 4: the disk of")
+        assert (await lifted_and_held(running)).startswith("HostFault: journal_s 4.5, at most 1.5: the disk of")
 
 
 async def test_devices_that_answer_have_an_age(bench: Bench) -> None:

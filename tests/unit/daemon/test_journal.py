@@ -334,7 +334,7 @@ def test_a_copy_holds_its_own_job_alone(tmp_path: Path) -> None:
         with opened(tmp_path, name) as journal:
             journal.record_map(0, name, "x", {})
             journal.begin_pass(0, "prog", "boot", 5)
-            journal.executed_segment(0, block(0))
+            journal.record_executed(0, touched(0))
             journal.copy_to(target)
             journal.record_outcome(Outcome.IN_TOLERANCE)
     assert rows(target.parent, "SELECT name FROM job") == [("two",)]

@@ -113,7 +113,7 @@ async def test_a_pass_that_fails_is_told_by_mail_webhook_and_command_in_the_word
     assert posted["todo"] == summary["next"].replace("CELL.toml", str(site.path))
     told = {key: posted[key] for key in ("severity", "cell", "job", "part", "run_dir")}
     assert told == {
-        "severity": "alarm", "cell": "small-cell", "job": "small", "part": "P-1", "run_dir": summary["run_dir"]
+        "severity": "alarm", "cell": "bench", "job": "small", "part": "P-1", "run_dir": summary["run_dir"]
     }  # fmt: skip
     assert json.loads((site.config.base_dir / "told").read_text()) == posted
     (_, received), *_ = server.taken
@@ -145,7 +145,7 @@ async def test_what_could_not_be_sent_at_the_end_is_sent_at_the_next_start(site:
     with mail_server(port) as server:
         await run_cell(site.config, site.hooks, holds=False)
         subjects = [received["Subject"] for _, received in server.taken]
-    assert subjects[0] == "small-cell: alarm: failed: StaleMap: late"
+    assert subjects[0] == "bench: alarm: failed: StaleMap: late"
     assert waiting(site, "email") == []
 
 

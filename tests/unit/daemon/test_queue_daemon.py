@@ -18,6 +18,7 @@ from polishd.daemon.desk import Desk
 from polishd.daemon.events import EventBus
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
+from polishd.daemon.journal_records import BlockRecord
 from polishd.daemon.queue import Entry, NewJob, Queue
 from polishd.daemon.queue_daemon import QueueDaemon
 from polishd.daemon.shift import Shift, taken_up
@@ -150,7 +151,7 @@ def torn(error: PolishdError) -> Callable[[Job], PolishdError]:
 
     def end(job: Job) -> PolishdError:
         job.journal.begin_pass(0, "sha", "boot-0", 300, contact=(4, 290))
-        job.journal.executed_segment(0, Executed(4, 0.0, 1.0))
+        job.journal.record_executed(0, [BlockRecord(Executed(4, 0.0, 1.0), True)])
         return error
 
     return end

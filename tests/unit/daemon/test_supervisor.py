@@ -18,11 +18,10 @@ import pytest
 from polishd.daemon import app
 from polishd.daemon.journal import Journal
 from polishd.daemon.supervisor import Supervisor
+from polishd.model.concern import NOT_ASKED
 from polishd.model.events import Opened, StateChanged
 from tests.unit.daemon.small import run_cell
 from tests.unit.daemon.test_app import Site
-
-STATE = {"tool_off": "yes", "robot_at_rest": "yes", "unsafe": [], "next": ""}
 
 
 class Systemd:
@@ -59,10 +58,10 @@ def test_ready_is_said_once_when_the_last_cell_has_spoken(systemd: Systemd) -> N
     supervisor = Supervisor(2, systemd.environment)
     left, right = supervisor.hears("left"), supervisor.hears("right")
     left(Opened(devices={}))
-    left(StateChanged(state="starting", reason="", **STATE))
-    left(StateChanged(state="held", reason="late\nmap", **STATE))
+    left(StateChanged(state="starting", reason="", standing=NOT_ASKED))
+    left(StateChanged(state="held", reason="late\nmap", standing=NOT_ASKED))
     assert systemd.heard() == ["STATUS=left: starting", "STATUS=left: held: late map"]
-    right(StateChanged(state="starting", reason="", **STATE))
+    right(StateChanged(state="starting", reason="", standing=NOT_ASKED))
     supervisor.stopping()
     assert systemd.heard() == ["READY=1\nSTATUS=left: held: late map; right: starting", "STOPPING=1"]
 
