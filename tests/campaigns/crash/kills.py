@@ -46,7 +46,7 @@ STANDS_S = 0.05
 """Longest that a tool may stand on the part where motion goes on: a corner at which the robot turns."""
 ROBOT_STANDS_S = 4.0
 """Longest where the robot was killed or stopped: silence, force off, and the watchdog of the actuator behind them."""
-CLAIMED = re.compile(r": touched in .* saw 0\.000 s$")
+CLAIMED = re.compile(r": touched in (\S+) s; the plant saw (\S+) s$")
 """A contradiction that costs no block twice: the journal tells of a contact that was none."""
 STOPS_S, STOPS_SHARE = (0.1, 0.3, 1.0, 2.0, 5.0, 60.0), (8, 8, 8, 8, 2, 1)
 NEVER = 3.0
@@ -120,7 +120,8 @@ class Campaign:
         for said in self.site.contradictions():
             if said not in self._told:
                 self._told.add(said)
-                self.count.wrong("claimed" if CLAIMED.search(said) else "twice_unmarked", f"{name}: {said}")
+                claimed = (found := CLAIMED.search(said)) is not None and float(found[2]) < float(found[1])
+                self.count.wrong("claimed" if claimed else "twice_unmarked", f"{name}: {said}")
         dug_s = self.site.dug_s()
         self.count.dug_s = max(self.count.dug_s, dug_s)
         if dug_s > max(attack.stands_s, self._stands_s):  # the plant may write down later how the last one ended
@@ -255,9 +256,7 @@ def stopped(who: str) -> Callable[[Campaign], None]:
         cell.until_contact()
         cell.strike()
         pids = [cell.site.pid] if who == "daemon" else [cell.site.device(who)]
-        seconds = cell.luck.choices(CLAIMED = re.compile(r": touched in .* saw 0\.000 s$")
-"""A contradiction that costs no block twice: the journal tells of a contact that was none."""
-STOPS_S, STOPS_SHARE)[0]
+        seconds = cell.luck.choices(STOPS_S, STOPS_SHARE)[0]
         for number, then_s in ((signal.SIGSTOP, seconds), (signal.SIGCONT, 0.0)):
             for pid in filter(None, pids):
                 os.kill(pid, number)
