@@ -27,6 +27,7 @@ PROVED = ("polishd/daemon", "polishd/files.py")
 SAID = {
     "lost": "acknowledged, and lost",
     "twice_unmarked": "polished, and the journal does not tell so",
+    "claimed": "blocks that the journal tells as polished, and the plant did not see",
     "unopenable": "journals that do not open",
     "dug": "tools that stood on the part for longer than they may",
     "not_held": "starts that were not held",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import random
+import re
 import signal
 import socket
 import subprocess
@@ -45,6 +46,8 @@ STANDS_S = 0.05
 """Longest that a tool may stand on the part where motion goes on: a corner at which the robot turns."""
 ROBOT_STANDS_S = 4.0
 """Longest where the robot was killed or stopped: silence, force off, and the watchdog of the actuator behind them."""
+CLAIMED = re.compile(r": touched in (\S+) s; the plant saw (\S+) s$")
+"""A contradiction that costs no block twice: the journal tells of a contact that was none."""
 STOPS_S, STOPS_SHARE = (0.1, 0.3, 1.0, 2.0, 5.0, 60.0), (8, 8, 8, 8, 2, 1)
 NEVER = 3.0
 """So long an attack may have no effect."""
@@ -91,6 +94,8 @@ class Campaign:
         self.site, self.luck, self.count = site, luck, count
         self._number = number
         """Of the attack, over all parts: which commit is next."""
+        self._told: set[str] = set()
+        """Contradictions that were counted."""
         self._stands_s = 0.0
         """Longest that the attack before may have cost."""
 
@@ -113,7 +118,10 @@ class Campaign:
         self.site.rest()
         name = f"{attack.name} {self._number}"
         for said in self.site.contradictions():
-            self.count.wrong("twice_unmarked", f"{name}: {said}")
+            if said not in self._told:
+                self._told.add(said)
+                claimed = (found := CLAIMED.search(said)) is not None and float(found[2]) < float(found[1])
+                self.count.wrong("claimed" if claimed else "twice_unmarked", f"{name}: {said}")
         dug_s = self.site.dug_s()
         self.count.dug_s = max(self.count.dug_s, dug_s)
         if dug_s > max(attack.stands_s, self._stands_s):  # the plant may write down later how the last one ended
