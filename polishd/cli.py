@@ -12,6 +12,7 @@ import typer
 from typer import Argument, Option
 
 from polishd import __version__
+from polishd.console.cli import Reason, jobs, services
 from polishd.model.errors import PolishdError
 from polishd.workbench.cli import app as workbench
 from polishd.workbench.options import Cell, Json
@@ -24,14 +25,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-jobs = typer.Typer(name="job", help="The queue of a cell: parts, one after another.", no_args_is_help=True)
-app.add_typer(jobs)
-
 STDOUT = 1
 """Its descriptor."""
 
-Reason = Annotated[str, Option("--reason", metavar="TEXT", help="Why: for the journal, and for status.")]
-JobId = Annotated[str, Argument(metavar="ID", help="Its job.id.", show_default=False)]
 Correction = Annotated[
     Literal["none", "pointwise", "linear", "power", "exact"] | None, Option(help="Override process.correction.")
 ]
@@ -147,72 +143,6 @@ def estop(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
     _order(cell, "estop", reason, as_json=as_json)
 
 
-@jobs.command("add")
-def job_add(
-    *,
-    cell: Cell,
-    files: Annotated[list[Path], Argument(metavar="JOB.toml...", help="Jobs, in their order.", show_default=False)],
-    as_json: Json = False,
-) -> None:
-    """Judge jobs as a whole, as check does, and put them at the end of the queue: all of them, or none."""
-    from polishd.console.jobs import add_verb
-
-    add_verb(cell, files, as_json=as_json)
-
-
-@jobs.command("list")
-def job_list(cell: Cell, as_json: Json = False) -> None:
-    """The queue: what is under way, what waits, and how each job ended."""
-    from polishd.console.jobs import list_verb
-
-    list_verb(cell, as_json=as_json)
-
-
-@jobs.command("move")
-def job_move(
-    *,
-    cell: Cell,
-    job: JobId,
-    where: Annotated[Literal["before", "after", "first", "last"], Argument(show_default=False)],
-    other: Annotated[str, Argument(metavar="[OTHER]", help="Before or after which job.", show_default=False)] = "",
-    as_json: Json = False,
-) -> None:
-    """Move a job that waits: before ID, after ID, first, last."""
-    from polishd.console.jobs import move_verb
-
-    move_verb(cell, job, where, other, as_json=as_json)
-
-
-@jobs.command("remove")
-def job_remove(*, cell: Cell, job: JobId, reason: Reason = "", as_json: Json = False) -> None:
-    """Take a job out that waits; the one over which the cell is held is put aside."""
-    from polishd.console.jobs import remove_verb
-
-    remove_verb(cell, job, reason, as_json=as_json)
-
-
-service = typer.Typer(name="service", help="Run a cell as a service of systemd.", no_args_is_help=True)
-
-Served = Annotated[list[Path], Argument(metavar="CELL.toml...", help="Each cell's configuration.", show_default=False)]
-Scope = Annotated[bool, Option("--system/--user", help="The computer's systemd, or that of the present user.")]
-
-
-@service.command("install")
-def service_install(cells: Served, *, system: Scope) -> None:
-    """Write a unit that runs these cells in one process, supervised; says how to start it."""
-    from polishd.console.service import install_verb
-
-    install_verb(cells, system=system)
-
-
-@service.command("show")
-def service_show(cells: Served, *, system: Scope) -> None:
-    """Print that unit; nothing is written."""
-    from polishd.console.service import show_verb
-
-    show_verb(cells, system=system)
-
-
 @app.command()
 def history(
     cell: Cell,
@@ -255,7 +185,8 @@ def version() -> None:
     typer.echo(__version__)
 
 
-app.add_typer(service)
+app.add_typer(jobs, name="job", no_args_is_help=True)
+app.add_typer(services, name="service", no_args_is_help=True)
 app.add_typer(workbench)
 
 

@@ -32,6 +32,7 @@ from polishd.api import BadMap, Executed, SurfaceMap
 from polishd.drivers.robot_link import messages
 from polishd.drivers.robot_link.frames import FrameReader, Kind, encode
 from polishd.drivers.spindle_can import codec as spindle_codec
+from polishd.drivers.transport import numbered
 from polishd.drivers.voice_coil import codec as ascii_codec
 from polishd.drivers.voice_coil import registers
 from polishd.drivers.voice_coil.device import State
@@ -257,10 +258,10 @@ def test_refusals_have_words_in_the_driver(address: int, value: int, code: int) 
 
 def test_ascii_vectors() -> None:
     page = {name: value.encode() + b"\r\n" for name, value in vectors("voice_coil_serial").items()}
-    assert ascii_codec.encode(7, "F,12.00") == line("7,F,12.00") == page["set_force"]
-    assert ascii_codec.encode(8, "ST?") == line("8,ST?") == page["status_request"]
-    assert ascii_codec.decode(page["ok"][:-1]) == (7, "OK")
-    number, answer = ascii_codec.decode(page["status"][:-1]) or (-1, "")
+    assert numbered.encode(7, "F,12.00") == line("7,F,12.00") == page["set_force"]
+    assert numbered.encode(8, "ST?") == line("8,ST?") == page["status_request"]
+    assert numbered.decode(page["ok"][:-1]) == (7, "OK")
+    number, answer = numbered.decode(page["status"][:-1]) or (-1, "")
     assert number == 8
     assert ascii_codec.status(answer).force_n == 11.98
 
@@ -270,17 +271,17 @@ BODY = st.text(st.characters(min_codepoint=32, max_codepoint=126, exclude_charac
 
 @given(U16, BODY)
 def test_lines_are_the_same_both_ways(number: int, text: str) -> None:
-    ours, theirs = ascii_codec.encode(number, text), line(f"{number},{text}")
+    ours, theirs = numbered.encode(number, text), line(f"{number},{text}")
     assert ours == theirs
     assert body(ours[:-2]) == f"{number},{text}"
-    assert ascii_codec.decode(theirs[:-1]) == (number, text)
+    assert numbered.decode(theirs[:-1]) == (number, text)
 
 
 @given(U16, BODY, st.integers(min_value=0), st.integers(0, 7))
 def test_a_damaged_line_is_read_by_neither(number: int, text: str, at: int, bit: int) -> None:
     wire = bytearray(line(f"{number},{text}")[:-2])
     wire[at % len(wire)] ^= 1 << bit
-    read = ascii_codec.decode(bytes(wire))
+    read = numbered.decode(bytes(wire))
     assert read is None or read != (number, text)
     assert body(bytes(wire)) != f"{number},{text}"
 
@@ -296,15 +297,15 @@ def test_the_text_status_is_what_the_driver_reads(
     actuator.force_n, actuator.setpoint_n, actuator.faults = force, setpoint / 100.0, faults
     actuator.position_um, actuator.engaged, actuator._touching = float(position), True, True
     slave = AsciiSlave(actuator, "polishd,simulated VC50,SIM-V1,1.0,4")
-    ((_, answer), (_, who)) = slave.feed(ascii_codec.encode(number, "ST?") + ascii_codec.encode(number, "ID?"), 0.0)
-    read = ascii_codec.decode(answer[:-1])
+    ((_, answer), (_, who)) = slave.feed(numbered.encode(number, "ST?") + numbered.encode(number, "ID?"), 0.0)
+    read = numbered.decode(answer[:-1])
     assert read is not None
     reading = ascii_codec.status(read[1])
     assert read[0] == number
     assert int(reading.state) == actuator.state
     assert reading.force_n == pytest.approx(force, abs=0.08)
     assert (reading.setpoint_n, reading.position_um, reading.fault) == (setpoint / 100.0, position, faults)
-    named = ascii_codec.decode(who[:-1])
+    named = numbered.decode(who[:-1])
     assert named is not None
     assert ascii_codec.identity(named[1]).model == "simulated VC50"
     assert ascii_codec.identity(named[1]).boot_id == "4"
@@ -313,8 +314,8 @@ def test_the_text_status_is_what_the_driver_reads(
 @given(hundredths=st.integers(0, 5000))
 def test_every_set_point_arrives_as_text_too(hundredths: int) -> None:
     actuator = coil()
-    ((_, answer),) = AsciiSlave(actuator, "").feed(ascii_codec.encode(1, f"F,{hundredths / 100.0:.2f}"), 0.0)
-    assert ascii_codec.decode(answer[:-1]) == (1, "OK")
+    ((_, answer),) = AsciiSlave(actuator, "").feed(numbered.encode(1, f"F,{hundredths / 100.0:.2f}"), 0.0)
+    assert numbered.decode(answer[:-1]) == (1, "OK")
     assert actuator.setpoint_n == pytest.approx(hundredths / 100.0, abs=1e-12)
 
 
