@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,8 +62,13 @@ class Orders:
                 self._waiting.put_nowait(order)
 
 
-async def unless(order: Coroutine[Any, Any, Order], *work: Coroutine[Any, Any, None]) -> Order | None:
-    """The order that ended the work, or None where the work, the first of them, came to its end."""
+async def unless(
+    order: Coroutine[Any, Any, Order], *work: Coroutine[Any, Any, None], late: Callable[[Order], None] = lambda _: None
+) -> Order | None:
+    """The order that ended the work, or None where the work, the first of them, came to its end.
+
+    An order that comes just then is given to ``late``: it is for whatever comes next.
+    """
     try:
         async with asyncio.TaskGroup() as group:
             ordered = group.create_task(order, name="orders")
@@ -73,4 +78,8 @@ async def unless(order: Coroutine[Any, Any, Order], *work: Coroutine[Any, Any, N
                 task.cancel()
     except BaseExceptionGroup as errors:
         raise most_telling(errors) from errors
-    return ordered.result() if tasks[0].cancelled() else None
+    if tasks[0].cancelled():
+        return ordered.result()
+    if not ordered.cancelled():
+        late(ordered.result())
+    return None

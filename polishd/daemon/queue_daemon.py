@@ -90,7 +90,7 @@ class QueueDaemon(Daemon):
         async def work() -> None:
             turns.append(await self._begin())
 
-        order = await unless(self._orders.interrupting(), work(), self.job.journal.lost())
+        order = await unless(self._orders.interrupting(), work(), self.job.journal.lost(), late=self._orders.give)
         return turns[0] if order is None else self._interrupted(order)
 
     async def _begin(self) -> Turn:
@@ -126,7 +126,9 @@ class QueueDaemon(Daemon):
             return self._failed(error, Trigger.UNSAFE)
         loader: Any = self._cell.devices[port]
         try:
-            order = await unless(self._orders.interrupting(), self._load(loader, part), self.job.journal.lost())
+            order = await unless(
+                self._orders.interrupting(), self._load(loader, part), self.job.journal.lost(), late=self._orders.give
+            )
         except WrongPart as error:
             return await self._over(error, Turn(Trigger.MENDABLE, error=error))
         except PolishdError:

@@ -1,0 +1,31 @@
+"""Orders, and the work that they end."""
+
+from __future__ import annotations
+
+import asyncio
+
+from polishd.daemon.orders import Order, Orders, unless
+from polishd.daemon.states import Trigger
+
+
+async def test_an_order_ends_the_work() -> None:
+    orders, stop = Orders(), Order(Trigger.STOP)
+    orders.give(stop)
+    assert await unless(orders.interrupting(), asyncio.Event().wait()) is stop  # type: ignore[arg-type]
+
+
+async def test_an_order_that_comes_as_the_work_ends_is_not_lost() -> None:
+    """Both are done in one turn of the loop: the order is for what comes next."""
+    orders, done, stop = Orders(), asyncio.Event(), Order(Trigger.STOP)
+
+    async def work() -> None:
+        await done.wait()
+
+    def both() -> None:
+        done.set()
+        orders.give(stop)
+
+    asyncio.get_running_loop().call_soon(both)
+    assert await unless(orders.interrupting(), work(), late=orders.give) is None
+    async with asyncio.timeout(10):
+        assert await orders.next() is stop
