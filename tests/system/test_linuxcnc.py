@@ -135,7 +135,7 @@ def require_uncertain(files: DemoFiles, dwell: int, reason: str) -> None:
     assert sum(was[dwell - 1 : dwell + 1]) > 0.02
     assert not any(was[dwell + 1 :])
     with contextlib.closing(sqlite3.connect(files.state_dir / "journal.sqlite")) as journal:
-        told = [row[0] for row in journal.execute("SELECT seq FROM segment WHERE in_contact")]
+        told = [row[0] for row in journal.execute("SELECT seq FROM segment WHERE touched")]
     assert max(told) == dwell - 2
 
 

