@@ -27,6 +27,7 @@ from polishd.model.errors import (
 )
 from polishd.model.events import Found
 from polishd.model.finding import Finding
+from polishd.model.times import ActuatorTimes
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.recipe import steps
@@ -130,7 +131,7 @@ async def test_what_was_executed_is_journalled_not_what_was_asked(bench: Bench) 
     blocks = bench.journal.executed(0)
     assert record.how == "done"
     assert list(blocks.seq) == list(range(record.contact_from, record.contact_to)), "each once, in order"
-    assert blocks.contact.all()
+    assert blocks.contact.all(), "the last ones, too: the tool stays until samples have told of them"
     assert not blocks.recovered.any()
     assert job.executed_s(0).sum() > record.facts["dwell_s"] + 0.04 * small_program().n
     names = [event.name for event in job.told if event.name != "progress"]
@@ -246,6 +247,20 @@ async def test_what_runs_while_the_tool_is_lifted_is_recorded_at_once(bench: Ben
     assert bench.journal.uncertain(0)[-1][1] == done + 1, "and the one that the robot stands in"
     rows = (bench.tmp_path / "run/cycle-00/executed.csv").read_text().splitlines()
     assert len(rows) == 1 + blocks.seq.size + 1
+
+
+async def test_where_the_robot_takes_the_tool_off_its_landing_point_the_first_block_is_uncertain(bench: Bench) -> None:
+    """The actuator falls silent on its way to the part: what the robot moves then, it moves in the first block."""
+    actuator = bench.fake.actuator
+    actuator.times = ActuatorTimes(silence_s=0.02)
+    actuator.acts.before["set_force"] = lambda: setattr(actuator, "silent", True)
+    actuator.acts.fails["make_safe"] = LinkError("no answer")
+    bench.fake.robot.acts.before["lift"] = lambda: bench.fake.clock.advance(0.5)
+    with pytest.raises(LinkError, match="no sample"):
+        await bench.polish()
+    assert "robot.lift 15" in bench.fake.events
+    (record,) = bench.journal.passes
+    assert record.uncertain == (record.contact_from, record.contact_from + 1)
 
 
 async def test_a_robot_that_says_no_more_leaves_a_bound(bench: Bench) -> None:
