@@ -98,7 +98,7 @@ async def mark(cell: Cell, journal: Journal, cycle: int, touch: Touch, robot: Ro
     first = account.next_touched
     if touch.up or first >= record.contact_to:
         journal.mark_uncertain(cycle, first, first)
-    elif robot is not None and robot.state != "running" and robot.executed <= first:
+    elif not touch.ran or (robot is not None and robot.state != "running" and robot.executed <= first):
         journal.mark_uncertain(cycle, first, first + 1)  # it stands in this one
     else:
         within_s = touch.off_s - touch.told_s + account.late_s

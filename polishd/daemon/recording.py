@@ -37,7 +37,7 @@ class Recorder:
         self._news = asyncio.Event()
 
     async def follow(self, stream: Stream) -> None:
-        """Polish: returns with the last block in contact, SafetyStop where the disk does not keep up.
+        """Polish: returns when all blocks in contact are told and judged, SafetyStop where the disk does not keep up.
 
         The robot is followed further until ``close``, whatever ends this.
         """
@@ -49,6 +49,7 @@ class Recorder:
         finally:
             stream.leave()
         self._task.result()
+        await self._touch.known.wait()  # the actuator is watched meanwhile: a silence ends it
 
     async def close(self) -> None:
         """After contact was left too early: record what the robot still tells, and how far the tool may have come."""

@@ -173,6 +173,8 @@ class _Leaving:
     async def _lifted_by_robot(self) -> bool:
         """Whether the robot took the tool off the part."""
         limits = self._cell.limits
+        if self._touch is not None:
+            self._touch.lifts(self._cell.clock.now_s())
         try:
             async with asyncio.timeout(safe_within_s(limits.robot)):
                 await self._cell.robot.lift(limits.lift_mm)

@@ -87,10 +87,10 @@ class TimeLimits:
     def unseen_s(self) -> float:
         """Longest that the tool can stay on the part after the end of the last block that is recorded.
 
-        The robot tells late, the next sample is waited for, then the commit; then the actuator hears nothing more, or
-        is told to lift.
+        The robot tells late, two samples are waited for, then the commit; then the actuator hears nothing more, or is
+        told to lift.
         """
-        return self.robot.silence_s + self.reading_s + LATE_S + 2 * LOOK_S + self.actuator.alone_s
+        return self.robot.silence_s + 2 * self.reading_s + LATE_S + 2 * LOOK_S + self.actuator.alone_s
 
     @property
     def lift_mm(self) -> float:

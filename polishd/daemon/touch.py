@@ -7,6 +7,7 @@ late as its link may be silent.
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -15,8 +16,6 @@ from dataclasses import dataclass, field
 from polishd.daemon.journal_records import BlockRecord
 from polishd.model.devices import Executed, ForceSample, SpeedSample
 
-FRESH_S = 0.15
-"""A sample tells of a block that ended so much later: three periods of a driver's."""
 LUMP_S = 0.02
 """Blocks that are told within so much of each other are one word of the robot's."""
 
@@ -32,13 +31,17 @@ class _Lump:
     """When the word before it came."""
     told_s: float
     blocks: list[Executed] = field(default_factory=list)
+    sampled: bool = False
+    """A force sample has come since."""
 
 
 class Touch:
     """One contact: told of samples, blocks and orders as they come, it writes a record for each block.
 
-    A block waits for the first force sample after it. It touched where all samples around it were in contact; it did
-    not where the tool was known to be up before it; else nobody knows. All times are of the daemon's monotonic clock.
+    A block waits for the second force sample after it: the first may have been read before it ended, and lain on the
+    wire while this process did not run; the second was asked for later. It touched where all samples around it were in
+    contact; it did not where the tool was known to be up before it; else nobody knows. All times are of the daemon's
+    monotonic clock.
     """
 
     def __init__(self, write: Callable[[Sequence[BlockRecord]], None], late_s: float) -> None:
@@ -47,6 +50,8 @@ class Touch:
         self._late_s = late_s
         self._begun_s = math.inf
         """When the robot was told to run."""
+        self._lifts_s = math.inf
+        """When the robot was told to take the tool off the part, by a motion of its own."""
         self._lumps: list[_Lump] = []
         self._word = _Lump(0.0, -math.inf)
         """The robot's last one."""
@@ -62,6 +67,14 @@ class Touch:
         """From when on the tool is known to be off the part."""
         self.last_seq = -1
         """The last block that was told."""
+        self.known = asyncio.Event()
+        """No block waits to be judged."""
+        self.known.set()
+
+    @property
+    def ran(self) -> bool:
+        """The robot was told to run blocks in contact."""
+        return self._begun_s < math.inf
 
     @property
     def told_s(self) -> float:
@@ -70,23 +83,29 @@ class Touch:
 
     @property
     def up(self) -> bool:
-        """What runs after the last block that was told is not touched: the tool is off, or the robot never ran."""
-        return self._begun_s == math.inf or self.off_s <= max(self.told_s - self._late_s, self._begun_s)
+        """What moves after the last block that was told is not touched: the tool was off before, or nothing moves."""
+        if self.ran:
+            return self.off_s <= max(self.told_s - self._late_s, self._begun_s)
+        return self.off_s <= self._lifts_s
 
     def begin(self, at_s: float) -> None:
         """The robot stands, with the tool on its landing point, and is about to be told to run."""
         self._begun_s, self._word = at_s, _Lump(at_s, -math.inf)
 
     def force(self, sample: ForceSample) -> None:
-        """A reading of the actuator: what ended before it is judged."""
+        """A reading of the actuator: what ended before it was asked for is judged."""
         if self.left:
             return
         self._force.append((sample.at_s, sample.force_n))
         self._pressing_s = min(self._pressing_s, sample.at_s) if sample.in_contact else math.inf
-        judged = [lump for lump in self._lumps if lump.told_s <= sample.at_s]
+        judged = [lump for lump in self._lumps if lump.sampled]
         self._lumps = self._lumps[len(judged) :]
+        for lump in self._lumps:
+            lump.sampled = True
         if judged:
-            self._write(self._records_of(judged, fresh_s=math.inf))
+            self._write(self._records_of(judged))
+        if not self._lumps:
+            self.known.set()
         needed_s = self._lumps[0].before_s if self._lumps else self.told_s
         for samples in (self._force, self._rpm):
             _forget(samples, needed_s)
@@ -105,21 +124,27 @@ class Touch:
             self._judged += _records(lump, False if self.off_s <= self._earliest_s(lump) else None)
             self.flush()
             return
-        if not self._lumps or self._lumps[-1] is not self._word:
-            # one that was judged meanwhile goes on as another: its blocks wait for a sample, too
+        if self._word.sampled or not self._lumps or self._lumps[-1] is not self._word:
+            # one of which a sample has told meanwhile goes on as another: its blocks wait for two, too
             self._word = _Lump(self._word.before_s, self._word.told_s)
             self._lumps.append(self._word)
         self._word.blocks.append(block)
+        self.known.clear()
 
     def leave(self) -> None:
-        """Force and tool are about to be ordered off: what waits is judged by the last sample, if that is fresh.
+        """Force and tool are about to be ordered off: of what still waits, nobody knows.
 
-        Nothing is written yet: whatever becomes of the journal, the tool is lifted.
+        An actuator may have lost its power right after its last sample. Nothing is written yet: whatever becomes of
+        the journal, the tool is lifted.
         """
         if not self.left:
-            self.left = True
-            self._judged = self._records_of(self._lumps, fresh_s=FRESH_S)
+            self.left, self._pressing_s = True, math.inf
+            self._judged = self._records_of(self._lumps)
             self._lumps = []
+
+    def lifts(self, at_s: float) -> None:
+        """The robot is about to be told to take the tool off the part: it moves, though it may never have run."""
+        self._lifts_s = min(self._lifts_s, at_s)
 
     def flush(self) -> None:
         """Write what is judged."""
@@ -131,12 +156,11 @@ class Touch:
         """The tool is off the part from then on: it was confirmed, or its actuator has let go by itself by then."""
         self.off_s = min(self.off_s, at_s)
 
-    def _records_of(self, lumps: Sequence[_Lump], fresh_s: float) -> list[BlockRecord]:
-        """What is known of those blocks; a sample that is older than ``fresh_s`` tells nothing of them."""
-        sampled_s = self._force[-1][0] if self._force else -math.inf
+    def _records_of(self, lumps: Sequence[_Lump]) -> list[BlockRecord]:
+        """What is known of those blocks."""
         records: list[BlockRecord] = []
         for lump in lumps:
-            touched = self._pressing_s <= self._earliest_s(lump) and lump.told_s - sampled_s <= fresh_s
+            touched = self._pressing_s <= self._earliest_s(lump)
             means = (_mean(samples, lump.before_s, lump.told_s) for samples in (self._force, self._rpm))
             records += _records(lump, touched or None, *means)
         return records

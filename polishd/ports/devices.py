@@ -108,7 +108,8 @@ class ForceActuator(Device, Protocol):
     def samples(self) -> AsyncIterator[ForceSample]:
         """Readings at the driver's rate, for as long as they are iterated; iterating feeds the watchdog.
 
-        A touch-off needs their ``position_mm``.
+        Each was read after the one before it was taken: none waits for its taker. A touch-off needs their
+        ``position_mm``.
         """
         ...
 

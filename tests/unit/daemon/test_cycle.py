@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import json
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import pytest
 
 from polishd.hookspecs import DwellSolver
 from polishd.model.cycle import Outcome
+from polishd.model.devices import ForceSample
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import (
     BadMap,
@@ -27,6 +28,7 @@ from polishd.model.errors import (
 )
 from polishd.model.events import Found
 from polishd.model.finding import Finding
+from polishd.model.times import ActuatorTimes
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.recipe import steps
@@ -135,6 +137,20 @@ async def test_what_was_executed_is_journalled_not_what_was_asked(bench: Bench) 
     assert job.executed_s(0).sum() > record.facts["dwell_s"] + 0.04 * small_program().n
     names = [event.name for event in job.told if event.name != "progress"]
     assert names == ["measured", "solved", "pass_begun", "pass_ended", "measured", *names[5:]]
+
+
+async def test_the_tool_stays_until_samples_have_told_of_the_last_block(bench: Bench) -> None:
+    """They come rarely here: all of the pass has run before the second one."""
+    plain = bench.fake.actuator.samples
+
+    async def rarely() -> AsyncIterator[ForceSample]:
+        async for sample in plain():
+            yield sample
+            await asyncio.sleep(0.02)
+
+    bench.fake.actuator.samples = rarely  # type: ignore[method-assign]
+    await bench.polish(bench.job(max_cycles=1))
+    assert bench.journal.executed(0).contact.all()
 
 
 async def test_the_intent_is_durable_before_the_robot_moves(bench: Bench) -> None:
@@ -246,6 +262,20 @@ async def test_what_runs_while_the_tool_is_lifted_is_recorded_at_once(bench: Ben
     assert bench.journal.uncertain(0)[-1][1] == done + 1, "and the one that the robot stands in"
     rows = (bench.tmp_path / "run/cycle-00/executed.csv").read_text().splitlines()
     assert len(rows) == 1 + blocks.seq.size + 1
+
+
+async def test_where_the_robot_takes_the_tool_off_its_landing_point_the_first_block_is_uncertain(bench: Bench) -> None:
+    """The actuator falls silent on its way to the part: what the robot moves then, it moves in the first block."""
+    actuator = bench.fake.actuator
+    actuator.times = ActuatorTimes(silence_s=0.02)
+    actuator.acts.before["set_force"] = lambda: setattr(actuator, "silent", True)
+    actuator.acts.fails["make_safe"] = LinkError("no answer")
+    bench.fake.robot.acts.before["lift"] = lambda: bench.fake.clock.advance(0.5)
+    with pytest.raises(LinkError, match="no sample"):
+        await bench.polish()
+    assert "robot.lift 15" in bench.fake.events
+    (record,) = bench.journal.passes
+    assert record.uncertain == (record.contact_from, record.contact_from + 1)
 
 
 async def test_a_robot_that_says_no_more_leaves_a_bound(bench: Bench) -> None:

@@ -278,3 +278,16 @@ async def test_a_tool_that_never_left_its_landing_point_has_touched_nothing(fake
     interrupted(journal, CONTACT[0])
     await mark(fake.cell, journal, 2, Touch(lambda records: None, 1.5), None)
     assert journal.uncertain(2) == ()
+
+
+@pytest.mark.parametrize("robot", [None, RobotProgress("running", "sha", 40, CONTACT[0], 9.0)])
+async def test_a_robot_that_took_the_tool_off_its_landing_point_moved_in_the_first_block(
+    fake: FakeCell, journal: Journal, robot: RobotProgress | None
+) -> None:
+    interrupted(journal, CONTACT[0])
+    touch = Touch(lambda records: None, 1.5)
+    touch.leave()
+    touch.lifts(3.0)
+    touch.off(3.5)
+    await mark(fake.cell, journal, 2, touch, robot)
+    assert journal.passes[0].uncertain == (CONTACT[0], CONTACT[0] + 1)

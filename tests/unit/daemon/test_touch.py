@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from polishd.daemon.journal_records import BlockRecord
-from polishd.daemon.touch import FRESH_S, LUMP_S, Touch
+from polishd.daemon.touch import LUMP_S, Touch
 from polishd.model.devices import Executed, ForceSample, SpeedSample
 
 LATE_S = 1.5
@@ -41,18 +41,34 @@ def contact() -> Contact:
 
 def test_a_block_between_samples_in_contact_touched(contact: Contact) -> None:
     contact.told(0, 0.1)
-    assert contact.records == [], "it waits for a sample after it"
     contact.force(0.15)
+    assert contact.records == [], "this one may have been read before the block ended"
+    assert not contact.touch.known.is_set()
     contact.told(1, 0.2)
     contact.force(0.2)
+    assert contact.touched == {0: True}
+    contact.force(0.25)
     assert contact.touched == {0: True, 1: True}
+    assert contact.touch.known.is_set()
 
 
 def test_contact_that_is_lost_after_a_block_leaves_it_unknown(contact: Contact) -> None:
     contact.force(0.05)
     contact.told(0, 0.1)
     contact.force(0.15, 0.0, on=False)
+    contact.force(0.2, 0.0, on=False)
     assert contact.touched == {0: None}
+
+
+def test_a_sample_that_lay_on_the_wire_while_the_daemon_stood_still_tells_of_no_block_after_it(
+    contact: Contact,
+) -> None:
+    """Read before the daemon was stopped, taken when it went on; meanwhile the actuator's watchdog has lifted."""
+    for seq in range(5):
+        contact.told(seq, 3.0)
+    contact.force(3.0)
+    contact.force(3.05, 0.0, on=False)
+    assert set(contact.touched.values()) == {None}
 
 
 def test_contact_that_comes_back_counts_once_no_word_can_be_older(contact: Contact) -> None:
@@ -62,6 +78,7 @@ def test_contact_that_comes_back_counts_once_no_word_can_be_older(contact: Conta
     for seq, at_s in enumerate((1.2, 2.5, 2.7, 2.9), start=1):
         contact.told(seq, at_s)
         contact.force(at_s + 0.05)
+        contact.force(at_s + 0.1)
     # the block of 2.9 began after the word of 2.7, which may be 1.5 s late: contact had come back by then
     assert contact.touched == {0: None, 1: None, 2: None, 3: None, 4: True}
 
@@ -75,6 +92,7 @@ def test_force_and_speed_are_means_of_the_samples_around(contact: Contact) -> No
     contact.speed(1.25, 1010.0)
     contact.told(1, 1.3)
     contact.force(1.35, 16.0)
+    contact.force(1.4, 17.0)
     first, second = contact.records
     assert (first.force_n, first.rpm, first.told_s) == (pytest.approx((12.0 + 10.0) / 2), 990.0, 1.0)
     assert second.force_n == pytest.approx((10.0 + 10.0 + 11.0 + 13.0 + 15.0) / 5)
@@ -90,6 +108,8 @@ def test_blocks_of_one_word_share_its_time(contact: Contact) -> None:
     contact.force(2.0 + LUMP_S / 2, 16.0)
     contact.told(3, 2.0 + LUMP_S)  # of the same word, and after the sample
     contact.force(2.1, 16.0)
+    assert contact.touched == {0: True, 1: True, 2: True}
+    contact.force(2.2, 16.0)
     _, *others = contact.records
     assert [record.told_s for record in others] == [2.0, 2.0, 2.0]
     assert others[0].force_n == others[1].force_n == others[2].force_n == pytest.approx(12.0)
@@ -108,17 +128,20 @@ def test_no_sample_is_no_knowledge() -> None:
 # leaving
 
 
-@pytest.mark.parametrize(("silent_s", "known"), [(0.9 * FRESH_S, True), (1.1 * FRESH_S, None)])
-def test_what_waits_when_contact_is_left_is_judged_by_a_fresh_sample(
-    contact: Contact, silent_s: float, known: bool | None
-) -> None:
+def test_an_actuator_that_dies_leaves_what_no_later_sample_tells_of_unknown(contact: Contact) -> None:
+    """It lost its power after 3.0 s, and the link tells so before the next sample is due."""
+    contact.told(0, 2.9)
+    contact.force(2.95)
+    contact.told(1, 2.99)
     contact.force(3.0)
-    contact.told(0, 3.0 + silent_s)
+    contact.told(2, 3.01)
+    contact.told(3, 3.04)
     contact.touch.leave()
-    assert contact.records == [], "a journal that is lost keeps no tool on the part"
+    assert contact.touched == {0: True}, "a journal that is lost keeps no tool on the part"
     contact.touch.flush()
     contact.touch.flush()
-    assert [record.touched for record in contact.records] == [known]
+    assert contact.touched == {0: True, 1: None, 2: None, 3: None}
+    assert [record.force_n for record in contact.records] == [12.0] * 4
 
 
 def test_from_the_order_until_the_lift_nobody_knows_then_it_is_off(contact: Contact) -> None:
@@ -135,8 +158,21 @@ def test_from_the_order_until_the_lift_nobody_knows_then_it_is_off(contact: Cont
     assert [record.force_n for record in contact.records] == [None] * 6
 
 
+def test_a_robot_that_never_ran_moves_where_it_takes_the_tool_off() -> None:
+    touch = Touch(lambda records: None, LATE_S)
+    assert touch.up, "nothing moves"
+    touch.leave()
+    touch.lifts(3.0)
+    assert not touch.up
+    touch.off(3.5)
+    assert not touch.up, "it pressed while the robot lifted"
+    touch.off(2.9)
+    assert touch.up, "the actuator had let go before"
+    assert not touch.ran
+
+
 def test_what_follows_the_last_word(contact: Contact) -> None:
-    assert Touch(contact.records.extend, LATE_S).up, "the robot was never told to run"
+    assert contact.touch.ran
     contact.told(0, 3.0)
     contact.touch.leave()
     assert not contact.touch.up
