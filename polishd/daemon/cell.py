@@ -13,7 +13,7 @@ from typing import NoReturn, cast
 from polishd.config.cell import PORTS, port_of
 from polishd.daemon.time_limits import TimeLimits, released_within_s
 from polishd.model.devices import Identity
-from polishd.model.errors import DeviceBusy, DeviceError, LinkError
+from polishd.model.errors import DeviceBusy, LinkError
 from polishd.ports.clock import Clock
 from polishd.ports.devices import Device, ForceActuator, Metrology, Robot, Spindle
 
@@ -57,6 +57,8 @@ class Cell:
     """Devices that did not confirm being safe when last asked: ``name: why``."""
     heard_s: dict[str, float] = field(default_factory=dict)
     """When each device last answered, by ``time.monotonic``."""
+    pressing: bool = False
+    """The tool is on the part, on its way to it, or not yet known to be off again."""
     emergency: bool = False
     """Motion is to stop at once, whatever the part costs: somebody asked for it."""
 
@@ -164,7 +166,7 @@ class Cell:
                     async with _answering(name):
                         await device.status()
                     self.hears(name)
-                except DeviceError as error:
+                except Exception as error:  # noqa: BLE001 - a plugin may raise anything: here nothing hangs on it
                     log.info("%s does not answer while nothing is asked of it: %s", name, error)
 
     async def close(self) -> None:

@@ -12,7 +12,7 @@ from polishd.daemon.handling import Handling
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.recording import recording
-from polishd.daemon.safety import contact
+from polishd.daemon.safety import contact, told_first
 from polishd.daemon.stream import streaming
 from polishd.daemon.touch import Touch
 from polishd.model.cycle import Outcome, Phase
@@ -62,8 +62,9 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
                         async with contact(cell, job.contact, touch):
                             await recorder.follow(stream)
                 await stream.retreat()
-            except BaseException:
-                await job.cut_off(cycle)
+            except BaseException as error:
+                with told_first(error):
+                    await job.cut_off(cycle)
                 raise
             await job.end_pass(cycle)
     return Outcome.CYCLES_USED

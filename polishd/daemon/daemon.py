@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any, cast
 
@@ -202,14 +202,12 @@ class Daemon:
             done.append(await polish(self._cell, job, journal))
 
         try:
-            order = await unless(self._orders.interrupting(), work(), journal.lost(), late=self._orders.give)
+            order = await unless(self._orders.interrupting(unfit=True), work(), journal.lost(), late=self._orders.give)
         except PolishdError as error:
             turn = self._failed(error)
-            if turn.trigger is not Trigger.MENDABLE:
-                return turn
-            await make_safe(self._cell)
-            stopped = self._orders.last.verb is Trigger.STOP  # in the same moment
-            return replace(turn, trigger=Trigger.STOP, reason=self._stopped_by(self._orders.last)) if stopped else turn
+            if turn.trigger is Trigger.MENDABLE:
+                await make_safe(self._cell)
+            return turn
         if order is None:
             return Turn(Trigger.DONE, outcome=done[0])
         if order.verb is Trigger.STOP:

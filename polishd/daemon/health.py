@@ -7,6 +7,7 @@ is crossed while the daemon polishes makes it leave contact and hold, while it s
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import time
 from collections import deque
@@ -21,6 +22,8 @@ from polishd.daemon.job import Job
 from polishd.daemon.journal_store import LATE_S
 from polishd.daemon.making import NoJob
 from polishd.daemon.safety import most_telling
+
+log = logging.getLogger(__name__)
 
 BEAT_S = 0.1
 """Between two looks at the loop."""
@@ -97,7 +100,10 @@ class Health:
         else:
             done = 0 if begun is None else journal.tally(begun.cycle).done
             blocks, run_dir = (len(job.program.block) if begun is None else begun.blocks) - done, job.folder.path
-        self._left = await asyncio.to_thread(_left, state_dir, run_dir, blocks)
+        try:
+            self._left = await asyncio.to_thread(_left, state_dir, run_dir, blocks)
+        except OSError as error:
+            log.warning("the disks cannot be asked how much is left: %s", error)
 
     @asynccontextmanager
     async def watching(self, danger: Callable[[str], None]) -> AsyncIterator[None]:
@@ -119,7 +125,7 @@ class Health:
             due_s = time.monotonic() + BEAT_S
             await asyncio.sleep(BEAT_S)
             now_s = time.monotonic()
-            pressing = self._job().journal.unfinished() is not None
+            pressing = self._cell.pressing
             if pressing and not pressed:
                 self._lags.clear()  # out of contact the loop may be late
             pressed = pressing
@@ -178,4 +184,4 @@ def _memory_mb() -> tuple[float, float] | None:
 
 def _there(folder: Path) -> Path:
     """The folder, or the nearest above it that exists."""
-    return next(path for path in (folder, *folder.parents) if path.exists())
+    return next(path for path in (folder, *folder.parents) if os.path.exists(path))  # noqa: PTH110 - a share that went stale is none: pathlib's raises

@@ -96,9 +96,10 @@ async def mark(cell: Cell, journal: Journal, cycle: int, touch: Touch, robot: Ro
     (record,) = [found for found in journal.passes if found.cycle == cycle]
     account = await asyncio.to_thread(_Account.of, journal, record, cell.limits.robot.silence_s)
     first = account.next_touched
-    if touch.up or first >= record.contact_to:
+    landed = not touch.ran or first >= record.contact_to  # it stood on a landing point: only a lift moves it there
+    if not touch.taken_off if landed else touch.up:
         journal.mark_uncertain(cycle, first, first)
-    elif not touch.ran or (robot is not None and robot.state != "running" and robot.executed <= first):
+    elif landed or (robot is not None and robot.state != "running" and robot.executed <= first):
         journal.mark_uncertain(cycle, first, first + 1)  # it stands in this one
     else:
         within_s = touch.off_s - touch.told_s + account.late_s
@@ -135,7 +136,7 @@ async def settle(cell: Cell, journal: Journal) -> str:
 def _take_over(journal: Journal, account: _Account, robot: RobotProgress, told: list[Executed]) -> None:
     """Journal what the robot remembers; the tool is off once its actuator must have let go."""
     record, unseen_s = account.record, account.unseen_s()
-    end = record.contact_to if record.uncertain is None else min(record.contact_to, record.uncertain[1])
+    end = record.contact_to if record.uncertain is None else record.uncertain[1]
     in_contact = [block for block in told if record.contact_from <= block.seq < end]
     since_s = account.blocks.end_s[-1] if account.blocks.seq.size else in_contact[0].start_s if in_contact else 0.0
 

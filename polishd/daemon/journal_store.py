@@ -62,7 +62,7 @@ class Store:
     @property
     def unsaved_s(self) -> float:
         """For how long the oldest row that is not durable has waited for the disk; 0 where there is none."""
-        return 0.0 if self._closing else max(time.monotonic() - min(self._oldest_s), 0.0)
+        return 0.0 if self._closing or self._failure is not None else max(time.monotonic() - min(self._oldest_s), 0.0)
 
     def write(self, *rows: Row) -> None:
         """Commit what is buffered and these rows in one transaction; durable when it returns."""

@@ -32,22 +32,22 @@ class Orders:
 
     def __init__(self) -> None:
         self._waiting: asyncio.Queue[Order] = asyncio.Queue()
-        self.last = Order(Trigger.RESUME)
-        """The last one that ended polishing: where it came with an error, it is not forgotten over it."""
 
     def give(self, order: Order) -> None:
         """It is taken as soon as what happens now can be ended."""
         self._waiting.put_nowait(order)
 
     async def next(self) -> Order:
-        """Any."""
-        return await self._waiting.get()
+        """Any of a person's."""
+        return await self._none_of(Trigger.UNFIT)
 
-    async def interrupting(self) -> Order:
-        """The next one that ends polishing."""
-        while (order := await self._waiting.get()).verb is Trigger.RESUME:
+    async def interrupting(self, *, unfit: bool = False) -> Order:
+        """The next one that ends work; one of the computer's only where that polishes (``unfit``)."""
+        return await self._none_of(Trigger.RESUME, *([] if unfit else [Trigger.UNFIT]))
+
+    async def _none_of(self, *passed: Trigger) -> Order:
+        while (order := await self._waiting.get()).verb in passed:
             pass
-        self.last = order
         return order
 
     async def asked_to_stop(self) -> Order:
@@ -67,8 +67,9 @@ async def unless(
 ) -> Order | None:
     """The order that ended the work, or None where the work, the first of them, came to its end.
 
-    An order that comes just then is given to ``late``: it is for whatever comes next.
+    An order that comes just then, or over which the work fails, is given to ``late``: it is for whatever comes next.
     """
+    ordered: asyncio.Task[Order] | None = None
     try:
         async with asyncio.TaskGroup() as group:
             ordered = group.create_task(order, name="orders")
@@ -77,6 +78,8 @@ async def unless(
             for task in (ordered, *tasks):
                 task.cancel()
     except BaseExceptionGroup as errors:
+        if ordered is not None and not ordered.cancelled() and ordered.exception() is None:
+            late(ordered.result())
         raise most_telling(errors) from errors
     if tasks[0].cancelled():
         return ordered.result()

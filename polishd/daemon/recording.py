@@ -11,7 +11,7 @@ from contextlib import asynccontextmanager
 from polishd.daemon.cell import Cell
 from polishd.daemon.interruption import ASK_S, mark
 from polishd.daemon.journal import Journal
-from polishd.daemon.safety import most_telling
+from polishd.daemon.safety import most_telling, told_first
 from polishd.daemon.stream import Stream
 from polishd.daemon.time_limits import LOOK_S
 from polishd.daemon.touch import Touch
@@ -99,8 +99,9 @@ async def recording(cell: Cell, journal: Journal, cycle: int, touch: Touch) -> A
             recorder = Recorder(cell, journal, cycle, touch, group)
             try:
                 yield recorder
-            except BaseException:
-                await recorder.close()
+            except BaseException as error:
+                with told_first(error):
+                    await recorder.close()
                 raise
             touch.flush()
     except BaseExceptionGroup as errors:

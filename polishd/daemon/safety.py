@@ -13,7 +13,7 @@ import contextlib
 import logging
 import math
 import time
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from typing import TypeVar, cast
@@ -68,6 +68,7 @@ async def contact(cell: Cell, limits: ContactLimits, touch: Touch) -> AsyncItera
     ``touch`` hears all samples, and when the tool is ordered off and is off.
     """
     watch = _Watch(limits, touch)
+    cell.pressing = True
     try:
         await cell.spindle.set_speed(limits.rpm)
         async with asyncio.TaskGroup() as group:
@@ -85,11 +86,25 @@ async def contact(cell: Cell, limits: ContactLimits, touch: Touch) -> AsyncItera
                 watcher.cancel()
         await cell.spindle.set_speed(0.0)
     except BaseExceptionGroup as errors:
-        await make_safe(cell, touch, silent=watch.silent)
+        with told_first(errors):
+            await make_safe(cell, touch, silent=watch.silent)
         raise most_telling(errors) from errors
-    except BaseException:
-        await make_safe(cell, touch, silent=watch.silent)
+    except BaseException as error:
+        with told_first(error):
+            await make_safe(cell, touch, silent=watch.silent)
         raise
+    finally:
+        cell.pressing = False
+
+
+@contextlib.contextmanager
+def told_first(error: BaseException) -> Iterator[None]:
+    """An order that comes while contact is left takes the place of nothing but another order."""
+    try:
+        yield
+    except asyncio.CancelledError:
+        if isinstance(error, asyncio.CancelledError):
+            raise
 
 
 async def leave_contact(cell: Cell) -> None:
@@ -153,16 +168,21 @@ class _Leaving:
         """Which tool an idle robot may hold is not known: it waits for all."""
         used = self._cell.used
         presses = self._touch is not None and robot == used["robot"]
-        if not self._cell.emergency:
-            its_own = {used["actuator"]: lifts[used["actuator"]]} if presses else lifts
-            await self._until_lifted(robot, its_own, presses=presses)
+        its_own = {used["actuator"]: lifts[used["actuator"]]} if presses else lifts
+        async with asyncio.TaskGroup() as group:
+            lifted = group.create_task(self._until_lifted(robot, its_own, presses=presses))
+            while not self._cell.emergency and not lifted.done():  # which may be declared meanwhile
+                await asyncio.wait({lifted}, timeout=LOOK_S)
+            lifted.cancel()
         await self._step(robot)
 
     async def _until_lifted(self, robot: str, lifts: Mapping[str, asyncio.Task[bool]], *, presses: bool) -> None:
         """Motion goes on meanwhile, along the program; off the part, where the actuator does not lift."""
         cell, begun_s = self._cell, self._cell.clock.now_s()
-        if not (presses and self._silent) and all([await lift for lift in lifts.values()]):
-            return
+        if not (presses and self._silent):
+            await asyncio.wait(lifts.values())  # which cancels none of them, should this be
+            if all(lift.result() for lift in lifts.values()):
+                return
         if presses and await self._lifted_by_robot():
             return
         if presses or await self._moves(robot):

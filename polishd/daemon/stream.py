@@ -35,6 +35,8 @@ class Stream:
         self._sent = 0
         self._executed = robot.executed(0)
         self._filled = asyncio.Event()
+        self._short: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        """Fails when too little motion is held."""
         self._target: int | None = None
         """Blocks below it are to be run now; None while the robot is meant to stand."""
 
@@ -58,13 +60,17 @@ class Stream:
         while True:
             await self._clock.sleep(WATCH_S)
             robot = await self._robot.progress()
-            self._check_supply()  # here too: one block may be a long one
+            self._check_supply()
             stands = self._target is not None and robot.state != "running" and robot.executed < self._target
             standing = standing + 1 if stands else 0
             if standing >= STANDS:
                 raise SafetyStop(
                     f"the robot stands at block {robot.executed} of {self._target} ({robot.state}: {robot.detail})"
                 )
+
+    async def supplied(self) -> None:
+        """SafetyStop as soon as the robot is seen to hold too little motion; whoever follows its blocks goes on."""
+        await self._short
 
     async def approach(self) -> None:
         """To the landing point, tool retracted; the robot then stands still. DeviceRefused if it holds too little."""
@@ -121,11 +127,13 @@ class Stream:
 
     def _check_supply(self) -> None:
         """Leave contact while there still is motion: a robot that runs dry stops with the tool on the part."""
-        if self._in_contact and self._starves():
-            raise SafetyStop(
-                f"only {self._robot.buffer_s:.2f} s of motion are left in the robot at block {self._sent}, and lifting "
-                f"may take {self._least_s:.2f} s: the stream cannot keep up; lengthen job.lookahead_s or look at the "
-                "link"
+        if self._in_contact and self._starves() and not self._short.done():
+            self._short.set_exception(
+                SafetyStop(
+                    f"only {self._robot.buffer_s:.2f} s of motion are left in the robot at block {self._sent}, and "
+                    f"lifting may take {self._least_s:.2f} s: the stream cannot keep up; lengthen job.lookahead_s or "
+                    "look at the link"
+                )
             )
 
     def _starves(self) -> bool:
@@ -144,6 +152,7 @@ async def streaming(
             tasks = [
                 group.create_task(stream.feed(), name="feed robot"),
                 group.create_task(stream.watch(), name="watch robot"),
+                group.create_task(stream.supplied(), name="watch supply"),
             ]
             yield stream
             for task in tasks:

@@ -83,10 +83,13 @@ class Touch:
 
     @property
     def up(self) -> bool:
-        """What moves after the last block that was told is not touched: the tool was off before, or nothing moves."""
-        if self.ran:
-            return self.off_s <= max(self.told_s - self._late_s, self._begun_s)
-        return self.off_s <= self._lifts_s
+        """What runs after the last block that was told is not touched: the tool is off."""
+        return self.off_s <= max(self.told_s - self._late_s, self._begun_s)
+
+    @property
+    def taken_off(self) -> bool:
+        """The robot was told to take the tool off the part while it may have been on it."""
+        return self._lifts_s < self.off_s
 
     def begin(self, at_s: float) -> None:
         """The robot stands, with the tool on its landing point, and is about to be told to run."""
@@ -143,7 +146,7 @@ class Touch:
             self._lumps = []
 
     def lifts(self, at_s: float) -> None:
-        """The robot is about to be told to take the tool off the part: it moves, though it may never have run."""
+        """The robot is about to be told to take the tool off the part: it moves, also where it stood."""
         self._lifts_s = min(self._lifts_s, at_s)
 
     def flush(self) -> None:

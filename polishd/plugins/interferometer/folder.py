@@ -157,8 +157,11 @@ class WatchedFolder:
         )
 
     def _problem(self) -> str:
-        if not self._folder.is_dir():
-            return f"{self._folder}: there is no such folder"
+        try:
+            if not self._folder.is_dir():
+                return f"{self._folder}: there is no such folder"
+        except OSError as error:  # a share that went stale
+            return f"{self._folder}: {error.strerror}"
         if not os.access(self._folder, os.R_OK | os.W_OK | os.X_OK):
             return f"{self._folder}: the folder cannot be read and written to"
         return ""

@@ -43,7 +43,7 @@ def connect(path: Path) -> sqlite3.Connection:
 
 if __name__ == "__main__":
     Attacked.left, Attacked.where = int(sys.argv[1]), sys.argv[2]
-    Journal.open = functools.partial(Journal.open, connect=connect)  # type: ignore[method-assign]
+    Journal.of_cell = functools.partial(Journal.of_cell, connect=connect)  # type: ignore[method-assign]
     from polishd.__main__ import main
 
     sys.argv = ["polishd", "run", *sys.argv[3:]]

@@ -147,7 +147,14 @@ def main(marks: str, what: str, *arguments: str) -> int:
     if what == "open":
         opened(Journal.open, connect, Path(arguments[0]), job="job", part_id="P1").close()
         return 0
-    Journal.open = functools.partial(opened, Journal.open, connect)  # type: ignore[method-assign]
+    of_job = Journal.of_job
+
+    def marked(journal: Journal, job: str, *terms: Any) -> Journal:
+        Marking.mark(job=job)
+        return of_job(journal, job, *terms)
+
+    Journal.of_cell = functools.partial(Journal.of_cell, connect=connect)  # type: ignore[method-assign]
+    Journal.of_job = marked  # type: ignore[method-assign]
     from polishd.__main__ import main as polishd
 
     sys.argv = ["polishd", "run", *arguments]

@@ -245,12 +245,12 @@ async def test_settling_twice_says_nothing_the_second_time(fake: FakeCell, journ
 # when contact is left
 
 
-def left(journal: Journal, *, off_s: float, told_s: float) -> Touch:
+def left(journal: Journal, *, off_s: float, told_s: float, seq: int = 17) -> Touch:
     """A contact that was left: when the robot told of a block last, and from when on the tool is off."""
     touch = Touch(lambda records: journal.record_executed(2, records), 1.5)
     touch.begin(0.0)
     touch.leave()
-    touch.told(Executed(17, 17.0, 18.0), told_s)
+    touch.told(Executed(seq, float(seq), seq + 1.0), told_s)
     touch.off(off_s)
     return touch
 
@@ -291,3 +291,18 @@ async def test_a_robot_that_took_the_tool_off_its_landing_point_moved_in_the_fir
     touch.off(3.5)
     await mark(fake.cell, journal, 2, touch, robot)
     assert journal.passes[0].uncertain == (CONTACT[0], CONTACT[0] + 1)
+
+
+@pytest.mark.parametrize(("lifts_s", "marked"), [(101.0, (CONTACT[1], CONTACT[1] + 1)), (104.0, (CONTACT[1],) * 2)])
+async def test_a_robot_that_took_the_tool_off_at_the_end_moved_in_the_block_after_it(
+    fake: FakeCell, journal: Journal, lifts_s: float, marked: tuple[int, int]
+) -> None:
+    """The actuator fell silent as it was told to leave the other landing point; the next start says the same."""
+    interrupted(journal, CONTACT[1] - 1)
+    touch = left(journal, seq=CONTACT[1] - 1, off_s=103.0, told_s=100.0)
+    touch.lifts(lifts_s)
+    await mark(fake.cell, journal, 2, touch, None)
+    assert journal.passes[0].uncertain == marked
+    fake.robot.done = fake.robot.until = CONTACT[1]
+    await settle(fake.cell, journal)
+    assert journal.passes[0].uncertain == marked

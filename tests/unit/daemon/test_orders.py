@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import asyncio
 
+import pytest
+
 from polishd.daemon.orders import Order, Orders, unless
 from polishd.daemon.states import Trigger
+from polishd.model.errors import LinkError
 
 
 async def test_an_order_ends_the_work() -> None:
@@ -29,3 +32,27 @@ async def test_an_order_that_comes_as_the_work_ends_is_not_lost() -> None:
     assert await unless(orders.interrupting(), work(), late=orders.give) is None
     async with asyncio.timeout(10):
         assert await orders.next() is stop
+
+
+async def test_an_order_over_which_the_work_fails_is_not_lost() -> None:
+    orders, stop = Orders(), Order(Trigger.STOP)
+
+    async def work() -> None:
+        try:
+            await asyncio.Event().wait()
+        finally:
+            raise LinkError("the wire is cut")
+
+    orders.give(stop)
+    with pytest.raises(LinkError, match="cut"):
+        await unless(orders.interrupting(), work(), late=orders.give)
+    assert await orders.next() is stop
+
+
+async def test_what_the_computer_asks_for_is_for_polishing_only() -> None:
+    orders, unfit, hold = Orders(), Order(Trigger.UNFIT), Order(Trigger.HOLD)
+    orders.give(unfit)
+    assert await orders.interrupting(unfit=True) is unfit
+    for order in (unfit, hold):
+        orders.give(order)
+    assert await orders.next() is hold

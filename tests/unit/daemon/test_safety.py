@@ -338,6 +338,46 @@ async def test_an_emergency_stops_motion_at_once(fake: FakeCell) -> None:
     assert sorted(fake.events[2:]) == sorted(SAFE)
 
 
+async def test_an_emergency_stops_motion_at_once_also_while_the_tool_is_lifted(fake: FakeCell) -> None:
+    stopped: list[bool] = []
+    lifting, up = asyncio.Event(), asyncio.Event()
+
+    async def lift() -> None:
+        lifting.set()
+        await up.wait()
+
+    fake.actuator.make_safe = lift  # type: ignore[method-assign]
+    fake.robot.acts.before["make_safe"] = lambda: stopped.append(up.is_set())
+    pressing = asyncio.ensure_future(forever(fake))
+    await until(fake, "pressing")
+    pressing.cancel()
+    await lifting.wait()
+    fake.cell.emergency = True
+    await until(fake, "robot.make_safe")
+    up.set()
+    with pytest.raises(asyncio.CancelledError):
+        await pressing
+    assert stopped == [False], "whatever the part costs"
+
+
+async def test_an_order_that_comes_while_a_fault_leaves_contact_does_not_take_its_place(fake: FakeCell) -> None:
+    lifting, up = asyncio.Event(), asyncio.Event()
+
+    async def lift() -> None:
+        lifting.set()
+        await up.wait()
+
+    fake.actuator.make_safe = lift  # type: ignore[method-assign]
+    fake.actuator.reads = lambda s: replace(s, fault=4) if "pressing" in fake.events else s
+    pressing = asyncio.ensure_future(forever(fake))
+    await lifting.wait()
+    pressing.cancel()
+    await asyncio.sleep(0)
+    up.set()
+    with pytest.raises(DeviceFault, match="fault bits"):
+        await pressing
+
+
 @pytest.mark.parametrize("device", ["actuator", "spindle"])
 async def test_samples_that_end_are_silence(fake: FakeCell, device: str) -> None:
     task = asyncio.ensure_future(forever(fake))

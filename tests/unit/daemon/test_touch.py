@@ -158,16 +158,16 @@ def test_from_the_order_until_the_lift_nobody_knows_then_it_is_off(contact: Cont
     assert [record.force_n for record in contact.records] == [None] * 6
 
 
-def test_a_robot_that_never_ran_moves_where_it_takes_the_tool_off() -> None:
+def test_a_robot_that_takes_the_tool_off_moves_while_it_presses() -> None:
     touch = Touch(lambda records: None, LATE_S)
-    assert touch.up, "nothing moves"
     touch.leave()
+    assert not touch.taken_off, "nothing moves"
     touch.lifts(3.0)
-    assert not touch.up
+    assert touch.taken_off
     touch.off(3.5)
-    assert not touch.up, "it pressed while the robot lifted"
+    assert touch.taken_off, "it pressed while the robot lifted"
     touch.off(2.9)
-    assert touch.up, "the actuator had let go before"
+    assert not touch.taken_off, "the actuator had let go before"
     assert not touch.ran
 
 
