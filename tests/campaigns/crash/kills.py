@@ -131,11 +131,11 @@ class Campaign:
     def begin(self) -> None:
         """Have the daemon that was started polish: it comes up held if its job is under way, and nothing moves."""
         site = self.site
-        held, before = site.job_under_way(), len(site.log.look())
+        held, since_s = site.job_under_way(), time.monotonic()
         while not site.ended:
             state = site.state().get("state")
             if state == "held":
-                self._require_still(before)
+                self._require_still(since_s)
                 site.order("resume")
                 self.count.went_on += 1
                 return
@@ -146,8 +146,10 @@ class Campaign:
                 return
             time.sleep(LOOK_S)
 
-    def _require_still(self, before: int) -> None:
-        moved = [e for e in self.site.log.look()[before:] if e["event"] in {"motion_started", "force_on", "engage"}]
+    def _require_still(self, since_s: float) -> None:
+        """By the time of what happened: the plant writes late what every device has vouched for."""
+        moving = {"motion_started", "force_on", "engage"}
+        moved = [e for e in self.site.log.look() if e["event"] in moving and e["mono_s"] > since_s]
         if moved:
             self.count.wrong("not_held", f"attack {self._number}: {moved[0]}")
 
