@@ -12,6 +12,7 @@ from polishd.daemon.journal_memory import Known
 from polishd.daemon.journal_records import ExecutedBlocks, MapRecord, PassRecord, Tally, joined
 from polishd.daemon.journal_store import Store
 from polishd.model.cycle import Phase
+from polishd.model.errors import WrongSeat
 
 NOTHING = Tally()
 
@@ -108,6 +109,17 @@ class JobKnowledge:
     def unfinished(self) -> PassRecord | None:
         """The pass that was begun and never ended, or None."""
         return next((record for record in self.passes if record.ended_s is None), None)
+
+    def cut_off(self) -> int | None:
+        """The last pass or touch-off of this cell, where it did not come to its end: the robot stands there.
+
+        None where it did; a wrong seat is an end, once the robot has left it. By its row among the phases.
+        """
+        sql = "SELECT id, outcome, error FROM phase WHERE phase IN (?, ?) ORDER BY id DESC LIMIT 1"
+        for number, outcome, error in self._store.read(sql, (Phase.RUN.value, Phase.TOUCH_OFF.value)):
+            if outcome != "done" and not (error or "").startswith(f"{WrongSeat.__name__}:"):
+                return int(number)
+        return None
 
     def passes_before(self, cycle: int, most: int) -> list[Mapping[str, Any]]:
         """Facts of the last whole passes of any job of this cell before that cycle's, the latest first."""

@@ -28,8 +28,8 @@ from polishd.model.errors import DeviceFault, DeviceRefused, PolishdError, Wrong
 from polishd.ports.devices import Loader
 
 IN_THE_WAY = (
-    "the robot stands where its last pass was cut off, and the loader must not move under it; drive the robot away at "
-    "its own controller, then resume"
+    "the robot stands where its last pass or touch-off was cut off, and the loader must not move under it; drive the "
+    "robot away at its own controller, then resume"
 )
 
 
@@ -46,8 +46,8 @@ class QueueDaemon(Daemon):
         begun = shift.entry is not None and shift.job.journal.begun
         self._part_in = shift.entry.part_id if begun and shift.entry else ""
         """The part in the cell, as far as is known; a map proves it."""
-        self._in_the_way = False
-        """The robot may stand over the part: its last pass was cut off, and nobody has said since that it may go on."""
+        self._seen: int | None = None
+        """What was cut off (``Journal.cut_off``), and a person said since that it may go on."""
 
     @property
     def handlers(self) -> dict[str, Handler]:
@@ -78,7 +78,7 @@ class QueueDaemon(Daemon):
             reason = aside.reason or f"{BY_A_PERSON}, held over: {self.reason}"
             return await self._ended(Verdict("put aside", reason, kind))
         if turns[0].trigger is Trigger.RESUME:
-            self._in_the_way = False  # a person has looked
+            self._seen = self.job.journal.cut_off()  # a person has looked, and was told what at
         return _between(turns[0], Trigger.RESUME)
 
     async def _next(self) -> Turn:
@@ -118,7 +118,7 @@ class QueueDaemon(Daemon):
         part, port = self._shift.entry.part_id, self._cell.used.get("loader")
         if port is None:
             return await self._changed_by_person(part)
-        if self._in_the_way:
+        if self._in_the_way():
             raise DeviceRefused(IN_THE_WAY)
         await make_safe(self._cell)
         if self._cell.unsafe:
@@ -172,7 +172,6 @@ class QueueDaemon(Daemon):
             if self._cell.unsafe:
                 return turn  # it ends the daemon, and the job stays open: a person has to look first
             await settle(self._cell, self.job.journal)
-            self._in_the_way = True
         end = turn.error if isinstance(turn.error, PolishdError) else turn.outcome
         return await self._over(end, turn, torn=torn)
 
@@ -224,6 +223,17 @@ class QueueDaemon(Daemon):
         if order.verb is Trigger.STOP:
             return Turn(Trigger.STOP, self._stopped_by(order))
         return Turn(order.verb, self._held_by(order, ""))
+
+    def _in_the_way(self) -> bool:
+        """The robot may stand over the part, and a loader is to move there."""
+        left = self.job.journal.cut_off() if "loader" in self._cell.used else None
+        return left is not None and left != self._seen
+
+    async def become(self, state: State, reason: str) -> None:
+        """Whoever is to resume is told that a loader moves then."""
+        if state is State.HELD and IN_THE_WAY not in reason and self._in_the_way():
+            reason = f"{reason}; {IN_THE_WAY}"
+        await super().become(state, reason)
 
     def _is_in(self, part: str, by: str) -> None:
         self._part_in = part

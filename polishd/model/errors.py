@@ -157,3 +157,7 @@ class HandlingError(PolishdError):
 
 class WrongSeat(HandlingError):
     """A touch-off found the part too high, too low, tilted, or not at all; nothing was polished."""
+
+
+class SeatNotLeft(WrongSeat):
+    """A touch-off found no part, and the robot stands there still."""

@@ -20,10 +20,10 @@ from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
 from polishd.daemon.queue import Entry, NewJob, Queue
-from polishd.daemon.queue_daemon import QueueDaemon
+from polishd.daemon.queue_daemon import IN_THE_WAY, QueueDaemon
 from polishd.daemon.shift import Shift, taken_up
 from polishd.daemon.states import State
-from polishd.model.cycle import Outcome
+from polishd.model.cycle import Outcome, Phase
 from polishd.model.devices import Executed
 from polishd.model.errors import (
     BadMap,
@@ -35,7 +35,9 @@ from polishd.model.errors import (
     PlanRefused,
     PolishdError,
     SafetyStop,
+    SeatNotLeft,
     WrongPart,
+    WrongSeat,
 )
 from polishd.model.events import Event
 from polishd.recipe.folder import RunFolder
@@ -146,15 +148,36 @@ def hall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hall]:
         yield hall
 
 
-def torn(error: PolishdError) -> Callable[[Job], PolishdError]:
-    """An end that cuts off a pass."""
+def torn(error: PolishdError | None = None) -> Callable[[Job], Any]:
+    """An end that cuts off a pass; without an error it waits there for an order."""
 
-    def end(job: Job) -> PolishdError:
-        job.journal.begin_pass(0, "sha", "boot-0", 300, contact=(4, 290))
-        job.journal.record_executed(0, [BlockRecord(Executed(4, 0.0, 1.0), True)])
-        return error
+    async def end(job: Job) -> Outcome:
+        async with job.journal.phase(0, Phase.RUN):
+            job.journal.begin_pass(0, "sha", "boot-0", 300, contact=(4, 290))
+            job.journal.record_executed(0, [BlockRecord(Executed(4, 0.0, 1.0), True)])
+            if error is None:
+                await asyncio.Event().wait()
+            raise error or RuntimeError
 
     return end
+
+
+def touching(error: PolishdError) -> Callable[[Job], Any]:
+    """An end in a touch-off."""
+
+    async def end(job: Job) -> Outcome:
+        async with job.journal.phase(0, Phase.TOUCH_OFF):
+            raise error
+
+    return end
+
+
+async def killed_amid_a_pass(hall: Hall, name: str) -> None:
+    """An earlier daemon left that job so."""
+    own = hall.journal.of_job(name, f"P-{name}", {})
+    hall.queue.begin(next(entry for entry in hall.queue.to_do() if entry.name == name), own.number)
+    with suppress(SafetyStop):
+        await torn(SafetyStop("killed"))(small_job(hall.tmp_path, own))
 
 
 # from job to job
@@ -307,7 +330,7 @@ async def test_a_part_whose_pass_was_cut_off_is_put_aside_and_no_loader_moves_un
     await hall.start(until_empty=True)
     await hall.until("held")
     assert hall.verdicts() == {"a": "put aside", "b": "under way"}
-    assert "the robot stands where its last pass was cut off" in hall.daemon.reason
+    assert IN_THE_WAY in hall.daemon.reason
     assert hall.fake.of("loader.load") == ["loader.load P-a"]
     await hall.order("resume")
     await hall.task
@@ -315,10 +338,62 @@ async def test_a_part_whose_pass_was_cut_off_is_put_aside_and_no_loader_moves_un
     assert hall.verdicts()["b"] == "accepted"
 
 
+@pytest.mark.parametrize("order", ["hold", "unfit"])
+async def test_no_loader_moves_under_a_robot_that_an_order_stopped_amid_a_pass(hall: Hall, order: str) -> None:
+    hall.add("a", "b").fake.with_loader()
+    hall.ends["a"] = [torn()]
+    await hall.start(until_empty=True)
+    await hall.wait(hall.journal.cut_off)
+    if order == "hold":
+        await hall.order("hold")
+    else:
+        hall.daemon._endangered("state_disk_mb 60, at least 64")
+        await hall.until("held")
+    assert IN_THE_WAY in hall.daemon.reason
+    await hall.order("job_remove", job="a")
+    await hall.until_again("held")
+    assert hall.fake.of("loader.load") == ["loader.load P-a"]
+    assert IN_THE_WAY in hall.daemon.reason
+    await hall.order("resume")
+    await hall.task
+    assert hall.verdicts() == {"a": "put aside", "b": "accepted"}
+
+
+async def test_nor_under_one_that_a_kill_left_there_though_its_job_was_removed_meanwhile(hall: Hall) -> None:
+    hall.add("a", "b").fake.with_loader()
+    await killed_amid_a_pass(hall, "a")
+    hall.queue.remove("a")
+    await hall.start(until_empty=True)
+    await hall.until("held")
+    assert IN_THE_WAY in hall.daemon.reason
+    assert hall.fake.of("loader.load") == []
+    await hall.order("resume")
+    await hall.task
+    assert hall.fake.of("loader.load") == ["loader.load P-b"]
+
+
+@pytest.mark.parametrize("error", [SeatNotLeft("no part"), SafetyStop("force")])
+async def test_nor_under_one_that_stands_where_a_touch_off_was_cut_off(hall: Hall, error: PolishdError) -> None:
+    hall.add("a", "b").fake.with_loader()
+    hall.ends["a"] = [touching(error)]
+    await hall.start(until_empty=True)
+    await hall.until("held")
+    assert IN_THE_WAY in hall.daemon.reason
+    assert hall.fake.of("loader.load") == ["loader.load P-a"]
+    await hall.end()
+
+
+async def test_a_robot_that_has_left_a_wrong_seat_is_in_nobodys_way(hall: Hall) -> None:
+    hall.add("a", "b").fake.with_loader()
+    hall.ends["a"] = [touching(WrongSeat("too high"))]
+    await hall.run()
+    assert hall.verdicts() == {"a": "put aside", "b": "accepted"}
+
+
 async def test_without_confirmation_a_cut_pass_ends_the_daemon_and_the_job_stays_open(hall: Hall) -> None:
     hall.add("a", "b").fake.with_loader()
 
-    def end(job: Job) -> PolishdError:
+    def end(job: Job) -> Any:
         hall.fake.actuator.acts.fails["make_safe"] = LinkError("silent")
         return torn(SafetyStop("force"))(job)
 
@@ -459,10 +534,7 @@ async def test_idle_it_can_be_held(hall: Hall) -> None:
 
 async def test_a_job_that_was_under_way_goes_on_held_and_then_the_queue(hall: Hall) -> None:
     hall.add("a", "b").fake.with_loader()
-    entry = hall.queue.to_do()[0]
-    own = hall.journal.of_job("a", "P-a", {})
-    hall.queue.begin(entry, own.number)
-    torn(SafetyStop("killed"))(small_job(hall.tmp_path, own))
+    await killed_amid_a_pass(hall, "a")
     await hall.start(until_empty=True)
     await hall.until("held")
     assert "pass 0 was interrupted" in hall.daemon.reason
