@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,8 +62,11 @@ class Desk:
 
     async def list(self) -> Mapping[str, Any]:
         """All jobs."""
-        entries = await asyncio.to_thread(self._queue.entries)
-        return {"jobs": [entry.facts() for entry in entries]}
+
+        def facts() -> Sequence[Mapping[str, Any]]:
+            return [entry.facts() for entry in self._queue.entries()]
+
+        return {"jobs": await asyncio.to_thread(facts)}
 
     async def add(self, path: str, content: str) -> Mapping[str, Any]:
         """Put one at the end."""
@@ -82,7 +85,13 @@ class Desk:
         return await self.list()
 
     async def remove(self, job: str, reason: str = "") -> Mapping[str, Any]:
-        """Take one out that waits; one under way, too, which is put aside: a daemon refuses that unless it is held."""
+        """Take one out that waits; where no daemon works the queue the one under way, too, which is put aside."""
         async with self._turn:
             await asyncio.to_thread(self._queue.remove, job, reason)
+        return await self.list()
+
+    async def remove_waiting(self, job: str, reason: str = "") -> Mapping[str, Any]:
+        """Take one out that waits."""
+        async with self._turn:
+            await asyncio.to_thread(self._queue.remove_waiting, job, reason)
         return await self.list()

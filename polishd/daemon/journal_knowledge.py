@@ -102,9 +102,21 @@ class JobKnowledge:
         return {phase.value: found[phase.value] for phase in Phase if phase.value in found}
 
     def errors(self) -> list[tuple[float, str, Mapping[str, Any]]]:
-        """What held or ended this job's daemon, in time order: Unix time, event's name, its data."""
-        sql = "SELECT at, name, data FROM event WHERE job = ? AND name IN ('held', 'failed') ORDER BY id"
-        return [(at, name, json.loads(data)) for at, name, data in self._store.read(sql, (self._job,))]
+        """What held or ended this job's daemon, in time order: Unix time, event's name, its data.
+
+        Between jobs those of this run: earlier ones are nobody's.
+        """
+        sql = "SELECT at, name, data FROM event WHERE job = ? AND id > ? AND name IN ('held', 'failed') ORDER BY id"
+        found = self._store.read(sql, (self._job, self._known.events_before))
+        return [(at, name, json.loads(data)) for at, name, data in found]
+
+    def held_last(self) -> str:
+        """Why the cell was held when its last daemon ended; empty where it was not."""
+        sql = (
+            "SELECT json_extract(data, '$.state'), json_extract(data, '$.reason') FROM event WHERE name = 'state' "
+            "AND json_extract(data, '$.state') NOT IN ('starting', 'finished') ORDER BY id DESC LIMIT 1"
+        )
+        return next((reason for state, reason in self._store.read(sql) if state == "held"), "")
 
     def unfinished(self) -> PassRecord | None:
         """The pass that was begun and never ended, or None."""

@@ -74,6 +74,20 @@ def test_a_job_is_moved(queue: Queue, place: tuple[str, ...], order: str) -> Non
     assert "".join(names(queue)) == f"{order}e"
 
 
+def test_who_begins_a_job_and_who_takes_it_out_in_the_same_moment_do_not_both_have_it(tmp_path: Path) -> None:
+    with Journal.of_cell(tmp_path) as journal:
+        desk, daemon = Queue(journal.store), Queue(journal.store)
+        desk.add([job("a"), job("b")])
+        first, second = daemon.to_do()
+        desk.remove_waiting("a")
+        with pytest.raises(ConfigError, match="'a' was taken out of the queue"):
+            daemon.begin(first, 1)
+        daemon.begin(second, journal.of_job("b", "P-1", {}).number)
+        with pytest.raises(ConfigError, match="'b' has just begun"):
+            desk.remove_waiting("b")
+        assert [entry.state for entry in desk.entries()] == ["removed", "under way"]
+
+
 def test_the_job_under_way_comes_first_and_is_not_moved(tmp_path: Path) -> None:
     with Journal.of_cell(tmp_path) as journal:
         queue = Queue(journal.store)
