@@ -68,15 +68,18 @@ class Desk:
 
         return {"jobs": await asyncio.to_thread(facts)}
 
-    async def add(self, path: str, content: str) -> Mapping[str, Any]:
-        """Put one at the end."""
-        if not (where := Path(path)).is_absolute():
-            raise ConfigError(f"{path}: is no absolute path; say where the job's file lies")
+    async def add(self, files: Sequence[Any]) -> Mapping[str, Any]:
+        """Put them at the end, all or none."""
+        named = [_job_file(file) for file in files]
+
+        def judged() -> Sequence[NewJob]:
+            return [new_job(self._cell, file) for file in named]
+
         async with self._turn:
-            job = await asyncio.to_thread(new_job, self._cell, JobFile(where, content))
-            await asyncio.to_thread(self._queue.add, [job])
+            jobs = await asyncio.to_thread(judged)
+            await asyncio.to_thread(self._queue.add, jobs)
         self._changed()
-        return {"job": job.name, "waiting": len(self._queue.to_do())}
+        return {"added": [job.name for job in jobs], "waiting": len(self._queue.to_do())}
 
     async def move(self, job: str, where: str, other: str = "") -> Mapping[str, Any]:
         """Change the order."""
@@ -95,3 +98,11 @@ class Desk:
         async with self._turn:
             await asyncio.to_thread(self._queue.remove_waiting, job, reason)
         return await self.list()
+
+
+def _job_file(given: Any) -> JobFile:
+    match given:
+        case {"path": str(path), "content": str(content), **more} if not more and Path(path).is_absolute():
+            return JobFile(Path(path), content)
+        case _:
+            raise ConfigError('a job\'s file is {"path": ..., "content": ...}: its absolute path, and its text')

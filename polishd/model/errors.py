@@ -27,6 +27,7 @@ PolishdError
   SafetyStop       the cell left contact by itself                      (7)
   HandlingError *  somebody has to see to part or pad, then go on       (11)
     WrongSeat      the part does not sit where it should
+      SeatNotLeft  nor could the robot leave the place where it was looked for
 """
 
 

@@ -266,17 +266,20 @@ async def test_a_job_comes_over_the_desk(cell: CellConfig, tmp_path: Path, queue
     (tmp_path / "lens.rnc").write_text("M30\n")
     came: list[None] = []
     desk = Desk(cell, queue, lambda: came.append(None))
-    answer = await desk.add(str(tmp_path / "a.toml"), JOB)
-    assert (answer, len(came)) == ({"job": "a", "waiting": 1}, 1)
+    file = {"path": str(tmp_path / "a.toml"), "content": JOB}
+    answer = await desk.add([file])
+    assert (answer, len(came)) == ({"added": ["a"], "waiting": 1}, 1)
     ((found,),) = ((await desk.list())["jobs"],)
     assert (found["name"], found["part_id"], found["state"]) == ("a", "P-7", "waiting")
     assert set(found["files"]) == {"program.path"}
     with pytest.raises(ConfigError, match="'a' is in the queue already"):
-        await desk.add(str(tmp_path / "a.toml"), JOB)
-    with pytest.raises(ConfigError, match="is no absolute path"):
-        await desk.add("a.toml", JOB)
+        await desk.add([{**file, "content": JOB.replace('"a"', '"b"')}, file])
+    assert names(queue) == ["a"], "all or none"
+    for wrong in ("a.toml", {**file, "path": "a.toml"}, {**file, "more": ""}):
+        with pytest.raises(ConfigError, match="its absolute path"):
+            await desk.add([wrong])
     with pytest.raises(ConfigError, match=r"a.toml:2: cell: is the cell's, and no job's"):
-        await desk.add(str(tmp_path / "a.toml"), "\n[cell]\n" + JOB)
+        await desk.add([{**file, "content": "\n[cell]\n" + JOB}])
     assert (await desk.remove("a"))["jobs"][0]["state"] == "removed"
 
 
