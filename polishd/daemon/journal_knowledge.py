@@ -111,12 +111,17 @@ class JobKnowledge:
         return [(at, name, json.loads(data)) for at, name, data in found]
 
     def held_last(self) -> str:
-        """Why the cell was held when its last daemon ended; empty where it was not."""
+        """Why the cell was held, or its queue stopped, when its last daemon ended; empty where neither was so."""
         sql = (
-            "SELECT json_extract(data, '$.state'), json_extract(data, '$.reason') FROM event WHERE name = 'state' "
-            "AND json_extract(data, '$.state') NOT IN ('starting', 'finished') ORDER BY id DESC LIMIT 1"
+            "SELECT data FROM event WHERE (name = 'state' AND json_extract(data, '$.state') NOT IN ('starting', "
+            "'finished')) OR (name = 'job_ended' AND json_extract(data, '$.stops') != '') ORDER BY id DESC LIMIT 1"
         )
-        return next((reason for state, reason in self._store.read(sql) if state == "held"), "")
+        for (text,) in self._store.read(sql):
+            data = json.loads(text)
+            if "stops" in data:  # without a person it ends there, and is never held
+                return f"the queue stopped: {data['stops']}; {data['job']} was {data['verdict']}: {data['reason']}"
+            return str(data["reason"]) if data["state"] == "held" else ""
+        return ""
 
     def unfinished(self) -> PassRecord | None:
         """The pass that was begun and never ended, or None."""

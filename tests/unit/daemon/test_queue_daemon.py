@@ -676,17 +676,23 @@ async def test_a_job_that_stays_open_has_a_summary_and_the_end_is_told(hall: Hal
 # over restarts
 
 
-@pytest.mark.parametrize("why", ["gate", "order"])
+@pytest.mark.parametrize("why", ["gate", "gate, and nobody is there", "order"])
 async def test_a_queue_that_was_held_comes_up_held(hall: Hall, why: str) -> None:
-    hall.add(*"ab" if why == "gate" else "").fake.with_loader()
+    hall.add(*"ab" if why != "order" else "").fake.with_loader()
     hall.ends["a"] = [GateStop("turned")]
-    await hall.start()
-    if why == "order":
-        await hall.until("idle")
-        await hall.order("hold", reason="cleaning")
-    await hall.until("held")
-    reason = hall.daemon.reason
-    await hall.end()
+    if "nobody" in why:
+        with pytest.raises(GateStop):
+            await hall.run(holds=False)
+        reason = "the queue stopped: instrument or alignment is wrong, and would be for the next part, too; "
+        reason += "a was put aside: GateStop: turned"
+    else:
+        await hall.start()
+        if why == "order":
+            await hall.until("idle")
+            await hall.order("hold", reason="cleaning")
+        await hall.until("held")
+        reason = hall.daemon.reason
+        await hall.end()
     await hall.start(until_empty=True)
     await hall.until("held")
     assert hall.daemon.reason == reason
