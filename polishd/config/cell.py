@@ -165,7 +165,11 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> CellC
         lay_over(raw, fragment)
     for key, value in (overrides or {}).items():
         _override(raw, key, value, source)
-    config = CellConfig.of(raw, source)
+    return consistent(CellConfig.of(raw, source))
+
+
+def consistent(config: CellConfig) -> CellConfig:
+    """The same; ConfigError, as of ``load_config``, where values that are right alone do not go together."""
     wrong = (*_wrong_devices(config), *_wrong_tolerance(config))
     if found := [str(config.error(key, problem)) for key, problem in wrong]:
         raise ConfigError("\n".join(found))

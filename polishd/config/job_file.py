@@ -12,13 +12,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from polishd.config.cell import FILES, PORTS, CellConfig, lay_over
+from polishd.config.cell import FILES, PORTS, CellConfig, consistent, lay_over
 from polishd.config.document import parse_text
 from polishd.config.places import listed
 from polishd.files import toml_text
 from polishd.model.errors import ConfigError
 
-OF_THE_CELL = ("include", "cell", "plugins", *PORTS, "roles", "machine", "kinematics")
+OF_THE_CELL = ("include", "cell", "plugins", *PORTS, "roles", "machine", "kinematics", "notify")
 """What a job cannot say."""
 OWN = (("job", "id"), ("part", "id"))
 """What each job says for itself: its name, and the part that its maps must show."""
@@ -56,8 +56,9 @@ class JobFile:
             section, name = key.split(".")
             fragment[section][name] = value
         raw = copy.deepcopy(dict(cell.raw))
+        _drop_other_tolerance(raw, fragment)
         lay_over(raw, fragment)
-        return CellConfig.of(raw, replace(cell.source, included=(*cell.source.included, source)))
+        return consistent(CellConfig.of(raw, replace(cell.source, included=(*cell.source.included, source))))
 
     def names(self) -> list[str]:
         """The keys by which it names files itself."""
@@ -75,6 +76,15 @@ class JobFile:
 
     def _absolute(self, name: str) -> str:
         return str(self.path.parent / Path(name).expanduser()) if name else name
+
+
+def _drop_other_tolerance(raw: dict[str, Any], fragment: Mapping[str, Any]) -> None:
+    """A tolerance has a long form and a short one: the job's takes the place of the cell's, whichever that is."""
+    if "tolerance" in fragment:
+        for key in ("tolerance_nm", "tolerance_period_mm"):
+            raw["job"].pop(key, None)
+    elif _value(fragment, ("job", "tolerance_nm")) is not None:
+        raw.pop("tolerance", None)
 
 
 def _sections() -> list[str]:

@@ -16,6 +16,7 @@ services = typer.Typer(help="Run a cell as a service of systemd.")
 Reason = Annotated[str, Option("--reason", metavar="TEXT", help="Why: for the journal, and for status.")]
 JobId = Annotated[str, Argument(metavar="ID", help="Its job.id.", show_default=False)]
 Served = Annotated[list[Path], Argument(metavar="CELL.toml...", help="Each cell's configuration.", show_default=False)]
+Queued = Annotated[bool, Option("--queue", help="They work their queues, as with polishd run --queue.")]
 Scope = Annotated[bool, Option("--system/--user", help="The computer's systemd, or that of the present user.")]
 
 
@@ -64,16 +65,16 @@ def job_remove(*, cell: Cell, job: JobId, reason: Reason = "", as_json: Json = F
 
 
 @services.command("install")
-def service_install(cells: Served, *, system: Scope) -> None:
+def service_install(cells: Served, *, system: Scope, queue: Queued = False) -> None:
     """Write a unit that runs these cells in one process, supervised; says how to start it."""
     from polishd.console.service import install_verb
 
-    install_verb(cells, system=system)
+    install_verb(cells, system=system, queue=queue)
 
 
 @services.command("show")
-def service_show(cells: Served, *, system: Scope) -> None:
+def service_show(cells: Served, *, system: Scope, queue: Queued = False) -> None:
     """Print that unit; nothing is written."""
     from polishd.console.service import show_verb
 
-    show_verb(cells, system=system)
+    show_verb(cells, system=system, queue=queue)

@@ -25,14 +25,7 @@ def add_verb(cell: Path, files: Sequence[Path], *, as_json: bool) -> None:
 
     config, hooks = load_cell(cell)
     jobs = judged_jobs(config, hooks, files)
-    try:
-        client.request(config.state_dir, "job_list")
-    except NoDaemon:
-        with Queue.at_rest(config.state_dir) as queue:
-            queue.add(jobs)
-    else:
-        for job in jobs:
-            _ask(config, "job_add", path=str(job.file.path), content=job.file.text)
+    _ask(config, "job_add", files=[{"path": str(job.file.path), "content": job.file.text} for job in jobs])
     list_verb(cell, as_json=as_json)
 
 
@@ -54,7 +47,7 @@ def remove_verb(cell: Path, job: str, reason: str, *, as_json: bool) -> None:
     _show(config, _ask(config, "job_remove", job=job, reason=reason), as_json=as_json)
 
 
-def _ask(config: CellConfig, verb: str, **arguments: str) -> Mapping[str, Any]:
+def _ask(config: CellConfig, verb: str, **arguments: Any) -> Mapping[str, Any]:
     try:
         answer = client.request(config.state_dir, verb, args=arguments)
     except NoDaemon:
@@ -67,7 +60,7 @@ def _ask(config: CellConfig, verb: str, **arguments: str) -> Mapping[str, Any]:
     return answer
 
 
-async def _answered(desk: Desk, verb: str, arguments: Mapping[str, str]) -> Mapping[str, Any]:
+async def _answered(desk: Desk, verb: str, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
     return await desk.handlers[verb](**arguments)
 
 

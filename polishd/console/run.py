@@ -15,6 +15,7 @@ from polishd.config.cell import CellConfig
 from polishd.console.last_words import tell
 from polishd.console.progress import Show, progress
 from polishd.daemon.app import CellRun, run_cells
+from polishd.daemon.endings import for_cell
 from polishd.hooks.cell import load_cell
 from polishd.model.errors import ConfigError, PolishdError, SafetyStop
 from polishd.model.events import Event
@@ -49,7 +50,7 @@ def run_verb(
             ]
             ended = asyncio.run(run_cells(runs, holds=holds))
     except PolishdError as error:
-        return _opened_nothing(error, "")
+        return _opened_nothing(error, "", cells[0])
     named = list(zip(names, ended, strict=True))
     summaries = {name: found for (name, _), found in named if not isinstance(found, Exception)}
     codes = [_code(found) for found in ended]
@@ -105,7 +106,7 @@ def _facts(found: Ended) -> Mapping[str, Any]:
 
 def _tell_end(found: Ended, cell: Path, prefix: str) -> None:
     if isinstance(found, PolishdError):
-        _opened_nothing(found, prefix)
+        _opened_nothing(found, prefix, cell)
     elif isinstance(found, Exception):
         if not prefix:
             raise found  # a fault of ours: with its traceback, which is in the log, too
@@ -116,6 +117,8 @@ def _tell_end(found: Ended, cell: Path, prefix: str) -> None:
         tell(found, cell, prefix)
 
 
-def _opened_nothing(error: PolishdError, prefix: str) -> int:
-    typer.echo(f"polishd: {prefix}{error}\n{prefix}this run opened nothing, and moved nothing", err=True)
+def _opened_nothing(error: PolishdError, prefix: str, cell: Path) -> int:
+    typer.echo(
+        f"polishd: {prefix}{for_cell(str(error), cell)}\n{prefix}this run opened nothing, and moved nothing", err=True
+    )
     return error.exit_code

@@ -71,14 +71,14 @@ ProtectKernelTunables=yes
 """What only the system's own systemd may give."""
 
 
-def show_verb(cells: Sequence[Path], *, system: bool) -> None:
+def show_verb(cells: Sequence[Path], *, system: bool, queue: bool) -> None:
     """Print the unit; nothing is written."""
-    typer.echo(_unit(cells, system=system)[1], nl=False)
+    typer.echo(_unit(cells, system=system, queue=queue)[1], nl=False)
 
 
-def install_verb(cells: Sequence[Path], *, system: bool) -> None:
+def install_verb(cells: Sequence[Path], *, system: bool, queue: bool) -> None:
     """Write the unit where systemd finds it, and say how to start it."""
-    name, text = _unit(cells, system=system)
+    name, text = _unit(cells, system=system, queue=queue)
     folder = Path("/etc/systemd/system") if system else _user_folder()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -94,7 +94,7 @@ def install_verb(cells: Sequence[Path], *, system: bool) -> None:
         typer.echo("to run while nobody is logged in: loginctl enable-linger")
 
 
-def _unit(cells: Sequence[Path], *, system: bool) -> tuple[str, str]:
+def _unit(cells: Sequence[Path], *, system: bool, queue: bool) -> tuple[str, str]:
     """Name and text of the unit; whatever ``load_cell`` raises of a cell that cannot run."""
     configs, safe_s = [], 0.0
     for path in cells:
@@ -102,7 +102,7 @@ def _unit(cells: Sequence[Path], *, system: bool) -> tuple[str, str]:
         configs.append(config)
         safe_s = max(safe_s, build_cell(config, hooks).limits.safe_s)
     names = [config.cell.name for config in configs]
-    words = [sys.executable, "-m", "polishd", "run", *(str(path.absolute()) for path in cells)]
+    words = [sys.executable, "-m", "polishd", "run", *(str(path.absolute()) for path in cells), *["--queue"] * queue]
     owner = cells[0].stat().st_uid
     text = UNIT.format(
         names=", ".join(names).replace("%", "%%"),

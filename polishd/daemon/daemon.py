@@ -16,7 +16,7 @@ from typing import Any, cast
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.cycle import polish
-from polishd.daemon.endings import NEXT, causes, gone, standing
+from polishd.daemon.endings import causes, gone, standing, to_do
 from polishd.daemon.events import EventBus
 from polishd.daemon.health import Health
 from polishd.daemon.interruption import settle
@@ -54,6 +54,7 @@ class Daemon:
         """The one under way, with the journal that knows it."""
         self.bus = bus
         self._cell = cell
+        self._of_queue = False  # what a person is told to run depends on it
         self._holds = holds
         """Wait for a person where one can mend the cause; else end with it."""
         self._error: Exception | None = None
@@ -82,7 +83,7 @@ class Daemon:
         return {
             "state": self.state,
             "reason": self.reason,
-            "next": NEXT.get(self.state, ""),
+            "next": to_do(self.state, queue=self._of_queue),
             **self.job.names(),
             "phase": phase,
             "cycle": cycle,
@@ -141,9 +142,10 @@ class Daemon:
             await make_safe(self._cell)
             await self._cell.close()
 
-    def _standing(self, state: str, reason: str) -> events.StateChanged:
-        """By what the devices confirmed."""
-        return standing(state, reason, self._cell.unsafe if self._cell.identities else None)
+    def _standing(self, state: str, reason: str, *, killed: bool = False) -> events.StateChanged:
+        """By what the devices confirmed; or as it is to be told should the daemon be killed meanwhile."""
+        unsafe = gone(self._cell.acting) if killed else self._cell.unsafe if self._cell.identities else None
+        return standing(state, reason, unsafe, queue=self._of_queue)
 
     async def finish(self, outcome: Outcome, folder: RunFolder, summary: Mapping[str, Any]) -> None:
         """Leave journal and summary in the run folder, and tell whoever reports."""
@@ -278,8 +280,7 @@ class Daemon:
         async with self._changed:
             self.state, self.reason = state, reason
             self._changed.notify_all()
-        known = state in {State.HELD, State.FINISHED}  # meanwhile it may be killed
-        self.bus.publish(self._standing(state, reason) if known else standing(state, reason, gone(self._cell.acting)))
+        self.bus.publish(self._standing(state, reason, killed=state not in {State.HELD, State.FINISHED}))
 
     async def _order(self, verb: Trigger, reason: str = "") -> Mapping[str, Any]:
         """Give an order and answer when it is obeyed; DeviceRefused with the reason why the cell stays held."""
@@ -292,4 +293,4 @@ class Daemon:
             await self._changed.wait_for(lambda: order.refused or order.taken or self.state in obeyed(verb))
         if order.refused and self.state is State.HELD:
             raise DeviceRefused(f"{verb} is refused, the cell stays held: {self.reason}")
-        return {"state": self.state, "reason": self.reason, "next": NEXT.get(self.state, "")}
+        return {"state": self.state, "reason": self.reason, "next": to_do(self.state, queue=self._of_queue)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,18 +62,24 @@ class Desk:
 
     async def list(self) -> Mapping[str, Any]:
         """All jobs."""
-        entries = await asyncio.to_thread(self._queue.entries)
-        return {"jobs": [entry.facts() for entry in entries]}
 
-    async def add(self, path: str, content: str) -> Mapping[str, Any]:
-        """Put one at the end."""
-        if not (where := Path(path)).is_absolute():
-            raise ConfigError(f"{path}: is no absolute path; say where the job's file lies")
+        def facts() -> Sequence[Mapping[str, Any]]:
+            return [entry.facts() for entry in self._queue.entries()]
+
+        return {"jobs": await asyncio.to_thread(facts)}
+
+    async def add(self, files: Sequence[Any]) -> Mapping[str, Any]:
+        """Put them at the end, all or none."""
+        named = [_job_file(file) for file in files]
+
+        def judged() -> Sequence[NewJob]:
+            return [new_job(self._cell, file) for file in named]
+
         async with self._turn:
-            job = await asyncio.to_thread(new_job, self._cell, JobFile(where, content))
-            await asyncio.to_thread(self._queue.add, [job])
+            jobs = await asyncio.to_thread(judged)
+            await asyncio.to_thread(self._queue.add, jobs)
         self._changed()
-        return {"job": job.name, "waiting": len(self._queue.to_do())}
+        return {"added": [job.name for job in jobs], "waiting": len(self._queue.to_do())}
 
     async def move(self, job: str, where: str, other: str = "") -> Mapping[str, Any]:
         """Change the order."""
@@ -82,7 +88,21 @@ class Desk:
         return await self.list()
 
     async def remove(self, job: str, reason: str = "") -> Mapping[str, Any]:
-        """Take one out that waits; one under way, too, which is put aside: a daemon refuses that unless it is held."""
+        """Take one out that waits; where no daemon works the queue the one under way, too, which is put aside."""
         async with self._turn:
             await asyncio.to_thread(self._queue.remove, job, reason)
         return await self.list()
+
+    async def remove_waiting(self, job: str, reason: str = "") -> Mapping[str, Any]:
+        """Take one out that waits."""
+        async with self._turn:
+            await asyncio.to_thread(self._queue.remove_waiting, job, reason)
+        return await self.list()
+
+
+def _job_file(given: Any) -> JobFile:
+    match given:
+        case {"path": str(path), "content": str(content), **more} if not more and Path(path).is_absolute():
+            return JobFile(Path(path), content)
+        case _:
+            raise ConfigError('a job\'s file is {"path": ..., "content": ...}: its absolute path, and its text')

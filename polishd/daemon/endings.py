@@ -46,12 +46,13 @@ NEXT: Mapping[str, str] = {
 """What to do, by state or outcome: nobody is told to resume where no daemon runs, nor to run where one is held."""
 
 
-def of_queue(text: str) -> str:
-    """What to do, where a queue was worked."""
-    return text.replace("polishd run CELL.toml", "polishd run CELL.toml --queue")
+def to_do(state: str, *, queue: bool) -> str:
+    """What to do, by state or outcome, where a queue is worked or one job."""
+    text = NEXT.get(state, "")
+    return text.replace("polishd run CELL.toml", "polishd run CELL.toml --queue") if queue else text
 
 
-def standing(state: str, reason: str, unsafe: Sequence[str] | None) -> StateChanged:
+def standing(state: str, reason: str, unsafe: Sequence[str] | None, *, queue: bool = False) -> StateChanged:
     """How a cell stands: ``state`` is the daemon's, or ``killed``, ``failed`` or the job's outcome where it has ended.
 
     ``unsafe`` is ``Cell.unsafe``; None: the cell was not opened, and no device was asked.
@@ -70,7 +71,7 @@ def standing(state: str, reason: str, unsafe: Sequence[str] | None) -> StateChan
             tool_off=confirmed("actuator"),
             robot_at_rest=confirmed("robot"),
             unsafe=list(unsafe or ()),
-            next=NEXT.get(state, ""),
+            next=to_do(state, queue=queue),
         ),
     )
 
@@ -147,8 +148,7 @@ def last_ending(state_dir: Path) -> Mapping[str, Any]:
         if state not in set(State) - {State.FINISHED}:
             return facts
         was = f"the daemon was killed, or its machine went down, while {state}{f': {reason}' if reason else ''}"
-        told = {**facts, **standing("killed", was, tuple(facts["unsafe"])).data}
-        return {**told, "next": of_queue(told["next"])} if facts.get("queue") else told
+        return {**facts, **standing("killed", was, tuple(facts["unsafe"]), queue=bool(facts.get("queue"))).data}
     except FileNotFoundError:
         return standing("unknown", f"no daemon has left word in {state_dir}", None).data
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -7,7 +7,6 @@ the same, watched and left like any other (``safety.contact``).
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from contextlib import aclosing
 from dataclasses import asdict
@@ -24,14 +23,12 @@ from polishd.daemon.stream import Stream, streaming
 from polishd.daemon.touch import Touch
 from polishd.model import events
 from polishd.model.cycle import Phase
-from polishd.model.errors import DeviceError, DeviceRefused, HandlingError, NotSettled, WrongSeat
+from polishd.model.errors import DeviceError, DeviceRefused, HandlingError, NotSettled, SeatNotLeft, WrongSeat
 from polishd.model.handling import Seat, Settle, Step, TouchOff
 from polishd.model.program import Plan
 from polishd.process.seat import seat_of
 from polishd.recipe import steps, touch_off
 from polishd.recipe.records import Measured
-
-log = logging.getLogger(__name__)
 
 FORCE_BAND = 0.25
 """Of the touch-off: with 0.8 N no more than 1 N acts."""
@@ -131,8 +128,10 @@ class Handling:
                 async with contact(cell, limits, Touch(_no_block, cell.limits.robot.silence_s)):
                     position_mm = await self._position_mm(limits)
             except WrongSeat as nothing:
-                await self._away(stream, nothing)
-                raise WrongSeat(_nothing(asked, place, str(nothing))) from nothing
+                said, stays = _nothing(asked, place, str(nothing)), await self._stays(stream)
+                if stays:
+                    raise SeatNotLeft(f"{said}. The robot stands at that place still: {stays}") from nothing
+                raise WrongSeat(said) from nothing
             await stream.retreat()
         return position_mm
 
@@ -152,15 +151,15 @@ class Handling:
                     break
         return float(np.mean(found))
 
-    async def _away(self, stream: Stream, error: WrongSeat) -> None:
-        """The robot leaves the place too, where the tool is known to be up."""
+    async def _stays(self, stream: Stream) -> str:
+        """The robot leaves the place too, where the tool is known to be up; why it does not, empty where it has."""
         if self._cell.unsafe:
-            return
+            return "; ".join(self._cell.unsafe)
         try:
             await stream.retreat()
         except DeviceError as late:
-            log.warning("the robot stays at the place of the touch-off: %s", late)
-            error.add_note(str(late))
+            return str(late)
+        return ""
 
 
 def _no_block(_: Sequence[BlockRecord]) -> None:

@@ -12,6 +12,7 @@ from polishd.daemon.journal_memory import Known
 from polishd.daemon.journal_records import ExecutedBlocks, MapRecord, PassRecord, Tally, joined
 from polishd.daemon.journal_store import Store
 from polishd.model.cycle import Phase
+from polishd.model.errors import WrongSeat
 
 NOTHING = Tally()
 
@@ -101,13 +102,41 @@ class JobKnowledge:
         return {phase.value: found[phase.value] for phase in Phase if phase.value in found}
 
     def errors(self) -> list[tuple[float, str, Mapping[str, Any]]]:
-        """What held or ended this job's daemon, in time order: Unix time, event's name, its data."""
-        sql = "SELECT at, name, data FROM event WHERE job = ? AND name IN ('held', 'failed') ORDER BY id"
-        return [(at, name, json.loads(data)) for at, name, data in self._store.read(sql, (self._job,))]
+        """What held or ended this job's daemon, in time order: Unix time, event's name, its data.
+
+        Between jobs those of this run: earlier ones are nobody's.
+        """
+        sql = "SELECT at, name, data FROM event WHERE job = ? AND id > ? AND name IN ('held', 'failed') ORDER BY id"
+        found = self._store.read(sql, (self._job, self._known.events_before))
+        return [(at, name, json.loads(data)) for at, name, data in found]
+
+    def held_last(self) -> str:
+        """Why the cell was held, or its queue stopped, when its last daemon ended; empty where neither was so."""
+        sql = (
+            "SELECT data FROM event WHERE (name = 'state' AND json_extract(data, '$.state') NOT IN ('starting', "
+            "'finished')) OR (name = 'job_ended' AND json_extract(data, '$.stops') != '') ORDER BY id DESC LIMIT 1"
+        )
+        for (text,) in self._store.read(sql):
+            data = json.loads(text)
+            if "stops" in data:  # without a person it ends there, and is never held
+                return f"the queue stopped: {data['stops']}; {data['job']} was {data['verdict']}: {data['reason']}"
+            return str(data["reason"]) if data["state"] == "held" else ""
+        return ""
 
     def unfinished(self) -> PassRecord | None:
         """The pass that was begun and never ended, or None."""
         return next((record for record in self.passes if record.ended_s is None), None)
+
+    def cut_off(self) -> int | None:
+        """The last pass or touch-off of this cell, where it did not come to its end: the robot stands there.
+
+        None where it did; a wrong seat is an end, once the robot has left it. By its row among the phases.
+        """
+        sql = "SELECT id, outcome, error FROM phase WHERE phase IN (?, ?) ORDER BY id DESC LIMIT 1"
+        for number, outcome, error in self._store.read(sql, (Phase.RUN.value, Phase.TOUCH_OFF.value)):
+            if outcome != "done" and not (error or "").startswith(f"{WrongSeat.__name__}:"):
+                return int(number)
+        return None
 
     def passes_before(self, cycle: int, most: int) -> list[Mapping[str, Any]]:
         """Facts of the last whole passes of any job of this cell before that cycle's, the latest first."""

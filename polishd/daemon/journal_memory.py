@@ -28,6 +28,8 @@ class Known:
     tallies: dict[int, Tally]
     unknown: dict[int, tuple[tuple[int, int], ...]]
     """By cycle, executed blocks of which nobody knows whether the tool touched: ranges, ends excluded."""
+    events_before: int = 0
+    """Number of the last event that is not its own, though it has the same job: between jobs, of earlier runs."""
 
     def add(self, cycle: int, records: Sequence[BlockRecord]) -> None:
         """Blocks were executed; those that were before change nothing."""
@@ -43,7 +45,8 @@ class Known:
 
 def nothing_known(store: Store) -> Known:
     """Between jobs."""
-    return Known(None, "", _last_map(store), {}, {}, None, {}, {})
+    ((before,),) = store.read("SELECT ifnull(max(id), 0) FROM event")
+    return Known(None, "", _last_map(store), {}, {}, None, {}, {}, before)
 
 
 def read_job(store: Store, job: int) -> Known:

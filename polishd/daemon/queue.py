@@ -156,19 +156,28 @@ class Queue:
         self._write(*((sql, (place, entry.id)) for place, entry in zip(places, order, strict=True)))
 
     def remove(self, name: str, reason: str = "") -> None:
-        """Take a job out that waits; its row stays, with its end. One that no daemon goes on with is put aside."""
+        """As ``remove_waiting``; at rest, where no daemon goes on with it, also the one under way: it is put aside."""
         entry = self.under_way()
         if entry is None or entry.name != name:
-            self._write(self._end_row(_named(self._waiting(), name), REMOVED, reason, ""))
+            self.remove_waiting(name, reason)
             return
         over = [over_row(entry.job, "put aside", reason)] if entry.job else []
         self.end(entry, Verdict("put aside", reason or BY_A_PERSON, ""), *over)
 
+    def remove_waiting(self, name: str, reason: str = "") -> None:
+        """Take a job out that waits; its row stays, with its end. ConfigError where it begins in the same moment."""
+        entry = _named(self._waiting(), name)
+        sql, values = self._end_row(entry, REMOVED, reason, "")
+        self._write((f"{sql} AND begun IS NULL", values))
+        if self.holds(entry):
+            raise ConfigError(f"the job {name!r} has just begun: hold the cell first (polishd hold)")
+
     def begin(self, entry: Entry, job: int) -> None:
         """It is under way, as that row of the journal's jobs; ConfigError where it was taken out meanwhile."""
+        sql = "UPDATE queue SET begun = ?, job = ? WHERE id = ? AND ended IS NULL"
+        self._write((sql, (time.time(), job, entry.id)))
         if not self.holds(entry):
             raise ConfigError(f"the job {entry.name!r} was taken out of the queue")
-        self._write(("UPDATE queue SET begun = ?, job = ? WHERE id = ?", (time.time(), job, entry.id)))
 
     def end(self, entry: Entry, verdict: Verdict, *also: Row) -> None:
         """It is over, durably, together with other rows; one that never came to its begin has begun and ended now."""

@@ -13,18 +13,20 @@ from polishd.daemon.compute import Compute
 from polishd.daemon.courier import Notifier
 from polishd.daemon.daemon import Daemon
 from polishd.daemon.desk import Desk
-from polishd.daemon.endings import keep_ending, keeping, now, of_queue
+from polishd.daemon.endings import keep_ending, keeping, now
 from polishd.daemon.job_maker import JobMaker
 from polishd.daemon.journal import Journal
+from polishd.daemon.making import figures
 from polishd.daemon.notifications import told
 from polishd.daemon.queue_daemon import QueueDaemon
 from polishd.daemon.service import serving
 from polishd.daemon.shift import Shift, taken_up
 from polishd.daemon.states import State
 from polishd.hooks.loader import Hooks
+from polishd.model.concern import Standing
 from polishd.model.cycle import Outcome
 from polishd.model.errors import PolishdError
-from polishd.model.events import Event
+from polishd.model.events import Event, QueueEnded
 
 log = logging.getLogger(__name__)
 
@@ -73,17 +75,30 @@ async def _serve(config: CellConfig, daemon: QueueDaemon, shift: Shift) -> dict[
         last = _last_words(daemon, shift, outcome, failure)
         keep_ending(config.state_dir, last)
         with suppress(PolishdError):  # of a lost journal, which has been told
+            await _leave(daemon, shift, last, failed=failure is not None)
             await daemon.become(State.FINISHED, last["state"])
             daemon.job.journal.flush()
     outcome_word = last.pop("state")
     return {"outcome": outcome_word, "jobs": dict(shift.ended), "started": started, "ended": now(), **last}
 
 
+async def _leave(daemon: QueueDaemon, shift: Shift, last: Mapping[str, Any], *, failed: bool) -> None:
+    """A job that stays open has a summary and a report all the same; who ended the queue, or that it is empty, is told.
+
+    Of a failure that was done already.
+    """
+    if shift.entry is not None:
+        await shift.leave({**last, **figures(shift.job), "outcome": last["state"], "job": shift.entry.name})
+    if not failed:
+        jobs = ", ".join(f"{count} {how}" for how, count in shift.ended.items())
+        outcome, reason, standing = str(last["state"]), str(last["reason"]), Standing.of(last)
+        daemon.bus.publish(QueueEnded(outcome=outcome, reason=reason, jobs=jobs or "none", standing=standing))
+
+
 def _last_words(daemon: QueueDaemon, shift: Shift, outcome: Outcome, failure: Exception | None) -> dict[str, Any]:
     """As of one job; one that ended because nothing waits is no failure, unless a part was not accepted."""
     last: dict[str, Any] = daemon.last_words(outcome, failure)
     folder: Mapping[str, Any] = {"run_dir": str(shift.folder.path)} if shift.folder else {}
-    last["next"] = of_queue(last["next"])
     if failure is None and shift.first() is None and outcome is not Outcome.STOPPED:
         last |= {"state": "empty", "next": EMPTY, "exit_code": int(set(shift.ended) - {"accepted"} != set())}
     return {**last, **folder}

@@ -10,7 +10,6 @@ from typing import Any
 from polishd.daemon.cell import Cell
 from polishd.daemon.daemon import Daemon, Turn
 from polishd.daemon.desk import Desk
-from polishd.daemon.endings import of_queue
 from polishd.daemon.events import EventBus
 from polishd.daemon.interruption import settle
 from polishd.daemon.job import Job
@@ -24,13 +23,14 @@ from polishd.daemon.states import State, Trigger
 from polishd.daemon.verdicts import Verdict, judge
 from polishd.model import events
 from polishd.model.cycle import Outcome
-from polishd.model.errors import DeviceFault, DeviceRefused, PolishdError, WrongPart
+from polishd.model.errors import DeviceFault, DeviceRefused, HostFault, PolishdError, ToolStop, WrongPart
 from polishd.ports.devices import Loader
 
 IN_THE_WAY = (
-    "the robot stands where its last pass was cut off, and the loader must not move under it; drive the robot away at "
-    "its own controller, then resume"
+    "the robot stands where its last pass or touch-off was cut off, and the loader must not move under it; drive the "
+    "robot away at its own controller, then resume"
 )
+ENDED = Turn(Trigger.ENDED)
 
 
 class QueueDaemon(Daemon):
@@ -40,14 +40,15 @@ class QueueDaemon(Daemon):
         self, cell: Cell, shift: Shift, desk: Desk, bus: EventBus, *, holds: bool = True, until_empty: bool = False
     ) -> None:
         super().__init__(cell, shift.job, bus, holds=holds)
+        self._of_queue = True
         self._shift, self._desk, self._until_empty = shift, desk, until_empty
         self._does = {**self._does, State.IDLE: self._next, State.CHANGING: self._change}
         self._asides: asyncio.Queue[tuple[Entry, Order]] = asyncio.Queue()
         begun = shift.entry is not None and shift.job.journal.begun
         self._part_in = shift.entry.part_id if begun and shift.entry else ""
         """The part in the cell, as far as is known; a map proves it."""
-        self._in_the_way = False
-        """The robot may stand over the part: its last pass was cut off, and nobody has said since that it may go on."""
+        self._seen: int | None = None
+        """What was cut off (``Journal.cut_off``), and a person said since that it may go on."""
 
     @property
     def handlers(self) -> dict[str, Handler]:
@@ -58,13 +59,16 @@ class QueueDaemon(Daemon):
         """Of the cell, and of the queue."""
         waiting = [entry for entry in self._shift.queue.to_do() if entry.begun_s is None]
         next_job = f"{waiting[0].name} (part {waiting[0].part_id})" if waiting else ""
-        found = await super().status()
-        return {**found, "next": of_queue(found["next"]), "waiting": len(waiting), "next_job": next_job}
+        return {**await super().status(), "waiting": len(waiting), "next_job": next_job}
 
     # what happens in each state
 
     async def _start(self) -> Turn:
-        return _between(await super()._start(), Trigger.READY)
+        before = self.job.journal.held_last()
+        turn = await super()._start()
+        if turn.trigger is Trigger.READY and before:
+            return Turn(Trigger.INTERRUPTED, before)  # nobody has said since that it may go on
+        return _between(turn, Trigger.READY)
 
     async def _wait(self) -> Turn:
         turns: list[Turn] = []
@@ -76,9 +80,12 @@ class QueueDaemon(Daemon):
         if aside is not None:
             kind = type(self._error).__name__ if self._error else ""
             reason = aside.reason or f"{BY_A_PERSON}, held over: {self.reason}"
-            return await self._ended(Verdict("put aside", reason, kind))
+            verdict = Verdict("put aside", reason, kind)
+            if self._shift.entry is None and (begun := self._shift.queue.under_way()) is not None:
+                return self._refused(begun, verdict)
+            return await self._ended(verdict)
         if turns[0].trigger is Trigger.RESUME:
-            self._in_the_way = False  # a person has looked
+            self._seen = self.job.journal.cut_off()  # a person has looked, and was told what at
         return _between(turns[0], Trigger.RESUME)
 
     async def _next(self) -> Turn:
@@ -105,11 +112,13 @@ class QueueDaemon(Daemon):
             verdict = self._judged(error)
             if verdict is None:
                 raise
-            self._shift.refuse(entry, verdict)
-            return _after(verdict, entry.name, Turn(Trigger.ERROR, error=error))
-        run_dir = str(self._shift.folder.path) if self._shift.folder else ""
-        self.bus.publish(events.JobBegun(job=entry.name, part_id=entry.part_id, run_dir=run_dir))
+            return self._refused(entry, verdict, Turn(Trigger.ERROR, error=error))
         return Turn(Trigger.NEXT, self._to_change())
+
+    def _refused(self, entry: Entry, verdict: Verdict, turn: Turn = ENDED) -> Turn:
+        """A job that could not begin has its verdict."""
+        self._shift.refuse(entry, verdict)
+        return _after(verdict, entry.name, turn)
 
     async def _change(self) -> Turn:
         """Put the job's part in. No loader moves before every device has confirmed that it is safe."""
@@ -117,8 +126,8 @@ class QueueDaemon(Daemon):
             raise RuntimeError("a fault of polishd: no job is under way; please report it")
         part, port = self._shift.entry.part_id, self._cell.used.get("loader")
         if port is None:
-            return await self._changed_by_person(part)
-        if self._in_the_way:
+            return await self._changed_by_person(self._shift.entry.name, part)
+        if self._in_the_way():
             raise DeviceRefused(IN_THE_WAY)
         await make_safe(self._cell)
         if self._cell.unsafe:
@@ -139,12 +148,14 @@ class QueueDaemon(Daemon):
         await make_safe(self._cell)
         return self._interrupted(order)
 
-    async def _changed_by_person(self, part: str) -> Turn:
+    async def _changed_by_person(self, job: str, part: str) -> Turn:
         if part == self._part_in:
             return Turn(Trigger.CHANGED)
         if not self._holds:
             raise DeviceRefused(f"a person is to put part {part!r} in, and --no-hold waits for none; see docs/queue.md")
         self._part_in = ""
+        standing = self._standing(State.CHANGING, "").standing
+        self.bus.publish(events.PartWanted(job=job, part_id=part, standing=standing))
         order = await self._orders.next()
         if order.verb is not Trigger.RESUME:
             return self._interrupted(order)
@@ -172,7 +183,6 @@ class QueueDaemon(Daemon):
             if self._cell.unsafe:
                 return turn  # it ends the daemon, and the job stays open: a person has to look first
             await settle(self._cell, self.job.journal)
-            self._in_the_way = True
         end = turn.error if isinstance(turn.error, PolishdError) else turn.outcome
         return await self._over(end, turn, torn=torn)
 
@@ -186,9 +196,13 @@ class QueueDaemon(Daemon):
         tool = "; ".join(found.what for found in self.job.findings if found.stops == "cell")
         return judge(end, torn=torn, previous=before.fault if before else "", tool=tool)
 
-    async def _ended(self, verdict: Verdict, turn: Turn | None = None) -> Turn:
-        entry, turn = self._shift.entry, turn or Turn(Trigger.ENDED)
-        failure = turn.error if isinstance(turn.error, Exception) else None
+    async def _ended(self, verdict: Verdict, turn: Turn = ENDED) -> Turn:
+        entry, failure = self._shift.entry, turn.error
+        if failure is not None:
+            self.bus.publish(events.Held(error=str(failure), kind=type(failure).__name__))
+            self._error = failure  # it is told: with the job, while that is still under way
+        if verdict.how == "put aside":
+            self._part_in = ""  # it may be another part, or sit wrong: a person is asked for it again
         last = self.last_words(turn.outcome, failure)
         name = entry.name if entry else ""
         told = {"job": name, "verdict": verdict.how, "reason": verdict.reason, "next": verdict.stops}
@@ -202,28 +216,49 @@ class QueueDaemon(Daemon):
 
     async def _remove(self, job: str, reason: str = "") -> Mapping[str, Any]:
         """Take one out that waits, or put the one aside over which the cell is held."""
-        entry = self._shift.entry
+        entry = self._under_way()
         if entry is None or entry.name != job:
-            return await self._desk.remove(job, reason)
+            return await self._desk.remove_waiting(job, reason)
         if self.state is not State.HELD or self._cell.unsafe:
             why = "a device is not confirmed to be safe" if self._cell.unsafe else f"the cell is {self.state}"
             raise DeviceRefused(f"{job!r} is under way, and {why}: hold the cell first (polishd hold)")
         self._asides.put_nowait((entry, Order(Trigger.ENDED, " ".join(reason.split()))))
         async with self._changed:
-            await self._changed.wait_for(lambda: self._shift.entry is not entry or self.state is not State.HELD)
-        if self._shift.entry is entry:
+            await self._changed.wait_for(lambda: not self._goes_on(entry) or self.state is not State.HELD)
+        if self._goes_on(entry):
             raise DeviceRefused(f"{job!r} goes on: somebody was faster")
         return await self._desk.list()
 
     async def _asked_aside(self) -> Order:
-        while (asked := await self._asides.get())[0] is not self._shift.entry:
+        while not self._goes_on((asked := await self._asides.get())[0]):
             pass
         return asked[1]
 
+    def _under_way(self) -> Entry | None:
+        """The job that is under way, or being made ready."""
+        return self._shift.entry or self._shift.queue.under_way()
+
+    def _goes_on(self, entry: Entry) -> bool:
+        now = self._under_way()
+        return now is not None and now.id == entry.id
+
     def _interrupted(self, order: Order) -> Turn:
+        if order.verb is Trigger.UNFIT:  # said while the last job's end was written, say
+            return self._failed(HostFault(order.reason))
         if order.verb is Trigger.STOP:
             return Turn(Trigger.STOP, self._stopped_by(order))
         return Turn(order.verb, self._held_by(order, ""))
+
+    def _in_the_way(self) -> bool:
+        """The robot may stand over the part, and a loader is to move there."""
+        left = self.job.journal.cut_off() if "loader" in self._cell.used else None
+        return left is not None and left != self._seen
+
+    async def become(self, state: State, reason: str) -> None:
+        """Whoever is to resume is told that a loader moves then."""
+        if state is State.HELD and IN_THE_WAY not in reason and self._in_the_way():
+            reason = f"{reason}; {IN_THE_WAY}"
+        await super().become(state, reason)
 
     def _is_in(self, part: str, by: str) -> None:
         self._part_in = part
@@ -247,4 +282,5 @@ def _after(verdict: Verdict, name: str, turn: Turn) -> Turn:
     if not verdict.stops:
         return Turn(Trigger.ENDED)
     reason = f"the queue stopped: {verdict.stops}; {name} was {verdict.how}: {verdict.reason}"
-    return replace(turn, trigger=Trigger.STOPS, reason=reason)
+    error = turn.error or (ToolStop(reason) if verdict.how == "accepted" else None)
+    return replace(turn, trigger=Trigger.STOPS, reason=reason, error=error)

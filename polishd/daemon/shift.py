@@ -72,6 +72,7 @@ class Shift:
         """Its job is under way; PolishdError where anything of it is wrong: nothing has moved then."""
         job, self.folder = await self._make(entry, self.queue, self._of_cell, self.tell)
         self.job, self.entry, self._began = job, entry, now()
+        self.tell(events.JobBegun(job=entry.name, part_id=entry.part_id, run_dir=str(self.folder.path)))
         return job
 
     async def end(self, verdict: Verdict, summary: Mapping[str, Any]) -> None:
@@ -80,15 +81,26 @@ class Shift:
         if entry is None or folder is None:
             raise RuntimeError("a fault of polishd: no job is under way; please report it")
         self.queue.end(entry, verdict, over_row(job.journal.number, _outcome(verdict), verdict.reason))
+        await self.leave(summary)
+        self._told_end(entry, verdict, str(folder.path))
+        self.job, self.entry, self.folder = NoJob(self._of_cell), None, None
+
+    async def leave(self, summary: Mapping[str, Any]) -> None:
+        """What is known of the job under way is left in its run folder, and told; nothing where there is none.
+
+        ``summary`` has ``outcome`` and ``reason``.
+        """
+        folder = self.folder
+        if folder is None:
+            return
         told = {**summary, "run_dir": str(folder.path), "started": self._began, "ended": now()}
         try:
             await asyncio.to_thread(folder.json, "summary.json", told)
-            await asyncio.to_thread(job.journal.copy_to, folder.path / "journal.sqlite")
+            await asyncio.to_thread(self.job.journal.copy_to, folder.path / "journal.sqlite")
         except (OSError, PolishdError) as error:
             log.error("%s is not whole: %s; the journal has it all", folder.path, error)
-        self.tell(events.JobFinished(run_dir=str(folder.path), outcome=str(summary["outcome"])))
-        self._told_end(entry, verdict, str(folder.path))
-        self.job, self.entry, self.folder = NoJob(self._of_cell), None, None
+        outcome, reason = str(summary["outcome"]), str(summary["reason"])
+        self.tell(events.JobFinished(run_dir=str(folder.path), outcome=outcome, reason=reason))
 
     def refuse(self, entry: Entry, verdict: Verdict) -> None:
         """A job that could not begin is over."""

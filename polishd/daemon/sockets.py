@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 SOCKET_NAME = "polishd.sock"
-LINE_BYTES = 1 << 16
-"""Longest line of a request."""
+LINE_BYTES = 1 << 22
+"""Longest line of a request: some thousands of jobs."""
 _LONGEST = 100
 
 

@@ -38,8 +38,12 @@ class Verb:
 
 REASON = Argument("reason", str, "why, for whoever reads the journal and `status`")
 
-PATH = Argument("path", str, "where the job's file lay: paths in it start from its folder", required=True)
-CONTENT = Argument("content", str, "its text", required=True)
+FILES = Argument(
+    "files",
+    list,
+    "of each job's file `path`, absolute, from whose folder paths in it start, and `content`",
+    required=True,
+)
 JOB = Argument("job", str, "`job.id`", required=True)
 WHERE = Argument("where", str, "`before`, `after`, `first` or `last`", required=True)
 OTHER = Argument("other", str, "the job that waits before or after which")
@@ -54,7 +58,7 @@ VERBS: Mapping[str, Verb] = {
         Verb("stop", "leave contact, stand still, and end the daemon", "an order", (REASON,)),
         Verb("estop", "stop motion at once, whatever the part costs; then wait for `resume`", "an order", (REASON,)),
         Verb("job_list", "the jobs of the queue: that under way, those that wait, those that ended"),
-        Verb("job_add", "put a job at the end of the queue", "the queue", (PATH, CONTENT)),
+        Verb("job_add", "put jobs at the end of the queue, all or none", "the queue", (FILES,)),
         Verb("job_move", "move a job that waits", "the queue", (JOB, WHERE, OTHER)),
         Verb(
             "job_remove",
@@ -66,7 +70,7 @@ VERBS: Mapping[str, Verb] = {
 }
 """An order is answered when it is obeyed."""
 
-_WORDS = {str: "a string", int: "a whole number", float: "a number", bool: "true or false"}
+_WORDS = {str: "a string", int: "a whole number", float: "a number", bool: "true or false", list: "a list"}
 
 
 def read_request(line: bytes, offered: Iterable[str]) -> tuple[str, dict[str, Any]]:

@@ -27,6 +27,7 @@ PolishdError
   SafetyStop       the cell left contact by itself                      (7)
   HandlingError *  somebody has to see to part or pad, then go on       (11)
     WrongSeat      the part does not sit where it should
+      SeatNotLeft  nor could the robot leave the place where it was looked for
 """
 
 
@@ -157,3 +158,7 @@ class HandlingError(PolishdError):
 
 class WrongSeat(HandlingError):
     """A touch-off found the part too high, too low, tilted, or not at all; nothing was polished."""
+
+
+class SeatNotLeft(WrongSeat):
+    """A touch-off found no part, and the robot stands there still."""

@@ -50,12 +50,33 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JobBegun(Event):
-    """A job of the queue begins; its part is put in next."""
+    """A job of the queue begins, or goes on after a restart; its part is put in next."""
 
     name: ClassVar[str] = "job_begun"
     job: Annotated[str, "its `job.id`"]
     part_id: Annotated[str, "its part"]
     run_dir: Annotated[str, "the run folder"]
+
+
+STANDING = (
+    "`tool_off`: `yes`, `not confirmed` or `not asked`; `robot_at_rest`: the same; `unsafe`: each device that did not "
+    "confirm being safe: `name: why`; `next`: what a person may do"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PartWanted(Event):
+    """A person is to put a part in; nothing moves before."""
+
+    name: ClassVar[str] = "part_wanted"
+    job: Annotated[str, "the `job.id` of its job"]
+    part_id: Annotated[str, "the part"]
+    standing: Annotated[Standing, STANDING]
+
+    def concern(self) -> Concern:
+        """Warning; alarm where a device did not confirm, too."""
+        what = f"{self.job}: a person is to put part {self.part_id!r} in"
+        return self.standing.concern(Severity.WARNING, what, "it waits for that")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,6 +100,29 @@ class JobEnded(Event):
     stops: Annotated[str, "why the queue stops over it; empty where it goes on"]
     run_dir: Annotated[str, "the run folder; empty where the job never began"]
 
+    def concern(self) -> Concern:
+        """Info where accepted, else warning."""
+        severity = Severity.INFO if self.verdict == "accepted" else Severity.WARNING
+        what = f"{self.job} (part {self.part_id}) was {self.verdict}: {self.reason}"
+        does = f"the queue stops: {self.stops}" if self.stops else "the queue goes on"
+        return Concern(severity, what, does, "polishd job list CELL.toml shows the queue")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QueueEnded(Event):
+    """The daemon of a queue ends; not where an error ended it."""
+
+    name: ClassVar[str] = "queue_ended"
+    outcome: Annotated[str, "`empty`, `stopped`, or the outcome of the job over which it stopped"]
+    reason: Annotated[str, "why it was stopped; else empty"]
+    jobs: Annotated[str, "how many jobs of this run ended how"]
+    standing: Annotated[Standing, "as of `state`"]
+
+    def concern(self) -> Concern:
+        """Info; alarm where a device did not confirm."""
+        what = ": ".join(filter(None, [f"queue: {self.outcome}", self.reason]))
+        return self.standing.concern(Severity.INFO, f"{what}; jobs: {self.jobs}", "the daemon has ended")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Opened(Event):
@@ -86,12 +130,6 @@ class Opened(Event):
 
     name: ClassVar[str] = "opened"
     devices: Annotated[Mapping[str, Identity], "by name: `vendor`, `model`, `serial`, `firmware`, `boot_id`"]
-
-
-STANDING = (
-    "`tool_off`: `yes`, `not confirmed` or `not asked`; `robot_at_rest`: the same; `unsafe`: each device that did not "
-    "confirm being safe: `name: why`; `next`: what a person may do"
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,7 +159,7 @@ class Ordered(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Held(Event):
-    """An error that a person can mend holds the cell."""
+    """An error that a person can mend holds the cell, or any error ends a job of the queue."""
 
     name: ClassVar[str] = "held"
     error: Annotated[str, "what is wrong, and what to do"]
@@ -259,7 +297,7 @@ class JobFinished(Event):
     name: ClassVar[str] = "job_finished"
     run_dir: Annotated[str, "the run folder"]
     outcome: Annotated[str, "`in_tolerance`, `cycles_used`, `diverged`, `stalled`, `stopped` or `failed`"]
-    reason: Annotated[str, "why it was stopped or failed; else empty"] = ""
+    reason: Annotated[str, "why it was stopped or failed, or what of a queue was decided; else empty"] = ""
     standing: Annotated[Standing | None, "as of `state`; None where the daemon goes on"] = None
 
     def concern(self) -> Concern | None:
@@ -301,7 +339,8 @@ class PlanWritten(Event):
 
 
 EVENTS: tuple[type[Event], ...] = (
-    Opened, StateChanged, Ordered, Held, Failed, JobBegun, PartChanged, Measured, Repeated, GateStopped, Learned, Found,
-    Solved, TouchedOff, PassBegun, Progress, PassEnded, JobFinished, JobEnded, NotificationFailed, PlanWritten,
+    Opened, StateChanged, Ordered, Held, Failed, JobBegun, PartWanted, PartChanged, Measured, Repeated, GateStopped,
+    Learned, Found, Solved, TouchedOff, PassBegun, Progress, PassEnded, JobFinished, JobEnded, QueueEnded,
+    NotificationFailed, PlanWritten,
 )  # fmt: skip
 """Every kind, in the order in which they come in a job."""

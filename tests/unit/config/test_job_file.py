@@ -77,6 +77,26 @@ def test_what_is_the_cells_is_refused_by_its_line(cell: CellConfig, tmp_path: Pa
     assert "'dwell'" in said
 
 
+LINES = """
+[[tolerance]]
+rms_nm = 1.5
+"""
+
+
+def test_the_jobs_tolerance_takes_the_place_of_the_cells_in_whichever_form(cell: CellConfig, tmp_path: Path) -> None:
+    long = job_file(tmp_path, JOB.replace("tolerance_nm = 3.5\n", "") + LINES)
+    laid = long.laid_over(cell)
+    assert cell.job.tolerance_nm is not None
+    assert (laid.job.tolerance_nm, [section.rms_nm for section in laid.tolerance]) == (None, [1.5])
+    back = job_file(tmp_path, JOB).laid_over(laid)
+    assert (back.job.tolerance_nm, back.tolerance) == (3.5, ())
+
+
+def test_a_job_that_says_both_forms_is_refused_by_its_line(cell: CellConfig, tmp_path: Path) -> None:
+    said = refused(cell, job_file(tmp_path, JOB + LINES))
+    assert said.startswith("JOB:4: job.tolerance_nm: there are [[tolerance]] lines, too; keep one of both")
+
+
 def test_it_includes_nothing(cell: CellConfig, tmp_path: Path) -> None:
     assert refused(cell, job_file(tmp_path, 'include = ["a.toml"]\n' + JOB)).startswith("JOB:1: include: is the cell's")
 

@@ -42,6 +42,8 @@ def test_a_unit_is_supervised_and_restarts_only_what_comes_up_held(polishd: Poli
     assert values(unit, "Restart") == ["on-abnormal"]
     assert values(unit, "RestartForceExitStatus") == [str(DeviceError.exit_code)]
     assert values(unit, "ExecStart") == [f"{sys.executable} -m polishd run {EXAMPLE}"]
+    queue = polishd("service", "show", EXAMPLE, "--user", "--queue").out
+    assert values(queue, "ExecStart") == [f"{sys.executable} -m polishd run {EXAMPLE} --queue"]
     assert "LimitNICE" not in unit, "its own user's systemd may not give it"
     assert float(values(unit, "TimeoutStopSec")[0]) > float(values(unit, "WatchdogSec")[0])
 

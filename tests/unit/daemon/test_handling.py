@@ -23,6 +23,7 @@ from polishd.model.errors import (
     NotSettled,
     PlanRefused,
     SafetyStop,
+    SeatNotLeft,
     WrongSeat,
 )
 from polishd.model.handling import Between, Settle, Step, TouchOff
@@ -144,7 +145,7 @@ async def test_a_tool_that_meets_nothing_is_driven_no_deeper_than_the_seat_may_b
 async def test_where_the_tool_is_not_known_to_be_up_the_robot_stays(bench: Bench) -> None:
     sits(bench, None)
     bench.fake.actuator.acts.fails["make_safe"] = LinkError("the coil is gone")
-    with pytest.raises(WrongSeat):
+    with pytest.raises(SeatNotLeft, match=r"The robot stands at that place still: .*the coil is gone"):
         await bench.polish(proving(bench))
     assert "robot.resume None" not in bench.fake.events
     assert bench.fake.cell.unsafe
@@ -155,7 +156,7 @@ async def test_a_robot_that_cannot_leave_does_not_hide_why(bench: Bench) -> None
     bench.fake.robot.acts.before["make_safe"] = lambda: bench.fake.robot.acts.fails.update(
         resume=DeviceRefused("the program is over")
     )
-    with pytest.raises(WrongSeat, match="no part was found"):
+    with pytest.raises(SeatNotLeft, match=r"no part was found.*the program is over"):
         await bench.polish(proving(bench))
 
 

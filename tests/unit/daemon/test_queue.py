@@ -74,6 +74,20 @@ def test_a_job_is_moved(queue: Queue, place: tuple[str, ...], order: str) -> Non
     assert "".join(names(queue)) == f"{order}e"
 
 
+def test_who_begins_a_job_and_who_takes_it_out_in_the_same_moment_do_not_both_have_it(tmp_path: Path) -> None:
+    with Journal.of_cell(tmp_path) as journal:
+        desk, daemon = Queue(journal.store), Queue(journal.store)
+        desk.add([job("a"), job("b")])
+        first, second = daemon.to_do()
+        desk.remove_waiting("a")
+        with pytest.raises(ConfigError, match="'a' was taken out of the queue"):
+            daemon.begin(first, 1)
+        daemon.begin(second, journal.of_job("b", "P-1", {}).number)
+        with pytest.raises(ConfigError, match="'b' has just begun"):
+            desk.remove_waiting("b")
+        assert [entry.state for entry in desk.entries()] == ["removed", "under way"]
+
+
 def test_the_job_under_way_comes_first_and_is_not_moved(tmp_path: Path) -> None:
     with Journal.of_cell(tmp_path) as journal:
         queue = Queue(journal.store)
@@ -252,17 +266,20 @@ async def test_a_job_comes_over_the_desk(cell: CellConfig, tmp_path: Path, queue
     (tmp_path / "lens.rnc").write_text("M30\n")
     came: list[None] = []
     desk = Desk(cell, queue, lambda: came.append(None))
-    answer = await desk.add(str(tmp_path / "a.toml"), JOB)
-    assert (answer, len(came)) == ({"job": "a", "waiting": 1}, 1)
+    file = {"path": str(tmp_path / "a.toml"), "content": JOB}
+    answer = await desk.add([file])
+    assert (answer, len(came)) == ({"added": ["a"], "waiting": 1}, 1)
     ((found,),) = ((await desk.list())["jobs"],)
     assert (found["name"], found["part_id"], found["state"]) == ("a", "P-7", "waiting")
     assert set(found["files"]) == {"program.path"}
     with pytest.raises(ConfigError, match="'a' is in the queue already"):
-        await desk.add(str(tmp_path / "a.toml"), JOB)
-    with pytest.raises(ConfigError, match="is no absolute path"):
-        await desk.add("a.toml", JOB)
+        await desk.add([{**file, "content": JOB.replace('"a"', '"b"')}, file])
+    assert names(queue) == ["a"], "all or none"
+    for wrong in ("a.toml", {**file, "path": "a.toml"}, {**file, "more": ""}):
+        with pytest.raises(ConfigError, match="its absolute path"):
+            await desk.add([wrong])
     with pytest.raises(ConfigError, match=r"a.toml:2: cell: is the cell's, and no job's"):
-        await desk.add(str(tmp_path / "a.toml"), "\n[cell]\n" + JOB)
+        await desk.add([{**file, "content": "\n[cell]\n" + JOB}])
     assert (await desk.remove("a"))["jobs"][0]["state"] == "removed"
 
 

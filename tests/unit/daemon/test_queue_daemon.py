@@ -8,6 +8,7 @@ import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Self
 
 import pytest
@@ -20,10 +21,12 @@ from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
 from polishd.daemon.queue import Entry, NewJob, Queue
-from polishd.daemon.queue_daemon import QueueDaemon
+from polishd.daemon.queue_app import _serve
+from polishd.daemon.queue_daemon import IN_THE_WAY, QueueDaemon
 from polishd.daemon.shift import Shift, taken_up
 from polishd.daemon.states import State
-from polishd.model.cycle import Outcome
+from polishd.model.concern import Severity
+from polishd.model.cycle import Outcome, Phase
 from polishd.model.devices import Executed
 from polishd.model.errors import (
     BadMap,
@@ -35,9 +38,13 @@ from polishd.model.errors import (
     PlanRefused,
     PolishdError,
     SafetyStop,
+    SeatNotLeft,
+    ToolStop,
     WrongPart,
+    WrongSeat,
 )
 from polishd.model.events import Event
+from polishd.model.finding import Finding
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.records import FIGURES
 from tests.fakes.devices import FakeCell
@@ -93,13 +100,16 @@ class Hall:
         return end
 
     async def start(self, **options: Any) -> None:
+        await self.build(**options)
+        self.task = asyncio.ensure_future(self.daemon.run())
+
+    async def build(self, **options: Any) -> None:
         self.shift = Shift(self.journal, self.make)
         self.bus = self.shift.bus = EventBus(sinks=(self.shift.record, self.told.append))
         await taken_up(self.shift)
         desk = Desk(None, self.shift.queue, self.shift.added)  # type: ignore[arg-type]
         self.queue = self.shift.queue
         self.daemon = QueueDaemon(self.fake.cell, self.shift, desk, self.bus, **options)
-        self.task = asyncio.ensure_future(self.daemon.run())
 
     async def run(self, **options: Any) -> Outcome:
         await self.start(**{"until_empty": True} | options)
@@ -146,15 +156,36 @@ def hall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hall]:
         yield hall
 
 
-def torn(error: PolishdError) -> Callable[[Job], PolishdError]:
-    """An end that cuts off a pass."""
+def torn(error: PolishdError | None = None) -> Callable[[Job], Any]:
+    """An end that cuts off a pass; without an error it waits there for an order."""
 
-    def end(job: Job) -> PolishdError:
-        job.journal.begin_pass(0, "sha", "boot-0", 300, contact=(4, 290))
-        job.journal.record_executed(0, [BlockRecord(Executed(4, 0.0, 1.0), True)])
-        return error
+    async def end(job: Job) -> Outcome:
+        async with job.journal.phase(0, Phase.RUN):
+            job.journal.begin_pass(0, "sha", "boot-0", 300, contact=(4, 290))
+            job.journal.record_executed(0, [BlockRecord(Executed(4, 0.0, 1.0), True)])
+            if error is None:
+                await asyncio.Event().wait()
+            raise error or RuntimeError
 
     return end
+
+
+def touching(error: PolishdError) -> Callable[[Job], Any]:
+    """An end in a touch-off."""
+
+    async def end(job: Job) -> Outcome:
+        async with job.journal.phase(0, Phase.TOUCH_OFF):
+            raise error
+
+    return end
+
+
+async def killed_amid_a_pass(hall: Hall, name: str) -> None:
+    """An earlier daemon left that job so."""
+    own = hall.journal.of_job(name, f"P-{name}", {})
+    hall.queue.begin(next(entry for entry in hall.queue.to_do() if entry.name == name), own.number)
+    with suppress(SafetyStop):
+        await torn(SafetyStop("killed"))(small_job(hall.tmp_path, own))
 
 
 # from job to job
@@ -307,7 +338,7 @@ async def test_a_part_whose_pass_was_cut_off_is_put_aside_and_no_loader_moves_un
     await hall.start(until_empty=True)
     await hall.until("held")
     assert hall.verdicts() == {"a": "put aside", "b": "under way"}
-    assert "the robot stands where its last pass was cut off" in hall.daemon.reason
+    assert IN_THE_WAY in hall.daemon.reason
     assert hall.fake.of("loader.load") == ["loader.load P-a"]
     await hall.order("resume")
     await hall.task
@@ -315,10 +346,62 @@ async def test_a_part_whose_pass_was_cut_off_is_put_aside_and_no_loader_moves_un
     assert hall.verdicts()["b"] == "accepted"
 
 
+@pytest.mark.parametrize("order", ["hold", "unfit"])
+async def test_no_loader_moves_under_a_robot_that_an_order_stopped_amid_a_pass(hall: Hall, order: str) -> None:
+    hall.add("a", "b").fake.with_loader()
+    hall.ends["a"] = [torn()]
+    await hall.start(until_empty=True)
+    await hall.wait(hall.journal.cut_off)
+    if order == "hold":
+        await hall.order("hold")
+    else:
+        hall.daemon._endangered("state_disk_mb 60, at least 64")
+        await hall.until("held")
+    assert IN_THE_WAY in hall.daemon.reason
+    await hall.order("job_remove", job="a")
+    await hall.until_again("held")
+    assert hall.fake.of("loader.load") == ["loader.load P-a"]
+    assert IN_THE_WAY in hall.daemon.reason
+    await hall.order("resume")
+    await hall.task
+    assert hall.verdicts() == {"a": "put aside", "b": "accepted"}
+
+
+async def test_nor_under_one_that_a_kill_left_there_though_its_job_was_removed_meanwhile(hall: Hall) -> None:
+    hall.add("a", "b").fake.with_loader()
+    await killed_amid_a_pass(hall, "a")
+    hall.queue.remove("a")
+    await hall.start(until_empty=True)
+    await hall.until("held")
+    assert IN_THE_WAY in hall.daemon.reason
+    assert hall.fake.of("loader.load") == []
+    await hall.order("resume")
+    await hall.task
+    assert hall.fake.of("loader.load") == ["loader.load P-b"]
+
+
+@pytest.mark.parametrize("error", [SeatNotLeft("no part"), SafetyStop("force")])
+async def test_nor_under_one_that_stands_where_a_touch_off_was_cut_off(hall: Hall, error: PolishdError) -> None:
+    hall.add("a", "b").fake.with_loader()
+    hall.ends["a"] = [touching(error)]
+    await hall.start(until_empty=True)
+    await hall.until("held")
+    assert IN_THE_WAY in hall.daemon.reason
+    assert hall.fake.of("loader.load") == ["loader.load P-a"]
+    await hall.end()
+
+
+async def test_a_robot_that_has_left_a_wrong_seat_is_in_nobodys_way(hall: Hall) -> None:
+    hall.add("a", "b").fake.with_loader()
+    hall.ends["a"] = [touching(WrongSeat("too high"))]
+    await hall.run()
+    assert hall.verdicts() == {"a": "put aside", "b": "accepted"}
+
+
 async def test_without_confirmation_a_cut_pass_ends_the_daemon_and_the_job_stays_open(hall: Hall) -> None:
     hall.add("a", "b").fake.with_loader()
 
-    def end(job: Job) -> PolishdError:
+    def end(job: Job) -> Any:
         hall.fake.actuator.acts.fails["make_safe"] = LinkError("silent")
         return torn(SafetyStop("force"))(job)
 
@@ -348,6 +431,69 @@ async def test_without_a_person_it_ends_where_it_would_stop(hall: Hall) -> None:
     with pytest.raises(GateStop):
         await hall.run(holds=False)
     assert hall.verdicts() == {"a": "put aside", "b": "waiting"}
+
+
+async def test_a_tool_that_stops_the_queue_ends_it_with_an_error_where_nobody_is(hall: Hall) -> None:
+    def end(job: Job) -> Outcome:
+        job.findings = (Finding("wear", "the tool wore", "cell"),)
+        return Outcome.IN_TOLERANCE
+
+    hall.add("a", "b").fake.with_loader()
+    hall.ends["a"] = [end]
+    with pytest.raises(ToolStop, match="the queue stopped: the tool wore; a was accepted"):
+        await hall.run(holds=False)
+    assert hall.verdicts() == {"a": "accepted", "b": "waiting"}
+
+
+async def test_an_error_that_ends_a_job_is_one_of_its_causes(hall: Hall) -> None:
+    hall.add("a", "b").fake.with_loader()
+    hall.ends = {"a": [BadMap("unreadable")], "b": [GateStop("turned")]}
+    await hall.start()
+    await hall.until("held")
+    assert [event["error"] for event in hall.events("held")] == ["unreadable", "turned"]
+    for name, error in (("a", "unreadable"), ("b", "turned")):
+        summary = json.loads((hall.tmp_path / "runs" / name / "summary.json").read_text())
+        assert [cause["error"] for cause in summary["causes"]] == [error]
+    await hall.end()
+
+
+async def test_a_computer_that_nears_a_limit_as_a_job_ends_holds_and_loses_nothing(
+    hall: Hall, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make = hall.make
+
+    async def slow(*known: Any) -> tuple[Job, RunFolder]:
+        for _ in range(10):
+            await asyncio.sleep(0)
+        return await make(*known)
+
+    def end(_job: Job) -> Outcome:
+        hall.daemon._endangered("state_disk_mb 60, at least 64")
+        return Outcome.IN_TOLERANCE
+
+    monkeypatch.setattr(hall, "make", slow)
+    hall.add("a", "b").fake.with_loader()
+    hall.ends["a"] = [end]
+    await hall.start(until_empty=True)
+    await hall.until("held")
+    assert "state_disk_mb 60, at least 64" in hall.daemon.reason
+    await hall.order("resume")
+    await hall.task
+    assert set(hall.verdicts().values()) == {"accepted"}
+
+
+async def test_a_part_that_was_put_aside_is_asked_for_again(hall: Hall) -> None:
+    hall.add("a")
+    hall.ends["a"] = [WrongPart("shows Q")]
+    await hall.start()
+    await hall.until("changing")
+    await hall.order("resume")
+    await hall.until("idle")
+    hall.queue.add([NewJob("a", "P-a", JobFile(Path("/a.toml"), ""), {})])
+    hall.shift.added()
+    await hall.until("changing")
+    assert [event["part_id"] for event in hall.events("part_wanted")] == ["P-a", "P-a"]
+    await hall.end()
 
 
 # the loader's faults
@@ -454,15 +600,111 @@ async def test_idle_it_can_be_held(hall: Hall) -> None:
     await hall.end()
 
 
+async def test_a_job_is_not_taken_out_while_it_is_made_ready(hall: Hall, monkeypatch: pytest.MonkeyPatch) -> None:
+    hall.add("a").fake.with_loader()
+    make = hall.make
+
+    async def slow(entry: Entry, *rest: Any) -> tuple[Job, RunFolder]:
+        found = await make(entry, *rest)
+        with pytest.raises(DeviceRefused, match="'a' is under way, and the cell is idle: hold the cell first"):
+            await hall.order("job_remove", job="a")
+        return found
+
+    monkeypatch.setattr(hall, "make", slow)
+    await hall.run()
+    assert hall.verdicts() == {"a": "accepted"}
+
+
+async def test_one_whose_device_cannot_be_asked_can_be_put_aside(hall: Hall, monkeypatch: pytest.MonkeyPatch) -> None:
+    hall.add("a", "b").fake.with_loader()
+    make = hall.make
+
+    async def no_instrument(entry: Entry, *rest: Any) -> tuple[Job, RunFolder]:
+        found = await make(entry, *rest)
+        if entry.name == "a":
+            raise LinkError("no instrument")
+        return found
+
+    monkeypatch.setattr(hall, "make", no_instrument)
+    await hall.start(until_empty=True)
+    await hall.until("held")
+    assert (await hall.order("job_remove", job="a"))["jobs"][0]["state"] == "put aside"
+    await hall.task
+    assert [(event["job"], event["verdict"]) for event in hall.events("job_ended")] == [
+        ("a", "put aside"),
+        ("b", "accepted"),
+    ]
+
+
+async def test_answers_name_the_command_of_a_queue(hall: Hall) -> None:
+    await hall.start()
+    await hall.until("idle")
+    answer = await hall.order("hold")
+    assert "polishd run CELL.toml --queue" in answer["next"]
+    assert answer["next"] == hall.events("state")[-1]["next"] == (await hall.order("status"))["next"]
+    assert "--queue --queue" not in hall.daemon.last_words(Outcome.STOPPED, None)["next"]
+    await hall.end()
+
+
+@pytest.mark.parametrize("ends", [None, SafetyStop("force")])
+async def test_a_job_that_stays_open_has_a_summary_and_the_end_is_told(hall: Hall, ends: SafetyStop | None) -> None:
+    def end(job: Job) -> Any:
+        if ends is not None:
+            hall.fake.actuator.acts.fails["make_safe"] = LinkError("silent")
+        return torn(ends)(job)
+
+    hall.add("a").fake.with_loader()
+    hall.ends["a"] = [end]
+    await hall.build()
+    serving: Any = _serve(SimpleNamespace(state_dir=hall.tmp_path), hall.daemon, hall.shift)  # type: ignore[arg-type]
+    hall.task = asyncio.ensure_future(serving)
+    await hall.wait(hall.journal.cut_off)
+    hall.daemon.stop()
+    await hall.task
+    summary = json.loads((hall.tmp_path / "runs" / "a" / "summary.json").read_text())
+    outcome = "stopped" if ends is None else "failed"
+    assert (summary["job"], summary["outcome"]) == ("a", outcome)
+    assert (hall.tmp_path / "runs" / "a" / "journal.sqlite").exists()
+    assert [event["outcome"] for event in hall.events("job_finished")] == [outcome]
+    assert [event["outcome"] for event in hall.events("queue_ended")] == ["stopped"] * (ends is None)
+    concerns = [event for event in hall.told if event.name in {"queue_ended", "failed"}]
+    assert [concern.severity for event in concerns if (concern := event.concern())] == [
+        Severity.INFO if ends is None else Severity.ALARM
+    ]
+
+
 # over restarts
+
+
+@pytest.mark.parametrize("why", ["gate", "gate, and nobody is there", "order"])
+async def test_a_queue_that_was_held_comes_up_held(hall: Hall, why: str) -> None:
+    hall.add(*"ab" if why != "order" else "").fake.with_loader()
+    hall.ends["a"] = [GateStop("turned")]
+    if "nobody" in why:
+        with pytest.raises(GateStop):
+            await hall.run(holds=False)
+        reason = "the queue stopped: instrument or alignment is wrong, and would be for the next part, too; "
+        reason += "a was put aside: GateStop: turned"
+    else:
+        await hall.start()
+        if why == "order":
+            await hall.until("idle")
+            await hall.order("hold", reason="cleaning")
+        await hall.until("held")
+        reason = hall.daemon.reason
+        await hall.end()
+    await hall.start(until_empty=True)
+    await hall.until("held")
+    assert hall.daemon.reason == reason
+    await hall.order("resume")
+    await hall.task
+    assert set(hall.verdicts().values()) <= {"put aside", "accepted"}
+    await hall.run()
 
 
 async def test_a_job_that_was_under_way_goes_on_held_and_then_the_queue(hall: Hall) -> None:
     hall.add("a", "b").fake.with_loader()
-    entry = hall.queue.to_do()[0]
-    own = hall.journal.of_job("a", "P-a", {})
-    hall.queue.begin(entry, own.number)
-    torn(SafetyStop("killed"))(small_job(hall.tmp_path, own))
+    await killed_amid_a_pass(hall, "a")
     await hall.start(until_empty=True)
     await hall.until("held")
     assert "pass 0 was interrupted" in hall.daemon.reason
@@ -471,6 +713,7 @@ async def test_a_job_that_was_under_way_goes_on_held_and_then_the_queue(hall: Ha
     await hall.task
     assert hall.verdicts() == {"a": "accepted", "b": "accepted"}
     assert hall.polished == ["a", "b"]
+    assert [event["job"] for event in hall.events("job_begun")] == ["a", "b"]
 
 
 async def test_a_part_that_a_person_had_put_in_is_not_asked_for_again(hall: Hall) -> None:
