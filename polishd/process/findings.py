@@ -99,6 +99,8 @@ def _by_wear(series: Series, change: float) -> bool | None:
 def _spot(shown: Shown, limits: FindingLimits) -> Finding | None:
     if shown.width is None or not _beyond(shown.width, limits.max_spot_change):
         return None
+    if abs(shown.width.value) - 2 * _sigma(shown.width) <= limits.max_spot_change:
+        return None  # a part of few spots across reads widths that scatter as far as the limit
     word = "wider" if shown.width.value > 0 else "narrower"
     size = f"{100 * abs(shown.width.value):.0f} +- {100 * _sigma(shown.width):.0f} %"
     advice = "look at tool, pressure and dip, and calibrate the spot"
