@@ -204,7 +204,7 @@ class Daemon:
             done.append(await polish(self._cell, job, journal))
 
         try:
-            order = await unless(self._orders.interrupting(unfit=True), work(), journal.lost(), late=self._orders.give)
+            order = await unless(self._orders.interrupting(), work(), journal.lost(), late=self._orders.give)
         except PolishdError as error:
             turn = self._failed(error)
             if turn.trigger is Trigger.MENDABLE:

@@ -39,14 +39,14 @@ class Orders:
 
     async def next(self) -> Order:
         """Any of a person's."""
-        return await self._none_of(Trigger.UNFIT)
+        return await self._but(Trigger.UNFIT)
 
-    async def interrupting(self, *, unfit: bool = False) -> Order:
-        """The next one that ends work; one of the computer's only where that polishes (``unfit``)."""
-        return await self._none_of(Trigger.RESUME, *([] if unfit else [Trigger.UNFIT]))
+    async def interrupting(self) -> Order:
+        """The next one that ends work: any but to go on."""
+        return await self._but(Trigger.RESUME)
 
-    async def _none_of(self, *passed: Trigger) -> Order:
-        while (order := await self._waiting.get()).verb in passed:
+    async def _but(self, passed: Trigger) -> Order:
+        while (order := await self._waiting.get()).verb is passed:
             pass
         return order
 

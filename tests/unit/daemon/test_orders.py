@@ -49,10 +49,10 @@ async def test_an_order_over_which_the_work_fails_is_not_lost() -> None:
     assert await orders.next() is stop
 
 
-async def test_what_the_computer_asks_for_is_for_polishing_only() -> None:
+async def test_what_the_computer_asks_for_is_nothing_to_one_who_waits_for_a_person() -> None:
     orders, unfit, hold = Orders(), Order(Trigger.UNFIT), Order(Trigger.HOLD)
     orders.give(unfit)
-    assert await orders.interrupting(unfit=True) is unfit
+    assert await orders.interrupting() is unfit
     for order in (unfit, hold):
         orders.give(order)
     assert await orders.next() is hold

@@ -92,17 +92,18 @@ def test_a_pad_that_wears_within_one_pass_needs_no_other_pass() -> None:
     [
         [a_pass(fade=(-0.35, 0.15))],
         [a_pass(width=(0.4, 0.15))],
+        [a_pass(width=(0.34, 0.08))],
         [a_pass()] * REFERENCE + [a_pass(rate=0.6, rate_sigma=0.2)],
         [a_pass()] * (REFERENCE - 1) + [a_pass(rate=0.6)],
         [a_pass(rate=None, fade=None, width=None)] * 5,
     ],
-    ids=["fade", "width", "rate", "no reference yet", "shows nothing"],
+    ids=["fade", "width", "width near its limit", "rate", "no reference yet", "shows nothing"],
 )
 def test_what_is_not_sure_is_not_found(passes: Sequence[Shown]) -> None:
     assert found(passes) == []
 
 
-@pytest.mark.parametrize(("width", "word"), [(0.4, "wider"), (-0.35, "narrower")])
+@pytest.mark.parametrize(("width", "word"), [(0.45, "wider"), (-0.42, "narrower")])
 def test_another_spot(width: float, word: str) -> None:
     (only,) = found([a_pass(width=(width, 0.05))])
     assert (only.kind, only.stops) == ("spot", "cell")
