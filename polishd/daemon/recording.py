@@ -11,7 +11,7 @@ from contextlib import asynccontextmanager
 from polishd.daemon.cell import Cell
 from polishd.daemon.interruption import ASK_S, mark
 from polishd.daemon.journal import Journal
-from polishd.daemon.safety import most_telling, told_first
+from polishd.daemon.safety import most_telling, to_its_end, told_first
 from polishd.daemon.stream import Stream
 from polishd.daemon.time_limits import LOOK_S
 from polishd.daemon.touch import Touch
@@ -101,7 +101,7 @@ async def recording(cell: Cell, journal: Journal, cycle: int, touch: Touch) -> A
                 yield recorder
             except BaseException as error:
                 with told_first(error):
-                    await recorder.close()
+                    await to_its_end(recorder.close())
                 raise
             touch.flush()
     except BaseExceptionGroup as errors:

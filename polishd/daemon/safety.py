@@ -13,10 +13,10 @@ import contextlib
 import logging
 import math
 import time
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.time_limits import safe_within_s
@@ -122,7 +122,12 @@ async def make_safe(cell: Cell, touch: Touch | None = None, *, silent: bool = Fa
 
     Runs to its end even if the caller is cancelled meanwhile; failures are logged and kept in ``cell.unsafe``.
     """
-    task = asyncio.ensure_future(_Leaving(cell, touch, silent=silent).run())
+    await to_its_end(_Leaving(cell, touch, silent=silent).run())
+
+
+async def to_its_end(work: Coroutine[Any, Any, None]) -> None:
+    """What must not be cut short by an order, or by a second signal: that is told when it is over."""
+    task = asyncio.ensure_future(work)
     cancelled: asyncio.CancelledError | None = None
     while not task.done():
         try:
