@@ -20,7 +20,7 @@ from polishd.daemon.assembly import build_cell, build_notifiers, require_time_li
 from polishd.daemon.cell import Cell
 from polishd.daemon.compute import Compute
 from polishd.daemon.courier import Notifier
-from polishd.daemon.daemon import Daemon
+from polishd.daemon.daemon import Daemon, to_the_end
 from polishd.daemon.desk import Desk
 from polishd.daemon.endings import keep_ending, keeping, now
 from polishd.daemon.journal import Journal
@@ -36,7 +36,6 @@ from polishd.daemon.service import serving
 from polishd.daemon.states import State
 from polishd.daemon.supervisor import Supervisor
 from polishd.hooks.loader import Hooks
-from polishd.model.cycle import Outcome
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.model.events import Event
 from polishd.model.program import Program
@@ -219,18 +218,9 @@ async def _run_job(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[st
 async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[str, Any]:
     """Answer the socket until the job ends; leave the cell safe, and a summary in the run folder."""
     started = now()
-    failure: Exception | None = None
-    outcome = Outcome.STOPPED
     desk = Desk(config, Queue(daemon.job.journal.store))  # the queue waits meanwhile
     async with serving(config.state_dir, {**desk.handlers, **daemon.handlers}, daemon.bus):
-        try:
-            await daemon.become(State.STARTING, "")
-            outcome = await daemon.run()
-        except Exception as error:
-            log.exception("the daemon ends")
-            failure = error
-            with suppress(PolishdError):  # a lost journal: that is what ended it
-                daemon.bus.publish(daemon.failure(error))
+        outcome, failure = await to_the_end(daemon)
         last = daemon.last_words(outcome, failure)
         keep_ending(config.state_dir, {**last, "run_dir": str(folder.path)})
         summary = {

@@ -8,6 +8,7 @@ holds, any other one ends the daemon (docs/cycle.md).
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -31,6 +32,8 @@ from polishd.model.concern import Standing
 from polishd.model.cycle import EXIT_CODES, Outcome
 from polishd.model.errors import DeviceFault, DeviceRefused, HostFault, PolishdError
 from polishd.recipe.folder import RunFolder
+
+log = logging.getLogger(__name__)
 
 ORDERED, STOPPED, BEGUN = "held by order", "stopped by order", "this job was begun earlier"
 EMERGENCY = "motion was stopped at once, by order"
@@ -294,3 +297,15 @@ class Daemon:
         if order.refused and self.state is State.HELD:
             raise DeviceRefused(f"{verb} is refused, the cell stays held: {self.reason}")
         return {"state": self.state, "reason": self.reason, "next": to_do(self.state, queue=self._of_queue)}
+
+
+async def to_the_end(daemon: Daemon) -> tuple[Outcome, Exception | None]:
+    """Run it; what ended it otherwise than by its outcome is logged and told, and not raised."""
+    try:
+        await daemon.become(State.STARTING, "")
+        return await daemon.run(), None
+    except Exception as error:
+        log.exception("the daemon ends")
+        with suppress(PolishdError):  # a lost journal: that is what ended it
+            daemon.bus.publish(daemon.failure(error))
+        return Outcome.STOPPED, error

@@ -11,7 +11,7 @@ from polishd.config.cell import CellConfig
 from polishd.daemon.cell import Cell
 from polishd.daemon.compute import Compute
 from polishd.daemon.courier import Notifier
-from polishd.daemon.daemon import Daemon
+from polishd.daemon.daemon import Daemon, to_the_end
 from polishd.daemon.desk import Desk
 from polishd.daemon.endings import keep_ending, keeping, now
 from polishd.daemon.job_maker import JobMaker
@@ -62,16 +62,9 @@ async def run_queue(
 
 async def _serve(config: CellConfig, daemon: QueueDaemon, shift: Shift) -> dict[str, Any]:
     """Answer the socket until the queue is left; the cell is safe then."""
-    started, failure, outcome = now(), None, Outcome.STOPPED
+    started = now()
     async with serving(config.state_dir, daemon.handlers, daemon.bus):
-        try:
-            await daemon.become(State.STARTING, "")
-            outcome = await daemon.run()
-        except Exception as error:
-            log.exception("the daemon ends")
-            failure = error
-            with suppress(PolishdError):  # a lost journal: that is what ended it
-                daemon.bus.publish(daemon.failure(error))
+        outcome, failure = await to_the_end(daemon)
         last = _last_words(daemon, shift, outcome, failure)
         keep_ending(config.state_dir, last)
         with suppress(PolishdError):  # of a lost journal, which has been told
