@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import struct
 import time
-from functools import reduce
-from operator import xor
 
-from tests.fakes.wires import Peer
+from tests.fakes.wires import NumberedPeer, Peer
 
 MOVE_S = 0.06
 VENDOR, MODEL, SERIAL, FIRMWARE = "Fake Coils", "FC-50", "SN-0042", "1.2"
@@ -148,24 +146,12 @@ class ModbusCoil(Peer):
         return table | {128: coil.boots >> 16, 129: coil.boots & 0xFFFF}
 
 
-class AsciiCoil(Peer):
+class AsciiCoil(NumberedPeer):
     """The coil on ASCII lines."""
 
     def __init__(self, coil: Coil) -> None:
         super().__init__()
         self.coil = coil
-        self.requests: list[str] = []
-        self._bytes = b""
-
-    def on_bytes(self, data: bytes) -> None:
-        *lines, self._bytes = (self._bytes + data).split(b"\n")
-        for line in lines:
-            body, _, check = line.rstrip(b"\r").removeprefix(b"$").partition(b"*")
-            if check == b"%02X" % reduce(xor, body, 0):
-                number, _, request = body.decode().partition(",")
-                self.requests.append(request)
-                answer = f"{number},{self._answer(request)}".encode()
-                self.send(b"$%b*%02X\r\n" % (answer, reduce(xor, answer, 0)))
 
     def _answer(self, request: str) -> str:
         coil = self.coil

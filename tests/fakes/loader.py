@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import time
-from functools import reduce
-from operator import xor
 
-from tests.fakes.wires import Peer
+from tests.fakes.wires import NumberedPeer
 
 MOVE_S = 0.3
 VENDOR, MODEL, SERIAL, FIRMWARE = "Fake Loaders", "FL-9", "SN-0077", "2.0"
 
 
-class FakeLoader(Peer):
+class FakeLoader(NumberedPeer):
     """The loader itself, and its line."""
 
     def __init__(self) -> None:
@@ -25,26 +23,14 @@ class FakeLoader(Peer):
         self.brings = ""
         """What it puts on instead of what it is asked for."""
         self.move_s = MOVE_S
-        self.requests: list[str] = []
         self._order = ""
         self._until = 0.0
         self._stopped = False
-        self._bytes = b""
 
     @property
     def state(self) -> int:
         self._update()
         return 3 if self.fault else 2 if self._stopped else 1 if self._order else 0
-
-    def on_bytes(self, data: bytes) -> None:
-        *lines, self._bytes = (self._bytes + data).split(b"\n")
-        for line in lines:
-            body, _, check = line.rstrip(b"\r").removeprefix(b"$").partition(b"*")
-            if check == b"%02X" % reduce(xor, body, 0):
-                number, _, request = body.decode().partition(",")
-                self.requests.append(request)
-                answer = f"{number},{self._answer(request)}".encode()
-                self.send(b"$%b*%02X\r\n" % (answer, reduce(xor, answer, 0)))
 
     def _update(self) -> None:
         if not self._order or self._stopped or time.monotonic() < self._until:

@@ -8,6 +8,8 @@ import pty
 import tty
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
+from functools import reduce
+from operator import xor
 from pathlib import Path
 
 Filter = Callable[[bytes], Iterable[bytes]]
@@ -58,6 +60,29 @@ class Peer(ABC):
         if not self.silent:
             for part in self.filter(data):
                 self.write(part)
+
+
+class NumberedPeer(Peer):
+    """Answers numbered lines with a checksum; broken ones are dropped."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.requests: list[str] = []
+        self._bytes = b""
+
+    def on_bytes(self, data: bytes) -> None:
+        *lines, self._bytes = (self._bytes + data).split(b"\n")
+        for line in lines:
+            body, _, check = line.rstrip(b"\r").removeprefix(b"$").partition(b"*")
+            if check == b"%02X" % reduce(xor, body, 0):
+                number, _, request = body.decode().partition(",")
+                self.requests.append(request)
+                answer = f"{number},{self._answer(request)}".encode()
+                self.send(b"$%b*%02X\r\n" % (answer, reduce(xor, answer, 0)))
+
+    @abstractmethod
+    def _answer(self, request: str) -> str:
+        """To a request, without number and checksum."""
 
 
 class PtyWire:
