@@ -40,7 +40,7 @@ def require_only_touched(files: DemoFiles) -> dict[str, Any]:
     return told
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("seat", "places", "said"),
     [

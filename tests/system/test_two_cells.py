@@ -17,7 +17,7 @@ from tests.system.cell_rig import Daemon, account, events, small_cell, summary
 from tests.system.sim_rig import wait_for
 from tests.system.test_daemon import polishd, require_nothing_twice, require_safe_order
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.system, pytest.mark.full, pytest.mark.timeout(400)]
 
 
 def two_cells(stack: ExitStack, tmp_path: Path, speed: float) -> list[DemoFiles]:
