@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shlex
 import sys
 from pathlib import Path
 from typing import Annotated, Literal, cast
@@ -202,7 +203,7 @@ def main() -> None:
         _plugin_commands()
         app()
     except PolishdError as error:
-        typer.echo(f"polishd: {error}", err=True)
+        typer.echo(f"polishd: {_with_cell(str(error))}", err=True)
         sys.exit(error.exit_code)
     except OSError as error:
         full = error.errno == errno.ENOSPC
@@ -212,6 +213,12 @@ def main() -> None:
         advice = "; make room" if full else ""
         typer.echo(f"polishd: {name}: {error.strerror}{advice}", err=True)
         sys.exit(1)
+
+
+def _with_cell(text: str) -> str:
+    """Commands in it can be copied: they name the cell that was asked for."""
+    cell = next((word for word in sys.argv[1:] if word.endswith(".toml")), None)
+    return text if cell is None else text.replace("CELL.toml", shlex.quote(cell))
 
 
 def _full_output() -> str:
