@@ -97,11 +97,15 @@ def check(cell: Cell, as_json: Json = False) -> None:
 
 
 @app.command()
-def probe(cell: Cell, as_json: Json = False) -> None:
+def probe(
+    cell: Cell,
+    only: Annotated[list[str] | None, Option(metavar="NAME", help="Ask that device who it is, nothing else.")] = None,
+    as_json: Json = False,
+) -> None:
     """Connect to each device, identify it, leave it safe."""
     from polishd.console.verbs import probe_verb
 
-    probe_verb(cell, as_json=as_json)
+    probe_verb(cell, only or (), as_json=as_json)
 
 
 @app.command()
