@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 from io import BytesIO
 from pathlib import Path
 
 import pytest
 
-from polishd.files import make_folder, require_writable, sync_folder, whole_file, write_atomic
+from polishd.files import make_folder, require_writable, sync_folder, toml_text, whole_file, write_atomic
 from polishd.model.errors import ConfigError
 
 
@@ -119,3 +120,24 @@ def test_a_share_that_syncs_no_folders_is_no_error(
     monkeypatch.setattr("polishd.files.os.fsync", refuse)
     with pytest.raises(OSError, match=os.strerror(number)) if raised else contextlib.nullcontext():
         sync_folder(tmp_path)
+
+
+# files that people write
+
+
+def test_a_byte_order_mark_and_the_line_ends_of_other_systems_are_no_content(tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_bytes(b"\xef\xbb\xbfa = 1\r\nb = '\xc3\xa4'\r\n")
+    assert toml_text(path) == "a = 1\nb = 'ä'\n"
+
+
+def test_a_text_of_another_encoding_is_told_by_its_first_bad_byte(tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_bytes(b"a = '\xe4'\n")
+    with pytest.raises(ConfigError, match=re.escape(f"{path}: is not UTF-8 text (byte 5); save it as UTF-8")):
+        toml_text(path)
+
+
+def test_a_file_that_cannot_be_read_is_told_with_what_the_system_says(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=re.escape(f"{tmp_path}: cannot be read: Is a directory; name a TOML file")):
+        toml_text(tmp_path)
