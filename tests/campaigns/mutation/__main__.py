@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import functools
 import importlib
+import itertools
 import json
 import os
 import subprocess
@@ -30,6 +31,9 @@ HEAVY = ("numpy", "scipy.optimize", "scipy.sparse.linalg", "scipy.ndimage", "pyd
 """Imported once, for all children."""
 OPTIONS = ["-q", "-m", CHOSEN, "-p", "no:cacheprovider", "-p", "no:faulthandler"]
 TMP = KEPT / "tmp"
+ENDS = (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
+"""Of a run in which mutants take the place of tests."""
+SECONDS = 20.0
 SOUND = 50
 """Tests that a module without a fault has to survive here."""
 Work = Callable[[Module, Mutant, Sequence[str]], Callable[[Telling], None]]
@@ -49,12 +53,14 @@ class Tests:
                     for line in lines:
                         self._of[module][line].append(nodeid)
 
-    def of(self, module: str, mutant: Mutant) -> list[str]:
-        """Those that run a line of it; of what runs at import, those that run any line of the module."""
+    def of(self, module: str, mutant: Mutant, within_s: float) -> list[str]:
+        """Those that run a line of it, together in that time; of what runs at import, any line of the module."""
         lines = self._of[module]
         asked = lines if mutant.unit_line is None else mutant.lines
         found = {nodeid for line in asked for nodeid in lines.get(line, ())}
-        return sorted(found, key=lambda nodeid: (self.seconds[nodeid], nodeid))
+        order = sorted(found, key=lambda nodeid: (self.seconds[nodeid], nodeid))
+        ends_s = itertools.accumulate(self.seconds[nodeid] for nodeid in order)
+        return [nodeid for nodeid, end_s in zip(order, ends_s, strict=True) if end_s <= within_s]
 
 
 class Campaign:
@@ -81,7 +87,7 @@ class Campaign:
             for mutant in module.mutants():
                 if (mutant.unit_line is None) is not at_import:
                     continue
-                tests = self.kept.still_to_run(mutant, self.tests.of(name, mutant))
+                tests = self.kept.still_to_run(mutant, self.tests.of(name, mutant, self.options.seconds))
                 if tests:
                     yield module, mutant, tests
                 elif tests is not None:
@@ -131,9 +137,9 @@ class Campaign:
     def verdict(self) -> Mapping[str, Sequence[str]]:
         """What is wrong, by module; of a module that is not tried whole only what is known."""
         wrong: dict[str, Sequence[str]] = {}
-        for name, module in self.modules.items():
+        for name in self.modules:
             ends, why = self.kept.ends(name), kept.explained().get(name, {})
-            keys = [mutant.key for mutant in module.mutants()]
+            keys = self.kept.keys[name]
             found = [f"not explained: {key}" for key in kept.unexplained(ends, why)]
             found += [f"explained for nothing: {key}" for key in kept.outdated(ends, why, keys)]
             if len(ends) < len(keys):
@@ -154,16 +160,22 @@ def main() -> int:
     parse.add_argument("modules", nargs="*", help="those with such a name; default: all")
     parse.add_argument("--minutes", type=float, default=1e9, help="of this sitting; what was begun is ended")
     parse.add_argument("--jobs", type=int, default=2, help="mutants at a time")
+    parse.add_argument("--seconds", type=float, default=SECONDS, help="of tests for each mutant, the quickest ones")
     options = parse.parse_args()
     subprocess.run([sys.executable, "-m", "tests.campaigns.mutation.covered", "--changed"], check=True, cwd=ROOT)
+    child = os.fork()  # where polishd is imported; here it never is
+    if child == 0:
+        os._exit(pytest.main([*OPTIONS, *TESTS], [Campaign(options)]) not in ENDS)
+    if os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]):
+        return 2
     campaign = Campaign(options)
     campaign.at_import()
-    pytest.main([*OPTIONS, *TESTS], [campaign])
     kept.write_page(kept.table(campaign.kept))
     wrong = campaign.verdict()
     for name, found in wrong.items():
         say("\n  ".join([name, *found]))
-    print(json.dumps({"tried": campaign.tried, "wrong": sum(map(len, wrong.values()))}))
+    tried = sum(len(campaign.kept.ends(name)) for name in MODULES)
+    print(json.dumps({"tried": tried, "wrong": sum(map(len, wrong.values()))}))
     return int(bool(wrong))
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from tests.campaigns.mutation.mutants import Mutant
 from tests.campaigns.mutation.trial import BEGUN, FAILED, Telling, emptied, forked, reap
 
-LIMIT_S, LIMIT_TIMES = 12.0, 10.0
+LIMIT_S, LIMIT_TIMES = 6.0, 10.0
 """A test hangs that takes so much more than it took without a fault, and so many times as long."""
 IMPORT_S = 120.0
 """The same until the first test begins."""

@@ -170,7 +170,7 @@ def _other_calls(node: ast.Call) -> Iterator[ast.Call]:
     if isinstance(node.func, ast.Name) and node.func.id in CALLED:
         yield ast.Call(ast.Name(CALLED[node.func.id], ast.Load()), node.args, node.keywords)
     for k, keyword in enumerate(node.keywords):
-        if keyword.arg is not None:
+        if keyword.arg not in {None, "name"}:
             yield ast.Call(node.func, node.args, node.keywords[:k] + node.keywords[k + 1 :])
     if ast.unparse(node.func) == "isinstance" and isinstance(node.args[1], ast.Tuple):
         for kinds in _one_left_out(node.args[1]):

@@ -32,7 +32,10 @@ class Kept:
         self._modules: dict[str, Any] = kept.get("modules", {})
         self._sittings: list[dict[str, str]] = kept.get("sittings", [])
         """The hashes of all files of tests, of each sitting."""
+        self.keys: dict[str, list[str]] = {}
+        """Of all mutants, by module."""
         for name in MODULES:
+            self.keys[name] = [mutant.key for mutant in Module(name, (ROOT / name).read_text()).mutants()]
             if self._modules.get(name, {}).get("of") != content_of([name]):
                 self._modules[name] = {"of": content_of([name]), "mutants": {}}
 
@@ -76,7 +79,8 @@ class Kept:
 
     def ends(self, module: str) -> dict[str, str]:
         """Of each mutant that was tried, how it ended."""
-        return {key: told["end"] for key, told in self._modules[module]["mutants"].items()}
+        told = self._modules[module]["mutants"]
+        return {key: told[key]["end"] for key in self.keys[module] if key in told}
 
 
 def explained() -> dict[str, dict[str, str]]:
@@ -104,7 +108,7 @@ def table(kept: Kept) -> str:
         ends, why = kept.ends(name), explained().get(name, {})
         count = Counter(ends.values())
         count["bad"] = len(unexplained(ends, why))
-        count["all"] = sum(1 for _ in Module(name, (ROOT / name).read_text()).mutants())
+        count["all"] = len(kept.keys[name])
         total += count
         rows.append(_row(name.removeprefix("polishd/"), count))
     of = f"Python {platform.python_version()}, {datetime.now(UTC):%Y-%m-%d}."
