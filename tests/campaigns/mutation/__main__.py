@@ -17,6 +17,7 @@ import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 
 import pytest
 
@@ -40,7 +41,7 @@ Work = Callable[[Module, Mutant, Sequence[str]], Callable[[Telling], None]]
 
 
 class Tests:
-    """Which tests run a line, the quick ones first."""
+    """Which tests run a line."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -54,11 +55,15 @@ class Tests:
                         self._of[module][line].append(nodeid)
 
     def of(self, module: str, mutant: Mutant, within_s: float) -> list[str]:
-        """Those that run a line of it, together in that time; of what runs at import, any line of the module."""
+        """Those that run a line of it, together in that time; of what runs at import, any line of the module.
+
+        First those of the module by their name, and of each kind the quick ones.
+        """
         lines = self._of[module]
         asked = lines if mutant.unit_line is None else mutant.lines
         found = {nodeid for line in asked for nodeid in lines.get(line, ())}
-        order = sorted(found, key=lambda nodeid: (self.seconds[nodeid], nodeid))
+        own = f"/test_{Path(module).stem.partition('_')[0]}"
+        order = sorted(found, key=lambda nodeid: (own not in nodeid, self.seconds[nodeid], nodeid))
         ends_s = itertools.accumulate(self.seconds[nodeid] for nodeid in order)
         return [nodeid for nodeid, end_s in zip(order, ends_s, strict=True) if end_s <= within_s]
 
@@ -87,7 +92,9 @@ class Campaign:
             for mutant in module.mutants():
                 if (mutant.unit_line is None) is not at_import:
                     continue
-                tests = self.kept.still_to_run(mutant, self.tests.of(name, mutant, self.options.seconds))
+                tests = self.kept.still_to_run(
+                    mutant, self.tests.of(name, mutant, self.options.seconds), again=self.options.again
+                )
                 if tests:
                     yield module, mutant, tests
                 elif tests is not None:
@@ -161,6 +168,7 @@ def main() -> int:
     parse.add_argument("--minutes", type=float, default=1e9, help="of this sitting; what was begun is ended")
     parse.add_argument("--jobs", type=int, default=2, help="mutants at a time")
     parse.add_argument("--seconds", type=float, default=SECONDS, help="of tests for each mutant, the quickest ones")
+    parse.add_argument("--again", action="store_true", help="try survivors again, whatever is known of them")
     options = parse.parse_args()
     subprocess.run([sys.executable, "-m", "tests.campaigns.mutation.covered", "--changed"], check=True, cwd=ROOT)
     child = os.fork()  # where polishd is imported; here it never is

@@ -46,8 +46,11 @@ class Kept:
         if not self._sittings or self._sittings[-1] != now:
             self._sittings.append(now)
 
-    def still_to_run(self, mutant: Mutant, tests: Sequence[str]) -> Sequence[str] | None:
-        """Of those tests the ones that may have another word on it; None where its end is known."""
+    def still_to_run(self, mutant: Mutant, tests: Sequence[str], *, again: bool = False) -> Sequence[str] | None:
+        """Of those tests the ones that may have another word on it; None where its end is known.
+
+        ``again``: that of a survivor is not.
+        """
         told = self.of(mutant)
         now = self._sittings[-1]
         if told is None:
@@ -56,7 +59,7 @@ class Kept:
         same = {name for name in now if then.get(name) == now[name]}
         if told["end"] != SURVIVED:
             return None if told["by"].partition("::")[0] in same or "::" not in told["by"] else tests
-        if HELPERS not in same:
+        if again or HELPERS not in same:
             return tests
         return [test for test in tests if test.partition("::")[0] not in same] or None
 
