@@ -239,3 +239,23 @@ async def test_contact_that_is_left_before_the_robot_was_told_to_run_has_touched
 
 class RobotLost(Exception):
     """Any error."""
+
+
+async def test_a_pass_without_a_block_in_contact_ends_at_once(contact: Pass) -> None:
+    contact.robot.stands()
+    await contact.whole()
+    assert contact.done() == []
+
+
+async def test_a_robot_that_has_executed_nothing_is_not_waited_for(
+    contact: Pass, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording, "ASK_S", 1e6)
+    contact.fake.robot.done = contact.fake.robot.until = 0
+    task = asyncio.ensure_future(contact.whole())
+    while not contact.touch.ran:  # noqa: ASYNC110
+        await asyncio.sleep(0)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert contact.done() == []
