@@ -259,3 +259,22 @@ async def test_a_robot_that_has_executed_nothing_is_not_waited_for(
     with pytest.raises(asyncio.CancelledError):
         await task
     assert contact.done() == []
+
+
+async def test_who_follows_hears_of_a_lost_robot_himself(contact: Pass) -> None:
+    """Also one whom the end of the recording does not reach: no block waits, and all would seem done."""
+    told: list[BaseException | None] = []
+
+    async def apart() -> None:
+        async with contact.recording() as recorder:
+            following = asyncio.ensure_future(contact.follow(recorder))
+            contact.robot.fails(LinkError("robot: gone"))
+            try:
+                await asyncio.Event().wait()
+            finally:
+                contact.touch.leave()
+                told.extend(await asyncio.gather(following, return_exceptions=True))
+
+    with pytest.raises(LinkError, match="robot: gone"):
+        await apart()
+    assert [type(error) for error in told] == [LinkError]
