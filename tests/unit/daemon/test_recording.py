@@ -136,8 +136,9 @@ async def cut_short(contact: Pass, *then: object) -> None:
 
 
 async def test_a_robot_that_is_lost_while_contact_is_left_does_not_take_the_place_of_what_ended_it(
-    contact: Pass, caplog: pytest.LogCaptureFixture
+    contact: Pass, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(recording, "ASK_S", 1e6)  # and nobody waits for what it does not tell any more
     contact.fake.robot.done = contact.fake.robot.until = 9
     with pytest.raises(SafetyStop, match="force"):
         await cut_short(contact, LinkError("robot: gone"))
@@ -193,8 +194,14 @@ async def test_a_disk_that_does_not_keep_up_ends_contact(contact: Pass, monkeypa
     assert contact.robot.left
 
 
-async def test_others_have_their_turns_while_many_blocks_are_told(contact: Pass) -> None:
+async def test_others_have_their_turns_while_many_blocks_are_told(
+    contact: Pass, monkeypatch: pytest.MonkeyPatch
+) -> None:
     seen: list[int] = []
+    waits: list[float] = []
+    loop = asyncio.get_running_loop()
+    plain = loop.call_later
+    monkeypatch.setattr(loop, "call_later", lambda seconds, *what: (waits.append(seconds), plain(seconds, *what))[1])
 
     async def watches() -> None:
         while contact.touch.last_seq < 4 * TURN_BLOCKS - 1:
@@ -207,6 +214,7 @@ async def test_others_have_their_turns_while_many_blocks_are_told(contact: Pass)
     with pytest.raises(SafetyStop):
         await contact.whole()
     await other
+    assert set(waits) <= {recording.LOOK_S}, "but nobody sleeps over it"
     assert {TURN_BLOCKS - 1, 2 * TURN_BLOCKS - 1, 3 * TURN_BLOCKS - 1} <= set(seen)
 
 
