@@ -169,8 +169,10 @@ def main() -> int:
     parse.add_argument("--jobs", type=int, default=2, help="mutants at a time")
     parse.add_argument("--seconds", type=float, default=SECONDS, help="of tests for each mutant, the quickest ones")
     parse.add_argument("--again", action="store_true", help="try survivors again, whatever is known of them")
+    parse.add_argument("--known", action="store_true", help="do not measure again which tests run what")
     options = parse.parse_args()
-    subprocess.run([sys.executable, "-m", "tests.campaigns.mutation.covered", "--changed"], check=True, cwd=ROOT)
+    if not options.known:
+        subprocess.run([sys.executable, "-m", "tests.campaigns.mutation.covered", "--changed"], check=True, cwd=ROOT)
     child = os.fork()  # where polishd is imported; here it never is
     if child == 0:
         os._exit(pytest.main([*OPTIONS, *TESTS], [Campaign(options)]) not in ENDS)

@@ -98,8 +98,10 @@ def main() -> int:
     """The exit code: pytest's, or 2 where a branch is not covered."""
     parse = argparse.ArgumentParser(prog="make coverage", description=__doc__)
     parse.add_argument("--changed", action="store_true", help="only tests that changed since, and no verdict")
+    parse.add_argument("tests", nargs="*", help="of those only files with such names")
     options = parse.parse_args()
     tests = changed_tests() if options.changed else list(TESTS)
+    tests = [name for name in tests if not options.tests or any(word in name for word in options.tests)]
     if not tests:
         return 0
     measured, told, code = measure(tests)
