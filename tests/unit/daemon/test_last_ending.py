@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from polishd.daemon.endings import RECORD_NAME, gone, keep_ending, keeping, last_ending, standing, to_do
-from polishd.model.events import PlanWritten, StateChanged
+from polishd.daemon.endings import (
+    RECORD_NAME,
+    causes,
+    for_cell,
+    gone,
+    keep_ending,
+    keeping,
+    last_ending,
+    standing,
+    to_do,
+)
+from polishd.daemon.journal import Journal
+from polishd.model.errors import SafetyStop
+from polishd.model.events import Event, Failed, Held, PlanWritten, StateChanged
+from tests.unit.daemon.small import open_journal
 
 KILLED = "the daemon was killed, or its machine went down, while polishing"
 NAMES = ("actuator", "robot")
@@ -101,3 +117,67 @@ def test_how_a_cell_stands(unsafe: tuple[str, ...] | None, tool_off: str, at_res
     assert list(told.standing.unsafe) == list(unsafe or ())
     assert told.standing.next == to_do("held", queue=False)
     json.dumps(dict(told.data))
+
+
+# causes
+
+HOT, GONE = Held(error="hot", kind="DeviceFault"), Held(error="gone", kind="LinkError")
+
+
+@pytest.fixture
+def journal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Journal]:
+    """In which an event is recorded each second, from 2001-09-09 01:46:40 on."""
+    seconds = itertools.count(1_000_000_000)
+    with open_journal(tmp_path) as found:
+        monkeypatch.setattr("polishd.daemon.journal.time.time", lambda: next(seconds) + 0.25)
+        yield found
+
+
+def told(journal: Journal, *events: Event) -> list[str]:
+    for event in events:
+        journal.record_event(event)
+    return [str(cause) for cause in causes(journal, None)]
+
+
+def test_what_held_a_job_stands_in_the_order_of_time(journal: Journal) -> None:
+    assert told(journal) == []
+    assert told(journal, HOT, PlanWritten(run_dir="x"), GONE, HOT) == [
+        "2001-09-09T01:46:40+00:00 held: DeviceFault: hot",
+        "2001-09-09T01:46:42+00:00 held: LinkError: gone",
+        "2001-09-09T01:46:43+00:00 held: DeviceFault: hot",
+    ]
+
+
+def test_held_over_it_and_then_stopped_is_one_cause_from_when_it_was_held(journal: Journal) -> None:
+    (cause,) = told(journal, HOT, Failed(error="hot", kind="DeviceFault"))
+    assert cause == "2001-09-09T01:46:40+00:00 ended: DeviceFault: hot"
+
+
+@pytest.mark.parametrize(("error", "kind"), [("hot", "LinkError"), ("cold", "DeviceFault")])
+def test_another_end_is_another_cause(journal: Journal, error: str, kind: str) -> None:
+    assert told(journal, HOT, Failed(error=error, kind=kind)) == [
+        "2001-09-09T01:46:40+00:00 held: DeviceFault: hot",
+        f"2001-09-09T01:46:41+00:00 ended: {kind}: {error}",
+    ]
+
+
+def test_an_end_without_a_hold_is_a_cause_and_so_is_a_hold_after_it(journal: Journal) -> None:
+    failed = Failed(error="hot", kind="DeviceFault")
+    assert [cause.split()[1] for cause in told(journal, failed, HOT)] == ["ended:", "held:"]
+
+
+def test_of_a_lost_journal_the_failure_is_all_that_is_known(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
+    def lost() -> None:
+        raise SafetyStop("journal lost")
+
+    monkeypatch.setattr(journal, "errors", lost)
+    assert causes(journal, None) == ()
+    (cause,) = causes(journal, SafetyStop("journal lost"))
+    assert (cause.kind, cause.error, cause.ended) == ("SafetyStop", "journal lost", True)
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", cause.at)
+
+
+def test_words_for_people_name_their_own_cell() -> None:
+    assert for_cell("polishd run CELL.toml", Path("/my cells/a.toml")) == "polishd run '/my cells/a.toml'"
+    assert "polishd run CELL.toml --queue;" in to_do("failed", queue=True)
+    assert to_do("no such state", queue=True) == ""

@@ -8,7 +8,7 @@ import pytest
 
 from polishd.daemon.orders import Order, Orders, unless
 from polishd.daemon.states import Trigger
-from polishd.model.errors import LinkError
+from polishd.model.errors import LinkError, SafetyStop
 
 
 def verbs(*orders: Order) -> list[Trigger]:
@@ -85,3 +85,16 @@ async def test_work_that_fails_without_an_order_tells_why_and_no_order_is_late()
     hold = Order(Trigger.HOLD)
     orders.give(hold)
     assert await orders.next() is hold, "the one who waited for it is gone"
+
+
+async def test_where_taking_an_order_fails_too_the_more_telling_error_is_told() -> None:
+    async def no_order() -> Order:
+        raise LinkError("the socket is gone")
+
+    async def work() -> None:
+        raise SafetyStop("force")
+
+    late: list[Order] = []
+    with pytest.raises(SafetyStop, match="force"):
+        await unless(no_order(), work(), late=late.append)
+    assert late == []
