@@ -237,8 +237,12 @@ async def test_an_order_while_the_last_words_are_waited_for_is_told_afterwards(c
     assert contact.done() == [5, 6]
 
 
-async def test_contact_that_is_left_before_the_robot_was_told_to_run_has_touched_nothing(contact: Pass) -> None:
-    contact.fake.robot.acts.fails["progress"] = LinkError("gone")
+@pytest.mark.parametrize("gone", [False, True])
+async def test_contact_that_is_left_before_the_robot_was_told_to_run_has_touched_nothing(
+    contact: Pass, gone: bool
+) -> None:
+    if gone:
+        contact.fake.robot.acts.fails["progress"] = LinkError("gone")
     with pytest.raises(RobotLost):
         async with contact.recording():
             raise RobotLost
