@@ -245,3 +245,12 @@ def test_what_passes_of_any_job_showed_is_found_latest_first(tmp_path: Path) -> 
             assert names == ["1.2", "1.0", "0.3", "0.2", "0.0"][-2 - 3 * number :][: 2 + 3 * number]
             assert [facts["name"] for facts in journal.passes_before(3, 1)] == [f"{number}.2"]
             assert [facts["name"] for facts in journal.passes_before(0, 1)] == (["0.3"] if number else [])
+
+
+def test_between_jobs_no_job_goes_on(tmp_path: Path) -> None:
+    with Journal.of_cell(tmp_path) as cell:
+        assert not cell.resumed
+        assert cell.number == 0
+        assert cell.errors() == []
+        assert not cell.of_job("a", "P1", {}).resumed
+        assert cell.of_job("a", "P1", {}).resumed

@@ -290,3 +290,20 @@ async def test_who_follows_hears_of_a_lost_robot_himself(contact: Pass) -> None:
     with pytest.raises(LinkError, match="robot: gone"):
         await apart()
     assert [type(error) for error in told] == [LinkError]
+
+
+async def test_an_order_while_the_last_words_are_waited_for_does_not_take_the_place_of_an_error(contact: Pass) -> None:
+    contact.fake.robot.done = contact.fake.robot.until = 7
+    task = asyncio.ensure_future(cut_short(contact))
+    await until(contact, 5)
+    while not contact.robot.left:  # noqa: ASYNC110
+        await asyncio.sleep(0)
+    for _ in range(9):
+        await asyncio.sleep(0)
+    assert not task.done()
+    task.cancel()
+    await asyncio.sleep(0)
+    contact.robot.tells(6)
+    with pytest.raises(SafetyStop, match="force"):
+        await task
+    assert contact.done() == [5, 6]
