@@ -139,3 +139,12 @@ async def test_a_pass_of_which_no_plan_is_kept_leaves_all_of_its_contact(fake: F
         journal.record_executed(2, [BlockRecord(Executed(seq, float(seq), seq + 1.0), True, None, None, 50.0 + seq)])
     await settle(fake.cell, journal)
     assert journal.uncertain(2) == ((18, CONTACT[1]),)
+
+
+async def test_where_nobody_said_how_long_the_tool_can_have_stayed_all_that_ran_is_uncertain(
+    fake: FakeCell, journal: Journal
+) -> None:
+    interrupted(journal, reach_s=None)
+    fake.robot.done = fake.robot.until = 33
+    await settle(fake.cell, journal)
+    assert journal.uncertain(2) == ((18, 34),)
