@@ -154,7 +154,7 @@ def _text(child: ast.AST, holder: ast.AST) -> bool:
     """What is written for people, or is no code that runs."""
     if isinstance(child, (ast.JoinedStr, ast.Import, ast.ImportFrom)):
         return True
-    if isinstance(child, ast.Call) and isinstance(holder, ast.Raise):
+    if isinstance(child, ast.Call) and (isinstance(holder, ast.Raise) or ast.unparse(child.func) == "TypeVar"):
         return True
     if isinstance(child, ast.keyword) and child.arg == "name":
         return isinstance(child.value, ast.Constant)  # of a task or a thread

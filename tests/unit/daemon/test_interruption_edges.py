@@ -148,3 +148,13 @@ async def test_where_nobody_said_how_long_the_tool_can_have_stayed_all_that_ran_
     fake.robot.done = fake.robot.until = 33
     await settle(fake.cell, journal)
     assert journal.uncertain(2) == ((18, 34),)
+
+
+async def test_all_that_is_uncertain_is_said(fake: FakeCell, journal: Journal) -> None:
+    interrupted(journal, 10)
+    for seq in (10, 11):
+        journal.record_executed(2, [BlockRecord(Executed(seq, float(seq), seq + 1.0), None, 12.0, 1000.0, 50.0 + seq)])
+    for seq in range(12, 18):
+        journal.record_executed(2, [BlockRecord(Executed(seq, float(seq), seq + 1.0), True, 12.0, 1000.0, 50.0 + seq)])
+    said = await settle(fake.cell, journal)
+    assert "; uncertain: blocks 10 to 11, 18 to 21. None of them is run again" in said
