@@ -28,7 +28,10 @@ from tests.unit.daemon.small import open_journal
 
 KILLED = "the daemon was killed, or its machine went down, while polishing"
 NAMES = ("actuator", "robot")
-POLISHING = standing("polishing", "", gone(NAMES))
+
+
+def polishing() -> StateChanged:
+    return standing("polishing", "", gone(NAMES))
 
 
 def test_where_no_daemon_ever_ran(tmp_path: Path) -> None:
@@ -51,7 +54,7 @@ def test_one_that_is_no_file_says_so(tmp_path: Path) -> None:
 
 
 def test_a_daemon_that_is_killed_while_it_polishes_left_word_of_it(tmp_path: Path) -> None:
-    keeping(tmp_path, lambda: tmp_path / "run", queue=True)(POLISHING)
+    keeping(tmp_path, lambda: tmp_path / "run", queue=True)(polishing())
     facts = last_ending(tmp_path)
     assert (facts["state"], facts["reason"], facts["run_dir"]) == ("killed", KILLED, str(tmp_path / "run"))
     assert (facts["tool_off"], facts["robot_at_rest"]) == ("not confirmed", "not confirmed")
@@ -77,7 +80,7 @@ def test_an_ending_is_told_as_it_was(tmp_path: Path) -> None:
 def test_the_end_itself_and_other_events_leave_it_as_it_is(tmp_path: Path) -> None:
     """The end is kept by whoever knows all of it."""
     keep = keeping(tmp_path, lambda: None)
-    keep(POLISHING)
+    keep(polishing())
     before = (tmp_path / RECORD_NAME).read_bytes()
     keep(standing("finished", "", ()))
     keep(PlanWritten(run_dir="x"))

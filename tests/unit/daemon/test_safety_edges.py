@@ -7,10 +7,11 @@ import asyncio
 import pytest
 
 from polishd.daemon import time_limits
-from polishd.daemon.safety import make_safe, to_its_end
-from polishd.model.errors import LinkError
-from polishd.model.times import RobotTimes
-from tests.unit.daemon.test_safety import Twins
+from polishd.daemon.safety import contact, make_safe, to_its_end
+from polishd.model.errors import DeviceFault, LinkError
+from polishd.model.times import ActuatorTimes, RobotTimes
+from tests.fakes.devices import FakeCell
+from tests.unit.daemon.test_safety import LIMITS, Twins, forever, polish_for, until, untold
 
 
 @pytest.mark.parametrize("silent", [False, True])
@@ -57,3 +58,66 @@ async def test_an_error_of_what_must_not_be_cut_short_counts_more_than_an_order_
     go_on.set()
     with pytest.raises(LinkError, match="gone"):
         await task
+
+
+async def test_an_error_that_comes_in_the_same_moment_as_an_order_counts_more() -> None:
+    go_on = asyncio.Event()
+
+    async def fails() -> None:
+        await go_on.wait()
+        raise LinkError("gone")
+
+    task = asyncio.ensure_future(to_its_end(fails()))
+    for _ in range(3):
+        await asyncio.sleep(0)
+    go_on.set()
+    task.cancel()
+    with pytest.raises(LinkError, match="gone"):
+        await task
+
+
+@pytest.mark.parametrize("at", ["spindle.set_speed 1000", "spindle.set_speed 0"])
+async def test_an_order_does_not_take_the_place_of_a_spindle_that_refuses(at: str) -> None:
+    """Before anything is watched, and after nothing is any more."""
+    fake = FakeCell()
+
+    def refuses() -> None:
+        if fake.events[-1] == at:
+            fake.spindle.acts.fails["set_speed"] = DeviceFault("spindle: jammed")
+
+    fake.spindle.acts.before["set_speed"] = refuses
+    task = asyncio.ensure_future(polish_for(fake, 0.1))
+    fake.robot.acts.before["make_safe"] = task.cancel
+    with pytest.raises(DeviceFault, match="spindle: jammed"):
+        await task
+
+
+async def test_an_actuator_that_fell_silent_is_not_waited_for_before_the_robot_lifts() -> None:
+    fake, answers = FakeCell(), asyncio.Event()
+    fake.actuator.times = ActuatorTimes(silence_s=0.02)
+
+    async def safe() -> None:
+        try:
+            await answers.wait()
+        finally:
+            fake.events.append("answered, or given up")
+
+    fake.actuator.make_safe = safe  # type: ignore[method-assign]
+    task = asyncio.ensure_future(forever(fake))
+    await until(fake, "pressing")
+    fake.actuator.silent = True
+    await until(fake, "robot.make_safe")
+    assert fake.events[3:] == ["spindle.make_safe", "robot.lift 15", "robot.make_safe"]
+    answers.set()
+    with pytest.raises(LinkError, match="actuator: no sample"):
+        await task
+
+
+async def test_a_lift_of_the_normal_end_may_fail_and_the_tool_is_lifted_all_the_same() -> None:
+    fake, touch = FakeCell(), untold()
+    fake.actuator.acts.fails["retract"] = LinkError("cut")
+    with pytest.raises(LinkError, match="cut"):
+        async with contact(fake.cell, LIMITS, touch):
+            pass
+    assert fake.events[-4:] == ["spindle.make_safe", "actuator.make_safe", "lifted", "robot.make_safe"]
+    assert touch.off_s <= fake.clock.at_s
