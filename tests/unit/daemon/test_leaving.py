@@ -189,3 +189,38 @@ async def test_without_a_contact_nothing_is_said_of_one(given: str | None) -> No
     await make_safe(fake.cell, touch)
     assert fake.cell.unsafe == ()
     assert touch is None or (touch.left and touch.off_s < math.inf)
+
+
+async def test_a_robot_that_holds_another_tool_waits_for_it_though_the_jobs_actuator_is_silent() -> None:
+    twins, answers = Twins(), asyncio.Event()
+    for fake in (twins.left, twins.right):
+        fake.actuator.make_safe = answers.wait  # type: ignore[method-assign, assignment]
+    leaving = asyncio.ensure_future(make_safe(twins.cell, untold(), silent=True))
+    while "robot.left.make_safe" not in twins.left.events:  # noqa: ASYNC110
+        await asyncio.sleep(0)
+    for _ in range(20):
+        await asyncio.sleep(0)
+    assert "robot.right.make_safe" not in twins.left.events
+    answers.set()
+    await leaving
+    assert twins.safe()[-1] == "robot.right.make_safe"
+
+
+async def test_a_lift_that_is_confirmed_after_all_ends_the_waiting_for_it() -> None:
+    fake, touch, answers = FakeCell(), untold(), asyncio.Event()
+    fake.robot.lifts = False
+    fake.actuator.make_safe = answers.wait  # type: ignore[method-assign, assignment]
+    leaving = asyncio.ensure_future(make_safe(fake.cell, touch, silent=True))
+    while fake.clock.at_s < 1.0:
+        fake.clock.advance(0.05)
+        for _ in range(5):
+            await asyncio.sleep(0)
+    assert fake.events == ["spindle.make_safe", "robot.lift 15"]
+    answers.set()
+    while not leaving.done() and fake.clock.at_s < ALONE_S:
+        fake.clock.advance(0.05)
+        for _ in range(5):
+            await asyncio.sleep(0)
+    await leaving
+    assert fake.clock.at_s < 1.3
+    assert touch.off_s < 1.3
