@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 
 import pytest
 
@@ -121,3 +122,11 @@ async def test_a_lift_of_the_normal_end_may_fail_and_the_tool_is_lifted_all_the_
             pass
     assert fake.events[-4:] == ["spindle.make_safe", "actuator.make_safe", "lifted", "robot.make_safe"]
     assert touch.off_s <= fake.clock.at_s
+
+
+async def test_landing_has_its_own_time_and_then_the_grace() -> None:
+    """A tool that lands just in time may still swing in."""
+    fake = FakeCell()
+    fake.actuator.times = ActuatorTimes(landing_s=0.001)
+    await polish_for(fake, 0.1, replace(LIMITS, grace_s=60.0))
+    assert "robot.make_safe" not in fake.events
