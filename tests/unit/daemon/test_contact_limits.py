@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import time
 from collections.abc import AsyncIterator, Sequence
 from typing import Any
 
@@ -167,3 +168,39 @@ async def test_samples_that_end_are_a_lost_link(sample: Any) -> None:
 @pytest.mark.parametrize("force_n", [math.nan, math.inf, -12.0])
 async def test_a_force_that_is_no_force_is_not_in_its_band(force_n: float) -> None:
     assert isinstance(await Watched().hear([force(0.0), force(0.6, force_n)]), SafetyStop)
+
+
+async def test_who_hears_all_the_time_is_not_silent_however_long() -> None:
+    heard: list[int] = []
+
+    async def samples() -> AsyncIterator[int]:
+        ends_s = time.monotonic() + 0.06
+        while time.monotonic() < ends_s:
+            yield 1
+            await asyncio.sleep(0)
+
+    with pytest.raises(LinkError, match="^it: its samples ended while in contact"):
+        await safety.heard(samples(), heard.append, "it", 0.01)
+    assert len(heard) > 1
+
+
+@pytest.mark.parametrize(("silence_s", "look_s"), [(0.06, safety.LOOK_S), (0.02, 0.02)])
+async def test_silence_is_counted_in_small_steps(
+    monkeypatch: pytest.MonkeyPatch, silence_s: float, look_s: float
+) -> None:
+    """In which this process may not have run: it hears first, then."""
+    looks: list[float | None] = []
+    plain = asyncio.timeout
+
+    def timeout(seconds: float | None) -> asyncio.Timeout:
+        looks.append(seconds)
+        return plain(seconds)
+
+    async def samples() -> AsyncIterator[int]:
+        await asyncio.Event().wait()
+        yield 1
+
+    monkeypatch.setattr(asyncio, "timeout", timeout)
+    with pytest.raises(LinkError, match=f"^it: no sample for {silence_s:g} s while in contact"):
+        await safety.heard(samples(), lambda sample: None, "it", silence_s)
+    assert set(looks) == {look_s}
