@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import math
 import time
 from collections.abc import AsyncIterator, Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -179,16 +181,13 @@ async def test_who_hears_all_the_time_is_not_silent_however_long() -> None:
             yield 1
             await asyncio.sleep(0)
 
-    with pytest.raises(LinkError, match="^it: its samples ended while in contact"):
+    with pytest.raises(LinkError, match=r"^it: its samples ended while in contact"):
         await safety.heard(samples(), heard.append, "it", 0.01)
     assert len(heard) > 1
 
 
-@pytest.mark.parametrize(("silence_s", "look_s"), [(0.06, safety.LOOK_S), (0.02, 0.02)])
-async def test_silence_is_counted_in_small_steps(
-    monkeypatch: pytest.MonkeyPatch, silence_s: float, look_s: float
-) -> None:
-    """In which this process may not have run: it hears first, then."""
+async def looks_until_silent(monkeypatch: pytest.MonkeyPatch, silence_s: float) -> list[float | None]:
+    """How long each of them was to be."""
     looks: list[float | None] = []
     plain = asyncio.timeout
 
@@ -203,4 +202,21 @@ async def test_silence_is_counted_in_small_steps(
     monkeypatch.setattr(asyncio, "timeout", timeout)
     with pytest.raises(LinkError, match=f"^it: no sample for {silence_s:g} s while in contact"):
         await safety.heard(samples(), lambda sample: None, "it", silence_s)
-    assert set(looks) == {look_s}
+    return looks
+
+
+@pytest.mark.parametrize(("silence_s", "look_s"), [(0.06, safety.LOOK_S), (0.02, 0.02)])
+async def test_silence_is_counted_in_small_steps(
+    monkeypatch: pytest.MonkeyPatch, silence_s: float, look_s: float
+) -> None:
+    assert set(await looks_until_silent(monkeypatch, silence_s)) == {look_s}
+
+
+@pytest.mark.parametrize(("step_s", "looks"), [(0.05, 5), (0.09, 3), (100.0, 3)])
+async def test_time_in_which_this_process_did_not_run_is_no_silence(
+    monkeypatch: pytest.MonkeyPatch, step_s: float, looks: int
+) -> None:
+    """Of a long one two looks count: it hears first, then."""
+    ticks = itertools.count(1000)
+    monkeypatch.setattr(safety, "time", SimpleNamespace(monotonic=lambda: next(ticks) * step_s))
+    assert len(await looks_until_silent(monkeypatch, 0.22)) == looks
