@@ -200,3 +200,27 @@ def test_an_error_is_told_with_its_name_and_what_stops_by_its_row_says_that() ->
     assert torn is not None
     assert (torn.how, torn.reason, torn.stops) == ("put aside", "LinkError: gone", "")
     assert judge(LinkError("gone"), torn=False, previous="LinkError", tool="worn") is None
+
+
+def test_of_two_that_ended_in_the_same_moment_the_one_that_was_added_later_counts(
+    worked: Worked, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of times that a clock was set back to, too."""
+    worked.queue.add([job("a"), job("b")])
+    monkeypatch.setattr(time, "time", lambda: 5.0)
+    for name in "ab":
+        worked.begin(name)
+        worked.end()
+    last = worked.queue.last_ended()
+    assert last is not None
+    assert last.name == "b"
+
+
+def test_a_queue_at_rest_is_closed_again(tmp_path: Path) -> None:
+    with Queue.at_rest(tmp_path / "other") as queue:
+        queue.add([job("a")])
+        thread = queue._store._thread
+        assert thread.is_alive()
+    assert not thread.is_alive()
+    with Queue.at_rest(tmp_path / "other") as queue:
+        assert [one.name for one in queue.to_do()] == ["a"]
