@@ -131,7 +131,7 @@ def _added(node: ast.AugAssign) -> Iterator[ast.AST]:
 def _returned(node: ast.Return) -> Iterator[ast.AST]:
     if node.value is None:
         yield ast.Pass()
-    elif not (isinstance(node.value, ast.Constant) and node.value.value in {None, False}):
+    elif not (isinstance(node.value, ast.Constant) and node.value.value in {None, False, ""}):
         yield ast.Return(ast.Constant(None))
 
 

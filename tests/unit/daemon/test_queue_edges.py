@@ -160,6 +160,7 @@ def test_taking_out_the_one_under_way_ends_its_job_too(worked: Worked, reason: s
     worked.queue.remove("a", reason)
     taken = {one.name: (one.state, one.reason) for one in worked.queue.entries()}
     assert taken == {"a": ("put aside", said), "b": ("removed", reason)}
+    assert [one.fault for one in worked.queue.entries()] == ["", ""], "two in a row are no reason to stop"
     rows = worked.journal.store.read("SELECT outcome, detail, ended IS NULL FROM job WHERE id = ?", (number,))
     assert rows == [("put aside", reason, 0)]
 
