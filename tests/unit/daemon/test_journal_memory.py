@@ -147,6 +147,7 @@ def test_what_becomes_known_of_a_pass_changes_no_other_of_this_job_or_another(tm
         two_passes(journal)
     with opened(tmp_path, "two") as journal:
         two_passes(journal)
+        assert journal.begun, "though it has no map"
         before = passes(journal)
         journal.add_facts(1, {"a": 1})
         journal.mark_uncertain(1, 3, 4)
