@@ -221,6 +221,8 @@ async def test_where_the_robot_stands_amid_a_pass_is_known_until_another_pass_wa
     assert journal.cut_off() is None, "the robot left it"
     await run(Phase.RUN, PolishdError("WrongSeat"))
     assert journal.cut_off() == 5
+    async with journal.phase(0, Phase.RUN):
+        assert journal.cut_off() == 6, "a daemon that is killed ends none"
 
 
 def _nothing() -> Any:
@@ -253,5 +255,7 @@ def test_between_jobs_no_job_goes_on(tmp_path: Path) -> None:
         assert not cell.resumed
         assert cell.number == 0
         assert cell.errors() == []
+        assert (cell.run_dir, cell.terms, cell.history, cell.passes, cell.phase_now) == ("", None, (), (), (None, None))
+        assert not cell.begun
         assert not cell.of_job("a", "P1", {}).resumed
         assert cell.of_job("a", "P1", {}).resumed
