@@ -156,6 +156,8 @@ def _text(child: ast.AST, holder: ast.AST) -> bool:
         return True
     if isinstance(child, ast.Call) and (isinstance(holder, ast.Raise) or ast.unparse(child.func) == "TypeVar"):
         return True
+    if isinstance(child, ast.Subscript) and ast.unparse(child.value) == "Literal":
+        return True
     if isinstance(child, ast.keyword) and child.arg == "name":
         return isinstance(child.value, ast.Constant)  # of a task or a thread
     if isinstance(child, ast.Expr):

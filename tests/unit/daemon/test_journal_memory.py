@@ -96,6 +96,8 @@ async def test_of_each_thing_that_is_recorded(tmp_path: Path, journal: Journal) 
     assert agrees(tmp_path, journal)["uncertain"][0] == ((1, 2), (3, 4), (5, 7))
     journal.add_facts(0, {"rate": np.float32(0.5)})
     assert agrees(tmp_path, journal)["passes"][0].facts == {"n": 3, "rate": 0.5}
+    async with journal.phase(0, Phase.RUN):
+        assert agrees(tmp_path, journal)["phase"] == (0, "run")
     journal.end_pass(0, "interrupted")
     said = agrees(tmp_path, journal)
     assert (said["passes"][0].how, said["unfinished"], said["remaining"][0]) == ("interrupted", None, 1)
