@@ -107,6 +107,7 @@ async def test_of_each_thing_that_is_recorded(tmp_path: Path, journal: Journal) 
 
 async def test_of_several_cycles_each_has_its_own(tmp_path: Path, journal: Journal) -> None:
     for cycle in (0, 1):
+        journal.record_map(cycle, f"map {cycle}, taken again", "x", {})
         journal.record_map(cycle, f"map {cycle}", "x", {})
         journal.begin_pass(cycle, f"prog {cycle}", "boot", 9, contact=(2, 8))
         journal.record_executed(cycle, [block(seq, None if cycle else True) for seq in range(2 + cycle)])
@@ -114,6 +115,7 @@ async def test_of_several_cycles_each_has_its_own(tmp_path: Path, journal: Journ
     said = agrees(tmp_path, journal)
     assert [tally.done for tally in said["tallies"]] == [2, 3, 0, 0]
     assert said["uncertain"] == [(), ((0, 3),), (), ()]
+    assert [(one.cycle, one.sha256) for one in said["history"]] == [(0, "map 0"), (1, "map 1")]
     assert (said["map"], [one.program_sha256 for one in said["passes"]]) == ("map 1", ["prog 0", "prog 1"])
     assert [(one.contact_from, one.contact_to) for one in said["passes"]] == [(2, 8)] * 2
 
