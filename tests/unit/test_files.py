@@ -214,3 +214,20 @@ def test_that_files_can_be_written_is_tried_where_they_will_be(tmp_path: Path, m
     require_writable(tmp_path)
     assert tried == [str(tmp_path)] * 2
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("gone", [False, True])
+def test_what_ends_the_writing_comes_out_as_itself(tmp_path: Path, gone: bool) -> None:
+    (tmp_path / "a").write_text("old")
+
+    def write() -> None:
+        with whole_file(tmp_path / "a") as file:
+            file.write(b"new")
+            if gone:
+                (beside,) = tmp_path.glob(".a.*")
+                beside.unlink()
+            raise KeyError("mine")
+
+    with pytest.raises(KeyError, match="mine"):
+        write()
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a", "old")]

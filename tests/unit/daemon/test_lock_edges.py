@@ -67,3 +67,12 @@ def test_the_place_that_is_wrong_is_named(tmp_path: Path) -> None:
         ConfigError, match=re.escape(f"{tmp_path / 'file' / 'state'}: the state folder cannot be used: ")
     ):
         locked(tmp_path / "file" / "state").__enter__()
+
+
+def test_a_file_that_says_what_nobody_can_read_is_held_all_the_same(tmp_path: Path) -> None:
+    (tmp_path / LOCK_NAME).write_bytes(b"\xff\xfe\n")
+    handle = os.open(tmp_path / LOCK_NAME, os.O_RDWR)
+    fcntl.flock(handle, fcntl.LOCK_EX)
+    with pytest.raises(ConfigError, match="another polishd runs this cell"):
+        locked(tmp_path).__enter__()
+    os.close(handle)
