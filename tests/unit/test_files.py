@@ -231,3 +231,17 @@ def test_what_ends_the_writing_comes_out_as_itself(tmp_path: Path, gone: bool) -
     with pytest.raises(KeyError, match="mine"):
         write()
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a", "old")]
+
+
+def test_all_of_the_content_is_there_when_it_is_made_durable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes: list[int] = []
+    plain = os.fsync
+
+    def fsync(handle: int) -> None:
+        if not Path(f"/proc/self/fd/{handle}").is_dir():
+            sizes.append(os.fstat(handle).st_size)
+        plain(handle)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    write_atomic(tmp_path / "a", b"five!")
+    assert sizes == [5]
