@@ -19,6 +19,15 @@ from tests.campaigns.mutation.scope import KEPT, MODULES, ROOT
 EXPLAINED = Path(__file__).with_name("survivors.toml")
 PAGE = ROOT / "docs" / "reliability.md"
 BEGIN, END = "<!-- written by make mutate -->\n", "<!-- end of what make mutate writes -->"
+COLUMNS = (
+    "module",
+    "mutants",
+    "killed",
+    "ended by the limit of time",
+    "survived, explained",
+    "not explained",
+    "not tried yet",
+)
 HELPERS = "what tests share"
 SHARED = ("tests/fakes/*.py", "tests/unit/daemon/[!t]*.py", "tests/conftest.py", "tests/unit/*.py")
 
@@ -105,7 +114,7 @@ def outdated(ends: Mapping[str, str], why: Mapping[str, str], all_keys: Iterable
 
 def table(kept: Kept) -> str:
     """For the page: a row a module, and their sum."""
-    head = "| module | mutants | killed | ended by the limit of time | survived, each explained | not explained |\n"
+    head = f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}\n"
     rows, total = [], Counter[str]()
     for name in MODULES:
         ends, why = kept.ends(name), explained().get(name, {})
@@ -115,14 +124,13 @@ def table(kept: Kept) -> str:
         total += count
         rows.append(_row(name.removeprefix("polishd/"), count))
     of = f"Python {platform.python_version()}, {datetime.now(UTC):%Y-%m-%d}."
-    return f"{head}|---|---|---|---|---|---|\n{''.join(rows)}{_row('**all**', total)}\n{of}\n"
+    return f"{head}{''.join(rows)}{_row('**all**', total)}\n{of}\n"
 
 
 def _row(name: str, count: Mapping[str, int]) -> str:
-    tried = sum(count[end] for end in (KILLED, TIMEOUT, SURVIVED))
-    mutants = f"{tried:,} of {count['all']:,}" if tried < count["all"] else f"{tried:,}"
-    survived = count[SURVIVED] - count["bad"]
-    return f"| {name} | {mutants} | {count[KILLED]:,} | {count[TIMEOUT]:,} | {survived:,} | {count['bad']:,} |\n"
+    left = count["all"] - sum(count[end] for end in (KILLED, TIMEOUT, SURVIVED))
+    numbers = (count["all"], count[KILLED], count[TIMEOUT], count[SURVIVED] - count["bad"], count["bad"], left)
+    return f"| {name} | {' | '.join(f'{number:,}' for number in numbers)} |\n"
 
 
 def write_page(text: str) -> None:
