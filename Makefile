@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-all test-long test-maps ways-out crash model check format reference bench compare lock clean
+.PHONY: help demo test test-all test-long test-maps ways-out crash model coverage mutate check format reference bench compare lock clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -45,6 +45,12 @@ crash: $(VENV)/.installed ## 100,000 crash states of the journal, 2,000 kills, a
 
 model: $(VENV)/.installed ## of that, the model alone
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.crash --states 0 --kills 0 $(ARGS)
+
+coverage: $(VENV)/.installed ## every branch of state machine, journal, recovery and safety is run by a test
+	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.mutation.covered $(ARGS)
+
+mutate: $(VENV)/.installed ## each small fault in them is seen by one; into docs/reliability.md (ARGS="touch safety")
+	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.mutation $(ARGS)
 
 check: $(VENV)/.installed ## lint, format, types, layers
 	@$(BIN)/ruff check --quiet .

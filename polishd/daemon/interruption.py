@@ -137,8 +137,7 @@ def _take_over(journal: Journal, account: _Account, robot: RobotProgress, told: 
     """Journal what the robot remembers; the tool is off once its actuator must have let go."""
     record, unseen_s = account.record, account.unseen_s()
     end = record.contact_to if record.uncertain is None else record.uncertain[1]
-    in_contact = [block for block in told if record.contact_from <= block.seq < end]
-    since_s = account.blocks.end_s[-1] if account.blocks.seq.size else in_contact[0].start_s if in_contact else 0.0
+    since_s = account.blocks.end_s[-1] if account.blocks.seq.size else 0.0  # nothing told: unseen_s has no end
 
     def off(seq: int, start_s: float) -> bool:
         return account.ended_off or not record.contact_from <= seq < end or start_s - since_s > unseen_s

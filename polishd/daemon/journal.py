@@ -14,7 +14,7 @@ from types import MappingProxyType, TracebackType
 from typing import Any, NoReturn, Self
 
 from polishd.daemon.array_store import ArrayStore
-from polishd.daemon.journal_knowledge import NOTHING, JobKnowledge
+from polishd.daemon.journal_knowledge import JobKnowledge
 from polishd.daemon.journal_memory import Known, nothing_known, read_job, read_tally, read_unknown
 from polishd.daemon.journal_records import BlockRecord, MapRecord, PassRecord
 from polishd.daemon.journal_schema import Connect, connect
@@ -148,7 +148,6 @@ class Journal(JobKnowledge, AbstractContextManager["Journal", None]):
         self._store.write((_INTENT, (self._job, *begun, text, now, plan, start, reach_s)))
         known = PassRecord(*begun, json.loads(text), now, plan=plan, start=start, reach_s=reach_s)
         self._known.passes[cycle] = known
-        self._known.tallies[cycle] = NOTHING
 
     def record_executed(self, cycle: int, records: Sequence[BlockRecord]) -> None:
         """Blocks were executed (buffered: durable within 0.25 s). One that is recorded already changes nothing."""

@@ -62,9 +62,6 @@ class Recorder:
             await mark(self._cell, self._journal, self._cycle, self._touch, robot)
         except PolishdError as error:
             log.error("what the tool may have touched is not recorded (%s): the next start asks the robot", error)
-        finally:
-            if self._task is not None:
-                self._task.cancel()
 
     async def _take(self, blocks: AsyncIterator[Executed]) -> None:
         turn = 0

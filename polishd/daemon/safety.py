@@ -133,8 +133,6 @@ async def to_its_end(work: Coroutine[Any, Any, None]) -> None:
         try:
             await asyncio.shield(task)
         except asyncio.CancelledError as error:
-            if task.cancelled():
-                raise
             cancelled = error  # finish first: a second signal must not leave the tool on the part
     task.result()
     if cancelled is not None:
@@ -172,34 +170,33 @@ class _Leaving:
     async def _stop_motion(self, robot: str, lifts: Mapping[str, asyncio.Task[bool]]) -> None:
         """Which tool an idle robot may hold is not known: it waits for all."""
         used = self._cell.used
-        presses = self._touch is not None and robot == used["robot"]
-        its_own = {used["actuator"]: lifts[used["actuator"]]} if presses else lifts
+        pressing = self._touch if robot == used["robot"] else None
+        its_own = lifts if pressing is None else {used["actuator"]: lifts[used["actuator"]]}
         async with asyncio.TaskGroup() as group:
-            lifted = group.create_task(self._until_lifted(robot, its_own, presses=presses))
+            lifted = group.create_task(self._until_lifted(robot, its_own, pressing))
             while not self._cell.emergency and not lifted.done():  # which may be declared meanwhile
                 await asyncio.wait({lifted}, timeout=LOOK_S)
             lifted.cancel()
         await self._step(robot)
 
-    async def _until_lifted(self, robot: str, lifts: Mapping[str, asyncio.Task[bool]], *, presses: bool) -> None:
+    async def _until_lifted(self, robot: str, lifts: Mapping[str, asyncio.Task[bool]], pressing: Touch | None) -> None:
         """Motion goes on meanwhile, along the program; off the part, where the actuator does not lift."""
         cell, begun_s = self._cell, self._cell.clock.now_s()
-        if not (presses and self._silent):
+        if pressing is None or not self._silent:
             await asyncio.wait(lifts.values())  # which cancels none of them, should this be
             if all(lift.result() for lift in lifts.values()):
                 return
-        if presses and await self._lifted_by_robot():
+        if pressing is not None and await self._lifted_by_robot(pressing):
             return
-        if presses or await self._moves(robot):
+        if pressing is not None or await self._moves(robot):
             let_go_s = begun_s + max(cast(ForceActuator, cell.devices[name]).times.alone_s for name in lifts)
             while cell.clock.now_s() < let_go_s and not all(lift.done() and lift.result() for lift in lifts.values()):
                 await cell.clock.sleep(LOOK_S)
 
-    async def _lifted_by_robot(self) -> bool:
+    async def _lifted_by_robot(self, touch: Touch) -> bool:
         """Whether the robot took the tool off the part."""
         limits = self._cell.limits
-        if self._touch is not None:
-            self._touch.lifts(self._cell.clock.now_s())
+        touch.lifts(self._cell.clock.now_s())
         try:
             async with asyncio.timeout(safe_within_s(limits.robot)):
                 await self._cell.robot.lift(limits.lift_mm)
@@ -209,7 +206,7 @@ class _Leaving:
             )
             return False
         self._lifted_mm = limits.lift_mm
-        self._off(self._cell.clock.now_s())
+        touch.off(self._cell.clock.now_s())
         return True
 
     async def _moves(self, name: str) -> bool:

@@ -1,0 +1,139 @@
+"""What the campaign came to: kept between sittings, held against ``survivors.toml``, shown in docs/reliability.md."""
+
+from __future__ import annotations
+
+import json
+import platform
+import tomllib
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from tests.campaigns.mutation.campaign import KILLED, SURVIVED, TIMEOUT
+from tests.campaigns.mutation.covered import content_of
+from tests.campaigns.mutation.mutants import Module, Mutant
+from tests.campaigns.mutation.scope import KEPT, MODULES, ROOT
+
+EXPLAINED = Path(__file__).with_name("survivors.toml")
+PAGE = ROOT / "docs" / "reliability.md"
+BEGIN, END = "<!-- written by make mutate -->\n", "<!-- end of what make mutate writes -->"
+COLUMNS = (
+    "module",
+    "mutants",
+    "killed",
+    "ended by the limit of time",
+    "survived, explained",
+    "not explained",
+    "not tried yet",
+)
+HELPERS = "what tests share"
+SHARED = ("tests/fakes/*.py", "tests/unit/daemon/[!t]*.py", "tests/conftest.py", "tests/unit/*.py")
+
+
+class Kept:
+    """``results.json``: of each module its hash, and of each of its mutants how it ended."""
+
+    def __init__(self, folder: Path = KEPT) -> None:
+        self._path = folder / "results.json"
+        kept = json.loads(self._path.read_text()) if self._path.exists() else {}
+        self._modules: dict[str, Any] = kept.get("modules", {})
+        self._sittings: list[dict[str, str]] = kept.get("sittings", [])
+        """The hashes of all files of tests, of each sitting."""
+        self.keys: dict[str, list[str]] = {}
+        """Of all mutants, by module."""
+        for name in MODULES:
+            self.keys[name] = [mutant.key for mutant in Module(name, (ROOT / name).read_text()).mutants()]
+            if self._modules.get(name, {}).get("of") != content_of([name]):
+                self._modules[name] = {"of": content_of([name]), "mutants": {}}
+
+    def sit(self, files: Iterable[str]) -> None:
+        """Begin a sitting with these files of tests."""
+        now = {name: content_of([name]) for name in files}
+        now[HELPERS] = content_of(sorted(str(path.relative_to(ROOT)) for one in SHARED for path in ROOT.glob(one)))
+        if not self._sittings or self._sittings[-1] != now:
+            self._sittings.append(now)
+
+    def still_to_run(self, mutant: Mutant, tests: Sequence[str], *, again: bool = False) -> Sequence[str] | None:
+        """Of those tests the ones that may have another word on it; None where its end is known.
+
+        ``again``: that of a survivor is not.
+        """
+        told = self.of(mutant)
+        now = self._sittings[-1]
+        if told is None:
+            return tests
+        then = self._sittings[told["sitting"]]
+        same = {name for name in now if then.get(name) == now[name]}
+        if told["end"] != SURVIVED:
+            return None if told["by"].partition("::")[0] in same or "::" not in told["by"] else tests
+        if again or HELPERS not in same:
+            return tests
+        return [test for test in tests if test.partition("::")[0] not in same] or None
+
+    def of(self, mutant: Mutant) -> Any:
+        """What is known of it."""
+        name = str(Path(mutant.path).relative_to(ROOT))
+        return self._modules[name]["mutants"].get(mutant.key)
+
+    def add(self, mutant: Mutant, end: str, by: str) -> None:
+        """It ended so."""
+        name = str(Path(mutant.path).relative_to(ROOT))
+        self._modules[name]["mutants"][mutant.key] = {"end": end, "by": by, "sitting": len(self._sittings) - 1}
+
+    def save(self) -> None:
+        """For the next sitting."""
+        kept = {"modules": self._modules, "sittings": self._sittings}
+        temporary = self._path.with_suffix(".new")
+        temporary.write_text(json.dumps(kept, indent=1))
+        temporary.replace(self._path)
+
+    def ends(self, module: str) -> dict[str, str]:
+        """Of each mutant that was tried, how it ended."""
+        told = self._modules[module]["mutants"]
+        return {key: told[key]["end"] for key in self.keys[module] if key in told}
+
+
+def explained() -> dict[str, dict[str, str]]:
+    """By module, why each surviving mutant does no harm."""
+    found: dict[str, dict[str, str]] = tomllib.loads(EXPLAINED.read_text())
+    return found
+
+
+def unexplained(ends: Mapping[str, str], why: Mapping[str, str]) -> list[str]:
+    """Survivors of a module that nobody has explained."""
+    return [key for key, end in ends.items() if end == SURVIVED and not why.get(key)]
+
+
+def outdated(ends: Mapping[str, str], why: Mapping[str, str], all_keys: Iterable[str]) -> list[str]:
+    """Explanations of a module for what is killed, or is no mutant any more."""
+    known = set(all_keys)
+    return [key for key in why if key not in known or ends.get(key, SURVIVED) != SURVIVED]
+
+
+def table(kept: Kept) -> str:
+    """For the page: a row a module, and their sum."""
+    head = f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}\n"
+    rows, total = [], Counter[str]()
+    for name in MODULES:
+        ends, why = kept.ends(name), explained().get(name, {})
+        count = Counter(ends.values())
+        count["bad"] = len(unexplained(ends, why))
+        count["all"] = len(kept.keys[name])
+        total += count
+        rows.append(_row(name.removeprefix("polishd/"), count))
+    of = f"Python {platform.python_version()}, {datetime.now(UTC):%Y-%m-%d}."
+    return f"{head}{''.join(rows)}{_row('**all**', total)}\n{of}\n"
+
+
+def _row(name: str, count: Mapping[str, int]) -> str:
+    left = count["all"] - sum(count[end] for end in (KILLED, TIMEOUT, SURVIVED))
+    numbers = (count["all"], count[KILLED], count[TIMEOUT], count[SURVIVED] - count["bad"], count["bad"], left)
+    return f"| {name} | {' | '.join(f'{number:,}' for number in numbers)} |\n"
+
+
+def write_page(text: str) -> None:
+    """Put it into docs/reliability.md."""
+    before, _, rest = PAGE.read_text().partition(BEGIN)
+    PAGE.write_text(before + BEGIN + text + END + rest.partition(END)[2])

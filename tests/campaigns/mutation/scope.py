@@ -1,0 +1,18 @@
+"""Which modules are proved, by which tests: ``scope.toml``."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[3]
+PARTS = ("state_machine", "journal", "recovery", "safety")
+KEPT = ROOT / "build" / "mutation"
+"""What is kept between sittings."""
+
+_SCOPE = tomllib.loads(Path(__file__).with_name("scope.toml").read_text())
+
+TESTS: tuple[str, ...] = tuple(_SCOPE["tests"])
+CHOSEN = "not slow and not hil"
+MODULES: tuple[str, ...] = tuple(f"polishd/{name}.py" for part in PARTS for name in _SCOPE[part])
+"""Of the project's root."""
