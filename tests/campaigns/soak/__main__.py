@@ -16,8 +16,9 @@ from pathlib import Path
 from tests.campaigns.soak.cell import SoakCell
 from tests.campaigns.soak.figures import Figures, table, write_page
 from tests.campaigns.soak.parts import Part, drawn
+from tests.campaigns.soak.records import Record
 from tests.campaigns.soak.scripts import SCRIPTS, Script
-from tests.campaigns.soak.sitting import Record, work
+from tests.campaigns.soak.sitting import work
 from tests.system.sim_rig import ROOT
 
 FOLDER = ROOT / "build" / "soak"

@@ -15,9 +15,10 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from polishd.files import write_atomic
 from tests.campaigns.soak.growth import BOUNDS, Slope, slopes
+from tests.campaigns.soak.records import Record
 from tests.campaigns.soak.scripts import ACCEPTED, BY_A_PERSON, CALM, RECOVERED, SCRIPTS, Script
-from tests.campaigns.soak.sitting import Record, too_slow
 from tests.system.sim_rig import ROOT
 
 CPU_S = 20.0
@@ -57,8 +58,11 @@ class Figures:
         self.folder, self.seed, self.speed, self.of = folder, seed, speed, sources()
         folder.mkdir(parents=True, exist_ok=True)
         self._path = folder / f"{self.of}-{seed}-{speed:g}.jsonl"
-        lines = self._path.read_text().splitlines() if self._path.exists() else []
-        self.records: list[dict[str, Any]] = [json.loads(line) for line in lines if line.endswith("}")]
+        text = self._path.read_text() if self._path.exists() else ""
+        whole, _, cut_off = text.rpartition("\n")
+        if cut_off:  # a power cut: that part is done again
+            write_atomic(self._path, f"{whole}\n".encode() if whole else b"")
+        self.records: list[dict[str, Any]] = [json.loads(line) for line in whole.splitlines()]
 
     @property
     def done(self) -> set[int]:
@@ -67,7 +71,7 @@ class Figures:
 
     def add(self, record: Record) -> None:
         """Durable when this returns."""
-        facts = {**asdict(record), "too_slow": too_slow(record)}
+        facts = {**asdict(record), "too_slow": record.too_slow}
         with self._path.open("a") as file:
             file.write(json.dumps(facts) + "\n")
             file.flush()

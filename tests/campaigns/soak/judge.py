@@ -40,10 +40,7 @@ class Truth:
 def truth_of(cell: SoakCell, row: Row, surface: Path, since_s: float, until_s: float) -> Truth:
     """Of a part that is done; ``surface``: the plant's file of it."""
     found = Truth()
-    with np.load(surface) as file:
-        frame = slice(file["pad"], -file["pad"])
-        height, start = (file[name][frame, frame] for name in ("height_nm", "start_nm"))
-        clear = file["clear"]
+    height, start, clear = _read(surface)
     found.rms_nm = flat_rms_nm(height, clear)
     run = Path(row.run_dir) if row.run_dir else None
     if run is not None and (run / "journal.sqlite").exists():
@@ -61,6 +58,19 @@ def truth_of(cell: SoakCell, row: Row, surface: Path, since_s: float, until_s: f
     if inside > STANDS_S:
         found.wrong.append(f"damage: the tool stood on the part for {inside:.2f} s")
     return found
+
+
+def untouched(surface: Path) -> bool:
+    """Nothing was taken off that part."""
+    height, start, _ = _read(surface)
+    return bool(np.array_equal(height, start))
+
+
+def _read(surface: Path) -> tuple[FloatArray, FloatArray, np.ndarray[Any, np.dtype[np.bool_]]]:
+    """(rows, columns) of the map: true heights now and at the start, nm, and the clear aperture."""
+    with np.load(surface) as file:
+        frame = slice(file["pad"], -file["pad"])
+        return file["height_nm"][frame, frame], file["start_nm"][frame, frame], file["clear"]
 
 
 def _account(found: Truth, cell: SoakCell, journal: Path) -> None:
