@@ -23,7 +23,7 @@ from tests.system.sim_rig import ROOT
 
 FOLDER = ROOT / "build" / "soak"
 PARTS, SITTING = 931, 40
-SPEED = 60.0
+SPEED = 40.0
 NAMED = {script.name: script for script in SCRIPTS}
 EVIDENCE = 40
 """So much of what was wrong is kept."""

@@ -101,7 +101,7 @@ class Sums:
     @cached_property
     def counted(self) -> list[Mapping[str, Any]]:
         """Those of which the machine was fast enough."""
-        return [record for record in self.all if not record["too_slow"]]
+        return [record for record in self.all if not (record["too_slow"] or record["missed"])]
 
     @cached_property
     def without(self) -> list[Mapping[str, Any]]:
@@ -178,7 +178,7 @@ class Sums:
         """For the last line."""
         return {
             "parts": len(self.all),
-            "too_slow": len(self.all) - len(self.counted),
+            "not_counted": len(self.all) - len(self.counted),
             "without_a_person": [self.alone, len(self.without)],
             "accepted": len(self.accepted),
             "outside_nm": self.outside_nm,
@@ -228,7 +228,8 @@ def _counts(sums: Sums) -> list[tuple[str, object]]:
     unexpected = sum(len(record["unexpected"]) for record in sums.counted)
     return [
         ("parts through the queue", f"{len(sums.all):,}"),
-        ("... not counted: the machine was too slow, a device seemed silent", len(sums.all) - len(sums.counted)),
+        ("... not counted: the machine was too slow, a device seemed silent", sum(r["too_slow"] for r in sums.all)),
+        ("... not counted: what was to befall it in contact came too late", sum(r["missed"] for r in sums.all)),
         ("... how they ended", ", ".join(f"{how} {n}" for how, n in verdicts.most_common())),
         ("sittings, starts of the daemon", f"{len(sittings)}, {len(lives)}"),
         ("parts with nothing, or with faults that polishd can recover from", len(sums.without)),

@@ -31,6 +31,8 @@ class Record:
     restarts: int = 0
     struck: bool = True
     """What was to befall it did."""
+    missed: bool = False
+    """... when its pass was over: then it befell nobody knows whom."""
     wall_s: float = 0.0
     cpu_s: dict[str, float] = field(default_factory=dict)
     held: dict[str, float] = field(default_factory=dict)

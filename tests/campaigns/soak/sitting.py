@@ -22,8 +22,8 @@ PART_S = 300.0
 """A part that takes longer is stuck."""
 PATIENCE = 4
 """So often a person comes to one part over what nobody expects; then it is taken out, and at twice that all is left."""
-STRIKES_S = 0.8
-"""After the tool has landed, at most; a pass takes longer."""
+STRIKES_S = 0.4
+"""After the tool was seen to have landed, at most; a pass takes four times as long."""
 
 
 class Stuck(Exception):
@@ -93,8 +93,9 @@ class Sitting:
             elif status.get("state") == "held":
                 self._visit(under)
             elif not record.struck and self._is_time(part, status, landed):
-                record.struck = True
+                record.struck, struck_s = True, time.monotonic()
                 part.script.strike(self._cell)
+                record.missed = part.script.when == "in contact" and self._lifted(struck_s)
             self._pause()
         self._ledger.end(under, row, self._late_s)
 
@@ -109,6 +110,11 @@ class Sitting:
 
     def _landings(self) -> int:
         return sum(event["event"] == "tool_landed" for event in self._cell.log.look())
+
+    def _lifted(self, before_s: float) -> bool:
+        """The pass was over by then."""
+        told = [e for e in self._cell.log.look() if e["event"] in {"tool_landed", "retract"} and e["mono_s"] < before_s]
+        return bool(told) and told[-1]["event"] == "retract"
 
     def _between(self) -> None:
         """Nothing waits any more: a person sees to what stopped the queue."""
