@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
+import signal
 import sys
 import threading
 import time
@@ -47,6 +48,10 @@ class Soak:
             for wrong in pool.map(self._sit, filter(None, blocks)):
                 self.wrong += wrong
 
+    def leave(self, *_: object) -> None:
+        """What was begun is ended, and nothing more is begun."""
+        self._until_s = 0.0
+
     def _sit(self, numbers: list[int]) -> list[str]:
         if time.monotonic() > self._until_s:
             return []
@@ -54,7 +59,7 @@ class Soak:
         parts: list[Part] = [drawn(figures.seed, number, self._only) for number in numbers]
         name = f"{numbers[0]:04d}-{datetime.now(UTC):%Y%m%dT%H%M%S}"
         folder = self._folder / "cells" / name
-        wrong = work(folder, name, figures.seed, figures.speed, parts, self._until_s, self._keep)
+        wrong = work(folder, name, figures.seed, figures.speed, parts, lambda: self._until_s, self._keep)
         for said in wrong:
             say(f"soak: {name}: {said}")
         if not wrong:
@@ -116,6 +121,7 @@ def main() -> int:
     figures = Figures(folder, options.seed, options.speed)
     only = [NAMED[name] for name in options.only]
     soak = Soak(figures, folder, time.monotonic() + 60 * options.minutes, only)
+    signal.signal(signal.SIGTERM, soak.leave)
     soak.run(options.parts, options.cells)
     sums = figures.sums()
     text = table(sums, figures.conditions())

@@ -26,14 +26,14 @@ from tests.system.cell_rig import with_keys, without, write_small
 from tests.system.sim_rig import ROOT, wait_for
 
 QUICK = {
-    "robot": {"silence_s": 1.5, "watchdog_s": 4.0},
-    "actuator": {"silence_s": 0.8, "watchdog_ms": 1200, "retract_s": 1.0},
-    "spindle": {"silence_s": 1.2, "watchdog_s": 1.2},
-    "metrology": {"timeout_s": 12.0},
-    "job": {"lookahead_s": 4.0},
+    "robot": {"silence_s": 3.0, "watchdog_s": 10.0},
+    "actuator": {"silence_s": 2.5, "watchdog_ms": 3500, "retract_s": 1.0},
+    "spindle": {"silence_s": 3.0, "watchdog_s": 3.0},
+    "metrology": {"timeout_s": 15.0},
+    "job": {"lookahead_s": 8.0},
 }
 """Real time: longer than a busy machine keeps a process waiting, short enough for a fault to cost seconds only."""
-QUICK_SIM = {"robot": {"watchdog_s": 4.0}, "spindle": {"watchdog_s": 1.2}}
+QUICK_SIM = {"robot": {"watchdog_s": 10.0}, "spindle": {"watchdog_s": 3.0}}
 REPEATABILITY_NM = 0.3
 """Stated in the instrument's profile; it is the noise of the simulated maps."""
 FAULTY = ("robot", "spindle")
@@ -82,7 +82,7 @@ class SoakCell(Site):
         return [] if self.ended or self.process is None else children(self.process.pid)
 
     def look(self) -> None:
-        """At what all processes have used."""
+        """At what all processes have used, and how long they were kept waiting."""
         pids = json.loads((self.files.sim_dir / "pids.json").read_text()).values()
         daemon = [] if self.process is None else [self.process.pid]
         self.meter.look({"daemon": daemon, "worker": self.workers(), "simulators": pids})

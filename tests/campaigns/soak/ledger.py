@@ -63,14 +63,15 @@ class Ledger:
         self.open.append(under)
         return under
 
-    def end(self, under: Under, row: Row, late_s: float) -> None:
+    def end(self, under: Under, row: Row) -> None:
         """Its job has ended: what it used, and what daemon and worker hold now. Earlier ones are judged."""
         record, cell, under.row = under.record, self._cell, row
         cell.look()
         total = cell.meter.total_s()
         record.cpu_s = {name: round(total[name] - self._used[name], 3) for name in total}
         self._used = total
-        record.wall_s, record.late_s = round(time.monotonic() - under.began_s, 3), round(late_s, 3)
+        record.wall_s, record.late_s = round(time.monotonic() - under.began_s, 3), round(cell.meter.late_s, 3)
+        cell.meter.late_s = 0.0
         record.life, record.age, self._age = f"{self._sitting}/{self._life}", self._age, self._age + 1
         record.held = self._held()
         for earlier in [one for one in self.open if one is not under and not one.expected]:

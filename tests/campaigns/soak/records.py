@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-LATE_S = 0.4
-"""A campaign that was kept waiting for so long ran on a machine that is too slow: half of the shortest silence."""
+LATE_S = 0.5
+"""Where a device, or the daemon, waited for a processor for so long within a second, the machine is too slow."""
 DEVICE_FAULTS = ("LinkError", "DeviceFault", "SafetyStop", "HostFault", "ProtocolError", "DeviceRefused")
 
 
@@ -38,7 +38,7 @@ class Record:
     held: dict[str, float] = field(default_factory=dict)
     """What daemon and worker held as it ended, and what was written for it."""
     late_s: float = 0.0
-    """By how much the campaign itself was kept waiting, at most."""
+    """Longest that the daemon or a device waited for a processor between two looks at it."""
     tolerance_nm: float = 0.0
     told: dict[str, float] = field(default_factory=dict)
     """By the last measurement: ``rms_nm``, ``limit_nm``, ``uncertainty_nm``."""

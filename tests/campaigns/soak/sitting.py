@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import re
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,14 +36,13 @@ class Sitting:
     def __init__(self, cell: SoakCell, name: str, seed: int, keep: Keep) -> None:
         self._cell, self._seed, self._path = cell, seed, str(cell.files.cell)
         self._ledger = Ledger(cell, name, keep)
-        self._late_s = 0.0
 
-    def run(self, parts: Sequence[Part], until_s: float) -> None:
+    def run(self, parts: Sequence[Part], until_s: Callable[[], float]) -> None:
         """All of them, or until that time; what was begun is ended."""
         self._start()
         try:
             for group in grouped(parts):
-                if time.monotonic() > until_s:
+                if time.monotonic() > until_s():
                     break
                 self._work(group)
         except (Stuck, AssertionError) as error:
@@ -83,7 +82,7 @@ class Sitting:
         under = self._ledger.begin(part)
         record, before = under.record, part.script.when in {"", "between jobs"}
         record.struck, record.restarts = before, int(part.script.when == "between jobs")
-        self._late_s, landed = 0.0, self._landings()
+        landed = self._landings()
         while (row := self._cell.row(part.name)) is None or row.verdict is None:
             if time.monotonic() > under.began_s + PART_S:
                 raise Stuck(f"{part.name} does not end: {self._cell.state()}")
@@ -97,7 +96,7 @@ class Sitting:
                 part.script.strike(self._cell)
                 record.missed = part.script.when == "in contact" and self._lifted(struck_s)
             self._pause()
-        self._ledger.end(under, row, self._late_s)
+        self._ledger.end(under, row)
 
     def _is_time(self, part: Part, status: Mapping[str, Any], landed: int) -> bool:
         """For what befalls it."""
@@ -176,9 +175,7 @@ class Sitting:
             self._pause()
 
     def _pause(self) -> None:
-        before_s = time.monotonic()
         time.sleep(LOOK_S)
-        self._late_s = max(self._late_s, time.monotonic() - before_s - LOOK_S)
         self._cell.look()
 
 
@@ -199,7 +196,7 @@ def grouped(parts: Sequence[Part]) -> Iterator[list[Part]]:
 
 
 def work(
-    folder: Path, name: str, seed: int, speed: float, parts: Sequence[Part], until_s: float, keep: Keep
+    folder: Path, name: str, seed: int, speed: float, parts: Sequence[Part], until_s: Callable[[], float], keep: Keep
 ) -> list[str]:
     """A sitting in that folder; what was wrong with it apart from its parts."""
     mirrored = random.Random(f"{seed} {parts[0].number}").random() < MIRRORED

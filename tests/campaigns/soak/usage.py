@@ -28,13 +28,23 @@ class Meter:
     _used_s: dict[tuple[str, int, str], float] = field(default_factory=dict)
     """By group, process id and start time."""
     _more_s: Counter[str] = field(default_factory=Counter)
+    _waited_s: dict[tuple[str, int], float] = field(default_factory=dict)
+    """For a processor, by process id, when it was looked at last."""
+    late_s: float = 0.0
+    """Longest that any process was kept waiting between two looks, since somebody set this to 0; workers aside."""
 
     def look(self, groups: Mapping[str, Iterable[int]]) -> None:
         """At the processes of each group, as they are now."""
         for group, pids in groups.items():
             for pid in pids:
-                if (found := _stat(pid)) is not None:
-                    self._used_s[group, pid, found[19]] = TICK_S * (int(found[11]) + int(found[12]))
+                if (found := _stat(pid)) is None:
+                    continue
+                self._used_s[group, pid, found[19]] = TICK_S * (int(found[11]) + int(found[12]))
+                waited_s = _waited_s(pid)
+                before_s = self._waited_s.get((group, pid), waited_s)
+                self._waited_s[group, pid] = waited_s
+                if group != "worker":
+                    self.late_s = max(self.late_s, waited_s - before_s)
 
     def add(self, group: str, seconds: float) -> None:
         """What somebody else has measured."""
@@ -68,6 +78,14 @@ def children(pid: int) -> list[int]:
         except OSError:
             continue  # it ended meanwhile
     return found
+
+
+def _waited_s(pid: int) -> float:
+    """Seconds that its first thread, which serves the wires, could have run and did not get a processor."""
+    try:
+        return int(Path(f"/proc/{pid}/task/{pid}/schedstat").read_text().split()[1]) / 1e9
+    except OSError:
+        return 0.0
 
 
 def _stat(pid: int) -> list[str] | None:
