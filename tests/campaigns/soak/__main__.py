@@ -14,6 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 
+from polishd.model.errors import PolishdError
 from tests.campaigns.soak.cell import SoakCell
 from tests.campaigns.soak.figures import Figures, table, write_page
 from tests.campaigns.soak.parts import Part, drawn
@@ -59,7 +60,10 @@ class Soak:
         parts: list[Part] = [drawn(figures.seed, number, self._only) for number in numbers]
         name = f"{numbers[0]:04d}-{datetime.now(UTC):%Y%m%dT%H%M%S}"
         folder = self._folder / "cells" / name
-        wrong = work(folder, name, figures.seed, figures.speed, parts, lambda: self._until_s, self._keep)
+        try:
+            wrong = work(folder, name, figures.seed, figures.speed, parts, lambda: self._until_s, self._keep)
+        except PolishdError as error:
+            wrong = [f"it did not begin, its parts are still to be done: {error}"]
         for said in wrong:
             say(f"soak: {name}: {said}")
         if not wrong:

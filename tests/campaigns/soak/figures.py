@@ -43,11 +43,11 @@ UNITS = {
 
 
 def sources() -> str:
-    """A hash of polishd and of the campaign: where one changes, the figures begin anew."""
+    """A hash of polishd, and of how parts are drawn and judged: where one changes, the figures begin anew."""
     content = hashlib.sha256()
-    for folder in ("polishd", "tests/campaigns/soak"):
-        for path in sorted((ROOT / folder).rglob("*.py")):
-            content.update(b"" if path.name.startswith("test_") else path.read_bytes())
+    own = (Path(__file__).with_name(f"{name}.py") for name in ("scripts", "parts", "judge"))
+    for path in (*sorted((ROOT / "polishd").rglob("*.py")), *own):
+        content.update(path.read_bytes())
     return content.hexdigest()[:16]
 
 
