@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import signal
 import tty
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -60,6 +61,7 @@ class Wire:
         """The device answers there; from now on its faults may come."""
         self.runtime.ready(endpoint)
         self.runtime.on_again.append(self.again)
+        self.runtime.button(signal.SIGURG, self.cut)
         self.again()
         self.runtime.group.create_task(self.runtime.reboot_later(self.faults.reboot_after_s))
 
@@ -75,9 +77,13 @@ class Wire:
         """Disconnect everyone every so often."""
         while self.faults.disconnect_every_s:
             await asyncio.sleep(self.faults.disconnect_every_s)
-            self.runtime.link.event("wire_cut")
-            for cut in list(self.cuts):
-                cut()
+            self.cut()
+
+    def cut(self) -> None:
+        """Disconnect everyone, once."""
+        self.runtime.link.event("wire_cut")
+        for cut in list(self.cuts):
+            cut()
 
 
 class Connection(asyncio.Protocol):

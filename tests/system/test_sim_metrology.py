@@ -85,6 +85,9 @@ def test_faults_of_a_cell_that_runs_are_those_that_its_file_says_now(tmp_path: P
         robot = running.robot()
         robot.until(lambda: robot.status.get("boot_id"), "its status", ping=False)
         quiet = running.toml.read_text()
+        os.kill(running.pids["robot"], signal.SIGURG)
+        robot.until(lambda: robot.closed, "the cut", ping=False)
+        robot = running.robot()
         faults = "[robot.faults]\ndisconnect_every_s = 0.1\n[interferometer.faults]\nwrong_part_first = true\n"
         running.toml.write_text(quiet + faults)
         for device in ("robot", "interferometer"):
@@ -95,7 +98,7 @@ def test_faults_of_a_cell_that_runs_are_those_that_its_file_says_now(tmp_path: P
         assert [metropro.read(path).part for path in dats(running)] == ["OTHER-7", "DEMO-100"]
         running.toml.write_text(quiet)
         os.kill(running.pids["robot"], signal.SIGHUP)
-        wait_for(lambda: running.events("button").count("button") == 3, "the third press of a button")
+        wait_for(lambda: running.events("button").count("button") == 4, "the fourth press of a button")
         again = running.robot()
         cuts = running.events("wire_cut").count("wire_cut")
         for _ in range(20):  # four times as long as it took
