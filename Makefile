@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-all test-long test-maps ways-out crash model coverage mutate check format reference bench compare lock clean
+.PHONY: help demo test test-all test-long test-maps ways-out crash model soak coverage mutate check format reference bench compare lock clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -28,7 +28,7 @@ test-all: $(VENV)/.installed ## run all tests but the long campaigns (ARGS="..."
 	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m "not slow and not hil" $(ARGS)
 
 # Those that run machines in real time by themselves, and first: others would starve what they simulate.
-REAL_TIME := tests/campaigns/test_ways_out.py tests/campaigns/crash tests/system
+REAL_TIME := tests/campaigns/test_ways_out.py tests/campaigns/crash tests/campaigns/soak tests/system
 test-long: $(VENV)/.installed ## run the long campaigns (ARGS="...")
 	@$(ONE_THREAD) $(PYTEST) -n 1 -m "slow and not hil" $(REAL_TIME) $(ARGS)
 	@$(ONE_THREAD) $(PYTEST) -n 2 --dist worksteal -m "slow and not hil" $(REAL_TIME:%=--ignore=%) $(ARGS)
@@ -51,6 +51,9 @@ coverage: $(VENV)/.installed ## every branch of state machine, journal, recovery
 
 mutate: $(VENV)/.installed ## each small fault in them is seen by one; into docs/reliability.md (ARGS="touch safety")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.mutation $(ARGS)
+
+soak: $(VENV)/.installed ## 931 parts through the queue of simulated cells; into docs/reliability.md (ARGS="...")
+	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.soak $(ARGS)
 
 check: $(VENV)/.installed ## lint, format, types, layers
 	@$(BIN)/ruff check --quiet .

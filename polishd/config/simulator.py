@@ -60,6 +60,8 @@ class Truth(Section):
     """How far each stiffness of the robot is off its nominal value, either way, relative. [1]"""
     drift: ShareOrNone = 0.01
     """Amplitude of a slow sine of the removal rate, relative. [1]"""
+    worn: ShareOrNone = 0.0
+    """Share of its removal rate that the tool has lost. [1]"""
     drift_period_s: Positive = 3000.0
     """Period of that drift, process time; drawn within 20 % of it."""
     force_noise: Annotated[float, Field(ge=0, lt=0.5)] = 0.01

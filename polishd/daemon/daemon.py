@@ -92,6 +92,7 @@ class Daemon:
             "cycle": cycle,
             "cycles": self.job.cycles(),
             "unsafe": list(self._cell.unsafe),
+            "tasks": len(asyncio.all_tasks()),
             "health": {figure.name: {**asdict(figure), "fits": figure.fits} for figure in self._health.figures()},
             "devices": {name: self._told(name) for name in self._cell.devices},
         }

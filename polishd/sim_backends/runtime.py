@@ -11,10 +11,11 @@ import sys
 import uuid
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
+from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any
 
-from polishd.config.simulator import SimConfig
+from polishd.config.simulator import SimConfig, load_simulator
 from polishd.sim_backends import bus
 
 LOOPBACK = "127.0.0.1"
@@ -34,6 +35,10 @@ class Start:
     surface: Path | None = None
     rebooted: bool = False
 
+    def again(self) -> Start:
+        """With what SIM.toml says now."""
+        return changed(self, config=load_simulator(Path(self.config.source.file)))
+
 
 @dataclass(slots=True)
 class Runtime:
@@ -46,6 +51,8 @@ class Runtime:
     group: asyncio.TaskGroup
     stop: asyncio.Event = field(default_factory=asyncio.Event)
     boot_id: str = field(default_factory=lambda: uuid.uuid4().hex[:12])
+    on_again: list[Callable[[], object]] = field(default_factory=list)
+    """Who keeps a copy of what SIM.toml says: called when it was read again."""
 
     def ready(self, endpoint: str) -> None:
         """Tell the supervisor that the device answers there."""
@@ -60,6 +67,12 @@ class Runtime:
             action()
 
         asyncio.get_running_loop().add_signal_handler(number, pressed)
+
+    def again(self) -> None:
+        """Read SIM.toml again: faults and the truth may be others from now on; ports, times and places stay."""
+        self.start = self.start.again()
+        for told in self.on_again:
+            told()
 
     async def serve(self, protocol: Callable[[], asyncio.Protocol], port: int) -> int:
         """Listen on loopback; returns the port. A port of 0 becomes the one of the last start, if it is free."""
@@ -128,6 +141,7 @@ async def run_device(name: str, start: Start, device: Device, **hello: Any) -> N
     link = await bus.connect(start.state, name, **hello)
     async with asyncio.TaskGroup() as group:
         runtime = Runtime(name, start, _power_up(start.state, name), link, group)
+        runtime.button(signal.SIGHUP, runtime.again)
         group.create_task(_until_plant_ends(runtime))
         group.create_task(device(runtime))
         await until_ended(runtime.stop)

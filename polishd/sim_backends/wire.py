@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import signal
 import tty
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -32,6 +33,7 @@ class Wire:
     """Makes the receiver of one connection, which answers through the outlet."""
     cuts: list[Callable[[], None]] = field(default_factory=list)
     mischief: Mischief = field(init=False)
+    _cutting: asyncio.Task[None] | None = None
 
     def __post_init__(self) -> None:
         """Bad luck of its own."""
@@ -58,16 +60,30 @@ class Wire:
     def ready(self, endpoint: str) -> None:
         """The device answers there; from now on its faults may come."""
         self.runtime.ready(endpoint)
-        self.runtime.group.create_task(self.cut_now_and_then())
+        self.runtime.on_again.append(self.again)
+        self.runtime.button(signal.SIGURG, self.cut)
+        self.again()
         self.runtime.group.create_task(self.runtime.reboot_later(self.faults.reboot_after_s))
+
+    def again(self) -> None:
+        """From now on, with the faults that the device's section says."""
+        self.faults = getattr(self.runtime.start.config, self.runtime.name).faults
+        self.mischief.faults = self.faults
+        if self._cutting is not None:
+            self._cutting.cancel()
+        self._cutting = self.runtime.group.create_task(self.cut_now_and_then())
 
     async def cut_now_and_then(self) -> None:
         """Disconnect everyone every so often."""
         while self.faults.disconnect_every_s:
             await asyncio.sleep(self.faults.disconnect_every_s)
-            self.runtime.link.event("wire_cut")
-            for cut in list(self.cuts):
-                cut()
+            self.cut()
+
+    def cut(self) -> None:
+        """Disconnect everyone, once."""
+        self.runtime.link.event("wire_cut")
+        for cut in list(self.cuts):
+            cut()
 
 
 class Connection(asyncio.Protocol):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +77,34 @@ def test_a_nasty_instrument(tmp_path: Path) -> None:
         assert len(contents) == 5
         assert contents[3] == contents[1]
         assert len(set(contents)) == 4
+
+
+@pytest.mark.full
+def test_faults_of_a_cell_that_runs_are_those_that_its_file_says_now(tmp_path: Path) -> None:
+    with cell(tmp_path) as running:
+        robot = running.robot()
+        robot.until(lambda: robot.status.get("boot_id"), "its status", ping=False)
+        quiet = running.toml.read_text()
+        os.kill(running.pids["robot"], signal.SIGURG)
+        robot.until(lambda: robot.closed, "the cut", ping=False)
+        robot = running.robot()
+        faults = "[robot.faults]\ndisconnect_every_s = 0.1\n[interferometer.faults]\nwrong_part_first = true\n"
+        running.toml.write_text(quiet + faults)
+        for device in ("robot", "interferometer"):
+            os.kill(running.pids[device], signal.SIGHUP)
+        robot.until(lambda: robot.closed, "the cut", ping=False)
+        ask(running)
+        wait_for(lambda: "map_dropped" in running.events(), "the map")
+        assert [metropro.read(path).part for path in dats(running)] == ["OTHER-7", "DEMO-100"]
+        running.toml.write_text(quiet)
+        os.kill(running.pids["robot"], signal.SIGHUP)
+        wait_for(lambda: running.events("button").count("button") == 4, "the fourth press of a button")
+        again = running.robot()
+        cuts = running.events("wire_cut").count("wire_cut")
+        for _ in range(20):  # four times as long as it took
+            again.pump()
+        assert not again.closed
+        assert running.events("wire_cut").count("wire_cut") == cuts
 
 
 @pytest.mark.full

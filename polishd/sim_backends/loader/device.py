@@ -92,6 +92,7 @@ async def main(runtime: Runtime) -> None:
         endpoint = f"tcp://{await wire.open_tcp(config.port)}"
     else:
         wire.open_pty(config.baud)
+    runtime.on_again.append(lambda: setattr(arm, "faults", (runtime.start.config.loader or config).faults))
     runtime.button(signal.SIGUSR1, arm.reset)
     wire.ready(endpoint)
     while True:

@@ -94,15 +94,4 @@ class Account:
             "truth": "truth.npz",
         }
         replace(folder / "dwell_account.json", json.dumps(message).encode())
-        beside = folder / ".truth.npz"
-        with beside.open("wb") as file:
-            np.savez(
-                file,
-                height_nm=part.height_nm,
-                start_nm=part.start_nm,
-                valid=part.valid,
-                clear=part.clear,
-                pad=part.pad,
-                pitch_mm=part.grid.pitch_mm,
-            )
-        beside.replace(folder / "truth.npz")
+        part.write(folder / "truth.npz")

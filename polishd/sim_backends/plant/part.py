@@ -43,6 +43,21 @@ class TruePart:
         frame = self.height_nm[self.pad : -self.pad, self.pad : -self.pad]
         return np.where(self.valid, frame, np.nan)
 
+    def write(self, path: Path) -> None:
+        """As an .npz file, replaced whole."""
+        beside = path.with_name(f".{path.name}")
+        with beside.open("wb") as file:
+            np.savez(
+                file,
+                height_nm=self.height_nm,
+                start_nm=self.start_nm,
+                valid=self.valid,
+                clear=self.clear,
+                pad=self.pad,
+                pitch_mm=self.grid.pitch_mm,
+            )
+        beside.replace(path)
+
     def stats(self) -> tuple[float, float]:
         """True RMS and PV in the clear aperture, mean removed, nm."""
         seen = self.map_nm()[self.clear]

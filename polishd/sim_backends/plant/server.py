@@ -10,6 +10,7 @@ import signal
 import time
 import zlib
 from dataclasses import asdict, dataclass, field
+from urllib.parse import quote
 
 from polishd.model.surface import FloatArray
 from polishd.sim_backends import bus, truth
@@ -94,6 +95,7 @@ class PlantServer:
         """The loader has put that part on the seat, or with an empty name has taken it off."""
         if self.seat:
             self.others[self.seat] = self.world.part
+            self._keep(self.seat)
         self.seat = part
         if part:
             seed = self.start.seed + zlib.crc32(part.encode())
@@ -101,6 +103,12 @@ class PlantServer:
             self.world.part = self.others.pop(part) if known else parts.make(self.start.config.plant, seed)
         if "interferometer" in self.writers:
             self.writers["interferometer"].write(bus.pack_json({"part": part}))
+
+    def again(self) -> None:
+        """Read SIM.toml again: the truth may be another from now on, and parts that come have another surface."""
+        self.start = self.start.again()
+        self.world.config = self.start.config
+        self.witness.add("plant", "button", time.monotonic(), signal=signal.SIGHUP.name)
 
     def finish(self) -> None:
         """The end: everything is written down."""
@@ -190,6 +198,12 @@ class PlantServer:
         if "interferometer" in self.writers:
             self.writers["interferometer"].write(bus.pack_rows(seen))
 
+    def _keep(self, name: str) -> None:
+        """A part's truth stays for others to see once it is taken off."""
+        folder = self.start.state / "parts"
+        folder.mkdir(exist_ok=True)
+        self.world.part.write(folder / f"{quote(name, safe='')}.npz")
+
     def _write(self) -> None:
         self.world.account.write(self.start.state, self.world.part, self.world.process_s)
 
@@ -220,6 +234,7 @@ async def main(start: Start) -> None:
     listener = await asyncio.start_unix_server(server.serve, bus.socket_path(folder), limit=1 << 26)
     announce("plant", str(path))
     asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, server.mark_way_out)
+    asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, server.again)
     async with asyncio.TaskGroup() as group:
         group.create_task(server.tick())
         await until_ended(stop)

@@ -140,7 +140,7 @@ class World:
             axis=axis,
             depth_mm=worn_depth_mm(self.tool, force, axis, compliance),
             rpm=rpm,
-            seconds=rows[:, DT] * np.array([self.hidden.rate_at(t) for t in begin]),
+            seconds=rows[:, DT] * (1.0 - self.config.truth.worn) * np.array([self.hidden.rate_at(t) for t in begin]),
         )
         self._book(program, rows, place, np.stack([force, rpm], axis=1))
         if before is not None:

@@ -20,7 +20,7 @@ from pathlib import Path
 from polishd.console.demo_files import with_values
 from polishd.console.simulator import simulated_cell
 from tests.campaigns.crash.attacked import WHERE
-from tests.campaigns.crash.site import EXTENDED, LOOK_S, Site
+from tests.campaigns.site import EXTENDED, LOOK_S, Site
 from tests.patience import SOON_S
 from tests.system.cell_rig import with_keys, write_small
 

@@ -18,8 +18,8 @@ from tests.campaigns.crash.disk import Disk
 from tests.campaigns.crash.figures import SAID
 from tests.campaigns.crash.marked import NO_STORE_SYNC, NORMAL
 from tests.campaigns.crash.recording import Op, files_in, recorded
-from tests.campaigns.crash.site import Site
 from tests.campaigns.crash.states import round_of
+from tests.campaigns.site import Site
 from tests.system.sim_rig import wait_for
 from tests.unit.daemon.test_journal import FORMAT_1, FORMAT_2, made
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.config.simulator import Plant, SimConfig
+from polishd.config.simulator import Plant, SimConfig, load_simulator
 from polishd.sim_backends import bus
 from polishd.sim_backends.plant import part as parts
 from polishd.sim_backends.plant.account import Account
@@ -117,6 +117,22 @@ def test_the_truth_is_drawn_by_the_seed_and_left_in_the_state_folder(tmp_path: P
         build(Start(SMALL, tmp_path, seed=seed, speed=60.0))
         drawn.append((tmp_path / "truth.json").read_text())
     assert drawn[0] == drawn[1] != drawn[2]
+
+
+def test_a_part_that_is_taken_off_stays_to_be_seen_and_the_file_says_what_the_next_is_like(tmp_path: Path) -> None:
+    file = tmp_path / "sim.toml"
+    file.write_text("[plant]\npart_id = 'A/1'\naperture_mm = 10.0\nring_mm = 4.0\nrms_nm = 8.0\npv_nm = 60.0\n")
+    server = build(Start(load_simulator(file), tmp_path, seed=1, speed=60.0))
+    file.write_text(file.read_text().replace("8.0", "3.0").replace("60.0", "20.0") + "[truth]\nworn = 0.5\n")
+    server.again()
+    server.change("")
+    kept = np.load(tmp_path / "parts" / "A%2F1.npz")
+    server.change("B")
+    assert kept["start_nm"][kept["pad"] : -kept["pad"], kept["pad"] : -kept["pad"]][kept["clear"]].std() == (
+        pytest.approx(8.0)
+    )
+    assert server.world.part.stats()[0] == pytest.approx(3.0)
+    assert server.world.config.truth.worn == 0.5
 
 
 def test_a_device_is_told_where_things_are(server: PlantServer) -> None:

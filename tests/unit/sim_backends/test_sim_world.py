@@ -61,8 +61,8 @@ def motion_rows(lines: list[Any], ticks: Any) -> tuple[Motion, list[np.ndarray]]
 LINES = [f"G1 X{x} F{600 + 100 * (x % 3)}" for x in range(-19, 20)]
 
 
-def worn(batches: list[np.ndarray], horizons: Any) -> World:
-    plant = world()
+def worn(batches: list[np.ndarray], horizons: Any, hidden: Truth = PERFECT) -> World:
+    plant = world(hidden)
     plant.account.load("ab", len(LINES))
     for batch, horizon in zip(batches, horizons, strict=True):
         plant.move(batch)
@@ -86,6 +86,15 @@ def test_volume_is_rate_times_time() -> None:
     volume = -plant.part.height_nm.sum() * plant.part.grid.pitch_mm**2 * 1e-6
     seconds = plant.account.programs["ab"].sum()
     assert 0.811 * 0.9 < volume / (9.72e-4 * seconds) < 0.95**1.5
+
+
+def test_a_worn_tool_takes_off_less_by_its_share() -> None:
+    _, batches = motion_rows(LINES, np.arange(0.01, 0.5, 0.01))
+    removed = [
+        worn(batches, [math.inf] * len(batches), PERFECT.model_copy(update={"worn": share})).part.height_nm
+        for share in (0.0, 0.4)
+    ]
+    assert removed[1] == pytest.approx(0.6 * removed[0])
 
 
 def test_neither_batches_nor_delay_change_the_part() -> None:

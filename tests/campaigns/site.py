@@ -19,11 +19,10 @@ from polishd.console.demo_files import DemoFiles, with_values
 from polishd.daemon import client
 from polishd.daemon.journal import JOURNAL_NAME
 from polishd.model.errors import PolishdError
-from tests.campaigns.crash.recording import ROOT
 from tests.patience import SOON_S
 from tests.system.agreement import disagreements
 from tests.system.cell_rig import APERTURE_MM, account
-from tests.system.sim_rig import end_pid
+from tests.system.sim_rig import ROOT, end_pid
 
 LOOK_S = 0.03
 MOVING = {"motion_started": True, "motion_stopped": False, "boot": False, "lost": False}

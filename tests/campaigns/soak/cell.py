@@ -1,0 +1,233 @@
+"""A simulated cell that works a queue of parts, and what a person, or bad luck, does to it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from polishd.console.demo_files import DemoFiles, free_port, with_values
+from polishd.console.simulator import measure_artefact, simulated_cell
+from polishd.model.errors import PolishdError
+from tests.campaigns.site import Site
+from tests.campaigns.soak.usage import Meter, children
+from tests.patience import SOON_S
+from tests.system.cell_rig import with_keys, without, write_small
+from tests.system.sim_rig import ROOT, wait_for
+
+QUICK = {
+    "robot": {"silence_s": 3.0, "watchdog_s": 10.0},
+    "actuator": {"silence_s": 2.5, "watchdog_ms": 3500, "retract_s": 1.0},
+    "spindle": {"silence_s": 3.0, "watchdog_s": 3.0},
+    "metrology": {"timeout_s": 15.0},
+    "job": {"lookahead_s": 8.0},
+}
+"""Real time: longer than a busy machine keeps a process waiting, short enough for a fault to cost seconds only."""
+QUICK_SIM = {"robot": {"watchdog_s": 10.0}, "spindle": {"watchdog_s": 3.0}}
+REPEATABILITY_NM = 0.3
+"""Stated in the instrument's profile; it is the noise of the simulated maps."""
+FAULTY = ("robot", "spindle")
+"""Devices whose template has no section of faults."""
+
+
+class Row(NamedTuple):
+    """What the queue says of a job."""
+
+    verdict: str | None
+    reason: str
+    fault: str
+    run_dir: str | None
+
+
+class SoakCell(Site):
+    """The cell, its daemon, and who sees to both."""
+
+    def __init__(self, files: DemoFiles) -> None:
+        super().__init__(files)
+        self.meter = Meter()
+        self._sim = files.sim.read_text()
+        self._hups = 0
+        """How often the simulator's file was written."""
+
+    # the daemon, and who watches over it
+
+    def start_queue(self) -> None:
+        """As systemd does."""
+        self.start(("-m", "polishd", "run", "--queue"))
+
+    def kill_daemon(self) -> None:
+        """As the kernel does that is out of memory; its worker is left to itself."""
+        self.look()
+        if self.process is not None:
+            os.kill(self.pid, signal.SIGKILL)
+            self.process.wait(SOON_S)
+
+    def kill_worker(self) -> None:
+        """The same of the worker alone."""
+        for pid in self.workers():
+            os.kill(pid, signal.SIGKILL)
+
+    def workers(self) -> list[int]:
+        """The compute worker, where the daemon runs."""
+        return [] if self.ended or self.process is None else children(self.process.pid)
+
+    def look(self) -> None:
+        """At what all processes have used, and how long they were kept waiting."""
+        pids = json.loads((self.files.sim_dir / "pids.json").read_text()).values()
+        daemon = [] if self.process is None else [self.process.pid]
+        self.meter.look({"daemon": daemon, "worker": self.workers(), "simulators": pids})
+
+    # the person
+
+    def polishd(self, *words: str) -> subprocess.CompletedProcess[str]:
+        """The command line."""
+        command = [sys.executable, "-m", "polishd", *words]
+        with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
+            process = subprocess.Popen(command, stdout=out, stderr=err, stdin=subprocess.DEVNULL, cwd=ROOT)
+            _, status, used = os.wait4(process.pid, 0)
+            process.returncode = os.waitstatus_to_exitcode(status)
+            self.meter.add("commands", used.ru_utime + used.ru_stime)
+            said = [file.seek(0) or file.read() for file in (out, err)]
+        return subprocess.CompletedProcess(command, process.returncode, *said)
+
+    def asked(self, *words: str) -> dict[str, Any]:
+        """A verb with ``--json``; PolishdError where it is refused."""
+        done = self.polishd(*words, "--json")
+        if done.returncode and not done.stdout.startswith("{"):
+            raise PolishdError(done.stderr.strip())
+        return dict(json.loads(done.stdout or "{}"))
+
+    def row(self, job: str) -> Row | None:
+        """The queue's last word of that job."""
+        with contextlib.closing(self.journal()) as journal:
+            found = journal.execute(
+                "SELECT verdict, queue.reason, fault, run_dir FROM queue LEFT JOIN job ON job.id = queue.job "
+                "WHERE queue.name = ? ORDER BY queue.id DESC LIMIT 1",
+                (job,),
+            ).fetchone()
+        return None if found is None else Row(*found)
+
+    def written_mb(self) -> float:
+        """Of journal, array store and log; a journal's pages count, wherever they lie."""
+        with contextlib.closing(self.journal()) as journal:
+            ((pages,),) = journal.execute("PRAGMA page_count").fetchall()
+            ((size,),) = journal.execute("PRAGMA page_size").fetchall()
+        state = self.files.state_dir
+        others = sum(path.stat().st_size for path in [*(state / "store").glob("*.npz"), *state.glob("*.log*")])
+        return float(pages * size + others) / 1e6
+
+    def reset_loader(self) -> None:
+        """Look what it holds, clear it, and press its button."""
+        self.press("loader")
+        self.quiet()
+
+    # bad luck
+
+    def quiet(self) -> None:
+        """Nothing is wrong any more."""
+        self.set({})
+
+    def set(self, sections: Mapping[str, Mapping[str, Any]]) -> None:
+        """Other faults, another truth: the simulator's file as it was, with these; they hold when this returns."""
+        self.files.sim.write_text(with_keys(self._sim, sections))
+        self._hups += 1
+        pids = json.loads((self.files.sim_dir / "pids.json").read_text())
+        del pids["supervisor"]
+        for pid in pids.values():
+            os.kill(pid, signal.SIGHUP)
+        wait_for(lambda: self._heard() >= set(pids), f"the simulators to hear of {sections}")
+
+    def _heard(self) -> set[str]:
+        """Devices that have read the file as often as it was written."""
+        told = [e["device"] for e in self.log.look() if e["event"] == "button" and e["signal"] == "SIGHUP"]
+        return {device for device in set(told) if told.count(device) >= self._hups}
+
+    def press(self, device: str) -> None:
+        """Its first button."""
+        os.kill(self.device(device), signal.SIGUSR1)
+
+    def pause(self, who: str, seconds: float) -> None:
+        """Somebody stands still for a while."""
+        pid = self.pid if who == "daemon" else self.device(who)
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(seconds)  # that is what is done here
+        os.kill(pid, signal.SIGCONT)
+
+    def cut(self, device: str) -> None:
+        """Its wire is pulled out, and put in again."""
+        os.kill(self.device(device), signal.SIGURG)
+
+    def reboot(self, name: str) -> None:
+        """A person switches it off and on."""
+        self.look()
+        super().reboot(name)
+        self.quiet()
+
+
+def write_cell(folder: Path) -> DemoFiles:
+    """A small cell's files, with a loader; nothing is proved yet."""
+    files = write_small(folder, patient=False)
+    port = free_port()
+    cell = files.cell.read_text().replace('"interferometer"', '"interferometer", "loader"')
+    cell += f'\n[loader]\ntype = "loader_line"\naddress = "tcp://127.0.0.1:{port}"\n'
+    files.cell.write_text(with_keys(with_values(cell, {"dwell": {"cross_check": ""}}), QUICK))
+    more = "".join(f"\n[{device}.faults]\n" for device in (*FAULTY, "loader"))
+    sim = without(files.sim.read_text(), "actuator.faults") + f"\n[actuator.faults]\n\n[loader]\nport = {port}\n{more}"
+    files.sim.write_text(with_keys(sim, QUICK_SIM))
+    profile = files.profile.read_text().partition("\n[commissioned]")[0]  # which a test may forge; here it is proved
+    files.profile.write_text(with_keys(profile, {"repeatability": {"rms_nm": REPEATABILITY_NM}}))
+    return files
+
+
+@contextmanager
+def running_cell(folder: Path, seed: int, speed: float) -> Iterator[SoakCell]:
+    """With its simulator, and without a daemon."""
+    files = write_cell(folder)
+    options = ["--state", str(files.sim_dir), "--seed", str(seed), "--speed", f"{speed:g}"]
+    with simulated_cell(files.sim, options, files.out / "sim.stderr"):
+        cell = SoakCell(files)
+        try:
+            yield cell
+        finally:
+            cell.close()
+
+
+def prove_instrument(cell: SoakCell, *, mirrored: bool) -> list[str]:
+    """As a person does before the first part, perhaps with an instrument that is not as its profile says.
+
+    What was not as it should be: a mirrored artefact proves no profile, and with none proved nothing runs.
+    """
+    wrong, artefact, profile = [], cell.files.artefact, cell.files.profile
+    words = ("map", "commission", str(profile), str(artefact), "--out", str(cell.files.out / "proof.png"))
+    if mirrored:
+        before = profile.read_bytes()
+        cell.set({"interferometer.faults": {"mirror": True}})
+        measure_artefact(cell.files.sim, artefact)
+        refused = cell.polishd(*words)
+        if refused.returncode != 8 or profile.read_bytes() != before:
+            wrong.append(f"a mirrored artefact: exit code {refused.returncode}: {refused.stderr}")
+        started = cell.polishd("run", str(cell.files.cell), "--queue", "--until-empty")
+        if started.returncode != 3:
+            wrong.append(f"a profile that nothing proves: exit code {started.returncode}: {started.stderr}")
+        cell.quiet()
+    measure_artefact(cell.files.sim, artefact)
+    proved = cell.polishd(*words)
+    if proved.returncode:
+        wrong.append(f"the artefact: exit code {proved.returncode}: {proved.stderr}")
+    return wrong
+
+
+def rows(journal: Path, sql: str) -> list[tuple[Any, ...]]:
+    """What a journal's file says."""
+    with contextlib.closing(sqlite3.connect(f"file:{journal}?mode=ro", uri=True)) as file:
+        return file.execute(sql).fetchall()

@@ -1,0 +1,271 @@
+"""What a soak came to: a line of JSON for each part as it goes, summed, and shown in docs/reliability.md."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from functools import cached_property
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from polishd.files import write_atomic
+from tests.campaigns.soak.growth import BOUNDS, Slope, slopes
+from tests.campaigns.soak.records import Record
+from tests.campaigns.soak.scripts import ACCEPTED, BY_A_PERSON, CALM, RECOVERED, SCRIPTS, Script
+from tests.system.sim_rig import ROOT
+
+CPU_S = 20.0
+"""A part, of daemon, worker and simulators."""
+RECOVERED_SHARE = 0.99
+"""Least share of parts accepted without a person, of those that can be."""
+OUTSIDE_SHARE = 0.01
+"""Most of the accepted that the truth puts out of tolerance."""
+ENOUGH = 100
+"""Fewer parts than that may each be all of a hundredth."""
+PAGE = ROOT / "docs" / "reliability.md"
+BEGIN, END = "<!-- written by make soak -->\n", "<!-- end of what make soak writes -->"
+WITHOUT = {CALM.name, *(script.name for script in RECOVERED)}
+UNITS = {
+    "daemon_rss_mb": "memory of the daemon, MB",
+    "worker_rss_mb": "memory of the worker, MB",
+    "descriptors": "descriptors of the daemon",
+    "threads": "threads of the daemon",
+    "tasks": "tasks of the daemon",
+    "written_mb": "written for a part, MB (journal, array store, log)",
+}
+
+
+def sources() -> str:
+    """A hash of polishd, and of how parts are drawn and judged: where one changes, the figures begin anew."""
+    content = hashlib.sha256()
+    own = (Path(__file__).with_name(f"{name}.py") for name in ("scripts", "parts", "judge"))
+    for path in (*sorted((ROOT / "polishd").rglob("*.py")), *own):
+        content.update(path.read_bytes())
+    return content.hexdigest()[:16]
+
+
+class Figures:
+    """A folder: ``SOURCES-SEED-SPEED.jsonl``, a line a part, and ``evidence`` of what was wrong."""
+
+    def __init__(self, folder: Path, seed: int, speed: float) -> None:
+        self.folder, self.seed, self.speed, self.of = folder, seed, speed, sources()
+        folder.mkdir(parents=True, exist_ok=True)
+        self._path = folder / f"{self.of}-{seed}-{speed:g}.jsonl"
+        text = self._path.read_text() if self._path.exists() else ""
+        whole, _, cut_off = text.rpartition("\n")
+        if cut_off:  # a power cut: that part is done again
+            write_atomic(self._path, f"{whole}\n".encode() if whole else b"")
+        self.records: list[dict[str, Any]] = [json.loads(line) for line in whole.splitlines()]
+
+    @property
+    def done(self) -> set[int]:
+        """Numbers of the parts that were worked."""
+        return {record["number"] for record in self.records}
+
+    def add(self, record: Record) -> None:
+        """Durable when this returns."""
+        facts = {**asdict(record), "too_slow": record.too_slow}
+        with self._path.open("a") as file:
+            file.write(json.dumps(facts) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        self.records.append(facts)
+
+    def sums(self) -> Sums:
+        """Of all of them."""
+        return Sums(self.records)
+
+    def conditions(self) -> str:
+        """Under which all that was."""
+        python, cores = platform.python_version(), os.cpu_count()
+        at = datetime.now(UTC).strftime("%Y-%m-%d")
+        return (
+            f"Sources {self.of}, seed {self.seed}, simulated clock {self.speed:g} times as fast as the wall, "
+            f"{platform.system()}, Python {python}, {cores} cores, {at}."
+        )
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Of records that are JSON."""
+
+    all: Sequence[Mapping[str, Any]]
+
+    @cached_property
+    def counted(self) -> list[Mapping[str, Any]]:
+        """Those of which the machine was fast enough."""
+        return [record for record in self.all if not (record["too_slow"] or record["missed"])]
+
+    @cached_property
+    def without(self) -> list[Mapping[str, Any]]:
+        """Those that polishd can bring to their end alone."""
+        return [record for record in self.counted if record["script"] in WITHOUT or not record["struck"]]
+
+    @cached_property
+    def alone(self) -> int:
+        """Of those: accepted, and nobody came."""
+        return sum(r["verdict"] == ACCEPTED and not (r["visits"] or r["unexpected"]) for r in self.without)
+
+    @cached_property
+    def accepted(self) -> list[Mapping[str, Any]]:
+        """Whatever befell them."""
+        return [record for record in self.counted if record["verdict"] == ACCEPTED and record["told"]]
+
+    @cached_property
+    def outside_nm(self) -> list[float]:
+        """Of the accepted that the truth puts out of tolerance: by how much."""
+        beyond = (record["true_rms_nm"] - record["told"]["limit_nm"] for record in self.accepted)
+        return sorted(round(by, 3) for by in beyond if by > 0)
+
+    @cached_property
+    def uncertain(self) -> int:
+        """Of those: by more than the measurement's stated uncertainty."""
+        return sum(r["true_rms_nm"] > r["told"]["limit_nm"] + r["told"]["uncertainty_nm"] for r in self.accepted)
+
+    @cached_property
+    def damaged(self) -> int:
+        """Parts of which plant and journal disagree, on which a tool stood, or that are deeper than planned."""
+        return sum(any(said.startswith("damage") for said in record["wrong"]) for record in self.counted)
+
+    @cached_property
+    def other_ends(self) -> int:
+        """Parts that did not come to the end that their script says."""
+        return sum(any(not said.startswith("damage") for said in record["wrong"]) for record in self.counted)
+
+    @cached_property
+    def slopes(self) -> dict[str, Slope]:
+        """What grows with the parts."""
+        return slopes(self.counted)
+
+    @cached_property
+    def cpu_s(self) -> list[float]:
+        """A part's, sorted; of daemon, worker and simulators."""
+        return sorted(sum(s for of, s in record["cpu_s"].items() if of != "commands") for record in self.counted)
+
+    def wrong(self) -> list[str]:
+        """What may not be."""
+        few = len(self.without) < ENOUGH
+        missed = len(self.without) - self.alone
+        mean_s = sum(self.cpu_s) / max(len(self.cpu_s), 1)
+        said = {
+            f"{missed} of {len(self.without)} parts were not accepted without a person": missed
+            > (1 if few else (1 - RECOVERED_SHARE) * len(self.without)),
+            f"{len(self.outside_nm)} accepted parts are out of tolerance": len(self.outside_nm)
+            > (1 if few else OUTSIDE_SHARE * len(self.accepted)),
+            f"{self.uncertain} of them by more than the stated uncertainty": self.uncertain > 0,
+            f"{self.damaged} parts are damaged": self.damaged > 0,
+            f"{self.by_person_wrong} faults that need a person did not lead to their end": self.by_person_wrong > 0,
+            f"a part takes {mean_s:.1f} CPU seconds": mean_s > CPU_S,
+            **{f"{name} grows by {slope.per_part:.3g} a part": slope.grows(BOUNDS[name])
+               for name, slope in self.slopes.items()},
+        }  # fmt: skip
+        return [what for what, so in said.items() if so]
+
+    @cached_property
+    def by_person_wrong(self) -> int:
+        """Parts whose script needs a person, and that came to another end."""
+        names = {script.name for script in BY_A_PERSON}
+        return sum(bool(r["wrong"]) and r["struck"] and r["script"] in names for r in self.counted)
+
+    def summary(self) -> dict[str, Any]:
+        """For the last line."""
+        return {
+            "parts": len(self.all),
+            "not_counted": len(self.all) - len(self.counted),
+            "without_a_person": [self.alone, len(self.without)],
+            "accepted": len(self.accepted),
+            "outside_nm": self.outside_nm,
+            "beyond_uncertainty": self.uncertain,
+            "damaged": self.damaged,
+            "other_ends": self.other_ends,
+            "visits": sum(record["visits"] for record in self.counted),
+            "unexpected_visits": sum(len(record["unexpected"]) for record in self.counted),
+            "cpu_s": [round(value, 2) for value in (median(self.cpu_s), self.cpu_s[-1])] if self.cpu_s else [],
+            "growth": {name: [slope.per_part, slope.sigma] for name, slope in self.slopes.items()},
+            "wrong": self.wrong(),
+        }
+
+
+HEAD = """\
+| what befell the part | drawn | should end | parts | ended so | visits |
+|---|---|---|---|---|---|
+"""
+
+
+def table(sums: Sums, conditions: str) -> str:
+    """For the page."""
+    rows = [*_counts(sums), *_uses(sums)]
+    first = "| what | how many |\n|---|---|\n" + "".join(f"| {what} | {n} |\n" for what, n in rows)
+    ends = "".join(f"| {' | '.join(_ends(script, sums))} |\n" for script in SCRIPTS)
+    return f"{first}\n{HEAD}{ends}\n{conditions}\n"
+
+
+def _ends(script: Script, sums: Sums) -> list[str]:
+    """A row of what befell parts."""
+    mine = [record for record in sums.counted if record["script"] == script.name and record["struck"]]
+    visits = sum(record["visits"] + len(record["unexpected"]) for record in mine)
+    end = script.end if script.end == ACCEPTED else f"{script.end}: {' or '.join(script.faults)}"
+    if script.visits or script.after:
+        end += ", with a person" if script.end == ACCEPTED else "; held for a person"
+    share = f"{script.share / sum(one.share for one in SCRIPTS):.1%}"
+    return [script.name, share, end, str(len(mine)), str(sum(not record["wrong"] for record in mine)), str(visits)]
+
+
+def _counts(sums: Sums) -> list[tuple[str, object]]:
+    alone = f"**{sums.alone}**" + (f" ({sums.alone / len(sums.without):.1%})" if sums.without else "")
+    outside = f"{len(sums.outside_nm)} of {len(sums.accepted)}"
+    outside += f", by {sums.outside_nm[-1]:.3f} nm at most" if sums.outside_nm else ""
+    verdicts = Counter(record["verdict"] or "none" for record in sums.counted)
+    sittings, lives = ({record[name] for record in sums.all} for name in ("sitting", "life"))
+    visits = sum(record["visits"] for record in sums.counted)
+    unexpected = sum(len(record["unexpected"]) for record in sums.counted)
+    return [
+        ("parts through the queue", f"{len(sums.all):,}"),
+        ("... not counted: the machine was too slow, a device seemed silent", sum(r["too_slow"] for r in sums.all)),
+        ("... not counted: what was to befall it in contact came too late", sum(r["missed"] for r in sums.all)),
+        ("... how they ended", ", ".join(f"{how} {n}" for how, n in verdicts.most_common())),
+        ("sittings, starts of the daemon", f"{len(sittings)}, {len(lives)}"),
+        ("parts with nothing, or with faults that polishd can recover from", len(sums.without)),
+        ("**... accepted without a person**", alone),
+        ("accepted, and the true surface is out of tolerance", outside),
+        ("**... by more than the stated uncertainty**", f"**{sums.uncertain}**"),
+        ("**damaged**", f"**{sums.damaged}**"),
+        ("**faults that need a person, and led to another end**", f"**{sums.by_person_wrong}**"),
+        ("visits of a person: expected, not expected", f"{visits}, {unexpected}"),
+    ]
+
+
+def _uses(sums: Sums) -> list[tuple[str, object]]:
+    if not sums.cpu_s:
+        return []
+    by_group: Counter[str] = Counter()
+    for record in sums.counted:
+        by_group.update(record["cpu_s"])
+    each = ", ".join(f"{of} {seconds / len(sums.counted):.1f}" for of, seconds in by_group.most_common())
+    return [
+        ("CPU seconds a part: median, most", f"{median(sums.cpu_s):.1f}, {sums.cpu_s[-1]:.1f}"),
+        ("... mean of each", each),
+        ("wall seconds a part, median", f"{median(record['wall_s'] for record in sums.counted):.1f}"),
+        *((f"growth a part: {UNITS[name]}", _growth(slope, BOUNDS[name])) for name, slope in sums.slopes.items()),
+    ]
+
+
+def _growth(slope: Slope, bound: float) -> str:
+    if not slope.parts:
+        return "not known yet"
+    so = "flat" if slope.flat(bound) else "**grows**" if slope.grows(bound) else "not shown either way"
+    told = f"{slope.per_part:+.4f} +- {slope.sigma:.4f}; at most {bound:g}: {so}"
+    return f"{told} ({slope.parts} parts, mean {slope.mean:.3g})"
+
+
+def write_page(text: str) -> None:
+    """Put it into docs/reliability.md."""
+    before, _, rest = PAGE.read_text().partition(BEGIN)
+    PAGE.write_text(before + BEGIN + text + END + rest.partition(END)[2])

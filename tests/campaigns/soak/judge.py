@@ -1,0 +1,123 @@
+"""What became of a part: by the queue's word, by the plant's truth, and by the plant's account beside the journal."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from polishd.model.surface import FloatArray
+from tests.campaigns.soak.cell import Row, SoakCell, rows
+from tests.system.agreement import disagreements, passes
+from tests.system.cell_rig import APERTURE_MM, account
+
+STANDS_S = 0.05
+"""Longest that a tool may stand on the part: a corner at which the robot turns."""
+DEEPER, DEEPER_NM = 0.15, 5.0
+"""Of what was planned, and beside it: so much deeper no place may be. The hidden rate is up to 10 % off."""
+TORN_NM = 70.0
+"""Beside that where a pass was cut off: the deepest place that docs/cycle.md tells of any way out is 68 nm."""
+
+
+@dataclass(slots=True)
+class Truth:
+    """What the plant knows of a part, and what was wrong with it."""
+
+    rms_nm: float = math.nan
+    """Of the true surface in the clear aperture, its plane removed."""
+    deeper_nm: float = math.nan
+    """By how much the deepest place beyond its plan is deeper than planned."""
+    passes: int = 0
+    wrong: list[str] = field(default_factory=list)
+
+
+def truth_of(cell: SoakCell, row: Row, surface: Path, since_s: float, until_s: float) -> Truth:
+    """Of a part that is done; ``surface``: the plant's file of it."""
+    found = Truth()
+    height, start, clear = _read(surface)
+    found.rms_nm = flat_rms_nm(height, clear)
+    run = Path(row.run_dir) if row.run_dir else None
+    if run is not None and (run / "journal.sqlite").exists():
+        _account(found, cell, run / "journal.sqlite")
+        planned, torn = _planned_nm(run, clear.shape)
+        removed = start - height
+        allowed = (1 + DEEPER) * planned + DEEPER_NM + (TORN_NM if torn else 0.0)
+        found.deeper_nm = float((removed - planned)[clear].max())
+        if (removed - allowed)[clear].max() > 0:
+            found.wrong.append(f"damage: {found.deeper_nm:.1f} nm deeper than planned")
+    elif np.abs(height - start).max() > 0:
+        found.wrong.append("damage: the part was polished, and no run folder tells of it")
+    stood = [stand for stand in account(cell.files)["stands"] if since_s <= stand["from_s"] < until_s]
+    inside = sum(stand["seconds"] for stand in stood if math.hypot(stand["x_mm"], stand["y_mm"]) < APERTURE_MM / 2)
+    if inside > STANDS_S:
+        found.wrong.append(f"damage: the tool stood on the part for {inside:.2f} s")
+    return found
+
+
+def untouched(surface: Path) -> bool:
+    """Nothing was taken off that part."""
+    height, start, _ = _read(surface)
+    return bool(np.array_equal(height, start))
+
+
+def _read(surface: Path) -> tuple[FloatArray, FloatArray, np.ndarray[Any, np.dtype[np.bool_]]]:
+    """(rows, columns) of the map: true heights now and at the start, nm, and the clear aperture."""
+    with np.load(surface) as file:
+        frame = slice(file["pad"], -file["pad"])
+        return file["height_nm"][frame, frame], file["start_nm"][frame, frame], file["clear"]
+
+
+def _account(found: Truth, cell: SoakCell, journal: Path) -> None:
+    """The plant's account of contact beside the job's journal, and all of it beside the cell's."""
+    told = passes(journal)
+    mine = {one.sha256 for one in told}
+    found.passes = len(told)
+    books = account(cell.files)["programs"]
+    found.wrong += [f"damage: {said}" for said in disagreements(journal, [b for b in books if b["sha256"] in mine])]
+    found.wrong += [f"damage: {b['sha256'][:8]} was loaded {b['loads']} times" for b in books if b["loads"] > 1]
+    known = {sha256 for (sha256,) in rows(cell.files.state_dir / "journal.sqlite", "SELECT program_sha256 FROM pass")}
+    unknown = [book["sha256"][:8] for book in books if book["sha256"] not in known and any(book["contact_s"])]
+    found.wrong += [f"damage: {sha256}: polished, and no pass" for sha256 in unknown]
+
+
+def _planned_nm(run: Path, shape: tuple[int, int]) -> tuple[FloatArray, bool]:
+    """Removal planned in all passes of a job, on the plant's pixels, and whether any of them was cut off."""
+    cycles = json.loads((run / "summary.json").read_text())["cycles"]
+    begun = [run / f"cycle-{number:02d}/plan.npz" for number, cycle in enumerate(cycles) if cycle["how"] is not None]
+    total: FloatArray = np.zeros(shape)
+    for path in begun:
+        with np.load(path) as file:
+            total += _resampled(np.nan_to_num(file["predicted_removal_nm"]), shape)
+    return total, any(cycle["how"] == "interrupted" for cycle in cycles)
+
+
+def _resampled(values: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    """On a grid of the same pitch and centre, with pixels between those of the other where one has an odd number."""
+    rows, columns = (np.arange(n) - (n - 1) / 2 + (had - 1) / 2 for n, had in zip(shape, values.shape, strict=True))
+    return np.asarray(ndimage.map_coordinates(values, np.meshgrid(rows, columns, indexing="ij"), order=1))
+
+
+def flat_rms_nm(height_nm: FloatArray, clear: np.ndarray[Any, np.dtype[np.bool_]]) -> float:
+    """RMS in the clear aperture about the plane that fits best."""
+    y, x = np.nonzero(clear)
+    columns = np.stack([np.ones(len(x)), x, y], axis=1)
+    seen = height_nm[clear]
+    return float((seen - columns @ np.linalg.lstsq(columns, seen, rcond=None)[0]).std())
+
+
+def told_of(run_dir: str | None) -> dict[str, float]:
+    """What the last measurement of an accepted part said: ``rms_nm``, ``limit_nm``, ``uncertainty_nm``."""
+    if run_dir is None:
+        return {}
+    cycles: Sequence[Mapping[str, Any]] = json.loads((Path(run_dir) / "summary.json").read_text())["cycles"]
+    judged = cycles[-1]["judged"] if cycles else []
+    if not judged:
+        return {}
+    line = judged[0]
+    return {"rms_nm": line["value"], "limit_nm": line["limit"], "uncertainty_nm": line["uncertainty"] or 0.0}

@@ -1,0 +1,205 @@
+"""What befalls a part: faults with their shares, each with the end that it should lead to, and what a person does then.
+
+The simulator's file is written for the part before its job is added. A strike comes while the part is under way. Where
+a person is needed, the cell is held with a reason that the person expects, and goes on once the cause is mended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from tests.campaigns.soak.cell import SoakCell
+
+Strike = Callable[[SoakCell], None]
+When = Literal["", "between jobs", "in contact", "solving"]
+
+ACCEPTED, ASIDE = "accepted", "put aside"
+THIS = "THE PART"
+"""In a simulator's section: the name of the part itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """A person comes because the cell is held."""
+
+    says: str
+    """What the reason must say: a regular expression."""
+    mends: Strike = SoakCell.quiet
+
+
+@dataclass(frozen=True, slots=True)
+class Script:
+    """One of them."""
+
+    name: str
+    share: float
+    """Of all parts, beside the shares of the others."""
+    sim: Mapping[str, Mapping[str, Any]]
+    """Sections of the simulator's file."""
+    when: When = ""
+    strike: Strike = SoakCell.quiet
+    end: str = ACCEPTED
+    faults: tuple[str, ...] = ("",)
+    """What the queue may call it."""
+    visits: tuple[Visit, ...] = ()
+    """While the job is under way, or as its end stops the queue."""
+    after: tuple[Visit, ...] = ()
+    """Before the next part comes in."""
+    restarts: int = 0
+    """Starts of the daemon, by whoever watches over it."""
+
+    @property
+    def needs_person(self) -> bool:
+        """It is not accepted without one."""
+        return self.end != ACCEPTED or bool(self.visits or self.after)
+
+    def sections(self, part: str) -> dict[str, dict[str, Any]]:
+        """Of the simulator's file, for that part."""
+        named = {THIS: [part]}
+        return {
+            header: {key: named.get(value, value) if isinstance(value, str) else value for key, value in keys.items()}
+            for header, keys in self.sim.items()
+        }
+
+
+IN_THE_WAY = "drive the robot away"
+GATE = Visit("the queue stopped: instrument or alignment is wrong")
+TOOL = Visit("the queue stopped: .*(the tool would remove otherwise|removal rate|instrument or alignment is wrong)")
+AWAY = Visit(IN_THE_WAY)
+
+
+def _jammed(bits: str) -> Visit:
+    return Visit(bits, SoakCell.reset_loader)
+
+
+CALM = Script("nothing", 50.0, {})
+RECOVERED = (
+    Script("robot's frames late", 2.5, {"robot.faults": {"jitter_s": 0.01, "late_rate": 0.02, "late_s": 0.15}}),
+    Script("actuator's answers late", 2.5, {"actuator.faults": {"jitter_s": 0.004, "late_rate": 0.02, "late_s": 0.1}}),
+    Script(
+        "spindle's frames late, and 2 % lost",
+        2.5,
+        {"spindle.faults": {"jitter_s": 0.004, "late_rate": 0.02, "late_s": 0.1, "drop_rate": 0.02}},
+    ),
+    Script("spindle's frames garbled, 0.5 %", 1.5, {"spindle.faults": {"garble_rate": 0.005}}),
+    Script("loader answers late", 2.0, {"loader.faults": {"late_rate": 0.5, "late_s": 0.3}}),
+    Script("file of zeros first", 2.0, {"interferometer.faults": {"preallocate": True}}),
+    Script("old map dropped again", 2.0, {"interferometer.faults": {"duplicate_first": True}}),
+    Script("another part's map first", 2.0, {"interferometer.faults": {"wrong_part_first": True}}),
+    Script("instrument takes 3 s to write", 2.0, {"interferometer": {"write_s": 3.0}}),
+    Script("daemon stands for 0.3 s", 2.0, {}, "in contact", lambda cell: cell.pause("daemon", 0.3)),
+    Script("robot stands for 0.3 s", 2.0, {}, "in contact", lambda cell: cell.pause("robot", 0.3)),
+    Script("daemon killed between jobs", 2.0, {}, "between jobs", SoakCell.kill_daemon, restarts=1),
+)
+"""By polishd alone."""
+BY_A_PERSON = (
+    Script(
+        "daemon killed as it computes",
+        1.5,
+        {},
+        "solving",
+        SoakCell.kill_daemon,
+        visits=(Visit("this job was begun earlier"),),
+        restarts=1,
+    ),
+    Script(
+        "daemon killed in contact",
+        1.5,
+        {},
+        "in contact",
+        SoakCell.kill_daemon,
+        visits=(Visit("was interrupted"),),
+        restarts=1,
+    ),
+    Script("loader jams", 1.5, {"loader.faults": {"jams": THIS}}, visits=(_jammed("jammed"),)),
+    Script("loader drops the part", 1.5, {"loader.faults": {"drops": THIS}}, visits=(_jammed("dropped"),)),
+    Script("loader brings another part", 1.5, {"loader.faults": {"wrong": THIS}}, end=ASIDE, faults=("WrongPart",)),
+    Script("... and does not notice", 1.5, {"loader.faults": {"mistaken": THIS}}, end=ASIDE, faults=("WrongPart",)),
+    Script(
+        "worker killed as it computes", 1.0, {}, "solving", SoakCell.kill_worker, end=ASIDE, faults=("ComputeError",)
+    ),
+    Script(
+        "actuator's wire cut",
+        1.5,
+        {},
+        "in contact",
+        lambda cell: cell.cut("actuator"),
+        end=ASIDE,
+        faults=("LinkError",),
+        after=(AWAY,),
+    ),
+    Script(
+        "robot's link cut",
+        1.5,
+        {},
+        "in contact",
+        lambda cell: cell.cut("robot"),
+        end=ASIDE,
+        faults=("LinkError",),
+        after=(AWAY,),
+    ),
+    Script(
+        "force sticks at 60 %",
+        1.5,
+        {},
+        "in contact",
+        lambda cell: cell.press("actuator"),
+        end=ASIDE,
+        faults=("SafetyStop",),
+        after=(Visit(IN_THE_WAY, lambda cell: cell.reboot("actuator")),),
+    ),
+    Script(
+        "spindle's drive fails",
+        1.5,
+        {},
+        "in contact",
+        lambda cell: cell.press("spindle"),
+        end=ASIDE,
+        faults=("DeviceFault", "SafetyStop"),
+        after=(Visit(IN_THE_WAY, lambda cell: cell.reboot("spindle")),),
+    ),
+    Script(
+        "tool has lost half of its rate",
+        2.0,
+        {"truth": {"worn": 0.5}},
+        end=ASIDE,
+        faults=("GateStop", "ToolStop"),
+        visits=(TOOL,),
+    ),
+    Script(
+        "map flipped",
+        2.0,
+        {"interferometer.faults": {"mirror": True}},
+        end=ASIDE,
+        faults=("GateStop",),
+        visits=(GATE,),
+    ),
+    Script(
+        "map turned by 90 deg",
+        2.0,
+        {"interferometer.faults": {"rotation_deg": 90}},
+        end=ASIDE,
+        faults=("GateStop",),
+        visits=(GATE,),
+    ),
+    Script(
+        "map with the wrong sign",
+        1.0,
+        {"interferometer.faults": {"sign": -1}},
+        end=ASIDE,
+        faults=("GateStop",),
+        visits=(GATE,),
+    ),
+    Script(
+        "wavefront for surface",
+        1.0,
+        {"interferometer.faults": {"factor": 2.0}},
+        end=ASIDE,
+        faults=("GateStop",),
+        visits=(GATE,),
+    ),
+)
+"""Only with a person's help, or not at all."""
+SCRIPTS = (CALM, *RECOVERED, *BY_A_PERSON)
