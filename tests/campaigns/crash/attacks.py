@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from tests.campaigns.crash.kills import Attack, Campaign, Count, attacked_cell
-from tests.campaigns.crash.site import Site
+from tests.campaigns.site import Site
 from tests.patience import SOON_S
 
 ATTACKS = 12
