@@ -146,7 +146,7 @@ class Campaign:
         wrong: dict[str, Sequence[str]] = {}
         for name in self.modules:
             ends, why = self.kept.ends(name), kept.explained().get(name, {})
-            keys = self.kept.keys[name]
+            keys = kept.keys_of(name)
             found = [f"not explained: {key}" for key in kept.unexplained(ends, why)]
             found += [f"explained for nothing: {key}" for key in kept.outdated(ends, why, keys)]
             if len(ends) < len(keys):
