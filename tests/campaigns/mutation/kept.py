@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import platform
 import tomllib
@@ -41,10 +42,7 @@ class Kept:
         self._modules: dict[str, Any] = kept.get("modules", {})
         self._sittings: list[dict[str, str]] = kept.get("sittings", [])
         """The hashes of all files of tests, of each sitting."""
-        self.keys: dict[str, list[str]] = {}
-        """Of all mutants, by module."""
         for name in MODULES:
-            self.keys[name] = [mutant.key for mutant in Module(name, (ROOT / name).read_text()).mutants()]
             if self._modules.get(name, {}).get("of") != content_of([name]):
                 self._modules[name] = {"of": content_of([name]), "mutants": {}}
 
@@ -92,7 +90,13 @@ class Kept:
     def ends(self, module: str) -> dict[str, str]:
         """Of each mutant that was tried, how it ended."""
         told = self._modules[module]["mutants"]
-        return {key: told[key]["end"] for key in self.keys[module] if key in told}
+        return {key: told[key]["end"] for key in keys_of(module) if key in told}
+
+
+@functools.cache
+def keys_of(module: str) -> tuple[str, ...]:
+    """Of all mutants of a module."""
+    return tuple(mutant.key for mutant in Module(module, (ROOT / module).read_text()).mutants())
 
 
 def explained() -> dict[str, dict[str, str]]:
@@ -120,7 +124,7 @@ def table(kept: Kept) -> str:
         ends, why = kept.ends(name), explained().get(name, {})
         count = Counter(ends.values())
         count["bad"] = len(unexplained(ends, why))
-        count["all"] = len(kept.keys[name])
+        count["all"] = len(keys_of(name))
         total += count
         rows.append(_row(name.removeprefix("polishd/"), count))
     of = f"Python {platform.python_version()}, {datetime.now(UTC):%Y-%m-%d}."

@@ -98,12 +98,12 @@ def test_a_default_is_of_the_module_and_not_of_its_function() -> None:
 
 def test_what_a_child_says_is_how_its_mutant_ended() -> None:
     mutant = mutants("x = 1")[0]
-    trial = Trial(mutant, print, {"t.py::a": 1.0})  # type: ignore[arg-type]
+    trial = Trial(mutant, print, {"t.py::a": 1.0})
     assert trial.hear("begun t.py::a\nbegu") == ""
     assert trial.hear("n t.py::b\n") == ""
     assert (trial.hear("failed t.py::b\n"), trial.test) == (KILLED, "t.py::b")
-    assert Trial(mutant, print, {}).hear("ended \n") == SURVIVED  # type: ignore[arg-type]
-    assert Trial(mutant, print, {}).hear("") == KILLED, "it died"  # type: ignore[arg-type]
+    assert Trial(mutant, print, {}).hear("ended \n") == SURVIVED
+    assert Trial(mutant, print, {}).hear("") == KILLED, "it died"
 
 
 def test_a_survivor_wants_an_explanation_and_an_explanation_a_survivor() -> None:

@@ -263,3 +263,10 @@ def test_between_jobs_no_job_goes_on(tmp_path: Path) -> None:
         assert not cell.begun
         assert not cell.of_job("a", "P1", {}).resumed
         assert cell.of_job("a", "P1", {}).resumed
+
+
+def test_what_nobody_names_is_empty_and_arrays_lie_beside_the_journal(tmp_path: Path, journal: Journal) -> None:
+    journal.record_map(0, "aa", "x", {})
+    journal.begin_pass(0, "prog", "boot", 9)
+    assert (journal.history[0].arrays, journal.passes[0].plan, journal.passes[0].start) == ("", "", "")
+    assert (journal.arrays.folder, journal.store.path) == (tmp_path / "store", tmp_path / "journal.sqlite")

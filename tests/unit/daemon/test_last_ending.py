@@ -22,6 +22,7 @@ from polishd.daemon.endings import (
     to_do,
 )
 from polishd.daemon.journal import Journal
+from polishd.model.cycle import Outcome
 from polishd.model.errors import SafetyStop
 from polishd.model.events import Event, Failed, Held, PlanWritten, StateChanged
 from tests.unit.daemon.small import open_journal
@@ -184,3 +185,13 @@ def test_words_for_people_name_their_own_cell() -> None:
     assert for_cell("polishd run CELL.toml", Path("/my cells/a.toml")) == "polishd run '/my cells/a.toml'"
     assert "polishd run CELL.toml --queue;" in to_do("failed", queue=True)
     assert to_do("no such state", queue=True) == ""
+
+
+@pytest.mark.parametrize("state", ["idle", "changing", "held", "killed", "failed", "stopped", *Outcome])
+def test_whoever_finds_it_so_is_told_what_to_do(state: str) -> None:
+    assert to_do(state, queue=False)
+
+
+def test_its_word_lies_in_the_state_folder_under_a_name_that_stays(tmp_path: Path) -> None:
+    keep_ending(tmp_path, {"state": "failed", "reason": "x"})
+    assert [path.name for path in tmp_path.iterdir()] == ["ending.json"]

@@ -98,3 +98,7 @@ async def test_where_taking_an_order_fails_too_the_more_telling_error_is_told() 
     with pytest.raises(SafetyStop, match="force"):
         await unless(no_order(), work(), late=late.append)
     assert late == []
+
+
+def test_an_order_needs_no_reason() -> None:
+    assert Order(Trigger.STOP).said("stopped") == "stopped"

@@ -307,3 +307,4 @@ async def test_an_order_while_the_last_words_are_waited_for_does_not_take_the_pl
     with pytest.raises(SafetyStop, match="force"):
         await task
     assert contact.done() == [5, 6]
+    assert contact.journal.passes[0].uncertain == (7, 8), "it was marked once all was told"

@@ -121,11 +121,13 @@ async def test_who_looks_alone_sees_it_too() -> None:
         await stream.supplied()
 
 
-@pytest.mark.parametrize("how", ["before", "left", "all sent"])
+@pytest.mark.parametrize("how", ["before", "left", "all sent", "ended"])
 async def test_out_of_contact_or_with_all_sent_it_may_run_dry(how: str) -> None:
     robot = Scripted(("held", 5))
     stream = robot.stream()
-    if how != "before":
+    if how == "ended":
+        assert [block.seq async for block in stream.polish()] == list(range(18))
+    elif how != "before":
         await anext(stream.polish())
     if how == "left":
         stream.leave()

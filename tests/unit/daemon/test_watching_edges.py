@@ -99,3 +99,13 @@ def test_a_stall_stops_its_job_and_the_tool_is_followed_on(tmp_path: Path) -> No
             journal.end_pass(cycle, "done")
         assert [one.kind for one in found] == ["stall"]
         assert [one.facts["series"]["passes"] for one in journal.passes] == [1, 2, 3]
+
+
+def test_a_pass_that_is_watched_twice_is_one_pass(tmp_path: Path) -> None:
+    """The cell was held, and measured anew: that is no second one without success."""
+    with Journal.open(tmp_path, job="a", part_id="P", terms=TERMS) as journal:
+        for cycle in range(2):  # the first of them was cut off, and showed nothing
+            journal.begin_pass(cycle, "sha", "boot", 3)
+            journal.end_pass(cycle, "done" if cycle else "interrupted")
+        for _ in range(2):
+            assert watch(journal, 1, shown(after_nm=9.0), FindingLimits()) == ()
