@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-WARM = 3
+WARM = 8
 """Of each life of a process, so many parts are left out: modules are loaded then, and caches filled."""
 LEAST = 4
 """Fewer parts of a life than that say nothing of growth."""
