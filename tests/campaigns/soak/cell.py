@@ -47,6 +47,8 @@ class Row(NamedTuple):
     reason: str
     fault: str
     run_dir: str | None
+    took_s: float | None
+    """From its begin to its end."""
 
 
 class SoakCell(Site):
@@ -111,7 +113,8 @@ class SoakCell(Site):
         """The queue's last word of that job."""
         with contextlib.closing(self.journal()) as journal:
             found = journal.execute(
-                "SELECT verdict, queue.reason, fault, run_dir FROM queue LEFT JOIN job ON job.id = queue.job "
+                "SELECT verdict, queue.reason, fault, run_dir, queue.ended - queue.begun "
+                "FROM queue LEFT JOIN job ON job.id = queue.job "
                 "WHERE queue.name = ? ORDER BY queue.id DESC LIMIT 1",
                 (job,),
             ).fetchone()

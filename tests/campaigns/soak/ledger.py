@@ -55,7 +55,7 @@ class Ledger:
         self._life, self._age = self._life + 1, 0
 
     def begin(self, part: Part) -> Under:
-        """Its job was added, or is next."""
+        """Its job is about to be added, or is next."""
         record = Record(part.number, part.name, part.script.name, self._sitting, tolerance_nm=part.tolerance_nm)
         under = Under(part, record, deque(part.script.visits), time.monotonic())
         for earlier in self.open:
@@ -70,7 +70,7 @@ class Ledger:
         total = cell.meter.total_s()
         record.cpu_s = {name: round(total[name] - self._used[name], 3) for name in total}
         self._used = total
-        record.wall_s, record.late_s = round(time.monotonic() - under.began_s, 3), round(cell.meter.late_s, 3)
+        record.wall_s, record.late_s = round(row.took_s or 0.0, 3), round(cell.meter.late_s, 3)
         cell.meter.late_s = 0.0
         record.life, record.age, self._age = f"{self._sitting}/{self._life}", self._age, self._age + 1
         record.held = self._held()

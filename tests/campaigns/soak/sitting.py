@@ -60,9 +60,11 @@ class Sitting:
             self._start()
         plant = {"rms_nm": first.rms_nm, "pv_nm": first.pv_nm}
         self._cell.set({**first.script.sections(first.name), "plant": plant})
+        under, landed = self._ledger.begin(first), self._landings()
         self._add(group)
-        for part in group:
-            self._follow(part)
+        self._follow(under, landed)
+        for part in group[1:]:
+            self._follow(self._ledger.begin(part), 0)  # nothing befalls it
         self._between()
         self._ledger.open[-1].expected.extend(group[-1].script.after)
 
@@ -77,12 +79,11 @@ class Sitting:
         if said.returncode:
             raise Stuck(f"polishd job add: {said.stderr}")
 
-    def _follow(self, part: Part) -> None:
-        """Until its job has ended, seeing to what comes."""
-        under = self._ledger.begin(part)
-        record, before = under.record, part.script.when in {"", "between jobs"}
-        record.struck, record.restarts = before, int(part.script.when == "between jobs")
-        landed = self._landings()
+    def _follow(self, under: Under, landed: int) -> None:
+        """Until its job has ended, seeing to what comes. ``landed``: how often the tool had landed before."""
+        part, record = under.part, under.record
+        record.struck = part.script.when in {"", "between jobs"}
+        record.restarts = int(part.script.when == "between jobs")
         while (row := self._cell.row(part.name)) is None or row.verdict is None:
             if time.monotonic() > under.began_s + PART_S:
                 raise Stuck(f"{part.name} does not end: {self._cell.state()}")
