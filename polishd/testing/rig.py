@@ -53,6 +53,9 @@ class Scope:
     """Loader: one that it has not."""
 
 
+USUAL = Scope()
+
+
 @dataclass
 class Rig(Generic[D]):
     """A device, and what may happen to it. What is None cannot be done to it: tests that need it are skipped."""
@@ -66,7 +69,7 @@ class Rig(Generic[D]):
     """The machine itself, not the driver: it exerts nothing and stands still."""
     whole_file: bool = False
     """A robot that takes its program in one piece: nobody waits for credit."""
-    scope: Scope = Scope()
+    scope: Scope = USUAL
     soon_s: float = SOON_S
     """What takes longer hangs."""
 
