@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from typing import Any, TypeVar, overload
+from typing import TypeVar
 
 from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.drivers.transport.requests import RequestQueue
@@ -76,22 +76,18 @@ class PlainLines:
         finally:
             await self.close()
 
-    @overload
-    async def ask(self, line: str, *, urgent: bool = False) -> str: ...
-
-    @overload
-    async def ask(self, line: str, read: Callable[[str], T], *, urgent: bool = False) -> T: ...
-
-    async def ask(self, line: str, read: Callable[[str], Any] = str, *, urgent: bool = False) -> Any:
-        """The answer, or what ``read`` makes of it. An urgent line overtakes those that wait.
-
-        LinkError where the link is not open, dead or silent; ProtocolError where ``read`` raises ValueError.
-        """
+    async def ask(self, line: str, *, urgent: bool = False) -> str:
+        """The answer; LinkError where the link is not open, dead or silent. An urgent line overtakes others."""
         answer = await self._queue.ask(lambda: self._exchange(line), urgent=urgent)
         if self._refusal and answer.startswith(self._refusal):
             raise DeviceRefused(f"{self.name}: {line} was refused: {answer}")
+        return answer
+
+    async def read(self, line: str, parse: Callable[[str], T], *, urgent: bool = False) -> T:
+        """What ``parse`` makes of the answer; ProtocolError where that raises ValueError."""
+        answer = await self.ask(line, urgent=urgent)
         try:
-            return read(answer)
+            return parse(answer)
         except ValueError as error:
             raise ProtocolError(f"{self.name}: {line} was answered by {answer!r}: {error}") from error
 
