@@ -26,6 +26,7 @@ def parser() -> argparse.ArgumentParser:
     parse.add_argument("--surface", type=Path, help="start from this MetroPro map")
     parse.add_argument("--artefact", type=Path, metavar="FILE", help="write one map of the artefact, and end")
     parse.add_argument("--device", choices=("plant", *DEVICES), help="run one device of the cell in this state folder")
+    parse.add_argument("--only", action="append", choices=DEVICES, help="start these alone; may be given again")
     parse.add_argument("--rebooted", action="store_true", help=argparse.SUPPRESS)
     return parse
 
@@ -40,7 +41,8 @@ def start_of(options: argparse.Namespace) -> Start:
         running = json.loads((state / "endpoints.json").read_text())
     seed = options.seed if options.seed is not None else running.get("seed", config.plant.seed)
     speed = options.speed if options.speed is not None else running.get("speed", config.plant.speed)
-    return Start(config, state, int(seed), float(speed), options.surface, options.rebooted)
+    only = tuple(options.only or ())
+    return Start(config, state, int(seed), float(speed), options.surface, options.rebooted, only)
 
 
 def main() -> int:

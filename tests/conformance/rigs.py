@@ -5,13 +5,11 @@ A rig for another peer (a simulator, a real machine) is another function here: t
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar
 
-from polishd.api import ForceActuator, Loader, Robot, Spindle
+from polishd.api import ForceActuator, Loader, Spindle
 from polishd.drivers.linuxcnc.driver import LinuxCnc
 from polishd.drivers.loader_line import LoaderLine
 from polishd.drivers.robot_link import RobotLink
@@ -19,6 +17,11 @@ from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
 from polishd.drivers.voice_coil import voice_coil_modbus, voice_coil_serial
 from polishd.model.times import ActuatorTimes, LoaderTimes, SpindleTimes
+from polishd.testing.rig import Rig, Scope
+from polishd.testing.suites.actuator import ActuatorRig
+from polishd.testing.suites.loader import LoaderRig
+from polishd.testing.suites.robot import RobotRig
+from polishd.testing.suites.spindle import SpindleRig
 from tests.fakes.actuator import AsciiCoil, Coil, ModbusCoil
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.linuxcnc import FakeLinuxCnc
@@ -27,32 +30,11 @@ from tests.fakes.robot import FakeRobot
 from tests.fakes.wires import PtyWire, TcpWire, dribbled
 from tests.kinds import kind
 
-D = TypeVar("D")
+TOUCHES = Scope(touch_mm=5.0)
 PATIENT = ActuatorTimes(silence_s=1.0, watchdog_s=2.0)
 PATIENT_SPINDLE = SpindleTimes(silence_s=1.5, watchdog_s=2.0)
 PATIENT_LOADER = LoaderTimes(silence_s=1.0)
 """A busy machine is silent for longer than the wires of actuators and spindles would be."""
-
-
-@dataclass
-class Rig(Generic[D]):
-    """A device, and what may happen to it."""
-
-    device: D
-    cut: Callable[[], None]
-    """Pull the plug for good."""
-    mute: Callable[[], None]
-    """The peer goes on living and says nothing more: a half-open link."""
-    safe: Callable[[], bool]
-    """The machine itself, not the driver: it exerts nothing and stands still."""
-    whole_file: bool = False
-    """A robot that takes its program in one piece: nobody waits for credit."""
-
-
-RobotRig = Rig[Robot]
-ActuatorRig = Rig[ForceActuator]
-SpindleRig = Rig[Spindle]
-LoaderRig = Rig[Loader]
 
 
 @asynccontextmanager
@@ -150,7 +132,7 @@ async def actuator_ascii_dribbled(folder: Path) -> AsyncIterator[ActuatorRig]:
 @asynccontextmanager
 async def _actuator(coil: Coil, wire: PtyWire | TcpWire, device: ForceActuator) -> AsyncIterator[ActuatorRig]:
     try:
-        yield Rig(device, wire.cut, lambda: setattr(wire.peer, "silent", True), lambda: coil.state == 0)
+        yield Rig(device, wire.cut, lambda: setattr(wire.peer, "silent", True), lambda: coil.state == 0, scope=TOUCHES)
     finally:
         await device.close()
         await wire.close()
