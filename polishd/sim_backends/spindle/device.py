@@ -6,9 +6,9 @@ import asyncio
 import signal
 import time
 
+from polishd.sim_backends.can_hosts import Slcan, Socketcand
 from polishd.sim_backends.faults import Outlet
 from polishd.sim_backends.runtime import Runtime
-from polishd.sim_backends.spindle.buses import Slcan, Socketcand
 from polishd.sim_backends.spindle.drive import Drive
 from polishd.sim_backends.wire import Feed, Wire
 
