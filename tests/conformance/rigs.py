@@ -19,6 +19,7 @@ from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
 from polishd.drivers.voice_coil import voice_coil_modbus, voice_coil_serial
 from polishd.model.times import ActuatorTimes, LoaderTimes, SpindleTimes
+from tests.fakes import cia402
 from tests.fakes.actuator import AsciiCoil, Coil, ModbusCoil
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.linuxcnc import FakeLinuxCnc
@@ -45,6 +46,8 @@ class Rig(Generic[D]):
     """The peer goes on living and says nothing more: a half-open link."""
     safe: Callable[[], bool]
     """The machine itself, not the driver: it exerts nothing and stands still."""
+    silence_fault: int = 1
+    """What a spindle's samples tell once it has stopped by itself."""
     whole_file: bool = False
     """A robot that takes its program in one piece: nobody waits for credit."""
 
@@ -185,6 +188,59 @@ async def _spindle(drive: Drive, wire: PtyWire | TcpWire, device: Spindle) -> As
 
 
 @asynccontextmanager
+async def cia402_spindle_slcan(folder: Path) -> AsyncIterator[SpindleRig]:
+    """A drive of CiA 402 behind a serial adapter, in profile velocity."""
+    drive, motor = cia402.sim_motor()
+    wire = PtyWire(SlcanPeer(drive), folder / "slcan")
+    async with _cia402(drive, wire, cia402.cia402_spindle(Slcan(wire.path), PATIENT_SPINDLE)) as rig:
+        rig.safe = lambda: motor.rpm == 0.0
+        yield rig
+
+
+@asynccontextmanager
+async def cia402_spindle_socketcand(_: Path) -> AsyncIterator[SpindleRig]:
+    """The same behind a socketcand server."""
+    drive, motor = cia402.sim_motor()
+    wire = await TcpWire(SocketcandPeer(drive)).start()
+    address = Socketcand("127.0.0.1", wire.port, "can0")
+    async with _cia402(drive, wire, cia402.cia402_spindle(address, PATIENT_SPINDLE)) as rig:
+        rig.safe = lambda: motor.rpm == 0.0
+        yield rig
+
+
+@asynccontextmanager
+async def cia402_actuator_spring(folder: Path) -> AsyncIterator[ActuatorRig]:
+    """A drive of CiA 402 behind a serial adapter, in profile torque; a spring lifts."""
+    drive, coil = cia402.sim_coil()
+    wire = PtyWire(SlcanPeer(drive), folder / "slcan")
+    async with _cia402(drive, wire, cia402.cia402_actuator(Slcan(wire.path), PATIENT)) as rig:
+        rig.safe = lambda: coil.position_mm == 0.0
+        yield rig
+
+
+@asynccontextmanager
+async def cia402_actuator_position(_: Path) -> AsyncIterator[ActuatorRig]:
+    """The same behind a socketcand server; profile position lifts."""
+    drive, coil = cia402.sim_coil()
+    wire = await TcpWire(SocketcandPeer(drive)).start()
+    address = Socketcand("127.0.0.1", wire.port, "can0")
+    async with _cia402(drive, wire, cia402.cia402_actuator(address, PATIENT, lift="position")) as rig:
+        rig.safe = lambda: coil.position_mm <= 0.1
+        yield rig
+
+
+@asynccontextmanager
+async def _cia402(drive: cia402.SimDrive, wire: PtyWire | TcpWire, device: D) -> AsyncIterator[Rig[D]]:
+    try:
+        mute = lambda: setattr(wire.peer, "silent", True)  # noqa: E731
+        yield Rig(device, wire.cut, mute, lambda: not drive.node.power.live, silence_fault=0x8130)
+    finally:
+        drive.stop()
+        await device.close()
+        await wire.close()
+
+
+@asynccontextmanager
 async def loader_serial(folder: Path) -> AsyncIterator[LoaderRig]:
     """loader_line on a serial line."""
     fake = FakeLoader()
@@ -214,5 +270,6 @@ async def _loader(fake: FakeLoader, wire: PtyWire | TcpWire, device: Loader) -> 
 
 ROBOTS = [*kind(robot_tcp, robot_dribbled), *kind(linuxcnc, linuxcnc_dribbled)]
 ACTUATORS = [*kind(actuator_rtu, actuator_tcp), *kind(actuator_ascii, actuator_ascii_dribbled)]
-SPINDLES = kind(spindle_slcan, spindle_socketcand)
+ACTUATORS += kind(cia402_actuator_spring, cia402_actuator_position)
+SPINDLES = [*kind(spindle_slcan, spindle_socketcand), *kind(cia402_spindle_slcan, cia402_spindle_socketcand)]
 LOADERS = kind(loader_serial, loader_tcp_dribbled)

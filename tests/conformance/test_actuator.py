@@ -128,7 +128,8 @@ async def test_without_samples_it_retracts_by_itself(actuator: ActuatorRig, open
     await seen(actuator.safe)
     assert actuator.safe()
     status = await opened.status()
-    assert (status.ready, status.detail) == (False, "watchdog ran out")
+    assert not status.ready
+    assert status.detail.startswith("watchdog ran out")
     with pytest.raises(DeviceRefused):
         await opened.set_force(12.0)
     await opened.make_safe()
