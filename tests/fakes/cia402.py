@@ -71,6 +71,10 @@ class SimDrive:
     def __init__(self, axis: Axis) -> None:
         self.send: Callable[[int, bytes], None] = lambda identifier, data: None
         self.treat: Callable[[Frame], Iterable[Frame]] = lambda frame: [frame]
+        self.instead: dict[bytes, bytes] = {}
+        """Answers to SDO requests that begin so, in place of the drive's own."""
+        self.beats = 0
+        """Of the controller."""
         self.heard: list[Frame] = []
         self.events: list[str] = []
         self.node = Node(NODE, axis, lambda name, at_s, **_: self.events.append(name), time.monotonic())
@@ -82,10 +86,15 @@ class SimDrive:
 
     def on_frame(self, identifier: int, data: bytes) -> None:
         """From the bus."""
+        self.beats += identifier == 0x700 + CONTROLLER
         if identifier != 0x700 + CONTROLLER:
             self.heard.append((identifier, data))
+        for begin, answer in self.instead.items():
+            if identifier == 0x600 + NODE and data.startswith(begin):
+                return self._say([(0x580 + NODE, answer)])
         self._say(self.node.on_frame(identifier, data))
         self._say(self.node.step(time.monotonic()))
+        return None
 
     def written(self, index: int) -> list[int]:
         """What was written to an object so far."""

@@ -164,15 +164,16 @@ class Cia402Actuator:
         link = self._axis.link
         if not 0.0 <= force_n <= self._scale.max_n:
             raise DeviceRefused(f"{self._axis.name}: {force_n} N is outside 0 to {self._scale.max_n:g} N")
+        unless = self._axis.take_over()
         reading = await self._read(link, cared=True)
         if force_n == 0.0 and reading.state is not State.ENABLED:
             return
         if reading.fault:
             raise DeviceRefused(f"{self._axis.name}: cannot press: {reading.detail}")
-        unless = self._axis.take_over()
+        self._setpoint_n = force_n
         if force_n and not reading.touches:
             await self._land(link, force_n, unless)
-        await self._press(link, force_n, unless)
+        await link.write(objects.TARGET_TORQUE, self._scale.torque(force_n), unless=unless)
 
     async def samples(self) -> AsyncIterator[ForceSample]:
         """See ForceActuator."""
@@ -211,7 +212,8 @@ class Cia402Actuator:
         if await self._axis.state(link) is not State.ENABLED:
             await link.write(objects.TARGET_TORQUE, 0, unless=unless)
             await self._axis.power_up(link, objects.TORQUE_MODE, unless, self._times.landing_s)
-        await self._press(link, min(force_n, self._scale.landing_n), unless)
+        lightly = self._scale.torque(min(force_n, self._scale.landing_n))
+        await link.write(objects.TARGET_TORQUE, lightly, unless=unless)
         while not (reading := await self._read(link, cared=True)).touches:
             unless()
             if reading.fault or reading.state is not State.ENABLED:
@@ -221,10 +223,6 @@ class Cia402Actuator:
                     f"{self._axis.name}: no contact after {self._times.landing_s:g} s, {reading.position_mm:.2f} mm out"
                 )
             await asyncio.sleep(POLL_S)
-
-    async def _press(self, link: DriveLink, force_n: float, unless: Unless) -> None:
-        await link.write(objects.TARGET_TORQUE, self._scale.torque(force_n), unless=unless)
-        self._setpoint_n = force_n
 
     async def _lift(self, link: DriveLink) -> None:
         """Force off, then up; the current goes off once the tool is there, and at once where a spring lifts it."""

@@ -91,6 +91,8 @@ def read_dictionary(path: Path, node: int) -> Dictionary:
         text = _decoded(path.read_bytes())
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    if "[DeviceInfo]" not in text:
+        raise ConfigError(f"{path}: is no EDS file of CiA 306: it has no section [DeviceInfo]")
     try:
         found = eds.import_eds(io.StringIO(text), node)  # type: ignore[no-untyped-call]
     except (configparser.Error, canopen.ObjectDictionaryError, ValueError, LookupError) as error:

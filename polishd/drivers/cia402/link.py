@@ -122,9 +122,10 @@ class DriveLink(Background):
             self._send(request.frame(self._node))
             return await self.result(answer, self._silence_s)
         except LinkError as error:
+            broken = LinkError(f"{error} ({request.address} was asked for)")
             if not self._broken.done():
-                self._broken.set_result(f"{error} to {request.address}")
-            raise
+                self._broken.set_result(str(broken))
+            raise broken from error
         finally:
             self._asked = None
 
