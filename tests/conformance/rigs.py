@@ -22,6 +22,7 @@ from polishd.testing.suites.actuator import ActuatorRig
 from polishd.testing.suites.loader import LoaderRig
 from polishd.testing.suites.robot import RobotRig
 from polishd.testing.suites.spindle import SpindleRig
+from tests.fakes import cia402
 from tests.fakes.actuator import AsciiCoil, Coil, ModbusCoil
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.linuxcnc import FakeLinuxCnc
@@ -167,6 +168,59 @@ async def _spindle(drive: Drive, wire: PtyWire | TcpWire, device: Spindle) -> As
 
 
 @asynccontextmanager
+async def cia402_spindle_slcan(folder: Path) -> AsyncIterator[SpindleRig]:
+    """A drive of CiA 402 behind a serial adapter, in profile velocity."""
+    drive, motor = cia402.sim_motor()
+    wire = PtyWire(SlcanPeer(drive), folder / "slcan")
+    async with _cia402(drive, wire, cia402.cia402_spindle(Slcan(wire.path), PATIENT_SPINDLE)) as rig:
+        rig.safe = lambda: motor.rpm == 0.0
+        yield rig
+
+
+@asynccontextmanager
+async def cia402_spindle_socketcand(_: Path) -> AsyncIterator[SpindleRig]:
+    """The same behind a socketcand server."""
+    drive, motor = cia402.sim_motor()
+    wire = await TcpWire(SocketcandPeer(drive)).start()
+    address = Socketcand("127.0.0.1", wire.port, "can0")
+    async with _cia402(drive, wire, cia402.cia402_spindle(address, PATIENT_SPINDLE)) as rig:
+        rig.safe = lambda: motor.rpm == 0.0
+        yield rig
+
+
+@asynccontextmanager
+async def cia402_actuator_spring(folder: Path) -> AsyncIterator[ActuatorRig]:
+    """A drive of CiA 402 behind a serial adapter, in profile torque; a spring lifts."""
+    drive, coil = cia402.sim_coil()
+    wire = PtyWire(SlcanPeer(drive), folder / "slcan")
+    async with _cia402(drive, wire, cia402.cia402_actuator(Slcan(wire.path), PATIENT)) as rig:
+        rig.safe = lambda: coil.position_mm == 0.0
+        yield rig
+
+
+@asynccontextmanager
+async def cia402_actuator_position(_: Path) -> AsyncIterator[ActuatorRig]:
+    """The same behind a socketcand server; profile position lifts."""
+    drive, coil = cia402.sim_coil()
+    wire = await TcpWire(SocketcandPeer(drive)).start()
+    address = Socketcand("127.0.0.1", wire.port, "can0")
+    async with _cia402(drive, wire, cia402.cia402_actuator(address, PATIENT, lift="position")) as rig:
+        rig.safe = lambda: coil.position_mm <= 0.1
+        yield rig
+
+
+@asynccontextmanager
+async def _cia402(drive: cia402.SimDrive, wire: PtyWire | TcpWire, device: D) -> AsyncIterator[Rig[D]]:
+    try:
+        mute = lambda: setattr(wire.peer, "silent", True)  # noqa: E731
+        yield Rig(device, wire.cut, mute, lambda: not drive.node.power.live)
+    finally:
+        drive.stop()
+        await device.close()
+        await wire.close()
+
+
+@asynccontextmanager
 async def loader_serial(folder: Path) -> AsyncIterator[LoaderRig]:
     """loader_line on a serial line."""
     fake = FakeLoader()
@@ -196,5 +250,6 @@ async def _loader(fake: FakeLoader, wire: PtyWire | TcpWire, device: Loader) -> 
 
 ROBOTS = [*kind(robot_tcp, robot_dribbled), *kind(linuxcnc, linuxcnc_dribbled)]
 ACTUATORS = [*kind(actuator_rtu, actuator_tcp), *kind(actuator_ascii, actuator_ascii_dribbled)]
-SPINDLES = kind(spindle_slcan, spindle_socketcand)
+ACTUATORS += kind(cia402_actuator_spring, cia402_actuator_position)
+SPINDLES = [*kind(spindle_slcan, spindle_socketcand), *kind(cia402_spindle_slcan, cia402_spindle_socketcand)]
 LOADERS = kind(loader_serial, loader_tcp_dribbled)
