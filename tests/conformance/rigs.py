@@ -17,9 +17,9 @@ from polishd.drivers.loader_line import LoaderLine
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
-from polishd.drivers.voice_coil import voice_coil_modbus, voice_coil_serial
 from polishd.model.times import ActuatorTimes, LoaderTimes, SpindleTimes
 from tests.fakes.actuator import AsciiCoil, Coil, ModbusCoil
+from tests.fakes.devices_by_profile import voice_coil_modbus, voice_coil_serial
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.linuxcnc import FakeLinuxCnc
 from tests.fakes.loader import FakeLoader

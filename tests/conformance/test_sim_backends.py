@@ -25,7 +25,6 @@ from polishd.api import DeviceRefused, Executed, ForceSample, LinkError, Robot, 
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp, parse_address
-from polishd.drivers.voice_coil import voice_coil_modbus, voice_coil_serial
 from tests.conformance.conftest import BOUND_S, PROMPT_S, seen
 from tests.conformance.rigs import PATIENT, ActuatorRig, Rig, RobotRig, SpindleRig
 from tests.conformance.test_device import (  # noqa: F401 -- the suite itself, with this module's any_device
@@ -40,6 +39,7 @@ from tests.conformance.test_device import (  # noqa: F401 -- the suite itself, w
     test_opening_changes_nothing,
     watch,
 )
+from tests.fakes.devices_by_profile import voice_coil_modbus, voice_coil_serial
 from tests.kinds import kind
 from tests.patience import SOON_S, within
 from tests.programs import plan_of
