@@ -246,6 +246,8 @@ class Faults(Section):
 
     value: Text
     """Name of the value."""
+    mask: Annotated[int, Field(ge=1, le=0xFFFFFFFF)] | None = None
+    """Only these bits of it count. [1]"""
     bits: dict[str, Text] = Field(default_factory=dict)
     """What each bit means, by its worth: `4 = "drive"`."""
     codes: dict[str, Text] = Field(default_factory=dict)

@@ -24,7 +24,7 @@ def fault_of(profile: DeviceProfile, values: Values) -> int:
     value = values[profile.faults.value]
     if isinstance(value, str):
         raise ProtocolError(f"{profile.faults.value} reads {value!r} where a number stands; mend the profile")
-    return int(value)
+    return int(value) if profile.faults.mask is None else int(value) & profile.faults.mask
 
 
 def fault_words(profile: DeviceProfile, fault: int) -> str:
