@@ -8,13 +8,20 @@ from polishd.api import ActuatorTimes
 from polishd.config.device_profile import DeviceProfile
 from polishd.drivers.profiled import make
 from polishd.drivers.profiled.actuator import ProfiledActuator
-from polishd.drivers.profiled.shelf import profile_of
+from polishd.drivers.profiled.shelf import FOLDER, profile_of
 from polishd.drivers.transport.address import SerialLine, Tcp
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
 def shipped(name: str) -> DeviceProfile:
-    """The profile of that name."""
-    return profile_of(name, Path())
+    """The profile of that name, or of a file among the examples."""
+    return profile_of(name, EXAMPLES)
+
+
+def file_of(name: str) -> Path:
+    """Where it stands."""
+    return EXAMPLES / name if name.endswith(".toml") else FOLDER / f"{name}.toml"
 
 
 def voice_coil_modbus(
