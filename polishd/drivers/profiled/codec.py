@@ -27,15 +27,19 @@ class Block:
 
 
 def blocks(registers: Mapping[str, Register], names: Sequence[str], most: int) -> tuple[Block, ...]:
-    """As few requests as read all of them, and nothing between them: devices refuse addresses that they do not have."""
+    """As few requests as read all of them.
+
+    Between them only what the profile knows is read, too: devices refuse addresses that they do not have.
+    """
+    known = {(one.table, one.address + at) for one in registers.values() for at in range(one.size)}
     found: list[Block] = []
     for name in sorted(names, key=lambda one: (registers[one].table, registers[one].address)):
         register = registers[name]
         last = found[-1] if found else None
-        end = register.address + register.size
-        if last and last.table == register.table and register.address <= last.address + last.count:
-            count = max(end - last.address, last.count)
-            if count <= most:
+        if last and last.table == register.table:
+            between = range(last.address + last.count, register.address)
+            count = max(register.address + register.size - last.address, last.count)
+            if count <= most and all((last.table, at) in known for at in between):
                 found[-1] = Block(last.table, last.address, count, (*last.names, name))
                 continue
         found.append(Block(register.table, register.address, register.size, (name,)))

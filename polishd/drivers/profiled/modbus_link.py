@@ -31,6 +31,7 @@ REFUSALS = {
     4: "the device failed over it",
     6: "busy",
 }
+BITS = ("coil", "discrete")
 GATEWAY = (10, 11)
 """Exception codes of a gateway whose device does not answer."""
 OPEN_S = 1.0
@@ -80,37 +81,18 @@ class ModbusLink:
 
     async def read(self, table: Table, address: int, count: int) -> list[int]:
         """Words, or bits as 0 and 1."""
-        request, response = READS[table]
-        answer = await self._ask(request(address=address, count=count), response())
-        found = [int(one) for one in answer.bits[:count] or answer.registers]
-        bytes_came = -(-len(answer.bits) // 8) if answer.bits else 2 * len(found)
-        if len(found) != count or (answer.bits and bytes_came != -(-count // 8)):
+        answer = await self._ask(*_read(table, address, count))
+        found = [int(one) for one in answer.bits or answer.registers]
+        # bits come in whole bytes
+        if len(found) != (-(-count // 8) * 8 if table in BITS else count):
             raise await self._nonsense(f"read of {count} from {table} {address}", answer)
-        return found
+        return found[:count]
 
     async def write(self, table: Table, address: int, values: Sequence[int], *, many: bool) -> None:
         """To holding registers or coils; ``many`` chooses the function that writes several."""
-        bits = [bool(value) for value in values]
-        answer: ModbusPDU
-        if not many:
-            single = (
-                word.WriteSingleRegisterRequest(address=address, registers=values)
-                if table == "holding"
-                else bit.WriteSingleCoilRequest(address=address, bits=bits)
-            )
-            answer = await self._ask(single, type(single)())
-            echoed = (answer.address, answer.registers, answer.bits) == (address, single.registers, single.bits)
-        else:
-            several, response = (
-                (
-                    word.WriteMultipleRegistersRequest(address=address, registers=values),
-                    word.WriteMultipleRegistersResponse(),
-                )
-                if table == "holding"
-                else (bit.WriteMultipleCoilsRequest(address=address, bits=bits), bit.WriteMultipleCoilsResponse())
-            )
-            answer = await self._ask(several, response)
-            echoed = (answer.address, answer.count) == (address, len(values))
+        request, response = _write(table, address, values, many=many)
+        answer = await self._ask(request, response)
+        echoed = (answer.address, answer.count) == (address, len(values)) if many else _same(answer, request)
         if not echoed:
             raise await self._nonsense(f"write of {list(values)} to {table} {address}", answer)
 
@@ -197,3 +179,43 @@ class ModbusLink:
         """What else comes is not to be taken for an answer."""
         self._due_until = time.monotonic() + 2 * self._silence_s
         await self.disconnect()
+
+
+def read_frame(unit: int, table: Table, address: int, count: int) -> bytes:
+    """The request on a serial line, as manuals print it."""
+    return _frame(unit, _read(table, address, count)[0])
+
+
+def write_frame(unit: int, table: Table, address: int, values: Sequence[int], *, many: bool) -> bytes:
+    """The request on a serial line, as manuals print it."""
+    return _frame(unit, _write(table, address, values, many=many)[0])
+
+
+def _frame(unit: int, request: ModbusPDU) -> bytes:
+    request.dev_id = unit
+    return FramerRTU(DecodePDU(False)).buildFrame(request)
+
+
+def _read(table: Table, address: int, count: int) -> tuple[ModbusPDU, ModbusPDU]:
+    """Request, and the answer to be filled."""
+    request, response = READS[table]
+    return request(address=address, count=count), response()
+
+
+def _write(table: Table, address: int, values: Sequence[int], *, many: bool) -> tuple[ModbusPDU, ModbusPDU]:
+    """Request, and the answer to be filled."""
+    bits = [bool(value) for value in values]
+    if table == "coil":
+        if many:
+            return bit.WriteMultipleCoilsRequest(address=address, bits=bits), bit.WriteMultipleCoilsResponse()
+        return bit.WriteSingleCoilRequest(address=address, bits=bits), bit.WriteSingleCoilResponse()
+    if many:
+        several = word.WriteMultipleRegistersRequest(address=address, registers=values)
+        return several, word.WriteMultipleRegistersResponse()
+    return word.WriteSingleRegisterRequest(address=address, registers=values), word.WriteSingleRegisterResponse()
+
+
+def _same(answer: ModbusPDU, request: ModbusPDU) -> bool:
+    """The answer to a single write is its echo."""
+    echo = (answer.address, list(answer.registers), list(answer.bits))
+    return echo == (request.address, list(request.registers), list(request.bits))
