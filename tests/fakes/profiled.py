@@ -3,27 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Protocol
 
-from polishd.sim_backends.actuator.modbus import RtuSlave, TcpSlave
-from polishd.sim_backends.profiled.lines import LineSlave
 from polishd.sim_backends.profiled.machine import Gauge, Inverter, Machine
-from polishd.sim_backends.profiled.registers import Registers
 from polishd.sim_backends.profiled.sheet import Sheet
+from polishd.sim_backends.profiled.slave import by_profile
 from tests.fakes.actuator import Coil
 from tests.fakes.wires import Peer
 
 IDENTITY = {"vendor": "Fake", "model": "F-1", "serial": "42", "firmware": "1.2", "boot": "3"}
-
-
-class Slave(Protocol):
-    """Takes bytes, gives answers."""
-
-    def feed(self, data: bytes, now_s: float) -> Iterable[tuple[int, bytes]]:
-        """(bytes of the request, answer) for each whole request."""
-        ...
 
 
 class ProfiledPeer(Peer):
@@ -34,12 +23,7 @@ class ProfiledPeer(Peer):
         self.sheet = Sheet.read(profile)
         self.machine = make(self.sheet)
         self.requests: list[bytes] = []
-        self._slave: Slave
-        if "lines" in self.sheet.raw:
-            self._slave = LineSlave(self.sheet, self.machine)
-        else:
-            answer = Registers(self.sheet, self.machine).answer
-            self._slave = TcpSlave(unit, answer) if tcp else RtuSlave(unit, answer)
+        self._slave = by_profile(self.sheet, self.machine, unit, tcp=tcp)
 
     def on_bytes(self, data: bytes) -> None:
         self.requests.append(data)

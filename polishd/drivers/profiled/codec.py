@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from collections.abc import Mapping, Sequence
@@ -13,6 +14,8 @@ from polishd.config.device_tables import Ask, Group, ModbusTable, Quantity, Regi
 from polishd.config.device_units import factor
 
 Values = dict[str, Value]
+LEAST_FLOAT = 1e-30
+"""Nothing that is measured is so small: a float whose words are exchanged often is."""
 FORMATS = {"u16": ">H", "i16": ">h", "u32": ">I", "i32": ">i", "f32": ">f"}
 
 
@@ -77,7 +80,10 @@ def unpack(register: Register, words: Sequence[int], order: WordOrder) -> Value:
         return _text(words)
     first_high = words if (register.word_order or order) == "high_first" else list(reversed(words))
     raw = b"".join(one.to_bytes(2, "big") for one in first_high)
-    return float(struct.unpack(FORMATS[register.type], raw)[0])
+    value = float(struct.unpack(FORMATS[register.type], raw)[0])
+    if not math.isfinite(value) or 0.0 < abs(value) < LEAST_FLOAT:
+        raise ProtocolError(f"a float reads {value:.3g}: its two words are in the other order, or it is another device")
+    return value
 
 
 def pack(register: Register, raw: float, order: WordOrder) -> list[int]:

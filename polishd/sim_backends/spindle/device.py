@@ -7,6 +7,7 @@ import signal
 import time
 
 from polishd.sim_backends.faults import Outlet
+from polishd.sim_backends.profiled.inverter import main as inverter
 from polishd.sim_backends.runtime import Runtime
 from polishd.sim_backends.spindle.buses import Slcan, Socketcand
 from polishd.sim_backends.spindle.drive import Drive
@@ -20,6 +21,8 @@ VENDOR_ID, PRODUCT, REVISION, SERIAL = 0x506F, 0x0101, 0x00010000, 12345
 
 async def main(runtime: Runtime) -> None:
     """The device coroutine."""
+    if runtime.start.config.spindle.kind in {"profile", "profile_tcp"}:
+        return await inverter(runtime)
     config, speed = runtime.start.config.spindle, runtime.start.speed
     identity = enumerate((VENDOR_ID, PRODUCT, REVISION, SERIAL), start=1)
     objects = {(0x1018, sub): value for sub, value in identity}
@@ -55,6 +58,7 @@ async def main(runtime: Runtime) -> None:
     else:
         wire.ready(f"socketcand://{await wire.open_tcp(config.port, Socketcand.greeting)}/can0")
     await _tick(runtime, drive, hosts)
+    return None
 
 
 async def _tick(runtime: Runtime, drive: Drive, hosts: list[tuple[Slcan | Socketcand, Outlet]]) -> None:
