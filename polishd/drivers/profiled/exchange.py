@@ -6,8 +6,7 @@ from collections.abc import Awaitable, Callable
 from typing import TypeVar
 
 from polishd.api import Identity, LinkError, ProtocolError
-from polishd.drivers.profiled.codec import Values
-from polishd.drivers.profiled.meaning import identity
+from polishd.drivers.profiled.meaning import identity, state_of
 from polishd.drivers.profiled.wire import Wire
 from polishd.drivers.transport.requests import RequestQueue
 
@@ -82,17 +81,23 @@ class Exchange:
     async def _greet(self) -> None:
         """See that it is this device before anything is written to it; then tell it how long it may hear nothing."""
         try:
-            await self._expect()
+            await self._recognise()
         except BaseException:
             await self.wire.disconnect()
             raise
         if self._watchdog_s is not None:
             await self.wire.order("watchdog", round(1000 * self._watchdog_s))
 
-    async def _expect(self) -> None:
-        expects = self.wire.profile.expects
-        values: Values = await self.wire.read([one.when for one in expects]) if expects else {}
-        for one in expects:
+    async def _recognise(self) -> None:
+        """ProtocolError where another device answers, by what is expected of it, or by a state that nobody knows."""
+        profile = self.wire.profile
+        values = await self.wire.read([*profile.polled, *(one.when for one in profile.expects)])
+        for one in profile.expects:
             if not one.holds(values[one.when]):
                 said = f"{self.wire.name}: another device answers: its {one.when} reads {values[one.when]!r}"
-                raise ProtocolError(f"{said}, which is not what profile {self.wire.profile.name!r} expects")
+                raise ProtocolError(f"{said}, which is not what profile {profile.name!r} expects")
+        if profile.states and profile.kind != "force_sensor":
+            try:
+                state_of(profile, values)
+            except ProtocolError as error:
+                raise ProtocolError(f"{self.wire.name}: {error}") from None

@@ -31,6 +31,8 @@ REFUSALS = {
     4: "the device failed over it",
     6: "busy",
 }
+LOOKS, NOT_THERE = (1, 2, 3, 4), (1, 2)
+"""Functions that read, and exception codes of a device that has nothing there: most often it is another one."""
 BITS = ("coil", "discrete")
 GATEWAY = (10, 11)
 """Exception codes of a gateway whose device does not answer."""
@@ -102,7 +104,7 @@ class ModbusLink:
         request.transaction_id, request.dev_id = self._number, self._unit
         body = await self._body(self._framer.buildFrame(request))
         if body[0] == request.function_code | 0x80 and len(body) == 2:
-            raise self._refused(body[1])
+            raise self._refused(request.function_code, body[1])
         try:
             if body[0] != request.function_code:
                 raise ValueError(f"function {body[0]}")
@@ -163,12 +165,13 @@ class ModbusLink:
         asked = "baud rate, parity and unit number" if settings else "unit number"
         return LinkError(f"{self.name}: no answer within {within}; see whether it has power, and this {asked}")
 
-    def _refused(self, code: int) -> DeviceRefused | LinkError:
+    def _refused(self, function: int, code: int) -> DeviceRefused | LinkError:
         if code in GATEWAY:
             return LinkError(
                 f"{self.name}: the gateway answers, its unit {self._unit} does not; see power, wires, unit"
             )
-        return DeviceRefused(f"{self.name}: exception {code}, {self._refusals.get(code, 'no reason that is known')}")
+        why = f"{self.name}: exception {code}, {self._refusals.get(code, 'no reason that is known')}"
+        return DeviceRefused(f"{why}; is it another device?" if function in LOOKS and code in NOT_THERE else why)
 
     async def _nonsense(self, what: str, answer: ModbusPDU) -> ProtocolError:
         await self._distrust()
