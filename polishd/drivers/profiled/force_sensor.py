@@ -16,13 +16,13 @@ PERIOD_S = 0.05
 
 
 class ProfiledForceSensor:
-    """Forces over a wire. Nothing can move by it, so a lost link is opened again by whoever asks next."""
+    """Forces over a wire. A link that is lost while somebody takes them is not opened again until he has ended."""
 
     def __init__(self, wire: Wire) -> None:
         if wire.profile.force_sensor is None:
             raise ValueError(f"profile {wire.profile.name!r} is of no force sensor")
         self._wire = wire
-        self._link = Exchange(wire, None, "")
+        self._link = Exchange(wire, None, "forces were being taken: what is missing is not made up for")
 
     async def open(self) -> None:
         """See Device."""
@@ -52,19 +52,22 @@ class ProfiledForceSensor:
     async def forces(self) -> AsyncIterator[tuple[float, float, int]]:
         """(monotonic seconds, N, fault), each read after the one before it was taken."""
         due = time.monotonic()
-        while True:
-            force_n, fault = await self._link.ask(self._read)
-            yield time.monotonic(), force_n, fault
-            due = max(due + PERIOD_S, time.monotonic())
-            await asyncio.sleep(due - time.monotonic())
+        self._link.exposed = True
+        try:
+            while True:
+                force_n, fault = await self._link.ask(self._read)
+                yield time.monotonic(), force_n, fault
+                due = max(due + PERIOD_S, time.monotonic())
+                await asyncio.sleep(due - time.monotonic())
+        finally:
+            self._link.exposed = False
 
     async def _read(self) -> tuple[float, int]:
         profile = self._wire.profile
         values = await self._wire.read(profile.polled)
         try:
             fault = meaning.fault_of(profile, values)
-            if not fault and profile.states and meaning.state_of(profile, values) == "fault":
-                fault = 1
-            return meaning.number(values, "force", 0.0), fault
+            broken = any(rule.holds(values[rule.when]) for rule in profile.states)  # it has no state but that one
+            return meaning.number(values, "force", 0.0), fault or int(broken)
         except ProtocolError as error:
             raise ProtocolError(f"{self._wire.name}: {error}") from None
