@@ -33,13 +33,13 @@ class When(Section):
     mask: Annotated[int, Field(ge=1, le=0xFFFFFFFF)] | None = None
     """Only these bits of it count. [1]"""
     equals: Values = ()
-    """It is one of these, ..."""
+    """It is one of these numbers (or texts), ... [1]"""
     unlike: Values = ()
-    """... or none of these, ..."""
+    """... or none of these, ... [1]"""
     above: float | None = None
-    """... or greater than this, ..."""
+    """... or greater than this, ... [1]"""
     below: float | None = None
-    """... or less than this. Of several conditions all must hold."""
+    """... or less than this. Of several conditions all must hold. [1]"""
 
     @model_validator(mode="after")
     def _asks_something(self) -> Self:
@@ -168,7 +168,7 @@ class SerialTable(Section):
     """The serial line; an address in the cell may say otherwise: `serial:PATH?baud=9600&parity=even&stop_bits=1`."""
 
     baud: Annotated[int, Field(ge=300, le=4_000_000)] = 115_200
-    """[bit/s]"""
+    """Its pace. [bit/s]"""
     parity: Literal["none", "even", "odd"] = "none"
     """Of each byte."""
     stop_bits: Literal[1, 2] = 1

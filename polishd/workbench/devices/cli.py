@@ -50,11 +50,12 @@ def check(profile: Profile, raw: Raw = None, as_json: Json = False) -> None:
 def new(
     kind: Annotated[Literal["actuator", "spindle", "force_sensor"], Argument(help="What it is.")],
     link: Annotated[Literal["modbus", "lines"], Option(help="What it speaks.")] = "modbus",
+    as_json: Json = False,
 ) -> None:
     """A template with comments, for a profile of your own: polishd device new spindle > mine.toml."""
     from polishd.workbench.devices.verbs import new_verb
 
-    new_verb(kind, link)
+    new_verb(kind, link, as_json=as_json)
 
 
 @app.command()

@@ -32,7 +32,7 @@ def show_verb(name: str, *, toml: bool, as_json: bool) -> None:
     """What stands in a profile, for people; or its file."""
     profile = profile_of(name, Path())
     if toml:
-        stdout.print(profile.source.text, markup=False, highlight=False, soft_wrap=True, end="")
+        _give_text(profile.source.text, as_json=as_json)
         return
     answer = facts(profile)
     emit(answer, as_json=as_json, table=lambda: _tables(profile, answer))
@@ -54,10 +54,9 @@ def check_verb(name: str, raws: Sequence[str], *, as_json: bool) -> None:
             stdout.print(f"warning: {warning}", markup=False)
 
 
-def new_verb(kind: str, link: str) -> None:
+def new_verb(kind: str, link: str, *, as_json: bool) -> None:
     """A template on stdout."""
-    text = toml_text(TEMPLATES / f"{kind}_{link}.toml")
-    stdout.print(text, markup=False, highlight=False, soft_wrap=True, end="")
+    _give_text(toml_text(TEMPLATES / f"{kind}_{link}.toml"), as_json=as_json)
 
 
 def facts(profile: DeviceProfile) -> dict[str, Any]:
@@ -112,3 +111,10 @@ def _warnings(profile: DeviceProfile) -> list[str]:
     if profile.spindle and not orders.reverse:
         found.append("no orders.reverse: the spindle turns forward only")
     return found
+
+
+def _give_text(text: str, *, as_json: bool) -> None:
+    """A file's text, byte by byte, to be written into another."""
+    emit({"toml": text}, as_json=as_json)
+    if not as_json:
+        stdout.print(text, markup=False, highlight=False, soft_wrap=True, end="")
