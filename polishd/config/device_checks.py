@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
+from polishd.config.device_profile import DeviceProfile
 from polishd.config.device_steps import slots_of, write_of
-from polishd.config.device_tables import LEAST, MOST
+from polishd.config.device_tables import LEAST, MOST, Faults
 from polishd.config.device_units import KINDS
 from polishd.config.places import Location, did_you_mean, listed
-
-if TYPE_CHECKING:
-    from polishd.config.device_profile import DeviceProfile
-    from polishd.config.device_tables import Faults
 
 Fault = tuple[Location, str]
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
-from polishd.config.device_checks import faults_of
 from polishd.config.device_tables import (
     ActuatorTable,
     Ask,
@@ -26,10 +24,8 @@ from polishd.config.device_tables import (
     StateRule,
     When,
 )
-from polishd.config.document import Document, parse_toml
-from polishd.config.places import Source
+from polishd.config.document import Document
 from polishd.config.values import Text, Texts, as_tuple
-from polishd.model.errors import ConfigError
 
 Kind = Literal["actuator", "spindle", "force_sensor"]
 TRIED = {
@@ -104,16 +100,3 @@ class DeviceProfile(Document):
         return tuple(
             dict.fromkeys([*filter(self.quantities.__contains__, IDENTITY), *(one.when for one in self.expects)])
         )
-
-    @classmethod
-    def of(cls, raw: Mapping[str, Any], source: Source) -> Self:
-        """The values of a file; ConfigError, a line each: ``FILE:LINE: table.key: what is wrong; what to do``."""
-        made = super().of(raw, source)
-        if found := faults_of(made):
-            raise ConfigError("\n".join(source.error(key, problem) for key, problem in found))
-        return made
-
-
-def load_device_profile(path: Path) -> DeviceProfile:
-    """Read a profile; ConfigError with one line per problem: ``FILE:LINE: table.key: what is wrong; what to do``."""
-    return DeviceProfile.of(*parse_toml(path))

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from polishd.api import ConfigError
-from polishd.config.device_profile import DeviceProfile, load_device_profile
+from polishd.config.device_file import load_device_profile
+from polishd.config.device_profile import DeviceProfile
 from polishd.config.places import did_you_mean, listed
 
 FOLDER = Path(__file__).with_name("profiles")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from polishd.config.device_profile import load_device_profile
+from polishd.config.device_file import load_device_profile
 from polishd.drivers.profiled.shelf import FOLDER, profile_of, shipped
 from polishd.model.errors import ConfigError
 from polishd.workbench.devices.verbs import TEMPLATES

@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.api import DeviceRefused, ProtocolError
-from polishd.config.device_profile import DeviceProfile
+from polishd.config.device_file import device_profile_of
 from polishd.config.device_tables import Register, When
-from polishd.config.document import parse_text
 from polishd.drivers.profiled import codec, meaning
 from polishd.drivers.profiled.modbus_link import read_frame, write_frame
 from polishd.workbench.devices.verbs import TEMPLATES
@@ -130,7 +129,7 @@ def test_units(unit: str, raw: float, worth: float) -> None:
 @pytest.mark.parametrize("force_n", [12.5, 12.34, -3.21, 0.07, 150.0])
 def test_the_wrong_word_order_cannot_be_true(force_n: float) -> None:
     text = TEMPLATE.read_text().replace('"i32"', '"f32"').replace("scale = 0.01", "scale = 1.0")
-    mine = DeviceProfile.of(*parse_text(text, TEMPLATE))
+    mine = device_profile_of(text, TEMPLATE)
     (block,) = codec.blocks(mine.registers, ["force"], 125)
     words = codec.pack(mine.registers["force"], force_n, "high_first")
     assert codec.signed(mine, codec.values_of(mine, block, words))["force"] == pytest.approx(force_n)

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from polishd.api import DeviceError, LinkError, ProtocolError
-from polishd.config.device_profile import DeviceProfile
-from polishd.config.document import parse_text
+from polishd.config.device_file import device_profile_of
 from polishd.drivers.profiled import make
 from polishd.drivers.profiled.actuator import ProfiledActuator
 from polishd.drivers.profiled.spindle import ProfiledSpindle
@@ -95,7 +94,7 @@ async def test_the_profile_of_another_device(bench: Bench) -> None:
 
 async def test_a_device_that_is_not_the_expected_one(bench: Bench) -> None:
     text = file_of("delta_ms300").read_text() + '\n[[expects]]\nwhen = "commanded"\nequals = [4242]\n'
-    profile = DeviceProfile.of(*parse_text(text, Path("mine.toml")))
+    profile = device_profile_of(text, Path("mine.toml"))
     said = await bench.told(make.spindle(profile, SerialLine(bench.wire.path, 9600)))
     assert "another device answers: its commanded reads 0.0, which is not what profile 'mine' expects" in said
     assert not any(request[1] in {5, 6, 15, 16} for request in bench.peer.requests), "and nothing was written to it"
@@ -108,11 +107,11 @@ async def test_the_wrong_word_order(tmp_path: Path) -> None:
     )
     wire = await TcpWire(ProfiledPeer(path, gauge(lambda: 12.34), tcp=True)).start()
     swapped = path.read_text().replace('word_order = "high_first"', 'word_order = "low_first"')
-    profile = DeviceProfile.of(*parse_text(swapped, path))
+    profile = device_profile_of(swapped, path)
     device = make.force_sensor(profile, Tcp("127.0.0.1", wire.port))
     with pytest.raises(ProtocolError, match=r"see word order, scale and whether it is this device$"):
         await device.open()
-    right = make.force_sensor(DeviceProfile.of(*parse_text(path.read_text(), path)), Tcp("127.0.0.1", wire.port))
+    right = make.force_sensor(device_profile_of(path.read_text(), path), Tcp("127.0.0.1", wire.port))
     await right.open()
     await right.close()
     await wire.close()
