@@ -17,6 +17,7 @@ from pydantic import BaseModel
 
 from docs.reference import ports
 from polishd.config.cell import CellConfig
+from polishd.config.device_profile import DeviceProfile
 from polishd.config.places import plain_kind, section_of, variants
 from polishd.config.profile_sections import ProfileFile
 from polishd.config.sections import DeviceSection
@@ -46,7 +47,13 @@ TYPES = {
 PLURAL = {"number": "s", "integer": "s", "string": "s"}
 COLUMNS = "| key | type | unit | default | range | meaning |\n|---|---|---|---|---|---|"
 HEAD = "<!-- Written by `make reference` from the models; a test fails where it is not what they give. -->"
-TITLES = {"cell": "A cell", "study": "A study", "profile": "An instrument's profile", "simulator": "The simulator"}
+TITLES = {
+    "cell": "A cell",
+    "study": "A study",
+    "profile": "An instrument's profile",
+    "device": "A device's profile",
+    "simulator": "The simulator",
+}
 INTRODUCTIONS = {
     "cell": """A cell's file, as [examples/cell.toml](../../examples/cell.toml) shows it with comments. Relative paths
 start from its folder. The options of `[robot]`, `[actuator]`, `[spindle]`, `[metrology]`, `[loader]` and
@@ -55,6 +62,8 @@ start from its folder. The options of `[robot]`, `[actuator]`, `[spindle]`, `[me
 `[part]`, `[kinematics]`, `[compliance]` and `[process]` are those of [a cell](cell.md), with their defaults.""",
     "profile": """An instrument's profile, as [examples/instrument.toml](../../examples/instrument.toml) shows it with
 comments; how it is proved: [instruments.md](../instruments.md).""",
+    "device": """A profile of a drive or a sensor; how one is made and tried: [devices.md](../devices.md). It has one
+of `[actuator]`, `[spindle]`, `[force_sensor]`, and one of `[modbus]`, `[lines]`.""",
     "simulator": """The simulated cell, as [examples/sim.toml](../../examples/sim.toml) shows it with comments. Every
 key may be left out.""",
 }
@@ -164,6 +173,7 @@ def files() -> dict[str, list[Table]]:
         "cell": of_cell,
         "study": [*kinds.items(), *(table for table in below if table not in of_cell)],
         "profile": [("", ProfileFile), *tables(ProfileFile)],
+        "device": [("", DeviceProfile), *tables(DeviceProfile)],
         "simulator": list(tables(SimConfig)),
     }
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field
 
 from polishd.config.document import Document, parse_toml
-from polishd.config.values import Bump, NotNegative, Pair, Positive, Section, ShareOrNone, Texts, Vector, as_tuple
+from polishd.config.values import Bump, NotNegative, Pair, Positive, Section, ShareOrNone, Text, Texts, Vector, as_tuple
 
 Rate = Annotated[float, Field(ge=0, le=1)]
 Port = Annotated[int, Field(ge=0, le=65535)]
@@ -171,11 +171,13 @@ class Robot(Section):
 class Actuator(Section):
     """The voice-coil actuator. Its times go with the simulated clock."""
 
-    kind: Literal["modbus_rtu", "modbus_tcp", "serial", "slcan", "socketcand"] = "modbus_rtu"
-    """What it speaks: the cell's `voice_coil_modbus` on a line or over TCP, `voice_coil_serial`, or `cia402_actuator`,
-    whose bus is reached through a serial adapter or a daemon."""
+    kind: Literal["modbus_rtu", "modbus_tcp", "serial", "slcan", "socketcand", "profile", "profile_tcp"] = "modbus_rtu"
+    """What it speaks: the cell's `voice_coil_modbus` on a line or over TCP, `voice_coil_serial`, `cia402_actuator`, whose
+    bus is reached through a serial adapter or a daemon, or what a profile says."""
+    profile: Text = "profile.toml"
+    """File of the device profile, for `profile` and `profile_tcp`."""
     port: Port = 0
-    """TCP port on loopback, for modbus_tcp and socketcand; 0: any that is free. [1]"""
+    """TCP port on loopback, for modbus_tcp, socketcand and profile_tcp; 0: any that is free. [1]"""
     baud: Annotated[int, Field(ge=1200)] = 115200
     """Pace of the serial line. [bit/s]"""
     unit: Annotated[int, Field(ge=1, le=247)] = 1
@@ -196,12 +198,14 @@ class Actuator(Section):
 class Spindle(Section):
     """The spindle drive."""
 
-    kind: Literal["slcan", "socketcand"] = "slcan"
-    """How its CAN bus is reached: a serial adapter, or a daemon over TCP."""
+    kind: Literal["slcan", "socketcand", "profile", "profile_tcp"] = "slcan"
+    """How its CAN bus is reached: a serial adapter, or a daemon over TCP; or it speaks what a device profile says."""
     drive: Literal["spindle_can", "cia402"] = "spindle_can"
-    """What it speaks there: the cell's `spindle_can`, or `cia402_spindle`, whose ramps and watchdog the cell sets."""
+    """What it speaks on CAN: the cell's `spindle_can`, or `cia402_spindle`, whose ramps and watchdog the cell sets."""
+    profile: Text = "profile.toml"
+    """File of the device profile, for `profile` and `profile_tcp`."""
     port: Port = 0
-    """TCP port on loopback, for socketcand; 0: any that is free. [1]"""
+    """TCP port on loopback, for socketcand and profile_tcp; 0: any that is free. [1]"""
     node: Annotated[int, Field(ge=1, le=127)] = 5
     """CANopen node number. [1]"""
     max_rpm: Annotated[int, Field(ge=1)] = 3000

@@ -43,6 +43,8 @@ class Scope:
     """Spindle: turned with, half as fast, and backwards."""
     most_rpm: float | None = 6000.0
     """Spindle: may be asked for; more must be refused; None: more than ``rpm`` is not asked for."""
+    forgives: bool = True
+    """Spindle: the fault of its own watchdog is taken back when it is made safe; else a person resets it."""
     block: Callable[[int], bytes] = _line
     """Robot: the block of that number. It takes some tens of ms; 200 of them follow each other."""
     bad_block: bytes = b"?what"

@@ -12,10 +12,10 @@ from pathlib import Path
 from polishd.api import ForceActuator, Loader, Spindle
 from polishd.drivers.linuxcnc.driver import LinuxCnc
 from polishd.drivers.loader_line import LoaderLine
+from polishd.drivers.profiled import make
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
-from polishd.drivers.voice_coil import voice_coil_modbus, voice_coil_serial
 from polishd.model.times import ActuatorTimes, LoaderTimes, SpindleTimes
 from polishd.testing.rig import Rig, Scope
 from polishd.testing.suites.actuator import ActuatorRig
@@ -24,9 +24,11 @@ from polishd.testing.suites.robot import RobotRig
 from polishd.testing.suites.spindle import SpindleRig
 from tests.fakes import cia402
 from tests.fakes.actuator import AsciiCoil, Coil, ModbusCoil
+from tests.fakes.devices_by_profile import file_of, shipped, voice_coil_modbus, voice_coil_serial
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.linuxcnc import FakeLinuxCnc
 from tests.fakes.loader import FakeLoader
+from tests.fakes.profiled import IdealDrive, ProfiledPeer, inverter
 from tests.fakes.robot import FakeRobot
 from tests.fakes.wires import PtyWire, TcpWire, dribbled
 from tests.kinds import kind
@@ -131,6 +133,19 @@ async def actuator_ascii_dribbled(folder: Path) -> AsyncIterator[ActuatorRig]:
 
 
 @asynccontextmanager
+async def actuator_line_drive(folder: Path) -> AsyncIterator[ActuatorRig]:
+    """A profile of the user's own: plain lines, in which the set point alone lands the tool."""
+    peer = ProfiledPeer(file_of("line_drive.toml"), IdealDrive)
+    wire = PtyWire(peer, folder / "drive")
+    device = make.actuator(shipped("line_drive.toml"), SerialLine(wire.path), PATIENT)
+    try:
+        yield Rig(device, wire.cut, lambda: setattr(peer, "silent", True), lambda: _stands(peer, "retracted", "fault"))
+    finally:
+        await device.close()
+        await wire.close()
+
+
+@asynccontextmanager
 async def _actuator(coil: Coil, wire: PtyWire | TcpWire, device: ForceActuator) -> AsyncIterator[ActuatorRig]:
     try:
         yield Rig(device, wire.cut, lambda: setattr(wire.peer, "silent", True), lambda: coil.state == 0, scope=TOUCHES)
@@ -155,6 +170,49 @@ async def spindle_socketcand(_: Path) -> AsyncIterator[SpindleRig]:
     wire = await TcpWire(SocketcandPeer(drive)).start()
     async with _spindle(drive, wire, SpindleCan(Socketcand("127.0.0.1", wire.port, "can0"), PATIENT_SPINDLE)) as rig:
         yield rig
+
+
+@asynccontextmanager
+async def spindle_ms300(folder: Path) -> AsyncIterator[SpindleRig]:
+    """An inverter on Modbus RTU whose profile knows the fault of its watchdog."""
+    peer = ProfiledPeer(file_of("delta_ms300"), inverter)
+    async with _inverter("delta_ms300", peer, PtyWire(peer, folder / "drive")) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def spindle_gs2(folder: Path) -> AsyncIterator[SpindleRig]:
+    """An inverter on Modbus RTU whose faults are all a person's."""
+    peer = ProfiledPeer(file_of("automationdirect_gs2"), inverter)
+    async with _inverter("automationdirect_gs2", peer, PtyWire(peer, folder / "drive"), forgives=False) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def spindle_wj200(_: Path) -> AsyncIterator[SpindleRig]:
+    """An inverter of coils and of values of two words, behind a gateway to Modbus TCP."""
+    peer = ProfiledPeer(file_of("hitachi_wj200"), inverter, tcp=True)
+    async with _inverter("hitachi_wj200", peer, await TcpWire(peer).start(), forgives=False) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def _inverter(
+    name: str, peer: ProfiledPeer, wire: PtyWire | TcpWire, *, forgives: bool = True
+) -> AsyncIterator[SpindleRig]:
+    address = SerialLine(wire.path) if isinstance(wire, PtyWire) else Tcp("127.0.0.1", wire.port)
+    device = make.spindle(shipped(name), address, PATIENT_SPINDLE)
+    safe = lambda: _stands(peer, "stopped", "fault")  # noqa: E731
+    try:
+        yield Rig(device, wire.cut, lambda: setattr(peer, "silent", True), safe, scope=Scope(forgives=forgives))
+    finally:
+        await device.close()
+        await wire.close()
+
+
+def _stands(peer: ProfiledPeer, *states: str) -> bool:
+    peer.step()
+    return peer.machine.state() in states and peer.machine.values().get("speed", 0.0) == 0.0
 
 
 @asynccontextmanager
@@ -249,7 +307,15 @@ async def _loader(fake: FakeLoader, wire: PtyWire | TcpWire, device: Loader) -> 
 
 
 ROBOTS = [*kind(robot_tcp, robot_dribbled), *kind(linuxcnc, linuxcnc_dribbled)]
-ACTUATORS = [*kind(actuator_rtu, actuator_tcp), *kind(actuator_ascii, actuator_ascii_dribbled)]
-ACTUATORS += kind(cia402_actuator_spring, cia402_actuator_position)
-SPINDLES = [*kind(spindle_slcan, spindle_socketcand), *kind(cia402_spindle_slcan, cia402_spindle_socketcand)]
+ACTUATORS = [
+    *kind(actuator_rtu, actuator_tcp),
+    *kind(actuator_ascii, actuator_ascii_dribbled),
+    *kind(actuator_line_drive),
+    *kind(cia402_actuator_spring, cia402_actuator_position),
+]
+SPINDLES = [
+    *kind(spindle_slcan, spindle_socketcand),
+    *kind(cia402_spindle_slcan, cia402_spindle_socketcand),
+    *kind(spindle_ms300, spindle_gs2, spindle_wj200),
+]
 LOADERS = kind(loader_serial, loader_tcp_dribbled)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
+import termios
 import time
 from functools import partial
 from typing import cast
@@ -19,7 +21,7 @@ WRITE_S = 1.0
 """A peer, or a line, that takes no bytes for so long is dead."""
 
 
-async def open_stream(address: Tcp | SerialLine, within_s: float = 1.0) -> ByteStream:
+async def open_stream(address: Tcp | SerialLine, within_s: float = 1.0) -> TcpStream | SerialStream:
     """Connect; LinkError where nobody answers within that time."""
     if isinstance(address, SerialLine):
         return await _open_serial(address, within_s)
@@ -34,14 +36,38 @@ async def open_stream(address: Tcp | SerialLine, within_s: float = 1.0) -> ByteS
     return stream
 
 
-async def _open_serial(address: SerialLine, within_s: float) -> ByteStream:
+async def _open_serial(address: SerialLine, within_s: float) -> SerialStream:
     """Open a serial line for ourselves alone; what was received before is dropped."""
-    make = partial(serial.Serial, str(address.path), address.baud, timeout=0, write_timeout=0, exclusive=True)
+    make = partial(
+        serial.Serial,
+        str(address.path),
+        address.baud,
+        parity=address.parity[0].upper(),
+        stopbits=address.stop_bits,
+        timeout=0,
+        write_timeout=0,
+        exclusive=True,
+    )
     try:
         port = await open_blocking(make, serial.Serial.close, within_s, str(address))
-    except OSError as error:  # SerialException is one
-        raise LinkError(f"{address}: {error}") from error
+    except (OSError, ValueError, termios.error) as error:  # SerialException is the first
+        raise LinkError(f"{address}: {_why_closed(address, error)}") from error
     return SerialStream(str(address), port)
+
+
+def _why_closed(address: SerialLine, error: Exception) -> str:
+    """What is wrong with the port, and what to do."""
+    cause = error.__context__ if isinstance(error.__context__, termios.error) else error
+    match cause.args[0] if cause.args else None:
+        case errno.EAGAIN | errno.EBUSY:
+            return "another program has the port open; end it (lsof names it)"
+        case errno.EACCES | errno.EPERM:
+            return "no permission to open the port; add the user to the group that owns it (often dialout)"
+        case errno.ENOENT | errno.ENXIO | errno.ENODEV:
+            return "there is no such port; plug the adapter in, or mend the path"
+        case errno.ENOTTY | errno.EINVAL | errno.EISDIR:
+            return f"it is no serial port, or knows no {address.settings}; mend the path or the settings"
+    return str(error)
 
 
 class ReadBuffer:
@@ -63,6 +89,11 @@ class ReadBuffer:
         if self._failure is None:
             self._failure = reason
         self._wake()
+
+    @property
+    def alive(self) -> bool:
+        """The link has not failed, as far as is known without asking."""
+        return self._failure is None
 
     def check(self) -> None:
         """LinkError once the link has failed."""

@@ -1,4 +1,4 @@
-"""The voice-coil actuator: the device types ``voice_coil_modbus`` and ``voice_coil_serial``."""
+"""The voice-coil actuator: the device types ``voice_coil_modbus`` and ``voice_coil_serial``, as their profiles say."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from polishd.api import ActuatorTimes, ConfigError, DeviceContext, DeviceType, ForceActuator, hookimpl
-from polishd.drivers.transport.address import SerialLine, Tcp, parse_address
-from polishd.drivers.voice_coil import voice_coil_modbus, voice_coil_serial
+from polishd.api import ActuatorTimes, DeviceContext, DeviceType, ForceActuator, hookimpl
+from polishd.drivers.profiled import make
+from polishd.drivers.profiled.shelf import profile_of
 
 POLISHD_API = 1
 
@@ -56,19 +56,17 @@ class ModbusOptions(VoiceCoilOptions):
     """Modbus unit number. [1]"""
 
 
-def _address(text: str, context: DeviceContext) -> Tcp | SerialLine:
-    address = parse_address(text, context.base_dir)
-    if isinstance(address, Tcp | SerialLine):
-        return address
-    raise ConfigError(f"[actuator] address {text!r}: a voice coil is reached over serial: or tcp://")
+def _build(name: str, options: VoiceCoilOptions, unit: int | None, context: DeviceContext) -> ForceActuator:
+    profile = profile_of(name, context.base_dir)
+    return make.actuator(profile, make.address_of(profile, options.address, context.base_dir), options.times, unit=unit)
 
 
 def _build_modbus(options: ModbusOptions, context: DeviceContext) -> ForceActuator:
-    return voice_coil_modbus(_address(options.address, context), options.times, unit=options.unit)
+    return _build("voice_coil_modbus", options, options.unit, context)
 
 
 def _build_serial(options: VoiceCoilOptions, context: DeviceContext) -> ForceActuator:
-    return voice_coil_serial(_address(options.address, context), options.times)
+    return _build("voice_coil_serial", options, None, context)
 
 
 @hookimpl
