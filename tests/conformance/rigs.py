@@ -17,7 +17,7 @@ from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
 from polishd.model.times import ActuatorTimes, LoaderTimes, SpindleTimes
-from polishd.testing.rig import Rig, Scope
+from polishd.testing.rig import D, Rig, Scope
 from polishd.testing.suites.actuator import ActuatorRig
 from polishd.testing.suites.loader import LoaderRig
 from polishd.testing.suites.robot import RobotRig
