@@ -35,12 +35,12 @@ def build_cell(config: CellConfig, hooks: Hooks) -> Cell:
 
 
 async def look_for_part(cell: Cell, config: CellConfig, hooks: Hooks) -> None:
-    """Devices that only look are built anew, for the part and the instrument of that config's job.
+    """Devices that look at a part are built anew, for the part and the instrument of that config's job.
 
     Opened where the cell is open. Errors as of ``build_cell``, and DeviceError where one does not answer.
     """
     context = await asyncio.to_thread(_context, config, hooks)
-    for name in [name for name in cell.devices if not PORTS[port_of(name)].acts]:
+    for name in [name for name in cell.devices if PORTS[port_of(name)].of_part]:
         await cell.exchange(name, _built(config, hooks, name, context))
 
 
