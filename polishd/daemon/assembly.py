@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 from polishd.config.cell import PORTS, CellConfig, device_options, notifier_options, port_of
+from polishd.config.sections import ForceSensorSection
 from polishd.daemon.cell import Cell, MonotonicClock
 from polishd.daemon.courier import Notifier
 from polishd.daemon.port_checks import lacking
 from polishd.daemon.safety import ContactLimits
-from polishd.daemon.time_limits import Limit, too_short
+from polishd.daemon.time_limits import Limit, stays_on, too_short
 from polishd.hooks.loader import Hooks
 from polishd.hookspecs import DeviceContext
 from polishd.model.concern import Severity
 from polishd.model.errors import ConfigError, PluginError, PolishdError
-from polishd.ports.devices import Device
+from polishd.ports.devices import Device, ForceActuator
 from polishd.recipe.making import instrument_of
 
 
@@ -106,8 +108,14 @@ def _broken(config: CellConfig, section: str, who: str, what: str) -> PluginErro
 
 def require_time_limits(config: CellConfig, cell: Cell) -> tuple[Limit, ...]:
     """The job's chain of time limits; ConfigError with each one that is shorter than what it guards."""
-    chain = tuple(replace(limit, key=_of_role(cell, limit.key)) for limit in cell.limits.chain(config.job.lookahead_s))
-    if found := [str(config.error(key, problem)) for key, problem in too_short(chain)]:
+    contact = contact_limits(config)
+    limits = cell.limits.chain(config.job.lookahead_s, apart_s=contact.apart_s, force_s=contact.grace_s)
+    chain = tuple(replace(limit, key=_of_role(cell, limit.key)) for limit in limits)
+    tools = {name: cast(ForceActuator, cell.devices[name]).times for name in cell.at("actuator")}
+    unpowered = [
+        (f"{name}.unpowered", why) for name, tool in tools.items() if (why := stays_on(tool, cell.robot.times))
+    ]
+    if found := [str(config.error(key, problem)) for key, problem in (*too_short(chain), *unpowered)]:
         raise ConfigError("\n".join(found))
     return chain
 
@@ -120,9 +128,13 @@ def _of_role(cell: Cell, key: str) -> str:
 
 def contact_limits(config: CellConfig) -> ContactLimits:
     """What is watched in contact."""
+    sensor = config.devices.get(config.used.get("force_sensor", ""))
+    apart = (sensor.band_n, sensor.grace_s) if isinstance(sensor, ForceSensorSection) else (math.inf, 0.0)
     return ContactLimits(
         force_n=config.process.force_n,
         rpm=config.process.rpm,
         force_band=config.limits.force_band,
         grace_s=config.limits.force_grace_s,
+        apart_n=apart[0],
+        apart_s=apart[1],
     )

@@ -232,6 +232,7 @@ class Daemon:
         if order.verb is not Trigger.RESUME:
             said = f"{self.reason}; {order.said(ORDERED)}" if order.reason else self.reason
             return Turn(order.verb, said, error=self._error)
+        self._cell.tared.clear()  # a person may have changed the tool
         try:
             await self._cell.restore_links()  # out of contact: what was lost meanwhile is opened again
             refused = await self._made_safe()

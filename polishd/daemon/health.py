@@ -20,8 +20,8 @@ from pathlib import Path
 from polishd.daemon.cell import Cell
 from polishd.daemon.job import Job
 from polishd.daemon.journal_store import LATE_S
+from polishd.daemon.listening import most_telling
 from polishd.daemon.making import NoJob
-from polishd.daemon.safety import most_telling
 
 log = logging.getLogger(__name__)
 

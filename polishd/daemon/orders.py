@@ -7,7 +7,7 @@ from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from typing import Any
 
-from polishd.daemon.safety import most_telling
+from polishd.daemon.listening import most_telling
 from polishd.daemon.states import Trigger
 
 
