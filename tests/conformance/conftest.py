@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.conformance import rigs
-from tests.conformance.rigs import ActuatorRig, LoaderRig, RobotRig, SpindleRig
+from tests.conformance.rigs import ActuatorRig, ForceSensorRig, LoaderRig, MonitorRig, RobotRig, SpindleRig
 
 PROMPT_S = 2.5
 """A dead link is known after so long: less than a second, and room for what else a machine does."""
@@ -47,12 +47,24 @@ async def loader(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterato
         yield rig
 
 
+@pytest.fixture(params=rigs.FORCE_SENSORS, ids=lambda rig: rig.__name__)
+async def force_sensor(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[ForceSensorRig]:
+    async with request.param(tmp_path) as rig:
+        yield rig
+
+
+@pytest.fixture(params=rigs.MONITORS, ids=lambda rig: rig.__name__)
+async def monitor(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[MonitorRig]:
+    async with request.param(tmp_path) as rig:
+        yield rig
+
+
 @pytest.fixture(
-    params=[*rigs.ROBOTS, *rigs.ACTUATORS, *rigs.SPINDLES, *rigs.LOADERS],
+    params=[*rigs.ROBOTS, *rigs.ACTUATORS, *rigs.SPINDLES, *rigs.LOADERS, *rigs.FORCE_SENSORS, *rigs.MONITORS],
     ids=lambda rig: rig.__name__,
 )
 async def any_device(
     request: pytest.FixtureRequest, tmp_path: Path
-) -> AsyncIterator[RobotRig | ActuatorRig | SpindleRig | LoaderRig]:
+) -> AsyncIterator[RobotRig | ActuatorRig | SpindleRig | LoaderRig | ForceSensorRig | MonitorRig]:
     async with request.param(tmp_path) as rig:
         yield rig

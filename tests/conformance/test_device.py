@@ -6,14 +6,14 @@ import asyncio
 
 import pytest
 
-from polishd.api import Device, ForceActuator, LinkError, Loader, Robot, Spindle
+from polishd.api import Device, ForceActuator, ForceSensor, LinkError, Loader, Monitor, Robot, Spindle
 from polishd.config.cell import PORTS
 from polishd.daemon.port_checks import lacking
 from tests.conformance.conftest import BOUND_S, PROMPT_S
 from tests.conformance.rigs import Rig
 from tests.patience import within
 
-AnyRig = Rig[Robot] | Rig[ForceActuator] | Rig[Spindle] | Rig[Loader]
+AnyRig = Rig[Robot] | Rig[ForceActuator] | Rig[Spindle] | Rig[Loader] | Rig[ForceSensor] | Rig[Monitor]
 
 
 async def watch(device: Device) -> None:

@@ -10,7 +10,7 @@ import time
 from functools import reduce
 from operator import xor
 
-from polishd.api import ByteStream, DeviceRefused, LinkError
+from polishd.api import ByteStream, DeviceRefused, Identity, LinkError, ProtocolError
 from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.drivers.transport.streams import LineReader, open_stream
 
@@ -36,6 +36,14 @@ def decode(line: bytes) -> tuple[int, str] | None:
     if not (comma and number.isdigit() and len(number) <= 5):
         return None
     return int(number), body
+
+
+def identity(body: str) -> Identity:
+    """The answer to ``ID?``; ProtocolError where it is none."""
+    parts = body.split(",")
+    if len(parts) != 6 or parts[0] != "ID":
+        raise ProtocolError(f"no answer to ID?: {body!r}")
+    return Identity(parts[1], parts[2], parts[3], parts[4], boot_id=parts[5])
 
 
 class NumberedLines:
