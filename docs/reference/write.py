@@ -48,8 +48,9 @@ HEAD = "<!-- Written by `make reference` from the models; a test fails where it 
 TITLES = {"cell": "A cell", "study": "A study", "profile": "An instrument's profile", "simulator": "The simulator"}
 INTRODUCTIONS = {
     "cell": """A cell's file, as [examples/cell.toml](../../examples/cell.toml) shows it with comments. Relative paths
-start from its folder. The options of `[robot]`, `[actuator]`, `[spindle]`, `[metrology]`, `[loader]` and
-`[notify.NAME]` are those of their `type`; these are polishd's own, and other plugins bring others.""",
+start from its folder. The options of `[robot]`, `[actuator]`, `[spindle]`, `[metrology]`, `[loader]`,
+`[force_sensor]`, `[monitor]` and `[notify.NAME]` are those of their `type`; these are polishd's own, and other plugins
+bring others.""",
     "study": """A study's file; what studies compute: [studies.md](../studies.md). `kind` says which keys it has.
 `[part]`, `[kinematics]`, `[compliance]` and `[process]` are those of [a cell](cell.md), with their defaults.""",
     "profile": """An instrument's profile, as [examples/instrument.toml](../../examples/instrument.toml) shows it with
@@ -126,7 +127,7 @@ def tables(model: type[BaseModel], above: str = "") -> Iterator[Table]:
     for name in model.model_fields:
         for header, inner in _tables(model, name):
             yield header.format(above + name), inner
-            yield from tables(inner, f"{above}{name}.")
+            yield from tables(inner, f"{above}{name}{'.NAME' if '.NAME' in header else ''}.")
 
 
 def _tables(model: type[BaseModel], name: str) -> list[Table]:

@@ -220,11 +220,10 @@ def _wrong_devices(config: CellConfig) -> Iterator[tuple[str, str]]:
 
 def _wrong_signals(config: CellConfig) -> Iterator[tuple[str, str]]:
     """The same of signals: each is told by one of the monitors."""
-    monitors = [name for name in config.devices if port_of(name) == "monitor"]
-    named = [name.partition(".")[2] for name in monitors if "." in name]
+    named = {} if config.monitor is None else config.monitor.tables
     for name, signal in config.signals.items():
         key = f"signals.{name}"
-        if not monitors:
+        if config.monitor is None:
             yield key, "nobody tells it: the cell has no [monitor]; add one, or remove the section"
         elif signal.monitor is None and named:
             yield f"{key}.monitor", f"is missing: there are {listed(named)}; say which one tells it"

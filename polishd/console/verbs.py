@@ -75,10 +75,14 @@ def probe_verb(cell: Path, *, as_json: bool) -> None:
 
     config, hooks = load_cell(cell)
     found = asyncio.run(probe_cell(config, hooks))
-    devices = {name: asdict(identity) for name, identity in found.items()}
+    devices = {name: asdict(identity) for name, identity in found.devices.items()}
     columns = ("device", "vendor", "model", "serial", "firmware")
     rows = [(name, *(facts[column] for column in columns[1:])) for name, facts in devices.items()]
-    emit(devices, as_json=as_json, table=lambda: record_table(f"{config.cell.name}: all safe", columns, rows))
+    tables = [record_table(f"{config.cell.name}: all safe", columns, rows)]
+    if found.signals:
+        tables.append(key_table("signals", list(found.signals.items())))
+        devices["signals"] = dict(found.signals)
+    emit(devices, as_json=as_json, table=lambda: Group(*tables))
 
 
 def status_verb(cell: Path, *, as_json: bool) -> None:
@@ -93,10 +97,14 @@ def status_verb(cell: Path, *, as_json: bool) -> None:
         else:
             _tell_last(last, config.cell.name, cell)
         raise typer.Exit(absent.exit_code) from None
-    words = {key: value for key, value in answer.items() if key not in {"ok", "cycles", "devices", "health"}}
+    words = {key: value for key, value in answer.items() if key not in {"ok", "cycles", "devices", "signals", "health"}}
     rows = [(key, for_cell(str(value), cell)) for key, value in words.items() if value]
     rows += [(name, _device(facts)) for name, facts in answer.get("devices", {}).items()]
     rows += [(f"measurement {i}", _measured(cycle)) for i, cycle in enumerate(answer.get("cycles", []))]
+    rows += [
+        (name, f"{facts['text']}{': ' * bool(facts['wrong'])}{facts['wrong']}")
+        for name, facts in answer.get("signals", {}).items()
+    ]
     rows += [(name, _figure(facts)) for name, facts in answer.get("health", {}).items()]
     emit(answer, as_json=as_json, table=lambda: key_table(config.cell.name, rows))
 

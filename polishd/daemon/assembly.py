@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, cast
@@ -15,12 +15,13 @@ from polishd.daemon.cell import Cell, MonotonicClock
 from polishd.daemon.courier import Notifier
 from polishd.daemon.port_checks import lacking
 from polishd.daemon.safety import ContactLimits
+from polishd.daemon.signals import Signals
 from polishd.daemon.time_limits import Limit, stays_on, too_short
 from polishd.hooks.loader import Hooks
 from polishd.hookspecs import DeviceContext
 from polishd.model.concern import Severity
 from polishd.model.errors import ConfigError, PluginError, PolishdError
-from polishd.ports.devices import Device, ForceActuator
+from polishd.ports.devices import Device, ForceActuator, Monitor
 from polishd.recipe.making import instrument_of
 
 
@@ -33,7 +34,13 @@ def build_cell(config: CellConfig, hooks: Hooks) -> Cell:
     """
     context = _context(config, hooks)
     devices = {name: _built(config, hooks, name, context) for name in config.devices}
-    return Cell(devices, config.used, MonotonicClock())
+    return Cell(devices, config.used, MonotonicClock(), signals=_signals(config, devices))
+
+
+def _signals(config: CellConfig, devices: Mapping[str, Device]) -> Signals:
+    monitors = {name: cast(Monitor, device) for name, device in devices.items() if port_of(name) == "monitor"}
+    limits = [section.limits(name) for name, section in config.signals.items()]
+    return Signals(limits, {name: device.times.silence_s for name, device in monitors.items()})
 
 
 async def look_for_part(cell: Cell, config: CellConfig, hooks: Hooks) -> None:
@@ -108,8 +115,11 @@ def _broken(config: CellConfig, section: str, who: str, what: str) -> PluginErro
 
 def require_time_limits(config: CellConfig, cell: Cell) -> tuple[Limit, ...]:
     """The job's chain of time limits; ConfigError with each one that is shorter than what it guards."""
-    contact = contact_limits(config)
-    limits = cell.limits.chain(config.job.lookahead_s, apart_s=contact.apart_s, force_s=contact.grace_s)
+    graces: dict[str, float] = {}
+    if cell.force_sensor is not None:
+        contact = contact_limits(config)
+        graces = {"apart_s": contact.apart_s, "force_s": contact.grace_s}
+    limits = cell.limits.chain(config.job.lookahead_s, **graces)
     chain = tuple(replace(limit, key=_of_role(cell, limit.key)) for limit in limits)
     tools = {name: cast(ForceActuator, cell.devices[name]).times for name in cell.at("actuator")}
     unpowered = [

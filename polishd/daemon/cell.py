@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import NoReturn, cast
 
 from polishd.config.cell import PORTS, port_of
+from polishd.daemon.signals import Signals
 from polishd.daemon.time_limits import TimeLimits, released_within_s
 from polishd.model.devices import Identity
 from polishd.model.errors import DeviceBusy, LinkError
@@ -57,6 +58,8 @@ class Cell:
     """Devices that did not confirm being safe when last asked: ``name: why``."""
     heard_s: dict[str, float] = field(default_factory=dict)
     """When each device last answered, by ``time.monotonic``."""
+    signals: Signals = field(default_factory=Signals)
+    """What its monitors tell."""
     tared: set[str] = field(default_factory=set)
     """Force sensors whose zero is known: what hangs on them has not been changed since."""
     pressing: bool = False
@@ -92,6 +95,10 @@ class Cell:
     def at(self, port: str) -> list[str]:
         """Names of all devices at a port."""
         return [name for name in self.devices if port_of(name) == port]
+
+    def uses(self, name: str) -> bool:
+        """Whether the job uses that device."""
+        return name in self.used.values() or not PORTS[port_of(name)].chosen
 
     @property
     def acting(self) -> list[str]:
@@ -170,6 +177,7 @@ class Cell:
 
     async def listen(self) -> NoReturn:
         """Ask each device for its state now and then, for as long as nobody else does; one that is silent is logged."""
+        self.tared.clear()  # a person has the word, and may change the tool
         while True:
             await self.clock.sleep(LISTEN_S)
             for name, device in self.devices.items():

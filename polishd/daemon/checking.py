@@ -5,23 +5,25 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from polishd.config.cell import CellConfig
 from polishd.config.job_file import JobFile
-from polishd.daemon.assembly import build_cell, build_notifiers, require_time_limits
+from polishd.daemon.assembly import build_cell, build_notifiers, contact_limits, require_time_limits
 from polishd.daemon.cell import Cell
 from polishd.daemon.desk import new_job
 from polishd.daemon.lock import locked
 from polishd.daemon.priority import host
 from polishd.daemon.queue import NewJob
-from polishd.daemon.safety import make_safe
+from polishd.daemon.safety import ContactLimits, make_safe
+from polishd.daemon.signal_watch import told_once
 from polishd.hooks.cell import hooks_of_job
 from polishd.hooks.loader import Hooks
 from polishd.model.devices import Identity
 from polishd.model.errors import DeviceFault, PolishdError
+from polishd.ports.devices import ForceActuator
 from polishd.recipe import foresight, steps, touch_off
 from polishd.recipe.making import make_recipe, why_not_commissioned
 from polishd.recipe.program_fit import require_fit
@@ -59,6 +61,11 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
         "tolerance": foresight.tolerance_words(recipe, answer),
         "correction": recipe.correction,
         "removal of the program as it is": f"{np.max(answer.effect.removal_nm(program.time_s)):.1f} nm at most",
+        "force": _force(cell, contact_limits(config)),
+        "without power": ", ".join(
+            f"{name} {cast(ForceActuator, cell.devices[name]).times.unpowered}" for name in cell.at("actuator")
+        ),
+        "signals": "; ".join(str(one) for one in cell.signals.limits) or "none is watched",
         "notifications": ", ".join(f"{one.name} ({one.type}, {one.least})" for one in notifiers) or "nobody",
         "host": host(),
         "time limits": [limit.row() for limit in chain],
@@ -90,8 +97,7 @@ def judged_jobs(cell: CellConfig, hooks: Hooks, paths: Sequence[Path]) -> list[N
 
 
 def _devices(cell: Cell) -> str:
-    used = cell.used.values()
-    return ", ".join(name if name in used else f"{name} (not used by this job)" for name in cell.devices)
+    return ", ".join(name if cell.uses(name) else f"{name} (not used by this job)" for name in cell.devices)
 
 
 def _seat(recipe: Recipe, hooks: Hooks) -> str:
@@ -104,6 +110,14 @@ def _seat(recipe: Recipe, hooks: Hooks) -> str:
     return f"proved with {asked.force_n:g} N at {places}: at most {asked.most_off_mm:g} mm off"
 
 
+def _force(cell: Cell, limits: ContactLimits) -> str:
+    """Who tells it."""
+    sensor = cell.used.get("force_sensor")
+    if sensor is None:
+        return "by the actuator's word alone: the cell has no [force_sensor]"
+    return f"the actuator's word and {sensor}'s: at most {limits.apart_n:g} N apart for more than {limits.apart_s:g} s"
+
+
 def _instrument(config: CellConfig, recipe: Recipe) -> str:
     instrument = recipe.instrument
     if instrument is None or instrument.commissioned is None:
@@ -112,16 +126,25 @@ def _instrument(config: CellConfig, recipe: Recipe) -> str:
     return f"{instrument.name}: commissioned {record.at:%Y-%m-%d %H:%M} with {record.artefact}"
 
 
-async def probe_cell(config: CellConfig, hooks: Hooks) -> Mapping[str, Identity]:
-    """Connect to each device, identify it, leave it safe. DeviceError where one does not answer."""
+class Probed(NamedTuple):
+    """What answered."""
+
+    devices: Mapping[str, Identity]
+    signals: Mapping[str, str]
+    """Each watched signal, as its monitor tells it."""
+
+
+async def probe_cell(config: CellConfig, hooks: Hooks) -> Probed:
+    """Connect to each device, identify it, leave it safe. DeviceError where one does not answer, or lacks a signal."""
     cell = build_cell(config, hooks)
     require_time_limits(config, cell)
     with locked(config.state_dir):
         await cell.open()
         try:
             await make_safe(cell)
+            signals = await told_once(cell)
         finally:
             await cell.close()
     if cell.unsafe:
         raise DeviceFault("not confirmed safe: " + "; ".join(cell.unsafe))
-    return cell.identities
+    return Probed(cell.identities, signals)

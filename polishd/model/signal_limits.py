@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,26 +19,26 @@ class Bounds:
 
     def broken(self, value: float | bool | None, unit: str = "") -> str:
         """What is wrong with that value, in words; empty where it is as it must be. None: it is not known."""
-        if self.state is not None:
-            told = "not known" if value is None else _state(value) if isinstance(value, bool) else f"{value:g}"
-            return "" if value is self.state else f"is {told}, must be {_state(self.state)}"
-        if value is None or isinstance(value, bool):
-            return f"is {'not known' if value is None else _state(value)}, must be {self._range(unit)}"
-        low, high = self.min, self.max
-        fits = value == value and (low is None or value >= low) and (high is None or value <= high)  # noqa: PLR0124 - NaN
-        return "" if fits else f"is {_number(value, unit)}, must be {self._range(unit)}"
+        return "" if self._holds(value) else f"is {in_words(value, unit)}, must be {self.words(unit)}"
 
-    def _range(self, unit: str) -> str:
-        low = "" if self.min is None else f"at least {_number(self.min, unit)}"
-        high = "" if self.max is None else f"at most {_number(self.max, unit)}"
+    def words(self, unit: str = "") -> str:
+        """What a value must be."""
+        if self.state is not None:
+            return in_words(self.state)
+        low = "" if self.min is None else f"at least {in_words(self.min, unit)}"
+        high = "" if self.max is None else f"at most {in_words(self.max, unit)}"
         return " and ".join(filter(None, [low, high]))
 
+    def _holds(self, value: float | bool | None) -> bool:
+        if value is None or isinstance(value, bool) or self.state is not None:
+            return value is not None and value is self.state
+        return (-math.inf if self.min is None else self.min) <= value <= (math.inf if self.max is None else self.max)
 
-def _state(value: bool) -> str:
-    return "on" if value else "off"
 
-
-def _number(value: float, unit: str) -> str:
+def in_words(value: float | bool | None, unit: str = "") -> str:
+    """A number with its unit, a state, or that it is not known."""
+    if value is None or isinstance(value, bool):
+        return {None: "not known", True: "on", False: "off"}[value]
     return f"{value:g} {unit}".rstrip()
 
 
@@ -60,3 +61,18 @@ class SignalLimits:
     grace_s: float
     """So long it may be outside in contact."""
     leads_to: LeadsTo
+
+    def said(self, value: float | bool | None) -> str:
+        """A value in words."""
+        return in_words(value, self.unit)
+
+    def __str__(self) -> str:
+        """With its limits and what they lead to."""
+        said = []
+        if self.before is not None:
+            said.append(f"before contact {self.before.words(self.unit)} (waited for {self.wait_s:g} s)")
+        if self.in_contact is not None:
+            said.append(
+                f"in contact {self.in_contact.words(self.unit)} (else {self.leads_to} after {self.grace_s:g} s)"
+            )
+        return f"{self.name} of {self.monitor}: {', '.join(said)}"

@@ -247,7 +247,8 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> FakeCell:
 
 
 async def test_probe_identifies_all_and_leaves_them_safe(configured: Any, hooks: Hooks, fake: FakeCell) -> None:
-    found = await checking.probe_cell(configured(), hooks)
+    found, signals = await checking.probe_cell(configured(), hooks)
+    assert signals == {}
     assert [found[name].model for name in found] == ["actuator", "robot", "spindle", "metrology"]
     assert fake.of("make_safe", "close")[:3] == ["spindle.make_safe", "actuator.make_safe", "robot.make_safe"]
     assert fake.events[-4:] == [f"{name}.close" for name in found]
