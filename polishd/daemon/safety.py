@@ -288,7 +288,8 @@ async def _watch_force(cell: Cell, watch: _Watch) -> None:
         watch.forces.actuator(sample.at_s, sample.force_n)
         if in_band(sample, limits):
             good_at = sample.at_s
-            watch.landed.set()
+            if cell.force_sensor is None or watch.forces.sensor_fits:
+                watch.landed.set()
         elif watch.landed.is_set() and sample.at_s - good_at > limits.grace_s:
             raise SafetyStop(
                 f"force {sample.force_n:.2f} N is outside {limits.force_n:g} N +- {limits.force_band:.0%} "
