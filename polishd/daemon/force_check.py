@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from polishd.model.errors import ForcesApart, SafetyStop
+from polishd.model.errors import ForcesApart
 
 Who = Literal["actuator", "force sensor"]
 ACTUATOR: Who = "actuator"
@@ -47,12 +47,12 @@ class ForceCheck:
         self._hear(ACTUATOR, at_s, force_n)
 
     def sensor(self, at_s: float, force_n: float, *, landed: bool) -> None:
-        """The sensor's word, which may be too low until the tool has ``landed``. SafetyStop also where it is off."""
+        """The sensor's word, which may be too low until the tool has ``landed``. ForcesApart also where it is off."""
         self._hear(SENSOR, at_s, force_n)
         if self.sensor_fits or (not landed and force_n < self._set_n) or math.isnan(self._good_s):
             self._good_s = at_s
         elif at_s - self._good_s > self._set_grace_s:
-            raise SafetyStop(
+            raise ForcesApart(
                 f"force: by the force sensor {force_n:.2f} N is outside {self._set_n:g} N +- {self._set_band:.0%} for "
                 f"more than {self._set_grace_s:g} s; the actuator says {self._words.get(ACTUATOR, math.nan):.2f} N"
             )

@@ -64,7 +64,8 @@ async def told_apart(cell: Cell, error: BaseException, band_n: float) -> BaseExc
     if not isinstance(error, ForcesApart) or sensor is None or cell.unsafe:
         return error
     try:
-        async with asyncio.timeout(ANSWERS_S):
+        async with asyncio.timeout(sensor.times.delay_s + ANSWERS_S):
+            await asyncio.sleep(sensor.times.delay_s)  # what it reads now may be from before the lift
             told, sensed = await _next(cell.actuator.samples()), await _next(sensor.samples())
     except (DeviceError, TimeoutError):
         return error

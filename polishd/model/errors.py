@@ -156,7 +156,7 @@ class SafetyStop(PolishdError):
 
 
 class ForcesApart(SafetyStop):
-    """The actuator's word on the force and an independent sensor's were too far apart for too long."""
+    """An independent sensor's word on the force was too far from the actuator's, or the set point, for too long."""
 
 
 class HandlingError(PolishdError):

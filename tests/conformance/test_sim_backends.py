@@ -22,12 +22,14 @@ from typing import Any
 import pytest
 
 from polishd.api import DeviceRefused, Executed, ForceSample, LinkError, Robot, SpeedSample, SpindleTimes
+from polishd.drivers.force_sensor_line import ForceSensorLine
+from polishd.drivers.monitor_line import MonitorLine
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp, parse_address
 from polishd.drivers.voice_coil import voice_coil_modbus, voice_coil_serial
 from tests.conformance.conftest import BOUND_S, PROMPT_S, seen
-from tests.conformance.rigs import PATIENT, ActuatorRig, Rig, RobotRig, SpindleRig
+from tests.conformance.rigs import PATIENT, PATIENT_MONITOR, PATIENT_SENSOR, ActuatorRig, Rig, RobotRig, SpindleRig
 from tests.conformance.test_device import (  # noqa: F401 -- the suite itself, with this module's any_device
     test_a_cancelled_call_harms_no_later_one,
     test_it_can_be_opened_again,
@@ -59,7 +61,7 @@ port = 0
 home = [0.0, 0.0, 0.0, 15.0, 0.0]
 """
 CELLS = {
-    "rtu_slcan": BASE,
+    "rtu_slcan": BASE + '[force_sensor]\n[monitor]\nkind = "serial"\n',
     "tcp_socketcand": BASE + '[actuator]\nkind = "modbus_tcp"\n[spindle]\nkind = "socketcand"\n',
     "ascii": BASE + '[actuator]\nkind = "serial"\n',
 }
@@ -84,6 +86,7 @@ class Place:
 
 ROBOTS = [Place("rtu_slcan", "robot")]
 ACTUATORS = kind(*(Place(name, "actuator") for name in CELLS))
+LOOKING = [Place("rtu_slcan", "force_sensor"), Place("rtu_slcan", "monitor")]
 SPINDLES = kind(Place("rtu_slcan", "spindle"), Place("tcp_socketcand", "spindle"))
 
 
@@ -134,6 +137,8 @@ class Cells:
 
     def at_rest(self, place: Place) -> bool:
         """Whether the machine itself exerts nothing and stands, as its witness says (it speaks a moment later)."""
+        if place in LOOKING:
+            return True
         begins, ends = AT_REST[place.device]
 
         def rests() -> bool:
@@ -169,6 +174,10 @@ def connect(cells: Cells, place: Place) -> RobotLink | SpindleCan | Any:
     running = cells.get(place.cell)
     address = parse_address(running.endpoints[place.device], running.state)
     match address:
+        case Tcp() | SerialLine() if place.device == "force_sensor":
+            return ForceSensorLine(address, PATIENT_SENSOR)
+        case Tcp() | SerialLine() if place.device == "monitor":
+            return MonitorLine(address, PATIENT_MONITOR)
         case Tcp() if place.device == "robot":
             return RobotLink(address)
         case Slcan() | Socketcand():
@@ -220,7 +229,7 @@ async def at_rest_again(device: Any) -> None:
                 return
 
 
-@pytest.fixture(params=[*ROBOTS, *ACTUATORS, *SPINDLES], ids=str)
+@pytest.fixture(params=[*ROBOTS, *ACTUATORS, *SPINDLES, *LOOKING], ids=str)
 async def any_device(request: pytest.FixtureRequest, cells: Cells) -> AsyncIterator[Rig[Any]]:
     """Every device."""
     async with sim_rig(cells, request.param) as rig:

@@ -10,13 +10,13 @@ import json
 import os
 import signal
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from polishd.console.demo_files import DemoFiles
+from polishd.console.demo_files import DemoFiles, with_values
 from polishd.console.simulator import simulated_cell
 from polishd.daemon import client
 from tests.system.cell_rig import ONE_PASS, Daemon, events, summary, write_small
@@ -31,9 +31,12 @@ SENSOR = """
 type = "force_sensor_line"
 address = "serial:sim/force_sensor"
 silence_s = {silence_s}
+delay_s = {delay_s}
 band_n = 1.5
+grace_s = 1.5
 """
-PATIENT_S, PROMPT_S = 3.0, 0.5
+PATIENT: Mapping[str, float] = {"silence_s": 3.0, "delay_s": 1.0}
+PROMPT: Mapping[str, float] = {"silence_s": 0.5, "delay_s": 1.0}
 MONITOR = """
 [monitor]
 type = "monitor_line"
@@ -54,13 +57,16 @@ leads_to = "estop"
 
 
 @contextlib.contextmanager
-def watched_cell(out: Path, cell: str, sim: str, faults: Faults | None = None, **job: Any) -> Iterator[DemoFiles]:
+def watched_cell(
+    out: Path, cell: str, sim: str, faults: Faults | None = None, *, speed: int = 10, **job: Any
+) -> Iterator[DemoFiles]:
     """A running simulator for the small part, with more in both files."""
     files = write_small(out, **{**ONE_PASS, **job})
     text = files.cell.read_text().replace('"interferometer"', '"interferometer", "force_sensor", "monitors"')
-    files.cell.write_text(text + cell)
+    text = with_values(text + cell, {"limits": {"force_grace_s": 1.3}})
+    files.cell.write_text(text)
     files.sim.write_text(with_faults(files.sim.read_text() + sim, faults or {}))
-    options = ["--state", str(files.sim_dir), "--seed", "2", "--speed", "10"]
+    options = ["--state", str(files.sim_dir), "--seed", "2", "--speed", str(speed)]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):
         yield files
 
@@ -78,7 +84,7 @@ def press(files: DemoFiles, device: str, number: signal.Signals) -> None:
 
 def test_a_sensor_that_agrees_is_tared_told_and_recorded(tmp_path: Path) -> None:
     sim = '[force_sensor]\nkind = "serial"\n[monitor]\nkind = "serial"\n'
-    cell = SENSOR.format(silence_s=PATIENT_S) + MONITOR.format(leads_to="lift")
+    cell = SENSOR.format(**PATIENT) + MONITOR.format(leads_to="lift")
     with watched_cell(tmp_path / "cell", cell, sim) as files:
         checked = json.loads(polishd("check", str(files.cell), "--json").stdout)
         assert "force_sensor's: at most 1.5 N apart" in checked["force"]
@@ -103,14 +109,14 @@ def test_a_sensor_that_agrees_is_tared_told_and_recorded(tmp_path: Path) -> None
     assert header.endswith("sensor_force_n")
 
 
-DRIFT = {"drift_after_s": 0.5, "drift_n_s": 6.0}
+DRIFT = {"drift_after_s": 0.5, "drift_n_s": 2.0}
 LIES: dict[str, Faults] = {"actuator": {"actuator": DRIFT}, "force sensor": {"force_sensor": DRIFT}}
 
 
 @pytest.mark.parametrize("liar", LIES)
 def test_whoever_lies_contact_ends_in_the_safe_order_and_he_is_named(tmp_path: Path, liar: str) -> None:
     sim = '[force_sensor]\nkind = "serial"\n'
-    with watched_cell(tmp_path / "cell", SENSOR.format(silence_s=PATIENT_S), sim, LIES[liar]) as files:
+    with watched_cell(tmp_path / "cell", SENSOR.format(**PATIENT), sim, LIES[liar], speed=4) as files:
         with Daemon(files) as daemon:
             assert daemon.wait() == SAFETY, daemon.output.read_text()
         require_off_the_part(files)
@@ -130,7 +136,7 @@ SILENT = {
 @pytest.mark.parametrize("how", SILENT)
 def test_a_sensor_that_falls_silent_ends_contact(tmp_path: Path, how: str) -> None:
     sim = '[force_sensor]\nkind = "serial"\n' + SILENT[how]
-    with watched_cell(tmp_path / "cell", SENSOR.format(silence_s=PROMPT_S), sim) as files:
+    with watched_cell(tmp_path / "cell", SENSOR.format(**PROMPT), sim) as files:
         with Daemon(files) as daemon:
             if how == "its process hangs":
                 daemon.wait_in_contact(50)

@@ -151,6 +151,7 @@ class PlantServer:
             self.world.stand_until(self.robot_mark, message["pose"])
         elif "samples" in message:
             self._timeline(device).push(message["samples"], float(message["mark"]))
+            self._tell_force()
 
     def _note(self, device: str, name: str, at_s: float, data: bus.Message) -> None:
         if device == "robot" and name in MOVING:

@@ -107,7 +107,7 @@ def test_a_landing_is_steep_and_no_disagreement(words: Words) -> None:
 def test_a_sensor_off_the_set_point_by_itself_ends_contact() -> None:
     words = Words(set_n=0.8, set_band=0.25)
     words.hear(0.8, 0.8, 1.0)
-    with pytest.raises(SafetyStop, match=r"1.30 N is outside 0.8 N \+- 25% .* the actuator says 0.80 N"):
+    with pytest.raises(ForcesApart, match=r"1.30 N is outside 0.8 N \+- 25% .* the actuator says 0.80 N"):
         words.hear(0.8, 1.3, 1.0)
     assert not words.check.sensor_fits
 
@@ -115,13 +115,13 @@ def test_a_sensor_off_the_set_point_by_itself_ends_contact() -> None:
 def test_it_may_be_too_low_until_the_tool_has_landed_and_never_too_high() -> None:
     words = Words(set_n=0.8)
     words.hear(0.0, 0.1, 5.0, landed=False)
-    with pytest.raises(SafetyStop, match=r"by the force sensor 1.05 N is outside 0.8 N"):
+    with pytest.raises(ForcesApart, match=r"by the force sensor 1.05 N is outside 0.8 N"):
         words.hear(0.5, 1.05, 1.0, landed=False)
 
 
 def test_after_landing_too_low_counts() -> None:
     words = Words(set_n=0.8)
-    with pytest.raises(SafetyStop, match=r"by the force sensor 0.10 N"):
+    with pytest.raises(ForcesApart, match=r"by the force sensor 0.10 N"):
         words.hear(0.8, 0.1, 5.0)
 
 
