@@ -23,6 +23,8 @@ LOOK_S = 0.1
 """Between two looks."""
 STEP_S = 0.2
 """Most that passes between two looks, as it is counted: a daemon that was stalled hears first."""
+UNKNOWN_S = 5.0
+"""Before contact: a monitor whose link was just opened again has told nothing yet."""
 AGAIN_S = 1.0
 """After so long a monitor that does not answer is heard again, if its link is open again."""
 
@@ -48,7 +50,7 @@ async def until_ready(cell: Cell, publish: Callable[[Event], None], cycle: int) 
     begun_s, told = cell.clock.now_s(), set[str]()
     while wrong := cell.signals.not_ready():
         waited_s = cell.clock.now_s() - begun_s
-        if late := [said for limits, said in wrong.items() if waited_s >= limits.wait_s]:
+        if late := [said for limits, said in wrong.items() if waited_s >= _wait_s(cell, limits)]:
             raise SignalFault(f"before contact {'; '.join(late)}; see to it: nothing was moved")
         for limits, said in wrong.items():
             if limits.name not in told:
@@ -56,6 +58,11 @@ async def until_ready(cell: Cell, publish: Callable[[Event], None], cycle: int) 
                 what = f"{said} before contact; it is waited for, for up to {limits.wait_s:g} s"
                 publish(SignalWrong(cycle=cycle, signal=limits.name, what=what, leads_to="wait"))
         await cell.clock.sleep(LOOK_S)
+
+
+def _wait_s(cell: Cell, limits: SignalLimits) -> float:
+    """For how long a signal is waited for before contact."""
+    return limits.wait_s if cell.signals.value(limits) is not None else max(limits.wait_s, UNKNOWN_S)
 
 
 async def told_once(cell: Cell) -> dict[str, str]:

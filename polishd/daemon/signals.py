@@ -55,15 +55,16 @@ class Signals:
         """Each with its value, for ``status``: ``wrong`` says how it is not as it must be, before contact or in it."""
         return {
             limits.name: {
-                "value": self._value(limits),
-                "text": limits.said(self._value(limits)),
+                "value": self.value(limits),
+                "text": limits.said(self.value(limits)),
                 "wrong": self._wrong(limits, in_contact=False) or self._wrong(limits, in_contact=True),
                 "leads_to": limits.leads_to,
             }
             for limits in self.limits
         }
 
-    def _value(self, limits: SignalLimits) -> float | bool | None:
+    def value(self, limits: SignalLimits) -> float | bool | None:
+        """As it was told last; None: it is not known."""
         key = limits.monitor, limits.signal
         if key not in self._last or self._silent_s[key] > self._silence_s.get(limits.monitor, 0.0):
             return None
@@ -71,5 +72,5 @@ class Signals:
 
     def _wrong(self, limits: SignalLimits, *, in_contact: bool) -> str:
         bounds = limits.in_contact if in_contact else limits.before
-        broken = "" if bounds is None else bounds.broken(self._value(limits), limits.unit)
+        broken = "" if bounds is None else bounds.broken(self.value(limits), limits.unit)
         return f"{limits.name} {broken}" if broken else ""

@@ -228,3 +228,28 @@ async def test_probe_does_not_wait_for_ever(fake: FakeCell, monkeypatch: pytest.
     monitor_of(fake).silent = True
     with pytest.raises(LinkError, match="told not all of its signals"):
         await told_once(fake.cell)
+
+
+async def test_a_monitor_whose_link_was_just_opened_again_is_waited_for(fake: FakeCell) -> None:
+    """What may not be waited for is judged once it is known."""
+    monitor_of(fake).silent = True
+    waiting = asyncio.ensure_future(until_ready(fake.cell, lambda _: None, 0))
+    fake.clock.advance(1.0)
+    await asyncio.sleep(0.01)
+    assert not waiting.done()
+    for name, value in monitor_of(fake).values.items():
+        fake.cell.signals.hear("monitor", Signal(0.0, name, value))
+    while not waiting.done():
+        fake.clock.advance(0.1)
+        await asyncio.sleep(0)
+    await waiting
+
+
+async def test_a_monitor_that_says_nothing_holds_the_cell(fake: FakeCell) -> None:
+    waiting = asyncio.ensure_future(until_ready(fake.cell, lambda _: None, 0))
+    while not waiting.done():
+        fake.clock.advance(0.5)
+        await asyncio.sleep(0)
+    with pytest.raises(SignalFault, match=r"flow is not known, .*guard is not known, must be on"):
+        await waiting
+    assert fake.clock.at_s >= signal_watch.UNKNOWN_S
