@@ -56,8 +56,9 @@ TITLES = {
 }
 INTRODUCTIONS = {
     "cell": """A cell's file, as [examples/cell.toml](../../examples/cell.toml) shows it with comments. Relative paths
-start from its folder. The options of `[robot]`, `[actuator]`, `[spindle]`, `[metrology]`, `[loader]` and
-`[notify.NAME]` are those of their `type`; these are polishd's own, and other plugins bring others.""",
+start from its folder. The options of `[robot]`, `[actuator]`, `[spindle]`, `[metrology]`, `[loader]`,
+`[force_sensor]`, `[monitor]` and `[notify.NAME]` are those of their `type`; these are polishd's own, and other plugins
+bring others.""",
     "study": """A study's file; what studies compute: [studies.md](../studies.md). `kind` says which keys it has.
 `[part]`, `[kinematics]`, `[compliance]` and `[process]` are those of [a cell](cell.md), with their defaults.""",
     "profile": """An instrument's profile, as [examples/instrument.toml](../../examples/instrument.toml) shows it with
@@ -136,7 +137,7 @@ def tables(model: type[BaseModel], above: str = "") -> Iterator[Table]:
     for name in model.model_fields:
         for header, inner in _tables(model, name):
             yield header.format(above + name), inner
-            yield from tables(inner, f"{above}{name}.")
+            yield from tables(inner, f"{above}{name}{'.NAME' if '.NAME' in header else ''}.")
 
 
 def _tables(model: type[BaseModel], name: str) -> list[Table]:

@@ -8,10 +8,13 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import TypeVar
 
-from polishd.api import ForceActuator, Loader, Spindle
+from polishd.api import ForceActuator, ForceSensor, Loader, Monitor, MonitorTimes, SensorTimes, Spindle
+from polishd.drivers.force_sensor_line import ForceSensorLine
 from polishd.drivers.linuxcnc.driver import LinuxCnc
 from polishd.drivers.loader_line import LoaderLine
+from polishd.drivers.monitor_line import MonitorLine
 from polishd.drivers.profiled import make
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
@@ -19,7 +22,9 @@ from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
 from polishd.model.times import ActuatorTimes, LoaderTimes, SpindleTimes
 from polishd.testing.rig import D, Rig, Scope
 from polishd.testing.suites.actuator import ActuatorRig
+from polishd.testing.suites.force_sensor import ForceSensorRig
 from polishd.testing.suites.loader import LoaderRig
+from polishd.testing.suites.monitor import MonitorRig
 from polishd.testing.suites.robot import RobotRig
 from polishd.testing.suites.spindle import SpindleRig
 from tests.fakes import cia402
@@ -28,16 +33,19 @@ from tests.fakes.devices_by_profile import file_of, shipped, voice_coil_modbus, 
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.linuxcnc import FakeLinuxCnc
 from tests.fakes.loader import FakeLoader
+from tests.fakes.looking import FakeAmplifier, FakeInputs
 from tests.fakes.profiled import IdealDrive, ProfiledPeer, inverter
 from tests.fakes.robot import FakeRobot
-from tests.fakes.wires import PtyWire, TcpWire, dribbled
+from tests.fakes.wires import NumberedPeer, PtyWire, TcpWire, dribbled
 from tests.kinds import kind
 
 TOUCHES = Scope(touch_mm=5.0)
 PATIENT = ActuatorTimes(silence_s=1.0, watchdog_s=2.0)
 PATIENT_SPINDLE = SpindleTimes(silence_s=1.5, watchdog_s=2.0)
 PATIENT_LOADER = LoaderTimes(silence_s=1.0)
-"""A busy machine is silent for longer than the wires of actuators and spindles would be."""
+PATIENT_SENSOR = SensorTimes(silence_s=1.0)
+PATIENT_MONITOR = MonitorTimes(silence_s=1.0)
+"""A busy machine is silent for longer than most wires would be."""
 
 
 @asynccontextmanager
@@ -306,6 +314,56 @@ async def _loader(fake: FakeLoader, wire: PtyWire | TcpWire, device: Loader) -> 
         await wire.close()
 
 
+@asynccontextmanager
+async def force_sensor_serial(folder: Path) -> AsyncIterator[ForceSensorRig]:
+    """force_sensor_line on a serial line."""
+    wire = PtyWire(FakeAmplifier(), folder / "force_sensor")
+    async with _looking(wire, ForceSensorLine(SerialLine(wire.path), PATIENT_SENSOR)) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def force_sensor_tcp_dribbled(_: Path) -> AsyncIterator[ForceSensorRig]:
+    """force_sensor_line over TCP, byte by byte, with garbage before each answer."""
+    wire = await TcpWire(_dribbling(FakeAmplifier())).start()
+    async with _looking(wire, ForceSensorLine(Tcp("127.0.0.1", wire.port), PATIENT_SENSOR)) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def monitor_tcp(_: Path) -> AsyncIterator[MonitorRig]:
+    """monitor_line over TCP."""
+    wire = await TcpWire(FakeInputs()).start()
+    async with _looking(wire, MonitorLine(Tcp("127.0.0.1", wire.port), PATIENT_MONITOR)) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def monitor_serial_dribbled(folder: Path) -> AsyncIterator[MonitorRig]:
+    """monitor_line on a serial line, byte by byte, with garbage before each answer."""
+    wire = PtyWire(_dribbling(FakeInputs()), folder / "monitor")
+    async with _looking(wire, MonitorLine(SerialLine(wire.path), PATIENT_MONITOR)) as rig:
+        yield rig
+
+
+def _dribbling(fake: NumberedPeer) -> NumberedPeer:
+    fake.filter = lambda data: [b"\xff*noise$", *dribbled(data)]
+    return fake
+
+
+L = TypeVar("L", ForceSensor, Monitor)
+
+
+@asynccontextmanager
+async def _looking(wire: PtyWire | TcpWire, device: L) -> AsyncIterator[Rig[L]]:
+    """A device that exerts nothing is safe whatever happens."""
+    try:
+        yield Rig(device, wire.cut, lambda: setattr(wire.peer, "silent", True), lambda: True)
+    finally:
+        await device.close()
+        await wire.close()
+
+
 ROBOTS = [*kind(robot_tcp, robot_dribbled), *kind(linuxcnc, linuxcnc_dribbled)]
 ACTUATORS = [
     *kind(actuator_rtu, actuator_tcp),
@@ -319,3 +377,5 @@ SPINDLES = [
     *kind(spindle_ms300, spindle_gs2, spindle_wj200),
 ]
 LOADERS = kind(loader_serial, loader_tcp_dribbled)
+FORCE_SENSORS = kind(force_sensor_serial, force_sensor_tcp_dribbled)
+MONITORS = kind(monitor_tcp, monitor_serial_dribbled)

@@ -56,7 +56,7 @@ class LinuxCnc:
         """``program_dir`` is where the file is written; ``controller_dir`` how the controller calls that folder."""
         self._address = address
         self._folder = program_dir
-        self._times = times or RobotTimes(watchdog_s=math.inf, stop_s=2.0)
+        self._times = times or RobotTimes(watchdog_s=math.inf, stop_s=2.0, lifts=False)
         self._controller_dir = controller_dir or str(program_dir)
         self._passwords = passwords
         self._following = Following(address, passwords, self._seen, self._times.stop_s)

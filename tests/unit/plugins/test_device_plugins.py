@@ -10,8 +10,19 @@ import pydantic
 import pytest
 
 from polishd import hookspecs
-from polishd.api import ConfigError, Device, DeviceContext, DeviceType, ForceActuator, Robot, Spindle
-from polishd.plugins import rnc_robot, spindle, voice_coil
+from polishd.api import (
+    ConfigError,
+    Device,
+    DeviceContext,
+    DeviceType,
+    ForceActuator,
+    ForceSensor,
+    Monitor,
+    Robot,
+    SensorTimes,
+    Spindle,
+)
+from polishd.plugins import force_sensor, monitors, rnc_robot, spindle, voice_coil
 
 GOOD: list[tuple[str, dict[str, Any], type[Any]]] = [
     ("robot_link", {"address": "tcp://127.0.0.1:28500"}, Robot),
@@ -20,6 +31,8 @@ GOOD: list[tuple[str, dict[str, Any], type[Any]]] = [
     ("voice_coil_serial", {"address": "serial:/dev/ttyUSB0"}, ForceActuator),
     ("spindle_can", {"address": "slcan:sim/spindle?bitrate=500000", "node": 5}, Spindle),
     ("spindle_can", {"address": "socketcand://127.0.0.1:29536/can0"}, Spindle),
+    ("force_sensor_line", {"address": "serial:sim/force_sensor", "delay_s": 0.5}, ForceSensor),
+    ("monitor_line", {"address": "tcp://127.0.0.1:4001"}, Monitor),
 ]
 BAD_OPTIONS: list[tuple[str, dict[str, Any]]] = [
     ("robot_link", {}),
@@ -31,6 +44,9 @@ BAD_OPTIONS: list[tuple[str, dict[str, Any]]] = [
     ("voice_coil_serial", {"address": "serial:x", "unit": 1}),
     ("voice_coil_serial", {"address": "serial:x", "landing_s": 0.0}),
     ("spindle_can", {"address": "slcan:x", "node": 128}),
+    ("voice_coil_serial", {"address": "serial:x", "unpowered": "falls"}),
+    ("force_sensor_line", {"address": "serial:x", "silence_s": 0.1}),
+    ("monitor_line", {"address": "serial:x", "signals": []}),
 ]
 BAD_ADDRESSES = [
     ("robot_link", "serial:x"),
@@ -39,6 +55,8 @@ BAD_ADDRESSES = [
     ("voice_coil_serial", "socketcand://a:1/can0"),
     ("spindle_can", "tcp://a:1"),
     ("spindle_can", "slcan:x?bitrate=1"),
+    ("force_sensor_line", "slcan:x"),
+    ("monitor_line", "socketcand://a:1/can0"),
 ]
 
 
@@ -46,7 +64,7 @@ BAD_ADDRESSES = [
 def types() -> dict[str, DeviceType]:
     manager = pluggy.PluginManager(hookspecs.PROJECT)
     manager.add_hookspecs(hookspecs)
-    for plugin in (rnc_robot, voice_coil, spindle):
+    for plugin in (rnc_robot, voice_coil, spindle, force_sensor, monitors):
         assert plugin.POLISHD_API == hookspecs.API_VERSION
         manager.register(plugin)
     manager.check_pending()
@@ -71,7 +89,8 @@ def test_devices_are_built_closed(
 
 @pytest.mark.parametrize(("name", "port"), [(n, p) for n, _, p in GOOD])
 def test_ports_are_declared(types: dict[str, DeviceType], name: str, port: type[Any]) -> None:
-    assert types[name].port == {Robot: "robot", ForceActuator: "actuator", Spindle: "spindle"}[port]
+    ports = {Robot: "robot", ForceActuator: "actuator", Spindle: "spindle"}
+    assert types[name].port == {**ports, ForceSensor: "force_sensor", Monitor: "monitor"}[port]
 
 
 @pytest.mark.parametrize(("name", "options"), BAD_OPTIONS)
@@ -88,3 +107,18 @@ def test_other_addresses_are_config_errors(
     options = kind.options(address=address)
     with pytest.raises(ConfigError, match="address"):
         kind.build(options, context(tmp_path))
+
+
+def test_what_devices_state_is_what_their_sections_say(types: dict[str, DeviceType], tmp_path: Path) -> None:
+    def built(name: str, **options: Any) -> Any:
+        return types[name].build(types[name].options(**options), context(tmp_path))
+
+    tool = built("voice_coil_serial", address="serial:x", unpowered="stays")
+    assert tool.times.unpowered == "stays"
+    assert built("voice_coil_serial", address="serial:x").times.unpowered == "lifts"
+    sensor = built("force_sensor_line", address="serial:x", silence_s=0.4, delay_s=0.2, tare_s=3.0)
+    assert sensor.times == SensorTimes(silence_s=0.4, delay_s=0.2, tare_s=3.0)
+    assert built("monitor_line", address="serial:x", silence_s=5.0).times.silence_s == 5.0
+    linuxcnc = built("linuxcnc", address="tcp://127.0.0.1:5007", program_dir="programs")
+    assert not linuxcnc.times.lifts
+    assert built("robot_link", address="tcp://127.0.0.1:28500").times.lifts
