@@ -73,8 +73,8 @@ async def _run(start: Start, device: str | None) -> int:
 
         await plant(start)
         return 0
-    name = "linuxcnc" if device == "robot" and start.config.robot.kind == "linuxcnc" else device
-    await run_device(device, start, _device(name))
+    kind = start.config.robot.kind
+    await run_device(device, start, _device(kind if device == "robot" and kind != "link" else device))
     return 0
 
 
@@ -85,6 +85,7 @@ def _device(name: str) -> Any:
     module = {
         "robot": "robot.server",
         "linuxcnc": "linuxcnc.server",
+        "universal_robots": "universal_robots.server",
         "interferometer": "interferometer",
     }.get(name, f"{name}.device")
     return import_module(f"polishd.sim_backends.{module}").main
