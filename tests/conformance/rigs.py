@@ -5,7 +5,7 @@ A rig for another peer (a simulator, a real machine) is another function here: t
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,19 +17,24 @@ from polishd.drivers.loader_line import LoaderLine
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
+from polishd.drivers.universal_robots.driver import UniversalRobot
+from polishd.drivers.universal_robots.sample import Registers
+from polishd.drivers.universal_robots.script import Settings
 from polishd.drivers.voice_coil import voice_coil_modbus, voice_coil_serial
-from polishd.model.times import ActuatorTimes, LoaderTimes, SpindleTimes
+from polishd.model.times import ActuatorTimes, LoaderTimes, RobotTimes, SpindleTimes
 from tests.fakes.actuator import AsciiCoil, Coil, ModbusCoil
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.linuxcnc import FakeLinuxCnc
 from tests.fakes.loader import FakeLoader
 from tests.fakes.robot import FakeRobot
+from tests.fakes.universal_robot import FakeController, urscript
 from tests.fakes.wires import PtyWire, TcpWire, dribbled
 from tests.kinds import kind
 
 D = TypeVar("D")
 PATIENT = ActuatorTimes(silence_s=1.0, watchdog_s=2.0)
 PATIENT_SPINDLE = SpindleTimes(silence_s=1.5, watchdog_s=2.0)
+PATIENT_ROBOT = RobotTimes(silence_s=1.0)
 PATIENT_LOADER = LoaderTimes(silence_s=1.0)
 """A busy machine is silent for longer than the wires of actuators and spindles would be."""
 
@@ -47,6 +52,8 @@ class Rig(Generic[D]):
     """The machine itself, not the driver: it exerts nothing and stands still."""
     whole_file: bool = False
     """A robot that takes its program in one piece: nobody waits for credit."""
+    written: Callable[[Sequence[bytes]], list[bytes]] = list
+    """The suite's small NC programs, line by line, in the robot's own language."""
 
 
 RobotRig = Rig[Robot]
@@ -108,6 +115,34 @@ async def _linuxcnc(fake: FakeLinuxCnc, folder: Path) -> AsyncIterator[RobotRig]
     finally:
         await device.close()
         await wire.close()
+
+
+@asynccontextmanager
+async def universal_robots(_: Path) -> AsyncIterator[RobotRig]:
+    """A Universal Robots controller over RTDE, dashboard and primary interface."""
+    async with _universal_robots(FakeController()) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def universal_robots_dribbled(_: Path) -> AsyncIterator[RobotRig]:
+    """The same with RTDE byte by byte."""
+    fake = FakeController()
+    fake.filter = dribbled
+    async with _universal_robots(fake) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def _universal_robots(fake: FakeController) -> AsyncIterator[RobotRig]:
+    await fake.start()
+    device = UniversalRobot(fake.addresses, Settings(Registers(), PATIENT_ROBOT.watchdog_s), PATIENT_ROBOT)
+    try:
+        mute = lambda: setattr(fake, "silent", True)  # noqa: E731
+        yield Rig(device, fake.cut, mute, lambda: fake.stands, whole_file=True, written=urscript)
+    finally:
+        await device.close()
+        await fake.close()
 
 
 @asynccontextmanager
@@ -212,7 +247,11 @@ async def _loader(fake: FakeLoader, wire: PtyWire | TcpWire, device: Loader) -> 
         await wire.close()
 
 
-ROBOTS = [*kind(robot_tcp, robot_dribbled), *kind(linuxcnc, linuxcnc_dribbled)]
+ROBOTS = [
+    *kind(robot_tcp, robot_dribbled),
+    *kind(linuxcnc, linuxcnc_dribbled),
+    *kind(universal_robots, universal_robots_dribbled),
+]
 ACTUATORS = [*kind(actuator_rtu, actuator_tcp), *kind(actuator_ascii, actuator_ascii_dribbled)]
 SPINDLES = kind(spindle_slcan, spindle_socketcand)
 LOADERS = kind(loader_serial, loader_tcp_dribbled)

@@ -21,11 +21,12 @@ async def opened(robot: RobotRig) -> Robot:
     return robot.device
 
 
-async def loaded(robot: Robot, blocks: int) -> Plan:
+async def loaded(robot: RobotRig, blocks: int) -> Plan:
     """Give the robot a program, or the first 60 blocks. The plan has it stop at 50, or LinuxCNC could not."""
-    plan = plan_of([b"G1 X%d F60" % at for at in range(blocks)], approach_blocks=min(50, blocks))
-    await robot.prepare(plan)
-    await robot.send(plan.segments[:60])
+    lines = robot.written([b"G1 X%d F60" % at for at in range(blocks)])
+    plan = plan_of(lines, approach_blocks=min(50, blocks))
+    await robot.device.prepare(plan)
+    await robot.device.send(plan.segments[:60])
     return plan
 
 
@@ -46,8 +47,8 @@ async def test_it_is_a_robot(robot: RobotRig) -> None:
     assert isinstance(robot.device, Robot)
 
 
-async def test_a_prepared_robot_stands_and_knows_its_program(opened: Robot) -> None:
-    plan = plan_of([b"G1 X1 F60", b"M2"])
+async def test_a_prepared_robot_stands_and_knows_its_program(robot: RobotRig, opened: Robot) -> None:
+    plan = plan_of(robot.written([b"G1 X1 F60", b"M2"]))
     await opened.prepare(plan)
     progress = await opened.progress()
     assert progress.state == "held"
@@ -55,8 +56,8 @@ async def test_a_prepared_robot_stands_and_knows_its_program(opened: Robot) -> N
     assert (progress.accepted, progress.executed) == (0, 0)
 
 
-async def test_accepted_is_not_executed(opened: Robot) -> None:
-    await loaded(opened, 40)
+async def test_accepted_is_not_executed(robot: RobotRig, opened: Robot) -> None:
+    await loaded(robot, 40)
     progress = await opened.progress()
     assert (progress.accepted, progress.executed, progress.state) == (40, 0, "held")
     assert await collected_so_far(opened) == []
@@ -73,8 +74,8 @@ async def collected_so_far(robot: Robot) -> list[Executed]:
     return found
 
 
-async def test_all_is_executed_in_order_and_once(opened: Robot) -> None:
-    plan = await loaded(opened, 150)
+async def test_all_is_executed_in_order_and_once(robot: RobotRig, opened: Robot) -> None:
+    plan = await loaded(robot, 150)
     await opened.resume()
 
     async def stream() -> None:
@@ -90,8 +91,8 @@ async def test_all_is_executed_in_order_and_once(opened: Robot) -> None:
     assert (await opened.progress()).state == "done"
 
 
-async def test_executed_can_be_followed_by_many_from_anywhere(opened: Robot) -> None:
-    await loaded(opened, 40)
+async def test_executed_can_be_followed_by_many_from_anywhere(robot: RobotRig, opened: Robot) -> None:
+    await loaded(robot, 40)
     await opened.resume()
     whole, rest = await asyncio.gather(collected(opened), collected(opened, 25))
     assert len(whole) == 40
@@ -99,7 +100,7 @@ async def test_executed_can_be_followed_by_many_from_anywhere(opened: Robot) -> 
 
 
 async def test_it_stops_where_it_is_told(robot: RobotRig, opened: Robot) -> None:
-    await loaded(opened, 40)
+    await loaded(robot, 40)
     await opened.resume(until=10)
     executed = await first(opened, 10)
     assert [one.seq for one in executed] == list(range(10))
@@ -112,7 +113,7 @@ async def test_it_stops_where_it_is_told(robot: RobotRig, opened: Robot) -> None
 
 
 async def test_hold_returns_when_it_stands(robot: RobotRig, opened: Robot) -> None:
-    plan = await loaded(opened, 60)
+    plan = await loaded(robot, 60)
     await opened.resume()
     await first(opened, 3)
     await opened.hold()
@@ -129,7 +130,7 @@ async def test_hold_returns_when_it_stands(robot: RobotRig, opened: Robot) -> No
 
 async def test_it_lifts_and_the_program_is_over_or_it_refuses_and_goes_on(robot: RobotRig, opened: Robot) -> None:
     """The way out where the actuator does not lift; a machine that would have to stop first refuses."""
-    await loaded(opened, 60)
+    await loaded(robot, 60)
     await opened.resume()
     await first(opened, 3)
     try:
@@ -140,14 +141,14 @@ async def test_it_lifts_and_the_program_is_over_or_it_refuses_and_goes_on(robot:
     assert robot.safe()
     with pytest.raises(DeviceRefused):
         await opened.resume()
-    assert len(await collected(await reloaded(opened))) == 40
+    assert len(await collected(await reloaded(robot))) == 40
 
 
-async def reloaded(opened: Robot) -> Robot:
+async def reloaded(robot: RobotRig) -> Robot:
     """Ready for something new, and told to run."""
-    await loaded(opened, 40)
-    await opened.resume()
-    return opened
+    await loaded(robot, 40)
+    await robot.device.resume()
+    return robot.device
 
 
 async def test_it_says_how_long_it_takes(robot: RobotRig) -> None:
@@ -157,38 +158,38 @@ async def test_it_says_how_long_it_takes(robot: RobotRig) -> None:
 
 
 async def test_make_safe_stops_a_running_robot(robot: RobotRig, opened: Robot) -> None:
-    await loaded(opened, 40)
+    await loaded(robot, 40)
     await opened.resume()
     await opened.make_safe()
     assert robot.safe()
 
 
 async def test_make_safe_stops_a_running_robot_after_close(robot: RobotRig, opened: Robot) -> None:
-    await loaded(opened, 40)
+    await loaded(robot, 40)
     await opened.resume(until=39)
     await opened.close()
     await opened.make_safe()
     assert robot.safe()
 
 
-async def test_buffer_tells_what_is_ahead(opened: Robot) -> None:
+async def test_buffer_tells_what_is_ahead(robot: RobotRig, opened: Robot) -> None:
     assert opened.buffer_s == 0.0
-    await loaded(opened, 40)
+    await loaded(robot, 40)
     await seen(lambda: opened.buffer_s > 0.0)
 
 
-async def test_a_program_cannot_be_changed_while_it_runs(opened: Robot) -> None:
-    await loaded(opened, 40)
+async def test_a_program_cannot_be_changed_while_it_runs(robot: RobotRig, opened: Robot) -> None:
+    await loaded(robot, 40)
     await opened.resume()
     with pytest.raises(DeviceRefused, match="running"):
-        await opened.prepare(plan_of([b"M2"]))
+        await opened.prepare(plan_of(robot.written([b"M2"])))
 
 
-async def test_a_new_program_replaces_the_old(opened: Robot) -> None:
-    await loaded(opened, 30)
+async def test_a_new_program_replaces_the_old(robot: RobotRig, opened: Robot) -> None:
+    await loaded(robot, 30)
     await opened.resume()
     assert len(await collected(opened)) == 30
-    plan = plan_of([b"M2"])
+    plan = plan_of(robot.written([b"M2"]))
     await opened.prepare(plan)
     await opened.send(plan.segments)
     await opened.resume()
@@ -201,8 +202,8 @@ async def test_nothing_runs_without_a_program(opened: Robot) -> None:
     assert await collected(opened) == []
 
 
-async def test_blocks_out_of_turn_are_refused(opened: Robot) -> None:
-    plan = plan_of([b"M2"] * 5)
+async def test_blocks_out_of_turn_are_refused(robot: RobotRig, opened: Robot) -> None:
+    plan = plan_of(robot.written([b"M2"] * 5))
     await opened.prepare(plan)
     with pytest.raises(DeviceRefused, match="expects block 0"):
         await opened.send(plan.segments[1:])
@@ -212,8 +213,8 @@ async def test_blocks_out_of_turn_are_refused(opened: Robot) -> None:
         await opened.send([Segment(0, b"G1\nM2")])
 
 
-async def test_a_bad_block_is_refused_when_it_arrives(opened: Robot) -> None:
-    plan = plan_of([b"G1", b"?what", b"M2"])
+async def test_a_bad_block_is_refused_when_it_arrives(robot: RobotRig, opened: Robot) -> None:
+    plan = plan_of(robot.written([b"G1", b"?what", b"M2"]))
     await opened.prepare(plan)
     with pytest.raises(DeviceRefused, match=r"block 1|Bad character"):
         await opened.send(plan.segments)
@@ -221,7 +222,7 @@ async def test_a_bad_block_is_refused_when_it_arrives(opened: Robot) -> None:
 
 
 async def test_everybody_who_waits_hears_of_a_cut_link(robot: RobotRig, opened: Robot) -> None:
-    plan = await loaded(opened, 200)
+    plan = await loaded(robot, 200)
     rest = plan.segments[60:]
     if robot.whole_file:  # nobody waits for credit
         await opened.send(rest)
