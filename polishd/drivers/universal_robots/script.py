@@ -121,6 +121,8 @@ def blocks_of(lines: Sequence[bytes]) -> list[Block]:
         frame = begin is not None or ends or calls or dead
         found.append(Block(line, not frame and _ACTS.match(line) is not None, frame))
         opened = "" if ends else opened
+    if not any(block.acts for block in found):
+        raise DeviceRefused("no line of the program moves or waits in URScript: look at [program] format")
     return found
 
 

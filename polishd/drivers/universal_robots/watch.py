@@ -11,6 +11,7 @@ from polishd.api import Executed, Plan, ProtocolError, RobotProgress
 from polishd.drivers.universal_robots.sample import Phase, Runtime, Sample
 from polishd.drivers.universal_robots.script import Block
 from polishd.model.devices import RobotState
+from polishd.model.surface import FloatArray
 
 START_S = 2.0
 """So long after its order it may stand yet, on the controller's clock."""
@@ -127,10 +128,11 @@ class Watch:
                 self.drop("lifted off the path")
         if sample.phase not in LIVE:
             return
+        self.live = True
         if why := sample.obstacle():
             self._fail(why)
         elif sample.runtime in (Runtime.PAUSING, Runtime.PAUSED):
-            self.state, self.detail = "held", "paused at the controller"
+            self._paused()
         elif sample.runtime == before.runtime == Runtime.STOPPED:
             self._fail("the program was stopped at the controller")
         elif sample.phase == Phase.WAITS:
@@ -147,6 +149,12 @@ class Watch:
         if sample.time_s - self._ordered_s > START_S:
             self._fail(f"it does not begin block {sample.block}")
 
+    def _paused(self) -> None:
+        """By somebody else. While it runs, the tool may come to stand on the part: nothing is waited for."""
+        self.detail = "the program was paused at the controller"
+        if self.state == "running":
+            self._fail(self.detail)
+
     def _fail(self, why: str) -> None:
         self.state, self.detail, self.live = "fault", why, False
 
@@ -155,16 +163,16 @@ class Watch:
         first = len(self)
         if to <= first:
             return
-        took_s = self._clock_s - self._began_s
-        ends = self._began_s + np.cumsum(self._shares(first, to, took_s))
-        ends[-1] = self._clock_s
+        ends = self._began_s + np.cumsum(self._shares(first, to))
+        if self._acts[first:to].any():
+            ends[-1] = self._clock_s  # what rounding leaves
         self._start_s.extend([self._began_s, *ends[:-1].tolist()])
         self._end_s.extend(ends.tolist())
-        self._began_s = self._clock_s
+        self._began_s = float(ends[-1])
 
-    def _shares(self, first: int, to: int, took_s: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    def _shares(self, first: int, to: int) -> FloatArray:
         """(n,) s of each block of one sample: dwells get what they ask for, moves the rest, others nothing."""
-        acts, asked = self._acts[first:to], self._dwell_s[first:to]
+        acts, asked, took_s = self._acts[first:to], self._dwell_s[first:to], self._clock_s - self._began_s
         if not acts.any():
             return np.zeros(to - first)
         shares = asked * min(1.0, took_s / asked.sum()) if asked.any() else np.zeros(to - first)
