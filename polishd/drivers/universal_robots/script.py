@@ -38,9 +38,9 @@ _HEAD = """def polishd():
       while read_input_integer_register({token_in}) != {token} or read_input_integer_register({until}) <= seq:
         sync()
       end
-      write_output_integer_register({phase}, {runs})
     end
     write_output_integer_register({block}, seq)
+    write_output_integer_register({phase}, {runs})
   end
   thread polishd_path():
 """
@@ -55,23 +55,25 @@ _TAIL = """
   end
   kill polishd_thread
   polishd_phase = {held}
+  polishd_accel = {stop_accel}
   if polishd_over:
     polishd_phase = {done}
   elif read_input_integer_register({order}) == 2:
     polishd_here = get_target_tcp_pose()
     polishd_up = pose_trans(polishd_here, p[0, 0, {up}, 0, 0, 0])
     polishd_way = read_input_integer_register({lift}) * 0.000001
+    polishd_accel = {lift_accel}
     polishd_speed = {lift_speed}
-    if polishd_speed * polishd_speed > polishd_way * {lift_accel}:
-      polishd_speed = sqrt(polishd_way * {lift_accel})
+    if polishd_speed * polishd_speed > polishd_way * polishd_accel:
+      polishd_speed = sqrt(polishd_way * polishd_accel)
     end
     polishd_x = (polishd_up[0] - polishd_here[0]) * polishd_speed
     polishd_y = (polishd_up[1] - polishd_here[1]) * polishd_speed
     polishd_z = (polishd_up[2] - polishd_here[2]) * polishd_speed
-    speedl([polishd_x, polishd_y, polishd_z, 0, 0, 0], {lift_accel}, polishd_way / polishd_speed)
+    speedl([polishd_x, polishd_y, polishd_z, 0, 0, 0], polishd_accel, polishd_way / polishd_speed)
     polishd_phase = {lifted}
   end
-  stopl({stop_accel})
+  stopl(polishd_accel)
   write_output_integer_register({phase}, polishd_phase)
 end
 """  # noqa: E501 -- one statement of URScript is one line
