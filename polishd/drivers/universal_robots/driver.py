@@ -213,7 +213,7 @@ class UniversalRobot:
             raise DeviceRefused(f"{self._name}: no program of ours is under way that could lift")
         self._stay()
         await link.tell(Orders(watch.token, watch.until, Order.LIFT, round(distance_mm * 1000.0)))
-        await link.until(lambda: not self._hears(link.last), self._times.stop_s)
+        await link.until(lambda: not self._hears(link.last) and link.last.phase != Phase.ENDS, self._times.stop_s)
         watch.drop("lifted off the path")
         if link.last.phase != Phase.LIFTED:
             raise DeviceFault(f"{self._name}: the robot does not lift: {link.last.obstacle() or 'no reason is told'}")
@@ -262,7 +262,7 @@ class UniversalRobot:
         if watch is None:
             return
         watch.update(sample)
-        if watch.heard and not (sample.token == watch.token and sample.phase in LIVE):
+        if watch.heard and not (sample.token == watch.token and sample.phase in (*LIVE, Phase.ENDS)):
             self._link.orders = None
 
     def _hears(self, sample: Sample) -> bool:

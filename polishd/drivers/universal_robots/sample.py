@@ -34,6 +34,8 @@ class Phase(IntEnum):
     HELD = 3
     LIFTED = 4
     DONE = 5
+    ENDS = 6
+    """It brakes, or lifts."""
 
 
 ROBOT_MODES = {
@@ -57,7 +59,7 @@ RUNNING, NORMAL = 7, 1
 
 @dataclass(frozen=True, slots=True)
 class Registers:
-    """Which of the controller's integer registers are ours: five inputs and three outputs from ``first`` on."""
+    """Which of the controller's integer registers are ours: five inputs and four outputs from ``first`` on."""
 
     first: int = 24
 
@@ -66,8 +68,8 @@ class Registers:
         return tuple(f"input_int_register_{self.first + at}" for at in range(5))
 
     def outputs(self) -> tuple[str, ...]:
-        """Token, block, phase."""
-        return tuple(f"output_int_register_{self.first + at}" for at in range(3))
+        """Token, block, phase, turns."""
+        return tuple(f"output_int_register_{self.first + at}" for at in range(4))
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,12 +91,14 @@ class Sample:
     block: int
     """Block of it that is under way."""
     phase: int
+    turns: int
+    """Grows with each period in which our program runs."""
 
     @classmethod
     def of(cls, values: Mapping[str, Value], registers: Registers) -> Sample:
         """From a data package's values."""
         one = {name: value[0] for name, value in values.items()}
-        token, block, phase = (int(one[name]) for name in registers.outputs())
+        token, block, phase, turns = (int(one[name]) for name in registers.outputs())
         return cls(
             time_s=one["timestamp"],
             runtime=int(one["runtime_state"]),
@@ -106,6 +110,7 @@ class Sample:
             token=token,
             block=block,
             phase=phase,
+            turns=turns,
         )
 
     @property

@@ -49,11 +49,15 @@ _TAIL = """
     global polishd_over = True
   end
   rtde_set_watchdog("input_int_register_{beat}", {rate}, "stop")
+  polishd_turns = 0
   polishd_thread = run polishd_path()
   while not polishd_over and (read_input_integer_register({token_in}) != {token} or read_input_integer_register({order}) == 0):
+    polishd_turns = polishd_turns + 1
+    write_output_integer_register({turns}, polishd_turns)
     sync()
   end
   kill polishd_thread
+  write_output_integer_register({phase}, {ends})
   polishd_phase = {held}
   polishd_accel = {stop_accel}
   if polishd_over:
@@ -191,7 +195,7 @@ def _rest(block: Block, spent_s: float) -> bytes:
 def _words(start: int, blocks: int, token: int, settings: Settings) -> dict[str, object]:
     first = settings.registers.first
     inputs = dict(zip(("beat", "token_in", "until", "order", "lift"), range(first, first + 5), strict=True))
-    outputs = dict(zip(("told", "block", "phase"), range(first, first + 3), strict=True))
+    outputs = dict(zip(("told", "block", "phase", "turns"), range(first, first + 4), strict=True))
     phases = {phase.name.lower(): int(phase) for phase in Phase}
     return {
         **inputs,

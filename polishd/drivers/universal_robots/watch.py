@@ -15,6 +15,8 @@ from polishd.model.surface import FloatArray
 
 START_S = 2.0
 """So long after its order it may stand yet, on the controller's clock."""
+SILENT_S = 0.1
+"""A program that has not run for so long is not there any more, whatever its registers say; the same clock."""
 LIVE = (Phase.WAITS, Phase.RUNS)
 
 
@@ -43,6 +45,8 @@ class Watch:
         self._start_s, self._end_s = array("d"), array("d")
         self._clock_s = self._began_s = 0.0
         self._ordered_s: float | None = None
+        self._turned_s = 0.0
+        """When the program ran last."""
         self._last: Sample | None = None
 
     def __len__(self) -> int:
@@ -103,6 +107,8 @@ class Watch:
                 self._fail("the controller runs another program, or was started anew")
             return
         before, self._last = self._last, sample
+        if before is None or sample.turns != before.turns:
+            self._turned_s = sample.time_s
         if before is None:
             self.live = True
         else:
@@ -135,6 +141,8 @@ class Watch:
             self._paused()
         elif sample.runtime == before.runtime == Runtime.STOPPED:
             self._fail("the program was stopped at the controller")
+        elif sample.time_s - self._turned_s > SILENT_S:
+            self._fail("the controller runs another program, or ours hangs")
         elif sample.phase == Phase.WAITS:
             self._waits(sample)
         else:

@@ -31,7 +31,7 @@ class UniversalRobotsOptions(BaseModel):
     rate_hz: Annotated[float, Field(ge=10.0, le=500.0)] = 125.0
     """How often the controller tells where it is: the end of a block is known to one period. e-Series: up to 500."""
     first_register: Annotated[int, Field(ge=0, le=43)] = 24
-    """Of the controller's integer registers, five inputs and three outputs from here on are polishd's."""
+    """Of the controller's integer registers, five inputs and four outputs from here on are polishd's."""
     tool_z: Literal["into_part", "out_of_part"] = "into_part"
     """Where the tool frame's z points: a lift goes the other way. As in the program's dialect."""
     watchdog_s: Annotated[float, Field(gt=0.0, le=600.0)] = 8.0
