@@ -32,23 +32,25 @@ SAFE_Z_MM = 20.0
 Kind = Literal["universal_robots", "robot_link"]
 
 
-def write_files(out: Path, kind: Kind, *, patient: bool = True, **job: Any) -> DemoFiles:
-    """The demo's files with a small part, that robot, and a program with a dwell at each point."""
+def write_files(out: Path, kind: Kind, *, cut_s: float = 0.0, watchdog_s: float = 20.0, **job: Any) -> DemoFiles:
+    """The demo's files with a small part, that robot, and a program with a dwell at each point.
+
+    ``cut_s``: the robot's links are cut every so often.
+    """
     files = write_demo(out, None, 2.0, 4, None)
     cell = without(with_values(files.cell.read_text(), {"part": PART, "job": job}), "touch_off").replace(REPORT, "")
     sim = with_values(files.sim.read_text(), {"plant": {**PART, "pv_nm": 500.0, "rms_nm": 100.0}})
-    if patient:
-        cell, sim = with_keys(cell, PATIENT), with_keys(sim, PATIENT_SIM)
+    cell, sim = with_keys(cell, PATIENT), with_keys(sim, PATIENT_SIM)
     if kind == "universal_robots":
         rtde, dashboard, primary = free_port(), free_port(), free_port()
         keys = {"address": f"tcp://127.0.0.1:{rtde}", "dashboard_port": dashboard, "primary_port": primary}
         cell = cell.replace('type = "robot_link"', 'type = "universal_robots"')
-        cell = with_keys(cell, {"robot": {**PATIENT["robot"], **keys, "rate_hz": 500.0}})
+        cell = with_keys(cell, {"robot": {"silence_s": 3.0, "watchdog_s": watchdog_s, "rate_hz": 500.0, **keys}})
         cell = cell.replace('format = "rs274"', 'format = "urscript"').replace(
             '"rnc_robot", ', '"rnc_robot", "universal_robots", '
         )
         robot = {"kind": kind, "port": rtde, "dashboard_port": dashboard, "primary_port": primary}
-        sim = with_keys(sim, {"robot": robot})
+        sim = with_keys(sim, {"robot": robot}) + f"\n[robot.faults]\ndisconnect_every_s = {cut_s}\n"
     files.cell.write_text(cell)
     files.sim.write_text(sim)
     forged(files.profile)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from array import array
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -13,8 +14,8 @@ from polishd.drivers.universal_robots.script import Block
 from polishd.model.devices import RobotState
 from polishd.model.surface import FloatArray
 
-START_S = 2.0
-"""So long after its order it may stand yet, on the controller's clock."""
+START_S = 5.0
+"""So long after its order it may stand yet: our own clock, since samples from before it may come late."""
 SILENT_S = 0.1
 """A program that has not run for so long is not there any more, whatever its registers say; the same clock."""
 LIVE = (Phase.WAITS, Phase.RUNS)
@@ -27,7 +28,7 @@ class Watch:
     blocks. What two samples in a row say is booked, so that one damaged number does not count blocks that nobody ran.
     """
 
-    def __init__(self, plan: Plan, blocks: int) -> None:
+    def __init__(self, plan: Plan, blocks: int, now_s: Callable[[], float] = time.monotonic) -> None:
         self.sha256 = plan.program.sha256
         self.blocks = blocks
         self.state: RobotState = "held"
@@ -44,7 +45,8 @@ class Watch:
         self._dwell_s = np.zeros(0)
         self._start_s, self._end_s = array("d"), array("d")
         self._clock_s = self._began_s = 0.0
-        self._ordered_s: float | None = None
+        self._now_s = now_s
+        self._ordered_s = 0.0
         self._turned_s = 0.0
         """When the program ran last."""
         self._last: Sample | None = None
@@ -89,7 +91,7 @@ class Watch:
 
     def ordered(self, until: int) -> None:
         """Told to go on to there."""
-        self.until, self._ordered_s = until, None
+        self.until, self._ordered_s = until, self._now_s()
         self.state, self.detail = "running", ""
 
     def drop(self, reason: str) -> None:
@@ -146,15 +148,14 @@ class Watch:
         elif sample.phase == Phase.WAITS:
             self._waits(sample)
         else:
-            self.state, self.detail, self._ordered_s = "running", "", None
+            self.state, self.detail = "running", ""
 
     def _waits(self, sample: Sample) -> None:
         """It stands before a block: where it is told to, or because the order has not come through yet."""
         if sample.block >= self.until:
             self.state, self.detail = "held", ""
             return
-        self._ordered_s = sample.time_s if self._ordered_s is None else self._ordered_s
-        if sample.time_s - self._ordered_s > START_S:
+        if self._now_s() - self._ordered_s > START_S:
             self._fail(f"it does not begin block {sample.block}")
 
     def _paused(self) -> None:

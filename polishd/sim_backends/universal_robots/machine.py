@@ -65,6 +65,8 @@ class Machine:
     doubles_out: list[float] = field(default_factory=lambda: [0.0] * REGISTERS)
     busy: int = 0
     """Statements under way that move or wait."""
+    driven_by: int = 0
+    """Those of them that move the arm."""
     watchdogs: dict[str, Watchdog] = field(default_factory=dict)
     rows: Rows = field(default_factory=list)
     """Motion since they were last taken, see ``bus.ROW``."""
@@ -91,7 +93,7 @@ class Machine:
     def stop(self) -> bool:
         """The program is over, and the arm brakes; whether one ran."""
         ran = self.runtime != STOPPED
-        self.program, self.watchdogs, self.busy = None, {}, 0
+        self.program, self.watchdogs, self.busy, self.driven_by = None, {}, 0, 0
         if not self.arm.stands:
             self.arm.brake()
         self.runtime, self.pace = STOPPING if ran else STOPPED, 1.0
@@ -114,7 +116,7 @@ class Machine:
         self.safety_mode = PROTECTIVE_STOP
         if self.program is not None:
             self.runtime = PAUSING
-        if self.program is None or not self.busy:
+        if self.program is None or not self.driven_by:
             self.arm.brake()
 
     def unlock(self) -> None:
@@ -160,7 +162,7 @@ class Machine:
         self._ramp()
         if self.program is not None and self.runtime == PLAYING:
             self._run(self.program)
-        if self.arm.driven and not self.busy:
+        if self.arm.driven and not self.driven_by:
             self.arm.brake()  # whoever drove it was killed
         self.arm.step(self.frame_s, self.slider * self.pace)
         x, y, z = self.arm.place.xyz_mm
@@ -184,7 +186,7 @@ class Machine:
         try:
             program.frame()
         except ProgramError as error:
-            self.complain(program.line, str(error.args[0]))
+            self.complain(int(error.args[1]) or program.line, str(error.args[0]))
             self.stop()
         except (TypeError, ValueError, IndexError, ZeroDivisionError) as error:
             self.complain(program.line, f"runtime error: {error}")
@@ -250,7 +252,7 @@ class Machine:
 
     def _sleep(self, seconds: float) -> Frames:
         """The clock of a wait knows no slider."""
-        with _Busy(self):
+        with _Busy(self, drives=False):
             yield from self._overhead()
             for _ in range(math.ceil(seconds / self.frame_s - 1e-9)):
                 yield
@@ -297,15 +299,20 @@ class _Busy:
     """Counts a statement that moves or waits, also where its thread is killed within."""
 
     machine: Machine
+    drives: bool = True
     program: Program | None = None
 
     def __enter__(self) -> None:
         self.program = self.machine.program
-        self.machine.busy += 1
+        self._count(1)
 
     def __exit__(self, *_error: object) -> None:
         if self.machine.program is self.program:
-            self.machine.busy -= 1
+            self._count(-1)
+
+    def _count(self, by: int) -> None:
+        self.machine.busy += by
+        self.machine.driven_by += by * self.drives
 
 
 def _pose_trans(first: list[float], second: list[float]) -> list[float]:

@@ -10,9 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.api import DeviceBusy, DeviceRefused, ProtocolError
+from polishd.config.simulator import Robot
 from polishd.drivers.universal_robots import rtde
 from polishd.drivers.universal_robots.rtde import FORMATS, Kind, Package, PackageReader, Recipe
 from polishd.sim_backends.universal_robots import fields
+from polishd.sim_backends.universal_robots.arm import Arm
+from polishd.sim_backends.universal_robots.machine import Machine
+from polishd.sim_backends.universal_robots.rtde import Held, RtdeClient
+from tests.vectors import vectors
 
 NAMES = ("timestamp", "runtime_state", "target_TCP_speed", "output_int_register_24")
 TYPES = ("DOUBLE", "UINT32", "VECTOR6D", "INT32")
@@ -121,3 +126,28 @@ def test_both_sides_pack_types_alike() -> None:
     """The simulator has a codec of its own."""
     assert fields.FORMATS == FORMATS
     assert {fields.OUTPUTS[name] for name in fields.OUTPUTS} <= set(FORMATS)
+
+
+def test_driver_and_simulator_speak_the_documents_vectors() -> None:
+    expected = {name: bytes.fromhex(value) for name, value in vectors("universal_robots").items()}
+    outputs = ("timestamp", "runtime_state", "output_int_register_24")
+    inputs = ("input_int_register_24", "input_int_register_25")
+    machine = Machine(Robot(), Arm.at((0.0, 0.0, 60.0, 0.0, 0.0)), 0.008, 0.0, 1.0, 0.0)
+    said: list[bytes] = []
+    client = RtdeClient(machine, Held(), said.append)
+    assert rtde.encode(Kind.VERSION, b"\0\2") == expected["version_ask"]
+    assert rtde.ask_outputs(125.0, outputs) == expected["outputs_ask"]
+    assert rtde.ask_inputs(inputs) == expected["inputs_ask"]
+    for name in ("version", "outputs", "inputs", "start"):
+        client.feed(expected[f"{name}_ask"])
+    assert said[:3] == [expected[f"{name}_answer"] for name in ("version", "outputs", "inputs")]
+    answers = [package.payload for data in said for package in PackageReader().feed(data)]
+    writes = Recipe.answered(inputs, answers[2], "inputs")
+    assert writes.pack({inputs[0]: 7, inputs[1]: 4711}) == expected["orders"]
+    client.feed(expected["orders"])
+    assert machine.ints_in[24:26] == [7, 4711]
+    machine.time_s, machine.runtime, machine.ints_out[24] = 12.5, 2, 4711
+    client.tick(12.492)
+    assert said[-1] == expected["sample"]
+    reads = Recipe.answered(outputs, answers[1], "outputs")
+    assert reads.unpack(said[-1][3:]) == {outputs[0]: (12.5,), outputs[1]: (2,), outputs[2]: (4711,)}
