@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 from polishd.config.simulator import Robot
 from polishd.model.errors import ProgramError
-from polishd.sim_backends.universal_robots.arm import Arm, Place
+from polishd.sim_backends.universal_robots.arm import Arm
+from polishd.sim_backends.universal_robots.commands import Commands, Watchdog
 from polishd.sim_backends.universal_robots.language import parse
-from polishd.sim_backends.universal_robots.program import Frames, Program
-from polishd.sim_backends.universal_robots.turning import after, from_vector, to_vector, turned, wrist_deg
+from polishd.sim_backends.universal_robots.program import Program
+from polishd.sim_backends.universal_robots.turning import wrist_deg
 
 STOPPING, STOPPED, PLAYING, PAUSING, PAUSED, RESUMING = range(6)
 NORMAL, PROTECTIVE_STOP, ROBOT_EMERGENCY_STOP = 1, 3, 7
@@ -25,15 +24,6 @@ BLOCK_REGISTER = 25
 LATE_S = 1.0
 """A machine that was kept from running does not catch up with more."""
 Rows = list[list[float]]
-
-
-@dataclass(slots=True)
-class Watchdog:
-    """``rtde_set_watchdog``: an input that must be written so often."""
-
-    longest_s: float
-    action: str
-    heard_s: float
 
 
 @dataclass(slots=True)
@@ -73,7 +63,6 @@ class Machine:
     said: list[str] = field(default_factory=list)
     """``textmsg``."""
     program: Program | None = None
-    _owed_s: float = 0.0
 
     def load(self, text: str) -> None:
         """A script came. What runs is stopped for it; while one is paused, it is only that which is stopped."""
@@ -84,7 +73,8 @@ class Machine:
         if paused:
             return
         try:
-            self.program = Program(parse(text), self._quick(), self._slow())
+            commands = Commands(self)
+            self.program = Program(parse(text), commands.quick(), commands.slow())
         except ProgramError as error:
             self.complain(int(error.args[1]), str(error.args[0]))
             return
@@ -214,109 +204,3 @@ class Machine:
             self.pace = min(self.pace + step, 1.0)
             if self.pace == 1.0:
                 self.runtime = PLAYING
-
-    def _quick(self) -> dict[str, Callable[..., Any]]:
-        return {
-            "read_input_integer_register": self.ints_in.__getitem__,
-            "read_input_float_register": self.doubles_in.__getitem__,
-            "write_output_integer_register": self.ints_out.__setitem__,
-            "write_output_float_register": self.doubles_out.__setitem__,
-            "rtde_set_watchdog": self._set_watchdog,
-            "get_target_tcp_pose": self.arm.pose_m,
-            "get_actual_tcp_pose": self.arm.pose_m,
-            "get_steptime": lambda: self.frame_s,
-            "pose_trans": _pose_trans,
-            "textmsg": lambda *words: self.said.append("".join(map(str, words))),
-            "set_tcp": lambda *_: None,
-            "set_payload": lambda *_: None,
-            "set_digital_out": lambda *_: None,
-            "set_standard_digital_out": lambda *_: None,
-        }
-
-    def _slow(self) -> dict[str, Callable[..., Frames]]:
-        return {
-            "sync": self._sync,
-            "sleep": self._sleep,
-            "movel": self._movel,
-            "movep": self._movel,
-            "movej": self._movel,
-            "speedl": self._speedl,
-            "stopl": self._stopl,
-        }
-
-    def _set_watchdog(self, name: str, rate_hz: float, action: str = "pause") -> None:
-        self.watchdogs[name] = Watchdog(1.0 / rate_hz, action, self.time_s)
-
-    def _sync(self) -> Frames:
-        yield
-
-    def _sleep(self, seconds: float) -> Frames:
-        """The clock of a wait knows no slider."""
-        with _Busy(self, drives=False):
-            yield from self._overhead()
-            for _ in range(math.ceil(seconds / self.frame_s - 1e-9)):
-                yield
-
-    def _movel(self, pose: list[float], a: float = 1.2, v: float = 0.25, t: float = 0.0, r: float = 0.0) -> Frames:
-        x, y, z, *turn = pose
-        end = Place((x * 1000.0, y * 1000.0, z * 1000.0), from_vector(turn))
-        with _Busy(self):
-            yield from self._overhead()
-            if t > 0.0:
-                way = math.dist(end.xyz_mm, self.arm.place.xyz_mm) / 1000.0
-                v = a * t / 2.0 - math.sqrt(max((a * t / 2.0) ** 2 - a * way, 0.0))
-            top = min(v * 1000.0, self.config.max_feed_mm_s)
-            if top <= 0.0 or a <= 0.0:
-                raise ProgramError("speed and acceleration must be above 0", 0)
-            self.arm.line(end, a * 1000.0, top)
-            while not self.arm.reached(r * 1000.0):
-                yield
-
-    def _speedl(self, velocity: list[float], a: float, t: float = 0.0) -> Frames:
-        x, y, z = (part * 1000.0 for part in velocity[:3])
-        with _Busy(self):
-            self.arm.aim((x, y, z), a * 1000.0)
-            yield
-            for _ in range(round(t / self.frame_s) - 1):
-                yield
-
-    def _stopl(self, a: float, _turn: float = 0.0) -> Frames:
-        with _Busy(self):
-            self.arm.brake(a * 1000.0)
-            while not self.arm.stands:
-                yield
-
-    def _overhead(self) -> Frames:
-        """Whole frames; what is left of one is owed."""
-        self._owed_s += self.overhead_s
-        while self._owed_s >= self.frame_s:
-            self._owed_s -= self.frame_s
-            yield
-
-
-@dataclass(slots=True)
-class _Busy:
-    """Counts a statement that moves or waits, also where its thread is killed within."""
-
-    machine: Machine
-    drives: bool = True
-    program: Program | None = None
-
-    def __enter__(self) -> None:
-        self.program = self.machine.program
-        self._count(1)
-
-    def __exit__(self, *_error: object) -> None:
-        if self.machine.program is self.program:
-            self._count(-1)
-
-    def _count(self, by: int) -> None:
-        self.machine.busy += by
-        self.machine.driven_by += by * self.drives
-
-
-def _pose_trans(first: list[float], second: list[float]) -> list[float]:
-    """The second pose, as seen from the first."""
-    turn = from_vector(first[3:])
-    x, y, z = turned(turn, second[:3])
-    return [first[0] + x, first[1] + y, first[2] + z, *to_vector(after(turn, from_vector(second[3:])))]
