@@ -45,11 +45,11 @@ def write_files(out: Path, kind: Kind, *, cut_s: float = 0.0, watchdog_s: float 
         rtde, dashboard, primary = free_port(), free_port(), free_port()
         keys = {"address": f"tcp://127.0.0.1:{rtde}", "dashboard_port": dashboard, "primary_port": primary}
         cell = cell.replace('type = "robot_link"', 'type = "universal_robots"')
-        cell = with_keys(cell, {"robot": {"silence_s": 3.0, "watchdog_s": watchdog_s, "rate_hz": 500.0, **keys}})
+        cell = with_keys(cell, {"robot": {"silence_s": 3.0, "watchdog_s": watchdog_s, **keys}})
         cell = cell.replace('format = "rs274"', 'format = "urscript"').replace(
             '"rnc_robot", ', '"rnc_robot", "universal_robots", '
         )
-        robot = {"kind": kind, "port": rtde, "dashboard_port": dashboard, "primary_port": primary}
+        robot = {"kind": kind, "cycle_hz": 125, "port": rtde, "dashboard_port": dashboard, "primary_port": primary}
         sim = with_keys(sim, {"robot": robot}) + f"\n[robot.faults]\ndisconnect_every_s = {cut_s}\n"
     files.cell.write_text(cell)
     files.sim.write_text(sim)

@@ -105,10 +105,10 @@ class Block:
     """It belongs to the shape of the file (``def``, ``end``, a call), and not to what is run."""
 
     @property
-    def dwell_s(self) -> float:
-        """Seconds that it waits; 0 for others."""
-        match = _DWELLS.match(self.text)
-        return float(match[2]) if match else 0.0
+    def dwell_s(self) -> float | None:
+        """Seconds that it waits; None for what does not wait."""
+        match = _DWELLS.match(self.text) if self.acts else None
+        return float(match[2]) if match else None
 
 
 def blocks_of(lines: Sequence[bytes]) -> list[Block]:

@@ -41,7 +41,8 @@ class Watch:
         """That script waits or runs on the controller."""
         self.until = 0
         """Blocks below it may begin."""
-        self._acts = np.zeros(0, dtype=bool)
+        self._moves = np.zeros(0, dtype=bool)
+        self._dwells = np.zeros(0, dtype=bool)
         self._dwell_s = np.zeros(0)
         self._start_s, self._end_s = array("d"), array("d")
         self._clock_s = self._began_s = 0.0
@@ -86,8 +87,9 @@ class Watch:
     def sent(self, token: int, blocks: Sequence[Block]) -> None:
         """A script with that token is on its way; it will wait before its first block."""
         self.token, self.until, self._last, self.live = token, 0, None, False
-        self._acts = np.array([block.acts for block in blocks], dtype=bool)
-        self._dwell_s = np.array([block.dwell_s for block in blocks])
+        self._dwells = np.array([block.dwell_s is not None for block in blocks], dtype=bool)
+        self._moves = np.array([block.acts for block in blocks], dtype=bool) & ~self._dwells
+        self._dwell_s = np.array([block.dwell_s or 0.0 for block in blocks])
 
     def ordered(self, until: int) -> None:
         """Told to go on to there."""
@@ -173,7 +175,7 @@ class Watch:
         if to <= first:
             return
         ends = self._began_s + np.cumsum(self._shares(first, to))
-        if self._acts[first:to].any():
+        if (self._moves | self._dwells)[first:to].any():
             ends[-1] = self._clock_s  # what rounding leaves
         self._start_s.extend([self._began_s, *ends[:-1].tolist()])
         self._end_s.extend(ends.tolist())
@@ -181,11 +183,11 @@ class Watch:
 
     def _shares(self, first: int, to: int) -> FloatArray:
         """(n,) s of each block of one sample: dwells get what they ask for, moves the rest, others nothing."""
-        acts, asked, took_s = self._acts[first:to], self._dwell_s[first:to], self._clock_s - self._began_s
-        if not acts.any():
+        moves, dwells, asked = self._moves[first:to], self._dwells[first:to], self._dwell_s[first:to]
+        if not (moves | dwells).any():
             return np.zeros(to - first)
+        took_s = self._clock_s - self._began_s
         shares = asked * min(1.0, took_s / asked.sum()) if asked.any() else np.zeros(to - first)
-        takers = acts & (asked == 0.0)
-        takers = takers if takers.any() else acts
+        takers = moves if moves.any() else dwells
         shares[takers] += (took_s - shares.sum()) / np.count_nonzero(takers)
         return np.asarray(shares)

@@ -21,8 +21,8 @@ RAMP_S = 0.1
 REGISTERS = 48
 BLOCK_REGISTER = 25
 """Where polishd's scripts say which block is under way: the witness books by it."""
-LATE_S = 1.0
-"""A machine that was kept from running does not catch up with more."""
+LATE_S = 30.0
+"""A process that was kept from running catches up with so much at most."""
 Rows = list[list[float]]
 
 

@@ -72,6 +72,11 @@ def test_blocks_of_one_sample_share_it_by_what_they_ask_for() -> None:
     assert took[1::2] == pytest.approx([(126 * RATE_S - 0.3) / 2] * 2)
 
 
+def test_a_dwell_of_nothing_gets_nothing_of_the_move_before_it() -> None:
+    found = feed(watch([MOVE, b"sleep(0)", MOVE]), [at(1, 0), at(10, 2), at(11, 2)])
+    assert [found[seq].end_s - found[seq].start_s for seq in (0, 1)] == pytest.approx([9 * RATE_S, 0.0])
+
+
 def test_no_time_passes_while_it_waits_or_is_held() -> None:
     found = watch()
     found.ordered(2)
