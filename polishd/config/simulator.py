@@ -177,14 +177,17 @@ class Robot(Section):
 class Actuator(Section):
     """The voice-coil actuator. Its times go with the simulated clock."""
 
-    kind: Literal["modbus_rtu", "modbus_tcp", "serial"] = "modbus_rtu"
-    """What it speaks: the cell's `voice_coil_modbus` on a line or over TCP, or `voice_coil_serial`."""
+    kind: Literal["modbus_rtu", "modbus_tcp", "serial", "slcan", "socketcand"] = "modbus_rtu"
+    """What it speaks: the cell's `voice_coil_modbus` on a line or over TCP, `voice_coil_serial`, or `cia402_actuator`,
+    whose bus is reached through a serial adapter or a daemon."""
     port: Port = 0
-    """TCP port on loopback, for modbus_tcp; 0: any that is free. [1]"""
+    """TCP port on loopback, for modbus_tcp and socketcand; 0: any that is free. [1]"""
     baud: Annotated[int, Field(ge=1200)] = 115200
     """Pace of the serial line. [bit/s]"""
     unit: Annotated[int, Field(ge=1, le=247)] = 1
     """Modbus unit number. [1]"""
+    node: Annotated[int, Field(ge=1, le=127)] = 6
+    """CANopen node number. [1]"""
     land_s: Positive = 2.0
     """From engaging to the part."""
     lift_s: Positive = 4.0
@@ -201,6 +204,8 @@ class Spindle(Section):
 
     kind: Literal["slcan", "socketcand"] = "slcan"
     """How its CAN bus is reached: a serial adapter, or a daemon over TCP."""
+    drive: Literal["spindle_can", "cia402"] = "spindle_can"
+    """What it speaks there: the cell's `spindle_can`, or `cia402_spindle`, whose ramps and watchdog the cell sets."""
     port: Port = 0
     """TCP port on loopback, for socketcand; 0: any that is free. [1]"""
     node: Annotated[int, Field(ge=1, le=127)] = 5

@@ -5,13 +5,11 @@ A rig for another peer (a simulator, a real machine) is another function here: t
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar
 
-from polishd.api import ForceActuator, Loader, Robot, Spindle
+from polishd.api import ForceActuator, Loader, Spindle
 from polishd.drivers.linuxcnc.driver import LinuxCnc
 from polishd.drivers.loader_line import LoaderLine
 from polishd.drivers.robot_link import RobotLink
@@ -22,6 +20,12 @@ from polishd.drivers.universal_robots.sample import Registers
 from polishd.drivers.universal_robots.script import Settings
 from polishd.drivers.voice_coil import voice_coil_modbus, voice_coil_serial
 from polishd.model.times import ActuatorTimes, LoaderTimes, RobotTimes, SpindleTimes
+from polishd.testing.rig import Rig, Scope
+from polishd.testing.suites.actuator import ActuatorRig
+from polishd.testing.suites.loader import LoaderRig
+from polishd.testing.suites.robot import RobotRig
+from polishd.testing.suites.spindle import SpindleRig
+from tests.fakes import cia402
 from tests.fakes.actuator import AsciiCoil, Coil, ModbusCoil
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.linuxcnc import FakeLinuxCnc
@@ -31,35 +35,13 @@ from tests.fakes.universal_robot import FakeController, urscript
 from tests.fakes.wires import PtyWire, TcpWire, dribbled
 from tests.kinds import kind
 
-D = TypeVar("D")
+TOUCHES = Scope(touch_mm=5.0)
+URSCRIPT = Scope(block=urscript)
 PATIENT = ActuatorTimes(silence_s=1.0, watchdog_s=2.0)
 PATIENT_SPINDLE = SpindleTimes(silence_s=1.5, watchdog_s=2.0)
 PATIENT_ROBOT = RobotTimes(silence_s=1.0)
 PATIENT_LOADER = LoaderTimes(silence_s=1.0)
 """A busy machine is silent for longer than the wires of actuators and spindles would be."""
-
-
-@dataclass
-class Rig(Generic[D]):
-    """A device, and what may happen to it."""
-
-    device: D
-    cut: Callable[[], None]
-    """Pull the plug for good."""
-    mute: Callable[[], None]
-    """The peer goes on living and says nothing more: a half-open link."""
-    safe: Callable[[], bool]
-    """The machine itself, not the driver: it exerts nothing and stands still."""
-    whole_file: bool = False
-    """A robot that takes its program in one piece: nobody waits for credit."""
-    written: Callable[[Sequence[bytes]], list[bytes]] = list
-    """The suite's small NC programs, line by line, in the robot's own language."""
-
-
-RobotRig = Rig[Robot]
-ActuatorRig = Rig[ForceActuator]
-SpindleRig = Rig[Spindle]
-LoaderRig = Rig[Loader]
 
 
 @asynccontextmanager
@@ -139,7 +121,7 @@ async def _universal_robots(fake: FakeController) -> AsyncIterator[RobotRig]:
     device = UniversalRobot(fake.addresses, Settings(Registers(), PATIENT_ROBOT.watchdog_s), PATIENT_ROBOT)
     try:
         mute = lambda: setattr(fake, "silent", True)  # noqa: E731
-        yield Rig(device, fake.cut, mute, lambda: fake.stands, whole_file=True, written=urscript)
+        yield Rig(device, fake.cut, mute, lambda: fake.stands, whole_file=True, scope=URSCRIPT)
     finally:
         await device.close()
         await fake.close()
@@ -185,7 +167,7 @@ async def actuator_ascii_dribbled(folder: Path) -> AsyncIterator[ActuatorRig]:
 @asynccontextmanager
 async def _actuator(coil: Coil, wire: PtyWire | TcpWire, device: ForceActuator) -> AsyncIterator[ActuatorRig]:
     try:
-        yield Rig(device, wire.cut, lambda: setattr(wire.peer, "silent", True), lambda: coil.state == 0)
+        yield Rig(device, wire.cut, lambda: setattr(wire.peer, "silent", True), lambda: coil.state == 0, scope=TOUCHES)
     finally:
         await device.close()
         await wire.close()
@@ -213,6 +195,59 @@ async def spindle_socketcand(_: Path) -> AsyncIterator[SpindleRig]:
 async def _spindle(drive: Drive, wire: PtyWire | TcpWire, device: Spindle) -> AsyncIterator[SpindleRig]:
     try:
         yield Rig(device, wire.cut, lambda: setattr(wire.peer, "silent", True), lambda: drive.rpm == 0)
+    finally:
+        drive.stop()
+        await device.close()
+        await wire.close()
+
+
+@asynccontextmanager
+async def cia402_spindle_slcan(folder: Path) -> AsyncIterator[SpindleRig]:
+    """A drive of CiA 402 behind a serial adapter, in profile velocity."""
+    drive, motor = cia402.sim_motor()
+    wire = PtyWire(SlcanPeer(drive), folder / "slcan")
+    async with _cia402(drive, wire, cia402.cia402_spindle(Slcan(wire.path), PATIENT_SPINDLE)) as rig:
+        rig.safe = lambda: motor.rpm == 0.0
+        yield rig
+
+
+@asynccontextmanager
+async def cia402_spindle_socketcand(_: Path) -> AsyncIterator[SpindleRig]:
+    """The same behind a socketcand server."""
+    drive, motor = cia402.sim_motor()
+    wire = await TcpWire(SocketcandPeer(drive)).start()
+    address = Socketcand("127.0.0.1", wire.port, "can0")
+    async with _cia402(drive, wire, cia402.cia402_spindle(address, PATIENT_SPINDLE)) as rig:
+        rig.safe = lambda: motor.rpm == 0.0
+        yield rig
+
+
+@asynccontextmanager
+async def cia402_actuator_spring(folder: Path) -> AsyncIterator[ActuatorRig]:
+    """A drive of CiA 402 behind a serial adapter, in profile torque; a spring lifts."""
+    drive, coil = cia402.sim_coil()
+    wire = PtyWire(SlcanPeer(drive), folder / "slcan")
+    async with _cia402(drive, wire, cia402.cia402_actuator(Slcan(wire.path), PATIENT)) as rig:
+        rig.safe = lambda: coil.position_mm == 0.0
+        yield rig
+
+
+@asynccontextmanager
+async def cia402_actuator_position(_: Path) -> AsyncIterator[ActuatorRig]:
+    """The same behind a socketcand server; profile position lifts."""
+    drive, coil = cia402.sim_coil()
+    wire = await TcpWire(SocketcandPeer(drive)).start()
+    address = Socketcand("127.0.0.1", wire.port, "can0")
+    async with _cia402(drive, wire, cia402.cia402_actuator(address, PATIENT, lift="position")) as rig:
+        rig.safe = lambda: coil.position_mm <= 0.1
+        yield rig
+
+
+@asynccontextmanager
+async def _cia402(drive: cia402.SimDrive, wire: PtyWire | TcpWire, device: D) -> AsyncIterator[Rig[D]]:
+    try:
+        mute = lambda: setattr(wire.peer, "silent", True)  # noqa: E731
+        yield Rig(device, wire.cut, mute, lambda: not drive.node.power.live)
     finally:
         drive.stop()
         await device.close()
@@ -253,5 +288,6 @@ ROBOTS = [
     *kind(universal_robots, universal_robots_dribbled),
 ]
 ACTUATORS = [*kind(actuator_rtu, actuator_tcp), *kind(actuator_ascii, actuator_ascii_dribbled)]
-SPINDLES = kind(spindle_slcan, spindle_socketcand)
+ACTUATORS += kind(cia402_actuator_spring, cia402_actuator_position)
+SPINDLES = [*kind(spindle_slcan, spindle_socketcand), *kind(cia402_spindle_slcan, cia402_spindle_socketcand)]
 LOADERS = kind(loader_serial, loader_tcp_dribbled)
