@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import TypeVar
 
 from polishd.api import ForceActuator, Loader, Spindle
 from polishd.drivers.linuxcnc.driver import LinuxCnc
@@ -35,6 +36,7 @@ from tests.fakes.universal_robot import FakeController, urscript
 from tests.fakes.wires import PtyWire, TcpWire, dribbled
 from tests.kinds import kind
 
+D = TypeVar("D")
 TOUCHES = Scope(touch_mm=5.0)
 URSCRIPT = Scope(block=urscript)
 PATIENT = ActuatorTimes(silence_s=1.0, watchdog_s=2.0)
