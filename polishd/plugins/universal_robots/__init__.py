@@ -26,12 +26,13 @@ class UniversalRobotsOptions(BaseModel):
     address: str
     """RTDE of the controller: ``tcp://host:30004``."""
     dashboard_port: Port = 29999
+    """TCP port of its dashboard server. [1]"""
     primary_port: Port = 30001
-    """The primary client interface, which takes scripts."""
+    """TCP port of its primary client interface, which takes scripts. [1]"""
     rate_hz: Annotated[float, Field(ge=10.0, le=500.0)] = 125.0
-    """How often the controller tells where it is: the end of a block is known to one period. e-Series: up to 500."""
+    """How often the controller tells where it is: the end of a block is known to one period. e-Series: up to 500. [Hz]"""
     first_register: Annotated[int, Field(ge=0, le=43)] = 24
-    """Of the controller's integer registers, five inputs and four outputs from here on are polishd's."""
+    """Of the controller's integer registers, five inputs and four outputs from here on are polishd's. [1]"""
     tool_z: Literal["into_part", "out_of_part"] = "into_part"
     """Where the tool frame's z points: a lift goes the other way. As in the program's dialect."""
     watchdog_s: Annotated[float, Field(gt=0.0, le=600.0)] = 8.0
