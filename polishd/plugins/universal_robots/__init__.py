@@ -30,7 +30,7 @@ class UniversalRobotsOptions(BaseModel):
     primary_port: Port = 30001
     """TCP port of its primary client interface, which takes scripts. [1]"""
     rate_hz: Annotated[float, Field(ge=10.0, le=500.0)] = 125.0
-    """How often the controller tells where it is: the end of a block is known to one period. e-Series: up to 500. [Hz]"""
+    """How often the controller tells where it is: a block's end is known to one period. e-Series: up to 500. [Hz]"""
     first_register: Annotated[int, Field(ge=0, le=43)] = 24
     """Of the controller's integer registers, five inputs and four outputs from here on are polishd's. [1]"""
     tool_z: Literal["into_part", "out_of_part"] = "into_part"
