@@ -158,10 +158,16 @@ class Artefact(Section):
 class Robot(Section):
     """The robot controller."""
 
-    kind: Literal["link", "linuxcnc"] = "link"
+    kind: Literal["link", "linuxcnc", "universal_robots"] = "link"
     """``linuxcnc``: a real LinuxCNC, in real time, in a network of its own (docs/protocols/linuxcnc.md)."""
     port: Port = 28500
-    """TCP port on loopback; 0: any that is free. [1]"""
+    """TCP port on loopback; 0: any that is free. RTDE's, with universal_robots. [1]"""
+    dashboard_port: Port = 0
+    """Of universal_robots; 0: `port` + 1. [1]"""
+    primary_port: Port = 0
+    """Of universal_robots: the primary client interface; 0: `port` + 2. [1]"""
+    cycle_hz: Literal[125, 500] = 500
+    """Of universal_robots: how often it controls; 125 is a CB3. [Hz]"""
     watchdog_s: Positive = 8.0
     """It stops when it has heard nothing for so long, wall time."""
     window: Annotated[int, Field(ge=1)] = 16384

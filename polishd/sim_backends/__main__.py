@@ -87,7 +87,7 @@ def _device(name: str, config: SimConfig) -> Any:
     from importlib import import_module
 
     module, main = {
-        "robot": ("linuxcnc.server" if config.robot.kind == "linuxcnc" else "robot.server", "main"),
+        "robot": (f"{'robot' if config.robot.kind == 'link' else config.robot.kind}.server", "main"),
         "interferometer": ("interferometer", "main"),
         "spindle": ("cia402.device", "spindle") if config.spindle.drive == "cia402" else ("spindle.device", "main"),
         "actuator": ("cia402.device", "actuator") if config.actuator.kind in CAN else ("actuator.device", "main"),

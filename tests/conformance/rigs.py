@@ -19,7 +19,10 @@ from polishd.drivers.profiled import make
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
-from polishd.model.times import ActuatorTimes, LoaderTimes, SpindleTimes
+from polishd.drivers.universal_robots.driver import UniversalRobot
+from polishd.drivers.universal_robots.sample import Registers
+from polishd.drivers.universal_robots.script import Settings
+from polishd.model.times import ActuatorTimes, LoaderTimes, RobotTimes, SpindleTimes
 from polishd.testing.rig import D, Rig, Scope
 from polishd.testing.suites.actuator import ActuatorRig
 from polishd.testing.suites.force_sensor import ForceSensorRig
@@ -36,12 +39,15 @@ from tests.fakes.loader import FakeLoader
 from tests.fakes.looking import FakeAmplifier, FakeInputs
 from tests.fakes.profiled import IdealDrive, ProfiledPeer, inverter
 from tests.fakes.robot import FakeRobot
+from tests.fakes.universal_robot import FakeController, urscript
 from tests.fakes.wires import NumberedPeer, PtyWire, TcpWire, dribbled
 from tests.kinds import kind
 
 TOUCHES = Scope(touch_mm=5.0)
+URSCRIPT = Scope(block=urscript)
 PATIENT = ActuatorTimes(silence_s=1.0, watchdog_s=2.0)
 PATIENT_SPINDLE = SpindleTimes(silence_s=1.5, watchdog_s=2.0)
+PATIENT_ROBOT = RobotTimes(silence_s=1.0)
 PATIENT_LOADER = LoaderTimes(silence_s=1.0)
 PATIENT_SENSOR = SensorTimes(silence_s=1.0)
 PATIENT_MONITOR = MonitorTimes(silence_s=1.0)
@@ -101,6 +107,34 @@ async def _linuxcnc(fake: FakeLinuxCnc, folder: Path) -> AsyncIterator[RobotRig]
     finally:
         await device.close()
         await wire.close()
+
+
+@asynccontextmanager
+async def universal_robots(_: Path) -> AsyncIterator[RobotRig]:
+    """A Universal Robots controller over RTDE, dashboard and primary interface."""
+    async with _universal_robots(FakeController()) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def universal_robots_dribbled(_: Path) -> AsyncIterator[RobotRig]:
+    """The same with RTDE byte by byte."""
+    fake = FakeController()
+    fake.filter = dribbled
+    async with _universal_robots(fake) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def _universal_robots(fake: FakeController) -> AsyncIterator[RobotRig]:
+    await fake.start()
+    device = UniversalRobot(fake.addresses, Settings(Registers(), PATIENT_ROBOT.watchdog_s), PATIENT_ROBOT)
+    try:
+        mute = lambda: setattr(fake, "silent", True)  # noqa: E731
+        yield Rig(device, fake.cut, mute, lambda: fake.stands, whole_file=True, scope=URSCRIPT)
+    finally:
+        await device.close()
+        await fake.close()
 
 
 @asynccontextmanager
@@ -364,7 +398,11 @@ async def _looking(wire: PtyWire | TcpWire, device: L) -> AsyncIterator[Rig[L]]:
         await wire.close()
 
 
-ROBOTS = [*kind(robot_tcp, robot_dribbled), *kind(linuxcnc, linuxcnc_dribbled)]
+ROBOTS = [
+    *kind(robot_tcp, robot_dribbled),
+    *kind(linuxcnc, linuxcnc_dribbled),
+    *kind(universal_robots, universal_robots_dribbled),
+]
 ACTUATORS = [
     *kind(actuator_rtu, actuator_tcp),
     *kind(actuator_ascii, actuator_ascii_dribbled),

@@ -22,10 +22,12 @@ from polishd.api import (
     SensorTimes,
     Spindle,
 )
-from polishd.plugins import force_sensor, monitors, rnc_robot, spindle, voice_coil
+from polishd.plugins import force_sensor, monitors, rnc_robot, spindle, universal_robots, voice_coil
 
 GOOD: list[tuple[str, dict[str, Any], type[Any]]] = [
     ("robot_link", {"address": "tcp://127.0.0.1:28500"}, Robot),
+    ("universal_robots", {"address": "tcp://10.0.0.2:30004"}, Robot),
+    ("universal_robots", {"address": "tcp://ur:30004", "rate_hz": 500.0, "first_register": 30}, Robot),
     ("voice_coil_modbus", {"address": "serial:sim/actuator?baud=115200", "unit": 1}, ForceActuator),
     ("voice_coil_modbus", {"address": "tcp://127.0.0.1:502", "watchdog_ms": 300, "landing_s": 5.0}, ForceActuator),
     ("voice_coil_serial", {"address": "serial:/dev/ttyUSB0"}, ForceActuator),
@@ -38,6 +40,10 @@ BAD_OPTIONS: list[tuple[str, dict[str, Any]]] = [
     ("robot_link", {}),
     ("robot_link", {"address": 5}),
     ("robot_link", {"address": "tcp://a:1", "adress": "tcp://a:1"}),
+    ("universal_robots", {"address": "tcp://a:1", "rate_hz": 1000.0}),
+    ("universal_robots", {"address": "tcp://a:1", "first_register": 44}),
+    ("universal_robots", {"address": "tcp://a:1", "tool_z": "up"}),
+    ("universal_robots", {"address": "tcp://a:1", "dashboard_port": 0}),
     ("voice_coil_modbus", {"address": "tcp://a:1", "unit": 0}),
     ("voice_coil_modbus", {"address": "tcp://a:1", "unit": "1"}),
     ("voice_coil_modbus", {"address": "tcp://a:1", "watchdog_ms": 50}),
@@ -51,6 +57,7 @@ BAD_OPTIONS: list[tuple[str, dict[str, Any]]] = [
 BAD_ADDRESSES = [
     ("robot_link", "serial:x"),
     ("robot_link", "28500"),
+    ("universal_robots", "slcan:x"),
     ("voice_coil_modbus", "slcan:x"),
     ("voice_coil_serial", "socketcand://a:1/can0"),
     ("spindle_can", "tcp://a:1"),
@@ -64,7 +71,7 @@ BAD_ADDRESSES = [
 def types() -> dict[str, DeviceType]:
     manager = pluggy.PluginManager(hookspecs.PROJECT)
     manager.add_hookspecs(hookspecs)
-    for plugin in (rnc_robot, voice_coil, spindle, force_sensor, monitors):
+    for plugin in (rnc_robot, universal_robots, voice_coil, spindle, force_sensor, monitors):
         assert plugin.POLISHD_API == hookspecs.API_VERSION
         manager.register(plugin)
     manager.check_pending()
