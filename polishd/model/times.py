@@ -42,6 +42,8 @@ class RobotTimes:
     """It hears nothing for so long: it stops by itself. Infinite for one that runs its program to the end."""
     stop_s: float = 5.0
     """From the order to standstill; also for lifting along the tool's axis."""
+    unseen_stop_s: float = 0.0
+    """Longest that it stands, held by an operator, before anybody knows; 0: no longer than its link takes."""
 
 
 @dataclass(frozen=True, slots=True)

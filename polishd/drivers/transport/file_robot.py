@@ -117,13 +117,15 @@ class FileRobot(ABC, Generic[W]):
         return self._watch.progress(len(self._lines), self.buffer_s)
 
     async def executed(self, from_seq: int = 0) -> AsyncIterator[Executed]:
-        """See Robot. DeviceFault when the controller ends the program before its end."""
+        """See Robot. DeviceFault when the controller stops by itself, or ends the program before its end."""
         self._background.check()
         watch, seq = self._watch, from_seq
         while watch is not None:
             while seq < len(watch):
                 yield watch[seq]
                 seq += 1
+            if watch is self._watch and watch.stopped:
+                raise DeviceFault(f"{self._name}: {watch.stopped}")  # at once: a tool that stands digs
             if watch is not self._watch or watch.ended:
                 if watch.state == "fault":
                     raise DeviceFault(f"{self._name}: {watch.detail}")
@@ -206,4 +208,4 @@ class FileRobot(ABC, Generic[W]):
 def _news(watch: FileWatch) -> Callable[[], bool]:
     """Tells whether anything was executed since now, or the program is over."""
     count = len(watch)
-    return lambda: len(watch) > count or watch.ended
+    return lambda: len(watch) > count or watch.ended or bool(watch.stopped)

@@ -29,6 +29,8 @@ class FileWatch:
         self.started = False
         self.file: ProgramFile | None = None
         """What the controller has; None before."""
+        self.stopped = ""
+        """Why it stands although it was told to run; empty where nobody knows."""
         self.held_at: int | None = None
         """The stop at which it stands; None while it stands elsewhere."""
         self.clock_s = 0.0
@@ -37,7 +39,7 @@ class FileWatch:
         self.runs = False
         """It was seen running since it was told to."""
         self._start_s, self._end_s = array("d"), array("d")
-        self._seen_s = self._went_s = 0.0
+        self.seen_s = self._went_s = 0.0
 
     def __len__(self) -> int:
         return len(self._end_s)
@@ -70,7 +72,7 @@ class FileWatch:
         """It runs, from that time of its own clock."""
         self.state, self.detail, self.started = "running", detail, True
         self.held_at = None
-        self._seen_s, self._went_s, self.runs = time_s, self.clock_s, False
+        self.seen_s, self._went_s, self.runs = time_s, self.clock_s, False
 
     def drop(self, reason: str) -> None:
         """It will not be gone on with."""
@@ -80,8 +82,8 @@ class FileWatch:
 
     def tick(self, time_s: float) -> None:
         """It ran until that time of its own clock."""
-        self.clock_s += max(time_s - self._seen_s, 0.0)
-        self._seen_s = time_s
+        self.clock_s += max(time_s - self.seen_s, 0.0)
+        self.seen_s = time_s
 
     def record(self, ends_s: Sequence[float]) -> None:
         """The next blocks are executed, and ended at those process times: rising, the last not after ``clock_s``."""
