@@ -141,8 +141,13 @@ class Artefact(Section):
 class Robot(Section):
     """The robot controller."""
 
-    kind: Literal["link", "linuxcnc"] = "link"
-    """``linuxcnc``: a real LinuxCNC, in real time, in a network of its own (docs/protocols/linuxcnc.md)."""
+    kind: Literal["link", "linuxcnc", "opcua", "ads"] = "link"
+    """``linuxcnc``: a real LinuxCNC, in real time, in a network of its own (docs/protocols/linuxcnc.md). ``opcua`` and
+    ``ads``: a PLC that loads files from the folder ``programs`` of the state folder (docs/protocols/handover.md)."""
+    report_ms: Positive = 20.0
+    """Of such a PLC: how often it renews what it tells, wall time."""
+    reads_ahead: Annotated[int, Field(ge=0)] = 0
+    """Of such a PLC: the line that it shows runs so far ahead of the motion. [1]"""
     port: Port = 28500
     """TCP port on loopback; 0: any that is free. [1]"""
     watchdog_s: Positive = 8.0

@@ -73,7 +73,7 @@ async def _run(start: Start, device: str | None) -> int:
 
         await plant(start)
         return 0
-    name = "linuxcnc" if device == "robot" and start.config.robot.kind == "linuxcnc" else device
+    name = start.config.robot.kind if device == "robot" else device
     await run_device(device, start, _device(name))
     return 0
 
@@ -83,8 +83,10 @@ def _device(name: str) -> Any:
     from importlib import import_module
 
     module = {
-        "robot": "robot.server",
+        "link": "robot.server",
         "linuxcnc": "linuxcnc.server",
+        "opcua": "handover.server",
+        "ads": "handover.server",
         "interferometer": "interferometer",
     }.get(name, f"{name}.device")
     return import_module(f"polishd.sim_backends.{module}").main

@@ -19,6 +19,7 @@ from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
 from polishd.drivers.voice_coil import voice_coil_modbus, voice_coil_serial
 from polishd.model.times import ActuatorTimes, LoaderTimes, SpindleTimes
+from tests.fakes import handover
 from tests.fakes.actuator import AsciiCoil, Coil, ModbusCoil
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.linuxcnc import FakeLinuxCnc
@@ -108,6 +109,22 @@ async def _linuxcnc(fake: FakeLinuxCnc, folder: Path) -> AsyncIterator[RobotRig]
     finally:
         await device.close()
         await wire.close()
+
+
+@asynccontextmanager
+async def handover_direct(folder: Path) -> AsyncIterator[RobotRig]:
+    """handover at the controller's variables themselves."""
+    fake = handover.FakePlc(folder)
+    async with handover.direct(fake) as device:
+        yield Rig(device, fake.cut, lambda: setattr(fake, "silent", True), lambda: fake.stands, whole_file=True)
+
+
+@asynccontextmanager
+async def handover_opcua(folder: Path) -> AsyncIterator[RobotRig]:
+    """handover over OPC UA."""
+    fake = handover.FakePlc(folder)
+    async with handover.over_opcua(fake) as (device, relay):
+        yield Rig(device, relay.cut, lambda: setattr(fake, "silent", True), lambda: fake.stands, whole_file=True)
 
 
 @asynccontextmanager
@@ -212,7 +229,11 @@ async def _loader(fake: FakeLoader, wire: PtyWire | TcpWire, device: Loader) -> 
         await wire.close()
 
 
-ROBOTS = [*kind(robot_tcp, robot_dribbled), *kind(linuxcnc, linuxcnc_dribbled)]
+ROBOTS = [
+    *kind(robot_tcp, robot_dribbled),
+    *kind(linuxcnc, linuxcnc_dribbled),
+    *kind(handover_direct, handover_opcua),
+]
 ACTUATORS = [*kind(actuator_rtu, actuator_tcp), *kind(actuator_ascii, actuator_ascii_dribbled)]
 SPINDLES = kind(spindle_slcan, spindle_socketcand)
 LOADERS = kind(loader_serial, loader_tcp_dribbled)

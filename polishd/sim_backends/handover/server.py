@@ -1,0 +1,57 @@
+"""The PLC's process: its cycle, its server, and reports to the plant."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import time
+from pathlib import Path
+
+from polishd.sim_backends.handover.plc import Plc
+from polishd.sim_backends.handover.relay import Relay
+from polishd.sim_backends.robot.machine import Machine
+from polishd.sim_backends.runtime import Runtime
+from polishd.sim_backends.wire import Wire
+
+CYCLE_S = 0.01
+PROGRAMS = "programs"
+
+
+class PlcServer:
+    """Everything that the process holds."""
+
+    def __init__(self, runtime: Runtime, folder: Path) -> None:
+        machine = Machine(runtime)
+        robot = runtime.start.config.robot
+        self.plc = Plc(robot, machine.motion, folder, machine.reach, machine.event, runtime.boot_id)
+        machine.blocks_of = self.plc.blocks_of
+        self._machine = machine
+        self.plc.tick(time.monotonic())
+
+    async def run(self) -> None:
+        """Cycle for ever."""
+        while True:
+            self.plc.tick(time.monotonic())
+            self._machine.report()
+            await asyncio.sleep(CYCLE_S)
+
+    def press(self, button: str) -> None:
+        """Somebody at the controller does."""
+        self.plc.press(button, time.monotonic())
+
+
+async def main(runtime: Runtime) -> None:
+    """The device coroutine."""
+    from polishd.sim_backends.handover.opcua import served
+
+    folder = runtime.start.state / PROGRAMS
+    folder.mkdir(exist_ok=True)
+    server = PlcServer(runtime, folder)
+    config = runtime.start.config.robot
+    async with served(server.plc) as port:
+        wire = Wire(runtime, config.faults, Relay(runtime, port).connected)
+        address = await wire.open_tcp(config.port)
+        runtime.button(signal.SIGUSR1, lambda: server.press("emergency stop"))
+        runtime.button(signal.SIGUSR2, lambda: server.press("feed hold"))
+        wire.ready(f"opc.tcp://{address}")
+        await server.run()
