@@ -1,0 +1,57 @@
+"""From the options to a closed robot. What they name is looked at, and nothing is opened."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+
+from polishd.api import ConfigError, DeviceContext, read_secret
+from polishd.config.controller_profile import ControllerProfile, load_controller_profile
+from polishd.drivers.handover.delivery import Delivery, Folder
+from polishd.drivers.handover.driver import Handover
+from polishd.drivers.handover.opcua import OpcUa
+from polishd.drivers.handover.variables import Variables
+from polishd.plugins.handover.options import HandoverOptions
+
+EXTRAS = {"opcua": "asyncua", "ads": "pyads", "ftp": "aioftp", "sftp": "asyncssh"}
+"""Extras of polishd, and the library that each brings."""
+
+
+def build(options: HandoverOptions, context: DeviceContext) -> Handover:
+    """The robot. ConfigError where the controller must not polish, or a library is missing."""
+    profile = load_controller_profile(options.profile, context.base_dir)
+    profile.require_usable()
+    return Handover(
+        f"{profile.name} at {options.address}",
+        profile,
+        _link(profile, options, context),
+        _delivery(options, context),
+        options.controller_dir,
+    )
+
+
+def _link(profile: ControllerProfile, options: HandoverOptions, context: DeviceContext) -> Callable[[], Variables]:
+    table, silence_s = profile.variables, profile.silence_s
+    match profile.link:
+        case "opcua":
+            _require("opcua", f"profile {options.profile!r}")
+            if not options.address.startswith("opc.tcp://"):
+                raise ConfigError(f"[robot] address {options.address!r}: opcua runs over opc.tcp://host:port")
+            password = read_secret(options.password, context.base_dir) if options.password is not None else ""
+            return lambda: OpcUa(options.address, table, silence_s, options.user, password)
+        case _:
+            raise ConfigError(f"profile {options.profile!r}: link {profile.link!r} is not there yet; use opcua")
+
+
+def _delivery(options: HandoverOptions, context: DeviceContext) -> Delivery:
+    kind, _, rest = options.delivery.partition(":")
+    match kind:
+        case "folder" if rest:
+            return Folder((context.base_dir / rest).absolute())
+        case _:
+            raise ConfigError(f"[robot] delivery {options.delivery!r}: write folder:PATH")
+
+
+def _require(extra: str, what: str) -> None:
+    if importlib.util.find_spec(EXTRAS[extra]) is None:
+        raise ConfigError(f"{what} needs {EXTRAS[extra]}, which is not installed: pip install 'polishd[{extra}]'")
