@@ -18,6 +18,7 @@ from polishd.daemon.lock import locked
 from polishd.daemon.priority import host
 from polishd.daemon.queue import NewJob
 from polishd.daemon.safety import make_safe
+from polishd.daemon.standing import require_shallow
 from polishd.hooks.cell import hooks_of_job
 from polishd.hooks.loader import Hooks
 from polishd.model.devices import Identity
@@ -33,6 +34,7 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
     recipe = make_recipe(config, hooks)
     cell = build_cell(config, hooks)
     chain = require_time_limits(config, cell)
+    pit = require_shallow(config, cell, recipe)
     notifiers = build_notifiers(config, hooks)
     program = steps.read_program(recipe, config.program_path)
     foresight.check_pass(config, recipe, program)
@@ -60,6 +62,7 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
         "correction": recipe.correction,
         "removal of the program as it is": f"{np.max(answer.effect.removal_nm(program.time_s)):.1f} nm at most",
         "notifications": ", ".join(f"{one.name} ({one.type}, {one.least})" for one in notifiers) or "nobody",
+        **({"feed hold at the controller": pit} if pit else {}),
         "host": host(),
         "time limits": [limit.row() for limit in chain],
     }
