@@ -43,6 +43,10 @@ class ProgramFile(program_file.ProgramFile):
         self._first = line.first
         self._numbers = _n_words(self.lines) if line.counts == "n_words" else None
 
+    def block_at(self, line: int) -> int:
+        """As any file; but the block before a dwell of ours is over when that is, for only then the tool may land."""
+        return super().block_at(line) - (line in self.proof)
+
     def line_of(self, shown: int) -> int:
         """The 1-based line of the file that the controller means; 0 for none of it."""
         if self._numbers is None:
