@@ -149,7 +149,8 @@ class Robot(Section):
     reads_ahead: Annotated[int, Field(ge=0)] = 0
     """Of such a PLC: the line that it shows runs so far ahead of the motion. [1]"""
     port: Port = 28500
-    """TCP port on loopback; 0: any that is free. [1]"""
+    """TCP port on loopback; 0: any that is free. Over ADS, which has one port only, 28500 = 111 * 256 + 84 is the
+    address 127.111.84.1. [1]"""
     watchdog_s: Positive = 8.0
     """It stops when it has heard nothing for so long, wall time."""
     window: Annotated[int, Field(ge=1)] = 16384

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 from collections.abc import Callable
 
 from polishd.api import ConfigError, DeviceContext, read_secret
 from polishd.config.controller_profile import ControllerProfile, load_controller_profile
+from polishd.drivers.handover.ads import Ads
 from polishd.drivers.handover.delivery import Delivery, Folder
 from polishd.drivers.handover.driver import Handover
 from polishd.drivers.handover.opcua import OpcUa
 from polishd.drivers.handover.variables import Variables
 from polishd.plugins.handover.options import HandoverOptions
 
+_ADS = re.compile(r"ads://(?P<host>[^/:]+)/(?P<netid>(?:\d{1,3}\.){5}\d{1,3}):(?P<port>\d{1,5})")
 EXTRAS = {"opcua": "asyncua", "ads": "pyads", "ftp": "aioftp", "sftp": "asyncssh"}
 """Extras of polishd, and the library that each brings."""
 
@@ -39,8 +42,12 @@ def _link(profile: ControllerProfile, options: HandoverOptions, context: DeviceC
                 raise ConfigError(f"[robot] address {options.address!r}: opcua runs over opc.tcp://host:port")
             password = read_secret(options.password, context.base_dir) if options.password is not None else ""
             return lambda: OpcUa(options.address, table, silence_s, options.user, password)
+        case "ads":
+            _require("ads", f"profile {options.profile!r}")
+            host, netid, port = _ads_address(options.address)
+            return lambda: Ads(host, netid, port, table, silence_s)
         case _:
-            raise ConfigError(f"profile {options.profile!r}: link {profile.link!r} is not there yet; use opcua")
+            raise ConfigError(f"profile {options.profile!r}: link {profile.link!r} is not there yet; use opcua or ads")
 
 
 def _delivery(options: HandoverOptions, context: DeviceContext) -> Delivery:
@@ -50,6 +57,14 @@ def _delivery(options: HandoverOptions, context: DeviceContext) -> Delivery:
             return Folder((context.base_dir / rest).absolute())
         case _:
             raise ConfigError(f"[robot] delivery {options.delivery!r}: write folder:PATH")
+
+
+def _ads_address(address: str) -> tuple[str, str, int]:
+    """Host, net id and port of ``ads://host/1.2.3.4.1.1:851``."""
+    found = _ADS.fullmatch(address)
+    if found is None or not all(int(part) < 256 for part in found["netid"].split(".")):
+        raise ConfigError(f"[robot] address {address!r}: ads wants ads://host/NETID:PORT, as ads://plc/5.1.2.3.1.1:851")
+    return found["host"], found["netid"], int(found["port"])
 
 
 def _require(extra: str, what: str) -> None:

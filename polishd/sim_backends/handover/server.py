@@ -7,11 +7,12 @@ import signal
 import time
 from pathlib import Path
 
+from polishd.sim_backends.handover import ads
 from polishd.sim_backends.handover.plc import Plc
 from polishd.sim_backends.handover.relay import Relay
 from polishd.sim_backends.robot.machine import Machine
 from polishd.sim_backends.runtime import Runtime
-from polishd.sim_backends.wire import Wire
+from polishd.sim_backends.wire import Connection, Wire
 
 CYCLE_S = 0.01
 PROGRAMS = "programs"
@@ -42,16 +43,34 @@ class PlcServer:
 
 async def main(runtime: Runtime) -> None:
     """The device coroutine."""
-    from polishd.sim_backends.handover.opcua import served
-
     folder = runtime.start.state / PROGRAMS
     folder.mkdir(exist_ok=True)
     server = PlcServer(runtime, folder)
-    config = runtime.start.config.robot
+    runtime.button(signal.SIGUSR1, lambda: server.press("emergency stop"))
+    runtime.button(signal.SIGUSR2, lambda: server.press("feed hold"))
+    if runtime.start.config.robot.kind == "ads":
+        await _over_ads(runtime, server)
+    else:
+        await _over_opcua(runtime, server)
+
+
+async def _over_opcua(runtime: Runtime, server: PlcServer) -> None:
+    from polishd.sim_backends.handover.opcua import served
+
+    robot = runtime.start.config.robot
     async with served(server.plc) as port:
-        wire = Wire(runtime, config.faults, Relay(runtime, port).connected)
-        address = await wire.open_tcp(config.port)
-        runtime.button(signal.SIGUSR1, lambda: server.press("emergency stop"))
-        runtime.button(signal.SIGUSR2, lambda: server.press("feed hold"))
-        wire.ready(f"opc.tcp://{address}")
+        wire = Wire(runtime, robot.faults, Relay(runtime, port).connected)
+        wire.ready(f"opc.tcp://{await wire.open_tcp(robot.port)}")
         await server.run()
+
+
+async def _over_ads(runtime: Runtime, server: PlcServer) -> None:
+    """ADS knows one TCP port only: the configured one chooses a loopback address of its own."""
+    robot = runtime.start.config.robot
+    wire = Wire(runtime, robot.faults, ads.AdsServer(server.plc).connected)
+    high, low = divmod(robot.port, 256)
+    host = f"127.{high}.{low}.1"
+    loop = asyncio.get_running_loop()
+    await loop.create_server(lambda: Connection(wire), host, ads.TCP_PORT)
+    wire.ready(f"ads://{host}/{host}.1.1:{ads.AMS_PORT}")
+    await server.run()
