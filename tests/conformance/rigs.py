@@ -128,6 +128,14 @@ async def handover_opcua(folder: Path) -> AsyncIterator[RobotRig]:
 
 
 @asynccontextmanager
+async def handover_ads(folder: Path) -> AsyncIterator[RobotRig]:
+    """handover over ADS."""
+    fake = handover.FakePlc(folder)
+    async with handover.over_ads(fake) as (device, cut):
+        yield Rig(device, cut, lambda: setattr(fake, "silent", True), lambda: fake.stands, whole_file=True)
+
+
+@asynccontextmanager
 async def actuator_rtu(folder: Path) -> AsyncIterator[ActuatorRig]:
     """voice_coil_modbus on a serial line."""
     coil = Coil()
@@ -232,7 +240,7 @@ async def _loader(fake: FakeLoader, wire: PtyWire | TcpWire, device: Loader) -> 
 ROBOTS = [
     *kind(robot_tcp, robot_dribbled),
     *kind(linuxcnc, linuxcnc_dribbled),
-    *kind(handover_direct, handover_opcua),
+    *kind(handover_direct, handover_opcua, handover_ads),
 ]
 ACTUATORS = [*kind(actuator_rtu, actuator_tcp), *kind(actuator_ascii, actuator_ascii_dribbled)]
 SPINDLES = kind(spindle_slcan, spindle_socketcand)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
+import socket
 import time
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
@@ -14,14 +16,19 @@ import numpy as np
 from polishd.api import Identity, LinkError
 from polishd.config.controller_profile import ControllerProfile, Value, load_controller_profile
 from polishd.config.simulator import Robot
+from polishd.drivers.handover.ads import Ads
 from polishd.drivers.handover.delivery import Folder
 from polishd.drivers.handover.driver import Handover
 from polishd.drivers.handover.opcua import OpcUa
 from polishd.drivers.handover.variables import Reading, of_kind, watched
+from polishd.sim_backends.handover.ads import AMS_PORT, TCP_PORT, AdsServer
 from polishd.sim_backends.handover.plc import Plc
 from polishd.sim_backends.robot.motion import Motion
 from polishd.sim_backends.robot.path import Limits
 
+HOST = f"127.{40 + os.getpid() % 80}.{os.getpid() // 80 % 250}.1"
+"""ADS has one port only: each process of the tests has an address of its own."""
+NETID = f"{HOST}.1.1"
 CYCLE_S = 0.002
 SPEED = 100.0
 """Its seconds in one of ours: 100 mm of the suites' programs last a second."""
@@ -148,6 +155,42 @@ class Relay:
         await asyncio.gather(*self._ways, return_exceptions=True)
 
 
+class AdsPeer(asyncio.Protocol):
+    """A connection to the server, which can be muted."""
+
+    def __init__(self, fake: FakePlc, open_: list[asyncio.Transport]) -> None:
+        self._fake, self._open = fake, open_
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        if self._fake.dead:
+            transport.abort()
+        self._open.append(transport)
+        self._feed = AdsServer(self._fake.plc).connected(self)
+
+    def send(self, frame: bytes) -> None:
+        if not self._fake.silent:
+            self._transport.write(frame)
+
+    def data_received(self, data: bytes) -> None:
+        self._feed(data)
+
+
+@asynccontextmanager
+async def serving_ads(fake: FakePlc) -> AsyncIterator[list[asyncio.Transport]]:
+    """The server for the time of the block."""
+    connections: list[asyncio.Transport] = []
+    loop = asyncio.get_running_loop()
+    server = await loop.create_server(lambda: AdsPeer(fake, connections), HOST, TCP_PORT, family=socket.AF_INET)
+    try:
+        yield connections
+    finally:
+        server.close()
+        for one in connections:
+            one.abort()
+
+
 @asynccontextmanager
 async def cycling(fake: FakePlc) -> AsyncIterator[FakePlc]:
     """The PLC, for the time of the block."""
@@ -187,6 +230,26 @@ async def over_opcua(fake: FakePlc, profile: ControllerProfile = PROFILE) -> Asy
             await device.close()
             relay.server.close()
             await relay.end()
+
+
+@asynccontextmanager
+async def over_ads(fake: FakePlc) -> AsyncIterator[tuple[Handover, Callable[[], None]]]:
+    """A closed driver with ADS between, and what cuts it off for good."""
+    profile = load_controller_profile("twincat-ads", Path())
+
+    async with cycling(fake), serving_ads(fake) as connections:
+
+        def cut() -> None:
+            fake.cut()
+            for one in connections:
+                one.abort()
+
+        make = lambda: Ads(HOST, NETID, AMS_PORT, profile.variables, profile.silence_s)  # noqa: E731
+        device = Handover("test PLC", profile, make, Folder(fake.folder))
+        try:
+            yield device, cut
+        finally:
+            await device.close()
 
 
 def _anywhere(blocks: list[object]) -> np.ndarray:
