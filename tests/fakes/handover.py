@@ -46,6 +46,7 @@ class FakePlc:
         self.plc = Plc(config, Motion(limits, (0.0, 0.0, 60.0, 0.0, 0.0)), folder, _anywhere, self._report, "boot-1")
         self.plc.tick(time.monotonic())
         self.silent = self.dead = False
+        self.override = 100.0
         self.written: list[Mapping[str, Value]] = []
 
     @property
@@ -89,7 +90,7 @@ class Direct:
 
     async def read(self) -> Reading:
         await self._answers()
-        shown = self._fake.plc.shown
+        shown = {**self._fake.plc.shown, "feed_override": self._fake.override}
         values = {name: of_kind(point.type, shown[name], name) for name, point in self._watched.items()}
         return Reading(time.monotonic(), values)
 

@@ -39,6 +39,8 @@ class Watch(FileWatch):
         self._expected_s[plan.program.block[timed]] = plan.expected_time_s[timed]
         self._sure_s = 0.0
         """When the block under way was last known to be so."""
+        self._leeway_s = 0.0
+        """By how much later than ``began_s`` the first block of this stretch may have begun."""
         self._last: Report | None = None
         self._before: Report | None = None
         """The report before it was told to run."""
@@ -83,10 +85,7 @@ class Watch(FileWatch):
         elsewhere = was is not None and (report.line, report.states) != (was.line, was.states)
         if report.running or (elsewhere and report.states & {"paused", "done"}):
             self.runs = True
-            told_s = report.line_began_s
-            begun_s = told_s if told_s is not None and told_s >= self.seen_s else report.time_s - waited_s / 2
-            self.seen_s = min(max(begun_s, self.seen_s), report.time_s)
-            self.tick(report.time_s)
+            self._begin(report, waited_s)
             return
         self.seen_s = report.time_s
         self._waits_s += waited_s
@@ -95,6 +94,17 @@ class Watch(FileWatch):
             self._end("fault", report.alarm or "the controller is in fault")
         elif self._waits_s > START_S and self._waits > START_REPORTS:
             self._held(report, "it does not start")
+
+    def _begin(self, report: Report, waited_s: float) -> None:
+        """It began at some time since the last report: when, is settled with the end of its first block."""
+        told_s = report.line_began_s
+        if told_s is not None and self.seen_s <= told_s <= report.time_s:
+            self.seen_s = told_s
+        elif self.began_s == self.clock_s:
+            self.seen_s, self._leeway_s = report.time_s - waited_s, waited_s
+        else:
+            self.seen_s = report.time_s - waited_s / 2  # in the middle of a block
+        self.tick(report.time_s)
 
     def _follow(self, file: ProgramFile, report: Report) -> None:
         line = file.line_of(report.line)
@@ -140,18 +150,25 @@ class Watch(FileWatch):
     def _advance(self, to: int, began_s: float | None) -> None:
         """All blocks below ``to`` are executed by now; the one there began at ``began_s``, where that is known."""
         first = len(self)
-        low_s, high_s = max(self._sure_s, self.began_s), self.clock_s
-        exact = began_s is not None and low_s - 1e-9 <= began_s <= high_s
-        if to <= first:
-            if exact and to == first and began_s is not None:
-                self.began_s = max(began_s, self.began_s)
-            self._sure_s = self.clock_s
-            return
-        if exact and began_s is not None:
-            high_s = max(began_s, low_s)
-        ends = between(self.began_s, self._expected_s[first:to], low_s, high_s, reaches=exact)
-        self.record(ends.tolist())
+        if began_s is not None and not self.began_s <= began_s <= self.clock_s:
+            began_s = None
+        lasted_s = float(self._expected_s[first:to].sum())
+        if to > first or (began_s is not None and to == first):
+            self._settle_begin(began_s if lasted_s or to == first else None, lasted_s)
+        if to > first:
+            low_s = max(self._sure_s, self.began_s)
+            high_s = self.clock_s if began_s is None else max(began_s, low_s)
+            ends = between(self.began_s, self._expected_s[first:to], low_s, high_s, reaches=began_s is not None)
+            self.record(ends.tolist())
         self._sure_s = self.clock_s
+
+    def _settle_begin(self, next_s: float | None, lasted_s: float) -> None:
+        """When the stretch began, where the reports leave that open: so long before the next block began, if known."""
+        if next_s is not None:
+            self.began_s = min(max(next_s - lasted_s, self.began_s), self.began_s + self._leeway_s)
+        else:
+            self.began_s += self._leeway_s / 2
+        self._leeway_s = 0.0
 
 
 def between(

@@ -50,8 +50,8 @@ def test_blocks_last_as_long_as_they_are_expected_to_within_the_reports() -> Non
     watch = watch_of(3, expected=[0.13, 0.14, 0.2])
     for at, line in ((0.1, 1), (0.2, 2), (0.3, 3), (0.5, 3)):
         watch.update(report(at, line))
-    assert records(watch)[0] == (0.0, 0.13), "as expected: it began 50 ms before it was seen"
-    assert records(watch)[1] == (0.13, 0.25), "not 0.27: by then the next one was seen"
+    assert records(watch)[0] == (0.05, 0.18), "as expected: it began half-way between two reports"
+    assert records(watch)[1] == (0.18, 0.3), "not 0.32: by then the next one was seen"
 
 
 def test_a_wrong_expectation_is_bounded_by_each_report_and_does_not_add_up() -> None:
@@ -71,6 +71,15 @@ def test_the_controllers_own_word_on_a_blocks_begin_is_taken() -> None:
     watch.update(report(0.3, 3, began_s=0.257))
     spans = [watch[k].end_s - watch[k].start_s for k in range(2)]
     assert spans == pytest.approx([0.081, 0.146], abs=1e-3)
+
+
+def test_when_a_stretch_began_is_settled_by_the_end_of_its_first_block() -> None:
+    """It was seen running at 0.2 s, not at 0.1 s; the second block began at 0.27 s."""
+    watch = watch_of(4, expected=[0.1] * 4)
+    watch.update(report(0.1, 77, "ready"))
+    watch.update(report(0.2, 1, began_s=-5.0))
+    watch.update(report(0.3, 2, began_s=0.27))
+    assert watch[0].end_s - watch[0].start_s == pytest.approx(0.1)
 
 
 @given(
