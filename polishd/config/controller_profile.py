@@ -144,6 +144,8 @@ class VariablesTable(Section):
     """The controller's clock, for the times of blocks; left out: this computer's."""
     line_began: Clock | None = None
     """When the block that `line` shows began, on `clock`: the controller's own word is finer than its reports."""
+    state_began: Clock | None = None
+    """When it came to its state, likewise."""
     session: Variable | None = None
     """Changes at each start of the controller; left out: what the link tells of that, if anything."""
 
@@ -207,8 +209,9 @@ class ControllerProfile(Document):
     def _watched(self) -> Self:
         if (self.watchdog_s is None) != (self.variables.heartbeat is None):
             raise ValueError("watchdog_s: goes with [variables.heartbeat], and only with it")
-        if self.variables.line_began is not None and self.variables.clock is None:
-            raise ValueError("variables.line_began: is a time on [variables.clock]; add that")
+        for name in ("line_began", "state_began"):
+            if getattr(self.variables, name) is not None and self.variables.clock is None:
+                raise ValueError(f"variables.{name}: is a time on [variables.clock]; add that")
         return self
 
     @property

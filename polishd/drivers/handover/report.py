@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from polishd.api import ProtocolError
-from polishd.config.controller_profile import Flag, State, Value, VariablesTable
+from polishd.config.controller_profile import Clock, Flag, State, Value, VariablesTable
 from polishd.drivers.handover.variables import Reading
 
 MEANINGS = ("idle", "ready", "running", "paused", "held", "done", "ended", "fault")
@@ -26,6 +26,8 @@ class Report:
     """As the profile's ``line`` counts."""
     line_began_s: float | None = None
     """When the block at that line began, where the controller tells, on the same clock."""
+    state_began_s: float | None = None
+    """When it came to its state, likewise."""
     moving: bool | None = None
     feed_held: bool = False
     override: float = 1.0
@@ -62,12 +64,13 @@ def report_of(table: VariablesTable, reading: Reading) -> Report:
     if isinstance(line, bool | str | float) or line < 0:
         raise ProtocolError(f"variable line: {line!r} is no line number: look at the controller's profile")
     override = values.get("feed_override")
-    clock = table.clock.unit_s if table.clock is not None else 1.0
+    time_s = _time_of(table.clock, values.get("clock"))
     return Report(
-        time_s=_number(values["clock"]) * clock if "clock" in values else reading.time_s,
+        time_s=reading.time_s if time_s is None else time_s,
         states=_states(table.state, values["state"]),
         line=line,
-        line_began_s=_began(table, reading),
+        line_began_s=_line_began(table, reading),
+        state_began_s=_time_of(table.state_began, values.get("state_began")),
         moving=_flag(table.in_motion, values.get("in_motion")),
         feed_held=bool(_flag(table.feed_hold, values.get("feed_hold"))),
         override=1.0 if table.feed_override is None else _number(override) / table.feed_override.full,
@@ -83,9 +86,13 @@ def _states(state: State, value: Value) -> frozenset[str]:
     return named or frozenset({"fault"})
 
 
-def _began(table: VariablesTable, reading: Reading) -> float | None:
+def _time_of(clock: Clock | None, value: Value | None) -> float | None:
+    return None if clock is None else _number(value) * clock.unit_s
+
+
+def _line_began(table: VariablesTable, reading: Reading) -> float | None:
     if table.line_began is not None:
-        return _number(reading.values["line_began"]) * table.line_began.unit_s
+        return _time_of(table.line_began, reading.values["line_began"])
     if table.line.stamped and table.clock is None:
         return reading.changed_s.get("line")
     return None

@@ -97,14 +97,19 @@ class Watch(FileWatch):
 
     def _begin(self, report: Report, waited_s: float) -> None:
         """It began at some time since the last report: when, is settled with the end of its first block."""
-        told_s = report.line_began_s
-        if told_s is not None and self.seen_s <= told_s <= report.time_s:
+        told = (report.state_began_s, report.line_began_s if self._at_first(report) else None)
+        told_s = next((at for at in told if at is not None and self.seen_s <= at <= report.time_s), None)
+        if told_s is not None:
             self.seen_s = told_s
         elif self.began_s == self.clock_s:
             self.seen_s, self._leeway_s = report.time_s - waited_s, waited_s
         else:
             self.seen_s = report.time_s - waited_s / 2  # in the middle of a block
         self.tick(report.time_s)
+
+    def _at_first(self, report: Report) -> bool:
+        """The block under way is the one that comes next."""
+        return self.file is not None and self.file.block_at(self.file.line_of(report.line)) == len(self)
 
     def _follow(self, file: ProgramFile, report: Report) -> None:
         line = file.line_of(report.line)

@@ -25,6 +25,7 @@ TYPES = {
     "state": ua.VariantType.UInt16,
     "line": ua.VariantType.UInt32,
     "line_began": ua.VariantType.Double,
+    "state_began": ua.VariantType.Double,
     "clock": ua.VariantType.Double,
     "loaded": ua.VariantType.String,
     "feed_override": ua.VariantType.Double,

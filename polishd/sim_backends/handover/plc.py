@@ -144,6 +144,7 @@ class Plc:
             "state": self._state(),
             "line": line,
             "line_began": began_s * self.motion.limits.speed,
+            "state_began": self.motion.changed_s * self.motion.limits.speed,
             "clock": now_s * self.motion.limits.speed,
             "loaded": self._loaded,
             "feed_override": 100.0,

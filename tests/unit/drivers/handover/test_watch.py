@@ -73,6 +73,14 @@ def test_the_controllers_own_word_on_a_blocks_begin_is_taken() -> None:
     assert spans == pytest.approx([0.081, 0.146], abs=1e-3)
 
 
+def test_when_it_came_to_run_is_taken_from_where_it_is_told() -> None:
+    watch = watch_of(4, expected=[0.1] * 4)
+    watch.update(report(0.1, 77, "ready"))
+    watch.update(report(0.2, 1, state_began_s=0.13))
+    watch.update(report(0.3, 2, began_s=0.27, state_began_s=0.13))
+    assert watch[0].end_s - watch[0].start_s == pytest.approx(0.14, abs=1e-3)
+
+
 def test_when_a_stretch_began_is_settled_by_the_end_of_its_first_block() -> None:
     """It was seen running at 0.2 s, not at 0.1 s; the second block began at 0.27 s."""
     watch = watch_of(4, expected=[0.1] * 4)
