@@ -32,8 +32,8 @@ TYPES: dict[str, tuple[str, int, str]] = {
 KINDS = {
     "start": "bool", "hold": "bool", "reset": "bool", "load": "bool", "program": "string", "heartbeat": "uint32",
     "state": "uint16", "line": "uint32", "line_began": "double", "state_began": "double", "clock": "double",
-    "loaded": "string", "feed_override": "double", "feed_hold": "bool", "in_motion": "bool", "alarm": "uint32", "alarm_text": "string",
-    "controller_heartbeat": "uint32", "session": "string",
+    "loaded": "string", "feed_override": "double", "feed_hold": "bool", "in_motion": "bool", "alarm": "uint32",
+    "alarm_text": "string", "controller_heartbeat": "uint32", "session": "string",
 }  # fmt: skip
 _NAMES = list(KINDS)
 
