@@ -141,9 +141,9 @@ class Artefact(Section):
 class Robot(Section):
     """The robot controller."""
 
-    kind: Literal["link", "linuxcnc", "opcua", "ads"] = "link"
-    """``linuxcnc``: a real LinuxCNC, in real time, in a network of its own (docs/protocols/linuxcnc.md). ``opcua`` and
-    ``ads``: a PLC that loads files from the folder ``programs`` of the state folder (docs/protocols/handover.md)."""
+    kind: Literal["link", "linuxcnc", "opcua", "ads", "modbus"] = "link"
+    """``linuxcnc``: a real LinuxCNC, in real time, in a network of its own (docs/protocols/linuxcnc.md). ``opcua``,
+    ``ads``, ``modbus``: a PLC that loads files from ``programs`` of the state folder (docs/protocols/handover.md)."""
     report_ms: Positive = 20.0
     """Of such a PLC: how often it renews what it tells, wall time."""
     reads_ahead: Annotated[int, Field(ge=0)] = 0

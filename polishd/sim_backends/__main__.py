@@ -87,6 +87,7 @@ def _device(name: str) -> Any:
         "linuxcnc": "linuxcnc.server",
         "opcua": "handover.server",
         "ads": "handover.server",
+        "modbus": "handover.server",
         "interferometer": "interferometer",
     }.get(name, f"{name}.device")
     return import_module(f"polishd.sim_backends.{module}").main

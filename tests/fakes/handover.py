@@ -10,6 +10,7 @@ import time
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -156,11 +157,11 @@ class Relay:
         await asyncio.gather(*self._ways, return_exceptions=True)
 
 
-class AdsPeer(asyncio.Protocol):
+class ServedPeer(asyncio.Protocol):
     """A connection to the server, which can be muted."""
 
-    def __init__(self, fake: FakePlc, open_: list[asyncio.Transport]) -> None:
-        self._fake, self._open = fake, open_
+    def __init__(self, fake: FakePlc, server: Callable[[Plc], Any], open_: list[asyncio.Transport]) -> None:
+        self._fake, self._server, self._open = fake, server, open_
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
@@ -168,7 +169,7 @@ class AdsPeer(asyncio.Protocol):
         if self._fake.dead:
             transport.abort()
         self._open.append(transport)
-        self._feed = AdsServer(self._fake.plc).connected(self)
+        self._feed = self._server(self._fake.plc).connected(self)  # it only sends
 
     def send(self, frame: bytes) -> None:
         if not self._fake.silent:
@@ -179,13 +180,15 @@ class AdsPeer(asyncio.Protocol):
 
 
 @asynccontextmanager
-async def serving_ads(fake: FakePlc) -> AsyncIterator[list[asyncio.Transport]]:
-    """The server for the time of the block."""
+async def serving(
+    fake: FakePlc, what: Callable[[Plc], Any], host: str = "127.0.0.1", port: int = 0
+) -> AsyncIterator[tuple[int, list[asyncio.Transport]]]:
+    """The server for the time of the block: its port, and its connections."""
     connections: list[asyncio.Transport] = []
     loop = asyncio.get_running_loop()
-    server = await loop.create_server(lambda: AdsPeer(fake, connections), HOST, TCP_PORT, family=socket.AF_INET)
+    server = await loop.create_server(lambda: ServedPeer(fake, what, connections), host, port, family=socket.AF_INET)
     try:
-        yield connections
+        yield server.sockets[0].getsockname()[1], connections
     finally:
         server.close()
         for one in connections:
@@ -236,9 +239,9 @@ async def over_opcua(fake: FakePlc, profile: ControllerProfile = PROFILE) -> Asy
 @asynccontextmanager
 async def over_ads(fake: FakePlc) -> AsyncIterator[tuple[Handover, Callable[[], None]]]:
     """A closed driver with ADS between, and what cuts it off for good."""
-    profile = load_controller_profile("twincat-ads", Path())
+    profile = load_controller_profile("plc-ads", Path())
 
-    async with cycling(fake), serving_ads(fake) as connections:
+    async with cycling(fake), serving(fake, AdsServer, HOST, TCP_PORT) as (_, connections):
 
         def cut() -> None:
             fake.cut()

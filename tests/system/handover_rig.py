@@ -15,7 +15,7 @@ from polishd.console.demo_files import DemoFiles, demo_program
 from polishd.console.simulator import simulated_cell
 from tests.system.cell_rig import with_keys, without, write_small
 
-PROFILES = {"opcua": "plc-opcua", "ads": "twincat-ads"}
+PROFILES = {"opcua": "plc-opcua", "ads": "plc-ads"}
 TRUTH = {"overhead_s": 0.03, "overhead_spread": 0.5}
 """What a block costs that controller: nobody planned it before the first pass."""
 CALM = {"pit_nm": 60.0, "max_spot_change": 0.99, "max_rate_drift": 0.99}

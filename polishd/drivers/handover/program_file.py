@@ -28,12 +28,18 @@ class ProgramFile(program_file.ProgramFile):
     ) -> None:
         pause = table.pause.encode()
         dwells = [table.dwell.format(seconds=seconds).encode() for seconds in proof_s]
+        stops = list(stops)
         first = min((stop for stop in stops if stop > 0), default=0)
+        numbered = line.counts == "n_words"
+
+        def own(at: int, *lines: bytes) -> list[bytes]:
+            return _numbered(lines, blocks[:at]) if numbered else list(lines)
+
         super().__init__(
             blocks,
             stops,
-            lambda stop: [*(dwells if stop == first else ()), pause],
-            [pause] if pause_at_end else [],
+            lambda stop: own(stop, *(dwells if stop == first else ()), pause),
+            lambda end: own(end, pause) if pause_at_end else [],
         )
         self.end = max(self.pauses.values()) if pause_at_end else None
         """Blocks that are executed at the pause before the end; None without one."""
@@ -41,7 +47,7 @@ class ProgramFile(program_file.ProgramFile):
         self.proof = _dwell_lines(self.inserted, len(dwells)) if proved else ()
         """1-based lines of the dwells."""
         self._first = line.first
-        self._numbers = _n_words(self.lines) if line.counts == "n_words" else None
+        self._numbers = _n_words(self.lines) if numbered else None
 
     def block_at(self, line: int) -> int:
         """As any file; but the block before a dwell of ours is over when that is, for only then the tool may land."""
@@ -60,6 +66,12 @@ def _dwell_lines(inserted: Sequence[int], count: int) -> tuple[int, ...]:
     return tuple(index + 1 for index in inserted[:count])
 
 
+def _numbered(lines: Sequence[bytes], before: Sequence[bytes]) -> list[bytes]:
+    """Lines of ours with N words of their own, which go on from the last one before."""
+    last = next((int(found[1]) for block in reversed(before) if (found := _N_WORD.match(block))), 0)
+    return [b"N%d %s" % (last + k, line) for k, line in enumerate(lines, 1)]
+
+
 def _n_words(lines: Sequence[bytes]) -> tuple[list[int], list[int]]:
     """The N words in the file, and the lines that they stand in. DeviceRefused where they do not rise."""
     numbers: list[int] = []
@@ -71,7 +83,7 @@ def _n_words(lines: Sequence[bytes]) -> tuple[list[int], list[int]]:
         if numbers and value <= numbers[-1]:
             raise DeviceRefused(
                 f"line {number} of the file: N{value} after N{numbers[-1]}: the controller tells blocks by their N "
-                "words. To do: number the program with rising ones"
+                "words. To do: number the program in steps of 10"
             )
         numbers.append(value)
         at.append(number)

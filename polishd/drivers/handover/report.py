@@ -61,14 +61,14 @@ def report_of(table: VariablesTable, reading: Reading) -> Report:
     """Understand a reading. ProtocolError where a value cannot be what the profile says."""
     values = reading.values
     line = values["line"]
-    if isinstance(line, bool | str | float) or line < 0:
+    if isinstance(line, bool | str | float):
         raise ProtocolError(f"variable line: {line!r} is no line number: look at the controller's profile")
     override = values.get("feed_override")
     time_s = _time_of(table.clock, values.get("clock"))
     return Report(
         time_s=reading.time_s if time_s is None else time_s,
         states=_states(table.state, values["state"]),
-        line=line,
+        line=max(line, 0),  # some count what is no line at all below 0
         line_began_s=_line_began(table, reading),
         state_began_s=_time_of(table.state_began, values.get("state_began")),
         moving=_flag(table.in_motion, values.get("in_motion")),

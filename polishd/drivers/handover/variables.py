@@ -82,7 +82,8 @@ def of_kind(kind: Kind, value: object, name: str) -> Value:
         found = float(value) if isinstance(value, int | float) else None
     else:
         low, high = _WHOLE[kind]
-        found = int(value) if isinstance(value, int) and low <= value < high else None
+        whole = isinstance(value, int | float) and float(value).is_integer()
+        found = int(value) if whole and isinstance(value, int | float) and low <= value < high else None
     if found is None:
         raise ProtocolError(f"variable {name}: {value!r} is no {kind}: look at its type in the controller's profile")
     return found

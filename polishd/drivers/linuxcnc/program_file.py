@@ -19,8 +19,9 @@ class ProgramFile(program_file.ProgramFile):
 
     def __init__(self, blocks: Sequence[bytes], stops: Iterable[int], token: str) -> None:
         self._token = token
-        at_end = self._message(len(blocks))
-        super().__init__(blocks, stops, lambda stop: [self._message(stop) + b" M0"], [at_end])
+        super().__init__(
+            blocks, stops, lambda stop: [self._message(stop) + b" M0"], lambda _: [self._message(len(blocks))]
+        )
 
     def reached(self, message: str) -> int | None:
         """Number of blocks that are executed by this operator message; None where it is none of ours."""

@@ -11,7 +11,7 @@ _END = re.compile(rb"(?<![A-Z#])M0*(?:2|30)(?:\.0*)?(?![0-9.])")
 
 
 class ProgramFile:
-    """The blocks, with ``at_stop(stop)`` before each of ``stops`` and ``at_end`` before what ends the program.
+    """The blocks, with ``at_stop(stop)`` before each of ``stops`` and ``at_end(end)`` before what ends the program.
 
     The last line that ``at_stop`` gives makes the controller stand: behind it all modal state is kept, which *run from
     line* would lose. A program without an end gets M2.
@@ -22,7 +22,7 @@ class ProgramFile:
         blocks: Sequence[bytes],
         stops: Iterable[int],
         at_stop: Callable[[int], Sequence[bytes]],
-        at_end: Sequence[bytes],
+        at_end: Callable[[int], Sequence[bytes]],
     ) -> None:
         self.blocks = len(blocks)
         end = next((seq for seq, block in enumerate(blocks) if _ends(block, seq)), self.blocks)
@@ -38,7 +38,7 @@ class ProgramFile:
             self._put_in(lines, at_stop(stop), stop)
             at = stop
         lines += blocks[at:end]
-        self._put_in(lines, at_end, end)
+        self._put_in(lines, at_end(end), end)
         self.lines = (*lines, *(blocks[end:] or [b"M2"]))
         self.text = b"\n".join([*self.lines, b""])
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -13,9 +14,11 @@ from polishd.config.controller_profile import ControllerProfile, load_controller
 from polishd.drivers.handover.ads import Ads
 from polishd.drivers.handover.delivery import Delivery, Folder
 from polishd.drivers.handover.driver import Handover
+from polishd.drivers.handover.modbus import Modbus
 from polishd.drivers.handover.opcua import OpcUa
 from polishd.drivers.handover.remote import Ftp, Place, Sftp
 from polishd.drivers.handover.variables import Variables
+from polishd.drivers.transport.address import Tcp, parse_address
 from polishd.plugins.handover.options import HandoverOptions
 
 _ADS = re.compile(r"ads://(?P<host>[^/:]+)/(?P<netid>(?:\d{1,3}\.){5}\d{1,3}):(?P<port>\d{1,5})")
@@ -49,8 +52,13 @@ def _link(profile: ControllerProfile, options: HandoverOptions, context: DeviceC
             _require("ads", f"profile {options.profile!r}")
             host, netid, port = _ads_address(options.address)
             return lambda: Ads(host, netid, port, table, silence_s)
-        case _:
-            raise ConfigError(f"profile {options.profile!r}: link {profile.link!r} is not there yet; use opcua or ads")
+        case "modbus":
+            where = parse_address(options.address, context.base_dir)
+            if not isinstance(where, Tcp):
+                raise ConfigError(f"address {options.address!r}: modbus runs over tcp://host:port")
+            make = partial(Modbus, where, table, silence_s, unit=profile.modbus_unit, little=profile.order == "little")
+            make()  # its addresses are looked at
+            return make
 
 
 def _delivery(options: HandoverOptions, context: DeviceContext) -> Delivery:

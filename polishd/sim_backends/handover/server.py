@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 from polishd.sim_backends.handover import ads
+from polishd.sim_backends.handover.modbus import ModbusServer
 from polishd.sim_backends.handover.plc import Plc
 from polishd.sim_backends.handover.relay import Relay
 from polishd.sim_backends.robot.machine import Machine
@@ -48,10 +49,8 @@ async def main(runtime: Runtime) -> None:
     server = PlcServer(runtime, folder)
     runtime.button(signal.SIGUSR1, lambda: server.press("emergency stop"))
     runtime.button(signal.SIGUSR2, lambda: server.press("feed hold"))
-    if runtime.start.config.robot.kind == "ads":
-        await _over_ads(runtime, server)
-    else:
-        await _over_opcua(runtime, server)
+    over = {"opcua": _over_opcua, "ads": _over_ads, "modbus": _over_modbus}
+    await over[runtime.start.config.robot.kind](runtime, server)
 
 
 async def _over_opcua(runtime: Runtime, server: PlcServer) -> None:
@@ -62,6 +61,13 @@ async def _over_opcua(runtime: Runtime, server: PlcServer) -> None:
         wire = Wire(runtime, robot.faults, Relay(runtime, port).connected)
         wire.ready(f"opc.tcp://{await wire.open_tcp(robot.port)}")
         await server.run()
+
+
+async def _over_modbus(runtime: Runtime, server: PlcServer) -> None:
+    robot = runtime.start.config.robot
+    wire = Wire(runtime, robot.faults, ModbusServer(server.plc).connected)
+    wire.ready(f"tcp://{await wire.open_tcp(robot.port)}")
+    await server.run()
 
 
 async def _over_ads(runtime: Runtime, server: PlcServer) -> None:

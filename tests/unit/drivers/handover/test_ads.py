@@ -9,10 +9,10 @@ import pytest
 from polishd.api import LinkError, ProtocolError
 from polishd.config.controller_profile import load_controller_profile
 from polishd.drivers.handover.ads import Ads
-from polishd.sim_backends.handover.ads import AMS_PORT
-from tests.fakes.handover import HOST, NETID, FakePlc, serving_ads
+from polishd.sim_backends.handover.ads import AMS_PORT, TCP_PORT, AdsServer
+from tests.fakes.handover import HOST, NETID, FakePlc, serving
 
-PROFILE = load_controller_profile("twincat-ads", Path())
+PROFILE = load_controller_profile("plc-ads", Path())
 
 
 def link(silence_s: float = 5.0, **changed: str) -> Ads:
@@ -26,7 +26,7 @@ def link(silence_s: float = 5.0, **changed: str) -> Ads:
 
 async def test_all_that_is_watched_comes_in_one_reading(tmp_path: Path) -> None:
     fake = FakePlc(tmp_path)
-    async with serving_ads(fake):
+    async with serving(fake, AdsServer, HOST, TCP_PORT):
         ads = link()
         await ads.open()
         fake.plc.shown |= {"line": 70_000, "state": 3, "in_motion": True, "clock": 12.5, "alarm_text": "Düse"}
@@ -46,7 +46,7 @@ async def test_all_that_is_watched_comes_in_one_reading(tmp_path: Path) -> None:
 
 async def test_orders_are_written_together(tmp_path: Path) -> None:
     fake = FakePlc(tmp_path)
-    async with serving_ads(fake):
+    async with serving(fake, AdsServer, HOST, TCP_PORT):
         ads = link()
         await ads.open()
         await ads.write({"hold": False, "start": True, "program": "a.nc", "heartbeat": 7})
@@ -56,7 +56,7 @@ async def test_orders_are_written_together(tmp_path: Path) -> None:
 
 
 async def test_a_symbol_that_is_not_there_is_named(tmp_path: Path) -> None:
-    async with serving_ads(FakePlc(tmp_path)):
+    async with serving(FakePlc(tmp_path), AdsServer, HOST, TCP_PORT):
         with pytest.raises(ProtocolError, match="addresses in the profile"):
             await link(line="GVL_polishd.lines").open()
 
@@ -65,7 +65,7 @@ async def test_nobody_there_and_nobody_answering_are_lost_links(tmp_path: Path) 
     with pytest.raises(LinkError):
         await link().open()
     fake = FakePlc(tmp_path)
-    async with serving_ads(fake):
+    async with serving(fake, AdsServer, HOST, TCP_PORT):
         ads = link(silence_s=0.3)
         await ads.open()
         fake.silent = True
