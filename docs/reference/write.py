@@ -16,6 +16,7 @@ from typing import Any, get_args, get_origin
 from pydantic import BaseModel
 
 from polishd.config.cell import CellConfig
+from polishd.config.controller_profile import ControllerProfile
 from polishd.config.places import plain_kind, section_of, variants
 from polishd.config.profile_sections import ProfileFile
 from polishd.config.sections import DeviceSection
@@ -45,7 +46,8 @@ TYPES = {
 PLURAL = {"number": "s", "integer": "s", "string": "s"}
 COLUMNS = "| key | type | unit | default | range | meaning |\n|---|---|---|---|---|---|"
 HEAD = "<!-- Written by `make reference` from the models; a test fails where it is not what they give. -->"
-TITLES = {"cell": "A cell", "study": "A study", "profile": "An instrument's profile", "simulator": "The simulator"}
+TITLES = {"cell": "A cell", "study": "A study", "profile": "An instrument's profile", "simulator": "The simulator",
+          "controller": "A robot controller's profile"}  # fmt: skip
 INTRODUCTIONS = {
     "cell": """A cell's file, as [examples/cell.toml](../../examples/cell.toml) shows it with comments. Relative paths
 start from its folder. The options of `[robot]`, `[actuator]`, `[spindle]`, `[metrology]`, `[loader]` and
@@ -54,6 +56,9 @@ start from its folder. The options of `[robot]`, `[actuator]`, `[spindle]`, `[me
 `[part]`, `[kinematics]`, `[compliance]` and `[process]` are those of [a cell](cell.md), with their defaults.""",
     "profile": """An instrument's profile, as [examples/instrument.toml](../../examples/instrument.toml) shows it with
 comments; how it is proved: [instruments.md](../instruments.md).""",
+    "controller": """The profile of a robot controller that loads files (`[robot] type = "handover"`), as
+[the shipped ones](../../polishd/config/controller_profiles) show it; what each variable is for:
+[handover.md](../protocols/handover.md).""",
     "simulator": """The simulated cell, as [examples/sim.toml](../../examples/sim.toml) shows it with comments. Every
 key may be left out.""",
 }
@@ -164,7 +169,16 @@ def files() -> dict[str, list[Table]]:
         "study": [*kinds.items(), *(table for table in below if table not in of_cell)],
         "profile": [("", ProfileFile), *tables(ProfileFile)],
         "simulator": list(tables(SimConfig)),
+        "controller": _each_once([("", ControllerProfile), *tables(ControllerProfile)]),
     }
+
+
+def _each_once(found: list[Table]) -> list[Table]:
+    """Of tables alike, one, with the headers of all."""
+    headers: dict[type[BaseModel], list[str]] = {}
+    for header, model in found:
+        headers.setdefault(model, []).append(header)
+    return [(" ".join(all_), model) for model, all_ in headers.items()]
 
 
 def pages() -> dict[str, str]:
@@ -183,7 +197,8 @@ def _page(name: str, content: list[Table]) -> str:
 
 def _plain(schema: dict[str, Any]) -> dict[str, Any]:
     """Of a key that may be left out, what it is where it is given."""
-    return next((kind for kind in schema.get("anyOf", ()) if kind.get("type") != "null"), schema)
+    kinds = [kind for kind in schema.get("anyOf", ()) if kind.get("type") != "null"]
+    return kinds[0] if len(kinds) == 1 else schema
 
 
 def _inner(schema: dict[str, Any]) -> dict[str, Any]:
@@ -199,12 +214,14 @@ def _counts(schema: dict[str, Any]) -> tuple[int, int]:
 
 
 def _type(schema: dict[str, Any]) -> str:
+    if kinds := schema.get("anyOf"):
+        return " or ".join(map(_type, kinds))
     if schema.get("type") == "array":
         least, most = _counts(schema)
         count = f"{most} " if least == most != 0 else ""
-        return (
-            f"list of {count}{_type(_inner(schema)).replace('list', 'lists')}{PLURAL.get(_inner(schema)['type'], '')}"
-        )
+        inner = _inner(schema)
+        plural = PLURAL.get(inner.get("type", ""), "")
+        return f"list of {count}{_type(inner).replace('list', 'lists')}{plural}"
     return TYPES[schema.get("format", schema["type"])]
 
 

@@ -81,21 +81,21 @@ class State(Variable):
     """What the controller does. A value may stand for several: `paused` where the line is a pause of the file."""
 
     idle: Values = ()
-    """No program is loaded."""
+    """No program is loaded. [1]"""
     ready: Values = ()
-    """One is, and waits for its start."""
+    """One is, and waits for its start. [1]"""
     running: Annotated[Values, Field(min_length=1)]
-    """It runs."""
+    """It runs. [1]"""
     paused: Values = ()
-    """It stands at a pause of the program."""
+    """It stands at a pause of the program. [1]"""
     held: Values = ()
-    """It was held, by polishd or by somebody else."""
+    """It was held, by polishd or by somebody else. [1]"""
     done: Values = ()
-    """The program ran to its end."""
+    """The program ran to its end. [1]"""
     ended: Values = ()
-    """It is over, whatever ended it. Without `done` polishd puts a pause before the end, to know."""
+    """It is over, whatever ended it. Without `done` polishd puts a pause before the end, to know. [1]"""
     fault: Values = ()
-    """Something is wrong; alarms say what."""
+    """Something is wrong; alarms say what. [1]"""
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
