@@ -10,7 +10,7 @@ import pytest
 
 from polishd.api import ConfigError, DeviceContext, Robot
 from polishd.config.cell import load_config
-from polishd.console.demo_files import with_values
+from polishd.console.demo_files import demo_program, with_values
 from polishd.daemon import checking
 from polishd.hooks.loader import load_own
 from polishd.plugins.handover.build import build
@@ -91,7 +91,9 @@ def cell(tmp_path: Path, example: str, *, wired: bool = False, pit_nm: float = 1
     profile = shipped.read_text().replace("report_ms = 20.0", "report_ms = 230.0")
     (tmp_path / "mine.toml").write_text(("in_motion_wired = true\n" if wired else "") + profile)
     path = tmp_path / "cell.toml"
-    path.write_text(with_values(text, {"instrument": {"profile": "instrument.toml"}}))
+    path.write_text(with_values(text, {"instrument": {"profile": "instrument.toml"}, "part": {"aperture_mm": 20.0}}))
+    config = load_config(path)
+    config.program_path.write_bytes(demo_program(config))
     return path
 
 
