@@ -30,14 +30,15 @@ class Relay:
 
     async def _serve(self, queue: asyncio.Queue[bytes], outlet: Outlet) -> None:
         reader, writer = await asyncio.open_connection(LOOPBACK, self._port)
-        forward = asyncio.create_task(self._forward(queue, writer))
-        try:
-            with contextlib.suppress(ConnectionError):  # the server hangs up on nonsense
-                while data := await reader.read(1 << 16):
-                    outlet.send(data)
-        finally:
-            forward.cancel()
-            writer.close()
+        async with asyncio.TaskGroup() as group:
+            forward = group.create_task(self._forward(queue, writer))
+            try:
+                with contextlib.suppress(ConnectionError):  # the server hangs up on nonsense
+                    while data := await reader.read(1 << 16):
+                        outlet.send(data)
+            finally:
+                forward.cancel()
+                writer.close()
 
     async def _forward(self, queue: asyncio.Queue[bytes], writer: asyncio.StreamWriter) -> None:
         with contextlib.suppress(ConnectionError):
