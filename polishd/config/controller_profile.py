@@ -5,6 +5,7 @@ The shipped ones are ``controller_profiles/*.toml``; what each variable is for: 
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -218,6 +219,12 @@ class ControllerProfile(Document):
     def unseen_stop_s(self) -> float:
         """Longest that it stands before polishd can know; 0 where a wire tells the actuator."""
         return 0.0 if self.in_motion_wired else (self.report_ms + self.link_ms) / 1e3
+
+    @property
+    def block_end_s(self) -> float:
+        """Standard deviation of a block's end, where only reports bound it; 0 where the controller tells it."""
+        told = self.variables.line_began is not None or self.variables.line.stamped
+        return 0.0 if told else self.report_ms / 1e3 / math.sqrt(12.0)
 
     def refusal(self) -> tuple[str, str] | None:
         """(key, why) this controller must not polish; None where it may."""

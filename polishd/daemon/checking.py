@@ -18,7 +18,7 @@ from polishd.daemon.lock import locked
 from polishd.daemon.priority import host
 from polishd.daemon.queue import NewJob
 from polishd.daemon.safety import make_safe
-from polishd.daemon.standing import require_shallow
+from polishd.daemon.standing import blur, require_shallow
 from polishd.hooks.cell import hooks_of_job
 from polishd.hooks.loader import Hooks
 from polishd.model.devices import Identity
@@ -63,6 +63,7 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
         "removal of the program as it is": f"{np.max(answer.effect.removal_nm(program.time_s)):.1f} nm at most",
         "notifications": ", ".join(f"{one.name} ({one.type}, {one.least})" for one in notifiers) or "nobody",
         **({"feed hold at the controller": pit} if pit else {}),
+        **({"end of a block known to": blurred} if (blurred := blur(cell, recipe)) else {}),
         "host": host(),
         "time limits": [limit.row() for limit in chain],
     }

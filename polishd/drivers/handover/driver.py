@@ -216,4 +216,5 @@ def times_of(profile: ControllerProfile) -> RobotTimes:
         watchdog_s=profile.watchdog_s or math.inf,
         stop_s=profile.stop_s,
         unseen_stop_s=profile.unseen_stop_s,
+        block_end_s=profile.block_end_s,
     )

@@ -111,6 +111,13 @@ def test_a_feed_hold_that_would_dig_is_refused_by_check(tmp_path: Path, example:
     assert "in_motion_wired" in str(said.value)
 
 
+@pytest.mark.full
 def test_a_wire_to_the_actuator_makes_up_for_slow_reports(tmp_path: Path, example: str) -> None:
     assert "feed hold at the controller" not in checked(cell(tmp_path, example, wired=True))
-    assert "nm at most" in checked(cell(tmp_path, example, pit_nm=100.0))["feed hold at the controller"]
+    found = checked(cell(tmp_path, example, pit_nm=100.0))
+    assert "nm at most" in found["feed hold at the controller"]
+    assert "end of a block known to" not in found, "its controller tells when each began"
+    path = cell(tmp_path, example, pit_nm=100.0)
+    profile = (tmp_path / "mine.toml").read_text().replace("line_began =", "# ")
+    (tmp_path / "mine.toml").write_text(profile)
+    assert "66 ms rms, 1" in checked(path)["end of a block known to"]

@@ -115,6 +115,7 @@ async def test_ftp_says_who_refuses_and_what(root: Path) -> None:
     assert found(root) == {}
 
 
+@pytest.mark.full
 async def test_sftp_takes_the_place_of_the_file_before(root: Path, tmp_path: Path) -> None:
     hosts = tmp_path / "known_hosts"
     async with sftp_server(root, hosts) as port:
@@ -125,6 +126,7 @@ async def test_sftp_takes_the_place_of_the_file_before(root: Path, tmp_path: Pat
             await Sftp(place(port, "0ther-one"), hosts).put("a.nc", TEXT)
 
 
+@pytest.mark.full
 async def test_sftp_refuses_a_host_that_nobody_knows(root: Path, tmp_path: Path) -> None:
     hosts, others = tmp_path / "known_hosts", tmp_path / "others"
     others.touch()
@@ -134,6 +136,7 @@ async def test_sftp_refuses_a_host_that_nobody_knows(root: Path, tmp_path: Path)
     assert found(root) == {}
 
 
+@pytest.mark.full
 async def test_what_breaks_on_its_way_leaves_the_file_before(root: Path) -> None:
     async with ftp_server(root) as port:
         await Ftp(place(port)).put("a.nc", b"old")
