@@ -292,6 +292,9 @@ class LimitsSection(Section):
     """How long it may be outside."""
     max_removal_nm: Positive = 1000.0
     """Most that one pass may remove at any point; a plan beyond it is refused."""
+    pit_nm: Positive = 10.0
+    """Deepest pit that an operator's feed hold may dig before the force is off, where the robot's controller tells of
+    it in its reports only; a cell whose robot could dig deeper is refused."""
     max_pass_s: Positive = 86400.0
     """Longest process time of one pass. A day by default: a metre's pass takes 17 h, and one with a removal rate
     that is wrong by the unit's factor of 100 takes days."""

@@ -158,16 +158,22 @@ class Artefact(Section):
 class Robot(Section):
     """The robot controller."""
 
-    kind: Literal["link", "linuxcnc", "universal_robots"] = "link"
-    """``linuxcnc``: a real LinuxCNC, in real time, in a network of its own (docs/protocols/linuxcnc.md)."""
+    kind: Literal["link", "linuxcnc", "universal_robots", "opcua", "ads", "modbus"] = "link"
+    """``linuxcnc``: a real LinuxCNC, in real time, in a network of its own (docs/protocols/linuxcnc.md). ``opcua``,
+    ``ads``, ``modbus``: a PLC that loads files from ``programs`` of the state folder (docs/protocols/handover.md)."""
     port: Port = 28500
-    """TCP port on loopback; 0: any that is free. RTDE's, with universal_robots. [1]"""
+    """TCP port on loopback; 0: any that is free. RTDE's, with universal_robots; over ADS, which has one port only,
+    28500 = 111 * 256 + 84 is the address 127.111.84.1. [1]"""
     dashboard_port: Port = 0
     """Of universal_robots; 0: `port` + 1. [1]"""
     primary_port: Port = 0
     """Of universal_robots: the primary client interface; 0: `port` + 2. [1]"""
     cycle_hz: Literal[125, 500] = 500
     """Of universal_robots: how often it controls; 125 is a CB3. [Hz]"""
+    report_ms: Positive = 20.0
+    """Of such a PLC: how often it renews what it tells, wall time."""
+    reads_ahead: Annotated[int, Field(ge=0)] = 0
+    """Of such a PLC: the line that it shows runs so far ahead of the motion. [1]"""
     watchdog_s: Positive = 8.0
     """It stops when it has heard nothing for so long, wall time."""
     window: Annotated[int, Field(ge=1)] = 16384

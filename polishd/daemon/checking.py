@@ -20,6 +20,7 @@ from polishd.daemon.priority import host
 from polishd.daemon.queue import NewJob
 from polishd.daemon.safety import ContactLimits, make_safe
 from polishd.daemon.signal_watch import tell_once
+from polishd.daemon.standing import blur, require_shallow
 from polishd.hooks.cell import hooks_of_job
 from polishd.hooks.loader import Hooks
 from polishd.model.devices import Identity
@@ -36,6 +37,7 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
     recipe = make_recipe(config, hooks)
     cell = build_cell(config, hooks)
     chain = require_time_limits(config, cell)
+    pit = require_shallow(config, cell, recipe)
     notifiers = build_notifiers(config, hooks)
     program = steps.read_program(recipe, config.program_path)
     foresight.check_pass(config, recipe, program)
@@ -68,6 +70,8 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
         ),
         "signals": "; ".join(str(one) for one in cell.signals.limits) or "none is watched",
         "notifications": ", ".join(f"{one.name} ({one.type}, {one.least})" for one in notifiers) or "nobody",
+        **({"feed hold at the controller": pit} if pit else {}),
+        **({"end of a block known to": blurred} if (blurred := blur(cell, recipe)) else {}),
         "host": host(),
         "time limits": [limit.row() for limit in chain],
     }

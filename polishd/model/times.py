@@ -50,6 +50,10 @@ class RobotTimes:
     """From the order to standstill; also for lifting along the tool's axis."""
     lifts: bool = True
     """It can take the tool off the part, in motion (``Robot.lift``)."""
+    unseen_stop_s: float = 0.0
+    """Longest that it stands, held by an operator, before anybody knows; 0: no longer than its link takes."""
+    block_end_s: float = 0.0
+    """Standard deviation of when it says that a block ended; 0: it says so exactly. Such errors do not add up."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ from polishd.testing.suites.loader import LoaderRig
 from polishd.testing.suites.monitor import MonitorRig
 from polishd.testing.suites.robot import RobotRig
 from polishd.testing.suites.spindle import SpindleRig
-from tests.fakes import cia402
+from tests.fakes import cia402, handover
 from tests.fakes.actuator import AsciiCoil, Coil, ModbusCoil
 from tests.fakes.devices_by_profile import file_of, shipped, voice_coil_modbus, voice_coil_serial
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
@@ -135,6 +135,29 @@ async def _universal_robots(fake: FakeController) -> AsyncIterator[RobotRig]:
     finally:
         await device.close()
         await fake.close()
+
+
+async def handover_direct(folder: Path) -> AsyncIterator[RobotRig]:
+    """handover at the controller's variables themselves."""
+    fake = handover.FakePlc(folder)
+    async with handover.direct(fake) as device:
+        yield Rig(device, fake.cut, lambda: setattr(fake, "silent", True), lambda: fake.stands, whole_file=True)
+
+
+@asynccontextmanager
+async def handover_opcua(folder: Path) -> AsyncIterator[RobotRig]:
+    """handover over OPC UA."""
+    fake = handover.FakePlc(folder)
+    async with handover.over_opcua(fake) as (device, relay):
+        yield Rig(device, relay.cut, lambda: setattr(fake, "silent", True), lambda: fake.stands, whole_file=True)
+
+
+@asynccontextmanager
+async def handover_ads(folder: Path) -> AsyncIterator[RobotRig]:
+    """handover over ADS."""
+    fake = handover.FakePlc(folder)
+    async with handover.over_ads(fake) as (device, cut):
+        yield Rig(device, cut, lambda: setattr(fake, "silent", True), lambda: fake.stands, whole_file=True)
 
 
 @asynccontextmanager
@@ -402,6 +425,7 @@ ROBOTS = [
     *kind(robot_tcp, robot_dribbled),
     *kind(linuxcnc, linuxcnc_dribbled),
     *kind(universal_robots, universal_robots_dribbled),
+    *kind(handover_direct, handover_opcua, handover_ads),
 ]
 ACTUATORS = [
     *kind(actuator_rtu, actuator_tcp),
