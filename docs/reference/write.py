@@ -227,7 +227,7 @@ def _counts(schema: dict[str, Any]) -> tuple[int, int]:
 
 def _type(schema: dict[str, Any]) -> str:
     if kinds := schema.get("anyOf"):
-        return " or ".join(map(_type, kinds))
+        return " or ".join(dict.fromkeys(_type(kind) for kind in kinds if kind.get("type") != "null"))
     if schema.get("type") == "array":
         least, most = _counts(schema)
         count = f"{most} " if least == most != 0 else ""
