@@ -137,6 +137,7 @@ async def _universal_robots(fake: FakeController) -> AsyncIterator[RobotRig]:
         await fake.close()
 
 
+@asynccontextmanager
 async def handover_direct(folder: Path) -> AsyncIterator[RobotRig]:
     """handover at the controller's variables themselves."""
     fake = handover.FakePlc(folder)

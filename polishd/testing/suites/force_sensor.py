@@ -60,10 +60,11 @@ async def test_what_it_carries_is_nothing_after_a_tare(opened: ForceSensor) -> N
 
 async def test_it_may_be_asked_for_its_state_while_it_is_read(opened: ForceSensor) -> None:
     """``status`` is answered while it is read."""
-    samples = asyncio.ensure_future(readings(opened, 20))
-    for _ in range(5):
-        assert (await opened.status()).safe
-    assert len(await samples) == 20
+    async with asyncio.TaskGroup() as group:
+        samples = group.create_task(readings(opened, 20))
+        for _ in range(5):
+            assert (await opened.status()).safe
+    assert len(samples.result()) == 20
 
 
 async def test_two_tares_at_once_both_end(opened: ForceSensor) -> None:

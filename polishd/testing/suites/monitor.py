@@ -53,10 +53,11 @@ async def test_all_signals_come_in_turn_with_their_values(opened: Monitor) -> No
 
 async def test_it_may_be_asked_for_its_state_while_it_is_read(opened: Monitor) -> None:
     """``status`` is answered while it is read."""
-    signals = asyncio.ensure_future(rounds(opened, 3))
-    status = await opened.status()
+    async with asyncio.TaskGroup() as group:
+        signals = group.create_task(rounds(opened, 3))
+        status = await opened.status()
     assert status.ready
-    assert all(name in status.detail for name in await signals)
+    assert all(name in status.detail for name in signals.result())
 
 
 @mutes
