@@ -76,13 +76,17 @@ class FakeController:
         for wire in self.wires:
             wire.drop()
 
+    def advance(self) -> None:
+        """Frames up to the present: what comes now acts from now on."""
+        for _ in self.machine.due(time.monotonic()):
+            before_s = self.machine.time_s
+            self.machine.frame()
+            for client in self.clients:
+                client.tick(before_s)
+
     async def _pass_time(self) -> None:
         while True:
-            for _ in self.machine.due(time.monotonic()):
-                before_s = self.machine.time_s
-                self.machine.frame()
-                for client in self.clients:
-                    client.tick(before_s)
+            self.advance()
             due, self._waiting = self._waiting, []
             for condition, then in due:
                 if condition():
@@ -156,6 +160,7 @@ class _Client(asyncio.Protocol):
         self._feed = self._wire.serve(self)
 
     def data_received(self, data: bytes) -> None:
+        self._wire.controller.advance()
         self._feed(data)
 
     def connection_lost(self, exc: Exception | None) -> None:

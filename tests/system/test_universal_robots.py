@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import signal
@@ -72,10 +71,9 @@ def say(files: DemoFiles, port: str, *messages: bytes) -> None:
     with socket.create_connection(("127.0.0.1", number)) as client:
         for message in messages:
             client.sendall(message)
-        with contextlib.suppress(TimeoutError):
-            client.settimeout(0.3)
-            while client.recv(4096):
-                pass
+        client.shutdown(socket.SHUT_WR)
+        while client.recv(4096):  # to its end: what is left unread would take the messages back
+            pass
 
 
 def slow_down(files: DemoFiles) -> None:

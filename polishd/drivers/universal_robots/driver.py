@@ -87,7 +87,7 @@ class UniversalRobot:
         return left_s + BLOCK_S * (watch.blocks - len(watch))
 
     async def open(self) -> None:
-        """See Device. Writes no register. What ran when the link was lost is followed further."""
+        """See Device. Gives no new order. What ran when the link was lost is followed further."""
         await self.close()
         self._stay()
         await self._link.open()

@@ -83,21 +83,21 @@ class UniversalRobotServer:
             self._rtde.remove(client)
 
         outlet.on_closed = closed
-        return client.feed
+        return self._now(client.feed)
 
     def dashboard(self, outlet: Outlet) -> Feed:
         """A client of the dashboard."""
-        return Dashboard(self.machine, outlet.send, lambda when, then: self._waiting.append((when, then))).feed
+        served = Dashboard(self.machine, outlet.send, lambda when, then: self._waiting.append((when, then)))
+        return self._now(served.feed)
 
     def primary(self, outlet: Outlet) -> Feed:
         """A client that sends scripts."""
         self._primary.append(outlet)
         outlet.on_closed = lambda: self._primary.remove(outlet)
-        return primary.ScriptIntake(self.load).feed
+        return self._now(primary.ScriptIntake(self.load).feed)
 
     def load(self, text: str) -> None:
         """A script came."""
-        self.advance()
         self.machine.load(text)
         runs = self.machine.program is not None
         self._blocks = max(map(int, _BLOCKS.findall(text)), default=0) + 1
@@ -109,6 +109,15 @@ class UniversalRobotServer:
         self._runtime.link.event("complaint", line=line, text=text)
         for outlet in self._primary:
             outlet.send(primary.complaint(line, text))
+
+    def _now(self, feed: Feed) -> Feed:
+        """What comes acts from now on, and not on frames that this process was kept from."""
+
+        def act(data: bytes) -> None:
+            self.advance()
+            feed(data)
+
+        return act
 
     def _report(self) -> None:
         """Tell the plant what moved since the last time, and vouch for it."""
