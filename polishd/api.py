@@ -1,4 +1,7 @@
-"""The one import for plugin authors: hooks, records, nouns, ports and errors."""
+"""The one import for plugin authors: hooks, records, nouns, ports, errors, and what drivers are made of."""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from polishd.hookspecs import (
     API_VERSION,
@@ -52,9 +55,19 @@ from polishd.process.dwell.problem import DwellProblem
 from polishd.process.effect import Effect, SparseEffect
 from polishd.secret import SecretPlace, hide, read_secret
 
+if TYPE_CHECKING:
+    from polishd.drivers.transport.address import Address, SerialLine, Tcp, parse_address
+    from polishd.drivers.transport.background import Background
+    from polishd.drivers.transport.numbered import NumberedLines
+    from polishd.drivers.transport.plain import PlainLines
+    from polishd.drivers.transport.requests import RequestQueue
+    from polishd.drivers.transport.streams import LineReader, open_stream
+
 __all__ = [
     "API_VERSION",
     "ActuatorTimes",
+    "Address",
+    "Background",
     "BadMap",
     "Belief",
     "Beliefs",
@@ -89,6 +102,7 @@ __all__ = [
     "HybridRobot",
     "Identity",
     "Lesson",
+    "LineReader",
     "LinkError",
     "Loader",
     "LoaderTimes",
@@ -97,8 +111,10 @@ __all__ = [
     "Metrology",
     "Notification",
     "NotifierType",
+    "NumberedLines",
     "Optic",
     "Placement",
+    "PlainLines",
     "Plan",
     "PlanRefused",
     "PluginError",
@@ -110,12 +126,14 @@ __all__ = [
     "RemovalAnswer",
     "RemovalModel",
     "RemovalRequest",
+    "RequestQueue",
     "Robot",
     "RobotProgress",
     "RobotTimes",
     "SafetyStop",
     "SecretPlace",
     "Segment",
+    "SerialLine",
     "SerialRobot",
     "Severity",
     "SparseEffect",
@@ -128,11 +146,32 @@ __all__ = [
     "SurfaceMap",
     "SurfaceReader",
     "SurfaceStats",
+    "Tcp",
     "ToolProcess",
     "WrongPart",
     "events",
     "hide",
     "hookimpl",
     "learn_rate",
+    "open_stream",
+    "parse_address",
     "read_secret",
 ]
+
+_TRANSPORT = {
+    "address": ("Address", "SerialLine", "Tcp", "parse_address"),
+    "background": ("Background",),
+    "numbered": ("NumberedLines",),
+    "plain": ("PlainLines",),
+    "requests": ("RequestQueue",),
+    "streams": ("LineReader", "open_stream"),
+}
+
+if not TYPE_CHECKING:  # or every misspelt name of this module would be Any
+
+    def __getattr__(name: str) -> Any:
+        """What drivers are made of is imported when it is first asked for: commands without devices need no asyncio."""
+        for module, names in _TRANSPORT.items():
+            if name in names:
+                return getattr(import_module(f"polishd.drivers.transport.{module}"), name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

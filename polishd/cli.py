@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shlex
 import sys
 from pathlib import Path
 from typing import Annotated, Literal, cast
@@ -96,11 +97,15 @@ def check(cell: Cell, as_json: Json = False) -> None:
 
 
 @app.command()
-def probe(cell: Cell, as_json: Json = False) -> None:
+def probe(
+    cell: Cell,
+    only: Annotated[list[str] | None, Option(metavar="NAME", help="Ask that device who it is, nothing else.")] = None,
+    as_json: Json = False,
+) -> None:
     """Connect to each device, identify it, leave it safe."""
     from polishd.console.verbs import probe_verb
 
-    probe_verb(cell, as_json=as_json)
+    probe_verb(cell, only or (), as_json=as_json)
 
 
 @app.command()
@@ -202,7 +207,7 @@ def main() -> None:
         _plugin_commands()
         app()
     except PolishdError as error:
-        typer.echo(f"polishd: {error}", err=True)
+        typer.echo(f"polishd: {_with_cell(str(error))}", err=True)
         sys.exit(error.exit_code)
     except OSError as error:
         full = error.errno == errno.ENOSPC
@@ -212,6 +217,12 @@ def main() -> None:
         advice = "; make room" if full else ""
         typer.echo(f"polishd: {name}: {error.strerror}{advice}", err=True)
         sys.exit(1)
+
+
+def _with_cell(text: str) -> str:
+    """Commands in it can be copied: they name the cell that was asked for."""
+    cell = next((word for word in sys.argv[1:] if word.endswith(".toml")), None)
+    return text if cell is None else text.replace("CELL.toml", shlex.quote(cell))
 
 
 def _full_output() -> str:

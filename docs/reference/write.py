@@ -15,6 +15,7 @@ from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel
 
+from docs.reference import ports
 from polishd.config.cell import CellConfig
 from polishd.config.device_profile import DeviceProfile
 from polishd.config.places import plain_kind, section_of, variants
@@ -237,3 +238,4 @@ def _toml(value: Any) -> str:
 if __name__ == "__main__":
     for name, text in pages().items():
         (FOLDER / name).write_text(text)
+    ports.PAGE.write_text(ports.laid_into(ports.PAGE.read_text()))

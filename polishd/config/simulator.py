@@ -171,17 +171,19 @@ class Robot(Section):
 class Actuator(Section):
     """The voice-coil actuator. Its times go with the simulated clock."""
 
-    kind: Literal["modbus_rtu", "modbus_tcp", "serial", "profile", "profile_tcp"] = "modbus_rtu"
-    """What it speaks: the cell's `voice_coil_modbus` on a line or over TCP, `voice_coil_serial`, or what a profile
-    says."""
+    kind: Literal["modbus_rtu", "modbus_tcp", "serial", "slcan", "socketcand", "profile", "profile_tcp"] = "modbus_rtu"
+    """What it speaks: the cell's `voice_coil_modbus` on a line or over TCP, `voice_coil_serial`, `cia402_actuator`,
+    whose bus is reached through a serial adapter or a daemon, or what a device profile says."""
     profile: Text = "profile.toml"
     """File of the device profile, for `profile` and `profile_tcp`."""
     port: Port = 0
-    """TCP port on loopback, for modbus_tcp and profile_tcp; 0: any that is free. [1]"""
+    """TCP port on loopback, for modbus_tcp, socketcand and profile_tcp; 0: any that is free. [1]"""
     baud: Annotated[int, Field(ge=1200)] = 115200
     """Pace of the serial line. [bit/s]"""
     unit: Annotated[int, Field(ge=1, le=247)] = 1
     """Modbus unit number. [1]"""
+    node: Annotated[int, Field(ge=1, le=127)] = 6
+    """CANopen node number. [1]"""
     land_s: Positive = 2.0
     """From engaging to the part."""
     lift_s: Positive = 4.0
@@ -200,6 +202,8 @@ class Spindle(Section):
     """How its CAN bus is reached: a serial adapter, or a daemon over TCP; or it speaks what a device profile says."""
     profile: Text = "profile.toml"
     """File of the device profile, for `profile` and `profile_tcp`."""
+    drive: Literal["spindle_can", "cia402"] = "spindle_can"
+    """What it speaks on CAN: the cell's `spindle_can`, or `cia402_spindle`, whose ramps and watchdog the cell sets."""
     port: Port = 0
     """TCP port on loopback, for socketcand and profile_tcp; 0: any that is free. [1]"""
     node: Annotated[int, Field(ge=1, le=127)] = 5

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -20,7 +21,7 @@ from polishd.daemon.endings import Cause, for_cell, last_ending
 from polishd.hooks.cell import load_cell, plugins_of
 from polishd.hooks.checks import DECLARATIONS
 from polishd.hooks.loader import load_own
-from polishd.model.errors import NoDaemon
+from polishd.model.errors import DeviceFault, NoDaemon
 from polishd.model.tolerance import judged_of, worst
 from polishd.show.tables import emit, key_table, outcome_tables, record_table, stderr, stdout
 
@@ -69,16 +70,36 @@ def _limit_table(limits: Sequence[Mapping[str, Any]]) -> Table:
     return record_table("time limits", ("what", "time", "needed", "key"), rows)
 
 
-def probe_verb(cell: Path, *, as_json: bool) -> None:
-    """Connect, identify, leave safe."""
+def probe_verb(cell: Path, only: Sequence[str] = (), *, as_json: bool) -> None:
+    """Connect, identify, leave safe; DeviceFault, after the table, where one of them does not answer."""
     from polishd.daemon.checking import probe_cell
 
     config, hooks = load_cell(cell)
-    found = asyncio.run(probe_cell(config, hooks))
-    devices = {name: asdict(identity) for name, identity in found.items()}
+    logging.getLogger().addHandler(
+        logging.NullHandler()
+    )  # what it tells of a device that is silent stands in the table
+    found = asyncio.run(probe_cell(config, hooks, only))
+    devices: dict[str, dict[str, Any]] = {name: asdict(identity) for name, identity in found.identities.items()}
+    for name, problem in found.problems.items():
+        devices.setdefault(name, {})["error"] = problem
+    emit(devices, as_json=as_json, table=lambda: _probed_tables(config.cell.name, devices, all_=not only))
+    if found.problems:
+        names = ", ".join(found.problems)
+        raise DeviceFault(
+            f"{len(found.problems)} of {len(only or devices)} devices did not answer as they should: {names}"
+        )
+
+
+def _probed_tables(cell: str, devices: Mapping[str, Mapping[str, Any]], *, all_: bool) -> Group:
+    """Who answered, and what is wrong with the others."""
     columns = ("device", "vendor", "model", "serial", "firmware")
-    rows = [(name, *(facts[column] for column in columns[1:])) for name, facts in devices.items()]
-    emit(devices, as_json=as_json, table=lambda: record_table(f"{config.cell.name}: all safe", columns, rows))
+    answered = [(name, *(facts[key] for key in columns[1:])) for name, facts in devices.items() if "model" in facts]
+    wrong = [(name, facts["error"]) for name, facts in devices.items() if "error" in facts]
+    safe = "all safe" if all_ and not wrong else "not made safe" if not all_ else "these answered"
+    tables = [record_table(f"{cell}: {safe}", columns, answered)] if answered else []
+    return Group(
+        *tables, *([record_table(f"{cell}: not as they should", ("device", "what is wrong"), wrong)] if wrong else [])
+    )
 
 
 def status_verb(cell: Path, *, as_json: bool) -> None:

@@ -105,17 +105,21 @@ class Cell:
 
         With ``waiting``, one that still serves a client that is gone is asked again, until it must have let go of it.
         """
-        found = {}
         try:
-            for name, device in self.devices.items():
-                await self._opened(name, device, waiting)
-                async with _answering(name):
-                    found[name] = await device.identify()
-                self.hears(name)
+            found = {name: await self.open_one(name, waiting) for name in self.devices}
         except BaseException:
             await self.close()
             raise
         self.identities = found
+
+    async def open_one(self, name: str, waiting: Waiting | None = None) -> Identity:
+        """Open that device, and have it say who it is; as ``open``, but nothing is closed where it fails."""
+        device = self.devices[name]
+        await self._opened(name, device, waiting)
+        async with _answering(name):
+            found = await device.identify()
+        self.hears(name)
+        return found
 
     async def _opened(self, name: str, device: Device, waiting: Waiting | None) -> None:
         begun_s, within_s = self.clock.now_s(), released_within_s(getattr(device, "times", None))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from polishd.daemon.safety import make_safe
 from polishd.hooks.cell import hooks_of_job
 from polishd.hooks.loader import Hooks
 from polishd.model.devices import Identity
-from polishd.model.errors import DeviceFault, PolishdError
+from polishd.model.errors import ConfigError, PolishdError
 from polishd.recipe import foresight, steps, touch_off
 from polishd.recipe.making import make_recipe, why_not_commissioned
 from polishd.recipe.program_fit import require_fit
@@ -112,16 +113,34 @@ def _instrument(config: CellConfig, recipe: Recipe) -> str:
     return f"{instrument.name}: commissioned {record.at:%Y-%m-%d %H:%M} with {record.artefact}"
 
 
-async def probe_cell(config: CellConfig, hooks: Hooks) -> Mapping[str, Identity]:
-    """Connect to each device, identify it, leave it safe. DeviceError where one does not answer."""
+@dataclass(frozen=True, slots=True)
+class Probed:
+    """Who answered, and what is wrong with the others, by the devices' names."""
+
+    identities: Mapping[str, Identity]
+    problems: Mapping[str, str]
+
+
+async def probe_cell(config: CellConfig, hooks: Hooks, only: Sequence[str] = ()) -> Probed:
+    """Connect to each device, whatever is wrong with another; identify it, and leave all safe.
+
+    With ``only``, these are asked who they are and nothing else: no robot is stopped over a tool that nobody lifts.
+    """
     cell = build_cell(config, hooks)
     require_time_limits(config, cell)
+    if unknown := [name for name in only if name not in cell.devices]:
+        raise ConfigError(f"--only {unknown[0]}: the cell has {', '.join(cell.devices)}")
+    found, problems = {}, {}
     with locked(config.state_dir):
-        await cell.open()
         try:
-            await make_safe(cell)
+            for name in only or cell.devices:
+                try:
+                    found[name] = await cell.open_one(name)
+                except Exception as error:  # noqa: BLE001 - a plugin may raise anything: the others are asked all the same
+                    problems[name] = str(error) or type(error).__name__
+            if not only:
+                await make_safe(cell)
         finally:
             await cell.close()
-    if cell.unsafe:
-        raise DeviceFault("not confirmed safe: " + "; ".join(cell.unsafe))
-    return cell.identities
+    unsafe = (said.partition(": ") for said in cell.unsafe)
+    return Probed(found, {name: f"not confirmed safe: {why}" for name, _, why in unsafe} | problems)

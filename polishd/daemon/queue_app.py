@@ -89,12 +89,15 @@ async def _leave(daemon: QueueDaemon, shift: Shift, last: Mapping[str, Any], *, 
 
 
 def _last_words(daemon: QueueDaemon, shift: Shift, outcome: Outcome, failure: Exception | None) -> dict[str, Any]:
-    """As of one job; one that ended because nothing waits is no failure, unless a part was not accepted."""
+    """As of one job; one that ended between jobs is no failure, unless a part was not accepted."""
     last: dict[str, Any] = daemon.last_words(outcome, failure)
     folder: Mapping[str, Any] = {"run_dir": str(shift.folder.path)} if shift.folder else {}
-    if failure is None and shift.first() is None and outcome is not Outcome.STOPPED:
-        last |= {"state": "empty", "next": EMPTY, "exit_code": int(set(shift.ended) - {"accepted"} != set())}
+    stopped = outcome is Outcome.STOPPED
+    if failure is None and shift.entry is None and (stopped or shift.first() is None):
+        last |= {"next": GOES_ON if stopped else EMPTY, "exit_code": int(set(shift.ended) - {"accepted"} != set())}
+        last |= {} if stopped else {"state": "empty"}
     return {**last, **folder}
 
 
 EMPTY = "the queue is empty: polishd job add CELL.toml JOB.toml adds to it, polishd run CELL.toml --queue goes on"
+GOES_ON = "no job was under way: polishd run CELL.toml --queue goes on with those that wait; held, if it was held"

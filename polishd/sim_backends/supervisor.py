@@ -51,7 +51,8 @@ class Supervisor:
         """Plant first, then its devices; whether all came up."""
         if not await self._spawn("plant", group):
             return False
-        devices = [name for name in DEVICES if getattr(self.start.config, name) is not None]
+        wanted = self.start.only or DEVICES
+        devices = [name for name in DEVICES if name in wanted and getattr(self.start.config, name) is not None]
         return all(await asyncio.gather(*(self._spawn(name, group) for name in devices)))
 
     async def _spawn(self, name: str, group: asyncio.TaskGroup) -> bool:

@@ -5,13 +5,11 @@ A rig for another peer (a simulator, a real machine) is another function here: t
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar
 
-from polishd.api import ForceActuator, Loader, Robot, Spindle
+from polishd.api import ForceActuator, Loader, Spindle
 from polishd.drivers.linuxcnc.driver import LinuxCnc
 from polishd.drivers.loader_line import LoaderLine
 from polishd.drivers.profiled import make
@@ -19,6 +17,12 @@ from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
 from polishd.model.times import ActuatorTimes, LoaderTimes, SpindleTimes
+from polishd.testing.rig import D, Rig, Scope
+from polishd.testing.suites.actuator import ActuatorRig
+from polishd.testing.suites.loader import LoaderRig
+from polishd.testing.suites.robot import RobotRig
+from polishd.testing.suites.spindle import SpindleRig
+from tests.fakes import cia402
 from tests.fakes.actuator import AsciiCoil, Coil, ModbusCoil
 from tests.fakes.devices_by_profile import file_of, shipped, voice_coil_modbus, voice_coil_serial
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
@@ -29,34 +33,11 @@ from tests.fakes.robot import FakeRobot
 from tests.fakes.wires import PtyWire, TcpWire, dribbled
 from tests.kinds import kind
 
-D = TypeVar("D")
+TOUCHES = Scope(touch_mm=5.0)
 PATIENT = ActuatorTimes(silence_s=1.0, watchdog_s=2.0)
 PATIENT_SPINDLE = SpindleTimes(silence_s=1.5, watchdog_s=2.0)
 PATIENT_LOADER = LoaderTimes(silence_s=1.0)
 """A busy machine is silent for longer than the wires of actuators and spindles would be."""
-
-
-@dataclass
-class Rig(Generic[D]):
-    """A device, and what may happen to it."""
-
-    device: D
-    cut: Callable[[], None]
-    """Pull the plug for good."""
-    mute: Callable[[], None]
-    """The peer goes on living and says nothing more: a half-open link."""
-    safe: Callable[[], bool]
-    """The machine itself, not the driver: it exerts nothing and stands still."""
-    whole_file: bool = False
-    """A robot that takes its program in one piece: nobody waits for credit."""
-    forgives: bool = True
-    """The fault of a device's own watchdog is taken back when it is made safe; else a person resets it."""
-
-
-RobotRig = Rig[Robot]
-ActuatorRig = Rig[ForceActuator]
-SpindleRig = Rig[Spindle]
-LoaderRig = Rig[Loader]
 
 
 @asynccontextmanager
@@ -167,7 +148,7 @@ async def actuator_line_drive(folder: Path) -> AsyncIterator[ActuatorRig]:
 @asynccontextmanager
 async def _actuator(coil: Coil, wire: PtyWire | TcpWire, device: ForceActuator) -> AsyncIterator[ActuatorRig]:
     try:
-        yield Rig(device, wire.cut, lambda: setattr(wire.peer, "silent", True), lambda: coil.state == 0)
+        yield Rig(device, wire.cut, lambda: setattr(wire.peer, "silent", True), lambda: coil.state == 0, scope=TOUCHES)
     finally:
         await device.close()
         await wire.close()
@@ -223,7 +204,7 @@ async def _inverter(
     device = make.spindle(shipped(name), address, PATIENT_SPINDLE)
     safe = lambda: _stands(peer, "stopped", "fault")  # noqa: E731
     try:
-        yield Rig(device, wire.cut, lambda: setattr(peer, "silent", True), safe, forgives=forgives)
+        yield Rig(device, wire.cut, lambda: setattr(peer, "silent", True), safe, scope=Scope(forgives=forgives))
     finally:
         await device.close()
         await wire.close()
@@ -238,6 +219,59 @@ def _stands(peer: ProfiledPeer, *states: str) -> bool:
 async def _spindle(drive: Drive, wire: PtyWire | TcpWire, device: Spindle) -> AsyncIterator[SpindleRig]:
     try:
         yield Rig(device, wire.cut, lambda: setattr(wire.peer, "silent", True), lambda: drive.rpm == 0)
+    finally:
+        drive.stop()
+        await device.close()
+        await wire.close()
+
+
+@asynccontextmanager
+async def cia402_spindle_slcan(folder: Path) -> AsyncIterator[SpindleRig]:
+    """A drive of CiA 402 behind a serial adapter, in profile velocity."""
+    drive, motor = cia402.sim_motor()
+    wire = PtyWire(SlcanPeer(drive), folder / "slcan")
+    async with _cia402(drive, wire, cia402.cia402_spindle(Slcan(wire.path), PATIENT_SPINDLE)) as rig:
+        rig.safe = lambda: motor.rpm == 0.0
+        yield rig
+
+
+@asynccontextmanager
+async def cia402_spindle_socketcand(_: Path) -> AsyncIterator[SpindleRig]:
+    """The same behind a socketcand server."""
+    drive, motor = cia402.sim_motor()
+    wire = await TcpWire(SocketcandPeer(drive)).start()
+    address = Socketcand("127.0.0.1", wire.port, "can0")
+    async with _cia402(drive, wire, cia402.cia402_spindle(address, PATIENT_SPINDLE)) as rig:
+        rig.safe = lambda: motor.rpm == 0.0
+        yield rig
+
+
+@asynccontextmanager
+async def cia402_actuator_spring(folder: Path) -> AsyncIterator[ActuatorRig]:
+    """A drive of CiA 402 behind a serial adapter, in profile torque; a spring lifts."""
+    drive, coil = cia402.sim_coil()
+    wire = PtyWire(SlcanPeer(drive), folder / "slcan")
+    async with _cia402(drive, wire, cia402.cia402_actuator(Slcan(wire.path), PATIENT)) as rig:
+        rig.safe = lambda: coil.position_mm == 0.0
+        yield rig
+
+
+@asynccontextmanager
+async def cia402_actuator_position(_: Path) -> AsyncIterator[ActuatorRig]:
+    """The same behind a socketcand server; profile position lifts."""
+    drive, coil = cia402.sim_coil()
+    wire = await TcpWire(SocketcandPeer(drive)).start()
+    address = Socketcand("127.0.0.1", wire.port, "can0")
+    async with _cia402(drive, wire, cia402.cia402_actuator(address, PATIENT, lift="position")) as rig:
+        rig.safe = lambda: coil.position_mm <= 0.1
+        yield rig
+
+
+@asynccontextmanager
+async def _cia402(drive: cia402.SimDrive, wire: PtyWire | TcpWire, device: D) -> AsyncIterator[Rig[D]]:
+    try:
+        mute = lambda: setattr(wire.peer, "silent", True)  # noqa: E731
+        yield Rig(device, wire.cut, mute, lambda: not drive.node.power.live)
     finally:
         drive.stop()
         await device.close()
@@ -273,10 +307,8 @@ async def _loader(fake: FakeLoader, wire: PtyWire | TcpWire, device: Loader) -> 
 
 
 ROBOTS = [*kind(robot_tcp, robot_dribbled), *kind(linuxcnc, linuxcnc_dribbled)]
-ACTUATORS = [
-    *kind(actuator_rtu, actuator_tcp),
-    *kind(actuator_ascii, actuator_ascii_dribbled),
-    *kind(actuator_line_drive),
-]
-SPINDLES = [*kind(spindle_slcan, spindle_socketcand), *kind(spindle_ms300, spindle_gs2, spindle_wj200)]
+ACTUATORS = [*kind(actuator_rtu, actuator_tcp), *kind(actuator_ascii, actuator_ascii_dribbled)]
+ACTUATORS += [*kind(cia402_actuator_spring, cia402_actuator_position), *kind(actuator_line_drive)]
+SPINDLES = [*kind(spindle_slcan, spindle_socketcand), *kind(cia402_spindle_slcan, cia402_spindle_socketcand)]
+SPINDLES += kind(spindle_ms300, spindle_gs2, spindle_wj200)
 LOADERS = kind(loader_serial, loader_tcp_dribbled)

@@ -26,9 +26,7 @@ from polishd.drivers.profiled import make
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp, parse_address
-from tests.conformance.conftest import BOUND_S, PROMPT_S, seen
-from tests.conformance.rigs import PATIENT, PATIENT_SPINDLE, ActuatorRig, Rig, RobotRig, SpindleRig
-from tests.conformance.test_device import (  # noqa: F401 -- the suite itself, with this module's any_device
+from polishd.testing.suites.device import (  # noqa: F401 -- the suite itself, with this module's any_device
     test_a_cancelled_call_harms_no_later_one,
     test_it_can_be_opened_again,
     test_it_says_who_it_is,
@@ -38,8 +36,10 @@ from tests.conformance.test_device import (  # noqa: F401 -- the suite itself, w
     test_nothing_works_after_it_is_closed,
     test_nothing_works_before_it_is_open,
     test_opening_changes_nothing,
-    watch,
 )
+from polishd.testing.waiting import until_lost
+from tests.conformance.conftest import BOUND_S, PROMPT_S, seen
+from tests.conformance.rigs import PATIENT, PATIENT_SPINDLE, ActuatorRig, Rig, RobotRig, SpindleRig
 from tests.fakes.devices_by_profile import file_of, shipped, voice_coil_modbus, voice_coil_serial
 from tests.kinds import kind
 from tests.patience import SOON_S, within
@@ -275,7 +275,7 @@ async def test_a_power_cut_is_known_at_once(any_device: Rig[Any]) -> None:
     await any_device.device.open()
     any_device.cut()
     with within(PROMPT_S), pytest.raises(LinkError):
-        await watch(any_device.device)
+        await until_lost(any_device.device.status)
     with within(BOUND_S), pytest.raises(LinkError):
         await any_device.device.make_safe()
 
@@ -285,7 +285,7 @@ async def test_a_process_that_hangs_is_known_at_once(any_device: Rig[Any]) -> No
     await any_device.device.open()
     any_device.mute()
     with within(PROMPT_S), pytest.raises(LinkError):
-        await watch(any_device.device)
+        await until_lost(any_device.device.status)
     with within(BOUND_S), pytest.raises(LinkError):
         await any_device.device.make_safe()
 
@@ -385,7 +385,7 @@ async def test_all_who_wait_for_a_dead_robot_hear_of_it(robot: RobotRig, how: st
     await executed(robot.device, 1)
     getattr(robot, how)()
     with within(PROMPT_S):
-        ends = await asyncio.gather(executed(robot.device, 99), watch(robot.device), return_exceptions=True)
+        ends = await asyncio.gather(executed(robot.device, 99), until_lost(robot.device.status), return_exceptions=True)
     assert [type(end) for end in ends] == [LinkError, LinkError]
     assert robot.device.buffer_s == 0.0
 

@@ -43,8 +43,8 @@ from polishd.sim_backends import metropro as writer
 from polishd.sim_backends.actuator.ascii import AsciiSlave, body, line
 from polishd.sim_backends.actuator.coil import VoiceCoil
 from polishd.sim_backends.actuator.modbus import Registers, RtuSlave, crc16, rtu
+from polishd.sim_backends.can_hosts import Slcan, Socketcand, slcan_frame, slcan_line
 from polishd.sim_backends.robot import frames as f
-from polishd.sim_backends.spindle.buses import Slcan, Socketcand, slcan_frame, slcan_line
 from polishd.sim_backends.spindle.drive import Drive
 from tests.fakes.devices_by_profile import shipped
 from tests.vectors import vectors

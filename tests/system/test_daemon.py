@@ -222,13 +222,13 @@ def test_a_late_map_with_nobody_there_ends_with_its_own_code(tmp_path: Path) -> 
 
 def test_orders_over_the_socket(tmp_path: Path) -> None:
     # so slow that the pass is not over before the orders come
-    with small_cell(tmp_path / "cell", seed=5, speed=3.0) as files, Daemon(files) as daemon:
+    with small_cell(tmp_path / "cell", seed=5, speed=2.0) as files, Daemon(files) as daemon:
         daemon.wait_in_contact(20)
+        assert polishd("hold", files.cell).returncode == 0
         assert stat.S_IMODE((files.state_dir / SOCKET_NAME).stat().st_mode) == 0o600
         second = polishd("run", files.cell)
         assert second.returncode == 3
         assert "another polishd runs this cell" in second.stderr
-        assert polishd("hold", files.cell).returncode == 0
         require_safe_order(events(files))
         status = json.loads(polishd("status", files.cell, "--json").stdout)
         assert status["state"] == "held"

@@ -16,7 +16,9 @@ import pytest
 
 from polishd.console.demo_files import DemoFiles, free_port
 from polishd.console.simulator import simulated_cell
+from polishd.daemon import client
 from tests.system.cell_rig import Daemon, events, with_keys, write_small
+from tests.system.sim_rig import wait_for
 
 pytestmark = pytest.mark.system
 
@@ -63,6 +65,11 @@ def queue(files: DemoFiles) -> dict[str, dict[str, Any]]:
     return {job["name"]: job for job in json.loads(said.stdout)["jobs"]}
 
 
+def states(files: DemoFiles) -> dict[str, str]:
+    """Of the jobs, as the daemon tells them."""
+    return {job["name"]: job["state"] for job in client.request(files.state_dir, "job_list")["jobs"]}
+
+
 def journal(files: DemoFiles, sql: str) -> list[tuple[Any, ...]]:
     """What the journal's file says."""
     with contextlib.closing(sqlite3.connect(files.state_dir / "journal.sqlite")) as connection:
@@ -80,13 +87,14 @@ def queue_cell(out: Path, **faults: list[str]) -> Iterator[DemoFiles]:
 def test_parts_without_a_person_and_one_that_comes_while_it_runs(tmp_path: Path) -> None:
     with queue_cell(tmp_path / "cell") as files:
         add(files, ("one", "P-1"))
-        with Daemon(files, "--queue", "--until-empty") as daemon:
+        with Daemon(files, "--queue") as daemon:
             daemon.wait_for_state("polishing")
             assert daemon.status()["job"] == "one"
             add(files, ("two", "P-2"))
-            assert daemon.status()["next_job"] == "two (part P-2)"
+            wait_for(lambda: states(files) == {"one": "accepted", "two": "accepted"}, "both parts")
+            daemon.wait_for_state("idle")
+            assert polishd("stop", files.cell).returncode == 0
             assert daemon.wait() == 0, daemon.output.read_text()
-        assert {name: job["state"] for name, job in queue(files).items()} == {"one": "accepted", "two": "accepted"}
         moves = events(files, "loader_moves")
         assert [event["part"] for event in moves] == ["", "P-1", "", "P-2"]
         assert not any(event["robot_moves"] or event["tool_is_out"] for event in moves)

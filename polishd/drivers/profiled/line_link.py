@@ -15,7 +15,7 @@ LONGEST = 512
 """Bytes of an answer."""
 
 
-class PlainLines:
+class LineLink:
     """Asks one request at a time; the caller sees to that.
 
     An answer bears no number, so after silence the line is closed, and opened again (which drops what came) only when

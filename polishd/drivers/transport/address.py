@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Literal, cast
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
-from polishd.api import ConfigError
+from polishd.model.errors import ConfigError
 
 Parity = Literal["none", "even", "odd"]
 PARITIES = ("none", "even", "odd")

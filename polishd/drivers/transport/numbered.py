@@ -10,9 +10,10 @@ import time
 from functools import reduce
 from operator import xor
 
-from polishd.api import ByteStream, DeviceRefused, LinkError
 from polishd.drivers.transport.address import SerialLine, Tcp, silent
 from polishd.drivers.transport.streams import LineReader, open_stream
+from polishd.model.errors import DeviceRefused, LinkError
+from polishd.ports.stream import ByteStream
 
 LONGEST = 120
 """Bytes of a line."""

@@ -13,9 +13,10 @@ from typing import cast
 
 import serial
 
-from polishd.api import ByteStream, LinkError
 from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.drivers.transport.background import open_blocking, settle
+from polishd.model.errors import LinkError
+from polishd.ports.stream import ByteStream
 
 WRITE_S = 1.0
 """A peer, or a line, that takes no bytes for so long is dead."""

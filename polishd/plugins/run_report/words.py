@@ -67,14 +67,16 @@ def interrupted(row: Mapping[str, Any]) -> bool:
 
 
 def share(row: Mapping[str, Any]) -> str:
-    """How much of an interrupted pass was executed; empty for any other."""
+    """How much of an interrupted pass was executed, and of what nobody knows it; empty for any other pass."""
     if not interrupted(row):
         return ""
+    blocks = ", ".join(f"{first} to {last}" for first, last in row.get("uncertain") or ())
+    uncertain = f"; blocks {blocks} uncertain" if blocks else ""
     match row.get("executed_s"), row.get("dwell_s"):
         case (int() | float()) as executed, (int() | float()) as planned if planned > 0:
-            return f"interrupted at {executed / planned:.0%}"
+            return f"interrupted at {executed / planned:.0%}{uncertain}"
         case _:
-            return "interrupted"
+            return f"interrupted{uncertain}"
 
 
 def passes(rows: Rows) -> str:

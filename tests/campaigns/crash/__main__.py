@@ -12,7 +12,7 @@ import time
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
-from tests.campaigns.crash import kills, model
+from tests.campaigns.crash import attacks, kills, model
 from tests.campaigns.crash.figures import SAID, Figures, table, write_page
 from tests.campaigns.crash.recording import ROOT
 from tests.campaigns.crash.states import rounds
@@ -70,7 +70,7 @@ def run_model(figures: Figures, faults: int) -> None:
 def one_part(seed: int, number: int) -> kills.Count:
     """A cell in a folder of its own, which stays where something was wrong."""
     folder = Path(tempfile.mkdtemp(prefix="polishd-crash-"))
-    count = kills.part(folder / "cell", seed, number)
+    count = attacks.part(folder / "cell", seed, number)
     if count.bad:
         say(f"crash: {count.examples}; see {folder}")
     else:

@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from polishd.files import write_atomic
+from tests.campaigns.crash.attacks import ATTACKS_KNOWN
 from tests.campaigns.crash.daemon_recording import recorded_daemon
-from tests.campaigns.crash.kills import ATTACKS_KNOWN, Count
+from tests.campaigns.crash.kills import Count
 from tests.campaigns.crash.model import BROKEN, Checked
 from tests.campaigns.crash.recording import ROOT, Op
 from tests.campaigns.crash.states import KEY_BYTES, Tried

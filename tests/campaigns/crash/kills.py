@@ -7,12 +7,9 @@ block been in contact that the journal does not know of, and does the next start
 from __future__ import annotations
 
 import contextlib
-import os
 import random
 import re
-import signal
 import socket
-import subprocess
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -30,8 +27,6 @@ from tests.system.cell_rig import with_keys, write_small
 CELLS = 3
 """Side by side: they mostly wait for their watchdogs."""
 SPEED = 30.0
-ATTACKS = 12
-"""Of one cell, and then it goes on to the end of its job."""
 COMMITS = 60
 """At which of a sitting's first commits a daemon is killed: the first pass begins at about the thirtieth."""
 QUICK = {
@@ -44,11 +39,8 @@ QUICK = {
 QUICK_SIM = {"robot": {"watchdog_s": 3.0}, "spindle": {"watchdog_s": 1.0}}
 STANDS_S = 0.05
 """Longest that a tool may stand on the part where motion goes on: a corner at which the robot turns."""
-ROBOT_STANDS_S = 4.0
-"""Longest where the robot was killed or stopped: silence, force off, and the watchdog of the actuator behind them."""
 CLAIMED = re.compile(r": touched in (\S+) s; the plant saw (\S+) s$")
 """A contradiction that costs no block twice: the journal tells of a contact that was none."""
-STOPS_S, STOPS_SHARE = (0.1, 0.3, 1.0, 2.0, 5.0, 60.0), (8, 8, 8, 8, 2, 1)
 NEVER = 3.0
 """So long an attack may have no effect."""
 
@@ -155,12 +147,16 @@ class Campaign:
 
     def until_contact(self) -> None:
         """And then as long again as luck will have it."""
+        self.until("tool_landed")
+        time.sleep(self.luck.uniform(0.0, 1.5))
+
+    def until(self, event: str) -> None:
+        """A device's next event of this name, or the daemon's end."""
         site, before = self.site, len(self.site.log.look())
         end_s = time.monotonic() + SOON_S
-        while not site.ended and not any(e["event"] == "tool_landed" for e in site.log.look()[before:]):
-            assert time.monotonic() < end_s, "the tool does not come to the part"
+        while not site.ended and not any(e["event"] == event for e in site.log.look()[before:]):
+            assert time.monotonic() < end_s, f"{event} does not come"
             self._go_on()
-        time.sleep(self.luck.uniform(0.0, 1.5))
 
     def until_ended(self, within_s: float = NEVER) -> None:
         """Or not: then it did the daemon no harm."""
@@ -199,114 +195,6 @@ class Campaign:
         return WHERE[self._number % len(WHERE)]
 
 
-def at_commit(cell: Campaign) -> None:
-    """The daemon, at one of its commits."""
-    cell.site.start(("-m", "tests.campaigns.crash.attacked", str(cell.commit()), cell.where()))
-    cell.begin()
-    cell.until_ended(SOON_S)
-    cell.strike()
-
-
-def at_random(cell: Campaign) -> None:
-    """The daemon, at any moment."""
-    cell.site.start()
-    end_s = time.monotonic() + cell.luck.uniform(0.0, 8.0)
-    cell.begin()
-    cell.until_ended(end_s - time.monotonic())
-    cell.strike()
-
-
-def in_contact(cell: Campaign) -> None:
-    """The daemon, with the tool on the part."""
-    cell.site.start()
-    cell.begin()
-    cell.until_contact()
-    cell.strike()
-
-
-def worker(cell: Campaign) -> None:
-    """The compute worker: the daemon ends over it, or has another one."""
-    cell.site.start()
-    cell.begin()
-    time.sleep(cell.luck.uniform(0.0, 2.5))
-    cell.strike()
-    for pid in cell.site.workers():
-        os.kill(pid, signal.SIGKILL)
-    cell.until_ended()
-
-
-def rebooted(device: str) -> Callable[[Campaign], None]:
-    """A device loses its power in contact, and boots."""
-
-    def do(cell: Campaign) -> None:
-        cell.site.start()
-        cell.begin()
-        cell.until_contact()
-        cell.strike()
-        cell.site.reboot(device)
-        cell.until_ended()
-
-    return do
-
-
-def stopped(who: str) -> Callable[[Campaign], None]:
-    """Somebody stands still for a while."""
-
-    def do(cell: Campaign) -> None:
-        cell.site.start()
-        cell.begin()
-        cell.until_contact()
-        cell.strike()
-        pids = [cell.site.pid] if who == "daemon" else [cell.site.device(who)]
-        seconds = cell.luck.choices(STOPS_S, STOPS_SHARE)[0]
-        for number, then_s in ((signal.SIGSTOP, seconds), (signal.SIGCONT, 0.0)):
-            for pid in filter(None, pids):
-                os.kill(pid, number)
-            time.sleep(then_s)
-        cell.until_ended()
-
-    return do
-
-
-def disk(calls: str, fault: str) -> Callable[[Campaign], None]:
-    """The n-th of these system calls, and all of them from then on, do what a broken disk does."""
-
-    def do(cell: Campaign) -> None:
-        inject = f"inject={calls}:{fault}:when={cell.luck.randrange(1, 30)}+"
-        tracer = ("strace", "-f", "-qq", "--seccomp-bpf", "-o", "/dev/null", "-e", f"trace={calls}", "-e", inject)
-        cell.site.start(tracer=tracer)
-        cell.begin()
-        cell.until_ended(6.0)
-
-    return do
-
-
-SYNCS, WRITES = "fsync,fdatasync", "pwrite64"
-ATTACKS_KNOWN = (
-    Attack("daemon at a commit", at_commit, 10),
-    Attack("daemon at random", at_random, 4),
-    Attack("daemon in contact", in_contact, 4),
-    Attack("worker", worker, 2),
-    Attack("robot", rebooted("robot"), 1, stands_s=ROBOT_STANDS_S),
-    Attack("actuator", rebooted("actuator"), 1),
-    Attack("spindle", rebooted("spindle"), 1),
-    Attack("interferometer", rebooted("interferometer"), 1),
-    Attack("SIGSTOP daemon", stopped("daemon"), 1, kills=False),
-    Attack("SIGSTOP robot", stopped("robot"), 1, kills=False, stands_s=ROBOT_STANDS_S),
-    Attack("SIGSTOP actuator", stopped("actuator"), 1, kills=False),
-    Attack("SIGSTOP spindle", stopped("spindle"), 1, kills=False),
-    Attack("ENOSPC", disk(WRITES, "error=ENOSPC"), 1, kills=False),
-    Attack("EIO of a write", disk(WRITES, "error=EIO"), 1, kills=False),
-    Attack("EIO of an fsync", disk(SYNCS, "error=EIO"), 1, kills=False),
-    Attack("slow fsync", disk(SYNCS, "delay_exit=400000"), 1, kills=False),
-)
-
-
-def drawn(luck: random.Random, number: int) -> Iterator[Attack]:
-    """So many attacks, each kind by its share."""
-    yield from luck.choices(ATTACKS_KNOWN, [attack.share for attack in ATTACKS_KNOWN], k=number)
-
-
 @contextmanager
 def attacked_cell(folder: Path, seed: int) -> Iterator[Site]:
     """A cell whose watchdogs are quick, running."""
@@ -333,17 +221,3 @@ def _port() -> int:
             socket.create_server(("127.0.0.1", random.randrange(20_000, 32_000))) as free,
         ):
             return int(free.getsockname()[1])
-
-
-def part(folder: Path, seed: int, number: int, attacks: int = ATTACKS) -> Count:
-    """One cell: so many attacks, drawn by seed and number, and on to the end of its job."""
-    count, luck = Count(), random.Random(f"{seed} {number}")
-    with attacked_cell(folder, seed + number) as site:
-        campaign = Campaign(site, luck, count, number * attacks)
-        try:
-            for attack in drawn(luck, attacks):
-                campaign.attack(attack)
-            campaign.finish()
-        except (AssertionError, subprocess.TimeoutExpired) as error:
-            count.wrong("stuck", f"part {number}, after {attack.name}: {error}")
-    return count

@@ -44,9 +44,10 @@ def test_for_programs(polishd: Polishd, cell: Path, tmp_path: Path) -> None:
 
 
 def test_no_job_yet_is_one_line(polishd: Polishd, tmp_path: Path) -> None:
-    said = polishd("history", write_demo(tmp_path / "demo", None, 2.0, 4, None).cell)
+    cell = write_demo(tmp_path / "a demo", None, 2.0, 4, None).cell
+    said = polishd("history", cell)
     assert said.code == 3
-    assert "no job was begun in this cell yet; polishd run CELL.toml begins one" in said.err
+    assert f"no job was begun in this cell yet; polishd run '{cell}' begins one" in said.err, "it can be copied"
 
 
 @pytest.mark.parametrize("jobs", [0, 40])

@@ -313,7 +313,10 @@ def test_status(polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPa
 def test_probe_with_nobody_there(polishd: Polishd, files: DemoFiles) -> None:
     said = polishd("probe", files.cell)
     assert said.code == 5
-    assert "actuator" in said.err
+    assert "4 of 4 devices did not answer as they should: actuator, robot, spindle, metrology" in said.err
+    told = json.loads(polishd("probe", files.cell, "--only", "robot", "--json").out)
+    assert list(told) == ["robot"]
+    assert "Connect call failed" in told["robot"]["error"]
 
 
 # plugins

@@ -20,7 +20,7 @@ from polishd.daemon.lock import locked
 from polishd.daemon.priority import host
 from polishd.hooks.loader import Hooks, load_own, load_plugins
 from polishd.hookspecs import DeviceContext, DeviceType
-from polishd.model.errors import ConfigError, DeviceFault, LinkError, ProgramError
+from polishd.model.errors import ConfigError, LinkError, ProgramError
 from polishd.model.surface import SurfaceMap
 from polishd.ports.devices import Device, ForceActuator, Robot, Spindle
 from polishd.recipe.making import make_recipe, require_commissioned
@@ -248,16 +248,37 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> FakeCell:
 
 async def test_probe_identifies_all_and_leaves_them_safe(configured: Any, hooks: Hooks, fake: FakeCell) -> None:
     found = await checking.probe_cell(configured(), hooks)
-    assert [found[name].model for name in found] == ["actuator", "robot", "spindle", "metrology"]
+    assert [identity.model for identity in found.identities.values()] == ["actuator", "robot", "spindle", "metrology"]
+    assert not found.problems
     assert fake.of("make_safe", "close")[:3] == ["spindle.make_safe", "actuator.make_safe", "robot.make_safe"]
-    assert fake.events[-4:] == [f"{name}.close" for name in found]
+    assert fake.events[-4:] == [f"{name}.close" for name in found.identities]
 
 
 async def test_probe_tells_what_is_not_safe(configured: Any, hooks: Hooks, fake: FakeCell) -> None:
     fake.actuator.acts.fails["make_safe"] = LinkError("deaf")
-    with pytest.raises(DeviceFault, match="not confirmed safe: actuator: deaf"):
-        await checking.probe_cell(configured(), hooks)
+    found = await checking.probe_cell(configured(), hooks)
+    assert found.problems == {"actuator": "not confirmed safe: deaf"}
+    assert "actuator" in found.identities
     assert fake.events[-1] == "metrology.close"
+
+
+async def test_a_dead_device_does_not_hide_the_others(configured: Any, hooks: Hooks, fake: FakeCell) -> None:
+    fake.actuator.acts.fails["open"] = LinkError("no answer")
+    fake.actuator.acts.fails["make_safe"] = LinkError("is not open")
+    fake.spindle.acts.fails["identify"] = ZeroDivisionError()
+    found = await checking.probe_cell(configured(), hooks)
+    assert list(found.identities) == ["robot", "metrology"]
+    assert found.problems == {"actuator": "no answer", "spindle": "ZeroDivisionError"}, "the first word of each"
+    assert fake.of("make_safe")[-1] == "robot.make_safe", "after the actuator's own watchdog"
+
+
+async def test_probe_of_one_asks_it_who_it_is_and_nothing_else(configured: Any, hooks: Hooks, fake: FakeCell) -> None:
+    found = await checking.probe_cell(configured(), hooks, ["robot"])
+    assert list(found.identities) == ["robot"]
+    assert fake.events[:2] == ["robot.open", "robot.identify"]
+    assert not fake.of("make_safe")
+    with pytest.raises(ConfigError, match="--only arm: the cell has actuator, robot, spindle, metrology"):
+        await checking.probe_cell(configured(), hooks, ["arm"])
 
 
 async def test_probe_does_not_disturb_a_running_daemon(configured: Any, hooks: Hooks, fake: FakeCell) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
+from asyncio.subprocess import Process
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -78,6 +80,24 @@ async def test_a_hold_kills_it_too(tmp_path: Path) -> None:
     while not (tmp_path / "pids").exists() or not (tmp_path / "pids").read_text():  # noqa: ASYNC110
         await asyncio.sleep(0.01)
     task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    await until_gone(tmp_path)
+
+
+async def test_a_hold_that_comes_while_it_starts_kills_it_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    start = asyncio.create_subprocess_exec
+
+    async def slowly(*words: str, **how: Any) -> Process:
+        process = await start(*words, **how)
+        while not (tmp_path / "pids").exists() or not (tmp_path / "pids").read_text():  # noqa: ASYNC110
+            await asyncio.sleep(0.01)
+        task.cancel()
+        await asyncio.sleep(0.01)
+        return process
+
+    monkeypatch.setattr(asyncio, "create_subprocess_exec", slowly)
+    task = asyncio.ensure_future(run_command("clean", python(HANGS, tmp_path), {}))
     with pytest.raises(asyncio.CancelledError):
         await task
     await until_gone(tmp_path)

@@ -312,15 +312,20 @@ def test_an_interrupted_pass_is_no_pass_like_the_others(undrawn: None, tmp_path:
     cycles = [write_cycle(folder / f"cycle-{cycle:02d}", cycle, passed=cycle < 3) for cycle in range(4)]
     for cycle, how in zip(cycles, ("done", "interrupted", "done", None), strict=True):
         cycle["how"] = how
-    cycles[1] |= {"executed_s": 925.0, "predicted_rms_nm": 0.5}
+    cycles[1] |= {"executed_s": 925.0, "predicted_rms_nm": 0.5, "uncertain": [[40, 43]]}
     write_summary(folder, cycles)
     page = page_of(folder)
     assert "<dt>passes</dt><dd>2, and 1 interrupted</dd>" in page
     rows = re.findall(r'<th scope="row">(start|after.*?)</th>', page)
     assert rows == ["start", "after pass 1", "after an interrupted pass", "after pass 2"]
-    assert "<br>interrupted at 25%</td>" in page
+    assert "<br>interrupted at 25%; blocks 40 to 43 uncertain</td>" in page
     titles = re.findall(r"<h2>(.*?) <small>", page)
-    assert titles == ["Pass 1", "Pass that was interrupted at 25%", "Pass 2", "Measurement after pass 2"]
+    assert titles == [
+        "Pass 1",
+        "Pass that was interrupted at 25%; blocks 40 to 43 uncertain",
+        "Pass 2",
+        "Measurement after pass 2",
+    ]
     predicted = trend.rms_per_measurement(cycles, 2.0, 0.0).axes[0].get_lines()[0].get_ydata()
     assert np.isnan(predicted).tolist() == [True, False, True, False], "nobody predicted what a part of a pass leaves"
 

@@ -6,14 +6,13 @@ import asyncio
 import contextlib
 import os
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import can
 from can.interfaces.slcan import slcanBus
 from can.interfaces.socketcand import SocketCanDaemonBus
 
 from polishd.api import LinkError
-from polishd.drivers.spindle_can.codec import CanFrame
 from polishd.drivers.transport.address import Slcan, Socketcand, Tcp
 from polishd.drivers.transport.background import open_blocking
 from polishd.drivers.transport.streams import open_stream
@@ -26,6 +25,17 @@ POLL_S = 0.05
 SEND_S = 0.3
 EMPTY_READS = 3
 """A serial line that was readable and then had nothing: on a loaded machine once, on a dead one for ever."""
+
+BUS_OFF = 0x40
+"""Class of an error frame: the adapter has left the bus."""
+
+
+class CanFrame(NamedTuple):
+    """A classic CAN frame with an 11-bit identifier."""
+
+    identifier: int
+    data: bytes
+
 
 OnFrame = Callable[[CanFrame], None]
 
@@ -190,6 +200,8 @@ class CanBus:
             self.garbled += 1
             self._flush(self._bus)
             return None
+        if message is not None and message.is_error_frame and message.arbitration_id & BUS_OFF:
+            raise LinkError(f"{self._name}: the adapter is off the bus: look at wiring, termination and bit rate")
         if message is None or message.is_extended_id or message.is_remote_frame or message.is_error_frame:
             return None
         self._empty = 0

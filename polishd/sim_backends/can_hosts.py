@@ -6,7 +6,8 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from polishd.sim_backends.spindle.drive import Frame
+Frame = tuple[int, bytes]
+"""(identifier, data)."""
 
 _SOCKETCAND = re.compile(rb"<\s*([^<>]*?)\s*>")
 
@@ -84,7 +85,7 @@ class Socketcand:
         """What the client sees of frames on the bus."""
         if not self.opened:
             return b""
-        return b"".join(b"< frame %X 0.000000 %s >" % (ident, data.hex().upper().encode()) for ident, data in frames)
+        return b"".join(b"< frame %03X 0.000000 %s >" % (ident, data.hex().upper().encode()) for ident, data in frames)
 
     def _command(self, words: list[bytes]) -> bytes:
         if words[:1] == [b"rawmode"]:
