@@ -58,6 +58,10 @@ class LineWire:
                 except ProtocolError as error:
                     await self._distrust()
                     raise ProtocolError(f"{self.name}: {error}; is it another device?") from None
+        if missing := sorted(wanted - set(found)):
+            raise ProtocolError(
+                f"{self.name}: no answer says {missing[0]!r}; see asks in profile {self.profile.name!r}"
+            )
         try:
             return codec.signed(self.profile, found)
         except ProtocolError as error:

@@ -11,13 +11,17 @@ import pytest
 
 from polishd import hookspecs
 from polishd.api import ConfigError, Device, DeviceContext, DeviceType, ForceActuator, Robot, Spindle
-from polishd.plugins import rnc_robot, spindle, voice_coil
+from polishd.plugins import device_profiles, rnc_robot, spindle, voice_coil
 
+LINE_DRIVE = Path(__file__).resolve().parents[3] / "examples" / "line_drive.toml"
 GOOD: list[tuple[str, dict[str, Any], type[Any]]] = [
     ("robot_link", {"address": "tcp://127.0.0.1:28500"}, Robot),
     ("voice_coil_modbus", {"address": "serial:sim/actuator?baud=115200", "unit": 1}, ForceActuator),
     ("voice_coil_modbus", {"address": "tcp://127.0.0.1:502", "watchdog_ms": 300, "landing_s": 5.0}, ForceActuator),
     ("voice_coil_serial", {"address": "serial:/dev/ttyUSB0"}, ForceActuator),
+    ("actuator_profile", {"profile": "voice_coil_modbus", "address": "serial:/dev/ttyUSB0", "unit": 9}, ForceActuator),
+    ("actuator_profile", {"profile": str(LINE_DRIVE), "address": "tcp://127.0.0.1:4001"}, ForceActuator),
+    ("spindle_profile", {"profile": "delta_ms300", "address": "serial:x?parity=even", "pole_pairs": 2}, Spindle),
     ("spindle_can", {"address": "slcan:sim/spindle?bitrate=500000", "node": 5}, Spindle),
     ("spindle_can", {"address": "socketcand://127.0.0.1:29536/can0"}, Spindle),
 ]
@@ -31,6 +35,10 @@ BAD_OPTIONS: list[tuple[str, dict[str, Any]]] = [
     ("voice_coil_serial", {"address": "serial:x", "unit": 1}),
     ("voice_coil_serial", {"address": "serial:x", "landing_s": 0.0}),
     ("spindle_can", {"address": "slcan:x", "node": 128}),
+    ("actuator_profile", {"address": "serial:x"}),
+    ("actuator_profile", {"profile": "voice_coil_modbus", "address": "serial:x", "unit": 300}),
+    ("spindle_profile", {"profile": "delta_ms300", "address": "serial:x", "pole_pairs": 0}),
+    ("spindle_profile", {"profile": "delta_ms300", "address": "serial:x", "landing_s": 1.0}),
 ]
 BAD_ADDRESSES = [
     ("robot_link", "serial:x"),
@@ -46,7 +54,7 @@ BAD_ADDRESSES = [
 def types() -> dict[str, DeviceType]:
     manager = pluggy.PluginManager(hookspecs.PROJECT)
     manager.add_hookspecs(hookspecs)
-    for plugin in (rnc_robot, voice_coil, spindle):
+    for plugin in (rnc_robot, voice_coil, spindle, device_profiles):
         assert plugin.POLISHD_API == hookspecs.API_VERSION
         manager.register(plugin)
     manager.check_pending()
@@ -88,3 +96,37 @@ def test_other_addresses_are_config_errors(
     options = kind.options(address=address)
     with pytest.raises(ConfigError, match="address"):
         kind.build(options, context(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "said"),
+    [
+        ("spindle_profile", {"profile": "voice_coil_modbus"}, "is of an actuator, not of a spindle; name another"),
+        ("actuator_profile", {"profile": "voice_coil_mod"}, "is not known; did you mean 'voice_coil_modbus'"),
+        ("actuator_profile", {"profile": "none.toml"}, r"none\.toml"),
+        ("actuator_profile", {"profile": str(LINE_DRIVE), "unit": 2}, "of lines, which have no unit; remove it"),
+        (
+            "actuator_profile",
+            {"profile": "voice_coil_modbus", "address": "slcan:x"},
+            "is reached over serial: or tcp://",
+        ),
+        (
+            "actuator_profile",
+            {"profile": "voice_coil_modbus", "address": "serial:x?parity=mark"},
+            "parity 'mark' is none",
+        ),
+    ],
+)
+def test_profiles_that_do_not_fit_are_config_errors(
+    types: dict[str, DeviceType], tmp_path: Path, name: str, options: dict[str, Any], said: str
+) -> None:
+    kind = types[name]
+    with pytest.raises(ConfigError, match=said):
+        kind.build(kind.options(**{"address": "serial:x", **options}), context(tmp_path))
+
+
+def test_times_are_the_profiles_where_the_cell_says_nothing(types: dict[str, DeviceType], tmp_path: Path) -> None:
+    kind = types["actuator_profile"]
+    options = {"profile": str(LINE_DRIVE), "address": "serial:x", "landing_s": 3.0}
+    times = kind.build(kind.options(**options), context(tmp_path)).times
+    assert (times.landing_s, times.watchdog_s, times.retract_s) == (3.0, 1.0, 5.0)
