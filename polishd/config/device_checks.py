@@ -39,7 +39,14 @@ ASKED = {"force": "force", "engage": "force", "forward": "speed", "reverse": "sp
 def faults_of(profile: DeviceProfile) -> list[Fault]:
     """Key and problem of each, in the order in which they are best mended."""
     shape = list(_shape(profile))
-    return shape or [*_needs(profile), *_foreign(profile), *_units(profile), *_orders(profile), *_names(profile)]
+    return shape or [
+        *_needs(profile),
+        *_foreign(profile),
+        *_units(profile),
+        *_sizes(profile),
+        *_orders(profile),
+        *_names(profile),
+    ]
 
 
 def _shape(profile: DeviceProfile) -> Iterator[Fault]:
@@ -89,6 +96,18 @@ def _units(profile: DeviceProfile) -> Iterator[Fault]:
         if name in meant and quantity.unit not in KINDS[meant[name]]:
             fitting = listed(KINDS[meant[name]])
             yield (table, name, "unit"), f"{quantity.unit!r} is no unit of {meant[name]}; use one of {fitting}"
+
+
+def _sizes(profile: DeviceProfile) -> Iterator[Fault]:
+    for name, register in profile.registers.items():
+        if profile.modbus and register.size > profile.modbus.most:
+            most = profile.modbus.most
+            yield (
+                ("registers", name),
+                f"fills {register.size} registers, and modbus.most is {most}; mend one of the two",
+            )
+        if register.address + register.size > 0x10000:
+            yield ("registers", name, "address"), f"{register.size} registers from there end beyond 65535; mend it"
 
 
 def _orders(profile: DeviceProfile) -> Iterator[Fault]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
@@ -91,12 +91,15 @@ class DeviceProfile(Document):
         said = {"actuator": ("force", "set_point", "position"), "spindle": ("speed",), "force_sensor": ("force",)}
         named = [name for name in (*said[self.kind], "beat_echo") if name in self.quantities]
         named += [rule.when for rule in self.states] + ([self.faults.value] if self.faults else [])
-        signs = [found.when for name in named if (found := self.quantities[name].negative)]
-        return tuple(dict.fromkeys([*named, *signs]))
+        return self.with_signs(named)
 
     @property
     def told(self) -> tuple[str, ...]:
         """Values by which the device says who it is."""
-        return tuple(
-            dict.fromkeys([*filter(self.quantities.__contains__, IDENTITY), *(one.when for one in self.expects)])
-        )
+        named = [name for name in IDENTITY if name in self.quantities]
+        return self.with_signs([*named, *(one.when for one in self.expects)])
+
+    def with_signs(self, names: Sequence[str]) -> tuple[str, ...]:
+        """The values, each once, and those that say which of them are less than nothing."""
+        signs = [found.when for name in names if (found := self.quantities[name].negative)]
+        return tuple(dict.fromkeys([*names, *signs]))

@@ -202,7 +202,7 @@ class Actuator(Section):
 
     kind: Literal["modbus_rtu", "modbus_tcp", "serial", "slcan", "socketcand", "profile", "profile_tcp"] = "modbus_rtu"
     """What it speaks: the cell's `voice_coil_modbus` on a line or over TCP, `voice_coil_serial`, `cia402_actuator`,
-    whose bus is reached through a serial adapter or a daemon, or what a profile says."""
+    whose bus is reached through a serial adapter or a daemon, or what a device profile says."""
     profile: Text = "profile.toml"
     """File of the device profile, for `profile` and `profile_tcp`."""
     port: Port = 0

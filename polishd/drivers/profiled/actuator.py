@@ -100,12 +100,13 @@ class ProfiledActuator:
         if not 0.0 <= force_n <= self._table.max_force_n:
             raise DeviceRefused(f"{self._wire.name}: force {force_n} N is outside 0 to {self._table.max_force_n:g} N")
         retracts = self._retracts
+        if force_n > 0.0 and not self._wire.profile.orders.engage:  # the set point alone would land it
+            self._require_sound(await self._link.ask(self._beat))
         await self._link.ask(lambda: self._set_point(force_n))
         reading = await self._link.ask(self._beat)
         if force_n == 0.0 or reading.state == "contact":
             return
-        if reading.fault:
-            raise DeviceRefused(f"{self._wire.name}: does not engage over fault {reading.fault} ({reading.faults})")
+        self._require_sound(reading)
         if reading.state != "extending":
             await self._link.ask(lambda: self._engage(force_n))
         await self._land(retracts)
@@ -157,6 +158,10 @@ class ProfiledActuator:
         finally:
             if not opened:
                 await self.close()
+
+    def _require_sound(self, reading: Reading) -> None:
+        if reading.fault or reading.state == "fault":
+            raise DeviceRefused(f"{self._wire.name}: does not press over fault {reading.fault} ({reading.faults})")
 
     async def _land(self, retracts: int) -> None:
         deadline = time.monotonic() + self._times.landing_s

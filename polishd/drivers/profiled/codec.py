@@ -142,6 +142,9 @@ def _raw(group: Group, request: str, text: str) -> Value:
     if group.type == "text":
         return text
     try:
-        return float(int(text, 16)) if group.type == "hex" else float(text)
+        value = float(int(text, 16)) if group.type == "hex" else float(text)
     except ValueError:
-        raise ProtocolError(f"{request} was answered by {text!r} where a number stands") from None
+        value = math.nan
+    if not math.isfinite(value):
+        raise ProtocolError(f"{request} was answered by {text!r} where a number stands")
+    return value

@@ -91,7 +91,7 @@ class Exchange:
     async def _recognise(self) -> None:
         """ProtocolError where another device answers, by what is expected of it, or by a state that nobody knows."""
         profile = self.wire.profile
-        values = await self.wire.read([*profile.polled, *(one.when for one in profile.expects)])
+        values = await self.wire.read(profile.with_signs([*profile.polled, *(one.when for one in profile.expects)]))
         for one in profile.expects:
             if not one.holds(values[one.when]):
                 said = f"{self.wire.name}: another device answers: its {one.when} reads {values[one.when]!r}"

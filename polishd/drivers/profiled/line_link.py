@@ -7,7 +7,7 @@ import contextlib
 import time
 
 from polishd.api import LinkError
-from polishd.drivers.transport.address import SerialLine, Tcp
+from polishd.drivers.transport.address import SerialLine, Tcp, silent
 from polishd.drivers.transport.streams import SerialStream, TcpStream, open_stream
 
 OPEN_S = 1.0
@@ -15,7 +15,7 @@ LONGEST = 512
 """Bytes of an answer."""
 
 
-class PlainLines:
+class LineLink:
     """Asks one request at a time; the caller sees to that.
 
     An answer bears no number, so after silence the line is closed, and opened again (which drops what came) only when
@@ -107,10 +107,9 @@ class PlainLines:
 
     def _unanswered(self, request: str) -> str:
         """What silence, or what came instead of an answer, most likely is."""
-        serial = isinstance(self._address, SerialLine)
+        if not self._rest:
+            how = "way that requests end"
+            return f"no answer to {request!r} {silent(self._address, self._silence_s, how)}"
         settings = f" at {self._address.settings}" if isinstance(self._address, SerialLine) else ""
         said = f"no answer to {request!r} within {self._silence_s:g} s{settings}"
-        if self._rest:
-            return f"{said}, only {self._rest[:16]!r}; see baud rate, parity and lines.answer_ending"
-        asked = "this baud rate and parity, and how its requests end" if serial else "and how its requests end"
-        return f"{said}; see whether it has power, {asked}"
+        return f"{said}, only {self._rest[:16]!r}; see baud rate, parity and lines.answer_ending"

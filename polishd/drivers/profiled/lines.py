@@ -10,7 +10,7 @@ from polishd.config.device_profile import DeviceProfile
 from polishd.config.device_tables import LinesTable
 from polishd.drivers.profiled import codec
 from polishd.drivers.profiled.codec import Values
-from polishd.drivers.profiled.line_link import PlainLines
+from polishd.drivers.profiled.line_link import LineLink
 from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.drivers.transport.numbered import NumberedLines
 
@@ -24,12 +24,12 @@ class LineWire:
         """An answer comes within ``silence_s``."""
         self.profile = profile
         self._table = profile.lines or LinesTable()
-        self._lines: PlainLines | NumberedLines
+        self._lines: LineLink | NumberedLines
         if self._table.framing == "numbered":
             self._lines = NumberedLines(address, silence_s)
         else:
             endings = self._table.ending.encode("ascii"), self._table.answer_ending.encode("ascii")
-            self._lines = PlainLines(address, silence_s, *endings)
+            self._lines = LineLink(address, silence_s, *endings)
         self._pole_pairs = pole_pairs
         self._count = 0
         self.name = self._lines.name
@@ -58,6 +58,10 @@ class LineWire:
                 except ProtocolError as error:
                     await self._distrust()
                     raise ProtocolError(f"{self.name}: {error}; is it another device?") from None
+        if missing := sorted(wanted - set(found)):
+            raise ProtocolError(
+                f"{self.name}: no answer says {missing[0]!r}; see asks in profile {self.profile.name!r}"
+            )
         try:
             return codec.signed(self.profile, found)
         except ProtocolError as error:
@@ -71,7 +75,7 @@ class LineWire:
             await self._tell(step.format(asked=asked, count=self._count))
 
     async def _tell(self, request: str) -> None:
-        if not self._table.accepted and isinstance(self._lines, PlainLines):
+        if not self._table.accepted and isinstance(self._lines, LineLink):
             return await self._lines.tell(request)
         answer = await self._ask(request)
         if re.fullmatch(self._table.accepted, answer) is None:
@@ -88,5 +92,5 @@ class LineWire:
 
     async def _distrust(self) -> None:
         """Without numbers, a wrong answer may have been an earlier request's."""
-        if isinstance(self._lines, PlainLines):
+        if isinstance(self._lines, LineLink):
             await self._lines.distrust()

@@ -15,7 +15,7 @@ from pymodbus.pdu import register_message as word
 
 from polishd.api import DeviceRefused, LinkError, ProtocolError
 from polishd.config.device_tables import Table
-from polishd.drivers.transport.address import SerialLine, Tcp
+from polishd.drivers.transport.address import SerialLine, Tcp, silent
 from polishd.drivers.transport.streams import SerialStream, TcpStream, open_stream
 
 READS: dict[Table, tuple[type[ModbusPDU], type[ModbusPDU]]] = {
@@ -154,16 +154,13 @@ class ModbusLink:
         """What silence, or what came instead of an answer, most likely is."""
         if in_time:  # not merely silent: the wire itself is gone
             return error
+        if not came:
+            return LinkError(f"{self.name}: no answer {silent(self._address, self._silence_s, 'unit number')}")
+        serial = isinstance(self._address, SerialLine)
         settings = f" at {self._address.settings}" if isinstance(self._address, SerialLine) else ""
-        within = f"{self._silence_s:g} s{settings}"
-        if came:
-            bad = f"{len(came)} bytes within {within} are no answer ({came[:8].hex(' ')} ...)"
-            todo = (
-                "see whether baud rate, parity and stop bits are the device's" if settings else "is it another device?"
-            )
-            return LinkError(f"{self.name}: {bad}; {todo}")
-        asked = "baud rate, parity and unit number" if settings else "unit number"
-        return LinkError(f"{self.name}: no answer within {within}; see whether it has power, and this {asked}")
+        bad = f"{len(came)} bytes within {self._silence_s:g} s{settings} are no answer ({came[:8].hex(' ')} ...)"
+        todo = "see whether baud rate, parity and stop bits are the device's" if serial else "is it another device?"
+        return LinkError(f"{self.name}: {bad}; {todo}")
 
     def _refused(self, function: int, code: int) -> DeviceRefused | LinkError:
         if code in GATEWAY:

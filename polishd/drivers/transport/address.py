@@ -164,3 +164,13 @@ def _path(url: SplitResult, base_dir: Path) -> Path:
     if url.netloc or not url.path:
         raise ValueError(f"write {url.scheme}:PATH")
     return base_dir / url.path
+
+
+def silent(address: SerialLine | Tcp, silence_s: float, other: str = "") -> str:
+    """What silence for so long most likely is: ``within 0.3 s at 9600 8N1; see ...``; ``other`` is looked at, too."""
+    if isinstance(address, SerialLine):
+        looked, asked = f" at {address.settings}", ["baud rate", "parity", *filter(None, [other])]
+    else:
+        looked, asked = "", [*filter(None, [other])]
+    named = " and ".join(filter(None, [", ".join(asked[:-1]), *asked[-1:]]))
+    return f"within {silence_s:g} s{looked}; see whether it has power" + (f", and this {named}" if named else "")

@@ -10,7 +10,7 @@ import time
 from functools import reduce
 from operator import xor
 
-from polishd.drivers.transport.address import SerialLine, Tcp
+from polishd.drivers.transport.address import SerialLine, Tcp, silent
 from polishd.drivers.transport.streams import LineReader, open_stream
 from polishd.model.devices import Identity
 from polishd.model.errors import DeviceRefused, LinkError, ProtocolError
@@ -90,7 +90,8 @@ class NumberedLines:
         except LinkError as error:
             if time.monotonic() < deadline:  # not merely silent: the wire itself is gone
                 await self.disconnect()
-            raise LinkError(f"{self.name}: no answer to {request} ({error})") from error
+                raise LinkError(f"{self.name}: no answer to {request} ({error})") from error
+            raise LinkError(f"{self.name}: no answer to {request} {silent(self._address, self._silence_s)}") from error
         if answer.startswith("ERR,"):
             raise DeviceRefused(f"{self.name}: {request} was refused: {answer.removeprefix('ERR,')}")
         return answer

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import os
+import socket
 import termios
 import time
 from functools import partial
@@ -32,8 +33,20 @@ async def open_stream(address: Tcp | SerialLine, within_s: float = 1.0) -> TcpSt
     except TimeoutError:
         raise LinkError(f"{address}: no connection within {within_s:g} s") from None
     except OSError as error:
-        raise LinkError(f"{address}: {error}") from error
+        raise LinkError(f"{address}: {_why_not_connected(error)}") from error
     return stream
+
+
+def _why_not_connected(error: OSError) -> str:
+    """What is wrong with the address, and what to do."""
+    if isinstance(error, socket.gaierror):
+        return "no host has that name; mend it, or see the name server"
+    match error.errno:
+        case errno.ECONNREFUSED:
+            return "nobody listens there; see the port, and whether the device is on"
+        case errno.EHOSTUNREACH | errno.ENETUNREACH:
+            return "no way leads to that host; see the cable and this computer's network"
+    return str(error)
 
 
 async def _open_serial(address: SerialLine, within_s: float) -> SerialStream:

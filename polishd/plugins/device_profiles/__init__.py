@@ -23,6 +23,7 @@ from polishd.drivers.profiled.shelf import profile_of
 
 POLISHD_API = 1
 
+A: dict[Kind, str] = {"actuator": "an actuator", "spindle": "a spindle", "force_sensor": "a force sensor"}
 Seconds = Annotated[float, Field(gt=0.0, le=120.0)]
 
 
@@ -72,7 +73,7 @@ class SpindleOptions(ProfileOptions):
 def _profile(options: ProfileOptions, context: DeviceContext, kind: Kind) -> DeviceProfile:
     profile = profile_of(options.profile, context.base_dir)
     if profile.kind != kind:
-        raise ConfigError(f"profile {options.profile!r} is of a {profile.kind}, not of a {kind}; name another")
+        raise ConfigError(f"profile {options.profile!r} is of {A[profile.kind]}, not of {A[kind]}; name another")
     if options.unit is not None and profile.link != "modbus":
         raise ConfigError(
             f"unit {options.unit}: profile {options.profile!r} is of lines, which have no unit; remove it"

@@ -118,10 +118,13 @@ class Registers:
         return CODES[refusal] if refusal else 0
 
     def _foreign(self, name: str) -> str:
-        """A value that no order ends with: fine for what goes before the last step, else out of range."""
+        """A value that makes no order whole: fine where an order has it, where it is 0, or where no order writes."""
         steps = [step for _, all_steps in self.sheet.orders() for step in all_steps]
         values = [step.split("=")[1].strip() for step in steps if step.split("=")[0].strip() == name]
-        known = any(value in {"asked", "count"} or float(int(value, 0)) == self.stored[name] for value in values)
+        known = not values or self.stored[name] == 0.0
+        known = known or any(
+            value in {"asked", "count"} or float(int(value, 0)) == self.stored[name] for value in values
+        )
         return "" if known else "range"
 
     def _low_first(self, register: Mapping[str, Any]) -> bool:

@@ -94,7 +94,7 @@ class Sheet:
         ]
         for name, steps in sorted(found, key=lambda one: "asked" in one[1][-1]):
             asked = next((step(one)[0] for one in steps if step(one)[1] in {"asked", "count"}), register)
-            return name, self.physical(asked, stored[asked])
+            return name, self.physical(asked, stored.get(asked, 0.0))
         return None
 
 
@@ -108,4 +108,4 @@ def step(text: str) -> tuple[str, str]:
 
 def _is(text: str, stored: Mapping[str, float]) -> bool:
     name, value = step(text)
-    return name in stored and (value in {"asked", "count"} or stored[name] == float(int(value, 0)))
+    return value in {"asked", "count"} or stored.get(name, 0.0) == float(int(value, 0))

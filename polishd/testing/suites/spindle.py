@@ -107,7 +107,7 @@ async def test_samples_keep_it_running(spindle: SpindleRig, opened: Spindle) -> 
 
 @moves
 async def test_it_stops_by_itself_when_nobody_cares(spindle: SpindleRig, opened: Spindle) -> None:
-    """Nobody iterates samples: the drive stops by itself and tells a fault; ``make_safe`` clears that, or a person."""
+    """Nobody iterates samples: the drive stops by itself and tells a fault; ``make_safe`` clears that, where it may."""
     await opened.set_speed(spindle.scope.rpm)
     if spindle.safe is None:  # asking it could feed its watchdog
         await asyncio.sleep(opened.times.watchdog_s + opened.times.spin_s)
@@ -116,7 +116,7 @@ async def test_it_stops_by_itself_when_nobody_cares(spindle: SpindleRig, opened:
     assert not (await opened.status()).ready
     await opened.make_safe()
     if not spindle.scope.forgives:
-        with pytest.raises(DeviceRefused, match="fault"):
+        with pytest.raises(DeviceRefused):
             await opened.set_speed(0.5 * spindle.scope.rpm)
         return
     await first(opened.samples(), spindle.soon_s, lambda one: one.fault == 0)

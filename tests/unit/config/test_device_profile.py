@@ -92,6 +92,18 @@ CASES = [
     ),
     (SPINDLE, "[modbus]\n", "[lines]\n[modbus]\n", "a profile has one of [modbus], [lines]; this one has [modbus] and"),
     (SPINDLE, "[spindle]", "[force_sensor]\nrange_n = [0, 1]\n[spindle]", "a profile has one of [actuator], [spindle]"),
+    (
+        SPINDLE,
+        "unit = 1\n",
+        'unit = 1\nmost = 1\n[registers.long]\naddress = 5\ntype = "u32"\n',
+        "fills 2 registers, and",
+    ),
+    (
+        SPINDLE,
+        "address = 0x2103",
+        'address = 65535\ntype = "u32"',
+        "registers.speed.address: 2 registers from there end",
+    ),
     (SPINDLE, 'clear = ["control = 2"]', "", "faults.clears: nothing says how a fault is taken back"),
 ]
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from polishd.api import ActuatorTimes, DeviceFault, DeviceRefused, LinkError, ProtocolError
+from polishd.config.device_file import device_profile_of
 from polishd.drivers.profiled import make
 from polishd.drivers.profiled.actuator import ProfiledActuator
 from polishd.drivers.profiled.lines import LineWire
@@ -25,7 +26,7 @@ class Rig:
     def __init__(self, path: Path) -> None:
         self.peer = ProfiledPeer(file_of("line_drive.toml"), IdealDrive)
         self.line = PtyWire(self.peer, path)
-        self.wire = LineWire(DRIVE, SerialLine(path), 0.4)
+        self.wire = LineWire(DRIVE, SerialLine(path), 0.8)
         self.device = ProfiledActuator(self.wire, ActuatorTimes(watchdog_s=1.0, landing_s=1.0, retract_s=0.5))
 
     @property
@@ -62,7 +63,7 @@ async def test_a_late_answer_is_not_the_next_ones(rig: Rig) -> None:
         return []
 
     rig.peer.filter = Once(keep)
-    with pytest.raises(LinkError, match=r"no answer to '\?' within 0\.4 s at 115200 8N1; see whether it has power"):
+    with pytest.raises(LinkError, match=r"no answer to '\?' within 0\.8 s at 115200 8N1; see whether it has power"):
         await rig.device.status()
     assert not rig.wire.connected
     rig.line.write(b"C 40.00 5.000 0\r\n")  # while the line is closed
@@ -121,11 +122,24 @@ async def test_refusals_say_why(rig: Rig) -> None:
 
 async def test_over_a_fault_it_does_not_engage(rig: Rig) -> None:
     rig.coil.coil.fault = 1
-    with pytest.raises(DeviceRefused):
+    with pytest.raises(DeviceRefused, match=r"does not press over fault 1 \(watchdog ran out\)"):
         await rig.device.set_force(5.0)
+    assert not rig.told(b"F"), "it was not even asked"
     await rig.device.make_safe()
     await rig.device.set_force(5.0)
     await rig.device.retract()
+
+
+async def test_a_value_that_only_some_answers_have_is_told(tmp_path: Path) -> None:
+    text = file_of("line_drive.toml").read_text().replace(r"(?P<fault>\d+)'", r"?(?P<fault>\d+)?'")
+    profile = device_profile_of(text, Path("mine.toml"))
+    peer = ProfiledPeer(file_of("line_drive.toml"), IdealDrive)
+    wire = PtyWire(peer, tmp_path / "line")
+    peer.filter = lambda data: [data.replace(b" 0\r", b"\r")]
+    device = make.actuator(profile, SerialLine(wire.path))
+    with pytest.raises(ProtocolError, match="no answer says 'fault'; see asks in profile 'mine'"):
+        await device.open()
+    await wire.close()
 
 
 async def test_a_stuck_tool_is_a_fault(rig: Rig) -> None:

@@ -167,7 +167,7 @@ async def test_something_else_on_the_tcp_port() -> None:
 
 
 async def test_nobody_on_the_tcp_port() -> None:
-    with pytest.raises(LinkError, match="Connect call failed"):
+    with pytest.raises(LinkError, match="nobody listens there; see the port"):
         await make.spindle(shipped("hitachi_wj200"), Tcp("127.0.0.1", 1)).open()
 
 

@@ -29,7 +29,7 @@ class Rig:
         self.coil = Coil()
         self.peer = ModbusCoil(self.coil, rtu=True)
         self.line = PtyWire(self.peer, path)
-        self.wire = ModbusWire(shipped("voice_coil_modbus"), SerialLine(path), 0.6)
+        self.wire = ModbusWire(shipped("voice_coil_modbus"), SerialLine(path), 1.0)
         self.device = ProfiledActuator(self.wire, ActuatorTimes(watchdog_s=1.0, landing_s=1.0, retract_s=0.5))
 
     def writes(self, register: int) -> list[int]:

@@ -22,8 +22,9 @@ from polishd.api import (
     SensorTimes,
     Spindle,
 )
-from polishd.plugins import force_sensor, monitors, rnc_robot, spindle, universal_robots, voice_coil
+from polishd.plugins import device_profiles, force_sensor, monitors, rnc_robot, spindle, universal_robots, voice_coil
 
+LINE_DRIVE = Path(__file__).resolve().parents[3] / "examples" / "line_drive.toml"
 GOOD: list[tuple[str, dict[str, Any], type[Any]]] = [
     ("robot_link", {"address": "tcp://127.0.0.1:28500"}, Robot),
     ("universal_robots", {"address": "tcp://10.0.0.2:30004"}, Robot),
@@ -31,6 +32,9 @@ GOOD: list[tuple[str, dict[str, Any], type[Any]]] = [
     ("voice_coil_modbus", {"address": "serial:sim/actuator?baud=115200", "unit": 1}, ForceActuator),
     ("voice_coil_modbus", {"address": "tcp://127.0.0.1:502", "watchdog_ms": 300, "landing_s": 5.0}, ForceActuator),
     ("voice_coil_serial", {"address": "serial:/dev/ttyUSB0"}, ForceActuator),
+    ("actuator_profile", {"profile": "voice_coil_modbus", "address": "serial:/dev/ttyUSB0", "unit": 9}, ForceActuator),
+    ("actuator_profile", {"profile": str(LINE_DRIVE), "address": "tcp://127.0.0.1:4001"}, ForceActuator),
+    ("spindle_profile", {"profile": "delta_ms300", "address": "serial:x?parity=even", "pole_pairs": 2}, Spindle),
     ("spindle_can", {"address": "slcan:sim/spindle?bitrate=500000", "node": 5}, Spindle),
     ("spindle_can", {"address": "socketcand://127.0.0.1:29536/can0"}, Spindle),
     ("force_sensor_line", {"address": "serial:sim/force_sensor", "delay_s": 0.5}, ForceSensor),
@@ -71,7 +75,7 @@ BAD_ADDRESSES = [
 def types() -> dict[str, DeviceType]:
     manager = pluggy.PluginManager(hookspecs.PROJECT)
     manager.add_hookspecs(hookspecs)
-    for plugin in (rnc_robot, universal_robots, voice_coil, spindle, force_sensor, monitors):
+    for plugin in (device_profiles, rnc_robot, universal_robots, voice_coil, spindle, force_sensor, monitors):
         assert plugin.POLISHD_API == hookspecs.API_VERSION
         manager.register(plugin)
     manager.check_pending()
