@@ -86,7 +86,7 @@ class Place:
 
 ROBOTS = [Place("rtu_slcan", "robot")]
 ACTUATORS = kind(*(Place(name, "actuator") for name in CELLS))
-LOOKING = [Place("rtu_slcan", "force_sensor"), Place("rtu_slcan", "monitor")]
+LOOKING = kind(Place("rtu_slcan", "force_sensor"), Place("rtu_slcan", "monitor"))
 SPINDLES = kind(Place("rtu_slcan", "spindle"), Place("tcp_socketcand", "spindle"))
 
 
@@ -137,7 +137,7 @@ class Cells:
 
     def at_rest(self, place: Place) -> bool:
         """Whether the machine itself exerts nothing and stands, as its witness says (it speaks a moment later)."""
-        if place in LOOKING:
+        if place.device not in AT_REST:
             return True
         begins, ends = AT_REST[place.device]
 
