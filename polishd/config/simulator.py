@@ -221,6 +221,8 @@ class Actuator(Section):
     """Share of that in which the tool still rests on the part, ... [1]"""
     rest_n: NotNegative = 0.1
     """... with its own weight."""
+    unpowered: Literal["lifts", "stays"] = "lifts"
+    """What its tool does where its process is killed, which is its power cut."""
     faults: ActuatorFaults = ActuatorFaults()
 
 

@@ -6,6 +6,7 @@ A cell without one has nothing to do here.
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import AsyncIterator
 from contextlib import aclosing
 from typing import TypeVar
@@ -16,9 +17,11 @@ from polishd.daemon.listening import heard
 from polishd.daemon.time_limits import ANSWERS_S
 from polishd.daemon.touch import Touch
 from polishd.model.devices import SensedForce
-from polishd.model.errors import DeviceError, DeviceFault, ForcesApart, LinkError
+from polishd.model.errors import DeviceFault, ForcesApart, LinkError
 
 T = TypeVar("T")
+
+log = logging.getLogger(__name__)
 
 
 async def tare(cell: Cell, band_n: float) -> None:
@@ -67,7 +70,8 @@ async def told_apart(cell: Cell, error: BaseException, band_n: float) -> BaseExc
         async with asyncio.timeout(sensor.times.delay_s + ANSWERS_S):
             await asyncio.sleep(sensor.times.delay_s)  # what it reads now may be from before the lift
             told, sensed = await _next(cell.actuator.samples()), await _next(sensor.samples())
-    except (DeviceError, TimeoutError):
+    except Exception as late:  # noqa: BLE001 - a plugin may raise anything: what ended contact is told all the same
+        log.warning("actuator and force sensor are not both asked again: %s", late)
         return error
     return ForcesApart(f"{error}; {verdict(told.force_n, sensed.force_n, band_n)}")
 

@@ -100,7 +100,7 @@ class Place:
 ROBOTS = [Place("rtu_slcan", "robot")]
 ACTUATORS = kind(*(Place(name, "actuator") for name in CELLS))
 SPINDLES = kind(*(Place(name, "spindle") for name in ("rtu_slcan", "tcp_socketcand", "profiles")))
-LOOKING = [Place("rtu_slcan", "force_sensor"), Place("rtu_slcan", "monitor")]
+LOOKING = kind(Place("rtu_slcan", "force_sensor"), Place("rtu_slcan", "monitor"))
 
 
 STARTER = """
@@ -150,7 +150,7 @@ class Cells:
 
     def at_rest(self, place: Place) -> bool:
         """Whether the machine itself exerts nothing and stands, as its witness says (it speaks a moment later)."""
-        if place in LOOKING:
+        if place.device not in AT_REST:
             return True
         begins, ends = AT_REST[place.device]
 

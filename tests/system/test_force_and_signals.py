@@ -19,7 +19,8 @@ import pytest
 from polishd.console.demo_files import DemoFiles, with_values
 from polishd.console.simulator import simulated_cell
 from polishd.daemon import client
-from tests.system.cell_rig import ONE_PASS, Daemon, events, summary, write_small
+from tests.system.agreement import require_agreement
+from tests.system.cell_rig import ONE_PASS, Daemon, account, events, summary, with_keys, write_small
 from tests.system.sim_rig import wait_for
 from tests.system.test_daemon import polishd
 from tests.system.test_faults import SAFETY, Faults, require_off_the_part, with_faults
@@ -187,3 +188,24 @@ def test_nothing_moves_before_the_slurry_flows(tmp_path: Path) -> None:
         press(files, "monitor", signal.SIGUSR1)
         daemon.wait_in_contact(20)
         assert daemon.end() == 1
+
+
+def test_a_tool_that_stays_without_power_is_taken_off_by_the_robot(tmp_path: Path) -> None:
+    """The actuator's power is gone, and 12 N still act: motion goes on until the robot has the tool off."""
+    files = write_small(tmp_path / "cell", **ONE_PASS)
+    files.cell.write_text(with_keys(files.cell.read_text(), {"actuator": {"unpowered": "stays"}}))
+    files.sim.write_text(with_keys(files.sim.read_text(), {"actuator": {"unpowered": "stays"}}))
+    options = ["--state", str(files.sim_dir), "--seed", "2", "--speed", "2"]
+    with simulated_cell(files.sim, options, files.out / "sim.stderr"):
+        with Daemon(files) as daemon:
+            daemon.wait_in_contact(40)
+            press(files, "plant", signal.SIGUSR1)
+            wait_for(lambda: events(files, "way_out_marked"), "the mark")
+            press(files, "actuator", signal.SIGKILL)
+            assert daemon.wait() == 5, daemon.output.read_text()
+            stopped = wait_for(lambda: events(files, "motion_stopped"), "standstill")[-1]
+        told = wait_for(lambda: account(files)["way_out"], "the account")
+    assert stopped["detail"] == "lift"
+    assert told["contact_s"] > 0.0, "it went on pressing"
+    assert told["standing_s"] <= 0.05
+    require_agreement(files)

@@ -130,7 +130,8 @@ class PlantServer:
         if device == "robot":
             self.robot_mark = math.inf
         elif device in {"actuator", "spindle"}:
-            self._timeline(device).disconnect(now)
+            stays = device == "actuator" and self.start.config.actuator.unpowered == "stays"
+            self._timeline(device).disconnect(now, stays=stays)
         self._note(device, "lost", now, {})
 
     def _timeline(self, device: str) -> Timeline:

@@ -92,6 +92,7 @@ async def test_estop_stops_motion_whatever_the_part_costs(bench: Bench) -> None:
         assert await running.outcome() is Outcome.IN_TOLERANCE
 
 
+@pytest.mark.full
 async def test_notify_tells_and_goes_on(bench: Bench) -> None:
     monitor = monitored(bench, "notify")
     async with Running(bench) as running:
@@ -129,6 +130,7 @@ async def test_nothing_moves_before_it_is_ready_and_the_cell_is_held_in_the_end(
         assert await running.outcome() is Outcome.IN_TOLERANCE
 
 
+@pytest.mark.full
 async def test_without_a_person_it_ends_there(bench: Bench) -> None:
     monitor = monitored(bench, "hold")
     monitor.values["flow"] = 0.9

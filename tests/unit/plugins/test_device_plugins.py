@@ -133,3 +133,37 @@ def test_what_devices_state_is_what_their_sections_say(types: dict[str, DeviceTy
     linuxcnc = built("linuxcnc", address="tcp://127.0.0.1:5007", program_dir="programs")
     assert not linuxcnc.times.lifts
     assert built("robot_link", address="tcp://127.0.0.1:28500").times.lifts
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "said"),
+    [
+        ("spindle_profile", {"profile": "voice_coil_modbus"}, "is of an actuator, not of a spindle; name another"),
+        ("actuator_profile", {"profile": "voice_coil_mod"}, "is not known; did you mean 'voice_coil_modbus'"),
+        ("actuator_profile", {"profile": "none.toml"}, r"none\.toml"),
+        ("actuator_profile", {"profile": str(LINE_DRIVE), "unit": 2}, "of lines, which have no unit; remove it"),
+        (
+            "actuator_profile",
+            {"profile": "voice_coil_modbus", "address": "slcan:x"},
+            "is reached over serial: or tcp://",
+        ),
+        (
+            "actuator_profile",
+            {"profile": "voice_coil_modbus", "address": "serial:x?parity=mark"},
+            "parity 'mark' is none",
+        ),
+    ],
+)
+def test_profiles_that_do_not_fit_are_config_errors(
+    types: dict[str, DeviceType], tmp_path: Path, name: str, options: dict[str, Any], said: str
+) -> None:
+    kind = types[name]
+    with pytest.raises(ConfigError, match=said):
+        kind.build(kind.options(**{"address": "serial:x", **options}), context(tmp_path))
+
+
+def test_times_are_the_profiles_where_the_cell_says_nothing(types: dict[str, DeviceType], tmp_path: Path) -> None:
+    kind = types["actuator_profile"]
+    options = {"profile": str(LINE_DRIVE), "address": "serial:x", "landing_s": 3.0}
+    times = kind.build(kind.options(**options), context(tmp_path)).times
+    assert (times.landing_s, times.watchdog_s, times.retract_s) == (3.0, 1.0, 5.0)

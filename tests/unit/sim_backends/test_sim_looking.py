@@ -14,6 +14,7 @@ from polishd.sim_backends.force_sensor.cell import FAULT, MEASURING, TARING, Loa
 from polishd.sim_backends.monitor import device as monitor_device
 from polishd.sim_backends.monitor.inputs import Inputs
 from polishd.sim_backends.numbered import NumberedSlave
+from polishd.sim_backends.plant.timeline import Timeline
 from tests.unit.sim_backends.vectors import vectors
 
 
@@ -177,3 +178,14 @@ def test_the_monitor_answers_as_the_document_says() -> None:
     assert (answer("LS?,7"), answer("V?,guard_closed")) == ("LS,7", "V,guard_closed,ON")
     assert answer("V?,nothing") == body(lines["refused"]).split(",", 1)[1]  # type: ignore[union-attr]
     assert answer("WHAT") == "ERR,unknown,no such request"
+
+
+def test_a_tool_that_stays_goes_on_pressing_when_its_actuator_is_gone() -> None:
+    for stays, acts_n in ((True, 12.0), (False, 0.0)):
+        force = Timeline()
+        force.connect(0.0)
+        force.push([(1.0, 12.0)], 2.0)
+        force.disconnect(2.0, stays=stays)
+        assert force.at(np.array([1.5, 9.0])).tolist() == [12.0, acts_n]
+        force.connect(10.0)
+        assert force.at(np.array([11.0])).tolist() == [0.0], "powered up, it is at rest"
