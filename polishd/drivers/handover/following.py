@@ -90,8 +90,11 @@ class Following(Background):
     async def order(self, name: OrderName, still: Callable[[], bool] = lambda: True, *, release: bool = False) -> None:
         """Give an order, if it is ``still`` wanted when its turn comes; ``release``: let hold go with it.
 
-        The controller acts as the order comes up: one that stands yet is waited for.
+        The controller acts as the order comes up: one that stands yet is waited for, and one that a lost link may have
+        left standing is taken back first.
         """
+        if name not in self._pulses and name not in self._taken_back:
+            await self._take_back(name)
         await self.until(lambda: self.free(name))
         values: dict[str, Value] = {}
         if release and self._profile.variables.hold is not None:
@@ -104,7 +107,8 @@ class Following(Background):
 
     def free(self, name: OrderName) -> bool:
         """The last such order was taken back, and the controller has had the time to see it."""
-        return name not in self._pulses and self.count >= self._taken_back.get(name, -self.renewed) + self.renewed
+        taken_back = self._taken_back.get(name)
+        return name not in self._pulses and taken_back is not None and self.count >= taken_back + self.renewed
 
     async def write(self, name: str, value: Value) -> None:
         """Write a variable, if the controller has it."""

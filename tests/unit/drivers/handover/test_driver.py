@@ -118,6 +118,16 @@ async def test_nothing_starts_when_the_link_is_opened_again(rig: tuple[FakePlc, 
     assert [one.seq for one in await take(robot, 55)] == list(range(55)), "and it goes on where it stood"
 
 
+async def test_an_order_that_a_lost_link_left_standing_is_taken_back_before_the_next(
+    rig: tuple[FakePlc, Handover],
+) -> None:
+    fake, robot = rig
+    fake.plc.inputs |= {"start": True, "load": True, "reset": True}
+    await asyncio.sleep(0.02)
+    await in_contact(robot, plan())
+    assert not fake.stands
+
+
 async def test_a_controller_that_was_started_anew_is_noticed(rig: tuple[FakePlc, Handover]) -> None:
     fake, robot = rig
     await in_contact(robot, plan())
