@@ -160,6 +160,8 @@ class ProgramTable(Section):
     """Line at which it stands until it is started again."""
     dwell: Text = "G4 P{seconds:.3f}"
     """Line that takes `{seconds}` at rest: it proves which line the controller shows."""
+    end: str = "M2"
+    """Line behind a program without M2, M30 or a closing `%`; empty: none, as in languages other than G-code."""
     longest_line: Annotated[int, Field(ge=8, le=65535)] = 250
     """Longest line that it reads. [byte]"""
 
@@ -169,7 +171,7 @@ class ProgramTable(Section):
             lines = {self.dwell.format(seconds=seconds) for seconds in (0.25, 2.5)}
         except (KeyError, IndexError, ValueError):
             lines = set()
-        if len(lines) != 2 or any("\n" in line for line in (*lines, self.pause)):
+        if len(lines) != 2 or any("\n" in line for line in (*lines, self.pause, self.end)):
             raise ValueError('dwell: wants {seconds} where the time stands, as in "G4 P{seconds:.3f}", on one line')
         return self
 
