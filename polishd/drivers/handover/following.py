@@ -13,7 +13,6 @@ from polishd.drivers.handover.report import Report, report_of
 from polishd.drivers.handover.variables import Variables
 from polishd.drivers.transport.background import Background, Ready
 
-LEAST_LOOK_S = 0.005
 OPEN_S = 10.0
 """A library is loaded, certificates are looked at."""
 BEATS = 1 << 15
@@ -32,6 +31,7 @@ class Following(Background):
         self._make = make
         self._profile = profile
         self._on_report = on_report
+        self._look_s = profile.look_ms / 1e3
         self._variables: Variables | None = None
         self._reports: tuple[Report, ...] = ()
         """The last two."""
@@ -130,16 +130,11 @@ class Following(Background):
     def renewed(self) -> int:
         """After so many looks the controller has renewed its variables for sure."""
         profile = self._profile
-        return 2 + int((profile.report_ms + profile.link_ms) / 1e3 / self.look_s)
+        return 2 + int((profile.report_ms + profile.link_ms) / 1e3 / self._look_s)
 
     def stands(self) -> bool:
         """Two reports in a row of a controller that does not run."""
         return len(self._reports) > 1 and all(report.stands for report in self._reports)
-
-    @property
-    def look_s(self) -> float:
-        """Between two looks: twice as often as the variables are renewed."""
-        return max(self._profile.report_ms / 2e3, LEAST_LOOK_S)
 
     async def _follow(self, ready: Ready) -> None:
         due_s = time.monotonic()
@@ -154,7 +149,7 @@ class Following(Background):
             for name, since_s in list(self._pulses.items()):
                 if time.monotonic() - since_s > self._profile.pulse_ms / 1e3:
                     await self._take_back(name)
-            due_s = max(due_s + self.look_s, time.monotonic())
+            due_s = max(due_s + self._look_s, time.monotonic())
             await asyncio.sleep(due_s - time.monotonic())
 
     def variables_now(self) -> Variables:

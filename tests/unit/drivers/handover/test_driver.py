@@ -206,7 +206,7 @@ async def test_what_cannot_be_handed_over_is_refused(tmp_path: Path) -> None:
 
 def test_its_times_are_the_profiles() -> None:
     robot = Handover("x", PROFILE, list, None)  # type: ignore[arg-type]
-    assert (robot.times.watchdog_s, robot.times.unseen_stop_s) == (8.0, pytest.approx(0.04))
+    assert (robot.times.watchdog_s, robot.times.unseen_stop_s) == (8.0, pytest.approx(0.05))
     deaf = PROFILE.variables.model_copy(update={"heartbeat": None})
     changed: ControllerProfile = PROFILE.model_copy(
         update={"watchdog_s": None, "variables": deaf, "in_motion_wired": True}
