@@ -16,6 +16,7 @@ from polishd.config.values import Positive, Section, Text, as_tuple
 from polishd.model.errors import ConfigError
 
 FOLDER = Path(__file__).with_name("controller_profiles")
+LEAST_LOOK_MS = 5.0
 Kind = Literal["bool", "int16", "uint16", "int32", "uint32", "float", "double", "string"]
 Value = bool | int | float | str
 Values = Annotated[tuple[int | str, ...], BeforeValidator(as_tuple)]
@@ -160,6 +161,8 @@ class ProgramTable(Section):
     """Line at which it stands until it is started again."""
     dwell: Text = "G4 P{seconds:.3f}"
     """Line that takes `{seconds}` at rest: it proves which line the controller shows."""
+    end: str = "M2"
+    """Line behind a program without M2, M30 or a closing `%`; empty: none, as in languages other than G-code."""
     longest_line: Annotated[int, Field(ge=8, le=65535)] = 250
     """Longest line that it reads. [byte]"""
 
@@ -169,7 +172,7 @@ class ProgramTable(Section):
             lines = {self.dwell.format(seconds=seconds) for seconds in (0.25, 2.5)}
         except (KeyError, IndexError, ValueError):
             lines = set()
-        if len(lines) != 2 or any("\n" in line for line in (*lines, self.pause)):
+        if len(lines) != 2 or any("\n" in line for line in (*lines, self.pause, self.end)):
             raise ValueError('dwell: wants {seconds} where the time stands, as in "G4 P{seconds:.3f}", on one line')
         return self
 
@@ -216,9 +219,14 @@ class ControllerProfile(Document):
         return self
 
     @property
+    def look_ms(self) -> float:
+        """Between two looks of polishd's: twice as often as the variables are renewed."""
+        return max(self.report_ms / 2, LEAST_LOOK_MS)
+
+    @property
     def unseen_stop_s(self) -> float:
-        """Longest that it stands before polishd can know; 0 where a wire tells the actuator."""
-        return 0.0 if self.in_motion_wired else (self.report_ms + self.link_ms) / 1e3
+        """Longest that it stands before polishd knows: renewed, looked at, told. 0 where a wire tells the actuator."""
+        return 0.0 if self.in_motion_wired else (self.report_ms + self.look_ms + self.link_ms) / 1e3
 
     @property
     def block_end_s(self) -> float:

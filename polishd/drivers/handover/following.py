@@ -13,7 +13,6 @@ from polishd.drivers.handover.report import Report, report_of
 from polishd.drivers.handover.variables import Variables
 from polishd.drivers.transport.background import Background, Ready
 
-LEAST_LOOK_S = 0.005
 OPEN_S = 10.0
 """A library is loaded, certificates are looked at."""
 BEATS = 1 << 15
@@ -32,6 +31,7 @@ class Following(Background):
         self._make = make
         self._profile = profile
         self._on_report = on_report
+        self._look_s = profile.look_ms / 1e3
         self._variables: Variables | None = None
         self._reports: tuple[Report, ...] = ()
         """The last two."""
@@ -90,8 +90,11 @@ class Following(Background):
     async def order(self, name: OrderName, still: Callable[[], bool] = lambda: True, *, release: bool = False) -> None:
         """Give an order, if it is ``still`` wanted when its turn comes; ``release``: let hold go with it.
 
-        The controller acts as the order comes up: one that stands yet is waited for.
+        The controller acts as the order comes up: one that stands yet is waited for, and one that a lost link may have
+        left standing is taken back first.
         """
+        if name not in self._pulses and name not in self._taken_back:
+            await self._take_back(name)
         await self.until(lambda: self.free(name))
         values: dict[str, Value] = {}
         if release and self._profile.variables.hold is not None:
@@ -104,7 +107,8 @@ class Following(Background):
 
     def free(self, name: OrderName) -> bool:
         """The last such order was taken back, and the controller has had the time to see it."""
-        return name not in self._pulses and self.count >= self._taken_back.get(name, -self.renewed) + self.renewed
+        taken_back = self._taken_back.get(name)
+        return name not in self._pulses and taken_back is not None and self.count >= taken_back + self.renewed
 
     async def write(self, name: str, value: Value) -> None:
         """Write a variable, if the controller has it."""
@@ -126,16 +130,11 @@ class Following(Background):
     def renewed(self) -> int:
         """After so many looks the controller has renewed its variables for sure."""
         profile = self._profile
-        return 2 + int((profile.report_ms + profile.link_ms) / 1e3 / self.look_s)
+        return 2 + int((profile.report_ms + profile.link_ms) / 1e3 / self._look_s)
 
     def stands(self) -> bool:
         """Two reports in a row of a controller that does not run."""
         return len(self._reports) > 1 and all(report.stands for report in self._reports)
-
-    @property
-    def look_s(self) -> float:
-        """Between two looks: twice as often as the variables are renewed."""
-        return max(self._profile.report_ms / 2e3, LEAST_LOOK_S)
 
     async def _follow(self, ready: Ready) -> None:
         due_s = time.monotonic()
@@ -150,7 +149,7 @@ class Following(Background):
             for name, since_s in list(self._pulses.items()):
                 if time.monotonic() - since_s > self._profile.pulse_ms / 1e3:
                     await self._take_back(name)
-            due_s = max(due_s + self.look_s, time.monotonic())
+            due_s = max(due_s + self._look_s, time.monotonic())
             await asyncio.sleep(due_s - time.monotonic())
 
     def variables_now(self) -> Variables:

@@ -40,6 +40,7 @@ class ProgramFile(program_file.ProgramFile):
             stops,
             lambda stop: own(stop, *(dwells if stop == first else ()), pause),
             lambda end: own(end, pause) if pause_at_end else [],
+            table.end.encode(),
         )
         self.end = max(self.pauses.values()) if pause_at_end else None
         """Blocks that are executed at the pause before the end; None without one."""

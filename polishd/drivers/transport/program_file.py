@@ -14,7 +14,7 @@ class ProgramFile:
     """The blocks, with ``at_stop(stop)`` before each of ``stops`` and ``at_end(end)`` before what ends the program.
 
     The last line that ``at_stop`` gives makes the controller stand: behind it all modal state is kept, which *run from
-    line* would lose. A program without an end gets M2.
+    line* would lose. A program without an end gets ``end_line``.
     """
 
     def __init__(
@@ -23,6 +23,7 @@ class ProgramFile:
         stops: Iterable[int],
         at_stop: Callable[[int], Sequence[bytes]],
         at_end: Callable[[int], Sequence[bytes]],
+        end_line: bytes = b"M2",
     ) -> None:
         self.blocks = len(blocks)
         end = next((seq for seq, block in enumerate(blocks) if _ends(block, seq)), self.blocks)
@@ -39,7 +40,7 @@ class ProgramFile:
             at = stop
         lines += blocks[at:end]
         self._put_in(lines, at_end(end), end)
-        self.lines = (*lines, *(blocks[end:] or [b"M2"]))
+        self.lines = (*lines, *(blocks[end:] or [end_line] * bool(end_line)))
         self.text = b"\n".join([*self.lines, b""])
 
     def _put_in(self, lines: list[bytes], own: Sequence[bytes], executed: int) -> None:

@@ -53,7 +53,7 @@ def test_shipped_profiles_may_polish(name: str) -> None:
 def test_what_is_left_out_has_its_default(tmp_path: Path) -> None:
     found = profile(tmp_path)
     found.require_usable()
-    assert found.unseen_stop_s == pytest.approx(0.07)
+    assert found.unseen_stop_s == pytest.approx(0.095)
     assert (found.program.pause, found.program.file) == ("M0", "polishd.nc")
     assert profile(tmp_path, "in_motion_wired = true\n" + LEAST).unseen_stop_s == 0.0
 

@@ -102,12 +102,12 @@ def checked(path: Path) -> dict[str, Any]:
 
 
 def test_a_feed_hold_that_would_dig_is_refused_by_check(tmp_path: Path, example: str) -> None:
-    """230 ms to the report, 20 ms on the link, 200 ms until the force is off: at 160 nm/s some 70 nm."""
+    """230 ms to the report, 115 ms to the look, 20 ms on the link, 200 ms until the force is off: some 90 nm."""
     with pytest.raises(
         ConfigError, match=r"cell\.toml:\d+: limits\.pit_nm: a feed hold .* would dig \d+\.\d nm"
     ) as said:
         checked(cell(tmp_path, example))
-    assert "250 ms until it is told, 200 ms until the force is off" in str(said.value)
+    assert "365 ms until it is told, 200 ms until the force is off" in str(said.value)
     assert "in_motion_wired" in str(said.value)
 
 

@@ -118,6 +118,16 @@ async def test_nothing_starts_when_the_link_is_opened_again(rig: tuple[FakePlc, 
     assert [one.seq for one in await take(robot, 55)] == list(range(55)), "and it goes on where it stood"
 
 
+async def test_an_order_that_a_lost_link_left_standing_is_taken_back_before_the_next(
+    rig: tuple[FakePlc, Handover],
+) -> None:
+    fake, robot = rig
+    fake.plc.inputs |= {"start": True, "load": True, "reset": True}
+    await asyncio.sleep(0.02)
+    await in_contact(robot, plan())
+    assert not fake.stands
+
+
 async def test_a_controller_that_was_started_anew_is_noticed(rig: tuple[FakePlc, Handover]) -> None:
     fake, robot = rig
     await in_contact(robot, plan())
@@ -196,7 +206,7 @@ async def test_what_cannot_be_handed_over_is_refused(tmp_path: Path) -> None:
 
 def test_its_times_are_the_profiles() -> None:
     robot = Handover("x", PROFILE, list, None)  # type: ignore[arg-type]
-    assert (robot.times.watchdog_s, robot.times.unseen_stop_s) == (8.0, pytest.approx(0.04))
+    assert (robot.times.watchdog_s, robot.times.unseen_stop_s) == (8.0, pytest.approx(0.05))
     deaf = PROFILE.variables.model_copy(update={"heartbeat": None})
     changed: ControllerProfile = PROFILE.model_copy(
         update={"watchdog_s": None, "variables": deaf, "in_motion_wired": True}

@@ -45,6 +45,14 @@ def test_lines_are_counted_as_the_controller_counts(first: int, shown: int, foun
     assert ProgramFile(BLOCKS, (2,), TABLE, line=line(first=first)).line_of(shown) == found
 
 
+def test_a_language_without_an_end_of_ours_gets_none() -> None:
+    table = ProgramTable(pause="Stop;", dwell="WaitTime {seconds:.3f};", end="")
+    lines = [b"MODULE m", b"PROC main()", b"MoveL p1;", b"MoveL p2;", b"ENDPROC", b"ENDMODULE"]
+    file = ProgramFile(lines, (3,), table, line=line(), proof_s=(0.25,))
+    assert file.text.splitlines() == [*lines[:3], b"WaitTime 0.250;", b"Stop;", *lines[3:]]
+    assert ProgramFile(lines[:2], (), TABLE, line=line()).text.endswith(b"PROC main()\nM2\n")
+
+
 def test_n_words_tell_the_line_and_ours_go_on_from_those_before() -> None:
     file = ProgramFile(
         numbered(BLOCKS, 10), (2,), TABLE, line=line(counts="n_words"), proof_s=(0.25,), pause_at_end=True
