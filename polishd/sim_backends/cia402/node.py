@@ -45,6 +45,7 @@ class Node:
     """What its objects hold at power-up."""
     _dark_until_s: float = 0.0
     """Until then it has no power, or is off the bus."""
+    _was_off: bool = False
     _out: list[Frame] = field(default_factory=list)
     _beat_s: float = 0.0
     _heard_s: float | None = None
@@ -83,6 +84,9 @@ class Node:
             return []
         if self.state == BOOTING:
             self._booted()
+        elif self._was_off:
+            self._emergency(BUS_OFF_OVER)
+        self._was_off = False
         self._watch()
         frames = [*self._out, *self._heartbeat()]
         self._out.clear()
@@ -104,9 +108,7 @@ class Node:
 
     def bus_off(self, for_s: float) -> None:
         """Too many errors on the wire: it hears and says nothing for a while, and tells of it afterwards."""
-        self._dark_until_s = self.now_s + for_s
-        self._out.clear()
-        self._emergency(BUS_OFF_OVER)
+        self._dark_until_s, self._was_off = self.now_s + for_s, True
 
     @property
     def _watched(self) -> int:

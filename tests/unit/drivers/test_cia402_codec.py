@@ -32,7 +32,7 @@ def test_what_we_hear_is_the_vectors() -> None:
     heard = {
         "heartbeat": Heartbeat(NodeState.OPERATIONAL),
         "boot": Heartbeat(NodeState.BOOT),
-        "status_word_enabled": Read(STATUS, b"\x37\x02", sized=True),
+        "status_word_enabled": Read(STATUS, b"\x37\x06", sized=True),
         "written_target_velocity": Written(TARGET),
         "refused_mode": Aborted(MODE, 0x06090030),
         "emergency_heartbeat": Emergency(0x8130, 0x11),

@@ -11,7 +11,11 @@ import pytest
 
 from polishd import hookspecs
 from polishd.api import ConfigError, Device, DeviceContext, DeviceType, ForceActuator, Robot, Spindle
-from polishd.plugins import rnc_robot, spindle, voice_coil
+from polishd.plugins import cia402, rnc_robot, spindle, voice_coil
+from tests.fakes.cia402 import EDS
+
+PRESS = {"n_per_permille": 0.05, "mm_per_increment": 0.001, "balance_n": 2.0}
+DRIVE: dict[str, Any] = {"address": "slcan:x", "eds": str(EDS), "node": 5}
 
 GOOD: list[tuple[str, dict[str, Any], type[Any]]] = [
     ("robot_link", {"address": "tcp://127.0.0.1:28500"}, Robot),
@@ -20,6 +24,8 @@ GOOD: list[tuple[str, dict[str, Any], type[Any]]] = [
     ("voice_coil_serial", {"address": "serial:/dev/ttyUSB0"}, ForceActuator),
     ("spindle_can", {"address": "slcan:sim/spindle?bitrate=500000", "node": 5}, Spindle),
     ("spindle_can", {"address": "socketcand://127.0.0.1:29536/can0"}, Spindle),
+    ("cia402_spindle", {**DRIVE, "rpm_per_unit": 0.1}, Spindle),
+    ("cia402_actuator", {**DRIVE, **PRESS, "node": 127, "lift": "position"}, ForceActuator),
 ]
 BAD_OPTIONS: list[tuple[str, dict[str, Any]]] = [
     ("robot_link", {}),
@@ -31,6 +37,10 @@ BAD_OPTIONS: list[tuple[str, dict[str, Any]]] = [
     ("voice_coil_serial", {"address": "serial:x", "unit": 1}),
     ("voice_coil_serial", {"address": "serial:x", "landing_s": 0.0}),
     ("spindle_can", {"address": "slcan:x", "node": 128}),
+    ("cia402_spindle", {"address": "slcan:x", "node": 5}),
+    ("cia402_spindle", {**DRIVE, "lift": "spring"}),
+    ("cia402_actuator", DRIVE),
+    ("cia402_actuator", {**DRIVE, **PRESS, "lift": "crane"}),
 ]
 BAD_ADDRESSES = [
     ("robot_link", "serial:x"),
@@ -46,7 +56,7 @@ BAD_ADDRESSES = [
 def types() -> dict[str, DeviceType]:
     manager = pluggy.PluginManager(hookspecs.PROJECT)
     manager.add_hookspecs(hookspecs)
-    for plugin in (rnc_robot, voice_coil, spindle):
+    for plugin in (rnc_robot, voice_coil, spindle, cia402):
         assert plugin.POLISHD_API == hookspecs.API_VERSION
         manager.register(plugin)
     manager.check_pending()
@@ -88,3 +98,40 @@ def test_other_addresses_are_config_errors(
     options = kind.options(address=address)
     with pytest.raises(ConfigError, match="address"):
         kind.build(options, context(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "told"),
+    [
+        ("cia402_spindle", {"address": "tcp://a:1"}, "slcan: or socketcand://"),
+        ("cia402_spindle", {"address": "slcan:x?bitrate=50000"}, "at least 125000 bit/s"),
+        ("cia402_spindle", {"controller_node": 5}, "controller_node 5 is the drive's own"),
+        ("cia402_spindle", {"rpm_per_unit": 0.0}, "rpm_per_unit is 0"),
+        ("cia402_spindle", {"eds": "none.eds"}, "none.eds: cannot be read"),
+        ("cia402_spindle", {"acceleration_rpm_s": 0.01, "rpm_per_unit": 1.0}, None),
+        ("cia402_actuator", {"mm_per_increment": 0.0}, "mm_per_increment is 0"),
+        ("cia402_actuator", {"landing_n": 0.01}, None),
+    ],
+)
+def test_drives_are_built_from_what_makes_sense(
+    types: dict[str, DeviceType], tmp_path: Path, name: str, options: dict[str, Any], told: str | None
+) -> None:
+    kind = types[name]
+    given = kind.options(**{**DRIVE, **(PRESS if name == "cia402_actuator" else {}), **options})
+    if told is None:
+        assert isinstance(kind.build(given, context(tmp_path)), Device)
+    else:
+        with pytest.raises(ConfigError, match=told):
+            kind.build(given, context(tmp_path))
+
+
+def test_a_drive_without_the_mode_that_is_needed_is_a_config_error(
+    types: dict[str, DeviceType], tmp_path: Path
+) -> None:
+    """Told with the file, where nothing is connected yet."""
+    (tmp_path / "torque.eds").write_text(EDS.read_text().replace("[60FF]", "[5FFF]"))
+    options = {**DRIVE, "eds": "torque.eds"}
+    with pytest.raises(ConfigError, match=r"torque.eds: it has no number 60FFh"):
+        types["cia402_spindle"].build(types["cia402_spindle"].options(**options), context(tmp_path))
+    actuator = types["cia402_actuator"]
+    assert isinstance(actuator.build(actuator.options(**options, **PRESS), context(tmp_path)), Device)
