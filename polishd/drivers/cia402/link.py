@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from polishd.api import DeviceFault, DeviceRefused, LinkError, ProtocolError
+from polishd.api import DeviceRefused, LinkError, ProtocolError
 from polishd.drivers.cia402 import codec, objects
 from polishd.drivers.cia402.codec import Aborted, Address, Emergency, Heartbeat, NodeState, Read, Request, SdoAnswer
 from polishd.drivers.cia402.dictionary import Dictionary, abort_text
@@ -139,14 +139,14 @@ class DriveLink(Background):
             group.create_task(self._beat_idly())
 
     async def _watch(self) -> None:
-        """LinkError when an answer stayed out or the drive falls silent, DeviceFault when it starts anew."""
+        """LinkError when an answer stayed out, and when the drive falls silent or starts anew."""
         while True:
             either: set[asyncio.Future[Any]] = {self.news(), self._broken}
             await asyncio.wait(either, timeout=BEAT_S, return_when=asyncio.FIRST_COMPLETED)
             if self._broken.done():
                 raise LinkError(self._broken.result())
             if self._restarted:
-                raise DeviceFault(f"{self.name}: the drive was started anew")
+                raise LinkError(f"{self.name}: the drive was started anew: it has forgotten what it was told")
             silent_s = time.monotonic() - (self._beat_at or time.monotonic())
             if self._timed and silent_s > self._silence_s:
                 raise LinkError(f"{self.name}: no heartbeat for {self._silence_s:g} s")
