@@ -83,8 +83,11 @@ class Axis:
         self._link.check()
         return self._link
 
-    async def open(self) -> None:
-        """Connect; see that it is the drive of the EDS file; write and read back what it has to do in our absence."""
+    async def open(self, look: Callable[[DriveLink], Awaitable[None]]) -> None:
+        """Connect; see that it is the drive of the EDS file; write and read back what it has to do in our absence.
+
+        ``look`` is what else is to be read, and may refuse it.
+        """
         await self.close()
         link = self._new_link()
         await link.open()
@@ -95,6 +98,7 @@ class Axis:
                 await self._settle(link, address, value)
             await link.time_heartbeats()
             await self.state(link)
+            await look(link)
         except BaseException:
             await link.close()
             raise
@@ -156,6 +160,12 @@ class Axis:
         if (fault := await self.fault(link, state)) is not None:
             raise DeviceFault(f"{self.name}: {what}: {describe(fault)}")
         return state
+
+    async def wake(self, link: DriveLink) -> None:
+        """Before it is switched on: end what silence has left behind while it had no power."""
+        if link.silent_idly:
+            link.silent_idly = False
+            await self.reset(link)
 
     async def power_up(self, link: DriveLink, mode: int, unless: Unless, within_s: float) -> None:
         """To operation enabled, in that mode; its target is set before. Nothing where it is enabled already."""

@@ -48,6 +48,8 @@ class DriveLink(Background):
         self._beat_at: float | None = None
         self._timed = False
         self._restarted = False
+        self.silent_idly = False
+        """The bus or we were away while the motor had no power: that has harmed nobody."""
         self.emergency: Emergency | None = None
         """What the drive last told of, until somebody has seen that it is over."""
         self.told = False
@@ -163,7 +165,9 @@ class DriveLink(Background):
 
     def _told(self, emergency: Emergency) -> None:
         """Keep what is worst. That it is over (00xx) is looked at where it matters, not believed."""
-        if emergency.code >> 8 and (self.emergency is None or self.emergency.of_connection):
+        if emergency.of_connection and not self.driving:
+            self.silent_idly = True
+        elif emergency.code >> 8 and (self.emergency is None or self.emergency.of_connection):
             self.emergency = emergency
 
     def _on_frame(self, frame: CanFrame) -> None:

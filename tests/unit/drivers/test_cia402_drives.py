@@ -332,7 +332,7 @@ async def test_force_off_then_up_then_current_off(tmp_path: Path, lift: str, mod
     del drive.heard[:]
     await device.retract()
     assert drive.written(0x6071) == ([0, 0xFFC4] if lift == "torque" else [0])
-    assert drive.written(0x6040) == {"spring": [0, 0], "torque": [0], "position": [0x3F, 0]}[lift]
+    assert drive.written(0x6040) == ([0x3F, 0] if lift == "position" else [0])
     first = next(index for index, (_, data) in enumerate(drive.heard) if data[0] >> 5 == 1)
     assert drive.heard[first][1][1:3] == b"\x71\x60", "the force goes first"
     assert (coil.modes, drive.node.power.state) == (modes, stage.DISABLED)
@@ -340,6 +340,61 @@ async def test_force_off_then_up_then_current_off(tmp_path: Path, lift: str, mod
     drive.stop()
     await device.close()
     await wire.close()
+
+
+@pytest.mark.parametrize(("refused", "code"), [(b"\x2b\x71\x60", 0x08000021), (b"\x2f\x60\x60\x00\x01", 0x08000022)])
+async def test_a_drive_that_refuses_to_lift_loses_its_current_and_the_spring_lifts(
+    tmp_path: Path, refused: bytes, code: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    drive, coil = sim_coil()
+    wire = PtyWire(SlcanPeer(drive), tmp_path / "can")
+    device = cia402_actuator(Slcan(wire.path), PATIENT_COIL, lift="position")
+    await device.open()
+    await device.set_force(10.0)
+    drive.instead[refused] = b"\x80" + refused[1:3] + b"\0" + code.to_bytes(4, "little")
+    await device.retract()
+    assert (coil.position_mm, drive.node.power.state) == (0.0, stage.DISABLED)
+    assert "the current goes off, and the tool is lifted without it" in caplog.text
+    drive.stop()
+    await device.close()
+    await wire.close()
+
+
+async def test_who_presses_while_it_is_lifted_is_refused(tmp_path: Path) -> None:
+    drive, coil = sim_coil()
+    wire = PtyWire(SlcanPeer(drive), tmp_path / "can")
+    device = cia402_actuator(Slcan(wire.path), PATIENT_COIL, lift="position")
+    await device.open()
+    await device.set_force(10.0)
+    coil.stuck = True
+    lifting = asyncio.create_task(device.retract())
+    await seen(lambda: 0x3F in drive.written(0x6040))
+    with pytest.raises(DeviceRefused, match=r"is being lifted \(mode 1\)"):
+        await device.set_force(10.0)
+    coil.stuck = False
+    await lifting
+    assert coil.force_n == 0.0
+    drive.stop()
+    await device.close()
+    await wire.close()
+
+
+async def test_silence_while_it_had_no_power_has_harmed_nobody(spin: Spin, press: Press) -> None:
+    device, drive, motor = spin
+    await device.open()
+    drive.node.fail(0x8130)  # as drives do that take any silence for a fault
+    await seen(lambda: device._axis.link.silent_idly)
+    assert drive.node.power.state == stage.FAULT
+    await device.set_speed(600.0)
+    assert motor.rpm == pytest.approx(600.0, rel=0.03)
+    await device.make_safe()
+    actuator, drive, coil = press
+    await actuator.open()
+    drive.node._emergency(0x8130)
+    await seen(lambda: actuator._axis.link.silent_idly)
+    assert (await actuator.status()).ready
+    await actuator.set_force(5.0)
+    assert coil.force_n == 5.0
 
 
 async def test_a_tool_that_sticks_is_a_fault(press: Press) -> None:
