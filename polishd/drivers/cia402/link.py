@@ -17,6 +17,7 @@ from polishd.drivers.transport.can_bus import CanBus, CanFrame, open_bus
 from polishd.drivers.transport.requests import RequestQueue
 
 OPEN_S = 1.0
+BOOT_S = 3.0
 BEAT_S = 0.1
 """Period of both heartbeats, as long as the drive has no power."""
 
@@ -47,7 +48,7 @@ class DriveLink(Background):
         self._broken: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         self._beat_at: float | None = None
         self._timed = False
-        self._restarted = False
+        self._booted = self._restarted = False
         self.silent_idly = False
         """The bus or we were away while the motor had no power: that has harmed nobody."""
         self.emergency: Emergency | None = None
@@ -73,9 +74,17 @@ class DriveLink(Background):
 
     async def time_heartbeats(self) -> None:
         """From now on the drive's heartbeats are waited for."""
-        self._timed = True
+        self._beat_at, self._timed = None, True
         if not await self.until(lambda: self._beat_at is not None, self._silence_s):
             raise LinkError(f"{self.name}: no heartbeat within {self._silence_s:g} s")
+
+    async def reset_communication(self) -> None:
+        """Let the drive boot as a node: it has forgotten its heartbeats then, but not what it moves."""
+        self.told = self._timed = self._booted = False
+        self._send(codec.reset_communication(self._node))
+        if not await self.until(lambda: self._booted, BOOT_S):
+            raise LinkError(f"{self.name}: no boot message within {BOOT_S:g} s")
+        self._send(codec.start_node(self._node))
 
     async def close(self) -> None:
         """Leave the bus; idempotent."""
@@ -173,6 +182,7 @@ class DriveLink(Background):
     def _on_frame(self, frame: CanFrame) -> None:
         message = codec.decode(self._node, frame)
         if isinstance(message, Heartbeat):
+            self._booted = self._booted or message.state is NodeState.BOOT
             self._restarted = self._restarted or (self.told and message.state is NodeState.BOOT)
             self._beat_at = time.monotonic()
         elif isinstance(message, Emergency):

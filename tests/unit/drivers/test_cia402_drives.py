@@ -383,10 +383,13 @@ async def test_silence_while_it_had_no_power_has_harmed_nobody(spin: Spin, press
     device, drive, motor = spin
     await device.open()
     drive.node.fail(0x8130)  # as drives do that take any silence for a fault
+    drive.node._estranged = True
     await seen(lambda: device._axis.link.silent_idly)
     assert drive.node.power.state == stage.FAULT
     await device.set_speed(600.0)
     assert motor.rpm == pytest.approx(600.0, rel=0.03)
+    assert drive.heard.count((0x000, b"\x82\x05")) == 1
+    assert drive.node.objects.values[0x1016, 1] == CONTROLLER << 16 | 1000, "told anew"
     await device.make_safe()
     actuator, drive, coil = press
     await actuator.open()

@@ -144,8 +144,15 @@ def test_a_controller_that_comes_back_ends_the_emergency_but_not_the_fault() -> 
     assert bench.node.objects[0x603F] == 0x8130
     for word in (0x00, 0x80):
         bench.write(0x6040, word)
+    assert bench.node.power.state == stage.FAULT, "not before the communication is reset"
+    bench.node.on_frame(*VECTORS["reset_communication"])
+    assert bench.node.objects.values[0x1016, 1] == 0
+    assert bench.node.objects[0x6007] == 1
+    for word in (0x00, 0x80):
+        bench.write(0x6040, word)
     bench.until(1.3)
     assert bench.emergencies() == [(0x8130, 0x11), (0, 0)]
+    assert [data for _, identifier, data in bench.sent if identifier == 0x705 and data == b"\0"] == [b"\0"] * 2
     assert (bench.node.power.state, bench.node.objects[0x1001]) == (stage.DISABLED, 0)
 
 
