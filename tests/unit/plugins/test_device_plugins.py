@@ -22,7 +22,20 @@ from polishd.api import (
     SensorTimes,
     Spindle,
 )
-from polishd.plugins import device_profiles, force_sensor, monitors, rnc_robot, spindle, universal_robots, voice_coil
+from polishd.plugins import (
+    cia402,
+    device_profiles,
+    force_sensor,
+    monitors,
+    rnc_robot,
+    spindle,
+    universal_robots,
+    voice_coil,
+)
+from tests.fakes.cia402 import EDS
+
+PRESS = {"n_per_permille": 0.05, "mm_per_increment": 0.001, "balance_n": 2.0}
+DRIVE: dict[str, Any] = {"address": "slcan:x", "eds": str(EDS), "node": 5}
 
 LINE_DRIVE = Path(__file__).resolve().parents[3] / "examples" / "line_drive.toml"
 GOOD: list[tuple[str, dict[str, Any], type[Any]]] = [
@@ -39,6 +52,8 @@ GOOD: list[tuple[str, dict[str, Any], type[Any]]] = [
     ("spindle_can", {"address": "socketcand://127.0.0.1:29536/can0"}, Spindle),
     ("force_sensor_line", {"address": "serial:sim/force_sensor", "delay_s": 0.5}, ForceSensor),
     ("monitor_line", {"address": "tcp://127.0.0.1:4001"}, Monitor),
+    ("cia402_spindle", {**DRIVE, "rpm_per_unit": 0.1}, Spindle),
+    ("cia402_actuator", {**DRIVE, **PRESS, "node": 127, "lift": "position"}, ForceActuator),
 ]
 BAD_OPTIONS: list[tuple[str, dict[str, Any]]] = [
     ("robot_link", {}),
@@ -57,6 +72,10 @@ BAD_OPTIONS: list[tuple[str, dict[str, Any]]] = [
     ("voice_coil_serial", {"address": "serial:x", "unpowered": "falls"}),
     ("force_sensor_line", {"address": "serial:x", "silence_s": 0.1}),
     ("monitor_line", {"address": "serial:x", "signals": []}),
+    ("cia402_spindle", {"address": "slcan:x", "node": 5}),
+    ("cia402_spindle", {**DRIVE, "lift": "spring"}),
+    ("cia402_actuator", DRIVE),
+    ("cia402_actuator", {**DRIVE, **PRESS, "lift": "crane"}),
 ]
 BAD_ADDRESSES = [
     ("robot_link", "serial:x"),
@@ -75,7 +94,7 @@ BAD_ADDRESSES = [
 def types() -> dict[str, DeviceType]:
     manager = pluggy.PluginManager(hookspecs.PROJECT)
     manager.add_hookspecs(hookspecs)
-    for plugin in (device_profiles, rnc_robot, universal_robots, voice_coil, spindle, force_sensor, monitors):
+    for plugin in (cia402, device_profiles, rnc_robot, universal_robots, voice_coil, spindle, force_sensor, monitors):
         assert plugin.POLISHD_API == hookspecs.API_VERSION
         manager.register(plugin)
     manager.check_pending()
