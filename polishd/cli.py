@@ -113,9 +113,9 @@ def hil(
     *,
     cell: Cell,
     level: Annotated[
-        Literal["identify", "no-contact", "contact"], Option(help="How far: what moves is said before.")
+        Literal["identify", "no-contact", "contact", "cycle"], Option(help="How far: what moves is said before.")
     ] = "identify",
-    max_force: Annotated[float | None, Option(metavar="N", help="Nothing is pressed harder; for contact.")] = None,
+    max_force: Annotated[float | None, Option(metavar="N", help="Nothing is pressed harder.")] = None,
     simulate: Annotated[str, Option(metavar="NAME,...", help="Devices that are simulated instead.")] = "",
     motion: Annotated[Path | None, Option(metavar="PROGRAM", help="Blocks that the robot may run in the air.")] = None,
     yes: Annotated[bool, Option("--yes", help="Do not ask before anything moves.")] = False,

@@ -15,7 +15,7 @@ from polishd.model.errors import ConfigError, DeviceFault, PolishdError
 from polishd.show.tables import record_table, stdout
 
 INI = "[pytest]\nasyncio_default_fixture_loop_scope = function\nfilterwarnings = default\n"
-KEPT, BROKEN, INTERRUPTED = 0, 1, 2
+KEPT, BROKEN, INTERRUPTED, REFUSED = 0, 1, 2, 4
 """Exit codes of pytest."""
 
 
@@ -73,4 +73,6 @@ def _judge(code: int) -> None:
         raise DeviceFault("a device does not do what its port demands: see above; docs/drivers.md has the ports")
     if code == INTERRUPTED:
         raise typer.Exit(130)
+    if code == REFUSED:
+        raise ConfigError("nothing was opened: see above")
     raise PolishdError(f"the suites could not be run: pytest ended with {code}, see above")

@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import AsyncIterator, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from polishd.testing.rig import Rig, Scope
 from polishd.testing.stand_in import require_simulated, stand_ins
 
 SOON_S = 60.0
-SUITES = ("device", "robot", "spindle", "actuator")
+SUITES = ("device", "robot", "spindle", "actuator", "cycle")
 """In the order in which they are run: first what moves nothing, last what presses."""
 
 
@@ -33,11 +34,20 @@ class Level(IntEnum):
     IDENTIFY = 0
     NO_CONTACT = 1
     CONTACT = 2
+    CYCLE = 3
 
     @classmethod
     def of(cls, word: str) -> Level:
         """As it is written: ``no-contact``."""
         return cls[word.upper().replace("-", "_")]
+
+
+NEEDED = {
+    "polishd_moves": Level.NO_CONTACT,
+    "polishd_presses": Level.CONTACT,
+    "polishd_cycles": Level.CYCLE,
+}
+"""The level of a test, by its marks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,14 +120,22 @@ class Bench:
         """A test with these marks goes no further than the level, and needs nothing that a real cell cannot give."""
         if marks & {"polishd_cuts", "polishd_mutes", "polishd_fresh"}:
             return False
-        needs = Level.CONTACT if "polishd_presses" in marks else Level.NO_CONTACT
-        return self.asked.level >= needs or not marks & {"polishd_presses", "polishd_moves"}
+        return all(self.asked.level >= level for mark, level in NEEDED.items() if mark in marks)
 
     def does(self) -> Iterator[tuple[str, str, str]]:
         """(device, real or simulated and what it is, what happens to it) in words, before anything does."""
         for name, section in self.config.devices.items():
-            kind = "simulated" if name in self.asked.simulate else "REAL"
-            yield name, f"{kind}, {section.type} {(section.model_extra or {}).get('address', '')}", self._moves(name)
+            kind = "simulated, in place of" if name in self.asked.simulate else "REAL,"
+            address = (section.model_extra or {}).get("address", "")
+            yield name, f"{kind} {section.type} {address}".strip(), self._moves(name)
+        if self.asked.level >= Level.CYCLE:
+            yield "all of them", f"the job of {self.config.path.name}", self._polishes()
+
+    def _polishes(self) -> str:
+        return (
+            f"last of all ONE CYCLE: the part is measured, POLISHED along {self.config.program_path.name} with "
+            f"{self.scope().force_n:g} N and {self.config.process.rpm:g} rpm, and measured"
+        )
 
     def _moves(self, name: str) -> str:
         port, scope, level = port_of(name), self.scope(), self.asked.level
@@ -167,16 +185,30 @@ def bench(asked: Asked) -> Iterator[Bench]:
         tempfile.TemporaryDirectory(prefix="polishd-hil-") as scratch,
         stand_ins(config, asked.simulate, Path(scratch)) as laid_over,
     ):
-        config = load_config(asked.cell, laid_over)
+        config = load_config(asked.cell, {**laid_over, **_one_cycle(asked, config, Path(scratch))})
         hooks = plugins_of(config)
         hooks.report.require()
-        require_time_limits(config, build_cell(config, hooks))
+        cell = build_cell(config, hooks)
+        if asked.level >= Level.CYCLE:
+            require_time_limits(config, cell)
         yield Bench(asked, config, hooks)
+
+
+def _one_cycle(asked: Asked, config: CellConfig, scratch: Path) -> dict[str, Any]:
+    """What to lay over the cell's config for it: what it learns is forgotten, what it did stays in a run folder."""
+    if asked.level < Level.CYCLE:
+        return {}
+    return {
+        "cell.state_dir": str(scratch / "state"),
+        "cell.run_dir": str(config.state_dir / "runs" / f"hil-{datetime.now(UTC):%Y%m%dT%H%M%S}"),
+        "job.max_cycles": 1,
+        "process.force_n": min(config.process.force_n, asked.max_force_n or config.process.force_n),
+    }
 
 
 def _require(asked: Asked) -> None:
     if asked.level >= Level.CONTACT and asked.max_force_n is None:
-        raise ConfigError("--level contact needs --max-force NEWTONS: nothing is pressed harder")
+        raise ConfigError("from --level contact on --max-force NEWTONS is needed: nothing is pressed harder")
     if asked.max_force_n is not None and not 0.0 < asked.max_force_n < 1000.0:
         raise ConfigError(f"--max-force {asked.max_force_n:g}: give newtons, more than 0")
 

@@ -23,9 +23,10 @@ MARKS = {
     "polishd_fresh": "needs a device that was just powered up",
     "polishd_moves": "moves something, or could, and presses nothing",
     "polishd_presses": "puts the tool on the part",
+    "polishd_cycles": "polishes",
 }
 
-LEVELS = ("identify", "no-contact", "contact")
+LEVELS = ("identify", "no-contact", "contact", "cycle")
 BENCH = pytest.StashKey[Any]()
 """The cell, a ``bench.Bench``."""
 
@@ -37,7 +38,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("polishd", "polishd: a real cell under the suites (docs/hil.md)")
     group.addoption("--cell", type=Path, metavar="CELL.toml", help="the cell whose devices are tried")
     group.addoption("--hil-level", choices=LEVELS, default="identify", help="how far: %(choices)s (%(default)s)")
-    group.addoption("--hil-max-force", type=float, metavar="N", help="nothing is pressed harder; for contact")
+    group.addoption("--hil-max-force", type=float, metavar="N", help="nothing is pressed harder; from contact on")
     group.addoption("--hil-simulate", default="", metavar="NAME,...", help="devices that are simulated instead")
     group.addoption("--hil-motion", type=Path, metavar="PROGRAM", help="blocks that the robot may run in the air")
 
@@ -115,9 +116,12 @@ def _of_suites(obj: object) -> bool:
 
 
 def _on_cell(item: pytest.Item) -> bool:
-    """It is a suite's test on a device of the cell."""
+    """It is a suite's test on the cell that ``--cell`` names, or on a device of it."""
     given = getattr(getattr(item, "callspec", None), "params", {})
-    return _of_suites(getattr(item, "function", None)) and any(hasattr(given.get(name), "device") for name in FIXTURES)
+    of_cell = "cell" in getattr(item, "fixturenames", ()) or any(
+        hasattr(given.get(name), "device") for name in FIXTURES
+    )
+    return of_cell and _of_suites(getattr(item, "function", None))
 
 
 def _name(case: object) -> str:

@@ -24,11 +24,12 @@ origin_mm = {origin_mm}
 rotation_rpy_deg = {rotation_rpy_deg}
 [robot]
 port = 0
+watchdog_s = 60.0
 home = [0.0, 0.0, 0.0, 15.0, 0.0]
 """
 """The robot stands with the tool's tip on the part, so that there is something to press on."""
 PATIENT: Mapping[str, Mapping[str, Any]] = {
-    "robot": {"type": "robot_link"},
+    "robot": {"type": "robot_link", "watchdog_s": 60.0},
     "actuator": {"type": "voice_coil_modbus", "silence_s": 1.0, "watchdog_ms": 2000},
     "spindle": {"type": "spindle_can", "silence_s": 1.5},
     "loader": {"type": "loader_line"},
