@@ -11,6 +11,7 @@ from pathlib import Path
 
 import typer
 
+from polishd.daemon.lock import locked
 from polishd.model.errors import ConfigError, DeviceFault, PolishdError
 from polishd.show.tables import record_table, stdout
 
@@ -32,7 +33,8 @@ def hil_verb(
     seen = foreseen(asked)
     title, columns = f"{seen.config.cell.name}: level {level}", ("device", "what it is", "what happens to it")
     stdout.print(record_table(title, columns, seen.does()))
-    _ask(yes=yes)
+    with locked(seen.config.state_dir):
+        _ask(yes=yes)
     options = ["--cell", str(cell.resolve()), "--hil-level", level, "--hil-simulate", simulate]
     options += [] if max_force_n is None else ["--hil-max-force", str(max_force_n)]
     options += [] if motion is None else ["--hil-motion", str(motion.resolve())]

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.system.cell_rig import events, small_cell, write_small
-from tests.system.sim_rig import ROOT
+from polishd.console.simulator import simulated_cell
+from tests.patience import SOON_S
+from tests.system.cell_rig import events, small_cell, with_keys, write_small
+from tests.system.sim_rig import ROOT, wait_for
 
 pytestmark = pytest.mark.system
 MOTION = "G21 G90 G94\nG1 X0 Y0 Z3 F60\nG1 X0.5 Y0 Z3 F60\nG1 X0.5 Y0.5 Z3 F60\nG1 X0 Y0.5 Z3 F60\n"
@@ -61,6 +65,22 @@ def test_a_cell_is_tried_up_to_contact_and_never_harder_than_allowed(tmp_path: P
         assert not events(files, "spindle_ramping"), "the real one turned, and the other was asked for"
         last = [event["event"] for event in events(files, "engage", "retracted")][-1]
         assert last == "retracted"
+
+
+@pytest.mark.full
+def test_whoever_interrupts_it_finds_the_tool_up(tmp_path: Path) -> None:
+    files = write_small(tmp_path)
+    on_part = {"robot": {"home": [0.0, 0.0, 0.0, 15.0, 0.0]}}
+    files.sim.write_text(with_keys(files.sim.read_text(), on_part))
+    options = ["--level", "contact", "--max-force", "4", "--simulate", "robot,spindle", "--yes"]
+    command = [sys.executable, "-m", "polishd", "hil", str(files.cell), *options]
+    with simulated_cell(files.sim, ["--state", str(files.sim_dir), "--speed", "20"], files.out / "sim.stderr"):
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True) as process:
+            wait_for(lambda: events(files, "force_on"), "contact")
+            os.killpg(process.pid, signal.SIGINT)  # as the terminal does
+            assert process.wait(SOON_S) == 130
+        assert events(files, "engage", "retracted")[-1]["event"] == "retracted"
+        assert not events(files, "watchdog"), "nobody took it off the part, and its watchdog ran out"
 
 
 @pytest.mark.full
