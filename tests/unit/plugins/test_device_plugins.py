@@ -186,3 +186,40 @@ def test_times_are_the_profiles_where_the_cell_says_nothing(types: dict[str, Dev
     options = {"profile": str(LINE_DRIVE), "address": "serial:x", "landing_s": 3.0}
     times = kind.build(kind.options(**options), context(tmp_path)).times
     assert (times.landing_s, times.watchdog_s, times.retract_s) == (3.0, 1.0, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "told"),
+    [
+        ("cia402_spindle", {"address": "tcp://a:1"}, "slcan: or socketcand://"),
+        ("cia402_spindle", {"address": "slcan:x?bitrate=50000"}, "at least 125000 bit/s"),
+        ("cia402_spindle", {"controller_node": 5}, "controller_node 5 is the drive's own"),
+        ("cia402_spindle", {"rpm_per_unit": 0.0}, "rpm_per_unit is 0"),
+        ("cia402_spindle", {"eds": "none.eds"}, "none.eds: cannot be read"),
+        ("cia402_spindle", {"acceleration_rpm_s": 0.01, "rpm_per_unit": 1.0}, None),
+        ("cia402_actuator", {"mm_per_increment": 0.0}, "mm_per_increment is 0"),
+        ("cia402_actuator", {"landing_n": 0.01}, None),
+    ],
+)
+def test_drives_are_built_from_what_makes_sense(
+    types: dict[str, DeviceType], tmp_path: Path, name: str, options: dict[str, Any], told: str | None
+) -> None:
+    kind = types[name]
+    given = kind.options(**{**DRIVE, **(PRESS if name == "cia402_actuator" else {}), **options})
+    if told is None:
+        assert isinstance(kind.build(given, context(tmp_path)), Device)
+    else:
+        with pytest.raises(ConfigError, match=told):
+            kind.build(given, context(tmp_path))
+
+
+def test_a_drive_without_the_mode_that_is_needed_is_a_config_error(
+    types: dict[str, DeviceType], tmp_path: Path
+) -> None:
+    """Told with the file, where nothing is connected yet."""
+    (tmp_path / "torque.eds").write_text(EDS.read_text().replace("[60FF]", "[5FFF]"))
+    options = {**DRIVE, "eds": "torque.eds"}
+    with pytest.raises(ConfigError, match=r"torque.eds: it has no number 60FFh"):
+        types["cia402_spindle"].build(types["cia402_spindle"].options(**options), context(tmp_path))
+    actuator = types["cia402_actuator"]
+    assert isinstance(actuator.build(actuator.options(**options, **PRESS), context(tmp_path)), Device)
