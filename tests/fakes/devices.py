@@ -11,6 +11,7 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 from polishd.daemon.cell import Cell
+from polishd.daemon.signals import Signals
 from polishd.model.devices import (
     DeviceStatus,
     Executed,
@@ -24,6 +25,7 @@ from polishd.model.devices import (
 )
 from polishd.model.errors import DeviceRefused, LinkError
 from polishd.model.program import Plan, Segment
+from polishd.model.signal_limits import SignalLimits
 from polishd.model.surface import SurfaceMap
 from polishd.model.times import ActuatorTimes, LoaderTimes, MonitorTimes, RobotTimes, SensorTimes, SpindleTimes
 
@@ -276,8 +278,8 @@ class FakeForceSensor(FakeDevice):
 class FakeMonitor(FakeDevice):
     """Tells ``values``, as they are then; its clock goes on by a reading."""
 
-    def __init__(self, events: list[str], clock: ManualClock, name: str = "monitor") -> None:
-        super().__init__(name, events, clock)
+    def __init__(self, events: list[str], clock: ManualClock) -> None:
+        super().__init__("monitor", events, clock)
         self.times = MonitorTimes()
         self.values: dict[str, float | bool | None] = {}
         self.silent = False
@@ -374,6 +376,8 @@ class FakeCell:
         self.spindle = FakeSpindle(self.events, self.clock)
         self.metrology = FakeMetrology(self.events, self.clock)
         self.loader = FakePartLoader(self.events, self.clock)
+        self.force_sensor = FakeForceSensor(self.events, self.clock, self.actuator)
+        self.monitor = FakeMonitor(self.events, self.clock)
         self.cell = Cell(self.devices, {name: name for name in self.devices}, self.clock)
 
     def with_loader(self) -> FakePartLoader:
@@ -384,10 +388,18 @@ class FakeCell:
 
     def with_force_sensor(self) -> FakeForceSensor:
         """An independent one."""
-        sensor = FakeForceSensor(self.events, self.clock, self.actuator)
-        self.cell.devices = {**self.cell.devices, "force_sensor": sensor}
+        self.cell.devices = {**self.cell.devices, "force_sensor": self.force_sensor}
         self.cell.used = {**self.cell.used, "force_sensor": "force_sensor"}
-        return sensor
+        return self.force_sensor
+
+    def with_monitor(
+        self, *limits: SignalLimits, silence_s: float = 3600.0, **values: float | bool | None
+    ) -> FakeMonitor:
+        """One that tells those values, and what is watched of them."""
+        self.monitor.values = dict(values)
+        self.cell.devices = {**self.cell.devices, "monitor": self.monitor}
+        self.cell.signals = Signals(limits, {"monitor": silence_s})
+        return self.monitor
 
     @property
     def devices(self) -> dict[str, FakeDevice]:

@@ -14,7 +14,7 @@ from polishd.model.devices import Signal
 from polishd.model.errors import DeviceFault, LinkError, SignalFault
 from polishd.model.events import Event, SignalWrong
 from polishd.model.signal_limits import Bounds, SignalLimits
-from tests.fakes.devices import FakeCell, FakeMonitor
+from tests.fakes.devices import FakeCell
 
 FLOW = SignalLimits("flow", "monitor", "AI3", "l/min", Bounds(min=1.0), 5.0, Bounds(min=0.8), 2.0, "lift")
 GUARD = SignalLimits("guard", "monitor", "guard", "", Bounds(state=True), 0.0, Bounds(state=True), 0.0, "estop")
@@ -122,17 +122,8 @@ def test_status_has_each_with_what_is_wrong() -> None:
 @pytest.fixture
 def fake() -> FakeCell:
     fake = FakeCell()
-    monitor = FakeMonitor(fake.events, fake.clock)
-    monitor.values = {"AI3": 1.5, "guard": True, "unused": 3.0}
-    fake.cell.devices = {**fake.cell.devices, "monitor": monitor}
-    fake.cell.signals = Signals([FLOW, GUARD], {"monitor": 1.0})
+    fake.with_monitor(FLOW, GUARD, silence_s=1.0, AI3=1.5, guard=True, unused=3.0)
     return fake
-
-
-def monitor_of(fake: FakeCell) -> FakeMonitor:
-    found = fake.cell.devices["monitor"]
-    assert isinstance(found, FakeMonitor)
-    return found
 
 
 @pytest.fixture(autouse=True)
@@ -147,14 +138,14 @@ async def test_what_is_wrong_in_contact_is_told_with_what_it_leads_to(fake: Fake
         while fake.cell.signals.not_ready():  # noqa: ASYNC110
             await asyncio.sleep(0.01)
         fake.cell.pressing = True
-        monitor_of(fake).values["guard"] = False
+        fake.monitor.values["guard"] = False
         limits, said = await told.get()
     assert (limits, limits.leads_to) == (GUARD, "estop")
     assert said.startswith("guard is off, must be on in contact")
 
 
 async def test_a_monitor_that_fails_is_heard_again(fake: FakeCell) -> None:
-    monitor = monitor_of(fake)
+    monitor = fake.monitor
     async with watching(fake.cell, lambda *_: None):
         for failure in (LinkError("gone"), RuntimeError("a plugin's own")):
             while fake.cell.signals.not_ready():  # noqa: ASYNC110
@@ -167,7 +158,7 @@ async def test_a_monitor_that_fails_is_heard_again(fake: FakeCell) -> None:
 
 
 async def test_contact_waits_until_signals_are_ready(fake: FakeCell) -> None:
-    monitor, published = monitor_of(fake), list[Event]()
+    monitor, published = fake.monitor, list[Event]()
     monitor.values["AI3"] = 0.2
     async with watching(fake.cell, lambda *_: None):
         while len(fake.cell.signals.not_ready()) == 2:  # noqa: ASYNC110
@@ -187,7 +178,7 @@ async def test_contact_waits_until_signals_are_ready(fake: FakeCell) -> None:
 
 
 async def test_what_is_waited_for_in_vain_holds_the_cell(fake: FakeCell) -> None:
-    monitor = monitor_of(fake)
+    monitor = fake.monitor
     monitor.values["AI3"] = 0.2
     async with watching(fake.cell, lambda *_: None):
         while len(fake.cell.signals.not_ready()) == 2:  # noqa: ASYNC110
@@ -202,7 +193,7 @@ async def test_what_is_waited_for_in_vain_holds_the_cell(fake: FakeCell) -> None
 
 
 async def test_what_may_not_be_waited_for_holds_at_once(fake: FakeCell) -> None:
-    monitor_of(fake).values["guard"] = False
+    fake.monitor.values["guard"] = False
     async with watching(fake.cell, lambda *_: None):
         while len(fake.cell.signals.not_ready()) == 2:  # noqa: ASYNC110
             await asyncio.sleep(0.01)
@@ -222,26 +213,26 @@ async def test_probe_tells_each_watched_signal(fake: FakeCell) -> None:
 
 
 async def test_probe_names_what_a_monitor_does_not_tell(fake: FakeCell) -> None:
-    del monitor_of(fake).values["AI3"]
+    del fake.monitor.values["AI3"]
     with pytest.raises(DeviceFault, match="monitor: tells no signal 'AI3'; it tells 'guard', 'unused'"):
         await tell_once(fake.cell, "monitor")
 
 
 async def test_probe_does_not_wait_for_ever(fake: FakeCell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(signal_watch, "OPEN_S", 0.02)
-    monitor_of(fake).silent = True
+    fake.monitor.silent = True
     with pytest.raises(LinkError, match="told not all of its signals"):
         await tell_once(fake.cell, "monitor")
 
 
 async def test_a_monitor_whose_link_was_just_opened_again_is_waited_for(fake: FakeCell) -> None:
     """What may not be waited for is judged once it is known."""
-    monitor_of(fake).silent = True
+    fake.monitor.silent = True
     waiting = asyncio.ensure_future(until_ready(fake.cell, lambda _: None, 0))
     fake.clock.advance(1.0)
     await asyncio.sleep(0.01)
     assert not waiting.done()
-    for name, value in monitor_of(fake).values.items():
+    for name, value in fake.monitor.values.items():
         fake.cell.signals.hear("monitor", Signal(0.0, name, value))
     while not waiting.done():
         fake.clock.advance(0.1)

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from polishd.daemon import signal_watch
-from polishd.daemon.signals import Signals
 from polishd.model.cycle import Outcome
 from polishd.model.errors import SafetyStop, SignalFault
 from polishd.model.events import Held, SignalWrong
@@ -34,12 +33,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
 
 
 def monitored(bench: Bench, leads_to: LeadsTo) -> FakeMonitor:
-    fake = bench.fake
-    monitor = FakeMonitor(fake.events, fake.clock)
-    monitor.values = {"flow": 1.5}
-    fake.cell.devices = {**fake.cell.devices, "monitor": monitor}
-    fake.cell.signals = Signals([replace(FLOW, leads_to=leads_to)], {"monitor": 3600.0})
-    return monitor
+    return bench.fake.with_monitor(replace(FLOW, leads_to=leads_to), flow=1.5)
 
 
 def told_of(running: Running) -> list[SignalWrong]:
