@@ -129,12 +129,12 @@ def place(bus: Slcan | Socketcand, silence_s: float, watchdog_s: float) -> Place
     return Place(bus, NODE, CONTROLLER, silence_s, watchdog_s)
 
 
-def cia402_spindle(bus: Slcan | Socketcand, times: SpindleTimes) -> Cia402Spindle:
+def cia402_spindle(bus: Slcan | Socketcand, times: SpindleTimes, eds: Path = EDS) -> Cia402Spindle:
     """Its driver."""
     scale = SpindleScale(
         0.1, max_rpm=6500.0, acceleration_rpm_s=20_000.0, deceleration_rpm_s=20_000.0, quick_stop_rpm_s=20_000.0
     )
-    return Cia402Spindle(place(bus, times.silence_s, times.watchdog_s), read_dictionary(EDS, NODE), scale, times)
+    return Cia402Spindle(place(bus, times.silence_s, times.watchdog_s), read_dictionary(eds, NODE), scale, times)
 
 
 def cia402_actuator(bus: Slcan | Socketcand, times: ActuatorTimes, **scale: object) -> Cia402Actuator:

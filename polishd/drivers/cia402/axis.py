@@ -22,7 +22,7 @@ GENERIC = 0x1000
 """Error code of a fault that the drive has no code for."""
 
 _IDENTITY = (objects.VENDOR, objects.PRODUCT, objects.REVISION, objects.SERIAL)
-_READ = (*_IDENTITY, objects.DEVICE_TYPE, objects.ERROR_REGISTER, objects.STATUS_WORD, objects.ERROR_CODE)
+_READ = (objects.VENDOR, objects.DEVICE_TYPE, objects.ERROR_REGISTER, objects.STATUS_WORD)
 _WRITTEN = (objects.CONTROL_WORD, objects.MODE)
 
 Unless = Callable[[], None]
@@ -108,9 +108,10 @@ class Axis:
             await link.close()
 
     async def identify(self) -> Identity:
-        """Vendor, product, serial number and revision are numbers of CiA 301."""
+        """Vendor, product, serial number and revision are numbers of CiA 301; 0 where the drive has none."""
         link = self.link
-        vendor, product, revision, serial = [await link.read(address) for address in _IDENTITY]
+        known = [address in self.dictionary and await link.read(address) for address in _IDENTITY]
+        vendor, product, revision, serial = map(int, known)
         return Identity(f"0x{vendor:08x}", f"0x{product:08x}", str(serial), f"0x{revision:08x}")
 
     def take_over(self) -> Unless:
@@ -148,7 +149,8 @@ class Axis:
     async def fault(self, link: DriveLink, state: State) -> Emergency | None:
         """What is wrong with it; None: nothing."""
         if state.failed and (link.emergency is None or link.emergency.of_connection):
-            return Emergency(await link.read(objects.ERROR_CODE) or GENERIC, 0)
+            told = objects.ERROR_CODE in self.dictionary and await link.read(objects.ERROR_CODE)
+            return Emergency(told or GENERIC, 0)
         return link.emergency
 
     async def require_sound(self, link: DriveLink, what: str) -> State:
@@ -222,8 +224,8 @@ class Axis:
 
     async def _recognise(self, link: DriveLink) -> None:
         for address, what in ((objects.VENDOR, "vendor"), (objects.PRODUCT, "product")):
-            found, wanted = await link.read(address), self.dictionary[address].default
-            if wanted and found != wanted:
+            wanted = self.dictionary[address].default if address in self.dictionary else None
+            if wanted and (found := await link.read(address)) != wanted:
                 raise DeviceRefused(f"{self.name}: is {what} {found:#010x}, its EDS file is of {wanted:#010x}")
         if objects.SUPPORTED_MODES in self.dictionary:
             supported = await link.read(objects.SUPPORTED_MODES)

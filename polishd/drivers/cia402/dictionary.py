@@ -149,13 +149,17 @@ def _entry(variable: ODVariable) -> Entry:
 
     bits, signed = len(variable), variable.data_type in SIGNED_TYPES
     low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
+    least = low if variable.min is None else max(low, variable.min)
+    most = high if variable.max is None else min(high, variable.max)
+    if least >= most:  # makers' tools leave both limits at 0 where there are none
+        least, most = low, high
     return Entry(
         name=variable.name,
         size=bits // 8,
         signed=signed,
         readable=variable.readable,
         writable=variable.writable,
-        low=low if variable.min is None else max(low, variable.min),
-        high=high if variable.max is None else min(high, variable.max),
+        low=least,
+        high=most,
         default=variable.default if isinstance(variable.default, int) else None,
     )

@@ -85,7 +85,9 @@ class Node:
         if self.power.state == stage.FAULT != was:
             self.report("drive_fault", self.now_s)
         self._show()
-        if self.now_s < self._dark_until_s or self.hung:
+        if not self.hung:
+            self._watch()
+        if self.hung or self.now_s < self._dark_until_s:
             self._out.clear()
             return []
         if self.state == BOOTING:
@@ -93,7 +95,6 @@ class Node:
         elif self._was_off:
             self._emergency(BUS_OFF_OVER)
         self._was_off = False
-        self._watch()
         frames = [*self._out, *self._heartbeat()]
         self._out.clear()
         return frames

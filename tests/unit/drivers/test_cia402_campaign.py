@@ -253,9 +253,9 @@ async def test_two_thousand_broken_replies_on_a_wire(tmp_path: Path, nasty: Call
 async def test_links_that_break_leave_nothing_behind(tmp_path: Path) -> None:
     drive, _motor = sim_motor()
     wire = PtyWire(SlcanPeer(drive), tmp_path / "can")
-    device = cia402_spindle(Slcan(wire.path), SpindleTimes(silence_s=0.3, watchdog_s=5.0))
+    device = cia402_spindle(Slcan(wire.path), SpindleTimes(silence_s=1.0, watchdog_s=5.0))
     tasks, opened = len(asyncio.all_tasks()), 0
-    for _ in range(12):
+    for _ in range(6):
         drive.treat = lambda frame: [frame]
         await device.open()
         drive.treat = lambda frame: []

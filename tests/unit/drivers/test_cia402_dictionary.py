@@ -61,6 +61,15 @@ def test_makers_files_in_windows_latin_and_with_byte_order_marks(written: Callab
         assert objects.STATUS_WORD in read_dictionary(written(data), 5)
 
 
+def test_limits_that_are_none_and_objects_that_makers_leave_out(written: Callable[[str | bytes], Path]) -> None:
+    unlimited = TEXT.replace("LowLimit=0xFA24\nHighLimit=1500", "LowLimit=0\nHighLimit=0")
+    assert unlimited != TEXT
+    entry = read_dictionary(written(unlimited), 5)[objects.TARGET_TORQUE]
+    assert (entry.low, entry.high) == (-(1 << 15), (1 << 15) - 1)
+    empty = TEXT.replace("LowLimit=0xFA24\nHighLimit=1500", "LowLimit=\nHighLimit=\nDefaultValue=")
+    assert read_dictionary(written(empty.replace("DefaultValue=\nDefaultValue=0", "DefaultValue=")), 5)
+
+
 def test_what_is_missing_is_told_with_its_place(written: Callable[[str | bytes], Path]) -> None:
     path = written(TEXT.replace("[60FF]", "[5FFF]"))
     with pytest.raises(ConfigError, match=r"drive.eds: it has no number 60FFh"):

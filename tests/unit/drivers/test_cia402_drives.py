@@ -18,6 +18,7 @@ from polishd.sim_backends.cia402.motor import Motor
 from tests.conformance.conftest import seen
 from tests.fakes.cia402 import (
     CONTROLLER,
+    EDS,
     FakeCoil,
     Frame,
     SimDrive,
@@ -30,8 +31,9 @@ from tests.fakes.drive import SlcanPeer, SocketcandPeer
 from tests.fakes.wires import PtyWire, TcpWire
 from tests.patience import SOON_S
 
-PATIENT = SpindleTimes(silence_s=1.5, watchdog_s=1.0)
-PATIENT_COIL = ActuatorTimes(silence_s=1.5, watchdog_s=1.0)
+PATIENT = SpindleTimes(silence_s=1.5, watchdog_s=2.5)
+PATIENT_COIL = ActuatorTimes(silence_s=1.5, watchdog_s=2.5)
+"""A busy machine is silent for a while."""
 
 Spin = tuple[Cia402Spindle, SimDrive, Motor]
 Press = tuple[Cia402Actuator, SimDrive, FakeCoil]
@@ -78,7 +80,7 @@ async def test_open_tells_the_drive_what_to_do_alone_and_enables_nothing(spin: S
     for (device, drive, _), alone in ((spin, 3), (press, 2)):
         await device.open()
         values = drive.node.objects.values
-        assert (values[0x1016, 1], values[0x1017, 0]) == (CONTROLLER << 16 | 1000, 100)
+        assert (values[0x1016, 1], values[0x1017, 0]) == (CONTROLLER << 16 | 2500, 100)
         assert (values[0x6007, 0], values[0x605A, 0]) == (alone, 2)
         assert drive.written(0x6040) == drive.written(0x6060) == []
         assert drive.node.power.state == stage.DISABLED
@@ -145,6 +147,29 @@ async def test_the_drives_own_limit_counts(spin: Spin) -> None:
     with pytest.raises(DeviceRefused, match="outside the drive's 100 rpm"):
         await device.set_speed(101.0)
     assert drive.written(0x60FF) == []
+
+
+async def test_a_drive_that_has_only_what_it_must_have(tmp_path: Path) -> None:
+    text = EDS.read_text()
+    for optional in ("1018sub2", "1018sub3", "1018sub4", "603F", "6080", "6502"):
+        begin = text.index(f"[{optional}]")
+        text = text[:begin] + text[text.find("\n\n", begin) :].removeprefix("\n\n") * ("\n\n" in text[begin:])
+    (tmp_path / "bare.eds").write_text(text)
+    drive, motor = sim_motor()
+    for index, sub in ((0x1018, 2), (0x1018, 3), (0x1018, 4), (0x603F, 0), (0x6080, 0), (0x6502, 0)):
+        drive.instead[b"\x40" + index.to_bytes(2, "little") + bytes([sub])] = b"\x80" + bytes(7)
+    wire = PtyWire(SlcanPeer(drive), tmp_path / "can")
+    device = cia402_spindle(Slcan(wire.path), PATIENT, tmp_path / "bare.eds")
+    await device.open()
+    assert (await device.identify()).model == "0x00000000"
+    await device.set_speed(500.0)
+    assert motor.rpm == pytest.approx(500.0, rel=0.03)
+    drive.treat = dropping(0x085)
+    drive.node.fail()
+    assert await watch(device, lambda fault: fault != 0) == 0x1000
+    drive.stop()
+    await device.close()
+    await wire.close()
 
 
 async def test_control_words_go_up_one_by_one_and_a_quick_stop_ends_it(spin: Spin) -> None:
@@ -218,13 +243,14 @@ async def test_bus_off_is_a_lost_link_and_the_drive_stops_by_itself(spin: Spin) 
     device, drive, motor = spin
     await device.open()
     await device.set_speed(1000.0)
-    drive.node.bus_off(for_s=3.0)
+    drive.node.bus_off(for_s=4.0)
     with pytest.raises(LinkError, match=r"no (answer|heartbeat)"):
         await watch(device)
     await seen(lambda: "watchdog" in drive.events)
     await seen(lambda: motor.rpm == 0.0)
     with pytest.raises(LinkError):
         await device.status()
+    await seen(lambda: drive.node.now_s > drive.node._dark_until_s)
     await device.open()
     await device.make_safe()
     assert (await device.status()).ready
@@ -389,7 +415,7 @@ async def test_silence_while_it_had_no_power_has_harmed_nobody(spin: Spin, press
     await device.set_speed(600.0)
     assert motor.rpm == pytest.approx(600.0, rel=0.03)
     assert drive.heard.count((0x000, b"\x82\x05")) == 1
-    assert drive.node.objects.values[0x1016, 1] == CONTROLLER << 16 | 1000, "told anew"
+    assert drive.node.objects.values[0x1016, 1] == CONTROLLER << 16 | 2500, "told anew"
     await device.make_safe()
     actuator, drive, coil = press
     await actuator.open()
@@ -402,7 +428,7 @@ async def test_silence_while_it_had_no_power_has_harmed_nobody(spin: Spin, press
 
 async def test_a_tool_that_sticks_is_a_fault(press: Press) -> None:
     device, _, coil = press
-    device._times = ActuatorTimes(silence_s=1.5, watchdog_s=1.0, retract_s=0.5)
+    device._times = ActuatorTimes(silence_s=1.5, watchdog_s=2.5, retract_s=0.5)
     await device.open()
     await device.set_force(10.0)
     coil.stuck = True
@@ -432,7 +458,7 @@ async def test_an_impossible_status_word_is_a_protocol_error(spin: Spin) -> None
 
 async def test_a_jammed_spindle_is_a_fault(spin: Spin) -> None:
     device, drive, motor = spin
-    device._times = SpindleTimes(silence_s=1.5, watchdog_s=1.0, spin_s=0.5)
+    device._times = SpindleTimes(silence_s=1.5, watchdog_s=2.5, spin_s=0.5)
     await device.open()
     motor.jammed = True
     with pytest.raises(DeviceFault, match=r"500 rpm not reached"):
