@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from polishd.sim_backends.universal_robots.machine import (
+from polishd.sim_backends.universal_robots.controls import (
     NORMAL,
     PAUSED,
     PAUSING,
@@ -14,8 +14,8 @@ from polishd.sim_backends.universal_robots.machine import (
     PROTECTIVE_STOP,
     RUNNING,
     STOPPED,
-    Machine,
 )
+from polishd.sim_backends.universal_robots.machine import Machine
 
 GREETING = b"Connected: Universal Robots Dashboard Server\n"
 _SAFETY = {NORMAL: "NORMAL", PROTECTIVE_STOP: "PROTECTIVE_STOP"}
