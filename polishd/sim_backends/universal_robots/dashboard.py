@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -69,9 +68,9 @@ class Dashboard:
         if asked == "unlock protective stop":
             machine.unlock()
             return "Protective stop releasing"
-        if re.match(r"popup|addToLog|load|close|set ", asked):
-            return "File not found: " + asked[5:] if asked.startswith("load ") else "showing popup"
-        return ""
+        verb, _, rest = asked.partition(" ")
+        said = {"popup": "showing popup", "close": "closing popup", "addToLog": "Added log message"}
+        return f"File not found: {rest}" if verb == "load" else said.get(verb, "")
 
     def _state(self, asked: str) -> str:
         machine = self.machine
