@@ -37,14 +37,16 @@ class Scope:
     """Actuator: share by which a regulated force may be off."""
     touch_mm: float | None = None
     """Actuator: how far out the tool is in contact, where that is known."""
-    period_s: float = 0.05
-    """Actuator: between samples."""
+    period_s: float | None = 0.05
+    """Actuator: between samples; None: only often enough for its watchdog."""
     rpm: float = 1000.0
     """Spindle: turned with, half as fast, and backwards."""
     most_rpm: float | None = 6000.0
     """Spindle: may be asked for; more must be refused; None: more than ``rpm`` is not asked for."""
-    block: Callable[[int], bytes] = _line
-    """Robot: the block of that number. It takes some tens of ms; 200 of them follow each other."""
+    forgives: bool = True
+    """Spindle: the fault of its own watchdog is taken back when it is made safe; else a person resets it."""
+    block: Callable[[int], bytes] | None = _line
+    """Robot: the block of that number, of up to 200; each takes some tens of ms. None: nothing is run."""
     bad_block: bytes = b"?what"
     """Robot: what it cannot read."""
     parts: tuple[str, str] = ("P-1", "lens 7")
@@ -137,6 +139,8 @@ def rig_fixture(name: str) -> Any:
 cuts = pytest.mark.polishd_cuts
 mutes = pytest.mark.polishd_mutes
 moves = pytest.mark.polishd_moves
-"""Something moves, and nothing is pressed."""
+"""Something moves or could, or a program is loaded; nothing is pressed."""
+fresh = pytest.mark.polishd_fresh
+"""Only with a device that was just powered up: any other could go on with what it had."""
 presses = pytest.mark.polishd_presses
 """The tool is put on the part."""

@@ -17,6 +17,7 @@ import canopen
 import pytest
 
 from polishd.api import ActuatorTimes, ForceSample, SpindleTimes
+from polishd.console.simulator import simulated_cell
 from polishd.drivers.cia402.actuator import ActuatorScale, Cia402Actuator
 from polishd.drivers.cia402.axis import Place
 from polishd.drivers.cia402.dictionary import read_dictionary
@@ -25,7 +26,10 @@ from polishd.drivers.transport.address import Slcan, Socketcand, parse_address
 from tests.fakes.canopen_node import LATCH_UP_UNITS
 from tests.fakes.cia402 import EDS
 from tests.patience import SOON_S
+from tests.system.cell_rig import ONE_PASS, Daemon, events, summary, with_keys, write_small
 from tests.system.sim_rig import ROOT, Cell, cell, end_pid, wait_for
+from tests.system.test_daemon import require_nothing_twice
+from tests.system.test_faults import require_off_the_part
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
 
@@ -42,6 +46,31 @@ kind = "socketcand"
 drive = "cia402"
 """
 PRESSED = [b"G21 G90", b"G0 X0 Y0 Z0 A15 C0", b"M2"]
+
+
+ACTUATOR = """[actuator]
+type = "cia402_actuator"
+address = "slcan:sim/actuator?bitrate=500000"
+eds = "drive.eds"
+node = 6
+n_per_permille = 0.05
+mm_per_increment = 0.001
+balance_n = 2.0
+travel_mm_s = 20.0
+silence_s = 3.0
+watchdog_s = 5.0
+landing_s = 10.0
+retract_s = 5.0
+"""
+SPINDLE = """[spindle]
+type = "cia402_spindle"
+address = "slcan:sim/spindle?bitrate=500000"
+eds = "drive.eds"
+node = 5
+rpm_per_unit = 0.1
+silence_s = 6.0
+watchdog_s = 6.0
+"""
 
 
 class Hub(asyncio.Protocol):
@@ -271,3 +300,23 @@ async def test_a_drive_that_dies_in_contact_lifts_and_is_a_lost_link(running: Ce
     await actuator.open()
     assert (await actuator.status()).safe
     await actuator.close()
+
+
+def test_a_part_is_polished_by_drives_off_the_shelf(tmp_path: Path) -> None:
+    """As shipped but for the two device sections."""
+    files = write_small(tmp_path / "cell", **ONE_PASS)
+    text = files.cell.read_text().replace('"spindle"', '"cia402"', 1).replace('"voice_coil", ', "", 1)
+    for section, ours in (("actuator", ACTUATOR), ("spindle", SPINDLE)):
+        text = re.sub(rf"^\[{section}\].*?(?=^\[)", f"{ours}\n", text, flags=re.MULTILINE | re.DOTALL)
+    files.cell.write_text(text)
+    (files.cell.parent / "drive.eds").write_bytes(EDS.read_bytes())
+    kinds = {"actuator": {"kind": "slcan"}, "spindle": {"drive": "cia402"}}
+    files.sim.write_text(with_keys(files.sim.read_text(), kinds))
+    options = ["--state", str(files.sim_dir), "--seed", "3", "--speed", "40"]
+    with simulated_cell(files.sim, options, files.out / "sim.stderr"):
+        with Daemon(files) as daemon:
+            assert daemon.wait() == 0, daemon.output.read_text()
+        require_nothing_twice(files)
+        require_off_the_part(files)
+        assert not events(files, "watchdog", "drive_fault")
+    assert summary(files)["outcome"] == "in_tolerance"

@@ -7,6 +7,7 @@ nothing, and when it has no power. What the drive does beyond that to lift it fa
 from __future__ import annotations
 
 import asyncio
+import logging
 import time
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
@@ -22,6 +23,10 @@ from polishd.drivers.cia402.link import DriveLink
 from polishd.drivers.cia402.states import State
 
 SAMPLE_S = 0.05
+MODE_S = 0.5
+"""For a change of the mode, with the force off already."""
+
+log = logging.getLogger(__name__)
 
 Lift = Literal["spring", "torque", "position"]
 
@@ -128,7 +133,6 @@ class Cia402Actuator:
         self._contact = Contact(
             rest_mm=scale.rest_mm, end_mm=times.stroke_mm - scale.rest_mm, travel_mm_s=scale.travel_mm_s
         )
-        self._touches = False
         self._setpoint_n = 0.0
 
     @property
@@ -138,13 +142,14 @@ class Cia402Actuator:
 
     async def open(self) -> None:
         """See Device. Also writes slopes, heartbeats and what the drive does in our absence."""
-        self._contact.reset()
-        await self._axis.open()
-        if objects.MAX_TORQUE in self._axis.dictionary:
-            most, wanted = await self._axis.link.read(objects.MAX_TORQUE), abs(self._scale.torque(self._scale.max_n))
-            if wanted > most:
-                await self._axis.close()
+
+        async def look(link: DriveLink) -> None:
+            wanted = abs(self._scale.torque(self._scale.max_n))
+            if objects.MAX_TORQUE in self._axis.dictionary and (most := await link.read(objects.MAX_TORQUE)) < wanted:
                 raise DeviceRefused(f"{self._axis.name}: 6072h allows {most} permille, max_n takes {wanted}")
+
+        self._contact.reset()
+        await self._axis.open(look)
 
     async def close(self) -> None:
         """See Device."""
@@ -165,11 +170,14 @@ class Cia402Actuator:
         if not 0.0 <= force_n <= self._scale.max_n:
             raise DeviceRefused(f"{self._axis.name}: {force_n} N is outside 0 to {self._scale.max_n:g} N")
         unless = self._axis.take_over()
+        await self._axis.wake(link)
         reading = await self._read(link, cared=True)
         if force_n == 0.0 and reading.state is not State.ENABLED:
             return
         if reading.fault:
             raise DeviceRefused(f"{self._axis.name}: cannot press: {reading.detail}")
+        if self._scale.lift == "position" and reading.state is State.ENABLED:
+            await self._require_pressing(link)
         self._setpoint_n = force_n
         if force_n and not reading.touches:
             await self._land(link, force_n, unless)
@@ -228,33 +236,45 @@ class Cia402Actuator:
         """Force off, then up; the current goes off once the tool is there, and at once where a spring lifts it."""
         self._axis.take_over()
         deadline = time.monotonic() + self._times.lifted_s
-        await link.write(objects.TARGET_TORQUE, 0, urgent=True)
         self._setpoint_n = 0.0
-        if await self._axis.state(link, urgent=True) is State.ENABLED:
-            await self._pull(link, deadline)
-            while (reading := await self._read(link, cared=True)).position_mm > self._scale.rest_mm:
-                self._require_time(reading, deadline)
-                if reading.state is not State.ENABLED:
-                    break
-                await asyncio.sleep(POLL_S)
-            await link.write(objects.CONTROL_WORD, states.DISABLE_VOLTAGE, urgent=True)
+        try:
+            await link.write(objects.TARGET_TORQUE, 0, urgent=True)
+            if self._scale.lift != "spring" and await self._axis.state(link, urgent=True) is State.ENABLED:
+                await self._pull(link, deadline)
+        except DeviceRefused as refused:
+            log.warning("%s; the current goes off, and the tool is lifted without it", refused)
+        await link.write(objects.CONTROL_WORD, states.DISABLE_VOLTAGE, urgent=True)
         while not (reading := await self._read(link, cared=True)).retracted:
             self._require_time(reading, deadline)
             await asyncio.sleep(POLL_S)
 
     async def _pull(self, link: DriveLink, deadline: float) -> None:
-        """What the motor adds to the spring."""
+        """Lift by the motor, too, until the tool is up or the drive gives up."""
         if self._scale.lift == "torque":
             await link.write(objects.TARGET_TORQUE, self._scale.lifting_torque, urgent=True)
-        elif self._scale.lift == "position":
-            await link.write(objects.TARGET_POSITION, self._scale.rest_increments, urgent=True)
-            await link.write(objects.MODE, objects.POSITION_MODE, urgent=True)
-            while await link.read(objects.MODE_NOW, urgent=True) != objects.POSITION_MODE:
-                self._require_time(await self._read(link, cared=True), deadline)
-                await asyncio.sleep(POLL_S)
-            await link.write(objects.CONTROL_WORD, states.MOVE_NOW, urgent=True)
         else:
-            await link.write(objects.CONTROL_WORD, states.DISABLE_VOLTAGE, urgent=True)
+            await self._change_to_position(link)
+        while (reading := await self._read(link, cared=True)).position_mm > self._scale.rest_mm:
+            self._require_time(reading, deadline)
+            if reading.state is not State.ENABLED:
+                return
+            await asyncio.sleep(POLL_S)
+
+    async def _change_to_position(self, link: DriveLink) -> None:
+        await link.write(objects.TARGET_POSITION, self._scale.rest_increments, urgent=True)
+        await link.write(objects.MODE, objects.POSITION_MODE, urgent=True)
+        deadline = time.monotonic() + MODE_S
+        while (mode := await link.read(objects.MODE_NOW, urgent=True)) != objects.POSITION_MODE:
+            if time.monotonic() > deadline:
+                raise DeviceRefused(
+                    f"{self._axis.name}: is in mode {mode} still, {MODE_S:g} s after it was to position"
+                )
+            await asyncio.sleep(POLL_S)
+        await link.write(objects.CONTROL_WORD, states.MOVE_NOW, urgent=True)
+
+    async def _require_pressing(self, link: DriveLink) -> None:
+        if (mode := await link.read(objects.MODE_NOW)) != objects.TORQUE_MODE:
+            raise DeviceRefused(f"{self._axis.name}: is being lifted (mode {mode}): it can press once it is up")
 
     def _require_time(self, reading: Reading, deadline: float) -> None:
         if time.monotonic() > deadline:

@@ -17,7 +17,7 @@ from polishd.drivers.cia402.states import State
 from polishd.drivers.transport.address import Slcan, Socketcand
 
 POLL_S = 0.02
-RESET_S = 1.0
+RESET_S = 0.5
 GENERIC = 0x1000
 """Error code of a fault that the drive has no code for."""
 
@@ -83,18 +83,19 @@ class Axis:
         self._link.check()
         return self._link
 
-    async def open(self) -> None:
-        """Connect; see that it is the drive of the EDS file; write and read back what it has to do in our absence."""
+    async def open(self, look: Callable[[DriveLink], Awaitable[None]]) -> None:
+        """Connect; see that it is the drive of the EDS file; write and read back what it has to do in our absence.
+
+        ``look`` is what else is to be read, and may refuse it.
+        """
         await self.close()
         link = self._new_link()
         await link.open()
         try:
             await self._recognise(link)
-            link.told = True
-            for address, value in self._settings.items():
-                await self._settle(link, address, value)
-            await link.time_heartbeats()
+            await self._tell(link)
             await self.state(link)
+            await look(link)
         except BaseException:
             await link.close()
             raise
@@ -157,6 +158,12 @@ class Axis:
             raise DeviceFault(f"{self.name}: {what}: {describe(fault)}")
         return state
 
+    async def wake(self, link: DriveLink) -> None:
+        """Before it is switched on: end what silence has left behind while it had no power."""
+        if link.silent_idly:
+            link.silent_idly = False
+            await self.reset(link)
+
     async def power_up(self, link: DriveLink, mode: int, unless: Unless, within_s: float) -> None:
         """To operation enabled, in that mode; its target is set before. Nothing where it is enabled already."""
         deadline = time.monotonic() + within_s
@@ -180,15 +187,34 @@ class Axis:
         fault = await self.fault(link, state)
         if fault is None or not fault.of_connection:
             return
-        if state is State.FAULT:
-            await link.write(objects.CONTROL_WORD, states.DISABLE_VOLTAGE)
-            await link.write(objects.CONTROL_WORD, states.FAULT_RESET)
+        if state is State.FAULT and not await self._reset_fault(link):
+            await link.reset_communication()  # as some drives ask for, once they have missed a heartbeat
+            await self._tell(link)
+            await self._reset_fault(link)
+        if not (await self.state(link)).failed and await self._clears(link, objects.ERROR_REGISTER, 0xFF):
+            link.emergency = None
+
+    async def _reset_fault(self, link: DriveLink) -> bool:
+        """Whether it has left the fault over it."""
+        await link.write(objects.CONTROL_WORD, states.DISABLE_VOLTAGE)
+        await link.write(objects.CONTROL_WORD, states.FAULT_RESET)
+        return await self._clears(link, objects.STATUS_WORD, states.FAULT_BIT)
+
+    async def _clears(self, link: DriveLink, address: Address, bits: int) -> bool:
+        """Whether these bits of an object are gone in a while."""
         deadline = time.monotonic() + RESET_S
-        while (await self.state(link)).failed or await link.read(objects.ERROR_REGISTER):
+        while await link.read(address) & bits:
             if time.monotonic() > deadline:
-                return
+                return False
             await asyncio.sleep(POLL_S)
-        link.emergency = None
+        return True
+
+    async def _tell(self, link: DriveLink) -> None:
+        """What it has to do in our absence, and how it is to ramp."""
+        link.told = True
+        for address, value in self._settings.items():
+            await self._settle(link, address, value)
+        await link.time_heartbeats()
 
     def _new_link(self) -> DriveLink:
         place = self._place

@@ -12,7 +12,7 @@ from enum import IntEnum
 from polishd.drivers.transport.can_bus import CanFrame
 
 NMT, EMERGENCY, SDO_ANSWER, SDO_REQUEST, HEARTBEAT = 0x000, 0x080, 0x580, 0x600, 0x700
-_START_NODE = 0x01
+_START_NODE, _RESET_COMMUNICATION = 0x01, 0x82
 _UPLOAD, _DOWNLOAD = 0x40, 0x23
 _WRITTEN, _ABORT = 0x60, 0x80
 _EXPEDITED = {0x4F: 1, 0x4B: 2, 0x47: 3, 0x43: 4, 0x42: 4}
@@ -114,6 +114,11 @@ class Request:
 def start_node(node: int) -> CanFrame:
     """Network management: be operational. Nobody answers that."""
     return CanFrame(NMT, bytes([_START_NODE, node]))
+
+
+def reset_communication(node: int) -> CanFrame:
+    """Network management: forget what 1000h to 1FFFh were told, and boot. Power stays as it is."""
+    return CanFrame(NMT, bytes([_RESET_COMMUNICATION, node]))
 
 
 def heartbeat(controller: int) -> CanFrame:

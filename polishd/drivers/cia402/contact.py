@@ -12,7 +12,7 @@ class Contact:
     """Fed with positions (mm out of the tool's rest) while the tool is pressed outwards.
 
     In the air the tool travels out, as fast as the drive lets it; on the part it goes with the part. So it touches
-    where it is off its rest, short of its end, and travels outwards slower than ``travel_mm_s``.
+    where it is off its rest, short of its end, and travels slower than ``travel_mm_s``, either way.
     """
 
     def __init__(self, *, rest_mm: float, end_mm: float, travel_mm_s: float) -> None:
@@ -34,4 +34,4 @@ class Contact:
         began_s, from_mm = seen[0]
         if at_s - began_s < WINDOW_S or not self._rest_mm < position_mm < self._end_mm:
             return False
-        return (position_mm - from_mm) / (at_s - began_s) < self._travel_mm_s
+        return abs(position_mm - from_mm) / (at_s - began_s) < self._travel_mm_s

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from polishd.api import DeviceFault, DeviceRefused, LinkError, ProtocolError
+from polishd.api import DeviceRefused, LinkError, ProtocolError
 from polishd.drivers.cia402 import codec, objects
 from polishd.drivers.cia402.codec import Aborted, Address, Emergency, Heartbeat, NodeState, Read, Request, SdoAnswer
 from polishd.drivers.cia402.dictionary import Dictionary, abort_text
@@ -17,6 +17,7 @@ from polishd.drivers.transport.can_bus import CanBus, CanFrame, open_bus
 from polishd.drivers.transport.requests import RequestQueue
 
 OPEN_S = 1.0
+BOOT_S = 3.0
 BEAT_S = 0.1
 """Period of both heartbeats, as long as the drive has no power."""
 
@@ -47,7 +48,9 @@ class DriveLink(Background):
         self._broken: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         self._beat_at: float | None = None
         self._timed = False
-        self._restarted = False
+        self._booted = self._restarted = False
+        self.silent_idly = False
+        """The bus or we were away while the motor had no power: that has harmed nobody."""
         self.emergency: Emergency | None = None
         """What the drive last told of, until somebody has seen that it is over."""
         self.told = False
@@ -71,9 +74,17 @@ class DriveLink(Background):
 
     async def time_heartbeats(self) -> None:
         """From now on the drive's heartbeats are waited for."""
-        self._timed = True
+        self._beat_at, self._timed = None, True
         if not await self.until(lambda: self._beat_at is not None, self._silence_s):
             raise LinkError(f"{self.name}: no heartbeat within {self._silence_s:g} s")
+
+    async def reset_communication(self) -> None:
+        """Let the drive boot as a node: it has forgotten its heartbeats then, but not what it moves."""
+        self.told = self._timed = self._booted = False
+        self._send(codec.reset_communication(self._node))
+        if not await self.until(lambda: self._booted, BOOT_S):
+            raise LinkError(f"{self.name}: no boot message within {BOOT_S:g} s")
+        self._send(codec.start_node(self._node))
 
     async def close(self) -> None:
         """Leave the bus; idempotent."""
@@ -139,14 +150,14 @@ class DriveLink(Background):
             group.create_task(self._beat_idly())
 
     async def _watch(self) -> None:
-        """LinkError when an answer stayed out or the drive falls silent, DeviceFault when it starts anew."""
+        """LinkError when an answer stayed out, and when the drive falls silent or starts anew."""
         while True:
             either: set[asyncio.Future[Any]] = {self.news(), self._broken}
             await asyncio.wait(either, timeout=BEAT_S, return_when=asyncio.FIRST_COMPLETED)
             if self._broken.done():
                 raise LinkError(self._broken.result())
             if self._restarted:
-                raise DeviceFault(f"{self.name}: the drive was started anew")
+                raise LinkError(f"{self.name}: the drive was started anew: it has forgotten what it was told")
             silent_s = time.monotonic() - (self._beat_at or time.monotonic())
             if self._timed and silent_s > self._silence_s:
                 raise LinkError(f"{self.name}: no heartbeat for {self._silence_s:g} s")
@@ -163,12 +174,15 @@ class DriveLink(Background):
 
     def _told(self, emergency: Emergency) -> None:
         """Keep what is worst. That it is over (00xx) is looked at where it matters, not believed."""
-        if emergency.code >> 8 and (self.emergency is None or self.emergency.of_connection):
+        if emergency.of_connection and not self.driving:
+            self.silent_idly = True
+        elif emergency.code >> 8 and (self.emergency is None or self.emergency.of_connection):
             self.emergency = emergency
 
     def _on_frame(self, frame: CanFrame) -> None:
         message = codec.decode(self._node, frame)
         if isinstance(message, Heartbeat):
+            self._booted = self._booted or message.state is NodeState.BOOT
             self._restarted = self._restarted or (self.told and message.state is NodeState.BOOT)
             self._beat_at = time.monotonic()
         elif isinstance(message, Emergency):

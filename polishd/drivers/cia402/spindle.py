@@ -99,10 +99,13 @@ class Cia402Spindle:
 
     async def open(self) -> None:
         """See Device. Also writes ramps, heartbeats and what the drive does in our absence."""
-        await self._axis.open()
-        self._max_rpm = self._scale.max_rpm
-        if objects.MAX_MOTOR_SPEED in self._axis.dictionary:
-            self._max_rpm = min(self._max_rpm, await self._axis.link.read(objects.MAX_MOTOR_SPEED))
+
+        async def look(link: DriveLink) -> None:
+            self._max_rpm = self._scale.max_rpm
+            if objects.MAX_MOTOR_SPEED in self._axis.dictionary:
+                self._max_rpm = min(self._max_rpm, await link.read(objects.MAX_MOTOR_SPEED))
+
+        await self._axis.open(look)
 
     async def close(self) -> None:
         """See Device."""
@@ -126,6 +129,7 @@ class Cia402Spindle:
             return await self._stop(link)
         unless = self._axis.take_over()
         deadline = time.monotonic() + self._times.spin_s
+        await self._axis.wake(link)
         if await self._axis.require_sound(link, f"cannot run at {rpm:g} rpm") is not State.ENABLED:
             await link.write(objects.TARGET_VELOCITY, 0, unless=unless)
             await self._axis.power_up(link, objects.VELOCITY_MODE, unless, self._times.spin_s)

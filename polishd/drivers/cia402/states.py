@@ -9,6 +9,8 @@ from polishd.api import ProtocolError
 DISABLE_VOLTAGE, QUICK_STOP, SHUT_DOWN, SWITCH_ON, ENABLE = 0x00, 0x02, 0x06, 0x07, 0x0F
 FAULT_RESET = 0x80
 """Taken where bit 7 rises: DISABLE_VOLTAGE goes before it."""
+FAULT_BIT = 0x08
+"""Of the status word."""
 MOVE_NOW = 0x3F
 """Profile position: operation enabled, a new set point, at once."""
 

@@ -16,6 +16,7 @@ from polishd.api import (
     ForceActuator,
     Spindle,
     SpindleTimes,
+    Unpowered,
     hookimpl,
 )
 from polishd.drivers.cia402.actuator import ActuatorScale, Cia402Actuator
@@ -121,6 +122,8 @@ class ActuatorOptions(DriveOptions):
     """Longest from force off until it tells that the tool is up. Motion goes on until then."""
     stroke_mm: Annotated[float, Field(gt=0.0, le=500.0)] = 10.0
     """How far the tool can follow the part: a robot that lifts it off goes that far, and a margin."""
+    unpowered: Unpowered = "lifts"
+    """What its tool does without power: what balances it `lifts` it, or it `stays`; one that `presses` is refused."""
 
 
 def _place(options: SpindleOptions | ActuatorOptions, context: DeviceContext) -> Place:

@@ -16,6 +16,10 @@ BOOTING, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0x00, 0x04, 0x05, 0x7F
 SILENCE, BUS_OFF_OVER, OVER_CURRENT = 0x8130, 0x8140, 0x2310
 COMMUNICATION_BITS, DRIVE_BITS = 0x11, 0x03
 """Of the error register."""
+RESET_NODE, RESET_COMMUNICATION = 0x81, 0x82
+COMMUNICATION_END = 0x2000
+"""Objects before it are of the communication."""
+FAULT_RESET = 0x80
 BOOT_S = 0.3
 
 
@@ -45,11 +49,14 @@ class Node:
     """What its objects hold at power-up."""
     _dark_until_s: float = 0.0
     """Until then it has no power, or is off the bus."""
+    _was_off: bool = False
     _out: list[Frame] = field(default_factory=list)
     _beat_s: float = 0.0
     _heard_s: float | None = None
     """The watched controller's last heartbeat; None: none yet, nothing is watched."""
     _silent: bool = False
+    _estranged: bool = False
+    """In fault over a lost heartbeat: no fault reset counts before the communication is reset, as with some drives."""
 
     def __post_init__(self) -> None:
         """Power up."""
@@ -83,6 +90,9 @@ class Node:
             return []
         if self.state == BOOTING:
             self._booted()
+        elif self._was_off:
+            self._emergency(BUS_OFF_OVER)
+        self._was_off = False
         self._watch()
         frames = [*self._out, *self._heartbeat()]
         self._out.clear()
@@ -99,22 +109,25 @@ class Node:
         """Lose power for a while, with all that was set; it comes up again with what it is delivered with."""
         self.objects.values.update(self._delivered)
         self.power = Power()
-        self._heard_s, self._silent = None, False
+        self._heard_s, self._silent, self._estranged = None, False, False
         self.state, self._dark_until_s = BOOTING, self.now_s + BOOT_S
 
     def bus_off(self, for_s: float) -> None:
         """Too many errors on the wire: it hears and says nothing for a while, and tells of it afterwards."""
-        self._dark_until_s = self.now_s + for_s
-        self._out.clear()
-        self._emergency(BUS_OFF_OVER)
+        self._dark_until_s, self._was_off = self.now_s + for_s, True
 
     @property
     def _watched(self) -> int:
         return self.objects.values[0x1016, 1] >> 16 & 0x7F
 
     def _manage(self, command: int) -> None:
-        if command in {0x81, 0x82}:
+        if command == RESET_NODE:
             self.reboot()
+        elif command == RESET_COMMUNICATION:
+            told = {key: value for key, value in self._delivered.items() if key[0] < COMMUNICATION_END}
+            self.objects.values.update(told)
+            self._heard_s, self._silent, self._estranged = None, False, False
+            self._booted()
         self.state = {0x01: OPERATIONAL, 0x02: STOPPED, 0x80: PRE_OPERATIONAL}.get(command, self.state)
 
     def _booted(self) -> None:
@@ -128,6 +141,8 @@ class Node:
             return RANGE
         if key == (0x6060, 0) and self.power.state in {stage.QUICK_STOP, stage.REACTION}:
             return DEVICE_STATE
+        if key == (0x6040, 0) and value & FAULT_RESET and self._estranged:
+            return 0  # taken, and ignored
         if key == (0x6060, 0):
             self.objects[0x6061] = value
         elif key == (0x605A, 0):
@@ -159,7 +174,7 @@ class Node:
         within_s = (self.objects.values[0x1016, 1] & 0xFFFF) / 1000.0
         if self._silent or self._heard_s is None or not within_s or self.now_s - self._heard_s <= within_s:
             return
-        self._silent = True
+        self._silent = self._estranged = True
         self.report("watchdog", self.now_s)
         self.objects[0x1001] |= COMMUNICATION_BITS
         self.objects[0x603F] = SILENCE

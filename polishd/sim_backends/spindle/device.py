@@ -7,6 +7,7 @@ import signal
 import time
 
 from polishd.sim_backends.can_wire import CanWire
+from polishd.sim_backends.profiled.inverter import main as inverter
 from polishd.sim_backends.runtime import Runtime
 from polishd.sim_backends.spindle.drive import Drive
 
@@ -16,6 +17,8 @@ VENDOR_ID, PRODUCT, REVISION, SERIAL = 0x506F, 0x0101, 0x00010000, 12345
 
 async def main(runtime: Runtime) -> None:
     """The device coroutine."""
+    if runtime.start.config.spindle.kind in {"profile", "profile_tcp"}:
+        return await inverter(runtime)
     config, speed = runtime.start.config.spindle, runtime.start.speed
     identity = enumerate((VENDOR_ID, PRODUCT, REVISION, SERIAL), start=1)
     objects = {(0x1018, sub): value for sub, value in identity}

@@ -49,6 +49,7 @@ async def test_parts_are_changed(loader: LoaderRig, opened: Loader) -> None:
         assert await opened.loaded() is None
 
 
+@moves
 async def test_an_empty_seat_is_unloaded_already(opened: Loader) -> None:
     """``unload`` of an empty seat is no error."""
     await opened.unload()

@@ -22,6 +22,7 @@ def frame(name: str) -> CanFrame:
 
 def test_what_we_send_is_the_vectors() -> None:
     assert codec.start_node(5) == frame("start_node")
+    assert codec.reset_communication(5) == frame("reset_communication")
     assert codec.heartbeat(0x45) == frame("our_heartbeat")
     assert Request(STATUS).frame(5) == frame("read_status_word")
     assert Request(TARGET, (10_000).to_bytes(4, "little")).frame(5) == frame("write_target_velocity_10000")
@@ -32,7 +33,7 @@ def test_what_we_hear_is_the_vectors() -> None:
     heard = {
         "heartbeat": Heartbeat(NodeState.OPERATIONAL),
         "boot": Heartbeat(NodeState.BOOT),
-        "status_word_enabled": Read(STATUS, b"\x37\x02", sized=True),
+        "status_word_enabled": Read(STATUS, b"\x37\x06", sized=True),
         "written_target_velocity": Written(TARGET),
         "refused_mode": Aborted(MODE, 0x06090030),
         "emergency_heartbeat": Emergency(0x8130, 0x11),

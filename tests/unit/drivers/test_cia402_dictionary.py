@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from polishd.api import ConfigError, DeviceRefused, ProtocolError
@@ -98,6 +98,7 @@ def test_no_file(tmp_path: Path) -> None:
         read_dictionary(tmp_path / "none.eds", 5)
 
 
+@settings(max_examples=25)
 @given(st.data())
 def test_damaged_files_are_read_or_refused(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
     lines = TEXT.splitlines()

@@ -12,7 +12,7 @@ import pytest
 from polishd.api import ActuatorTimes, DeviceFault, DeviceRefused, LinkError, ProtocolError, SpindleTimes
 from polishd.drivers.cia402.actuator import Cia402Actuator
 from polishd.drivers.cia402.spindle import Cia402Spindle
-from polishd.drivers.transport.address import Slcan
+from polishd.drivers.transport.address import Slcan, Socketcand
 from polishd.sim_backends.cia402 import power as stage
 from polishd.sim_backends.cia402.motor import Motor
 from tests.conformance.conftest import seen
@@ -26,8 +26,8 @@ from tests.fakes.cia402 import (
     sim_coil,
     sim_motor,
 )
-from tests.fakes.drive import SlcanPeer
-from tests.fakes.wires import PtyWire
+from tests.fakes.drive import SlcanPeer, SocketcandPeer
+from tests.fakes.wires import PtyWire, TcpWire
 from tests.patience import SOON_S
 
 PATIENT = SpindleTimes(silence_s=1.5, watchdog_s=1.0)
@@ -203,10 +203,10 @@ async def test_a_drive_that_starts_anew_is_a_fault_and_lost_until_it_is_opened(s
     await device.open()
     await device.set_speed(1000.0)
     drive.node.reboot()
-    with pytest.raises((DeviceFault, LinkError), match=r"started anew|no answer"):
+    with pytest.raises(LinkError, match=r"started anew|no answer"):
         await watch(device)
     assert drive.node.power.state == stage.DISABLED
-    with pytest.raises((DeviceFault, LinkError)):
+    with pytest.raises(LinkError):
         await device.set_speed(1000.0)
     await seen(lambda: motor.rpm == 0.0)
     await device.open()
@@ -228,6 +228,21 @@ async def test_bus_off_is_a_lost_link_and_the_drive_stops_by_itself(spin: Spin) 
     await device.open()
     await device.make_safe()
     assert (await device.status()).ready
+
+
+async def test_an_adapter_that_is_off_the_bus_says_so_and_that_is_a_lost_link() -> None:
+    drive, _ = sim_motor()
+    wire = await TcpWire(SocketcandPeer(drive)).start()
+    device = cia402_spindle(Socketcand("127.0.0.1", wire.port, "can0"), PATIENT)
+    await device.open()
+    wire.write(b"< error 004 1.0 >")  # error passive: it goes on
+    assert (await device.status()).ready
+    wire.write(b"< error 040 1.0 >")
+    with pytest.raises(LinkError, match="the adapter is off the bus: look at wiring"):
+        await watch(device)
+    drive.stop()
+    await device.close()
+    await wire.close()
 
 
 async def test_silent_heartbeats_are_a_lost_link_though_the_drive_answers(spin: Spin) -> None:
@@ -317,7 +332,7 @@ async def test_force_off_then_up_then_current_off(tmp_path: Path, lift: str, mod
     del drive.heard[:]
     await device.retract()
     assert drive.written(0x6071) == ([0, 0xFFC4] if lift == "torque" else [0])
-    assert drive.written(0x6040) == {"spring": [0, 0], "torque": [0], "position": [0x3F, 0]}[lift]
+    assert drive.written(0x6040) == ([0x3F, 0] if lift == "position" else [0])
     first = next(index for index, (_, data) in enumerate(drive.heard) if data[0] >> 5 == 1)
     assert drive.heard[first][1][1:3] == b"\x71\x60", "the force goes first"
     assert (coil.modes, drive.node.power.state) == (modes, stage.DISABLED)
@@ -325,6 +340,64 @@ async def test_force_off_then_up_then_current_off(tmp_path: Path, lift: str, mod
     drive.stop()
     await device.close()
     await wire.close()
+
+
+@pytest.mark.parametrize(("refused", "code"), [(b"\x2b\x71\x60", 0x08000021), (b"\x2f\x60\x60\x00\x01", 0x08000022)])
+async def test_a_drive_that_refuses_to_lift_loses_its_current_and_the_spring_lifts(
+    tmp_path: Path, refused: bytes, code: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    drive, coil = sim_coil()
+    wire = PtyWire(SlcanPeer(drive), tmp_path / "can")
+    device = cia402_actuator(Slcan(wire.path), PATIENT_COIL, lift="position")
+    await device.open()
+    await device.set_force(10.0)
+    drive.instead[refused] = b"\x80" + refused[1:3] + b"\0" + code.to_bytes(4, "little")
+    await device.retract()
+    assert (coil.position_mm, drive.node.power.state) == (0.0, stage.DISABLED)
+    assert "the current goes off, and the tool is lifted without it" in caplog.text
+    drive.stop()
+    await device.close()
+    await wire.close()
+
+
+async def test_who_presses_while_it_is_lifted_is_refused(tmp_path: Path) -> None:
+    drive, coil = sim_coil()
+    wire = PtyWire(SlcanPeer(drive), tmp_path / "can")
+    device = cia402_actuator(Slcan(wire.path), PATIENT_COIL, lift="position")
+    await device.open()
+    await device.set_force(10.0)
+    coil.stuck = True
+    lifting = asyncio.create_task(device.retract())
+    await seen(lambda: 0x3F in drive.written(0x6040))
+    with pytest.raises(DeviceRefused, match=r"is being lifted \(mode 1\)"):
+        await device.set_force(10.0)
+    coil.stuck = False
+    await lifting
+    assert coil.force_n == 0.0
+    drive.stop()
+    await device.close()
+    await wire.close()
+
+
+async def test_silence_while_it_had_no_power_has_harmed_nobody(spin: Spin, press: Press) -> None:
+    device, drive, motor = spin
+    await device.open()
+    drive.node.fail(0x8130)  # as drives do that take any silence for a fault
+    drive.node._estranged = True
+    await seen(lambda: device._axis.link.silent_idly)
+    assert drive.node.power.state == stage.FAULT
+    await device.set_speed(600.0)
+    assert motor.rpm == pytest.approx(600.0, rel=0.03)
+    assert drive.heard.count((0x000, b"\x82\x05")) == 1
+    assert drive.node.objects.values[0x1016, 1] == CONTROLLER << 16 | 1000, "told anew"
+    await device.make_safe()
+    actuator, drive, coil = press
+    await actuator.open()
+    drive.node._emergency(0x8130)
+    await seen(lambda: actuator._axis.link.silent_idly)
+    assert (await actuator.status()).ready
+    await actuator.set_force(5.0)
+    assert coil.force_n == 5.0
 
 
 async def test_a_tool_that_sticks_is_a_fault(press: Press) -> None:
