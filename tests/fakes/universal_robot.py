@@ -175,5 +175,5 @@ class _Client(asyncio.Protocol):
 
 
 def urscript(number: int) -> bytes:
-    """A short, fast move: one of many along X."""
-    return b"movel(p[%.4f, 0, 0.06, 0, 3.14159, 0], a=20, v=0.1)" % (number * 1e-4)
+    """A short move: one of many along X, 24 ms each."""
+    return b"movel(p[%.4f, 0, 0.06, 0, 3.14159, 0], a=5, v=0.1)" % (number * 4e-4)

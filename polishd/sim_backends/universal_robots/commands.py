@@ -5,31 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from polishd.model.errors import ProgramError
 from polishd.sim_backends.universal_robots.arm import Place
+from polishd.sim_backends.universal_robots.controls import Controls, Watchdog
 from polishd.sim_backends.universal_robots.program import Frames, Program
 from polishd.sim_backends.universal_robots.turning import after, from_vector, to_vector, turned
-
-if TYPE_CHECKING:
-    from polishd.sim_backends.universal_robots.machine import Machine
-
-
-@dataclass(slots=True)
-class Watchdog:
-    """``rtde_set_watchdog``: an input that must be written so often."""
-
-    longest_s: float
-    action: str
-    heard_s: float
 
 
 @dataclass(slots=True)
 class Commands:
     """Of one program, on one machine."""
 
-    machine: Machine
+    machine: Controls
     _owed_s: float = 0.0
 
     def quick(self) -> dict[str, Callable[..., Any]]:
@@ -117,7 +106,7 @@ class Commands:
 class _Busy:
     """Counts a statement that moves or waits, also where its thread is killed within."""
 
-    machine: Machine
+    machine: Controls
     drives: bool = True
     program: Program | None = None
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from polishd.sim_backends.universal_robots.machine import (
+from polishd.sim_backends.universal_robots.controls import (
     NORMAL,
     PAUSED,
     PAUSING,
@@ -14,8 +13,8 @@ from polishd.sim_backends.universal_robots.machine import (
     PROTECTIVE_STOP,
     RUNNING,
     STOPPED,
-    Machine,
 )
+from polishd.sim_backends.universal_robots.machine import Machine
 
 GREETING = b"Connected: Universal Robots Dashboard Server\n"
 _SAFETY = {NORMAL: "NORMAL", PROTECTIVE_STOP: "PROTECTIVE_STOP"}
@@ -69,9 +68,9 @@ class Dashboard:
         if asked == "unlock protective stop":
             machine.unlock()
             return "Protective stop releasing"
-        if re.match(r"popup|addToLog|load|close|set ", asked):
-            return "File not found: " + asked[5:] if asked.startswith("load ") else "showing popup"
-        return ""
+        verb, _, rest = asked.partition(" ")
+        said = {"popup": "showing popup", "close": "closing popup", "addToLog": "Added log message"}
+        return f"File not found: {rest}" if verb == "load" else said.get(verb, "")
 
     def _state(self, asked: str) -> str:
         machine = self.machine

@@ -6,7 +6,8 @@ import math
 import struct
 from collections.abc import Sequence
 
-from polishd.sim_backends.universal_robots.machine import REGISTERS, Machine
+from polishd.sim_backends.universal_robots.controls import REGISTERS
+from polishd.sim_backends.universal_robots.machine import Machine
 
 FORMATS = {
     "BOOL": "?", "UINT8": "B", "UINT32": "I", "UINT64": "Q", "INT32": "i", "DOUBLE": "d",

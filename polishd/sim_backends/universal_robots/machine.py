@@ -2,67 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from polishd.config.simulator import Robot
 from polishd.model.errors import ProgramError
-from polishd.sim_backends.universal_robots.arm import Arm
-from polishd.sim_backends.universal_robots.commands import Commands, Watchdog
+from polishd.sim_backends.universal_robots.commands import Commands
+from polishd.sim_backends.universal_robots.controls import (
+    BLOCK_REGISTER,
+    NORMAL,
+    PAUSED,
+    PAUSING,
+    PLAYING,
+    POWER_OFF,
+    PROTECTIVE_STOP,
+    RESUMING,
+    ROBOT_EMERGENCY_STOP,
+    RUNNING,
+    STOPPED,
+    STOPPING,
+    Controls,
+)
 from polishd.sim_backends.universal_robots.language import parse
 from polishd.sim_backends.universal_robots.program import Program
 from polishd.sim_backends.universal_robots.turning import wrist_deg
 
-STOPPING, STOPPED, PLAYING, PAUSING, PAUSED, RESUMING = range(6)
-NORMAL, PROTECTIVE_STOP, ROBOT_EMERGENCY_STOP = 1, 3, 7
-POWER_OFF, RUNNING = 3, 7
 RAMP_S = 0.1
 """A pause takes the trajectory's pace from all to nothing in so much."""
-REGISTERS = 48
-BLOCK_REGISTER = 25
-"""Where polishd's scripts say which block is under way: the witness books by it."""
 LATE_S = 30.0
 """A process that was kept from running catches up with so much at most."""
-Rows = list[list[float]]
 
 
 @dataclass(slots=True)
-class Machine:
+class Machine(Controls):
     """What happens, frame by frame, on the controller's own clock."""
-
-    config: Robot
-    arm: Arm
-    frame_s: float
-    overhead_s: float
-    """What each motion and each wait costs beyond itself."""
-    speed: float
-    """Seconds of the controller in one of the wall's."""
-    began_s: float
-    """Wall time at which its clock was 0."""
-    complain: Callable[[int, str], None] = lambda _line, _text: None
-    """Tells the clients of the primary interface: line, words."""
-    time_s: float = 0.0
-    runtime: int = STOPPED
-    safety_mode: int = NORMAL
-    robot_mode: int = RUNNING
-    slider: float = 1.0
-    pace: float = 1.0
-    """Of the trajectory: falls to 0 in a pause."""
-    remote: bool = True
-    ints_in: list[int] = field(default_factory=lambda: [0] * REGISTERS)
-    ints_out: list[int] = field(default_factory=lambda: [0] * REGISTERS)
-    doubles_in: list[float] = field(default_factory=lambda: [0.0] * REGISTERS)
-    doubles_out: list[float] = field(default_factory=lambda: [0.0] * REGISTERS)
-    busy: int = 0
-    """Statements under way that move or wait."""
-    driven_by: int = 0
-    """Those of them that move the arm."""
-    watchdogs: dict[str, Watchdog] = field(default_factory=dict)
-    rows: Rows = field(default_factory=list)
-    """Motion since they were last taken, see ``bus.ROW``."""
-    said: list[str] = field(default_factory=list)
-    """``textmsg``."""
-    program: Program | None = None
 
     def load(self, text: str) -> None:
         """A script came. What runs is stopped for it; while one is paused, it is only that which is stopped."""

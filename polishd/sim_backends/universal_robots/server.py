@@ -16,8 +16,9 @@ from polishd.sim_backends.faults import Outlet
 from polishd.sim_backends.runtime import Runtime
 from polishd.sim_backends.universal_robots import dashboard, primary
 from polishd.sim_backends.universal_robots.arm import Arm
+from polishd.sim_backends.universal_robots.controls import BLOCK_REGISTER
 from polishd.sim_backends.universal_robots.dashboard import Dashboard
-from polishd.sim_backends.universal_robots.machine import BLOCK_REGISTER, Machine
+from polishd.sim_backends.universal_robots.machine import Machine
 from polishd.sim_backends.universal_robots.rtde import Held, RtdeClient
 from polishd.sim_backends.universal_robots.turning import wrist_deg
 from polishd.sim_backends.wire import Feed, Wire

@@ -11,9 +11,10 @@ import pytest
 from polishd.config.simulator import Robot
 from polishd.model.errors import ProgramError
 from polishd.sim_backends.placement import tool_axis
-from polishd.sim_backends.universal_robots import machine as m
+from polishd.sim_backends.universal_robots import controls as m
 from polishd.sim_backends.universal_robots.arm import Arm
 from polishd.sim_backends.universal_robots.language import parse
+from polishd.sim_backends.universal_robots.machine import Machine
 from polishd.sim_backends.universal_robots.primary import ScriptIntake
 from polishd.sim_backends.universal_robots.turning import (
     after,
@@ -30,11 +31,11 @@ FRAME_S = 0.002
 DOWN = "3.14159265, 0, 0"
 
 
-def machine(overhead_s: float = 0.0) -> m.Machine:
-    return m.Machine(Robot(), Arm.at((0.0, 0.0, 60.0, 0.0, 0.0)), FRAME_S, overhead_s, 1.0, 0.0)
+def machine(overhead_s: float = 0.0) -> Machine:
+    return Machine(Robot(), Arm.at((0.0, 0.0, 60.0, 0.0, 0.0)), FRAME_S, overhead_s, 1.0, 0.0)
 
 
-def run(found: m.Machine, body: str, most_s: float = 20.0) -> list[tuple[int, str]]:
+def run(found: Machine, body: str, most_s: float = 20.0) -> list[tuple[int, str]]:
     """To its end; what it had to complain of."""
     said: list[tuple[int, str]] = []
     found.complain = lambda line, text: said.append((line, text))

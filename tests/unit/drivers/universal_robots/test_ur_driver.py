@@ -19,7 +19,8 @@ from polishd.api import DeviceBusy, DeviceFault, DeviceRefused, Executed, LinkEr
 from polishd.drivers.universal_robots.driver import UniversalRobot
 from polishd.drivers.universal_robots.sample import Registers
 from polishd.drivers.universal_robots.script import Settings
-from polishd.sim_backends.universal_robots import machine as m
+from polishd.sim_backends.universal_robots import controls as m
+from polishd.sim_backends.universal_robots.machine import Machine
 from polishd.sim_backends.universal_robots.rtde import DATA, SET_INPUTS, VERSION, pack
 from polishd.sim_backends.universal_robots.turning import turned
 from tests.fakes.universal_robot import LOOPBACK, FakeController
@@ -37,7 +38,7 @@ class Rig:
     robot: UniversalRobot
 
     @property
-    def machine(self) -> m.Machine:
+    def machine(self) -> Machine:
         return self.fake.machine
 
 
@@ -84,12 +85,12 @@ async def until(condition: Callable[[], bool]) -> None:
 
 
 # What comes from the controller's side: who does it, and what the driver says of it.
-FAULTS: dict[str, tuple[Callable[[m.Machine], object], str]] = {
-    "protective stop": (m.Machine.protective_stop, "protective stop"),
-    "emergency stop": (m.Machine.emergency_stop, "switched off|emergency stop"),
-    "power off": (m.Machine.power_off, "switched off"),
-    "pause": (m.Machine.pause, "paused at the controller"),
-    "stop": (m.Machine.stop, "stopped at the controller"),
+FAULTS: dict[str, tuple[Callable[[Machine], object], str]] = {
+    "protective stop": (Machine.protective_stop, "protective stop"),
+    "emergency stop": (Machine.emergency_stop, "switched off|emergency stop"),
+    "power off": (Machine.power_off, "switched off"),
+    "pause": (Machine.pause, "paused at the controller"),
+    "stop": (Machine.stop, "stopped at the controller"),
     "another script": (lambda machine: machine.load("def other():\n  sleep(9)\nend"), "another program"),
     "slider": (lambda machine: setattr(machine, "slider", 0.3), "speed slider is at 30 %"),
     "slider at zero": (lambda machine: setattr(machine, "slider", 0.0), "speed slider is at 0 %"),
