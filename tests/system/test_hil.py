@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -34,7 +35,7 @@ def counted(output: str) -> dict[str, int]:
 
 
 def test_nothing_is_opened_where_nobody_is_there_to_ask(tmp_path: Path) -> None:
-    done = hil(write_small(tmp_path).cell)
+    done = hil(Path(shutil.copy(ROOT / "examples" / "cell.toml", tmp_path)))
     assert done.returncode == 3
     assert "--yes goes on without asking. Nothing was opened" in done.stderr
     assert "REAL, robot_link tcp://" in done.stdout

@@ -70,7 +70,7 @@ def test_its_driver_passes_the_whole_suite(tmp_path: Path) -> None:
     assert re.search(r"^\d{2} passed in", done.stdout, re.MULTILINE), done.stdout
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize(("right", "wrong", "test", "demand"), WRONG, ids=[f"{case[2]}-{case[3]}" for case in WRONG])
 def test_a_driver_that_breaks_a_demand_is_told_which(
     tmp_path: Path, right: str, wrong: str, test: str, demand: str
