@@ -20,7 +20,16 @@ from polishd.hookspecs import (
 from polishd.model import events
 from polishd.model.beliefs import Belief, Beliefs, Evidence, Lesson
 from polishd.model.concern import Concern, Severity, Standing
-from polishd.model.devices import DeviceStatus, Executed, ForceSample, Identity, RobotProgress, SpeedSample
+from polishd.model.devices import (
+    DeviceStatus,
+    Executed,
+    ForceSample,
+    Identity,
+    RobotProgress,
+    SensedForce,
+    Signal,
+    SpeedSample,
+)
 from polishd.model.dwell import Certificate, DwellSolution
 from polishd.model.errors import (
     BadMap,
@@ -48,8 +57,27 @@ from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Op
 from polishd.model.program import Plan, Program, Segment
 from polishd.model.robot import HybridRobot, MeasuredCompliance, SerialRobot
 from polishd.model.surface import Grid, SurfaceMap, SurfaceStats
-from polishd.model.times import ActuatorTimes, LoaderTimes, RobotTimes, SpindleTimes
-from polishd.ports import ByteStream, Clock, Device, ForceActuator, Loader, Metrology, Robot, Spindle
+from polishd.model.times import (
+    ActuatorTimes,
+    LoaderTimes,
+    MonitorTimes,
+    RobotTimes,
+    SensorTimes,
+    SpindleTimes,
+    Unpowered,
+)
+from polishd.ports import (
+    ByteStream,
+    Clock,
+    Device,
+    ForceActuator,
+    ForceSensor,
+    Loader,
+    Metrology,
+    Monitor,
+    Robot,
+    Spindle,
+)
 from polishd.process.convolution import ConvolutionEffect
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.effect import Effect, SparseEffect
@@ -98,6 +126,7 @@ __all__ = [
     "Executed",
     "ForceActuator",
     "ForceSample",
+    "ForceSensor",
     "Grid",
     "HybridRobot",
     "Identity",
@@ -109,6 +138,8 @@ __all__ = [
     "MeasuredCompliance",
     "MeasuredTif",
     "Metrology",
+    "Monitor",
+    "MonitorTimes",
     "Notification",
     "NotifierType",
     "NumberedLines",
@@ -133,9 +164,12 @@ __all__ = [
     "SafetyStop",
     "SecretPlace",
     "Segment",
+    "SensedForce",
+    "SensorTimes",
     "SerialLine",
     "SerialRobot",
     "Severity",
+    "Signal",
     "SparseEffect",
     "SpeedSample",
     "Spindle",
@@ -148,6 +182,7 @@ __all__ = [
     "SurfaceStats",
     "Tcp",
     "ToolProcess",
+    "Unpowered",
     "WrongPart",
     "events",
     "hide",

@@ -53,6 +53,28 @@ class ForceSample:
 
 
 @dataclass(frozen=True, slots=True)
+class SensedForce:
+    """One reading of the independent force sensor; ``at_s`` is the daemon's monotonic clock."""
+
+    at_s: float
+    force_n: float
+    """Pressing is positive; 0 is what it read when it was last tared."""
+    fault: int = 0
+    """Bits of its own: over its range, no cell connected."""
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """One reading of a monitor; ``at_s`` is the daemon's monotonic clock."""
+
+    at_s: float
+    name: str
+    """As the monitor calls it."""
+    value: float | bool | None
+    """A number in the signal's unit, or a state; None: the monitor says that it does not know."""
+
+
+@dataclass(frozen=True, slots=True)
 class SpeedSample:
     """One reading of the spindle; ``at_s`` is the daemon's monotonic clock."""
 

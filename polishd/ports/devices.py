@@ -11,10 +11,19 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Sequence
 from typing import Protocol, runtime_checkable
 
-from polishd.model.devices import DeviceStatus, Executed, ForceSample, Identity, RobotProgress, SpeedSample
+from polishd.model.devices import (
+    DeviceStatus,
+    Executed,
+    ForceSample,
+    Identity,
+    RobotProgress,
+    SensedForce,
+    Signal,
+    SpeedSample,
+)
 from polishd.model.program import Plan, Segment
 from polishd.model.surface import SurfaceMap
-from polishd.model.times import ActuatorTimes, LoaderTimes, RobotTimes, SpindleTimes
+from polishd.model.times import ActuatorTimes, LoaderTimes, MonitorTimes, RobotTimes, SensorTimes, SpindleTimes
 
 
 @runtime_checkable
@@ -201,6 +210,24 @@ class ForceActuator(Device, Protocol):
 
 
 @runtime_checkable
+class ForceSensor(Device, Protocol):
+    """Measures the force between tool and part, independently of the actuator. Exerts nothing."""
+
+    @property
+    def times(self) -> SensorTimes:
+        """How long its actions may take."""
+        ...
+
+    async def tare(self) -> None:
+        """What it reads now is 0 from now on; returns when it is. Asked for only while nothing touches the part."""
+        ...
+
+    def samples(self) -> AsyncIterator[SensedForce]:
+        """Readings at the sensor's rate, for as long as they are iterated; none is given twice."""
+        ...
+
+
+@runtime_checkable
 class Spindle(Device, Protocol):
     """Spins the bonnet."""
 
@@ -284,4 +311,18 @@ class Loader(Device, Protocol):
         stopped it; DeviceFault; LinkError.
         Cancelled: it goes on moving: ``make_safe`` stops it.
         """
+        ...
+
+
+@runtime_checkable
+class Monitor(Device, Protocol):
+    """Tells named signals of the cell: slurry flow, a pressure, a guard. Changes nothing."""
+
+    @property
+    def times(self) -> MonitorTimes:
+        """How long its answers may take."""
+        ...
+
+    def signals(self) -> AsyncIterator[Signal]:
+        """All its signals in turn, again and again, for as long as they are iterated."""
         ...

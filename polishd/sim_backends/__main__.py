@@ -86,8 +86,9 @@ def _device(name: str, config: SimConfig) -> Any:
     """A device's coroutine, loaded late: a drive needs no scipy."""
     from importlib import import_module
 
+    robot = {"link": "robot", "opcua": "handover", "ads": "handover", "modbus": "handover"}
     module, main = {
-        "robot": ("linuxcnc.server" if config.robot.kind == "linuxcnc" else "robot.server", "main"),
+        "robot": (f"{robot.get(config.robot.kind, config.robot.kind)}.server", "main"),
         "interferometer": ("interferometer", "main"),
         "spindle": ("cia402.device", "spindle") if config.spindle.drive == "cia402" else ("spindle.device", "main"),
         "actuator": ("cia402.device", "actuator") if config.actuator.kind in CAN else ("actuator.device", "main"),

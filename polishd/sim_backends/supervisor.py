@@ -12,7 +12,7 @@ from typing import Any
 
 from polishd.sim_backends.runtime import ROOT, Start, replace, until_ended
 
-DEVICES = ("robot", "actuator", "spindle", "interferometer", "loader")
+DEVICES = ("robot", "actuator", "spindle", "interferometer", "loader", "force_sensor", "monitor")
 READY_S = 30.0
 END_S = 5.0
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 SUITES = "polishd.testing.suites"
-FIXTURES = ("any_device", "robot", "actuator", "spindle", "loader")
+FIXTURES = ("any_device", "robot", "actuator", "spindle", "loader", "force_sensor", "monitor")
 """The suites' fixtures that give the rig of a case; ``any_device`` is for what all devices have in common."""
 MARKS = {
     "polishd_cuts": "cuts the link",

@@ -8,36 +8,50 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import TypeVar
 
-from polishd.api import ForceActuator, Loader, Spindle
+from polishd.api import ForceActuator, ForceSensor, Loader, Monitor, MonitorTimes, SensorTimes, Spindle
+from polishd.drivers.force_sensor_line import ForceSensorLine
 from polishd.drivers.linuxcnc.driver import LinuxCnc
 from polishd.drivers.loader_line import LoaderLine
+from polishd.drivers.monitor_line import MonitorLine
 from polishd.drivers.profiled import make
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
-from polishd.model.times import ActuatorTimes, LoaderTimes, SpindleTimes
+from polishd.drivers.universal_robots.driver import UniversalRobot
+from polishd.drivers.universal_robots.sample import Registers
+from polishd.drivers.universal_robots.script import Settings
+from polishd.model.times import ActuatorTimes, LoaderTimes, RobotTimes, SpindleTimes
 from polishd.testing.rig import D, Rig, Scope
 from polishd.testing.suites.actuator import ActuatorRig
+from polishd.testing.suites.force_sensor import ForceSensorRig
 from polishd.testing.suites.loader import LoaderRig
+from polishd.testing.suites.monitor import MonitorRig
 from polishd.testing.suites.robot import RobotRig
 from polishd.testing.suites.spindle import SpindleRig
-from tests.fakes import cia402
+from tests.fakes import cia402, handover
 from tests.fakes.actuator import AsciiCoil, Coil, ModbusCoil
 from tests.fakes.devices_by_profile import file_of, shipped, voice_coil_modbus, voice_coil_serial
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.linuxcnc import FakeLinuxCnc
 from tests.fakes.loader import FakeLoader
+from tests.fakes.looking import FakeAmplifier, FakeInputs
 from tests.fakes.profiled import IdealDrive, ProfiledPeer, inverter
 from tests.fakes.robot import FakeRobot
-from tests.fakes.wires import PtyWire, TcpWire, dribbled
+from tests.fakes.universal_robot import FakeController, urscript
+from tests.fakes.wires import NumberedPeer, PtyWire, TcpWire, dribbled
 from tests.kinds import kind
 
 TOUCHES = Scope(touch_mm=5.0)
+URSCRIPT = Scope(block=urscript)
 PATIENT = ActuatorTimes(silence_s=1.0, watchdog_s=2.0)
 PATIENT_SPINDLE = SpindleTimes(silence_s=1.5, watchdog_s=2.0)
+PATIENT_ROBOT = RobotTimes(silence_s=1.0)
 PATIENT_LOADER = LoaderTimes(silence_s=1.0)
-"""A busy machine is silent for longer than the wires of actuators and spindles would be."""
+PATIENT_SENSOR = SensorTimes(silence_s=1.0)
+PATIENT_MONITOR = MonitorTimes(silence_s=1.0)
+"""A busy machine is silent for longer than most wires would be."""
 
 
 @asynccontextmanager
@@ -93,6 +107,58 @@ async def _linuxcnc(fake: FakeLinuxCnc, folder: Path) -> AsyncIterator[RobotRig]
     finally:
         await device.close()
         await wire.close()
+
+
+@asynccontextmanager
+async def universal_robots(_: Path) -> AsyncIterator[RobotRig]:
+    """A Universal Robots controller over RTDE, dashboard and primary interface."""
+    async with _universal_robots(FakeController()) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def universal_robots_dribbled(_: Path) -> AsyncIterator[RobotRig]:
+    """The same with RTDE byte by byte."""
+    fake = FakeController()
+    fake.filter = dribbled
+    async with _universal_robots(fake) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def _universal_robots(fake: FakeController) -> AsyncIterator[RobotRig]:
+    await fake.start()
+    device = UniversalRobot(fake.addresses, Settings(Registers(), PATIENT_ROBOT.watchdog_s), PATIENT_ROBOT)
+    try:
+        mute = lambda: setattr(fake, "silent", True)  # noqa: E731
+        yield Rig(device, fake.cut, mute, lambda: fake.stands, whole_file=True, scope=URSCRIPT)
+    finally:
+        await device.close()
+        await fake.close()
+
+
+@asynccontextmanager
+async def handover_direct(folder: Path) -> AsyncIterator[RobotRig]:
+    """handover at the controller's variables themselves."""
+    fake = handover.FakePlc(folder)
+    async with handover.direct(fake) as device:
+        yield Rig(device, fake.cut, lambda: setattr(fake, "silent", True), lambda: fake.stands, whole_file=True)
+
+
+@asynccontextmanager
+async def handover_opcua(folder: Path) -> AsyncIterator[RobotRig]:
+    """handover over OPC UA."""
+    fake = handover.FakePlc(folder)
+    async with handover.over_opcua(fake) as (device, relay):
+        yield Rig(device, relay.cut, lambda: setattr(fake, "silent", True), lambda: fake.stands, whole_file=True)
+
+
+@asynccontextmanager
+async def handover_ads(folder: Path) -> AsyncIterator[RobotRig]:
+    """handover over ADS."""
+    fake = handover.FakePlc(folder)
+    async with handover.over_ads(fake) as (device, cut):
+        yield Rig(device, cut, lambda: setattr(fake, "silent", True), lambda: fake.stands, whole_file=True)
 
 
 @asynccontextmanager
@@ -306,9 +372,73 @@ async def _loader(fake: FakeLoader, wire: PtyWire | TcpWire, device: Loader) -> 
         await wire.close()
 
 
-ROBOTS = [*kind(robot_tcp, robot_dribbled), *kind(linuxcnc, linuxcnc_dribbled)]
-ACTUATORS = [*kind(actuator_rtu, actuator_tcp), *kind(actuator_ascii, actuator_ascii_dribbled)]
-ACTUATORS += [*kind(cia402_actuator_spring, cia402_actuator_position), *kind(actuator_line_drive)]
-SPINDLES = [*kind(spindle_slcan, spindle_socketcand), *kind(cia402_spindle_slcan, cia402_spindle_socketcand)]
-SPINDLES += kind(spindle_ms300, spindle_gs2, spindle_wj200)
+@asynccontextmanager
+async def force_sensor_serial(folder: Path) -> AsyncIterator[ForceSensorRig]:
+    """force_sensor_line on a serial line."""
+    wire = PtyWire(FakeAmplifier(), folder / "force_sensor")
+    async with _looking(wire, ForceSensorLine(SerialLine(wire.path), PATIENT_SENSOR)) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def force_sensor_tcp_dribbled(_: Path) -> AsyncIterator[ForceSensorRig]:
+    """force_sensor_line over TCP, byte by byte, with garbage before each answer."""
+    wire = await TcpWire(_dribbling(FakeAmplifier())).start()
+    async with _looking(wire, ForceSensorLine(Tcp("127.0.0.1", wire.port), PATIENT_SENSOR)) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def monitor_tcp(_: Path) -> AsyncIterator[MonitorRig]:
+    """monitor_line over TCP."""
+    wire = await TcpWire(FakeInputs()).start()
+    async with _looking(wire, MonitorLine(Tcp("127.0.0.1", wire.port), PATIENT_MONITOR)) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def monitor_serial_dribbled(folder: Path) -> AsyncIterator[MonitorRig]:
+    """monitor_line on a serial line, byte by byte, with garbage before each answer."""
+    wire = PtyWire(_dribbling(FakeInputs()), folder / "monitor")
+    async with _looking(wire, MonitorLine(SerialLine(wire.path), PATIENT_MONITOR)) as rig:
+        yield rig
+
+
+def _dribbling(fake: NumberedPeer) -> NumberedPeer:
+    fake.filter = lambda data: [b"\xff*noise$", *dribbled(data)]
+    return fake
+
+
+L = TypeVar("L", ForceSensor, Monitor)
+
+
+@asynccontextmanager
+async def _looking(wire: PtyWire | TcpWire, device: L) -> AsyncIterator[Rig[L]]:
+    """A device that exerts nothing is safe whatever happens."""
+    try:
+        yield Rig(device, wire.cut, lambda: setattr(wire.peer, "silent", True), lambda: True)
+    finally:
+        await device.close()
+        await wire.close()
+
+
+ROBOTS = [
+    *kind(robot_tcp, robot_dribbled),
+    *kind(linuxcnc, linuxcnc_dribbled),
+    *kind(universal_robots, universal_robots_dribbled),
+    *kind(handover_direct, handover_opcua, handover_ads),
+]
+ACTUATORS = [
+    *kind(actuator_rtu, actuator_tcp),
+    *kind(actuator_ascii, actuator_ascii_dribbled),
+    *kind(actuator_line_drive),
+    *kind(cia402_actuator_spring, cia402_actuator_position),
+]
+SPINDLES = [
+    *kind(spindle_slcan, spindle_socketcand),
+    *kind(cia402_spindle_slcan, cia402_spindle_socketcand),
+    *kind(spindle_ms300, spindle_gs2, spindle_wj200),
+]
 LOADERS = kind(loader_serial, loader_tcp_dribbled)
+FORCE_SENSORS = kind(force_sensor_serial, force_sensor_tcp_dribbled)
+MONITORS = kind(monitor_tcp, monitor_serial_dribbled)

@@ -22,6 +22,8 @@ from typing import Any
 import pytest
 
 from polishd.api import DeviceRefused, Executed, ForceSample, LinkError, Robot, SpeedSample, SpindleTimes
+from polishd.drivers.force_sensor_line import ForceSensorLine
+from polishd.drivers.monitor_line import MonitorLine
 from polishd.drivers.profiled import make
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
@@ -39,7 +41,16 @@ from polishd.testing.suites.device import (  # noqa: F401 -- the suite itself, w
 )
 from polishd.testing.waiting import until_lost
 from tests.conformance.conftest import BOUND_S, PROMPT_S, seen
-from tests.conformance.rigs import PATIENT, PATIENT_SPINDLE, ActuatorRig, Rig, RobotRig, SpindleRig
+from tests.conformance.rigs import (
+    PATIENT,
+    PATIENT_MONITOR,
+    PATIENT_SENSOR,
+    PATIENT_SPINDLE,
+    ActuatorRig,
+    Rig,
+    RobotRig,
+    SpindleRig,
+)  # fmt: skip
 from tests.fakes.devices_by_profile import file_of, shipped, voice_coil_modbus, voice_coil_serial
 from tests.kinds import kind
 from tests.patience import SOON_S, within
@@ -60,7 +71,7 @@ port = 0
 home = [0.0, 0.0, 0.0, 15.0, 0.0]
 """
 CELLS = {
-    "rtu_slcan": BASE,
+    "rtu_slcan": BASE + '[force_sensor]\n[monitor]\nkind = "serial"\n',
     "tcp_socketcand": BASE + '[actuator]\nkind = "modbus_tcp"\n[spindle]\nkind = "socketcand"\n',
     "ascii": BASE + '[actuator]\nkind = "serial"\n',
     "profiles": BASE
@@ -89,6 +100,7 @@ class Place:
 ROBOTS = [Place("rtu_slcan", "robot")]
 ACTUATORS = kind(*(Place(name, "actuator") for name in CELLS))
 SPINDLES = kind(*(Place(name, "spindle") for name in ("rtu_slcan", "tcp_socketcand", "profiles")))
+LOOKING = [Place("rtu_slcan", "force_sensor"), Place("rtu_slcan", "monitor")]
 
 
 STARTER = """
@@ -138,6 +150,8 @@ class Cells:
 
     def at_rest(self, place: Place) -> bool:
         """Whether the machine itself exerts nothing and stands, as its witness says (it speaks a moment later)."""
+        if place in LOOKING:
+            return True
         begins, ends = AT_REST[place.device]
 
         def rests() -> bool:
@@ -173,6 +187,10 @@ def connect(cells: Cells, place: Place) -> RobotLink | SpindleCan | Any:
     running = cells.get(place.cell)
     address = parse_address(running.endpoints[place.device], running.state)
     match address:
+        case Tcp() | SerialLine() if place.device == "force_sensor":
+            return ForceSensorLine(address, PATIENT_SENSOR)
+        case Tcp() | SerialLine() if place.device == "monitor":
+            return MonitorLine(address, PATIENT_MONITOR)
         case Tcp() if place.device == "robot":
             return RobotLink(address)
         case SerialLine() if place.cell == "profiles":
@@ -228,7 +246,7 @@ async def at_rest_again(device: Any) -> None:
                 return
 
 
-@pytest.fixture(params=[*ROBOTS, *ACTUATORS, *SPINDLES], ids=str)
+@pytest.fixture(params=[*ROBOTS, *ACTUATORS, *SPINDLES, *LOOKING], ids=str)
 async def any_device(request: pytest.FixtureRequest, cells: Cells) -> AsyncIterator[Rig[Any]]:
     """Every device."""
     async with sim_rig(cells, request.param) as rig:

@@ -12,7 +12,8 @@ from operator import xor
 
 from polishd.drivers.transport.address import SerialLine, Tcp, silent
 from polishd.drivers.transport.streams import LineReader, open_stream
-from polishd.model.errors import DeviceRefused, LinkError
+from polishd.model.devices import Identity
+from polishd.model.errors import DeviceRefused, LinkError, ProtocolError
 from polishd.ports.stream import ByteStream
 
 LONGEST = 120
@@ -37,6 +38,14 @@ def decode(line: bytes) -> tuple[int, str] | None:
     if not (comma and number.isdigit() and len(number) <= 5):
         return None
     return int(number), body
+
+
+def identity(body: str) -> Identity:
+    """The answer to ``ID?``; ProtocolError where it is none."""
+    parts = body.split(",")
+    if len(parts) != 6 or parts[0] != "ID":
+        raise ProtocolError(f"no answer to ID?: {body!r}")
+    return Identity(parts[1], parts[2], parts[3], parts[4], boot_id=parts[5])
 
 
 class NumberedLines:

@@ -90,7 +90,8 @@ def _times(options: BaseModel, table: Any, names: Sequence[str]) -> dict[str, fl
 def _actuator(options: ActuatorOptions, context: DeviceContext) -> ForceActuator:
     profile = _profile(options, context, "actuator")
     names = ("watchdog_s", "landing_s", "release_s", "retract_s", "stroke_mm")
-    times = ActuatorTimes(options.silence_s, **_times(options, profile.actuator, names))
+    table: Any = profile.actuator  # as its kind says
+    times = ActuatorTimes(options.silence_s, unpowered=table.unpowered, **_times(options, table, names))
     address = make.address_of(profile, options.address, context.base_dir)
     return make.actuator(profile, address, times, unit=options.unit)
 

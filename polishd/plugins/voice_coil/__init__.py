@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from polishd.api import ActuatorTimes, DeviceContext, DeviceType, ForceActuator, hookimpl
+from polishd.api import ActuatorTimes, DeviceContext, DeviceType, ForceActuator, Unpowered, hookimpl
 from polishd.drivers.profiled import make
 from polishd.drivers.profiled.shelf import profile_of
 
@@ -35,6 +35,9 @@ class VoiceCoilOptions(BaseModel):
     """Longest from force off until it tells that the tool is up. Motion goes on until then."""
     stroke_mm: Annotated[float, Field(gt=0.0, le=500.0)] = 10.0
     """How far the tool can follow the part: a robot that lifts it off goes that far, and a margin."""
+    unpowered: Unpowered = "lifts"
+    """What its tool does without power: a spring or its weight `lifts` it, it `stays`, which needs a robot that takes
+    the tool away, or it `presses`, which is refused."""
 
     @property
     def times(self) -> ActuatorTimes:
@@ -46,6 +49,7 @@ class VoiceCoilOptions(BaseModel):
             release_s=self.release_s,
             retract_s=self.retract_s,
             stroke_mm=self.stroke_mm,
+            unpowered=self.unpowered,
         )
 
 

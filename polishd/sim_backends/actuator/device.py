@@ -35,6 +35,8 @@ async def main(runtime: Runtime) -> None:
         now_s=time.monotonic(),
         pace=Pace(config.land_s / speed, config.lift_s / speed, config.cling, config.rest_n),
         stuck_after_s=config.faults.stuck_force_after_s,
+        drift_after_s=config.faults.drift_after_s,
+        drift_n_s=config.faults.drift_n_s,
         touch_um=runtime.link.welcome.get("touch_um"),
     )
 

@@ -10,12 +10,25 @@ import pydantic
 import pytest
 
 from polishd import hookspecs
-from polishd.api import ConfigError, Device, DeviceContext, DeviceType, ForceActuator, Robot, Spindle
-from polishd.plugins import device_profiles, rnc_robot, spindle, voice_coil
+from polishd.api import (
+    ConfigError,
+    Device,
+    DeviceContext,
+    DeviceType,
+    ForceActuator,
+    ForceSensor,
+    Monitor,
+    Robot,
+    SensorTimes,
+    Spindle,
+)
+from polishd.plugins import device_profiles, force_sensor, monitors, rnc_robot, spindle, universal_robots, voice_coil
 
 LINE_DRIVE = Path(__file__).resolve().parents[3] / "examples" / "line_drive.toml"
 GOOD: list[tuple[str, dict[str, Any], type[Any]]] = [
     ("robot_link", {"address": "tcp://127.0.0.1:28500"}, Robot),
+    ("universal_robots", {"address": "tcp://10.0.0.2:30004"}, Robot),
+    ("universal_robots", {"address": "tcp://ur:30004", "rate_hz": 500.0, "first_register": 30}, Robot),
     ("voice_coil_modbus", {"address": "serial:sim/actuator?baud=115200", "unit": 1}, ForceActuator),
     ("voice_coil_modbus", {"address": "tcp://127.0.0.1:502", "watchdog_ms": 300, "landing_s": 5.0}, ForceActuator),
     ("voice_coil_serial", {"address": "serial:/dev/ttyUSB0"}, ForceActuator),
@@ -24,29 +37,37 @@ GOOD: list[tuple[str, dict[str, Any], type[Any]]] = [
     ("spindle_profile", {"profile": "delta_ms300", "address": "serial:x?parity=even", "pole_pairs": 2}, Spindle),
     ("spindle_can", {"address": "slcan:sim/spindle?bitrate=500000", "node": 5}, Spindle),
     ("spindle_can", {"address": "socketcand://127.0.0.1:29536/can0"}, Spindle),
+    ("force_sensor_line", {"address": "serial:sim/force_sensor", "delay_s": 0.5}, ForceSensor),
+    ("monitor_line", {"address": "tcp://127.0.0.1:4001"}, Monitor),
 ]
 BAD_OPTIONS: list[tuple[str, dict[str, Any]]] = [
     ("robot_link", {}),
     ("robot_link", {"address": 5}),
     ("robot_link", {"address": "tcp://a:1", "adress": "tcp://a:1"}),
+    ("universal_robots", {"address": "tcp://a:1", "rate_hz": 1000.0}),
+    ("universal_robots", {"address": "tcp://a:1", "first_register": 44}),
+    ("universal_robots", {"address": "tcp://a:1", "tool_z": "up"}),
+    ("universal_robots", {"address": "tcp://a:1", "dashboard_port": 0}),
     ("voice_coil_modbus", {"address": "tcp://a:1", "unit": 0}),
     ("voice_coil_modbus", {"address": "tcp://a:1", "unit": "1"}),
     ("voice_coil_modbus", {"address": "tcp://a:1", "watchdog_ms": 50}),
     ("voice_coil_serial", {"address": "serial:x", "unit": 1}),
     ("voice_coil_serial", {"address": "serial:x", "landing_s": 0.0}),
     ("spindle_can", {"address": "slcan:x", "node": 128}),
-    ("actuator_profile", {"address": "serial:x"}),
-    ("actuator_profile", {"profile": "voice_coil_modbus", "address": "serial:x", "unit": 300}),
-    ("spindle_profile", {"profile": "delta_ms300", "address": "serial:x", "pole_pairs": 0}),
-    ("spindle_profile", {"profile": "delta_ms300", "address": "serial:x", "landing_s": 1.0}),
+    ("voice_coil_serial", {"address": "serial:x", "unpowered": "falls"}),
+    ("force_sensor_line", {"address": "serial:x", "silence_s": 0.1}),
+    ("monitor_line", {"address": "serial:x", "signals": []}),
 ]
 BAD_ADDRESSES = [
     ("robot_link", "serial:x"),
     ("robot_link", "28500"),
+    ("universal_robots", "slcan:x"),
     ("voice_coil_modbus", "slcan:x"),
     ("voice_coil_serial", "socketcand://a:1/can0"),
     ("spindle_can", "tcp://a:1"),
     ("spindle_can", "slcan:x?bitrate=1"),
+    ("force_sensor_line", "slcan:x"),
+    ("monitor_line", "socketcand://a:1/can0"),
 ]
 
 
@@ -54,7 +75,7 @@ BAD_ADDRESSES = [
 def types() -> dict[str, DeviceType]:
     manager = pluggy.PluginManager(hookspecs.PROJECT)
     manager.add_hookspecs(hookspecs)
-    for plugin in (rnc_robot, voice_coil, spindle, device_profiles):
+    for plugin in (device_profiles, rnc_robot, universal_robots, voice_coil, spindle, force_sensor, monitors):
         assert plugin.POLISHD_API == hookspecs.API_VERSION
         manager.register(plugin)
     manager.check_pending()
@@ -79,7 +100,8 @@ def test_devices_are_built_closed(
 
 @pytest.mark.parametrize(("name", "port"), [(n, p) for n, _, p in GOOD])
 def test_ports_are_declared(types: dict[str, DeviceType], name: str, port: type[Any]) -> None:
-    assert types[name].port == {Robot: "robot", ForceActuator: "actuator", Spindle: "spindle"}[port]
+    ports = {Robot: "robot", ForceActuator: "actuator", Spindle: "spindle"}
+    assert types[name].port == {**ports, ForceSensor: "force_sensor", Monitor: "monitor"}[port]
 
 
 @pytest.mark.parametrize(("name", "options"), BAD_OPTIONS)
@@ -98,35 +120,16 @@ def test_other_addresses_are_config_errors(
         kind.build(options, context(tmp_path))
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "said"),
-    [
-        ("spindle_profile", {"profile": "voice_coil_modbus"}, "is of an actuator, not of a spindle; name another"),
-        ("actuator_profile", {"profile": "voice_coil_mod"}, "is not known; did you mean 'voice_coil_modbus'"),
-        ("actuator_profile", {"profile": "none.toml"}, r"none\.toml"),
-        ("actuator_profile", {"profile": str(LINE_DRIVE), "unit": 2}, "of lines, which have no unit; remove it"),
-        (
-            "actuator_profile",
-            {"profile": "voice_coil_modbus", "address": "slcan:x"},
-            "is reached over serial: or tcp://",
-        ),
-        (
-            "actuator_profile",
-            {"profile": "voice_coil_modbus", "address": "serial:x?parity=mark"},
-            "parity 'mark' is none",
-        ),
-    ],
-)
-def test_profiles_that_do_not_fit_are_config_errors(
-    types: dict[str, DeviceType], tmp_path: Path, name: str, options: dict[str, Any], said: str
-) -> None:
-    kind = types[name]
-    with pytest.raises(ConfigError, match=said):
-        kind.build(kind.options(**{"address": "serial:x", **options}), context(tmp_path))
+def test_what_devices_state_is_what_their_sections_say(types: dict[str, DeviceType], tmp_path: Path) -> None:
+    def built(name: str, **options: Any) -> Any:
+        return types[name].build(types[name].options(**options), context(tmp_path))
 
-
-def test_times_are_the_profiles_where_the_cell_says_nothing(types: dict[str, DeviceType], tmp_path: Path) -> None:
-    kind = types["actuator_profile"]
-    options = {"profile": str(LINE_DRIVE), "address": "serial:x", "landing_s": 3.0}
-    times = kind.build(kind.options(**options), context(tmp_path)).times
-    assert (times.landing_s, times.watchdog_s, times.retract_s) == (3.0, 1.0, 5.0)
+    tool = built("voice_coil_serial", address="serial:x", unpowered="stays")
+    assert tool.times.unpowered == "stays"
+    assert built("voice_coil_serial", address="serial:x").times.unpowered == "lifts"
+    sensor = built("force_sensor_line", address="serial:x", silence_s=0.4, delay_s=0.2, tare_s=3.0)
+    assert sensor.times == SensorTimes(silence_s=0.4, delay_s=0.2, tare_s=3.0)
+    assert built("monitor_line", address="serial:x", silence_s=5.0).times.silence_s == 5.0
+    linuxcnc = built("linuxcnc", address="tcp://127.0.0.1:5007", program_dir="programs")
+    assert not linuxcnc.times.lifts
+    assert built("robot_link", address="tcp://127.0.0.1:28500").times.lifts
