@@ -17,7 +17,7 @@ LINKS = ("modbus", "lines")
 NEEDS = {
     "actuator": (("force",), ("force", "retract"), ("retracted", "contact")),
     "spindle": (("speed",), ("forward", "stop"), ("stopped", "running")),
-    "force_sensor": (("force",), (), ()),
+    "force_sensor": (("force",), ("tare",), ()),
 }
 """By kind: values, orders and states without which it cannot be used."""
 ORDERS = {

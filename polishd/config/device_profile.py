@@ -88,7 +88,11 @@ class DeviceProfile(Document):
     @property
     def polled(self) -> tuple[str, ...]:
         """Values that tell how the device is, and what they lean on."""
-        said = {"actuator": ("force", "set_point", "position"), "spindle": ("speed",), "force_sensor": ("force",)}
+        said = {
+            "actuator": ("force", "set_point", "position"),
+            "spindle": ("speed",),
+            "force_sensor": ("force", "count"),
+        }
         named = [name for name in (*said[self.kind], "beat_echo") if name in self.quantities]
         named += [rule.when for rule in self.states] + ([self.faults.value] if self.faults else [])
         return self.with_signs(named)

@@ -10,9 +10,9 @@ from pydantic import BeforeValidator, Field, WithJsonSchema, field_validator, mo
 from polishd.config.device_units import FACTORS
 from polishd.config.places import did_you_mean, listed
 from polishd.config.values import Positive, Range, Section, Text, Texts, as_tuple
-from polishd.model.times import ActuatorTimes, SpindleTimes
+from polishd.model.times import ActuatorTimes, SensorTimes, SpindleTimes
 
-_ACTUATOR, _SPINDLE = ActuatorTimes(), SpindleTimes()
+_ACTUATOR, _SPINDLE, _SENSOR = ActuatorTimes(), SpindleTimes(), SensorTimes()
 
 Unpowered = Literal["lifts", "stays", "presses"]
 WordOrder = Literal["high_first", "low_first"]
@@ -314,3 +314,9 @@ class ForceSensorTable(Section):
 
     range_n: Range
     """What it can measure; pressing is positive."""
+    delay_s: Annotated[float, Field(ge=0.0, le=5.0)] = _SENSOR.delay_s
+    """Longest from a force that acts to its reading: filter, conversion and link."""
+    tare_s: Times = _SENSOR.tare_s
+    """Longest from `orders.tare` until what it read then is 0, ..."""
+    zero_n: Positive = 0.1
+    """... or not more than this."""

@@ -37,7 +37,7 @@ from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.linuxcnc import FakeLinuxCnc
 from tests.fakes.loader import FakeLoader
 from tests.fakes.looking import FakeAmplifier, FakeInputs
-from tests.fakes.profiled import IdealDrive, ProfiledPeer, inverter
+from tests.fakes.profiled import IdealDrive, ProfiledPeer, gauge, inverter
 from tests.fakes.robot import FakeRobot
 from tests.fakes.universal_robot import FakeController, urscript
 from tests.fakes.wires import NumberedPeer, PtyWire, TcpWire, dribbled
@@ -381,6 +381,32 @@ async def force_sensor_serial(folder: Path) -> AsyncIterator[ForceSensorRig]:
 
 
 @asynccontextmanager
+async def force_sensor_laumas(_: Path) -> AsyncIterator[ForceSensorRig]:
+    """A weight transmitter by its profile, behind a gateway to Modbus TCP."""
+    async with _profiled_sensor("laumas_tlb") as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def force_sensor_gauge(_: Path) -> AsyncIterator[ForceSensorRig]:
+    """A force gauge by its profile, on plain lines."""
+    async with _profiled_sensor("mark10_series5") as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def _profiled_sensor(name: str) -> AsyncIterator[ForceSensorRig]:
+    peer = ProfiledPeer(file_of(name), gauge(lambda: 3.0), tcp=True)
+    wire = await TcpWire(peer).start()
+    device = make.force_sensor(shipped(name), Tcp("127.0.0.1", wire.port), PATIENT_SENSOR)
+    try:
+        yield Rig(device, wire.cut, lambda: setattr(peer, "silent", True), lambda: True)
+    finally:
+        await device.close()
+        await wire.close()
+
+
+@asynccontextmanager
 async def force_sensor_tcp_dribbled(_: Path) -> AsyncIterator[ForceSensorRig]:
     """force_sensor_line over TCP, byte by byte, with garbage before each answer."""
     wire = await TcpWire(_dribbling(FakeAmplifier())).start()
@@ -440,5 +466,5 @@ SPINDLES = [
     *kind(spindle_ms300, spindle_gs2, spindle_wj200),
 ]
 LOADERS = kind(loader_serial, loader_tcp_dribbled)
-FORCE_SENSORS = kind(force_sensor_serial, force_sensor_tcp_dribbled)
+FORCE_SENSORS = [*kind(force_sensor_serial, force_sensor_tcp_dribbled), *kind(force_sensor_laumas, force_sensor_gauge)]
 MONITORS = kind(monitor_tcp, monitor_serial_dribbled)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from polishd.api import ActuatorTimes, ConfigError, SpindleTimes
+from polishd.api import ActuatorTimes, ConfigError, SensorTimes, SpindleTimes
 from polishd.config.device_profile import DeviceProfile
 from polishd.drivers.profiled.actuator import ProfiledActuator
 from polishd.drivers.profiled.force_sensor import ProfiledForceSensor
@@ -55,7 +55,8 @@ def spindle(
 
 
 def force_sensor(
-    profile: DeviceProfile, address: SerialLine | Tcp, silence_s: float = 0.3, *, unit: int | None = None
+    profile: DeviceProfile, address: SerialLine | Tcp, times: SensorTimes | None = None, *, unit: int | None = None
 ) -> ProfiledForceSensor:
     """A force sensor; opens nothing."""
-    return ProfiledForceSensor(wire_of(profile, address, silence_s, unit=unit))
+    times = times or SensorTimes()
+    return ProfiledForceSensor(wire_of(profile, address, times.silence_s, unit=unit), times)

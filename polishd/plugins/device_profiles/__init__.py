@@ -1,4 +1,4 @@
-"""Devices by a profile: the device types ``actuator_profile`` and ``spindle_profile`` (docs/devices.md)."""
+"""Devices by a profile: ``actuator_profile``, ``spindle_profile``, ``force_sensor_profile`` (docs/devices.md)."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from polishd.api import (
     DeviceContext,
     DeviceType,
     ForceActuator,
+    ForceSensor,
+    SensorTimes,
     Spindle,
     SpindleTimes,
     hookimpl,
@@ -70,6 +72,17 @@ class SpindleOptions(ProfileOptions):
     """Longest from standstill to any speed, or back."""
 
 
+class ForceSensorOptions(ProfileOptions):
+    """Keys of ``[force_sensor]`` with ``type = "force_sensor_profile"``. Times that are left out are the profile's."""
+
+    silence_s: Annotated[float, Field(ge=0.15, le=5.0)] = 0.3
+    """No new reading for so long: contact is left, as over a silent actuator."""
+    delay_s: Annotated[float, Field(ge=0.0, le=5.0)] | None = None
+    """Longest from a force that acts to its reading: the amplifier's filter, and the link."""
+    tare_s: Annotated[float, Field(gt=0.0, le=60.0)] | None = None
+    """Longest from the order until what it read then is 0."""
+
+
 def _profile(options: ProfileOptions, context: DeviceContext, kind: Kind) -> DeviceProfile:
     profile = profile_of(options.profile, context.base_dir)
     if profile.kind != kind:
@@ -103,10 +116,18 @@ def _spindle(options: SpindleOptions, context: DeviceContext) -> Spindle:
     return make.spindle(profile, address, times, unit=options.unit, pole_pairs=options.pole_pairs)
 
 
+def _force_sensor(options: ForceSensorOptions, context: DeviceContext) -> ForceSensor:
+    profile = _profile(options, context, "force_sensor")
+    times = SensorTimes(options.silence_s, **_times(options, profile.force_sensor, ("delay_s", "tare_s")))
+    address = make.address_of(profile, options.address, context.base_dir)
+    return make.force_sensor(profile, address, times, unit=options.unit)
+
+
 @hookimpl
 def polishd_device_types() -> Sequence[DeviceType]:
-    """``actuator_profile``, ``spindle_profile``."""
+    """``actuator_profile``, ``spindle_profile``, ``force_sensor_profile``."""
     return [
         DeviceType("actuator_profile", "actuator", ActuatorOptions, _actuator),
         DeviceType("spindle_profile", "spindle", SpindleOptions, _spindle),
+        DeviceType("force_sensor_profile", "force_sensor", ForceSensorOptions, _force_sensor),
     ]

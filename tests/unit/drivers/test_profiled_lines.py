@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable, Iterable
+from contextlib import aclosing
 from pathlib import Path
 
 import pytest
 
-from polishd.api import ActuatorTimes, DeviceFault, DeviceRefused, LinkError, ProtocolError
+from polishd.api import ActuatorTimes, DeviceFault, DeviceRefused, LinkError, ProtocolError, SensorTimes
 from polishd.config.device_file import device_profile_of
 from polishd.drivers.profiled import make
 from polishd.drivers.profiled.actuator import ProfiledActuator
 from polishd.drivers.profiled.lines import LineWire
 from polishd.drivers.transport.address import SerialLine, Tcp
+from polishd.sim_backends.profiled.machine import Gauge
 from tests.fakes.devices_by_profile import file_of, shipped
 from tests.fakes.profiled import IdealDrive, ProfiledPeer, gauge
 from tests.fakes.wires import Once, PtyWire, TcpWire
@@ -157,12 +159,12 @@ async def test_a_gauge_is_read_and_zeroed() -> None:
     pressed = [0.7]
     peer = ProfiledPeer(file_of("mark10_series5"), gauge(lambda: pressed[0]))
     wire = await TcpWire(peer).start()
-    device = make.force_sensor(shipped("mark10_series5"), Tcp("127.0.0.1", wire.port), 1.0)
+    device = make.force_sensor(shipped("mark10_series5"), Tcp("127.0.0.1", wire.port), SensorTimes(1.0))
     await device.open()
     await device.tare()
     pressed[0] = 12.7
-    async for at_s, force_n, fault in device.forces():
-        assert (at_s > 0.0, round(force_n, 3), fault) == (True, 12.0, 0)
+    async for one in device.samples():
+        assert (one.at_s > 0.0, round(one.force_n, 3), one.fault) == (True, 12.0, 0)
         break
     identity = await device.identify()
     assert (identity.vendor, identity.model, identity.serial) == ("Mark-10", "F-1", "42")
@@ -174,13 +176,61 @@ async def test_a_gauge_is_read_and_zeroed() -> None:
 async def test_a_sensor_that_is_unplugged_is_read_again_once_it_is_back() -> None:
     peer = ProfiledPeer(file_of("laumas_tlb"), gauge(lambda: -3.21), tcp=True)
     wire = await TcpWire(peer).start()
-    device = make.force_sensor(shipped("laumas_tlb"), Tcp("127.0.0.1", wire.port), 1.0)
+    device = make.force_sensor(shipped("laumas_tlb"), Tcp("127.0.0.1", wire.port), SensorTimes(1.0))
     await device.open()
-    forces = device.forces()
-    assert (await anext(forces))[1] == pytest.approx(-3.21)
+    samples = device.samples()
+    assert (await anext(samples)).force_n == pytest.approx(-3.21)
     wire.drop()
     with pytest.raises(LinkError):
-        await anext(forces)
+        await anext(samples)
     assert (await device.status()).ready
+    await device.close()
+    await wire.close()
+
+
+class Deaf(Gauge):
+    """It says yes to a tare, and does nothing."""
+
+    def order(self, name: str, asked: float) -> str:
+        return ""
+
+
+class Counting(Gauge):
+    """It counts its conversions, and is asked more often than it makes one."""
+
+    counts = (1.0, 1.0, 1.0, 2.0, 2.0, 3.0)
+    asked = 0
+
+    def values(self) -> dict[str, float | str]:
+        Counting.asked += 1
+        return {**super().values(), "count": self.counts[min(Counting.asked, len(self.counts)) - 1]}
+
+
+async def test_a_sensor_that_reads_a_force_after_its_tare_is_a_fault() -> None:
+    peer = ProfiledPeer(file_of("laumas_tlb"), lambda _sheet: Deaf(lambda: 5.0, {}), tcp=True)
+    wire = await TcpWire(peer).start()
+    device = make.force_sensor(shipped("laumas_tlb"), Tcp("127.0.0.1", wire.port), SensorTimes(1.0, tare_s=0.2))
+    await device.open()
+    with pytest.raises(DeviceFault, match=r"still reads 5 N 0\.2 s after its tare; does something shake it\?"):
+        await device.tare()
+    await device.close()
+    await wire.close()
+
+
+async def test_a_conversion_that_was_told_before_is_none(tmp_path: Path) -> None:
+    path = tmp_path / "counting.toml"
+    path.write_text(file_of("laumas_tlb").read_text().replace("[registers.gross]", "[registers.count]"))
+    peer = ProfiledPeer(path, lambda _sheet: Counting(lambda: 1.0, {}), tcp=True)
+    wire = await TcpWire(peer).start()
+    profile = device_profile_of(path.read_text(), path)
+    device = make.force_sensor(profile, Tcp("127.0.0.1", wire.port), SensorTimes(1.0))
+    await device.open()
+    asked, told = Counting.asked, 0
+    async with aclosing(device.samples()) as samples:  # type: ignore[type-var]
+        async for _ in samples:
+            told += 1
+            if Counting.asked >= len(Counting.counts):
+                break
+    assert told < Counting.asked - asked, "some were no new ones"
     await device.close()
     await wire.close()

@@ -48,6 +48,7 @@ GOOD: list[tuple[str, dict[str, Any], type[Any]]] = [
     ("actuator_profile", {"profile": "voice_coil_modbus", "address": "serial:/dev/ttyUSB0", "unit": 9}, ForceActuator),
     ("actuator_profile", {"profile": str(LINE_DRIVE), "address": "tcp://127.0.0.1:4001"}, ForceActuator),
     ("spindle_profile", {"profile": "delta_ms300", "address": "serial:x?parity=even", "pole_pairs": 2}, Spindle),
+    ("force_sensor_profile", {"profile": "laumas_tlb", "address": "tcp://127.0.0.1:502", "tare_s": 2.0}, ForceSensor),
     ("spindle_can", {"address": "slcan:sim/spindle?bitrate=500000", "node": 5}, Spindle),
     ("spindle_can", {"address": "socketcand://127.0.0.1:29536/can0"}, Spindle),
     ("force_sensor_line", {"address": "serial:sim/force_sensor", "delay_s": 0.5}, ForceSensor),
@@ -119,7 +120,7 @@ def test_devices_are_built_closed(
 
 @pytest.mark.parametrize(("name", "port"), [(n, p) for n, _, p in GOOD])
 def test_ports_are_declared(types: dict[str, DeviceType], name: str, port: type[Any]) -> None:
-    ports = {Robot: "robot", ForceActuator: "actuator", Spindle: "spindle"}
+    ports = {Robot: "robot", ForceActuator: "actuator", Spindle: "spindle", ForceSensor: "force_sensor"}
     assert types[name].port == {**ports, ForceSensor: "force_sensor", Monitor: "monitor"}[port]
 
 
