@@ -88,6 +88,7 @@ async def test_open_tells_the_drive_what_to_do_alone_and_enables_nothing(spin: S
     assert press[1].node.objects[0x6087] == 10_000
 
 
+@pytest.mark.full
 async def test_what_the_drive_has_already_is_not_written_again(spin: Spin) -> None:
     device, drive, _ = spin
     await device.open()
@@ -123,6 +124,7 @@ async def test_a_drive_that_does_not_stop_by_itself_is_refused(press: Press) -> 
         await device.open()
 
 
+@pytest.mark.full
 async def test_a_drive_without_heartbeats_is_no_link(spin: Spin) -> None:
     device, drive, _ = spin
     drive.treat = dropping(0x705)
@@ -149,6 +151,7 @@ async def test_the_drives_own_limit_counts(spin: Spin) -> None:
     assert drive.written(0x60FF) == []
 
 
+@pytest.mark.full
 async def test_a_drive_that_has_only_what_it_must_have(tmp_path: Path) -> None:
     text = EDS.read_text()
     for optional in ("1018sub2", "1018sub3", "1018sub4", "603F", "6080", "6502"):
@@ -223,7 +226,8 @@ async def test_a_warning_without_a_fault_is_told_and_kept(spin: Spin) -> None:
     assert (await device.status()).ready
 
 
-async def test_a_drive_that_starts_anew_is_a_fault_and_lost_until_it_is_opened(spin: Spin) -> None:
+@pytest.mark.full
+async def test_a_drive_that_starts_anew_is_lost_until_it_is_opened(spin: Spin) -> None:
     device, drive, motor = spin
     await device.open()
     await device.set_speed(1000.0)
@@ -239,6 +243,7 @@ async def test_a_drive_that_starts_anew_is_a_fault_and_lost_until_it_is_opened(s
     await device.set_speed(300.0)
 
 
+@pytest.mark.full
 async def test_bus_off_is_a_lost_link_and_the_drive_stops_by_itself(spin: Spin) -> None:
     device, drive, motor = spin
     await device.open()
@@ -271,6 +276,7 @@ async def test_an_adapter_that_is_off_the_bus_says_so_and_that_is_a_lost_link() 
     await wire.close()
 
 
+@pytest.mark.full
 async def test_silent_heartbeats_are_a_lost_link_though_the_drive_answers(spin: Spin) -> None:
     device, drive, motor = spin
     await device.open()
@@ -348,6 +354,7 @@ async def test_a_part_that_is_not_there_is_no_contact(press: Press) -> None:
     assert coil.position_mm == 0.0
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(("lift", "modes"), [("spring", [4]), ("torque", [4]), ("position", [4, 1])])
 async def test_force_off_then_up_then_current_off(tmp_path: Path, lift: str, modes: list[int]) -> None:
     drive, coil = sim_coil()
@@ -368,6 +375,7 @@ async def test_force_off_then_up_then_current_off(tmp_path: Path, lift: str, mod
     await wire.close()
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(("refused", "code"), [(b"\x2b\x71\x60", 0x08000021), (b"\x2f\x60\x60\x00\x01", 0x08000022)])
 async def test_a_drive_that_refuses_to_lift_loses_its_current_and_the_spring_lifts(
     tmp_path: Path, refused: bytes, code: int, caplog: pytest.LogCaptureFixture
@@ -426,6 +434,7 @@ async def test_silence_while_it_had_no_power_has_harmed_nobody(spin: Spin, press
     assert coil.force_n == 5.0
 
 
+@pytest.mark.full
 async def test_a_tool_that_sticks_is_a_fault(press: Press) -> None:
     device, _, coil = press
     device._times = ActuatorTimes(silence_s=1.5, watchdog_s=2.5, retract_s=0.5)
@@ -456,6 +465,7 @@ async def test_an_impossible_status_word_is_a_protocol_error(spin: Spin) -> None
         await device.status()
 
 
+@pytest.mark.full
 async def test_a_jammed_spindle_is_a_fault(spin: Spin) -> None:
     device, drive, motor = spin
     device._times = SpindleTimes(silence_s=1.5, watchdog_s=2.5, spin_s=0.5)
