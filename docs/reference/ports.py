@@ -17,11 +17,18 @@ from polishd.config.cell import PORTS
 from polishd.daemon.port_checks import members
 from polishd.model import devices, times
 from polishd.ports.devices import Device
-from polishd.testing.suites import actuator, device, loader, robot, spindle
+from polishd.testing.suites import actuator, device, force_sensor, loader, monitor, robot, spindle
 
 PAGE = Path(__file__).parents[1] / "drivers.md"
 BEGIN, END = "<!-- Written by `make reference` from the code, down to the end of it. -->", "<!-- The end of it. -->"
-SUITES = {"robot": robot, "actuator": actuator, "spindle": spindle, "loader": loader}
+SUITES = {
+    "robot": robot,
+    "actuator": actuator,
+    "spindle": spindle,
+    "loader": loader,
+    "force_sensor": force_sensor,
+    "monitor": monitor,
+}
 ASPECTS = ("Time", "Errors", "Cancelled")
 COLUMNS = "| member | what it does | time | errors | when the caller is cancelled |\n|---|---|---|---|---|"
 

@@ -219,11 +219,21 @@ class ForceSensor(Device, Protocol):
         ...
 
     async def tare(self) -> None:
-        """What it reads now is 0 from now on; returns when it is. Asked for only while nothing touches the part."""
+        """What it reads now is 0 from now on; returns when it is. Asked for only while nothing touches the part.
+
+        Time: ``times.tare_s``.
+        Errors: DeviceRefused while another tare is under way, or where it cannot be tared; DeviceFault; LinkError.
+        Cancelled: it may be tared or not; the next call tares it anew.
+        """
         ...
 
     def samples(self) -> AsyncIterator[SensedForce]:
-        """Readings at the sensor's rate, for as long as they are iterated; none is given twice."""
+        """Readings at the sensor's rate, for as long as they are iterated; none is given twice.
+
+        Time: several in each ``times.silence_s``, each ``times.delay_s`` old at most.
+        Errors: LinkError as soon as the link is dead or silent. A fault of the sensor is a sample, not an error.
+        Cancelled: nothing is left behind.
+        """
         ...
 
 
@@ -324,5 +334,10 @@ class Monitor(Device, Protocol):
         ...
 
     def signals(self) -> AsyncIterator[Signal]:
-        """All its signals in turn, again and again, for as long as they are iterated."""
+        """All its signals in turn, again and again, for as long as they are iterated.
+
+        Time: all of them within ``times.silence_s``.
+        Errors: LinkError as soon as the link is dead or silent.
+        Cancelled: nothing is left behind.
+        """
         ...
