@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -82,22 +83,29 @@ def test_probe_says_what_is_wrong_in_one_line(tmp_path: Path) -> None:
         good = files.cell.read_text()
         assert polishd("probe", files.cell).returncode == 0
         cases = [
-            (SPINDLE, SPINDLE + "unit = 9\n", r"serial:\S+ unit 9: no answer within 6 s at 9600 8N1; see whether"),
-            (SPINDLE, SPINDLE.replace("delta_ms300", "hitachi_wj200"), r"exception \d, .*; is it another device\?"),
+            (SPINDLE, SPINDLE + "unit = 9\n", r"^serial:\S+ unit 9: no answer within 6 s at 9600 8N1; see whether"),
+            (SPINDLE, SPINDLE.replace("delta_ms300", "hitachi_wj200"), r"exception \d, .*; is it another device\?$"),
             (
                 ACTUATOR,
                 ACTUATOR.replace(str(DRIVE), "voice_coil_serial"),
-                r"no answer to ST\? within 3 s at 9600 8N1; see whether",
+                r"no answer to ST\? within 3 s at 115200 8N1",
             ),
             (ACTUATOR, ACTUATOR.replace("sim/actuator", "sim/none"), r"there is no such port; plug the adapter in"),
         ]
         for old, new, said in cases:
             files.cell.write_text(good.replace(old, new))
-            answer = polishd("probe", files.cell)
-            (line,) = answer.stderr.strip().splitlines()
-            assert answer.returncode == 5
+            (line,) = what_is_wrong(files).values()
             assert re.search(said, line), line
         files.cell.write_text(good)
         with serial.Serial(str(files.sim_dir / "spindle"), exclusive=True):
-            (line,) = polishd("probe", files.cell).stderr.strip().splitlines()
-        assert "another program has the port open; end it (lsof names it)" in line
+            told = what_is_wrong(files)
+        assert told["spindle"].endswith("another program has the port open; end it (lsof names it)")
+
+
+def what_is_wrong(files: DemoFiles) -> dict[str, str]:
+    """What ``probe`` says of each device that does not answer as it should."""
+    answer = polishd("probe", files.cell, "--json")
+    assert answer.returncode == 5
+    errors = {name: facts["error"] for name, facts in json.loads(answer.stdout).items() if "error" in facts}
+    assert not any("\n" in error for error in errors.values())
+    return errors
