@@ -1,4 +1,7 @@
-"""The one import for plugin authors: hooks, records, nouns, ports and errors."""
+"""The one import for plugin authors: hooks, records, nouns, ports, errors, and what drivers are made of."""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from polishd.hookspecs import (
     API_VERSION,
@@ -17,7 +20,16 @@ from polishd.hookspecs import (
 from polishd.model import events
 from polishd.model.beliefs import Belief, Beliefs, Evidence, Lesson
 from polishd.model.concern import Concern, Severity, Standing
-from polishd.model.devices import DeviceStatus, Executed, ForceSample, Identity, RobotProgress, SpeedSample
+from polishd.model.devices import (
+    DeviceStatus,
+    Executed,
+    ForceSample,
+    Identity,
+    RobotProgress,
+    SensedForce,
+    Signal,
+    SpeedSample,
+)
 from polishd.model.dwell import Certificate, DwellSolution
 from polishd.model.errors import (
     BadMap,
@@ -45,16 +57,45 @@ from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Op
 from polishd.model.program import Plan, Program, Segment
 from polishd.model.robot import HybridRobot, MeasuredCompliance, SerialRobot
 from polishd.model.surface import Grid, SurfaceMap, SurfaceStats
-from polishd.model.times import ActuatorTimes, LoaderTimes, RobotTimes, SpindleTimes
-from polishd.ports import ByteStream, Clock, Device, ForceActuator, Loader, Metrology, Robot, Spindle
+from polishd.model.times import (
+    ActuatorTimes,
+    LoaderTimes,
+    MonitorTimes,
+    RobotTimes,
+    SensorTimes,
+    SpindleTimes,
+    Unpowered,
+)
+from polishd.ports import (
+    ByteStream,
+    Clock,
+    Device,
+    ForceActuator,
+    ForceSensor,
+    Loader,
+    Metrology,
+    Monitor,
+    Robot,
+    Spindle,
+)
 from polishd.process.convolution import ConvolutionEffect
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.effect import Effect, SparseEffect
 from polishd.secret import SecretPlace, hide, read_secret
 
+if TYPE_CHECKING:
+    from polishd.drivers.transport.address import Address, SerialLine, Tcp, parse_address
+    from polishd.drivers.transport.background import Background
+    from polishd.drivers.transport.numbered import NumberedLines
+    from polishd.drivers.transport.plain import PlainLines
+    from polishd.drivers.transport.requests import RequestQueue
+    from polishd.drivers.transport.streams import LineReader, open_stream
+
 __all__ = [
     "API_VERSION",
     "ActuatorTimes",
+    "Address",
+    "Background",
     "BadMap",
     "Belief",
     "Beliefs",
@@ -85,20 +126,26 @@ __all__ = [
     "Executed",
     "ForceActuator",
     "ForceSample",
+    "ForceSensor",
     "Grid",
     "HybridRobot",
     "Identity",
     "Lesson",
+    "LineReader",
     "LinkError",
     "Loader",
     "LoaderTimes",
     "MeasuredCompliance",
     "MeasuredTif",
     "Metrology",
+    "Monitor",
+    "MonitorTimes",
     "Notification",
     "NotifierType",
+    "NumberedLines",
     "Optic",
     "Placement",
+    "PlainLines",
     "Plan",
     "PlanRefused",
     "PluginError",
@@ -110,14 +157,19 @@ __all__ = [
     "RemovalAnswer",
     "RemovalModel",
     "RemovalRequest",
+    "RequestQueue",
     "Robot",
     "RobotProgress",
     "RobotTimes",
     "SafetyStop",
     "SecretPlace",
     "Segment",
+    "SensedForce",
+    "SensorTimes",
+    "SerialLine",
     "SerialRobot",
     "Severity",
+    "Signal",
     "SparseEffect",
     "SpeedSample",
     "Spindle",
@@ -128,11 +180,33 @@ __all__ = [
     "SurfaceMap",
     "SurfaceReader",
     "SurfaceStats",
+    "Tcp",
     "ToolProcess",
+    "Unpowered",
     "WrongPart",
     "events",
     "hide",
     "hookimpl",
     "learn_rate",
+    "open_stream",
+    "parse_address",
     "read_secret",
 ]
+
+_TRANSPORT = {
+    "address": ("Address", "SerialLine", "Tcp", "parse_address"),
+    "background": ("Background",),
+    "numbered": ("NumberedLines",),
+    "plain": ("PlainLines",),
+    "requests": ("RequestQueue",),
+    "streams": ("LineReader", "open_stream"),
+}
+
+if not TYPE_CHECKING:  # or every misspelt name of this module would be Any
+
+    def __getattr__(name: str) -> Any:
+        """What drivers are made of is imported when it is first asked for: commands without devices need no asyncio."""
+        for module, names in _TRANSPORT.items():
+            if name in names:
+                return getattr(import_module(f"polishd.drivers.transport.{module}"), name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

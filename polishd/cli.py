@@ -109,6 +109,24 @@ def probe(
 
 
 @app.command()
+def hil(
+    *,
+    cell: Cell,
+    level: Annotated[
+        Literal["identify", "no-contact", "contact", "cycle"], Option(help="How far: what moves is said before.")
+    ] = "identify",
+    max_force: Annotated[float | None, Option(metavar="N", help="Nothing is pressed harder.")] = None,
+    simulate: Annotated[str, Option(metavar="NAME,...", help="Devices that are simulated instead.")] = "",
+    motion: Annotated[Path | None, Option(metavar="PROGRAM", help="Blocks that the robot may run in the air.")] = None,
+    yes: Annotated[bool, Option("--yes", help="Do not ask before anything moves.")] = False,
+) -> None:
+    """Hold a real cell's devices to what their ports demand. Needs polishd[testing]."""
+    from polishd.console.hil import hil_verb
+
+    hil_verb(cell, level, max_force, simulate, motion, yes=yes)
+
+
+@app.command()
 def notify(cell: Cell, as_json: Json = False) -> None:
     """Send a test through each notifier of a cell, and say how it went. Opens no device."""
     from polishd.console.notify import notify_verb

@@ -53,7 +53,9 @@ class DeviceType:
 
     name: str
     port: str
-    """A section for devices: ``robot``, ``actuator``, ``spindle``, ``metrology`` or ``loader``."""
+    """A section for devices: ``robot``, ``actuator``, ``spindle``, ``metrology``, ``loader``, ``force_sensor`` or
+    ``monitor``.
+    """
     options: type[Any]
     """A pydantic model: the keys of the device's config section besides ``type``."""
     build: Callable[[Any, DeviceContext], Device]

@@ -15,7 +15,10 @@ from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel
 
+from docs.reference import ports
 from polishd.config.cell import CellConfig
+from polishd.config.controller_profile import ControllerProfile
+from polishd.config.device_profile import DeviceProfile
 from polishd.config.places import plain_kind, section_of, variants
 from polishd.config.profile_sections import ProfileFile
 from polishd.config.sections import DeviceSection
@@ -45,15 +48,28 @@ TYPES = {
 PLURAL = {"number": "s", "integer": "s", "string": "s"}
 COLUMNS = "| key | type | unit | default | range | meaning |\n|---|---|---|---|---|---|"
 HEAD = "<!-- Written by `make reference` from the models; a test fails where it is not what they give. -->"
-TITLES = {"cell": "A cell", "study": "A study", "profile": "An instrument's profile", "simulator": "The simulator"}
+TITLES = {
+    "cell": "A cell",
+    "study": "A study",
+    "profile": "An instrument's profile",
+    "device": "A device's profile",
+    "controller": "A robot controller's profile",
+    "simulator": "The simulator",
+}
 INTRODUCTIONS = {
     "cell": """A cell's file, as [examples/cell.toml](../../examples/cell.toml) shows it with comments. Relative paths
-start from its folder. The options of `[robot]`, `[actuator]`, `[spindle]`, `[metrology]`, `[loader]` and
-`[notify.NAME]` are those of their `type`; these are polishd's own, and other plugins bring others.""",
+start from its folder. The options of `[robot]`, `[actuator]`, `[spindle]`, `[metrology]`, `[loader]`,
+`[force_sensor]`, `[monitor]` and `[notify.NAME]` are those of their `type`; these are polishd's own, and other plugins
+bring others.""",
     "study": """A study's file; what studies compute: [studies.md](../studies.md). `kind` says which keys it has.
 `[part]`, `[kinematics]`, `[compliance]` and `[process]` are those of [a cell](cell.md), with their defaults.""",
     "profile": """An instrument's profile, as [examples/instrument.toml](../../examples/instrument.toml) shows it with
 comments; how it is proved: [instruments.md](../instruments.md).""",
+    "device": """A profile of a drive or a sensor; how one is made and tried: [devices.md](../devices.md). It has one
+of `[actuator]`, `[spindle]`, `[force_sensor]`, and one of `[modbus]`, `[lines]`.""",
+    "controller": """The profile of a robot controller that loads files (`[robot] type = "handover"`), as
+[the shipped ones](../../polishd/config/controller_profiles) show it; what each variable is for:
+[handover.md](../protocols/handover.md).""",
     "simulator": """The simulated cell, as [examples/sim.toml](../../examples/sim.toml) shows it with comments. Every
 key may be left out.""",
 }
@@ -126,7 +142,7 @@ def tables(model: type[BaseModel], above: str = "") -> Iterator[Table]:
     for name in model.model_fields:
         for header, inner in _tables(model, name):
             yield header.format(above + name), inner
-            yield from tables(inner, f"{above}{name}.")
+            yield from tables(inner, f"{above}{name}{'.NAME' if '.NAME' in header else ''}.")
 
 
 def _tables(model: type[BaseModel], name: str) -> list[Table]:
@@ -163,8 +179,18 @@ def files() -> dict[str, list[Table]]:
         "cell": of_cell,
         "study": [*kinds.items(), *(table for table in below if table not in of_cell)],
         "profile": [("", ProfileFile), *tables(ProfileFile)],
+        "device": [("", DeviceProfile), *tables(DeviceProfile)],
         "simulator": list(tables(SimConfig)),
+        "controller": _each_once([("", ControllerProfile), *tables(ControllerProfile)]),
     }
+
+
+def _each_once(found: list[Table]) -> list[Table]:
+    """Of tables alike, one, with the headers of all."""
+    headers: dict[type[BaseModel], list[str]] = {}
+    for header, model in found:
+        headers.setdefault(model, []).append(header)
+    return [(" ".join(all_), model) for model, all_ in headers.items()]
 
 
 def pages() -> dict[str, str]:
@@ -183,7 +209,8 @@ def _page(name: str, content: list[Table]) -> str:
 
 def _plain(schema: dict[str, Any]) -> dict[str, Any]:
     """Of a key that may be left out, what it is where it is given."""
-    return next((kind for kind in schema.get("anyOf", ()) if kind.get("type") != "null"), schema)
+    kinds = [kind for kind in schema.get("anyOf", ()) if kind.get("type") != "null"]
+    return kinds[0] if len(kinds) == 1 else schema
 
 
 def _inner(schema: dict[str, Any]) -> dict[str, Any]:
@@ -199,12 +226,14 @@ def _counts(schema: dict[str, Any]) -> tuple[int, int]:
 
 
 def _type(schema: dict[str, Any]) -> str:
+    if kinds := schema.get("anyOf"):
+        return " or ".join(dict.fromkeys(_type(kind) for kind in kinds if kind.get("type") != "null"))
     if schema.get("type") == "array":
         least, most = _counts(schema)
         count = f"{most} " if least == most != 0 else ""
-        return (
-            f"list of {count}{_type(_inner(schema)).replace('list', 'lists')}{PLURAL.get(_inner(schema)['type'], '')}"
-        )
+        inner = _inner(schema)
+        plural = PLURAL.get(inner.get("type", ""), "")
+        return f"list of {count}{_type(inner).replace('list', 'lists')}{plural}"
     return TYPES[schema.get("format", schema["type"])]
 
 
@@ -227,3 +256,4 @@ def _toml(value: Any) -> str:
 if __name__ == "__main__":
     for name, text in pages().items():
         (FOLDER / name).write_text(text)
+    ports.PAGE.write_text(ports.laid_into(ports.PAGE.read_text()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,6 +18,7 @@ from polishd.config.sections import (
     CellSection,
     DeviceSection,
     DwellSection,
+    ForceSensorSection,
     InstrumentSection,
     JobSection,
     LimitsSection,
@@ -27,6 +28,7 @@ from polishd.config.sections import (
     Port,
     ProgramSection,
 )
+from polishd.config.signals import SignalSection
 from polishd.config.tables import read_tif
 from polishd.config.tolerance import ToleranceSection
 from polishd.config.values import Name, Texts, as_tuple
@@ -34,7 +36,7 @@ from polishd.hookspecs import DeviceType, NotifierType
 from polishd.model.errors import ConfigError
 from polishd.model.limits import Envelope
 from polishd.model.process import MeasuredTif
-from polishd.ports.devices import ForceActuator, Loader, Metrology, Robot, Spindle
+from polishd.ports.devices import ForceActuator, ForceSensor, Loader, Metrology, Monitor, Robot, Spindle
 
 
 class CellConfig(PartDocument):
@@ -48,8 +50,11 @@ class CellConfig(PartDocument):
     actuator: Annotated[DeviceSection, Port(ForceActuator)]
     robot: Annotated[DeviceSection, Port(Robot)]
     spindle: Annotated[DeviceSection, Port(Spindle)]
-    metrology: Annotated[DeviceSection, Port(Metrology, acts=False)]
+    metrology: Annotated[DeviceSection, Port(Metrology, acts=False, of_part=True)]
     loader: Annotated[DeviceSection | None, Port(Loader)] = None
+    force_sensor: Annotated[ForceSensorSection | None, Port(ForceSensor, acts=False)] = None
+    monitor: Annotated[DeviceSection | None, Port(Monitor, acts=False, chosen=False)] = None
+    signals: Mapping[Name, SignalSection] = {}
     roles: Mapping[str, Name] = {}
     """Which of several devices at a port the job uses: ``robot = "left"``."""
     instrument: InstrumentSection = InstrumentSection()
@@ -104,8 +109,8 @@ class CellConfig(PartDocument):
         """The name of the device that the job uses, by port."""
         return {
             port: f"{port}.{self.roles[port]}" if port in self.roles else port
-            for port in PORTS
-            if port in self.roles or port in self.devices
+            for port, mark in PORTS.items()
+            if mark.chosen and (port in self.roles or port in self.devices)
         }
 
     def effective(self) -> dict[str, Any]:
@@ -170,7 +175,7 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> CellC
 
 def consistent(config: CellConfig) -> CellConfig:
     """The same; ConfigError, as of ``load_config``, where values that are right alone do not go together."""
-    wrong = (*_wrong_devices(config), *_wrong_tolerance(config))
+    wrong = (*_wrong_devices(config), *_wrong_signals(config), *_wrong_tolerance(config))
     if found := [str(config.error(key, problem)) for key, problem in wrong]:
         raise ConfigError("\n".join(found))
     return config
@@ -198,13 +203,14 @@ def _wrong_tolerance(config: CellConfig) -> Iterator[tuple[str, str]]:
 def _wrong_devices(config: CellConfig) -> Iterator[tuple[str, str]]:
     """(key, what is wrong) of tables of several devices, and of the roles that choose among them."""
     several = {port: given for port in PORTS if (given := getattr(config, port)) is not None and given.type is None}
+    chosen = [port for port, mark in PORTS.items() if mark.chosen]
     for port, section in several.items():
         yield from _wrong_table(port, section)
-        if port not in config.roles:
+        if port in chosen and port not in config.roles:
             yield f"roles.{port}", f"is missing: there are {listed(section.tables)}; say which one the job uses"
     for port, name in config.roles.items():
-        if port not in PORTS:
-            yield f"roles.{port}", f"unknown key{did_you_mean(port, PORTS)} Known here: {listed(PORTS)}"
+        if port not in chosen:
+            yield f"roles.{port}", f"unknown key{did_you_mean(port, chosen)} Known here: {listed(chosen)}"
         elif port not in several:
             yield f"roles.{port}", f"there is one {port}, without a name; remove the line, or name it: [{port}.{name}]"
         elif name not in several[port].tables:
@@ -212,8 +218,26 @@ def _wrong_devices(config: CellConfig) -> Iterator[tuple[str, str]]:
             yield f"roles.{port}", f"there is no {name!r}{did_you_mean(name, known)} There are: {listed(known)}"
 
 
+def _wrong_signals(config: CellConfig) -> Iterator[tuple[str, str]]:
+    """The same of signals: each is told by one of the monitors."""
+    named = {} if config.monitor is None else config.monitor.tables
+    for name, signal in config.signals.items():
+        key = f"signals.{name}"
+        if config.monitor is None:
+            yield key, "nobody tells it: the cell has no [monitor]; add one, or remove the section"
+        elif signal.monitor is None and named:
+            yield f"{key}.monitor", f"is missing: there are {listed(named)}; say which one tells it"
+        elif signal.monitor is not None and not named:
+            todo = f"remove the line, or name it: [monitor.{signal.monitor}]"
+            yield f"{key}.monitor", f"there is one monitor, without a name; {todo}"
+        elif signal.monitor is not None and signal.monitor not in named:
+            known = f"{did_you_mean(signal.monitor, named)} There are: {listed(named)}"
+            yield f"{key}.monitor", f"there is no {signal.monitor!r}{known}"
+
+
 def _wrong_table(port: str, section: DeviceSection) -> Iterator[tuple[str, str]]:
-    for name, keys in (section.model_extra or {}).items():
+    for name in {**dict.fromkeys(section.model_fields_set - {"type"}), **(section.model_extra or {})}:
+        keys = section.tables.get(name, {})
         if name not in section.tables:
             yield f"{port}.{name}", f"is no device; write it into one of {listed(section.tables)}"
         elif not re.fullmatch(r"[\w-]+", name, re.ASCII):
@@ -235,7 +259,8 @@ def device_options(config: CellConfig, device: str, device_types: Mapping[str, D
         )
     if kind.port != port:
         raise config.error(f"{device}.type", f"{named!r} is a kind of {kind.port}; use one of {listed(fitting)}")
-    return kind, _judged(config, tuple(device.split(".")), kind.options, dict(raw.model_extra or {}))
+    given, of_port = dict(raw.model_extra or {}), set(type(raw).model_fields) - {"type"}
+    return kind, _judged(config, tuple(device.split(".")), kind.options, given, of_port)
 
 
 def notifier_options(config: CellConfig, name: str, types: Mapping[str, NotifierType]) -> tuple[NotifierType, Any]:
@@ -251,9 +276,15 @@ def notifier_options(config: CellConfig, name: str, types: Mapping[str, Notifier
     return kind, _judged(config, ("notify", name), kind.options, dict(section.model_extra or {}))
 
 
-def _judged(config: CellConfig, section: Location, options: type[BaseModel], given: Mapping[str, Any]) -> Any:
-    """A plugin's options; ConfigError with a line for each fault."""
-    found = _unknown_options(config, section, options, given)
+def _judged(
+    config: CellConfig,
+    section: Location,
+    options: type[BaseModel],
+    given: Mapping[str, Any],
+    also: Collection[str] = (),
+) -> Any:
+    """A plugin's options; ConfigError with a line for each fault. The section may have other keys ``also``."""
+    found = _unknown_options(config, section, options, given, also)
     try:
         value = options.model_validate(given)
     except ValidationError as error:
@@ -265,12 +296,12 @@ def _judged(config: CellConfig, section: Location, options: type[BaseModel], giv
 
 
 def _unknown_options(
-    config: CellConfig, section: Location, options: type[BaseModel], given: Mapping[str, Any]
+    config: CellConfig, section: Location, options: type[BaseModel], given: Mapping[str, Any], also: Collection[str]
 ) -> list[str]:
     """Unknown keys are errors also where the plugin's model would let them pass."""
     if options.model_config.get("extra") == "allow":
         return []
-    known = {field.alias or name for name, field in options.model_fields.items()}
+    known = {field.alias or name for name, field in options.model_fields.items()} | set(also)
     return [
         config.source.error((*section, key), f"unknown key{did_you_mean(key, known)} Known here: {listed(known)}")
         for key in given

@@ -51,6 +51,10 @@ class Port:
     protocol: type
     acts: bool = True
     """They press, move or turn: they are made safe. Else they only look."""
+    of_part: bool = False
+    """They are built for one part: anew for each job."""
+    chosen: bool = True
+    """A job uses one of them; else all that there are."""
 
 
 class DeviceSection(Section):
@@ -78,7 +82,19 @@ class DeviceSection(Section):
         """By name: its dotted section."""
         if self.type is not None:
             return {port: self}
-        return {f"{port}.{name}": DeviceSection.model_validate(keys) for name, keys in self.tables.items()}
+        return {f"{port}.{name}": type(self).model_validate(keys) for name, keys in self.tables.items()}
+
+
+class ForceSensorSection(DeviceSection):
+    """A force sensor that is independent of the actuator: both must tell the same force (docs/monitors.md).
+
+    `type` says which other keys there are.
+    """
+
+    band_n: Positive = 1.0
+    """How far its word and the actuator's may be apart; farther for `grace_s` is a safety stop."""
+    grace_s: Annotated[float, Field(ge=0, le=10)] = 0.5
+    """How long they may be apart: filters differ, and a landing is steep."""
 
 
 class NotifySection(Section):
@@ -276,6 +292,9 @@ class LimitsSection(Section):
     """How long it may be outside."""
     max_removal_nm: Positive = 1000.0
     """Most that one pass may remove at any point; a plan beyond it is refused."""
+    pit_nm: Positive = 10.0
+    """Deepest pit that an operator's feed hold may dig before the force is off, where the robot's controller tells of
+    it in its reports only; a cell whose robot could dig deeper is refused."""
     max_pass_s: Positive = 86400.0
     """Longest process time of one pass. A day by default: a metre's pass takes 17 h, and one with a removal rate
     that is wrong by the unit's factor of 100 takes days."""

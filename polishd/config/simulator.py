@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
 from polishd.config.document import Document, parse_toml
-from polishd.config.values import Bump, NotNegative, Pair, Positive, Section, ShareOrNone, Texts, Vector, as_tuple
+from polishd.config.values import (
+    Bump,
+    Name,
+    NotNegative,
+    Pair,
+    Positive,
+    Section,
+    ShareOrNone,
+    Text,
+    Texts,
+    Vector,
+    as_tuple,
+)  # fmt: skip
 
 Rate = Annotated[float, Field(ge=0, le=1)]
 Port = Annotated[int, Field(ge=0, le=65535)]
@@ -108,6 +121,10 @@ class ActuatorFaults(Faults):
 
     stuck_force_after_s: NotNegative = 0.0
     """Seconds in contact after which the force falls to 60 % and stays there, whatever is asked; 0: never."""
+    drift_after_s: NotNegative = 0.0
+    """Seconds in contact after which what it measures begins to drift, and what truly acts with it; 0: never."""
+    drift_n_s: float = 1.0
+    """How fast, up to 4 N; positive: it reads too much, and presses too little. [N/s]"""
 
 
 class MapFaults(Section):
@@ -143,10 +160,22 @@ class Artefact(Section):
 class Robot(Section):
     """The robot controller."""
 
-    kind: Literal["link", "linuxcnc"] = "link"
-    """``linuxcnc``: a real LinuxCNC, in real time, in a network of its own (docs/protocols/linuxcnc.md)."""
+    kind: Literal["link", "linuxcnc", "universal_robots", "opcua", "ads", "modbus"] = "link"
+    """``linuxcnc``: a real LinuxCNC, in real time, in a network of its own (docs/protocols/linuxcnc.md). ``opcua``,
+    ``ads``, ``modbus``: a PLC that loads files from ``programs`` of the state folder (docs/protocols/handover.md)."""
     port: Port = 28500
-    """TCP port on loopback; 0: any that is free. [1]"""
+    """TCP port on loopback; 0: any that is free. RTDE's, with universal_robots; over ADS, which has one port only,
+    28500 = 111 * 256 + 84 is the address 127.111.84.1. [1]"""
+    dashboard_port: Port = 0
+    """Of universal_robots; 0: `port` + 1. [1]"""
+    primary_port: Port = 0
+    """Of universal_robots: the primary client interface; 0: `port` + 2. [1]"""
+    cycle_hz: Literal[125, 500] = 500
+    """Of universal_robots: how often it controls; 125 is a CB3. [Hz]"""
+    report_ms: Positive = 20.0
+    """Of such a PLC: how often it renews what it tells, wall time."""
+    reads_ahead: Annotated[int, Field(ge=0)] = 0
+    """Of such a PLC: the line that it shows runs so far ahead of the motion. [1]"""
     watchdog_s: Positive = 8.0
     """It stops when it has heard nothing for so long, wall time."""
     window: Annotated[int, Field(ge=1)] = 16384
@@ -173,14 +202,19 @@ class Robot(Section):
 class Actuator(Section):
     """The voice-coil actuator. Its times go with the simulated clock."""
 
-    kind: Literal["modbus_rtu", "modbus_tcp", "serial"] = "modbus_rtu"
-    """What it speaks: the cell's `voice_coil_modbus` on a line or over TCP, or `voice_coil_serial`."""
+    kind: Literal["modbus_rtu", "modbus_tcp", "serial", "slcan", "socketcand", "profile", "profile_tcp"] = "modbus_rtu"
+    """What it speaks: the cell's `voice_coil_modbus` on a line or over TCP, `voice_coil_serial`, `cia402_actuator`,
+    whose bus is reached through a serial adapter or a daemon, or what a device profile says."""
+    profile: Text = "profile.toml"
+    """File of the device profile, for `profile` and `profile_tcp`."""
     port: Port = 0
-    """TCP port on loopback, for modbus_tcp; 0: any that is free. [1]"""
+    """TCP port on loopback, for modbus_tcp, socketcand and profile_tcp; 0: any that is free. [1]"""
     baud: Annotated[int, Field(ge=1200)] = 115200
     """Pace of the serial line. [bit/s]"""
     unit: Annotated[int, Field(ge=1, le=247)] = 1
     """Modbus unit number. [1]"""
+    node: Annotated[int, Field(ge=1, le=127)] = 6
+    """CANopen node number. [1]"""
     land_s: Positive = 2.0
     """From engaging to the part."""
     lift_s: Positive = 4.0
@@ -189,16 +223,22 @@ class Actuator(Section):
     """Share of that in which the tool still rests on the part, ... [1]"""
     rest_n: NotNegative = 0.1
     """... with its own weight."""
+    unpowered: Literal["lifts", "stays"] = "lifts"
+    """What its tool does where its process is killed, which is its power cut."""
     faults: ActuatorFaults = ActuatorFaults()
 
 
 class Spindle(Section):
     """The spindle drive."""
 
-    kind: Literal["slcan", "socketcand"] = "slcan"
-    """How its CAN bus is reached: a serial adapter, or a daemon over TCP."""
+    kind: Literal["slcan", "socketcand", "profile", "profile_tcp"] = "slcan"
+    """How its CAN bus is reached: a serial adapter, or a daemon over TCP; or it speaks what a device profile says."""
+    drive: Literal["spindle_can", "cia402"] = "spindle_can"
+    """What it speaks on CAN: the cell's `spindle_can`, or `cia402_spindle`, whose ramps and watchdog the cell sets."""
+    profile: Text = "profile.toml"
+    """File of the device profile, for `profile` and `profile_tcp`."""
     port: Port = 0
-    """TCP port on loopback, for socketcand; 0: any that is free. [1]"""
+    """TCP port on loopback, for socketcand and profile_tcp; 0: any that is free. [1]"""
     node: Annotated[int, Field(ge=1, le=127)] = 5
     """CANopen node number. [1]"""
     max_rpm: Annotated[int, Field(ge=1)] = 3000
@@ -225,6 +265,80 @@ class Interferometer(Section):
     faults: MapFaults = MapFaults()
 
 
+class Line(Section):
+    """How a small device is reached."""
+
+    kind: Literal["tcp", "serial"] = "tcp"
+    """Its line."""
+    port: Port = 0
+    """TCP port on loopback; 0: any that is free. [1]"""
+    baud: Annotated[int, Field(ge=1200)] = 115200
+    """Pace of the serial line. [bit/s]"""
+
+
+class ForceSensorFaults(Faults):
+    """What a force sensor can do beyond that; times are seconds in contact, 0: never."""
+
+    drift_after_s: NotNegative = 0.0
+    """From then on it drifts."""
+    drift_n_s: float = 1.0
+    """How fast. [N/s]"""
+    freeze_after_s: NotNegative = 0.0
+    """From then on it tells the same force, as new conversions."""
+    halt_after_s: NotNegative = 0.0
+    """From then on it converts no more, and goes on answering."""
+    saturate_n: NotNegative = 0.0
+    """It tells no more than that, and does not say so; 0: it tells all of its range."""
+
+
+class ForceSensor(Line):
+    """A force sensor beside the actuator: it feels what truly acts."""
+
+    offset_n: float = 6.0
+    """What hangs on it."""
+    noise_n: NotNegative = 0.02
+    """Scatter of its conversions."""
+    latency_s: NotNegative = 0.03
+    """Its filter's delay."""
+    range_n: Positive = 60.0
+    """Beyond it a fault bit is set."""
+    faults: ForceSensorFaults = ForceSensorFaults()
+
+
+class SimSignal(Section):
+    """A signal of the simulated monitor."""
+
+    value: float | bool
+    """What it is: a number, or a state. [in its own unit]"""
+    then: float | bool | Literal["?"] | None = None
+    """What it becomes; `"?"`: its transducer breaks. [in its own unit]"""
+    after_s: NotNegative = 0.0
+    """Seconds in contact after which it does; 0: only when the process is sent SIGUSR1."""
+    for_s: NotNegative = 0.0
+    """For how long, wall time; 0: from then on."""
+    noise: NotNegative = 0.0
+    """Scatter of a number. [in its own unit]"""
+
+
+SEVEN: Mapping[str, SimSignal] = {
+    "slurry_flow": SimSignal(value=1.5, noise=0.02),
+    "slurry_temperature": SimSignal(value=21.0, noise=0.05),
+    "bonnet_pressure": SimSignal(value=0.8, noise=0.002),
+    "chuck_vacuum": SimSignal(value=82.0, noise=0.2),
+    "guard_closed": SimSignal(value=True),
+    "emergency_stop_clear": SimSignal(value=True),
+    "cell_empty": SimSignal(value=True),
+}
+"""What a cell's monitor tells that says no more: l/min, degC, bar, kPa below the air's, and states."""
+
+
+class Monitor(Line):
+    """A monitor of the cell's signals, with the seven of examples/monitored_cell.toml and those that are named here."""
+
+    signals: Mapping[Name, SimSignal] = {}
+    faults: Faults = Faults()
+
+
 class LoaderFaults(Faults):
     """What a loader can do beyond that, by the part that it is asked for; dropping and jamming once each."""
 
@@ -238,15 +352,9 @@ class LoaderFaults(Faults):
     """Parts over which it jams."""
 
 
-class Loader(Section):
+class Loader(Line):
     """The part loader. Its times go with the simulated clock."""
 
-    kind: Literal["tcp", "serial"] = "tcp"
-    """Its line."""
-    port: Port = 0
-    """TCP port on loopback; 0: any that is free. [1]"""
-    baud: Annotated[int, Field(ge=1200)] = 115200
-    """Pace of the serial line. [bit/s]"""
     parts: Texts = ()
     """What it has in store; left out: whatever it is asked for."""
     load_s: Positive = 30.0
@@ -268,6 +376,8 @@ class SimConfig(Document):
     spindle: Spindle = Spindle()
     interferometer: Interferometer = Interferometer()
     loader: Loader | None = None
+    force_sensor: ForceSensor | None = None
+    monitor: Monitor | None = None
 
 
 def load_simulator(path: Path) -> SimConfig:

@@ -57,8 +57,8 @@ class _Line:
                 self._update(AFTER[name].format(cycle=cycle), total=None, note="")
             case "state":
                 self._state(data)
-            case "failed" | "found" | "notification_failed":
-                who = data.get("kind") or data["notifier"]
+            case "failed" | "found" | "notification_failed" | "signal_wrong":
+                who = data.get("kind") or data.get("notifier") or data["signal"]
                 self._print(f"{who}: {data.get('error') or data['what']}", style="red")
             case _:
                 self._show_queue(name, data)

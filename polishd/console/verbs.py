@@ -82,7 +82,11 @@ def probe_verb(cell: Path, only: Sequence[str] = (), *, as_json: bool) -> None:
     devices: dict[str, dict[str, Any]] = {name: asdict(identity) for name, identity in found.identities.items()}
     for name, problem in found.problems.items():
         devices.setdefault(name, {})["error"] = problem
-    emit(devices, as_json=as_json, table=lambda: _probed_tables(config.cell.name, devices, all_=not only))
+    answer = {**devices, **({"signals": dict(found.signals)} if found.signals else {})}
+    tables = _probed_tables(config.cell.name, devices, all_=not only)
+    if found.signals:
+        tables.append(key_table("signals", list(found.signals.items())))
+    emit(answer, as_json=as_json, table=lambda: Group(*tables))
     if found.problems:
         names = ", ".join(found.problems)
         raise DeviceFault(
@@ -90,16 +94,14 @@ def probe_verb(cell: Path, only: Sequence[str] = (), *, as_json: bool) -> None:
         )
 
 
-def _probed_tables(cell: str, devices: Mapping[str, Mapping[str, Any]], *, all_: bool) -> Group:
+def _probed_tables(cell: str, devices: Mapping[str, Mapping[str, Any]], *, all_: bool) -> list[Table]:
     """Who answered, and what is wrong with the others."""
     columns = ("device", "vendor", "model", "serial", "firmware")
     answered = [(name, *(facts[key] for key in columns[1:])) for name, facts in devices.items() if "model" in facts]
     wrong = [(name, facts["error"]) for name, facts in devices.items() if "error" in facts]
     safe = "all safe" if all_ and not wrong else "not made safe" if not all_ else "these answered"
     tables = [record_table(f"{cell}: {safe}", columns, answered)] if answered else []
-    return Group(
-        *tables, *([record_table(f"{cell}: not as they should", ("device", "what is wrong"), wrong)] if wrong else [])
-    )
+    return tables + ([record_table(f"{cell}: not as they should", ("device", "what is wrong"), wrong)] if wrong else [])
 
 
 def status_verb(cell: Path, *, as_json: bool) -> None:
@@ -114,10 +116,14 @@ def status_verb(cell: Path, *, as_json: bool) -> None:
         else:
             _tell_last(last, config.cell.name, cell)
         raise typer.Exit(absent.exit_code) from None
-    words = {key: value for key, value in answer.items() if key not in {"ok", "cycles", "devices", "health"}}
+    words = {key: value for key, value in answer.items() if key not in {"ok", "cycles", "devices", "signals", "health"}}
     rows = [(key, for_cell(str(value), cell)) for key, value in words.items() if value]
     rows += [(name, _device(facts)) for name, facts in answer.get("devices", {}).items()]
     rows += [(f"measurement {i}", _measured(cycle)) for i, cycle in enumerate(answer.get("cycles", []))]
+    rows += [
+        (name, f"{facts['text']}{': ' * bool(facts['wrong'])}{facts['wrong']}")
+        for name, facts in answer.get("signals", {}).items()
+    ]
     rows += [(name, _figure(facts)) for name, facts in answer.get("health", {}).items()]
     emit(answer, as_json=as_json, table=lambda: key_table(config.cell.name, rows))
 

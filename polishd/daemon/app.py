@@ -33,6 +33,7 @@ from polishd.daemon.queue import Queue
 from polishd.daemon.queue_app import run_queue
 from polishd.daemon.same_job import require_same, terms_of
 from polishd.daemon.service import serving
+from polishd.daemon.standing import require_shallow
 from polishd.daemon.states import State
 from polishd.daemon.supervisor import Supervisor
 from polishd.hooks.loader import Hooks
@@ -149,6 +150,8 @@ def _made_ready(run: CellRun, context: Context, kept: ExitStack) -> _Ready:
     work = None if run.queue else _own_work(config, hooks)
     cell = build_cell(config, hooks)
     require_time_limits(config, cell)
+    if work:
+        require_shallow(config, cell, work[0])
     notifiers = build_notifiers(config, hooks)
     kept.enter_context(locked(config.state_dir))
     try:

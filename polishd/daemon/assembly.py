@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 from polishd.config.cell import PORTS, CellConfig, device_options, notifier_options, port_of
+from polishd.config.sections import ForceSensorSection
 from polishd.daemon.cell import Cell, MonotonicClock
 from polishd.daemon.courier import Notifier
 from polishd.daemon.port_checks import lacking
 from polishd.daemon.safety import ContactLimits
-from polishd.daemon.time_limits import Limit, too_short
+from polishd.daemon.signals import Signals
+from polishd.daemon.time_limits import Limit, stays_on, too_short
 from polishd.hooks.loader import Hooks
 from polishd.hookspecs import DeviceContext
 from polishd.model.concern import Severity
 from polishd.model.errors import ConfigError, PluginError, PolishdError
-from polishd.ports.devices import Device
+from polishd.ports.devices import Device, ForceActuator, Monitor
 from polishd.recipe.making import instrument_of
 
 
@@ -31,16 +34,22 @@ def build_cell(config: CellConfig, hooks: Hooks) -> Cell:
     """
     context = _context(config, hooks)
     devices = {name: _built(config, hooks, name, context) for name in config.devices}
-    return Cell(devices, config.used, MonotonicClock())
+    return Cell(devices, config.used, MonotonicClock(), signals=_signals(config, devices))
+
+
+def _signals(config: CellConfig, devices: Mapping[str, Device]) -> Signals:
+    monitors = {name: cast(Monitor, device) for name, device in devices.items() if port_of(name) == "monitor"}
+    limits = [section.limits(name) for name, section in config.signals.items()]
+    return Signals(limits, {name: device.times.silence_s for name, device in monitors.items()})
 
 
 async def look_for_part(cell: Cell, config: CellConfig, hooks: Hooks) -> None:
-    """Devices that only look are built anew, for the part and the instrument of that config's job.
+    """Devices that look at a part are built anew, for the part and the instrument of that config's job.
 
     Opened where the cell is open. Errors as of ``build_cell``, and DeviceError where one does not answer.
     """
     context = await asyncio.to_thread(_context, config, hooks)
-    for name in [name for name in cell.devices if not PORTS[port_of(name)].acts]:
+    for name in [name for name in cell.devices if PORTS[port_of(name)].of_part]:
         await cell.exchange(name, _built(config, hooks, name, context))
 
 
@@ -106,8 +115,17 @@ def _broken(config: CellConfig, section: str, who: str, what: str) -> PluginErro
 
 def require_time_limits(config: CellConfig, cell: Cell) -> tuple[Limit, ...]:
     """The job's chain of time limits; ConfigError with each one that is shorter than what it guards."""
-    chain = tuple(replace(limit, key=_of_role(cell, limit.key)) for limit in cell.limits.chain(config.job.lookahead_s))
-    if found := [str(config.error(key, problem)) for key, problem in too_short(chain)]:
+    graces: dict[str, float] = {}
+    if cell.force_sensor is not None:
+        contact = contact_limits(config)
+        graces = {"apart_s": contact.apart_s, "force_s": contact.grace_s}
+    limits = cell.limits.chain(config.job.lookahead_s, **graces)
+    chain = tuple(replace(limit, key=_of_role(cell, limit.key)) for limit in limits)
+    tools = {name: cast(ForceActuator, cell.devices[name]).times for name in cell.at("actuator")}
+    unpowered = [
+        (f"{name}.unpowered", why) for name, tool in tools.items() if (why := stays_on(tool, cell.robot.times))
+    ]
+    if found := [str(config.error(key, problem)) for key, problem in (*too_short(chain), *unpowered)]:
         raise ConfigError("\n".join(found))
     return chain
 
@@ -120,9 +138,13 @@ def _of_role(cell: Cell, key: str) -> str:
 
 def contact_limits(config: CellConfig) -> ContactLimits:
     """What is watched in contact."""
+    sensor = config.devices.get(config.used.get("force_sensor", ""))
+    apart = (sensor.band_n, sensor.grace_s) if isinstance(sensor, ForceSensorSection) else (math.inf, 0.0)
     return ContactLimits(
         force_n=config.process.force_n,
         rpm=config.process.rpm,
         force_band=config.limits.force_band,
         grace_s=config.limits.force_grace_s,
+        apart_n=apart[0],
+        apart_s=apart[1],
     )

@@ -11,11 +11,12 @@ from dataclasses import dataclass, field
 from typing import NoReturn, cast
 
 from polishd.config.cell import PORTS, port_of
+from polishd.daemon.signals import Signals
 from polishd.daemon.time_limits import TimeLimits, released_within_s
 from polishd.model.devices import Identity
 from polishd.model.errors import DeviceBusy, LinkError
 from polishd.ports.clock import Clock
-from polishd.ports.devices import Device, ForceActuator, Metrology, Robot, Spindle
+from polishd.ports.devices import Device, ForceActuator, ForceSensor, Metrology, Robot, Spindle
 
 log = logging.getLogger(__name__)
 
@@ -57,6 +58,10 @@ class Cell:
     """Devices that did not confirm being safe when last asked: ``name: why``."""
     heard_s: dict[str, float] = field(default_factory=dict)
     """When each device last answered, by ``time.monotonic``."""
+    signals: Signals = field(default_factory=Signals)
+    """What its monitors tell."""
+    tared: set[str] = field(default_factory=set)
+    """Force sensors whose zero is known: what hangs on them has not been changed since."""
     pressing: bool = False
     """The tool is on the part, on its way to it, or not yet known to be off again."""
     emergency: bool = False
@@ -78,6 +83,11 @@ class Cell:
         return cast(Spindle, self.devices[self.used["spindle"]])
 
     @property
+    def force_sensor(self) -> ForceSensor | None:
+        """The job's, where it has one."""
+        return cast(ForceSensor, self.devices[self.used["force_sensor"]]) if "force_sensor" in self.used else None
+
+    @property
     def metrology(self) -> Metrology:
         """The job's."""
         return cast(Metrology, self.devices[self.used["metrology"]])
@@ -85,6 +95,10 @@ class Cell:
     def at(self, port: str) -> list[str]:
         """Names of all devices at a port."""
         return [name for name in self.devices if port_of(name) == port]
+
+    def uses(self, name: str) -> bool:
+        """Whether the job uses that device."""
+        return name in self.used.values() or not PORTS[port_of(name)].chosen
 
     @property
     def acting(self) -> list[str]:
@@ -94,7 +108,10 @@ class Cell:
     @property
     def limits(self) -> TimeLimits:
         """How long things may take in contact, as the job's devices state it."""
-        return TimeLimits(self.actuator.times, self.robot.times, self.spindle.times)
+        sensor = self.force_sensor
+        return TimeLimits(
+            self.actuator.times, self.robot.times, self.spindle.times, None if sensor is None else sensor.times
+        )
 
     def hears(self, name: str) -> None:
         """That device has answered."""
@@ -160,9 +177,11 @@ class Cell:
                     await device.close()
                     await device.open()
                     await device.make_safe()
+                self.tared.discard(name)
 
     async def listen(self) -> NoReturn:
         """Ask each device for its state now and then, for as long as nobody else does; one that is silent is logged."""
+        self.tared.clear()  # a person has the word, and may change the tool
         while True:
             await self.clock.sleep(LISTEN_S)
             for name, device in self.devices.items():

@@ -6,23 +6,26 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from polishd.config.cell import CellConfig
+from polishd.config.cell import CellConfig, port_of
 from polishd.config.job_file import JobFile
-from polishd.daemon.assembly import build_cell, build_notifiers, require_time_limits
+from polishd.daemon.assembly import build_cell, build_notifiers, contact_limits, require_time_limits
 from polishd.daemon.cell import Cell
 from polishd.daemon.desk import new_job
 from polishd.daemon.lock import locked
 from polishd.daemon.priority import host
 from polishd.daemon.queue import NewJob
-from polishd.daemon.safety import make_safe
+from polishd.daemon.safety import ContactLimits, make_safe
+from polishd.daemon.signal_watch import tell_once
+from polishd.daemon.standing import blur, require_shallow
 from polishd.hooks.cell import hooks_of_job
 from polishd.hooks.loader import Hooks
 from polishd.model.devices import Identity
 from polishd.model.errors import ConfigError, PolishdError
+from polishd.ports.devices import ForceActuator
 from polishd.recipe import foresight, steps, touch_off
 from polishd.recipe.making import make_recipe, why_not_commissioned
 from polishd.recipe.program_fit import require_fit
@@ -34,6 +37,7 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
     recipe = make_recipe(config, hooks)
     cell = build_cell(config, hooks)
     chain = require_time_limits(config, cell)
+    pit = require_shallow(config, cell, recipe)
     notifiers = build_notifiers(config, hooks)
     program = steps.read_program(recipe, config.program_path)
     foresight.check_pass(config, recipe, program)
@@ -60,7 +64,14 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
         "tolerance": foresight.tolerance_words(recipe, answer),
         "correction": recipe.correction,
         "removal of the program as it is": f"{np.max(answer.effect.removal_nm(program.time_s)):.1f} nm at most",
+        "force": _force(cell, contact_limits(config)),
+        "without power": ", ".join(
+            f"{name} {cast(ForceActuator, cell.devices[name]).times.unpowered}" for name in cell.at("actuator")
+        ),
+        "signals": "; ".join(str(one) for one in cell.signals.limits) or "none is watched",
         "notifications": ", ".join(f"{one.name} ({one.type}, {one.least})" for one in notifiers) or "nobody",
+        **({"feed hold at the controller": pit} if pit else {}),
+        **({"end of a block known to": blurred} if (blurred := blur(cell, recipe)) else {}),
         "host": host(),
         "time limits": [limit.row() for limit in chain],
     }
@@ -91,8 +102,7 @@ def judged_jobs(cell: CellConfig, hooks: Hooks, paths: Sequence[Path]) -> list[N
 
 
 def _devices(cell: Cell) -> str:
-    used = cell.used.values()
-    return ", ".join(name if name in used else f"{name} (not used by this job)" for name in cell.devices)
+    return ", ".join(name if cell.uses(name) else f"{name} (not used by this job)" for name in cell.devices)
 
 
 def _seat(recipe: Recipe, hooks: Hooks) -> str:
@@ -105,6 +115,14 @@ def _seat(recipe: Recipe, hooks: Hooks) -> str:
     return f"proved with {asked.force_n:g} N at {places}: at most {asked.most_off_mm:g} mm off"
 
 
+def _force(cell: Cell, limits: ContactLimits) -> str:
+    """Who tells it."""
+    sensor = cell.used.get("force_sensor")
+    if sensor is None:
+        return "by the actuator's word alone: the cell has no [force_sensor]"
+    return f"the actuator's word and {sensor}'s: at most {limits.apart_n:g} N apart for more than {limits.apart_s:g} s"
+
+
 def _instrument(config: CellConfig, recipe: Recipe) -> str:
     instrument = recipe.instrument
     if instrument is None or instrument.commissioned is None:
@@ -115,10 +133,11 @@ def _instrument(config: CellConfig, recipe: Recipe) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Probed:
-    """Who answered, and what is wrong with the others, by the devices' names."""
+    """Who answered, what is wrong with the others, by the devices' names, and each watched signal as it was told."""
 
     identities: Mapping[str, Identity]
     problems: Mapping[str, str]
+    signals: Mapping[str, str]
 
 
 async def probe_cell(config: CellConfig, hooks: Hooks, only: Sequence[str] = ()) -> Probed:
@@ -136,6 +155,8 @@ async def probe_cell(config: CellConfig, hooks: Hooks, only: Sequence[str] = ())
             for name in only or cell.devices:
                 try:
                     found[name] = await cell.open_one(name)
+                    if port_of(name) == "monitor":
+                        await tell_once(cell, name)
                 except Exception as error:  # noqa: BLE001 - a plugin may raise anything: the others are asked all the same
                     problems[name] = str(error) or type(error).__name__
             if not only:
@@ -143,4 +164,5 @@ async def probe_cell(config: CellConfig, hooks: Hooks, only: Sequence[str] = ())
         finally:
             await cell.close()
     unsafe = (said.partition(": ") for said in cell.unsafe)
-    return Probed(found, {name: f"not confirmed safe: {why}" for name, _, why in unsafe} | problems)
+    problems = {name: f"not confirmed safe: {why}" for name, _, why in unsafe} | problems
+    return Probed(found, problems, {name: facts["text"] for name, facts in cell.signals.facts().items()})

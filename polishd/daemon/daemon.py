@@ -26,11 +26,13 @@ from polishd.daemon.making import NoJob
 from polishd.daemon.orders import Order, Orders, unless
 from polishd.daemon.safety import make_safe
 from polishd.daemon.service import Handler
+from polishd.daemon.signal_watch import watching
 from polishd.daemon.states import ORDERS, State, Trigger, following, obeyed
 from polishd.model import events
 from polishd.model.concern import Standing
 from polishd.model.cycle import EXIT_CODES, Outcome
-from polishd.model.errors import DeviceFault, DeviceRefused, HostFault, PolishdError
+from polishd.model.errors import DeviceFault, DeviceRefused, HostFault, PolishdError, SafetyStop, SignalFault
+from polishd.model.signal_limits import SignalLimits
 from polishd.recipe.folder import RunFolder
 
 log = logging.getLogger(__name__)
@@ -93,15 +95,10 @@ class Daemon:
             "cycles": self.job.cycles(),
             "unsafe": list(self._cell.unsafe),
             "tasks": len(asyncio.all_tasks()),
+            "signals": self._cell.signals.facts(),
             "health": {figure.name: {**asdict(figure), "fits": figure.fits} for figure in self._health.figures()},
-            "devices": {name: self._told(name) for name in self._cell.devices},
+            "devices": {name: self._health.device(name) for name in self._cell.devices},
         }
-
-    def _told(self, name: str) -> dict[str, Any]:
-        """Who it said it is, and whether the job uses it."""
-        found = self._cell.identities.get(name)
-        age_s = self._health.ages_s().get(name)
-        return {**(asdict(found) if found else {}), "used": name in self._cell.used.values(), "heard_s_ago": age_s}
 
     def stop(self) -> None:
         """As SIGTERM does."""
@@ -113,7 +110,7 @@ class Daemon:
         Raises what ended it otherwise.
         """
         try:
-            async with self._health.watching(self._endangered):
+            async with self._health.watching(self._endangered), watching(self._cell, self._wrong):
                 outcome = await self._until_finished()
         except BaseException as error:
             try:
@@ -218,11 +215,13 @@ class Daemon:
             return Turn(Trigger.DONE, outcome=done[0])
         if order.verb is Trigger.STOP:
             return Turn(Trigger.STOP, self._stopped_by(order))
+        if order.verb is Trigger.UNFIT and not order.error.mendable:
+            return self._failed(order.error(order.reason))
         await make_safe(self._cell)
         settled = "" if self._cell.unsafe else await settle(self._cell, journal)
         if order.verb is Trigger.UNFIT:
-            unfit = HostFault("; ".join(filter(None, (order.reason, settled))))
-            return Turn(Trigger.UNFIT, f"HostFault: {unfit}", error=unfit)
+            unfit = order.error("; ".join(filter(None, (order.reason, settled))))
+            return Turn(Trigger.UNFIT, f"{type(unfit).__name__}: {unfit}", error=unfit)
         return Turn(order.verb, self._held_by(order, settled))
 
     async def _wait(self) -> Turn:
@@ -263,11 +262,17 @@ class Daemon:
 
     # orders
 
-    def _endangered(self, what: str) -> None:
-        """Contact is left while the computer still can."""
+    def _endangered(self, what: str, error: type[PolishdError] = HostFault) -> None:
+        """Contact is left while it still can be."""
         if self.state is State.POLISHING and not self._unfit:
             self._unfit = True
-            self._orders.give(Order(Trigger.UNFIT, what))
+            self._orders.give(Order(Trigger.UNFIT, what, error))
+
+    def _wrong(self, limits: SignalLimits, what: str) -> None:
+        """A signal is not as it must be in contact: what follows is what its limits say."""
+        self.bus.publish(events.SignalWrong(signal=limits.name, what=what, leads_to=limits.leads_to))
+        if limits.leads_to != "notify":
+            self._endangered(what, SafetyStop if limits.leads_to == "lift" else SignalFault)
 
     def _held_by(self, order: Order, settled: str) -> str:
         """The order, where it says more than what it interrupted."""

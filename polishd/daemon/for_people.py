@@ -62,6 +62,7 @@ class ForPeople:
             "contact": blocks.touched,
             "force_n": blocks.force_n,
             "rpm": blocks.rpm,
+            "sensor_force_n": blocks.sensor_force_n,
         }
         unknown = np.full(reached.size, np.nan)
         whole = {name: np.concatenate([column, unknown]) for name, column in columns.items()}

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import aclosing
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.command import run_command
+from polishd.daemon.force_check import ForceCheck
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
@@ -120,13 +121,13 @@ class Handling:
         """The actuator's position, mm, where the tool met the part at that place."""
         cell, job = self._cell, self._job
         deepest_mm = meets_mm + float(asked.reach_mm[place])
-        limits = ContactLimits(asked.force_n, 0.0, FORCE_BAND, job.contact.grace_s, deepest_mm)
+        limits = replace(job.contact, force_n=asked.force_n, rpm=0.0, force_band=FORCE_BAND, deepest_mm=deepest_mm)
         feed = streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=cell.limits.buffer_s)
         async with feed as stream:
             await stream.approach()
             try:
-                async with contact(cell, limits, Touch(_no_block, cell.limits.robot.silence_s)):
-                    position_mm = await self._position_mm(limits)
+                async with contact(cell, limits, Touch(_no_block, cell.limits.robot.silence_s)) as forces:
+                    position_mm = await self._position_mm(limits, forces)
             except WrongSeat as nothing:
                 said, stays = _nothing(asked, place, str(nothing)), await self._stays(stream)
                 if stays:
@@ -135,7 +136,7 @@ class Handling:
             await stream.retreat()
         return position_mm
 
-    async def _position_mm(self, limits: ContactLimits) -> float:
+    async def _position_mm(self, limits: ContactLimits, forces: ForceCheck) -> float:
         """Of readings under the force asked for only; where that does not act, the watch ends the contact."""
         found: list[float] = []
         async with aclosing(self._cell.actuator.samples()) as samples:  # type: ignore[type-var]
@@ -145,7 +146,7 @@ class Handling:
                         "the actuator tells no position, and a touch-off needs one: leave [touch_off] out, or take "
                         "another actuator"
                     )
-                if in_band(sample, limits):
+                if in_band(sample, limits) and (self._cell.force_sensor is None or forces.sensor_fits):
                     found.append(sample.position_mm)
                 if len(found) == READINGS:
                     break

@@ -13,15 +13,16 @@ import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from heapq import nlargest
 from pathlib import Path
+from typing import Any
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.job import Job
 from polishd.daemon.journal_store import LATE_S
+from polishd.daemon.listening import most_telling
 from polishd.daemon.making import NoJob
-from polishd.daemon.safety import most_telling
 
 log = logging.getLogger(__name__)
 
@@ -89,6 +90,12 @@ class Health:
         """How long ago each device last answered, s; those only that have."""
         now_s = time.monotonic()
         return {name: now_s - heard_s for name, heard_s in self._cell.heard_s.items()}
+
+    def device(self, name: str) -> dict[str, Any]:
+        """Who it said it is, whether the job uses it, and how long ago it last answered."""
+        found = self._cell.identities.get(name)
+        age_s = self.ages_s().get(name)
+        return {**(asdict(found) if found else {}), "used": self._cell.uses(name), "heard_s_ago": age_s}
 
     async def look(self) -> None:
         """At disks and memory."""

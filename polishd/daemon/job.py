@@ -251,7 +251,7 @@ class Job:
         """(n,) the same, and weighted by the force and the speed that really acted, s."""
         blocks, point = self.journal.executed(cycle), self.program.block
         run, seconds = blocks.possible, blocks.duration_s
-        acting = seconds * relative_removal(self.recipe.process, blocks.force_n, blocks.rpm)
+        acting = seconds * relative_removal(self.recipe.process, blocks.acting_n, blocks.rpm)
         return executed_s(point, blocks.seq[run], seconds[run]), executed_s(point, blocks.seq[run], acting[run])
 
     def names(self) -> dict[str, str]:

@@ -16,6 +16,7 @@ from polishd.daemon.journal import Journal
 from polishd.daemon.making import make_job, run_folder
 from polishd.daemon.queue import Entry, Queue
 from polishd.daemon.same_job import require_same, terms_of
+from polishd.daemon.standing import require_shallow
 from polishd.hooks.cell import hooks_of_job
 from polishd.hooks.loader import Hooks
 from polishd.model.events import Event
@@ -50,6 +51,7 @@ class JobMaker:
         program = await self.compute(read_program, recipe, config.program_path)
         await self.compute(require_fit, config, recipe, program)
         require_time_limits(config, self.cell)
+        require_shallow(config, self.cell, recipe)
         terms = await asyncio.to_thread(terms_of, config, program.sha256)
         own = journal.of_job(entry.name, entry.part_id, terms)
         require_same(config, terms, own)

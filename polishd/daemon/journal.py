@@ -34,7 +34,7 @@ _INTENT = (
     "INSERT INTO pass (job, cycle, program_sha256, boot_id, blocks, contact_from, contact_to, facts, started, plan, "
     "start, reach_s) VALUES (?,?,?,?,?,?,?,?,?,?,?,?)"
 )
-_SEGMENT = "INSERT OR IGNORE INTO segment VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
+_SEGMENT = "INSERT OR IGNORE INTO segment VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 
 
 class Journal(JobKnowledge, AbstractContextManager["Journal", None]):
@@ -230,7 +230,7 @@ class Journal(JobKnowledge, AbstractContextManager["Journal", None]):
 
     def _segment(self, cycle: int, record: BlockRecord, *, recovered: bool) -> Row:
         block = record.block
-        known = (record.touched, recovered, record.force_n, record.rpm, record.told_s)
+        known = (record.touched, recovered, record.force_n, record.rpm, record.told_s, record.sensor_force_n)
         return _SEGMENT, (self._job, cycle, block.seq, block.start_s, block.end_s, *known)
 
 

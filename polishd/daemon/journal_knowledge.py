@@ -17,8 +17,8 @@ from polishd.model.errors import WrongSeat
 NOTHING = Tally()
 
 _EXECUTED = (
-    "SELECT seq, start_s, end_s, touched, recovered, force_n, rpm, told_s FROM segment WHERE job = ? AND cycle = ? "
-    "ORDER BY seq"
+    "SELECT seq, start_s, end_s, touched, recovered, force_n, rpm, told_s, sensor_force_n FROM segment "
+    "WHERE job = ? AND cycle = ? ORDER BY seq"
 )
 
 
@@ -91,7 +91,7 @@ class JobKnowledge:
 
     def executed(self, cycle: int) -> ExecutedBlocks:
         """What the robot executed in that cycle's pass; empty where there was none. Grows with it: call in a thread."""
-        found = self._store.read_table(_EXECUTED, (self._job, cycle), 8).T.copy()
+        found = self._store.read_table(_EXECUTED, (self._job, cycle), 9).T.copy()
         seq, start_s, end_s, touched, recovered, *rest = found
         return ExecutedBlocks(seq.astype(np.int64), start_s, end_s, touched, recovered.astype(bool), *rest)
 

@@ -58,10 +58,12 @@ class BlockRecord:
     touched: bool | None
     """The tool was on the part for all of it, or for none of it; None: nobody knows."""
     force_n: float | None = None
-    """Mean force; None: not known."""
+    """Mean force by the actuator's word; None: not known."""
     rpm: float | None = None
     told_s: float | None = None
     """When the robot told of it, on the monotonic clock of the daemon that ran the pass."""
+    sensor_force_n: float | None = None
+    """Mean force by the independent sensor's word; None: not known, or the cell has none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,10 +91,19 @@ class ExecutedBlocks:
     recovered: BoolArray
     """Recorded after an interruption, on the robot's word."""
     force_n: FloatArray
-    """Mean over the block, as the daemon's samples had it; NaN where that is not known. So with ``rpm``."""
+    """Mean over the block by the actuator's word, as the daemon's samples had it; NaN where that is not known.
+
+    So with ``rpm``, and with ``sensor_force_n``, which is the independent sensor's.
+    """
     rpm: FloatArray
     told_s: FloatArray
     """When the robot told of it, on the monotonic clock of the daemon that ran the pass; NaN where recovered."""
+    sensor_force_n: FloatArray
+
+    @property
+    def acting_n(self) -> FloatArray:
+        """(n,) the force that acted, N: by the independent sensor where that told it, else by the actuator."""
+        return np.where(np.isnan(self.sensor_force_n), self.force_n, self.sensor_force_n)
 
     @property
     def duration_s(self) -> FloatArray:

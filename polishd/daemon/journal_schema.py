@@ -11,7 +11,7 @@ from pathlib import Path
 from polishd.files import sync_folder
 from polishd.model.errors import ConfigError
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 
 QUEUE = """
 CREATE TABLE queue (
@@ -45,7 +45,7 @@ CREATE TABLE pass (
     reach_s REAL, uncertain_from INTEGER, uncertain_to INTEGER, PRIMARY KEY (job, cycle));
 CREATE TABLE segment (
     job INTEGER NOT NULL, cycle INTEGER NOT NULL, seq INTEGER NOT NULL, start_s REAL NOT NULL, end_s REAL NOT NULL,
-    touched INTEGER, recovered INTEGER NOT NULL, force_n REAL, rpm REAL, told_s REAL,
+    touched INTEGER, recovered INTEGER NOT NULL, force_n REAL, rpm REAL, told_s REAL, sensor_force_n REAL,
     PRIMARY KEY (job, cycle, seq)) WITHOUT ROWID;
 CREATE TABLE event (
     id INTEGER PRIMARY KEY, job INTEGER NOT NULL, at REAL NOT NULL, cycle INTEGER, name TEXT NOT NULL,
@@ -81,7 +81,11 @@ DROP TABLE segment_2;
 """
 """Of a block that was recovered, contact had been told by its place in the program."""
 
-STEPS = {1: FROM_1, 2: FROM_2 + QUEUE}
+FROM_3 = """
+ALTER TABLE segment ADD COLUMN sensor_force_n REAL;
+"""
+
+STEPS = {1: FROM_1, 2: FROM_2 + QUEUE, 3: FROM_3}
 """From each earlier format to the next."""
 
 OF_A_JOB = ("map", "phase", "pass", "segment", "event", "queue")

@@ -7,16 +7,19 @@ from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from typing import Any
 
-from polishd.daemon.safety import most_telling
+from polishd.daemon.listening import most_telling
 from polishd.daemon.states import Trigger
+from polishd.model.errors import HostFault, PolishdError
 
 
 @dataclass(slots=True)
 class Order:
-    """One of ``states.ORDERS``, and why; or ``UNFIT``, which the computer gives."""
+    """One of ``states.ORDERS``, and why; or ``UNFIT``, which the computer or a signal gives."""
 
     verb: Trigger
     reason: str = ""
+    error: type[PolishdError] = HostFault
+    """Of ``UNFIT``: what the cell is held over, or its daemon ends with."""
     refused: bool = False
     """It was tried, and the cell did not come to it."""
     taken: bool = False

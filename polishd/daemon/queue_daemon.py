@@ -23,7 +23,7 @@ from polishd.daemon.states import State, Trigger
 from polishd.daemon.verdicts import Verdict, judge
 from polishd.model import events
 from polishd.model.cycle import Outcome
-from polishd.model.errors import DeviceFault, DeviceRefused, HostFault, PolishdError, ToolStop, WrongPart
+from polishd.model.errors import DeviceFault, DeviceRefused, PolishdError, ToolStop, WrongPart
 from polishd.ports.devices import Loader
 
 IN_THE_WAY = (
@@ -244,7 +244,7 @@ class QueueDaemon(Daemon):
 
     def _interrupted(self, order: Order) -> Turn:
         if order.verb is Trigger.UNFIT:  # said while the last job's end was written, say
-            return self._failed(HostFault(order.reason))
+            return self._failed(order.error(order.reason))
         if order.verb is Trigger.STOP:
             return Turn(Trigger.STOP, self._stopped_by(order))
         return Turn(order.verb, self._held_by(order, ""))

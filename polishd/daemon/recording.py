@@ -11,7 +11,8 @@ from contextlib import asynccontextmanager
 from polishd.daemon.cell import Cell
 from polishd.daemon.interruption import ASK_S, mark
 from polishd.daemon.journal import Journal
-from polishd.daemon.safety import most_telling, to_its_end, told_first
+from polishd.daemon.listening import most_telling
+from polishd.daemon.safety import to_its_end, told_first
 from polishd.daemon.stream import Stream
 from polishd.daemon.time_limits import LOOK_S
 from polishd.daemon.touch import Touch

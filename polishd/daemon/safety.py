@@ -12,27 +12,27 @@ import asyncio
 import contextlib
 import logging
 import math
-import time
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping
+from collections.abc import AsyncIterator, Coroutine, Iterator, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 from polishd.daemon.cell import Cell
+from polishd.daemon.force_check import ForceCheck
+from polishd.daemon.force_watch import tare, told_apart, watch_sensor
+from polishd.daemon.listening import heard, most_telling
 from polishd.daemon.time_limits import safe_within_s
 from polishd.daemon.touch import Touch
 from polishd.model.devices import ForceSample, SpeedSample
-from polishd.model.errors import DeviceFault, LinkError, PolishdError, SafetyStop, WrongSeat
+from polishd.model.errors import DeviceFault, LinkError, SafetyStop, WrongSeat
 from polishd.ports.devices import ForceActuator, Robot
 
 log = logging.getLogger(__name__)
 
-T = TypeVar("T")
-
 STILL_RPM = 5.0
 """A spindle told to rest may read so much."""
 LOOK_S = 0.05
-"""Between two looks at a silence: it is counted in steps, so that a daemon that was stalled hears first."""
+"""Between two looks at what others do meanwhile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +46,9 @@ class ContactLimits:
     grace_s: float
     deepest_mm: float = math.inf
     """The tool is lifted where it is farther out than that, whether it touches or not."""
+    apart_n: float = math.inf
+    """How far the words of actuator and force sensor may be apart; farther for ``apart_s`` is a safety stop."""
+    apart_s: float = 0.5
 
 
 @dataclass(slots=True)
@@ -54,30 +57,33 @@ class _Watch:
 
     limits: ContactLimits
     touch: Touch
+    forces: ForceCheck
     landed: asyncio.Event = field(default_factory=asyncio.Event)
     silent: bool = False
     """The actuator does not answer any more."""
 
 
 @asynccontextmanager
-async def contact(cell: Cell, limits: ContactLimits, touch: Touch) -> AsyncIterator[None]:
+async def contact(cell: Cell, limits: ContactLimits, touch: Touch) -> AsyncIterator[ForceCheck]:
     """The tool presses and spins inside this block, watched; whatever ends the block, contact ends first.
 
     Enter it with the robot standing at a landing point off the part, tool retracted. Both are watched from the moment
     that they are switched on: landing takes seconds, and a spindle or an actuator that nobody feeds stops by itself.
-    ``touch`` hears all samples, and when the tool is ordered off and is off.
+    ``touch`` hears all samples, and when the tool is ordered off and is off. Yields what the words on the force say.
     """
-    watch = _Watch(limits, touch)
+    watch = _Watch(limits, touch, _force_check(limits))
     cell.pressing = True
     try:
+        await tare(cell, limits.apart_n)
         await cell.spindle.set_speed(limits.rpm)
         async with asyncio.TaskGroup() as group:
             watchers = [
                 group.create_task(_watch_speed(cell, watch), name="watch spindle"),
                 group.create_task(_watch_force(cell, watch), name="watch force"),
+                group.create_task(watch_sensor(cell, watch.forces, touch, watch.landed), name="watch force sensor"),
             ]
             await _land(cell, watch)
-            yield
+            yield watch.forces
             touch.leave()
             # Still watched: the tool is off before the watchers, or a fault while leaving would go unseen.
             await leave_contact(cell)
@@ -86,9 +92,11 @@ async def contact(cell: Cell, limits: ContactLimits, touch: Touch) -> AsyncItera
                 watcher.cancel()
         await cell.spindle.set_speed(0.0)
     except BaseExceptionGroup as errors:
+        error = most_telling(errors)
         with told_first(errors):
             await make_safe(cell, touch, silent=watch.silent)
-        raise most_telling(errors) from errors
+            error = await told_apart(cell, error, limits.apart_n)
+        raise error from errors
     except BaseException as error:
         with told_first(error):
             await make_safe(cell, touch, silent=watch.silent)
@@ -228,7 +236,8 @@ class _Leaving:
         except Exception as error:  # noqa: BLE001 - a plugin may raise anything: the others are asked all the same
             self._failures[name] = str(error) or f"no answer within {within_s:g} s"
             log.error("make_safe: %s did not confirm (%s); its own watchdog takes over", name, self._failures[name])
-            if name == self._cell.used["actuator"] and isinstance(error, LinkError | TimeoutError):
+            unheard = name == self._cell.used["actuator"] and isinstance(error, LinkError | TimeoutError)
+            if unheard and self._cell.limits.actuator.unpowered == "lifts":
                 self._off(begun_s + self._cell.limits.actuator.alone_s)  # whatever of this reached it says the same
             return False
         self._cell.hears(name)
@@ -254,6 +263,12 @@ async def _land(cell: Cell, watch: _Watch) -> None:
         ) from None
 
 
+def _force_check(limits: ContactLimits) -> ForceCheck:
+    return ForceCheck(
+        limits.force_n, limits.apart_n, limits.apart_s, set_band=limits.force_band, set_grace_s=limits.grace_s
+    )
+
+
 async def _watch_force(cell: Cell, watch: _Watch) -> None:
     limits, good_at = watch.limits, 0.0
 
@@ -267,9 +282,11 @@ async def _watch_force(cell: Cell, watch: _Watch) -> None:
             raise WrongSeat(f"the tool is {sample.position_mm:.2f} mm out of its rest, at most {limits.deepest_mm:.2f}")
         if watch.touch.left:  # by our word only: an actuator that lifts by itself has lost its force
             return
+        watch.forces.actuator(sample.at_s, sample.force_n)
         if in_band(sample, limits):
             good_at = sample.at_s
-            watch.landed.set()
+            if cell.force_sensor is None or watch.forces.sensor_fits:
+                watch.landed.set()
         elif watch.landed.is_set() and sample.at_s - good_at > limits.grace_s:
             raise SafetyStop(
                 f"force {sample.force_n:.2f} N is outside {limits.force_n:g} N +- {limits.force_band:.0%} "
@@ -306,47 +323,3 @@ async def _watch_speed(cell: Cell, watch: _Watch) -> None:
             )
 
     await heard(cell.spindle.samples(), judge, "spindle", cell.limits.spindle.silence_s)
-
-
-async def heard(samples: AsyncIterator[T], judge: Callable[[T], None], name: str, silence_s: float) -> None:
-    """Have each sample judged as it comes, until that raises; LinkError after that much silence, or at their end.
-
-    Time in which this process itself did not run is no silence of the device: it is counted in small steps.
-    """
-    news = asyncio.Event()
-
-    async def listen() -> None:
-        async for sample in samples:
-            news.set()
-            judge(sample)
-        raise LinkError(f"{name}: its samples ended while in contact")
-
-    async def count_silence() -> None:
-        silent_s = 0.0
-        while silent_s < silence_s:
-            looked_s = time.monotonic()
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(min(LOOK_S, silence_s)):
-                    await news.wait()
-            silent_s = 0.0 if news.is_set() else silent_s + min(time.monotonic() - looked_s, 2 * LOOK_S)
-            news.clear()
-        raise LinkError(f"{name}: no sample for {silence_s:g} s while in contact")
-
-    try:
-        async with asyncio.TaskGroup() as group:
-            group.create_task(listen(), name=f"listen to {name}")
-            group.create_task(count_silence(), name=f"count silence of {name}")
-    except BaseExceptionGroup as errors:
-        raise most_telling(errors) from errors
-
-
-def most_telling(errors: BaseExceptionGroup[BaseException]) -> BaseException:
-    """The one error of a group that says what to do: ours before others, others before cancellation."""
-    for kind in (SafetyStop, PolishdError, Exception):
-        if (found := errors.subgroup(kind)) is not None:
-            return _first(found)
-    return _first(errors)
-
-
-def _first(error: BaseException) -> BaseException:
-    return _first(error.exceptions[0]) if isinstance(error, BaseExceptionGroup) else error

@@ -33,9 +33,9 @@ RULES = (
     Rule(("cell.*",), True, "names and places; the job stays in the run folder in which it began"),
     Rule(("plugins.*",), True, "what a plugin does for the job is named by other keys"),
     Rule(
-        ("robot.*", "actuator.*", "spindle.*", "metrology.*", "loader", "loader.*"),
+        ("robot.*", "actuator.*", "spindle.*", "metrology.*", "loader*", "force_sensor*", "monitor*", "signals*"),
         True,
-        "how a device is reached, and its time limits",
+        "how a device is reached, its time limits, and what it watches",
     ),
     Rule(("notify.*",), True, "who hears of it"),
     Rule(("roles.*",), False, "another robot or tool removes otherwise, and what was learned is of this one"),

@@ -44,7 +44,7 @@ class Trigger(StrEnum):
     READY = "every device confirmed that it is safe"
     UNSAFE = "a device did not confirm that it is safe"
     INTERRUPTED = "an earlier run, or an order, left a pass or the job open"
-    UNFIT = "the computer nears a limit"
+    UNFIT = "the computer nears a limit, or a signal is wrong"
     MENDABLE = "an error that a person can mend"
     ERROR = "any other error"
     DONE = "the job has its outcome"

@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
-from polishd.daemon.safety import most_telling
+from polishd.daemon.listening import most_telling
 from polishd.model.devices import Executed
 from polishd.model.errors import DeviceFault, DeviceRefused, SafetyStop
 from polishd.model.program import Plan

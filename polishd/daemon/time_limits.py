@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from polishd.daemon.journal_store import LATE_S
-from polishd.model.times import ActuatorTimes, LoaderTimes, RobotTimes, SpindleTimes
+from polishd.model.times import ActuatorTimes, LoaderTimes, RobotTimes, SensorTimes, SpindleTimes
 
 ANSWERS_S = 3.0
 """What a device may take beyond its own action to confirm it: a link opened again, a few requests."""
@@ -72,6 +72,8 @@ class TimeLimits:
     actuator: ActuatorTimes
     robot: RobotTimes
     spindle: SpindleTimes
+    sensor: SensorTimes | None = None
+    """The independent force sensor's, where there is one."""
 
     @property
     def reading_s(self) -> float:
@@ -80,17 +82,27 @@ class TimeLimits:
 
     @property
     def buffer_s(self) -> float:
-        """Motion that must be left in contact: an actuator that hears nothing more lifts within it."""
-        return self.actuator.alone_s
+        """Motion that must be left in contact: an actuator that hears nothing more lifts within it.
+
+        One that stays where it is without power does not: within it the robot has noticed, and taken the tool away.
+        """
+        return max(self.actuator.alone_s, self.taken_off_s if self.actuator.unpowered == "stays" else 0.0)
+
+    @property
+    def taken_off_s(self) -> float:
+        """Longest from the last word of an actuator that fell silent until the robot has taken the tool off."""
+        return self.reading_s + self.robot.stop_s
 
     @property
     def unseen_s(self) -> float:
         """Longest that the tool can stay on the part after the end of the last block that is recorded.
 
         The robot tells late, two samples are waited for, then the commit; then the actuator hears nothing more, or is
-        told to lift.
+        told to lift. One without power that stays where it is does not: then the robot stops by itself, at the latest.
         """
-        return self.robot.silence_s + 2 * self.reading_s + LATE_S + 2 * LOOK_S + self.actuator.alone_s
+        stays = self.actuator.unpowered == "stays"
+        on_s = max(self.actuator.alone_s, self.robot.watchdog_s + self.robot.stop_s if stays else 0.0)
+        return self.robot.silence_s + 2 * self.reading_s + LATE_S + 2 * LOOK_S + on_s
 
     @property
     def lift_mm(self) -> float:
@@ -103,11 +115,16 @@ class TimeLimits:
         lift_s, stop_s, rest_s = map(safe_within_s, (self.actuator, self.robot, self.spindle))
         return max(rest_s, lift_s + max(stop_s, self.buffer_s) + stop_s)
 
-    def chain(self, lookahead_s: float) -> tuple[Limit, ...]:
-        """Each limit in the order in which they act, with what it must outlast."""
+    def chain(self, lookahead_s: float, *, apart_s: float = math.inf, force_s: float = math.inf) -> tuple[Limit, ...]:
+        """Each limit in the order in which they act, with what it must outlast.
+
+        Actuator and force sensor may disagree for ``apart_s``, and the force be off its set point for ``force_s``.
+        """
         coil, robot, spindle = self.actuator, self.robot, self.spindle
         lost_s = robot.silence_s + coil.lifted_s
+        stays = [Limit("", "tool taken off by the robot where the actuator has no power", self.taken_off_s)]
         return (
+            *self._of_sensor(apart_s, force_s),
             Limit("actuator.silence_s", "actuator counts as silent", coil.silence_s, BEAT_S, "of three heartbeats"),
             Limit(
                 "actuator.watchdog_ms",
@@ -121,6 +138,7 @@ class TimeLimits:
             Limit("actuator.retract_s", "lift, at most", coil.retract_s),
             Limit("", "tool up after an order", coil.lifted_s),
             Limit("", "tool up after the last word", coil.alone_s),
+            *(stays if coil.unpowered == "stays" else []),
             Limit("spindle.watchdog_s", "spindle stops by itself", spindle.watchdog_s, 3 * BEAT_S, "of its commands"),
             Limit("spindle.spin_s", "spindle to speed or to rest, at most", spindle.spin_s),
             Limit("robot.silence_s", "robot counts as lost", robot.silence_s),
@@ -142,6 +160,34 @@ class TimeLimits:
             ),
             Limit("", "all safe after leaving contact, at most", self.safe_s),
         )
+
+    def _of_sensor(self, apart_s: float, force_s: float) -> tuple[Limit, ...]:
+        """What comes first of all where there is one: a force that is wrong is noticed, and a landing is none."""
+        if self.sensor is None:
+            return ()
+        late_s = self.sensor.delay_s + 2 * BEAT_S
+        because = f"of the sensor's delay {self.sensor.delay_s:g} s and two readings: a landing would end contact"
+        silence_s = self.sensor.silence_s
+        return (
+            Limit("force_sensor.silence_s", "force sensor counts as silent", silence_s, BEAT_S, "of its readings"),
+            Limit("force_sensor.grace_s", "actuator and force sensor may disagree for", apart_s, late_s, because),
+            Limit("limits.force_grace_s", "force may be off its set point for", force_s, late_s - BEAT_S, because),
+        )
+
+
+def stays_on(actuator: ActuatorTimes, robot: RobotTimes) -> str:
+    """Why a tool would stay on the part where its actuator's power fails; empty where it does not."""
+    if actuator.unpowered == "presses":
+        return (
+            "an actuator that presses without power is refused: nothing takes its tool off the part then; give it a "
+            'spring, a counterweight or a valve that lifts, and write unpowered = "lifts"'
+        )
+    if actuator.unpowered == "stays" and not robot.lifts:
+        return (
+            "a tool that stays on the part without power needs a robot that takes it away, and the job's cannot; take "
+            "another robot, or an actuator that lifts"
+        )
+    return ""
 
 
 def too_short(chain: Sequence[Limit]) -> list[tuple[str, str]]:

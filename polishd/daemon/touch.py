@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from polishd.daemon.journal_records import BlockRecord
-from polishd.model.devices import Executed, ForceSample, SpeedSample
+from polishd.model.devices import Executed, ForceSample, SensedForce, SpeedSample
 
 LUMP_S = 0.02
 """Blocks that are told within so much of each other are one word of the robot's."""
@@ -59,6 +59,7 @@ class Touch:
         """Not written yet."""
         self._force: Samples = deque()
         self._rpm: Samples = deque()
+        self._sensed: Samples = deque()
         self._pressing_s = math.inf
         """Since when all samples have been in contact."""
         self.left = False
@@ -110,12 +111,16 @@ class Touch:
         if not self._lumps:
             self.known.set()
         needed_s = self._lumps[0].before_s if self._lumps else self.told_s
-        for samples in (self._force, self._rpm):
+        for samples in (self._force, self._rpm, self._sensed):
             _forget(samples, needed_s)
 
     def speed(self, sample: SpeedSample) -> None:
         """A reading of the spindle."""
         self._rpm.append((sample.at_s, sample.rpm))
+
+    def sensed(self, reading: SensedForce) -> None:
+        """A reading of the independent force sensor."""
+        self._sensed.append((reading.at_s, reading.force_n))
 
     def told(self, block: Executed, at_s: float) -> None:
         """The robot tells that it has executed a block."""
@@ -164,7 +169,8 @@ class Touch:
         records: list[BlockRecord] = []
         for lump in lumps:
             touched = self._pressing_s <= self._earliest_s(lump)
-            means = (_mean(samples, lump.before_s, lump.told_s) for samples in (self._force, self._rpm))
+            heard = (self._force, self._rpm, self._sensed)
+            means = (_mean(samples, lump.before_s, lump.told_s) for samples in heard)
             records += _records(lump, touched or None, *means)
         return records
 
@@ -174,9 +180,13 @@ class Touch:
 
 
 def _records(
-    lump: _Lump, touched: bool | None, force_n: float | None = None, rpm: float | None = None
+    lump: _Lump,
+    touched: bool | None,
+    force_n: float | None = None,
+    rpm: float | None = None,
+    sensor_force_n: float | None = None,
 ) -> list[BlockRecord]:
-    return [BlockRecord(block, touched, force_n, rpm, lump.told_s) for block in lump.blocks]
+    return [BlockRecord(block, touched, force_n, rpm, lump.told_s, sensor_force_n) for block in lump.blocks]
 
 
 def _mean(samples: Samples, from_s: float, to_s: float) -> float | None:

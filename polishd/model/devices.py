@@ -25,9 +25,12 @@ class DeviceStatus:
     """A device's own word on whether it may be used. ``safe`` means: it exerts nothing and nothing moves."""
 
     ready: bool
+    """It can be used: no fault is set."""
     safe: bool
     state: str
+    """The device's own word for it, for people and logs."""
     detail: str = ""
+    """Why it is not ready."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +39,39 @@ class ForceSample:
 
     at_s: float
     force_n: float
+    """As measured, by the device's own word."""
     setpoint_n: float
+    """What it regulates to; 0 once it was retracted."""
     in_contact: bool
+    """The tool is on the part, also where no force is asked for."""
     retracted: bool
+    """The tool is off the part, at rest."""
     fault: int = 0
+    """0: none; else the device's own number of it."""
     position_mm: float | None = None
     """How far the tool is out, from its rest; None where the actuator does not say."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensedForce:
+    """One reading of the independent force sensor; ``at_s`` is the daemon's monotonic clock."""
+
+    at_s: float
+    force_n: float
+    """Pressing is positive; 0 is what it read when it was last tared."""
+    fault: int = 0
+    """Bits of its own: over its range, no cell connected."""
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """One reading of a monitor; ``at_s`` is the daemon's monotonic clock."""
+
+    at_s: float
+    name: str
+    """As the monitor calls it."""
+    value: float | bool | None
+    """A number in the signal's unit, or a state; None: the monitor says that it does not know."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +80,11 @@ class SpeedSample:
 
     at_s: float
     rpm: float
+    """As measured; negative: the other way."""
     setpoint_rpm: float
+    """What it was asked for."""
     fault: int = 0
+    """0: none; else the drive's own number of it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,9 @@ PolishdError
       DeviceBusy   it serves another client: a start waits for its watchdog
     DeviceFault    the device says that it is broken
     HostFault      the cell's own computer nears a limit
+    SignalFault    a signal of the cell is not as it must be
   SafetyStop       the cell left contact by itself                      (7)
+    ForcesApart    actuator and force sensor tell two forces
   HandlingError *  somebody has to see to part or pad, then go on       (11)
     WrongSeat      the part does not sit where it should
       SeatNotLeft  nor could the robot leave the place where it was looked for
@@ -143,10 +145,18 @@ class HostFault(DeviceError):
     """The computer of the cell, or its disk, nears a limit: contact is left before that is reached."""
 
 
+class SignalFault(DeviceError):
+    """A signal that a monitor tells is not as it must be before contact, or was not so in it."""
+
+
 class SafetyStop(PolishdError):
     """A limit was crossed in contact; force was taken off, the tool lifted, then motion stopped."""
 
     exit_code = 7
+
+
+class ForcesApart(SafetyStop):
+    """An independent sensor's word on the force was too far from the actuator's, or the set point, for too long."""
 
 
 class HandlingError(PolishdError):

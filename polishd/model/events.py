@@ -232,6 +232,22 @@ class Learned(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SignalWrong(Event):
+    """A signal of the cell is not as it must be before contact, or in it."""
+
+    name: ClassVar[str] = "signal_wrong"
+    signal: Annotated[str, "its name: `flow` of `[signals.flow]`"]
+    what: Annotated[str, "how it is, and how it must be"]
+    leads_to: Annotated[str, "`wait` before contact; in it `notify`, `hold`, `lift` or `estop`"]
+
+    def concern(self) -> Concern | None:
+        """Warning where nothing but this follows; what else follows tells of itself."""
+        if self.leads_to != "notify":
+            return None
+        return Concern(Severity.WARNING, self.what, "it goes on polishing", "look at it before the pass ends")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Found(Event):
     """The last pass, with those before it, shows a stall, a drift, a worn tool or another spot."""
 
@@ -340,7 +356,7 @@ class PlanWritten(Event):
 
 EVENTS: tuple[type[Event], ...] = (
     Opened, StateChanged, Ordered, Held, Failed, JobBegun, PartWanted, PartChanged, Measured, Repeated, GateStopped,
-    Learned, Found, Solved, TouchedOff, PassBegun, Progress, PassEnded, JobFinished, JobEnded, QueueEnded,
+    Learned, Found, Solved, TouchedOff, SignalWrong, PassBegun, Progress, PassEnded, JobFinished, JobEnded, QueueEnded,
     NotificationFailed, PlanWritten,
 )  # fmt: skip
 """Every kind, in the order in which they come in a job."""

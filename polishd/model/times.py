@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
+
+Unpowered = Literal["lifts", "stays", "presses"]
+"""What an actuator does without power: its tool comes off the part, stays where it is, or goes on pressing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +24,8 @@ class ActuatorTimes:
     retract_s: float = 5.0
     """From force off until it tells that the tool is up."""
     stroke_mm: float = 10.0
+    unpowered: Unpowered = "lifts"
+    """Beside its watchdog, which needs power: one that stays leaves it to the robot to take the tool away."""
 
     @property
     def lifted_s(self) -> float:
@@ -42,6 +48,12 @@ class RobotTimes:
     """It hears nothing for so long: it stops by itself. Infinite for one that runs its program to the end."""
     stop_s: float = 5.0
     """From the order to standstill; also for lifting along the tool's axis."""
+    lifts: bool = True
+    """It can take the tool off the part, in motion (``Robot.lift``)."""
+    unseen_stop_s: float = 0.0
+    """Longest that it stands, held by an operator, before anybody knows; 0: no longer than its link takes."""
+    block_end_s: float = 0.0
+    """Standard deviation of when it says that a block ended; 0: it says so exactly. Such errors do not add up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,3 +77,23 @@ class LoaderTimes:
     """From the order to take a part off, or to put one on, until it is clear of the cell."""
     stop_s: float = 5.0
     """From the order to standstill."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorTimes:
+    """The longest that an independent force sensor takes, wall time."""
+
+    silence_s: float = 0.3
+    """No new reading for so long: it counts as silent."""
+    delay_s: float = 0.1
+    """From a force that acts to its reading: filter, conversion and link."""
+    tare_s: float = 1.0
+    """From the order until what it read then is 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class MonitorTimes:
+    """The longest that a monitor takes, wall time."""
+
+    silence_s: float = 2.0
+    """Nothing of a signal for so long: it is not known any more."""

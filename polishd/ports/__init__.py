@@ -1,7 +1,18 @@
 """What a device is, as typing protocols. Real and simulated devices are the same driver with another address."""
 
 from polishd.ports.clock import Clock
-from polishd.ports.devices import Device, ForceActuator, Loader, Metrology, Robot, Spindle
+from polishd.ports.devices import Device, ForceActuator, ForceSensor, Loader, Metrology, Monitor, Robot, Spindle
 from polishd.ports.stream import ByteStream
 
-__all__ = ["ByteStream", "Clock", "Device", "ForceActuator", "Loader", "Metrology", "Robot", "Spindle"]
+__all__ = [
+    "ByteStream",
+    "Clock",
+    "Device",
+    "ForceActuator",
+    "ForceSensor",
+    "Loader",
+    "Metrology",
+    "Monitor",
+    "Robot",
+    "Spindle",
+]

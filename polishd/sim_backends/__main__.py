@@ -9,11 +9,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from polishd.config.simulator import load_simulator
+from polishd.config.simulator import SimConfig, load_simulator
 from polishd.model.errors import PolishdError
 from polishd.sim_backends.runtime import Start, as_hardware, run_device
 from polishd.sim_backends.supervisor import DEVICES, Supervisor
 from polishd.sim_backends.truth import stream
+
+CAN = ("slcan", "socketcand")
+"""Kinds of an actuator behind a drive."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -26,6 +29,7 @@ def parser() -> argparse.ArgumentParser:
     parse.add_argument("--surface", type=Path, help="start from this MetroPro map")
     parse.add_argument("--artefact", type=Path, metavar="FILE", help="write one map of the artefact, and end")
     parse.add_argument("--device", choices=("plant", *DEVICES), help="run one device of the cell in this state folder")
+    parse.add_argument("--only", action="append", choices=DEVICES, help="start these alone; may be given again")
     parse.add_argument("--rebooted", action="store_true", help=argparse.SUPPRESS)
     return parse
 
@@ -40,7 +44,8 @@ def start_of(options: argparse.Namespace) -> Start:
         running = json.loads((state / "endpoints.json").read_text())
     seed = options.seed if options.seed is not None else running.get("seed", config.plant.seed)
     speed = options.speed if options.speed is not None else running.get("speed", config.plant.speed)
-    return Start(config, state, int(seed), float(speed), options.surface, options.rebooted)
+    only = tuple(options.only or ())
+    return Start(config, state, int(seed), float(speed), options.surface, options.rebooted, only)
 
 
 def main() -> int:
@@ -73,21 +78,22 @@ async def _run(start: Start, device: str | None) -> int:
 
         await plant(start)
         return 0
-    name = "linuxcnc" if device == "robot" and start.config.robot.kind == "linuxcnc" else device
-    await run_device(device, start, _device(name))
+    await run_device(device, start, _device(device, start.config))
     return 0
 
 
-def _device(name: str) -> Any:
+def _device(name: str, config: SimConfig) -> Any:
     """A device's coroutine, loaded late: a drive needs no scipy."""
     from importlib import import_module
 
-    module = {
-        "robot": "robot.server",
-        "linuxcnc": "linuxcnc.server",
-        "interferometer": "interferometer",
-    }.get(name, f"{name}.device")
-    return import_module(f"polishd.sim_backends.{module}").main
+    robot = {"link": "robot", "opcua": "handover", "ads": "handover", "modbus": "handover"}
+    module, main = {
+        "robot": (f"{robot.get(config.robot.kind, config.robot.kind)}.server", "main"),
+        "interferometer": ("interferometer", "main"),
+        "spindle": ("cia402.device", "spindle") if config.spindle.drive == "cia402" else ("spindle.device", "main"),
+        "actuator": ("cia402.device", "actuator") if config.actuator.kind in CAN else ("actuator.device", "main"),
+    }.get(name, (f"{name}.device", "main"))
+    return getattr(import_module(f"polishd.sim_backends.{module}"), main)
 
 
 def _artefact(options: argparse.Namespace) -> int:

@@ -34,6 +34,8 @@ class Start:
     speed: float
     surface: Path | None = None
     rebooted: bool = False
+    only: tuple[str, ...] = ()
+    """Devices that the supervisor starts; empty: all that the config has."""
 
     def again(self) -> Start:
         """With what SIM.toml says now."""

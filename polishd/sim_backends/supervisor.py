@@ -12,7 +12,7 @@ from typing import Any
 
 from polishd.sim_backends.runtime import ROOT, Start, replace, until_ended
 
-DEVICES = ("robot", "actuator", "spindle", "interferometer", "loader")
+DEVICES = ("robot", "actuator", "spindle", "interferometer", "loader", "force_sensor", "monitor")
 READY_S = 30.0
 END_S = 5.0
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -51,7 +51,8 @@ class Supervisor:
         """Plant first, then its devices; whether all came up."""
         if not await self._spawn("plant", group):
             return False
-        devices = [name for name in DEVICES if getattr(self.start.config, name) is not None]
+        wanted = self.start.only or DEVICES
+        devices = [name for name in DEVICES if name in wanted and getattr(self.start.config, name) is not None]
         return all(await asyncio.gather(*(self._spawn(name, group) for name in devices)))
 
     async def _spawn(self, name: str, group: asyncio.TaskGroup) -> bool:

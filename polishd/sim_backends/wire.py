@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from polishd.config.simulator import Faults
+from polishd.config.simulator import Faults, Line
 from polishd.sim_backends.faults import Mischief, Outlet
 from polishd.sim_backends.runtime import LOOPBACK, Runtime
 from polishd.sim_backends.truth import stream
@@ -56,6 +56,13 @@ class Wire:
     async def open_tcp(self, port: int, greeting: bytes = b"") -> str:
         """A TCP port on loopback; returns ``host:port``."""
         return f"{LOOPBACK}:{await self.runtime.serve(lambda: Connection(self, greeting), port)}"
+
+    async def open_line(self, config: Line) -> str:
+        """Whichever line the section asks for; returns the endpoint."""
+        if config.kind == "tcp":
+            return f"tcp://{await self.open_tcp(config.port)}"
+        self.open_pty(config.baud)
+        return f"serial:{self.runtime.start.state / self.runtime.name}?baud={config.baud}"
 
     def ready(self, endpoint: str) -> None:
         """The device answers there; from now on its faults may come."""

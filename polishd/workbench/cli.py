@@ -9,6 +9,7 @@ import typer
 from typer import Argument, Option
 
 from polishd.workbench.calibration.cli import app as calibrations
+from polishd.workbench.devices.cli import app as devices
 from polishd.workbench.maps.cli import app as maps
 from polishd.workbench.options import Cell, Json, Picture
 from polishd.workbench.programs.cli import app as programs
@@ -17,6 +18,7 @@ app = typer.Typer(help="Maps, programs, calibration, physics and studies.", no_a
 app.add_typer(calibrations, name="calibrate", no_args_is_help=True)
 app.add_typer(programs, name="program", no_args_is_help=True)
 app.add_typer(maps, name="map", no_args_is_help=True)
+app.add_typer(devices, name="device", no_args_is_help=True)
 
 
 @app.command()

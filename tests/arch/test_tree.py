@@ -13,7 +13,7 @@ from tests.arch import code_rules, repository_rules
 from tests.arch.source import Rule
 
 ROOT = Path(__file__).resolve().parents[2]
-# Cells, studies, instruments' profiles; the simulator's own config is loaded by tests/system/test_sim_cell.py.
+# Cells, studies, profiles; the simulator's own config is loaded by tests/system/test_sim_cell.py.
 EXAMPLES = sorted(
     path for path in (ROOT / "examples").rglob("*.toml") if path.name not in ("pyproject.toml", "sim.toml")
 )
@@ -39,6 +39,7 @@ def test_there_are_examples() -> None:
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_the_example_loads(path: Path) -> None:
     from polishd.config.cell import load_config  # not at the top: the rules should run while this does not
+    from polishd.config.device_file import load_device_profile
     from polishd.config.job_file import JobFile
     from polishd.config.profile import load_profile
     from polishd.config.study import load_study
@@ -46,6 +47,9 @@ def test_the_example_loads(path: Path) -> None:
     keys = tomllib.loads(path.read_text()).keys()
     if path.name == "job.toml":
         JobFile.read(path).laid_over(load_config(path.with_name("cell.toml")))
+        return
+    if {"modbus", "lines"} & keys:
+        load_device_profile(path)
         return
     load = load_study if "kind" in keys else load_profile if "artefact" in keys else load_config
     load(path)

@@ -1,58 +1,44 @@
-"""One fixture a port: the device of every rig, closed; and time limits that hold for all of them."""
+"""What of the suites ``make test`` leaves out; and time limits that hold for all of our devices."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
-from pathlib import Path
+from collections.abc import Callable
 
 import pytest
 
 from tests.conformance import rigs
-from tests.conformance.rigs import ActuatorRig, LoaderRig, RobotRig, SpindleRig
 
 PROMPT_S = 2.5
 """A dead link is known after so long: less than a second, and room for what else a machine does."""
 BOUND_S = 8 * rigs.PATIENT.silence_s
 """No call to a dead device takes longer: four answers, each of which may still come as late again."""
 
+FULL = {"test_samples_feed_the_watchdog", "test_samples_keep_it_running"}
+ONE_OF_EACH = {
+    "test_a_silent_link_is_known_at_once": (),
+    "test_make_safe_on_a_silent_link_says_so_in_bounded_time": (),
+    "test_opening_a_silent_link_says_so_in_bounded_time": (),
+    "test_without_samples_it_retracts_by_itself": (),
+    "test_impossible_forces_are_refused": ("force_n",),
+}
+"""Tests of the suites that wait, by name: tests/kinds.py."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Before tests/conftest.py looks at the marks."""
+    for item in items:
+        name = getattr(item, "originalname", item.name)
+        if not str(getattr(getattr(item, "function", None), "__module__", "")).startswith("polishd.testing"):
+            continue
+        if name in FULL:
+            item.add_marker(pytest.mark.full)
+        elif name in ONE_OF_EACH:
+            item.add_marker(pytest.mark.one_of_each(*ONE_OF_EACH[name]))
+
 
 async def seen(condition: Callable[[], bool]) -> None:
     """Look at the machine itself until it is so: pytest's timeout is the limit."""
     while not condition():  # noqa: ASYNC110 -- the machine tells nobody
         await asyncio.sleep(0.01)
-
-
-@pytest.fixture(params=rigs.ROBOTS, ids=lambda rig: rig.__name__)
-async def robot(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[RobotRig]:
-    async with request.param(tmp_path) as rig:
-        yield rig
-
-
-@pytest.fixture(params=rigs.ACTUATORS, ids=lambda rig: rig.__name__)
-async def actuator(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[ActuatorRig]:
-    async with request.param(tmp_path) as rig:
-        yield rig
-
-
-@pytest.fixture(params=rigs.SPINDLES, ids=lambda rig: rig.__name__)
-async def spindle(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[SpindleRig]:
-    async with request.param(tmp_path) as rig:
-        yield rig
-
-
-@pytest.fixture(params=rigs.LOADERS, ids=lambda rig: rig.__name__)
-async def loader(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[LoaderRig]:
-    async with request.param(tmp_path) as rig:
-        yield rig
-
-
-@pytest.fixture(
-    params=[*rigs.ROBOTS, *rigs.ACTUATORS, *rigs.SPINDLES, *rigs.LOADERS],
-    ids=lambda rig: rig.__name__,
-)
-async def any_device(
-    request: pytest.FixtureRequest, tmp_path: Path
-) -> AsyncIterator[RobotRig | ActuatorRig | SpindleRig | LoaderRig]:
-    async with request.param(tmp_path) as rig:
-        yield rig

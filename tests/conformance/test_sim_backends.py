@@ -1,6 +1,6 @@
 """The drivers against the simulator's own processes, over real wires: what holds for the fakes holds for these too.
 
-Three cells serve the whole module: between them they have every wire that the simulator speaks.
+Four cells serve the whole module: between them they have every wire that the simulator speaks.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from typing import Any
 import pytest
 
 from polishd.api import DeviceRefused, Executed, ForceSample, LinkError, Robot, SpeedSample, SpindleTimes
+from polishd.drivers.force_sensor_line import ForceSensorLine
+from polishd.drivers.monitor_line import MonitorLine
+from polishd.drivers.profiled import make
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp, parse_address
-from polishd.drivers.voice_coil import voice_coil_modbus, voice_coil_serial
-from tests.conformance.conftest import BOUND_S, PROMPT_S, seen
-from tests.conformance.rigs import PATIENT, ActuatorRig, Rig, RobotRig, SpindleRig
-from tests.conformance.test_device import (  # noqa: F401 -- the suite itself, with this module's any_device
+from polishd.testing.suites.device import (  # noqa: F401 -- the suite itself, with this module's any_device
     test_a_cancelled_call_harms_no_later_one,
     test_it_can_be_opened_again,
     test_it_says_who_it_is,
@@ -38,8 +38,20 @@ from tests.conformance.test_device import (  # noqa: F401 -- the suite itself, w
     test_nothing_works_after_it_is_closed,
     test_nothing_works_before_it_is_open,
     test_opening_changes_nothing,
-    watch,
 )
+from polishd.testing.waiting import until_lost
+from tests.conformance.conftest import BOUND_S, PROMPT_S, seen
+from tests.conformance.rigs import (
+    PATIENT,
+    PATIENT_MONITOR,
+    PATIENT_SENSOR,
+    PATIENT_SPINDLE,
+    ActuatorRig,
+    Rig,
+    RobotRig,
+    SpindleRig,
+)  # fmt: skip
+from tests.fakes.devices_by_profile import file_of, shipped, voice_coil_modbus, voice_coil_serial
 from tests.kinds import kind
 from tests.patience import SOON_S, within
 from tests.programs import plan_of
@@ -59,9 +71,12 @@ port = 0
 home = [0.0, 0.0, 0.0, 15.0, 0.0]
 """
 CELLS = {
-    "rtu_slcan": BASE,
+    "rtu_slcan": BASE + '[force_sensor]\n[monitor]\nkind = "serial"\n',
     "tcp_socketcand": BASE + '[actuator]\nkind = "modbus_tcp"\n[spindle]\nkind = "socketcand"\n',
     "ascii": BASE + '[actuator]\nkind = "serial"\n',
+    "profiles": BASE
+    + f'[actuator]\nkind = "profile"\nbaud = 57600\nprofile = "{file_of("line_drive.toml")}"\n'
+    + f'[spindle]\nkind = "profile_tcp"\nprofile = "{file_of("delta_ms300")}"\n',
 }
 AT_REST = {
     "robot": ("motion_started", {"motion_stopped", "boot", "lost"}),
@@ -84,7 +99,8 @@ class Place:
 
 ROBOTS = [Place("rtu_slcan", "robot")]
 ACTUATORS = kind(*(Place(name, "actuator") for name in CELLS))
-SPINDLES = kind(Place("rtu_slcan", "spindle"), Place("tcp_socketcand", "spindle"))
+SPINDLES = kind(*(Place(name, "spindle") for name in ("rtu_slcan", "tcp_socketcand", "profiles")))
+LOOKING = kind(Place("rtu_slcan", "force_sensor"), Place("rtu_slcan", "monitor"))
 
 
 STARTER = """
@@ -134,6 +150,8 @@ class Cells:
 
     def at_rest(self, place: Place) -> bool:
         """Whether the machine itself exerts nothing and stands, as its witness says (it speaks a moment later)."""
+        if place.device not in AT_REST:
+            return True
         begins, ends = AT_REST[place.device]
 
         def rests() -> bool:
@@ -169,8 +187,16 @@ def connect(cells: Cells, place: Place) -> RobotLink | SpindleCan | Any:
     running = cells.get(place.cell)
     address = parse_address(running.endpoints[place.device], running.state)
     match address:
+        case Tcp() | SerialLine() if place.device == "force_sensor":
+            return ForceSensorLine(address, PATIENT_SENSOR)
+        case Tcp() | SerialLine() if place.device == "monitor":
+            return MonitorLine(address, PATIENT_MONITOR)
         case Tcp() if place.device == "robot":
             return RobotLink(address)
+        case SerialLine() if place.cell == "profiles":
+            return make.actuator(shipped("line_drive.toml"), address, PATIENT)
+        case Tcp() if place.cell == "profiles":
+            return make.spindle(shipped("delta_ms300"), address, PATIENT_SPINDLE)
         case Slcan() | Socketcand():
             return SpindleCan(address, SpindleTimes(silence_s=1.5))
         case SerialLine() if place.cell == "ascii":
@@ -220,7 +246,7 @@ async def at_rest_again(device: Any) -> None:
                 return
 
 
-@pytest.fixture(params=[*ROBOTS, *ACTUATORS, *SPINDLES], ids=str)
+@pytest.fixture(params=[*ROBOTS, *ACTUATORS, *SPINDLES, *LOOKING], ids=str)
 async def any_device(request: pytest.FixtureRequest, cells: Cells) -> AsyncIterator[Rig[Any]]:
     """Every device."""
     async with sim_rig(cells, request.param) as rig:
@@ -267,7 +293,7 @@ async def test_a_power_cut_is_known_at_once(any_device: Rig[Any]) -> None:
     await any_device.device.open()
     any_device.cut()
     with within(PROMPT_S), pytest.raises(LinkError):
-        await watch(any_device.device)
+        await until_lost(any_device.device.status)
     with within(BOUND_S), pytest.raises(LinkError):
         await any_device.device.make_safe()
 
@@ -277,7 +303,7 @@ async def test_a_process_that_hangs_is_known_at_once(any_device: Rig[Any]) -> No
     await any_device.device.open()
     any_device.mute()
     with within(PROMPT_S), pytest.raises(LinkError):
-        await watch(any_device.device)
+        await until_lost(any_device.device.status)
     with within(BOUND_S), pytest.raises(LinkError):
         await any_device.device.make_safe()
 
@@ -297,7 +323,7 @@ async def test_a_device_that_was_booted_again_says_so(any_device: Rig[Any], cell
         assert (await device.status()).safe
     finally:
         await device.close()
-    assert after.boot_id != before.boot_id
+    assert after.boot_id != before.boot_id or place.cell == "profiles", "neither of these counts its power-ups"
     assert (after.vendor, after.model, after.serial) == (before.vendor, before.model, before.serial)
 
 
@@ -377,7 +403,7 @@ async def test_all_who_wait_for_a_dead_robot_hear_of_it(robot: RobotRig, how: st
     await executed(robot.device, 1)
     getattr(robot, how)()
     with within(PROMPT_S):
-        ends = await asyncio.gather(executed(robot.device, 99), watch(robot.device), return_exceptions=True)
+        ends = await asyncio.gather(executed(robot.device, 99), until_lost(robot.device.status), return_exceptions=True)
     assert [type(end) for end in ends] == [LinkError, LinkError]
     assert robot.device.buffer_s == 0.0
 
@@ -482,7 +508,8 @@ async def test_a_spindle_that_nobody_cares_for_stops_and_says_why(
     await spindle.device.set_speed(500.0)
     before = len(cells.history(place))
     await seen(lambda: any(e["event"] == "watchdog" for e in cells.history(place)[before:]))
-    assert (await first(spindle.device, lambda one: one.fault != 0)).fault == 1
+    fault = (await first(spindle.device, lambda one: one.fault != 0)).fault
+    assert fault == (58 if place.cell == "profiles" else 1)
     await spindle.device.make_safe()
     assert (await first(spindle.device, lambda one: one.fault == 0)).rpm == 0.0
 

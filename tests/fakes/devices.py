@@ -11,11 +11,23 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 from polishd.daemon.cell import Cell
-from polishd.model.devices import DeviceStatus, Executed, ForceSample, Identity, RobotProgress, RobotState, SpeedSample
+from polishd.daemon.signals import Signals
+from polishd.model.devices import (
+    DeviceStatus,
+    Executed,
+    ForceSample,
+    Identity,
+    RobotProgress,
+    RobotState,
+    SensedForce,
+    Signal,
+    SpeedSample,
+)
 from polishd.model.errors import DeviceRefused, LinkError
 from polishd.model.program import Plan, Segment
+from polishd.model.signal_limits import SignalLimits
 from polishd.model.surface import SurfaceMap
-from polishd.model.times import ActuatorTimes, LoaderTimes, RobotTimes, SpindleTimes
+from polishd.model.times import ActuatorTimes, LoaderTimes, MonitorTimes, RobotTimes, SensorTimes, SpindleTimes
 
 SAMPLE_S = 0.005
 """What one reading lets pass, of the fake clock."""
@@ -241,6 +253,49 @@ class FakeActuator(FakeDevice):
             self.events.append("lifted")
 
 
+class FakeForceSensor(FakeDevice):
+    """Reads what the actuator truly presses with; ``reads`` may say otherwise."""
+
+    def __init__(self, events: list[str], clock: ManualClock, actuator: FakeActuator) -> None:
+        super().__init__("force_sensor", events, clock)
+        self.times = SensorTimes()
+        self.reads: Callable[[SensedForce], SensedForce] = lambda reading: reading
+        self.silent = False
+        self._actuator = actuator
+
+    async def tare(self) -> None:
+        await self.did("tare")
+
+    async def samples(self) -> AsyncIterator[SensedForce]:
+        while True:
+            if self.silent:
+                await asyncio.Event().wait()
+            acts = self._actuator.position_mm > 0 and not self._actuator.retracted
+            yield self.reads(SensedForce(self.clock.at_s, self._actuator.force_n if acts else 0.0))
+            await asyncio.sleep(0)
+
+
+class FakeMonitor(FakeDevice):
+    """Tells ``values``, as they are then; its clock goes on by a reading."""
+
+    def __init__(self, events: list[str], clock: ManualClock) -> None:
+        super().__init__("monitor", events, clock)
+        self.times = MonitorTimes()
+        self.values: dict[str, float | bool | None] = {}
+        self.silent = False
+        self.fails: Exception | None = None
+
+    async def signals(self) -> AsyncIterator[Signal]:
+        while True:
+            if self.silent:
+                await asyncio.Event().wait()
+            if self.fails is not None:
+                raise self.fails
+            for name, value in self.values.items():
+                yield Signal(self.clock.at_s, name, value)
+            await asyncio.sleep(0)
+
+
 class FakeSpindle(FakeDevice):
     """Has its speed at once; ``reads`` may say otherwise."""
 
@@ -321,6 +376,8 @@ class FakeCell:
         self.spindle = FakeSpindle(self.events, self.clock)
         self.metrology = FakeMetrology(self.events, self.clock)
         self.loader = FakePartLoader(self.events, self.clock)
+        self.force_sensor = FakeForceSensor(self.events, self.clock, self.actuator)
+        self.monitor = FakeMonitor(self.events, self.clock)
         self.cell = Cell(self.devices, {name: name for name in self.devices}, self.clock)
 
     def with_loader(self) -> FakePartLoader:
@@ -328,6 +385,21 @@ class FakeCell:
         self.cell.devices = {**self.devices, "loader": self.loader}
         self.cell.used = {**self.cell.used, "loader": "loader"}
         return self.loader
+
+    def with_force_sensor(self) -> FakeForceSensor:
+        """An independent one."""
+        self.cell.devices = {**self.cell.devices, "force_sensor": self.force_sensor}
+        self.cell.used = {**self.cell.used, "force_sensor": "force_sensor"}
+        return self.force_sensor
+
+    def with_monitor(
+        self, *limits: SignalLimits, silence_s: float = 3600.0, **values: float | bool | None
+    ) -> FakeMonitor:
+        """One that tells those values, and what is watched of them."""
+        self.monitor.values = dict(values)
+        self.cell.devices = {**self.cell.devices, "monitor": self.monitor}
+        self.cell.signals = Signals(limits, {"monitor": silence_s})
+        return self.monitor
 
     @property
     def devices(self) -> dict[str, FakeDevice]:

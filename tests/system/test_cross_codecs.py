@@ -29,13 +29,13 @@ from pymodbus.pdu.register_message import (
 )
 
 from polishd.api import BadMap, Executed, SurfaceMap
+from polishd.drivers.profiled import codec, meaning
+from polishd.drivers.profiled.actuator import reading_of
+from polishd.drivers.profiled.modbus_link import REFUSALS
 from polishd.drivers.robot_link import messages
 from polishd.drivers.robot_link.frames import FrameReader, Kind, encode
 from polishd.drivers.spindle_can import codec as spindle_codec
 from polishd.drivers.transport import numbered
-from polishd.drivers.voice_coil import codec as ascii_codec
-from polishd.drivers.voice_coil import registers
-from polishd.drivers.voice_coil.device import State
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats import metropro as reader
 from polishd.plugins.interferometer.formats.common import EARLIEST_S
@@ -43,9 +43,10 @@ from polishd.sim_backends import metropro as writer
 from polishd.sim_backends.actuator.ascii import AsciiSlave, body, line
 from polishd.sim_backends.actuator.coil import VoiceCoil
 from polishd.sim_backends.actuator.modbus import Registers, RtuSlave, crc16, rtu
+from polishd.sim_backends.can_hosts import Slcan, Socketcand, slcan_frame, slcan_line
 from polishd.sim_backends.robot import frames as f
-from polishd.sim_backends.spindle.buses import Slcan, Socketcand, slcan_frame, slcan_line
 from polishd.sim_backends.spindle.drive import Drive
+from tests.fakes.devices_by_profile import shipped
 from tests.vectors import vectors
 
 U8, U16, U32 = (st.integers(0, 2**bits - 1) for bits in (8, 16, 32))
@@ -161,6 +162,18 @@ def test_neither_side_acts_on_a_frame_with_one_wrong_bit(
 # the actuator on Modbus
 
 
+MODBUS, ASCII = shipped("voice_coil_modbus"), shipped("voice_coil_serial")
+(LIVE,) = codec.blocks(MODBUS.registers, MODBUS.polled, 125)
+(TOLD,) = codec.blocks(MODBUS.registers, MODBUS.told, 125)
+STATES = ("retracted", "extending", "contact", "retracting", "fault")
+SET_POINT = MODBUS.registers["new_set_point"]
+
+
+def set_point(force_n: float) -> WriteSingleRegisterRequest:
+    words = codec.words_for(SET_POINT, "new_set_point", force_n, "high_first", 1)
+    return WriteSingleRegisterRequest(address=SET_POINT.address, registers=words, dev_id=1)
+
+
 def coil() -> VoiceCoil:
     return VoiceCoil(np.random.default_rng(0), lambda *_a, **_k: None, 0.0)
 
@@ -182,16 +195,14 @@ def asked(request: Any, of: Registers) -> Any:
 def test_modbus_vectors_are_what_pymodbus_sends() -> None:
     page = {name: bytes.fromhex(value) for name, value in vectors("voice_coil_modbus").items()}
     framer = FramerRTU(DecodePDU(False))
-    setpoint = WriteSingleRegisterRequest(
-        address=registers.SETPOINT, registers=[registers.setpoint_register(12.0)], dev_id=1
-    )
-    assert framer.buildFrame(setpoint) == page["write_setpoint"]
-    first, count = registers.INPUTS
-    assert framer.buildFrame(ReadInputRegistersRequest(address=first, count=count, dev_id=1)) == page["read_inputs"]
+    assert framer.buildFrame(set_point(12.0)) == page["write_setpoint"]
+    live = ReadInputRegistersRequest(address=LIVE.address, count=LIVE.count, dev_id=1)
+    assert framer.buildFrame(live) == page["read_inputs"]
     _, answer = framer.handleFrame(page["inputs"], 1, 0)
-    reading, heartbeat = registers.reading(answer.registers)
-    assert (reading.state, reading.force_n, reading.setpoint_n) == (State.CONTACT, 11.98, 12.0)
-    assert (reading.position_um, reading.fault, heartbeat) == (5000, 0, 7)
+    values = codec.values_of(MODBUS, LIVE, answer.registers)
+    reading = reading_of(MODBUS, values)
+    assert (reading.state, reading.force_n, reading.setpoint_n) == ("contact", 11.98, 12.0)
+    assert (reading.position_mm, reading.fault, values["beat_echo"]) == (5.0, 0, 7)
 
 
 @given(unit=st.integers(1, 247), address=U16, value=U16)
@@ -206,10 +217,7 @@ def test_modbus_frames_are_the_same_bytes(unit: int, address: int, value: int) -
 @given(hundredths=st.integers(0, 5000))
 def test_every_set_point_arrives_as_it_was_meant(hundredths: int) -> None:
     actuator = coil()
-    request = WriteSingleRegisterRequest(
-        address=registers.SETPOINT, registers=[registers.setpoint_register(hundredths / 100.0)], dev_id=1
-    )
-    assert asked(request, table(actuator)).registers == [hundredths]
+    assert asked(set_point(hundredths / 100.0), table(actuator)).registers == [hundredths]
     assert actuator.setpoint_n == pytest.approx(hundredths / 100.0, abs=1e-12)
 
 
@@ -224,21 +232,23 @@ def test_what_the_actuator_measures_is_what_the_driver_reads(
     actuator.force_n, actuator.setpoint_n, actuator.faults = force, setpoint / 100.0, faults
     actuator.position_um, actuator.engaged, actuator._touching = float(position), True, True
     actuator.feed(beat)
-    first, count = registers.INPUTS
-    answer = asked(ReadInputRegistersRequest(address=first, count=count, dev_id=1), table(actuator))
+    live = ReadInputRegistersRequest(address=LIVE.address, count=LIVE.count, dev_id=1)
+    answer = asked(live, table(actuator))
     assert isinstance(answer, ReadInputRegistersResponse)
-    reading, heartbeat = registers.reading(answer.registers)
-    assert int(reading.state) == actuator.state
+    values = codec.values_of(MODBUS, LIVE, answer.registers)
+    reading = reading_of(MODBUS, values)
+    assert reading.state == STATES[actuator.state]
     assert reading.force_n == pytest.approx(force, abs=0.08), "sign, scale, and the sensor's noise"
     assert reading.setpoint_n == pytest.approx(setpoint / 100.0)
-    assert (reading.position_um, reading.fault, heartbeat) == (position, faults, beat)
+    assert reading.position_mm == pytest.approx(position / 1000)
+    assert (reading.fault, values["beat_echo"]) == (faults, beat)
 
 
 @given(boots=U32)
 def test_the_actuators_identity_is_read(boots: int) -> None:
-    first, count = registers.IDENTITY
-    answer = asked(ReadInputRegistersRequest(address=first, count=count, dev_id=1), table(boots=boots))
-    identity = registers.identity(answer.registers)
+    told = ReadInputRegistersRequest(address=TOLD.address, count=TOLD.count, dev_id=1)
+    answer = asked(told, table(boots=boots))
+    identity = meaning.identity(MODBUS, codec.values_of(MODBUS, TOLD, answer.registers))
     assert (identity.vendor, identity.model, identity.serial) == ("polishd", "simulated VC50", "SIM-V1")
     assert (identity.firmware, identity.boot_id) == ("1.0", str(boots))
 
@@ -250,7 +260,7 @@ def test_refusals_have_words_in_the_driver(address: int, value: int, code: int) 
     answer = asked(WriteSingleRegisterRequest(address=address, registers=[value], dev_id=1), table())
     assert isinstance(answer, ExceptionResponse)
     assert answer.exception_code == code
-    assert registers.REFUSALS[code]
+    assert REFUSALS[code]
 
 
 # the actuator on a line of text
@@ -263,7 +273,7 @@ def test_ascii_vectors() -> None:
     assert numbered.decode(page["ok"][:-1]) == (7, "OK")
     number, answer = numbered.decode(page["status"][:-1]) or (-1, "")
     assert number == 8
-    assert ascii_codec.status(answer).force_n == 11.98
+    assert codec.fields_of(ASCII, ASCII.asks["status"], answer)["force"] == 11.98
 
 
 BODY = st.text(st.characters(min_codepoint=32, max_codepoint=126, exclude_characters="*$"), max_size=90)
@@ -300,15 +310,16 @@ def test_the_text_status_is_what_the_driver_reads(
     ((_, answer), (_, who)) = slave.feed(numbered.encode(number, "ST?") + numbered.encode(number, "ID?"), 0.0)
     read = numbered.decode(answer[:-1])
     assert read is not None
-    reading = ascii_codec.status(read[1])
+    reading = reading_of(ASCII, codec.fields_of(ASCII, ASCII.asks["status"], read[1]))
     assert read[0] == number
-    assert int(reading.state) == actuator.state
+    assert reading.state == STATES[actuator.state]
     assert reading.force_n == pytest.approx(force, abs=0.08)
-    assert (reading.setpoint_n, reading.position_um, reading.fault) == (setpoint / 100.0, position, faults)
+    assert (reading.setpoint_n, reading.position_mm) == pytest.approx((setpoint / 100.0, position / 1000))
+    assert reading.fault == faults
     named = numbered.decode(who[:-1])
     assert named is not None
-    assert ascii_codec.identity(named[1]).model == "simulated VC50"
-    assert ascii_codec.identity(named[1]).boot_id == "4"
+    identity = meaning.identity(ASCII, codec.fields_of(ASCII, ASCII.asks["identity"], named[1]))
+    assert (identity.model, identity.boot_id) == ("simulated VC50", "4")
 
 
 @given(hundredths=st.integers(0, 5000))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from urllib.parse import quote, unquote
 
-from polishd.api import Identity, ProtocolError
+from polishd.api import ProtocolError
 
 FAULTS = {1: "jammed", 2: "it has dropped a part", 4: "its guard is open", 8: "drive"}
 _STATUS = re.compile(r"ST,([0-3]),(\d{1,5}),([\w.~%-]*)", re.ASCII)
@@ -51,11 +51,3 @@ def status(body: str) -> Reading:
         raise ProtocolError(f"no answer to ST?: {body!r}")
     state, fault, seat = match.groups()
     return Reading(State(int(state)), int(fault), unquote(seat) or None)
-
-
-def identity(body: str) -> Identity:
-    """The answer to ``ID?``."""
-    parts = body.split(",")
-    if len(parts) != 6 or parts[0] != "ID":
-        raise ProtocolError(f"no answer to ID?: {body!r}")
-    return Identity(parts[1], parts[2], parts[3], parts[4], boot_id=parts[5])

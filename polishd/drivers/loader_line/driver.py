@@ -19,7 +19,7 @@ from polishd.api import (
 from polishd.drivers.loader_line import codec
 from polishd.drivers.loader_line.codec import Reading, State
 from polishd.drivers.transport.address import SerialLine, Tcp
-from polishd.drivers.transport.numbered import NumberedLines
+from polishd.drivers.transport.numbered import NumberedLines, identity
 
 LOOK_S = 0.2
 """Between two looks at a loader that moves; they feed its watchdog, too."""
@@ -56,7 +56,7 @@ class LoaderLine:
 
     async def identify(self) -> Identity:
         """See Device."""
-        return codec.identity(await self._ask("ID?"))
+        return identity(await self._ask("ID?"))
 
     async def status(self) -> DeviceStatus:
         """See Device. Safe means that it stands."""

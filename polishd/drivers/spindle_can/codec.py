@@ -5,7 +5,8 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+
+from polishd.drivers.transport.can_bus import CanFrame
 
 COMMAND, STATUS, HEARTBEAT, SDO_REQUEST, SDO_ANSWER = 0x200, 0x180, 0x700, 0x600, 0x580
 OPERATIONAL, BOOT = 0x05, 0x00
@@ -16,13 +17,6 @@ _COMMAND = struct.Struct("<BBh4x")
 _STATUS = struct.Struct("<BBiBx")
 _SDO = struct.Struct("<BHBI")
 _UPLOAD, _EXPEDITED, _ABORT = 0x40, 0x43, 0x80
-
-
-class CanFrame(NamedTuple):
-    """A classic CAN frame with an 11-bit identifier."""
-
-    identifier: int
-    data: bytes
 
 
 class DriveState(IntEnum):

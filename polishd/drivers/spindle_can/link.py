@@ -7,10 +7,10 @@ import time
 
 from polishd.api import DeviceFault, LinkError, ProtocolError
 from polishd.drivers.spindle_can import codec
-from polishd.drivers.spindle_can.bus import CanBus, open_bus
-from polishd.drivers.spindle_can.codec import CanFrame, DriveObject, DriveStatus, Heartbeat, SdoAnswer
+from polishd.drivers.spindle_can.codec import DriveObject, DriveStatus, Heartbeat, SdoAnswer
 from polishd.drivers.transport.address import Slcan, Socketcand
 from polishd.drivers.transport.background import Background, Ready
+from polishd.drivers.transport.can_bus import CanBus, CanFrame, open_bus
 
 OPEN_S = 1.0
 REPEAT_S = 0.1

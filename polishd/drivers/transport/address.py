@@ -1,7 +1,7 @@
 """Device addresses as the config writes them.
 
     tcp://host:port                    a TCP peer
-    serial:PATH?baud=115200            a serial line or pseudo-terminal
+    serial:PATH?baud=115200            a serial line or pseudo-terminal (also ``parity=none|even|odd``, ``stop_bits``)
     slcan:PATH?bitrate=500000          a CAN bus behind a serial adapter (also ``baud``)
     socketcand://host:port/channel     a CAN bus behind a socketcand server
 
@@ -11,12 +11,15 @@ Relative paths start from the folder that the caller names (the config's own).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal, cast
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
-from polishd.api import ConfigError
+from polishd.model.errors import ConfigError
 
+Parity = Literal["none", "even", "odd"]
+PARITIES = ("none", "even", "odd")
 CAN_BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 750_000, 1_000_000)
 
 
@@ -33,13 +36,25 @@ class Tcp:
 
 @dataclass(frozen=True, slots=True)
 class SerialLine:
-    """A serial line, 8N1."""
+    """A serial line of eight data bits."""
 
     path: Path
     baud: int = 115_200
+    parity: Parity = "none"
+    stop_bits: int = 1
 
     def __str__(self) -> str:
         return f"serial:{self.path}"
+
+    @property
+    def settings(self) -> str:
+        """As people write them: ``9600 8E1``."""
+        return f"{self.baud} 8{self.parity[0].upper()}{self.stop_bits}"
+
+    @property
+    def byte_s(self) -> float:
+        """Time of one byte on the line: start, data, parity and stop bits."""
+        return (9 + (self.parity != "none") + self.stop_bits) / self.baud
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,15 +84,18 @@ class Socketcand:
 Address = Tcp | SerialLine | Slcan | Socketcand
 
 
-def parse_address(text: str, base_dir: Path) -> Address:
-    """Read an address; ConfigError names the address and what is wrong with it."""
+def parse_address(text: str, base_dir: Path, usual: SerialLine | None = None) -> Address:
+    """Read an address; ConfigError names the address and what is wrong with it.
+
+    ``usual`` has the settings of a serial line that the address leaves out.
+    """
     try:
-        return _parse(urlsplit(text), base_dir)
+        return _parse(urlsplit(text), base_dir, usual or SerialLine(Path()))
     except ValueError as error:
         raise ConfigError(f"address {text!r}: {error}") from error
 
 
-def _parse(url: SplitResult, base_dir: Path) -> Address:
+def _parse(url: SplitResult, base_dir: Path, usual: SerialLine) -> Address:
     options = _options(url)
     match url.scheme:
         case "tcp":
@@ -90,13 +108,25 @@ def _parse(url: SplitResult, base_dir: Path) -> Address:
                 raise ValueError("write socketcand://host:port/channel")
             return Socketcand(*_host_port(url), channel)
         case "serial":
-            return SerialLine(_path(url, base_dir), **_numbers(options, {"baud"}))
+            return _serial(replace(usual, path=_path(url, base_dir)), options)
         case "slcan":
             slcan = Slcan(_path(url, base_dir), **_numbers(options, {"bitrate", "baud"}))
             if slcan.bitrate not in CAN_BITRATES:
                 raise ValueError(f"bitrate {slcan.bitrate} is none of {', '.join(map(str, CAN_BITRATES))}")
             return slcan
     raise ValueError("it starts with none of tcp:, serial:, slcan:, socketcand:")
+
+
+def _serial(line: SerialLine, options: dict[str, str]) -> SerialLine:
+    _known(options, {"baud", "parity", "stop_bits"})
+    parity = options.pop("parity", line.parity)
+    if parity not in PARITIES:
+        raise ValueError(f"parity {parity!r} is none of {', '.join(PARITIES)}")
+    numbers = {"baud": line.baud, "stop_bits": line.stop_bits, **_numbers(options, {"baud", "stop_bits"})}
+    found = SerialLine(line.path, numbers["baud"], cast("Parity", parity), numbers["stop_bits"])
+    if found.stop_bits > 2:
+        raise ValueError(f"stop_bits is 1 or 2, not {found.stop_bits}")
+    return found
 
 
 def _options(url: SplitResult) -> dict[str, str]:
@@ -108,10 +138,15 @@ def _options(url: SplitResult) -> dict[str, str]:
     return dict(pairs)
 
 
-def _numbers(options: Mapping[str, str], known: set[str]) -> dict[str, int]:
-    for name, value in options.items():
+def _known(options: Mapping[str, str], known: set[str]) -> None:
+    for name in options:
         if name not in known:
             raise ValueError(f"unknown option {name!r}, known: {', '.join(sorted(known))}")
+
+
+def _numbers(options: Mapping[str, str], known: set[str]) -> dict[str, int]:
+    _known(options, known)
+    for name, value in options.items():
         if not (value.isascii() and value.isdigit() and int(value) > 0):
             raise ValueError(f"{name} is no positive number: {value!r}")
     return {name: int(value) for name, value in options.items()}
@@ -129,3 +164,13 @@ def _path(url: SplitResult, base_dir: Path) -> Path:
     if url.netloc or not url.path:
         raise ValueError(f"write {url.scheme}:PATH")
     return base_dir / url.path
+
+
+def silent(address: SerialLine | Tcp, silence_s: float, other: str = "") -> str:
+    """What silence for so long most likely is: ``within 0.3 s at 9600 8N1; see ...``; ``other`` is looked at, too."""
+    if isinstance(address, SerialLine):
+        looked, asked = f" at {address.settings}", ["baud rate", "parity", *filter(None, [other])]
+    else:
+        looked, asked = "", [*filter(None, [other])]
+    named = " and ".join(filter(None, [", ".join(asked[:-1]), *asked[-1:]]))
+    return f"within {silence_s:g} s{looked}; see whether it has power" + (f", and this {named}" if named else "")

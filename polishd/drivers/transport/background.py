@@ -8,7 +8,7 @@ from collections.abc import Callable, Coroutine
 from functools import partial
 from typing import Any, TypeVar
 
-from polishd.api import LinkError, PolishdError
+from polishd.model.errors import LinkError, PolishdError
 
 T = TypeVar("T")
 Ready = Callable[[], None]

@@ -10,9 +10,11 @@ import time
 from functools import reduce
 from operator import xor
 
-from polishd.api import ByteStream, DeviceRefused, LinkError
-from polishd.drivers.transport.address import SerialLine, Tcp
+from polishd.drivers.transport.address import SerialLine, Tcp, silent
 from polishd.drivers.transport.streams import LineReader, open_stream
+from polishd.model.devices import Identity
+from polishd.model.errors import DeviceRefused, LinkError, ProtocolError
+from polishd.ports.stream import ByteStream
 
 LONGEST = 120
 """Bytes of a line."""
@@ -36,6 +38,14 @@ def decode(line: bytes) -> tuple[int, str] | None:
     if not (comma and number.isdigit() and len(number) <= 5):
         return None
     return int(number), body
+
+
+def identity(body: str) -> Identity:
+    """The answer to ``ID?``; ProtocolError where it is none."""
+    parts = body.split(",")
+    if len(parts) != 6 or parts[0] != "ID":
+        raise ProtocolError(f"no answer to ID?: {body!r}")
+    return Identity(parts[1], parts[2], parts[3], parts[4], boot_id=parts[5])
 
 
 class NumberedLines:
@@ -80,7 +90,8 @@ class NumberedLines:
         except LinkError as error:
             if time.monotonic() < deadline:  # not merely silent: the wire itself is gone
                 await self.disconnect()
-            raise LinkError(f"{self.name}: no answer to {request} ({error})") from error
+                raise LinkError(f"{self.name}: no answer to {request} ({error})") from error
+            raise LinkError(f"{self.name}: no answer to {request} {silent(self._address, self._silence_s)}") from error
         if answer.startswith("ERR,"):
             raise DeviceRefused(f"{self.name}: {request} was refused: {answer.removeprefix('ERR,')}")
         return answer

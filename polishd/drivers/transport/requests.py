@@ -9,8 +9,8 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
-from polishd.api import PolishdError
 from polishd.drivers.transport.background import Background, Ready
+from polishd.model.errors import PolishdError
 
 T = TypeVar("T")
 

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
+import socket
+import termios
 import time
 from functools import partial
 from typing import cast
 
 import serial
 
-from polishd.api import ByteStream, LinkError
 from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.drivers.transport.background import open_blocking, settle
+from polishd.model.errors import LinkError
+from polishd.ports.stream import ByteStream
 
 WRITE_S = 1.0
 """A peer, or a line, that takes no bytes for so long is dead."""
 
 
-async def open_stream(address: Tcp | SerialLine, within_s: float = 1.0) -> ByteStream:
+async def open_stream(address: Tcp | SerialLine, within_s: float = 1.0) -> TcpStream | SerialStream:
     """Connect; LinkError where nobody answers within that time."""
     if isinstance(address, SerialLine):
         return await _open_serial(address, within_s)
@@ -29,18 +33,54 @@ async def open_stream(address: Tcp | SerialLine, within_s: float = 1.0) -> ByteS
     except TimeoutError:
         raise LinkError(f"{address}: no connection within {within_s:g} s") from None
     except OSError as error:
-        raise LinkError(f"{address}: {error}") from error
+        raise LinkError(f"{address}: {_why_not_connected(error)}") from error
     return stream
 
 
-async def _open_serial(address: SerialLine, within_s: float) -> ByteStream:
+def _why_not_connected(error: OSError) -> str:
+    """What is wrong with the address, and what to do."""
+    if isinstance(error, socket.gaierror):
+        return "no host has that name; mend it, or see the name server"
+    match error.errno:
+        case errno.ECONNREFUSED:
+            return "nobody listens there; see the port, and whether the device is on"
+        case errno.EHOSTUNREACH | errno.ENETUNREACH:
+            return "no way leads to that host; see the cable and this computer's network"
+    return str(error)
+
+
+async def _open_serial(address: SerialLine, within_s: float) -> SerialStream:
     """Open a serial line for ourselves alone; what was received before is dropped."""
-    make = partial(serial.Serial, str(address.path), address.baud, timeout=0, write_timeout=0, exclusive=True)
+    make = partial(
+        serial.Serial,
+        str(address.path),
+        address.baud,
+        parity=address.parity[0].upper(),
+        stopbits=address.stop_bits,
+        timeout=0,
+        write_timeout=0,
+        exclusive=True,
+    )
     try:
         port = await open_blocking(make, serial.Serial.close, within_s, str(address))
-    except OSError as error:  # SerialException is one
-        raise LinkError(f"{address}: {error}") from error
+    except (OSError, ValueError, termios.error) as error:  # SerialException is the first
+        raise LinkError(f"{address}: {_why_closed(address, error)}") from error
     return SerialStream(str(address), port)
+
+
+def _why_closed(address: SerialLine, error: Exception) -> str:
+    """What is wrong with the port, and what to do."""
+    cause = error.__context__ if isinstance(error.__context__, termios.error) else error
+    match cause.args[0] if cause.args else None:
+        case errno.EAGAIN | errno.EBUSY:
+            return "another program has the port open; end it (lsof names it)"
+        case errno.EACCES | errno.EPERM:
+            return "no permission to open the port; add the user to the group that owns it (often dialout)"
+        case errno.ENOENT | errno.ENXIO | errno.ENODEV:
+            return "there is no such port; plug the adapter in, or mend the path"
+        case errno.ENOTTY | errno.EINVAL | errno.EISDIR:
+            return f"it is no serial port, or knows no {address.settings}; mend the path or the settings"
+    return str(error)
 
 
 class ReadBuffer:
@@ -62,6 +102,11 @@ class ReadBuffer:
         if self._failure is None:
             self._failure = reason
         self._wake()
+
+    @property
+    def alive(self) -> bool:
+        """The link has not failed, as far as is known without asking."""
+        return self._failure is None
 
     def check(self) -> None:
         """LinkError once the link has failed."""

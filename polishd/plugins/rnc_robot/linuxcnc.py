@@ -40,7 +40,7 @@ def _build(options: LinuxCncOptions, context: DeviceContext) -> LinuxCnc:
     return LinuxCnc(
         address,
         (context.base_dir / options.program_dir).absolute(),
-        RobotTimes(watchdog_s=options.watchdog_s or math.inf, stop_s=options.stop_s),
+        RobotTimes(watchdog_s=options.watchdog_s or math.inf, stop_s=options.stop_s, lifts=False),
         controller_dir=options.controller_dir,
         passwords=(options.password, options.enable_password),
     )

@@ -1,4 +1,4 @@
-"""The voice-coil actuator: the device types ``voice_coil_modbus`` and ``voice_coil_serial``."""
+"""The voice-coil actuator: the device types ``voice_coil_modbus`` and ``voice_coil_serial``, as their profiles say."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from polishd.api import ActuatorTimes, ConfigError, DeviceContext, DeviceType, ForceActuator, hookimpl
-from polishd.drivers.transport.address import SerialLine, Tcp, parse_address
-from polishd.drivers.voice_coil import voice_coil_modbus, voice_coil_serial
+from polishd.api import ActuatorTimes, DeviceContext, DeviceType, ForceActuator, Unpowered, hookimpl
+from polishd.drivers.profiled import make
+from polishd.drivers.profiled.shelf import profile_of
 
 POLISHD_API = 1
 
@@ -35,6 +35,9 @@ class VoiceCoilOptions(BaseModel):
     """Longest from force off until it tells that the tool is up. Motion goes on until then."""
     stroke_mm: Annotated[float, Field(gt=0.0, le=500.0)] = 10.0
     """How far the tool can follow the part: a robot that lifts it off goes that far, and a margin."""
+    unpowered: Unpowered = "lifts"
+    """What its tool does without power: a spring or its weight `lifts` it, it `stays`, which needs a robot that takes
+    the tool away, or it `presses`, which is refused."""
 
     @property
     def times(self) -> ActuatorTimes:
@@ -46,6 +49,7 @@ class VoiceCoilOptions(BaseModel):
             release_s=self.release_s,
             retract_s=self.retract_s,
             stroke_mm=self.stroke_mm,
+            unpowered=self.unpowered,
         )
 
 
@@ -56,19 +60,17 @@ class ModbusOptions(VoiceCoilOptions):
     """Modbus unit number. [1]"""
 
 
-def _address(text: str, context: DeviceContext) -> Tcp | SerialLine:
-    address = parse_address(text, context.base_dir)
-    if isinstance(address, Tcp | SerialLine):
-        return address
-    raise ConfigError(f"[actuator] address {text!r}: a voice coil is reached over serial: or tcp://")
+def _build(name: str, options: VoiceCoilOptions, unit: int | None, context: DeviceContext) -> ForceActuator:
+    profile = profile_of(name, context.base_dir)
+    return make.actuator(profile, make.address_of(profile, options.address, context.base_dir), options.times, unit=unit)
 
 
 def _build_modbus(options: ModbusOptions, context: DeviceContext) -> ForceActuator:
-    return voice_coil_modbus(_address(options.address, context), options.times, unit=options.unit)
+    return _build("voice_coil_modbus", options, options.unit, context)
 
 
 def _build_serial(options: VoiceCoilOptions, context: DeviceContext) -> ForceActuator:
-    return voice_coil_serial(_address(options.address, context), options.times)
+    return _build("voice_coil_serial", options, None, context)
 
 
 @hookimpl

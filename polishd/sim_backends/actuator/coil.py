@@ -21,6 +21,7 @@ LIFTED_UM = 200.0
 RISE_N_S = 240.0
 FALL_N_S = 1200.0
 STEP_S = 0.005
+MOST_DRIFT_N = 4.0
 
 Refusal = Literal["", "range", "fault"]
 
@@ -47,6 +48,8 @@ class VoiceCoil:
     now_s: float
     pace: Pace = Pace()
     stuck_after_s: float = 0.0
+    drift_after_s: float = 0.0
+    drift_n_s: float = 0.0
     setpoint_n: float = 0.0
     watchdog_ms: int = 500
     heartbeat: int = 0
@@ -62,6 +65,8 @@ class VoiceCoil:
     """The force falls to 60 % in contact, whatever is asked."""
     hung: bool = False
     """Its firmware has died: it goes on pressing, answers nobody, and watches nothing."""
+    drift_n: float = 0.0
+    """What its own sensor reads too much: it regulates by that."""
     _clung_s: float = 0.0
     _fed_s: float = 0.0
     _touching: bool = False
@@ -88,7 +93,7 @@ class VoiceCoil:
     def measured_n(self) -> float:
         """What the force sensor reads."""
         actual = self.force_n * (1.0 + self._noise) if self._touching else 0.0
-        return actual + 0.01 * float(self.rng.standard_normal())
+        return actual + self.drift_n + 0.01 * float(self.rng.standard_normal())
 
     def set_force(self, force_n: float) -> Refusal:
         """New set point."""
@@ -166,8 +171,17 @@ class VoiceCoil:
         self.stuck = self.stuck or 0.0 < self.stuck_after_s < self._contact_s
         if self.stuck and aim > 0.0:
             aim *= 0.6
+        aim = max(aim - self._drifted(dt), 0.0)
         change = min(max(aim - self.force_n, -FALL_N_S * dt), RISE_N_S * dt)
         self.force_n += change
+
+    def _drifted(self, dt: float) -> float:
+        """By how much its sensor reads too much by now."""
+        if 0.0 < self.drift_after_s < self._contact_s:
+            if self.drift_n == 0.0:
+                self.report("actuator_drifts", self.now_s)
+            self.drift_n = min(max(self.drift_n + self.drift_n_s * dt, -MOST_DRIFT_N), MOST_DRIFT_N)
+        return self.drift_n
 
     def _withdraw(self, dt: float) -> None:
         if self._touching:

@@ -13,12 +13,16 @@ from polishd.sim_backends.actuator.coil import Pace, VoiceCoil
 from polishd.sim_backends.actuator.modbus import Registers, RtuSlave, TcpSlave
 from polishd.sim_backends.bus import Message
 from polishd.sim_backends.faults import Outlet
+from polishd.sim_backends.profiled.machine import ForceDrive
+from polishd.sim_backends.profiled.sheet import Sheet
+from polishd.sim_backends.profiled.slave import Slave, by_profile
 from polishd.sim_backends.runtime import Runtime
 from polishd.sim_backends.truth import stream
 from polishd.sim_backends.wire import Feed, Wire
 
 TICK_S = 0.005
 MARK_S = 0.02
+TCP = {"modbus_tcp", "profile_tcp"}
 VENDOR, MODEL, SERIAL, FIRMWARE = "polishd", "simulated VC50", "SIM-V1", "1.0"
 
 
@@ -31,6 +35,8 @@ async def main(runtime: Runtime) -> None:
         now_s=time.monotonic(),
         pace=Pace(config.land_s / speed, config.lift_s / speed, config.cling, config.rest_n),
         stuck_after_s=config.faults.stuck_force_after_s,
+        drift_after_s=config.faults.drift_after_s,
+        drift_n_s=config.faults.drift_n_s,
         touch_um=runtime.link.welcome.get("touch_um"),
     )
 
@@ -42,7 +48,7 @@ async def main(runtime: Runtime) -> None:
     runtime.link.on_message = on_message
     wire = Wire(runtime, config.faults, lambda outlet: _feed(runtime, coil, outlet))
     endpoint = f"serial:{runtime.start.state / runtime.name}?baud={config.baud}"
-    if config.kind == "modbus_tcp":
+    if config.kind in TCP:
         endpoint = f"tcp://{await wire.open_tcp(config.port)}"
     else:
         wire.open_pty(config.baud)
@@ -56,13 +62,15 @@ def _feed(runtime: Runtime, coil: VoiceCoil, outlet: Outlet) -> Feed:
     """The receiver of one connection: requests are answered after the time that they take on the line."""
     config = runtime.start.config.actuator
     registers = Registers(coil, VENDOR, MODEL, SERIAL, FIRMWARE, runtime.boot_count)
-    makers: dict[str, Callable[[], RtuSlave | TcpSlave | AsciiSlave]] = {
+    makers: dict[str, Callable[[], Slave]] = {
         "modbus_rtu": lambda: RtuSlave(config.unit, registers.answer),
         "modbus_tcp": lambda: TcpSlave(config.unit, registers.answer),
         "serial": lambda: AsciiSlave(coil, f"{VENDOR},{MODEL},{SERIAL},{FIRMWARE},{runtime.boot_count}"),
+        "profile": lambda: by_profile(_sheet(runtime), _drive(runtime, coil), config.unit, tcp=False),
+        "profile_tcp": lambda: by_profile(_sheet(runtime), _drive(runtime, coil), config.unit, tcp=True),
     }
     slave = makers[config.kind]()
-    byte_s = 0.0 if config.kind == "modbus_tcp" else 10.0 / config.baud
+    byte_s = 0.0 if config.kind in TCP else 10.0 / config.baud
 
     def feed(data: bytes) -> None:
         now = time.monotonic()
@@ -73,6 +81,19 @@ def _feed(runtime: Runtime, coil: VoiceCoil, outlet: Outlet) -> Feed:
             outlet.send(answer, size * byte_s)
 
     return feed
+
+
+def _sheet(runtime: Runtime) -> Sheet:
+    """The profile, relative to SIM.toml."""
+    config = runtime.start.config
+    return Sheet.read(config.resolve(config.actuator.profile))
+
+
+def _drive(runtime: Runtime, coil: VoiceCoil) -> ForceDrive:
+    orders = _sheet(runtime).raw["orders"]
+    identity = {"vendor": VENDOR, "model": MODEL, "serial": SERIAL, "firmware": FIRMWARE}
+    identity["boot"] = str(runtime.boot_count)
+    return ForceDrive(coil, identity, engages="engage" in orders, beats="beat" in orders)
 
 
 async def _tick(runtime: Runtime, coil: VoiceCoil) -> None:

@@ -10,7 +10,8 @@ from polishd.sim_backends.actuator.coil import VoiceCoil
 
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, DEVICE_FAILURE = 1, 2, 3, 4
 _CODES = {"": 0, "range": ILLEGAL_VALUE, "fault": DEVICE_FAILURE}
-_SHORT = {3, 4, 6}
+_LONG = {15, 16}
+"""Functions whose requests say how long they are; all others have 8 bytes."""
 
 
 def crc16(data: bytes) -> int:
@@ -119,7 +120,7 @@ class RtuSlave:
         self._last_s = now_s
         self._buffer += data
         while len(self._buffer) >= 8:
-            size = 8 if self._buffer[1] in _SHORT else 9 + self._buffer[6] if self._buffer[1] == 16 else 8
+            size = 9 + self._buffer[6] if self._buffer[1] in _LONG else 8
             if len(self._buffer) < size:
                 return
             frame, rest = self._buffer[:size], self._buffer[size:]

@@ -87,14 +87,9 @@ async def main(runtime: Runtime) -> None:
         return feed
 
     wire = Wire(runtime, config.faults, receiver)
-    endpoint = f"serial:{runtime.start.state / runtime.name}?baud={config.baud}"
-    if config.kind == "tcp":
-        endpoint = f"tcp://{await wire.open_tcp(config.port)}"
-    else:
-        wire.open_pty(config.baud)
     runtime.on_again.append(lambda: setattr(arm, "faults", (runtime.start.config.loader or config).faults))
     runtime.button(signal.SIGUSR1, arm.reset)
-    wire.ready(endpoint)
+    wire.ready(await wire.open_line(config))
     while True:
         arm.step(time.monotonic())
         await asyncio.sleep(TICK_S)

@@ -23,6 +23,7 @@ from polishd.sim_backends.runtime import Start, announce, cancel_all, replace, u
 TICK_S = 0.02
 SUMMARY_S = 1.0
 MOVING = {"motion_started": True, "motion_stopped": False, "boot": False, "lost": False}
+FEELING = {"force_sensor", "monitor"}
 EXTENDED = {"engage": True, "retracted": False, "boot": False, "lost": False}
 
 
@@ -48,6 +49,7 @@ class PlantServer:
     write_s: float = math.inf
     """The account is written once everything before that time is integrated."""
     _touch_um: float | None = None
+    _acting_n: float = 0.0
     _summary: tuple[float, int] = (0.0, -1)
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -80,6 +82,7 @@ class PlantServer:
         for wall, process in self.world.integrate(horizon):
             self.witness.clock(wall, process)
         self._tell_touch()
+        self._tell_force()
         self._measure(horizon)
         if horizon >= self.write_s:
             self.write_s = math.inf
@@ -135,7 +138,8 @@ class PlantServer:
         if device == "robot":
             self.robot_mark = math.inf
         elif device in {"actuator", "spindle"}:
-            self._timeline(device).disconnect(now)
+            stays = device == "actuator" and self.start.config.actuator.unpowered == "stays"
+            self._timeline(device).disconnect(now, stays=stays)
         self._note(device, "lost", now, {})
 
     def _timeline(self, device: str) -> Timeline:
@@ -156,6 +160,7 @@ class PlantServer:
             self.world.stand_until(self.robot_mark, message["pose"])
         elif "samples" in message:
             self._timeline(device).push(message["samples"], float(message["mark"]))
+            self._tell_force()
 
     def _note(self, device: str, name: str, at_s: float, data: bus.Message) -> None:
         if device == "robot" and name in MOVING:
@@ -183,6 +188,14 @@ class PlantServer:
         if touch_um != self._touch_um and "actuator" in self.writers:
             self._touch_um = touch_um
             self.writers["actuator"].write(bus.pack_json({"touch_um": touch_um}))
+
+    def _tell_force(self) -> None:
+        """What truly acts between tool and part, to those that feel it."""
+        acting_n = self.world.acting_n
+        if acting_n != self._acting_n:
+            self._acting_n = acting_n
+            for device in FEELING & self.writers.keys():
+                self.writers[device].write(bus.pack_json({"acting_n": acting_n}))
 
     def _measure(self, horizon_s: float) -> None:
         if self.asked_s is None or horizon_s < max(self.asked_s, self.safe_s) or self.moving or self.extended:

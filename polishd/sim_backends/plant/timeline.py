@@ -26,9 +26,9 @@ class Timeline:
         self._step(at_s, self.rest)
         self.mark_s = at_s
 
-    def disconnect(self, at_s: float) -> None:
-        """The device is gone: the value falls to rest at once."""
-        self._step(max(at_s, self.times[-1]), self.rest)
+    def disconnect(self, at_s: float, *, stays: bool = False) -> None:
+        """The device is gone: the value falls to rest at once, or stays what it was."""
+        self._step(max(at_s, self.times[-1]), self.values[-1] if stays else self.rest)
         self.mark_s = math.inf
 
     def push(self, samples: list[tuple[float, float]], mark_s: float) -> None:

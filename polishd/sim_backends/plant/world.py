@@ -96,6 +96,11 @@ class World:
             return None
         return round(TOUCH_UM + 1000.0 * float(self._gap_mm(place)[0] / axis[0, 2]), 0)
 
+    @property
+    def acting_n(self) -> float:
+        """Force between tool and part now, as the actuator exerts it, whatever that says of it."""
+        return self.force.values[-1] if self.touch_um is not None else 0.0
+
     def integrate(self, horizon_s: float) -> list[tuple[float, float]]:
         """Wear the part; returns (wall, process) pairs of the clocks."""
         clocks = []

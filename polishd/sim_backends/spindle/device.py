@@ -6,20 +6,19 @@ import asyncio
 import signal
 import time
 
-from polishd.sim_backends.faults import Outlet
+from polishd.sim_backends.can_wire import CanWire
+from polishd.sim_backends.profiled.inverter import main as inverter
 from polishd.sim_backends.runtime import Runtime
-from polishd.sim_backends.spindle.buses import Slcan, Socketcand
 from polishd.sim_backends.spindle.drive import Drive
-from polishd.sim_backends.wire import Feed, Wire
 
 TICK_S = 0.01
-ADAPTER_BAUD = 1_000_000
-"""Of the slcan adapter's serial side."""
 VENDOR_ID, PRODUCT, REVISION, SERIAL = 0x506F, 0x0101, 0x00010000, 12345
 
 
 async def main(runtime: Runtime) -> None:
     """The device coroutine."""
+    if runtime.start.config.spindle.kind in {"profile", "profile_tcp"}:
+        return await inverter(runtime)
     config, speed = runtime.start.config.spindle, runtime.start.speed
     identity = enumerate((VENDOR_ID, PRODUCT, REVISION, SERIAL), start=1)
     objects = {(0x1018, sub): value for sub, value in identity}
@@ -35,36 +34,10 @@ async def main(runtime: Runtime) -> None:
         watchdog_s=config.watchdog_s,
     )
     runtime.button(signal.SIGUSR1, drive.fail)
-    hosts: list[tuple[Slcan | Socketcand, Outlet]] = []
-
-    def connected(outlet: Outlet) -> Feed:
-        host = (Slcan if config.kind == "slcan" else Socketcand)(drive.on_frame)
-        hosts.append((host, outlet))
-        outlet.on_closed = lambda: hosts.remove((host, outlet))
-
-        def feed(data: bytes) -> None:
-            if answer := host.feed(data):
-                outlet.send(answer)
-
-        return feed
-
-    wire = Wire(runtime, config.faults, connected)
-    if config.kind == "slcan":
-        wire.open_pty(ADAPTER_BAUD)
-        wire.ready(f"slcan:{runtime.start.state / runtime.name}?bitrate=500000")
-    else:
-        wire.ready(f"socketcand://{await wire.open_tcp(config.port, Socketcand.greeting)}/can0")
-    await _tick(runtime, drive, hosts)
-
-
-async def _tick(runtime: Runtime, drive: Drive, hosts: list[tuple[Slcan | Socketcand, Outlet]]) -> None:
+    wire = CanWire(runtime, config.faults, config.kind, config.port, drive.on_frame)
+    await wire.open()
     while True:
-        frames = drive.step(time.monotonic())
-        for host, outlet in hosts if frames else []:
-            # each hears the bus once it has opened it: before that, a client waits for an answer
-            for frame in frames:
-                if heard := host.send([frame]):
-                    outlet.send(heard)
+        wire.say(drive.step(time.monotonic()))
         runtime.link.samples(drive.samples, drive.now_s)
         drive.samples = []
         await asyncio.sleep(TICK_S)

@@ -6,13 +6,12 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
+from polishd.sim_backends.can_hosts import Frame
+
 STOPPED, RAMPING, AT_SPEED, FAULT = range(4)
 SILENCE, OVER_SPEED, DRIVE = 1, 2, 4
 STATUS_S, HEARTBEAT_S = 0.05, 0.1
 UNKNOWN_OBJECT = 0x06020000
-
-Frame = tuple[int, bytes]
-"""(identifier, data)."""
 
 
 @dataclass(slots=True)

@@ -64,7 +64,16 @@ def test_example_shows_every_key_or_its_section_defaults(example: str) -> None:
     """A key that exists but is neither in the example nor has a default would make the example a lie."""
     shown = key_lines(example)
     for name, field in CellConfig.model_fields.items():
-        assert (name,) in shown or name in {"include", "roles", "notify", "tolerance", "loader"}, name
+        assert (name,) in shown or name in {
+            "include",
+            "roles",
+            "notify",
+            "tolerance",
+            "loader",
+            "force_sensor",
+            "monitor",
+            "signals",
+        }, name
         section: Any = HybridSection if name == "kinematics" else field.annotation
         for key, inner in getattr(section, "model_fields", {}).items():
             assert (name, key) in shown or not inner.is_required(), f"{name}.{key}"

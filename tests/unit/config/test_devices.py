@@ -20,8 +20,8 @@ def loaded(tmp_path: Path, text: str) -> CellConfig:
 
 def test_one_device_at_each_port_is_named_as_its_section(tmp_path: Path, example: str) -> None:
     config = loaded(tmp_path, example)
-    assert list(PORTS) == ["actuator", "robot", "spindle", "metrology", "loader"]
-    assert list(config.devices) == [port for port in PORTS if port != "loader"]
+    assert list(PORTS) == ["actuator", "robot", "spindle", "metrology", "loader", "force_sensor", "monitor"]
+    assert list(config.devices) == ["actuator", "robot", "spindle", "metrology"]
     assert config.used == {port: port for port in config.devices}
 
 

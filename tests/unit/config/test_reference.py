@@ -10,7 +10,7 @@ from docs.reference import write
 TABLES = [(f"{name} {header}", model) for name, tables in write.files().items() for header, model in tables]
 
 
-@pytest.mark.parametrize("name", ["cell.md", "study.md", "profile.md", "simulator.md"])
+@pytest.mark.parametrize("name", ["cell.md", "study.md", "profile.md", "device.md", "simulator.md", "controller.md"])
 def test_the_pages_are_what_the_models_give(name: str) -> None:
     assert (write.FOLDER / name).read_text() == write.pages()[name], "write them anew: make reference"
 
@@ -32,6 +32,8 @@ def test_all_kinds_of_tables_are_found() -> None:
         'study kind = "passes"',
         "study [spots.NAME]",
         "profile [[artefact.bumps]]",
+        "device [registers.NAME]",
+        "device [[states]]",
         "simulator [actuator.faults]",
     }
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from polishd.model.cycle import Outcome
-from polishd.model.devices import ForceSample
+from polishd.model.devices import ForceSample, SensedForce
 from polishd.model.errors import (
     DeviceFault,
     DeviceRefused,
@@ -171,6 +171,29 @@ async def test_more_force_than_the_band_ends_the_touch_off_as_it_ends_contact(be
     with pytest.raises(SafetyStop, match=r"force 1\.30 N is outside 0\.8 N"):
         await bench.polish(proving(bench))
     assert bench.fake.events[-4:] == ["spindle.make_safe", "actuator.make_safe", "lifted", "robot.make_safe"]
+
+
+async def test_a_position_counts_once_the_force_sensor_says_that_the_force_acts(bench: Bench) -> None:
+    sensor, read = bench.fake.with_force_sensor(), list[float]()
+
+    def settles(reading: SensedForce) -> SensedForce:
+        read.append(reading.force_n)
+        return replace(reading, force_n=min(reading.force_n, 0.01 * len(read)))
+
+    sensor.reads = settles
+    sits(bench, *[5.1, 5.1, 5.1])
+    assert await bench.polish(proving(bench)) is Outcome.CYCLES_USED
+    assert len(read) > 60, "of three places, and of the pass"
+
+
+async def test_a_force_sensor_watches_the_newton(bench: Bench) -> None:
+    """The actuator feels half of what acts: by its own word all is well, and what presses is more than a newton."""
+    sensor = bench.fake.with_force_sensor()
+    sensor.reads = lambda reading: replace(reading, force_n=2.0 * reading.force_n)
+    with pytest.raises(SafetyStop, match=r"by the force sensor 1\.60 N is outside 0\.8 N .* the actuator says 0\.80 N"):
+        await bench.polish(proving(bench))
+    assert bench.fake.events[-4:] == ["spindle.make_safe", "actuator.make_safe", "lifted", "robot.make_safe"]
+    assert CONTACT not in bench.fake.events
 
 
 async def test_a_spindle_that_turns_ends_the_touch_off(bench: Bench) -> None:

@@ -68,26 +68,32 @@ async def run(
     end: bool = True,
     blocks: int = 10**6,
     force_n: float | None = 12.0,
+    sensed_n: float | None = None,
 ) -> None:
     """The pass, as expected and this much later a block."""
     await job.begin_pass(cycle, plan, ROBOT, 9.5)
     at_s = 100.0
     for seq, time_s in list(zip(plan.program.block, plan.expected_time_s, strict=True))[:blocks]:
         block = Executed(int(seq), at_s, at_s + float(time_s) + late_s)
-        job.executed(cycle, [BlockRecord(block, True, force_n, 1000.0)])
+        job.executed(cycle, [BlockRecord(block, True, force_n, 1000.0, None, sensed_n)])
         at_s += float(time_s) + late_s
     if end:
         await job.end_pass(cycle)
 
 
 async def whole_cycle(
-    job: Job, cycle: int, surface: SurfaceMap, rate: float = 1.0, force_n: float | None = 12.0
+    job: Job,
+    cycle: int,
+    surface: SurfaceMap,
+    rate: float = 1.0,
+    force_n: float | None = 12.0,
+    sensed_n: float | None = None,
 ) -> SurfaceMap:
     """Measure, learn, plan and run; the surface afterwards, on the map's own grid."""
     measured = await job.measured(cycle, surface)
     await job.learn(cycle, measured)
     plan = await planned(job, cycle, measured)
-    await run(job, cycle, plan, force_n=force_n)
+    await run(job, cycle, plan, force_n=force_n, sensed_n=sensed_n)
     answer = steps.effect_of(small_recipe(), small_program(), surface.grid, at_rate(rate))
     return as_map(surface.height_nm - answer.effect.removal_nm(plan.expected_time_s))
 
@@ -144,8 +150,8 @@ async def test_a_pass_that_ended_is_kept_for_people(job: Job, journal: Journal, 
     await run(job, 0, plan)
     assert journal.passes[0].how == "done"
     rows = (tmp_path / "run/cycle-00/executed.csv").read_text().splitlines()
-    assert rows[0] == "seq,start_s,end_s,contact,force_n,rpm"
-    assert rows[1].endswith(",1,12,1000")
+    assert rows[0] == "seq,start_s,end_s,contact,force_n,rpm,sensor_force_n"
+    assert rows[1].endswith(",1,12,1000,nan")
     assert len(rows) - 1 == plan.program.n
     names = [event.name for event in job.told]  # type: ignore[attr-defined]
     progress = plan.program.n // PROGRESS_BLOCKS
@@ -283,10 +289,12 @@ async def test_the_rate_is_learned_and_used(job: Job, journal: Journal, tmp_path
     assert learned["beliefs"]["rate"] == journal.passes[1].facts["rate"]
 
 
-@pytest.mark.parametrize(("force_n", "rate"), [(9.6, 1.0), (None, 0.8)])
-async def test_what_a_wrong_force_removed_is_no_wrong_rate(job: Job, force_n: float | None, rate: float) -> None:
+@pytest.mark.parametrize(("force_n", "sensed_n", "rate"), [(9.6, None, 1.0), (None, None, 0.8), (12.0, 9.6, 1.0)])
+async def test_what_a_wrong_force_removed_is_no_wrong_rate(
+    job: Job, force_n: float | None, sensed_n: float | None, rate: float
+) -> None:
     """The tool pressed with 80 % all along, and removed as much less: nothing is learned, if that is known."""
-    surface = await whole_cycle(job, 0, small_map(), rate=0.8, force_n=force_n)
+    surface = await whole_cycle(job, 0, small_map(), rate=0.8, force_n=force_n, sensed_n=sensed_n)
     await job.learn(1, await job.measured(1, surface))
     told = job.told[-1]  # type: ignore[attr-defined]
     assert told.name == "learned"
@@ -304,7 +312,7 @@ async def test_a_pass_that_was_cut_off_is_kept_for_people_with_what_nobody_knows
     await job.cut_off(0)
     _, *rows = (tmp_path / "run/cycle-00/executed.csv").read_text().splitlines()
     assert [row.split(",")[3] for row in rows] == ["1"] * 5 + ["nan"] * 3
-    assert rows[-2:] == [f"{last + k},nan,nan,nan,nan,nan" for k in (1, 2)]
+    assert rows[-2:] == [f"{last + k},nan,nan,nan,nan,nan,nan" for k in (1, 2)]
     assert job.cycles()[0]["uncertain"] == [[last, last + 2]]
 
 

@@ -195,7 +195,9 @@ def test_a_cycle_has_one_pass(journal: Journal) -> None:
 
 def test_executed_blocks_come_back_as_arrays(journal: Journal) -> None:
     journal.begin_pass(2, "prog", "boot", 6, contact=(1, 5))
-    journal.record_executed(2, [BlockRecord(block(0), False), *touched(1, 12.1, 998.0, 7.5), *touched(2), *touched(4)])
+    journal.record_executed(
+        2, [BlockRecord(block(0), False), *touched(1, 12.1, 998.0, 7.5, 11.8), *touched(2), *touched(4)]
+    )
     journal.record_executed(2, [BlockRecord(block(5), None)])
     again = BlockRecord(Executed(2, 99.0, 100.0), True)
     journal.record_executed(2, [again])  # told again after a reconnect: the first word stands
@@ -207,6 +209,8 @@ def test_executed_blocks_come_back_as_arrays(journal: Journal) -> None:
     np.testing.assert_array_equal(found.possible, [False, True, True, True, True])
     assert (found.force_n[1], found.rpm[1], found.told_s[1]) == (12.1, 998.0, 7.5)
     assert np.isnan([found.force_n[2], found.rpm[2], found.told_s[2]]).all()
+    np.testing.assert_array_equal(found.sensor_force_n, [np.nan, 11.8, np.nan, np.nan, np.nan])
+    np.testing.assert_array_equal(found.acting_n, [np.nan, 11.8, np.nan, np.nan, np.nan])
     assert journal.uncertain(2) == ((5, 6),)
     assert journal.contact_s(2) == pytest.approx(0.15), "as far as it is known"
     np.testing.assert_allclose(found.start_s, found.seq * 0.1)
@@ -418,6 +422,14 @@ PRAGMA user_version = 2;
 """
 
 
+# what the polishd of format 3 had beside that: force and speed of each block, and no sensor's
+FORMAT_3 = f"""
+{FORMAT_2} {journal_schema.FROM_2} {journal_schema.QUEUE}
+INSERT INTO segment VALUES (2, 0, 5, 12.5, 13.0, 1, 0, 11.9, 998.0, 7.5);
+PRAGMA user_version = 3;
+"""
+
+
 def made(state_dir: Path, script: str) -> Path:
     connection = sqlite3.connect(state_dir / "journal.sqlite")
     connection.executescript(f"PRAGMA journal_mode=WAL; {script}")
@@ -447,10 +459,24 @@ def test_a_journal_of_format_2_is_read_on(of_format_2: Path) -> None:
             assert np.isnan([blocks.force_n, blocks.rpm, blocks.told_s]).all()
             assert (journal.uncertain(0), journal.contact_s(0)) == (((3, 4),), 1.5)
             assert (journal.passes[0].reach_s, journal.passes[0].uncertain) == (None, None)
-    assert rows(of_format_2, "PRAGMA user_version") == [(3,)]
+    assert rows(of_format_2, "PRAGMA user_version") == [(4,)]
     kept = sqlite3.connect(of_format_2 / "journal.v2.sqlite")
     assert kept.execute("SELECT total(in_contact) FROM segment").fetchone() == (3.0,)
     kept.close()
+
+
+def test_a_journal_of_format_3_is_read_on(tmp_path: Path) -> None:
+    """Its cells had no force sensor: what acted is what the actuator said."""
+    for _ in range(2):
+        with opened(made(tmp_path, FORMAT_3) if not list(tmp_path.iterdir()) else tmp_path) as journal:
+            assert journal.resumed
+            blocks = journal.executed(0)
+            assert blocks.seq.tolist() == [0, 1, 2, 3, 4, 5]
+            assert (blocks.force_n[5], blocks.rpm[5], blocks.told_s[5]) == (11.9, 998.0, 7.5)
+            assert np.isnan(blocks.sensor_force_n).all()
+            assert blocks.acting_n[5] == 11.9
+    assert rows(tmp_path, "PRAGMA user_version") == [(4,)]
+    assert (tmp_path / "journal.v3.sqlite").exists()
 
 
 def test_a_journal_of_format_1_is_read_on(of_format_1: Path) -> None:
@@ -466,7 +492,7 @@ def test_a_journal_of_format_1_is_read_on(of_format_1: Path) -> None:
             assert [record.blocks for record in journal.passes] == [5]
             assert journal.unfinished() == journal.passes[0]
             assert journal.tally(0).done == 2
-    assert rows(of_format_1, "PRAGMA user_version") == [(3,)]
+    assert rows(of_format_1, "PRAGMA user_version") == [(4,)]
 
 
 def test_a_journal_of_format_1_is_kept_as_it_was(of_format_1: Path) -> None:
@@ -477,7 +503,7 @@ def test_a_journal_of_format_1_is_kept_as_it_was(of_format_1: Path) -> None:
     kept.close()
 
 
-@pytest.mark.parametrize("script", [FORMAT_1, FORMAT_2], ids=["1", "2"])
+@pytest.mark.parametrize("script", [FORMAT_1, FORMAT_2, FORMAT_3], ids=["1", "2", "3"])
 def test_a_journal_brought_up_to_date_has_the_tables_of_a_new_one(tmp_path: Path, script: str) -> None:
     opened(made(tmp_path, script)).close()
     (tmp_path / "new").mkdir()

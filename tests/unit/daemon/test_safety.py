@@ -6,6 +6,7 @@ The fakes take the times that hardware takes: landing 2 s, lifting 4 s of their 
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from typing import Any
@@ -15,7 +16,8 @@ import pytest
 from polishd.config.cell import PORTS
 from polishd.daemon import time_limits
 from polishd.daemon.cell import Cell
-from polishd.daemon.safety import ContactLimits, contact, heard, make_safe, most_telling
+from polishd.daemon.listening import heard, most_telling
+from polishd.daemon.safety import ContactLimits, contact, make_safe
 from polishd.daemon.touch import Touch
 from polishd.model.devices import ForceSample
 from polishd.model.errors import ConfigError, DeviceFault, LinkError, PolishdError, SafetyStop
@@ -254,6 +256,19 @@ async def test_an_actuator_that_falls_silent_is_left_by_the_robot_at_once(fake: 
     left = fake.events[3:]
     assert left == ["spindle.make_safe", "actuator.make_safe", "robot.lift 17", "robot.make_safe"]
     assert fake.cell.unsafe == ("actuator: no answer; the robot has lifted the tool off the part by 17 mm",)
+
+
+@pytest.mark.parametrize(("unpowered", "is_off"), [("lifts", True), ("stays", False)])
+async def test_an_actuator_that_answers_nobody_is_off_by_itself_only_where_it_lifts_without_power(
+    fake: FakeCell, unpowered: Any, is_off: bool
+) -> None:
+    fake.robot.lifts = False
+    fake.actuator.times = ActuatorTimes(watchdog_s=0.0, release_s=0.0, retract_s=0.0, unpowered=unpowered)
+    fake.actuator.acts.fails["make_safe"] = LinkError("no answer")
+    touch = untold()
+    touch.begin(0.0)
+    await make_safe(fake.cell, touch)
+    assert (touch.off_s < math.inf) is is_off
 
 
 async def test_a_robot_that_cannot_lift_goes_on_until_the_actuator_has_let_go_by_itself(fake: FakeCell) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from polishd.daemon.journal_records import BlockRecord
 from polishd.daemon.touch import LUMP_S, Touch
-from polishd.model.devices import Executed, ForceSample, SpeedSample
+from polishd.model.devices import Executed, ForceSample, SensedForce, SpeedSample
 
 LATE_S = 1.5
 
@@ -113,6 +113,20 @@ def test_blocks_of_one_word_share_its_time(contact: Contact) -> None:
     _, *others = contact.records
     assert [record.told_s for record in others] == [2.0, 2.0, 2.0]
     assert others[0].force_n == others[1].force_n == others[2].force_n == pytest.approx(12.0)
+
+
+def test_the_independent_sensor_has_a_mean_of_its_own(contact: Contact) -> None:
+    contact.touch.sensed(SensedForce(0.5, 11.0))
+    contact.told(0, 1.0)
+    contact.force(1.05)
+    contact.touch.sensed(SensedForce(1.0, 12.0))
+    contact.force(1.1)
+    contact.told(1, 2.0)
+    contact.force(2.05)
+    contact.force(2.1)
+    first, second = contact.records
+    assert (first.force_n, first.sensor_force_n) == (12.0, 11.5)
+    assert second.sensor_force_n == 12.0, "the last that came: a sensor may be slower than the robot tells"
 
 
 def test_no_sample_is_no_knowledge() -> None:

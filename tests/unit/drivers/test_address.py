@@ -20,6 +20,7 @@ HERE = Path("/etc/cell")
         ("tcp://[::1]:502", Tcp("::1", 502)),
         ("serial:sim/actuator?baud=9600", SerialLine(HERE / "sim/actuator", 9600)),
         ("serial:/dev/ttyUSB0", SerialLine(Path("/dev/ttyUSB0"), 115_200)),
+        ("serial:x?baud=19200&parity=even&stop_bits=2", SerialLine(HERE / "x", 19_200, "even", 2)),
         ("slcan:sim/spindle?bitrate=250000&baud=57600", Slcan(HERE / "sim/spindle", 250_000, 57_600)),
         ("slcan:/dev/ttyACM0", Slcan(Path("/dev/ttyACM0"), 500_000, 115_200)),
         ("socketcand://localhost:29536/can0", Socketcand("localhost", 29536, "can0")),
@@ -50,6 +51,8 @@ def test_addresses_are_read(text: str, address: Address) -> None:
         ("serial:x?baud=fast", "no positive number"),
         ("serial:x?baud=0", "no positive number"),
         ("serial:x?baud=-9600", "no positive number"),
+        ("serial:x?parity=mark", "parity 'mark' is none of none, even, odd"),
+        ("serial:x?stop_bits=3", "stop_bits is 1 or 2"),
         ("serial:x?bitrate=500000", "unknown option 'bitrate'"),
         ("serial:x?baud=1&baud=2", "given twice"),
         ("serial:x?baud", "bad query"),
@@ -69,3 +72,18 @@ def test_bad_addresses_are_config_errors(text: str, reason: str) -> None:
 @pytest.mark.parametrize("text", ["tcp://a:1", "serial:/dev/ttyS0", "slcan:/dev/ttyS0", "socketcand://a:1/can0"])
 def test_addresses_say_what_they_are(text: str) -> None:
     assert str(parse_address(text, HERE)) == text
+
+
+def test_what_an_address_leaves_out_is_as_usual() -> None:
+    usual = SerialLine(Path(), 9600, "odd", 2)
+    assert parse_address("serial:x", HERE, usual) == SerialLine(HERE / "x", 9600, "odd", 2)
+    assert parse_address("serial:x?baud=4800&parity=none", HERE, usual) == SerialLine(HERE / "x", 4800, "none", 2)
+
+
+@pytest.mark.parametrize(
+    ("line", "settings", "bits"),
+    [(SerialLine(HERE), "115200 8N1", 10), (SerialLine(HERE, 9600, "even", 2), "9600 8E2", 12)],
+)
+def test_settings_as_people_write_them(line: SerialLine, settings: str, bits: int) -> None:
+    assert line.settings == settings
+    assert line.byte_s == pytest.approx(bits / line.baud)

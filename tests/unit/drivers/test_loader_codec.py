@@ -45,9 +45,9 @@ def test_faults_have_words() -> None:
 
 
 def test_identity() -> None:
-    assert codec.identity("ID,Acme,L,7,1.0,3") == Identity("Acme", "L", "7", "1.0", boot_id="3")
+    assert numbered.identity("ID,Acme,L,7,1.0,3") == Identity("Acme", "L", "7", "1.0", boot_id="3")
     with pytest.raises(ProtocolError):
-        codec.identity("ID,Acme")
+        numbered.identity("ID,Acme")
 
 
 @given(st.text(max_size=40))

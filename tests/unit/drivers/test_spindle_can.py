@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from polishd.api import DeviceFault, DeviceRefused, LinkError, ProtocolError, SpindleTimes
-from polishd.drivers.spindle_can import SpindleCan, bus, codec
+from polishd.drivers.spindle_can import SpindleCan, codec
+from polishd.drivers.transport import can_bus
 from polishd.drivers.transport.address import Slcan, Socketcand
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.wires import Peer, PtyWire, TcpWire
@@ -51,7 +52,7 @@ async def test_an_adapter_that_takes_nothing_is_told_at_once_and_holds_nobody_up
     master, slave = os.openpty()
     tty.setraw(slave)
     (tmp_path / "can").symlink_to(os.ttyname(slave))
-    link = await bus.open_bus(Slcan(tmp_path / "can"))
+    link = await can_bus.open_bus(Slcan(tmp_path / "can"))
     frame = codec.encode_command(5, run=True, counter=1, rpm=1000)
 
     def fill() -> None:
@@ -245,7 +246,7 @@ class Mute(Peer):
     ("greeting", "reason"), [(b"", "silent|no greeting"), (b"SSH-2.0-" + b"x" * 80, "no socketcand server")]
 )
 async def test_what_is_no_socketcand_server(monkeypatch: pytest.MonkeyPatch, greeting: bytes, reason: str) -> None:
-    monkeypatch.setattr(bus, "GREETING_S", 0.1)
+    monkeypatch.setattr(can_bus, "GREETING_S", 0.1)
     wire = await TcpWire(Mute(greeting)).start()
     with pytest.raises(LinkError, match=reason):
         await SpindleCan(Socketcand("127.0.0.1", wire.port, "can0")).open()

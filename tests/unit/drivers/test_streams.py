@@ -126,7 +126,7 @@ async def test_nobody_there() -> None:
 async def test_a_serial_line_is_ours_alone(tmp_path: Path) -> None:
     wire = PtyWire(Recorder(), tmp_path / "line")
     stream = await open_stream(SerialLine(wire.path))
-    with pytest.raises(LinkError, match="lock"):
+    with pytest.raises(LinkError, match="another program has the port open"):
         await open_stream(SerialLine(wire.path))
     await stream.close()
     again = await open_stream(SerialLine(wire.path))

@@ -3,61 +3,78 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.api import Identity, ProtocolError
+from polishd.drivers.profiled import codec, meaning
+from polishd.drivers.profiled.actuator import Reading, reading_of
 from polishd.drivers.transport import numbered
-from polishd.drivers.voice_coil import codec, registers
-from polishd.drivers.voice_coil.device import Reading, State
 from tests.fakes.actuator import Coil, ModbusCoil
+from tests.fakes.devices_by_profile import shipped
 from tests.vectors import vectors
 
-CONTACT = Reading(State.CONTACT, 11.98, 12.0, 5000, 0)
+MODBUS, LINES = shipped("voice_coil_modbus"), shipped("voice_coil_serial")
+CONTACT = Reading("contact", 11.98, 12.0, 5.0, 0, "")
+(LIVE,) = codec.blocks(MODBUS.registers, MODBUS.polled, 125)
+(TOLD,) = codec.blocks(MODBUS.registers, MODBUS.told, 125)
+
+
+def reading(words: Sequence[int]) -> Reading:
+    return reading_of(MODBUS, codec.signed(MODBUS, codec.values_of(MODBUS, LIVE, words)))
+
+
+def status(answer: str) -> Reading:
+    return reading_of(LINES, codec.fields_of(LINES, LINES.asks["status"], answer))
+
+
+def test_one_request_reads_all_that_changes() -> None:
+    assert (LIVE.table, LIVE.address, LIVE.count) == ("input", 0, 6)
+    assert (TOLD.table, TOLD.address, TOLD.count) == ("input", 100, 30)
 
 
 def test_modbus_vectors_give_the_reading() -> None:
     frame = bytes.fromhex(vectors("voice_coil_modbus")["inputs"])
-    reading, heartbeat = registers.reading(struct.unpack(">6H", frame[3:-2]))
-    assert reading == CONTACT
-    assert heartbeat == 7
+    words = struct.unpack(">6H", frame[3:-2])
+    assert reading(words) == CONTACT
+    assert codec.values_of(MODBUS, LIVE, words)["beat_echo"] == 7
 
 
 @pytest.mark.parametrize(
     ("force_n", "register"), [(0.0, 0), (12.0, 1200), (0.01, 1), (50.0, 5000), (11.999, 1200), (0.29, 29)]
 )
 def test_set_points_are_hundredths(force_n: float, register: int) -> None:
-    assert registers.setpoint_register(force_n) == register
+    assert codec.words_for(MODBUS.registers["new_set_point"], "", force_n, "high_first", 1) == [register]
 
 
 def test_pulling_is_negative() -> None:
-    assert registers.reading([2, 0xFFFE, 0, 5000, 0, 0])[0].force_n == -0.02
+    assert reading([2, 0xFFFE, 0, 5000, 0, 0]).force_n == -0.02
 
 
 def test_unknown_states_are_protocol_errors() -> None:
     with pytest.raises(ProtocolError, match="state 5"):
-        registers.reading([5, 0, 0, 0, 0, 0])
+        reading([5, 0, 0, 0, 0, 0])
 
 
 def test_faults_have_words() -> None:
-    assert Reading(State.FAULT, 0.0, 0.0, 0, 5).faults == "watchdog ran out, drive"
+    assert reading([4, 0, 0, 0, 5, 0]).faults == "watchdog ran out, drive"
     assert CONTACT.faults == ""
 
 
 def test_identity_registers_are_read() -> None:
     coil = Coil()
     coil.boots = 0x1_0002
-    first, count = registers.IDENTITY
     table = ModbusCoil(coil, rtu=True).registers()
-    identity = registers.identity([table[at] for at in range(first, first + count)])
-    assert identity == Identity("Fake Coils", "FC-50", "SN-0042", "1.2", boot_id="65538")
+    values = codec.values_of(MODBUS, TOLD, [table[TOLD.address + at] for at in range(TOLD.count)])
+    assert meaning.identity(MODBUS, values) == Identity("Fake Coils", "FC-50", "SN-0042", "1.2", boot_id="65538")
 
 
 def test_identity_of_other_bytes_is_a_protocol_error() -> None:
     with pytest.raises(ProtocolError, match="ASCII"):
-        registers.identity([0xFFFF] * 30)
+        codec.values_of(MODBUS, TOLD, [0xFFFF] * 30)
 
 
 def test_ascii_vectors() -> None:
@@ -68,7 +85,7 @@ def test_ascii_vectors() -> None:
     answer = numbered.decode(lines["status"].encode())
     assert answer is not None
     assert answer[0] == 8
-    assert codec.status(answer[1]) == CONTACT
+    assert status(answer[1]) == CONTACT
 
 
 @given(st.integers(0, 0xFFFF), st.text("ABC?,.0123 -", min_size=1, max_size=60))
@@ -103,11 +120,11 @@ def test_noise_before_a_line_is_dropped() -> None:
     ["ST", "OK", "ST,5,0.00,0.00,0,0", "ST,2,0.0,0.00,0,0", "ST,2,0.00,0.00,0", "ST,2,0.00,-1.00,0,0", "ST,2,,,,"],
 )
 def test_strange_status_is_a_protocol_error(body: str) -> None:
-    with pytest.raises(ProtocolError, match="no answer to ST"):
-        codec.status(body)
+    with pytest.raises(ProtocolError, match="no such answer"):
+        status(body)
 
 
 @pytest.mark.parametrize("body", ["OK", "ID,a,b,c,d", "ID,a,b,c,d,e,f", "IX,a,b,c,d,e"])
 def test_strange_identity_is_a_protocol_error(body: str) -> None:
-    with pytest.raises(ProtocolError, match="no answer to ID"):
-        codec.identity(body)
+    with pytest.raises(ProtocolError, match="no such answer"):
+        codec.fields_of(LINES, LINES.asks["identity"], body)

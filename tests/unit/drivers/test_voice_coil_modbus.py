@@ -10,14 +10,16 @@ from pathlib import Path
 import pytest
 
 from polishd.api import ActuatorTimes, DeviceFault, DeviceRefused, LinkError, ProtocolError
+from polishd.drivers.profiled.actuator import ProfiledActuator
+from polishd.drivers.profiled.modbus import ModbusWire
 from polishd.drivers.transport.address import SerialLine, Tcp
-from polishd.drivers.voice_coil import voice_coil_modbus
-from polishd.drivers.voice_coil.device import VoiceCoil
-from polishd.drivers.voice_coil.modbus import ModbusWire
 from tests.fakes.actuator import Coil, ModbusCoil, crc16
+from tests.fakes.devices_by_profile import shipped, voice_coil_modbus
 from tests.fakes.wires import Once, PtyWire, TcpWire
 from tests.patience import SOON_S, within
 from tests.vectors import vectors
+
+POLLED = shipped("voice_coil_modbus").polled
 
 
 class Rig:
@@ -27,8 +29,8 @@ class Rig:
         self.coil = Coil()
         self.peer = ModbusCoil(self.coil, rtu=True)
         self.line = PtyWire(self.peer, path)
-        self.wire = ModbusWire(SerialLine(path), 1, 0.6)
-        self.device = VoiceCoil(self.wire, ActuatorTimes(watchdog_s=1.0, landing_s=1.0, retract_s=0.5))
+        self.wire = ModbusWire(shipped("voice_coil_modbus"), SerialLine(path), 1.0)
+        self.device = ProfiledActuator(self.wire, ActuatorTimes(watchdog_s=1.0, landing_s=1.0, retract_s=0.5))
 
     def writes(self, register: int) -> list[int]:
         """What was written there."""
@@ -53,16 +55,16 @@ async def test_requests_are_the_vectors(rig: Rig) -> None:
     heard: list[bytes] = []
     answer = rig.peer.on_bytes
     rig.peer.on_bytes = lambda data: (heard.append(data), answer(data))[1]  # type: ignore[method-assign]
-    await rig.wire.set_point(12.0)
-    await rig.wire.read()
+    await rig.wire.order("force", 12.0)
+    await rig.wire.read(POLLED)
     lines = vectors("voice_coil_modbus")
     assert b"".join(heard).hex() == lines["write_setpoint"] + lines["read_inputs"]
 
 
 async def test_the_answer_vector_is_read(rig: Rig) -> None:
     rig.peer.filter = lambda data: [bytes.fromhex(vectors("voice_coil_modbus")["inputs"])]
-    reading = await rig.wire.read()
-    assert (reading.force_n, reading.setpoint_n, reading.position_um) == (11.98, 12.0, 5000)
+    values = await rig.wire.read(POLLED)
+    assert (values["force"], values["set_point"], values["position"]) == (11.98, 12.0, 5.0)
 
 
 async def test_a_late_answer_is_not_the_next_ones(rig: Rig) -> None:
@@ -78,7 +80,7 @@ async def test_a_late_answer_is_not_the_next_ones(rig: Rig) -> None:
     asyncio.get_running_loop().call_soon(rig.line.write, kept.pop())  # when the next question is to be asked
     rig.coil.setpoint_n, rig.coil.boots = 9.0, 77
     assert (await rig.device.identify()).boot_id == "77"
-    assert (await rig.wire.read()).setpoint_n == 9.0
+    assert (await rig.wire.read(POLLED))["set_point"] == 9.0
 
 
 async def test_a_write_is_not_repeated(rig: Rig) -> None:
@@ -123,10 +125,10 @@ async def test_a_wrong_echo_is_a_protocol_error(rig: Rig, echo: bytes) -> None:
 
 
 async def test_a_stale_heartbeat_is_a_protocol_error(rig: Rig) -> None:
-    await rig.wire.beat()
+    await rig.wire.order("beat")
     rig.coil.heartbeat = 60_000
     with pytest.raises(ProtocolError, match="heard heartbeat 60000"):
-        await rig.wire.read()
+        await rig.wire.read(POLLED)
     assert not rig.wire.connected
 
 
@@ -139,10 +141,10 @@ async def test_dribbled_answers_are_read(rig: Rig) -> None:
 
 async def test_exceptions_are_refusals(rig: Rig) -> None:
     with pytest.raises(DeviceRefused, match="exception 3, value out of range"):
-        await rig.wire.set_watchdog(7)
+        await rig.wire.order("watchdog", 7)
     rig.coil.fault = 2
     with pytest.raises(DeviceRefused, match="exception 4"):
-        await rig.wire.command(engage=True)
+        await rig.wire.order("engage")
     assert rig.wire.connected
 
 

@@ -9,11 +9,12 @@ from pathlib import Path
 import pytest
 
 from polishd.api import ActuatorTimes, DeviceRefused, LinkError, ProtocolError
+from polishd.drivers.profiled.actuator import ProfiledActuator
+from polishd.drivers.profiled.lines import LineWire
 from polishd.drivers.transport.address import SerialLine, Tcp
-from polishd.drivers.voice_coil import voice_coil_serial
-from polishd.drivers.voice_coil.ascii import AsciiWire
-from polishd.drivers.voice_coil.device import VoiceCoil
+from polishd.drivers.transport.numbered import NumberedLines
 from tests.fakes.actuator import AsciiCoil, Coil
+from tests.fakes.devices_by_profile import shipped, voice_coil_serial
 from tests.fakes.wires import Once, PtyWire, TcpWire
 
 
@@ -24,8 +25,8 @@ class Rig:
         self.coil = Coil()
         self.peer = AsciiCoil(self.coil)
         self.line = PtyWire(self.peer, path)
-        self.wire = AsciiWire(SerialLine(path), 0.3)
-        self.device = VoiceCoil(self.wire, ActuatorTimes())
+        self.wire = LineWire(shipped("voice_coil_serial"), SerialLine(path), 0.3)
+        self.device = ProfiledActuator(self.wire, ActuatorTimes())
 
 
 @pytest.fixture
@@ -94,17 +95,19 @@ async def test_a_sound_line_that_is_no_answer_is_a_protocol_error(rig: Rig) -> N
 
 async def test_refusals(rig: Rig) -> None:
     with pytest.raises(DeviceRefused, match="range"):
-        await rig.wire.set_point(60.0)
+        await rig.wire.order("force", 60.0)
     rig.coil.fault = 2
     with pytest.raises(DeviceRefused, match="a fault is set"):
-        await rig.wire.command(engage=True)
+        await rig.wire.order("engage")
 
 
 async def test_request_numbers_wrap(rig: Rig) -> None:
-    rig.wire._lines._number = 0xFFFE
+    lines = rig.wire._lines
+    assert isinstance(lines, NumberedLines)
+    lines._number = 0xFFFE
     for _ in range(4):
         await rig.device.status()
-    assert rig.wire._lines._number == 2
+    assert lines._number == 2
 
 
 async def test_a_hung_up_line_is_opened_again_out_of_contact(tmp_path: Path) -> None:

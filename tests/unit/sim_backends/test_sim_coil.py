@@ -298,3 +298,16 @@ def test_a_force_that_sticks_at_the_press_of_a_button() -> None:
     bench.coil.stuck = True
     bench.until(0.6)
     assert bench.coil.force_n == pytest.approx(7.2)
+
+
+def test_one_whose_sensor_drifts_regulates_by_it_and_still_reads_so_at_rest() -> None:
+    bench = Bench(drift_after_s=0.5, drift_n_s=2.0).pressed()
+    bench.until(2.5)
+    coil = bench.coil
+    assert coil.measured_n == pytest.approx(12.0, abs=0.6), "by its own word all is well"
+    assert coil.force_n == pytest.approx(12.0 - coil.drift_n, abs=0.1)
+    assert 3.0 < coil.drift_n <= 4.0
+    assert "actuator_drifts" in bench.names
+    coil.retract()
+    bench.until(4.0)
+    assert (coil.force_n, coil.measured_n) == (0.0, pytest.approx(coil.drift_n, abs=0.1))

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from polishd.sim_backends.spindle.buses import Slcan, Socketcand, slcan_frame, slcan_line
+from polishd.sim_backends.can_hosts import Slcan, Socketcand, slcan_frame, slcan_line
 from polishd.sim_backends.spindle.drive import Drive
 from tests.unit.sim_backends.vectors import vectors
 

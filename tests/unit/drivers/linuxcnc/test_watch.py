@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from polishd.drivers.linuxcnc.dialogue import Snapshot, Status
 from polishd.drivers.linuxcnc.program_file import ProgramFile
-from polishd.drivers.linuxcnc.watch import START_S, Watch
+from polishd.drivers.linuxcnc.watch import Watch
+from polishd.drivers.transport.file_watch import START_S
 from tests.programs import plan_of
 
 

@@ -1,0 +1,60 @@
+"""Hearing a device for as long as contact lasts: each sample is judged as it comes, and silence is counted."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import AsyncIterator, Callable
+from typing import TypeVar
+
+from polishd.model.errors import LinkError, PolishdError, SafetyStop
+
+T = TypeVar("T")
+
+LOOK_S = 0.05
+"""Between two looks at a silence: it is counted in steps, so that a daemon that was stalled hears first."""
+
+
+async def heard(samples: AsyncIterator[T], judge: Callable[[T], None], name: str, silence_s: float) -> None:
+    """Have each sample judged as it comes, until that raises; LinkError after that much silence, or at their end.
+
+    Time in which this process itself did not run is no silence of the device: it is counted in small steps.
+    """
+    news = asyncio.Event()
+
+    async def listen() -> None:
+        async for sample in samples:
+            news.set()
+            judge(sample)
+        raise LinkError(f"{name}: its samples ended while in contact")
+
+    async def count_silence() -> None:
+        silent_s = 0.0
+        while silent_s < silence_s:
+            looked_s = time.monotonic()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(min(LOOK_S, silence_s)):
+                    await news.wait()
+            silent_s = 0.0 if news.is_set() else silent_s + min(time.monotonic() - looked_s, 2 * LOOK_S)
+            news.clear()
+        raise LinkError(f"{name}: no sample for {silence_s:g} s while in contact")
+
+    try:
+        async with asyncio.TaskGroup() as group:
+            group.create_task(listen(), name=f"listen to {name}")
+            group.create_task(count_silence(), name=f"count silence of {name}")
+    except BaseExceptionGroup as errors:
+        raise most_telling(errors) from errors
+
+
+def most_telling(errors: BaseExceptionGroup[BaseException]) -> BaseException:
+    """The one error of a group that says what to do: ours before others, others before cancellation."""
+    for kind in (SafetyStop, PolishdError, Exception):
+        if (found := errors.subgroup(kind)) is not None:
+            return _first(found)
+    return _first(errors)
+
+
+def _first(error: BaseException) -> BaseException:
+    return _first(error.exceptions[0]) if isinstance(error, BaseExceptionGroup) else error

@@ -1,0 +1,110 @@
+"""The monitors of a cell are heard all the time, each by a task of its own; nobody waits for one in contact."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import aclosing, asynccontextmanager
+from typing import cast
+
+from polishd.config.places import listed
+from polishd.daemon.cell import OPEN_S, Cell
+from polishd.daemon.listening import most_telling
+from polishd.model.errors import DeviceFault, LinkError, SignalFault
+from polishd.model.events import Event, SignalWrong
+from polishd.model.signal_limits import SignalLimits
+from polishd.ports.devices import Monitor
+
+log = logging.getLogger(__name__)
+
+LOOK_S = 0.1
+"""Between two looks."""
+STEP_S = 0.2
+"""Most that passes between two looks, as it is counted: a daemon that was stalled hears first."""
+UNKNOWN_S = 5.0
+"""Before contact: a monitor whose link was just opened again has told nothing yet."""
+AGAIN_S = 1.0
+"""After so long a monitor that does not answer is heard again, if its link is open again."""
+
+
+@asynccontextmanager
+async def watching(cell: Cell, tell: Callable[[SignalLimits, str], None]) -> AsyncIterator[None]:
+    """Hear all monitors inside this block; ``tell`` is told of each signal that is wrong in contact, once a contact."""
+    try:
+        async with asyncio.TaskGroup() as group:
+            tasks = [group.create_task(_hear(cell, name), name=f"hear {name}") for name in cell.at("monitor")]
+            tasks.append(group.create_task(_look(cell, tell), name="look at signals"))
+            try:
+                yield
+            finally:
+                for task in tasks:
+                    task.cancel()
+    except BaseExceptionGroup as errors:
+        raise most_telling(errors) from errors
+
+
+async def until_ready(cell: Cell, publish: Callable[[Event], None], cycle: int) -> None:
+    """All signals are as they must be before contact; SignalFault where that was waited for in vain."""
+    begun_s, told = cell.clock.now_s(), set[str]()
+    while wrong := cell.signals.not_ready():
+        waited_s = cell.clock.now_s() - begun_s
+        if late := [said for limits, said in wrong.items() if waited_s >= _wait_s(cell, limits)]:
+            raise SignalFault(f"before contact {'; '.join(late)}; see to it: nothing was moved")
+        for limits, said in wrong.items():
+            if limits.name not in told:
+                told.add(limits.name)
+                what = f"{said} before contact; it is waited for, for up to {limits.wait_s:g} s"
+                publish(SignalWrong(cycle=cycle, signal=limits.name, what=what, leads_to="wait"))
+        await cell.clock.sleep(LOOK_S)
+
+
+def _wait_s(cell: Cell, limits: SignalLimits) -> float:
+    """For how long a signal is waited for before contact."""
+    return limits.wait_s if cell.signals.value(limits) is not None else max(limits.wait_s, UNKNOWN_S)
+
+
+async def tell_once(cell: Cell, name: str) -> None:
+    """Have that monitor tell each of its signals; DeviceFault where it has not all that are watched."""
+    monitor = cast(Monitor, cell.devices[name])
+    wanted = {limits.signal for limits in cell.signals.limits if limits.monitor == name}
+    told = set[str]()
+    try:
+        async with asyncio.timeout(OPEN_S), aclosing(monitor.signals()) as signals:  # type: ignore[type-var]
+            async for signal in signals:
+                if signal.name in told:
+                    break
+                told.add(signal.name)
+                cell.signals.hear(name, signal)
+    except TimeoutError:
+        raise LinkError(f"{name}: told not all of its signals within {OPEN_S:g} s") from None
+    if missing := wanted - told:
+        raise DeviceFault(f"{name}: tells no signal {listed(missing)}; it tells {listed(told)}")
+
+
+async def _hear(cell: Cell, name: str) -> None:
+    """For as long as it tells; a link that is lost is opened again by others, out of contact."""
+    lost = False
+    while True:
+        try:
+            async for signal in cast(Monitor, cell.devices[name]).signals():
+                lost = False
+                cell.hears(name)
+                cell.signals.hear(name, signal)
+        except Exception as error:  # noqa: BLE001 - a plugin may raise anything: its signals are not known then
+            if not lost:
+                log.warning("%s tells no signals: %s", name, error)
+            lost = True
+        await asyncio.sleep(AGAIN_S)
+
+
+async def _look(cell: Cell, tell: Callable[[SignalLimits, str], None]) -> None:
+    looked_s = time.monotonic()
+    while True:
+        await asyncio.sleep(LOOK_S)
+        now_s = time.monotonic()
+        passed_s, looked_s = min(now_s - looked_s, STEP_S), now_s
+        for limits, said in cell.signals.pass_by(passed_s, in_contact=cell.pressing):
+            cell.emergency = cell.emergency or limits.leads_to == "estop"
+            tell(limits, said)

@@ -1,0 +1,304 @@
+"""A force actuator behind a drive of CiA 402: a voice coil in profile torque mode.
+
+Without current the axis lifts the tool by itself, by a spring or a counterweight: so it does when the drive hears
+nothing, and when it has no power. What the drive does beyond that to lift it faster is the config's ``lift``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from typing import Literal
+
+from polishd.api import ActuatorTimes, DeviceFault, DeviceRefused, DeviceStatus, ForceSample, Identity
+from polishd.drivers.cia402 import objects, states
+from polishd.drivers.cia402.axis import POLL_S, Axis, Place, Unless, describe
+from polishd.drivers.cia402.codec import Address
+from polishd.drivers.cia402.contact import Contact
+from polishd.drivers.cia402.dictionary import Dictionary
+from polishd.drivers.cia402.link import DriveLink
+from polishd.drivers.cia402.states import State
+
+SAMPLE_S = 0.05
+MODE_S = 0.5
+"""For a change of the mode, with the force off already."""
+
+log = logging.getLogger(__name__)
+
+Lift = Literal["spring", "torque", "position"]
+
+
+@dataclass(frozen=True, slots=True)
+class ActuatorScale:
+    """What the drive's numbers mean, and how it lands and lifts."""
+
+    n_per_permille: float
+    """Of 6071h and 6077h, positive: presses; negative where a positive torque lifts."""
+    mm_per_increment: float
+    """Of 6064h, positive: outwards; negative where it counts down."""
+    rest_increments: int = 0
+    """6064h with the tool at its rest."""
+    rest_mm: float = 0.1
+    """So near its rest the tool counts as up."""
+    balance_n: float = 0.0
+    """What the axis lifts with, without current: the drive presses with so much more than the tool does."""
+    max_n: float = 50.0
+    landing_n: float = 1.0
+    """Pressed with so much, at most, until it touches."""
+    slope_n_s: float = 500.0
+    travel_mm_s: float = 1.0
+    """Slower than that, the tool goes with the part; faster, it is in the air."""
+    max_speed: int | None = None
+    """6080h, in the drive's own unit: no faster does it land. None: left as it is."""
+    lift: Lift = "spring"
+    lift_n: float = 1.0
+    """With ``torque``."""
+    lift_mm_s: float = 10.0
+    """With ``position``."""
+
+    def torque(self, force_n: float) -> int:
+        """The drive's torque for a force of the tool, against what lifts it."""
+        return round((force_n + self.balance_n) / self.n_per_permille)
+
+    @property
+    def lifting_torque(self) -> int:
+        """The drive's torque that lifts, together with what does so by itself."""
+        return round(-self.lift_n / self.n_per_permille)
+
+    def force_n(self, torque: int) -> float:
+        """And back. What pulls the tool up is no force on the part."""
+        return max(torque * self.n_per_permille - self.balance_n, 0.0)
+
+    def position_mm(self, increments: int) -> float:
+        """Out of its rest."""
+        return (increments - self.rest_increments) * self.mm_per_increment
+
+    def settings(self) -> dict[Address, int]:
+        """What the drive is told at open."""
+        told = {objects.TORQUE_SLOPE: max(round(self.slope_n_s / abs(self.n_per_permille)), 1)}
+        if self.max_speed is not None:
+            told[objects.MAX_MOTOR_SPEED] = self.max_speed
+        if self.lift == "position":
+            told[objects.PROFILE_VELOCITY] = max(round(self.lift_mm_s / abs(self.mm_per_increment)), 1)
+        return told
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What the drive says of itself, and what follows."""
+
+    state: State
+    force_n: float
+    position_mm: float
+    touches: bool
+    retracted: bool
+    fault: int
+    detail: str
+
+    @property
+    def name(self) -> str:
+        """The state, in an actuator's words."""
+        if self.fault:
+            return "fault"
+        if self.retracted:
+            return "retracted"
+        if self.state is not State.ENABLED:
+            return "lifting"
+        return "contact" if self.touches else "extended"
+
+
+class Cia402Actuator:
+    """A ForceActuator. Our heartbeat goes out with what somebody reads; without it the drive takes the current off.
+
+    A lost link stays lost until ``open``; only ``retract`` and ``make_safe`` connect once by themselves.
+    """
+
+    def __init__(self, place: Place, dictionary: Dictionary, scale: ActuatorScale, times: ActuatorTimes) -> None:
+        """ConfigError where the drive of the EDS file has no profile torque mode, or none to lift with."""
+        self._scale = scale
+        self._times = times
+        lifts = scale.lift == "position"
+        self._axis = Axis(
+            place,
+            dictionary,
+            modes=(objects.TORQUE_MODE, objects.POSITION_MODE) if lifts else (objects.TORQUE_MODE,),
+            on_silence=objects.ABORT_DISABLES,
+            settings=scale.settings(),
+            read=(objects.TORQUE, objects.POSITION, *((objects.MODE_NOW,) if lifts else ())),
+            write=(objects.TARGET_TORQUE, *((objects.TARGET_POSITION,) if lifts else ())),
+        )
+        self._contact = Contact(
+            rest_mm=scale.rest_mm, end_mm=times.stroke_mm - scale.rest_mm, travel_mm_s=scale.travel_mm_s
+        )
+        self._setpoint_n = 0.0
+
+    @property
+    def times(self) -> ActuatorTimes:
+        """See ForceActuator."""
+        return self._times
+
+    async def open(self) -> None:
+        """See Device. Also writes slopes, heartbeats and what the drive does in our absence."""
+
+        async def look(link: DriveLink) -> None:
+            wanted = abs(self._scale.torque(self._scale.max_n))
+            if objects.MAX_TORQUE in self._axis.dictionary and (most := await link.read(objects.MAX_TORQUE)) < wanted:
+                raise DeviceRefused(f"{self._axis.name}: 6072h allows {most} permille, max_n takes {wanted}")
+
+        self._contact.reset()
+        await self._axis.open(look)
+
+    async def close(self) -> None:
+        """See Device."""
+        await self._axis.close()
+
+    async def identify(self) -> Identity:
+        """See Device."""
+        return await self._axis.identify()
+
+    async def status(self) -> DeviceStatus:
+        """See Device. Safe means without current, and up."""
+        reading = await self._read(self._axis.link)
+        return DeviceStatus(not reading.fault, reading.retracted, reading.name, reading.detail)
+
+    async def set_force(self, force_n: float) -> None:
+        """See ForceActuator. Returns once the tool touches, or for 0 at once."""
+        link = self._axis.link
+        if not 0.0 <= force_n <= self._scale.max_n:
+            raise DeviceRefused(f"{self._axis.name}: {force_n} N is outside 0 to {self._scale.max_n:g} N")
+        unless = self._axis.take_over()
+        await self._axis.wake(link)
+        reading = await self._read(link, cared=True)
+        if force_n == 0.0 and reading.state is not State.ENABLED:
+            return
+        if reading.fault:
+            raise DeviceRefused(f"{self._axis.name}: cannot press: {reading.detail}")
+        if self._scale.lift == "position" and reading.state is State.ENABLED:
+            await self._require_pressing(link)
+        self._setpoint_n = force_n
+        if force_n and not reading.touches:
+            await self._land(link, force_n, unless)
+        await link.write(objects.TARGET_TORQUE, self._scale.torque(force_n), unless=unless)
+
+    async def samples(self) -> AsyncIterator[ForceSample]:
+        """See ForceActuator."""
+        link = self._axis.link
+        due_s = time.monotonic()
+        while True:
+            reading = await self._read(link, cared=True)
+            yield ForceSample(
+                at_s=time.monotonic(),
+                force_n=reading.force_n,
+                setpoint_n=self._setpoint_n if reading.state is State.ENABLED else 0.0,
+                in_contact=reading.touches,
+                retracted=reading.retracted,
+                fault=reading.fault,
+                position_mm=reading.position_mm,
+            )
+            due_s = max(due_s + SAMPLE_S, time.monotonic())
+            await asyncio.sleep(due_s - time.monotonic())
+
+    async def retract(self) -> None:
+        """See ForceActuator. Overtakes what waits."""
+        await self._axis.reach(self._lift)
+
+    async def make_safe(self) -> None:
+        """See Device. Retracts, and reads back that it is so; what a lost connection left behind is reset."""
+
+        async def calm(link: DriveLink) -> None:
+            await self._lift(link)
+            await self._axis.reset(link)
+
+        await self._axis.reach(calm)
+
+    async def _land(self, link: DriveLink, force_n: float, unless: Unless) -> None:
+        """Press lightly until it touches. The drive is enabled with no torque: it does not jump."""
+        deadline = time.monotonic() + self._times.landing_s
+        if await self._axis.state(link) is not State.ENABLED:
+            await link.write(objects.TARGET_TORQUE, 0, unless=unless)
+            await self._axis.power_up(link, objects.TORQUE_MODE, unless, self._times.landing_s)
+        lightly = self._scale.torque(min(force_n, self._scale.landing_n))
+        await link.write(objects.TARGET_TORQUE, lightly, unless=unless)
+        while not (reading := await self._read(link, cared=True)).touches:
+            unless()
+            if reading.fault or reading.state is not State.ENABLED:
+                raise DeviceFault(f"{self._axis.name}: {reading.detail or reading.state.value}, while landing")
+            if time.monotonic() > deadline:
+                raise DeviceFault(
+                    f"{self._axis.name}: no contact after {self._times.landing_s:g} s, {reading.position_mm:.2f} mm out"
+                )
+            await asyncio.sleep(POLL_S)
+
+    async def _lift(self, link: DriveLink) -> None:
+        """Force off, then up; the current goes off once the tool is there, and at once where a spring lifts it."""
+        self._axis.take_over()
+        deadline = time.monotonic() + self._times.lifted_s
+        self._setpoint_n = 0.0
+        try:
+            await link.write(objects.TARGET_TORQUE, 0, urgent=True)
+            if self._scale.lift != "spring" and await self._axis.state(link, urgent=True) is State.ENABLED:
+                await self._pull(link, deadline)
+        except DeviceRefused as refused:
+            log.warning("%s; the current goes off, and the tool is lifted without it", refused)
+        await link.write(objects.CONTROL_WORD, states.DISABLE_VOLTAGE, urgent=True)
+        while not (reading := await self._read(link, cared=True)).retracted:
+            self._require_time(reading, deadline)
+            await asyncio.sleep(POLL_S)
+
+    async def _pull(self, link: DriveLink, deadline: float) -> None:
+        """Lift by the motor, too, until the tool is up or the drive gives up."""
+        if self._scale.lift == "torque":
+            await link.write(objects.TARGET_TORQUE, self._scale.lifting_torque, urgent=True)
+        else:
+            await self._change_to_position(link)
+        while (reading := await self._read(link, cared=True)).position_mm > self._scale.rest_mm:
+            self._require_time(reading, deadline)
+            if reading.state is not State.ENABLED:
+                return
+            await asyncio.sleep(POLL_S)
+
+    async def _change_to_position(self, link: DriveLink) -> None:
+        await link.write(objects.TARGET_POSITION, self._scale.rest_increments, urgent=True)
+        await link.write(objects.MODE, objects.POSITION_MODE, urgent=True)
+        deadline = time.monotonic() + MODE_S
+        while (mode := await link.read(objects.MODE_NOW, urgent=True)) != objects.POSITION_MODE:
+            if time.monotonic() > deadline:
+                raise DeviceRefused(
+                    f"{self._axis.name}: is in mode {mode} still, {MODE_S:g} s after it was to position"
+                )
+            await asyncio.sleep(POLL_S)
+        await link.write(objects.CONTROL_WORD, states.MOVE_NOW, urgent=True)
+
+    async def _require_pressing(self, link: DriveLink) -> None:
+        if (mode := await link.read(objects.MODE_NOW)) != objects.TORQUE_MODE:
+            raise DeviceRefused(f"{self._axis.name}: is being lifted (mode {mode}): it can press once it is up")
+
+    def _require_time(self, reading: Reading, deadline: float) -> None:
+        if time.monotonic() > deadline:
+            raise DeviceFault(
+                f"{self._axis.name}: {reading.position_mm:.2f} mm out, {self._times.lifted_s:g} s after it was to "
+                f"retract ({reading.detail or reading.state.value})"
+            )
+
+    async def _read(self, link: DriveLink, *, cared: bool = False) -> Reading:
+        """``cared``: somebody watches the force, which the drive is told."""
+        state = await self._axis.state(link)
+        if cared:
+            link.beat()
+        force_n = self._scale.force_n(await link.read(objects.TORQUE))
+        position_mm = self._scale.position_mm(await link.read(objects.POSITION))
+        fault = await self._axis.fault(link, state)
+        if state is not State.ENABLED:
+            self._contact.reset()
+        return Reading(
+            state=state,
+            force_n=force_n if state is State.ENABLED else 0.0,
+            position_mm=position_mm,
+            touches=state is State.ENABLED and self._contact.feed(time.monotonic(), position_mm),
+            retracted=not state.drives and position_mm <= self._scale.rest_mm,
+            fault=fault.code if fault else 0,
+            detail=describe(fault) if fault else "",
+        )

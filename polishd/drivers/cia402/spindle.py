@@ -1,0 +1,191 @@
+"""A spindle behind a drive of CiA 402, in profile velocity mode."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+
+from polishd.api import DeviceFault, DeviceRefused, DeviceStatus, Identity, SpeedSample, SpindleTimes
+from polishd.drivers.cia402 import objects, states
+from polishd.drivers.cia402.axis import POLL_S, Axis, Place, describe
+from polishd.drivers.cia402.dictionary import Dictionary
+from polishd.drivers.cia402.link import DriveLink
+from polishd.drivers.cia402.states import State
+
+TOLERANCE = 0.02
+STILL_RPM = 1.0
+SAMPLE_S = 0.04
+
+
+@dataclass(frozen=True, slots=True)
+class SpindleScale:
+    """What the drive's numbers mean, and how it is to ramp."""
+
+    rpm_per_unit: float = 1.0
+    """Of 606Ch and 60FFh; negative: it turns the other way round."""
+    max_rpm: float = 3000.0
+    acceleration_rpm_s: float = 1000.0
+    deceleration_rpm_s: float = 1000.0
+    quick_stop_rpm_s: float = 3000.0
+
+    def units(self, rpm: float) -> int:
+        """A speed as the drive has it."""
+        return round(rpm / self.rpm_per_unit)
+
+    def ramp(self, rpm_s: float) -> int:
+        """A ramp as the drive has it."""
+        return max(round(rpm_s / abs(self.rpm_per_unit)), 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What the drive says of itself."""
+
+    state: State
+    rpm: float
+    setpoint_rpm: float
+    fault: int
+    detail: str
+
+    @property
+    def stands(self) -> bool:
+        """No power, and no speed."""
+        return not self.state.drives and abs(self.rpm) < STILL_RPM
+
+    @property
+    def at_speed(self) -> bool:
+        """Within tolerance."""
+        return abs(self.rpm - self.setpoint_rpm) <= max(TOLERANCE * abs(self.setpoint_rpm), STILL_RPM)
+
+    @property
+    def name(self) -> str:
+        """The state, in a spindle's words."""
+        if self.fault:
+            return "fault"
+        if self.state.drives:
+            return "at_speed" if self.at_speed else "ramping"
+        return "stopped" if self.stands else "coasting"
+
+
+class Cia402Spindle:
+    """A Spindle. Our heartbeat goes out with what somebody reads; the drive quick-stops by itself when it stays out."""
+
+    def __init__(self, place: Place, dictionary: Dictionary, scale: SpindleScale, times: SpindleTimes) -> None:
+        """ConfigError where the drive of the EDS file has no profile velocity mode."""
+        self._scale = scale
+        self._times = times
+        self._max_rpm = 0.0
+        self._axis = Axis(
+            place,
+            dictionary,
+            modes=(objects.VELOCITY_MODE,),
+            on_silence=objects.ABORT_QUICK_STOPS,
+            settings={
+                objects.ACCELERATION: scale.ramp(scale.acceleration_rpm_s),
+                objects.DECELERATION: scale.ramp(scale.deceleration_rpm_s),
+                objects.QUICK_STOP_DECELERATION: scale.ramp(scale.quick_stop_rpm_s),
+            },
+            read=(objects.VELOCITY, objects.TARGET_VELOCITY),
+            write=(objects.TARGET_VELOCITY,),
+        )
+
+    @property
+    def times(self) -> SpindleTimes:
+        """See Spindle."""
+        return self._times
+
+    async def open(self) -> None:
+        """See Device. Also writes ramps, heartbeats and what the drive does in our absence."""
+
+        async def look(link: DriveLink) -> None:
+            self._max_rpm = self._scale.max_rpm
+            if objects.MAX_MOTOR_SPEED in self._axis.dictionary:
+                self._max_rpm = min(self._max_rpm, await link.read(objects.MAX_MOTOR_SPEED))
+
+        await self._axis.open(look)
+
+    async def close(self) -> None:
+        """See Device."""
+        await self._axis.close()
+
+    async def identify(self) -> Identity:
+        """See Device."""
+        return await self._axis.identify()
+
+    async def status(self) -> DeviceStatus:
+        """See Device. Safe means without power, and standing."""
+        reading = await self._read(self._axis.link)
+        return DeviceStatus(not reading.fault, reading.stands, reading.name, reading.detail)
+
+    async def set_speed(self, rpm: float) -> None:
+        """See Spindle. DeviceRefused outside the drive's range."""
+        link = self._axis.link
+        if not (math.isfinite(rpm) and abs(rpm) <= self._max_rpm):
+            raise DeviceRefused(f"{self._axis.name}: {rpm} rpm is outside the drive's {self._max_rpm:g} rpm")
+        if self._scale.units(rpm) == 0:
+            return await self._stop(link)
+        unless = self._axis.take_over()
+        deadline = time.monotonic() + self._times.spin_s
+        await self._axis.wake(link)
+        if await self._axis.require_sound(link, f"cannot run at {rpm:g} rpm") is not State.ENABLED:
+            await link.write(objects.TARGET_VELOCITY, 0, unless=unless)
+            await self._axis.power_up(link, objects.VELOCITY_MODE, unless, self._times.spin_s)
+        await link.write(objects.TARGET_VELOCITY, self._scale.units(rpm), unless=unless)
+        while not (reading := await self._read(link, cared=True)).at_speed:
+            unless()
+            self._require_running(reading, rpm, deadline)
+            await asyncio.sleep(POLL_S)
+        unless()
+        return None
+
+    async def samples(self) -> AsyncIterator[SpeedSample]:
+        """See Spindle. Each was asked for after the one before it was taken."""
+        link = self._axis.link
+        due_s = time.monotonic()
+        while True:
+            reading = await self._read(link, cared=True)
+            yield SpeedSample(time.monotonic(), reading.rpm, reading.setpoint_rpm, reading.fault)
+            due_s = max(due_s + SAMPLE_S, time.monotonic())
+            await asyncio.sleep(due_s - time.monotonic())
+
+    async def make_safe(self) -> None:
+        """See Device. Quick stop, and sees that it stands; where the link is down it connects once for that."""
+
+        async def calm(link: DriveLink) -> None:
+            await self._stop(link)
+            await self._axis.reset(link)
+
+        await self._axis.reach(calm)
+
+    async def _stop(self, link: DriveLink) -> None:
+        self._axis.take_over()
+        await link.write(objects.CONTROL_WORD, states.QUICK_STOP, urgent=True)
+        deadline = time.monotonic() + self._times.spin_s
+        while not (reading := await self._read(link, cared=True)).stands:
+            if time.monotonic() > deadline:
+                raise DeviceFault(
+                    f"{self._axis.name}: {reading.state.value} at {reading.rpm:g} rpm, "
+                    f"{self._times.spin_s:g} s after the quick stop"
+                )
+            await asyncio.sleep(POLL_S)
+
+    def _require_running(self, reading: Reading, rpm: float, deadline: float) -> None:
+        if reading.fault or reading.state is not State.ENABLED:
+            why = reading.detail or reading.state.value
+            raise DeviceFault(f"{self._axis.name}: {why}, on the way to {rpm:g} rpm")
+        if time.monotonic() > deadline:
+            raise DeviceFault(f"{self._axis.name}: {rpm:g} rpm not reached, {reading.rpm:g} rpm in the end")
+
+    async def _read(self, link: DriveLink, *, cared: bool = False) -> Reading:
+        """``cared``: somebody watches the spindle, which the drive is told."""
+        state = await self._axis.state(link)
+        if cared:
+            link.beat()
+        rpm = await link.read(objects.VELOCITY) * self._scale.rpm_per_unit
+        target = await link.read(objects.TARGET_VELOCITY) if state is State.ENABLED else 0
+        fault = await self._axis.fault(link, state)
+        setpoint_rpm = target * self._scale.rpm_per_unit
+        return Reading(state, rpm, setpoint_rpm, fault.code if fault else 0, describe(fault) if fault else "")

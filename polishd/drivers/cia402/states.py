@@ -1,0 +1,73 @@
+"""The power state machine of a drive (CiA 402): status word in, control words out. Pure."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+from polishd.api import ProtocolError
+
+DISABLE_VOLTAGE, QUICK_STOP, SHUT_DOWN, SWITCH_ON, ENABLE = 0x00, 0x02, 0x06, 0x07, 0x0F
+FAULT_RESET = 0x80
+"""Taken where bit 7 rises: DISABLE_VOLTAGE goes before it."""
+FAULT_BIT = 0x08
+"""Of the status word."""
+MOVE_NOW = 0x3F
+"""Profile position: operation enabled, a new set point, at once."""
+
+
+class State(Enum):
+    """Of the power stage; named as in CiA 402."""
+
+    NOT_READY = "not ready to switch on"
+    SWITCH_ON_DISABLED = "switch on disabled"
+    READY = "ready to switch on"
+    SWITCHED_ON = "switched on"
+    ENABLED = "operation enabled"
+    QUICK_STOP = "quick stop active"
+    FAULT_REACTION = "fault reaction active"
+    FAULT = "fault"
+
+    @property
+    def drives(self) -> bool:
+        """The motor has current, and may move."""
+        return self in {State.ENABLED, State.QUICK_STOP, State.FAULT_REACTION}
+
+    @property
+    def failed(self) -> bool:
+        """Only a fault reset leads on."""
+        return self in {State.FAULT_REACTION, State.FAULT}
+
+
+_BITS = (
+    (0x4F, 0x00, State.NOT_READY),
+    (0x4F, 0x40, State.SWITCH_ON_DISABLED),
+    (0x6F, 0x21, State.READY),
+    (0x6F, 0x23, State.SWITCHED_ON),
+    (0x6F, 0x27, State.ENABLED),
+    (0x6F, 0x07, State.QUICK_STOP),
+    (0x4F, 0x0F, State.FAULT_REACTION),
+    (0x4F, 0x08, State.FAULT),
+)
+"""(mask, value) of the status word."""
+
+_STEPS = ((SHUT_DOWN, State.READY), (SWITCH_ON, State.SWITCHED_ON), (ENABLE, State.ENABLED))
+
+
+def state_of(status_word: int) -> State:
+    """The state that a status word tells of; ProtocolError where it tells of none."""
+    for mask, value, state in _BITS:
+        if status_word & mask == value:
+            return state
+    raise ProtocolError(f"status word {status_word:#06x} is no state of CiA 402")
+
+
+def power_up(state: State) -> tuple[tuple[int, State], ...]:
+    """Control words that lead from there to operation enabled, each with the state to wait for before the next.
+
+    A drive that is powered goes all the way: what it is enabled with is set first. None lead out of a fault.
+    """
+    if state is State.QUICK_STOP:
+        return (DISABLE_VOLTAGE, State.SWITCH_ON_DISABLED), *_STEPS
+    if state.failed:
+        return ()
+    return _STEPS

@@ -1,0 +1,122 @@
+"""Delivery over FTP and SFTP: another name first, its size compared, then renamed. Libraries are loaded when needed."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import importlib
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+from polishd.api import DeviceRefused
+
+if TYPE_CHECKING:
+    import aioftp
+
+PUT_S = 120.0
+"""Longest that a file may take on its way."""
+ANSWER_S = 10.0
+TEMPORARY = ".part"
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A folder of a server."""
+
+    host: str
+    port: int
+    user: str
+    password: str
+    folder: str
+
+    def __str__(self) -> str:
+        return f"{self.user}@{self.host}:{self.port}/{self.folder}"
+
+
+class Ftp:
+    """A Delivery by FTP, in the clear: for a controller on a wire of its own."""
+
+    def __init__(self, place: Place) -> None:
+        self._place = place
+
+    async def put(self, name: str, text: bytes) -> None:
+        """See Delivery."""
+        library = await asyncio.to_thread(importlib.import_module, "aioftp")
+        try:
+            async with asyncio.timeout(PUT_S):
+                await self._put(library, name, text)
+        except (library.AIOFTPException, OSError, TimeoutError) as error:
+            raise _refused("ftp", self._place, name, error) from error
+
+    async def _put(self, library: Any, name: str, text: bytes) -> None:
+        place = self._place
+        final, beside = PurePosixPath(name), PurePosixPath(name + TEMPORARY)
+        client: aioftp.Client = library.Client(socket_timeout=ANSWER_S, connection_timeout=ANSWER_S)
+        try:
+            await client.connect(place.host, place.port)
+            await client.login(place.user, place.password)
+            if place.folder:
+                await client.change_directory(place.folder)
+            async with client.upload_stream(beside) as stream:
+                await stream.write(text)
+            size = int((await client.stat(beside))["size"])
+            if size != len(text):
+                raise OSError(f"{size} bytes of {len(text)} came")
+            try:
+                await client.rename(beside, final)
+            except library.StatusCodeError:  # some servers rename to no name that is taken
+                await client.remove_file(final)
+                await client.rename(beside, final)
+            await client.quit()
+        finally:
+            client.close()
+
+
+class Sftp:
+    """A Delivery by SFTP. The host's key is in ``known_hosts``, or the host is refused."""
+
+    def __init__(self, place: Place, known_hosts: Path) -> None:
+        self._place = place
+        self._known_hosts = known_hosts
+
+    async def put(self, name: str, text: bytes) -> None:
+        """See Delivery."""
+        library = await asyncio.to_thread(importlib.import_module, "asyncssh")
+        try:
+            async with asyncio.timeout(PUT_S):
+                await self._put(library, name, text)
+        except (library.Error, OSError, TimeoutError) as error:
+            raise _refused("sftp", self._place, name, error) from error
+
+    async def _put(self, library: Any, name: str, text: bytes) -> None:
+        place = self._place
+        final = PurePosixPath(place.folder) / name
+        beside = final.with_name(name + TEMPORARY)
+        async with (
+            library.connect(
+                place.host,
+                place.port,
+                username=place.user,
+                password=place.password or None,
+                known_hosts=str(self._known_hosts),
+                connect_timeout=ANSWER_S,
+            ) as connection,
+            connection.start_sftp_client() as client,
+        ):
+            async with client.open(beside, "wb") as file:
+                await file.write(text)
+            size = (await client.stat(beside)).size
+            if size != len(text):
+                raise OSError(f"{size} bytes of {len(text)} came")
+            try:
+                await client.posix_rename(beside, final)
+            except library.SFTPOpUnsupported:
+                with contextlib.suppress(library.SFTPNoSuchFile):
+                    await client.remove(final)
+                await client.rename(beside, final)
+
+
+def _refused(kind: str, place: Place, name: str, error: BaseException) -> DeviceRefused:
+    reason = " ".join(str(error).split()) or type(error).__name__
+    return DeviceRefused(f"{kind}://{place}: {name} cannot be put there: {reason}. To do: look at [robot] delivery")

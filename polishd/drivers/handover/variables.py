@@ -1,0 +1,89 @@
+"""What all links to a controller's variables do: all that is watched in one reading, orders in one write."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from polishd.api import Identity, ProtocolError
+from polishd.config.controller_profile import Kind, Value, Variable, VariablesTable
+
+ORDERS = ("start", "hold", "reset", "load", "program", "heartbeat")
+"""What polishd writes; the other variables are watched."""
+
+_WHOLE = {
+    "int16": (-(1 << 15), 1 << 15),
+    "uint16": (0, 1 << 16),
+    "int32": (-(1 << 31), 1 << 31),
+    "uint32": (0, 1 << 32),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """All that is watched, at one time."""
+
+    time_s: float
+    """On the controller's clock, or what stands for it: it only has to run evenly."""
+    values: Mapping[str, Value]
+    changed_s: Mapping[str, float] = field(default_factory=dict)
+    """When a variable came to its value, where the link tells, on the same clock."""
+
+
+class Variables(Protocol):
+    """A link to a controller. Every request is answered in time, or raises LinkError and leaves the link dead.
+
+    ProtocolError where the controller has no such variable, or one of another type.
+    """
+
+    async def open(self) -> None:
+        """Connect, and find all variables. Changes nothing."""
+        ...
+
+    async def close(self) -> None:
+        """Disconnect; idempotent."""
+        ...
+
+    async def identify(self) -> Identity:
+        """Who answers. ``boot_id`` where the link tells of it."""
+        ...
+
+    async def read(self) -> Reading:
+        """All that is watched."""
+        ...
+
+    async def write(self, values: Mapping[str, Value]) -> None:
+        """These, in this order, in one request where the link can. Never repeated."""
+        ...
+
+
+def watched(table: VariablesTable) -> dict[str, Variable]:
+    """The variables that are read all the time."""
+    return {name: point for name, point in _named(table).items() if name not in ORDERS}
+
+
+def written(table: VariablesTable) -> dict[str, Variable]:
+    """The variables that are written."""
+    return {name: point for name, point in _named(table).items() if name in ORDERS}
+
+
+def _named(table: VariablesTable) -> dict[str, Variable]:
+    return {name: point for name, point in table if point is not None}
+
+
+def of_kind(kind: Kind, value: object, name: str) -> Value:
+    """A value as its kind says. ProtocolError where it is none."""
+    if kind == "string":
+        found: Value | None = value if isinstance(value, str) else None
+    elif kind == "bool":
+        found = bool(value) if isinstance(value, int) else None
+    elif kind in ("float", "double"):
+        found = float(value) if isinstance(value, int | float) else None
+    else:
+        low, high = _WHOLE[kind]
+        whole = isinstance(value, int | float) and float(value).is_integer()
+        found = int(value) if whole and isinstance(value, int | float) and low <= value < high else None
+    if found is None:
+        raise ProtocolError(f"variable {name}: {value!r} is no {kind}: look at its type in the controller's profile")
+    return found

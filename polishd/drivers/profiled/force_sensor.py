@@ -1,0 +1,112 @@
+"""A force sensor by its profile: it only reads, and takes what it reads now for no force."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+
+from polishd.api import DeviceFault, DeviceStatus, Identity, ProtocolError, SensedForce, SensorTimes
+from polishd.config.device_tables import ForceSensorTable
+from polishd.drivers.profiled import meaning
+from polishd.drivers.profiled.exchange import Exchange
+from polishd.drivers.profiled.wire import Wire
+
+PERIOD_S = 0.05
+"""Of readings, at most so often."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What the sensor says."""
+
+    force_n: float
+    fault: int
+    faults: str
+    """In words."""
+    count: float | None
+    """Of conversions; None where it has no such counter."""
+
+
+class ProfiledForceSensor:
+    """A ForceSensor over a wire. A link that is lost while samples are taken stays so until that has ended."""
+
+    def __init__(self, wire: Wire, times: SensorTimes) -> None:
+        table = wire.profile.force_sensor
+        if table is None:
+            raise ValueError(f"profile {wire.profile.name!r} is of no force sensor")
+        self._table: ForceSensorTable = table
+        self._wire = wire
+        self._times = times
+        self._link = Exchange(wire, None, "forces were being taken: what is missing is not made up for")
+
+    @property
+    def times(self) -> SensorTimes:
+        """See ForceSensor."""
+        return self._times
+
+    async def open(self) -> None:
+        """See Device."""
+        await self._link.open(self._read)
+
+    async def close(self) -> None:
+        """See Device."""
+        await self._link.close()
+
+    async def identify(self) -> Identity:
+        """See Device."""
+        return await self._link.identify()
+
+    async def status(self) -> DeviceStatus:
+        """See Device. It is always safe."""
+        reading = await self._link.ask(self._read)
+        state = "fault" if reading.fault else "measuring"
+        return DeviceStatus(ready=not reading.fault, safe=True, state=state, detail=reading.faults)
+
+    async def make_safe(self) -> None:
+        """See Device. It exerts nothing."""
+        if not self._link.running:
+            await self.open()
+            await self.close()
+        else:
+            await self.status()
+
+    async def tare(self) -> None:
+        """See ForceSensor. DeviceFault where it has one, or still reads a force after ``times.tare_s``."""
+        deadline = time.monotonic() + self._times.tare_s
+        await self._link.ask(lambda: self._wire.order("tare"))
+        while abs((reading := await self._link.ask(self._read)).force_n) > self._table.zero_n or reading.fault:
+            if reading.fault:
+                raise DeviceFault(f"{self._wire.name}: cannot be tared, fault {reading.fault} ({reading.faults})")
+            if time.monotonic() > deadline:
+                said = f"still reads {reading.force_n:g} N {self._times.tare_s:g} s after its tare"
+                raise DeviceFault(f"{self._wire.name}: {said}; does something shake it?")
+            await asyncio.sleep(PERIOD_S)
+
+    async def samples(self) -> AsyncIterator[SensedForce]:
+        """See ForceSensor. Where the sensor counts its conversions, one that was told before is none."""
+        due, last = time.monotonic(), -1.0
+        self._link.exposed = True
+        try:
+            while True:
+                reading = await self._link.ask(self._read)
+                if reading.count is None or reading.count != last:
+                    yield SensedForce(time.monotonic(), reading.force_n, reading.fault)
+                last = -1.0 if reading.count is None else reading.count
+                due = max(due + PERIOD_S, time.monotonic())
+                await asyncio.sleep(due - time.monotonic())
+        finally:
+            self._link.exposed = False
+
+    async def _read(self) -> Reading:
+        profile = self._wire.profile
+        values = await self._wire.read(profile.polled)
+        try:
+            fault = meaning.fault_of(profile, values)
+            broken = any(rule.holds(values[rule.when]) for rule in profile.states)  # it has no state but that one
+            count = meaning.number(values, "count", -1.0) if "count" in values else None
+            force_n = meaning.number(values, "force", 0.0)
+        except ProtocolError as error:
+            raise ProtocolError(f"{self._wire.name}: {error}") from None
+        return Reading(force_n, fault or int(broken), meaning.fault_words(profile, fault), count)

@@ -1,0 +1,215 @@
+"""A CAN bus behind python-can, read by our own loop (its Notifier dies silently). No other file knows python-can."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import can
+from can.interfaces.slcan import slcanBus
+from can.interfaces.socketcand import SocketCanDaemonBus
+
+from polishd.api import LinkError
+from polishd.drivers.transport.address import Slcan, Socketcand, Tcp
+from polishd.drivers.transport.background import open_blocking
+from polishd.drivers.transport.streams import open_stream
+
+OPEN_S = 2.0
+OPEN_TRIES = 3
+GREETING_S = 1.0
+SLCAN_SETTLE_S = 0.05
+POLL_S = 0.05
+SEND_S = 0.3
+EMPTY_READS = 3
+"""A serial line that was readable and then had nothing: on a loaded machine once, on a dead one for ever."""
+
+BUS_OFF = 0x40
+"""Class of an error frame: the adapter has left the bus."""
+
+
+class CanFrame(NamedTuple):
+    """A classic CAN frame with an 11-bit identifier."""
+
+    identifier: int
+    data: bytes
+
+
+OnFrame = Callable[[CanFrame], None]
+
+
+async def open_bus(address: Slcan | Socketcand) -> CanBus:
+    """Connect to the bus; LinkError where that fails."""
+    if isinstance(address, Socketcand):
+        await _greeted(address)
+    try:
+        bus = await open_blocking(lambda: _make(address), can.BusABC.shutdown, OPEN_S, str(address))
+    except (can.CanError, OSError, ValueError) as error:
+        raise LinkError(f"{address}: {error}") from error
+    return CanBus(str(address), bus)
+
+
+async def _greeted(address: Socketcand) -> None:
+    """See that a socketcand server is there: python-can would spin for 10 s, or wait for ever for its greeting."""
+    stream = await open_stream(Tcp(address.host, address.port), GREETING_S)
+    greeting = b""
+    try:
+        async with asyncio.timeout(GREETING_S):
+            while b"< hi >" not in greeting:
+                greeting += await stream.read(64, GREETING_S)
+                if len(greeting) > 64:
+                    raise LinkError(f"{address}: no socketcand server, it said {greeting!r}")
+    except TimeoutError:
+        raise LinkError(f"{address}: no greeting within {GREETING_S:g} s") from None
+    finally:
+        await stream.close()
+
+
+def _make(address: Slcan | Socketcand) -> can.BusABC:
+    if isinstance(address, Socketcand):
+        return _socketcand(address)
+    return PromptSlcan(
+        str(address.path),
+        tty_baudrate=address.baud,
+        bitrate=address.bitrate,
+        sleep_after_open=SLCAN_SETTLE_S,
+        timeout=0.0,
+    )
+
+
+def _socketcand(address: Socketcand) -> can.BusABC:
+    """python-can takes a frame that comes along with the server's last ok for a refusal: by chance, so ask again."""
+    for left in reversed(range(OPEN_TRIES)):
+        try:
+            return TidySocketcand(channel=address.channel, host=address.host, port=address.port)
+        except can.CanError as error:
+            if not left or "< ok >< frame" not in str(error):
+                raise
+    raise LinkError(f"{address}: did not open")
+
+
+class TidySocketcand(SocketCanDaemonBus):
+    """python-can leaves the socket open where the server's greeting is not what it waits for."""
+
+    def __init__(self, **where: Any) -> None:
+        try:
+            super().__init__(**where)  # type: ignore[no-untyped-call]
+        except can.CanError:
+            left_open = getattr(self, "_SocketCanDaemonBus__socket", None)
+            if left_open is not None:
+                left_open.close()
+            raise
+
+
+class PromptSlcan(slcanBus):
+    """python-can waits until the line has taken each frame, on the event loop: an adapter that hangs would stop it."""
+
+    def _write(self, string: str) -> None:
+        line = string.encode() + self.LINE_TERMINATOR
+        try:
+            taken = os.write(self.serialPortOrig.fileno(), line)
+        except OSError as error:
+            raise can.CanOperationError(f"the adapter takes no frame: {error.strerror}") from error
+        if taken != len(line):
+            raise can.CanOperationError("the adapter takes no more frames")
+
+
+class CanBus:
+    """An open bus. What is received goes to a callback; errors end ``receive`` with LinkError."""
+
+    def __init__(self, name: str, bus: can.BusABC) -> None:
+        self._name = name
+        self._bus = bus
+        self.garbled = 0
+        """Times that nonsense came from the adapter and was dropped."""
+        self._empty = 0
+
+    def send(self, frame: CanFrame) -> None:
+        """Hand over a frame; LinkError where the adapter takes none."""
+        message = can.Message(arbitration_id=frame.identifier, data=frame.data, is_extended_id=False)
+        try:
+            self._bus.send(message, timeout=SEND_S)
+        except (can.CanError, OSError) as error:
+            raise LinkError(f"{self._name}: {error}") from error
+
+    async def receive(self, on_frame: OnFrame) -> None:
+        """Pass on frames until cancelled, or LinkError."""
+        try:
+            fileno = self._bus.fileno()
+        except NotImplementedError:
+            await self._receive_in_thread(on_frame)
+        else:
+            await self._receive_when_ready(fileno, on_frame)
+
+    async def close(self) -> None:
+        """Leave the bus; what is dead already is left as it is."""
+        with contextlib.suppress(can.CanError, OSError):
+            await asyncio.to_thread(self._bus.shutdown)
+
+    async def _receive_when_ready(self, fileno: int, on_frame: OnFrame) -> None:
+        loop = asyncio.get_running_loop()
+        failed: asyncio.Future[None] = loop.create_future()
+
+        def ready() -> None:
+            try:
+                while (frame := self._next(0.0)) is not None:
+                    on_frame(frame)
+            except Exception as error:  # noqa: BLE001 -- raised where it is awaited
+                if not failed.done():
+                    failed.set_exception(error)
+                loop.remove_reader(fileno)
+
+        loop.add_reader(fileno, ready)
+        try:
+            await failed
+        finally:
+            loop.remove_reader(fileno)
+
+    async def _receive_in_thread(self, on_frame: OnFrame) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            received = loop.run_in_executor(None, self._next, POLL_S)
+            try:
+                await asyncio.wait({received})
+            finally:
+                # The thread must have left the bus before it is shut down; it stays for POLL_S at most.
+                await asyncio.wait({received})
+            frame = received.result()
+            while frame is not None:
+                on_frame(frame)
+                frame = self._next(0.0)
+
+    def _was_nothing(self, error: Exception) -> bool:
+        """Whether a read merely found nothing, a few times in a row at most."""
+        self._empty += 1
+        return "returned no data" in str(error.__cause__) and self._empty <= EMPTY_READS
+
+    def _next(self, within_s: float) -> CanFrame | None:
+        try:
+            message = self._bus.recv(within_s)
+        except (ValueError, IndexError):
+            self.garbled += 1  # slcan: a line that is no frame
+            return None
+        except (can.CanError, OSError) as error:
+            if self._was_nothing(error):
+                return None
+            if not (isinstance(self._bus, slcanBus) and isinstance(error.__cause__, UnicodeDecodeError)):
+                raise LinkError(f"{self._name}: {error} ({error.__cause__})") from error
+            self.garbled += 1
+            self._flush(self._bus)
+            return None
+        if message is not None and message.is_error_frame and message.arbitration_id & BUS_OFF:
+            raise LinkError(f"{self._name}: the adapter is off the bus: look at wiring, termination and bit rate")
+        if message is None or message.is_extended_id or message.is_remote_frame or message.is_error_frame:
+            return None
+        self._empty = 0
+        return CanFrame(message.arbitration_id, bytes(message.data))
+
+    def _flush(self, bus: slcanBus) -> None:
+        """Drop what is buffered: else one byte above 0x7F would spoil all frames from now on."""
+        try:
+            bus.flush()
+        except can.CanError as error:
+            raise LinkError(f"{self._name}: {error}") from error

@@ -1,0 +1,305 @@
+"""The robot behind a Universal Robots controller: script up, RTDE for progress and orders, dashboard for the rest."""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+from collections.abc import AsyncIterator, Callable, Sequence
+from dataclasses import dataclass
+
+from polishd.api import (
+    DeviceFault,
+    DeviceRefused,
+    DeviceStatus,
+    Executed,
+    Identity,
+    LinkError,
+    Plan,
+    ProtocolError,
+    RobotProgress,
+    RobotTimes,
+    Segment,
+)
+from polishd.drivers.transport.address import Tcp
+from polishd.drivers.universal_robots import dashboard
+from polishd.drivers.universal_robots.link import Link, Order, Orders
+from polishd.drivers.universal_robots.primary import Upload
+from polishd.drivers.universal_robots.sample import Phase, Runtime, Sample
+from polishd.drivers.universal_robots.script import LONGEST_LINE, Block, Settings, assemble, blocks_of
+from polishd.drivers.universal_robots.watch import LIVE, Watch
+
+LOAD_S, LOAD_LINE_S = 5.0, 5e-4
+"""A script begins so long after it was sent, at most."""
+BLOCK_S = 0.01
+"""What a block costs beyond its dwell, about."""
+SOFT_SHARE = 0.5
+"""Of the time for a stop, for the program to stop itself; then the dashboard stops it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Addresses:
+    """The three servers of one controller that are used."""
+
+    rtde: Tcp
+    dashboard: Tcp
+    primary: Tcp
+
+    @classmethod
+    def of(cls, host: str, rtde: int = 30004, dashboard: int = 29999, primary: int = 30001) -> Addresses:
+        """On one host."""
+        return cls(Tcp(host, rtde), Tcp(host, dashboard), Tcp(host, primary))
+
+
+class UniversalRobot:
+    """A Robot over RTDE. A lost link stays lost until ``open``; nothing but ``make_safe`` connects by itself.
+
+    Never switches the robot on, releases no brake and unlocks no stop: that is for the operator, who stands there.
+    """
+
+    def __init__(self, addresses: Addresses, settings: Settings, times: RobotTimes, rate_hz: float = 125.0) -> None:
+        self._addresses = addresses
+        self._name = addresses.rtde.host
+        self._settings = settings
+        self._times = times
+        self._link = Link(addresses.rtde, rate_hz, settings.registers, times.silence_s)
+        self._link.on_sample = self._seen
+        self._plan: Plan | None = None
+        self._lines: list[bytes] = []
+        self._blocks: list[Block] = []
+        self._watch: Watch | None = None
+        self._target: int | None = None
+        """Blocks below it are to be run; None for all."""
+        self._pending = False
+        """Told to run before the program was complete."""
+
+    @property
+    def times(self) -> RobotTimes:
+        """See Robot."""
+        return self._times
+
+    @property
+    def buffer_s(self) -> float:
+        """See Robot. All that is left, once the controller has the program. 0 before, and while the link is down."""
+        watch, plan = self._watch, self._plan
+        if watch is None or plan is None or not watch.token or not self._link.alive:
+            return 0.0
+        left_s = float(plan.expected_time_s[plan.program.block >= len(watch)].sum())
+        return left_s + BLOCK_S * (watch.blocks - len(watch))
+
+    async def open(self) -> None:
+        """See Device. Gives no new order. What ran when the link was lost is followed further."""
+        await self.close()
+        self._stay()
+        await self._link.open()
+
+    async def close(self) -> None:
+        """See Device."""
+        await self._link.close()
+
+    async def identify(self) -> Identity:
+        """See Device. Controllers from before 3.12 know neither model nor serial number."""
+        self._link.check()
+        model = await dashboard.ask(self._addresses.dashboard, "get robot model")
+        serial = await dashboard.ask(self._addresses.dashboard, "get serial number")
+        return Identity("Universal Robots", model or "UR", serial or "unknown", self._link.controller)
+
+    async def status(self) -> DeviceStatus:
+        """See Device. Ready: it would take a program and run it as written. Safe: nothing runs and it stands."""
+        sample = self._link.last
+        why = sample.obstacle() or await self._not_remote()
+        state = Runtime(sample.runtime).name.lower() if sample.runtime in tuple(Runtime) else str(sample.runtime)
+        return DeviceStatus(ready=not why, safe=self._link.stands, state=state, detail=why)
+
+    async def make_safe(self) -> None:
+        """See Device. Ends whatever runs: what was under way is not gone on with. Connects for it if it has to."""
+        self._stay()
+        try:
+            stopped = False
+            if self._link.alive:
+                with contextlib.suppress(LinkError, ProtocolError):
+                    await self._stop_program()
+                    stopped = True
+            if not stopped:
+                await dashboard.stop(self._addresses.dashboard, self._times.stop_s)
+        finally:
+            self._drop()
+
+    async def prepare(self, plan: Plan) -> None:
+        """See Robot. DeviceRefused while a program runs, or the robot would not run one as it is written."""
+        why = self._link.last.obstacle() or await self._not_remote()
+        if why:
+            raise DeviceRefused(f"{self._name}: {why}. To do: see to it at the robot, then try again")
+        if self._runs():
+            raise DeviceRefused(f"{self._name}: a program is running; hold it first")
+        await self._stop_program()
+        self._plan, self._lines, self._blocks, self._target, self._pending = plan, [], [], None, False
+        self._watch = Watch(plan, len(plan.segments) or len(plan.program.blocks))
+
+    async def send(self, segments: Sequence[Segment]) -> None:
+        """See Robot. With the last block the script is sent; it then waits before its first.
+
+        DeviceRefused where it cannot be followed, or the controller cannot read it.
+        """
+        _, watch = self._loaded()
+        if any(segment.seq != segments[0].seq + at for at, segment in enumerate(segments)):
+            raise DeviceRefused(f"{self._name}: blocks are not numbered one by one")
+        new = [segment for segment in segments if segment.seq >= len(self._lines)]
+        if not new:
+            return
+        if new[0].seq > len(self._lines):
+            raise DeviceRefused(f"{self._name}: the robot expects block {len(self._lines)}, not {new[0].seq}")
+        for segment in new:
+            if b"\n" in segment.text or len(segment.text) > LONGEST_LINE:
+                raise DeviceRefused(f"{self._name}: block {segment.seq} is no single line of {LONGEST_LINE} bytes")
+        self._lines += [segment.text for segment in new]
+        if len(self._lines) >= watch.blocks:
+            self._blocks = blocks_of(self._lines)
+            await self._upload(watch)
+            if self._pending:
+                await self._go(watch)
+
+    async def progress(self) -> RobotProgress:
+        """See Robot."""
+        sample = self._link.last
+        if self._watch is None:
+            return RobotProgress("running" if sample.plays else "idle", "", 0, 0, 0.0)
+        return self._watch.progress(len(self._lines), self.buffer_s)
+
+    async def executed(self, from_seq: int = 0) -> AsyncIterator[Executed]:
+        """See Robot. DeviceFault when the program ends before its end, or would not be run as written."""
+        self._link.check()
+        watch, seq = self._watch, from_seq
+        while watch is not None:
+            while seq < len(watch):
+                yield watch[seq]
+                seq += 1
+            if watch is not self._watch or watch.ended:
+                if watch.state == "fault":
+                    raise DeviceFault(f"{self._name}: {watch.detail}")
+                return
+            await self._link.until(_news(watch))
+
+    async def hold(self) -> None:
+        """See Robot. The program brakes along the path and ends; it can be gone on with from where it stands."""
+        _ = self._link.last
+        self._stay()
+        await self._stop_program()
+
+    async def resume(self, until: int | None = None) -> None:
+        """See Robot. Stops before any block; behind a hold what is left is sent anew."""
+        _, watch = self._loaded()
+        if watch.ended:
+            raise DeviceRefused(f"{self._name}: the program is over ({watch.state}: {watch.detail}); prepare one")
+        sample = self._link.last
+        if until is not None and until <= len(watch):
+            return
+        if why := sample.obstacle():
+            raise DeviceRefused(f"{self._name}: {why}")
+        self._target = until
+        if len(self._lines) < watch.blocks:
+            self._pending = True
+            watch.state, watch.detail = "running", "waits for the rest of the program"
+            return
+        if watch.live and sample.runtime in (Runtime.PAUSING, Runtime.PAUSED):
+            raise DeviceRefused(f"{self._name}: it is paused at the controller: go on there, or prepare it anew")
+        if not watch.live:
+            await self._upload(watch)
+        await self._go(watch)
+
+    async def lift(self, distance_mm: float) -> None:
+        """See Robot. Out of the motion, by a branch of our own program: so there must be one under way."""
+        link, watch = self._link, self._watch
+        if watch is None or not self._hears(link.last):
+            raise DeviceRefused(f"{self._name}: no program of ours is under way that could lift")
+        self._stay()
+        await link.tell(Orders(watch.token, watch.until, Order.LIFT, round(distance_mm * 1000.0)))
+        await link.until(lambda: not self._hears(link.last) and link.last.phase != Phase.ENDS, self._times.stop_s)
+        watch.drop("lifted off the path")
+        if link.last.phase != Phase.LIFTED:
+            raise DeviceFault(f"{self._name}: the robot does not lift: {link.last.obstacle() or 'no reason is told'}")
+        await link.standstill("the lift", self._times.stop_s)
+
+    async def _upload(self, watch: Watch) -> None:
+        """Send what is left of the program, and hear that it waits."""
+        start = len(watch)
+        token = secrets.randbelow((1 << 31) - 1) + 1
+        script = assemble(self._blocks, start, watch.spent_s, token, self._settings)
+        watch.sent(token, self._blocks)
+        await self._link.tell(Orders(token))
+        within_s = LOAD_S + LOAD_LINE_S * len(script.block_of)
+        async with Upload(self._addresses.primary, script.text) as upload:
+
+            def settled() -> bool:
+                upload.check()
+                return watch.live or upload.complaint is not None
+
+            taken = await self._link.until(settled, within_s)
+        if upload.complaint is not None:
+            where, text = script.names(upload.complaint.line), upload.complaint.text
+            raise DeviceRefused(f"{self._name}: the controller does not take {where}: {text}")
+        if not taken:
+            raise DeviceRefused(f"{self._name}: the controller did not start the script within {within_s:g} s")
+
+    async def _go(self, watch: Watch) -> None:
+        """To the target."""
+        self._pending = False
+        watch.ordered(watch.blocks if self._target is None else self._target)
+        await self._link.tell(Orders(watch.token, watch.until))
+
+    async def _stop_program(self) -> None:
+        """Ours by its own order, any other by the dashboard. Returns when nothing runs and the robot stands."""
+        link, watch, stop_s = self._link, self._watch, self._times.stop_s
+        if watch is not None and self._hears(link.last):
+            await link.tell(Orders(watch.token, 0, Order.STOP))
+            await link.until(lambda: link.stands, SOFT_SHARE * stop_s)
+        if link.last.runtime != Runtime.STOPPED:
+            await dashboard.stop(self._addresses.dashboard, stop_s)
+        await link.standstill("stop", stop_s)
+
+    def _seen(self, sample: Sample) -> None:
+        """What the controller does is booked; a program that is over is fed no more."""
+        watch = self._watch
+        if watch is None:
+            return
+        watch.update(sample)
+        if watch.heard and not (sample.token == watch.token and sample.phase in (*LIVE, Phase.ENDS)):
+            self._link.orders = None
+
+    def _hears(self, sample: Sample) -> bool:
+        """Our program is there to take orders."""
+        ours = self._watch is not None and sample.token == self._watch.token and sample.phase in LIVE
+        return ours and sample.runtime == Runtime.PLAYING
+
+    async def _not_remote(self) -> str:
+        remote = await dashboard.in_remote_control(self._addresses.dashboard)
+        return "" if remote else "it is in local control: switch it to remote control at the pendant"
+
+    def _runs(self) -> bool:
+        """Something runs that was not told to stand."""
+        watch, sample = self._watch, self._link.last
+        if watch is not None and watch.live:
+            return watch.state == "running"
+        return sample.plays
+
+    def _stay(self) -> None:
+        """Nothing is asked of it any more."""
+        if self._pending and self._watch is not None:
+            self._watch.state, self._watch.detail = "held", ""
+        self._pending, self._target = False, 0
+
+    def _drop(self) -> None:
+        if self._watch is not None and not self._watch.ended:
+            self._watch.drop("aborted")
+        self._link.orders = None
+        self._link.fire()
+
+    def _loaded(self) -> tuple[Plan, Watch]:
+        if self._plan is None or self._watch is None:
+            raise DeviceRefused(f"{self._name}: no program: prepare one first")
+        return self._plan, self._watch
+
+
+def _news(watch: Watch) -> Callable[[], bool]:
+    """Tells whether anything was executed since now, or the program is over."""
+    count = len(watch)
+    return lambda: len(watch) > count or watch.ended

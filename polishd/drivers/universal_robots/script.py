@@ -1,0 +1,212 @@
+"""The program as the controller runs it: the plan's lines in a thread, told where they are, and watched over.
+
+The lines themselves are not changed. Before each that moves or waits stands a word that says so in a register, and that
+stands still where it is not wanted yet (docs/protocols/universal_robots.md).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from polishd.api import DeviceRefused
+from polishd.drivers.universal_robots.sample import Phase, Registers
+
+LONGEST_LINE = 4096
+NAME = "polishd"
+STOP_M_S2 = 2.0
+"""Deceleration of a stop: from 100 mm/s within 2.5 mm."""
+LIFT_M_S, LIFT_M_S2 = 0.1, 1.0
+
+_BEGIN = re.compile(rb"\s*(?:def\s+(\w+)\s*\(\s*\)|(thread)\b.*|(?:while|if)\b.*)\s*:")
+_END = re.compile(rb"\s*end\s*(?:#.*)?")
+_CALL = re.compile(rb"\s*(\w+)\s*\(\s*\)\s*(?:#.*)?")
+_ACTS = re.compile(rb"\s*(?:movel|movep|movec|movej|sleep)\s*\(")
+_DWELLS = re.compile(rb"(\s*sleep\s*\(\s*)([0-9.eE+-]+)(\s*\).*)")
+_ARC = re.compile(rb"\s*movec\s*\(")
+
+_HEAD = """def polishd():
+  write_output_integer_register({block}, {start})
+  write_output_integer_register({phase}, {waits})
+  write_output_integer_register({told}, {token})
+  global polishd_over = False
+  def polishd_at(seq):
+    if read_input_integer_register({token_in}) != {token} or read_input_integer_register({until}) <= seq:
+      write_output_integer_register({block}, seq)
+      write_output_integer_register({phase}, {waits})
+      while read_input_integer_register({token_in}) != {token} or read_input_integer_register({until}) <= seq:
+        sync()
+      end
+    end
+    write_output_integer_register({block}, seq)
+    write_output_integer_register({phase}, {runs})
+  end
+  thread polishd_path():
+"""
+_TAIL = """
+    write_output_integer_register({block}, {blocks})
+    global polishd_over = True
+  end
+  rtde_set_watchdog("input_int_register_{beat}", {rate}, "stop")
+  polishd_turns = 0
+  polishd_thread = run polishd_path()
+  while not polishd_over and (read_input_integer_register({token_in}) != {token} or read_input_integer_register({order}) == 0):
+    polishd_turns = polishd_turns + 1
+    write_output_integer_register({turns}, polishd_turns)
+    sync()
+  end
+  kill polishd_thread
+  write_output_integer_register({phase}, {ends})
+  polishd_phase = {held}
+  polishd_accel = {stop_accel}
+  if polishd_over:
+    polishd_phase = {done}
+  elif read_input_integer_register({order}) == 2:
+    polishd_here = get_target_tcp_pose()
+    polishd_up = pose_trans(polishd_here, p[0, 0, {up}, 0, 0, 0])
+    polishd_way = read_input_integer_register({lift}) * 0.000001
+    polishd_accel = {lift_accel}
+    polishd_speed = {lift_speed}
+    if polishd_speed * polishd_speed > polishd_way * polishd_accel:
+      polishd_speed = sqrt(polishd_way * polishd_accel)
+    end
+    polishd_x = (polishd_up[0] - polishd_here[0]) * polishd_speed
+    polishd_y = (polishd_up[1] - polishd_here[1]) * polishd_speed
+    polishd_z = (polishd_up[2] - polishd_here[2]) * polishd_speed
+    speedl([polishd_x, polishd_y, polishd_z, 0, 0, 0], polishd_accel, polishd_way / polishd_speed)
+    polishd_phase = {lifted}
+  end
+  stopl(polishd_accel)
+  write_output_integer_register({phase}, polishd_phase)
+end
+"""  # noqa: E501 -- one statement of URScript is one line
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What all programs of a cell share."""
+
+    registers: Registers
+    watchdog_s: float
+    """The controller stops a program that hears nothing for so long."""
+    into_part: bool = True
+    """Where the tool frame's z points."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """One line of the plan."""
+
+    text: bytes
+    acts: bool
+    """It moves or waits; the others take no time."""
+    frame: bool
+    """It belongs to the shape of the file (``def``, ``end``, a call), and not to what is run."""
+
+    @property
+    def dwell_s(self) -> float | None:
+        """Seconds that it waits; None for what does not wait."""
+        match = _DWELLS.match(self.text) if self.acts else None
+        return float(match[2]) if match else None
+
+
+def blocks_of(lines: Sequence[bytes]) -> list[Block]:
+    """What each line is. DeviceRefused for what cannot be told where it is: loops, branches, threads."""
+    found: list[Block] = []
+    opened, moving = "", _moving(lines)
+    for seq, line in enumerate(lines):
+        begin, call = _BEGIN.match(line), _CALL.fullmatch(line)
+        if begin is not None and (begin[1] is None or opened):
+            raise DeviceRefused(f"block {seq}: loops, branches, threads and nested routines cannot be followed")
+        if begin is not None:
+            opened = begin[1].decode()
+        ends = _END.fullmatch(line) is not None
+        dead = bool(opened) and bool(moving) and opened != moving
+        calls = call is not None and call[1].decode() == moving and not opened
+        frame = begin is not None or ends or calls or dead
+        found.append(Block(line, not frame and _ACTS.match(line) is not None, frame))
+        opened = "" if ends else opened
+    if not any(block.acts for block in found):
+        raise DeviceRefused("no line of the program moves or waits in URScript: look at [program] format")
+    return found
+
+
+def _moving(lines: Sequence[bytes]) -> str:
+    """Name of the routine that moves; empty where the lines stand in none."""
+    opened = ""
+    for line in lines:
+        begin = _BEGIN.match(line)
+        if begin is not None and begin[1] is not None:
+            opened = begin[1].decode()
+        elif _END.fullmatch(line):
+            opened = ""
+        elif opened and _ACTS.match(line):
+            return opened
+    return ""
+
+
+@dataclass(frozen=True, slots=True)
+class Script:
+    """A program ready to be sent, from one of its blocks on."""
+
+    token: int
+    text: bytes
+    block_of: list[int] = field(repr=False)
+    """Of each line of the text, 0-based; -1 for lines of our own."""
+
+    def names(self, line: int) -> str:
+        """Where a 1-based line of the text stands in the program, for messages."""
+        block = self.block_of[line - 1] if 0 < line <= len(self.block_of) else -1
+        return f"block {block}" if block >= 0 else f"line {line} of what polishd adds"
+
+
+def assemble(blocks: Sequence[Block], start: int, spent_s: float, token: int, settings: Settings) -> Script:
+    """The script for the blocks from ``start`` on, the first of which has waited ``spent_s`` already.
+
+    What stands before and takes no time is said again: it may be a tool or a position that the rest needs.
+    DeviceRefused inside an arc: only its end and one point of it are known.
+    """
+    if 0 < start < len(blocks) and spent_s > 0.0 and _ARC.match(blocks[start].text):
+        raise DeviceRefused(f"block {start}: an arc cannot be gone on with from within")
+    words = _words(start, len(blocks), token, settings)
+    lines = _HEAD.format(**words).encode().splitlines()
+    block_of = [-1] * len(lines)
+    for seq, block in enumerate(blocks):
+        if block.frame or (block.acts and seq < start):
+            continue
+        if block.acts:
+            lines.append(b"    polishd_at(%d)" % seq)
+            block_of.append(-1)
+        lines.append(b"    " + _rest(block, spent_s if seq == start else 0.0))
+        block_of.append(seq)
+    tail = _TAIL.format(**words).encode().splitlines()[1:]
+    return Script(token, b"\n".join([*lines, *tail, b""]), [*block_of, *[-1] * len(tail)])
+
+
+def _rest(block: Block, spent_s: float) -> bytes:
+    """The line; of a dwell, what is left of it."""
+    match = _DWELLS.match(block.text)
+    if match is None or not spent_s:
+        return block.text.strip()
+    return b"%b%.4f%b" % (match[1].strip(), max(float(match[2]) - spent_s, 0.0), match[3].strip())
+
+
+def _words(start: int, blocks: int, token: int, settings: Settings) -> dict[str, object]:
+    first = settings.registers.first
+    inputs = dict(zip(("beat", "token_in", "until", "order", "lift"), range(first, first + 5), strict=True))
+    outputs = dict(zip(("told", "block", "phase", "turns"), range(first, first + 4), strict=True))
+    phases = {phase.name.lower(): int(phase) for phase in Phase}
+    return {
+        **inputs,
+        **outputs,
+        **phases,
+        "token": token,
+        "start": start,
+        "blocks": blocks,
+        "rate": f"{1.0 / settings.watchdog_s:.6g}",
+        "up": -1 if settings.into_part else 1,
+        "lift_speed": LIFT_M_S,
+        "lift_accel": LIFT_M_S2,
+        "stop_accel": STOP_M_S2,
+    }

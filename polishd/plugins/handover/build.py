@@ -1,0 +1,106 @@
+"""From the options to a closed robot. What they name is looked at, and nothing is opened."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from polishd.api import ConfigError, DeviceContext, read_secret
+from polishd.config.controller_profile import ControllerProfile, load_controller_profile
+from polishd.drivers.handover.ads import Ads
+from polishd.drivers.handover.delivery import Delivery, Folder
+from polishd.drivers.handover.driver import Handover
+from polishd.drivers.handover.modbus import Modbus
+from polishd.drivers.handover.opcua import OpcUa
+from polishd.drivers.handover.remote import Ftp, Place, Sftp
+from polishd.drivers.handover.variables import Variables
+from polishd.drivers.transport.address import Tcp, parse_address
+from polishd.plugins.handover.options import HandoverOptions
+
+_ADS = re.compile(r"ads://(?P<host>[^/:]+)/(?P<netid>(?:\d{1,3}\.){5}\d{1,3}):(?P<port>\d{1,5})")
+EXTRAS = {"opcua": "asyncua", "ads": "pyads", "ftp": "aioftp", "sftp": "asyncssh"}
+"""Extras of polishd, and the library that each brings."""
+
+
+def build(options: HandoverOptions, context: DeviceContext) -> Handover:
+    """The robot. ConfigError where the controller must not polish, or a library is missing."""
+    profile = load_controller_profile(options.profile, context.base_dir)
+    profile.require_usable()
+    return Handover(
+        f"{profile.name} at {options.address}",
+        profile,
+        _link(profile, options, context),
+        _delivery(options, context),
+        options.controller_dir,
+    )
+
+
+def _link(profile: ControllerProfile, options: HandoverOptions, context: DeviceContext) -> Callable[[], Variables]:
+    table, silence_s = profile.variables, profile.silence_s
+    match profile.link:
+        case "opcua":
+            _require("opcua", f"profile {options.profile!r}")
+            if not options.address.startswith("opc.tcp://"):
+                raise ConfigError(f"address {options.address!r}: opcua runs over opc.tcp://host:port")
+            password = read_secret(options.password, context.base_dir) if options.password is not None else ""
+            return lambda: OpcUa(options.address, table, silence_s, options.user, password)
+        case "ads":
+            _require("ads", f"profile {options.profile!r}")
+            host, netid, port = _ads_address(options.address)
+            return lambda: Ads(host, netid, port, table, silence_s)
+        case "modbus":
+            where = parse_address(options.address, context.base_dir)
+            if not isinstance(where, Tcp):
+                raise ConfigError(f"address {options.address!r}: modbus runs over tcp://host:port")
+            make = partial(Modbus, where, table, silence_s, unit=profile.modbus_unit, little=profile.order == "little")
+            make()  # its addresses are looked at
+            return make
+
+
+def _delivery(options: HandoverOptions, context: DeviceContext) -> Delivery:
+    kind, _, rest = options.delivery.partition(":")
+    match kind:
+        case "folder" if rest:
+            return Folder((context.base_dir / rest).absolute())
+        case "ftp":
+            _require("ftp", f"delivery {options.delivery!r}")
+            return Ftp(_place(options, context, 21))
+        case "sftp":
+            _require("sftp", f"delivery {options.delivery!r}")
+            known_hosts = context.base_dir / Path(options.known_hosts).expanduser()
+            if not known_hosts.is_file():
+                raise ConfigError(
+                    f"known_hosts {options.known_hosts!r} is no file; put the controller's host key there: ssh-keyscan"
+                )
+            return Sftp(_place(options, context, 22), known_hosts)
+        case _:
+            raise ConfigError(
+                f"delivery {options.delivery!r}: write folder:PATH, ftp://user@host/PATH or sftp://user@host/PATH"
+            )
+
+
+def _place(options: HandoverOptions, context: DeviceContext, port: int) -> Place:
+    url = urlsplit(options.delivery)
+    if not url.hostname or not url.username or url.password is not None or url.query or url.fragment:
+        raise ConfigError(
+            f"delivery {options.delivery!r}: write {url.scheme}://user@host/PATH; its password is delivery_password"
+        )
+    password = read_secret(options.delivery_password, context.base_dir) if options.delivery_password else ""
+    return Place(url.hostname, url.port or port, url.username, password, url.path.removeprefix("/"))
+
+
+def _ads_address(address: str) -> tuple[str, str, int]:
+    """Host, net id and port of ``ads://host/1.2.3.4.1.1:851``."""
+    found = _ADS.fullmatch(address)
+    if found is None or not all(int(part) < 256 for part in found["netid"].split(".")):
+        raise ConfigError(f"address {address!r}: ads wants ads://host/NETID:PORT, as ads://plc/5.1.2.3.1.1:851")
+    return found["host"], found["netid"], int(found["port"])
+
+
+def _require(extra: str, what: str) -> None:
+    if importlib.util.find_spec(EXTRAS[extra]) is None:
+        raise ConfigError(f"{what} needs {EXTRAS[extra]}, which is not installed: pip install 'polishd[{extra}]'")

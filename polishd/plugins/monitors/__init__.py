@@ -1,0 +1,38 @@
+"""Monitors of the cell's signals: the device type ``monitor_line``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from polishd.api import ConfigError, DeviceContext, DeviceType, Monitor, MonitorTimes, hookimpl
+from polishd.drivers.monitor_line import MonitorLine
+from polishd.drivers.transport.address import SerialLine, Tcp, parse_address
+
+POLISHD_API = 1
+
+
+class MonitorLineOptions(BaseModel):
+    """Keys of ``[monitor]`` with ``type = "monitor_line"``."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    address: str
+    """``serial:PATH?baud=115200`` or ``tcp://host:port``."""
+    silence_s: Annotated[float, Field(ge=0.2, le=60.0)] = 2.0
+    """No answer for so long: its signals are not known any more."""
+
+
+def _build(options: MonitorLineOptions, context: DeviceContext) -> Monitor:
+    address = parse_address(options.address, context.base_dir)
+    if not isinstance(address, Tcp | SerialLine):
+        raise ConfigError(f"[monitor] address {options.address!r}: a monitor is reached over serial: or tcp://")
+    return MonitorLine(address, MonitorTimes(options.silence_s))
+
+
+@hookimpl
+def polishd_device_types() -> Sequence[DeviceType]:
+    """``monitor_line``."""
+    return [DeviceType("monitor_line", "monitor", MonitorLineOptions, _build)]

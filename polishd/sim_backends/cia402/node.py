@@ -1,0 +1,207 @@
+"""The drive as a node of CANopen: boot, heartbeats both ways, emergencies, objects. Pure; wall times are handed in."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from polishd.sim_backends.can_hosts import Frame
+from polishd.sim_backends.cia402 import power as stage
+from polishd.sim_backends.cia402.objects import DEVICE_STATE, RANGE, Key, Objects
+from polishd.sim_backends.cia402.power import Power
+
+BOOTING, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0x00, 0x04, 0x05, 0x7F
+SILENCE, BUS_OFF_OVER, OVER_CURRENT = 0x8130, 0x8140, 0x2310
+COMMUNICATION_BITS, DRIVE_BITS = 0x11, 0x03
+"""Of the error register."""
+RESET_NODE, RESET_COMMUNICATION = 0x81, 0x82
+COMMUNICATION_END = 0x2000
+"""Objects before it are of the communication."""
+FAULT_RESET = 0x80
+BOOT_S = 0.3
+
+
+class Axis(Protocol):
+    """What the drive moves."""
+
+    def step(self, now_s: float, objects: Objects, power: Power) -> None:
+        """Bring it to the present: act on the set points, write the actual values, tell when it stands."""
+        ...
+
+
+@dataclass(slots=True)
+class Node:
+    """One drive on the bus. ``on_frame`` hears the bus; ``step`` gives what the drive sends by itself."""
+
+    node: int
+    axis: Axis
+    report: Callable[..., None]
+    """Tells the witness: (event, at_s)."""
+    now_s: float
+    objects: Objects = field(default_factory=Objects)
+    power: Power = field(default_factory=Power)
+    state: int = PRE_OPERATIONAL
+    hung: bool = False
+    """Its firmware has died: it goes on as it is, says nothing and watches nothing."""
+    _delivered: dict[Key, int] = field(default_factory=dict)
+    """What its objects hold at power-up."""
+    _dark_until_s: float = 0.0
+    """Until then it has no power, or is off the bus."""
+    _was_off: bool = False
+    _out: list[Frame] = field(default_factory=list)
+    _beat_s: float = 0.0
+    _heard_s: float | None = None
+    """The watched controller's last heartbeat; None: none yet, nothing is watched."""
+    _silent: bool = False
+    _estranged: bool = False
+    """In fault over a lost heartbeat: no fault reset counts before the communication is reset, as with some drives."""
+
+    def __post_init__(self) -> None:
+        """Power up."""
+        self.objects.on_write = self._written
+        self._delivered = dict(self.objects.values)
+        self._booted()
+
+    def on_frame(self, identifier: int, data: bytes) -> list[Frame]:
+        """Hear a frame; the answers to it."""
+        if self.hung or self.now_s < self._dark_until_s:
+            return []
+        if identifier == 0x600 + self.node and len(data) == 8 and self.state != STOPPED:
+            answer = self.objects.serve(data)
+            return [(0x580 + self.node, answer)] if answer else []
+        if identifier == 0x000 and len(data) == 2 and data[1] in {0, self.node}:
+            self._manage(data[0])
+        elif identifier == 0x700 + self._watched and identifier != 0x700:
+            self._heard()
+        return []
+
+    def step(self, now_s: float) -> list[Frame]:
+        """Bring the drive to the present; the frames that are due."""
+        self.now_s = max(now_s, self.now_s)
+        was = self.power.state
+        self.axis.step(self.now_s, self.objects, self.power)
+        if self.power.state == stage.FAULT != was:
+            self.report("drive_fault", self.now_s)
+        self._show()
+        if not self.hung:
+            self._watch()
+        if self.hung or self.now_s < self._dark_until_s:
+            self._out.clear()
+            return []
+        if self.state == BOOTING:
+            self._booted()
+        elif self._was_off:
+            self._emergency(BUS_OFF_OVER)
+        self._was_off = False
+        frames = [*self._out, *self._heartbeat()]
+        self._out.clear()
+        return frames
+
+    def fail(self, code: int = OVER_CURRENT) -> None:
+        """The drive's own fault."""
+        self.objects[0x603F] = code
+        self.objects[0x1001] |= DRIVE_BITS
+        self._emergency(code)
+        self.power.fault()
+
+    def reboot(self) -> None:
+        """Lose power for a while, with all that was set; it comes up again with what it is delivered with."""
+        self.objects.values.update(self._delivered)
+        self.power = Power()
+        self._heard_s, self._silent, self._estranged = None, False, False
+        self.state, self._dark_until_s = BOOTING, self.now_s + BOOT_S
+
+    def bus_off(self, for_s: float) -> None:
+        """Too many errors on the wire: it hears and says nothing for a while, and tells of it afterwards."""
+        self._dark_until_s, self._was_off = self.now_s + for_s, True
+
+    @property
+    def _watched(self) -> int:
+        return self.objects.values[0x1016, 1] >> 16 & 0x7F
+
+    def _manage(self, command: int) -> None:
+        if command == RESET_NODE:
+            self.reboot()
+        elif command == RESET_COMMUNICATION:
+            told = {key: value for key, value in self._delivered.items() if key[0] < COMMUNICATION_END}
+            self.objects.values.update(told)
+            self._heard_s, self._silent, self._estranged = None, False, False
+            self._booted()
+        self.state = {0x01: OPERATIONAL, 0x02: STOPPED, 0x80: PRE_OPERATIONAL}.get(command, self.state)
+
+    def _booted(self) -> None:
+        self.state, self._beat_s = PRE_OPERATIONAL, self.now_s
+        self._out.insert(0, (0x700 + self.node, b"\x00"))
+
+    def _written(self, key: Key, value: int) -> int:
+        if key == (0x60FF, 0) and abs(value) > 10 * self.objects[0x6080]:
+            return RANGE
+        if key == (0x6060, 0) and value not in {0, 1, 3, 4}:
+            return RANGE
+        if key == (0x6060, 0) and self.power.state in {stage.QUICK_STOP, stage.REACTION}:
+            return DEVICE_STATE
+        if key == (0x6040, 0) and value & FAULT_RESET and self._estranged:
+            return 0  # taken, and ignored
+        if key == (0x6060, 0):
+            self.objects[0x6061] = value
+        elif key == (0x605A, 0):
+            self.power.quick_stop_option = value
+        elif key == (0x1016, 1):
+            self._heard_s, self._silent = None, False
+        elif key == (0x6040, 0):
+            self._command(value)
+        return 0
+
+    def _command(self, word: int) -> None:
+        was = self.power.state
+        self.power.command(word)
+        if was == stage.FAULT != self.power.state:
+            self.objects[0x603F] = 0
+            self.objects[0x1001] = COMMUNICATION_BITS if self._silent else 0
+            self._emergency(0)
+        self._show()
+
+    def _heard(self) -> None:
+        self._heard_s = self.now_s
+        if self._silent:
+            self._silent = False
+            if self.power.state != stage.FAULT:
+                self.objects[0x1001] = self.objects[0x603F] = 0
+                self._emergency(0)
+
+    def _watch(self) -> None:
+        within_s = (self.objects.values[0x1016, 1] & 0xFFFF) / 1000.0
+        if self._silent or self._heard_s is None or not within_s or self.now_s - self._heard_s <= within_s:
+            return
+        self._silent = self._estranged = True
+        self.report("watchdog", self.now_s)
+        self.objects[0x1001] |= COMMUNICATION_BITS
+        self.objects[0x603F] = SILENCE
+        self._emergency(SILENCE)
+        self.state = PRE_OPERATIONAL
+        if self.power.state == stage.ENABLED:
+            self._abandoned(self.objects[0x6007])
+
+    def _abandoned(self, option: int) -> None:
+        """What it was told to do when it hears nothing."""
+        if option == 1:
+            self.power.fault()
+        elif option == 2:
+            self.power.command(0x00)
+        elif option == 3:
+            self.power.command(0x02)
+
+    def _show(self) -> None:
+        reached = self.objects[0x6041] & 0x1400
+        self.objects[0x6041] = self.power.status | reached
+
+    def _emergency(self, code: int) -> None:
+        self._out.append((0x080 + self.node, struct.pack("<HB5x", code, self.objects[0x1001])))
+
+    def _heartbeat(self) -> Iterator[Frame]:
+        every_s = self.objects[0x1017] / 1000.0
+        if every_s and self.now_s - self._beat_s >= every_s:
+            self._beat_s = self.now_s
+            yield 0x700 + self.node, bytes([self.state])

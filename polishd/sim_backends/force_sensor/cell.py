@@ -1,0 +1,97 @@
+"""The load cell and its amplifier. Pure of I/O; wall times are handed in."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from polishd.config.simulator import ForceSensor, ForceSensorFaults
+
+MEASURING, TARING, FAULT = range(3)
+OVER_RANGE = 1
+RATE_HZ = 100.0
+TARE_S = 0.2
+"""What it takes the mean of."""
+
+
+@dataclass(slots=True)
+class LoadCell:
+    """Feels the true force a little later, with an offset, noise and whatever it suffers from."""
+
+    config: ForceSensor
+    rng: np.random.Generator
+    report: Callable[..., None]
+    """Tells the witness: (event, at_s, **data)."""
+    now_s: float
+    true_n: float = 0.0
+    """What the plant says that acts now."""
+    count: int = 0
+    """Conversions, modulo 65536."""
+    reading_n: float = 0.0
+    """Of the last conversion, before its zero is taken off."""
+    zero_n: float = 0.0
+    fault: int = 0
+    _felt: deque[tuple[float, float]] = field(default_factory=deque)
+    _converted_s: float = 0.0
+    _contact_s: float = 0.0
+    _drift_n: float = 0.0
+    _tare: list[float] | None = None
+
+    @property
+    def faults(self) -> ForceSensorFaults:
+        """What it suffers from."""
+        return self.config.faults
+
+    @property
+    def state(self) -> int:
+        """The state number of the protocol."""
+        return FAULT if self.fault else MEASURING if self._tare is None else TARING
+
+    def feel(self, at_s: float, true_n: float) -> None:
+        """Another force acts from then on."""
+        self.step(at_s)
+        self.true_n = true_n
+        self._felt.append((at_s + self.config.latency_s, true_n))
+
+    def tare(self) -> str:
+        """Begin; why not, where it does not."""
+        if self.state != MEASURING:
+            return "busy" if self.state == TARING else "fault"
+        self._tare = []
+        return ""
+
+    def step(self, now_s: float) -> None:
+        """Bring it to the present: it converts as often as its rate says."""
+        passed = now_s - self.now_s
+        self.now_s = now_s
+        if self.true_n > 0.0:
+            self._contact_s += passed
+        if self._due(self.faults.drift_after_s):
+            if self._drift_n == 0.0:
+                self.report("sensor_drifts", now_s)
+            self._drift_n += self.faults.drift_n_s * passed
+        if now_s - self._converted_s >= 1.0 / RATE_HZ and not self._due(self.faults.halt_after_s):
+            self._convert(now_s)
+
+    def _due(self, after_s: float) -> bool:
+        return 0.0 < after_s < self._contact_s
+
+    def _convert(self, now_s: float) -> None:
+        self._converted_s, self.count = now_s, (self.count + 1) & 0xFFFF
+        while len(self._felt) > 1 and self._felt[1][0] <= now_s:
+            self._felt.popleft()
+        felt_n = self._felt[0][1] if self._felt and self._felt[0][0] <= now_s else 0.0
+        if not self._due(self.faults.freeze_after_s):
+            noise_n = self.config.noise_n * float(self.rng.standard_normal())
+            self.reading_n = self.config.offset_n + felt_n + self._drift_n + noise_n
+        limit_n = self.faults.saturate_n or self.config.range_n
+        self.fault = OVER_RANGE if abs(self.reading_n) > self.config.range_n else 0
+        self.reading_n = min(max(self.reading_n, -limit_n), limit_n)
+        if self._tare is not None:
+            self._tare.append(self.reading_n)
+            if len(self._tare) >= TARE_S * RATE_HZ / 2:
+                self.zero_n, self._tare = sum(self._tare) / len(self._tare), None
+                self.report("sensor_tared", now_s, zero_n=round(self.zero_n, 3))

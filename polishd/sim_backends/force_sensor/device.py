@@ -1,0 +1,64 @@
+"""The force sensor's process (docs/protocols/force_sensor.md)."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+
+from polishd.config.simulator import ForceSensor
+from polishd.model.surface import FloatArray
+from polishd.sim_backends.bus import Message
+from polishd.sim_backends.faults import Outlet
+from polishd.sim_backends.force_sensor.cell import LoadCell
+from polishd.sim_backends.numbered import NumberedSlave
+from polishd.sim_backends.runtime import Runtime
+from polishd.sim_backends.truth import stream
+from polishd.sim_backends.wire import Feed, Wire
+
+TICK_S = 0.01
+IDENTITY = "polishd,simulated F1,SIM-F1,1.0"
+_TEXTS = {"busy": "it tares", "fault": "a fault is set", "unknown": "no such request"}
+
+
+def answering(cell: LoadCell, boot_count: int) -> Callable[[str], str]:
+    """What it answers to a request."""
+
+    def answer(request: str) -> str:
+        if request == "ID?":
+            return f"ID,{IDENTITY},{boot_count}"
+        if request == "F?":
+            force_n = 0.0 if cell.state == 1 else cell.reading_n - cell.zero_n
+            return f"F,{cell.state},{cell.count},{force_n:+.3f},{cell.fault}"
+        refusal = cell.tare() if request == "TARE" else "unknown"
+        return f"ERR,{refusal},{_TEXTS[refusal]}" if refusal else "OK"
+
+    return answer
+
+
+async def main(runtime: Runtime) -> None:
+    """The device coroutine."""
+    config = runtime.start.config.force_sensor or ForceSensor()
+    rng = stream(runtime.start.seed, "force_sensor")
+    cell = LoadCell(config, rng, runtime.link.event, time.monotonic())
+
+    def on_message(message: Message | FloatArray) -> None:
+        if isinstance(message, dict) and "acting_n" in message:
+            cell.feel(time.monotonic(), float(message["acting_n"]))
+
+    def receiver(outlet: Outlet) -> Feed:
+        slave = NumberedSlave(answering(cell, runtime.boot_count))
+
+        def feed(data: bytes) -> None:
+            cell.step(time.monotonic())
+            for answer in slave.feed(data):
+                outlet.send(answer)
+
+        return feed
+
+    runtime.link.on_message = on_message
+    wire = Wire(runtime, config.faults, receiver)
+    wire.ready(await wire.open_line(config))
+    while True:
+        cell.step(time.monotonic())
+        await asyncio.sleep(TICK_S)

@@ -1,0 +1,1 @@
+"""A simulated PLC that loads programs from a folder, and offers its variables over OPC UA or ADS."""

@@ -1,0 +1,82 @@
+"""The PLC's process: its cycle, its server, and reports to the plant."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import time
+from pathlib import Path
+
+from polishd.sim_backends.handover import ads
+from polishd.sim_backends.handover.modbus import ModbusServer
+from polishd.sim_backends.handover.plc import Plc
+from polishd.sim_backends.handover.relay import Relay
+from polishd.sim_backends.robot.machine import Machine
+from polishd.sim_backends.runtime import Runtime
+from polishd.sim_backends.wire import Connection, Wire
+
+CYCLE_S = 0.01
+PROGRAMS = "programs"
+
+
+class PlcServer:
+    """Everything that the process holds."""
+
+    def __init__(self, runtime: Runtime, folder: Path) -> None:
+        machine = Machine(runtime)
+        robot = runtime.start.config.robot
+        self.plc = Plc(robot, machine.motion, folder, machine.reach, machine.event, runtime.boot_id)
+        machine.blocks_of = self.plc.blocks_of
+        self._machine = machine
+        self.plc.tick(time.monotonic())
+
+    async def run(self) -> None:
+        """Cycle for ever."""
+        while True:
+            self.plc.tick(time.monotonic())
+            self._machine.report()
+            await asyncio.sleep(CYCLE_S)
+
+    def press(self, button: str) -> None:
+        """Somebody at the controller does."""
+        self.plc.press(button, time.monotonic())
+
+
+async def main(runtime: Runtime) -> None:
+    """The device coroutine."""
+    folder = runtime.start.state / PROGRAMS
+    folder.mkdir(exist_ok=True)
+    server = PlcServer(runtime, folder)
+    runtime.button(signal.SIGUSR1, lambda: server.press("emergency stop"))
+    runtime.button(signal.SIGUSR2, lambda: server.press("feed hold"))
+    over = {"opcua": _over_opcua, "ads": _over_ads, "modbus": _over_modbus}
+    await over[runtime.start.config.robot.kind](runtime, server)
+
+
+async def _over_opcua(runtime: Runtime, server: PlcServer) -> None:
+    from polishd.sim_backends.handover.opcua import served
+
+    robot = runtime.start.config.robot
+    async with served(server.plc) as port:
+        wire = Wire(runtime, robot.faults, Relay(runtime, port).connected)
+        wire.ready(f"opc.tcp://{await wire.open_tcp(robot.port)}")
+        await server.run()
+
+
+async def _over_modbus(runtime: Runtime, server: PlcServer) -> None:
+    robot = runtime.start.config.robot
+    wire = Wire(runtime, robot.faults, ModbusServer(server.plc).connected)
+    wire.ready(f"tcp://{await wire.open_tcp(robot.port)}")
+    await server.run()
+
+
+async def _over_ads(runtime: Runtime, server: PlcServer) -> None:
+    """ADS knows one TCP port only: the configured one chooses a loopback address of its own."""
+    robot = runtime.start.config.robot
+    wire = Wire(runtime, robot.faults, ads.AdsServer(server.plc).connected)
+    high, low = divmod(robot.port, 256)
+    host = f"127.{high}.{low}.1"
+    loop = asyncio.get_running_loop()
+    await loop.create_server(lambda: Connection(wire), host, ads.TCP_PORT)
+    wire.ready(f"ads://{host}/{host}.1.1:{ads.AMS_PORT}")
+    await server.run()

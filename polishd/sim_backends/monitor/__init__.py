@@ -1,0 +1,1 @@
+"""The simulated monitor: a box of inputs, and what happens to them."""

@@ -1,0 +1,56 @@
+"""The inputs' behaviour. Pure of I/O; wall times are handed in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from polishd.config.simulator import SimSignal
+
+
+@dataclass(slots=True)
+class Inputs:
+    """Each has its value until something happens to it."""
+
+    signals: Mapping[str, SimSignal]
+    rng: np.random.Generator
+    report: Callable[..., None]
+    """Tells the witness: (event, at_s, **data)."""
+    now_s: float
+    touching: bool = False
+    """The tool presses on the part."""
+    _contact_s: float = 0.0
+    _changed_s: dict[str, float] = field(default_factory=dict)
+    """When something happened to which."""
+
+    def press(self) -> None:
+        """Somebody makes all happen now."""
+        for name, signal in self.signals.items():
+            if signal.then is not None and name not in self._changed_s:
+                self._change(name)
+
+    def step(self, now_s: float) -> None:
+        """Bring them to the present."""
+        self._contact_s += now_s - self.now_s if self.touching else 0.0
+        self.now_s = now_s
+        for name, signal in self.signals.items():
+            if 0.0 < signal.after_s < self._contact_s and name not in self._changed_s:
+                self._change(name)
+
+    def told(self, name: str) -> str:
+        """As the wire has it: a number, ``ON`` or ``OFF``, or ``?`` where its transducer is broken."""
+        signal = self.signals[name]
+        changed_s = self._changed_s.get(name)
+        lasts = changed_s is not None and (signal.for_s == 0.0 or self.now_s - changed_s < signal.for_s)
+        value = signal.then if lasts else signal.value
+        if value is None or value == "?":
+            return "?"
+        if isinstance(value, bool):
+            return "ON" if value else "OFF"
+        return f"{float(value) + signal.noise * float(self.rng.standard_normal()):.4f}"
+
+    def _change(self, name: str) -> None:
+        self._changed_s[name] = self.now_s
+        self.report("signal_changes", self.now_s, signal=name, to=self.signals[name].then)

@@ -1,0 +1,62 @@
+"""The process of a spindle that speaks what a profile says."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+
+from polishd.sim_backends.faults import Outlet
+from polishd.sim_backends.profiled.machine import Inverter
+from polishd.sim_backends.profiled.sheet import Sheet
+from polishd.sim_backends.profiled.slave import by_profile
+from polishd.sim_backends.runtime import Runtime
+from polishd.sim_backends.wire import Feed, Wire
+
+TICK_S = 0.01
+
+
+async def main(runtime: Runtime) -> None:
+    """The device coroutine."""
+    whole, speed = runtime.start.config, runtime.start.speed
+    config = whole.spindle
+    sheet = Sheet.read(whole.resolve(config.profile))
+    drive = Inverter(
+        report=runtime.link.event,
+        now_s=time.monotonic(),
+        max_rpm=float(config.max_rpm),
+        ramp_rpm_s=1000.0 / config.spin_s * speed,
+        stop_rpm_s=1000.0 / config.stop_s * speed,
+        watchdog_s=config.watchdog_s,
+        identity={"vendor": "polishd", "model": "simulated inverter", "boot": str(runtime.boot_count)},
+    )
+    tcp = config.kind == "profile_tcp"
+    line = sheet.raw.get("serial", {})
+    baud, parity = int(line.get("baud", 115200)), str(line.get("parity", "none"))
+    byte_s = 0.0 if tcp else 10.0 / baud
+
+    def connected(outlet: Outlet) -> Feed:
+        slave = by_profile(sheet, drive, int(sheet.raw.get("modbus", {}).get("unit", 1)), tcp=tcp)
+
+        def feed(data: bytes) -> None:
+            now = time.monotonic()
+            drive.step(now)
+            for size, answer in slave.feed(data, now):
+                outlet.send(answer, size * byte_s)
+
+        return feed
+
+    wire = Wire(runtime, config.faults, connected)
+    if tcp:
+        wire.ready(f"tcp://{await wire.open_tcp(config.port)}")
+    else:
+        wire.open_pty(baud)
+        wire.ready(f"serial:{runtime.start.state / runtime.name}?baud={baud}&parity={parity}")
+    await _tick(runtime, drive)
+
+
+async def _tick(runtime: Runtime, drive: Inverter) -> None:
+    while True:
+        drive.step(time.monotonic())
+        runtime.link.samples(drive.samples, drive.now_s)
+        drive.samples = []
+        await asyncio.sleep(TICK_S)

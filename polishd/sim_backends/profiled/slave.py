@@ -1,0 +1,28 @@
+"""What answers for a profile's device, by its link."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Protocol
+
+from polishd.sim_backends.actuator.modbus import RtuSlave, TcpSlave
+from polishd.sim_backends.profiled.lines import LineSlave
+from polishd.sim_backends.profiled.machine import Machine
+from polishd.sim_backends.profiled.registers import Registers
+from polishd.sim_backends.profiled.sheet import Sheet
+
+
+class Slave(Protocol):
+    """Takes bytes, gives answers."""
+
+    def feed(self, data: bytes, now_s: float, /) -> Iterable[tuple[int, bytes]]:
+        """(bytes of the request, answer) for each whole request."""
+        ...
+
+
+def by_profile(sheet: Sheet, machine: Machine, unit: int, *, tcp: bool) -> Slave:
+    """For one connection."""
+    if "lines" in sheet.raw:
+        return LineSlave(sheet, machine)
+    answer = Registers(sheet, machine).answer
+    return TcpSlave(unit, answer) if tcp else RtuSlave(unit, answer)

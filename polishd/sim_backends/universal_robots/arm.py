@@ -1,0 +1,177 @@
+"""The arm: where the tool is, frame by frame. Lengths are mm; the trajectory's time stretches with the speed slider.
+
+A line is a trapezoid of speed from rest to rest. One that begins while another still runs out (a blend) is laid over
+it. What is told to nobody any more brakes by itself.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from polishd.sim_backends.universal_robots.turning import Quaternion, Triple, angle, between, from_wrist, to_vector
+
+BRAKE_MM_S2 = 1200.0
+TURN_RAD_S = 3.2
+STILL_MM_S = 1e-6
+REST: Triple = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A pose of the tool, in the program's frame."""
+
+    xyz_mm: Triple
+    turn: Quaternion
+
+
+@dataclass(slots=True)
+class Line:
+    """A straight way with a trapezoid of speed."""
+
+    begin: Place
+    end: Place
+    accel_mm_s2: float
+    speed_mm_s: float
+    done_s: float = 0.0
+    length_mm: float = field(init=False)
+    _top: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        """A turn on the spot takes time, too."""
+        way = math.dist(self.begin.xyz_mm, self.end.xyz_mm)
+        self.length_mm = max(way, angle(self.begin.turn, self.end.turn) * self.speed_mm_s / TURN_RAD_S)
+        self._top = min(self.speed_mm_s, math.sqrt(self.accel_mm_s2 * self.length_mm))
+
+    @property
+    def takes_s(self) -> float:
+        """From rest to rest."""
+        if not self.length_mm:
+            return 0.0
+        return self._top / self.accel_mm_s2 + self.length_mm / self._top
+
+    @property
+    def left_mm(self) -> float:
+        """Of its way."""
+        return self.length_mm - self._along()
+
+    def share(self) -> float:
+        """Of the way that is done."""
+        return min(self._along() / self.length_mm, 1.0) if self.length_mm else 1.0
+
+    def _along(self) -> float:
+        up_s, t = self._top / self.accel_mm_s2, min(self.done_s, self.takes_s)
+        down_s = max(t - (self.takes_s - up_s), 0.0)
+        rise = 0.5 * self.accel_mm_s2 * min(t, up_s) ** 2
+        return rise + self._top * max(t - up_s, 0.0) - 0.5 * self.accel_mm_s2 * down_s**2
+
+
+@dataclass(slots=True)
+class Arm:
+    """Moved by one command at a time."""
+
+    place: Place
+    velocity: Triple = REST
+    """mm/s, wall time of the controller: with the slider."""
+    _line: Line | None = None
+    _running_out: list[Line] = field(default_factory=list)
+    """Lines that were left within their blend radius."""
+    _target: Triple | None = None
+    """Speed that is asked for, ..."""
+    _accel: float = BRAKE_MM_S2
+    """... and how fast it changes."""
+
+    @classmethod
+    def at(cls, pose: tuple[float, ...]) -> Arm:
+        """Standing at X Y Z A C of the plant."""
+        x, y, z, a, c = pose
+        return cls(Place((x, y, z), from_wrist(a, c)))
+
+    @property
+    def stands(self) -> bool:
+        """It is at rest and goes nowhere."""
+        return not self.moves and self._line is None and self._target is None
+
+    @property
+    def moves(self) -> bool:
+        """It has a speed."""
+        return math.hypot(*self.velocity) >= STILL_MM_S
+
+    @property
+    def driven(self) -> bool:
+        """It follows a line or a speed; one that brakes is not."""
+        return self._line is not None or (self._target is not None and self._target != REST)
+
+    def pose_m(self) -> list[float]:
+        """As URScript writes it: m and a rotation vector."""
+        return [*(part / 1000.0 for part in self.place.xyz_mm), *to_vector(self.place.turn)]
+
+    def line(self, end: Place, accel_mm_s2: float, speed_mm_s: float) -> None:
+        """Go there; what is left of a line before is laid over it."""
+        begin = self.place
+        if self._line is not None:
+            begin = self._line.end
+            self._running_out.append(self._line)
+        self._line, self._target = Line(begin, end, accel_mm_s2, speed_mm_s), None
+
+    def reached(self, within_mm: float = 0.0) -> bool:
+        """The line is done, or left to within so much."""
+        line = self._line
+        return line is None or (within_mm > 0.0 and line.left_mm <= within_mm)
+
+    def aim(self, velocity: Triple, accel_mm_s2: float) -> None:
+        """Change to that velocity, mm/s, from whatever it has now."""
+        self._line, self._running_out = None, []
+        self._target, self._accel = velocity, accel_mm_s2
+
+    def brake(self, accel_mm_s2: float = BRAKE_MM_S2) -> None:
+        """Come to rest."""
+        self.aim(REST, accel_mm_s2)
+
+    def step(self, dt_s: float, pace: float) -> None:
+        """One frame; ``pace`` is what the trajectory runs at, 1 is all."""
+        before = self.place.xyz_mm
+        if self._line is not None:
+            self._follow(self._line, dt_s * pace)
+            going = self._line is not None
+            self.velocity = _scaled(_minus(self.place.xyz_mm, before), 1.0 / dt_s) if going else REST
+        elif self._target is not None:
+            self._approach(self._target, dt_s)
+
+    def _follow(self, line: Line, dt_s: float) -> None:
+        for one in (line, *self._running_out):
+            one.done_s += dt_s
+        self._running_out = [one for one in self._running_out if one.left_mm > 1e-9]
+        at = _between(line.begin.xyz_mm, line.end.xyz_mm, line.share())
+        for one in self._running_out:
+            at = _minus(at, _scaled(_minus(one.end.xyz_mm, one.begin.xyz_mm), 1.0 - one.share()))
+        self.place = Place(at, between(line.begin.turn, line.end.turn, line.share()))
+        if line.done_s >= line.takes_s and not self._running_out:
+            self._line = None
+
+    def _approach(self, target: Triple, dt_s: float) -> None:
+        lacking = _minus(target, self.velocity)
+        change = math.hypot(*lacking)
+        share = min(1.0, self._accel * dt_s / change) if change else 1.0
+        new = _plus(self.velocity, _scaled(lacking, share))
+        mean = _scaled(_plus(self.velocity, new), 0.5)
+        self.place = Place(_plus(self.place.xyz_mm, _scaled(mean, dt_s)), self.place.turn)
+        self.velocity = new
+        if share >= 1.0 and target == REST:
+            self._target = None
+
+
+def _plus(a: Triple, b: Triple) -> Triple:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+def _minus(a: Triple, b: Triple) -> Triple:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def _scaled(a: Triple, by: float) -> Triple:
+    return a[0] * by, a[1] * by, a[2] * by
+
+
+def _between(a: Triple, b: Triple, share: float) -> Triple:
+    return _plus(a, _scaled(_minus(b, a), share))

@@ -1,0 +1,177 @@
+"""The controller: modes, registers, the program that it runs and the arm. Pure of I/O; wall times are handed in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from polishd.model.errors import ProgramError
+from polishd.sim_backends.universal_robots.commands import Commands
+from polishd.sim_backends.universal_robots.controls import (
+    BLOCK_REGISTER,
+    NORMAL,
+    PAUSED,
+    PAUSING,
+    PLAYING,
+    POWER_OFF,
+    PROTECTIVE_STOP,
+    RESUMING,
+    ROBOT_EMERGENCY_STOP,
+    RUNNING,
+    STOPPED,
+    STOPPING,
+    Controls,
+)
+from polishd.sim_backends.universal_robots.language import parse
+from polishd.sim_backends.universal_robots.program import Program
+from polishd.sim_backends.universal_robots.turning import wrist_deg
+
+RAMP_S = 0.1
+"""A pause takes the trajectory's pace from all to nothing in so much."""
+LATE_S = 30.0
+"""A process that was kept from running catches up with so much at most."""
+
+
+@dataclass(slots=True)
+class Machine(Controls):
+    """What happens, frame by frame, on the controller's own clock."""
+
+    def load(self, text: str) -> None:
+        """A script came. What runs is stopped for it; while one is paused, it is only that which is stopped."""
+        if self.robot_mode != RUNNING or self.safety_mode != NORMAL or not self.remote:
+            return
+        paused = self.runtime in {PAUSING, PAUSED}
+        self.stop()
+        if paused:
+            return
+        try:
+            commands = Commands(self)
+            self.program = Program(parse(text), commands.quick(), commands.slow())
+        except ProgramError as error:
+            self.complain(int(error.args[1]), str(error.args[0]))
+            return
+        self.runtime, self.watchdogs = PLAYING, {}
+
+    def stop(self) -> bool:
+        """The program is over, and the arm brakes; whether one ran."""
+        ran = self.runtime != STOPPED
+        self.program, self.watchdogs, self.busy, self.driven_by = None, {}, 0, 0
+        if not self.arm.stands:
+            self.arm.brake()
+        self.runtime, self.pace = STOPPING if ran else STOPPED, 1.0
+        return ran
+
+    def pause(self) -> bool:
+        """As the pendant's button does."""
+        if self.runtime == PLAYING:
+            self.runtime = PAUSING
+        return self.runtime in {PAUSING, PAUSED}
+
+    def play(self) -> bool:
+        """Go on after a pause; False where nothing is paused."""
+        able = self.runtime == PAUSED and self.safety_mode == NORMAL
+        self.runtime = RESUMING if able else self.runtime
+        return able
+
+    def protective_stop(self) -> None:
+        """It hit something, or was told to go where it cannot."""
+        self.safety_mode = PROTECTIVE_STOP
+        if self.program is not None:
+            self.runtime = PAUSING
+        if self.program is None or not self.driven_by:
+            self.arm.brake()
+
+    def unlock(self) -> None:
+        """Out of a protective stop; the program stays paused."""
+        if self.safety_mode == PROTECTIVE_STOP:
+            self.safety_mode = NORMAL
+
+    def emergency_stop(self) -> None:
+        """The red button: power off, brakes on, the program is over."""
+        self.safety_mode, self.robot_mode = ROBOT_EMERGENCY_STOP, POWER_OFF
+        self.stop()
+
+    def power_off(self) -> None:
+        """At the pendant."""
+        self.robot_mode = POWER_OFF
+        self.stop()
+
+    def written(self, name: str) -> None:
+        """An input came over RTDE."""
+        if name in self.watchdogs:
+            self.watchdogs[name].heard_s = self.time_s
+
+    def due(self, wall_s: float) -> range:
+        """A turn for each frame up to the present."""
+        behind_s = (wall_s - self.began_s) * self.speed - self.time_s
+        if behind_s > LATE_S * self.speed:
+            self.began_s += behind_s / self.speed - LATE_S
+            behind_s = LATE_S * self.speed
+        return range(int(behind_s / self.frame_s))
+
+    def wall_s(self) -> float:
+        """Wall time of its own clock."""
+        return self.began_s + self.time_s / self.speed
+
+    @property
+    def active(self) -> bool:
+        """It moves, or a statement that moves or waits is under way."""
+        return self.arm.moves or bool(self.busy and self.runtime == PLAYING)
+
+    def frame(self) -> None:
+        """One period of its control."""
+        self._watch()
+        self._ramp()
+        if self.program is not None and self.runtime == PLAYING:
+            self._run(self.program)
+        if self.arm.driven and not self.driven_by:
+            self.arm.brake()  # whoever drove it was killed
+        self.arm.step(self.frame_s, self.slider * self.pace)
+        x, y, z = self.arm.place.xyz_mm
+        if self.arm.moves and self._outside() and self.safety_mode == NORMAL:
+            self.protective_stop()
+        if self.active:
+            begin_s = self.wall_s()
+            end_s = begin_s + self.frame_s / self.speed
+            self.rows.append(
+                [self.ints_out[BLOCK_REGISTER], begin_s, end_s, self.frame_s, x, y, z, *wrist_deg(self.arm.place.turn)]
+            )
+        self.time_s += self.frame_s
+        if self.runtime == STOPPING and self.arm.stands:
+            self.runtime = STOPPED
+
+    def _outside(self) -> bool:
+        ranges = (self.config.x_mm, self.config.y_mm, self.config.z_mm)
+        return any(not low <= at <= high for at, (low, high) in zip(self.arm.place.xyz_mm, ranges, strict=True))
+
+    def _run(self, program: Program) -> None:
+        try:
+            program.frame()
+        except ProgramError as error:
+            self.complain(int(error.args[1]) or program.line, str(error.args[0]))
+            self.stop()
+        except (TypeError, ValueError, IndexError, ZeroDivisionError) as error:
+            self.complain(program.line, f"runtime error: {error}")
+            self.stop()
+        if program.over and self.program is program:
+            self.stop()
+
+    def _watch(self) -> None:
+        for name, dog in list(self.watchdogs.items()):
+            if self.runtime != PLAYING or self.time_s - dog.heard_s <= dog.longest_s:
+                continue
+            if dog.action == "stop":
+                self.stop()
+            elif dog.action == "pause":
+                self.pause()
+            self.watchdogs.pop(name, None)
+
+    def _ramp(self) -> None:
+        step = self.frame_s / RAMP_S
+        if self.runtime == PAUSING:
+            self.pace = max(self.pace - step, 0.0)
+            if self.program is not None and self.pace == 0.0:
+                self.runtime = PAUSED
+        elif self.runtime == RESUMING:
+            self.pace = min(self.pace + step, 1.0)
+            if self.pace == 1.0:
+                self.runtime = PLAYING

@@ -1,0 +1,28 @@
+"""A cell as a whole: one cycle of its own job."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from polishd.daemon.app import CellRun, run_cells
+from polishd.testing.bench import Bench
+from polishd.testing.plugin import BENCH
+
+
+@pytest.fixture
+def cell(request: pytest.FixtureRequest) -> Bench:
+    """The cell that ``--cell`` names."""
+    found: Bench = request.config.stash[BENCH]
+    return found
+
+
+@pytest.mark.polishd_cycles
+async def test_a_cycle_of_the_cells_job(cell: Bench) -> None:
+    """The cell's daemon runs one cycle of its job, from the map to the report, and comes to its end."""
+    ended: Any
+    (ended,) = await run_cells([CellRun(cell.config, cell.hooks)], holds=False)
+    if isinstance(ended, Exception):
+        raise ended
+    assert ended["outcome"] in {"in_tolerance", "cycles_used"}, f"{ended['outcome']}: see {ended['run_dir']}"

@@ -1,0 +1,170 @@
+"""What all devices have in common, whatever the port, the driver and the link."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from polishd.api import Device, LinkError
+from polishd.config.cell import PORTS
+from polishd.daemon.port_checks import lacking
+from polishd.testing.patience import within
+from polishd.testing.rig import Rig, cuts, mutes, rig_fixture
+from polishd.testing.waiting import until_lost
+
+AnyRig = Rig[Any]
+
+any_device = rig_fixture("any_device")
+
+
+async def test_it_says_who_it_is(any_device: AnyRig) -> None:
+    """Open, it says its vendor, model, serial number and firmware, and the same again."""
+    device = any_device.device
+    assert isinstance(device, Device)
+    await device.open()
+    identity = await device.identify()
+    assert identity.vendor
+    assert identity.model
+    assert identity.serial
+    assert identity.firmware
+    assert identity == await device.identify()
+
+
+async def test_it_has_all_that_its_port_asks(any_device: AnyRig) -> None:
+    """It has every member of its port, each as a coroutine function, an async generator or a property, as there."""
+    ports = [port.protocol for port in PORTS.values() if isinstance(any_device.device, port.protocol)]
+    assert len(ports) == 1, f"it has the members of {len(ports)} ports, not of one"
+    assert lacking(any_device.device, ports[0]) == []
+
+
+async def test_opening_changes_nothing(any_device: AnyRig) -> None:
+    """Opening moves nothing and exerts nothing: a device that was at rest is ready, safe and has a state."""
+    await any_device.device.open()
+    status = await any_device.device.status()
+    assert status.ready
+    assert status.safe
+    assert status.state
+    assert await any_device.rests()
+
+
+async def test_nothing_works_before_it_is_open(any_device: AnyRig) -> None:
+    """Before ``open`` status and identify raise LinkError."""
+    with pytest.raises(LinkError):
+        await any_device.device.status()
+    with pytest.raises(LinkError):
+        await any_device.device.identify()
+
+
+async def test_nothing_works_after_it_is_closed(any_device: AnyRig) -> None:
+    """``close`` may be called twice; after it status raises LinkError."""
+    await any_device.device.open()
+    await any_device.device.close()
+    await any_device.device.close()
+    with pytest.raises(LinkError):
+        await any_device.device.status()
+
+
+async def test_it_can_be_opened_again(any_device: AnyRig) -> None:
+    """``open`` on an open device connects anew, and so it does after ``close``."""
+    for _ in range(3):
+        await any_device.device.open()
+        assert (await any_device.device.status()).ready
+    await any_device.device.close()
+    await any_device.device.open()
+    assert (await any_device.device.status()).ready
+
+
+async def test_make_safe_is_allowed_at_any_time(any_device: AnyRig) -> None:
+    """``make_safe`` works before ``open``, open, twice, and after ``close``: it connects by itself where it must."""
+    device = any_device.device
+    await device.make_safe()
+    await device.open()
+    await device.make_safe()
+    await device.make_safe()
+    assert (await device.status()).safe
+    await device.close()
+    await device.make_safe()
+    assert await any_device.rests()
+
+
+async def test_make_safe_does_not_leave_it_open(any_device: AnyRig) -> None:
+    """``make_safe`` on a closed device leaves it closed."""
+    await any_device.device.make_safe()
+    with pytest.raises(LinkError):
+        await any_device.device.status()
+
+
+async def test_making_safe_by_many_at_once(any_device: AnyRig) -> None:
+    """Several may call ``make_safe`` at the same time; all return, and it is safe."""
+    await any_device.device.open()
+    await asyncio.gather(*(any_device.device.make_safe() for _ in range(4)))
+    assert await any_device.rests()
+
+
+@cuts
+async def test_a_cut_link_is_known_at_once(any_device: AnyRig) -> None:
+    """A cut link raises LinkError from ``status``, within ``times.silence_s``; it is not opened again in secret."""
+    await any_device.device.open()
+    any_device.unplug()
+    with within(any_device.prompt_s), pytest.raises(LinkError):
+        await until_lost(any_device.device.status)
+
+
+@mutes
+async def test_a_silent_link_is_known_at_once(any_device: AnyRig) -> None:
+    """A link on which nothing comes any more raises LinkError from ``status``, within ``times.silence_s``."""
+    await any_device.device.open()
+    any_device.silence()
+    with within(any_device.prompt_s), pytest.raises(LinkError):
+        await until_lost(any_device.device.status)
+
+
+@cuts
+async def test_make_safe_on_a_cut_link_says_so_in_bounded_time(any_device: AnyRig) -> None:
+    """``make_safe`` that reaches nobody raises LinkError, in bounded time: it never says yes without proof."""
+    await any_device.device.open()
+    any_device.unplug()
+    with within(any_device.bound_s), pytest.raises(LinkError):
+        await any_device.device.make_safe()
+
+
+@mutes
+async def test_make_safe_on_a_silent_link_says_so_in_bounded_time(any_device: AnyRig) -> None:
+    """``make_safe`` that gets no answer raises LinkError, in bounded time: it never says yes without proof."""
+    await any_device.device.open()
+    any_device.silence()
+    with within(any_device.bound_s), pytest.raises(LinkError):
+        await any_device.device.make_safe()
+
+
+@cuts
+async def test_opening_a_dead_link_says_so_in_bounded_time(any_device: AnyRig) -> None:
+    """``open`` raises LinkError where nobody answers, in bounded time; so does ``make_safe``."""
+    any_device.unplug()
+    with within(any_device.bound_s), pytest.raises(LinkError):
+        await any_device.device.open()
+    with within(any_device.bound_s), pytest.raises(LinkError):
+        await any_device.device.make_safe()
+
+
+@mutes
+async def test_opening_a_silent_link_says_so_in_bounded_time(any_device: AnyRig) -> None:
+    """``open`` asks the device something, and raises LinkError in bounded time where no answer comes."""
+    any_device.silence()
+    with within(any_device.bound_s), pytest.raises(LinkError):
+        await any_device.device.open()
+
+
+async def test_a_cancelled_call_harms_no_later_one(any_device: AnyRig) -> None:
+    """A call that is cancelled leaves its answer to nobody: the next call gets its own, not that of the last."""
+    device = any_device.device
+    await device.open()
+    for _ in range(5):
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0):
+                await device.make_safe()
+        assert (await device.status()).ready
+    await device.make_safe()
+    assert await any_device.rests()

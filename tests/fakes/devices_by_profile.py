@@ -1,0 +1,36 @@
+"""Drivers of shipped profiles, ready to be opened."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from polishd.api import ActuatorTimes
+from polishd.config.device_profile import DeviceProfile
+from polishd.drivers.profiled import make
+from polishd.drivers.profiled.actuator import ProfiledActuator
+from polishd.drivers.profiled.shelf import FOLDER, profile_of
+from polishd.drivers.transport.address import SerialLine, Tcp
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+
+def shipped(name: str) -> DeviceProfile:
+    """The profile of that name, or of a file among the examples."""
+    return profile_of(name, EXAMPLES)
+
+
+def file_of(name: str) -> Path:
+    """Where it stands."""
+    return EXAMPLES / name if name.endswith(".toml") else FOLDER / f"{name}.toml"
+
+
+def voice_coil_modbus(
+    address: Tcp | SerialLine, times: ActuatorTimes | None = None, *, unit: int = 1
+) -> ProfiledActuator:
+    """Polishd's actuator at a Modbus address."""
+    return make.actuator(shipped("voice_coil_modbus"), address, times, unit=unit)
+
+
+def voice_coil_serial(address: SerialLine | Tcp, times: ActuatorTimes | None = None) -> ProfiledActuator:
+    """Polishd's actuator on lines of text."""
+    return make.actuator(shipped("voice_coil_serial"), address, times)

@@ -1,0 +1,64 @@
+"""A small simulated cell whose robot's controller loads files."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from polishd.config.cell import load_config
+from polishd.config.controller_profile import FOLDER
+from polishd.console.demo_files import DemoFiles, demo_program
+from polishd.console.simulator import simulated_cell
+from tests.system.cell_rig import with_keys, without, write_small
+
+PROFILES = {"opcua": "plc-opcua", "ads": "plc-ads"}
+TRUTH = {"overhead_s": 0.03, "overhead_spread": 0.5}
+"""What a block costs that controller: nobody planned it before the first pass."""
+CALM = {"pit_nm": 60.0, "max_spot_change": 0.99, "max_rate_drift": 0.99}
+"""So small a part tells little of its spot."""
+
+
+def write_files(out: Path, kind: str, aperture_mm: float, **job: Any) -> DemoFiles:
+    """The demo's files with a small part and such a controller; with ``link`` the same cell with a robot link."""
+    files = write_small(out, **job)
+    part = {"aperture_mm": aperture_mm}
+    robot: dict[str, Any] = {}
+    if kind != "link":
+        robot = {"kind": kind, "watchdog_s": 20.0}
+        _hand_over(files, kind)
+    files.cell.write_text(with_keys(files.cell.read_text(), {"part": part, "limits": CALM}))
+    files.sim.write_text(with_keys(files.sim.read_text(), {"plant": part, "robot": robot, "truth": TRUTH}))
+    config = load_config(files.cell)
+    config.program_path.write_bytes(demo_program(config))
+    return files
+
+
+def _hand_over(files: DemoFiles, kind: str) -> None:
+    """The cell's robot becomes such a controller, with a profile of its own that is patient with a busy machine."""
+    shipped = (FOLDER / f"{PROFILES[kind]}.toml").read_text()
+    (files.out / "controller.toml").write_text(
+        shipped.replace("watchdog_s = 8.0", "watchdog_s = 20.0\nsilence_s = 6.0")
+    )
+    port = urlsplit(load_config(files.cell).robot.model_dump()["address"]).port or 0
+    host = f"127.{port // 256}.{port % 256}.1"
+    keys = {
+        "type": "handover",
+        "profile": "controller.toml",
+        "address": f"opc.tcp://127.0.0.1:{port}" if kind == "opcua" else f"ads://{host}/{host}.1.1:851",
+        "delivery": "folder:sim/programs",
+    }
+    section = "\n".join(["[robot]", *(f"{key} = {json.dumps(value)}" for key, value in keys.items())])
+    cell = without(files.cell.read_text(), "robot").replace('load = ["rnc_robot"', 'load = ["rnc_robot", "handover"')
+    files.cell.write_text(f"{cell}\n{section}\n")
+
+
+@contextlib.contextmanager
+def running(files: DemoFiles, speed: float) -> Iterator[DemoFiles]:
+    """The simulator of those files."""
+    options = ["--state", str(files.sim_dir), "--seed", "1", "--speed", f"{speed:g}"]
+    with simulated_cell(files.sim, options, files.out / "sim.stderr"):
+        yield files

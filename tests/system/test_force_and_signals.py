@@ -1,0 +1,211 @@
+"""An independent force sensor and monitors in a whole cell: whoever lies, contact ends in order, and it is said who.
+
+What acts is the plant's: the actuator's own word and the sensor's may both be wrong.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import sqlite3
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from polishd.console.demo_files import DemoFiles, with_values
+from polishd.console.simulator import simulated_cell
+from polishd.daemon import client
+from tests.system.agreement import require_agreement
+from tests.system.cell_rig import ONE_PASS, Daemon, account, events, summary, with_keys, write_small
+from tests.system.sim_rig import wait_for
+from tests.system.test_daemon import polishd
+from tests.system.test_faults import SAFETY, Faults, require_off_the_part, with_faults
+
+pytestmark = [pytest.mark.system, pytest.mark.full]
+
+SENSOR = """
+[force_sensor]
+type = "force_sensor_line"
+address = "serial:sim/force_sensor"
+silence_s = {silence_s}
+delay_s = {delay_s}
+band_n = 1.5
+grace_s = 1.5
+"""
+PATIENT: Mapping[str, float] = {"silence_s": 3.0, "delay_s": 1.0}
+PROMPT: Mapping[str, float] = {"silence_s": 0.5, "delay_s": 1.0}
+MONITOR = """
+[monitor]
+type = "monitor_line"
+address = "serial:sim/monitor"
+silence_s = 5.0
+
+[signals.slurry_flow]
+unit = "l/min"
+before = {{ min = 1.0 }}
+in_contact = {{ min = 0.8 }}
+leads_to = "{leads_to}"
+
+[signals.guard_closed]
+before = {{ state = true, wait_s = 1.0 }}
+in_contact = {{ state = true, grace_s = 0.0 }}
+leads_to = "estop"
+"""
+
+
+@contextlib.contextmanager
+def watched_cell(
+    out: Path, cell: str, sim: str, faults: Faults | None = None, *, speed: int = 10, **job: Any
+) -> Iterator[DemoFiles]:
+    """A running simulator for the small part, with more in both files."""
+    files = write_small(out, **{**ONE_PASS, **job})
+    text = files.cell.read_text().replace('"interferometer"', '"interferometer", "force_sensor", "monitors"')
+    text = with_values(text + cell, {"limits": {"force_grace_s": 1.3}})
+    files.cell.write_text(text)
+    files.sim.write_text(with_faults(files.sim.read_text() + sim, faults or {}))
+    options = ["--state", str(files.sim_dir), "--seed", "2", "--speed", str(speed)]
+    with simulated_cell(files.sim, options, files.out / "sim.stderr"):
+        yield files
+
+
+def sensed(files: DemoFiles) -> list[tuple[float, float]]:
+    """The actuator's word and the sensor's, of each block that touched and has both."""
+    with contextlib.closing(sqlite3.connect(files.state_dir / "journal.sqlite")) as journal:
+        rows = "SELECT force_n, sensor_force_n FROM segment WHERE touched = 1 AND sensor_force_n IS NOT NULL"
+        return list(journal.execute(rows))
+
+
+def press(files: DemoFiles, device: str, number: signal.Signals) -> None:
+    os.kill(json.loads((files.sim_dir / "pids.json").read_text())[device], number)
+
+
+def test_a_sensor_that_agrees_is_tared_told_and_recorded(tmp_path: Path) -> None:
+    sim = '[force_sensor]\nkind = "serial"\n[monitor]\nkind = "serial"\n'
+    cell = SENSOR.format(**PATIENT) + MONITOR.format(leads_to="lift")
+    with watched_cell(tmp_path / "cell", cell, sim) as files:
+        checked = json.loads(polishd("check", str(files.cell), "--json").stdout)
+        assert "force_sensor's: at most 1.5 N apart" in checked["force"]
+        assert "guard_closed of monitor: before contact on" in checked["signals"]
+        assert {"force_sensor.silence_s", "force_sensor.grace_s"} < {row["key"] for row in checked["time limits"]}
+        probed = json.loads(polishd("probe", str(files.cell), "--json").stdout)
+        assert probed["force_sensor"]["model"] == "simulated F1"
+        assert probed["signals"]["guard_closed"] == "on"
+        assert probed["signals"]["slurry_flow"].endswith("l/min")
+        with Daemon(files) as daemon:
+            daemon.wait_in_contact()
+            status = client.request(files.state_dir, "status")
+            assert status["signals"]["slurry_flow"]["wrong"] == ""
+            assert status["devices"]["monitor"]["used"] is True
+            assert daemon.wait() in {0, 1}, daemon.output.read_text()
+        (tared, *_) = events(files, "sensor_tared")
+        assert tared["zero_n"] == pytest.approx(6.0, abs=0.1)
+    both = sensed(files)
+    assert len(both) > 100
+    assert all(abs(sensor_n - force_n) < 1.0 for force_n, sensor_n in both)
+    header = next(files.run_dir.glob("cycle-00/executed.csv")).read_text().splitlines()[0]
+    assert header.endswith("sensor_force_n")
+
+
+DRIFT = {"drift_after_s": 0.5, "drift_n_s": 2.0}
+LIES: dict[str, Faults] = {"actuator": {"actuator": DRIFT}, "force sensor": {"force_sensor": DRIFT}}
+
+
+@pytest.mark.parametrize("liar", LIES)
+def test_whoever_lies_contact_ends_in_the_safe_order_and_he_is_named(tmp_path: Path, liar: str) -> None:
+    sim = '[force_sensor]\nkind = "serial"\n'
+    with watched_cell(tmp_path / "cell", SENSOR.format(**PATIENT), sim, LIES[liar], speed=4) as files:
+        with Daemon(files) as daemon:
+            assert daemon.wait() == SAFETY, daemon.output.read_text()
+        require_off_the_part(files)
+        assert events(files, "actuator_drifts" if liar == "actuator" else "sensor_drifts")
+    reason = summary(files)["reason"]
+    assert "the forces disagree: the actuator says " in reason
+    assert "the set point is 12 N" in reason
+    assert reason.endswith(f"suspected is the {liar}"), reason
+
+
+SILENT = {
+    "converts no more": "[force_sensor.faults]\nhalt_after_s = 0.5\n",
+    "its process hangs": "",
+}
+
+
+@pytest.mark.parametrize("how", SILENT)
+def test_a_sensor_that_falls_silent_ends_contact(tmp_path: Path, how: str) -> None:
+    sim = '[force_sensor]\nkind = "serial"\n' + SILENT[how]
+    with watched_cell(tmp_path / "cell", SENSOR.format(**PROMPT), sim) as files:
+        with Daemon(files) as daemon:
+            if how == "its process hangs":
+                daemon.wait_in_contact(50)
+                press(files, "force_sensor", signal.SIGSTOP)
+            assert daemon.wait() == 5, daemon.output.read_text()
+        require_off_the_part(files)
+        if how == "its process hangs":
+            press(files, "force_sensor", signal.SIGCONT)
+    assert "force_sensor" in summary(files)["reason"] or "force sensor" in summary(files)["reason"]
+
+
+def test_a_flow_that_stops_in_contact_ends_the_pass(tmp_path: Path) -> None:
+    sim = '[monitor]\nkind = "serial"\n[monitor.signals.slurry_flow]\nvalue = 1.5\nthen = 0.0\nafter_s = 1.0\n'
+    with watched_cell(tmp_path / "cell", MONITOR.format(leads_to="lift"), sim) as files:
+        with Daemon(files) as daemon:
+            assert daemon.wait() == SAFETY, daemon.output.read_text()
+        require_off_the_part(files)
+        (changed,) = events(files, "signal_changes")
+        assert changed["signal"] == "slurry_flow"
+    assert "slurry_flow is 0 l/min, must be at least 0.8 l/min in contact" in summary(files)["reason"]
+
+
+def test_a_guard_that_opens_stops_motion_at_once_and_holds_the_cell(tmp_path: Path) -> None:
+    """For as long as it is open the cell stays held, however often somebody resumes."""
+    sim = '[monitor]\nkind = "serial"\n[monitor.signals.guard_closed]\nvalue = true\nthen = false\n'
+    with watched_cell(tmp_path / "cell", MONITOR.format(leads_to="hold"), sim) as files, Daemon(files) as daemon:
+        daemon.wait_in_contact(50)
+        press(files, "monitor", signal.SIGUSR1)
+        status = daemon.wait_for_state("held")
+        assert status["reason"].startswith("SignalFault: guard_closed is off, must be on in contact")
+        wait_for(lambda: events(files, "retracted"), "the lift")
+        log = [event["event"] for event in events(files)]
+        changed = log.index("signal_changes")
+        assert log.index("motion_stopped", changed) < log.index("retracted", changed), "motion first"
+        landings = log.count("tool_landed")
+        client.request(files.state_dir, "resume", 60.0)
+        wait_for(lambda: "before contact guard_closed is off" in daemon.status().get("reason", ""), "held again")
+        assert events(files, "tool_landed")[landings:] == []
+        assert daemon.end() in {0, 1, 5}
+
+
+def test_nothing_moves_before_the_slurry_flows(tmp_path: Path) -> None:
+    sim = '[monitor]\nkind = "serial"\n[monitor.signals.slurry_flow]\nvalue = 0.2\nthen = 1.5\n'
+    with watched_cell(tmp_path / "cell", MONITOR.format(leads_to="lift"), sim) as files, Daemon(files) as daemon:
+        wait_for(lambda: "slurry_flow is 0.2 l/min" in str(daemon.status().get("signals")), "the signal to be told")
+        wait_for(lambda: events(files, "map_dropped"), "a map")
+        assert events(files, "engage", "motion_started") == []
+        press(files, "monitor", signal.SIGUSR1)
+        daemon.wait_in_contact(20)
+        assert daemon.end() == 1
+
+
+def test_a_tool_that_stays_without_power_is_taken_off_by_the_robot(tmp_path: Path) -> None:
+    """The actuator's power is gone, and 12 N still act: motion goes on until the robot has the tool off."""
+    files = write_small(tmp_path / "cell", **ONE_PASS)
+    files.cell.write_text(with_keys(files.cell.read_text(), {"actuator": {"unpowered": "stays"}}))
+    files.sim.write_text(with_keys(files.sim.read_text(), {"actuator": {"unpowered": "stays"}}))
+    options = ["--state", str(files.sim_dir), "--seed", "2", "--speed", "2"]
+    with simulated_cell(files.sim, options, files.out / "sim.stderr"):
+        with Daemon(files) as daemon:
+            daemon.wait_in_contact(40)
+            press(files, "plant", signal.SIGUSR1)
+            wait_for(lambda: events(files, "way_out_marked"), "the mark")
+            press(files, "actuator", signal.SIGKILL)
+            assert daemon.wait() == 5, daemon.output.read_text()
+            stopped = wait_for(lambda: events(files, "motion_stopped"), "standstill")[-1]
+        told = wait_for(lambda: account(files)["way_out"], "the account")
+    assert stopped["detail"] == "lift"
+    assert told["contact_s"] > 0.0, "it went on pressing"
+    assert told["standing_s"] <= 0.05
+    require_agreement(files)

@@ -1,0 +1,97 @@
+"""``polishd hil`` and ``pytest -m hil``: simulated cells stand for real ones."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from polishd.console.simulator import simulated_cell
+from tests.patience import SOON_S
+from tests.system.cell_rig import events, small_cell, with_keys, write_small
+from tests.system.sim_rig import ROOT, wait_for
+
+pytestmark = pytest.mark.system
+MOTION = "G21 G90 G94\nG1 X0 Y0 Z3 F60\nG1 X0.5 Y0 Z3 F60\nG1 X0.5 Y0.5 Z3 F60\nG1 X0 Y0.5 Z3 F60\n"
+
+
+def hil(cell: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "polishd", "hil", str(cell), *options]
+    return subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+
+
+def counted(output: str) -> dict[str, int]:
+    """How many tests ended how."""
+    return {
+        word: int(count) for count, word in re.findall(r"(\d+) (passed|failed|error|skipped)", output.splitlines()[-1])
+    }
+
+
+def test_nothing_is_opened_where_nobody_is_there_to_ask(tmp_path: Path) -> None:
+    done = hil(Path(shutil.copy(ROOT / "examples" / "cell.toml", tmp_path)))
+    assert done.returncode == 3
+    assert "--yes goes on without asking. Nothing was opened" in done.stderr
+    assert "REAL, robot_link tcp://" in done.stdout
+
+
+@pytest.mark.full
+def test_a_dead_device_fails_and_the_simulated_ones_beside_it_pass(tmp_path: Path) -> None:
+    done = hil(write_small(tmp_path).cell, "--simulate", "robot,spindle", "--yes")
+    assert done.returncode == 5, done.stdout + done.stderr
+    assert re.search(r"test_it_says_who_it_is\[actuator\] (FAILED|ERROR)", done.stdout)
+    for device in ("robot", "spindle"):
+        found = re.findall(rf"^\S+\[{device}\] (\w+)", done.stdout, re.MULTILINE)
+        assert len(found) > 10
+        assert set(found) == {"PASSED"}
+    assert "what the port demands" in done.stdout
+
+
+@pytest.mark.full
+def test_a_cell_is_tried_up_to_contact_and_never_harder_than_allowed(tmp_path: Path) -> None:
+    with small_cell(tmp_path, speed=20.0) as files:
+        motion = files.out / "air.nc"
+        motion.write_text(MOTION)
+        how = ["--level", "contact", "--max-force", "4", "--motion", str(motion), "--simulate", "spindle", "--yes"]
+        done = hil(files.cell, *how)
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert counted(done.stdout)["passed"] > 60
+        assert {event["device"] for event in events(files, "motion_started", "engage")} == {"robot", "actuator"}
+        assert not events(files, "spindle_ramping"), "the real one turned, and the other was asked for"
+        last = [event["event"] for event in events(files, "engage", "retracted")][-1]
+        assert last == "retracted"
+
+
+@pytest.mark.full
+def test_whoever_interrupts_it_finds_the_tool_up(tmp_path: Path) -> None:
+    files = write_small(tmp_path)
+    on_part = {"robot": {"home": [0.0, 0.0, 0.0, 15.0, 0.0]}}
+    files.sim.write_text(with_keys(files.sim.read_text(), on_part))
+    options = ["--level", "contact", "--max-force", "4", "--simulate", "robot,spindle", "--yes"]
+    command = [sys.executable, "-m", "polishd", "hil", str(files.cell), *options]
+    with simulated_cell(files.sim, ["--state", str(files.sim_dir), "--speed", "20"], files.out / "sim.stderr"):
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True) as process:
+            wait_for(lambda: events(files, "force_on"), "contact")
+            os.killpg(process.pid, signal.SIGINT)  # as the terminal does
+            assert process.wait(SOON_S) == 130
+        assert events(files, "engage", "retracted")[-1]["event"] == "retracted"
+        assert not events(files, "watchdog"), "nobody took it off the part, and its watchdog ran out"
+
+
+@pytest.mark.full
+def test_from_a_checkout_and_a_cycle(tmp_path: Path) -> None:
+    with small_cell(tmp_path, speed=20.0) as files:
+        options = ["--cell", str(files.cell), "--hil-level", "cycle", "--hil-max-force", "10"]
+        command = [sys.executable, "-m", "pytest", "-m", "hil", "-p", "no:cacheprovider", *options, "tests/hil"]
+        only = ["-k", "cycle or who_it_is"]
+        done = subprocess.run([*command, *only], cwd=ROOT, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout
+        assert counted(done.stdout)["passed"] == 4
+        (run,) = (files.state_dir / "runs").glob("hil-*")
+        assert json.loads((run / "summary.json").read_text())["outcome"] in {"in_tolerance", "cycles_used"}

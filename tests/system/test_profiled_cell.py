@@ -1,0 +1,111 @@
+"""A cell whose actuator and spindle are profiles: a whole job, and what ``polishd probe`` says of a wrong wire."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import serial
+
+from polishd.console.demo_files import DemoFiles
+from polishd.console.simulator import simulated_cell
+from tests.fakes.devices_by_profile import file_of
+from tests.patience import SOON_S
+from tests.system.agreement import require_agreement
+from tests.system.cell_rig import ONE_PASS, Daemon, summary, write_small
+
+pytestmark = [pytest.mark.system, pytest.mark.full]
+
+DRIVE = file_of("line_drive.toml")
+ACTUATOR = f"""[actuator]
+type = "actuator_profile"
+profile = "{DRIVE}"
+address = "serial:sim/actuator"
+silence_s = 3.0
+watchdog_s = 5.0
+"""
+SPINDLE = """[spindle]
+type = "spindle_profile"
+profile = "delta_ms300"
+address = "serial:sim/spindle"
+silence_s = 6.0
+watchdog_s = 6.0
+"""
+SIMULATED = {
+    "actuator": f'[actuator]\nkind = "profile"\nbaud = 115200\nprofile = "{DRIVE}"\n',
+    "spindle": f'[spindle]\nkind = "profile"\nwatchdog_s = 6.0\nprofile = "{file_of("delta_ms300")}"\n',
+}
+
+
+def with_section(text: str, name: str, section: str) -> str:
+    """The TOML text with another table of that name."""
+    changed, count = re.subn(rf"^\[{name}\]\n(?:(?!\[).*\n)*", section + "\n", text, flags=re.MULTILINE)
+    assert count == 1
+    return changed
+
+
+@contextmanager
+def profiled_cell(out: Path) -> Iterator[DemoFiles]:
+    """A running simulator, and the cell's files."""
+    files = write_small(out, **ONE_PASS)
+    cell = files.cell.read_text().replace('"spindle", ', '"spindle", "device_profiles", ')
+    cell = with_section(with_section(cell, "actuator", ACTUATOR), "spindle", SPINDLE)
+    files.cell.write_text(cell)
+    sim = files.sim.read_text()
+    for name, section in SIMULATED.items():
+        sim = with_section(sim, name, section)
+    files.sim.write_text(sim)
+    with simulated_cell(files.sim, ["--state", str(files.sim_dir), "--seed", "3", "--speed", "40"], out / "sim.stderr"):
+        yield files
+
+
+def polishd(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "polishd.cli", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=SOON_S, check=False)
+
+
+def test_a_job_is_polished_by_profiles(tmp_path: Path) -> None:
+    with profiled_cell(tmp_path / "cell") as files:
+        with Daemon(files) as daemon:
+            assert daemon.wait() == 0, daemon.output.read_text()
+        require_agreement(files)
+    assert summary(files)["outcome"] == "in_tolerance"
+
+
+def test_probe_says_what_is_wrong_in_one_line(tmp_path: Path) -> None:
+    with profiled_cell(tmp_path / "cell") as files:
+        good = files.cell.read_text()
+        assert polishd("probe", files.cell).returncode == 0
+        cases = [
+            (SPINDLE, SPINDLE + "unit = 9\n", r"^serial:\S+ unit 9: no answer within 6 s at 9600 8N1; see whether"),
+            (SPINDLE, SPINDLE.replace("delta_ms300", "hitachi_wj200"), r"exception \d, .*; is it another device\?$"),
+            (
+                ACTUATOR,
+                ACTUATOR.replace(str(DRIVE), "voice_coil_serial"),
+                r"no answer to ST\? within 3 s at 115200 8N1",
+            ),
+            (ACTUATOR, ACTUATOR.replace("sim/actuator", "sim/none"), r"there is no such port; plug the adapter in"),
+        ]
+        for old, new, said in cases:
+            files.cell.write_text(good.replace(old, new))
+            (line,) = what_is_wrong(files).values()
+            assert re.search(said, line), line
+        files.cell.write_text(good)
+        with serial.Serial(str(files.sim_dir / "spindle"), exclusive=True):
+            told = what_is_wrong(files)
+        assert told["spindle"].endswith("another program has the port open; end it (lsof names it)")
+
+
+def what_is_wrong(files: DemoFiles) -> dict[str, str]:
+    """What ``probe`` says of each device that does not answer as it should."""
+    answer = polishd("probe", files.cell, "--json")
+    assert answer.returncode == 5
+    errors = {name: facts["error"] for name, facts in json.loads(answer.stdout).items() if "error" in facts}
+    assert not any("\n" in error for error in errors.values())
+    return errors

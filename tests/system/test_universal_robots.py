@@ -1,0 +1,143 @@
+"""The whole simulated cell on a Universal Robots controller: as good as the robot link, and safe whatever happens."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from polishd.config.cell import load_config
+from polishd.console.demo_files import DemoFiles
+from polishd.sim_backends.universal_robots.rtde import DATA, SET_INPUTS, VERSION, pack
+from tests.system.cell_rig import Daemon, account, events, summary
+from tests.system.sim_rig import alive, wait_for
+from tests.system.test_daemon import require_safe_order
+from tests.system.universal_robots_rig import Kind, dwell_cell
+
+pytestmark = [pytest.mark.system, pytest.mark.full]
+
+DEVICE, SAFETY = 5, 7
+ONE_PASS = {"tolerance_nm": 0.01, "max_cycles": 1}
+EARLY = 40
+
+
+def polished(out: Path, kind: Kind) -> tuple[DemoFiles, dict[str, Any]]:
+    """Two passes over the same surface with the same program."""
+    with dwell_cell(out, kind, speed=8.0, seed=1, tolerance_nm=0.01, max_cycles=2) as files, Daemon(files) as daemon:
+        assert daemon.wait() == 1, daemon.output.read_text()
+    return files, summary(files)
+
+
+def test_what_was_learned_predicts_a_pass_and_all_of_it_is_accounted_for(tmp_path: Path) -> None:
+    """Acceptance: the pass within 1 %, the account within 0.1 %, the surface within 10 % of the robot link's."""
+    files, done = polished(tmp_path / "ur", "universal_robots")
+    _, reference = polished(tmp_path / "link", "robot_link")
+    predicted, took = [], []
+    for cycle, program in enumerate(account(files)["programs"][:2]):
+        folder = files.run_dir / f"cycle-{cycle:02d}"
+        rows = np.genfromtxt(folder / "executed.csv", delimiter=",", names=True)
+        told = np.sum((rows["end_s"] - rows["start_s"]) * (rows["contact"] == 1))
+        assert told == pytest.approx(sum(program["contact_s"]), rel=1e-3)
+        with np.load(folder / "plan.npz") as plan:
+            predicted.append(plan["expected_s"].sum())
+        took.append(told)
+    assert abs(took[0] / predicted[0] - 1) > 0.02, "the first pass cannot know the overhead"
+    assert took[1] == pytest.approx(predicted[1], rel=0.01)
+    assert done["cycles"][-1]["rms_nm"] == pytest.approx(reference["cycles"][-1]["rms_nm"], rel=0.1)
+    assert done["cycles"][-1]["rms_nm"] < 0.2 * done["cycles"][0]["rms_nm"]
+
+
+def options(files: DemoFiles) -> dict[str, Any]:
+    """Keys of [robot]."""
+    return dict(load_config(files.cell).robot.model_dump())
+
+
+def robot_pid(files: DemoFiles) -> int:
+    return int(json.loads((files.sim_dir / "pids.json").read_text())["robot"])
+
+
+def say(files: DemoFiles, port: str, *messages: bytes) -> None:
+    """As another client does."""
+    found = options(files)
+    number = int(found["address"].rpartition(":")[2]) if port == "rtde" else int(found[port])
+    with socket.create_connection(("127.0.0.1", number)) as client:
+        for message in messages:
+            client.sendall(message)
+        client.shutdown(socket.SHUT_WR)
+        while client.recv(4096):  # to its end: what is left unread would take the messages back
+            pass
+
+
+def slow_down(files: DemoFiles) -> None:
+    names = b"speed_slider_mask,speed_slider_fraction"
+    value = pack(DATA, b"\1" + struct.pack(">Id", 1, 0.5))
+    say(files, "rtde", pack(VERSION, b"\0\2"), pack(SET_INPUTS, names), value)
+
+
+def another_script(files: DemoFiles) -> None:
+    say(files, "primary_port", b"def other():\n  sleep(30)\nend\n")
+
+
+Happens = Callable[[DemoFiles], object]
+
+MOVES_ON: dict[str, tuple[Happens, str]] = {"slider": (slow_down, "speed slider is at 50 %")}
+"""The robot goes on meanwhile, so that it is off the part before it stands."""
+STANDS: dict[str, tuple[Happens, str]] = {
+    "emergency stop": (lambda files: os.kill(robot_pid(files), signal.SIGUSR1), "switched off"),
+    "pause": (lambda files: os.kill(robot_pid(files), signal.SIGUSR2), "paused at the controller"),
+    "stop": (lambda files: say(files, "dashboard_port", b"stop\n"), "stopped at the controller"),
+    "another script": (another_script, "another program"),
+    "power cut": (lambda files: os.kill(robot_pid(files), signal.SIGKILL), "127.0.0.1"),
+}
+"""The robot stands by its own doing: all that is left is to take the force off at once."""
+
+
+@pytest.mark.parametrize("fault", [*MOVES_ON, *STANDS])
+def test_contact_is_left_at_once_and_the_daemon_says_why(tmp_path: Path, fault: str) -> None:
+    happens, said = {**MOVES_ON, **STANDS}[fault]
+    with dwell_cell(tmp_path / "cell", "universal_robots", speed=2.0, **ONE_PASS) as files:
+        with Daemon(files, "--no-hold") as daemon:
+            daemon.wait_in_contact(EARLY)
+            happens(files)
+            assert daemon.wait() in (DEVICE, SAFETY), daemon.output.read_text()
+            assert said in daemon.output.read_text()
+        wait_for(lambda: events(files, "tool_landed", "tool_lifted")[-1]["event"] == "tool_lifted", "the tool lifted")
+        log = events(files)
+        last = {event["event"]: k for k, event in enumerate(log)}
+        assert last["tool_landed"] < last["force_zero"] < last["tool_lifted"]
+        if fault in MOVES_ON:
+            require_safe_order(log)
+        after = log[last["tool_lifted"] :]
+        assert "motion_started" not in [event["event"] for event in after]
+
+
+def test_a_lost_link_is_left_before_motion_stops_and_nothing_moves_by_itself(tmp_path: Path) -> None:
+    with dwell_cell(tmp_path / "cell", "universal_robots", speed=2.0, cut_s=12.0, **ONE_PASS) as files:
+        with Daemon(files, "--no-hold") as daemon:
+            assert daemon.wait() in (DEVICE, SAFETY), daemon.output.read_text()
+        assert events(files, "wire_cut")
+        wait_for(lambda: events(files, "motion_started", "motion_stopped")[-1]["event"] == "motion_stopped", "rest")
+        require_safe_order(events(files))
+
+
+def test_a_daemon_that_dies_is_noticed_by_the_controller_after_the_tool_is_up(tmp_path: Path) -> None:
+    with dwell_cell(tmp_path / "cell", "universal_robots", speed=1.0, watchdog_s=12.0, **ONE_PASS) as files:
+        with Daemon(files) as daemon:
+            daemon.wait_in_contact(EARLY)
+            daemon.end(signal.SIGKILL)
+        wait_for(lambda: events(files, "motion_started", "motion_stopped")[-1]["event"] == "motion_stopped", "rest")
+        require_safe_order(events(files))
+        before = len(events(files))
+        with Daemon(files) as daemon:
+            assert "uncertain" in daemon.wait_for_state("held")["reason"]
+            assert not [e for e in events(files)[before:] if e["event"] in ("motion_started", "force_on")]
+            daemon.end()
+        assert not alive(daemon.process.pid)

@@ -1,0 +1,137 @@
+"""What a signal leads to: a daemon tells, holds, ends or stops motion first, and nothing moves before all are ready."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from polishd.daemon import signal_watch
+from polishd.model.cycle import Outcome
+from polishd.model.errors import SafetyStop, SignalFault
+from polishd.model.events import Held, SignalWrong
+from polishd.model.signal_limits import Bounds, LeadsTo, SignalLimits
+from tests.fakes.devices import FakeMonitor
+from tests.unit.daemon.small import Bench, open_journal
+from tests.unit.daemon.test_app import SAFE, Running
+from tests.unit.daemon.test_health import at_once
+
+FLOW = SignalLimits("flow", "monitor", "flow", "l/min", Bounds(min=1.0), 3.0, Bounds(min=0.8), 0.0, "hold")
+WRONG = "flow is 0.2 l/min, must be at least 0.8 l/min in contact, and was not for more than 0 s"
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    monkeypatch.setattr(signal_watch, "LOOK_S", 0.0)
+    monkeypatch.setattr(signal_watch, "AGAIN_S", 0.0)
+    monkeypatch.setattr(asyncio, "to_thread", at_once)
+    with open_journal(tmp_path) as journal:
+        yield Bench(tmp_path, journal)
+
+
+def monitored(bench: Bench, leads_to: LeadsTo) -> FakeMonitor:
+    return bench.fake.with_monitor(replace(FLOW, leads_to=leads_to), flow=1.5)
+
+
+def told_of(running: Running) -> list[SignalWrong]:
+    """What the job told."""
+    return [event for event in running.daemon.job.told if isinstance(event, SignalWrong)]  # type: ignore[union-attr]
+
+
+async def test_hold_leaves_contact_in_order_and_a_person_goes_on(bench: Bench) -> None:
+    monitor = monitored(bench, "hold")
+    async with Running(bench) as running:
+        await running.in_contact()
+        monitor.values["flow"] = 0.2
+        await running.held()
+        assert bench.fake.of("make_safe")[3:6] == SAFE
+        assert running.daemon.reason.startswith(f"SignalFault: {WRONG}; pass 0 was interrupted")
+        (held,) = (event for event in running.told if isinstance(event, Held))
+        assert held.kind == "SignalFault"
+        status = await running.daemon.status()
+        assert status["signals"]["flow"]["wrong"] == "flow is 0.2 l/min, must be at least 1 l/min"
+        assert status["devices"]["monitor"]["used"] is True
+        monitor.values["flow"] = 1.5
+        await running.daemon.handlers["resume"]()
+        assert await running.outcome() is Outcome.IN_TOLERANCE
+    assert [event.what for event in running.told if isinstance(event, SignalWrong)] == [WRONG]
+
+
+async def test_lift_ends_the_daemon_as_any_safety_stop(bench: Bench) -> None:
+    monitor = monitored(bench, "lift")
+    async with Running(bench) as running:
+        await running.in_contact()
+        monitor.values["flow"] = 0.2
+        with pytest.raises(SafetyStop, match=r"^flow is 0\.2 l/min"):
+            await running.outcome()
+    assert bench.fake.of("make_safe")[3:6] == SAFE
+    assert bench.journal.unfinished() is not None, "the next start settles it, and comes up held"
+
+
+async def test_estop_stops_motion_whatever_the_part_costs(bench: Bench) -> None:
+    monitor = monitored(bench, "estop")
+    stopped: list[bool] = []
+    bench.fake.robot.acts.before["make_safe"] = lambda: stopped.append(bench.fake.actuator.retracted)
+    async with Running(bench) as running:
+        await running.in_contact()
+        monitor.values["flow"] = 0.2
+        await running.held()
+        assert stopped[1] is False, "the tool is still on the part; the first is the start's"
+        assert "SignalFault: flow is 0.2 l/min" in running.daemon.reason
+        monitor.values["flow"] = 1.5
+        await running.daemon.handlers["resume"]()
+        assert await running.outcome() is Outcome.IN_TOLERANCE
+
+
+@pytest.mark.full
+async def test_notify_tells_and_goes_on(bench: Bench) -> None:
+    monitor = monitored(bench, "notify")
+    async with Running(bench) as running:
+        await running.in_contact()
+        monitor.values["flow"] = 0.2
+        while not any(isinstance(event, SignalWrong) for event in running.told):  # noqa: ASYNC110
+            await asyncio.sleep(0)
+        monitor.values["flow"] = 1.5
+        assert await running.outcome() is Outcome.IN_TOLERANCE
+    (wrong,) = (event for event in running.told if isinstance(event, SignalWrong))
+    assert (wrong.what, wrong.leads_to) == (WRONG, "notify")
+    concern = wrong.concern()
+    assert concern is not None
+    assert concern.what == WRONG
+
+
+async def test_nothing_moves_before_it_is_ready_and_the_cell_is_held_in_the_end(bench: Bench) -> None:
+    monitor = monitored(bench, "hold")
+    monitor.values["flow"] = 0.9
+    async with Running(bench) as running:
+        while not told_of(running):  # noqa: ASYNC110
+            await asyncio.sleep(0)
+        assert running.daemon.state == "polishing"
+        while running.daemon.state == "polishing":
+            bench.fake.clock.advance(0.5)
+            await asyncio.sleep(0)
+        await running.held()
+        assert running.daemon.reason.startswith("SignalFault: before contact flow is 0.9 l/min")
+        assert bench.moved() == []
+        assert bench.journal.passes == ()
+        monitor.values["flow"] = 1.0
+        while bench.fake.cell.signals.not_ready():  # noqa: ASYNC110
+            await asyncio.sleep(0)
+        await running.daemon.handlers["resume"]()
+        assert await running.outcome() is Outcome.IN_TOLERANCE
+
+
+@pytest.mark.full
+async def test_without_a_person_it_ends_there(bench: Bench) -> None:
+    monitor = monitored(bench, "hold")
+    monitor.values["flow"] = 0.9
+    async with Running(bench, holds=False) as running:
+        assert running.task is not None
+        while not running.task.done():
+            bench.fake.clock.advance(0.5)
+            await asyncio.sleep(0)
+        with pytest.raises(SignalFault):
+            await running.outcome()

@@ -1,0 +1,191 @@
+"""The simulated force sensor and monitor: what they feel and tell, what happens to them, and their lines."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from polishd.config.simulator import SEVEN, ForceSensor, ForceSensorFaults, SimSignal
+from polishd.sim_backends.actuator.ascii import body
+from polishd.sim_backends.force_sensor import device as sensor_device
+from polishd.sim_backends.force_sensor.cell import FAULT, MEASURING, TARING, LoadCell
+from polishd.sim_backends.monitor import device as monitor_device
+from polishd.sim_backends.monitor.inputs import Inputs
+from polishd.sim_backends.numbered import NumberedSlave
+from polishd.sim_backends.plant.timeline import Timeline
+from tests.unit.sim_backends.vectors import vectors
+
+
+class Bench:
+    """A load cell whose time passes when somebody says so."""
+
+    def __init__(self, faults: ForceSensorFaults | None = None, **config: Any) -> None:
+        self.told: list[str] = []
+        whole = ForceSensor(**{"noise_n": 0.0, **config}, faults=faults or ForceSensorFaults())
+        self.cell = LoadCell(whole, np.random.default_rng(1), lambda name, *_, **__: self.told.append(name), 100.0)
+        self.answer = sensor_device.answering(self.cell, 3)
+
+    def after(self, seconds: float) -> float:
+        """What it tells so much later, N."""
+        for _ in range(round(seconds / 0.01)):
+            self.cell.step(self.cell.now_s + 0.01)
+        return float(self.answer("F?").split(",")[3])
+
+    def tared(self) -> Bench:
+        assert self.answer("TARE") == "OK"
+        self.after(0.5)
+        return self
+
+
+def test_it_carries_its_tool_until_it_is_tared() -> None:
+    bench = Bench()
+    assert bench.after(0.1) == 6.0
+    assert bench.answer("TARE") == "OK"
+    assert (bench.cell.state, bench.answer("TARE")) == (TARING, "ERR,busy,it tares")
+    assert bench.after(0.5) == 0.0
+    assert (bench.cell.state, bench.told) == (MEASURING, ["sensor_tared"])
+
+
+def test_it_feels_what_acts_a_little_later() -> None:
+    bench = Bench(latency_s=0.05).tared()
+    bench.cell.feel(bench.cell.now_s, 12.0)
+    assert bench.after(0.03) == 0.0
+    assert bench.after(0.04) == 12.0
+    bench.cell.feel(bench.cell.now_s, 0.0)
+    assert bench.after(0.03) == 12.0
+    assert bench.after(0.1) == 0.0
+
+
+def test_each_conversion_has_a_number() -> None:
+    bench = Bench()
+    bench.after(0.1)
+    before = bench.cell.count
+    bench.after(0.5)
+    assert bench.cell.count - before == pytest.approx(50, abs=2)
+
+
+def pressed(**faults: float) -> Bench:
+    bench = Bench(ForceSensorFaults(**faults)).tared()
+    bench.cell.feel(bench.cell.now_s, 12.0)
+    bench.after(0.5)
+    return bench
+
+
+def test_a_drift_begins_in_contact_and_stays() -> None:
+    bench = pressed(drift_after_s=1.0, drift_n_s=2.0)
+    assert bench.after(0.4) == 12.0
+    assert bench.after(1.1) == pytest.approx(14.0, abs=0.1)
+    bench.cell.feel(bench.cell.now_s, 0.0)
+    bench.after(0.1)
+    assert bench.told.count("sensor_drifts") == 1
+
+
+def test_one_that_is_frozen_goes_on_converting() -> None:
+    bench = pressed(freeze_after_s=0.2)
+    bench.cell.feel(bench.cell.now_s, 0.0)
+    before = bench.cell.count
+    assert bench.after(0.5) == 12.0
+    assert bench.cell.count > before
+
+
+def test_one_that_is_halted_answers_with_old_conversions() -> None:
+    bench = pressed(halt_after_s=0.2)
+    before = bench.cell.count
+    assert bench.after(0.5) == 12.0
+    assert bench.cell.count == before
+
+
+def test_one_that_saturates_does_not_say_so_and_one_beyond_its_range_does() -> None:
+    assert pressed(saturate_n=10.0).after(0.1) == pytest.approx(4.0), "with 6 N of tool"
+    bench = Bench(range_n=15.0).tared()
+    bench.cell.feel(bench.cell.now_s, 12.0)
+    bench.after(0.2)
+    assert (bench.cell.state, bench.cell.fault) == (FAULT, 1)
+    assert bench.answer("TARE") == "ERR,fault,a fault is set"
+    bench.cell.feel(bench.cell.now_s, 0.0)
+    bench.after(0.2)
+    assert bench.cell.state == MEASURING
+
+
+# the monitor
+
+
+def inputs(**signals: SimSignal) -> tuple[Inputs, list[str]]:
+    told: list[str] = []
+    whole = {**SEVEN, **signals}
+    return Inputs(whole, np.random.default_rng(1), lambda name, *_, **__: told.append(name), 100.0), told
+
+
+def test_the_seven_are_as_they_should_be() -> None:
+    found, _ = inputs()
+    assert 1.3 < float(found.told("slurry_flow")) < 1.7
+    assert [found.told(name) for name in ("guard_closed", "emergency_stop_clear", "cell_empty")] == ["ON"] * 3
+
+
+def test_a_flow_stops_after_so_long_in_contact() -> None:
+    found, told = inputs(slurry_flow=SimSignal(value=1.5, then=0.0, after_s=2.0))
+    found.step(200.0)
+    assert (found.told("slurry_flow"), told) == ("1.5000", [])
+    found.touching = True
+    found.step(201.9)
+    assert found.told("slurry_flow") == "1.5000"
+    found.step(202.1)
+    assert (found.told("slurry_flow"), told) == ("0.0000", ["signal_changes"])
+    found.step(300.0)
+    assert found.told("slurry_flow") == "0.0000"
+
+
+def test_a_guard_opens_for_a_while_at_the_press_of_a_button() -> None:
+    found, told = inputs(guard_closed=SimSignal(value=True, then=False, for_s=1.0))
+    found.step(200.0)
+    found.press()
+    assert (found.told("guard_closed"), told) == ("OFF", ["signal_changes"])
+    found.step(201.5)
+    assert found.told("guard_closed") == "ON"
+
+
+def test_a_transducer_may_break() -> None:
+    found, _ = inputs(chuck_vacuum=SimSignal(value=82.0, then="?"))
+    found.press()
+    assert found.told("chuck_vacuum") == "?"
+
+
+# their lines, by the documents' vectors
+
+
+def test_the_force_sensor_answers_as_the_document_says() -> None:
+    lines = {name: line.encode() for name, line in vectors("force_sensor").items()}
+    bench = Bench().tared()
+    bench.cell.count, bench.cell.reading_n = 1024, bench.cell.zero_n + 12.004
+    slave = NumberedSlave(bench.answer)
+    assert list(slave.feed(lines["force_request"] + b"\r\n")) == [lines["force"] + b"\r\n"]
+    assert list(slave.feed(lines["tare"] + b"\r\n")) == [lines["ok"] + b"\r\n"]
+    assert list(slave.feed(b"$12,ID?*65\r\n$12,")) == []
+    known = NumberedSlave(sensor_device.answering(bench.cell, 3)).answer("ID?")
+    assert known == body(lines["identity"]).split(",", 1)[1]  # type: ignore[union-attr]
+
+
+def test_the_monitor_answers_as_the_document_says() -> None:
+    lines = {name: line.encode() for name, line in vectors("monitor").items()}
+    found, _ = inputs(slurry_flow=SimSignal(value=1.25))
+    slave = NumberedSlave(monitor_device.answering(found, 2))
+    assert list(slave.feed(lines["list_request"] + b"\r\n")) == [lines["list"] + b"\r\n"]
+    (value,) = slave.feed(lines["value_request"] + b"\r\n")
+    assert body(value.rstrip()) == "9,V,slurry_flow,1.2500"
+    answer = monitor_device.answering(found, 2)
+    assert (answer("LS?,7"), answer("V?,guard_closed")) == ("LS,7", "V,guard_closed,ON")
+    assert answer("V?,nothing") == body(lines["refused"]).split(",", 1)[1]  # type: ignore[union-attr]
+    assert answer("WHAT") == "ERR,unknown,no such request"
+
+
+def test_a_tool_that_stays_goes_on_pressing_when_its_actuator_is_gone() -> None:
+    for stays, acts_n in ((True, 12.0), (False, 0.0)):
+        force = Timeline()
+        force.connect(0.0)
+        force.push([(1.0, 12.0)], 2.0)
+        force.disconnect(2.0, stays=stays)
+        assert force.at(np.array([1.5, 9.0])).tolist() == [12.0, acts_n]
+        force.connect(10.0)
+        assert force.at(np.array([11.0])).tolist() == [0.0], "powered up, it is at rest"

@@ -1,0 +1,93 @@
+"""docs/drivers.md: its driver passes the suite, one that breaks a demand is told so, and its ports are the code's."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from docs.reference import ports
+from polishd.config.cell import PORTS
+from polishd.ports.devices import Device
+
+TEXT = ports.PAGE.read_text()
+FILES = {
+    name: content
+    for content, name in re.findall(r"^```(?:python|ini)\n(# ([\w.]+)\n.*?)^```", TEXT, re.DOTALL | re.MULTILINE)
+}
+DRIVER = "line_tool.py"
+SAFE, LANDS = "    async def make_safe(self):\n", "        while force_n > 0.0 and not"
+WRONG = [
+    ("not 0.0 <= force_n <= 50.0", "force_n < 0.0 or force_n > 50.0", "test_impossible_forces_are_refused", "NaN"),
+    ("<= 50.0", "<= 60.0", "test_impossible_forces_are_refused", "more than the device may"),
+    (LANDS, "        while False and not", "test_it_lands_and_regulates", "returns in contact"),
+    (
+        "self.sample, urgent=True)).retracted",
+        "self.sample, urgent=True))",
+        "test_retract_returns",
+        "when the tool is off",
+    ),
+    (SAFE, f"{SAFE}        return\n", "test_make_safe_in_contact", "takes the force off, retracts"),
+    ("one.retracted, ", "True, ", "test_make_safe_in_contact", "In contact the status is not safe"),
+    ('f"fault {one.fault}"', '""', "test_without_samples", "says why"),
+    ("self.lifts + 1", "self.lifts", "test_retracting_wins", "overtakes it"),
+    (".line.open, ", ".make_safe, ", "test_opening_changes_nothing", "is ready, safe and has a state"),
+]
+"""Of the driver, what is replaced by what; the test that fails, and of what it then says."""
+
+
+def written(folder: Path, driver: str) -> Path:
+    """The files of the page, with that driver."""
+    for name, content in {**FILES, DRIVER: driver}.items():
+        (folder / name).write_text(content)
+    return folder
+
+
+def suite(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    """Runs as whoever has read the page runs it."""
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *options]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_it_has_a_driver_of_under_60_lines_with_simulator_and_test() -> None:
+    assert set(FILES) == {DRIVER, "line_tool_sim.py", "test_line_tool.py", "pytest.ini"}
+    assert len([line for line in FILES[DRIVER].splitlines() if line.strip()]) < 60
+
+
+def test_its_driver_passes(tmp_path: Path) -> None:
+    done = suite(written(tmp_path, FILES[DRIVER]), "-k", "says_who or nothing_works or impossible or lands")
+    assert done.returncode == 0, done.stdout
+    assert done.stdout.splitlines()[-1].startswith("8 passed")
+
+
+@pytest.mark.full
+def test_its_driver_passes_the_whole_suite(tmp_path: Path) -> None:
+    done = suite(written(tmp_path, FILES[DRIVER]))
+    assert done.returncode == 0, done.stdout
+    assert re.search(r"^\d{2} passed in", done.stdout, re.MULTILINE), done.stdout
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(("right", "wrong", "test", "demand"), WRONG, ids=[f"{case[2]}-{case[3]}" for case in WRONG])
+def test_a_driver_that_breaks_a_demand_is_told_which(
+    tmp_path: Path, right: str, wrong: str, test: str, demand: str
+) -> None:
+    assert FILES[DRIVER].count(right) == 1
+    done = suite(written(tmp_path, FILES[DRIVER].replace(right, wrong)), "-k", test)
+    assert done.returncode == 1, done.stdout
+    assert demand in done.stdout.partition("what the port demands")[2], done.stdout
+
+
+def test_the_ports_are_what_the_code_says() -> None:
+    assert ports.laid_into(TEXT) == TEXT, "write them anew: make reference"
+
+
+@pytest.mark.parametrize("port", [Device, *(port.protocol for port in PORTS.values())], ids=lambda port: port.__name__)
+def test_every_method_says_what_it_takes(port: type) -> None:
+    for name, member in ports.methods(port).items():
+        if not isinstance(member, property):
+            missing = {"", *ports.ASPECTS} - set(ports.aspects(member))
+            assert not missing, f"{port.__name__}.{name}: its docstring lacks {missing}"
