@@ -84,14 +84,12 @@ class Daemon:
 
     async def status(self) -> Mapping[str, Any]:
         """State, why, and what was measured so far."""
-        cycle, phase = self.job.journal.phase_now
         return {
             "state": self.state,
             "reason": self.reason,
             "next": to_do(self.state, queue=self._of_queue),
             **self.job.names(),
-            "phase": phase,
-            "cycle": cycle,
+            **dict(zip(("cycle", "phase"), self.job.journal.phase_now, strict=True)),
             "cycles": self.job.cycles(),
             "unsafe": list(self._cell.unsafe),
             "tasks": len(asyncio.all_tasks()),

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from polishd.daemon import safety
+from polishd.daemon import listening, safety
 from polishd.daemon.safety import STILL_RPM, ContactLimits
 from polishd.daemon.touch import Touch
 from polishd.model.devices import ForceSample, SpeedSample
@@ -54,7 +54,7 @@ class Watched:
 
     def __init__(self, limits: ContactLimits = LIMITS) -> None:
         self.fake, self.touch = FakeCell(), Heard()
-        self.watch = safety._Watch(limits, self.touch)
+        self.watch = safety._Watch(limits, self.touch, safety._force_check(limits))
 
     async def hear(self, samples: Sequence[Any]) -> BaseException | None:
         """What ends it; None where it would listen on."""
@@ -182,7 +182,7 @@ async def test_who_hears_all_the_time_is_not_silent_however_long() -> None:
             await asyncio.sleep(0)
 
     with pytest.raises(LinkError, match=r"^it: its samples ended while in contact"):
-        await safety.heard(samples(), heard.append, "it", 0.01)
+        await listening.heard(samples(), heard.append, "it", 0.01)
     assert len(heard) > 1
 
 
@@ -201,7 +201,7 @@ async def looks_until_silent(monkeypatch: pytest.MonkeyPatch, silence_s: float) 
 
     monkeypatch.setattr(asyncio, "timeout", timeout)
     with pytest.raises(LinkError, match=f"^it: no sample for {silence_s:g} s while in contact"):
-        await safety.heard(samples(), lambda sample: None, "it", silence_s)
+        await listening.heard(samples(), lambda sample: None, "it", silence_s)
     return looks
 
 
@@ -218,5 +218,5 @@ async def test_time_in_which_this_process_did_not_run_is_no_silence(
 ) -> None:
     """Of a long one two looks count: it hears first, then."""
     ticks = itertools.count(1000)
-    monkeypatch.setattr(safety, "time", SimpleNamespace(monotonic=lambda: next(ticks) * step_s))
+    monkeypatch.setattr(listening, "time", SimpleNamespace(monotonic=lambda: next(ticks) * step_s))
     assert len(await looks_until_silent(monkeypatch, 0.22)) == looks

@@ -96,7 +96,7 @@ def test_a_file_of_another_format_is_closed_and_stays(path: Path) -> None:
     connection.close()
     before, opened = path.read_bytes(), Opened()
     with pytest.raises(
-        ConfigError, match=re.escape(f"{path}: the journal has format 99, this polishd writes format 3")
+        ConfigError, match=re.escape(f"{path}: the journal has format 99, this polishd writes format {SCHEMA_VERSION}")
     ):
         open_file(path, opened)
     assert opened.closed()
