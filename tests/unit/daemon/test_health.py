@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -104,7 +105,8 @@ async def test_a_loop_that_is_late_twice_in_contact_is_no_loop_to_press_with(ben
         while running.daemon.state == "polishing":  # it is cleared when contact begins
             lags.append((time.monotonic(), 0.6))
             await asyncio.sleep(0)
-        assert (await lifted_and_held(running)).startswith("HostFault: loop_lag_s 0.6, at most 0.5: too much else runs")
+        told = await lifted_and_held(running)
+        assert re.match(r"HostFault: loop_lag_s 0\.[56]\d*, at most 0\.5: too much else runs", told), told
         await running.daemon.handlers["resume"]()
         assert await running.outcome() is Outcome.IN_TOLERANCE, "out of contact the loop may have been late"
 
