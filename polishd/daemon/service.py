@@ -62,7 +62,8 @@ class Service:
         """End all sessions, once those who asked have their answer: ``stop`` is obeyed just before this."""
         async with self._answered:
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._answered.wait_for(lambda: not self._answering), WRITE_S)
+                async with asyncio.timeout(WRITE_S):
+                    await self._answered.wait_for(lambda: not self._answering)
         sessions = tuple(self._sessions)
         for task in sessions:
             task.cancel()

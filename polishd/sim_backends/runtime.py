@@ -134,7 +134,8 @@ async def until_ended(stop: asyncio.Event) -> None:
         loop.add_signal_handler(number, stop.set)
     while not stop.is_set() and os.getppid() == parent:
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(stop.wait(), PARENT_S)
+            async with asyncio.timeout(PARENT_S):
+                await stop.wait()
     stop.set()
 
 

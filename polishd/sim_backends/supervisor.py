@@ -71,7 +71,8 @@ class Supervisor:
         self.children[name] = child
         self.ends[name] = group.create_task(self._mourn(name, child))
         try:
-            line = await asyncio.wait_for(_line(child), READY_S)
+            async with asyncio.timeout(READY_S):
+                line = await _line(child)
         except TimeoutError:
             line = b""
         if not line:

@@ -124,7 +124,12 @@ class Daemon:
     def wait_in_contact(self, blocks: int = 150) -> None:
         """Returns in the middle of a pass."""
         before = len(events(self.files, "blocks"))
-        wait_for(lambda: any(e.get("at_seq", 0) > blocks for e in events(self.files, "blocks")[before:]), "a pass")
+
+        def runs() -> bool:
+            assert self.process.poll() is None, self.output.read_text()
+            return any(event.get("at_seq", 0) > blocks for event in events(self.files, "blocks")[before:])
+
+        wait_for(runs, "a pass")
 
     def wait(self) -> int:
         """Its exit code, once it ends by itself."""

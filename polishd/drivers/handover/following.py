@@ -35,8 +35,9 @@ class Following(Background):
         self._variables: Variables | None = None
         self._reports: tuple[Report, ...] = ()
         """The last two."""
-        self._at_s: tuple[float, ...] = ()
-        """When they came."""
+        self._began: tuple[float, float] | None = None
+        """The first look: when by the controller's clock, and when by ours."""
+        self._looked_s = 0.0
         self.count = 0
         self._pulses: dict[OrderName, float] = {}
         """Orders that stand, and since when."""
@@ -60,10 +61,13 @@ class Following(Background):
 
     @property
     def pace(self) -> float:
-        """Seconds of the controller's clock in one of ours: 1, but for a simulated controller."""
-        if len(self._reports) < 2:
+        """Seconds of the controller's clock in one of ours, since the first look: 1, but for a simulated controller.
+
+        Two looks in a row tell it badly: the controller may have renewed its clock twice in between, or not at all.
+        """
+        if self._began is None or len(self._reports) < 2:
             return 1.0
-        return (self._reports[1].time_s - self._reports[0].time_s) / max(self._at_s[1] - self._at_s[0], 1e-3)
+        return (self.last.time_s - self._began[0]) / max(self._looked_s - self._began[1], 1e-3)
 
     async def open(self) -> None:
         """Connect, and look twice. Gives no order, but for the heartbeat."""
@@ -81,7 +85,7 @@ class Following(Background):
         """Hang up; idempotent."""
         await self.stop()
         variables, self._variables = self._variables, None
-        self._reports, self._at_s = (), ()
+        self._reports, self._began = (), None
         self._pulses.clear()
         self._taken_back.clear()
         if variables is not None:
@@ -168,7 +172,8 @@ class Following(Background):
         if now_s - self._changed_s > self._profile.silence_s:
             raise LinkError(f"{self.name}: the controller's heartbeat stands still")
         self._reports = (*self._reports[-1:], report)
-        self._at_s = (*self._at_s[-1:], now_s)
+        self._began = self._began or (report.time_s, now_s)
+        self._looked_s = now_s
         self.count += 1
 
     async def _beat(self) -> None:

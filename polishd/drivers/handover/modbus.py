@@ -14,6 +14,7 @@ from polishd.config.controller_profile import Value, VariablesTable
 from polishd.drivers.handover.registers import BITS, Place, Table, place, spans
 from polishd.drivers.handover.variables import Reading, of_kind, watched, written
 from polishd.drivers.transport.address import Tcp
+from polishd.drivers.transport.background import cancellable
 
 
 class Modbus:
@@ -38,7 +39,7 @@ class Modbus:
         )
         self._client = client
         try:
-            if not await client.connect():
+            if not await cancellable(client.connect()):
                 raise LinkError(f"{self._name}: cannot be opened")
             await self.read()
         except BaseException:
@@ -103,7 +104,7 @@ class Modbus:
 
     async def _answer(self, request: Awaitable[ModbusPDU], what: str) -> ModbusPDU:
         try:
-            answer = await request
+            answer = await cancellable(request)
         except (ModbusException, OSError) as error:
             await self.close()
             raise LinkError(f"{self._name}: answers no more: {error}") from error

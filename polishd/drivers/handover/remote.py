@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from polishd.api import DeviceRefused
+from polishd.drivers.transport.background import cancellable
 
 if TYPE_CHECKING:
     import aioftp
@@ -45,7 +46,7 @@ class Ftp:
         library = await asyncio.to_thread(importlib.import_module, "aioftp")
         try:
             async with asyncio.timeout(PUT_S):
-                await self._put(library, name, text)
+                await cancellable(self._put(library, name, text))
         except (library.AIOFTPException, OSError, TimeoutError) as error:
             raise _refused("ftp", self._place, name, error) from error
 
@@ -85,7 +86,7 @@ class Sftp:
         library = await asyncio.to_thread(importlib.import_module, "asyncssh")
         try:
             async with asyncio.timeout(PUT_S):
-                await self._put(library, name, text)
+                await cancellable(self._put(library, name, text))
         except (library.Error, OSError, TimeoutError) as error:
             raise _refused("sftp", self._place, name, error) from error
 

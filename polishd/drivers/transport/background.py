@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine
 from functools import partial
 from typing import Any, TypeVar
 
@@ -119,6 +119,19 @@ async def _flat(main: Coroutine[Any, Any, None]) -> None:
         while isinstance(first, BaseExceptionGroup):
             first = first.exceptions[0]
         raise first from None
+
+
+async def cancellable(answer: Awaitable[T]) -> T:
+    """What a library answers that waits with ``asyncio.wait_for``.
+
+    Python 3.11's loses a cancellation that comes with the answer (CPython gh-86296): whoever was stopped would go on.
+    """
+    task = asyncio.current_task()
+    before = 0 if task is None else task.cancelling()
+    result = await answer
+    if task is not None and task.cancelling() > before:
+        raise asyncio.CancelledError
+    return result
 
 
 async def open_blocking(make: Callable[[], T], undo: Callable[[T], object], within_s: float, what: str) -> T:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 
 from polishd.api import LinkError, ProtocolError
-from polishd.drivers.transport.background import Background, Ready, open_blocking
+from polishd.drivers.transport.background import Background, Ready, cancellable, open_blocking
 from tests.patience import SOON_S
 
 
@@ -181,3 +181,40 @@ async def test_a_failing_open_raises() -> None:
 
     with pytest.raises(OSError, match="no such port"):
         await blocked([], make, 1.0)
+
+
+async def test_what_comes_with_an_answer_is_no_less_a_stop() -> None:
+    """Libraries wait with asyncio.wait_for, which in Python 3.11 forgets the stop: the work would go on for ever."""
+    asked: list[asyncio.Future[int]] = []
+
+    async def library() -> int:
+        asked.append(asyncio.get_running_loop().create_future())
+        return await asyncio.wait_for(asked[-1], SOON_S)
+
+    async def main(ready: Ready) -> None:
+        ready()
+        while True:
+            await cancellable(library())
+
+    background = Background("it")
+    await background.start(main, 1.0)
+    await asyncio.sleep(0)
+    asked[-1].set_result(1)
+    await asyncio.wait_for(background.stop(), SOON_S)
+    assert len(asked) == 1
+
+
+async def test_an_answer_in_the_clean_up_of_what_was_stopped_is_taken() -> None:
+    taken: list[int] = []
+
+    async def main(ready: Ready) -> None:
+        ready()
+        try:
+            await asyncio.sleep(SOON_S)
+        finally:
+            taken.append(await cancellable(asyncio.sleep(0, 7)))
+
+    background = Background("it")
+    await background.start(main, 1.0)
+    await background.stop()
+    assert taken == [7]
