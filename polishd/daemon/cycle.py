@@ -81,11 +81,8 @@ _in_contact: set[object] = set()
 def short_collections() -> Iterator[None]:
     """What lives now is not searched for garbage inside: with a plan of 100,000 blocks that would take 50 ms.
 
-    What is garbage already is collected first. Once frozen it is as old as all else, and of what is old the collector
-    looks for garbage when a quarter of it is new: a queue's daemon would keep the maps and plans of hundreds of parts.
+    What is garbage already is frozen with it, and thereafter as old as all else: it is collected when the job ends.
     """
-    if not _in_contact:
-        gc.collect()
     this = object()
     _in_contact.add(this)
     gc.freeze()

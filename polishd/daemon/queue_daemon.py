@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -210,6 +211,7 @@ class QueueDaemon(Daemon):
         notes = [*last["notes"], *([verdict.reason] if verdict.how == "put aside" else [])]
         await self._shift.end(verdict, {**last, **figures(self.job), **told, "outcome": outcome, "notes": notes})
         self.job = self._shift.job
+        gc.collect()  # its passes froze their garbage: the maps and plans of hundreds of parts would stay
         return _after(verdict, name, turn)
 
     # orders

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import gc
 import json
-import weakref
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -382,25 +381,6 @@ async def test_passes_that_bring_nothing_end_the_job(bench: Bench) -> None:
     assert await bench.polish(job) is Outcome.STALLED
     assert [event.kind for event in job.told if isinstance(event, Found)] == ["stall"]
     assert len(bench.journal.passes) < 9
-
-
-class Knot:
-    """Garbage that only the collector finds, as what an earlier job leaves may be."""
-
-    def __init__(self) -> None:
-        self.itself = self
-
-
-async def test_what_is_garbage_before_a_pass_does_not_outlive_it(bench: Bench) -> None:
-    gc.disable()
-    try:
-        left = weakref.ref(Knot())
-        assert left() is not None
-        await bench.polish(bench.job(recipe=small_recipe(tolerance_nm=1e-6), max_cycles=1))
-        assert left() is None
-        assert not gc.get_freeze_count()
-    finally:
-        gc.enable()
 
 
 async def test_a_worn_tool_waits_for_a_person_who_may_go_on_with_it(

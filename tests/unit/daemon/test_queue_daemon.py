@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import sqlite3
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -15,6 +17,7 @@ import pytest
 
 from polishd.config.job_file import JobFile
 from polishd.daemon import daemon as daemon_module
+from polishd.daemon.cycle import short_collections
 from polishd.daemon.desk import Desk
 from polishd.daemon.events import EventBus
 from polishd.daemon.job import Job
@@ -154,6 +157,35 @@ def hall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hall]:
         hall = Hall(tmp_path, journal, {})
         monkeypatch.setattr(daemon_module, "polish", hall.polish)
         yield hall
+
+
+class Knot:
+    """Garbage that only the collector finds, as what a pass leaves may be."""
+
+    def __init__(self) -> None:
+        self.itself = self
+
+
+async def test_what_the_passes_of_a_job_froze_does_not_outlive_it(hall: Hall) -> None:
+    """The collector looks for garbage among what is old when a quarter of it is new: parts after it was frozen."""
+    knots: list[weakref.ref[Knot]] = []
+    lived: list[bool] = []
+
+    def passes(_: Job) -> Outcome:
+        lived.extend(knot() is not None for knot in knots)
+        knots.append(weakref.ref(Knot()))
+        with short_collections():
+            pass
+        return Outcome.IN_TOLERANCE
+
+    gc.disable()
+    try:
+        hall.ends = {"one": [passes], "two": [passes]}
+        hall.add("one", "two").fake.with_loader()
+        await hall.run()
+        assert lived == [False]
+    finally:
+        gc.enable()
 
 
 def torn(error: PolishdError | None = None) -> Callable[[Job], Any]:
