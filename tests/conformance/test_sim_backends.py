@@ -514,7 +514,7 @@ async def test_a_spindle_that_nobody_cares_for_stops_and_says_why(
     assert (await first(spindle.device, lambda one: one.fault == 0)).rpm == 0.0
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize("how", ["cut", "mute"])
 async def test_samples_of_a_dead_spindle_end(spindle: SpindleRig, how: str) -> None:
     await spindle.device.set_speed(500.0)

@@ -220,6 +220,7 @@ def test_a_late_map_with_nobody_there_ends_with_its_own_code(tmp_path: Path) -> 
     assert f"when that is mended: polishd run {files.cell};" in words[4]
 
 
+@pytest.mark.full
 def test_orders_over_the_socket(tmp_path: Path) -> None:
     # so slow that the pass is not over before the orders come
     with small_cell(tmp_path / "cell", seed=5, speed=2.0) as files, Daemon(files) as daemon:
@@ -241,7 +242,7 @@ def test_orders_over_the_socket(tmp_path: Path) -> None:
         assert daemon.wait() == 1
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize("device", ["robot", "actuator", "spindle"])
 def test_a_device_that_dies_in_contact_ends_the_pass_safely(tmp_path: Path, device: str) -> None:
     with small_cell(tmp_path / "cell", seed=6) as files, Daemon(files) as daemon:

@@ -288,6 +288,7 @@ def test_sigterm_ends_everything_and_leaves_the_account(tmp_path: Path) -> None:
         assert running.events()[-1] == "lost"
 
 
+@pytest.mark.full
 def test_nobody_outlives_a_killed_supervisor(tmp_path: Path) -> None:
     with cell(tmp_path) as running:
         pids = running.pids

@@ -44,6 +44,7 @@ def test_it_waits_until_the_tool_is_away(tmp_path: Path) -> None:
         coil.close()
 
 
+@pytest.mark.full
 def test_a_part_from_a_measured_map(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     height = rng.normal(0.0, 20.0, (60, 70))

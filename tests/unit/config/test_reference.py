@@ -10,6 +10,7 @@ from docs.reference import write
 TABLES = [(f"{name} {header}", model) for name, tables in write.files().items() for header, model in tables]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", ["cell.md", "study.md", "profile.md", "device.md", "simulator.md", "controller.md"])
 def test_the_pages_are_what_the_models_give(name: str) -> None:
     assert (write.FOLDER / name).read_text() == write.pages()[name], "write them anew: make reference"

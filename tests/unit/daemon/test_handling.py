@@ -97,6 +97,7 @@ async def test_the_robot_stands_at_the_place_while_the_tool_is_down(bench: Bench
     assert bench.fake.of("robot.resume")[1] == "robot.resume None"
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("sign", [1, -1])
 async def test_a_part_that_sits_a_little_off_is_polished(bench: Bench, sign: int) -> None:
     sits(bench, *[5.0 + 0.2 * sign] * 3)
@@ -242,6 +243,7 @@ async def test_a_touch_off_is_checked_like_any_plan(bench: Bench) -> None:
     assert bench.moved() == []
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(("each_pass", "proofs"), [(False, 1), (True, 2)])
 async def test_how_often_it_is_proved(bench: Bench, each_pass: bool, proofs: int) -> None:
     bench.rate = 0.9
@@ -385,6 +387,7 @@ class WarmPart:
         return as_map(true.height_nm + self._warm_nm * radius**2)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("settle", "outcome"),
     [(Settle(limit_nm=0.2, maps=9, wait_s=60.0), Outcome.IN_TOLERANCE), (None, Outcome.CYCLES_USED)],

@@ -108,6 +108,7 @@ async def test_a_journal_that_is_lost_at_the_end_is_its_own_cells_affair(
     assert (type(first), second["outcome"]) == (SafetyStop, "in_tolerance")
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("broken", [no_spindle, no_run_folder])
 async def test_one_that_ends_does_not_end_the_other(sites: Sites, broken: Any) -> None:
     sites.breaks[0] = broken

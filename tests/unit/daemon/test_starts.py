@@ -103,6 +103,7 @@ async def test_a_clock_that_jumps_by_a_year_while_it_runs_changes_nothing(
         assert journal.passes[0].how == "interrupted"
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("years", [-1.0, 1.0])
 async def test_a_clock_that_jumped_between_two_runs_changes_nothing(
     site: Rerun, monkeypatch: pytest.MonkeyPatch, years: float

@@ -180,6 +180,7 @@ def test_nobody_waits_for_another_ones_file(tmp_path: Path) -> None:
         assert int(waiting.result().part_id) != other
 
 
+@pytest.mark.full
 def test_many_threads_get_each_their_own_map_and_no_files_stay_open(tmp_path: Path) -> None:
     texts = ["map", "refuse", "raise", "map"] * 6
     paths = [tmp_path / f"{number}.bin" for number in range(len(texts))]

@@ -262,6 +262,7 @@ def test_a_section_that_holds_nothing_is_not_on_the_page(tmp_path: Path) -> None
     assert page.endswith("</html>\n")
 
 
+@pytest.mark.full
 def test_a_plan_shows_its_prediction_and_says_that_nothing_moved(plan_dir: Path) -> None:
     page = page_of(plan_dir)
     assert "Plan: nothing was moved" in page
@@ -307,6 +308,7 @@ def test_the_drawings_lines_stand_with_what_each_measurement_had(run_dir: Path) 
     assert ["3/B", "20 nm", "55", "22", "no"] in cells
 
 
+@pytest.mark.full
 def test_an_interrupted_pass_is_no_pass_like_the_others(undrawn: None, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     cycles = [write_cycle(folder / f"cycle-{cycle:02d}", cycle, passed=cycle < 3) for cycle in range(4)]
@@ -357,6 +359,7 @@ class TestWhatIsMissing:
         assert "no measurement was taken" in missing_in(page)
         assert pictures_in(page) == []
 
+    @pytest.mark.full
     def test_a_pass_that_was_cut_short(self, tmp_path: Path) -> None:
         entry = write_cycle(tmp_path / "cycle-00", 0, passed=True, executed=False)
         write_summary(tmp_path, [entry], outcome="stopped")
@@ -488,6 +491,7 @@ def test_what_each_phase_took_as_text(times: object, shown: str) -> None:
     assert spent(times) == shown
 
 
+@pytest.mark.full
 def test_the_gates_picture_is_drawn_of_what_it_left(tmp_path: Path) -> None:
     grid = np.linspace(-1, 1, 40)[None, :] * np.ones((40, 1))
     mask = np.hypot(*np.meshgrid(grid[0], grid[0])) < 0.9

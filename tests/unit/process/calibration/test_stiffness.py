@@ -112,6 +112,7 @@ def test_the_uncertainty_covers_what_was_found(kind: str, ways: str) -> None:
     assert np.abs(pulls).max() < 5
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("kind", ["hybrid", "serial"])
 def test_cross_validation_sees_the_noise_where_the_fit_flatters(kind: str) -> None:
     """3 % Gaussian noise has a mean error of 2.4 %: no figure against noisy tests can be lower, nor its largest."""
