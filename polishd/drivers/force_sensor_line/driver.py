@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import AsyncIterator
 
-from polishd.api import DeviceFault, DeviceStatus, ProtocolError, SensedForce, SensorTimes
+from polishd.api import DeviceFault, DeviceStatus, SensedForce, SensorTimes
 from polishd.drivers.force_sensor_line import codec
 from polishd.drivers.force_sensor_line.codec import Reading, State
 from polishd.drivers.transport.address import SerialLine, Tcp
@@ -36,9 +36,7 @@ class ForceSensorLine(LookingLine):
     async def tare(self) -> None:
         """See ForceSensor. DeviceFault where it has one, or takes too long."""
         deadline = time.monotonic() + self._times.tare_s
-        answer = await self.ask("TARE")
-        if answer != "OK":
-            raise ProtocolError(f"{self.name}: TARE was answered by {answer!r}")
+        await self._order("TARE")
         while (reading := await self._read()).state is not State.MEASURING:
             if reading.fault:
                 raise DeviceFault(f"{self.name}: cannot be tared, fault {reading.fault} ({reading.faults})")
