@@ -11,6 +11,7 @@ from polishd.drivers.force_sensor_line import codec
 from polishd.drivers.force_sensor_line.codec import Reading, State
 from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.drivers.transport.looking import LookingLine
+from polishd.drivers.transport.pace import Pace
 
 PERIOD_S = 0.02
 """Between two questions."""
@@ -46,14 +47,13 @@ class ForceSensorLine(LookingLine):
 
     async def samples(self) -> AsyncIterator[SensedForce]:
         """See ForceSensor. A conversion that was told before is none: a converter that stands gives silence."""
-        due, last = time.monotonic(), -1
+        pace, last = Pace(PERIOD_S), -1
         while True:
             reading = await self._read()
             if reading.count != last and reading.state is not State.TARING:
                 yield SensedForce(time.monotonic(), reading.force_n, reading.fault)
             last = reading.count
-            due = max(due + PERIOD_S, time.monotonic())
-            await asyncio.sleep(due - time.monotonic())
+            await pace.next()
 
     async def _read(self) -> Reading:
         return codec.force(await self.ask("F?"))

@@ -20,6 +20,7 @@ from polishd.drivers.profiled import meaning
 from polishd.drivers.profiled.codec import Values
 from polishd.drivers.profiled.device import ProfiledDevice
 from polishd.drivers.profiled.wire import Wire
+from polishd.drivers.transport.pace import Pace
 
 BEAT_S = 0.05
 """Period of samples and heartbeats."""
@@ -88,7 +89,7 @@ class ProfiledActuator(ProfiledDevice[Reading, ActuatorTimes]):
 
     async def samples(self) -> AsyncIterator[ForceSample]:
         """See ForceActuator."""
-        due = time.monotonic()
+        pace = Pace(BEAT_S)
         while True:
             reading = await self._link.ask(self._beat)
             yield ForceSample(
@@ -100,8 +101,7 @@ class ProfiledActuator(ProfiledDevice[Reading, ActuatorTimes]):
                 fault=reading.fault,
                 position_mm=reading.position_mm,
             )
-            due = max(due + BEAT_S, time.monotonic())
-            await asyncio.sleep(due - time.monotonic())
+            await pace.next()
 
     async def retract(self) -> None:
         """See ForceActuator. Overtakes requests that wait; leaves the set point at 0."""

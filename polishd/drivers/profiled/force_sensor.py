@@ -13,6 +13,7 @@ from polishd.drivers.profiled import meaning
 from polishd.drivers.profiled.codec import Values
 from polishd.drivers.profiled.device import ProfiledDevice
 from polishd.drivers.profiled.wire import Wire
+from polishd.drivers.transport.pace import Pace
 
 PERIOD_S = 0.05
 """Of readings, at most so often."""
@@ -68,7 +69,7 @@ class ProfiledForceSensor(ProfiledDevice[Reading, SensorTimes]):
 
     async def samples(self) -> AsyncIterator[SensedForce]:
         """See ForceSensor. Where the sensor counts its conversions, one that was told before is none."""
-        due, last = time.monotonic(), -1.0
+        pace, last = Pace(PERIOD_S), -1.0
         self._link.exposed = True
         try:
             while True:
@@ -76,8 +77,7 @@ class ProfiledForceSensor(ProfiledDevice[Reading, SensorTimes]):
                 if reading.count is None or reading.count != last:
                     yield SensedForce(time.monotonic(), reading.force_n, reading.fault)
                 last = -1.0 if reading.count is None else reading.count
-                due = max(due + PERIOD_S, time.monotonic())
-                await asyncio.sleep(due - time.monotonic())
+                await pace.next()
         finally:
             self._link.exposed = False
 

@@ -20,6 +20,7 @@ from polishd.drivers.profiled import meaning
 from polishd.drivers.profiled.codec import Values
 from polishd.drivers.profiled.device import ProfiledDevice
 from polishd.drivers.profiled.wire import Wire
+from polishd.drivers.transport.pace import Pace
 
 BEAT_S = 0.1
 """Period of samples, which feed the drive's watchdog."""
@@ -90,12 +91,11 @@ class ProfiledSpindle(ProfiledDevice[Reading, SpindleTimes]):
 
     async def samples(self) -> AsyncIterator[SpeedSample]:
         """See Spindle."""
-        due = time.monotonic()
+        pace = Pace(BEAT_S)
         while True:
             reading = await self._link.ask(self._beat)
             yield SpeedSample(time.monotonic(), reading.rpm, self._asked_rpm, reading.fault)
-            due = max(due + BEAT_S, time.monotonic())
-            await asyncio.sleep(due - time.monotonic())
+            await pace.next()
 
     async def _reach(self, rpm: float, order: int) -> None:
         deadline = time.monotonic() + self._times.spin_s
