@@ -15,10 +15,14 @@ from polishd.drivers.profiled.wire import Wire
 from polishd.drivers.transport.address import SerialLine, Tcp, line_address
 
 
+def usual_line(profile: DeviceProfile) -> SerialLine:
+    """A serial line as the profile says, nowhere yet."""
+    return SerialLine(Path(), profile.serial.baud, profile.serial.parity, profile.serial.stop_bits)
+
+
 def address_of(profile: DeviceProfile, text: str, base_dir: Path) -> SerialLine | Tcp:
     """The address; what a serial one leaves out is as the profile says. ConfigError names it."""
-    usual = SerialLine(Path(), profile.serial.baud, profile.serial.parity, profile.serial.stop_bits)
-    return line_address(text, base_dir, f"a device on {profile.link}", usual)
+    return line_address(text, base_dir, f"a device on {profile.link}", usual_line(profile))
 
 
 def wire_of(
