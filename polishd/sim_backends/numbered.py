@@ -2,17 +2,36 @@
 
 from __future__ import annotations
 
+import asyncio
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Protocol
 
+from polishd.config.simulator import ForceSensor, Loader, Monitor
 from polishd.sim_backends.actuator.ascii import MAX_LINE, body, line
+from polishd.sim_backends.faults import Outlet
+from polishd.sim_backends.runtime import Runtime
+from polishd.sim_backends.wire import Feed, Wire
+
+OnLines = ForceSensor | Monitor | Loader
+Answer = Callable[[str], str]
+"""What is answered to a request."""
+
+
+class Machine(Protocol):
+    """What the line is asked about."""
+
+    def step(self, now_s: float) -> None:
+        """Bring it to the present."""
+        ...
 
 
 @dataclass(slots=True)
 class NumberedSlave:
     """Answers each intact line by one line."""
 
-    answer: Callable[[str], str]
+    answer: Answer
     _buffer: bytes = b""
 
     def feed(self, data: bytes) -> Iterable[bytes]:
@@ -24,3 +43,23 @@ class NumberedSlave:
             if number.isdigit() and int(number) <= 65535:
                 yield line(f"{number},{self.answer(request)}")
         self._buffer = self._buffer[-MAX_LINE:]
+
+
+async def serve(runtime: Runtime, config: OnLines, machine: Machine, answer: Answer, tick_s: float) -> None:
+    """Answer for the machine, for good; it is brought to the present before each answer, and every ``tick_s``."""
+
+    def receiver(outlet: Outlet) -> Feed:
+        slave = NumberedSlave(answer)
+
+        def feed(data: bytes) -> None:
+            machine.step(time.monotonic())
+            for reply in slave.feed(data):
+                outlet.send(reply)
+
+        return feed
+
+    wire = Wire(runtime, config.faults, receiver)
+    wire.ready(await wire.open_line(config))
+    while True:
+        machine.step(time.monotonic())
+        await asyncio.sleep(tick_s)

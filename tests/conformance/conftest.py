@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 import pytest
 
-from tests.conformance import rigs
+from tests.conformance.rigs.actuators import PATIENT
 
 PROMPT_S = 2.5
 """A dead link is known after so long: less than a second, and room for what else a machine does."""
-BOUND_S = 8 * rigs.PATIENT.silence_s
+BOUND_S = 8 * PATIENT.silence_s
 """No call to a dead device takes longer: four answers, each of which may still come as late again."""
 
 FULL = {"test_samples_feed_the_watchdog", "test_samples_keep_it_running"}

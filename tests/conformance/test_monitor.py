@@ -1,6 +1,6 @@
 """The Monitor port, over every driver and link."""
 
 from polishd.testing.suites.monitor import *
-from tests.conformance.rigs import MONITORS
+from tests.conformance.rigs.looking import MONITORS
 
 CASES = MONITORS

@@ -28,6 +28,8 @@ from polishd.drivers.profiled import make
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp, parse_address
+from polishd.testing.rig import Rig
+from polishd.testing.suites.actuator import ActuatorRig
 from polishd.testing.suites.device import (  # noqa: F401 -- the suite itself, with this module's any_device
     test_a_cancelled_call_harms_no_later_one,
     test_it_can_be_opened_again,
@@ -39,18 +41,13 @@ from polishd.testing.suites.device import (  # noqa: F401 -- the suite itself, w
     test_nothing_works_before_it_is_open,
     test_opening_changes_nothing,
 )
+from polishd.testing.suites.robot import RobotRig
+from polishd.testing.suites.spindle import SpindleRig
 from polishd.testing.waiting import until_lost
 from tests.conformance.conftest import BOUND_S, PROMPT_S, seen
-from tests.conformance.rigs import (
-    PATIENT,
-    PATIENT_MONITOR,
-    PATIENT_SENSOR,
-    PATIENT_SPINDLE,
-    ActuatorRig,
-    Rig,
-    RobotRig,
-    SpindleRig,
-)  # fmt: skip
+from tests.conformance.rigs.actuators import PATIENT
+from tests.conformance.rigs.looking import PATIENT_MONITOR, PATIENT_SENSOR
+from tests.conformance.rigs.spindles import PATIENT_SPINDLE
 from tests.fakes.devices_by_profile import file_of, shipped, voice_coil_modbus, voice_coil_serial
 from tests.kinds import kind
 from tests.patience import SOON_S, within

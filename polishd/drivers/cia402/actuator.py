@@ -21,6 +21,7 @@ from polishd.drivers.cia402.contact import Contact
 from polishd.drivers.cia402.dictionary import Dictionary
 from polishd.drivers.cia402.link import DriveLink
 from polishd.drivers.cia402.states import State
+from polishd.drivers.transport.pace import Pace
 
 SAMPLE_S = 0.05
 MODE_S = 0.5
@@ -186,7 +187,7 @@ class Cia402Actuator:
     async def samples(self) -> AsyncIterator[ForceSample]:
         """See ForceActuator."""
         link = self._axis.link
-        due_s = time.monotonic()
+        pace = Pace(SAMPLE_S)
         while True:
             reading = await self._read(link, cared=True)
             yield ForceSample(
@@ -198,8 +199,7 @@ class Cia402Actuator:
                 fault=reading.fault,
                 position_mm=reading.position_mm,
             )
-            due_s = max(due_s + SAMPLE_S, time.monotonic())
-            await asyncio.sleep(due_s - time.monotonic())
+            await pace.next()
 
     async def retract(self) -> None:
         """See ForceActuator. Overtakes what waits."""

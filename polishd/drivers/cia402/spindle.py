@@ -14,6 +14,7 @@ from polishd.drivers.cia402.axis import POLL_S, Axis, Place, describe
 from polishd.drivers.cia402.dictionary import Dictionary
 from polishd.drivers.cia402.link import DriveLink
 from polishd.drivers.cia402.states import State
+from polishd.drivers.transport.pace import Pace
 
 TOLERANCE = 0.02
 STILL_RPM = 1.0
@@ -144,12 +145,11 @@ class Cia402Spindle:
     async def samples(self) -> AsyncIterator[SpeedSample]:
         """See Spindle. Each was asked for after the one before it was taken."""
         link = self._axis.link
-        due_s = time.monotonic()
+        pace = Pace(SAMPLE_S)
         while True:
             reading = await self._read(link, cared=True)
             yield SpeedSample(time.monotonic(), reading.rpm, reading.setpoint_rpm, reading.fault)
-            due_s = max(due_s + SAMPLE_S, time.monotonic())
-            await asyncio.sleep(due_s - time.monotonic())
+            await pace.next()
 
     async def make_safe(self) -> None:
         """See Device. Quick stop, and sees that it stands; where the link is down it connects once for that."""

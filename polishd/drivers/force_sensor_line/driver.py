@@ -6,11 +6,12 @@ import asyncio
 import time
 from collections.abc import AsyncIterator
 
-from polishd.api import DeviceFault, DeviceStatus, ProtocolError, SensedForce, SensorTimes
+from polishd.api import DeviceFault, DeviceStatus, SensedForce, SensorTimes
 from polishd.drivers.force_sensor_line import codec
 from polishd.drivers.force_sensor_line.codec import Reading, State
 from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.drivers.transport.looking import LookingLine
+from polishd.drivers.transport.pace import Pace
 
 PERIOD_S = 0.02
 """Between two questions."""
@@ -36,9 +37,7 @@ class ForceSensorLine(LookingLine):
     async def tare(self) -> None:
         """See ForceSensor. DeviceFault where it has one, or takes too long."""
         deadline = time.monotonic() + self._times.tare_s
-        answer = await self.ask("TARE")
-        if answer != "OK":
-            raise ProtocolError(f"{self.name}: TARE was answered by {answer!r}")
+        await self._order("TARE")
         while (reading := await self._read()).state is not State.MEASURING:
             if reading.fault:
                 raise DeviceFault(f"{self.name}: cannot be tared, fault {reading.fault} ({reading.faults})")
@@ -48,14 +47,13 @@ class ForceSensorLine(LookingLine):
 
     async def samples(self) -> AsyncIterator[SensedForce]:
         """See ForceSensor. A conversion that was told before is none: a converter that stands gives silence."""
-        due, last = time.monotonic(), -1
+        pace, last = Pace(PERIOD_S), -1
         while True:
             reading = await self._read()
             if reading.count != last and reading.state is not State.TARING:
                 yield SensedForce(time.monotonic(), reading.force_n, reading.fault)
             last = reading.count
-            due = max(due + PERIOD_S, time.monotonic())
-            await asyncio.sleep(due - time.monotonic())
+            await pace.next()
 
     async def _read(self) -> Reading:
         return codec.force(await self.ask("F?"))

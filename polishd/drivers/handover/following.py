@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from collections.abc import Awaitable, Callable
 from typing import Literal
@@ -12,6 +11,7 @@ from polishd.config.controller_profile import ControllerProfile, Order, Value, V
 from polishd.drivers.handover.report import Report, report_of
 from polishd.drivers.handover.variables import Variables
 from polishd.drivers.transport.background import Background, Ready
+from polishd.drivers.transport.pace import Pace
 
 OPEN_S = 10.0
 """A library is loaded, certificates are looked at."""
@@ -141,7 +141,7 @@ class Following(Background):
         return len(self._reports) > 1 and all(report.stands for report in self._reports)
 
     async def _follow(self, ready: Ready) -> None:
-        due_s = time.monotonic()
+        pace = Pace(self._look_s)
         while True:
             report = report_of(self._profile.variables, await self.variables_now().read())
             self._take(report)
@@ -153,8 +153,7 @@ class Following(Background):
             for name, since_s in list(self._pulses.items()):
                 if time.monotonic() - since_s > self._profile.pulse_ms / 1e3:
                     await self._take_back(name)
-            due_s = max(due_s + self._look_s, time.monotonic())
-            await asyncio.sleep(due_s - time.monotonic())
+            await pace.next()
 
     def variables_now(self) -> Variables:
         """Of the loop itself, which is not to look at whether it runs."""

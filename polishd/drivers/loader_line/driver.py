@@ -3,37 +3,24 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import time
 
-from polishd.api import (
-    DeviceFault,
-    DeviceRefused,
-    DeviceStatus,
-    Identity,
-    LinkError,
-    LoaderTimes,
-    ProtocolError,
-    WrongPart,
-)
+from polishd.api import DeviceFault, DeviceRefused, DeviceStatus, LoaderTimes, WrongPart
 from polishd.drivers.loader_line import codec
 from polishd.drivers.loader_line.codec import Reading, State
 from polishd.drivers.transport.address import SerialLine, Tcp
-from polishd.drivers.transport.numbered import NumberedLines, identity
+from polishd.drivers.transport.line_device import ANSWERS_S, LineDevice
 
 LOOK_S = 0.2
 """Between two looks at a loader that moves; they feed its watchdog, too."""
-ANSWERS_S = 2.0
-"""Beyond the stop itself: a link that is lost over it is opened again once."""
 
 
-class LoaderLine:
-    """A part loader. A link that is lost stays so until ``open``; only ``make_safe`` tries to reach it again."""
+class LoaderLine(LineDevice):
+    """A part loader. One that moves and hears nothing more stops by itself."""
 
     def __init__(self, address: SerialLine | Tcp, times: LoaderTimes | None = None) -> None:
         self._times = times or LoaderTimes()
-        self._lines = NumberedLines(address, self._times.silence_s)
-        self._turn = asyncio.Lock()
+        super().__init__(address, self._times.silence_s)
         self._stops = 0
 
     @property
@@ -41,26 +28,13 @@ class LoaderLine:
         """See Loader."""
         return self._times
 
-    async def open(self) -> None:
-        """See Device."""
-        await self._lines.connect()
-        try:
-            await self._read()
-        except BaseException:
-            await self.close()
-            raise
-
-    async def close(self) -> None:
-        """See Device. A loader that moves and hears nothing more stops by itself."""
-        await self._lines.disconnect()
-
-    async def identify(self) -> Identity:
-        """See Device."""
-        return identity(await self._ask("ID?"))
+    async def _look(self) -> Reading:
+        """What it says of itself."""
+        return codec.status(await self.ask("ST?"))
 
     async def status(self) -> DeviceStatus:
         """See Device. Safe means that it stands."""
-        reading = await self._read()
+        reading = await self._look()
         return DeviceStatus(
             ready=reading.state is not State.FAULT,
             safe=reading.state is not State.MOVING,
@@ -71,23 +45,11 @@ class LoaderLine:
     async def make_safe(self) -> None:
         """See Device. Stops it, and reads back that it stands; a link lost over it is opened again once."""
         self._stops += 1
-        opened = self._lines.connected
-        try:
-            async with asyncio.timeout(self._times.stop_s + ANSWERS_S):
-                if opened:
-                    with contextlib.suppress(LinkError, ProtocolError):
-                        return await self._stop()
-                await self._lines.connect()
-                return await self._stop()
-        except TimeoutError:
-            raise LinkError(f"{self._lines.name}: could not confirm that the loader stands") from None
-        finally:
-            if not opened:
-                await self.close()
+        await self._rest(self._stop, self._times.stop_s + ANSWERS_S, "could not confirm that the loader stands")
 
     async def loaded(self) -> str | None:
         """See Loader."""
-        return (await self._read()).seat
+        return (await self._look()).seat
 
     async def unload(self) -> None:
         """See Loader."""
@@ -100,40 +62,28 @@ class LoaderLine:
         except DeviceRefused as refusal:
             if "refused: part" not in str(refusal):
                 raise
-            raise WrongPart(f"{self._lines.name}: the loader has no part {part_id!r}; put it in") from refusal
+            raise WrongPart(f"{self.name}: the loader has no part {part_id!r}; put it in") from refusal
 
     async def _change(self, request: str) -> None:
         stops, deadline, over = self._stops, time.monotonic() + self._times.change_s, f"over {request}"
-        self._require_sound(await self._read(), over)
+        self._require_sound(await self._look(), over)
         await self._order(request)
-        while (reading := await self._read()).state is not State.IDLE:
+        while (reading := await self._look()).state is not State.IDLE:
             self._require_sound(reading, over)
             if reading.state is State.STOPPED or self._stops != stops:
-                raise DeviceRefused(f"{self._lines.name}: was stopped {over}")
+                raise DeviceRefused(f"{self.name}: was stopped {over}")
             if time.monotonic() > deadline:
-                raise DeviceFault(f"{self._lines.name}: not done after {self._times.change_s:g} s {over}; look at it")
+                raise DeviceFault(f"{self.name}: not done after {self._times.change_s:g} s {over}; look at it")
             await asyncio.sleep(LOOK_S)
 
     def _require_sound(self, reading: Reading, over: str) -> None:
         if reading.state is State.FAULT:
-            what = f"{self._lines.name}: fault {reading.fault} ({reading.faults}) {over}"
+            what = f"{self.name}: fault {reading.fault} ({reading.faults}) {over}"
             raise DeviceFault(f"{what}; look what it holds, clear it, and reset it at the loader")
 
     async def _stop(self) -> None:
         await self._order("STOP")
         while True:
-            if (await self._read()).state is not State.MOVING:
+            if (await self._look()).state is not State.MOVING:
                 return
             await asyncio.sleep(LOOK_S)
-
-    async def _order(self, request: str) -> None:
-        answer = await self._ask(request)
-        if answer != "OK":
-            raise ProtocolError(f"{self._lines.name}: {request} was answered by {answer!r}")
-
-    async def _read(self) -> Reading:
-        return codec.status(await self._ask("ST?"))
-
-    async def _ask(self, request: str) -> str:
-        async with self._turn:
-            return await self._lines.ask(request)

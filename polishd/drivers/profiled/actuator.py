@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import time
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
@@ -14,21 +13,17 @@ from polishd.api import (
     DeviceRefused,
     DeviceStatus,
     ForceSample,
-    Identity,
-    LinkError,
-    ProtocolError,
 )
 from polishd.config.device_profile import DeviceProfile
 from polishd.config.device_tables import ActuatorTable
 from polishd.drivers.profiled import meaning
 from polishd.drivers.profiled.codec import Values
-from polishd.drivers.profiled.exchange import Exchange
+from polishd.drivers.profiled.device import ProfiledDevice
 from polishd.drivers.profiled.wire import Wire
+from polishd.drivers.transport.pace import Pace
 
 BEAT_S = 0.05
 """Period of samples and heartbeats."""
-ANSWERS_S = 2.0
-"""Beyond the lift itself: a link that is lost over it is opened again once."""
 AT_REST = "the tool is off its rest: only retracting opens the link again"
 
 
@@ -58,36 +53,17 @@ def reading_of(profile: DeviceProfile, values: Values, asked_n: float = 0.0) -> 
     )
 
 
-class ProfiledActuator:
+class ProfiledActuator(ProfiledDevice[Reading, ActuatorTimes]):
     """A ForceActuator over a wire."""
 
     def __init__(self, wire: Wire, times: ActuatorTimes) -> None:
         table = wire.profile.actuator
         if table is None:
             raise ValueError(f"profile {wire.profile.name!r} is of no actuator")
+        super().__init__(wire, times, times.watchdog_s, AT_REST)
         self._table: ActuatorTable = table
-        self._wire = wire
-        self._times = times
-        self._link = Exchange(wire, times.watchdog_s, AT_REST)
         self._asked_n = 0.0
         self._retracts = 0
-
-    @property
-    def times(self) -> ActuatorTimes:
-        """See ForceActuator."""
-        return self._times
-
-    async def open(self) -> None:
-        """See Device. Also writes the watchdog time."""
-        await self._link.open(self._read)
-
-    async def close(self) -> None:
-        """See Device."""
-        await self._link.close()
-
-    async def identify(self) -> Identity:
-        """See Device."""
-        return await self._link.identify()
 
     async def status(self) -> DeviceStatus:
         """See Device. Safe means retracted."""
@@ -113,7 +89,7 @@ class ProfiledActuator:
 
     async def samples(self) -> AsyncIterator[ForceSample]:
         """See ForceActuator."""
-        due = time.monotonic()
+        pace = Pace(BEAT_S)
         while True:
             reading = await self._link.ask(self._beat)
             yield ForceSample(
@@ -125,8 +101,7 @@ class ProfiledActuator:
                 fault=reading.fault,
                 position_mm=reading.position_mm,
             )
-            due = max(due + BEAT_S, time.monotonic())
-            await asyncio.sleep(due - time.monotonic())
+            await pace.next()
 
     async def retract(self) -> None:
         """See ForceActuator. Overtakes requests that wait; leaves the set point at 0."""
@@ -139,25 +114,12 @@ class ProfiledActuator:
             if time.monotonic() > deadline:
                 raise DeviceFault(f"{self._wire.name}: not retracted after {self._times.lifted_s:g} s")
             await asyncio.sleep(BEAT_S)
-        if self._clearable(reading.fault):
-            await self._link.ask(lambda: self._wire.order("clear"), urgent=True)
+        await self._clear(reading.fault)
         await self._link.ask(lambda: self._wire.order("rest"), urgent=True)
 
     async def make_safe(self) -> None:
         """See Device. Retracts, and reads back that it is so; a link lost over it is opened again once."""
-        opened = self._link.running
-        if not opened:
-            await self._link.start()
-        try:
-            async with asyncio.timeout(self._times.lifted_s + ANSWERS_S):
-                with contextlib.suppress(LinkError, ProtocolError):
-                    return await self.retract()
-                return await self.retract()
-        except TimeoutError:
-            raise LinkError(f"{self._wire.name}: could not confirm that the tool is retracted") from None
-        finally:
-            if not opened:
-                await self.close()
+        await self._rest(self.retract, self._times.lifted_s, "the tool is retracted")
 
     def _require_sound(self, reading: Reading) -> None:
         if reading.fault or reading.state == "fault":
@@ -188,20 +150,7 @@ class ProfiledActuator:
         await self._wire.order("retract")
         self._asked_n = 0.0
 
-    async def _read(self) -> Reading:
-        profile = self._wire.profile
-        values = await self._wire.read(profile.polled)
-        try:
-            reading = reading_of(profile, values, self._asked_n)
-        except ProtocolError as error:
-            raise ProtocolError(f"{self._wire.name}: {error}") from None
+    def _reading(self, values: Values) -> Reading:
+        reading = reading_of(self._wire.profile, values, self._asked_n)
         self._link.exposed = reading.state != "retracted"
         return reading
-
-    async def _beat(self) -> Reading:
-        await self._wire.order("beat")
-        return await self._read()
-
-    def _clearable(self, fault: int) -> bool:
-        faults = self._wire.profile.faults
-        return bool(faults and fault and fault in faults.clears)

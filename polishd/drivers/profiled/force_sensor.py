@@ -7,11 +7,13 @@ import time
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 
-from polishd.api import DeviceFault, DeviceStatus, Identity, ProtocolError, SensedForce, SensorTimes
+from polishd.api import DeviceFault, DeviceStatus, SensedForce, SensorTimes
 from polishd.config.device_tables import ForceSensorTable
 from polishd.drivers.profiled import meaning
-from polishd.drivers.profiled.exchange import Exchange
+from polishd.drivers.profiled.codec import Values
+from polishd.drivers.profiled.device import ProfiledDevice
 from polishd.drivers.profiled.wire import Wire
+from polishd.drivers.transport.pace import Pace
 
 PERIOD_S = 0.05
 """Of readings, at most so often."""
@@ -29,34 +31,15 @@ class Reading:
     """Of conversions; None where it has no such counter."""
 
 
-class ProfiledForceSensor:
+class ProfiledForceSensor(ProfiledDevice[Reading, SensorTimes]):
     """A ForceSensor over a wire. A link that is lost while samples are taken stays so until that has ended."""
 
     def __init__(self, wire: Wire, times: SensorTimes) -> None:
         table = wire.profile.force_sensor
         if table is None:
             raise ValueError(f"profile {wire.profile.name!r} is of no force sensor")
+        super().__init__(wire, times, None, "forces were being taken: what is missing is not made up for")
         self._table: ForceSensorTable = table
-        self._wire = wire
-        self._times = times
-        self._link = Exchange(wire, None, "forces were being taken: what is missing is not made up for")
-
-    @property
-    def times(self) -> SensorTimes:
-        """See ForceSensor."""
-        return self._times
-
-    async def open(self) -> None:
-        """See Device."""
-        await self._link.open(self._read)
-
-    async def close(self) -> None:
-        """See Device."""
-        await self._link.close()
-
-    async def identify(self) -> Identity:
-        """See Device."""
-        return await self._link.identify()
 
     async def status(self) -> DeviceStatus:
         """See Device. It is always safe."""
@@ -86,7 +69,7 @@ class ProfiledForceSensor:
 
     async def samples(self) -> AsyncIterator[SensedForce]:
         """See ForceSensor. Where the sensor counts its conversions, one that was told before is none."""
-        due, last = time.monotonic(), -1.0
+        pace, last = Pace(PERIOD_S), -1.0
         self._link.exposed = True
         try:
             while True:
@@ -94,19 +77,14 @@ class ProfiledForceSensor:
                 if reading.count is None or reading.count != last:
                     yield SensedForce(time.monotonic(), reading.force_n, reading.fault)
                 last = -1.0 if reading.count is None else reading.count
-                due = max(due + PERIOD_S, time.monotonic())
-                await asyncio.sleep(due - time.monotonic())
+                await pace.next()
         finally:
             self._link.exposed = False
 
-    async def _read(self) -> Reading:
+    def _reading(self, values: Values) -> Reading:
         profile = self._wire.profile
-        values = await self._wire.read(profile.polled)
-        try:
-            fault = meaning.fault_of(profile, values)
-            broken = any(rule.holds(values[rule.when]) for rule in profile.states)  # it has no state but that one
-            count = meaning.number(values, "count", -1.0) if "count" in values else None
-            force_n = meaning.number(values, "force", 0.0)
-        except ProtocolError as error:
-            raise ProtocolError(f"{self._wire.name}: {error}") from None
+        fault = meaning.fault_of(profile, values)
+        broken = any(rule.holds(values[rule.when]) for rule in profile.states)  # it has no state but that one
+        count = meaning.number(values, "count", -1.0) if "count" in values else None
+        force_n = meaning.number(values, "force", 0.0)
         return Reading(force_n, fault or int(broken), meaning.fault_words(profile, fault), count)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from polishd.api import ActuatorTimes, ConfigError, SensorTimes, SpindleTimes
+from polishd.api import ActuatorTimes, SensorTimes, SpindleTimes
 from polishd.config.device_profile import DeviceProfile
 from polishd.drivers.profiled.actuator import ProfiledActuator
 from polishd.drivers.profiled.force_sensor import ProfiledForceSensor
@@ -12,16 +12,17 @@ from polishd.drivers.profiled.lines import LineWire
 from polishd.drivers.profiled.modbus import ModbusWire
 from polishd.drivers.profiled.spindle import ProfiledSpindle
 from polishd.drivers.profiled.wire import Wire
-from polishd.drivers.transport.address import SerialLine, Tcp, parse_address
+from polishd.drivers.transport.address import SerialLine, Tcp, line_address
+
+
+def usual_line(profile: DeviceProfile) -> SerialLine:
+    """A serial line as the profile says, nowhere yet."""
+    return SerialLine(Path(), profile.serial.baud, profile.serial.parity, profile.serial.stop_bits)
 
 
 def address_of(profile: DeviceProfile, text: str, base_dir: Path) -> SerialLine | Tcp:
     """The address; what a serial one leaves out is as the profile says. ConfigError names it."""
-    usual = SerialLine(Path(), profile.serial.baud, profile.serial.parity, profile.serial.stop_bits)
-    address = parse_address(text, base_dir, usual)
-    if isinstance(address, Tcp | SerialLine):
-        return address
-    raise ConfigError(f"address {text!r}: a device on {profile.link} is reached over serial: or tcp://")
+    return line_address(text, base_dir, f"a device on {profile.link}", usual_line(profile))
 
 
 def wire_of(

@@ -15,8 +15,8 @@ from pymodbus.pdu import register_message as word
 
 from polishd.api import DeviceRefused, LinkError, ProtocolError
 from polishd.config.device_tables import Table
+from polishd.drivers.profiled.unnumbered import UnnumberedLink
 from polishd.drivers.transport.address import SerialLine, Tcp, silent
-from polishd.drivers.transport.streams import SerialStream, TcpStream, open_stream
 
 READS: dict[Table, tuple[type[ModbusPDU], type[ModbusPDU]]] = {
     "coil": (bit.ReadCoilsRequest, bit.ReadCoilsResponse),
@@ -36,50 +36,25 @@ LOOKS, NOT_THERE = (1, 2, 3, 4), (1, 2)
 BITS = ("coil", "discrete")
 GATEWAY = (10, 11)
 """Exception codes of a gateway whose device does not answer."""
-OPEN_S = 1.0
 
 
-class ModbusLink:
-    """One request at a time; the caller sees to that.
-
-    On RTU an answer bears no number: one that comes after its time would be taken for the next request's. So after
-    silence or nonsense the line is closed, and opened again (which drops what came) only when no answer can be due.
-    """
+class ModbusLink(UnnumberedLink):
+    """Modbus RTU, whose answers bear no number, or Modbus TCP, whose line is treated as strictly."""
 
     def __init__(
         self, address: Tcp | SerialLine, unit: int, silence_s: float, pause_s: float, refusals: dict[int, str]
     ) -> None:
-        """An answer comes within ``silence_s``; on a serial line one may still come as long after that."""
+        """See UnnumberedLink. ``pause_s`` of silence before a request; ``refusals``: its exception codes."""
+        super().__init__(address, silence_s)
         self.name = f"{address} unit {unit}"
-        self._address = address
         self._unit = unit
-        self._silence_s = silence_s
         self._refusals = REFUSALS | refusals
         serial = isinstance(address, SerialLine)
         self._framer = (FramerRTU if serial else FramerSocket)(DecodePDU(False))
         # the standard's three and a half bytes, and its least of them for fast lines
         self._pause_s = pause_s + (max(3.5 * address.byte_s, 0.00175) if isinstance(address, SerialLine) else 0.0)
-        self._stream: TcpStream | SerialStream | None = None
         self._number = 0
-        self._due_until = self._heard = 0.0
-
-    @property
-    def connected(self) -> bool:
-        """False before ``connect``, and as soon as answers can no longer be trusted."""
-        return self._stream is not None and self._stream.alive
-
-    async def connect(self) -> None:
-        """Open the wire; waits until a late answer to an earlier request can no longer come."""
-        await self.disconnect()
-        if isinstance(self._address, SerialLine):
-            await asyncio.sleep(max(self._due_until - time.monotonic(), 0.0))
-        self._stream = await open_stream(self._address, OPEN_S)
-
-    async def disconnect(self) -> None:
-        """Idempotent."""
-        stream, self._stream = self._stream, None
-        if stream is not None:
-            await stream.close()
+        self._heard = 0.0
 
     async def read(self, table: Table, address: int, count: int) -> list[int]:
         """Words, or bits as 0 and 1."""
@@ -110,7 +85,7 @@ class ModbusLink:
                 raise ValueError(f"function {body[0]}")
             response.decode(body[1:])
         except (ModbusException, ValueError, IndexError, struct.error):
-            await self._distrust()
+            await self.distrust()
             said = f"function {request.function_code} was answered by {body.hex(' ')}"
             raise ProtocolError(f"{self.name}: {said}, which is no answer to it") from None
         return response
@@ -171,14 +146,9 @@ class ModbusLink:
         return DeviceRefused(f"{why}; is it another device?" if function in LOOKS and code in NOT_THERE else why)
 
     async def _nonsense(self, what: str, answer: ModbusPDU) -> ProtocolError:
-        await self._distrust()
+        await self.distrust()
         said = answer.registers or answer.bits or f"{answer.count} at {answer.address}"
         return ProtocolError(f"{self.name}: the {what} was answered by {said}")
-
-    async def _distrust(self) -> None:
-        """What else comes is not to be taken for an answer."""
-        self._due_until = time.monotonic() + 2 * self._silence_s
-        await self.disconnect()
 
 
 def read_frame(unit: int, table: Table, address: int, count: int) -> bytes:

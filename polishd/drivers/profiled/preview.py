@@ -11,6 +11,7 @@ from polishd.config.device_steps import write_of
 from polishd.config.device_tables import ModbusTable, Quantity, Value
 from polishd.drivers.profiled import codec, meaning
 from polishd.drivers.profiled.codec import Values
+from polishd.drivers.profiled.make import usual_line
 from polishd.drivers.profiled.modbus_link import read_frame, write_frame
 
 EXAMPLES = {"force": (12.0, "12 N"), "speed": (1000.0, "1000 rpm"), "time": (1000.0, "1 s")}
@@ -28,8 +29,7 @@ def polls(profile: DeviceProfile) -> list[str]:
 
 def poll_s(profile: DeviceProfile) -> float:
     """Seconds that one look takes on its serial line, requests and answers, without the device's own time."""
-    line = profile.serial
-    byte_s = (9 + (line.parity != "none") + line.stop_bits) / line.baud
+    byte_s = usual_line(profile).byte_s
     if profile.modbus is None:
         return byte_s * sum(len(ask) + 2 + 40 for ask in polls(profile))
     found = codec.blocks(profile.registers, profile.polled, profile.modbus.most)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 import time
 from collections.abc import AsyncIterator
@@ -13,21 +12,18 @@ from polishd.api import (
     DeviceFault,
     DeviceRefused,
     DeviceStatus,
-    Identity,
-    LinkError,
-    ProtocolError,
     SpeedSample,
     SpindleTimes,
 )
 from polishd.config.device_tables import SpindleTable
 from polishd.drivers.profiled import meaning
-from polishd.drivers.profiled.exchange import Exchange
+from polishd.drivers.profiled.codec import Values
+from polishd.drivers.profiled.device import ProfiledDevice
 from polishd.drivers.profiled.wire import Wire
+from polishd.drivers.transport.pace import Pace
 
 BEAT_S = 0.1
 """Period of samples, which feed the drive's watchdog."""
-ANSWERS_S = 2.0
-"""Beyond the stop itself: a link that is lost over it is opened again once."""
 TOLERANCE = 0.02
 STANDS_RPM = 1.0
 AT_REST = "the spindle may turn: only stopping opens the link again"
@@ -53,36 +49,17 @@ class Reading:
         return self.state == "running" and abs(self.rpm - rpm) <= TOLERANCE * abs(rpm)
 
 
-class ProfiledSpindle:
+class ProfiledSpindle(ProfiledDevice[Reading, SpindleTimes]):
     """A Spindle over a wire. Its drive is fed only while somebody iterates ``samples`` or waits in ``set_speed``."""
 
     def __init__(self, wire: Wire, times: SpindleTimes) -> None:
         table = wire.profile.spindle
         if table is None:
             raise ValueError(f"profile {wire.profile.name!r} is of no spindle")
+        super().__init__(wire, times, times.watchdog_s, AT_REST)
         self._table: SpindleTable = table
-        self._wire = wire
-        self._times = times
-        self._link = Exchange(wire, times.watchdog_s, AT_REST)
         self._asked_rpm = 0.0
         self._orders = 0
-
-    @property
-    def times(self) -> SpindleTimes:
-        """See Spindle."""
-        return self._times
-
-    async def open(self) -> None:
-        """See Device. Also writes the watchdog time, where the profile has that."""
-        await self._link.open(self._read)
-
-    async def close(self) -> None:
-        """See Device."""
-        await self._link.close()
-
-    async def identify(self) -> Identity:
-        """See Device."""
-        return await self._link.identify()
 
     async def status(self) -> DeviceStatus:
         """See Device. Safe means stopped."""
@@ -93,19 +70,7 @@ class ProfiledSpindle:
 
     async def make_safe(self) -> None:
         """See Device. Stops, and sees that it stands; a link lost over it is opened again once."""
-        opened = self._link.running
-        if not opened:
-            await self._link.start()
-        try:
-            async with asyncio.timeout(self._times.spin_s + ANSWERS_S):
-                with contextlib.suppress(LinkError, ProtocolError):
-                    return await self._stop()
-                return await self._stop()
-        except TimeoutError:
-            raise LinkError(f"{self._wire.name}: could not confirm that the spindle stands") from None
-        finally:
-            if not opened:
-                await self.close()
+        await self._rest(self._stop, self._times.spin_s, "the spindle stands")
 
     async def set_speed(self, rpm: float) -> None:
         """See Spindle. DeviceRefused outside the drive's range, and backwards where it only turns forward."""
@@ -126,12 +91,11 @@ class ProfiledSpindle:
 
     async def samples(self) -> AsyncIterator[SpeedSample]:
         """See Spindle."""
-        due = time.monotonic()
+        pace = Pace(BEAT_S)
         while True:
             reading = await self._link.ask(self._beat)
             yield SpeedSample(time.monotonic(), reading.rpm, self._asked_rpm, reading.fault)
-            due = max(due + BEAT_S, time.monotonic())
-            await asyncio.sleep(due - time.monotonic())
+            await pace.next()
 
     async def _reach(self, rpm: float, order: int) -> None:
         deadline = time.monotonic() + self._times.spin_s
@@ -157,9 +121,7 @@ class ProfiledSpindle:
                 said = f"still at {reading.rpm:g} rpm {self._times.spin_s:.1f} s after the stop command"
                 raise DeviceFault(f"{self._wire.name}: {said}")
             await asyncio.sleep(BEAT_S)
-        faults = self._wire.profile.faults
-        if faults and reading.fault and reading.fault in faults.clears:
-            await self._link.ask(lambda: self._wire.order("clear"), urgent=True)
+        await self._clear(reading.fault)
 
     async def _turn(self, rpm: float) -> None:
         self._link.exposed = True
@@ -170,18 +132,10 @@ class ProfiledSpindle:
         await self._wire.order("stop")
         self._asked_rpm = 0.0
 
-    async def _read(self) -> Reading:
+    def _reading(self, values: Values) -> Reading:
         profile = self._wire.profile
-        values = await self._wire.read(profile.polled)
-        try:
-            fault = meaning.fault_of(profile, values)
-            state, rpm = meaning.state_of(profile, values), meaning.number(values, "speed", 0.0)
-        except ProtocolError as error:
-            raise ProtocolError(f"{self._wire.name}: {error}") from None
+        fault = meaning.fault_of(profile, values)
+        state, rpm = meaning.state_of(profile, values), meaning.number(values, "speed", 0.0)
         reading = Reading(state, rpm, fault, meaning.fault_words(profile, fault))
         self._link.exposed = not reading.stands
         return reading
-
-    async def _beat(self) -> Reading:
-        await self._wire.order("beat")
-        return await self._read()

@@ -9,7 +9,6 @@ from collections.abc import AsyncIterator, Callable, Sequence
 
 from polishd.api import (
     DeviceFault,
-    DeviceRefused,
     DeviceStatus,
     Executed,
     Identity,
@@ -25,6 +24,7 @@ from polishd.drivers.robot_link.frames import Kind
 from polishd.drivers.robot_link.messages import LONGEST_LINE
 from polishd.drivers.robot_link.session import ExecutionRecord
 from polishd.drivers.transport.address import Tcp
+from polishd.drivers.transport.blocks import new_blocks
 
 HOLD_ANSWER_S = 1.0
 
@@ -117,17 +117,9 @@ class RobotLink:
         """See Robot. What the robot holds already is left out."""
         async with self._sending:
             connection = self._open_connection()
-            accepted = connection.session.credit.accepted
-            if any(segment.seq != segments[0].seq + at for at, segment in enumerate(segments)):
-                raise DeviceRefused(f"{self._address}: blocks are not numbered one by one")
-            new = [segment for segment in segments if segment.seq >= accepted]
+            new = new_blocks(segments, connection.session.credit.accepted, LONGEST_LINE, str(self._address))
             if not new:
                 return
-            if new[0].seq > accepted:
-                raise DeviceRefused(f"{self._address}: the robot expects block {accepted}, not {new[0].seq}")
-            for segment in new:
-                if len(segment.text) > LONGEST_LINE or b"\n" in segment.text:
-                    raise DeviceRefused(f"{self._address}: block {segment.seq} is no single line below 64 KiB")
             await connection.deliver(new)
 
     async def progress(self) -> RobotProgress:

@@ -95,6 +95,30 @@ def parse_address(text: str, base_dir: Path, usual: SerialLine | None = None) ->
         raise ConfigError(f"address {text!r}: {error}") from error
 
 
+def line_address(text: str, base_dir: Path, who: str, usual: SerialLine | None = None) -> SerialLine | Tcp:
+    """The address of what speaks on a stream of bytes; ConfigError where it is none for ``who``."""
+    address = parse_address(text, base_dir, usual)
+    if isinstance(address, SerialLine | Tcp):
+        return address
+    raise ConfigError(f"address {text!r}: {who} is reached over serial: or tcp://")
+
+
+def tcp_address(text: str, base_dir: Path, who: str) -> Tcp:
+    """The address of a TCP peer; ConfigError where it is none for ``who``."""
+    address = parse_address(text, base_dir)
+    if isinstance(address, Tcp):
+        return address
+    raise ConfigError(f"address {text!r}: {who} runs over tcp:// only")
+
+
+def can_address(text: str, base_dir: Path, who: str) -> Slcan | Socketcand:
+    """The address of a CAN bus; ConfigError where it is none for ``who``."""
+    address = parse_address(text, base_dir)
+    if isinstance(address, Slcan | Socketcand):
+        return address
+    raise ConfigError(f"address {text!r}: {who} runs over slcan: or socketcand:// only")
+
+
 def _parse(url: SplitResult, base_dir: Path, usual: SerialLine) -> Address:
     options = _options(url)
     match url.scheme:

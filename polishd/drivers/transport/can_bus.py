@@ -122,8 +122,6 @@ class CanBus:
     def __init__(self, name: str, bus: can.BusABC) -> None:
         self._name = name
         self._bus = bus
-        self.garbled = 0
-        """Times that nonsense came from the adapter and was dropped."""
         self._empty = 0
 
     def send(self, frame: CanFrame) -> None:
@@ -190,14 +188,12 @@ class CanBus:
         try:
             message = self._bus.recv(within_s)
         except (ValueError, IndexError):
-            self.garbled += 1  # slcan: a line that is no frame
-            return None
+            return None  # slcan: a line that is no frame
         except (can.CanError, OSError) as error:
             if self._was_nothing(error):
                 return None
             if not (isinstance(self._bus, slcanBus) and isinstance(error.__cause__, UnicodeDecodeError)):
                 raise LinkError(f"{self._name}: {error} ({error.__cause__})") from error
-            self.garbled += 1
             self._flush(self._bus)
             return None
         if message is not None and message.is_error_frame and message.arbitration_id & BUS_OFF:

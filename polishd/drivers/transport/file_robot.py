@@ -2,50 +2,30 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import AsyncIterator, Callable, Sequence
-from typing import Generic, TypeVar
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
-from polishd.api import DeviceFault, DeviceRefused, Executed, Plan, RobotProgress, RobotTimes, Segment
-from polishd.drivers.transport.background import Background
+from polishd.api import DeviceRefused, Plan, RobotTimes, Segment
 from polishd.drivers.transport.file_watch import FileWatch
-
-BLOCK_S = 0.01
-"""What a block costs beyond its dwell, about."""
+from polishd.drivers.transport.program_robot import ProgramRobot
 
 W = TypeVar("W", bound=FileWatch)
 Goes = Callable[[float], bool]
 """Asked right before the order to run, with the controller's time: whether it is still wanted."""
 
 
-class FileRobot(ABC, Generic[W]):
+class FileRobot(ProgramRobot[W]):
     """The Robot port but for what differs between controllers: see the abstract methods.
 
     It stops only where the file has a pause: at the plan's own stops, and the first ``until``. A stop that nobody asked
     for is passed.
     """
 
-    longest_line = 252
-    """Bytes."""
-
     def __init__(self, name: str, times: RobotTimes) -> None:
-        self._name = name
-        """For messages."""
-        self._times = times
-        self._plan: Plan | None = None
-        self._lines: list[bytes] = []
-        self._watch: W | None = None
-        self._target: int | None = None
-        """Blocks below it are to be run; None for all."""
-        self._pending = False
-        """Told to run before the program was complete."""
+        super().__init__(name, times)
         self._stays = 0
         """How often it was told to stay: a start from before counts no more."""
-
-    @property
-    @abstractmethod
-    def _background(self) -> Background:
-        """What looks at the controller all the time, and fires at each look."""
 
     @abstractmethod
     def _moves(self) -> bool:
@@ -67,70 +47,21 @@ class FileRobot(ABC, Generic[W]):
     async def _run(self, watch: W, goes: Goes) -> None:
         """Order it to run, from the beginning or on from where it stands."""
 
-    @property
-    def times(self) -> RobotTimes:
-        """See Robot."""
-        return self._times
-
-    @property
-    def buffer_s(self) -> float:
-        """See Robot. All that is left, once the controller has the file. 0 before, and while the link is down."""
-        watch, plan = self._watch, self._plan
-        if watch is None or plan is None or len(self._lines) < watch.blocks or not self._background.alive:
-            return 0.0
-        left_s = float(plan.expected_time_s[plan.program.block >= len(watch)].sum())
-        return left_s + BLOCK_S * (watch.blocks - len(watch))
-
     async def prepare(self, plan: Plan) -> None:
         """See Robot. DeviceRefused while the controller runs a program, or is not ready to."""
         self._background.check()
         if self._running():
             raise DeviceRefused(f"{self._name}: a program is running; hold it first")
         await self._empty()
-        self._plan, self._lines, self._target, self._pending = plan, [], None, False
-        self._watch = self._watched(plan, len(plan.segments) or len(plan.program.blocks))
+        self._announce(plan, self._watched)
 
     async def send(self, segments: Sequence[Segment]) -> None:
         """See Robot. With the last block the controller gets the file. DeviceRefused where it cannot read it."""
         plan, watch = self._loaded()
-        if any(segment.seq != segments[0].seq + at for at, segment in enumerate(segments)):
-            raise DeviceRefused(f"{self._name}: blocks are not numbered one by one")
-        new = [segment for segment in segments if segment.seq >= len(self._lines)]
-        if not new:
-            return
-        if new[0].seq > len(self._lines):
-            raise DeviceRefused(f"{self._name}: the robot expects block {len(self._lines)}, not {new[0].seq}")
-        for segment in new:
-            if b"\n" in segment.text or len(segment.text) > self.longest_line:
-                raise DeviceRefused(f"{self._name}: block {segment.seq} is no single line of {self.longest_line} bytes")
-        self._lines += [segment.text for segment in new]
-        if len(self._lines) >= watch.blocks:
+        if self._collect(segments):
             await self._load(plan, watch)
             if self._pending:
                 await self._start(plan, watch)
-
-    async def progress(self) -> RobotProgress:
-        """See Robot."""
-        self._background.check()
-        if self._watch is None:
-            return RobotProgress("running" if self._running() else "idle", "", 0, 0, 0.0)
-        return self._watch.progress(len(self._lines), self.buffer_s)
-
-    async def executed(self, from_seq: int = 0) -> AsyncIterator[Executed]:
-        """See Robot. DeviceFault when the controller stops by itself, or ends the program before its end."""
-        self._background.check()
-        watch, seq = self._watch, from_seq
-        while watch is not None:
-            while seq < len(watch):
-                yield watch[seq]
-                seq += 1
-            if watch is self._watch and watch.stopped:
-                raise DeviceFault(f"{self._name}: {watch.stopped}")  # at once: a tool that stands digs
-            if watch is not self._watch or watch.ended:
-                if watch.state == "fault":
-                    raise DeviceFault(f"{self._name}: {watch.detail}")
-                return
-            await self._background.until(_news(watch))
 
     async def resume(self, until: int | None = None) -> None:
         """See Robot."""
@@ -143,11 +74,7 @@ class FileRobot(ABC, Generic[W]):
         if watch.started and watch.file is not None and until not in (None, *watch.file.stops, watch.blocks):
             stops = ", ".join(map(str, watch.file.stops))
             raise DeviceRefused(f"{self._name}: can stop at {stops}, not at block {until}: prepare it anew")
-        self._target = until
-        if len(self._lines) < watch.blocks:
-            self._pending = True
-            watch.state, watch.detail = "running", "waits for the rest of the program"
-        elif watch.state != "running":
+        if not self._waits(until) and watch.state != "running":
             await self._start(plan, watch)
 
     async def lift(self, distance_mm: float) -> None:
@@ -187,25 +114,5 @@ class FileRobot(ABC, Generic[W]):
         return self._moves() or (self._watch is not None and self._watch.state == "running")
 
     def _stay(self) -> None:
-        """Nothing is asked of it any more."""
-        if self._pending and self._watch is not None:
-            self._watch.state, self._watch.detail = "held", ""
-        self._pending, self._target = False, 0
+        super()._stay()
         self._stays += 1
-
-    def _drop(self) -> None:
-        """What was under way is not gone on with."""
-        if self._watch is not None and not self._watch.ended:
-            self._watch.drop("aborted")
-        self._background.fire()
-
-    def _loaded(self) -> tuple[Plan, W]:
-        if self._plan is None or self._watch is None:
-            raise DeviceRefused(f"{self._name}: no program: prepare one first")
-        return self._plan, self._watch
-
-
-def _news(watch: FileWatch) -> Callable[[], bool]:
-    """Tells whether anything was executed since now, or the program is over."""
-    count = len(watch)
-    return lambda: len(watch) > count or watch.ended or bool(watch.stopped)

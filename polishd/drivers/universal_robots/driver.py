@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import secrets
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from polishd.api import (
     DeviceFault,
     DeviceRefused,
     DeviceStatus,
-    Executed,
     Identity,
     LinkError,
     Plan,
@@ -21,6 +20,8 @@ from polishd.api import (
     Segment,
 )
 from polishd.drivers.transport.address import Tcp
+from polishd.drivers.transport.background import Background
+from polishd.drivers.transport.program_robot import ProgramRobot
 from polishd.drivers.universal_robots import dashboard
 from polishd.drivers.universal_robots.link import Link, Order, Orders
 from polishd.drivers.universal_robots.primary import Upload
@@ -30,8 +31,6 @@ from polishd.drivers.universal_robots.watch import LIVE, Watch
 
 LOAD_S, LOAD_LINE_S = 5.0, 5e-4
 """A script begins so long after it was sent, at most."""
-BLOCK_S = 0.01
-"""What a block costs beyond its dwell, about."""
 SOFT_SHARE = 0.5
 """Of the time for a stop, for the program to stop itself; then the dashboard stops it."""
 
@@ -50,41 +49,30 @@ class Addresses:
         return cls(Tcp(host, rtde), Tcp(host, dashboard), Tcp(host, primary))
 
 
-class UniversalRobot:
+class UniversalRobot(ProgramRobot[Watch]):
     """A Robot over RTDE. A lost link stays lost until ``open``; nothing but ``make_safe`` connects by itself.
 
     Never switches the robot on, releases no brake and unlocks no stop: that is for the operator, who stands there.
     """
 
+    longest_line = LONGEST_LINE
+
     def __init__(self, addresses: Addresses, settings: Settings, times: RobotTimes, rate_hz: float = 125.0) -> None:
+        super().__init__(addresses.rtde.host, times)
         self._addresses = addresses
-        self._name = addresses.rtde.host
         self._settings = settings
-        self._times = times
         self._link = Link(addresses.rtde, rate_hz, settings.registers, times.silence_s)
         self._link.on_sample = self._seen
-        self._plan: Plan | None = None
-        self._lines: list[bytes] = []
         self._blocks: list[Block] = []
-        self._watch: Watch | None = None
-        self._target: int | None = None
-        """Blocks below it are to be run; None for all."""
-        self._pending = False
-        """Told to run before the program was complete."""
 
     @property
-    def times(self) -> RobotTimes:
-        """See Robot."""
-        return self._times
+    def _background(self) -> Background:
+        return self._link
 
     @property
     def buffer_s(self) -> float:
-        """See Robot. All that is left, once the controller has the program. 0 before, and while the link is down."""
-        watch, plan = self._watch, self._plan
-        if watch is None or plan is None or not watch.token or not self._link.alive:
-            return 0.0
-        left_s = float(plan.expected_time_s[plan.program.block >= len(watch)].sum())
-        return left_s + BLOCK_S * (watch.blocks - len(watch))
+        """See ProgramRobot. The program counts as there from when its script is sent."""
+        return super().buffer_s if self._watch is not None and self._watch.token else 0.0
 
     async def open(self) -> None:
         """See Device. Gives no new order. What ran when the link was lost is followed further."""
@@ -129,11 +117,11 @@ class UniversalRobot:
         why = self._link.last.obstacle() or await self._not_remote()
         if why:
             raise DeviceRefused(f"{self._name}: {why}. To do: see to it at the robot, then try again")
-        if self._runs():
+        if self._running():
             raise DeviceRefused(f"{self._name}: a program is running; hold it first")
         await self._stop_program()
-        self._plan, self._lines, self._blocks, self._target, self._pending = plan, [], [], None, False
-        self._watch = Watch(plan, len(plan.segments) or len(plan.program.blocks))
+        self._blocks = []
+        self._announce(plan, Watch)
 
     async def send(self, segments: Sequence[Segment]) -> None:
         """See Robot. With the last block the script is sent; it then waits before its first.
@@ -141,18 +129,7 @@ class UniversalRobot:
         DeviceRefused where it cannot be followed, or the controller cannot read it.
         """
         _, watch = self._loaded()
-        if any(segment.seq != segments[0].seq + at for at, segment in enumerate(segments)):
-            raise DeviceRefused(f"{self._name}: blocks are not numbered one by one")
-        new = [segment for segment in segments if segment.seq >= len(self._lines)]
-        if not new:
-            return
-        if new[0].seq > len(self._lines):
-            raise DeviceRefused(f"{self._name}: the robot expects block {len(self._lines)}, not {new[0].seq}")
-        for segment in new:
-            if b"\n" in segment.text or len(segment.text) > LONGEST_LINE:
-                raise DeviceRefused(f"{self._name}: block {segment.seq} is no single line of {LONGEST_LINE} bytes")
-        self._lines += [segment.text for segment in new]
-        if len(self._lines) >= watch.blocks:
+        if self._collect(segments):
             self._blocks = blocks_of(self._lines)
             await self._upload(watch)
             if self._pending:
@@ -160,24 +137,8 @@ class UniversalRobot:
 
     async def progress(self) -> RobotProgress:
         """See Robot."""
-        sample = self._link.last
-        if self._watch is None:
-            return RobotProgress("running" if sample.plays else "idle", "", 0, 0, 0.0)
-        return self._watch.progress(len(self._lines), self.buffer_s)
-
-    async def executed(self, from_seq: int = 0) -> AsyncIterator[Executed]:
-        """See Robot. DeviceFault when the program ends before its end, or would not be run as written."""
-        self._link.check()
-        watch, seq = self._watch, from_seq
-        while watch is not None:
-            while seq < len(watch):
-                yield watch[seq]
-                seq += 1
-            if watch is not self._watch or watch.ended:
-                if watch.state == "fault":
-                    raise DeviceFault(f"{self._name}: {watch.detail}")
-                return
-            await self._link.until(_news(watch))
+        _ = self._link.last
+        return await super().progress()
 
     async def hold(self) -> None:
         """See Robot. The program brakes along the path and ends; it can be gone on with from where it stands."""
@@ -195,10 +156,7 @@ class UniversalRobot:
             return
         if why := sample.obstacle():
             raise DeviceRefused(f"{self._name}: {why}")
-        self._target = until
-        if len(self._lines) < watch.blocks:
-            self._pending = True
-            watch.state, watch.detail = "running", "waits for the rest of the program"
+        if self._waits(until):
             return
         if watch.live and sample.runtime in (Runtime.PAUSING, Runtime.PAUSED):
             raise DeviceRefused(f"{self._name}: it is paused at the controller: go on there, or prepare it anew")
@@ -274,32 +232,12 @@ class UniversalRobot:
         remote = await dashboard.in_remote_control(self._addresses.dashboard)
         return "" if remote else "it is in local control: switch it to remote control at the pendant"
 
-    def _runs(self) -> bool:
-        """Something runs that was not told to stand."""
+    def _running(self) -> bool:
         watch, sample = self._watch, self._link.last
         if watch is not None and watch.live:
             return watch.state == "running"
         return sample.plays
 
-    def _stay(self) -> None:
-        """Nothing is asked of it any more."""
-        if self._pending and self._watch is not None:
-            self._watch.state, self._watch.detail = "held", ""
-        self._pending, self._target = False, 0
-
     def _drop(self) -> None:
-        if self._watch is not None and not self._watch.ended:
-            self._watch.drop("aborted")
         self._link.orders = None
-        self._link.fire()
-
-    def _loaded(self) -> tuple[Plan, Watch]:
-        if self._plan is None or self._watch is None:
-            raise DeviceRefused(f"{self._name}: no program: prepare one first")
-        return self._plan, self._watch
-
-
-def _news(watch: Watch) -> Callable[[], bool]:
-    """Tells whether anything was executed since now, or the program is over."""
-    count = len(watch)
-    return lambda: len(watch) > count or watch.ended
+        super()._drop()

@@ -152,14 +152,5 @@ def controller_of(payload: bytes) -> str:
     return ".".join(map(str, struct.unpack(">4I", payload)))
 
 
-def text_of(payload: bytes) -> str:
-    """What a text message says, and who said it."""
-    said, source = payload[1 : 1 + payload[0]] if payload else b"", b""
-    rest = payload[1 + len(said) :]
-    if rest:
-        source = rest[1 : 1 + rest[0]]
-    return ": ".join(_text(part) for part in (source, said) if part)
-
-
 def _text(data: bytes) -> str:
     return data.decode("ascii", "replace")

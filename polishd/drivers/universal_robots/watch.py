@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import time
-from array import array
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from polishd.api import Executed, Plan, ProtocolError, RobotProgress
+from polishd.api import Plan, ProtocolError
+from polishd.drivers.transport.program_watch import ProgramWatch
 from polishd.drivers.universal_robots.sample import Phase, Runtime, Sample
 from polishd.drivers.universal_robots.script import Block
-from polishd.model.devices import RobotState
 from polishd.model.surface import FloatArray
 
 START_S = 5.0
@@ -21,20 +20,15 @@ SILENT_S = 0.1
 LIVE = (Phase.WAITS, Phase.RUNS)
 
 
-class Watch:
-    """One program from its load to its end. Times are process time: it stands still while the robot is held.
+class Watch(ProgramWatch):
+    """One program from its load to its end.
 
     A block ends when a sample names a later one; so each boundary is known to one sample, and none is lost between two
     blocks. What two samples in a row say is booked, so that one damaged number does not count blocks that nobody ran.
     """
 
     def __init__(self, plan: Plan, blocks: int, now_s: Callable[[], float] = time.monotonic) -> None:
-        self.sha256 = plan.program.sha256
-        self.blocks = blocks
-        self.state: RobotState = "held"
-        self.detail = ""
-        self.dropped = False
-        """Nothing more will be executed of it."""
+        super().__init__(plan, blocks)
         self.token = 0
         """Of the script that was sent last."""
         self.live = False
@@ -44,45 +38,21 @@ class Watch:
         self._moves = np.zeros(0, dtype=bool)
         self._dwells = np.zeros(0, dtype=bool)
         self._dwell_s = np.zeros(0)
-        self._start_s, self._end_s = array("d"), array("d")
-        self._clock_s = self._began_s = 0.0
         self._now_s = now_s
         self._ordered_s = 0.0
         self._turned_s = 0.0
         """When the program ran last."""
         self._last: Sample | None = None
 
-    def __len__(self) -> int:
-        return len(self._end_s)
-
-    def __getitem__(self, seq: int) -> Executed:
-        return Executed(seq, self._start_s[seq], self._end_s[seq])
-
-    @property
-    def ended(self) -> bool:
-        """No more records will come."""
-        return self.dropped or self.state in ("done", "fault")
-
     @property
     def spent_s(self) -> float:
         """Process time that the block under way has had."""
-        return self._clock_s - self._began_s
+        return self.clock_s - self.began_s
 
     @property
     def heard(self) -> bool:
         """The script that was sent last has spoken."""
         return self._last is not None
-
-    def progress(self, accepted: int, buffer_s: float) -> RobotProgress:
-        """As the port wants it."""
-        return RobotProgress(
-            state=self.state,
-            program_sha256=self.sha256,
-            accepted=max(accepted, len(self)),
-            executed=len(self),
-            buffer_s=buffer_s,
-            detail=self.detail,
-        )
 
     def sent(self, token: int, blocks: Sequence[Block]) -> None:
         """A script with that token is on its way; it will wait before its first block."""
@@ -98,9 +68,8 @@ class Watch:
 
     def drop(self, reason: str) -> None:
         """It will not be gone on with."""
-        self.dropped, self.live, self.detail = True, False, reason
-        if self.state == "running":
-            self.state = "held"
+        super().drop(reason)
+        self.live = False
 
     def update(self, sample: Sample) -> None:
         """Take a sample. ProtocolError where what it says cannot be."""
@@ -125,7 +94,7 @@ class Watch:
             raise ProtocolError(f"the robot says block {sample.block} of {self.blocks}, after block {before.block}")
         self._advance(before.block)
         if before.phase == Phase.RUNS or sample.block > before.block:
-            self._clock_s += max(sample.time_s - before.time_s, 0.0)
+            self.clock_s += max(sample.time_s - before.time_s, 0.0)
 
     def _judge(self, before: Sample, sample: Sample) -> None:
         """What state that is, and whether it is one to go on in."""
@@ -174,19 +143,17 @@ class Watch:
         first = len(self)
         if to <= first:
             return
-        ends = self._began_s + np.cumsum(self._shares(first, to))
+        ends = self.began_s + np.cumsum(self._shares(first, to))
         if (self._moves | self._dwells)[first:to].any():
-            ends[-1] = self._clock_s  # what rounding leaves
-        self._start_s.extend([self._began_s, *ends[:-1].tolist()])
-        self._end_s.extend(ends.tolist())
-        self._began_s = float(ends[-1])
+            ends[-1] = self.clock_s  # what rounding leaves
+        self.record(ends.tolist())
 
     def _shares(self, first: int, to: int) -> FloatArray:
         """(n,) s of each block of one sample: dwells get what they ask for, moves the rest, others nothing."""
         moves, dwells, asked = self._moves[first:to], self._dwells[first:to], self._dwell_s[first:to]
         if not (moves | dwells).any():
             return np.zeros(to - first)
-        took_s = self._clock_s - self._began_s
+        took_s = self.clock_s - self.began_s
         shares = asked * min(1.0, took_s / asked.sum()) if asked.any() else np.zeros(to - first)
         takers = moves if moves.any() else dwells
         shares[takers] += (took_s - shares.sum()) / np.count_nonzero(takers)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 from typing import Annotated, Any, Literal, TypeVar, cast
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from polishd.api import (
     ActuatorTimes,
@@ -19,11 +19,12 @@ from polishd.api import (
     Unpowered,
     hookimpl,
 )
+from polishd.config.values import Section
 from polishd.drivers.cia402.actuator import ActuatorScale, Cia402Actuator
 from polishd.drivers.cia402.axis import Place
 from polishd.drivers.cia402.dictionary import read_dictionary
 from polishd.drivers.cia402.spindle import Cia402Spindle, SpindleScale
-from polishd.drivers.transport.address import Slcan, Socketcand, parse_address
+from polishd.drivers.transport.address import Slcan, can_address
 
 POLISHD_API = 1
 
@@ -38,10 +39,8 @@ Positive = Annotated[float, Field(gt=0.0, le=1e6)]
 Scale = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
-class DriveOptions(BaseModel):
+class DriveOptions(Section):
     """Keys that both kinds of drive have besides ``type``."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     address: str
     """``slcan:PATH?bitrate=500000`` or ``socketcand://host:port/channel``."""
@@ -127,9 +126,7 @@ class ActuatorOptions(DriveOptions):
 
 
 def _place(options: SpindleOptions | ActuatorOptions, context: DeviceContext) -> Place:
-    address = parse_address(options.address, context.base_dir)
-    if not isinstance(address, Slcan | Socketcand):
-        raise ConfigError(f"address {options.address!r}: CANopen runs over slcan: or socketcand:// only")
+    address = can_address(options.address, context.base_dir, "CANopen")
     if isinstance(address, Slcan) and address.bitrate < LEAST_BITRATE:
         raise ConfigError(f"address {options.address!r}: at least {LEAST_BITRATE} bit/s are needed to ask often enough")
     if options.controller == options.node:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from polishd.api import (
     ActuatorTimes,
@@ -20,6 +20,7 @@ from polishd.api import (
     hookimpl,
 )
 from polishd.config.device_profile import DeviceProfile, Kind
+from polishd.config.values import Section
 from polishd.drivers.profiled import make
 from polishd.drivers.profiled.shelf import profile_of
 
@@ -29,10 +30,8 @@ A: dict[Kind, str] = {"actuator": "an actuator", "spindle": "a spindle", "force_
 Seconds = Annotated[float, Field(gt=0.0, le=120.0)]
 
 
-class ProfileOptions(BaseModel):
+class ProfileOptions(Section):
     """Keys of any section whose device is driven by a profile."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     profile: str
     """Name of a profile that polishd has (``polishd device list``), or the file of one of your own, ``NAME.toml``."""

@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from polishd.api import ConfigError, DeviceContext, DeviceType, ForceSensor, SensorTimes, hookimpl
+from polishd.api import DeviceContext, DeviceType, ForceSensor, SensorTimes, hookimpl
+from polishd.config.values import Section
 from polishd.drivers.force_sensor_line import ForceSensorLine
-from polishd.drivers.transport.address import SerialLine, Tcp, parse_address
+from polishd.drivers.transport.address import line_address
 
 POLISHD_API = 1
 
 
-class ForceSensorLineOptions(BaseModel):
+class ForceSensorLineOptions(Section):
     """Keys of ``[force_sensor]`` with ``type = "force_sensor_line"``."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     address: str
     """``serial:PATH?baud=115200`` or ``tcp://host:port``."""
@@ -30,9 +29,7 @@ class ForceSensorLineOptions(BaseModel):
 
 
 def _build(options: ForceSensorLineOptions, context: DeviceContext) -> ForceSensor:
-    address = parse_address(options.address, context.base_dir)
-    if not isinstance(address, Tcp | SerialLine):
-        raise ConfigError(f"[force_sensor] address {options.address!r}: it is reached over serial: or tcp://")
+    address = line_address(options.address, context.base_dir, "a force sensor")
     return ForceSensorLine(address, SensorTimes(options.silence_s, options.delay_s, options.tare_s))
 
 

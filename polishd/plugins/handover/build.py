@@ -18,7 +18,7 @@ from polishd.drivers.handover.modbus import Modbus
 from polishd.drivers.handover.opcua import OpcUa
 from polishd.drivers.handover.remote import Ftp, Place, Sftp
 from polishd.drivers.handover.variables import Variables
-from polishd.drivers.transport.address import Tcp, parse_address
+from polishd.drivers.transport.address import tcp_address
 from polishd.plugins.handover.options import HandoverOptions
 
 _ADS = re.compile(r"ads://(?P<host>[^/:]+)/(?P<netid>(?:\d{1,3}\.){5}\d{1,3}):(?P<port>\d{1,5})")
@@ -53,9 +53,7 @@ def _link(profile: ControllerProfile, options: HandoverOptions, context: DeviceC
             host, netid, port = _ads_address(options.address)
             return lambda: Ads(host, netid, port, table, silence_s)
         case "modbus":
-            where = parse_address(options.address, context.base_dir)
-            if not isinstance(where, Tcp):
-                raise ConfigError(f"address {options.address!r}: modbus runs over tcp://host:port")
+            where = tcp_address(options.address, context.base_dir, "modbus")
             make = partial(Modbus, where, table, silence_s, unit=profile.modbus_unit, little=profile.order == "little")
             make()  # its addresses are looked at
             return make

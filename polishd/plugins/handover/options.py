@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
-
+from polishd.config.values import Section
 from polishd.secret import SecretPlace
 
 
-class HandoverOptions(BaseModel):
+class HandoverOptions(Section):
     """Keys of ``[robot]`` with ``type = "handover"``."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     profile: str
     """The controller's profile: a shipped one by its name, or the path of a ``.toml``."""

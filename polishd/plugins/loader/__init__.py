@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from polishd.api import ConfigError, DeviceContext, DeviceType, Loader, LoaderTimes, hookimpl
+from polishd.api import DeviceContext, DeviceType, Loader, LoaderTimes, hookimpl
+from polishd.config.values import Section
 from polishd.drivers.loader_line import LoaderLine
-from polishd.drivers.transport.address import SerialLine, Tcp, parse_address
+from polishd.drivers.transport.address import line_address
 
 POLISHD_API = 1
 
 
-class LoaderLineOptions(BaseModel):
+class LoaderLineOptions(Section):
     """Keys of ``[loader]`` with ``type = "loader_line"``."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     address: str
     """``serial:PATH?baud=115200`` or ``tcp://host:port``."""
@@ -30,9 +29,7 @@ class LoaderLineOptions(BaseModel):
 
 
 def _build(options: LoaderLineOptions, context: DeviceContext) -> Loader:
-    address = parse_address(options.address, context.base_dir)
-    if not isinstance(address, Tcp | SerialLine):
-        raise ConfigError(f"[loader] address {options.address!r}: a loader is reached over serial: or tcp://")
+    address = line_address(options.address, context.base_dir, "a loader")
     return LoaderLine(address, LoaderTimes(options.silence_s, options.change_s, options.stop_s))
 
 

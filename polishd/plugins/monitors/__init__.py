@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from polishd.api import ConfigError, DeviceContext, DeviceType, Monitor, MonitorTimes, hookimpl
+from polishd.api import DeviceContext, DeviceType, Monitor, MonitorTimes, hookimpl
+from polishd.config.values import Section
 from polishd.drivers.monitor_line import MonitorLine
-from polishd.drivers.transport.address import SerialLine, Tcp, parse_address
+from polishd.drivers.transport.address import line_address
 
 POLISHD_API = 1
 
 
-class MonitorLineOptions(BaseModel):
+class MonitorLineOptions(Section):
     """Keys of ``[monitor]`` with ``type = "monitor_line"``."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     address: str
     """``serial:PATH?baud=115200`` or ``tcp://host:port``."""
@@ -26,9 +25,7 @@ class MonitorLineOptions(BaseModel):
 
 
 def _build(options: MonitorLineOptions, context: DeviceContext) -> Monitor:
-    address = parse_address(options.address, context.base_dir)
-    if not isinstance(address, Tcp | SerialLine):
-        raise ConfigError(f"[monitor] address {options.address!r}: a monitor is reached over serial: or tcp://")
+    address = line_address(options.address, context.base_dir, "a monitor")
     return MonitorLine(address, MonitorTimes(options.silence_s))
 
 

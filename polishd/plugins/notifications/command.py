@@ -11,18 +11,17 @@ import tempfile
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from polishd.api import ConfigError, LinkError, Notification
+from polishd.config.values import Section
 
 SAID_BYTES = 500
 """As much of the end of its standard error is told."""
 
 
-class CommandOptions(BaseModel):
+class CommandOptions(Section):
     """Keys of ``[notify.NAME]`` with ``type = "command"``."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     argv: Annotated[list[str], Field(min_length=1)]
     """The program and its arguments; no shell reads them. It starts in the folder of the cell's file, from where a

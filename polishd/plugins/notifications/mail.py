@@ -10,9 +10,10 @@ from email.utils import format_datetime
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from polishd.api import LinkError, Notification, SecretPlace, Severity, hide, read_secret
+from polishd.config.values import Section
 from polishd.plugins.notifications.tls import LOOPBACK, STEP_S, trusting
 
 PORTS = {"starttls": 587, "tls": 465, "none": 25}
@@ -28,10 +29,8 @@ def _address(text: str) -> str:
 Address = Annotated[str, AfterValidator(_address)]
 
 
-class MailOptions(BaseModel):
+class MailOptions(Section):
     """Keys of ``[notify.NAME]`` with ``type = "email"``."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     host: Annotated[str, Field(min_length=1)]
     """The SMTP server that takes the mail."""

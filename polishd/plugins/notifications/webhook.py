@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 from urllib.parse import SplitResult, urlsplit
 
-from pydantic import AfterValidator, BaseModel, ConfigDict
+from pydantic import AfterValidator
 
 from polishd.api import ConfigError, LinkError, Notification, SecretPlace, Severity, hide, read_secret
+from polishd.config.values import Section
 from polishd.plugins.notifications.tls import LOOPBACK, STEP_S, trusting
 
 NTFY_PRIORITY: Mapping[Severity, str] = {Severity.INFO: "2", Severity.WARNING: "4", Severity.ALARM: "5"}
@@ -40,10 +41,8 @@ def _parsed(url: str) -> SplitResult:
     return parts
 
 
-class WebhookOptions(BaseModel):
+class WebhookOptions(Section):
     """Keys of ``[notify.NAME]`` with ``type = "webhook"``."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     url: Annotated[str, AfterValidator(_url_or_place)]
     """Where it is posted to; or where that is kept, `file:NAME` or `env:VARIABLE`, since who knows the address of a

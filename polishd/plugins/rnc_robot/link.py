@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from polishd.api import ConfigError, DeviceContext, DeviceType, RobotTimes
+from polishd.api import DeviceContext, DeviceType, RobotTimes
+from polishd.config.values import Section
 from polishd.drivers.robot_link import RobotLink
-from polishd.drivers.transport.address import Tcp, parse_address
+from polishd.drivers.transport.address import tcp_address
 
 
-class RobotLinkOptions(BaseModel):
+class RobotLinkOptions(Section):
     """Keys of ``[robot]`` with ``type = "robot_link"``."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     address: str
     """Where the controller listens: ``tcp://host:port``."""
@@ -27,9 +26,7 @@ class RobotLinkOptions(BaseModel):
 
 
 def _build(options: RobotLinkOptions, context: DeviceContext) -> RobotLink:
-    address = parse_address(options.address, context.base_dir)
-    if not isinstance(address, Tcp):
-        raise ConfigError(f"[robot] address {options.address!r}: robot_link runs over tcp:// only")
+    address = tcp_address(options.address, context.base_dir, "robot_link")
     times = RobotTimes(silence_s=options.silence_s, watchdog_s=options.watchdog_s, stop_s=options.stop_s)
     return RobotLink(address, times)
 

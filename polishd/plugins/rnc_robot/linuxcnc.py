@@ -5,17 +5,16 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from polishd.api import ConfigError, DeviceContext, DeviceType, RobotTimes
+from polishd.api import DeviceContext, DeviceType, RobotTimes
+from polishd.config.values import Section
 from polishd.drivers.linuxcnc.driver import LinuxCnc
-from polishd.drivers.transport.address import Tcp, parse_address
+from polishd.drivers.transport.address import tcp_address
 
 
-class LinuxCncOptions(BaseModel):
+class LinuxCncOptions(Section):
     """Keys of ``[robot]`` with ``type = "linuxcnc"``."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     address: str
     """``tcp://host:port`` of linuxcncrsh."""
@@ -34,9 +33,7 @@ class LinuxCncOptions(BaseModel):
 
 
 def _build(options: LinuxCncOptions, context: DeviceContext) -> LinuxCnc:
-    address = parse_address(options.address, context.base_dir)
-    if not isinstance(address, Tcp):
-        raise ConfigError(f"[robot] address {options.address!r}: linuxcnc runs over tcp:// only")
+    address = tcp_address(options.address, context.base_dir, "linuxcnc")
     return LinuxCnc(
         address,
         (context.base_dir / options.program_dir).absolute(),

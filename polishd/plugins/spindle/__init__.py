@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from polishd.api import ConfigError, DeviceContext, DeviceType, Spindle, SpindleTimes, hookimpl
+from polishd.api import DeviceContext, DeviceType, Spindle, SpindleTimes, hookimpl
+from polishd.config.values import Section
 from polishd.drivers.spindle_can import SpindleCan
-from polishd.drivers.transport.address import Slcan, Socketcand, parse_address
+from polishd.drivers.transport.address import can_address
 
 POLISHD_API = 1
 
 
-class SpindleCanOptions(BaseModel):
+class SpindleCanOptions(Section):
     """Keys of ``[spindle]`` with ``type = "spindle_can"``."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     address: str
     """``slcan:PATH?bitrate=500000`` or ``socketcand://host:port/channel``."""
@@ -32,9 +31,7 @@ class SpindleCanOptions(BaseModel):
 
 
 def _build(options: SpindleCanOptions, context: DeviceContext) -> Spindle:
-    address = parse_address(options.address, context.base_dir)
-    if not isinstance(address, Slcan | Socketcand):
-        raise ConfigError(f"[spindle] address {options.address!r}: spindle_can runs over slcan: or socketcand:// only")
+    address = can_address(options.address, context.base_dir, "spindle_can")
     times = SpindleTimes(silence_s=options.silence_s, watchdog_s=options.watchdog_s, spin_s=options.spin_s)
     return SpindleCan(address, times, node=options.node)
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from polishd.api import ConfigError, DeviceContext, DeviceType, RobotTimes, hookimpl
-from polishd.drivers.transport.address import Tcp, parse_address
+from polishd.api import DeviceContext, DeviceType, RobotTimes, hookimpl
+from polishd.config.values import Section
+from polishd.drivers.transport.address import tcp_address
 from polishd.drivers.universal_robots.driver import Addresses, UniversalRobot
 from polishd.drivers.universal_robots.sample import Registers
 from polishd.drivers.universal_robots.script import Settings
@@ -18,10 +19,8 @@ POLISHD_API = 1
 Port = Annotated[int, Field(ge=1, le=65535)]
 
 
-class UniversalRobotsOptions(BaseModel):
+class UniversalRobotsOptions(Section):
     """Keys of ``[robot]`` with ``type = "universal_robots"``."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     address: str
     """RTDE of the controller: ``tcp://host:30004``."""
@@ -44,9 +43,7 @@ class UniversalRobotsOptions(BaseModel):
 
 
 def _build(options: UniversalRobotsOptions, context: DeviceContext) -> UniversalRobot:
-    address = parse_address(options.address, context.base_dir)
-    if not isinstance(address, Tcp):
-        raise ConfigError(f"[robot] address {options.address!r}: universal_robots runs over tcp:// only")
+    address = tcp_address(options.address, context.base_dir, "universal_robots")
     times = RobotTimes(silence_s=options.silence_s, watchdog_s=options.watchdog_s, stop_s=options.stop_s)
     addresses = Addresses.of(address.host, address.port, options.dashboard_port, options.primary_port)
     settings = Settings(Registers(options.first_register), options.watchdog_s, options.tool_z == "into_part")

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from polishd.api import ActuatorTimes, DeviceContext, DeviceType, ForceActuator, Unpowered, hookimpl
+from polishd.config.values import Section
 from polishd.drivers.profiled import make
 from polishd.drivers.profiled.shelf import profile_of
 
@@ -16,10 +17,8 @@ POLISHD_API = 1
 Seconds = Annotated[float, Field(gt=0.0, le=60.0)]
 
 
-class VoiceCoilOptions(BaseModel):
+class VoiceCoilOptions(Section):
     """Keys of ``[actuator]`` besides ``type``."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     address: str
     """``serial:PATH?baud=115200`` or ``tcp://host:port``."""

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
-from collections.abc import Callable
 
 from polishd.config.simulator import ForceSensor
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.bus import Message
-from polishd.sim_backends.faults import Outlet
 from polishd.sim_backends.force_sensor.cell import LoadCell
-from polishd.sim_backends.numbered import NumberedSlave
+from polishd.sim_backends.numbered import Answer, serve
 from polishd.sim_backends.runtime import Runtime
 from polishd.sim_backends.truth import stream
-from polishd.sim_backends.wire import Feed, Wire
 
 TICK_S = 0.01
 IDENTITY = "polishd,simulated F1,SIM-F1,1.0"
 _TEXTS = {"busy": "it tares", "fault": "a fault is set", "unknown": "no such request"}
 
 
-def answering(cell: LoadCell, boot_count: int) -> Callable[[str], str]:
+def answering(cell: LoadCell, boot_count: int) -> Answer:
     """What it answers to a request."""
 
     def answer(request: str) -> str:
@@ -46,19 +42,5 @@ async def main(runtime: Runtime) -> None:
         if isinstance(message, dict) and "acting_n" in message:
             cell.feel(time.monotonic(), float(message["acting_n"]))
 
-    def receiver(outlet: Outlet) -> Feed:
-        slave = NumberedSlave(answering(cell, runtime.boot_count))
-
-        def feed(data: bytes) -> None:
-            cell.step(time.monotonic())
-            for answer in slave.feed(data):
-                outlet.send(answer)
-
-        return feed
-
     runtime.link.on_message = on_message
-    wire = Wire(runtime, config.faults, receiver)
-    wire.ready(await wire.open_line(config))
-    while True:
-        cell.step(time.monotonic())
-        await asyncio.sleep(TICK_S)
+    await serve(runtime, config, cell, answering(cell, runtime.boot_count), TICK_S)

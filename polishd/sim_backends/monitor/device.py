@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import asyncio
 import signal
 import time
-from collections.abc import Callable
 
 from polishd.config.simulator import SEVEN, Monitor
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.bus import Message
-from polishd.sim_backends.faults import Outlet
 from polishd.sim_backends.monitor.inputs import Inputs
-from polishd.sim_backends.numbered import NumberedSlave
+from polishd.sim_backends.numbered import Answer, serve
 from polishd.sim_backends.runtime import Runtime
 from polishd.sim_backends.truth import stream
-from polishd.sim_backends.wire import Feed, Wire
 
 TICK_S = 0.02
 IDENTITY = "polishd,simulated M1,SIM-M1,1.0"
 
 
-def answering(inputs: Inputs, boot_count: int) -> Callable[[str], str]:
+def answering(inputs: Inputs, boot_count: int) -> Answer:
     """What it answers to a request."""
 
     def answer(request: str) -> str:
@@ -49,20 +45,6 @@ async def main(runtime: Runtime) -> None:
             inputs.step(time.monotonic())
             inputs.touching = message["acting_n"] > 0.0
 
-    def receiver(outlet: Outlet) -> Feed:
-        slave = NumberedSlave(answering(inputs, runtime.boot_count))
-
-        def feed(data: bytes) -> None:
-            inputs.step(time.monotonic())
-            for answer in slave.feed(data):
-                outlet.send(answer)
-
-        return feed
-
     runtime.link.on_message = on_message
     runtime.button(signal.SIGUSR1, inputs.press)
-    wire = Wire(runtime, config.faults, receiver)
-    wire.ready(await wire.open_line(config))
-    while True:
-        inputs.step(time.monotonic())
-        await asyncio.sleep(TICK_S)
+    await serve(runtime, config, inputs, answering(inputs, runtime.boot_count), TICK_S)

@@ -6,7 +6,7 @@ import asyncio
 import dataclasses
 import hashlib
 import random
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import Callable, Iterable
 
 import pytest
 
@@ -14,22 +14,9 @@ from polishd.api import DeviceFault, Executed, LinkError, ProtocolError
 from polishd.drivers.robot_link import RobotLink, connection, session
 from polishd.drivers.transport.address import Tcp
 from tests.fakes import robot as wire
-from tests.fakes.robot import FakeRobot
 from tests.patience import SOON_S, within
 from tests.programs import plan_of
-
-Pair = tuple[RobotLink, FakeRobot]
-PLAN = plan_of([b"G1 X%d F60" % at for at in range(200)])
-
-
-@pytest.fixture
-async def pair() -> AsyncIterator[Pair]:
-    fake = await FakeRobot().start()
-    robot = RobotLink(Tcp("127.0.0.1", fake.port), client="test")
-    await robot.open()
-    yield robot, fake
-    await robot.close()
-    await fake.close()
+from tests.unit.drivers.conftest import PLAN, Pair
 
 
 async def collect(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
 from dataclasses import replace
 
 import pytest
@@ -12,22 +11,8 @@ from polishd.api import DeviceBusy, DeviceFault, DeviceRefused, LinkError
 from polishd.drivers.robot_link import RobotLink, driver
 from polishd.drivers.transport.address import Tcp
 from tests.fakes import robot as wire
-from tests.fakes.robot import FakeRobot
 from tests.patience import SOON_S
-from tests.programs import plan_of
-
-Pair = tuple[RobotLink, FakeRobot]
-PLAN = plan_of([b"G1 X%d F60" % at for at in range(200)])
-
-
-@pytest.fixture
-async def pair() -> AsyncIterator[Pair]:
-    fake = await FakeRobot().start()
-    robot = RobotLink(Tcp("127.0.0.1", fake.port), client="test")
-    await robot.open()
-    yield robot, fake
-    await robot.close()
-    await fake.close()
+from tests.unit.drivers.conftest import PLAN, Pair
 
 
 async def follow(robot: RobotLink) -> int:

@@ -8,7 +8,8 @@ import pytest
 
 from polishd.config.simulator import LoaderFaults
 from polishd.sim_backends.loader.arm import ANOTHER, DROPPED, FAULT, IDLE, JAMMED, MOVING, STOPPED, Arm
-from polishd.sim_backends.loader.device import LoaderSlave
+from polishd.sim_backends.loader.device import answering
+from polishd.sim_backends.numbered import NumberedSlave
 from tests.vectors import vectors
 
 LINES = {name: line.encode() for name, line in vectors("loader").items()}
@@ -116,7 +117,7 @@ def test_another_part(fault: str, says: str) -> None:
 
 def test_its_line_is_that_of_the_document() -> None:
     bench = Bench(seat="", store=("lens 7",))
-    slave = LoaderSlave(bench.arm, 3)
+    slave = NumberedSlave(answering(bench.arm, 3))
 
     def ask(name: str) -> list[bytes]:
         return [answer.rstrip() for answer in slave.feed(LINES[name] + b"\r\n")]

@@ -1,0 +1,72 @@
+"""What a controller that has its whole program has executed of it, and when. Sans-IO."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Sequence
+
+from polishd.api import Executed, Plan, RobotProgress
+from polishd.model.devices import RobotState
+
+BLOCK_S = 0.01
+"""What a block costs beyond its dwell, about."""
+
+
+class ProgramWatch:
+    """One program from its load to its end. Times are process time: it stands still while the robot is held.
+
+    What a controller says of itself is for its own kind to understand: it moves ``clock_s`` on and calls ``record``.
+    """
+
+    def __init__(self, plan: Plan, blocks: int) -> None:
+        self.sha256 = plan.program.sha256
+        self.blocks = blocks
+        self.state: RobotState = "held"
+        self.detail = ""
+        self.dropped = False
+        """Nothing more will be executed of it."""
+        self.stopped = ""
+        """Why it stands although it was told to run; empty where nobody knows."""
+        self.clock_s = 0.0
+        self.began_s = 0.0
+        """When the block under way began."""
+        self._start_s, self._end_s = array("d"), array("d")
+
+    def __len__(self) -> int:
+        return len(self._end_s)
+
+    def __getitem__(self, seq: int) -> Executed:
+        return Executed(seq, self._start_s[seq], self._end_s[seq])
+
+    @property
+    def ended(self) -> bool:
+        """No more records will come."""
+        return self.dropped or self.state in ("done", "fault")
+
+    def left_s(self, plan: Plan) -> float:
+        """What is left of its plan, about."""
+        timed_s = float(plan.expected_time_s[plan.program.block >= len(self)].sum())
+        return timed_s + BLOCK_S * (self.blocks - len(self))
+
+    def progress(self, accepted: int, buffer_s: float) -> RobotProgress:
+        """As the port wants it."""
+        return RobotProgress(
+            state=self.state,
+            program_sha256=self.sha256,
+            accepted=max(accepted, len(self)),
+            executed=len(self),
+            buffer_s=buffer_s,
+            detail=self.detail,
+        )
+
+    def drop(self, reason: str) -> None:
+        """It will not be gone on with."""
+        self.dropped, self.detail = True, reason
+        if self.state == "running":
+            self.state = "held"
+
+    def record(self, ends_s: Sequence[float]) -> None:
+        """The next blocks are executed, and ended at those process times: rising, the last not after ``clock_s``."""
+        self._start_s.extend([self.began_s, *ends_s[:-1]])
+        self._end_s.extend(ends_s)
+        self.began_s = ends_s[-1]

@@ -1,0 +1,140 @@
+"""Robots."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+from polishd.api import Robot
+from polishd.drivers.linuxcnc.driver import LinuxCnc
+from polishd.drivers.robot_link import RobotLink
+from polishd.drivers.transport.address import Tcp
+from polishd.drivers.universal_robots.driver import UniversalRobot
+from polishd.drivers.universal_robots.sample import Registers
+from polishd.drivers.universal_robots.script import Settings
+from polishd.model.times import RobotTimes
+from polishd.testing.rig import Rig, Scope
+from polishd.testing.suites.robot import RobotRig
+from tests.conformance.rigs.wired import on_wire
+from tests.fakes import handover
+from tests.fakes.linuxcnc import FakeLinuxCnc
+from tests.fakes.robot import FakeRobot
+from tests.fakes.universal_robot import FakeController, urscript
+from tests.fakes.wires import TcpWire, dribbled
+from tests.kinds import kind
+
+URSCRIPT = Scope(block=urscript)
+PATIENT_ROBOT = RobotTimes(silence_s=1.0)
+"""A busy machine is silent for longer than most wires would be."""
+
+
+@asynccontextmanager
+async def robot_tcp(_: Path) -> AsyncIterator[RobotRig]:
+    """robot_link over TCP."""
+    async with _robot(FakeRobot()) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def robot_dribbled(_: Path) -> AsyncIterator[RobotRig]:
+    """robot_link over TCP, byte by byte, with garbage between frames."""
+    fake = FakeRobot()
+    fake.outgoing = lambda kind, frame: [b"P", b"PL\0", *dribbled(frame)]
+    async with _robot(fake) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def _robot(fake: FakeRobot) -> AsyncIterator[RobotRig]:
+    await fake.start()
+    device = RobotLink(Tcp("127.0.0.1", fake.port))
+    try:
+        yield Rig(device, fake.cut, lambda: setattr(fake, "silent", True), lambda: fake.state != "running")
+    finally:
+        await device.close()
+        await fake.close()
+
+
+@asynccontextmanager
+async def linuxcnc(folder: Path) -> AsyncIterator[RobotRig]:
+    """LinuxCNC over linuxcncrsh."""
+    async with _linuxcnc(FakeLinuxCnc(), folder) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def linuxcnc_dribbled(folder: Path) -> AsyncIterator[RobotRig]:
+    """LinuxCNC over linuxcncrsh, byte by byte, with garbage and blank lines between."""
+    fake = FakeLinuxCnc()
+    fake.filter = lambda data: [b"\r\n\xff*\r\n", *dribbled(data)]
+    async with _linuxcnc(fake, folder) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def _linuxcnc(fake: FakeLinuxCnc, folder: Path) -> AsyncIterator[RobotRig]:
+    wire = await TcpWire(fake).start()
+    device: Robot = LinuxCnc(Tcp("127.0.0.1", wire.port), folder)
+    async with on_wire(wire, device, lambda: fake.status != "RUNNING", whole_file=True) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def universal_robots(_: Path) -> AsyncIterator[RobotRig]:
+    """A Universal Robots controller over RTDE, dashboard and primary interface."""
+    async with _universal_robots(FakeController()) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def universal_robots_dribbled(_: Path) -> AsyncIterator[RobotRig]:
+    """The same with RTDE byte by byte."""
+    fake = FakeController()
+    fake.filter = dribbled
+    async with _universal_robots(fake) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def _universal_robots(fake: FakeController) -> AsyncIterator[RobotRig]:
+    await fake.start()
+    device = UniversalRobot(fake.addresses, Settings(Registers(), PATIENT_ROBOT.watchdog_s), PATIENT_ROBOT)
+    try:
+        mute = lambda: setattr(fake, "silent", True)  # noqa: E731
+        yield Rig(device, fake.cut, mute, lambda: fake.stands, whole_file=True, scope=URSCRIPT)
+    finally:
+        await device.close()
+        await fake.close()
+
+
+@asynccontextmanager
+async def handover_direct(folder: Path) -> AsyncIterator[RobotRig]:
+    """handover at the controller's variables themselves."""
+    fake = handover.FakePlc(folder)
+    async with handover.direct(fake) as device:
+        yield Rig(device, fake.cut, lambda: setattr(fake, "silent", True), lambda: fake.stands, whole_file=True)
+
+
+@asynccontextmanager
+async def handover_opcua(folder: Path) -> AsyncIterator[RobotRig]:
+    """handover over OPC UA."""
+    fake = handover.FakePlc(folder)
+    async with handover.over_opcua(fake) as (device, relay):
+        yield Rig(device, relay.cut, lambda: setattr(fake, "silent", True), lambda: fake.stands, whole_file=True)
+
+
+@asynccontextmanager
+async def handover_ads(folder: Path) -> AsyncIterator[RobotRig]:
+    """handover over ADS."""
+    fake = handover.FakePlc(folder)
+    async with handover.over_ads(fake) as (device, cut):
+        yield Rig(device, cut, lambda: setattr(fake, "silent", True), lambda: fake.stands, whole_file=True)
+
+
+ROBOTS = [
+    *kind(robot_tcp, robot_dribbled),
+    *kind(linuxcnc, linuxcnc_dribbled),
+    *kind(universal_robots, universal_robots_dribbled),
+    *kind(handover_direct, handover_opcua, handover_ads),
+]

@@ -1,0 +1,112 @@
+"""Spindles."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from pathlib import Path
+
+from polishd.api import Spindle
+from polishd.drivers.profiled import make
+from polishd.drivers.spindle_can import SpindleCan
+from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
+from polishd.model.times import SpindleTimes
+from polishd.testing.rig import Scope
+from polishd.testing.suites.spindle import SpindleRig
+from tests.conformance.rigs.wired import cia402_drive, on_wire, stands
+from tests.fakes import cia402
+from tests.fakes.devices_by_profile import file_of, shipped
+from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
+from tests.fakes.profiled import ProfiledPeer, inverter
+from tests.fakes.wires import PtyWire, TcpWire
+from tests.kinds import kind
+
+PATIENT_SPINDLE = SpindleTimes(silence_s=1.5, watchdog_s=2.0)
+"""A busy machine is silent for longer than most wires would be."""
+
+
+@asynccontextmanager
+async def spindle_slcan(folder: Path) -> AsyncIterator[SpindleRig]:
+    """spindle_can behind a serial adapter."""
+    drive = Drive()
+    wire = PtyWire(SlcanPeer(drive), folder / "slcan")
+    async with _spindle(drive, wire, SpindleCan(Slcan(wire.path), PATIENT_SPINDLE)) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def spindle_socketcand(_: Path) -> AsyncIterator[SpindleRig]:
+    """spindle_can behind a socketcand server."""
+    drive = Drive()
+    wire = await TcpWire(SocketcandPeer(drive)).start()
+    async with _spindle(drive, wire, SpindleCan(Socketcand("127.0.0.1", wire.port, "can0"), PATIENT_SPINDLE)) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def _spindle(drive: Drive, wire: PtyWire | TcpWire, device: Spindle) -> AsyncIterator[SpindleRig]:
+    try:
+        async with on_wire(wire, device, lambda: drive.rpm == 0) as rig:
+            yield rig
+    finally:
+        drive.stop()
+
+
+@asynccontextmanager
+async def cia402_spindle_slcan(folder: Path) -> AsyncIterator[SpindleRig]:
+    """A drive of CiA 402 behind a serial adapter, in profile velocity."""
+    drive, motor = cia402.sim_motor()
+    wire = PtyWire(SlcanPeer(drive), folder / "slcan")
+    device: Spindle = cia402.cia402_spindle(Slcan(wire.path), PATIENT_SPINDLE)
+    async with cia402_drive(drive, wire, device, lambda: motor.rpm == 0.0) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def cia402_spindle_socketcand(_: Path) -> AsyncIterator[SpindleRig]:
+    """The same behind a socketcand server."""
+    drive, motor = cia402.sim_motor()
+    wire = await TcpWire(SocketcandPeer(drive)).start()
+    address = Socketcand("127.0.0.1", wire.port, "can0")
+    device: Spindle = cia402.cia402_spindle(address, PATIENT_SPINDLE)
+    async with cia402_drive(drive, wire, device, lambda: motor.rpm == 0.0) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def spindle_ms300(folder: Path) -> AsyncIterator[SpindleRig]:
+    """An inverter on Modbus RTU whose profile knows the fault of its watchdog."""
+    peer = ProfiledPeer(file_of("delta_ms300"), inverter)
+    async with _inverter("delta_ms300", peer, PtyWire(peer, folder / "drive")) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def spindle_gs2(folder: Path) -> AsyncIterator[SpindleRig]:
+    """An inverter on Modbus RTU whose faults are all a person's."""
+    peer = ProfiledPeer(file_of("automationdirect_gs2"), inverter)
+    async with _inverter("automationdirect_gs2", peer, PtyWire(peer, folder / "drive"), forgives=False) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def spindle_wj200(_: Path) -> AsyncIterator[SpindleRig]:
+    """An inverter of coils and of values of two words, behind a gateway to Modbus TCP."""
+    peer = ProfiledPeer(file_of("hitachi_wj200"), inverter, tcp=True)
+    async with _inverter("hitachi_wj200", peer, await TcpWire(peer).start(), forgives=False) as rig:
+        yield rig
+
+
+def _inverter(
+    name: str, peer: ProfiledPeer, wire: PtyWire | TcpWire, *, forgives: bool = True
+) -> AbstractAsyncContextManager[SpindleRig]:
+    address = SerialLine(wire.path) if isinstance(wire, PtyWire) else Tcp("127.0.0.1", wire.port)
+    device = make.spindle(shipped(name), address, PATIENT_SPINDLE)
+    return on_wire(wire, device, lambda: stands(peer, "stopped", "fault"), scope=Scope(forgives=forgives))
+
+
+SPINDLES = [
+    *kind(spindle_slcan, spindle_socketcand),
+    *kind(cia402_spindle_slcan, cia402_spindle_socketcand),
+    *kind(spindle_ms300, spindle_gs2, spindle_wj200),
+]
