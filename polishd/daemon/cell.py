@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import NoReturn, cast
 
 from polishd.config.cell import PORTS, port_of
+from polishd.daemon.listening import within
 from polishd.daemon.signals import Signals
 from polishd.daemon.time_limits import TimeLimits, released_within_s, safe_within_s
 from polishd.model.devices import DeviceStatus, Identity
@@ -24,6 +25,8 @@ OPEN_S = 15.0
 """Longest that opening and identifying one device may take."""
 LISTEN_S = 10.0
 """Between two questions to a device of which nothing is wanted."""
+CLOSE_S = 3.0
+"""Longest that closing one device may take: whatever it does, the daemon ends."""
 BUSY_AGAIN_S = 0.5
 """After so long a busy device is asked again."""
 
@@ -124,8 +127,11 @@ class Cell:
         """
         try:
             found = {name: await self.open_one(name, waiting) for name in self.devices}
-        except BaseException:
-            await self.close()
+        except BaseException as error:
+            try:
+                await self.close()
+            except Exception as late:  # noqa: BLE001 - a plugin may raise anything: what did not open is told first
+                error.add_note(f"and then: {late}")
             raise
         self.identities = found
 
@@ -211,11 +217,13 @@ class Cell:
                     log.info("%s does not answer while nothing is asked of it: %s", name, error)
 
     async def close(self) -> None:
-        """Close all devices, whatever one of them says."""
-        errors = []
-        for device in self.devices.values():
+        """Close all devices, whatever one of them says or does: each has ``CLOSE_S``."""
+        errors: list[Exception] = []
+        for name, device in self.devices.items():
             try:
-                await device.close()
+                await within(CLOSE_S, device.close())
+            except TimeoutError:
+                errors.append(LinkError(f"{name}: was not closed within {CLOSE_S:g} s, and is left behind"))
             except Exception as error:  # noqa: BLE001 - the others must be closed too; raised below
                 errors.append(error)
         if errors:

@@ -231,7 +231,10 @@ class Daemon:
             said = f"{self.reason}; {order.said(ORDERED)}" if order.reason else self.reason
             return Turn(order.verb, said, error=self._error)
         try:
-            await self._cell.restore_links()  # out of contact: what was lost meanwhile is opened again
+            # out of contact: what was lost meanwhile is opened again
+            stop = await unless(self._orders.asked_to_stop(), self._cell.restore_links())
+            if stop is not None:
+                return Turn(Trigger.STOP, self._stopped_by(stop), error=self._error)
             refused = await self._made_safe()
         except PolishdError:
             order.refused = True
