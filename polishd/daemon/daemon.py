@@ -65,8 +65,8 @@ class Daemon:
         self._error: Exception | None = None
         """What it is held over."""
         self._orders = Orders()
-        self._unfit = False
-        """Said, since polishing began."""
+        self._unfit: Order | None = None
+        """What was given over the computer or a signal, since polishing began."""
         self._changed = asyncio.Condition()
         self._does: Mapping[State, Callable[[], Awaitable[Turn]]] = {
             State.STARTING: self._start,
@@ -195,7 +195,7 @@ class Daemon:
         await self.become(following(self.state, Trigger.BUSY), what)
 
     async def _polish(self) -> Turn:
-        self._cell.emergency = self._unfit = False
+        self._cell.emergency, self._unfit = False, None
         job, journal = cast(Job, self.job), self.job.journal  # between jobs nobody polishes
         done: list[Outcome] = []
 
@@ -264,10 +264,14 @@ class Daemon:
     # orders
 
     def _endangered(self, what: str, error: type[PolishdError] = HostFault) -> None:
-        """Contact is left while it still can be."""
-        if self.state is State.POLISHING and not self._unfit:
-            self._unfit = True
-            self._orders.give(Order(Trigger.UNFIT, what, error))
+        """Contact is left while it still can be; what nobody should go on from counts more, also if it comes later."""
+        if self.state is not State.POLISHING:
+            return
+        if self._unfit is None:
+            self._unfit = Order(Trigger.UNFIT, what, error)
+            self._orders.give(self._unfit)
+        elif self._unfit.error.mendable and not error.mendable:
+            self._unfit.error, self._unfit.reason = error, f"{what}; {self._unfit.reason}"
 
     def _wrong(self, limits: SignalLimits, what: str) -> None:
         """A signal is not as it must be in contact: what follows is what its limits say."""
