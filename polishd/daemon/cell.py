@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import NoReturn, cast
 
 from polishd.config.cell import PORTS, port_of
-from polishd.daemon.listening import within
+from polishd.daemon.listening import LET_GO_S, within
 from polishd.daemon.signals import Signals
 from polishd.daemon.time_limits import TimeLimits, released_within_s, safe_within_s
 from polishd.model.devices import DeviceStatus, Identity
@@ -115,6 +115,11 @@ class Cell:
         return TimeLimits(
             self.actuator.times, self.robot.times, self.spindle.times, None if sensor is None else sensor.times
         )
+
+    @property
+    def end_s(self) -> float:
+        """Longest from the order to end until all is closed, whatever a device does: contact left, safe once more."""
+        return 2 * (self.limits.safe_s + LET_GO_S) + CLOSE_S * len(self.devices)
 
     def hears(self, name: str) -> None:
         """That device has answered."""

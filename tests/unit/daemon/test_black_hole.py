@@ -20,6 +20,7 @@ SOON_S = 0.02
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     monkeypatch.setattr(cell, "CLOSE_S", SOON_S)
+    monkeypatch.setattr(cell, "LET_GO_S", SOON_S)
     monkeypatch.setattr(listening, "LET_GO_S", SOON_S)
     with open_journal(tmp_path) as journal:
         yield Bench(tmp_path, journal)
@@ -112,6 +113,11 @@ async def test_a_stop_ends_the_daemon_whatever_a_device_does(
     (unsafe,) = bench.fake.cell.unsafe
     assert unsafe.startswith(f"{name}: no answer within 0.02 s")
     assert bench.fake.of("close") == [call for call in CLOSED if not call.startswith(name)]
+
+
+def test_how_long_the_end_may_take_is_known_beforehand(bench: Bench) -> None:
+    """What systemd waits for (docs/host.md): with the shipped times, four devices that swallow all."""
+    assert bench.fake.cell.end_s == 2 * (bench.fake.cell.limits.safe_s + SOON_S) + 4 * SOON_S
 
 
 async def test_what_did_not_open_is_told_before_what_did_not_close(bench: Bench, hole: Hole) -> None:
