@@ -62,11 +62,9 @@ class Daemon:
         self._of_queue = False  # what a person is told to run depends on it
         self._holds = holds
         """Wait for a person where one can mend the cause; else end with it."""
-        self._error: Exception | None = None
-        """What it is held over."""
+        self._error: Exception | None = None  # what it is held over
         self._orders = Orders()
-        self._unfit: Order | None = None
-        """What was given over the computer or a signal, since polishing began."""
+        self._unfit: Order | None = None  # given over the computer or a signal, since polishing began
         self._changed = asyncio.Condition()
         self._does: Mapping[State, Callable[[], Awaitable[Turn]]] = {
             State.STARTING: self._start,
@@ -231,9 +229,7 @@ class Daemon:
             said = f"{self.reason}; {order.said(ORDERED)}" if order.reason else self.reason
             return Turn(order.verb, said, error=self._error)
         try:
-            # out of contact: what was lost meanwhile is opened again
-            stop = await unless(self._orders.asked_to_stop(), self._cell.restore_links())
-            if stop is not None:
+            if (stop := await unless(self._orders.asked_to_stop(), self._cell.restore_links())) is not None:
                 return Turn(Trigger.STOP, self._stopped_by(stop), error=self._error)
             refused = await self._made_safe()
         except PolishdError:
@@ -265,13 +261,11 @@ class Daemon:
 
     def _endangered(self, what: str, error: type[PolishdError] = HostFault) -> None:
         """Contact is left while it still can be; what nobody should go on from counts more, also if it comes later."""
-        if self.state is not State.POLISHING:
-            return
-        if self._unfit is None:
+        if self.state is State.POLISHING and self._unfit is None:
             self._unfit = Order(Trigger.UNFIT, what, error)
             self._orders.give(self._unfit)
-        elif self._unfit.error.mendable and not error.mendable:
-            self._unfit.error, self._unfit.reason = error, f"{what}; {self._unfit.reason}"
+        elif self.state is State.POLISHING and self._unfit is not None:
+            self._unfit.worsen(what, error)
 
     def _wrong(self, limits: SignalLimits, what: str) -> None:
         """A signal is not as it must be in contact: what follows is what its limits say."""

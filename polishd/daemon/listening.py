@@ -32,16 +32,14 @@ async def within(seconds: float, work: Coroutine[Any, Any, T]) -> T:
     """
     task = asyncio.ensure_future(work)
     try:
-        await asyncio.wait({task}, timeout=seconds)
+        async with asyncio.timeout(seconds):
+            return await asyncio.shield(task)
     finally:
         if not task.done():
             task.cancel()
             await asyncio.wait({task}, timeout=LET_GO_S)
             if not task.done():
                 log.error("%s does not end though it was cancelled, and is left behind", work)
-    if task.done() and not task.cancelled():
-        return task.result()
-    raise TimeoutError
 
 
 async def heard(samples: AsyncIterator[T], judge: Callable[[T], None], name: str, silence_s: float) -> None:
