@@ -60,6 +60,8 @@ class DeviceType:
     """A pydantic model: the keys of the device's config section besides ``type``."""
     build: Callable[[Any, DeviceContext], Device]
     """Make the device from validated options. Opens nothing."""
+    takes: Callable[[Sequence[bytes]], str] | None = None
+    """Of a robot: (blocks of a program) -> why it could not run them, empty where it could; None: nobody can say."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,12 +8,14 @@ import sys
 import tempfile
 from importlib.resources import files
 from pathlib import Path
+from typing import Any, TextIO
+from xml.etree import ElementTree as ET
 
 import typer
 
 from polishd.daemon.lock import locked
 from polishd.model.errors import ConfigError, DeviceFault, PolishdError
-from polishd.show.tables import record_table, stdout
+from polishd.show.tables import emit, record_table, stderr, stdout
 
 INI = "[pytest]\nasyncio_default_fixture_loop_scope = function\nfilterwarnings = default\n"
 KEPT, BROKEN, INTERRUPTED, REFUSED = 0, 1, 2, 4
@@ -21,9 +23,12 @@ KEPT, BROKEN, INTERRUPTED, REFUSED = 0, 1, 2, 4
 
 
 def hil_verb(
-    cell: Path, level: str, max_force_n: float | None, simulate: str, motion: Path | None, *, yes: bool
+    cell: Path, level: str, max_force_n: float | None, simulate: str, motion: Path | None, *, yes: bool, as_json: bool
 ) -> None:
-    """DeviceFault where a demand is not kept; ConfigError where nothing was tried."""
+    """DeviceFault where a demand is not kept; ConfigError where nothing was tried.
+
+    With ``as_json`` what people read goes to stderr.
+    """
     if importlib.util.find_spec("pytest") is None or importlib.util.find_spec("pytest_asyncio") is None:
         raise ConfigError("polishd hil needs pytest: pip install 'polishd[testing]'; nothing was opened")
     from polishd.testing.bench import SUITES, Asked, Level, foreseen
@@ -32,13 +37,18 @@ def hil_verb(
     asked = Asked(cell=cell, level=Level.of(level), max_force_n=max_force_n, simulate=names, motion=motion)
     seen = foreseen(asked)
     title, columns = f"{seen.config.cell.name}: level {level}", ("device", "what it is", "what happens to it")
-    stdout.print(record_table(title, columns, seen.does()))
+    does = list(seen.does())
+    (stderr if as_json else stdout).print(record_table(title, columns, does))
     with locked(seen.config.state_dir):
         _ask(yes=yes)
     options = ["--cell", str(cell.resolve()), "--hil-level", level, "--hil-simulate", simulate]
     options += [] if max_force_n is None else ["--hil-max-force", str(max_force_n)]
     options += [] if motion is None else ["--hil-motion", str(motion.resolve())]
-    _judge(_run([f"{suite}.py" for suite in SUITES], options))
+    code, found = _run([f"{suite}.py" for suite in SUITES], options, out=sys.stderr if as_json else None)
+    if as_json:
+        devices = [dict(zip(("device", "what", "does"), row, strict=True)) for row in does]
+        emit({"cell": seen.config.cell.name, "level": level, "devices": devices, **found}, as_json=True, table=str)
+    _judge(code)
 
 
 def _ask(*, yes: bool) -> None:
@@ -46,25 +56,40 @@ def _ask(*, yes: bool) -> None:
         return
     if not sys.stdin.isatty():
         raise ConfigError("nobody is there to ask; --yes goes on without asking. Nothing was opened")
-    if not typer.confirm("Keep clear, and a hand on the emergency stop. Go on?"):
+    if not typer.confirm("Keep clear, and a hand on the emergency stop. Go on?", err=True):
         raise typer.Exit(1)
 
 
-def _run(suites: list[str], options: list[str]) -> int:
-    """The exit code of pytest, as a process of its own: whatever project the person stands in has no say there."""
+def _run(suites: list[str], options: list[str], out: TextIO | None) -> tuple[int, dict[str, Any]]:
+    """The exit code of pytest and what it found: whatever project the person stands in has no say in its process."""
     folder = Path(str(files("polishd.testing") / "suites"))
     with tempfile.TemporaryDirectory(prefix="polishd-hil-") as scratch:
         ini = Path(scratch) / "pytest.ini"
         ini.write_text(INI)
         how = ["-c", str(ini), "--rootdir", str(folder), "--import-mode=importlib", "-p", "no:cacheprovider"]
         show = ["-v", "--no-header", "--tb=short", "-rs"]
-        command = [sys.executable, "-P", "-m", "pytest", *how, *show, *options, *suites]
-        with subprocess.Popen(command, cwd=folder) as process:
+        report = Path(scratch) / "report.xml"
+        command = [sys.executable, "-P", "-m", "pytest", *how, *show, f"--junitxml={report}", *options, *suites]
+        with subprocess.Popen(command, cwd=folder, stdout=out) as process:
             while True:
                 try:
-                    return process.wait()
+                    return process.wait(), _found(report)
                 except KeyboardInterrupt:
                     continue  # it has heard it, too, and makes the device safe that it has open
+
+
+def _found(report: Path) -> dict[str, Any]:
+    """How many demands are kept, not kept, and not tried; which are not kept, and why."""
+    tests = list(ET.parse(report).iter("testcase")) if report.exists() else []  # noqa: S314 - our own
+    broken = {
+        test.attrib["name"]: wrong.attrib.get("message", "")
+        for test in tests
+        for wrong in test
+        if wrong.tag in ("failure", "error")
+    }
+    skipped = sum(test.find("skipped") is not None for test in tests)
+    problems = [{"demand": name, "why": why} for name, why in broken.items()]
+    return {"kept": len(tests) - len(broken) - skipped, "broken": len(broken), "skipped": skipped, "problems": problems}
 
 
 def _judge(code: int) -> None:

@@ -96,11 +96,11 @@ def install_verb(cells: Sequence[Path], *, system: bool, queue: bool) -> None:
 
 def _unit(cells: Sequence[Path], *, system: bool, queue: bool) -> tuple[str, str]:
     """Name and text of the unit; whatever ``load_cell`` raises of a cell that cannot run."""
-    configs, safe_s = [], 0.0
+    configs, end_s = [], 0.0
     for path in cells:
         config, hooks = load_cell(path)
         configs.append(config)
-        safe_s = max(safe_s, build_cell(config, hooks).limits.safe_s)
+        end_s = max(end_s, build_cell(config, hooks).end_s)
     names = [config.cell.name for config in configs]
     words = [sys.executable, "-m", "polishd", "run", *(str(path.absolute()) for path in cells), *["--queue"] * queue]
     owner = cells[0].stat().st_uid
@@ -110,7 +110,7 @@ def _unit(cells: Sequence[Path], *, system: bool, queue: bool) -> tuple[str, str
         account=f"User={_account(owner)}\n" if system and owner else "",
         watchdog=WATCHDOG_S,
         start=START_S,
-        stop=math.ceil(safe_s + DRAIN_S + WATCHDOG_S),
+        stop=math.ceil(end_s + DRAIN_S + WATCHDOG_S),
         device=DeviceError.exit_code,
         network=NETWORK if system else "",
         system=SYSTEM if system else "",

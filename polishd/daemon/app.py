@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any
 
 from polishd.config.cell import CellConfig
-from polishd.daemon.assembly import build_cell, build_notifiers, require_time_limits
+from polishd.daemon.assembly import build_cell, build_notifiers, require_taken, require_time_limits
 from polishd.daemon.cell import Cell
 from polishd.daemon.compute import Compute
 from polishd.daemon.courier import Notifier
@@ -167,6 +167,7 @@ def _own_work(config: CellConfig, hooks: Hooks) -> tuple[Recipe, Program]:
     recipe = make_recipe(config, hooks)
     require_commissioned(config, recipe)
     program = read_program(recipe, config.program_path)
+    require_taken(config, hooks, program)
     require_fit(config, recipe, program)
     return recipe, program
 

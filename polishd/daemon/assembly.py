@@ -21,6 +21,7 @@ from polishd.hooks.loader import Hooks
 from polishd.hookspecs import DeviceContext
 from polishd.model.concern import Severity
 from polishd.model.errors import ConfigError, PluginError, PolishdError
+from polishd.model.program import Program
 from polishd.ports.devices import Device, ForceActuator, Monitor
 from polishd.recipe.making import instrument_of
 
@@ -128,6 +129,14 @@ def require_time_limits(config: CellConfig, cell: Cell) -> tuple[Limit, ...]:
     if found := [str(config.error(key, problem)) for key, problem in (*too_short(chain), *unpowered)]:
         raise ConfigError("\n".join(found))
     return chain
+
+
+def require_taken(config: CellConfig, hooks: Hooks, program: Program) -> None:
+    """ConfigError where the job's robot could not run a program like that one, by the word of its type's plugin."""
+    name = config.used["robot"]
+    kind, _ = device_options(config, name, hooks.device_types())
+    if kind.takes is not None and (why := kind.takes(program.blocks)):
+        raise config.error("program.format", f"{program.name}: {name} ({kind.name}) does not take it: {why}")
 
 
 def _of_role(cell: Cell, key: str) -> str:

@@ -6,15 +6,16 @@ import asyncio
 import logging
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from typing import NoReturn, cast
 
 from polishd.config.cell import PORTS, port_of
+from polishd.daemon.listening import LET_GO_S, within
 from polishd.daemon.signals import Signals
-from polishd.daemon.time_limits import TimeLimits, released_within_s
-from polishd.model.devices import Identity
-from polishd.model.errors import DeviceBusy, LinkError
+from polishd.daemon.time_limits import TimeLimits, released_within_s, safe_within_s
+from polishd.model.devices import DeviceStatus, Identity
+from polishd.model.errors import DeviceBusy, DeviceFault, LinkError
 from polishd.ports.clock import Clock
 from polishd.ports.devices import Device, ForceActuator, ForceSensor, Metrology, Robot, Spindle
 
@@ -24,6 +25,8 @@ OPEN_S = 15.0
 """Longest that opening and identifying one device may take."""
 LISTEN_S = 10.0
 """Between two questions to a device of which nothing is wanted."""
+CLOSE_S = 3.0
+"""Longest that closing one device may take: whatever it does, the daemon ends."""
 BUSY_AGAIN_S = 0.5
 """After so long a busy device is asked again."""
 
@@ -113,6 +116,11 @@ class Cell:
             self.actuator.times, self.robot.times, self.spindle.times, None if sensor is None else sensor.times
         )
 
+    @property
+    def end_s(self) -> float:
+        """Longest from the order to end until all is closed, whatever a device does: contact left, safe once more."""
+        return 2 * (self.limits.safe_s + LET_GO_S) + CLOSE_S * len(self.devices)
+
     def hears(self, name: str) -> None:
         """That device has answered."""
         self.heard_s[name] = time.monotonic()
@@ -124,8 +132,11 @@ class Cell:
         """
         try:
             found = {name: await self.open_one(name, waiting) for name in self.devices}
-        except BaseException:
-            await self.close()
+        except BaseException as error:
+            try:
+                await self.close()
+            except Exception as late:  # noqa: BLE001 - a plugin may raise anything: what did not open is told first
+                error.add_note(f"and then: {late}")
             raise
         self.identities = found
 
@@ -167,37 +178,57 @@ class Cell:
 
     async def restore_links(self) -> None:
         """Open again what was lost meanwhile, and leave it safe. Only out of contact: nothing is retried in it."""
-        for name, device in self.devices.items():
-            try:
-                async with _answering(name):
-                    await device.status()
-                self.hears(name)
-            except LinkError:
-                async with _answering(name):
-                    await device.close()
-                    await device.open()
-                    await device.make_safe()
-                self.tared.discard(name)
+        for name in self.devices:
+            await self.restored(name)
+
+    async def restored(self, name: str) -> DeviceStatus:
+        """That device's own word, its link opened again where it was lost, and the device left safe then."""
+        device = self.devices[name]
+        try:
+            return await self.asked(name)
+        except LinkError:
+            async with _answering(name):
+                await device.close()
+                await device.open()
+            async with _answering(name, safe_within_s(getattr(device, "times", None))):
+                await device.make_safe()
+            self.tared.discard(name)
+            return await self.asked(name)
+
+    async def cleared(self, name: str) -> DeviceStatus:
+        """The same, once it was made safe: that takes back what its watchdog left."""
+        device = self.devices[name]
+        with suppress(DeviceFault):  # one that cannot is not ready, in its own words
+            async with _answering(name, safe_within_s(getattr(device, "times", None))):
+                await device.make_safe()
+        return await self.asked(name)
+
+    async def asked(self, name: str) -> DeviceStatus:
+        """That device's own word, asked for now; LinkError where it does not answer in time."""
+        async with _answering(name):
+            found = await self.devices[name].status()
+        self.hears(name)
+        return found
 
     async def listen(self) -> NoReturn:
         """Ask each device for its state now and then, for as long as nobody else does; one that is silent is logged."""
         self.tared.clear()  # a person has the word, and may change the tool
         while True:
             await self.clock.sleep(LISTEN_S)
-            for name, device in self.devices.items():
+            for name in self.devices:
                 try:
-                    async with _answering(name):
-                        await device.status()
-                    self.hears(name)
+                    await self.asked(name)
                 except Exception as error:  # noqa: BLE001 - a plugin may raise anything: here nothing hangs on it
                     log.info("%s does not answer while nothing is asked of it: %s", name, error)
 
     async def close(self) -> None:
-        """Close all devices, whatever one of them says."""
-        errors = []
-        for device in self.devices.values():
+        """Close all devices, whatever one of them says or does: each has ``CLOSE_S``."""
+        errors: list[Exception] = []
+        for name, device in self.devices.items():
             try:
-                await device.close()
+                await within(CLOSE_S, device.close())
+            except TimeoutError:
+                errors.append(LinkError(f"{name}: was not closed within {CLOSE_S:g} s, and is left behind"))
             except Exception as error:  # noqa: BLE001 - the others must be closed too; raised below
                 errors.append(error)
         if errors:
@@ -205,9 +236,10 @@ class Cell:
 
 
 @asynccontextmanager
-async def _answering(name: str) -> AsyncIterator[None]:
+async def _answering(name: str, within_s: float | None = None) -> AsyncIterator[None]:
+    limit_s = OPEN_S if within_s is None else within_s
     try:
-        async with asyncio.timeout(OPEN_S):
+        async with asyncio.timeout(limit_s):
             yield
     except TimeoutError:
-        raise LinkError(f"{name}: no answer within {OPEN_S:g} s; is it on, and connected?") from None
+        raise LinkError(f"{name}: no answer within {limit_s:g} s; is it on, and connected?") from None

@@ -12,7 +12,7 @@ import numpy as np
 
 from polishd.config.cell import CellConfig, port_of
 from polishd.config.job_file import JobFile
-from polishd.daemon.assembly import build_cell, build_notifiers, contact_limits, require_time_limits
+from polishd.daemon.assembly import build_cell, build_notifiers, contact_limits, require_taken, require_time_limits
 from polishd.daemon.cell import Cell
 from polishd.daemon.desk import new_job
 from polishd.daemon.lock import locked
@@ -40,6 +40,7 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
     pit = require_shallow(config, cell, recipe)
     notifiers = build_notifiers(config, hooks)
     program = steps.read_program(recipe, config.program_path)
+    require_taken(config, hooks, program)
     foresight.check_pass(config, recipe, program)
     grid = steps.process_grid(recipe)
     answer = steps.effect_of(recipe, program, grid)

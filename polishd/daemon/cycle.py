@@ -11,9 +11,9 @@ from polishd.daemon.cell import Cell
 from polishd.daemon.handling import Handling
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
+from polishd.daemon.readiness import before_contact, require_robot
 from polishd.daemon.recording import recording
 from polishd.daemon.safety import contact, told_first
-from polishd.daemon.signal_watch import until_ready
 from polishd.daemon.stream import streaming
 from polishd.daemon.touch import Touch
 from polishd.model.cycle import Outcome, Phase
@@ -49,12 +49,12 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
         async with journal.phase(cycle, Phase.PLAN):
             plan = await job.plan(cycle, solved)
             job.refuse_unsafe(plan)
-        await cell.restore_links()  # here, out of contact, a lost link may be opened again
-        await until_ready(cell, job.publish, cycle)
+        await before_contact(cell, job.publish, cycle)
         await handling.ready(cycle)  # pad and seat: nothing is pressed on a part that does not sit right
-        await until_ready(cell, job.publish, cycle)  # which may have taken minutes
+        await before_contact(cell, job.publish, cycle)  # which may have taken minutes
         feed = streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=cell.limits.buffer_s)
         async with journal.phase(cycle, Phase.RUN), feed as stream:
+            await require_robot(cell)
             await job.begin_pass(cycle, plan, await cell.robot.progress(), cell.limits.unseen_s)
             # what was done, not what was asked, feeds the next cycle
             touch = Touch(partial(job.executed, cycle), cell.limits.robot.silence_s)

@@ -62,11 +62,9 @@ class Daemon:
         self._of_queue = False  # what a person is told to run depends on it
         self._holds = holds
         """Wait for a person where one can mend the cause; else end with it."""
-        self._error: Exception | None = None
-        """What it is held over."""
+        self._error: Exception | None = None  # what it is held over
         self._orders = Orders()
-        self._unfit = False
-        """Said, since polishing began."""
+        self._unfit: Order | None = None  # given over the computer or a signal, since polishing began
         self._changed = asyncio.Condition()
         self._does: Mapping[State, Callable[[], Awaitable[Turn]]] = {
             State.STARTING: self._start,
@@ -195,7 +193,7 @@ class Daemon:
         await self.become(following(self.state, Trigger.BUSY), what)
 
     async def _polish(self) -> Turn:
-        self._cell.emergency = self._unfit = False
+        self._cell.emergency, self._unfit = False, None
         job, journal = cast(Job, self.job), self.job.journal  # between jobs nobody polishes
         done: list[Outcome] = []
 
@@ -231,7 +229,8 @@ class Daemon:
             said = f"{self.reason}; {order.said(ORDERED)}" if order.reason else self.reason
             return Turn(order.verb, said, error=self._error)
         try:
-            await self._cell.restore_links()  # out of contact: what was lost meanwhile is opened again
+            if (stop := await unless(self._orders.asked_to_stop(), self._cell.restore_links())) is not None:
+                return Turn(Trigger.STOP, self._stopped_by(stop), error=self._error)
             refused = await self._made_safe()
         except PolishdError:
             order.refused = True
@@ -261,10 +260,12 @@ class Daemon:
     # orders
 
     def _endangered(self, what: str, error: type[PolishdError] = HostFault) -> None:
-        """Contact is left while it still can be."""
-        if self.state is State.POLISHING and not self._unfit:
-            self._unfit = True
-            self._orders.give(Order(Trigger.UNFIT, what, error))
+        """Contact is left while it still can be; what nobody should go on from counts more, also if it comes later."""
+        if self.state is State.POLISHING and self._unfit is None:
+            self._unfit = Order(Trigger.UNFIT, what, error)
+            self._orders.give(self._unfit)
+        elif self.state is State.POLISHING and self._unfit is not None:
+            self._unfit.worsen(what, error)
 
     def _wrong(self, limits: SignalLimits, what: str) -> None:
         """A signal is not as it must be in contact: what follows is what its limits say."""

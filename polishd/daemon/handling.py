@@ -19,6 +19,7 @@ from polishd.daemon.force_check import ForceCheck
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
+from polishd.daemon.readiness import before_contact, require_robot
 from polishd.daemon.safety import ContactLimits, contact, in_band
 from polishd.daemon.stream import Stream, streaming
 from polishd.daemon.touch import Touch
@@ -64,6 +65,7 @@ class Handling:
         asked = self._job.recipe.touch_off
         if asked is None or (self._seated and not asked.each_pass):
             return
+        await before_contact(self._cell, self._job.publish, cycle)  # conditioning may have taken minutes
         async with self._journal.phase(cycle, Phase.TOUCH_OFF):
             await self._touch_off(cycle, asked)
         self._seated = True
@@ -124,6 +126,7 @@ class Handling:
         limits = replace(job.contact, force_n=asked.force_n, rpm=0.0, force_band=FORCE_BAND, deepest_mm=deepest_mm)
         feed = streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=cell.limits.buffer_s)
         async with feed as stream:
+            await require_robot(cell)
             await stream.approach()
             try:
                 async with contact(cell, limits, Touch(_no_block, cell.limits.robot.silence_s)) as forces:

@@ -154,7 +154,13 @@ def _take_over(journal: Journal, account: _Account, robot: RobotProgress, told: 
 
 
 async def _remembered(cell: Cell, record: PassRecord, from_seq: int) -> tuple[RobotProgress, list[Executed]] | None:
-    """The robot's word, and the blocks that it executed from there on; None if it is not the same robot run."""
+    """The robot's word, and the blocks that it executed from there on; None if it is not the same robot run.
+
+    Without a ``boot_id`` nobody can tell whether it is: what such a robot ran while no link was up its driver cannot
+    know, and what it does not tell is not taken as not executed.
+    """
+    if not record.boot_id:
+        return None
     try:
         async with asyncio.timeout(ASK_S):
             progress = await cell.robot.progress()

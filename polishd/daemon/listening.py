@@ -1,19 +1,45 @@
-"""Hearing a device for as long as contact lasts: each sample is judged as it comes, and silence is counted."""
+"""Hearing a device for as long as contact lasts, and no longer than it may take: nothing that it does holds up others.
+
+In contact each sample is judged as it comes, and silence is counted.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import time
-from collections.abc import AsyncIterator, Callable
-from typing import TypeVar
+from collections.abc import AsyncIterator, Callable, Coroutine
+from typing import Any, TypeVar
 
 from polishd.model.errors import LinkError, PolishdError, SafetyStop
 
 T = TypeVar("T")
 
+log = logging.getLogger(__name__)
+
+LET_GO_S = 1.0
+"""What is cancelled may tidy up for so long."""
 LOOK_S = 0.05
 """Between two looks at a silence: it is counted in steps, so that a daemon that was stalled hears first."""
+
+
+async def within(seconds: float, work: Coroutine[Any, Any, T]) -> T:
+    """What the work returns or raises; TimeoutError where that takes longer.
+
+    It is cancelled then, and left behind where it does not end over that: whoever waits is never held up for more than
+    ``LET_GO_S`` beyond.
+    """
+    task = asyncio.ensure_future(work)
+    try:
+        async with asyncio.timeout(seconds):
+            return await asyncio.shield(task)
+    finally:
+        if not task.done():
+            task.cancel()
+            await asyncio.wait({task}, timeout=LET_GO_S)
+            if not task.done():
+                log.error("%s does not end though it was cancelled, and is left behind", work)
 
 
 async def heard(samples: AsyncIterator[T], judge: Callable[[T], None], name: str, silence_s: float) -> None:

@@ -25,6 +25,11 @@ class Order:
     taken: bool = False
     """It was tried, and the cell goes on by it: with a queue through states that nobody may see."""
 
+    def worsen(self, reason: str, error: type[PolishdError]) -> None:
+        """Of ``UNFIT``, also once it is taken: what nobody should go on from counts more than what can be mended."""
+        if self.error.mendable and not error.mendable:
+            self.error, self.reason = error, f"{reason}; {self.reason}"
+
     def said(self, word: str) -> str:
         """With the reason that was given."""
         return f"{word}: {self.reason}" if self.reason else word

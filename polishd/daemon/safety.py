@@ -20,7 +20,7 @@ from typing import Any, cast
 from polishd.daemon.cell import Cell
 from polishd.daemon.force_check import ForceCheck
 from polishd.daemon.force_watch import tare, told_apart, watch_sensor
-from polishd.daemon.listening import heard, most_telling
+from polishd.daemon.listening import heard, most_telling, within
 from polishd.daemon.time_limits import safe_within_s
 from polishd.daemon.touch import Touch
 from polishd.model.devices import ForceSample, SpeedSample
@@ -206,8 +206,7 @@ class _Leaving:
         limits = self._cell.limits
         touch.lifts(self._cell.clock.now_s())
         try:
-            async with asyncio.timeout(safe_within_s(limits.robot)):
-                await self._cell.robot.lift(limits.lift_mm)
+            await within(safe_within_s(limits.robot), self._cell.robot.lift(limits.lift_mm))
         except Exception as error:  # noqa: BLE001 - a plugin may raise anything: then motion goes on
             log.warning(
                 "the robot does not lift the tool off (%s): motion goes on until the actuator has let go", error
@@ -220,8 +219,7 @@ class _Leaving:
     async def _moves(self, name: str) -> bool:
         robot = cast(Robot, self._cell.devices[name])
         try:
-            async with asyncio.timeout(robot.times.silence_s):
-                return (await robot.progress()).state == "running"
+            return (await within(robot.times.silence_s, robot.progress())).state == "running"
         except Exception as error:  # noqa: BLE001 - as above: it is asked to stop next
             log.warning("%s does not say whether it moves: %s", name, error)
             return False
@@ -231,8 +229,7 @@ class _Leaving:
         device, begun_s = self._cell.devices[name], self._cell.clock.now_s()
         within_s = safe_within_s(getattr(device, "times", None))
         try:
-            async with asyncio.timeout(within_s):
-                await device.make_safe()
+            await within(within_s, device.make_safe())
         except Exception as error:  # noqa: BLE001 - a plugin may raise anything: the others are asked all the same
             self._failures[name] = str(error) or f"no answer within {within_s:g} s"
             log.error("make_safe: %s did not confirm (%s); its own watchdog takes over", name, self._failures[name])

@@ -24,7 +24,7 @@ LOOK_S = 0.1
 STEP_S = 0.2
 """Most that passes between two looks, as it is counted: a daemon that was stalled hears first."""
 UNKNOWN_S = 5.0
-"""Before contact: a monitor whose link was just opened again has told nothing yet."""
+"""Before contact, at least: a monitor whose link was just opened again has told nothing yet."""
 AGAIN_S = 1.0
 """After so long a monitor that does not answer is heard again, if its link is open again."""
 
@@ -61,24 +61,26 @@ async def until_ready(cell: Cell, publish: Callable[[Event], None], cycle: int) 
 
 
 def _wait_s(cell: Cell, limits: SignalLimits) -> float:
-    """For how long a signal is waited for before contact."""
-    return limits.wait_s if cell.signals.value(limits) is not None else max(limits.wait_s, UNKNOWN_S)
+    """For how long a signal is waited for before contact; one that is not known for as long as its monitor may take."""
+    if cell.signals.value(limits) is not None:
+        return limits.wait_s
+    return max(limits.wait_s, UNKNOWN_S, AGAIN_S + cast(Monitor, cell.devices[limits.monitor]).times.silence_s)
 
 
 async def tell_once(cell: Cell, name: str) -> None:
     """Have that monitor tell each of its signals; DeviceFault where it has not all that are watched."""
     monitor = cast(Monitor, cell.devices[name])
     wanted = {limits.signal for limits in cell.signals.limits if limits.monitor == name}
-    told = set[str]()
+    told, within_s = set[str](), max(OPEN_S, monitor.times.silence_s)
     try:
-        async with asyncio.timeout(OPEN_S), aclosing(monitor.signals()) as signals:  # type: ignore[type-var]
+        async with asyncio.timeout(within_s), aclosing(monitor.signals()) as signals:  # type: ignore[type-var]
             async for signal in signals:
                 if signal.name in told:
                     break
                 told.add(signal.name)
                 cell.signals.hear(name, signal)
     except TimeoutError:
-        raise LinkError(f"{name}: told not all of its signals within {OPEN_S:g} s") from None
+        raise LinkError(f"{name}: told not all of its signals within {within_s:g} s") from None
     if missing := wanted - told:
         raise DeviceFault(f"{name}: tells no signal {listed(missing)}; it tells {listed(told)}")
 

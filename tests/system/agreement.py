@@ -29,6 +29,11 @@ class Told:
     contact: tuple[int, int]
     """The range in which the tool is on the part, as planned."""
 
+    @classmethod
+    def of_no_pass(cls, sha256: str, blocks: int) -> Told:
+        """A program of which the journal has none: nothing was touched by it."""
+        return cls(sha256, np.zeros(blocks), np.zeros(blocks), (0, 0))
+
     @property
     def uncertain(self) -> np.ndarray[Any, Any]:
         """(k,) sequence numbers."""
@@ -53,10 +58,14 @@ def passes(journal: Path) -> list[Told]:
 
 
 def disagreements(journal: Path, books: list[dict[str, Any]]) -> list[str]:
-    """Where they contradict each other: by pass and block, what the journal says, and what the plant saw."""
+    """Where they contradict each other: by pass and block, what the journal says, and what the plant saw.
+
+    A program that was no pass is a touch-off's: the robot stands while the tool touches, so that no block is touched.
+    """
     told, found = {one.sha256: one for one in passes(journal)}, []
     for book in books:
-        contact_s, one = np.array(book["contact_s"]), told[book["sha256"]]
+        contact_s = np.array(book["contact_s"])
+        one = told.get(book["sha256"]) or Told.of_no_pass(book["sha256"], len(contact_s))
         slack_s = SHARE * one.run_s + LEAST_S
         wrong = {
             "touched": (one.touched == 1) & (np.abs(contact_s - one.run_s) > slack_s),

@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 from polishd.console.demo_files import DemoFiles
+from tests.system.agreement import disagreements, passes
 from tests.system.cell_rig import Daemon, account, events, summary
 from tests.system.handover_rig import running, write_files
+from tests.system.sim_rig import wait_for
 from tests.system.test_daemon import require_safe_order
 
 pytestmark = pytest.mark.system
@@ -75,3 +77,25 @@ def test_a_feed_hold_in_contact_takes_the_tool_off_and_nothing_goes_on_by_itself
     left = names[max(k for k, name in enumerate(names) if name == "button") :]
     assert left.index("motion_stopped") < left.index("force_zero") < left.index("tool_lifted")
     assert "motion_started" not in left, "nothing goes on by itself"
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("kind", ["opcua", "ads"])
+def test_a_daemon_that_is_killed_takes_no_block_as_not_executed(tmp_path: Path, kind: str) -> None:
+    """The controller remembers nothing for the next one: all that the tool can have touched meanwhile is uncertain."""
+    files = write_files(tmp_path / "cell", kind, 30.0, tolerance_nm=0.01, max_cycles=1)
+    with running(files, 4.0):
+        with Daemon(files) as daemon:
+            daemon.wait_in_contact(60)
+            daemon.end(signal.SIGKILL)
+        wait_for(lambda: events(files, "tool_lifted"), "the lift by the actuator's own watchdog")
+        with Daemon(files) as daemon:
+            said = daemon.wait_for_state("held")["reason"]
+            daemon.end()
+        wait_for(lambda: events(files, "motion_started", "motion_stopped")[-1]["event"] == "motion_stopped", "rest")
+        found = disagreements(files.state_dir / "journal.sqlite", account(files)["programs"])
+    assert [one for one in found if "not touched" in one] == []  # when a block ended is known to a report's time
+    assert "as far as the tool can have come: the robot does not remember" in said
+    (one,) = passes(files.state_dir / "journal.sqlite")
+    assert one.uncertain.size > 0
+    assert one.uncertain[0] == np.flatnonzero(one.run_s)[-1] + 1, "the first one that nobody was told of"

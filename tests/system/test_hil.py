@@ -43,7 +43,8 @@ def test_nothing_is_opened_where_nobody_is_there_to_ask(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_a_dead_device_fails_and_the_simulated_ones_beside_it_pass(tmp_path: Path) -> None:
-    done = hil(write_small(tmp_path).cell, "--simulate", "robot,spindle", "--yes")
+    files = write_small(tmp_path)
+    done = hil(files.cell, "--simulate", "robot,spindle", "--yes")
     assert done.returncode == 5, done.stdout + done.stderr
     assert re.search(r"test_it_says_who_it_is\[actuator\] (FAILED|ERROR)", done.stdout)
     for device in ("robot", "spindle"):
@@ -51,6 +52,19 @@ def test_a_dead_device_fails_and_the_simulated_ones_beside_it_pass(tmp_path: Pat
         assert len(found) > 10
         assert set(found) == {"PASSED"}
     assert "what the port demands" in done.stdout
+
+
+@pytest.mark.full
+def test_a_program_reads_what_was_found(tmp_path: Path) -> None:
+    """A device that is not there: what people read is on stderr."""
+    done = hil(write_small(tmp_path).cell, "--simulate", "robot,spindle", "--yes", "--json")
+    assert done.returncode == 5, done.stderr
+    told = json.loads(done.stdout)
+    assert {"actuator", "robot", "spindle", "metrology"} <= {one["device"] for one in told["devices"]}
+    assert told["kept"] > 20
+    assert told["broken"] == len(told["problems"]) > 0
+    assert any(one["demand"] == "test_it_says_who_it_is[actuator]" and one["why"] for one in told["problems"])
+    assert "FAILED" in done.stderr or "ERROR" in done.stderr
 
 
 @pytest.mark.full

@@ -14,6 +14,7 @@ import pytest
 from polishd.console.demo_files import DemoFiles
 from polishd.console.simulator import simulated_cell
 from polishd.daemon import client
+from tests.system.agreement import require_agreement
 from tests.system.cell_rig import ONE_PASS, Daemon, account, events, summary, with_keys, write_small
 from tests.system.sim_rig import wait_for
 
@@ -86,6 +87,7 @@ def test_a_part_that_is_seated_anew_is_polished(tmp_path: Path) -> None:
             client.request(files.state_dir, "resume")
             assert daemon.wait() == 0, daemon.output.read_text()
         engaged = events(files, "engage")
+        require_agreement(files)
     kept = json.loads((files.run_dir / "cycle-00/touch_off.json").read_text())
     assert kept["seat"]["height_mm"] == pytest.approx(0.2, abs=0.005)
     end = summary(files)

@@ -7,12 +7,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from polishd.api import DeviceContext, DeviceType, RobotTimes, hookimpl
+from polishd.api import DeviceContext, DeviceRefused, DeviceType, RobotTimes, hookimpl
 from polishd.config.values import Section
 from polishd.drivers.transport.address import tcp_address
 from polishd.drivers.universal_robots.driver import Addresses, UniversalRobot
 from polishd.drivers.universal_robots.sample import Registers
-from polishd.drivers.universal_robots.script import Settings
+from polishd.drivers.universal_robots.script import Settings, blocks_of
 
 POLISHD_API = 1
 
@@ -50,7 +50,16 @@ def _build(options: UniversalRobotsOptions, context: DeviceContext) -> Universal
     return UniversalRobot(addresses, settings, times, options.rate_hz)
 
 
+def _takes(blocks: Sequence[bytes]) -> str:
+    """URScript is its only language."""
+    try:
+        blocks_of(blocks)
+    except DeviceRefused as refusal:
+        return str(refusal)
+    return ""
+
+
 @hookimpl
 def polishd_device_types() -> Sequence[DeviceType]:
     """One."""
-    return [DeviceType("universal_robots", "robot", UniversalRobotsOptions, _build)]
+    return [DeviceType("universal_robots", "robot", UniversalRobotsOptions, _build, _takes)]

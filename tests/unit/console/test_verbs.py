@@ -90,6 +90,20 @@ def test_what_check_finds(
     assert says in said.err
 
 
+def test_a_robot_that_cannot_read_the_program_is_told_with_the_key(polishd: Polishd, files: DemoFiles) -> None:
+    """URScript is the only language of a UR."""
+    wrong = files.out / "wrong.toml"
+    text = files.cell.read_text().replace('type = "robot_link"', 'type = "universal_robots"')
+    wrong.write_text(text.replace('"rnc_robot", ', '"rnc_robot", "universal_robots", '))
+    said = polishd("check", wrong)
+    assert said.code == 3
+    line = next(k for k, line in enumerate(wrong.read_text().splitlines(), 1) if line.startswith("format"))
+    assert said.err == (
+        f"polishd: {wrong}:{line}: program.format: program.rnc: robot (universal_robots) does not take it: no line of "
+        "the program moves or waits in URScript: look at [program] format\n"
+    )
+
+
 def test_check_says_what_the_program_covers_and_where_the_seat_is_proved(polishd: Polishd, files: DemoFiles) -> None:
     found = polishd("check", files.cell, "--json").answer
     assert found["seat"].startswith("proved with 0.8 N at x 0.0, y 8.5 mm; x -7.4, ")

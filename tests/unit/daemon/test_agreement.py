@@ -60,3 +60,12 @@ def test_contradictions(
 ) -> None:
     (found,) = disagreements(kept(tmp_path, touched, tail), book(*contact_s))
     assert found.endswith(says)
+
+
+def test_a_touch_off_is_no_pass_and_touches_while_the_robot_stands(tmp_path: Path) -> None:
+    journal = kept(tmp_path, [True, True], (2, 2))
+    places = [{"sha256": f"place {place}", "contact_s": [0.0] * 4} for place in range(3)]
+    assert disagreements(journal, [*places, *book(0.1, 0.1)]) == []
+    places[1]["contact_s"] = [0.0, 0.0, 0.2, 0.0]
+    (found,) = disagreements(journal, [*places, *book(0.1, 0.1)])
+    assert found == "place 1 block 2: not touched in 0.000 s; the plant saw 0.200 s"

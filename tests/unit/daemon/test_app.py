@@ -474,6 +474,7 @@ class Site:
 
         monkeypatch.setattr(app, "require_commissioned", lambda config, recipe: None)
         monkeypatch.setattr(app, "require_fit", lambda config, recipe, program: "")
+        monkeypatch.setattr(app, "require_taken", lambda config, hooks, program: None)
         monkeypatch.setattr(app, "make_recipe", lambda config, hooks: self.recipe)
         monkeypatch.setattr(app, "read_program", lambda recipe, path: self.program)
         monkeypatch.setattr(app, "build_cell", self.build)

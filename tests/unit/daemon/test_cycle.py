@@ -350,7 +350,9 @@ async def test_the_spindle_that_will_not_stop_fails_the_run_but_the_tool_is_off(
 
 
 async def test_a_link_that_was_lost_out_of_contact_is_opened_again_before_the_run(bench: Bench) -> None:
-    bench.fake.spindle.acts.fails["status"] = LinkError("sleeping")
+    acts = bench.fake.spindle.acts
+    acts.fails["status"] = LinkError("sleeping")
+    acts.before["open"] = acts.fails.clear
     await bench.polish(bench.job(max_cycles=1))
     calls = bench.fake.of("spindle.close", "spindle.open", "spindle.make_safe", "robot.prepare")
     assert calls == ["spindle.close", "spindle.open", "spindle.make_safe", "robot.prepare"]

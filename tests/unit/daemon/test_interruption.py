@@ -42,11 +42,17 @@ def fake() -> FakeCell:
 
 
 def interrupted(
-    journal: Journal, until: int = 18, *, wall_s: float = 1.0, reach_s: float | None = REACH_S, off_from: int = BLOCKS
+    journal: Journal,
+    until: int = 18,
+    *,
+    wall_s: float = 1.0,
+    reach_s: float | None = REACH_S,
+    off_from: int = BLOCKS,
+    boot_id: str = "boot-1",
 ) -> None:
     """A pass that was begun; blocks of contact are recorded up to there, one told each ``wall_s``."""
     plan = journal.arrays.put(PLAN)
-    journal.begin_pass(2, "sha", "boot-1", BLOCKS, contact=CONTACT, plan=plan, reach_s=reach_s)
+    journal.begin_pass(2, "sha", boot_id, BLOCKS, contact=CONTACT, plan=plan, reach_s=reach_s)
     for seq in range(CONTACT[0], until):
         block = Executed(seq, float(seq), seq + 1.0)
         journal.record_executed(2, [BlockRecord(block, seq < off_from, 12.0, 1000.0, 50.0 + seq * wall_s)])
@@ -159,6 +165,19 @@ async def test_a_robot_that_still_runs_is_not_taken_to_stand(fake: FakeCell, jou
 
 
 # it has forgotten, or says nothing
+
+
+@pytest.mark.parametrize("marked", [(18, 30), None])
+async def test_what_a_robot_without_a_boot_id_does_not_tell_may_be_executed(
+    fake: FakeCell, journal: Journal, marked: tuple[int, int] | None
+) -> None:
+    """Its driver has followed it until the link was lost, and no further; it went on by itself."""
+    interrupted(journal, boot_id="")
+    fake.robot.boot_id, fake.robot.done, fake.robot.until = "", 18, 18
+    if marked:
+        journal.mark_uncertain(2, *marked)
+    await settle(fake.cell, journal)
+    assert journal.uncertain(2) == (marked or (18, 25),), "as far as the tool can have come, not where it was last seen"
 
 
 @pytest.mark.parametrize(("field", "value"), [("boot_id", "boot-2"), ("plan_sha256", "other"), ("plan_sha256", "")])

@@ -78,6 +78,28 @@ async def test_lift_ends_the_daemon_as_any_safety_stop(bench: Bench) -> None:
     assert bench.journal.unfinished() is not None, "the next start settles it, and comes up held"
 
 
+async def test_of_two_that_are_wrong_the_worse_counts(bench: Bench) -> None:
+    """A monitor that falls silent takes all its signals along; nobody should go on from one of them by `resume`."""
+    limits = [replace(FLOW, name=f"{word} flow", leads_to=word) for word in ("hold", "lift")]
+    monitor = bench.fake.with_monitor(*limits, flow=1.5)
+    async with Running(bench) as running:
+        await running.in_contact()
+        monitor.values["flow"] = 0.2
+        with pytest.raises(SafetyStop, match=r"^lift flow is 0\.2 l/min.*; hold flow is 0\.2 l/min"):
+            await running.outcome()
+
+
+async def test_what_goes_wrong_on_the_way_to_the_part_is_found_as_the_tool_is_sent_out(bench: Bench) -> None:
+    """Nothing is polished over it: limits in contact hold from before the spindle turns."""
+    monitor = monitored(bench, "hold")
+    bench.fake.robot.acts.before["resume"] = lambda: monitor.values.update(flow=0.2)
+    async with Running(bench) as running:
+        await running.held()
+        assert running.daemon.reason.startswith(f"SignalFault: {WRONG}")
+        assert bench.journal.uncertain(0) == ()
+        assert bench.journal.contact_s(0) == 0.0
+
+
 async def test_estop_stops_motion_whatever_the_part_costs(bench: Bench) -> None:
     monitor = monitored(bench, "estop")
     stopped: list[bool] = []

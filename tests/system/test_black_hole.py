@@ -1,0 +1,39 @@
+"""Robot and actuator fall silent with their links open, in contact: the daemon ends all the same, and says so."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from tests.system.cell_rig import Daemon, summary
+from tests.system.handover_rig import running, write_files
+
+pytestmark = [pytest.mark.system, pytest.mark.full]
+
+
+@pytest.mark.parametrize("kind", ["link", "opcua", "ads"])
+def test_a_stop_ends_in_time_though_robot_and_actuator_swallow_all(tmp_path: Path, kind: str) -> None:
+    """Their processes are stopped: the kernel takes new connections and bytes, and nobody answers.
+
+    The limit that ``wait`` has ends what hangs: what the daemon may take by its own limits is much less.
+    """
+    files = write_files(tmp_path / "cell", kind, 30.0, tolerance_nm=0.01, max_cycles=1)
+    with running(files, 4.0), Daemon(files) as daemon:
+        daemon.wait_in_contact(60)
+        pids = json.loads((files.sim_dir / "pids.json").read_text())
+        stopped = [pids["robot"], pids["actuator"]]
+        try:
+            for pid in stopped:
+                os.kill(pid, signal.SIGSTOP)
+            assert daemon.end() != 0, daemon.output.read_text()
+        finally:
+            for pid in stopped:
+                os.kill(pid, signal.SIGCONT)
+    end = summary(files)
+    assert (end["tool_off"], end["robot_at_rest"]) == ("not confirmed", "not confirmed")
+    assert [said.partition(":")[0] for said in end["unsafe"]] == ["actuator", "robot"]
+    assert end["cycles"][0]["uncertain"], "nobody was told what ran after the silence began"
