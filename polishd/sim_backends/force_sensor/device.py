@@ -9,7 +9,7 @@ from collections.abc import Callable
 from polishd.config.simulator import ForceSensor
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.bus import Message
-from polishd.sim_backends.faults import Outlet
+from polishd.sim_backends.faults.outlet import Outlet
 from polishd.sim_backends.force_sensor.cell import LoadCell
 from polishd.sim_backends.numbered import NumberedSlave
 from polishd.sim_backends.runtime import Runtime
@@ -57,7 +57,8 @@ async def main(runtime: Runtime) -> None:
         return feed
 
     runtime.link.on_message = on_message
-    wire = Wire(runtime, config.faults, receiver)
+    runtime.script.suffer = cell.suffer
+    wire = Wire(runtime, receiver)
     wire.ready(await wire.open_line(config))
     while True:
         cell.step(time.monotonic())

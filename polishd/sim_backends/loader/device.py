@@ -11,7 +11,7 @@ from urllib.parse import quote, unquote
 
 from polishd.config.simulator import Loader
 from polishd.sim_backends.actuator.ascii import MAX_LINE, body, line
-from polishd.sim_backends.faults import Outlet
+from polishd.sim_backends.faults.outlet import Outlet
 from polishd.sim_backends.loader.arm import Arm
 from polishd.sim_backends.runtime import Runtime
 from polishd.sim_backends.wire import Feed, Wire
@@ -86,7 +86,7 @@ async def main(runtime: Runtime) -> None:
 
         return feed
 
-    wire = Wire(runtime, config.faults, receiver)
+    wire = Wire(runtime, receiver)
     runtime.on_again.append(lambda: setattr(arm, "faults", (runtime.start.config.loader or config).faults))
     runtime.button(signal.SIGUSR1, arm.reset)
     wire.ready(await wire.open_line(config))

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from polishd.config.simulator import SEVEN, Monitor
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.bus import Message
-from polishd.sim_backends.faults import Outlet
+from polishd.sim_backends.faults.outlet import Outlet
 from polishd.sim_backends.monitor.inputs import Inputs
 from polishd.sim_backends.numbered import NumberedSlave
 from polishd.sim_backends.runtime import Runtime
@@ -61,7 +61,7 @@ async def main(runtime: Runtime) -> None:
 
     runtime.link.on_message = on_message
     runtime.button(signal.SIGUSR1, inputs.press)
-    wire = Wire(runtime, config.faults, receiver)
+    wire = Wire(runtime, receiver)
     wire.ready(await wire.open_line(config))
     while True:
         inputs.step(time.monotonic())

@@ -59,7 +59,7 @@ class Sitting:
             first.script.strike(self._cell)
             self._start()
         plant = {"rms_nm": first.rms_nm, "pv_nm": first.pv_nm}
-        self._cell.set({**first.script.sections(first.name), "plant": plant})
+        self._cell.set({**first.script.sections(first.name), "plant": plant}, first.script.wires)
         under, landed = self._ledger.begin(first), self._landings()
         self._add(group)
         self._follow(under, landed)
