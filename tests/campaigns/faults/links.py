@@ -41,6 +41,7 @@ FRAMES: Mapping[str, Fault] = {
 }
 UNIT: Mapping[str, Fault] = {"another unit answers": {"what": "wrong_unit"}}
 REFUSES: Mapping[str, Fault] = {"exception": {"what": "exception"}}
+"""Where something is asked in contact: the robot link tells by itself."""
 ALL = {**LOST, **TIMES, **FRAMES}
 MUST_END = {*LOST, "all garbled", "sticks", "halts", "freezes", "drifts", "saturates"}
 
@@ -141,7 +142,7 @@ FORCE = {"sticks": {"what": "stick"}}
 DRIFT = {"drifts": {"what": "drift", "drift_n_s": 2.0}}
 CELL = {"halts": {"what": "halt"}, **DRIFT, "saturates": {"what": "saturate", "limit_n": 13.0}}
 LINKS: Mapping[str, Link] = {
-    "robot link": Link("robot", _small, {**ALL, **REFUSES}),
+    "robot link": Link("robot", _small, ALL),
     "handover over OPC UA": Link("robot", lambda f: _plc(f, "opcua"), ALL, PLC_SILENCE_S),
     "handover over ADS": Link("robot", lambda f: _plc(f, "ads"), {**ALL, **REFUSES}, PLC_SILENCE_S),
     "RTDE": Link("robot", _universal, ALL, link="rtde"),

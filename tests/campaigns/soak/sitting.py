@@ -184,7 +184,7 @@ def grouped(parts: Sequence[Part]) -> Iterator[list[Part]]:
     """Each alone that anything befalls; those in peace, several together."""
     group: list[Part] = []
     for part in parts:
-        calm = not part.script.sim and not part.script.when
+        calm = not (part.script.sim or part.script.wires or part.script.when)
         if group and (not calm or len(group) == GROUP):
             yield group
             group = []
