@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field
 
 from polishd.config.document import Document, parse_toml
-from polishd.config.simulator_faults import Fault
+from polishd.config.simulator_faults import FRAMES, STATES, Fault
 from polishd.config.values import (
     Bump,
     Name,
@@ -23,6 +23,8 @@ from polishd.config.values import (
     Vector,
     as_tuple,
 )  # fmt: skip
+
+__all__ = ["FRAMES", "SEVEN", "STATES", "Fault", "SimConfig", "load_simulator"]
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from polishd.config.document import parse_toml
-from polishd.config.simulator import SimConfig
-from polishd.config.simulator_faults import STATES, Fault
+from polishd.config.simulator import STATES, Fault, SimConfig
 from polishd.model.errors import ConfigError
 from polishd.sim_backends.faults.protocols import PROTOCOLS
+from polishd.sim_backends.profiled.sheet import Sheet
 
 CAN_SUFFER: Mapping[str, tuple[str, ...]] = {
     "actuator": ("freeze", "drift", "stick"),
@@ -36,7 +35,7 @@ def protocols(config: SimConfig, device: str) -> Mapping[str, str]:
 
 
 def _profiled(config: SimConfig, profile: str, *, tcp: bool) -> str:
-    raw, _ = parse_toml(config.resolve(profile))
+    raw = Sheet.read(config.resolve(profile)).raw
     if "lines" in raw:
         return "numbered lines" if raw["lines"].get("framing") == "numbered" else "lines"
     return "modbus_tcp" if tcp else "modbus_rtu"

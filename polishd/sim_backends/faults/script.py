@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from polishd.config.simulator_faults import FRAMES, STATES, Fault
+from polishd.config.simulator import FRAMES, STATES, Fault
 from polishd.sim_backends.faults.protocols import PROTOCOLS
 from polishd.sim_backends.truth import stream
 

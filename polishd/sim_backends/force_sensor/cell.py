@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from polishd.config.simulator import ForceSensor
-from polishd.config.simulator_faults import Fault
+from polishd.config.simulator import Fault, ForceSensor
 
 MEASURING, TARING, FAULT = range(3)
 OVER_RANGE = 1
