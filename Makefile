@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-all test-long test-maps ways-out crash model soak coverage mutate check format reference bench compare lock clean
+.PHONY: help demo test test-all test-long test-maps ways-out crash faults model soak coverage mutate check format reference bench compare lock clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -28,7 +28,7 @@ test-all: $(VENV)/.installed ## run all tests but the long campaigns (ARGS="..."
 	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m "not slow and not hil" $(ARGS)
 
 # Those that run machines in real time by themselves, and first: others would starve what they simulate.
-REAL_TIME := tests/campaigns/test_ways_out.py tests/campaigns/crash tests/campaigns/soak tests/system
+REAL_TIME := tests/campaigns/test_ways_out.py tests/campaigns/crash tests/campaigns/faults tests/campaigns/soak tests/system
 test-long: $(VENV)/.installed ## run the long campaigns (ARGS="...")
 	@$(ONE_THREAD) $(PYTEST) -n 1 -m "slow and not hil" $(REAL_TIME) $(ARGS)
 	@$(ONE_THREAD) $(PYTEST) -n 2 --dist worksteal -m "slow and not hil" $(REAL_TIME:%=--ignore=%) $(ARGS)
@@ -42,6 +42,9 @@ ways-out: $(VENV)/.installed ## of those, every way out of contact in real time,
 
 crash: $(VENV)/.installed ## 100,000 crash states of the journal, 2,000 kills, and its model; into docs/reliability.md (ARGS="...")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.crash $(ARGS)
+
+faults: $(VENV)/.installed ## every fault on every link in contact; into docs/fault-matrix.md (ARGS="--losses 200")
+	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.faults $(ARGS)
 
 model: $(VENV)/.installed ## of that, the model alone
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.crash --states 0 --kills 0 $(ARGS)

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field
 
 from polishd.config.document import Document, parse_toml
+from polishd.config.simulator_faults import FRAMES, STATES, Fault
 from polishd.config.values import (
     Bump,
     Name,
@@ -23,7 +24,8 @@ from polishd.config.values import (
     as_tuple,
 )  # fmt: skip
 
-Rate = Annotated[float, Field(ge=0, le=1)]
+__all__ = ["FRAMES", "SEVEN", "STATES", "Fault", "SimConfig", "load_simulator"]
+
 Port = Annotated[int, Field(ge=0, le=65535)]
 
 
@@ -97,36 +99,6 @@ class Truth(Section):
     """How far off that it is drawn, either way, relative. [1]"""
 
 
-class Faults(Section):
-    """How a link and its device misbehave. Rates are per frame or reply sent, 0 = never."""
-
-    jitter_s: NotNegative = 0.0
-    """Most by which a frame comes late, every one of them, wall time."""
-    late_rate: Rate = 0.0
-    """Share of frames that come late by `late_s`. [1]"""
-    late_s: NotNegative = 0.0
-    """By how much these come late, wall time."""
-    drop_rate: Rate = 0.0
-    """Share of frames that are lost. [1]"""
-    garble_rate: Rate = 0.0
-    """Share of frames in which one bit is turned over. [1]"""
-    disconnect_every_s: NotNegative = 0.0
-    """The line is cut so often, wall time; 0: never."""
-    reboot_after_s: NotNegative = 0.0
-    """The device loses its power once, so long after its start, wall time; 0: never."""
-
-
-class ActuatorFaults(Faults):
-    """What an actuator can do beyond that."""
-
-    stuck_force_after_s: NotNegative = 0.0
-    """Seconds in contact after which the force falls to 60 % and stays there, whatever is asked; 0: never."""
-    drift_after_s: NotNegative = 0.0
-    """Seconds in contact after which what it measures begins to drift, and what truly acts with it; 0: never."""
-    drift_n_s: float = 1.0
-    """How fast, up to 4 N; positive: it reads too much, and presses too little. [N/s]"""
-
-
 class MapFaults(Section):
     """What an interferometer does to those who read its folder."""
 
@@ -196,7 +168,6 @@ class Robot(Section):
     """Range of A."""
     home: Annotated[tuple[float, float, float, float, float], BeforeValidator(as_tuple)] = (0.0, 0.0, 60.0, 0.0, 0.0)
     """X, Y, Z, A and C at the very first start; later it is wherever it stood. [mm, mm, mm, deg, deg]"""
-    faults: Faults = Faults()
 
 
 class Actuator(Section):
@@ -225,7 +196,6 @@ class Actuator(Section):
     """... with its own weight."""
     unpowered: Literal["lifts", "stays"] = "lifts"
     """What its tool does where its process is killed, which is its power cut."""
-    faults: ActuatorFaults = ActuatorFaults()
 
 
 class Spindle(Section):
@@ -249,7 +219,6 @@ class Spindle(Section):
     """And back: its quick stop."""
     watchdog_s: Positive = 1.0
     """Without a command for so long it stops by itself, wall time."""
-    faults: Faults = Faults()
 
 
 class Interferometer(Section):
@@ -276,21 +245,6 @@ class Line(Section):
     """Pace of the serial line. [bit/s]"""
 
 
-class ForceSensorFaults(Faults):
-    """What a force sensor can do beyond that; times are seconds in contact, 0: never."""
-
-    drift_after_s: NotNegative = 0.0
-    """From then on it drifts."""
-    drift_n_s: float = 1.0
-    """How fast. [N/s]"""
-    freeze_after_s: NotNegative = 0.0
-    """From then on it tells the same force, as new conversions."""
-    halt_after_s: NotNegative = 0.0
-    """From then on it converts no more, and goes on answering."""
-    saturate_n: NotNegative = 0.0
-    """It tells no more than that, and does not say so; 0: it tells all of its range."""
-
-
 class ForceSensor(Line):
     """A force sensor beside the actuator: it feels what truly acts."""
 
@@ -302,7 +256,6 @@ class ForceSensor(Line):
     """Its filter's delay."""
     range_n: Positive = 60.0
     """Beyond it a fault bit is set."""
-    faults: ForceSensorFaults = ForceSensorFaults()
 
 
 class SimSignal(Section):
@@ -336,11 +289,10 @@ class Monitor(Line):
     """A monitor of the cell's signals, with the seven of examples/monitored_cell.toml and those that are named here."""
 
     signals: Mapping[Name, SimSignal] = {}
-    faults: Faults = Faults()
 
 
-class LoaderFaults(Faults):
-    """What a loader can do beyond that, by the part that it is asked for; dropping and jamming once each."""
+class LoaderFaults(Section):
+    """What a loader can do to parts, by the part that it is asked for; dropping and jamming once each."""
 
     wrong: Texts = ()
     """Parts in whose place it brings another, and says so."""
@@ -378,6 +330,7 @@ class SimConfig(Document):
     loader: Loader | None = None
     force_sensor: ForceSensor | None = None
     monitor: Monitor | None = None
+    fault: Annotated[tuple[Fault, ...], BeforeValidator(as_tuple)] = ()
 
 
 def load_simulator(path: Path) -> SimConfig:

@@ -11,7 +11,7 @@ from typing import Any
 
 from polishd.config.simulator import SimConfig, load_simulator
 from polishd.model.errors import PolishdError
-from polishd.sim_backends.runtime import Start, as_hardware, run_device
+from polishd.sim_backends.runtime import Start, as_hardware, read_config, run_device
 from polishd.sim_backends.supervisor import DEVICES, Supervisor
 from polishd.sim_backends.truth import stream
 
@@ -36,7 +36,7 @@ def parser() -> argparse.ArgumentParser:
 
 def start_of(options: argparse.Namespace) -> Start:
     """What was asked for; a device booted by hand takes seed and speed of the running cell."""
-    config = load_simulator(options.config)
+    config = read_config(options.config)
     state: Path = (options.state or options.config.parent / "sim").absolute()
     state.mkdir(parents=True, exist_ok=True)
     running: dict[str, Any] = {}

@@ -70,6 +70,8 @@ class PlantLink:
     reader: asyncio.StreamReader
     writer: asyncio.StreamWriter
     on_message: Callable[[Message | FloatArray], None] = field(default=lambda _message: None)
+    on_force: Callable[[float], None] = field(default=lambda _acting_n: None)
+    """Told what acts between tool and part now, in N."""
 
     def event(self, name: str, at_s: float | None = None, **data: Any) -> None:
         """Tell the witness what happened, and when (time.monotonic)."""
@@ -93,6 +95,8 @@ class PlantLink:
     async def run(self) -> None:
         """Hand over what the plant says; returns when it is gone."""
         while (message := await read_frame(self.reader)) is not None:
+            if isinstance(message, dict) and "acting_n" in message:
+                self.on_force(float(message["acting_n"]))
             self.on_message(message)
 
 

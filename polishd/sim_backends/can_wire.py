@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from polishd.config.simulator import Faults
 from polishd.sim_backends.can_hosts import Frame, Slcan, Socketcand
-from polishd.sim_backends.faults import Outlet
+from polishd.sim_backends.faults.outlet import Outlet
 from polishd.sim_backends.runtime import Runtime
 from polishd.sim_backends.wire import Feed, Wire
 
@@ -20,7 +19,6 @@ class CanWire:
     """The bus of one simulated device."""
 
     runtime: Runtime
-    faults: Faults
     kind: str
     """``slcan`` or ``socketcand``."""
     port: int
@@ -30,7 +28,7 @@ class CanWire:
 
     async def open(self) -> None:
         """Be reachable, and say where."""
-        wire = Wire(self.runtime, self.faults, self._connected)
+        wire = Wire(self.runtime, self._connected)
         if self.kind == "slcan":
             wire.open_pty(ADAPTER_BAUD)
             wire.ready(f"slcan:{self.runtime.start.state / self.runtime.name}?bitrate=500000")

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from polishd.config.simulator import ForceSensor, Loader, Monitor
 from polishd.sim_backends.actuator.ascii import MAX_LINE, body, line
-from polishd.sim_backends.faults import Outlet
+from polishd.sim_backends.faults.outlet import Outlet
 from polishd.sim_backends.runtime import Runtime
 from polishd.sim_backends.wire import Feed, Wire
 
@@ -58,7 +58,7 @@ async def serve(runtime: Runtime, config: OnLines, machine: Machine, answer: Ans
 
         return feed
 
-    wire = Wire(runtime, config.faults, receiver)
+    wire = Wire(runtime, receiver)
     wire.ready(await wire.open_line(config))
     while True:
         machine.step(time.monotonic())

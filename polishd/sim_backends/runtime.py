@@ -8,6 +8,7 @@ import json
 import os
 import signal
 import sys
+import time
 import uuid
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
@@ -17,11 +18,20 @@ from typing import Any
 
 from polishd.config.simulator import SimConfig, load_simulator
 from polishd.sim_backends import bus
+from polishd.sim_backends.faults.links import require_possible
+from polishd.sim_backends.faults.script import Script
 
 LOOPBACK = "127.0.0.1"
 PARENT_S = 0.2
 ROOT = Path(__file__).resolve().parents[2]
 """Where the package lies."""
+
+
+def read_config(path: Path) -> SimConfig:
+    """SIM.toml; ConfigError, too, where it scripts a fault that its device or its link cannot have."""
+    config = load_simulator(path)
+    require_possible(config)
+    return config
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +49,7 @@ class Start:
 
     def again(self) -> Start:
         """With what SIM.toml says now."""
-        return changed(self, config=load_simulator(Path(self.config.source.file)))
+        return changed(self, config=read_config(Path(self.config.source.file)))
 
 
 @dataclass(slots=True)
@@ -55,6 +65,16 @@ class Runtime:
     boot_id: str = field(default_factory=lambda: uuid.uuid4().hex[:12])
     on_again: list[Callable[[], object]] = field(default_factory=list)
     """Who keeps a copy of what SIM.toml says: called when it was read again."""
+    script: Script = field(init=False)
+
+    def __post_init__(self) -> None:
+        """With the faults of its own."""
+        self.script = Script(self.name, self.start.seed, self.link.event, reboot=self.reboot)
+
+    def begin_script(self) -> None:
+        """From now on the faults of SIM.toml happen."""
+        self.script.set(self.start.config.fault, time.monotonic(), rebooted=self.start.rebooted)
+        self.group.create_task(self.script.run())
 
     def ready(self, endpoint: str) -> None:
         """Tell the supervisor that the device answers there."""
@@ -73,6 +93,7 @@ class Runtime:
     def again(self) -> None:
         """Read SIM.toml again: faults and the truth may be others from now on; ports, times and places stay."""
         self.start = self.start.again()
+        self.script.set(self.start.config.fault, time.monotonic())
         for told in self.on_again:
             told()
 
@@ -93,14 +114,15 @@ class Runtime:
             return got
         return 0
 
-    async def reboot_later(self, after_s: float) -> None:
-        """Lose power once, after some time, and come up again in the same process."""
-        if after_s <= 0.0 or self.start.rebooted:
-            return
-        await asyncio.sleep(after_s)
+    def reboot(self) -> None:
+        """Lose power, and come up again in the same process."""
         self.link.event("reboot")
+        self.group.create_task(self._reboot())
+
+    async def _reboot(self) -> None:
         await self.link.writer.drain()
-        arguments = [sys.executable, "-m", "polishd.sim_backends", *sys.argv[1:], "--rebooted"]
+        known = [argument for argument in sys.argv[1:] if argument != "--rebooted"]
+        arguments = [sys.executable, "-m", "polishd.sim_backends", *known, "--rebooted"]
         os.execv(sys.executable, arguments)  # noqa: S606  (no shell: the process replaces itself)
 
 
@@ -144,6 +166,7 @@ async def run_device(name: str, start: Start, device: Device, **hello: Any) -> N
     link = await bus.connect(start.state, name, **hello)
     async with asyncio.TaskGroup() as group:
         runtime = Runtime(name, start, _power_up(start.state, name), link, group)
+        link.on_force = runtime.script.feel
         runtime.button(signal.SIGHUP, runtime.again)
         group.create_task(_until_plant_ends(runtime))
         group.create_task(device(runtime))

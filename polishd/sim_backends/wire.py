@@ -1,4 +1,4 @@
-"""A device's wire, serial or TCP, with its mischief: bytes in, bytes out."""
+"""A device's wire, serial or TCP, with its faults: bytes in, bytes out."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ import tty
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from polishd.config.simulator import Faults, Line
-from polishd.sim_backends.faults import Mischief, Outlet
+from polishd.config.simulator import Line
+from polishd.sim_backends.faults.links import protocols
+from polishd.sim_backends.faults.outlet import Outlet
+from polishd.sim_backends.faults.script import Way
 from polishd.sim_backends.runtime import LOOPBACK, Runtime
-from polishd.sim_backends.truth import stream
 
 MAX_UNSENT = 8 << 20
 """Bytes that a peer may leave unread before it is cut off."""
@@ -25,33 +27,47 @@ Feed = Callable[[bytes], None]
 
 @dataclass(slots=True)
 class Wire:
-    """Opens the wire, and cuts it now and then where that is asked for."""
+    """Opens one link of a device, and pulls its plug where that is asked for."""
 
     runtime: Runtime
-    faults: Faults
     receiver: Callable[[Outlet], Feed]
     """Makes the receiver of one connection, which answers through the outlet."""
+    link: str = ""
+    """Its name, where the device has several."""
     cuts: list[Callable[[], None]] = field(default_factory=list)
-    mischief: Mischief = field(init=False)
-    _cutting: asyncio.Task[None] | None = None
+    pulled: bool = False
+    """Nobody can be at the other end."""
+    _port: PtyPort | None = None
 
     def __post_init__(self) -> None:
-        """Bad luck of its own."""
-        self.mischief = Mischief(self.faults, stream(self.runtime.start.seed, self.runtime.name))
+        """From now on its faults may come."""
+        self.runtime.script.unplug.append((self.link, self.pull, self.plug))
+
+    def outlet(self, write: Callable[[bytes], None], direction: str, **more: Any) -> Outlet:
+        """One direction of a connection, with its faults."""
+        protocol = protocols(self.runtime.start.config, self.runtime.name)[self.link]
+        return Outlet(write, self.runtime.script, Way(self.link, protocol, direction), **more)
+
+    def inlet(self, outlet: Outlet) -> Outlet:
+        """The other direction of the connection that has this outlet."""
+        return self.outlet(self.receiver(outlet), "to_device")
 
     def open_pty(self, baud: int) -> None:
         """A serial line behind the device's stable name; bytes take the time that the baud rate says."""
-        port = PtyPort(self.runtime.start.state / self.runtime.name, lambda _data: None)
-        outlet = Outlet(port.write, self.mischief, byte_s=10.0 / baud)
-        port.on_bytes = self.receiver(outlet)
+        port = self._port = PtyPort(self.runtime.start.state / self.runtime.name, lambda _data: None)
+        outlet = self.outlet(port.write, "to_host", byte_s=10.0 / baud)
+        inlet = self.inlet(outlet)
+        port.on_bytes = inlet.send
         port.open()
 
         def replug() -> None:
             port.close()
-            port.open()
+            if not self.pulled:
+                port.open()
 
         self.cuts.append(replug)
-        self.runtime.group.create_task(outlet.run())
+        for way in (outlet, inlet):
+            self.runtime.group.create_task(way.run())
 
     async def open_tcp(self, port: int, greeting: bytes = b"") -> str:
         """A TCP port on loopback; returns ``host:port``."""
@@ -65,26 +81,21 @@ class Wire:
         return f"serial:{self.runtime.start.state / self.runtime.name}?baud={config.baud}"
 
     def ready(self, endpoint: str) -> None:
-        """The device answers there; from now on its faults may come."""
+        """The device answers there, and its script begins."""
         self.runtime.ready(endpoint)
-        self.runtime.on_again.append(self.again)
         self.runtime.button(signal.SIGURG, self.cut)
-        self.again()
-        self.runtime.group.create_task(self.runtime.reboot_later(self.faults.reboot_after_s))
+        self.runtime.begin_script()
 
-    def again(self) -> None:
-        """From now on, with the faults that the device's section says."""
-        self.faults = getattr(self.runtime.start.config, self.runtime.name).faults
-        self.mischief.faults = self.faults
-        if self._cutting is not None:
-            self._cutting.cancel()
-        self._cutting = self.runtime.group.create_task(self.cut_now_and_then())
+    def pull(self) -> None:
+        """Disconnect everyone, and let nobody connect again."""
+        self.pulled = True
+        self.cut()
 
-    async def cut_now_and_then(self) -> None:
-        """Disconnect everyone every so often."""
-        while self.faults.disconnect_every_s:
-            await asyncio.sleep(self.faults.disconnect_every_s)
-            self.cut()
+    def plug(self) -> None:
+        """Put it in again."""
+        if self.pulled and self._port is not None:
+            self._port.open()
+        self.pulled = False
 
     def cut(self) -> None:
         """Disconnect everyone, once."""
@@ -104,21 +115,26 @@ class Connection(asyncio.Protocol):
         if isinstance(transport, asyncio.Transport):
             self._transport = transport
         self._cut = self._transport.abort
-        self._outlet = Outlet(self._write, self._wire.mischief, backlog=self._transport.get_write_buffer_size)
-        self._feed = self._wire.receiver(self._outlet)
-        self._worker = self._wire.runtime.group.create_task(self._outlet.run())
-        self._wire.cuts.append(self._cut)
-        self._transport.write(self._greeting)
+        wire = self._wire
+        self._outlet = wire.outlet(self._write, "to_host", backlog=self._transport.get_write_buffer_size)
+        self._inlet = wire.inlet(self._outlet)
+        self._workers = [wire.runtime.group.create_task(way.run()) for way in (self._outlet, self._inlet)]
+        wire.cuts.append(self._cut)
+        if wire.pulled:
+            self._cut()
+        else:
+            self._transport.write(self._greeting)
 
     def data_received(self, data: bytes) -> None:
         """Hand over."""
-        self._feed(data)
+        self._inlet.send(data)
 
     def connection_lost(self, _exc: Exception | None) -> None:
         """Forget it."""
-        self._worker.cancel()
+        for worker in self._workers:
+            worker.cancel()
         self._wire.cuts.remove(self._cut)
-        self._outlet.closed = True
+        self._outlet.closed = self._inlet.closed = True
         self._outlet.on_closed()
 
     def _write(self, data: bytes) -> None:

@@ -73,6 +73,17 @@ def with_keys(text: str, sections: Sections) -> str:
     return "\n".join(lines) + "\n"
 
 
+def with_faults(text: str, *faults: Mapping[str, Any]) -> str:
+    """SIM.toml's text with these ``[[fault]]`` in the place of its own."""
+    lines, dropped = [], False
+    for line in text.splitlines():
+        dropped = line.startswith("[[fault]]") or (dropped and not line.startswith(("[", "#")))
+        lines += [] if dropped else [line]
+    for fault in faults:
+        lines += ["", "[[fault]]", *(f"{key} = {json.dumps(value)}" for key, value in fault.items())]
+    return "\n".join(lines) + "\n"
+
+
 def without(text: str, section: str) -> str:
     """The TOML text less one of its sections."""
     head, found, rest = text.partition(f"[{section}]")

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -17,7 +16,7 @@ import pytest
 
 from polishd.console.demo_files import DemoFiles
 from polishd.console.simulator import simulated_cell
-from tests.system.cell_rig import ONE_PASS, Daemon, events, summary, write_small
+from tests.system.cell_rig import ONE_PASS, Daemon, events, summary, with_faults, with_keys, write_small
 from tests.system.sim_rig import wait_for
 from tests.system.test_daemon import polishd, require_nothing_twice, require_safe_order
 
@@ -25,26 +24,16 @@ pytestmark = [pytest.mark.system, pytest.mark.full]
 
 DEVICE, SAFETY = 5, 7
 
-Faults = Mapping[str, Mapping[str, Any]]
-
-
-def with_faults(sim: str, faults: Faults) -> str:
-    """SIM.toml with other fault sections than its own."""
-    for device, values in faults.items():
-        header = rf"^\[{device}\.faults\][^\[]*"
-        sim = re.sub(header, "", sim, flags=re.MULTILINE)
-        lines = [f"{key} = {json.dumps(value)}" for key, value in values.items()]
-        sim = "\n".join([sim.rstrip(), "", f"[{device}.faults]", *lines, ""])
-    told = tomllib.loads(sim)
-    assert all(told[device]["faults"] == values for device, values in faults.items())
-    return sim
+Fault = Mapping[str, Any]
 
 
 @contextlib.contextmanager
-def faulty_cell(out: Path, faults: Faults, seed: int = 1, speed: float = 40.0, **job: Any) -> Iterator[DemoFiles]:
+def faulty_cell(
+    out: Path, *faults: Fault, seed: int = 1, speed: float = 40.0, nasty: bool = False, **job: Any
+) -> Iterator[DemoFiles]:
     """A running simulator for the small part, with these faults."""
     files = write_small(out, **{**ONE_PASS, **job})
-    files.sim.write_text(with_faults(files.sim.read_text(), faults))
+    files.sim.write_text(with_faults(with_keys(files.sim.read_text(), NASTY if nasty else {}), *faults))
     options = ["--state", str(files.sim_dir), "--seed", str(seed), "--speed", f"{speed:g}"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):
         yield files
@@ -67,27 +56,29 @@ def require_off_the_part(files: DemoFiles) -> None:
 
 
 def test_faults_are_put_into_the_simulators_file() -> None:
-    text = '[a]\nx = 1\n[actuator.faults]  # c\njitter_s = 0.1\n\n[spindle]\nkind = "slcan"\n'
-    found = tomllib.loads(with_faults(text, {"actuator": {"late_rate": 0.5}, "robot": {"drop_rate": 0.1}}))
-    assert found == {
-        "a": {"x": 1},
-        "actuator": {"faults": {"late_rate": 0.5}},
-        "robot": {"faults": {"drop_rate": 0.1}},
-        "spindle": {"kind": "slcan"},
-    }
+    text = 'x = 1\n[[fault]]  # c\nwhat = "a"\n\n# [[fault]]\n[[fault]]\nwhat = "b"\n[spindle]\nkind = "slcan"\n'
+    found = tomllib.loads(with_faults(text, {"what": "c", "by_s": 0.5}, {"what": "d"}))
+    assert found == {"x": 1, "fault": [{"what": "c", "by_s": 0.5}, {"what": "d"}], "spindle": {"kind": "slcan"}}
 
 
-NASTY = {
-    "robot": {"jitter_s": 0.01, "late_rate": 0.02, "late_s": 0.15},
-    "actuator": {"jitter_s": 0.004, "late_rate": 0.02, "late_s": 0.1},
-    "spindle": {"jitter_s": 0.004, "late_rate": 0.02, "late_s": 0.1},
-    "interferometer": {"preallocate": True, "duplicate_first": True, "wrong_part_first": True},
-}
+def late(device: str, jitter_s: float, by_s: float) -> list[Fault]:
+    """Every frame a little, and one in fifty much."""
+    delay = {"device": device, "what": "delay"}
+    return [{**delay, "rate": 1.0, "jitter_s": jitter_s}, {**delay, "rate": 0.02, "by_s": by_s}]
+
+
+def bad(device: str, garbled: float, lost: float) -> list[Fault]:
+    """Frames from the device."""
+    return [{"device": device, "what": what, "rate": rate} for what, rate in (("garble", garbled), ("drop", lost))]
+
+
+LATE = [*late("robot", 0.01, 0.15), *late("actuator", 0.004, 0.1), *late("spindle", 0.004, 0.1)]
+NASTY = {"interferometer.faults": {"preallocate": True, "duplicate_first": True, "wrong_part_first": True}}
 
 
 def test_a_nasty_instrument_and_late_replies_do_not_keep_a_job_from_its_tolerance(tmp_path: Path) -> None:
     """Each map comes after another part's and after the last one again, in files of full length from the start."""
-    with faulty_cell(tmp_path / "cell", NASTY, seed=3, speed=80.0) as files:
+    with faulty_cell(tmp_path / "cell", *LATE, nasty=True, seed=3, speed=80.0) as files:
         with Daemon(files) as daemon:
             assert daemon.wait() == 0, daemon.output.read_text()
         require_nothing_twice(files)
@@ -101,10 +92,10 @@ def test_a_nasty_instrument_and_late_replies_do_not_keep_a_job_from_its_toleranc
     assert told == pytest.approx(measured[: len(told)], rel=0.02, abs=0.2)
 
 
-BAD_WIRES: dict[str, Faults] = {
-    "robot": {"robot": {"garble_rate": 0.01, "drop_rate": 0.005}},
-    "actuator": {"actuator": {"garble_rate": 0.01, "drop_rate": 0.01}},
-    "spindle": {"spindle": {"garble_rate": 0.02, "drop_rate": 0.02}},
+BAD_WIRES: dict[str, list[Fault]] = {
+    "robot": bad("robot", 0.01, 0.005),
+    "actuator": bad("actuator", 0.01, 0.01),
+    "spindle": bad("spindle", 0.02, 0.02),
 }
 
 
@@ -112,7 +103,7 @@ BAD_WIRES: dict[str, Faults] = {
     "device", [name if name == "robot" else pytest.param(name, marks=pytest.mark.slow) for name in BAD_WIRES]
 )
 def test_a_bad_wire_ends_in_tolerance_or_safe_with_a_device_error(tmp_path: Path, device: str) -> None:
-    with faulty_cell(tmp_path / "cell", BAD_WIRES[device], seed=2, speed=80.0) as files:
+    with faulty_cell(tmp_path / "cell", *BAD_WIRES[device], seed=2, speed=80.0) as files:
         with Daemon(files, "--no-hold") as daemon:
             code = daemon.wait()
             said = daemon.output.read_text()
@@ -128,7 +119,8 @@ def test_a_bad_wire_ends_in_tolerance_or_safe_with_a_device_error(tmp_path: Path
 
 
 def test_a_force_that_sticks_is_a_safety_stop_and_a_person_decides(tmp_path: Path) -> None:
-    with faulty_cell(tmp_path / "cell", {"actuator": {"stuck_force_after_s": 1.5}}, seed=4, speed=20.0) as files:
+    sticks = {"device": "actuator", "what": "stick", "contact_s": 1.5}
+    with faulty_cell(tmp_path / "cell", sticks, seed=4, speed=20.0) as files:
         with Daemon(files) as daemon:
             assert daemon.wait() == SAFETY, daemon.output.read_text()
             said = daemon.output.read_text()

@@ -10,7 +10,7 @@ import json
 import os
 import signal
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +20,10 @@ from polishd.console.demo_files import DemoFiles, with_values
 from polishd.console.simulator import simulated_cell
 from polishd.daemon import client
 from tests.system.agreement import require_agreement
-from tests.system.cell_rig import ONE_PASS, Daemon, account, events, summary, with_keys, write_small
+from tests.system.cell_rig import ONE_PASS, Daemon, account, events, summary, with_faults, with_keys, write_small
 from tests.system.sim_rig import wait_for
 from tests.system.test_daemon import polishd
-from tests.system.test_faults import SAFETY, Faults, require_off_the_part, with_faults
+from tests.system.test_faults import SAFETY, Fault, require_off_the_part
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
 
@@ -59,14 +59,14 @@ leads_to = "estop"
 
 @contextlib.contextmanager
 def watched_cell(
-    out: Path, cell: str, sim: str, faults: Faults | None = None, *, speed: int = 10, **job: Any
+    out: Path, cell: str, sim: str, faults: Sequence[Fault] = (), *, speed: int = 10, **job: Any
 ) -> Iterator[DemoFiles]:
     """A running simulator for the small part, with more in both files."""
     files = write_small(out, **{**ONE_PASS, **job})
     text = files.cell.read_text().replace('"interferometer"', '"interferometer", "force_sensor", "monitors"')
     text = with_values(text + cell, {"limits": {"force_grace_s": 1.3}})
     files.cell.write_text(text)
-    files.sim.write_text(with_faults(files.sim.read_text() + sim, faults or {}))
+    files.sim.write_text(with_faults(files.sim.read_text() + sim, *faults))
     options = ["--state", str(files.sim_dir), "--seed", "2", "--speed", str(speed)]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):
         yield files
@@ -110,34 +110,39 @@ def test_a_sensor_that_agrees_is_tared_told_and_recorded(tmp_path: Path) -> None
     assert header.endswith("sensor_force_n")
 
 
-DRIFT = {"drift_after_s": 0.5, "drift_n_s": 2.0}
-LIES: dict[str, Faults] = {"actuator": {"actuator": DRIFT}, "force sensor": {"force_sensor": DRIFT}}
+LIARS = ("actuator", "force sensor")
 
 
-@pytest.mark.parametrize("liar", LIES)
+def drift(device: str) -> Fault:
+    """2 N/s, half a second after contact began."""
+    return {"device": device, "what": "drift", "contact_s": 0.5, "drift_n_s": 2.0}
+
+
+@pytest.mark.parametrize("liar", LIARS)
 def test_whoever_lies_contact_ends_in_the_safe_order_and_he_is_named(tmp_path: Path, liar: str) -> None:
     sim = '[force_sensor]\nkind = "serial"\n'
-    with watched_cell(tmp_path / "cell", SENSOR.format(**PATIENT), sim, LIES[liar], speed=4) as files:
+    lies = [drift(liar.replace(" ", "_"))]
+    with watched_cell(tmp_path / "cell", SENSOR.format(**PATIENT), sim, lies, speed=4) as files:
         with Daemon(files) as daemon:
             assert daemon.wait() == SAFETY, daemon.output.read_text()
         require_off_the_part(files)
-        assert events(files, "actuator_drifts" if liar == "actuator" else "sensor_drifts")
+        assert [event["what"] for event in events(files, "fault_begins")] == ["drift"]
     reason = summary(files)["reason"]
     assert "the forces disagree: the actuator says " in reason
     assert "the set point is 12 N" in reason
     assert reason.endswith(f"suspected is the {liar}"), reason
 
 
-SILENT = {
-    "converts no more": "[force_sensor.faults]\nhalt_after_s = 0.5\n",
-    "its process hangs": "",
+SILENT: dict[str, list[Fault]] = {
+    "converts no more": [{"device": "force_sensor", "what": "halt", "contact_s": 0.5}],
+    "its process hangs": [],
 }
 
 
 @pytest.mark.parametrize("how", SILENT)
 def test_a_sensor_that_falls_silent_ends_contact(tmp_path: Path, how: str) -> None:
-    sim = '[force_sensor]\nkind = "serial"\n' + SILENT[how]
-    with watched_cell(tmp_path / "cell", SENSOR.format(**PROMPT), sim) as files:
+    sim = '[force_sensor]\nkind = "serial"\n'
+    with watched_cell(tmp_path / "cell", SENSOR.format(**PROMPT), sim, SILENT[how]) as files:
         with Daemon(files) as daemon:
             if how == "its process hangs":
                 daemon.wait_in_contact(50)

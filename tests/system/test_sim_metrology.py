@@ -89,7 +89,8 @@ def test_faults_of_a_cell_that_runs_are_those_that_its_file_says_now(tmp_path: P
         os.kill(running.pids["robot"], signal.SIGURG)
         robot.until(lambda: robot.closed, "the cut", ping=False)
         robot = running.robot()
-        faults = "[robot.faults]\ndisconnect_every_s = 0.1\n[interferometer.faults]\nwrong_part_first = true\n"
+        faults = '[[fault]]\ndevice = "robot"\nwhat = "unplug"\nevery_s = 0.1\n'
+        faults += "[interferometer.faults]\nwrong_part_first = true\n"
         running.toml.write_text(quiet + faults)
         for device in ("robot", "interferometer"):
             os.kill(running.pids[device], signal.SIGHUP)
@@ -125,7 +126,9 @@ def test_an_unreadable_surface_starts_nothing(tmp_path: Path) -> None:
 @pytest.mark.full
 def test_blocks_arrive_once_and_in_order_through_a_bad_line(tmp_path: Path) -> None:
     """Damage, loss and disconnects on the robot's side; the writer asks for status and sends again from there."""
-    faults = "\n[robot.faults]\ngarble_rate = 0.02\ndrop_rate = 0.02\ndisconnect_every_s = 0.3\n"
+    robot = '\n[[fault]]\ndevice = "robot"\n'
+    faults = f'{robot}what = "garble"\nrate = 0.02\n{robot}what = "drop"\nrate = 0.02\n'
+    faults += f'{robot}what = "unplug"\nevery_s = 0.3\n'
     lines = [b"G21 G90 G94", b"G0 X0 Y0 Z30 A15 C0", *[f"G1 X{k / 100:.2f} F3000".encode() for k in range(1, 1500)]]
     with cell(tmp_path, SMALL + faults, "--speed", "20") as running:
         robot = running.robot()
@@ -172,7 +175,7 @@ def test_blocks_arrive_once_and_in_order_through_a_bad_line(tmp_path: Path) -> N
 
 @pytest.mark.full
 def test_a_device_may_lose_power_by_itself(tmp_path: Path) -> None:
-    with cell(tmp_path, SMALL + "[robot.faults]\nreboot_after_s = 3.0\n") as running:
+    with cell(tmp_path, SMALL + '[[fault]]\ndevice = "robot"\nwhat = "reboot"\nat_s = 3.0\n') as running:
         robot = running.robot()
         first = robot.until(lambda: robot.status.get("boot_id"), "a boot id", ping=False)
         robot.until(lambda: robot.closed, "the power cut", ping=False)

@@ -20,7 +20,7 @@ from polishd.process.paths.raster import raster
 from polishd.process.paths.wrist import tool_axes
 from polishd.sim_backends.universal_robots.turning import from_wrist, to_vector
 from tests.commissioned import forged
-from tests.system.cell_rig import PATIENT, PATIENT_SIM, REPORT, with_keys, without
+from tests.system.cell_rig import PATIENT, PATIENT_SIM, REPORT, with_faults, with_keys, without
 
 PART = {"aperture_mm": 14.0, "edge_mm": 1.0}
 PITCH_MM = 1.0
@@ -50,7 +50,8 @@ def write_files(out: Path, kind: Kind, *, cut_s: float = 0.0, watchdog_s: float 
             '"rnc_robot", ', '"rnc_robot", "universal_robots", '
         )
         robot = {"kind": kind, "cycle_hz": 125, "port": rtde, "dashboard_port": dashboard, "primary_port": primary}
-        sim = with_keys(sim, {"robot": robot}) + f"\n[robot.faults]\ndisconnect_every_s = {cut_s}\n"
+        cut = {"device": "robot", "link": "rtde", "what": "unplug", "every_s": cut_s}
+        sim = with_faults(with_keys(sim, {"robot": robot}), *([cut] if cut_s else []))
     files.cell.write_text(cell)
     files.sim.write_text(sim)
     forged(files.profile)

@@ -53,7 +53,7 @@ async def witnessed_robot(folder: Path, speed: float, **robot: Any) -> AsyncIter
     async with asyncio.TaskGroup() as group:
         runtime = Runtime("robot", Start(config, folder, 1, speed), 1, witness, group)  # type: ignore[arg-type]
         witness.server = RobotServer(runtime)
-        wire = Wire(runtime, config.robot.faults, witness.server.connected)
+        wire = Wire(runtime, witness.server.connected)
         listening = await asyncio.get_running_loop().create_server(lambda: Connection(wire), "127.0.0.1", 0)
         witness.port = listening.sockets[0].getsockname()[1]
         ticking = group.create_task(witness.server.run())

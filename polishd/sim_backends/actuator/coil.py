@@ -8,6 +8,8 @@ from typing import Literal
 
 import numpy as np
 
+from polishd.config.simulator import Fault
+
 RETRACTED, EXTENDING, CONTACT, RETRACTING, FAULT = range(5)
 WATCHDOG, OVER_FORCE, DRIVE, ENCODER = 1, 2, 4, 8
 
@@ -47,9 +49,6 @@ class VoiceCoil:
     """Tells the witness: (event, at_s, **data)."""
     now_s: float
     pace: Pace = Pace()
-    stuck_after_s: float = 0.0
-    drift_after_s: float = 0.0
-    drift_n_s: float = 0.0
     setpoint_n: float = 0.0
     watchdog_ms: int = 500
     heartbeat: int = 0
@@ -65,14 +64,17 @@ class VoiceCoil:
     """The force falls to 60 % in contact, whatever is asked."""
     hung: bool = False
     """Its firmware has died: it goes on pressing, answers nobody, and watches nothing."""
+    drift_n_s: float = 0.0
+    """How fast its own sensor drifts, ..."""
     drift_n: float = 0.0
-    """What its own sensor reads too much: it regulates by that."""
+    """... and what it reads too much by now: it regulates by that."""
+    frozen_n: float | None = None
+    """What its own sensor reads, whatever acts; None: what acts."""
     _clung_s: float = 0.0
     _fed_s: float = 0.0
     _touching: bool = False
     _touched_um: float = TOUCH_UM
     """Where it met the part last."""
-    _contact_s: float = 0.0
     _noise: float = 0.0
 
     def __post_init__(self) -> None:
@@ -92,8 +94,19 @@ class VoiceCoil:
     @property
     def measured_n(self) -> float:
         """What the force sensor reads."""
+        if self.frozen_n is not None:
+            return self.frozen_n
         actual = self.force_n * (1.0 + self._noise) if self._touching else 0.0
         return actual + self.drift_n + 0.01 * float(self.rng.standard_normal())
+
+    def suffer(self, fault: Fault, on: bool) -> None:
+        """Get into that state, or out of it; what has drifted stays."""
+        if fault.what == "stick":
+            self.stuck = on
+        elif fault.what == "drift":
+            self.drift_n_s = fault.drift_n_s if on else 0.0
+        else:
+            self.frozen_n = self.measured_n if on else None
 
     def set_force(self, force_n: float) -> Refusal:
         """New set point."""
@@ -165,10 +178,8 @@ class VoiceCoil:
         if not touching:
             self.force_n = 0.0
             return
-        self._contact_s += dt
         self._noise += (-self._noise) * dt / 0.05 + 0.01 * (2.0 * dt / 0.05) ** 0.5 * float(self.rng.standard_normal())
         aim = self.setpoint_n
-        self.stuck = self.stuck or 0.0 < self.stuck_after_s < self._contact_s
         if self.stuck and aim > 0.0:
             aim *= 0.6
         aim = max(aim - self._drifted(dt), 0.0)
@@ -177,9 +188,7 @@ class VoiceCoil:
 
     def _drifted(self, dt: float) -> float:
         """By how much its sensor reads too much by now."""
-        if 0.0 < self.drift_after_s < self._contact_s:
-            if self.drift_n == 0.0:
-                self.report("actuator_drifts", self.now_s)
+        if self.drift_n_s:
             self.drift_n = min(max(self.drift_n + self.drift_n_s * dt, -MOST_DRIFT_N), MOST_DRIFT_N)
         return self.drift_n
 

@@ -12,7 +12,7 @@ from polishd.sim_backends.actuator.ascii import AsciiSlave
 from polishd.sim_backends.actuator.coil import Pace, VoiceCoil
 from polishd.sim_backends.actuator.modbus import Registers, RtuSlave, TcpSlave
 from polishd.sim_backends.bus import Message
-from polishd.sim_backends.faults import Outlet
+from polishd.sim_backends.faults.outlet import Outlet
 from polishd.sim_backends.profiled.machine import ForceDrive
 from polishd.sim_backends.profiled.sheet import Sheet
 from polishd.sim_backends.profiled.slave import Slave, by_profile
@@ -34,9 +34,6 @@ async def main(runtime: Runtime) -> None:
         report=runtime.link.event,
         now_s=time.monotonic(),
         pace=Pace(config.land_s / speed, config.lift_s / speed, config.cling, config.rest_n),
-        stuck_after_s=config.faults.stuck_force_after_s,
-        drift_after_s=config.faults.drift_after_s,
-        drift_n_s=config.faults.drift_n_s,
         touch_um=runtime.link.welcome.get("touch_um"),
     )
 
@@ -46,7 +43,8 @@ async def main(runtime: Runtime) -> None:
             coil.touch_um = message["touch_um"]
 
     runtime.link.on_message = on_message
-    wire = Wire(runtime, config.faults, lambda outlet: _feed(runtime, coil, outlet))
+    runtime.script.suffer = coil.suffer
+    wire = Wire(runtime, lambda outlet: _feed(runtime, coil, outlet))
     endpoint = f"serial:{runtime.start.state / runtime.name}?baud={config.baud}"
     if config.kind in TCP:
         endpoint = f"tcp://{await wire.open_tcp(config.port)}"

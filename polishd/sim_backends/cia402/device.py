@@ -29,7 +29,7 @@ async def spindle(runtime: Runtime) -> None:
     objects = Objects()
     objects[0x6080] = config.max_rpm
     drive = Node(config.node, motor, runtime.link.event, now_s, objects)
-    await _serve(runtime, drive, motor, CanWire(runtime, config.faults, config.kind, config.port, drive.on_frame))
+    await _serve(runtime, drive, motor, CanWire(runtime, config.kind, config.port, drive.on_frame))
 
 
 async def actuator(runtime: Runtime) -> None:
@@ -40,7 +40,6 @@ async def actuator(runtime: Runtime) -> None:
         report=runtime.link.event,
         now_s=now_s,
         pace=Pace(config.land_s / speed, config.lift_s / speed, config.cling, config.rest_n),
-        stuck_after_s=config.faults.stuck_force_after_s,
         touch_um=runtime.link.welcome.get("touch_um"),
     )
 
@@ -49,8 +48,9 @@ async def actuator(runtime: Runtime) -> None:
             coil.touch_um = message["touch_um"]
 
     runtime.link.on_message = on_message
+    runtime.script.suffer = coil.suffer
     drive = Node(config.node, DrivenCoil(coil), runtime.link.event, now_s)
-    await _serve(runtime, drive, coil, CanWire(runtime, config.faults, config.kind, config.port, drive.on_frame))
+    await _serve(runtime, drive, coil, CanWire(runtime, config.kind, config.port, drive.on_frame))
 
 
 async def _serve(runtime: Runtime, drive: Node, moved: Motor | VoiceCoil, wire: CanWire) -> None:

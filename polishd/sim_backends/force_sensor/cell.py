@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from polishd.config.simulator import ForceSensor, ForceSensorFaults
+from polishd.config.simulator import Fault, ForceSensor
 
 MEASURING, TARING, FAULT = range(3)
 OVER_RANGE = 1
@@ -36,14 +36,26 @@ class LoadCell:
     fault: int = 0
     _felt: deque[tuple[float, float]] = field(default_factory=deque)
     _converted_s: float = 0.0
-    _contact_s: float = 0.0
+    _drift_n_s: float = 0.0
     _drift_n: float = 0.0
+    _frozen: bool = False
+    """It tells the same force, as new conversions."""
+    _halted: bool = False
+    """It converts no more, and goes on answering."""
+    _most_n: float = 0.0
+    """It tells no more than that, and does not say so; 0: it tells all of its range."""
     _tare: list[float] | None = None
 
-    @property
-    def faults(self) -> ForceSensorFaults:
-        """What it suffers from."""
-        return self.config.faults
+    def suffer(self, fault: Fault, on: bool) -> None:
+        """Get into that state, or out of it; what has drifted stays."""
+        if fault.what == "drift":
+            self._drift_n_s = fault.drift_n_s if on else 0.0
+        elif fault.what == "freeze":
+            self._frozen = on
+        elif fault.what == "halt":
+            self._halted = on
+        else:
+            self._most_n = fault.limit_n if on else 0.0
 
     @property
     def state(self) -> int:
@@ -67,27 +79,19 @@ class LoadCell:
         """Bring it to the present: it converts as often as its rate says."""
         passed = now_s - self.now_s
         self.now_s = now_s
-        if self.true_n > 0.0:
-            self._contact_s += passed
-        if self._due(self.faults.drift_after_s):
-            if self._drift_n == 0.0:
-                self.report("sensor_drifts", now_s)
-            self._drift_n += self.faults.drift_n_s * passed
-        if now_s - self._converted_s >= 1.0 / RATE_HZ and not self._due(self.faults.halt_after_s):
+        self._drift_n += self._drift_n_s * passed
+        if now_s - self._converted_s >= 1.0 / RATE_HZ and not self._halted:
             self._convert(now_s)
-
-    def _due(self, after_s: float) -> bool:
-        return 0.0 < after_s < self._contact_s
 
     def _convert(self, now_s: float) -> None:
         self._converted_s, self.count = now_s, (self.count + 1) & 0xFFFF
         while len(self._felt) > 1 and self._felt[1][0] <= now_s:
             self._felt.popleft()
         felt_n = self._felt[0][1] if self._felt and self._felt[0][0] <= now_s else 0.0
-        if not self._due(self.faults.freeze_after_s):
+        if not self._frozen:
             noise_n = self.config.noise_n * float(self.rng.standard_normal())
             self.reading_n = self.config.offset_n + felt_n + self._drift_n + noise_n
-        limit_n = self.faults.saturate_n or self.config.range_n
+        limit_n = self._most_n or self.config.range_n
         self.fault = OVER_RANGE if abs(self.reading_n) > self.config.range_n else 0
         self.reading_n = min(max(self.reading_n, -limit_n), limit_n)
         if self._tare is not None:

@@ -43,4 +43,5 @@ async def main(runtime: Runtime) -> None:
             cell.feel(time.monotonic(), float(message["acting_n"]))
 
     runtime.link.on_message = on_message
+    runtime.script.suffer = cell.suffer
     await serve(runtime, config, cell, answering(cell, runtime.boot_count), TICK_S)

@@ -6,7 +6,7 @@ import struct
 import zlib
 from dataclasses import dataclass
 
-from polishd.sim_backends.faults import Outlet
+from polishd.sim_backends.faults.outlet import Outlet
 from polishd.sim_backends.handover.plc import Plc
 from polishd.sim_backends.wire import Feed
 

@@ -58,14 +58,14 @@ async def _over_opcua(runtime: Runtime, server: PlcServer) -> None:
 
     robot = runtime.start.config.robot
     async with served(server.plc) as port:
-        wire = Wire(runtime, robot.faults, Relay(runtime, port).connected)
+        wire = Wire(runtime, Relay(runtime, port).connected)
         wire.ready(f"opc.tcp://{await wire.open_tcp(robot.port)}")
         await server.run()
 
 
 async def _over_modbus(runtime: Runtime, server: PlcServer) -> None:
     robot = runtime.start.config.robot
-    wire = Wire(runtime, robot.faults, ModbusServer(server.plc).connected)
+    wire = Wire(runtime, ModbusServer(server.plc).connected)
     wire.ready(f"tcp://{await wire.open_tcp(robot.port)}")
     await server.run()
 
@@ -73,7 +73,7 @@ async def _over_modbus(runtime: Runtime, server: PlcServer) -> None:
 async def _over_ads(runtime: Runtime, server: PlcServer) -> None:
     """ADS knows one TCP port only: the configured one chooses a loopback address of its own."""
     robot = runtime.start.config.robot
-    wire = Wire(runtime, robot.faults, ads.AdsServer(server.plc).connected)
+    wire = Wire(runtime, ads.AdsServer(server.plc).connected)
     high, low = divmod(robot.port, 256)
     host = f"127.{high}.{low}.1"
     loop = asyncio.get_running_loop()

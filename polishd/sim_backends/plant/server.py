@@ -23,7 +23,7 @@ from polishd.sim_backends.runtime import Start, announce, cancel_all, replace, u
 TICK_S = 0.02
 SUMMARY_S = 1.0
 MOVING = {"motion_started": True, "motion_stopped": False, "boot": False, "lost": False}
-FEELING = {"force_sensor", "monitor"}
+DEAF = {"interferometer"}
 EXTENDED = {"engage": True, "retracted": False, "boot": False, "lost": False}
 
 
@@ -190,11 +190,11 @@ class PlantServer:
             self.writers["actuator"].write(bus.pack_json({"touch_um": touch_um}))
 
     def _tell_force(self) -> None:
-        """What truly acts between tool and part, to those that feel it."""
+        """What truly acts between tool and part, to those that feel it, or whose faults begin by it."""
         acting_n = self.world.acting_n
         if acting_n != self._acting_n:
             self._acting_n = acting_n
-            for device in FEELING & self.writers.keys():
+            for device in self.writers.keys() - DEAF:
                 self.writers[device].write(bus.pack_json({"acting_n": acting_n}))
 
     def _measure(self, horizon_s: float) -> None:

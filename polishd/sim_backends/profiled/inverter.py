@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 
-from polishd.sim_backends.faults import Outlet
+from polishd.sim_backends.faults.outlet import Outlet
 from polishd.sim_backends.profiled.machine import Inverter
 from polishd.sim_backends.profiled.sheet import Sheet
 from polishd.sim_backends.profiled.slave import by_profile
@@ -45,7 +45,7 @@ async def main(runtime: Runtime) -> None:
 
         return feed
 
-    wire = Wire(runtime, config.faults, connected)
+    wire = Wire(runtime, connected)
     if tcp:
         wire.ready(f"tcp://{await wire.open_tcp(config.port)}")
     else:

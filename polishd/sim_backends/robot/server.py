@@ -6,7 +6,7 @@ import asyncio
 import signal
 import time
 
-from polishd.sim_backends.faults import Outlet
+from polishd.sim_backends.faults.outlet import Outlet
 from polishd.sim_backends.robot import frames
 from polishd.sim_backends.robot.clients import Client
 from polishd.sim_backends.robot.controller import Controller
@@ -67,7 +67,7 @@ async def main(runtime: Runtime) -> None:
     """The device coroutine."""
     server = RobotServer(runtime)
     config = runtime.start.config.robot
-    wire = Wire(runtime, config.faults, server.connected)
+    wire = Wire(runtime, server.connected)
     address = await wire.open_tcp(config.port)
     runtime.button(signal.SIGUSR1, lambda: server.controller.press("emergency stop", time.monotonic()))
     runtime.button(signal.SIGUSR2, lambda: server.controller.press("pause at the pendant", time.monotonic()))

@@ -34,7 +34,7 @@ async def main(runtime: Runtime) -> None:
         watchdog_s=config.watchdog_s,
     )
     runtime.button(signal.SIGUSR1, drive.fail)
-    wire = CanWire(runtime, config.faults, config.kind, config.port, drive.on_frame)
+    wire = CanWire(runtime, config.kind, config.port, drive.on_frame)
     await wire.open()
     while True:
         wire.say(drive.step(time.monotonic()))

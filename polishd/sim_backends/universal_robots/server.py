@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from polishd.sim_backends import truth
-from polishd.sim_backends.faults import Outlet
+from polishd.sim_backends.faults.outlet import Outlet
 from polishd.sim_backends.runtime import Runtime
 from polishd.sim_backends.universal_robots import dashboard, primary
 from polishd.sim_backends.universal_robots.arm import Arm
@@ -142,7 +142,7 @@ class UniversalRobotServer:
 async def main(runtime: Runtime) -> None:
     """The device coroutine."""
     server, config = UniversalRobotServer(runtime), runtime.start.config.robot
-    wires = [Wire(runtime, config.faults, receive) for receive in (server.rtde, server.dashboard, server.primary)]
+    wires = [Wire(runtime, receive) for receive in (server.rtde, server.dashboard, server.primary)]
     address = await wires[0].open_tcp(config.port)
     await wires[1].open_tcp(config.dashboard_port or config.port + 1, dashboard.GREETING)
     await wires[2].open_tcp(config.primary_port or config.port + 2)

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,7 +22,7 @@ from polishd.model.errors import PolishdError
 from tests.campaigns.site import Site
 from tests.campaigns.soak.usage import Meter, children
 from tests.patience import SOON_S
-from tests.system.cell_rig import with_keys, without, write_small
+from tests.system.cell_rig import with_faults, with_keys, write_small
 from tests.system.sim_rig import ROOT, wait_for
 
 QUICK = {
@@ -36,8 +36,6 @@ QUICK = {
 QUICK_SIM = {"robot": {"watchdog_s": 10.0}, "spindle": {"watchdog_s": 3.0}}
 REPEATABILITY_NM = 0.3
 """Stated in the instrument's profile; it is the noise of the simulated maps."""
-FAULTY = ("robot", "spindle")
-"""Devices whose template has no section of faults."""
 
 
 class Row(NamedTuple):
@@ -140,9 +138,9 @@ class SoakCell(Site):
         """Nothing is wrong any more."""
         self.set({})
 
-    def set(self, sections: Mapping[str, Mapping[str, Any]]) -> None:
+    def set(self, sections: Mapping[str, Mapping[str, Any]], wires: Sequence[Mapping[str, Any]] = ()) -> None:
         """Other faults, another truth: the simulator's file as it was, with these; they hold when this returns."""
-        self.files.sim.write_text(with_keys(self._sim, sections))
+        self.files.sim.write_text(with_faults(with_keys(self._sim, sections), *wires))
         self._hups += 1
         pids = json.loads((self.files.sim_dir / "pids.json").read_text())
         del pids["supervisor"]
@@ -184,8 +182,7 @@ def write_cell(folder: Path) -> DemoFiles:
     cell = files.cell.read_text().replace('"interferometer"', '"interferometer", "loader"')
     cell += f'\n[loader]\ntype = "loader_line"\naddress = "tcp://127.0.0.1:{port}"\n'
     files.cell.write_text(with_keys(with_values(cell, {"dwell": {"cross_check": ""}}), QUICK))
-    more = "".join(f"\n[{device}.faults]\n" for device in (*FAULTY, "loader"))
-    sim = without(files.sim.read_text(), "actuator.faults") + f"\n[actuator.faults]\n\n[loader]\nport = {port}\n{more}"
+    sim = with_faults(files.sim.read_text()) + f"\n[loader]\nport = {port}\n\n[loader.faults]\n"
     files.sim.write_text(with_keys(sim, QUICK_SIM))
     profile = files.profile.read_text().partition("\n[commissioned]")[0]  # which a test may forge; here it is proved
     files.profile.write_text(with_keys(profile, {"repeatability": {"rms_nm": REPEATABILITY_NM}}))

@@ -47,6 +47,8 @@ class Script:
     """While the job is under way, or as its end stops the queue."""
     after: tuple[Visit, ...] = ()
     """Before the next part comes in."""
+    wires: tuple[Mapping[str, Any], ...] = ()
+    """``[[fault]]`` of the simulator's file."""
     restarts: int = 0
     """Starts of the daemon, by whoever watches over it."""
 
@@ -64,6 +66,13 @@ class Script:
         }
 
 
+def late(device: str, jitter_s: float, rate: float, by_s: float) -> tuple[Mapping[str, Any], ...]:
+    """Every frame by up to the jitter, and a share of them by much more."""
+    delay = {"device": device, "what": "delay"}
+    much = {**delay, "rate": rate, "by_s": by_s}
+    return ({**delay, "rate": 1.0, "jitter_s": jitter_s}, much) if jitter_s else (much,)
+
+
 IN_THE_WAY = "drive the robot away"
 GATE = Visit("the queue stopped: instrument or alignment is wrong")
 TOOL = Visit("the queue stopped: .*(the tool would remove otherwise|removal rate|instrument or alignment is wrong)")
@@ -76,15 +85,16 @@ def _jammed(bits: str) -> Visit:
 
 CALM = Script("nothing", 50.0, {})
 RECOVERED = (
-    Script("robot's frames late", 2.5, {"robot.faults": {"jitter_s": 0.01, "late_rate": 0.02, "late_s": 0.15}}),
-    Script("actuator's answers late", 2.5, {"actuator.faults": {"jitter_s": 0.004, "late_rate": 0.02, "late_s": 0.1}}),
+    Script("robot's frames late", 2.5, {}, wires=late("robot", 0.01, 0.02, 0.15)),
+    Script("actuator's answers late", 2.5, {}, wires=late("actuator", 0.004, 0.02, 0.1)),
     Script(
         "spindle's frames late, and 2 % lost",
         2.5,
-        {"spindle.faults": {"jitter_s": 0.004, "late_rate": 0.02, "late_s": 0.1, "drop_rate": 0.02}},
+        {},
+        wires=(*late("spindle", 0.004, 0.02, 0.1), {"device": "spindle", "what": "drop", "rate": 0.02}),
     ),
-    Script("spindle's frames garbled, 0.5 %", 1.5, {"spindle.faults": {"garble_rate": 0.005}}),
-    Script("loader answers late", 2.0, {"loader.faults": {"late_rate": 0.5, "late_s": 0.3}}),
+    Script("spindle's frames garbled, 0.5 %", 1.5, {}, wires=({"device": "spindle", "what": "garble", "rate": 0.005},)),
+    Script("loader answers late", 2.0, {}, wires=late("loader", 0.0, 0.5, 0.3)),
     Script("file of zeros first", 2.0, {"interferometer.faults": {"preallocate": True}}),
     Script("old map dropped again", 2.0, {"interferometer.faults": {"duplicate_first": True}}),
     Script("another part's map first", 2.0, {"interferometer.faults": {"wrong_part_first": True}}),

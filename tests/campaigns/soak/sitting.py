@@ -59,7 +59,7 @@ class Sitting:
             first.script.strike(self._cell)
             self._start()
         plant = {"rms_nm": first.rms_nm, "pv_nm": first.pv_nm}
-        self._cell.set({**first.script.sections(first.name), "plant": plant})
+        self._cell.set({**first.script.sections(first.name), "plant": plant}, first.script.wires)
         under, landed = self._ledger.begin(first), self._landings()
         self._add(group)
         self._follow(under, landed)
@@ -184,7 +184,7 @@ def grouped(parts: Sequence[Part]) -> Iterator[list[Part]]:
     """Each alone that anything befalls; those in peace, several together."""
     group: list[Part] = []
     for part in parts:
-        calm = not part.script.sim and not part.script.when
+        calm = not (part.script.sim or part.script.wires or part.script.when)
         if group and (not calm or len(group) == GROUP):
             yield group
             group = []

@@ -35,7 +35,7 @@ def test_all_kinds_of_tables_are_found() -> None:
         "profile [[artefact.bumps]]",
         "device [registers.NAME]",
         "device [[states]]",
-        "simulator [actuator.faults]",
+        "simulator [[fault]]",
     }
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from polishd.config.simulator_faults import Fault
 from polishd.sim_backends.actuator.ascii import AsciiSlave, body, line
 from polishd.sim_backends.actuator.coil import CONTACT, EXTENDING, FAULT, RETRACTED, RETRACTING, Pace, VoiceCoil
 from polishd.sim_backends.actuator.modbus import Registers, RtuSlave, TcpSlave, crc16, rtu
@@ -123,8 +124,16 @@ def test_a_part_that_goes_away_takes_the_force_with_it() -> None:
     assert "contact_lost" in bench.names
 
 
-def test_stuck_force() -> None:
-    bench = Bench(stuck_after_s=0.5).pressed()
+def test_a_force_that_sticks_falls_until_it_lets_go() -> None:
+    bench = Bench().pressed()
+    stick = Fault(device="actuator", what="stick", at_s=0.0)
+    bench.coil.suffer(stick, True)
+    bench.until(1.0)
+    assert bench.coil.force_n == pytest.approx(7.2)
+    bench.coil.suffer(stick, False)
+    bench.until(1.5)
+    assert bench.coil.force_n == 12.0
+    bench.coil.suffer(stick, True)
     bench.until(2.0)
     assert bench.coil.force_n == pytest.approx(7.2)
     bench.coil.retract()
@@ -293,21 +302,29 @@ def test_firmware_that_hangs_goes_on_pressing() -> None:
     assert (bench.coil.force_n, bench.coil.faults) == (12.0, 0)
 
 
-def test_a_force_that_sticks_at_the_press_of_a_button() -> None:
+def test_a_frozen_sensor_tells_the_same_whatever_acts() -> None:
     bench = Bench().pressed()
-    bench.coil.stuck = True
-    bench.until(0.6)
-    assert bench.coil.force_n == pytest.approx(7.2)
+    freeze = Fault(device="actuator", what="freeze", at_s=0.0)
+    bench.coil.suffer(freeze, True)
+    bench.coil.set_force(5.0)
+    bench.until(1.0)
+    assert bench.coil.force_n == 5.0
+    assert bench.coil.measured_n == pytest.approx(12.0, abs=0.6)
+    bench.coil.suffer(freeze, False)
+    assert bench.coil.measured_n == pytest.approx(5.0, abs=0.3)
 
 
 def test_one_whose_sensor_drifts_regulates_by_it_and_still_reads_so_at_rest() -> None:
-    bench = Bench(drift_after_s=0.5, drift_n_s=2.0).pressed()
-    bench.until(2.5)
+    bench = Bench().pressed()
     coil = bench.coil
+    drift = Fault(device="actuator", what="drift", at_s=0.0, drift_n_s=2.0)
+    coil.suffer(drift, True)
+    bench.until(2.2)
+    coil.suffer(drift, False)
+    bench.until(2.5)
     assert coil.measured_n == pytest.approx(12.0, abs=0.6), "by its own word all is well"
     assert coil.force_n == pytest.approx(12.0 - coil.drift_n, abs=0.1)
     assert 3.0 < coil.drift_n <= 4.0
-    assert "actuator_drifts" in bench.names
     coil.retract()
     bench.until(4.0)
     assert (coil.force_n, coil.measured_n) == (0.0, pytest.approx(coil.drift_n, abs=0.1))

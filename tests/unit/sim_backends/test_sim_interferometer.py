@@ -14,7 +14,9 @@ import pytest
 
 from polishd.config.simulator import Artefact, Bump, MapFaults, SimConfig, Truth
 from polishd.config.simulator import Interferometer as Section
+from polishd.config.simulator_faults import Fault
 from polishd.sim_backends import metropro
+from polishd.sim_backends.faults.script import Script
 from polishd.sim_backends.interferometer import Interferometer, as_seen, write_artefact
 from polishd.sim_backends.wire import Wire
 from tests.patience import SOON_S
@@ -146,10 +148,11 @@ class Loopback:
     """A runtime that serves on a free port and remembers its tasks."""
 
     def __init__(self, tmp_path: Path, group: asyncio.TaskGroup) -> None:
-        self.name, self.group = "device", group
-        self.start = SimpleNamespace(seed=3, state=tmp_path)
+        self.name, self.group = "actuator", group
+        self.start = SimpleNamespace(seed=3, state=tmp_path, config=SimConfig())
         self.server: asyncio.Server | None = None
         self.link = Link()
+        self.script = Script(self.name, 3, self.link.event)
 
     async def serve(self, protocol: Any, port: int) -> int:
         """Listen."""
@@ -166,7 +169,7 @@ async def test_every_connection_has_its_own_receiver(tmp_path: Path) -> None:
 
     async with asyncio.TaskGroup() as group:
         runtime: Any = Loopback(tmp_path, group)
-        wire = Wire(runtime, SimConfig().actuator.faults, feed)
+        wire = Wire(runtime, feed)
         host, port = (await wire.open_tcp(0, b"hello ")).split(":")
         lines = [await asyncio.open_connection(host, int(port)) for _ in range(2)]
         for number, (reader, writer) in enumerate(lines):
@@ -179,21 +182,29 @@ async def test_every_connection_has_its_own_receiver(tmp_path: Path) -> None:
         runtime.server.close()
 
 
-async def test_a_wire_may_be_cut_now_and_then(tmp_path: Path) -> None:
+async def test_a_plug_that_is_out_lets_nobody_in(tmp_path: Path) -> None:
     async with asyncio.TaskGroup() as group:
         runtime: Any = Loopback(tmp_path, group)
-        faults = SimConfig().actuator.faults.model_copy(update={"disconnect_every_s": 0.05})
-        wire = Wire(runtime, faults, lambda _outlet: lambda _data: None)
+        wire = Wire(runtime, lambda outlet: outlet.send)
         host, port = (await wire.open_tcp(0)).split(":")
-        cutting = group.create_task(wire.cut_now_and_then())
-        for _ in range(2):
-            reader, writer = await asyncio.open_connection(host, int(port))
+        before = await asyncio.open_connection(host, int(port))
+        await until(lambda: wire.cuts)
+        unplug = Fault(device="actuator", what="unplug", at_s=1.0, for_s=2.0)
+        runtime.script.set([unplug], now_s=0.0)
+        runtime.script.look(1.0)
+        during = await asyncio.open_connection(host, int(port))
+        for reader, writer in (before, during):
             with contextlib.suppress(ConnectionError):
                 assert await asyncio.wait_for(reader.read(), SOON_S) == b""
             writer.close()
-        cutting.cancel()
+        await until(lambda: not wire.cuts)
+        runtime.script.look(3.0)
+        reader, writer = await asyncio.open_connection(host, int(port))
+        writer.write(b"abc")
+        assert await asyncio.wait_for(reader.readexactly(3), SOON_S) == b"abc"
+        writer.close()
         runtime.server.close()
-    assert [name for name, _ in runtime.link.events][:2] == ["wire_cut", "wire_cut"]
+    assert [name for name, _ in runtime.link.events] == ["fault_begins", "wire_cut", "fault_ends"]
 
 
 # the artefact, and an instrument that is not as its profile says

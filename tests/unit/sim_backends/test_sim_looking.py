@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.config.simulator import SEVEN, ForceSensor, ForceSensorFaults, SimSignal
+from polishd.config.simulator import SEVEN, ForceSensor, SimSignal
+from polishd.config.simulator_faults import Fault
 from polishd.sim_backends.actuator.ascii import body
 from polishd.sim_backends.force_sensor import device as sensor_device
 from polishd.sim_backends.force_sensor.cell import FAULT, MEASURING, TARING, LoadCell
@@ -21,9 +22,9 @@ from tests.unit.sim_backends.vectors import vectors
 class Bench:
     """A load cell whose time passes when somebody says so."""
 
-    def __init__(self, faults: ForceSensorFaults | None = None, **config: Any) -> None:
+    def __init__(self, **config: Any) -> None:
         self.told: list[str] = []
-        whole = ForceSensor(**{"noise_n": 0.0, **config}, faults=faults or ForceSensorFaults())
+        whole = ForceSensor(**{"noise_n": 0.0, **config})
         self.cell = LoadCell(whole, np.random.default_rng(1), lambda name, *_, **__: self.told.append(name), 100.0)
         self.answer = sensor_device.answering(self.cell, 3)
 
@@ -32,6 +33,12 @@ class Bench:
         for _ in range(round(seconds / 0.01)):
             self.cell.step(self.cell.now_s + 0.01)
         return float(self.answer("F?").split(",")[3])
+
+    def suffers(self, what: str, **keys: float) -> Fault:
+        """From now on."""
+        fault = Fault.model_validate({"device": "force_sensor", "what": what, "at_s": 0.0, **keys})
+        self.cell.suffer(fault, True)
+        return fault
 
     def tared(self) -> Bench:
         assert self.answer("TARE") == "OK"
@@ -66,39 +73,45 @@ def test_each_conversion_has_a_number() -> None:
     assert bench.cell.count - before == pytest.approx(50, abs=2)
 
 
-def pressed(**faults: float) -> Bench:
-    bench = Bench(ForceSensorFaults(**faults)).tared()
+def pressed() -> Bench:
+    bench = Bench().tared()
     bench.cell.feel(bench.cell.now_s, 12.0)
     bench.after(0.5)
     return bench
 
 
-def test_a_drift_begins_in_contact_and_stays() -> None:
-    bench = pressed(drift_after_s=1.0, drift_n_s=2.0)
-    assert bench.after(0.4) == 12.0
-    assert bench.after(1.1) == pytest.approx(14.0, abs=0.1)
-    bench.cell.feel(bench.cell.now_s, 0.0)
-    bench.after(0.1)
-    assert bench.told.count("sensor_drifts") == 1
+def test_a_drift_stays_where_it_has_come_to() -> None:
+    bench = pressed()
+    drift = bench.suffers("drift", drift_n_s=2.0)
+    assert bench.after(1.0) == pytest.approx(14.0, abs=0.1)
+    bench.cell.suffer(drift, False)
+    assert bench.after(1.0) == pytest.approx(14.0, abs=0.1)
 
 
 def test_one_that_is_frozen_goes_on_converting() -> None:
-    bench = pressed(freeze_after_s=0.2)
+    bench = pressed()
+    freeze = bench.suffers("freeze")
     bench.cell.feel(bench.cell.now_s, 0.0)
     before = bench.cell.count
     assert bench.after(0.5) == 12.0
     assert bench.cell.count > before
+    bench.cell.suffer(freeze, False)
+    assert bench.after(0.1) == 0.0
 
 
 def test_one_that_is_halted_answers_with_old_conversions() -> None:
-    bench = pressed(halt_after_s=0.2)
+    bench = pressed()
+    bench.suffers("halt")
+    bench.cell.feel(bench.cell.now_s, 0.0)
     before = bench.cell.count
     assert bench.after(0.5) == 12.0
     assert bench.cell.count == before
 
 
 def test_one_that_saturates_does_not_say_so_and_one_beyond_its_range_does() -> None:
-    assert pressed(saturate_n=10.0).after(0.1) == pytest.approx(4.0), "with 6 N of tool"
+    bench = pressed()
+    bench.suffers("saturate", limit_n=10.0)
+    assert bench.after(0.1) == pytest.approx(4.0), "with 6 N of tool"
     bench = Bench(range_n=15.0).tared()
     bench.cell.feel(bench.cell.now_s, 12.0)
     bench.after(0.2)

@@ -1,0 +1,98 @@
+"""``[[fault]]`` of SIM.toml: what happens to a simulated device or to its link, and when."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from polishd.config.values import NotNegative, Positive, Section
+
+FRAMES = ("drop", "delay", "duplicate", "garble", "dribble", "late_reply", "wrong_unit", "exception")
+"""What happens to single frames, ..."""
+REPLIES = ("late_reply", "wrong_unit", "exception")
+"""... of these to the device's own alone; ..."""
+WIRES = ("hang", "unplug", "reboot")
+"""... to the link as a whole; ..."""
+STATES = ("freeze", "drift", "saturate", "stick", "halt")
+"""... and to the device behind it."""
+NEEDS = {
+    "late_reply": ("by_s",),
+    "dribble": ("by_s",),
+    "drift": ("drift_n_s",),
+    "saturate": ("limit_n",),
+}
+"""Keys that such a fault must have."""
+KNOWS = {"by_s": ("delay", "late_reply", "dribble"), "jitter_s": ("delay",), "drift_n_s": ("drift",)}
+KNOWS |= {"limit_n": ("saturate",), "direction": FRAMES, "rate": FRAMES}
+"""Keys that others than these must not have."""
+
+
+class Fault(Section):
+    """Something that goes wrong; docs/faults.md has examples. Several act together, in the order of the file."""
+
+    device: Literal["robot", "actuator", "spindle", "loader", "force_sensor", "monitor"]
+    """Which of them has it."""
+    what: Literal[
+        "drop", "delay", "duplicate", "garble", "dribble", "late_reply", "wrong_unit", "exception",
+        "hang", "unplug", "reboot", "freeze", "drift", "saturate", "stick", "halt",
+    ]  # fmt: skip
+    """What goes wrong."""
+    link: Literal["", "rtde", "dashboard", "primary"] = ""
+    """Which of the robot's links, with universal_robots; empty: all that it has."""
+    direction: Literal["to_host", "to_device"] = "to_host"
+    """Of the frames that suffer: from the device, or to it."""
+    at_s: NotNegative | None = None
+    """Begins so long after the device came up, or read this file again, wall time."""
+    contact_s: NotNegative | None = None
+    """Begins after so long in contact, wall time."""
+    frame: Annotated[int, Field(ge=1)] | None = None
+    """Begins with that frame of its direction. [1]"""
+    every_s: Positive | None = None
+    """Begins again and again after so long, wall time."""
+    rate: Annotated[float, Field(gt=0, le=1)] | None = None
+    """Share of frames that suffer: all along, or from `at_s` or `contact_s` on. [1]"""
+    for_s: NotNegative = 0.0
+    """How long it goes on, wall time; 0: one frame, or once; for a rate, and for what lasts, from then on."""
+    by_s: NotNegative = 0.0
+    """How late: `delay` (those behind wait), `late_reply` (those behind pass it); pause between bytes: `dribble`."""
+    jitter_s: NotNegative = 0.0
+    """Of `delay`: by up to so much more, another for each frame."""
+    drift_n_s: float = 0.0
+    """Of `drift`: how fast; positive: it reads too much. [N/s]"""
+    limit_n: NotNegative = 0.0
+    """Of `saturate`: the most that it tells."""
+
+    @model_validator(mode="after")
+    def _hangs_together(self) -> Self:
+        for key, problem in (*self._when(), *self._what()):
+            raise ValueError(f"{key}: {problem}")
+        return self
+
+    def _when(self) -> Iterator[tuple[str, str]]:
+        """(key, what is wrong with it) of those that say when."""
+        begins = [key for key in ("at_s", "contact_s", "frame", "every_s") if getattr(self, key) is not None]
+        if not begins and self.rate is None:
+            yield "what", f"nothing says when to {self.what}; add at_s, contact_s, frame, every_s or rate"
+        if len(begins) > 1:
+            yield begins[1], f"it cannot begin by {' and by '.join(begins)}; write a [[fault]] for each"
+        if self.rate is not None and set(begins) & {"frame", "every_s"}:
+            yield "rate", f"does not go with {begins[0]}; give at_s or contact_s beside it, or nothing"
+        if self.what == "reboot" and self.for_s:
+            yield "for_s", "means nothing for reboot: it takes the time that it takes"
+
+    def _what(self) -> Iterator[tuple[str, str]]:
+        """The same of the others."""
+        for key, known in KNOWS.items():
+            if key in self.model_fields_set and self.what not in known:
+                yield key, f"means nothing for {self.what}; it is for {', '.join(known)}"
+        for key in NEEDS.get(self.what, ()):
+            if not getattr(self, key):
+                yield key, f"{self.what} needs it, other than 0"
+        if self.what == "delay" and not self.by_s and not self.jitter_s:
+            yield "by_s", "delay needs it, or jitter_s"
+        if self.what in REPLIES and self.direction == "to_device":
+            yield "direction", f"{self.what} happens to replies; it must be to_host"
+        if self.link and self.what not in (*FRAMES, "hang", "unplug"):
+            yield "link", f"means nothing for {self.what}, which happens to the device"

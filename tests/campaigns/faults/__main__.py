@@ -1,0 +1,88 @@
+"""``make faults``: every fault on every link in contact, and what came of it, into docs/fault-matrix.md."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+import tempfile
+from dataclasses import asdict
+from pathlib import Path
+
+from tests.campaigns.faults.judge import CONTACT_S, Finding, measure, save
+from tests.campaigns.faults.links import LINKS
+from tests.campaigns.faults.page import SAVED, write
+
+SPREAD_S = 1.5
+"""A loss comes at another time of the contact each."""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    parse = argparse.ArgumentParser(prog="faults", description=__doc__)
+    parse.add_argument("--link", action="append", choices=LINKS, help="these alone")
+    parse.add_argument("--fault", action="append", help="these alone, as the page names them")
+    parse.add_argument("--new", action="store_true", help="only those that are not saved yet")
+    parse.add_argument("--losses", type=int, default=0, metavar="N", help="instead: so many losses of each link")
+    return parse
+
+
+def tried(link: str, fault: str, at_s: float = CONTACT_S, seed: int = 3) -> Finding:
+    """In a folder of its own, which stays where something is wrong."""
+    folder = Path(tempfile.mkdtemp(prefix="polishd-faults-"))
+    try:
+        finding = measure(link, fault, folder / "cell", at_s=at_s, seed=seed)
+    except AssertionError as error:
+        wrong = [str(error).splitlines()[0]]
+        finding = Finding(link, fault, "", None, LINKS[link].silence_s, None, "not measured", wrong)
+    say(f"{link}: {fault}: {finding.outcome}{''.join(f'; WRONG: {one}' for one in finding.wrong)}")
+    if finding.wrong:
+        say(f"  the cell is in {folder}")
+    else:
+        shutil.rmtree(folder)
+    return finding
+
+
+def lose(link: str, count: int) -> list[Finding]:
+    """So many losses, half by silence and half by the plug, saved as they come."""
+    found: list[Finding] = []
+    SAVED.mkdir(parents=True, exist_ok=True)
+    for number in range(count):
+        fault = ("hangs", "unplugged")[number % 2]
+        found.append(tried(link, fault, CONTACT_S + SPREAD_S * number / count, seed=number + 1))
+        name = "".join(letter if letter.isalnum() else "-" for letter in link)
+        (SAVED / f"{name}.losses").write_text(json.dumps([asdict(one) for one in found]))
+    return found
+
+
+def say(text: str) -> None:
+    """At once, whoever reads."""
+    print(text, flush=True)
+
+
+def main() -> int:
+    """1 where something was wrong."""
+    options = parser().parse_args()
+    wrong = 0
+    saved = {(one["link"], one["fault"]) for one in _saved()} if options.new else set()
+    for name in options.link or LINKS:
+        if options.losses:
+            wrong += sum(bool(one.wrong) for one in lose(name, options.losses))
+            continue
+        for fault in LINKS[name].faults:
+            if (options.fault and fault not in options.fault) or (name, fault) in saved:
+                continue
+            finding = tried(name, fault)
+            save(finding, SAVED)
+            wrong += bool(finding.wrong)
+    write()
+    return int(wrong > 0)
+
+
+def _saved() -> list[dict[str, str]]:
+    return [json.loads(path.read_text()) for path in SAVED.glob("*.json")]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,171 @@
+"""One fault in contact: a cell and its daemon as processes, what came of it, and what is wrong with that.
+
+When the fault acted, when the cell first reacted and when the force was off is the simulators' own account; what it was
+noticed as is the daemon's.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from polishd.console.demo_files import DemoFiles
+from polishd.console.simulator import simulated_cell
+from tests.campaigns.faults.links import LINKS, MUST_END
+from tests.system.agreement import disagreements
+from tests.system.cell_rig import Daemon, account, events, summary, with_faults
+from tests.system.sim_rig import wait_for
+
+SPEED = 2.0
+CONTACT_S = 0.8
+"""In contact before the fault, wall time."""
+GOES_ON = 2.5
+"""So many times the link's limit after a fault that nobody had to mind, it counts as gone on from."""
+END_S = 60.0
+FORCE_OFF_S = 0.2
+"""The most from noticing to force off."""
+LATE_S = 0.5
+"""By how much a machine that is busy with other things may notice late."""
+REACTIONS = {"retract", "force_off", "force_zero", "contact_lost", "watchdog", "spindle_ramping", "motion_stopped"}
+OFF = {"force_off", "force_zero", "contact_lost"}
+UP = {"tool_lifted", "retracted", "contact_lost"}
+PRESSES = {"tool_landed", "force_on", "engage"}
+MOVES = {"motion_started"}
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What a case came to. Times in s."""
+
+    link: str
+    fault: str
+    noticed: str
+    """The daemon's reason; empty where it went on."""
+    detection_s: float | None
+    """From the fault to the cell's first reaction."""
+    limit_s: float
+    force_off_s: float | None
+    """From that to no more than the tool's own weight."""
+    outcome: str
+    wrong: list[str]
+
+
+def measure(link: str, fault: str, folder: Path, *, at_s: float = CONTACT_S, seed: int = 3) -> Finding:
+    """Bring a cell into contact, and let it happen."""
+    chosen = LINKS[link]
+    files = chosen.write(folder)
+    scripted = {**chosen.fault(fault), "contact_s": at_s}
+    files.sim.write_text(with_faults(files.sim.read_text(), scripted))
+    options = ["--state", str(files.sim_dir), "--seed", str(seed), "--speed", f"{SPEED:g}"]
+    with simulated_cell(files.sim, options, folder / "sim.stderr"):
+        with Daemon(files, "--no-hold") as daemon:
+            wait_for(lambda: _acted(files) or daemon.process.poll() is not None, f"{fault} on the {link}", END_S)
+            assert events(files, "tool_landed"), daemon.output.read_text()
+            within_s = math.inf if fault in MUST_END else GOES_ON * chosen.silence_s
+            ended = daemon.process.poll
+            wait_for(lambda: ended() is not None or _polished_on(files, within_s), "an end, or that it goes on", END_S)
+            went_on = daemon.process.poll() is None
+            code = daemon.end() if went_on else daemon.wait()
+        wait_for(lambda: _rests(files), "the cell to rest", END_S)
+        return _finding(link, fault, files, went_on=went_on, code=code)
+
+
+def _acted(files: DemoFiles) -> dict[str, Any] | None:
+    """The first that the simulator tells of the fault."""
+    return next(iter(events(files, "fault_begins", "fault_acts")), None)
+
+
+def _polished_on(files: DemoFiles, after_s: float) -> bool:
+    """Blocks were executed long after the fault."""
+    acted = _acted(files)
+    runs = [event["mono_s"] for event in events(files, "blocks")]
+    return acted is not None and bool(runs) and runs[-1] - acted["mono_s"] > after_s
+
+
+def _rests(files: DemoFiles) -> bool:
+    """The tool is up, and nothing moves."""
+    last = {event["event"]: k for k, event in enumerate(events(files))}
+    up = max((last.get(name, -1) for name in UP), default=-1) > last.get("tool_landed", -1)
+    return up and max(last.get("motion_stopped", -1), _lost(files)) > last.get("motion_started", -1)
+
+
+def _lost(files: DemoFiles) -> int:
+    """Place in the log of the robot's last loss of power, which is standstill, too."""
+    places = [k for k, e in enumerate(events(files)) if (e["device"], e["event"]) == ("robot", "lost")]
+    return max(places, default=-1)
+
+
+def _finding(link: str, fault: str, files: DemoFiles, *, went_on: bool, code: int) -> Finding:
+    log, acted = events(files), _acted(files)
+    since_s = acted["mono_s"] if acted else 0.0
+    after = [event for event in log if event["mono_s"] >= since_s]
+    noticed = "" if went_on else str(summary(files)["reason"])
+    reacted_s = None if went_on else _first(after, REACTIONS)
+    off_s = None if went_on else _first(after, OFF)
+    wrong = list(_wrong(link, fault, files, after, acted=acted is not None, went_on=went_on))
+    limit_s = LINKS[link].silence_s
+    detection_s = None if reacted_s is None else round(reacted_s - since_s, 3)
+    force_off_s = None if off_s is None or reacted_s is None else round(off_s - reacted_s, 3)
+    if force_off_s is not None and force_off_s > FORCE_OFF_S:
+        wrong.append(f"force off {force_off_s} s after it was noticed")
+    if fault in MUST_END and detection_s is not None and _is_loss(fault) and detection_s > limit_s + LATE_S:
+        wrong.append(f"noticed after {detection_s} s, limit {limit_s} s")
+    outcome = "goes on" if went_on else f"contact left, exit code {code}"
+    return Finding(link, fault, noticed, detection_s, limit_s, force_off_s, outcome, wrong)
+
+
+def _is_loss(fault: str) -> bool:
+    return fault in {"hangs", "unplugged", "reboots", "all garbled"}
+
+
+def _first(log: Sequence[Mapping[str, Any]], names: set[str]) -> float | None:
+    return next((float(event["mono_s"]) for event in log if event["event"] in names), None)
+
+
+def _wrong(
+    link: str, fault: str, files: DemoFiles, after: Sequence[Mapping[str, Any]], *, acted: bool, went_on: bool
+) -> Iterator[str]:
+    """What must hold whatever the fault was."""
+    if not acted:
+        yield "contact ended before the fault acted"
+        return
+    if went_on and fault in MUST_END:
+        yield "nobody noticed"
+    if "Traceback" in files.daemon_log.read_text():
+        yield "the daemon raised"
+    place = _last_place(after)
+    off, up = place(OFF), place(UP)
+    if off < 0 or up < 0:
+        yield "the tool stayed on the part"
+    still = place({"motion_stopped"})
+    lifted = any(event.get("detail") == "lift" for event in after if event["event"] == "motion_stopped")
+    stood = LINKS[link].device == "robot" and LINKS[link].faults[fault]["what"] == "reboot"
+    if not stood and not lifted and 0 <= still < place({"tool_lifted", "contact_lost"}):
+        yield "motion stopped before the tool was up"
+    if place(PRESSES) > up:
+        yield "it pressed again"
+    yield from _twice(files)
+
+
+def _last_place(log: Sequence[Mapping[str, Any]]) -> Callable[[set[str]], int]:
+    last = {event["event"]: k for k, event in enumerate(log)}
+    return lambda names: max(last.get(name, -1) for name in names)
+
+
+def _twice(files: DemoFiles) -> Iterator[str]:
+    books = account(files)["programs"]
+    for book in books:
+        if book["loads"] != 1:
+            yield f"program {book['sha256'][:8]} was loaded {book['loads']} times"
+    yield from disagreements(files.state_dir / "journal.sqlite", books)
+
+
+def save(finding: Finding, folder: Path) -> None:
+    """For the page."""
+    folder.mkdir(parents=True, exist_ok=True)
+    name = "".join(letter if letter.isalnum() else "-" for letter in f"{finding.link} {finding.fault}")
+    (folder / f"{name}.json").write_text(json.dumps(asdict(finding), indent=1))

@@ -1,0 +1,161 @@
+"""The links of a cell in contact: how a cell with each is written, how long it may be silent, what it can suffer."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from polishd.console.demo_files import DemoFiles, free_port, with_values
+from tests.system import handover_rig, universal_robots_rig
+from tests.system.cell_rig import ONE_PASS, Sections, with_keys, write_small
+from tests.system.test_cia402 import ACTUATOR, EDS, SPINDLE
+from tests.system.test_force_and_signals import MONITOR, SENSOR
+
+Fault = Mapping[str, Any]
+
+SILENCE_S = 1.0
+"""Of each link here: long enough for a busy machine, short enough for a fault to cost seconds only."""
+PLC_SILENCE_S = 3.0
+QUIET = {"rate": 1.0, "for_s": 60.0}
+LOST: Mapping[str, Fault] = {
+    "hangs": {"what": "hang"},
+    "unplugged": {"what": "unplug", "for_s": 60.0},
+    "reboots": {"what": "reboot"},
+}
+"""Nothing comes any more: contact must end."""
+TIMES: Mapping[str, Fault] = {
+    "late by 0.1 s": {"what": "delay", "by_s": 0.1},
+    "late by 3 limits": {"what": "late_reply", "by_s": 3 * SILENCE_S},
+    "dribbles": {"what": "dribble", "by_s": 0.002},
+}
+FRAMES: Mapping[str, Fault] = {
+    "frame lost": {"what": "drop"},
+    "frame twice": {"what": "duplicate"},
+    "bit turned": {"what": "garble"},
+    "frame to it lost": {"what": "drop", "direction": "to_device"},
+    "bit turned on the way to it": {"what": "garble", "direction": "to_device"},
+    "all garbled": {"what": "garble", **QUIET},
+}
+UNIT: Mapping[str, Fault] = {"another unit answers": {"what": "wrong_unit"}}
+REFUSES: Mapping[str, Fault] = {"exception": {"what": "exception"}}
+"""Where something is asked in contact: the robot link tells by itself."""
+ALL = {**LOST, **TIMES, **FRAMES}
+MUST_END = {*LOST, "all garbled", "sticks", "halts", "freezes", "drifts", "saturates"}
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """One of them."""
+
+    device: str
+    write: Callable[[Path], DemoFiles]
+    faults: Mapping[str, Fault]
+    silence_s: float = SILENCE_S
+    link: str = ""
+    """Of the robot's, where it has several."""
+
+    def fault(self, name: str) -> dict[str, Any]:
+        """For SIM.toml, without its time."""
+        return {"device": self.device, **({"link": self.link} if self.link else {}), **self.faults[name]}
+
+
+SILENT = {
+    "robot": {"silence_s": SILENCE_S},
+    "actuator": {"silence_s": SILENCE_S, "watchdog_ms": 2000},
+    "spindle": {"silence_s": SILENCE_S, "watchdog_s": 3.0},
+    "job": {"lookahead_s": 8.0},
+}
+
+
+def _small(folder: Path, cell: Sections | None = None, sim: Sections | None = None) -> DemoFiles:
+    """The demo's small cell with other keys."""
+    files = write_small(folder, patient=False, **ONE_PASS)
+    files.cell.write_text(with_keys(with_keys(files.cell.read_text(), SILENT), cell or {}))
+    spindle = {"spindle": {"watchdog_s": 3.0}}
+    files.sim.write_text(with_keys(with_keys(files.sim.read_text(), spindle), sim or {}))
+    return files
+
+
+def _actuator(folder: Path, kind: str) -> DemoFiles:
+    port = free_port()
+    tcp = {"address": f"tcp://127.0.0.1:{port}"}
+    cell = {"actuator": {**SILENT["actuator"], **(tcp if kind == "modbus_tcp" else {})}}
+    files = _small(folder, cell, {"actuator": {"kind": kind, **({"port": port} if kind == "modbus_tcp" else {})}})
+    if kind == "serial":
+        files.cell.write_text(with_values(files.cell.read_text(), {"actuator": {"type": "voice_coil_serial"}}))
+        files.cell.write_text(files.cell.read_text().replace("unit = 1\n", ""))
+    return files
+
+
+def _spindle(folder: Path) -> DemoFiles:
+    port = free_port()
+    cell = {"spindle": {**SILENT["spindle"], "address": f"socketcand://127.0.0.1:{port}/can0"}}
+    return _small(folder, cell, {"spindle": {"watchdog_s": 3.0, "kind": "socketcand", "port": port}})
+
+
+def _cia402(folder: Path) -> DemoFiles:
+    """Both drives off the shelf."""
+    files = _small(folder, sim={"actuator": {"kind": "slcan"}, "spindle": {"drive": "cia402"}})
+    text = files.cell.read_text().replace('"spindle"', '"cia402"', 1).replace('"voice_coil", ', "", 1)
+    for section, ours in (("actuator", ACTUATOR), ("spindle", SPINDLE)):
+        text = re.sub(rf"^\[{section}\].*?(?=^\[)", f"{ours}\n", text, flags=re.MULTILINE | re.DOTALL)
+    prompt = {"actuator": {"silence_s": SILENCE_S, "watchdog_s": 2.0}, "spindle": SILENT["spindle"]}
+    files.cell.write_text(with_keys(text, prompt))
+    (files.out / "drive.eds").write_bytes(EDS.read_bytes())
+    return files
+
+
+def _watched(folder: Path, text: str, sim: str) -> DemoFiles:
+    files = _small(folder)
+    cell = files.cell.read_text().replace('"interferometer"', '"interferometer", "force_sensor", "monitors"') + text
+    silent = {"monitor": {"type": "monitor_line", "address": "serial:sim/monitor", "silence_s": SILENCE_S}}
+    files.cell.write_text(with_keys(with_values(cell, {"limits": {"force_grace_s": 1.3}}), silent))
+    files.sim.write_text(files.sim.read_text() + sim)
+    return files
+
+
+def _sensed(folder: Path) -> DemoFiles:
+    return _watched(folder, SENSOR.format(silence_s=SILENCE_S, delay_s=1.0), '\n[force_sensor]\nkind = "serial"\n')
+
+
+def _monitored(folder: Path) -> DemoFiles:
+    return _watched(folder, MONITOR.format(leads_to="lift"), '\n[monitor]\nkind = "serial"\n')
+
+
+def _plc(folder: Path, kind: str) -> DemoFiles:
+    files = handover_rig.write_files(folder, kind, 30.0, **ONE_PASS)
+    profile = files.out / "controller.toml"
+    profile.write_text(profile.read_text().replace("silence_s = 6.0", f"silence_s = {PLC_SILENCE_S}"))
+    return files
+
+
+def _universal(folder: Path) -> DemoFiles:
+    files = universal_robots_rig.write_files(folder, "universal_robots", **ONE_PASS)
+    files.cell.write_text(files.cell.read_text().replace("silence_s = 3.0", f"silence_s = {SILENCE_S}"))
+    return files
+
+
+FORCE = {"sticks": {"what": "stick"}}
+DRIFT = {"drifts": {"what": "drift", "drift_n_s": 2.0}}
+CELL = {"halts": {"what": "halt"}, **DRIFT, "saturates": {"what": "saturate", "limit_n": 13.0}}
+LINKS: Mapping[str, Link] = {
+    "robot link": Link("robot", _small, ALL),
+    "handover over OPC UA": Link("robot", lambda f: _plc(f, "opcua"), ALL, PLC_SILENCE_S),
+    "handover over ADS": Link("robot", lambda f: _plc(f, "ads"), {**ALL, **REFUSES}, PLC_SILENCE_S),
+    "RTDE": Link("robot", _universal, ALL, link="rtde"),
+    "dashboard": Link("robot", _universal, {"hangs": LOST["hangs"], "unplugged": LOST["unplugged"]}, link="dashboard"),
+    "primary": Link("robot", _universal, {"hangs": LOST["hangs"], "unplugged": LOST["unplugged"]}, link="primary"),
+    "actuator, Modbus RTU": Link("actuator", _small, {**ALL, **UNIT, **REFUSES, **FORCE}),
+    "actuator, Modbus TCP": Link("actuator", lambda f: _actuator(f, "modbus_tcp"), {**ALL, **UNIT, **REFUSES}),
+    "actuator, lines": Link("actuator", lambda f: _actuator(f, "serial"), {**ALL, **REFUSES}),
+    "actuator beside a force sensor": Link("actuator", _sensed, DRIFT),
+    "spindle, slcan": Link("spindle", _small, {**ALL, **UNIT}),
+    "spindle, socketcand": Link("spindle", _spindle, {**ALL, **UNIT}),
+    "actuator, CiA 402": Link("actuator", _cia402, {**ALL, **UNIT, **FORCE}),
+    "spindle, CiA 402": Link("spindle", _cia402, {**ALL, **UNIT}),
+    "force sensor": Link("force_sensor", _sensed, {**ALL, **REFUSES, **CELL}),
+    "monitor": Link("monitor", _monitored, {**ALL, **REFUSES}),
+}
