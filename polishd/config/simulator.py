@@ -6,14 +6,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from polishd.config.document import Document, parse_toml
 from polishd.config.process import HybridSection, KinematicsSection
 from polishd.config.robots import robot_of
-from polishd.config.simulator_plant import Contact, Plant, Truth
+from polishd.config.simulator_plant import CLOSEST, Contact, Plant, Truth
 from polishd.config.tables import read_tif
 from polishd.config.values import (
     Bump,
@@ -321,6 +321,15 @@ class SimConfig(Document):
     loader: Loader | None = None
     force_sensor: ForceSensor | None = None
     monitor: Monitor | None = None
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        radius_mm, tool_mm = self.plant.curvature_radius_mm, self.process.tool_radius_mm
+        if radius_mm is not None and tool_mm / radius_mm > CLOSEST:
+            raise ValueError(
+                f"plant.curvature_radius_mm: into {radius_mm:g} mm a bonnet of {tool_mm:g} mm does not fit"
+            )
+        return self
 
     def robot_model(self) -> RobotModel:
         """The robot as it is on paper: `truth.stiffness` draws what it truly is. ConfigError as of a cell's."""

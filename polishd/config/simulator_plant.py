@@ -24,6 +24,8 @@ from polishd.config.values import (
 from polishd.model.process import FLAT, NormalForce, Projection, ToolProcess
 
 _TOOL = ToolProcess()
+CLOSEST = 0.8
+"""A part that is concave by more than this share of the bonnet's own curvature is touched all round: no spot."""
 MOST_OF_RADIUS = 0.99
 """So near to its end may a sphere or an ellipsoid come under the part and its ring."""
 

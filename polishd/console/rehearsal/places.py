@@ -17,7 +17,7 @@ FOLDER_KEYS = ("folder", "claimed", "refused", "program_dir")
 
 def usual_folder(config: CellConfig) -> Path:
     """Beside the state folder."""
-    return config.state_dir.parent / "rehearsal"
+    return config.state_dir.parent / f"{config.path.stem}-rehearsal"
 
 
 def require_apart(draft: Draft, out: Path) -> None:

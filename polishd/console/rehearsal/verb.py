@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,17 +72,25 @@ def write_rehearsal(cell: Path, out: Path | None = None) -> Rehearsal:
     config, hooks = load_cell(cell)
     draft, folder = gathered(config, hooks), (out or usual_folder(config)).absolute()
     require_apart(draft, folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    made = Rehearsal(folder / SIM, folder / f"{cell.stem}-rehearsal.toml", tuple(draft.notes))
-    for name, content in draft.files.items():
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    own = f"{cell.stem}-rehearsal.toml"
+    with tempfile.TemporaryDirectory(prefix=".polishd-", dir=folder.parent) as scratch:
+        beside = Path(scratch) / "rehearsal"  # it appears whole, or not at all
+        beside.mkdir()
+        _write(draft, beside, own)
+        beside.replace(folder)
+    return Rehearsal(folder / SIM, folder / own, tuple(draft.notes))
+
+
+def _write(draft: Draft, folder: Path, own: str) -> None:
+    """All files; ConfigError where what is written could not be read."""
+    texts = {SIM: sim_text(draft), own: cell_text(draft)}
+    for name, content in {**draft.files, **{name: text.encode() for name, text in texts.items()}}.items():
         write_atomic(folder / name, content)
-    write_atomic(made.sim, sim_text(draft).encode())
-    write_atomic(made.cell, cell_text(draft).encode())
-    load_simulator(made.sim)
-    load_config(made.cell)
-    measure_artefact(made.sim, folder / ARTEFACT)
+    load_simulator(folder / SIM)
+    load_config(folder / own)
+    measure_artefact(folder / SIM, folder / ARTEFACT)
     prove_profile(folder / PROFILE, folder / ARTEFACT)
-    return made
 
 
 def gathered(config: CellConfig, hooks: Hooks) -> Draft:

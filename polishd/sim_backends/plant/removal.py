@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from polishd.config.simulator import CLOSEST
 from polishd.model.process import Projection, ToolProcess
 from polishd.model.robot import HybridRobot, SerialRobot
 from polishd.model.surface import FloatArray, Grid
@@ -32,7 +33,8 @@ def contact_radius_mm(tool: ToolProcess, curvature_per_mm: FloatArray) -> FloatA
 
     Where a part curves two ways the mean is taken: its contact is an ellipse, of nearly that area.
     """
-    return np.asarray(1.0 / (1.0 / tool.tool_radius_mm - curvature_per_mm))
+    own = 1.0 / tool.tool_radius_mm
+    return np.asarray(1.0 / (own - np.minimum(curvature_per_mm, CLOSEST * own)))
 
 
 def hertz_depth_mm(tool: ToolProcess, force_n: FloatArray, radius_mm: FloatArray | None = None) -> FloatArray:

@@ -15,10 +15,7 @@ from polishd.sim_backends.plant.giving import Giving, giving
 from polishd.sim_backends.plant.measured import MeasuredStamp
 from polishd.sim_backends.plant.part import TruePart
 from polishd.sim_backends.plant.removal import contact_radius_mm, wear, worn_depth_mm
-from polishd.sim_backends.plant.shape import Local, Shape
-
-CLOSEST = 0.8
-"""A part that is concave by more than this share of the bonnet's own curvature is touched all round: no spot."""
+from polishd.sim_backends.plant.shape import Local
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,14 +40,8 @@ class Tool:
 
     @classmethod
     def of(cls, config: SimConfig, robot: RobotModel) -> Tool:
-        """As SIM.toml has it, on the robot as it truly is; ConfigError where the bonnet does not fit the part."""
+        """As SIM.toml has it, on the robot as it truly is; ConfigError where its TIF cannot be read."""
         process, tif = config.process.tool(), config.measured_tif()
-        centre = Shape(config.plant).under(np.zeros((1, 2))).curvature_per_mm[0]
-        if centre * process.tool_radius_mm > CLOSEST:
-            raise config.error(
-                "plant.curvature_radius_mm",
-                f"is {1 / centre:.4g} mm at the centre: a bonnet of {process.tool_radius_mm:g} mm does not fit in",
-            )
         stamp = None if tif is None else MeasuredStamp(tif, process)
         return cls(process, giving(robot, config.process.projection), stamp)
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from polishd.config.places import Source
 from polishd.config.simulator import Contact, Plant, SimConfig, Truth
 from polishd.model.errors import ConfigError
 from polishd.model.process import MeasuredTif, Optic, ToolProcess
@@ -21,7 +22,6 @@ from polishd.sim_backends.plant.giving import giving
 from polishd.sim_backends.plant.measured import MeasuredStamp
 from polishd.sim_backends.plant.removal import contact_radius_mm, hertz_depth_mm, wear
 from polishd.sim_backends.plant.shape import Shape
-from polishd.sim_backends.plant.tool import Tool
 
 SPHERE = {"curvature_radius_mm": 800.0}
 OPTICS = {
@@ -103,10 +103,9 @@ def test_on_a_slope_the_spot_is_foreshortened_by_the_slopes_cosine() -> None:
 
 
 def test_a_bonnet_that_does_not_fit_into_the_part_is_refused() -> None:
-    plant = Plant(aperture_mm=10.0, ring_mm=3.0, curvature_radius_mm=22.0)
-    config = SimConfig(plant=plant)
-    with pytest.raises(ConfigError, match="a bonnet of 20 mm does not fit in"):
-        Tool.of(config, config.robot_model())
+    raw = {"plant": {"aperture_mm": 10.0, "ring_mm": 3.0, "curvature_radius_mm": 22.0}}
+    with pytest.raises(ConfigError, match="into 22 mm a bonnet of 20 mm does not fit"):
+        SimConfig.of(raw, Source("sim.toml", ""))
 
 
 def test_a_measured_spot_wears_what_was_measured_and_scales_as_hertz_does() -> None:
