@@ -326,9 +326,7 @@ class SimConfig(Document):
     def _fits(self) -> Self:
         radius_mm, tool_mm = self.plant.curvature_radius_mm, self.process.tool_radius_mm
         if radius_mm is not None and tool_mm / radius_mm > CLOSEST:
-            raise ValueError(
-                f"plant.curvature_radius_mm: into {radius_mm:g} mm a bonnet of {tool_mm:g} mm does not fit"
-            )
+            raise ValueError(f"plant: into a radius of {radius_mm:g} mm a bonnet of {tool_mm:g} mm does not fit")
         return self
 
     def robot_model(self) -> RobotModel:

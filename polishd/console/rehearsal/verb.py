@@ -83,11 +83,15 @@ def write_rehearsal(cell: Path, out: Path | None = None) -> Rehearsal:
 
 
 def _write(draft: Draft, folder: Path, own: str) -> None:
-    """All files; ConfigError where what is written could not be read."""
+    """All files; ConfigError where what is written would be no simulated cell."""
     texts = {SIM: sim_text(draft), own: cell_text(draft)}
     for name, content in {**draft.files, **{name: text.encode() for name, text in texts.items()}}.items():
         write_atomic(folder / name, content)
-    load_simulator(folder / SIM)
+    try:
+        load_simulator(folder / SIM)
+    except ConfigError as error:
+        wrong = "; ".join(line.split(": ", 1)[-1] for line in str(error).splitlines())
+        raise ConfigError(f"{draft.config.path}: there is no simulated cell like this: {wrong}") from error
     load_config(folder / own)
     measure_artefact(folder / SIM, folder / ARTEFACT)
     prove_profile(folder / PROFILE, folder / ARTEFACT)

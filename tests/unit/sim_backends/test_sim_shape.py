@@ -104,7 +104,7 @@ def test_on_a_slope_the_spot_is_foreshortened_by_the_slopes_cosine() -> None:
 
 def test_a_bonnet_that_does_not_fit_into_the_part_is_refused() -> None:
     raw = {"plant": {"aperture_mm": 10.0, "ring_mm": 3.0, "curvature_radius_mm": 22.0}}
-    with pytest.raises(ConfigError, match="into 22 mm a bonnet of 20 mm does not fit"):
+    with pytest.raises(ConfigError, match="into a radius of 22 mm a bonnet of 20 mm does not fit"):
         SimConfig.of(raw, Source("sim.toml", ""))
 
 
