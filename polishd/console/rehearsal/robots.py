@@ -15,6 +15,8 @@ SPEED = {"linuxcnc": 1.0, "universal_robots": 4.0, "handover": 8.0}
 USUAL_SPEED = 10.0
 """Process seconds per wall second: what each controller's own clock, and the daemon's looks at it, bear."""
 OTHER_LANGUAGES = ("fanuc-tp", "krl", "rapid", "urscript")
+WINDOW, MOST_SPEED = 16384, 60
+"""Blocks that a simulated controller holds ahead, and up to which speed that is enough."""
 NO_WATCHDOG_S = 600.0
 FIRST_REGISTER = 24
 TIMES = (
@@ -71,13 +73,20 @@ def _link(draft: Draft, device: str) -> None:
     draft.put("robot", "kind", "link", f"{device}.type")
     draft.put("robot", "port", port, "free on this computer")
     draft.put("robot", "watchdog_s", options["watchdog_s"], draft.origin(f"{device}.watchdog_s"))
+    _add_window(draft)
     draft.laid[f"{device}.address"] = f"tcp://{LOOPBACK}:{port}"
+
+
+def _add_window(draft: Draft) -> None:
+    window = WINDOW * MOST_SPEED
+    draft.put("robot", "window", window, f"{WINDOW} blocks at --speed 1 last as long as these at {MOST_SPEED}")
 
 
 def _stand_in(draft: Draft, device: str, kind: str) -> None:
     port = free_port()
     draft.put("robot", "kind", "link", f"stands in for {kind}")
     draft.put("robot", "port", port, "free on this computer")
+    _add_window(draft)
     address = f"tcp://{LOOPBACK}:{port}"
     draft.replace_device(device, {"type": "robot_link", "address": address}, f"there is no simulated {kind!r}")
     draft.plugin("rnc_robot")
