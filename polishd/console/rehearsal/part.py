@@ -20,6 +20,8 @@ CONTACT = (
 START_OVER_TOLERANCE = 9.0
 """RMS of the part at the start, over the tolerance: as in the demo."""
 PV_OVER_RMS = 8.3
+OF_MOST_REMOVAL = 0.5
+"""Peak to valley at the start, at most, over what one pass may remove."""
 MORE_ACCEL = 1.25
 """What the robot truly accelerates with, over what the cell counts on, which is on the safe side."""
 LONGEST_NAME = 39
@@ -39,9 +41,7 @@ def add_part(draft: Draft, speed: float) -> None:
     draft.put("plant", "program_offset_mm", program.offset_mm, draft.origin("program.offset_mm"))
     draft.put("plant", "program_rotation_deg", program.rotation_deg, draft.origin("program.rotation_deg"))
     if job.tolerance_nm is not None:
-        rms_nm = START_OVER_TOLERANCE * job.tolerance_nm
-        draft.put("plant", "rms_nm", rms_nm, f"{START_OVER_TOLERANCE:g} x job.tolerance_nm; or --surface MAP.dat")
-        draft.put("plant", "pv_nm", round(PV_OVER_RMS * rms_nm, 6), f"{PV_OVER_RMS:g} x rms_nm")
+        _add_start(draft, job.tolerance_nm)
     if part.rim == "free":
         draft.notes.append("part.rim = 'free': the simulated part sits in a flush ring; no tool sinks over its rim")
     if part.nominal is not None:
@@ -49,6 +49,15 @@ def add_part(draft: Draft, speed: float) -> None:
             "part.nominal", None, "the simulated instrument shows the part as behind a null, without its form"
         )
     _add_truth(draft)
+
+
+def _add_start(draft: Draft, tolerance_nm: float) -> None:
+    """A surface that the job can polish: worse than its tolerance, and within what one pass may take off."""
+    most_nm = OF_MOST_REMOVAL * draft.config.limits.max_removal_nm
+    rms_nm = min(START_OVER_TOLERANCE * tolerance_nm, most_nm / PV_OVER_RMS)
+    origin = f"{START_OVER_TOLERANCE:g} x job.tolerance_nm, or what limits.max_removal_nm lets; or --surface MAP.dat"
+    draft.put("plant", "rms_nm", round(rms_nm, 3), origin)
+    draft.put("plant", "pv_nm", round(PV_OVER_RMS * rms_nm, 3), f"{PV_OVER_RMS:g} x rms_nm")
 
 
 def _add_truth(draft: Draft) -> None:

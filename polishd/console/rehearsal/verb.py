@@ -20,7 +20,7 @@ from polishd.console.rehearsal.text import cell_text, sim_text
 from polishd.console.simulator import measure_artefact, run_simulator
 from polishd.files import write_atomic
 from polishd.hooks.cell import load_cell
-from polishd.hooks.loader import Hooks, load_own
+from polishd.hooks.loader import OWN, Hooks, installed
 from polishd.model.errors import ConfigError
 from polishd.show.tables import stderr
 from polishd.workbench.maps.commission import prove_profile
@@ -141,8 +141,8 @@ def _tell_nobody(draft: Draft) -> None:
             draft.instead(f"between.{name}.command", NOTHING, why)
     for name in draft.config.notify:
         draft.instead(f"notify.{name}", None, "a rehearsal tells nobody")
-    own = {plugin.name for plugin in load_own().report.loaded}
-    if others := [name for name in draft.config.plugins.load if name not in own]:
+    known = installed()
+    if others := [name for name in draft.config.plugins.load if known.get(name) != [OWN]]:
         draft.notes.append(
             f"plugins.load: {', '.join(others)} of others are loaded as in the cell, and do what they do"
         )

@@ -100,6 +100,13 @@ def test_the_simulator_is_this_cells_part_tool_and_robot(tmp_path: Path) -> None
     assert all("#" in line for line in told.splitlines() if " = " in line)
 
 
+def test_the_part_starts_as_one_that_the_job_may_polish(tmp_path: Path) -> None:
+    plant = sim_of(made(tmp_path, CELL), tmp_path).plant
+    assert (plant.rms_nm, plant.pv_nm) == (18.0, pytest.approx(149.4))
+    plant = sim_of(made(tmp_path, with_keys(CELL, {"job": {"tolerance_nm": 40.0}})), tmp_path).plant
+    assert (plant.rms_nm, plant.pv_nm) == (pytest.approx(60.2, abs=0.1), 500.0)
+
+
 def test_the_cell_is_the_same_but_for_addresses_folders_and_where_its_files_lie(tmp_path: Path) -> None:
     (tmp_path / "calibration.toml").write_text("[kinematics]\ntool_length_mm = 419.0\n")
     draft = made(tmp_path, CELL.replace("# include =", "include =").replace('"state"', '"daemon"'))
