@@ -12,6 +12,8 @@ from polishd.model.process import MeasuredTif, ToolProcess
 from polishd.model.surface import FloatArray, Grid
 from polishd.sim_backends.plant.removal import hertz_depth_mm
 
+TOGETHER_MM = 0.1
+"""Contacts nearer to each other than that are one: a map shows no less."""
 FINE_MM = 1.0 / 6.0
 """Between the points of which a cell's mean is made."""
 
@@ -47,7 +49,14 @@ class MeasuredStamp:
         stretch: FloatArray,
     ) -> None:
         """Take material off in place: n contacts, rpm times seconds in ``turns`` (n,); the rest as `removal.wear`."""
-        for k in np.flatnonzero((depth_mm > 0.0) & (turns != 0.0)):
+        active = (depth_mm > 0.0) & (turns != 0.0)
+        if not active.any():
+            return
+        first, weight = _together(centre_mm[active], turns[active])
+        shares = (_mean(values[active], first, weight) for values in (centre_mm, axis, depth_mm, stretch))
+        centre_mm, axis, depth_mm, stretch = shares
+        turns = np.add.reduceat(weight, first)
+        for k in range(len(first)):
             size = math.sqrt(float(depth_mm[k]) / self._depth_mm)
             reach = self._half_mm * size / grid.pitch_mm
             column = (centre_mm[k, 0] - grid.x_mm[0]) / grid.pitch_mm
@@ -74,6 +83,19 @@ class MeasuredStamp:
         ny, nx = self.tif.rate_nm_s.shape
         at = np.stack([(ny - 1) / 2.0 - y / self.tif.pitch_mm, (nx - 1) / 2.0 + x / self.tif.pitch_mm])
         return np.asarray(ndimage.map_coordinates(self.tif.rate_nm_s, at, order=1, mode="constant"))
+
+
+def _together(centre_mm: FloatArray, turns: FloatArray) -> tuple[np.ndarray, FloatArray]:
+    """Where each group of contacts begins that follow one another within `TOGETHER_MM`, and the weight of each (n,)."""
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(centre_mm, axis=0).T))])
+    return np.unique(np.floor(way / TOGETHER_MM), return_index=True)[1], np.abs(turns)
+
+
+def _mean(values: FloatArray, first: np.ndarray, weight: FloatArray) -> FloatArray:
+    """(groups, ...) weighted means of (n, ...)."""
+    wide = weight.reshape(-1, *[1] * (values.ndim - 1))
+    total = np.add.reduceat(weight, first).reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray(np.add.reduceat(values * wide, first, axis=0) / total)
 
 
 def _span(middle: float, reach: float, count: int) -> np.ndarray:

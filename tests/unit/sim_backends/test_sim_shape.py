@@ -165,3 +165,23 @@ def test_every_kind_of_robot_is_drawn_about_its_own_stiffness_and_the_shipped_on
     assert 0.0 < np.abs(share).max() <= 0.10
     assert truth.draw(Truth(), 3) == truth.draw(Truth(), 3, SimConfig().robot_model())
     assert SimConfig(process=Contact(preston="2e-9 cm2/N")).process.tool().preston_cm2_per_n == pytest.approx(2e-9)
+
+
+def test_contacts_that_follow_one_another_closely_wear_as_each_by_itself() -> None:
+    x = (np.arange(41) - 20) * 0.1
+    rate = np.maximum(1.0 - (x[None, :] / 1.5) ** 2 - (x[:, None] / 1.5) ** 2, 0.0) * 80.0
+    stamp, grid = MeasuredStamp(MeasuredTif(rate, 0.1), TOOL), Grid(61, 61, 0.3)
+    n, rng = 200, np.random.default_rng(2)
+    given = {
+        "centre_mm": np.column_stack([np.linspace(-4.0, 4.0, n), np.linspace(1.0, 2.0, n)]),
+        "axis": np.tile([0.2, 0.1, 0.97], (n, 1)),
+        "depth_mm": rng.uniform(0.11, 0.14, n),
+        "turns": rng.uniform(0.0, 5.0, n),
+        "stretch": np.tile(np.eye(2), (n, 1, 1)),
+    }
+    at_once, one_by_one = np.zeros(grid.shape), np.zeros(grid.shape)
+    stamp.wear(at_once, grid, **given)
+    for k in range(n):
+        stamp.wear(one_by_one, grid, **{name: values[k : k + 1] for name, values in given.items()})
+    assert at_once.sum() == pytest.approx(one_by_one.sum(), rel=5e-3)
+    assert np.abs(at_once - one_by_one).max() < 0.02 * np.abs(one_by_one).max()
