@@ -194,12 +194,24 @@ def plugins(
 
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
 def sim(
+    *,
     context: typer.Context,
-    config: Annotated[Path, Argument(metavar="SIM.toml")],
+    config: Annotated[Path | None, Argument(metavar="SIM.toml", show_default=False)] = None,
+    cell: Annotated[
+        Path | None, Option("--from", metavar="CELL.toml", help="Simulate this cell, to rehearse its job.")
+    ] = None,
+    out: Annotated[Path | None, Option(metavar="DIR", help="With --from: folder for what it writes.")] = None,
+    write_only: Annotated[bool, Option("--write-only", help="With --from: start nothing.")] = False,
 ) -> None:
     """Start a simulated cell, as processes of their own; ends with Ctrl-C. Further options go to the simulator."""
+    from polishd.console.rehearsal.verb import rehearsal_verb
     from polishd.console.simulator import run_simulator
 
+    if cell is not None:  # what looks like SIM.toml is the first of the further options
+        further = [*([] if config is None else [str(config)]), *context.args]
+        raise typer.Exit(rehearsal_verb(cell, out, further, write_only=write_only))
+    if config is None or out is not None or write_only:
+        raise typer.BadParameter("give SIM.toml, or --from CELL.toml, with which --out and --write-only go")
     raise typer.Exit(run_simulator(config, context.args))
 
 

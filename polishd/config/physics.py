@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import fields
 
 from polishd.config.document import Document
-from polishd.config.process import ComplianceSection, HybridSection, KinematicsSection, ProcessSection, SerialSection
+from polishd.config.process import ComplianceSection, HybridSection, KinematicsSection, ProcessSection
+from polishd.config.robots import robot_of
 from polishd.config.sections import PartSection
-from polishd.config.tables import read_compliance_table
 from polishd.model.process import ComplianceOptions, Optic, Placement, ToolProcess
-from polishd.model.robot import HybridRobot, RobotModel, SerialRobot
+from polishd.model.robot import RobotModel
 from polishd.process.frames import rotation_from_rpy_deg
 
 
@@ -34,13 +34,7 @@ class PartDocument(ProcessDocument):
 
     def robot_model(self) -> RobotModel:
         """The robot's geometry and stiffness; ConfigError where its table cannot be read."""
-        section = self.kinematics
-        values = {name: value for name, value in section if name != "type"}
-        if isinstance(section, HybridSection):
-            return HybridRobot(**values)
-        if isinstance(section, SerialSection):
-            return SerialRobot(**values)
-        return read_compliance_table(self.resolve(section.table))
+        return robot_of(self.kinematics, self.resolve)
 
     def compliance_options(self) -> ComplianceOptions:
         """How the robot's compliance is read."""

@@ -171,6 +171,12 @@ def _cm2_per_n(value: Any) -> Any:
     raise ValueError(f'{number} has no unit, which is worth a factor of 100; write "{number} cm2/N", or which it is')
 
 
+Preston = Annotated[
+    float, BeforeValidator(_cm2_per_n), Field(gt=0, lt=1e-3, json_schema_extra={"range": "> 0, < 0.001 cm2/N"})
+]
+"""A Preston constant, cm2/N; in a file it has its unit."""
+
+
 class ProcessSection(Section):
     """Tool and contact, and how removal is computed; the defaults are the paper's Table II and its main process."""
 
@@ -195,9 +201,7 @@ class ProcessSection(Section):
     """Speed of the spindle in contact."""
     dip_deg: Dip = _TOOL.dip_deg
     """Angle between the spindle and the surface's normal; at 0 the contact's centre does not slide."""
-    preston: Annotated[
-        float, BeforeValidator(_cm2_per_n), Field(gt=0, lt=1e-3, json_schema_extra={"range": "> 0, < 0.001 cm2/N"})
-    ] = _TOOL.preston_cm2_per_n
+    preston: Preston = _TOOL.preston_cm2_per_n
     """Preston's constant with its unit, such as `"1.49e-9 cm2/N"`: cm2/N, mm2/N, m2/N, 1/Pa, 1/kPa, 1/MPa or 1/GPa.
     Learning scales it from pass to pass. [as written]"""
     depth_exponent: Annotated[float, Field(gt=0, le=4)] = _TOOL.depth_exponent

@@ -1,15 +1,21 @@
 """SIM.toml: what is simulated, and how nasty it is. Its reader is the simulator; the daemon never sees it."""
 
+# mypy: implicit-reexport
+
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from polishd.config.document import Document, parse_toml
+from polishd.config.process import HybridSection, KinematicsSection
+from polishd.config.robots import robot_of
 from polishd.config.simulator_faults import FRAMES, STATES, Fault
+from polishd.config.simulator_plant import CLOSEST, Contact, Plant, Truth
+from polishd.config.tables import read_tif
 from polishd.config.values import (
     Bump,
     Name,
@@ -20,83 +26,14 @@ from polishd.config.values import (
     ShareOrNone,
     Text,
     Texts,
-    Vector,
     as_tuple,
 )  # fmt: skip
+from polishd.model.process import MeasuredTif
+from polishd.model.robot import RobotModel
 
 __all__ = ["FRAMES", "SEVEN", "STATES", "Fault", "SimConfig", "load_simulator"]
 
 Port = Annotated[int, Field(ge=0, le=65535)]
-
-
-class Plant(Section):
-    """The part, where it lies, and the surface it starts with."""
-
-    seed: int = 1
-    """What all that is hidden is drawn from: the same number gives the same cell. [1]"""
-    speed: Annotated[float, Field(gt=0, le=10000)] = 60.0
-    """Process seconds per wall second while the robot runs. [1]"""
-    part_id: str = "DEMO-100"
-    """The part's name in the maps; `part.id` of the cell must be the same."""
-    aperture_mm: Annotated[float, Field(gt=5)] = 100.0
-    """The part's diameter."""
-    edge_mm: NotNegative = 3.0
-    """Width of the rim that the true RMS and PV in the logs leave out."""
-    ring_mm: Annotated[float, Field(ge=3)] = 15.0
-    """Width of the flush waster around the part: room for landing pads and overrun."""
-    pitch_mm: Annotated[float, Field(gt=0.05, le=1)] = 0.5
-    """Of the true surface, and of the maps."""
-    rms_nm: NotNegative = 18.0
-    """Of the surface at the start, in the clear aperture; 0: it starts flat."""
-    pv_nm: NotNegative = 150.0
-    """Peak to valley of the same; one bump makes up what the RMS does not give."""
-    origin_mm: Vector = (230.0, 160.0, 2085.0)
-    """Where the part's centre truly lies in the robot's base frame; `part.origin_mm` of the cell."""
-    rotation_rpy_deg: Vector = (180.0, 0.0, 0.0)
-    """How it truly lies there, intrinsic x-y'-z''; `part.rotation_rpy_deg` of the cell."""
-    seat_height_mm: float = 0.0
-    """How much higher the part sits than all of that says, along its normal; negative: lower."""
-    seat_tilt_deg: Pair = (0.0, 0.0)
-    """And how it is tilted there, about its x and y."""
-    seat_empty: bool = False
-    """No part lies in its ring: the tool finds nothing to press on. Maps show one all the same."""
-    program_offset_mm: Vector = (0.0, 0.0, 0.0)
-    """Where the program's frame truly lies on the part; `program.offset_mm` of the cell."""
-    program_rotation_deg: float = 0.0
-    """How it truly lies there; `program.rotation_deg` of the cell."""
-
-
-class Truth(Section):
-    """Ranges that the hidden truth is drawn from; 0 makes a perfect machine."""
-
-    rate: Pair = (-0.10, 0.0)
-    """Lowest and highest of what the removal rate is off Preston's nominal constant, relative. [1]"""
-    stiffness: ShareOrNone = 0.10
-    """How far each stiffness of the robot is off its nominal value, either way, relative. [1]"""
-    drift: ShareOrNone = 0.01
-    """Amplitude of a slow sine of the removal rate, relative. [1]"""
-    worn: ShareOrNone = 0.0
-    """Share of its removal rate that the tool has lost. [1]"""
-    drift_period_s: Positive = 3000.0
-    """Period of that drift, process time; drawn within 20 % of it."""
-    force_noise: Annotated[float, Field(ge=0, lt=0.5)] = 0.01
-    """Scatter of the force, relative. [1]"""
-    force_noise_s: Positive = 0.05
-    """Correlation time of that scatter, process time."""
-    map_noise_nm: NotNegative = 0.3
-    """Scatter of each sample of a map."""
-    warm_nm: float = 0.0
-    """How much higher the part's rim than its centre stands right after a pass, for it is warm."""
-    warm_s: Positive = 300.0
-    """Time in which that falls to 37 %, simulated clock."""
-    accel_mm_s2: Positive = 1000.0
-    """What the robot truly accelerates with."""
-    accel_spread: ShareOrNone = 0.05
-    """How far off that it is drawn, either way, relative. [1]"""
-    overhead_s: NotNegative = 0.005
-    """Time that a block takes beyond its motion."""
-    overhead_spread: ShareOrNone = 0.10
-    """How far off that it is drawn, either way, relative. [1]"""
 
 
 class MapFaults(Section):
@@ -207,6 +144,10 @@ class Spindle(Section):
     """What it speaks on CAN: the cell's `spindle_can`, or `cia402_spindle`, whose ramps and watchdog the cell sets."""
     profile: Text = "profile.toml"
     """File of the device profile, for `profile` and `profile_tcp`."""
+    unit: Annotated[int, Field(ge=0, le=247)] | None = None
+    """Modbus unit number; left out: the profile's. [1]"""
+    pole_pairs: Annotated[int, Field(ge=1, le=24)] = 1
+    """Of the motor, for a profile that counts in Hz. [1]"""
     port: Port = 0
     """TCP port on loopback, for socketcand and profile_tcp; 0: any that is free. [1]"""
     node: Annotated[int, Field(ge=1, le=127)] = 5
@@ -323,6 +264,8 @@ class SimConfig(Document):
 
     plant: Plant = Plant()
     truth: Truth = Truth()
+    process: Contact = Contact()
+    kinematics: KinematicsSection = HybridSection()
     robot: Robot = Robot()
     actuator: Actuator = Actuator()
     spindle: Spindle = Spindle()
@@ -331,6 +274,21 @@ class SimConfig(Document):
     force_sensor: ForceSensor | None = None
     monitor: Monitor | None = None
     fault: Annotated[tuple[Fault, ...], BeforeValidator(as_tuple)] = ()
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        radius_mm, tool_mm = self.plant.curvature_radius_mm, self.process.tool_radius_mm
+        if radius_mm is not None and tool_mm / radius_mm > CLOSEST:
+            raise ValueError(f"plant: into a radius of {radius_mm:g} mm a bonnet of {tool_mm:g} mm does not fit")
+        return self
+
+    def robot_model(self) -> RobotModel:
+        """The robot as it is on paper: `truth.stiffness` draws what it truly is. ConfigError as of a cell's."""
+        return robot_of(self.kinematics, self.resolve)
+
+    def measured_tif(self) -> MeasuredTif | None:
+        """What the tool removes, where that was measured; ConfigError where its file is none."""
+        return None if self.process.tif is None else read_tif(self.resolve(self.process.tif))
 
 
 def load_simulator(path: Path) -> SimConfig:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polishd.config.simulator import Truth
-from polishd.model.robot import HybridRobot
+from polishd.model.robot import HybridRobot, MeasuredCompliance, RobotModel, SerialRobot
 
 STIFFNESSES = (
     "limb_stiffness_n_per_mm",
@@ -30,22 +30,17 @@ class HiddenTruth:
     drift_phase: float
     accel_mm_s2: float
     overhead_s: float
-    robot: HybridRobot
+    robot: RobotModel
 
     def rate_at(self, process_s: float) -> float:
         """The rate factor at a process time."""
         return self.rate * (1.0 + self.drift * math.sin(self.drift_phase + math.tau * process_s / self.drift_period_s))
 
 
-def draw(config: Truth, seed: int) -> HiddenTruth:
-    """Draw the truth. The same seed gives the same machines."""
+def draw(config: Truth, seed: int, nominal: RobotModel | None = None) -> HiddenTruth:
+    """Draw the truth, of the shipped robot or another. The same seed gives the same machines."""
     rng = np.random.default_rng([seed, 1])
-    nominal = HybridRobot()
-    factors = 1.0 + config.stiffness * rng.uniform(-1.0, 1.0, len(STIFFNESSES))
-    robot = replace(
-        nominal,
-        **{name: getattr(nominal, name) * float(factor) for name, factor in zip(STIFFNESSES, factors, strict=True)},
-    )
+    robot = _stiffened(nominal or HybridRobot(), config.stiffness, rng)
     return HiddenTruth(
         rate=1.0 + float(rng.uniform(*config.rate)),
         drift=config.drift,
@@ -55,6 +50,23 @@ def draw(config: Truth, seed: int) -> HiddenTruth:
         overhead_s=config.overhead_s * (1.0 + config.overhead_spread * float(rng.uniform(-1.0, 1.0))),
         robot=robot,
     )
+
+
+def _stiffened(nominal: RobotModel, off: float, rng: np.random.Generator) -> RobotModel:
+    """That robot with each of its stiffnesses off by so much at most, relative; of a table all values by one factor."""
+    if isinstance(nominal, MeasuredCompliance):
+        return replace(
+            nominal, compliance_um_per_n=nominal.compliance_um_per_n / (1.0 + off * float(rng.uniform(-1.0, 1.0)))
+        )
+    if isinstance(nominal, SerialRobot):
+        joints = np.array(nominal.joint_stiffness_n_mm_per_rad)
+        factors = 1.0 + off * rng.uniform(-1.0, 1.0, len(joints))
+        return replace(nominal, joint_stiffness_n_mm_per_rad=tuple((joints * factors).tolist()))
+    factors = 1.0 + off * rng.uniform(-1.0, 1.0, len(STIFFNESSES))
+    truth = {name: getattr(nominal, name) * float(factor) for name, factor in zip(STIFFNESSES, factors, strict=True)}
+    if nominal.limb_ea_n is not None:
+        truth["limb_ea_n"] = nominal.limb_ea_n * float(factors[0])
+    return replace(nominal, **truth)
 
 
 def stream(seed: int, name: str) -> np.random.Generator:

@@ -11,8 +11,9 @@ import math
 
 import numpy as np
 
-from polishd.model.process import ToolProcess
-from polishd.model.robot import HybridRobot
+from polishd.config.simulator import CLOSEST
+from polishd.model.process import Projection, ToolProcess
+from polishd.model.robot import HybridRobot, SerialRobot
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.robot import reachable, tip_compliance_mm_per_n
 
@@ -27,35 +28,63 @@ def plane_strain_modulus_mpa(tool: ToolProcess) -> float:
     return 1.0 / (soft + hard)
 
 
-def hertz_depth_mm(tool: ToolProcess, force_n: FloatArray) -> FloatArray:
-    """Indentation of the bonnet under a force, (n,)."""
-    stiff = 4.0 / 3.0 * plane_strain_modulus_mpa(tool) * math.sqrt(tool.tool_radius_mm)
+def contact_radius_mm(tool: ToolProcess, curvature_per_mm: FloatArray) -> FloatArray:
+    """(n,) of the sphere that presses on a flat as the bonnet does on a part so curved, positive where it is concave.
+
+    Where a part curves two ways the mean is taken: its contact is an ellipse, of nearly that area.
+    """
+    own = 1.0 / tool.tool_radius_mm
+    return np.asarray(1.0 / (own - np.minimum(curvature_per_mm, CLOSEST * own)))
+
+
+def hertz_depth_mm(tool: ToolProcess, force_n: FloatArray, radius_mm: FloatArray | None = None) -> FloatArray:
+    """Indentation of the bonnet under a force, (n,); ``radius_mm`` (n,) of the contact, left out: on a flat."""
+    radius = tool.tool_radius_mm if radius_mm is None else radius_mm
+    stiff = 4.0 / 3.0 * plane_strain_modulus_mpa(tool) * np.sqrt(radius)
     return np.asarray((np.maximum(force_n, 0.0) / stiff) ** (2.0 / 3.0))
 
 
-def equivalent_compliance(robot: HybridRobot, tip_mm: FloatArray, axis: FloatArray, normal: FloatArray) -> FloatArray:
-    """Linear equivalent compliance along the surface normal (paper eq. 43), mm/N, (n,).
+def equivalent_compliance(
+    robot: HybridRobot | SerialRobot,
+    tip_mm: FloatArray,
+    axis: FloatArray,
+    normal: FloatArray,
+    projection: Projection = "linear",
+) -> FloatArray:
+    """Equivalent compliance along the surface normal (paper eq. 43), mm/N, (n,).
 
-    ``tip_mm``, ``axis`` (n, 3) and ``normal`` (3,) in the base frame. The eigenvector nearest the tool axis is left
-    out: the voice coil gives way along it. 0 where the robot cannot be (its controller refuses to go there).
+    ``tip_mm``, ``axis`` (n, 3) and ``normal`` (3,) or (n, 3) in the base frame. The eigenvector nearest the tool axis
+    is left out: the voice coil gives way along it; but for ``normal``, what a loading test along the normal measures.
+    0 where the robot cannot be (its controller refuses to go there).
     """
     result = np.zeros(len(tip_mm))
     can = reachable(robot, tip_mm, axis)
     values, vectors = np.linalg.eigh(tip_compliance_mm_per_n(robot, tip_mm[can], axis[can]))
     nearest = np.argmax(np.abs(np.einsum("nik,ni->nk", vectors, axis[can])), axis=1)
-    share = values * np.abs(np.einsum("nik,i->nk", vectors, normal))
+    shown = np.abs(np.einsum("nik,ni->nk", vectors, np.broadcast_to(normal, tip_mm.shape)[can]))
+    share = values * (shown if projection == "linear" else shown**2)
+    if projection == "normal":
+        result[can] = share.sum(axis=1)
+        return result
     share[np.arange(len(share)), nearest] = 0.0
     result[can] = share.sum(axis=1)
     return result
 
 
-def worn_depth_mm(tool: ToolProcess, force_n: FloatArray, axis: FloatArray, compliance: FloatArray) -> FloatArray:
+def worn_depth_mm(
+    tool: ToolProcess,
+    force_n: FloatArray,
+    axis: FloatArray,
+    compliance: FloatArray,
+    radius_mm: FloatArray | None = None,
+) -> FloatArray:
     """Depth that is left when the robot has given way: gamma d, gamma = 1 - c F / (d cos(dip)), (n,); 0 at worst.
 
-    ``axis`` (n, 3) in the part's frame, whose z is the surface normal.
+    ``axis`` (n, 3) in a frame whose z is the surface normal.
     """
-    depth = hertz_depth_mm(tool, force_n)
-    lost = compliance * force_n / np.maximum(axis[:, 2], 1e-3)
+    cosine = np.maximum(axis[:, 2], 1e-3)
+    depth = hertz_depth_mm(tool, force_n if tool.normal_force == "axial" else force_n / cosine, radius_mm)
+    lost = compliance * force_n / cosine
     return np.asarray(np.maximum(depth - lost, 0.0))
 
 
@@ -69,11 +98,18 @@ def wear(
     depth_mm: FloatArray,
     rpm: FloatArray,
     seconds: FloatArray,
+    radius_mm: FloatArray | None = None,
+    stretch: FloatArray | None = None,
 ) -> None:
     """Take material off ``surface_nm`` in place: n contacts at ``centre_mm`` (n, 2) for ``seconds`` (n,) each.
 
-    ``seconds`` carries the rate factor too. Cell averages, by midpoints at most 1/6 mm apart.
+    ``seconds`` carries the rate factor too. ``radius_mm`` (n,) is that of the contact, and ``stretch`` (n, 2, 2) turns
+    offsets in x and y into those along the surface, where ``axis`` is seen from; left out: as on a flat. Cell averages,
+    by midpoints at most 1/6 mm apart.
     """
+    n = len(centre_mm)
+    radius = np.full(n, tool.tool_radius_mm) if radius_mm is None else radius_mm
+    along = np.tile(np.eye(2), (n, 1, 1)) if stretch is None else stretch
     active = (depth_mm > 0.0) & (seconds > 0.0) & (rpm != 0.0)
     index = np.flatnonzero(active)
     for start in range(0, len(index), CHUNK):
@@ -86,6 +122,8 @@ def wear(
             axis=axis[take],
             depth_mm=depth_mm[take],
             turns=rpm[take] * seconds[take],
+            radius_mm=radius[take],
+            stretch=along[take],
         )
 
 
@@ -98,17 +136,19 @@ def _wear_chunk(
     axis: FloatArray,
     depth_mm: FloatArray,
     turns: FloatArray,
+    radius_mm: FloatArray,
+    stretch: FloatArray,
 ) -> None:
     pitch = grid.pitch_mm
     fine = max(1, round(pitch * 6.0))
-    reach = math.sqrt(tool.tool_radius_mm * float(depth_mm.max())) / pitch
+    reach = math.sqrt(float((radius_mm * depth_mm).max())) / pitch
     cells = 2 * math.ceil(reach) + 2
     first_col = np.floor((centre_mm[:, 0] - grid.x_mm[0]) / pitch - reach + 0.5).astype(np.int64)
     first_row = np.floor((grid.y_mm[0] - centre_mm[:, 1]) / pitch - reach + 0.5).astype(np.int64)
     offset = ((np.arange(cells * fine) + 0.5) / fine - 0.5) * pitch
     x = (grid.x_mm[0] + first_col * pitch - centre_mm[:, 0])[:, None] + offset
     y = (grid.y_mm[0] - first_row * pitch - centre_mm[:, 1])[:, None] - offset
-    rate = _rate(tool, x, y, axis, depth_mm)
+    rate = _rate(tool, x, y, axis=axis, depth_mm=depth_mm, radius_mm=radius_mm, stretch=stretch)
     mean = rate.reshape(len(turns), cells, fine, cells, fine).sum(axis=(2, 4))
     # preston cm^2/N = 100 mm^2/N; 1e6 nm/mm; rpm * s = 60 turns, one turn = 2 pi rad
     mean *= (tool.preston_cm2_per_n * 100.0 * 1e6 * math.tau / 60.0 / fine**2) * turns[:, None, None]
@@ -119,16 +159,30 @@ def _wear_chunk(
     np.subtract.at(surface_nm.reshape(-1), flat.ravel(), np.where(inside, mean, 0.0).ravel())
 
 
-def _rate(tool: ToolProcess, x: FloatArray, y: FloatArray, axis: FloatArray, depth_mm: FloatArray) -> FloatArray:
+def _rate(
+    tool: ToolProcess,
+    x: FloatArray,
+    y: FloatArray,
+    *,
+    axis: FloatArray,
+    depth_mm: FloatArray,
+    radius_mm: FloatArray,
+    stretch: FloatArray,
+) -> FloatArray:
     """Pressure times sliding speed for an angular speed of 1, MPa mm, (n, y, x), at offsets from the contact."""
-    radius = tool.tool_radius_mm
-    peak = 2.0 * plane_strain_modulus_mpa(tool) / math.pi * np.sqrt(depth_mm / radius)
-    down = (depth_mm - radius)[:, None]
-    along_x = (axis[:, 1:2] * down - axis[:, 2:3] * y)[:, :, None]
-    along_y = (axis[:, 2:3] * x - axis[:, 0:1] * down)[:, None, :]
-    inverse = (1.0 / (radius * depth_mm))[:, None]
-    room = np.maximum((1.0 - y * y * inverse)[:, :, None] - (x * x * inverse)[:, None, :], 0.0)
+    peak = 2.0 * plane_strain_modulus_mpa(tool) / math.pi * np.sqrt(depth_mm / radius_mm)
+    down = (depth_mm - tool.tool_radius_mm)[:, None]
+    (ux, uy), (vx, vy) = stretch.transpose(1, 2, 0)[..., None]
+    inverse = (1.0 / (radius_mm * depth_mm))[:, None]
+    room = 1.0 - ((uy**2 + vy**2) * y * y * inverse)[:, :, None] - ((ux**2 + vx**2) * x * x * inverse)[:, None, :]
+    along_x = (axis[:, 1:2] * down - axis[:, 2:3] * vy * y)[:, :, None]
+    along_y = (axis[:, 2:3] * ux * x - axis[:, 0:1] * down)[:, None, :]
+    if uy.any():  # on a slope: x and y do not part
+        room -= (2.0 * (ux * uy + vx * vy) * y * inverse)[:, :, None] * x[:, None, :]
+        along_x = along_x - (axis[:, 2:3] * vx * x)[:, None, :]
+        along_y = along_y + (axis[:, 2:3] * uy * y)[:, :, None]
+    np.maximum(room, 0.0, out=room)
     room *= along_x**2 + along_y**2
     np.sqrt(room, out=room)
     room *= peak[:, None, None]
-    return room
+    return np.asarray(room)

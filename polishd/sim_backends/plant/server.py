@@ -12,6 +12,8 @@ import zlib
 from dataclasses import asdict, dataclass, field
 from urllib.parse import quote
 
+import numpy as np
+
 from polishd.model.surface import FloatArray
 from polishd.sim_backends import bus, truth
 from polishd.sim_backends.plant import part as parts
@@ -224,7 +226,7 @@ class PlantServer:
 def build(start: Start) -> PlantServer:
     """Draw the truth, make the part, leave a note of both in the state folder."""
     config = start.config
-    hidden = truth.draw(config.truth, start.seed)
+    hidden = truth.draw(config.truth, start.seed, config.robot_model())
     part = parts.from_map(start.surface, config.plant) if start.surface else parts.make(config.plant, start.seed)
     rng = truth.stream(start.seed, "plant")
     world = World(config, hidden, part, rng, config.robot.home, time.monotonic())
@@ -233,7 +235,7 @@ def build(start: Start) -> PlantServer:
     rms, pv = part.stats()
     witness = Witness(log)
     witness.add("plant", "boot", time.monotonic(), seed=start.seed, true_rms_nm=round(rms, 4), true_pv_nm=round(pv, 4))
-    replace(start.state / "truth.json", json.dumps(asdict(hidden), indent=1).encode())
+    replace(start.state / "truth.json", json.dumps(asdict(hidden), indent=1, default=np.ndarray.tolist).encode())
     return PlantServer(start, world, witness, seat=config.plant.part_id)
 
 

@@ -9,14 +9,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from polishd.config.simulator import SimConfig
-from polishd.model.process import ToolProcess
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.sim_backends.bus import ROW
 from polishd.sim_backends.placement import Frames
 from polishd.sim_backends.plant.account import Account, WayOut
 from polishd.sim_backends.plant.part import TruePart
-from polishd.sim_backends.plant.removal import equivalent_compliance, wear, worn_depth_mm
+from polishd.sim_backends.plant.shape import Local, Shape
 from polishd.sim_backends.plant.timeline import Timeline
+from polishd.sim_backends.plant.tool import Tool, Touches
 from polishd.sim_backends.truth import HiddenTruth
 
 REACH_MM = 4.5
@@ -40,7 +40,6 @@ class World:
     pose: tuple[float, float, float, float, float]
     robot_s: float
     """Wall time up to which motion is known."""
-    tool: ToolProcess = field(default_factory=ToolProcess)
     force: Timeline = field(default_factory=Timeline)
     rpm: Timeline = field(default_factory=Timeline)
     account: Account = field(default_factory=Account)
@@ -50,10 +49,13 @@ class World:
     _queue: list[tuple[str, FloatArray]] = field(default_factory=list)
     _noise: float = 0.0
     _frames: Frames = field(init=False)
+    _tool: Tool = field(init=False)
+    _shape: Shape = field(init=False)
 
     def __post_init__(self) -> None:
-        """Fix the frames."""
-        self._frames = Frames(self.config.plant)
+        """Fix the frames, the tool and the optic."""
+        self._frames, self._shape = Frames(self.config.plant), Shape(self.config.plant)
+        self._tool = Tool.of(self.config, self.hidden.robot)
 
     def move(self, rows: FloatArray) -> None:
         """Take motion as the robot reports it (``bus.ROW``); time before it that no row covers was standstill."""
@@ -92,9 +94,11 @@ class World:
     def touch_um(self) -> float | None:
         """Position of the actuator, um, at which the tool meets the part; None where nothing is within its reach."""
         place, axis = self._frames.in_part(np.array([self.pose]))
-        if not self._within(place)[0]:
+        local = self._shape.under(place)
+        if not self._within(place, local)[0]:
             return None
-        return round(TOUCH_UM + 1000.0 * float(self._gap_mm(place)[0] / axis[0, 2]), 0)
+        up = float(local.normal[0, 2]) / float(local.normal[0] @ axis[0])  # along the tool, for one up the part's z
+        return round(TOUCH_UM + 1000.0 * float(self._gap_mm(place, local)[0]) * up, 0)
 
     @property
     def acting_n(self) -> float:
@@ -124,7 +128,7 @@ class World:
         if not (force > TOUCH_N).any():
             return
         place, axis = self._frames.in_part(rows[:, X:])
-        touching = (force > TOUCH_N) & self._within(place)
+        touching = (force > TOUCH_N) & self._within(place, self._shape.under(place))
         if not touching.any():
             return
         begin = self.process_s + np.cumsum(rows[:, DT]) - rows[:, DT]
@@ -134,16 +138,11 @@ class World:
         if rpm.any():
             self.polished_s = float(rows[-1, WALL1])
         before = None if self.account.way_out is None else self.part.height_nm.copy()
-        compliance = equivalent_compliance(
-            self.hidden.robot, *self._frames.in_base(place, axis), self._frames.to_base[:, 2]
-        )
-        wear(
-            self.part.height_nm,
-            self.part.grid,
-            self.tool,
-            centre_mm=place[:, :2],
-            axis=axis,
-            depth_mm=worn_depth_mm(self.tool, force, axis, compliance),
+        self._tool.wear(
+            self.part,
+            Touches(place, axis, self._shape.under(place)),
+            self._frames,
+            force_n=force,
             rpm=rpm,
             seconds=rows[:, DT] * (1.0 - self.config.truth.worn) * np.array([self.hidden.rate_at(t) for t in begin]),
         )
@@ -177,19 +176,20 @@ class World:
                 float(spot[0]), float(spot[1]), float(row[WALL1]), float(row[DT]), force_n=force_n, rpm=rpm
             )
 
-    def _within(self, place: FloatArray) -> BoolArray:
+    def _within(self, place: FloatArray, local: Local) -> BoolArray:
         grid = self.part.grid
         half_x, half_y = grid.nx * grid.pitch_mm / 2.0, grid.ny * grid.pitch_mm / 2.0
         flat = (np.abs(place[:, 0]) <= half_x) & (np.abs(place[:, 1]) <= half_y)
         if self.config.plant.seat_empty:
             flat &= np.hypot(place[:, 0], place[:, 1]) > self.config.plant.aperture_mm / 2.0
-        return np.asarray(flat & (np.abs(self._gap_mm(place)) <= REACH_MM))
+        return np.asarray(flat & (np.abs(self._gap_mm(place, local)) <= REACH_MM))
 
-    def _gap_mm(self, place: FloatArray) -> FloatArray:
-        """(n,) from the part, as it truly sits, up to the tool's tip."""
+    def _gap_mm(self, place: FloatArray, local: Local) -> FloatArray:
+        """(n,) from the part, as it truly sits, up its frame's z to the tool's tip."""
         plant = self.config.plant
         about_x, about_y = (math.tan(math.radians(angle)) for angle in plant.seat_tilt_deg)
-        return np.asarray(place[:, 2] - plant.seat_height_mm - about_x * place[:, 1] + about_y * place[:, 0])
+        level = place[:, 2] - local.height_mm
+        return np.asarray(level - plant.seat_height_mm - about_x * place[:, 1] + about_y * place[:, 0])
 
     def _force_noise(self, seconds: FloatArray) -> FloatArray:
         """Relative force error, correlated over ``force_noise_s`` of process time."""

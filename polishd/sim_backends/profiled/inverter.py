@@ -19,7 +19,7 @@ async def main(runtime: Runtime) -> None:
     """The device coroutine."""
     whole, speed = runtime.start.config, runtime.start.speed
     config = whole.spindle
-    sheet = Sheet.read(whole.resolve(config.profile))
+    sheet = Sheet.read(whole.resolve(config.profile), config.pole_pairs)
     drive = Inverter(
         report=runtime.link.event,
         now_s=time.monotonic(),
@@ -34,8 +34,10 @@ async def main(runtime: Runtime) -> None:
     baud, parity = int(line.get("baud", 115200)), str(line.get("parity", "none"))
     byte_s = 0.0 if tcp else 10.0 / baud
 
+    unit = int(sheet.raw.get("modbus", {}).get("unit", 1)) if config.unit is None else config.unit
+
     def connected(outlet: Outlet) -> Feed:
-        slave = by_profile(sheet, drive, int(sheet.raw.get("modbus", {}).get("unit", 1)), tcp=tcp)
+        slave = by_profile(sheet, drive, unit, tcp=tcp)
 
         def feed(data: bytes) -> None:
             now = time.monotonic()

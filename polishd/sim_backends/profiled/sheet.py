@@ -23,22 +23,29 @@ class Sheet:
     """The tables of a profile, as TOML has them."""
 
     raw: Mapping[str, Any]
+    pole_pairs: int = 1
+    """Of the motor: its speed for one Hz."""
 
     @classmethod
-    def read(cls, path: Path) -> Sheet:
+    def read(cls, path: Path, pole_pairs: int = 1) -> Sheet:
         """Of that file."""
-        return cls(tomllib.loads(path.read_text()))
+        return cls(tomllib.loads(path.read_text()), pole_pairs)
 
     def number(self, name: str, physical: float) -> float:
         """What stands on the wire for that many N, mm, rpm or ms."""
         what = self.quantity(name)
         size = abs(physical) if "negative" in what else physical
-        return float((size / UNIT[what.get("unit", "1")] - what.get("offset", 0.0)) / what.get("scale", 1.0))
+        return float((size / self._size(what) - what.get("offset", 0.0)) / what.get("scale", 1.0))
 
     def physical(self, name: str, number: float) -> float:
         """And back."""
         what = self.quantity(name)
-        return float((number * what.get("scale", 1.0) + what.get("offset", 0.0)) * UNIT[what.get("unit", "1")])
+        return float((number * what.get("scale", 1.0) + what.get("offset", 0.0)) * self._size(what))
+
+    def _size(self, what: Mapping[str, Any]) -> float:
+        """Of its unit."""
+        unit = what.get("unit", "1")
+        return UNIT[unit] / (self.pole_pairs if unit == "Hz" else 1)
 
     def quantity(self, name: str) -> Mapping[str, Any]:
         """Its table."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from polishd.model.robot import HybridRobot
+from polishd.model.robot import MeasuredCompliance
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.robot import reachable
 from polishd.sim_backends import truth
@@ -18,8 +18,6 @@ from polishd.sim_backends.robot.motion import Motion
 from polishd.sim_backends.robot.path import Limits
 from polishd.sim_backends.robot.rnc import Block
 from polishd.sim_backends.runtime import Runtime
-
-NOMINAL = HybridRobot()
 
 
 class Machine:
@@ -42,11 +40,14 @@ class Machine:
         self.blocks_of: Callable[[FloatArray], FloatArray] = lambda blocks: blocks
         """The program's blocks (n,) of the motion's, where the controller's file has more lines."""
         self._frames = Frames(start.config.plant)
+        self._robot = start.config.robot_model()
 
     def reach(self, blocks: list[Block]) -> BoolArray:
-        """Which blocks end within the strokes of the limbs."""
+        """Which blocks end where the robot can be; of one that was only measured nobody knows."""
         poses = np.array([block.end for block in blocks]).reshape(-1, 5)
-        return reachable(NOMINAL, *self._frames.in_base(*self._frames.in_part(poses)))
+        if isinstance(self._robot, MeasuredCompliance):
+            return np.ones(len(poses), dtype=np.bool_)
+        return reachable(self._robot, *self._frames.in_base(*self._frames.in_part(poses)))
 
     def event(self, name: str, at_s: float | None = None, **data: Any) -> None:
         """Tell the witness, after the motion that came before."""

@@ -1,0 +1,149 @@
+"""What is physical of a cell, as the simulator has it: part, place, tool, spot, robot."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from polishd.config.process import MeasuredSection
+from polishd.config.simulator import Truth
+from polishd.console.rehearsal.draft import Draft
+from polishd.model.process import ToolProcess
+from polishd.process.frames import rotation_from_rpy_deg
+
+PLANT = ("aperture_mm", "edge_mm", "curvature_radius_mm", "conic", "even", "off_axis_mm", "origin_mm")
+CONTACT = (
+    "tool_radius_mm", "normal_force", "spot_offset_mm", "tool_modulus_mpa", "tool_poisson", "part_modulus_mpa",
+    "part_poisson",
+)  # fmt: skip
+START_OVER_TOLERANCE = 9.0
+"""RMS of the part at the start, over the tolerance: as in the demo."""
+PV_OVER_RMS = 8.3
+OF_MOST_REMOVAL = 0.5
+"""Peak to valley at the start, at most, over what one pass may remove."""
+MORE_ACCEL = 1.25
+"""What the robot truly accelerates with, over what the cell counts on, which is on the safe side."""
+LONGEST_NAME = 39
+"""Bytes of a part's name in the simulated instrument's files."""
+
+
+def add_part(draft: Draft, speed: float) -> None:
+    """``[plant]`` and ``[truth]``."""
+    part, program, job = draft.config.part, draft.config.program, draft.config.job
+    if len(part.id.encode()) > LONGEST_NAME:
+        raise draft.config.error("part.id", f"is longer than the {LONGEST_NAME} bytes that a MetroPro map has room for")
+    draft.put("plant", "seed", 1, "--seed: what nobody is told is drawn from it")
+    draft.put("plant", "speed", speed, "--speed: process seconds per wall second")
+    draft.put("plant", "part_id", part.id, "part.id")
+    draft.take("plant", PLANT, "part", part)
+    draft.put("plant", "rotation_rpy_deg", part.rotation_rpy_deg, "part.rotation_rpy_deg")
+    draft.put("plant", "program_offset_mm", program.offset_mm, draft.origin("program.offset_mm"))
+    draft.put("plant", "program_rotation_deg", program.rotation_deg, draft.origin("program.rotation_deg"))
+    if job.tolerance_nm is not None:
+        _add_start(draft, job.tolerance_nm)
+    if part.rim == "free":
+        draft.notes.append("part.rim = 'free': the simulated part sits in a flush ring; no tool sinks over its rim")
+    if part.nominal is not None:
+        draft.instead(
+            "part.nominal", None, "the simulated instrument shows the part as behind a null, without its form"
+        )
+    _add_truth(draft)
+
+
+def _add_start(draft: Draft, tolerance_nm: float) -> None:
+    """A surface that the job can polish: worse than its tolerance, and within what one pass may take off."""
+    most_nm = OF_MOST_REMOVAL * draft.config.limits.max_removal_nm
+    rms_nm = min(START_OVER_TOLERANCE * tolerance_nm, most_nm / PV_OVER_RMS)
+    origin = f"{START_OVER_TOLERANCE:g} x job.tolerance_nm, or what limits.max_removal_nm lets; or --surface MAP.dat"
+    draft.put("plant", "rms_nm", round(rms_nm, 3), origin)
+    draft.put("plant", "pv_nm", round(PV_OVER_RMS * rms_nm, 3), f"{PV_OVER_RMS:g} x rms_nm")
+
+
+def _add_truth(draft: Draft) -> None:
+    """What the cell is not told: how far its machines are off what it believes."""
+    machine, hidden = draft.config.machine, Truth()
+    for key in ("rate", "stiffness", "drift", "force_noise", "map_noise_nm"):
+        draft.put(
+            "truth", key, getattr(hidden, key), "the cell does not know: drawn from the seed; 0: a perfect machine"
+        )
+    accel = MORE_ACCEL * machine.accel_mm_s2
+    draft.put("truth", "accel_mm_s2", accel, f"{MORE_ACCEL:g} x machine.accel_mm_s2, which is on the safe side")
+    if machine.block_overhead_s:
+        draft.put("truth", "overhead_s", machine.block_overhead_s, draft.origin("machine.block_overhead_s"))
+
+
+def add_process(draft: Draft) -> None:
+    """``[process]``: what the tool removes."""
+    process, compliance = draft.config.process, draft.config.compliance
+    draft.take("process", CONTACT, "process", process)
+    draft.put("process", "preston", f"{process.preston!r} cm2/N", draft.origin("process.preston"))
+    draft.put("process", "projection", compliance.projection, draft.origin("compliance.projection"))
+    if process.removal_model == "measured_tif" and process.tif is not None:
+        draft.config.measured_tif()
+        draft.put("process", "tif", draft.copy("tif.npz", draft.config.resolve(process.tif)), "a copy of process.tif")
+        draft.take("process", ("force_n", "rpm", "dip_deg"), "process", process)
+        if process.depth_exponent != ToolProcess().depth_exponent:
+            told = f"process.depth_exponent = {process.depth_exponent:g}"
+            draft.notes.append(f"{told}: the simulated spot's volume goes as depth to the 1.5, as Hertz has it")
+    elif process.removal_model != "hertz_preston":
+        draft.notes.append(
+            f"process.removal_model = {process.removal_model!r}: the simulator has it not; hertz_preston stands in for "
+            "it, with the tool and the Preston constant of [process]"
+        )
+    _say_what_is_not_so(draft)
+
+
+def _say_what_is_not_so(draft: Draft) -> None:
+    process, compliance, usual = draft.config.process, draft.config.compliance, ToolProcess()
+    viscous = ("viscosity_mpa_s", "second_viscosity_mpa_s", "lame_mpa")
+    if any(getattr(process, name) != getattr(usual, name) for name in viscous):
+        draft.notes.append("process.viscosity_mpa_s: the simulated bonnet has no dissipative stress")
+    if compliance.frame != "surface" or compliance.moment != "full":
+        draft.notes.append(
+            f"compliance.frame = {compliance.frame!r}, moment = {compliance.moment!r}: the simulated robot gives way "
+            "as its tip truly does, along the part's normal"
+        )
+
+
+def add_kinematics(draft: Draft) -> None:
+    """``[kinematics]``: the robot, and its stiffness as the cell has it calibrated."""
+    section = draft.config.kinematics
+    draft.config.robot_model()
+    draft.put("kinematics", "type", section.type, draft.origin("kinematics.type"))
+    if isinstance(section, MeasuredSection):
+        table = draft.copy("compliance.csv", draft.config.resolve(section.table))
+        draft.put("kinematics", "table", table, "a copy of kinematics.table")
+        draft.notes.append(
+            "kinematics.type = 'measured': where it can be is not known; the simulated one goes everywhere"
+        )
+        return
+    for key, value in section:
+        if key != "type" and value is not None:
+            draft.put("kinematics", key, value, draft.origin(f"kinematics.{key}"))
+
+
+def home(draft: Draft) -> tuple[float, float, float, float, float]:
+    """Over the part's centre, as high as the program may go: X Y Z A C of the program's frame."""
+    program, machine = draft.config.program, draft.config.machine
+    turn = rotation_from_rpy_deg(0.0, 0.0, program.rotation_deg)
+    x, y, _ = (turn.T @ -np.array(program.offset_mm)).tolist()
+    low, high = machine.x_mm, machine.y_mm
+    x, y = (min(max(round(value, 6), ends[0]), ends[1]) + 0.0 for value, ends in ((x, low), (y, high)))
+    return x, y, machine.z_mm[1], 0.0, 0.0
+
+
+def most_a_deg(draft: Draft) -> float:
+    """How far the tool leans on the part: its dip, the part's slope, and some room."""
+    part = draft.config.part
+    slope = 0.0
+    if part.curvature_radius_mm is not None:
+        share = (part.aperture_mm / 2 + math.hypot(*part.off_axis_mm)) / abs(part.curvature_radius_mm)
+        slope = math.degrees(math.asin(min(share, 1.0)))
+    return max(60.0, math.ceil(draft.config.process.dip_deg + slope + 15.0))
+
+
+def require_force(draft: Draft, most_n: float) -> None:
+    """ConfigError where the simulated actuator cannot press so."""
+    if draft.config.process.force_n > most_n:
+        raise draft.config.error("process.force_n", f"the simulated actuator presses with {most_n:g} N at most")

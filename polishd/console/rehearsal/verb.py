@@ -1,0 +1,148 @@
+"""The verb: reads a cell, gathers, refuses, writes both files, proves the instrument, starts what is simulated."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from polishd.config.cell import CellConfig, load_config, port_of
+from polishd.config.simulator import load_simulator
+from polishd.console.rehearsal.draft import Draft
+from polishd.console.rehearsal.drives import add_actuator, add_spindle
+from polishd.console.rehearsal.instrument import PROFILE, add_instrument
+from polishd.console.rehearsal.part import add_kinematics, add_part, add_process
+from polishd.console.rehearsal.places import require_apart, usual_folder
+from polishd.console.rehearsal.robots import add_robot, speed_of
+from polishd.console.rehearsal.sensors import add_force_sensor, add_loader, add_monitors
+from polishd.console.rehearsal.text import cell_text, sim_text
+from polishd.console.simulator import measure_artefact, run_simulator
+from polishd.files import write_atomic
+from polishd.hooks.cell import load_cell
+from polishd.hooks.loader import OWN, Hooks, installed
+from polishd.model.errors import ConfigError
+from polishd.show.tables import stderr
+from polishd.workbench.maps.commission import prove_profile
+
+SIM = "sim.toml"
+STATE = "state"
+ARTEFACT = "artefact.dat"
+NOTHING = ["true"]
+"""A command that does nothing."""
+ONE_OF_A_PORT: dict[str, Callable[[Draft, str], None]] = {
+    "robot": add_robot,
+    "actuator": add_actuator,
+    "spindle": add_spindle,
+    "metrology": add_instrument,
+    "loader": add_loader,
+    "force_sensor": add_force_sensor,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Rehearsal:
+    """What was written."""
+
+    sim: Path
+    cell: Path
+    notes: tuple[str, ...]
+    """What the simulator is not, and what stands in for it."""
+
+
+def rehearsal_verb(cell: Path, out: Path | None, options: Sequence[str], *, write_only: bool) -> int:
+    """Write the rehearsal of a cell and, unless told otherwise, start its simulator; the exit code."""
+    if any(option.partition("=")[0] in {"--state", "--artefact"} for option in options):
+        raise ConfigError("--state and --artefact go without --from: a rehearsal has folders of its own; use --out")
+    made = write_rehearsal(cell, out)
+    for note in made.notes:
+        stderr.print(f"- {note}", markup=False, highlight=False, soft_wrap=True)
+    stderr.print(f"simulated cell: {made.sim}", markup=False, highlight=False, soft_wrap=True)
+    stderr.print(f"rehearse with:  polishd run {made.cell}", markup=False, highlight=False, soft_wrap=True)
+    return 0 if write_only else run_simulator(made.sim, options)
+
+
+def write_rehearsal(cell: Path, out: Path | None = None) -> Rehearsal:
+    """SIM.toml and the rehearsal's cell, in a new folder; nothing is opened, and nothing of the real cell written.
+
+    Raises:
+        ConfigError: the cell is wrong, cannot be simulated, or the folder is the real cell's or not empty.
+        PluginError: a plugin that the cell names is missing or broken.
+    """
+    config, hooks = load_cell(cell)
+    draft, folder = gathered(config, hooks), (out or usual_folder(config)).absolute()
+    require_apart(draft, folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    own = f"{cell.stem}-rehearsal.toml"
+    with tempfile.TemporaryDirectory(prefix=".polishd-", dir=folder.parent) as scratch:
+        beside = Path(scratch) / "rehearsal"  # it appears whole, or not at all
+        beside.mkdir()
+        _write(draft, beside, own)
+        beside.replace(folder)
+    return Rehearsal(folder / SIM, folder / own, tuple(draft.notes))
+
+
+def _write(draft: Draft, folder: Path, own: str) -> None:
+    """All files; ConfigError where what is written would be no simulated cell."""
+    texts = {SIM: sim_text(draft), own: cell_text(draft)}
+    for name, content in {**draft.files, **{name: text.encode() for name, text in texts.items()}}.items():
+        write_atomic(folder / name, content)
+    try:
+        load_simulator(folder / SIM)
+    except ConfigError as error:
+        wrong = "; ".join(line.split(": ", 1)[-1] for line in str(error).splitlines())
+        raise ConfigError(f"{draft.config.path}: there is no simulated cell like this: {wrong}") from error
+    load_config(folder / own)
+    measure_artefact(folder / SIM, folder / ARTEFACT)
+    prove_profile(folder / PROFILE, folder / ARTEFACT)
+
+
+def gathered(config: CellConfig, hooks: Hooks) -> Draft:
+    """All of a cell that the simulator is to be; ConfigError where it cannot."""
+    draft = Draft(config, hooks)
+    used = _used(draft)
+    add_part(draft, speed_of(config.devices[used["robot"]].type))
+    add_process(draft)
+    add_kinematics(draft)
+    for port, add in ONE_OF_A_PORT.items():
+        if port in used:
+            add(draft, used[port])
+    for port in ("loader", "force_sensor"):
+        if port in used:
+            draft.sim.setdefault(port, {})
+    if monitors := [name for name in config.devices if port_of(name) == "monitor"]:
+        add_monitors(draft, monitors)
+    _add_folders(draft)
+    _tell_nobody(draft)
+    return draft
+
+
+def _used(draft: Draft) -> dict[str, str]:
+    """The device of each port that the job uses; of several the others are left out."""
+    used = dict(draft.config.used)
+    for device in draft.config.devices:
+        port = port_of(device)
+        if port in used and used[port] != device:
+            draft.instead(device, None, f"the simulator has one {port}")
+    return used
+
+
+def _add_folders(draft: Draft) -> None:
+    draft.laid["cell.state_dir"] = STATE
+    if draft.config.run_dir is not None:
+        draft.laid["cell.run_dir"] = "run"
+
+
+def _tell_nobody(draft: Draft) -> None:
+    """Nothing real is started or told."""
+    for name, section in draft.config.between:
+        if command := getattr(section, "command", ()):
+            why = f"{' '.join(command)} would act on the real cell"
+            draft.instead(f"between.{name}.command", NOTHING, why)
+    for name in draft.config.notify:
+        draft.instead(f"notify.{name}", None, "a rehearsal tells nobody")
+    known = installed()
+    if others := [name for name in draft.config.plugins.load if known.get(name) != [OWN]]:
+        draft.notes.append(
+            f"plugins.load: {', '.join(others)} of others are loaded as in the cell, and do what they do"
+        )

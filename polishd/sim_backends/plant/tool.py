@@ -1,0 +1,77 @@
+"""The tool on the part: where it touches, how deep, and what it takes off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polishd.config.simulator import SimConfig
+from polishd.model.process import ToolProcess
+from polishd.model.robot import RobotModel
+from polishd.model.surface import FloatArray
+from polishd.sim_backends.placement import Frames
+from polishd.sim_backends.plant.giving import Giving, giving
+from polishd.sim_backends.plant.measured import MeasuredStamp
+from polishd.sim_backends.plant.part import TruePart
+from polishd.sim_backends.plant.removal import contact_radius_mm, wear, worn_depth_mm
+from polishd.sim_backends.plant.shape import Local
+
+
+@dataclass(frozen=True, slots=True)
+class Touches:
+    """n places at which the tool touches the part, in its frame."""
+
+    place_mm: FloatArray
+    """(n, 3) the tool's tip."""
+    axis: FloatArray
+    """(n, 3) from the tip into the spindle."""
+    local: Local
+
+
+@dataclass(frozen=True, slots=True)
+class Tool:
+    """A bonnet on its robot."""
+
+    process: ToolProcess
+    giving: Giving
+    stamp: MeasuredStamp | None
+    """What it removes, where that was measured."""
+
+    @classmethod
+    def of(cls, config: SimConfig, robot: RobotModel) -> Tool:
+        """As SIM.toml has it, on the robot as it truly is; ConfigError where its TIF cannot be read."""
+        process, tif = config.process.tool(), config.measured_tif()
+        stamp = None if tif is None else MeasuredStamp(tif, process)
+        return cls(process, giving(robot, config.process.projection), stamp)
+
+    def wear(
+        self,
+        part: TruePart,
+        touches: Touches,
+        frames: Frames,
+        *,
+        force_n: FloatArray,
+        rpm: FloatArray,
+        seconds: FloatArray,
+    ) -> None:
+        """Take material off the part, in place; ``seconds`` (n,) carry the rate factor, too."""
+        local = touches.local
+        axis = local.levelled(touches.axis)
+        tips, axes = frames.in_base(touches.place_mm, touches.axis)
+        compliance = self.giving(tips, axes, local.normal @ frames.to_base.T)
+        radius = contact_radius_mm(self.process, local.curvature_per_mm)
+        depth = worn_depth_mm(self.process, force_n, axis, compliance, radius)
+        centre = touches.place_mm[:, :2] + self._offset_mm(axis, local)
+        at = {"centre_mm": centre, "axis": axis, "depth_mm": depth, "stretch": local.stretch}
+        if self.stamp is not None:
+            self.stamp.wear(part.height_nm, part.grid, turns=rpm * seconds, **at)
+        else:
+            wear(part.height_nm, part.grid, self.process, rpm=rpm, seconds=seconds, radius_mm=radius, **at)
+
+    def _offset_mm(self, axis: FloatArray, local: Local) -> FloatArray:
+        """(n, 2) from the tool's tip to the spot's centre, in the part's x and y."""
+        across, along = self.process.spot_offset_mm
+        lean = axis[:, :2] / np.maximum(np.hypot(axis[:, 0], axis[:, 1]), 1e-12)[:, None]
+        offset = across * np.column_stack([lean[:, 1], -lean[:, 0]]) + along * lean
+        return np.asarray(np.linalg.solve(local.stretch, offset[:, :, None])[:, :, 0])
