@@ -3,6 +3,9 @@
 
 const { createInterface } = require("readline");
 
+// What libraries have to say goes elsewhere: load this before them.
+globalThis.console = new console.Console(process.stderr);
+
 const tell = (said) => process.stdout.write(JSON.stringify(said) + "\n");
 const failed = (error) => tell({ error: String((error && error.stack) || error) });
 

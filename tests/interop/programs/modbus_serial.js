@@ -1,8 +1,8 @@
 // modbus-serial: "master tcp HOST PORT", "master rtu PATH BAUD", or "slave".
 "use strict";
 
-const Modbus = require("modbus-serial");
 const { converse } = require("./lines");
+const Modbus = require("modbus-serial");
 
 const SIZE = 200;
 const MS = 10000;

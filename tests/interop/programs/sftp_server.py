@@ -1,4 +1,4 @@
-"""paramiko's SFTP server on loopback: ``python sftp_server.py FOLDER USER PASSWORD``; the first line tells port and key.
+"""paramiko's SFTP server: ``python sftp_server.py FOLDER USER PASSWORD``; the first line tells its port and its key.
 
 How files are kept is what paramiko leaves to its user: here a folder, which knows no posix-rename.
 """
