@@ -168,9 +168,16 @@ def works_the_plc(master: Master, programs: Path) -> None:
 
 def _load(master: Master, programs: Path, lines: list[str]) -> None:
     (programs / "polishd.nc").write_text("\n".join(lines) + "\n")
+    master.write("coil", START, [0, 0, 0, 0])
+    _seen(master)
     for order, state in ((RESET, IDLE), (LOAD, READY)):
         master.write("coil", order, [1])
         wait_for(lambda state=state: master.read("input", 0, 1) == [state], f"state {state}")
         master.write("coil", order, [0])
-        before = master.read("input", 4, 1)
-        wait_for(lambda before=before: master.read("input", 4, 1) != before, "a report: it has seen that")
+        _seen(master)
+
+
+def _seen(master: Master) -> None:
+    """It has: it has reported since."""
+    before = master.read("input", 4, 1)
+    wait_for(lambda: master.read("input", 4, 1) != before, "a report")
