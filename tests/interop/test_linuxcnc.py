@@ -95,8 +95,10 @@ def test_mb2hal_works_our_voice_coil_over_tcp(devices: Cell, tmp_path: Path) -> 
     works_the_voice_coil(devices, tmp_path / "coil.ini")
 
 
-def test_mb2hal_works_our_voice_coil_on_a_serial_line(serial_coil: Cell, tmp_path: Path) -> None:
-    works_the_voice_coil(serial_coil, tmp_path / "coil.ini")
+def test_mb2hal_works_our_voice_coil_on_a_serial_line(tmp_path: Path) -> None:
+    """On a line of its own: it may end between a request and its answer, which would be the next master's."""
+    with cell(tmp_path, d.PRESSING + d.RTU) as running:
+        works_the_voice_coil(running, tmp_path / "coil.ini")
 
 
 def test_mb2hal_works_our_plc(devices: Cell, tmp_path: Path) -> None:
