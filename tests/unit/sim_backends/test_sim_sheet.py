@@ -1,0 +1,28 @@
+"""A profile as its simulated device reads it: which writes make an order, in whatever sequence they come."""
+
+from __future__ import annotations
+
+import pytest
+
+from polishd.sim_backends.profiled.sheet import Sheet
+from tests.fakes.devices_by_profile import file_of
+
+RUNNING = {"set_point": 300.0, "direction": 0.0, "run": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("register", "stored", "order"),
+    [
+        ("run", RUNNING, ("forward", 1800.0)),
+        ("direction", RUNNING | {"direction": 1.0}, ("reverse", 1800.0)),
+        ("set_point", RUNNING | {"set_point": 600.0}, ("forward", 3600.0)),
+        ("run", RUNNING | {"run": 0.0}, ("stop", 0.0)),
+        ("set_point", RUNNING | {"run": 0.0}, None),
+        ("direction", RUNNING | {"run": 0.0, "direction": 1.0}, None),
+    ],
+)
+def test_a_drive_obeys_any_write_while_it_runs(
+    register: str, stored: dict[str, float], order: tuple[str, float] | None
+) -> None:
+    found = Sheet.read(file_of("automationdirect_gs2")).written(register, stored)
+    assert found == (order and (order[0], pytest.approx(order[1])))
