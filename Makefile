@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-all test-long test-maps ways-out crash faults model soak coverage mutate check format reference bench compare lock clean
+.PHONY: help demo test test-all test-long test-maps ways-out crash faults model soak coverage mutate interop check format reference bench compare lock clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -57,6 +57,25 @@ mutate: $(VENV)/.installed ## each small fault in them is seen by one; into docs
 
 soak: $(VENV)/.installed ## 931 parts through the queue of simulated cells; into docs/reliability.md (ARGS="...")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.soak $(ARGS)
+
+# Peers are no part of polishd: they have a venv of their own, and what cannot be fetched is skipped by its name.
+INTEROP := build/interop
+interop: $(VENV)/.installed ## try all links with peers of others; into docs/interop.md
+	@$(MAKE) --no-print-directory -k $(INTEROP)/venv/.installed $(INTEROP)/node_modules/.installed || \
+	    echo "NOT ALL PEERS: some cannot be fetched here, and their tests are skipped" >&2
+	@$(ONE_THREAD) $(BIN)/python -m tests.interop $(ARGS)
+
+$(INTEROP)/venv/.installed: tests/interop/requirements.txt $(VENV)/.locked
+	@echo "making $(INTEROP)/venv from tests/interop/requirements.txt" >&2
+	@$(BIN)/python -m venv --clear $(INTEROP)/venv
+	@$(INTEROP)/venv/bin/python -m pip -qq --disable-pip-version-check --no-input install -r $<
+	@touch $@
+
+$(INTEROP)/node_modules/.installed: tests/interop/package-lock.json
+	@echo "making $(INTEROP)/node_modules from tests/interop/package-lock.json" >&2
+	@mkdir -p $(INTEROP) && cp tests/interop/package.json tests/interop/package-lock.json $(INTEROP)/
+	@cd $(INTEROP) && npm ci --ignore-scripts --no-audit --no-fund --loglevel=error
+	@touch $@
 
 check: $(VENV)/.installed ## lint, format, types, layers
 	@$(BIN)/ruff check --quiet .

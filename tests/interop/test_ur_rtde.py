@@ -17,12 +17,12 @@ from polishd.api import DeviceFault, Executed, RobotTimes
 from polishd.drivers.universal_robots.driver import Addresses, UniversalRobot
 from polishd.drivers.universal_robots.sample import Registers
 from polishd.drivers.universal_robots.script import Settings
+from tests.interop.peers import Peer
 from tests.programs import plan_of
 from tests.system.sim_rig import Cell, cell
 
-rtde_receive = pytest.importorskip("rtde_receive", reason="ur_rtde is not installed (tests/interop/requirements.txt)")
-rtde_io = pytest.importorskip("rtde_io", reason="ur_rtde is not installed (tests/interop/requirements.txt)")
-dashboard_client = pytest.importorskip("dashboard_client", reason="ur_rtde is not installed")
+PEER = Peer("ur_rtde", "RTDE", "client", "PyPI", "ur-rtde")
+pytestmark = PEER.needed
 
 HOST, RTDE, DASHBOARD, PRIMARY = "127.0.0.1", 30004, 29999, 30001
 SIM = f"""
@@ -64,6 +64,8 @@ async def robot(running: Cell) -> AsyncIterator[UniversalRobot]:
 
 @pytest.fixture
 def receive(running: Cell) -> Iterator[Any]:
+    import rtde_receive
+
     client = rtde_receive.RTDEReceiveInterface(HOST, 125.0)
     yield client
     client.disconnect()
@@ -71,6 +73,8 @@ def receive(running: Cell) -> Iterator[Any]:
 
 @pytest.fixture
 def dashboard(running: Cell) -> Iterator[Any]:
+    import dashboard_client
+
     client = dashboard_client.DashboardClient(HOST, DASHBOARD)
     client.connect()
     yield client
@@ -132,6 +136,8 @@ async def test_its_dashboard_reads_ours_and_stops_our_program(robot: UniversalRo
 
 
 async def test_a_slider_that_it_moves_is_noticed_by_us(robot: UniversalRobot, receive: Any) -> None:
+    import rtde_io
+
     other = rtde_io.RTDEIOInterface(HOST, False, True)
     try:
         await load(robot)
@@ -150,6 +156,8 @@ async def test_a_slider_that_it_moves_is_noticed_by_us(robot: UniversalRobot, re
 
 async def test_its_registers_and_ours_do_not_meet(robot: UniversalRobot) -> None:
     """It holds the upper range's last six; a program of ours runs beside it."""
+    import rtde_io
+
     other = rtde_io.RTDEIOInterface(HOST, False, True)
     try:
         assert other.setInputIntRegister(43, 17)

@@ -1,19 +1,16 @@
-"""CiA 402 between processes: our drivers and canopen's own node, canopen's own client and our simulated drive, and both
-of ours in a whole simulated cell, where the plant tells what the tool did."""
+"""CiA 402 between processes: both of our drivers in a whole simulated cell, where the plant tells what the tool did.
+
+With a node and a client of others: tests/interop/test_canopen.py.
+"""
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import re
-import sys
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-import can
-import canopen
 import pytest
 
 from polishd.api import ActuatorTimes, ForceSample, SpindleTimes
@@ -23,7 +20,6 @@ from polishd.drivers.cia402.axis import Place
 from polishd.drivers.cia402.dictionary import read_dictionary
 from polishd.drivers.cia402.spindle import Cia402Spindle, SpindleScale
 from polishd.drivers.transport.address import Slcan, Socketcand, parse_address
-from tests.fakes.canopen_node import LATCH_UP_UNITS
 from tests.fakes.cia402 import EDS
 from tests.patience import SOON_S
 from tests.system.cell_rig import ONE_PASS, Daemon, events, summary, with_keys, write_small
@@ -73,143 +69,11 @@ watchdog_s = 6.0
 """
 
 
-class Hub(asyncio.Protocol):
-    """One client of a socketcand server; what it sends is heard by all others."""
-
-    clients: set[Hub]
-
-    def __init__(self, clients: set[Hub]) -> None:
-        self.clients = clients
-        self._text = ""
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.Transport)
-        self._transport = transport
-        transport.write(b"< hi >")
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self.clients.discard(self)
-
-    def data_received(self, data: bytes) -> None:
-        self._text += data.decode()
-        while match := re.match(r"\s*< (\w+) ?([^>]*)>", self._text):
-            self._text = self._text[match.end() :]
-            verb, rest = match.groups()
-            if verb == "send":
-                identifier, _, *octets = rest.split()
-                frame = f"< frame {int(identifier, 16):03X} 0.0 {''.join(octet.zfill(2) for octet in octets)} >"
-                for other in self.clients - {self}:
-                    other._transport.write(frame.encode())
-                continue
-            self._transport.write(b"< ok >")
-            if verb == "rawmode":
-                self.clients.add(self)
-
-
-@pytest.fixture
-async def local_node() -> AsyncIterator[Socketcand]:
-    """canopen's LocalNode in a process of its own; the address of its bus."""
-    clients: set[Hub] = set()
-    server = await asyncio.get_running_loop().create_server(lambda: Hub(clients), "127.0.0.1", 0)
-    port = server.sockets[0].getsockname()[1]
-    process = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "tests.fakes.canopen_node", str(port), str(EDS), cwd=ROOT,
-        stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
-    )  # fmt: skip
-    assert process.stdout is not None
-    async with asyncio.timeout(SOON_S):
-        assert await process.stdout.readline() == b"ready\n"
-    yield Socketcand("127.0.0.1", port, "can0")
-    process.kill()
-    await process.wait()
-    server.close()
-    for client in clients:
-        client._transport.abort()
-
-
-async def test_our_driver_works_canopens_own_node(local_node: Socketcand) -> None:
-    place = Place(local_node, 5, 0x45, silence_s=5.0, watchdog_s=5.0)
-    scale = SpindleScale(0.1, max_rpm=2000.0)
-    spindle = Cia402Spindle(place, read_dictionary(EDS, 5), scale, SpindleTimes(silence_s=5.0))
-    await spindle.open()
-    identity = await spindle.identify()
-    assert (identity.vendor, identity.model, identity.serial) == ("0x0000506f", "0x00000402", "4020")
-    await spindle.set_speed(-1500.0)
-    samples = [sample async for sample in _first(spindle.samples(), 5)]
-    assert {(one.rpm, one.setpoint_rpm, one.fault) for one in samples} == {(-1500.0, -1500.0, 0)}
-    await spindle.make_safe()
-    assert (await spindle.status()).safe
-    await spindle.set_speed(LATCH_UP_UNITS / 10)
-    async with asyncio.timeout(SOON_S):
-        async for sample in spindle.samples():
-            if sample.fault:
-                break
-    assert (await spindle.status()).detail == "temperature (4210h)"
-    await spindle.close()
-
-
-async def _first(samples: AsyncIterator[Any], count: int) -> AsyncIterator[Any]:
-    async for sample in samples:
-        yield sample
-        count -= 1
-        if not count:
-            return
-
-
 @pytest.fixture
 def running(tmp_path: Path) -> Iterator[Cell]:
     """Both drives in a simulated cell."""
     with cell(tmp_path, SIM, "--speed", "20", "--seed", "7") as found:
         yield found
-
-
-@contextlib.contextmanager
-def own_client(endpoint: str) -> Iterator[canopen.RemoteNode]:
-    """canopen's client on that bus."""
-    address = parse_address(endpoint, ROOT)
-    assert isinstance(address, Socketcand)
-    network = canopen.Network()
-
-    def connected() -> bool:
-        try:
-            network.connect(interface="socketcand", host=address.host, port=address.port, channel="can0")
-        except can.CanError:  # a frame that comes along with the server's ok is taken for a refusal
-            return False
-        return True
-
-    wait_for(connected, "the bus")
-    canopen.sdo.SdoClient.RESPONSE_TIMEOUT = 5.0
-    try:
-        yield network.add_node(5, str(EDS))
-    finally:
-        network.disconnect()
-
-
-def test_canopens_own_client_works_our_simulated_drive(running: Cell) -> None:
-    with own_client(running.endpoints["spindle"]) as node:
-        node.sdo[0x1017].raw = 50
-        assert node.nmt.wait_for_heartbeat(timeout=SOON_S) == "PRE-OPERATIONAL"
-        node.nmt.state = "OPERATIONAL"
-        wait_for(lambda: node.nmt.wait_for_heartbeat(timeout=SOON_S) == "OPERATIONAL", "operational")
-        with pytest.raises(canopen.SdoAbortedError, match="0x06090030"):
-            node.sdo[0x60FF].raw = 100_000
-        with pytest.raises(canopen.SdoAbortedError, match="0x06010002"):
-            node.sdo.download(0x6041, 0, b"\0\0")
-        with pytest.raises(canopen.SdoAbortedError, match="0x06020000"):
-            node.sdo.upload(0x5000, 0)
-        for index, value in ((0x6083, 10_000), (0x6060, 3), (0x6040, 6), (0x6040, 7), (0x60FF, 5000), (0x6040, 15)):
-            node.sdo[index].raw = value
-        wait_for(lambda: abs(node.sdo[0x606C].raw - 5000) < 50 and node.sdo[0x6041].raw & 0x400, "500 rpm")
-        node.sdo[0x6040].raw = 2
-        wait_for(lambda: node.sdo[0x6041].raw & 0x4F == 0x40 and node.sdo[0x606C].raw == 0, "quick stop")
-        node.sdo[0x1016][1].raw = 0x7F << 16 | 100
-        node.network.send_message(0x77F, b"\x05")
-        emergency = node.emcy.wait(0x8130, timeout=SOON_S)
-        assert (emergency.code, emergency.register) == (0x8130, 0x11)
-    wait_for(lambda: running.events("watchdog"), "the plant to hear of it")
-    said = running.events("spindle_ramping", "spindle_at_speed", "spindle_stopped", "watchdog")
-    assert [said[0], said[-1]] == ["spindle_ramping", "watchdog"]
-    assert "spindle_at_speed" in said
 
 
 def drivers(running: Cell) -> tuple[Cia402Spindle, Cia402Actuator]:

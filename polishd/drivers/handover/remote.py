@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import importlib
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
@@ -51,17 +53,11 @@ class Ftp:
             raise _refused("ftp", self._place, name, error) from error
 
     async def _put(self, library: Any, name: str, text: bytes) -> None:
-        place = self._place
         final, beside = PurePosixPath(name), PurePosixPath(name + TEMPORARY)
-        client: aioftp.Client = library.Client(socket_timeout=ANSWER_S, connection_timeout=ANSWER_S)
-        try:
-            await client.connect(place.host, place.port)
-            await client.login(place.user, place.password)
-            if place.folder:
-                await client.change_directory(place.folder)
+        async with _session(library, self._place) as client:
             async with client.upload_stream(beside) as stream:
                 await stream.write(text)
-            size = int((await client.stat(beside))["size"])
+            size = await _size(library, client, beside)
             if size != len(text):
                 raise OSError(f"{size} bytes of {len(text)} came")
             try:
@@ -70,8 +66,42 @@ class Ftp:
                 await client.remove_file(final)
                 await client.rename(beside, final)
             await client.quit()
-        finally:
-            client.close()
+
+
+@asynccontextmanager
+async def _session(library: Any, place: Place) -> AsyncIterator[aioftp.Client]:
+    """Logged in, and in the folder. Data connections are closed with it: the client forgets those that are refused."""
+    client: aioftp.Client = library.Client(socket_timeout=ANSWER_S, connection_timeout=ANSWER_S)
+    opened: list[asyncio.StreamWriter] = []
+    connect = client.get_passive_connection
+
+    async def kept(*arguments: Any, **named: Any) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        reader, writer = await connect(*arguments, **named)
+        opened.append(writer)
+        return reader, writer
+
+    client.get_passive_connection = kept  # type: ignore[method-assign]
+    try:
+        await client.connect(place.host, place.port)
+        await client.login(place.user, place.password)
+        if place.folder:
+            await client.change_directory(place.folder)
+        yield client
+    finally:
+        for writer in opened:
+            writer.close()
+        client.close()
+
+
+async def _size(library: Any, client: aioftp.Client, path: PurePosixPath) -> int:
+    """Of a file, in bytes. Old servers know SIZE but not MLST, and their listings are read by guessing."""
+    try:
+        _, said = await client.command(f"SIZE {path}", "213")
+    except library.StatusCodeError as error:
+        if not error.received_codes[-1].matches("50x"):
+            raise
+        return int((await client.stat(path))["size"])
+    return int(said[-1])
 
 
 class Sftp:

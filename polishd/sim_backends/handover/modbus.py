@@ -45,16 +45,22 @@ class ModbusServer:
     def answer(self, pdu: bytes) -> bytes:
         """The answer to a request PDU."""
         function = pdu[0]
-        if function not in {1, 2, 4, 5, 16}:
+        if function not in {1, 2, 3, 4, 5, 6, 15, 16}:
             return bytes([function | 0x80, ILLEGAL_FUNCTION])
-        if len(pdu) < 5:
+        if len(pdu) < 5 or (function > 6 and (len(pdu) < 6 or len(pdu) != 6 + pdu[5])):
             return bytes([function | 0x80, ILLEGAL_VALUE])
         address, number = struct.unpack_from(">HH", pdu, 1)
-        said = {1: self._bits, 2: self._bits, 4: self._registers}.get(function)
+        if function == 5 and number not in {0, 0xFF00}:
+            return bytes([function | 0x80, ILLEGAL_VALUE])
+        said = {1: self._bits, 2: self._bits, 3: self._holding, 4: self._registers}.get(function)
         if said is not None:
             found = said(function, address, number)
             return bytes([function | 0x80, ILLEGAL_ADDRESS]) if found is None else bytes([function, len(found)]) + found
-        taken = self._coil(address, number) if function == 5 else self._heartbeat(address, number, pdu[6:])
+        if function in {5, 15}:
+            many = [bool(pdu[6 + at // 8] >> at % 8 & 1) for at in range(min(number, 8 * (len(pdu) - 6)))]
+            taken = self._coils(address, many if function == 15 else [number == 0xFF00])
+        else:
+            taken = self._heartbeat(address, pdu[6:] if function == 16 else pdu[3:])
         return pdu[:5] if taken else bytes([function | 0x80, ILLEGAL_ADDRESS])
 
     def _bits(self, function: int, address: int, count: int) -> bytes | None:
@@ -81,14 +87,19 @@ class ModbusServer:
         found = table[2 * address : 2 * (address + count)]
         return found if count and len(found) == 2 * count else None
 
-    def _coil(self, address: int, value: int) -> bool:
-        if address >= len(COILS) or value not in {0, 0xFF00}:
+    def _holding(self, _function: int, address: int, count: int) -> bytes | None:
+        beat = struct.pack(">H", int(self.plc.inputs["heartbeat"]) & 0xFFFF)
+        return beat if (address, count) == (0, 1) else None
+
+    def _coils(self, address: int, values: list[bool]) -> bool:
+        names = COILS[address : address + len(values)]
+        if not values or len(names) != len(values):
             return False
-        self.plc.inputs[COILS[address]] = value == 0xFF00
+        self.plc.inputs.update(zip(names, values, strict=True))
         return True
 
-    def _heartbeat(self, address: int, count: int, data: bytes) -> bool:
-        if (address, count, len(data)) != (0, 1, 2):
+    def _heartbeat(self, address: int, data: bytes) -> bool:
+        if address or len(data) != 2:
             return False
         (self.plc.inputs["heartbeat"],) = struct.unpack(">H", data)
         return True

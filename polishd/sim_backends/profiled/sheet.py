@@ -97,9 +97,10 @@ class Sheet:
         found = [
             (name, steps)
             for name, steps in self.orders()
-            if step(steps[-1])[0] == register and all(_is(one, stored) for one in steps)
+            if register in {step(one)[0] for one in steps} and all(_is(one, stored) for one in steps)
         ]
-        for name, steps in sorted(found, key=lambda one: "asked" in one[1][-1]):
+        # Whoever writes in another sequence than the profile's is understood too: a drive that runs obeys any of them.
+        for name, steps in sorted(found, key=lambda one: (step(one[1][-1])[0] != register, "asked" in one[1][-1])):
             asked = next((step(one)[0] for one in steps if step(one)[1] in {"asked", "count"}), register)
             return name, self.physical(asked, stored.get(asked, 0.0))
         return None

@@ -1,0 +1,76 @@
+"""docs/interop.md: which peers, which versions, what was tried with them, and what came of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from tests.interop.peers import Peer
+
+LINKS = ("Modbus RTU and TCP", "Modbus RTU", "Modbus TCP", "OPC UA", "ADS", "FTP", "SFTP", "CANopen", "RTDE")
+"""In this order."""
+HEAD = """# Peers that nobody here wrote
+
+<!-- Written by `make interop`. -->
+
+Each link of polishd, and each simulated device, was tried with programs and libraries of others at its far end. A
+library at its own server proves nothing, so each row says which end the peer was; ours was the other. A server, a slave
+or a node was worked by polishd's driver; a client or a master worked polishd's simulated device. Of ADS and CANopen the
+driver has its client from the same library (pyads, canopen) as the server: there it shows only that we use it rightly.
+
+`make interop` fetches the peers of PyPI and npm ([requirements.txt](../tests/interop/requirements.txt),
+[package.json](../tests/interop/package.json)) into `build/interop`, runs `tests/interop` and writes this page. Those of
+Debian are for whoever may install them. A peer that is not there is skipped by its name, here and in `make test-all`.
+
+    apt-get install DEBIAN
+"""
+FOOT = """
+The rows say what the tests are called; each is in `tests/interop`, in the file of its peer. Not tried: a real PLC, a
+real inverter, TwinCAT's own router, OPC UA with certificates.
+"""
+
+
+@dataclass(slots=True)
+class Tried:
+    """What came of a peer's tests, by their names; ``why`` it was skipped, where it was."""
+
+    peer: Peer
+    version: str
+    passed: list[str] = field(default_factory=list)
+    failed: list[str] = field(default_factory=list)
+    skipped: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def outcome(self) -> str:
+        """In a word or two."""
+        if self.failed:
+            return f"**{len(self.failed)} of {len(self.failed) + len(self.passed)} failed**"
+        if self.passed:
+            return "passed"
+        if not self.version:
+            return "skipped: not installed"
+        return "skipped: " + ", ".join(sorted(set(self.skipped.values())) or ["not run"])
+
+
+def page(tried: Sequence[Tried], debian: Sequence[str]) -> str:
+    """The page; the same of the same outcomes."""
+    rows = ["| link | peer | it is | version | tried | |", "|---|---|---|---|---|---|"]
+    rows += [_row(one) for one in sorted(tried, key=_order)]
+    return HEAD.replace("DEBIAN", " ".join(debian)) + "\n" + "\n".join(rows) + "\n" + FOOT
+
+
+def _order(one: Tried) -> tuple[int, str]:
+    return LINKS.index(one.peer.link), one.peer.name.lower()
+
+
+def _row(one: Tried) -> str:
+    names = [*one.passed, *(f"**{name}**" for name in one.failed), *one.skipped]
+    version = f"{one.version} ({one.peer.source})" if one.version else one.peer.source
+    cells = (one.peer.link, one.peer.name, one.peer.part, version, "; ".join(names), one.outcome)
+    return f"| {' | '.join(cells)} |"
+
+
+def told(name: str) -> str:
+    """A test's name as a sentence: without its prefix, its case behind a colon."""
+    plain, _, case = name.removeprefix("test_").partition("[")
+    return plain.replace("_", " ") + (f": {case.rstrip(']')}" if case else "")
