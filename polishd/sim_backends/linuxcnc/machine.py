@@ -81,11 +81,20 @@ MIN_FERROR = 10
 """
 _HAL = """loadrt [KINS]KINEMATICS
 loadrt [EMCMOT]EMCMOT servo_period_nsec=[EMCMOT]SERVO_PERIOD num_joints=[KINS]JOINTS
-loadrt threads name1=slow-thread period1={period_ns}
+loadrt siggen num_chan=1
+loadrt wcomp count=1
 loadrt sampler depth=8000 cfg=fffffsbbb
 addf motion-command-handler servo-thread
 addf motion-controller servo-thread
-addf sampler.0 slow-thread
+addf siggen.0.update servo-thread
+addf wcomp.0 servo-thread
+addf sampler.0 servo-thread
+setp siggen.0.frequency {samples_hz:g}
+setp siggen.0.amplitude 1
+setp wcomp.0.min 0.4
+setp wcomp.0.max 0.8
+net saw siggen.0.sawtooth => wcomp.0.in
+net sample wcomp.0.out => sampler.0.enable
 {joints}
 net estop iocontrol.0.user-enable-out => iocontrol.0.emc-enable-in
 net prepare iocontrol.0.tool-prepare => iocontrol.0.tool-prepared
@@ -155,7 +164,11 @@ class Machine:
         return (low, high) if self.robot.turns == "tool" else (-high, -low)
 
     def hal(self) -> str:
-        """``machine.hal``: motors that are where they are told, a sampler that tells where, the gate."""
+        """``machine.hal``: motors that are where they are told, a sampler that tells where, the gate.
+
+        It samples one servo cycle of five, within the thread that moves: after a standstill of a busy machine a thread
+        of its own would make up for it by itself, and tell one place many times.
+        """
         joints = "\n".join(
             f"net motor{joint} joint.{joint}.motor-pos-cmd => joint.{joint}.motor-pos-fb\n"
             f"net joint{joint} joint.{joint}.pos-fb => sampler.0.pin.{joint}"
@@ -163,7 +176,7 @@ class Machine:
         )
         return _HAL.format(
             joints=joints,
-            period_ns=round(SAMPLE_S * 1e9),
+            samples_hz=1.0 / SAMPLE_S,
             mount=MOUNT,
             motion=MOTION,
             port=self.robot.port,
