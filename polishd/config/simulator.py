@@ -79,6 +79,8 @@ class Robot(Section):
     """Of universal_robots; 0: `port` + 1. [1]"""
     primary_port: Port = 0
     """Of universal_robots: the primary client interface; 0: `port` + 2. [1]"""
+    turns: Literal["tool", "table"] = "tool"
+    """Of linuxcnc, what A and C turn: the tool, or the part on a tilting rotary table (its ``xyzac-trt-kins``). [1]"""
     cycle_hz: Literal[125, 500] = 500
     """Of universal_robots: how often it controls; 125 is a CB3. [Hz]"""
     report_ms: Positive = 20.0

@@ -87,12 +87,20 @@ def write_demo(out: Path, surface: Path | None, tolerance_nm: float, cycles: int
 
 def demo_program(config: CellConfig) -> bytes:
     """A boustrophedon raster over the clear aperture and a little more, as RNC text."""
+    name = f"polishd demo raster, phi {config.part.aperture_mm:g} mm"
+    return path_program(*demo_path(config), FEED_MM_MIN, name)
+
+
+def demo_path(config: CellConfig, dwells_mm: float | None = None) -> tuple[FloatArray, FloatArray]:
+    """(n, 3) points of that raster, mm, and the tool axes there.
+
+    ``dwells_mm``: most distance of the points where each has a dwell: they are then quiet along the lines, too.
+    """
     covered = circle(config.part.aperture_mm + 2 * OVERRUN_MM)
-    step = quiet_step_mm(_contact_radius_mm(config), RASTER_MM)
-    points = raster(covered, step, RASTER_MM, optic=config.optic(), landing_mm=LANDING_MM - OVERRUN_MM)
-    return path_program(
-        points, _axes(config, points), FEED_MM_MIN, f"polishd demo raster, phi {config.part.aperture_mm:g} mm"
-    )
+    step = quiet_step_mm(_contact_radius_mm(config), dwells_mm or RASTER_MM)
+    along = step if dwells_mm else RASTER_MM
+    points = raster(covered, step, along, optic=config.optic(), landing_mm=LANDING_MM - OVERRUN_MM)
+    return points, _axes(config, points)
 
 
 def _axes(config: CellConfig, points_mm: FloatArray) -> FloatArray:

@@ -7,11 +7,11 @@ import json
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Self
 
-from polishd.config.cell import load_config
+from polishd.config.cell import CellConfig, load_config
 from polishd.console.demo_files import DemoFiles, demo_program, with_values
 from polishd.console.simulator import simulated_cell
 from polishd.daemon import client
@@ -59,6 +59,16 @@ def write_small(
     config = load_config(files.cell)
     config.program_path.write_bytes(demo_program(config))
     return files
+
+
+def with_part(
+    files: DemoFiles, part: Mapping[str, float], make: Callable[[CellConfig], bytes] = demo_program, **surface: float
+) -> None:
+    """Another part in the same cell, with that surface, and the program that is made for it."""
+    files.cell.write_text(with_keys(files.cell.read_text(), {"part": part}))
+    files.sim.write_text(with_keys(files.sim.read_text(), {"plant": {**part, **surface}}))
+    config = load_config(files.cell)
+    config.program_path.write_bytes(make(config))
 
 
 def with_keys(text: str, sections: Sections) -> str:

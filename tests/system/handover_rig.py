@@ -6,38 +6,33 @@ import contextlib
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from urllib.parse import urlsplit
 
 from polishd.config.cell import load_config
 from polishd.config.controller_profile import FOLDER
-from polishd.console.demo_files import DemoFiles, demo_program
+from polishd.console.demo_files import DemoFiles
 from polishd.console.simulator import simulated_cell
-from tests.system.cell_rig import with_keys, without, write_small
+from tests.system.cell_rig import with_keys, with_part, without, write_small
 
-PROFILES = {"opcua": "plc-opcua", "ads": "plc-ads"}
+Kind = Literal["opcua", "ads"]
+PROFILES: dict[Kind, str] = {"opcua": "plc-opcua", "ads": "plc-ads"}
 TRUTH = {"overhead_s": 0.03, "overhead_spread": 0.5}
 """What a block costs that controller: nobody planned it before the first pass."""
-CALM = {"pit_nm": 60.0, "max_spot_change": 0.99, "max_rate_drift": 0.99}
-"""So small a part tells little of its spot."""
+PIT = {"pit_nm": 60.0}
+"""What a feed hold may dig until an actuator of 0.2 s has let go."""
 
 
-def write_files(out: Path, kind: str, aperture_mm: float, **job: Any) -> DemoFiles:
-    """The demo's files with a small part and such a controller; with ``link`` the same cell with a robot link."""
+def write_files(out: Path, kind: Kind, aperture_mm: float, **job: Any) -> DemoFiles:
+    """The demo's files with a small part and such a controller."""
     files = write_small(out, **job)
-    part = {"aperture_mm": aperture_mm}
-    robot: dict[str, Any] = {}
-    if kind != "link":
-        robot = {"kind": kind, "watchdog_s": 20.0}
-        _hand_over(files, kind)
-    files.cell.write_text(with_keys(files.cell.read_text(), {"part": part, "limits": CALM}))
-    files.sim.write_text(with_keys(files.sim.read_text(), {"plant": part, "robot": robot, "truth": TRUTH}))
-    config = load_config(files.cell)
-    config.program_path.write_bytes(demo_program(config))
+    hand_over(files, kind)
+    files.sim.write_text(with_keys(files.sim.read_text(), {"truth": TRUTH}))
+    with_part(files, {"aperture_mm": aperture_mm})
     return files
 
 
-def _hand_over(files: DemoFiles, kind: str) -> None:
+def hand_over(files: DemoFiles, kind: Kind) -> None:
     """The cell's robot becomes such a controller, with a profile of its own that is patient with a busy machine."""
     shipped = (FOLDER / f"{PROFILES[kind]}.toml").read_text()
     (files.out / "controller.toml").write_text(
@@ -53,7 +48,8 @@ def _hand_over(files: DemoFiles, kind: str) -> None:
     }
     section = "\n".join(["[robot]", *(f"{key} = {json.dumps(value)}" for key, value in keys.items())])
     cell = without(files.cell.read_text(), "robot").replace('load = ["rnc_robot"', 'load = ["rnc_robot", "handover"')
-    files.cell.write_text(f"{cell}\n{section}\n")
+    files.cell.write_text(with_keys(f"{cell}\n{section}\n", {"limits": PIT}))
+    files.sim.write_text(with_keys(files.sim.read_text(), {"robot": {"kind": kind, "watchdog_s": 20.0}}))
 
 
 @contextlib.contextmanager

@@ -19,9 +19,10 @@ from polishd.drivers.transport.address import Tcp
 from tests.programs import plan_of
 
 START, CORNER, DWELL, END = 3, 7, 8, 10
-BLOCKS = [b"G21 G90 G94 G61", b"G0 X0 Y0 Z50", b"(land)"]
-BLOCKS += [b"G1 X%d F1200" % x for x in (2, 4, 6, 8)]
-BLOCKS += [b"G91 G1 Y4", b"G4 P0.6", b"G1 Y1", b"G90 G1 X0", b"M2"]
+BLOCKS = [b"G21 G90 G94 G61", b"G0 X0 Y0 Z50 A-10 C20", b"(land)"]
+BLOCKS += [b"G1 X%d A%d C%d F1200" % (x, -10 - x, 20 + 2 * x) for x in (2, 4, 6, 8)]
+BLOCKS += [b"G91 G1 Y4 C2", b"G4 P0.6", b"G1 Y1", b"G90 G1 X0", b"M2"]
+"""All five axes at once."""
 
 
 async def until(robot: Robot, executed: int) -> None:

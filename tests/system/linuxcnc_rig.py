@@ -9,21 +9,20 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 
 from polishd.config.cell import CellConfig, load_config
-from polishd.console.demo_files import DemoFiles, demo_program, with_values, write_demo
-from polishd.model.program import Encoding
+from polishd.console.demo_files import DemoFiles
+from polishd.plugins.rnc_robot.dialect import Dialect, dialect
 from polishd.plugins.rnc_robot.make import path_program
 from polishd.process.paths.apertures import circle
 from polishd.process.paths.raster import raster
 from polishd.process.paths.wrist import tool_axes
 from polishd.sim_backends.linuxcnc.server import ISOLATE
-from tests.commissioned import forged
 from tests.patience import SOON_S
-from tests.system.cell_rig import REPORT, Daemon, with_keys, without
+from tests.system.cell_rig import Daemon, with_keys, with_part, write_small
 from tests.system.sim_rig import ROOT, alive, wait_for
 
 PART = {"aperture_mm": 7.0, "edge_mm": 0.5}
@@ -31,6 +30,16 @@ PART = {"aperture_mm": 7.0, "edge_mm": 0.5}
 ON_RING = {"places_mm": [[0.0, 5.0], [-4.3, -2.5], [4.3, -2.5]]}
 """The part's own rim is narrower than the tool's contact."""
 DWELL_PITCH_MM = 1.75
+Turns = Literal["tool", "table"]
+TABLE = """extends = "rs274"
+name = "table"
+title = "LinuxCNC with xyzac-trt-kins"
+
+[axes]
+turns = "table"
+rotary = ["AC"]
+"""
+"""The dialect of a machine whose A tilts a table and C turns it."""
 RAPID_MM_MIN = 3000.0
 QUICK_S = 2.5
 """An actuator that lifts within a dwell, and a gate that outlasts that."""
@@ -101,37 +110,47 @@ class _Daemon(Daemon):
             self.process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
 
 
-def write_files(out: Path, encoding: Encoding, *, touch_off: bool = False, **job: Any) -> DemoFiles:
-    """The demo's files with a tiny part and LinuxCNC for a robot; its program has time in feeds or in dwells."""
-    files = write_demo(out, None, 2.0, 4, None)
-    cell = with_values(files.cell.read_text(), {"part": PART, "job": job, "robot": {"watchdog_s": QUICK_S}})
-    robot = 'type = "linuxcnc"\nprogram_dir = "sim/linuxcnc/nc"\ncontroller_dir = "/mnt/nc"'
-    cell = with_keys(cell.replace(REPORT, ""), {"actuator": {"silence_s": 0.8, "retract_s": 0.5}, "touch_off": ON_RING})
-    cell = cell if touch_off else without(cell, "touch_off")
-    files.cell.write_text(cell.replace('type = "robot_link"', robot))
-    high = 1.0 if encoding == "feed" else 5.0  # for long dwells
-    plant = {**PART, "pv_nm": high * 30.0, "rms_nm": high * 6.0, "speed": 1.0}
-    coil = {"land_s": 0.1, "lift_s": 0.06, "cling": 0.0}
-    sim = with_values(files.sim.read_text(), {"plant": plant, "actuator": coil, "robot": {"watchdog_s": QUICK_S}})
-    files.sim.write_text(sim.replace("[robot]\n", '[robot]\nkind = "linuxcnc"\n'))
-    forged(files.profile)
-    config = load_config(files.cell)
-    config.program_path.write_bytes(demo_program(config) if encoding == "feed" else dwell_program(config))
+def write_files(out: Path, *, turns: Turns = "tool", touch_off: bool = False, **job: Any) -> DemoFiles:
+    """The demo's files with a tiny part, LinuxCNC for a robot, and a program of dwells."""
+    files = write_small(out, patient=False, touch_off=touch_off, **job)
+    take(files, turns)
+    if touch_off:
+        files.cell.write_text(with_keys(files.cell.read_text(), {"touch_off": ON_RING}))
+    with_part(files, PART, dwell_program, pv_nm=150.0, rms_nm=30.0)  # so high that dwells are long
     return files
 
 
+def take(files: DemoFiles, turns: Turns = "tool") -> None:
+    """The cell's robot becomes LinuxCNC, with an actuator that is as quick as real time wants it in a test."""
+    (files.out / "table.toml").write_text(TABLE)
+    robot = 'type = "linuxcnc"\nprogram_dir = "sim/linuxcnc/nc"\ncontroller_dir = "/mnt/nc"'
+    cell = files.cell.read_text().replace('type = "robot_link"', robot)
+    quick: dict[str, dict[str, Any]] = {
+        "robot": {"watchdog_s": QUICK_S},
+        "actuator": {"silence_s": 0.8, "retract_s": 0.5},
+    }
+    if turns == "table":
+        quick["program"] = {"dialects": ["table.toml"], "format": "table"}
+    files.cell.write_text(with_keys(cell, quick))
+    coil = {"land_s": 0.1, "lift_s": 0.06, "cling": 0.0}
+    robot_keys = {"kind": "linuxcnc", "turns": turns, "watchdog_s": QUICK_S}
+    sim = with_keys(files.sim.read_text(), {"plant": {"speed": 1.0}, "actuator": coil, "robot": robot_keys})
+    files.sim.write_text(sim)
+
+
 def dwell_program(config: CellConfig) -> bytes:
-    """A coarse raster with a dwell at each point."""
+    """A coarse raster with a dwell at each point, for whichever of tool and table is turned."""
     points = raster(circle(config.part.aperture_mm), DWELL_PITCH_MM, DWELL_PITCH_MM)
     axes = tool_axes(points, config.optic(), config.process.dip_deg, config.compliance_options(), config.placement())
-    return path_program(points, axes, RAPID_MM_MIN, "dwells", encoding="dwell", dwell_s=0.2)
+    to = dialect(next(iter(config.dialect_paths), config.program.format))
+    assert isinstance(to, Dialect)
+    return path_program(points, axes, RAPID_MM_MIN, "dwells", encoding="dwell", dwell_s=0.2, to=to)
 
 
 @contextlib.contextmanager
-def linuxcnc_cell(out: Path, encoding: Encoding = "feed", *, touch_off: bool = False, **job: Any) -> Iterator[Cell]:
+def linuxcnc_cell(files: DemoFiles) -> Iterator[Cell]:
     """The simulator with LinuxCNC, up, on and homed, for the time of the block."""
     require_linuxcnc()
-    files = write_files(out, encoding, touch_off=touch_off, **job)
     command = [*APART, sys.executable, "-m", "polishd.sim_backends", str(files.sim), "--state", str(files.sim_dir)]
     with (files.out / "sim.stderr").open("wb") as stderr:
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True)

@@ -12,7 +12,7 @@ from polishd.drivers.transport.requests import RequestQueue
 from polishd.drivers.transport.streams import LineReader, open_stream
 
 CONNECT_S = 0.8
-ANSWER_S = 0.6
+SILENCE_S = 0.6
 """It answers a question within a millisecond, an order after 0.1 s."""
 MESSAGES = 50
 """More old messages than that are no accident."""
@@ -25,8 +25,9 @@ class Connection:
     no number. So what is late or cut breaks the link rather than answer the next request.
     """
 
-    def __init__(self, address: Tcp, passwords: tuple[str, str]) -> None:
+    def __init__(self, address: Tcp, passwords: tuple[str, str], silence_s: float = SILENCE_S) -> None:
         self._address = address
+        self._silence_s = silence_s
         self._passwords = passwords
         self._queue = RequestQueue(str(address))
         self._stream: ByteStream | None = None
@@ -57,7 +58,7 @@ class Connection:
         """A value; ProtocolError where linuxcncrsh does not know it."""
         return (await self._queue.ask(lambda: self._ask(f"get {name}"))).value
 
-    async def set(self, command: str, *, urgent: bool = False, within_s: float = ANSWER_S) -> None:
+    async def set(self, command: str, *, urgent: bool = False, within_s: float | None = None) -> None:
         """Give an order and wait until LinuxCNC has received it. DeviceRefused where it does not take it."""
         await self._queue.ask(lambda: self._ask(command, within_s), urgent=urgent)
 
@@ -113,11 +114,11 @@ class Connection:
             raise LinkError(f"{self._address}: is not open")
         await self._stream.write(request.encode() + b"\r\n")
 
-    async def _ask(self, request: str, within_s: float = ANSWER_S) -> Answer:
+    async def _ask(self, request: str, within_s: float | None = None) -> Answer:
         """Send and wait for the answer; whatever goes wrong ends the link."""
         try:
             await self._tell(request)
-            answer = await self._answer(asks(request), within_s)
+            answer = await self._answer(asks(request), self._silence_s if within_s is None else within_s)
         except LinkError:
             if self._stream is not None:
                 await self._stream.close()

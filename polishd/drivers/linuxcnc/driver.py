@@ -17,7 +17,7 @@ from polishd.api import (
     ProtocolError,
     RobotTimes,
 )
-from polishd.drivers.linuxcnc.connection import Connection
+from polishd.drivers.linuxcnc.connection import SILENCE_S, Connection
 from polishd.drivers.linuxcnc.dialogue import Snapshot
 from polishd.drivers.linuxcnc.following import Following, abort, obstacle
 from polishd.drivers.linuxcnc.program_file import ProgramFile
@@ -50,12 +50,13 @@ class LinuxCnc(FileRobot[Watch]):
         passwords: tuple[str, str] = ("EMC", "EMCTOO"),
     ) -> None:
         """``program_dir`` is where the file is written; ``controller_dir`` how the controller calls that folder."""
-        super().__init__(str(address), times or RobotTimes(watchdog_s=math.inf, stop_s=2.0, lifts=False))
+        usual = RobotTimes(silence_s=SILENCE_S, watchdog_s=math.inf, stop_s=2.0, lifts=False)
+        super().__init__(str(address), times or usual)
         self._address = address
         self._folder = program_dir
         self._controller_dir = controller_dir or str(program_dir)
         self._passwords = passwords
-        self._following = Following(address, passwords, self._seen, self._times.stop_s)
+        self._following = Following(address, passwords, self._seen, self._times)
 
     @property
     def _background(self) -> Background:
@@ -91,7 +92,7 @@ class LinuxCnc(FileRobot[Watch]):
             with contextlib.suppress(LinkError, ProtocolError):
                 await abort(self._following.connection, self._times.stop_s)
                 return await self._following.standstill("abort")
-        connection = Connection(self._address, self._passwords)
+        connection = Connection(self._address, self._passwords, self._times.silence_s)
         await connection.open()
         try:
             await abort(connection, self._times.stop_s)

@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable
 
-from polishd.api import DeviceFault, DeviceRefused, LinkError
+from polishd.api import DeviceFault, DeviceRefused, LinkError, RobotTimes
 from polishd.drivers.linuxcnc.connection import Connection
 from polishd.drivers.linuxcnc.dialogue import Snapshot
 from polishd.drivers.transport.address import Tcp
@@ -24,12 +24,12 @@ OnLook = Callable[[Snapshot], Awaitable[bool]]
 class Following(Background):
     """From ``open`` to ``close``; may be opened again. Whoever waits hears of the link's end by LinkError."""
 
-    def __init__(self, address: Tcp, passwords: tuple[str, str], on_look: OnLook, stop_s: float) -> None:
+    def __init__(self, address: Tcp, passwords: tuple[str, str], on_look: OnLook, times: RobotTimes) -> None:
         super().__init__(str(address))
         self._address = address
         self._passwords = passwords
         self._on_look = on_look
-        self._stop_s = stop_s
+        self._silence_s, self._stop_s = times.silence_s, times.stop_s
         self._connection: Connection | None = None
         self._looks: tuple[Snapshot, ...] = ()
         """The last two."""
@@ -50,7 +50,7 @@ class Following(Background):
 
     async def open(self) -> None:
         """Connect, and look twice."""
-        connection = Connection(self._address, self._passwords)
+        connection = Connection(self._address, self._passwords, self._silence_s)
         await connection.open()
         self._connection = connection
         try:

@@ -26,6 +26,8 @@ class LinuxCncOptions(Section):
     """linuxcncrsh's `--connectpw`; no blanks."""
     enable_password: str = Field("EMCTOO", pattern=r"^\S+$")
     """linuxcncrsh's `--enablepw`; no blanks."""
+    silence_s: Annotated[float, Field(ge=0.3, le=60.0)] = 0.6
+    """No answer for so long: the link is lost, and contact is left. On an idle computer it answers within 0.1 s."""
     watchdog_s: Annotated[float, Field(gt=0.0, le=600.0)] | None = None
     """Of a watchdog in HAL that pauses the program when nobody talks to it; without one it runs to the end."""
     stop_s: Annotated[float, Field(gt=0.0, le=60.0)] = 2.0
@@ -37,7 +39,7 @@ def _build(options: LinuxCncOptions, context: DeviceContext) -> LinuxCnc:
     return LinuxCnc(
         address,
         (context.base_dir / options.program_dir).absolute(),
-        RobotTimes(watchdog_s=options.watchdog_s or math.inf, stop_s=options.stop_s, lifts=False),
+        RobotTimes(options.silence_s, options.watchdog_s or math.inf, options.stop_s, lifts=False),
         controller_dir=options.controller_dir,
         passwords=(options.password, options.enable_password),
     )

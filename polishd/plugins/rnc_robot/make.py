@@ -32,7 +32,7 @@ def path_program(
     dwell_s: FloatArray | float = 0.0,
     to: Dialect | str = DEFAULT,
 ) -> bytes:
-    """NC text through these points, tool axes as ``Rz(C) Rx(A) (0, 0, 1)``.
+    """NC text through these points, tool axes as ``Rz(C) Rx(A) (0, 0, 1)``, or with A and C negative for a table.
 
     Args:
         points_mm: (n, 3) tool tip, mm, program frame; the first is where the tool lands, without a time of its own.
@@ -105,14 +105,21 @@ def _profile(name: str, to: Dialect | str) -> Dialect:
     profile = dialect(to) if isinstance(to, str) else to
     if not isinstance(profile, Dialect):
         raise ProgramError(f"{name}: no programs are made in {profile.name}. To do: take an NC dialect.")
-    if profile.axes.rotary and "CA" not in profile.axes.rotary:
+    if profile.axes.rotary and _pair(profile) not in profile.axes.rotary:
         raise ProgramError(f"{name}: {profile.title} has no A and C axes. To do: take another dialect.")
     return profile
+
+
+def _pair(profile: Dialect) -> str:
+    """The rotary pair that programs are made with: of the head, C turns A; of a table, A tilts C."""
+    return "AC" if profile.axes.turns == "table" else "CA"
 
 
 def _places(asked: _Asked) -> FloatArray:
     """(n, 5) X Y Z A C as they are written."""
     angles = np.stack(angles_from_axis(asked.axis), axis=1)
+    if asked.profile.axes.turns == "table":
+        angles = -angles
     columns = zip(np.hstack([asked.points_mm, angles]).T, DECIMALS, strict=True)
     places = np.stack([np.round(column, n) + 0.0 for column, n in columns], axis=1)  # + 0.0: "-0.0000" is "0.0000"
     if not asked.profile.axes.rotary and (places[:, 3:] != 0).any():

@@ -1,12 +1,18 @@
-"""The configuration of a headless LinuxCNC: XYZ and a rotary A and C on five joints without motors."""
+"""The configuration of a headless LinuxCNC: XYZ and a rotary A and C on five joints without motors.
+
+A and C turn the tool about its tip, joints being axes; or they are a tilting rotary table, whose joints LinuxCNC finds.
+"""
 
 from __future__ import annotations
 
+import math
 import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from polishd.config.simulator import Robot
+from polishd.sim_backends.linuxcnc.motion import SAMPLE_S
 
 MOUNT = Path("/mnt")
 """Where the process sees its folder."""
@@ -14,10 +20,12 @@ PROGRAMS = "nc"
 MOTION = "motion"
 SHELL_PORT = 5007
 """linuxcncrsh's own; the gate in front of it has the robot's."""
-SAMPLE_S = 0.005
 AXES = "XYZAC"
+KINEMATICS = {"tool": "trivkins coordinates=XYZAC", "table": "xyzac-trt-kins"}
 TURN_MM_S = 100.0
 ANY_DEG = 36000.0
+Vector = tuple[float, float, float]
+Pose = tuple[float, ...]
 
 _INI = """[EMC]
 VERSION = 1.1
@@ -49,7 +57,7 @@ EMCIO = io
 CYCLE_TIME = 0.1
 TOOL_TABLE = machine.tbl
 [KINS]
-KINEMATICS = trivkins coordinates=XYZAC
+KINEMATICS = {kinematics}
 JOINTS = 5
 """
 _AXIS = """[AXIS_{axis}]
@@ -59,8 +67,8 @@ MAX_VELOCITY = {speed:g}
 MAX_ACCELERATION = {accel:g}
 [JOINT_{joint}]
 TYPE = {kind}
-MIN_LIMIT = {low:g}
-MAX_LIMIT = {high:g}
+MIN_LIMIT = {joint_low:g}
+MAX_LIMIT = {joint_high:g}
 MAX_VELOCITY = {speed:g}
 MAX_ACCELERATION = {accel:g}
 HOME = {home:.6f}
@@ -73,11 +81,20 @@ MIN_FERROR = 10
 """
 _HAL = """loadrt [KINS]KINEMATICS
 loadrt [EMCMOT]EMCMOT servo_period_nsec=[EMCMOT]SERVO_PERIOD num_joints=[KINS]JOINTS
-loadrt threads name1=slow-thread period1={period_ns}
+loadrt siggen num_chan=1
+loadrt wcomp count=1
 loadrt sampler depth=8000 cfg=fffffsbbb
 addf motion-command-handler servo-thread
 addf motion-controller servo-thread
-addf sampler.0 slow-thread
+addf siggen.0.update servo-thread
+addf wcomp.0 servo-thread
+addf sampler.0 servo-thread
+setp siggen.0.frequency {samples_hz:g}
+setp siggen.0.amplitude 1
+setp wcomp.0.min 0.4
+setp wcomp.0.max 0.8
+net saw siggen.0.sawtooth => wcomp.0.in
+net sample wcomp.0.out => sampler.0.enable
 {joints}
 net estop iocontrol.0.user-enable-out => iocontrol.0.emc-enable-in
 net prepare iocontrol.0.tool-prepare => iocontrol.0.tool-prepared
@@ -113,24 +130,45 @@ class Machine:
         """``machine.ini``."""
         robot = self.robot
         top = max(robot.max_feed_mm_s, robot.rapid_mm_s)
-        head = _INI.format(shell_port=SHELL_PORT, rapid=robot.rapid_mm_s, top=top, mount=MOUNT, programs=PROGRAMS)
-        ranges = (robot.x_mm, robot.y_mm, robot.z_mm, robot.a_deg, (-ANY_DEG, ANY_DEG))
-        for joint, (axis, (low, high), home) in enumerate(zip(AXES, ranges, self.pose, strict=True)):
+        head = _INI.format(
+            shell_port=SHELL_PORT,
+            rapid=robot.rapid_mm_s,
+            top=top,
+            mount=MOUNT,
+            programs=PROGRAMS,
+            kinematics=KINEMATICS[robot.turns],
+        )
+        ranges = (robot.x_mm, robot.y_mm, robot.z_mm, self._tilt_deg, (-ANY_DEG, ANY_DEG))
+        homes = joints_of(robot.turns, self.pose)
+        reach = math.hypot(*(max(map(abs, limits)) for limits in ranges[:3]))
+        for joint, (axis, (low, high), home) in enumerate(zip(AXES, ranges, homes, strict=True)):
             turns = axis in "AC"
+            wide = robot.turns == "table" and not turns
             head += _AXIS.format(
                 axis=axis,
                 joint=joint,
                 kind="ANGULAR" if turns else "LINEAR",
                 low=low,
                 high=high,
+                joint_low=-reach if wide else low,
+                joint_high=reach if wide else high,
                 speed=TURN_MM_S if turns else top,
                 accel=self.accel_mm_s2,
                 home=home,
             )
         return head
 
+    @property
+    def _tilt_deg(self) -> tuple[float, float]:
+        low, high = self.robot.a_deg
+        return (low, high) if self.robot.turns == "tool" else (-high, -low)
+
     def hal(self) -> str:
-        """``machine.hal``: motors that are where they are told, a sampler that tells where, the gate."""
+        """``machine.hal``: motors that are where they are told, a sampler that tells where, the gate.
+
+        It samples one servo cycle of five, within the thread that moves: after a standstill of a busy machine a thread
+        of its own would make up for it by itself, and tell one place many times.
+        """
         joints = "\n".join(
             f"net motor{joint} joint.{joint}.motor-pos-cmd => joint.{joint}.motor-pos-fb\n"
             f"net joint{joint} joint.{joint}.pos-fb => sampler.0.pin.{joint}"
@@ -138,10 +176,35 @@ class Machine:
         )
         return _HAL.format(
             joints=joints,
-            period_ns=round(SAMPLE_S * 1e9),
+            samples_hz=1.0 / SAMPLE_S,
             mount=MOUNT,
             motion=MOTION,
             port=self.robot.port,
             shell_port=SHELL_PORT,
             watchdog_s=self.robot.watchdog_s,
         )
+
+
+def joints_of(turns: str, pose: Sequence[float]) -> Pose:
+    """Joints (X Y Z mm, A C deg) for a pose: the tool's tip on the part, and A and C as of a head that turns it."""
+    if turns == "tool":
+        return tuple(pose)
+    x, y, z, a, c = pose
+    return (*_turn(_turn((x, y, z), 2, -c), 0, -a), -a, -c)
+
+
+def pose_of(turns: str, joints: Sequence[float]) -> Pose:
+    """And back."""
+    if turns == "tool":
+        return tuple(joints)
+    x, y, z, a, c = joints
+    return (*_turn(_turn((x, y, z), 0, -a), 2, -c), -a, -c)
+
+
+def _turn(point: Vector, about: int, degrees: float) -> Vector:
+    """Turned about that axis, counter-clockwise."""
+    one, other = (about + 1) % 3, (about + 2) % 3
+    cosine, sine = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    found = list(point)
+    found[one], found[other] = cosine * point[one] - sine * point[other], sine * point[one] + cosine * point[other]
+    return (found[0], found[1], found[2])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from bisect import bisect_left
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from polishd.model.surface import FloatArray
 
 LINE, RUNS, PAUSED, HELD = range(5, 9)
 COLUMNS = 9
+SAMPLE_S = 0.005
+"""Between two samples, on LinuxCNC's clock: it makes up for what it was late."""
 STILL_SAMPLES = 4
 """So many alike are a rest; with no program under way, a standstill."""
 MARK = b"(MSG,polishd "
@@ -54,6 +57,8 @@ class Sampled:
     _still: int = STILL_SAMPLES
     _rest: bytes = b""
     rows: list[list[float]] = field(default_factory=list)
+    to_pose: Callable[[Sequence[float]], tuple[float, ...]] = tuple
+    """Of joints."""
 
     @property
     def rests(self) -> bool:
@@ -61,7 +66,10 @@ class Sampled:
         return self.running and self._still >= STILL_SAMPLES
 
     def feed(self, data: bytes, now_s: float) -> None:
-        """Samples that came now; they are spread over the time since the last ones."""
+        """Samples that came now; they are spread over the time since the last ones.
+
+        What the part is polished for is LinuxCNC's own time: on a busy machine samples come late, then many at once.
+        """
         *lines, self._rest = (self._rest + data).split(b"\n")
         samples = [s for s in (line.split() for line in lines) if len(s) == COLUMNS]
         edges = np.linspace(self.wall_s, now_s, len(samples) + 1).tolist()
@@ -76,7 +84,7 @@ class Sampled:
         return np.array(rows).reshape(-1, 9)
 
     def _take(self, sample: list[float], begin_s: float, end_s: float) -> None:
-        here = tuple(sample[:5])
+        here = self.to_pose(sample[:5])
         changed = here != self.pose
         self.running = bool(sample[RUNS]) and not sample[PAUSED] and not sample[HELD]
         self._still = 0 if changed else self._still + 1
@@ -84,7 +92,7 @@ class Sampled:
         if self.moving:
             self.seq = self._block(int(sample[LINE]))
             middle = [(a + b) / 2 for a, b in zip(self.pose, here, strict=True)]
-            self.rows.append([self.seq, begin_s, end_s, end_s - begin_s, *middle])
+            self.rows.append([self.seq, begin_s, end_s, SAMPLE_S, *middle])
         self.pose = here
 
     def _block(self, line: int) -> int:

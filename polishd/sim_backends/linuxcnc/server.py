@@ -8,11 +8,12 @@ import os
 import shutil
 import socket
 import time
+from functools import partial
 from pathlib import Path
 
 from polishd.model.errors import ConfigError, DeviceFault
 from polishd.sim_backends import truth
-from polishd.sim_backends.linuxcnc.machine import MOTION, MOUNT, PROGRAMS, SHELL_PORT, Machine
+from polishd.sim_backends.linuxcnc.machine import MOTION, MOUNT, PROGRAMS, SHELL_PORT, Machine, pose_of
 from polishd.sim_backends.linuxcnc.motion import Loaded, Sampled
 from polishd.sim_backends.runtime import LOOPBACK, Runtime
 
@@ -39,7 +40,7 @@ class LinuxCncServer:
         hidden = truth.draw(start.config.truth, start.seed)
         self.folder = start.state / "linuxcnc"
         self.machine = Machine(start.config.robot, pose, hidden.accel_mm_s2)
-        self.sampled = Sampled(pose, time.monotonic())
+        self.sampled = Sampled(pose, time.monotonic(), to_pose=partial(pose_of, start.config.robot.turns))
         self._runtime = runtime
         self._process: asyncio.subprocess.Process | None = None
         self._moved = self._rested = False

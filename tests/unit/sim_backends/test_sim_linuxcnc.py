@@ -10,13 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from polishd.config.simulator import Robot
 from polishd.model.errors import ConfigError
 from polishd.sim_backends.linuxcnc import server
 from polishd.sim_backends.linuxcnc.gate import Gate, Watchdog, address
-from polishd.sim_backends.linuxcnc.machine import AXES, Machine
+from polishd.sim_backends.linuxcnc.machine import AXES, Machine, joints_of, pose_of
 from polishd.sim_backends.linuxcnc.motion import STILL_SAMPLES, Loaded, Sampled
+from polishd.sim_backends.placement import tool_axis
 from tests.patience import SOON_S
 
 POSE = (1.0, -2.0, 60.0, 15.0, -90.0)
@@ -40,6 +42,17 @@ def test_the_configuration_has_five_joints_that_stand_where_the_robot_stood(mach
     assert "linuxcncrsh" in ini["DISPLAY"]["DISPLAY"]
 
 
+def test_a_table_has_the_joints_that_bring_the_tool_there_and_back() -> None:
+    """The machine's spindle stands upright: the table turns the part so that the tool leans as the head would."""
+    joints = joints_of("table", POSE)
+    assert pose_of("table", joints) == pytest.approx(POSE)
+    table = Rotation.from_euler("XZ", joints[3:], degrees=True)
+    assert table.apply(POSE[:3]) == pytest.approx(joints[:3])
+    lean = tool_axis(np.array([POSE[3]]), np.array([POSE[4]]))[0]
+    assert table.apply(lean) == pytest.approx([0.0, 0.0, 1.0])
+    assert joints_of("tool", POSE) == POSE == pose_of("tool", POSE)
+
+
 def test_the_gate_stands_before_linuxcncrsh_and_holds_motion(machine: Machine, tmp_path: Path) -> None:
     machine.write(tmp_path / "machine")
     hal = (tmp_path / "machine" / "machine.hal").read_text()
@@ -54,11 +67,12 @@ def sample(x: float, line: int = 0, runs: int = 0, paused: int = 0, held: int = 
 
 
 def test_samples_become_rows_that_fill_the_time() -> None:
+    """The wall's, that is; each is 5 ms of LinuxCNC's own, however late it comes."""
     sampled = Sampled((0.0,) * 5, 10.0)
     sampled.feed(sample(1.0, 1, 1) + sample(2.0, 1, 1) + b"overrun\n" + sample(3.0, 2, 1)[:9], 10.2)
     sampled.feed(sample(3.0, 2, 1)[9:], 10.3)
     rows = sampled.take_rows()
-    assert rows[:, 1:4] == pytest.approx(np.array([[10.0, 10.1, 0.1], [10.1, 10.2, 0.1], [10.2, 10.3, 0.1]]))
+    assert rows[:, 1:4] == pytest.approx(np.array([[10.0, 10.1, 0.005], [10.1, 10.2, 0.005], [10.2, 10.3, 0.005]]))
     assert rows[:, 4] == pytest.approx([0.5, 1.5, 2.5]), "pose half-way"
     assert rows[:, 0].tolist() == [-1, -1, -1], "no program is known"
     assert sampled.take_rows().shape == (0, 9)

@@ -58,7 +58,10 @@ class Checks:
     def tool_axes(self, points: Points) -> FloatArray:
         """Unit tool axis (n, 3) of the points added last, tip to spindle: (0, 0, 1) where nothing turns it."""
         if self._turned_by != "vector":
-            return tool_axis(self._turned_by, *np.nan_to_num(points.after[:, 3:6], nan=0.0).T)
+            angles = np.nan_to_num(points.after[:, 3:6], nan=0.0).T
+            if self._dialect.axes.turns == "table":
+                return tool_axis(self._turned_by[::-1], *-angles)
+            return tool_axis(self._turned_by, *angles)
         vector = np.nan_to_num(points.after[:, 6:9], nan=0.0)
         with np.errstate(invalid="ignore"):  # one that is said too late: ``finish`` refuses it
             return np.asarray(vector / np.linalg.norm(vector, axis=1, keepdims=True))

@@ -72,10 +72,12 @@ class TextRules(_Strict):
 
 
 class AxisRules(_Strict):
-    """Which words turn the tool."""
+    """Which words turn the tool, or the part beneath it."""
 
     rotary: list[Literal["CA", "CB", "AB", "BA", "AC", "BC"]]
     """Pairs that a program may use, outermost rotation first: CA is Rz(C) Rx(A)."""
+    turns: Literal["tool", "table"]
+    """What they turn. The tool axis in the frame of a part on a table is the table's rotation undone."""
     vector: list[str]
     """Three words of a tool vector from the tip into the spindle; empty: none."""
 

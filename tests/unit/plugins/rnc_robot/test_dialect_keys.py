@@ -109,6 +109,17 @@ def test_rotary_pairs(shop: Shop, pair: str) -> None:
 
 
 @pytest.mark.parametrize("pair", PAIRS)
+def test_rotary_words_of_a_table_turn_the_part(shop: Shop, pair: str) -> None:
+    """The spindle stands upright: seen from the part it leans as the table's rotation undone."""
+    names = {"A": "X", "B": "Y", "C": "Z"}
+    outer, inner = ANGLES[pair[0]], ANGLES[pair[1]]
+    profile = shop(f"[axes]\nturns = 'table'\nrotary = ['{pair}']")
+    found = read(profile, f"G0 {pair[0]}0 {pair[1]}0\nG1 X1 {pair[0]}{outer} {pair[1]}{inner} F60\n")
+    table = Rotation.from_euler(names[pair[0]] + names[pair[1]], [outer, inner], degrees=True)
+    np.testing.assert_allclose(found.axis, [table.inv().apply([0, 0, 1])], atol=1e-15)
+
+
+@pytest.mark.parametrize("pair", PAIRS)
 def test_many_angles(pair: str) -> None:
     rng = np.random.default_rng(4)
     angles = {letter: rng.uniform(-360, 360, 300) for letter in "ABC"}

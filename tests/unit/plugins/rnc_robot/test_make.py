@@ -46,6 +46,15 @@ def profile(name: str) -> Dialect:
     return found
 
 
+def test_a_table_gets_the_same_tool_axes() -> None:
+    """A and C the other way round, and read as they were asked for."""
+    head = profile("rs274")
+    table = head.model_copy(update={"axes": head.axes.model_copy(update={"turns": "table", "rotary": ["AC"]})})
+    text = path_program(POINTS, NORMALS, 900.0, "made", to=table)
+    np.testing.assert_allclose(read(table, text, "made").axis, NORMALS[1:], atol=2e-7)
+    assert read(head, text, "made").axis[-1, :2] == pytest.approx(NORMALS[-1, :2] * (1, -1), abs=2e-7)
+
+
 def test_what_is_written() -> None:
     """The layout, once in full."""
     a, dwells = np.radians([0, 0, 10, 10]), [0.25, 0.5, 0.5]
