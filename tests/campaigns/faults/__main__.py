@@ -14,6 +14,8 @@ from tests.campaigns.faults.judge import CONTACT_S, Finding, measure, save
 from tests.campaigns.faults.links import LINKS
 from tests.campaigns.faults.page import SAVED, write
 
+NOT_MEASURED = "not measured"
+"""The cell did not come so far, or not to rest: no row of the page, and the next run with --new tries again."""
 SPREAD_S = 1.5
 """A loss comes at another time of the contact each."""
 
@@ -35,7 +37,7 @@ def tried(link: str, fault: str, at_s: float = CONTACT_S, seed: int = 3) -> Find
         finding = measure(link, fault, folder / "cell", at_s=at_s, seed=seed)
     except AssertionError as error:
         wrong = [str(error).splitlines()[0]]
-        finding = Finding(link, fault, "", None, LINKS[link].silence_s, None, "not measured", wrong)
+        finding = Finding(link, fault, "", None, LINKS[link].silence_s, None, NOT_MEASURED, wrong)
     say(f"{link}: {fault}: {finding.outcome}{''.join(f'; WRONG: {one}' for one in finding.wrong)}")
     if finding.wrong:
         say(f"  the cell is in {folder}")
@@ -74,7 +76,8 @@ def main() -> int:
             if (options.fault and fault not in options.fault) or (name, fault) in saved:
                 continue
             finding = tried(name, fault)
-            save(finding, SAVED)
+            if finding.outcome != NOT_MEASURED:
+                save(finding, SAVED)
             wrong += bool(finding.wrong)
     write()
     return int(wrong > 0)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -52,6 +53,8 @@ class Finding:
     """From that to no more than the tool's own weight."""
     outcome: str
     wrong: list[str]
+    load: float | None = None
+    """Of the computer, processes a core, over the last minute: on one that is busy all times are longer."""
 
 
 def measure(link: str, fault: str, folder: Path, *, at_s: float = CONTACT_S, seed: int = 3) -> Finding:
@@ -115,7 +118,12 @@ def _finding(link: str, fault: str, files: DemoFiles, *, went_on: bool, code: in
     if fault in MUST_END and detection_s is not None and _is_loss(fault) and detection_s > limit_s + LATE_S:
         wrong.append(f"noticed after {detection_s} s, limit {limit_s} s")
     outcome = "goes on" if went_on else f"contact left, exit code {code}"
-    return Finding(link, fault, noticed, detection_s, limit_s, force_off_s, outcome, wrong)
+    return Finding(link, fault, noticed, detection_s, limit_s, force_off_s, outcome, wrong, load())
+
+
+def load() -> float:
+    """Processes that want a core, for each there is."""
+    return round(os.getloadavg()[0] / (os.cpu_count() or 1), 1)
 
 
 def _is_loss(fault: str) -> bool:

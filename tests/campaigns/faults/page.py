@@ -16,8 +16,8 @@ PAGE = ROOT / "docs" / "fault-matrix.md"
 SAVED = ROOT / "build" / "faults"
 BEGIN, END = "<!-- written by make faults -->\n", "<!-- end of what make faults writes -->"
 HEADER = """\
-| link | fault | noticed as | s to that | limit, s | force off after, s | outcome |
-|---|---|---|---|---|---|---|
+| link | fault | noticed as | s to that | limit, s | force off after, s | load | outcome |
+|---|---|---|---|---|---|---|---|
 """
 LONGEST = 110
 LOSSES = """\
@@ -40,7 +40,7 @@ def table(findings: Sequence[dict[str, Any]]) -> str:
     for one in findings:
         noticed = " ".join(one["noticed"].split()).replace("|", "/")
         noticed = _without_paths(noticed)[:LONGEST] or "not at all"
-        times = f"{_s(one['detection_s'])} | {one['limit_s']:g} | {_s(one['force_off_s'])}"
+        times = f"{_s(one['detection_s'])} | {one['limit_s']:g} | {_s(one['force_off_s'])} | {_load(one)}"
         wrong = "; **wrong: " + "; ".join(one["wrong"]) + "**" if one["wrong"] else ""
         rows.append(f"| {one['link']} | {one['fault']} | {noticed} | {times} | {one['outcome']}{wrong} |\n")
     cases = sum(len(link.faults) for link in LINKS.values())
@@ -67,6 +67,10 @@ def write(folder: Path = SAVED, page: Path = PAGE) -> None:
 
 def _s(seconds: float | None) -> str:
     return "" if seconds is None else f"{seconds:.2f}"
+
+
+def _load(one: dict[str, Any]) -> str:
+    return "not noted" if one.get("load") is None else f"{one['load']:.1f}"
 
 
 def _spread(values: Sequence[float]) -> str:
