@@ -25,6 +25,7 @@ from polishd.drivers.handover.report import Report
 from polishd.drivers.handover.variables import Variables
 from polishd.drivers.handover.watch import Watch
 from polishd.drivers.transport.background import Background
+from polishd.drivers.transport.file_watch import START_S
 from polishd.drivers.transport.file_robot import FileRobot, Goes
 
 FULL = 0.005
@@ -161,6 +162,7 @@ class Handover(FileRobot[Watch]):
         await self._loads(following)
         watch.file = file
         watch.proof = Proof(file.proof, seconds, MORE_S * following.pace)
+        watch.start_s = START_S * following.pace
         self._session = await self._current_session()
 
     async def _loads(self, following: Following) -> None:

@@ -32,6 +32,8 @@ class Watch(FileWatch):
         super().__init__(plan, blocks)
         self.file: ProgramFile | None = None
         self.proof: Proof | None = None
+        self.start_s = START_S
+        """So long after being told to run it may say that it does not, by its own clock."""
         self.stays = False
         """It was told to stand: nobody wonders that it does."""
         self._expected_s = np.zeros(blocks)
@@ -92,7 +94,7 @@ class Watch(FileWatch):
         self._waits += 1
         if "fault" in report.states:
             self._end("fault", report.alarm or "the controller is in fault")
-        elif self._waits_s > START_S and self._waits > START_REPORTS:
+        elif self._waits_s > self.start_s and self._waits > START_REPORTS:
             self._held(report, "it does not start")
 
     def _begin(self, report: Report, waited_s: float) -> None:
