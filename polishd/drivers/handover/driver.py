@@ -25,8 +25,8 @@ from polishd.drivers.handover.report import Report
 from polishd.drivers.handover.variables import Variables
 from polishd.drivers.handover.watch import Watch
 from polishd.drivers.transport.background import Background
-from polishd.drivers.transport.file_watch import START_S
 from polishd.drivers.transport.file_robot import FileRobot, Goes
+from polishd.drivers.transport.file_watch import START_S
 
 FULL = 0.005
 """How far the feed override may be off its full value, share."""
