@@ -52,9 +52,9 @@ def take(files: DemoFiles, *, watchdog_s: float = 20.0, cut_s: float = 0.0) -> N
     files.sim.write_text(with_faults(sim, *([cut] if cut_s else [])))
 
 
-def nc(config: CellConfig, most_mm: float = POINTS_MM) -> bytes:
+def nc(config: CellConfig) -> bytes:
     """As NC text, for another robot."""
-    return path_program(*demo_path(config, most_mm), FEED_MM_S * 60.0, "dwells", encoding="dwell", dwell_s=DWELL_S)
+    return path_program(*demo_path(config, POINTS_MM), FEED_MM_S * 60.0, "dwells", encoding="dwell", dwell_s=DWELL_S)
 
 
 def script(config: CellConfig) -> bytes:

@@ -130,6 +130,7 @@ class LinuxCnc(FileRobot[Watch]):
         await connection.set("set mode auto")
         await connection.set(f"set open {PurePosixPath(self._controller_dir) / path.name}")
         await connection.set("set run -1", within_s=VERIFY_S + VERIFY_LINE_S * watch.blocks)
+        await self._following.standstill("interpreting the program")  # until then it refuses to run
         if errors := await connection.errors():
             raise DeviceRefused(f"{self._address}: LinuxCNC does not take the program: {errors}")
         watch.file = file

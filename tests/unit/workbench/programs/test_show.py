@@ -309,7 +309,7 @@ def test_the_dialect_is_asked_for_and_never_guessed(polishd: Polishd, tmp_path: 
 def test_the_dialect_of_the_docs_is_read_as_they_say(polishd: Polishd, tmp_path: Path) -> None:
     page = (Path(__file__).parents[4] / "docs" / "programs.md").read_text()
     own = tmp_path / "shop.toml"
-    own.write_text(page.split("```toml\n")[1].split("```")[0])
+    own.write_text(page.split("A dialect is a TOML file")[1].split("```toml\n")[1].split("```")[0])
     path = tmp_path / "p.nc"
     path.write_bytes(b"G21 G90 G94\nG0 X0. Y0. Z0. B0. C0.\n/G0 X9.\nG1 X1. F60.\nG4 X500\nM30\n")
     answer = polishd("program", "inspect", path, "--dialect", own, "--json").answer

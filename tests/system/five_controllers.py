@@ -1,0 +1,218 @@
+"""One cycle on five controllers, each with the time that it takes beyond what is written: what came of it.
+
+``python -m tests.system.five_controllers`` puts what the tests saved into docs/robot.md.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from polishd.console.demo_files import DemoFiles, demo_program
+from polishd.console.simulator import simulated_cell
+from tests.system import handover_rig, linuxcnc_rig, universal_robots_rig
+from tests.system.cell_rig import (
+    PATIENT,
+    PATIENT_SIM,
+    Daemon,
+    account,
+    events,
+    summary,
+    with_keys,
+    with_part,
+    write_small,
+)
+from tests.system.test_daemon import require_safe_order
+
+PART = {"aperture_mm": 20.0}
+SURFACES = {"feed": {"pv_nm": 100.0, "rms_nm": 18.0}, "dwell": {"pv_nm": 500.0, "rms_nm": 100.0}}
+"""A dwell is to be long beside the cycle of a controller (8 ms) that it is a multiple of."""
+TWO_PASSES = {"tolerance_nm": 0.01, "max_cycles": 2}
+CALM = {"max_spot_change": 0.99, "max_rate_drift": 0.99}
+"""So small a part tells little of its spot."""
+MAX_FEED_MM_S = 14.0
+"""sqrt(a L) / 2 with a = 800 mm/s2 and blocks of L = 1 mm: faster no LinuxCNC delivers those with rotary words."""
+SPEED = 8.0
+Kind = Literal["link", "linuxcnc", "opcua", "ads", "universal_robots"]
+Encoding = Literal["feed", "dwell"]
+PROGRAMS: dict[Encoding, Callable[..., bytes]] = {"feed": demo_program, "dwell": universal_robots_rig.nc}
+
+
+@dataclass(frozen=True, slots=True)
+class Controller:
+    """One of the five."""
+
+    name: str
+    kind: Kind
+    encoding: Encoding
+    beyond_s: float | None
+    """What each point costs beyond what is written; None: a real one, with its own."""
+    corner_deg: float = 30.0
+    """Change of direction beyond which it stops between two blocks."""
+    speed: float = SPEED
+
+
+FIVE = (
+    Controller("robot link", "link", "feed", 0.007),
+    Controller("LinuxCNC", "linuxcnc", "feed", None, corner_deg=180.0, speed=1.0),
+    Controller("handover, OPC UA", "opcua", "feed", 0.03),
+    Controller("handover, ADS", "ads", "feed", 0.03),
+    Controller("Universal Robots", "universal_robots", "dwell", 0.02),
+)
+
+
+def link_like(controller: Controller) -> Controller:
+    """A robot link with the same program, whose blocks cost as much; a real controller's cost some tenths of a ms."""
+    return Controller("robot link", "link", controller.encoding, controller.beyond_s or 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """What two passes came to."""
+
+    name: str
+    encoding: Encoding
+    blocks: int
+    """That take time, in contact."""
+    beyond_ms: float
+    """What a block cost beyond what it was asked for and its motion takes, as learned in the first pass."""
+    missed: tuple[float, float]
+    """Relative, of each pass: what it took less what was predicted."""
+    unaccounted: tuple[float, float]
+    """Relative, of each pass: what the driver told less what the plant saw."""
+    rms_nm: tuple[float, float, float]
+    """Before, after one pass, after two."""
+    certified_nm: tuple[float, float]
+    """What the certificates of both passes say will be left."""
+    link_rms_nm: float | None = None
+    """What a robot link leaves that costs as much; None where nobody asked."""
+
+
+def write_files(out: Path, controller: Controller) -> DemoFiles:
+    """The demo's cell with a small part, that robot and its program."""
+    files = write_small(out, **TWO_PASSES)
+    program = PROGRAMS[controller.encoding]
+    if controller.kind == "linuxcnc":
+        linuxcnc_rig.take(files)
+        files.cell.write_text(with_keys(files.cell.read_text(), PATIENT))
+        files.sim.write_text(with_keys(files.sim.read_text(), PATIENT_SIM))
+    elif controller.kind == "universal_robots":
+        universal_robots_rig.take(files)
+        program = universal_robots_rig.script
+    elif controller.kind != "link":
+        handover_rig.hand_over(files, controller.kind)
+    if controller.beyond_s is not None:
+        lines = 2 if controller.encoding == "dwell" else 1  # a point's
+        hidden = {"overhead_s": controller.beyond_s / lines, "overhead_spread": 0.0}
+        files.sim.write_text(with_keys(files.sim.read_text(), {"truth": hidden}))
+    changed: dict[str, dict[str, Any]] = {"limits": CALM}
+    if controller.encoding == "feed":
+        changed["machine"] = {"max_feed_mm_s": MAX_FEED_MM_S, "corner_deg": controller.corner_deg}
+    files.cell.write_text(with_keys(files.cell.read_text(), changed))
+    with_part(files, PART, program, **SURFACES[controller.encoding])
+    return files
+
+
+@contextlib.contextmanager
+def running(files: DemoFiles, controller: Controller) -> Iterator[Callable[[], Daemon]]:
+    """Its simulator; starts a daemon."""
+    if controller.kind == "linuxcnc":
+        with linuxcnc_rig.linuxcnc_cell(files) as cell:
+            yield cell.daemon
+    else:
+        options = ["--state", str(files.sim_dir), "--seed", "1", "--speed", f"{controller.speed:g}"]
+        with simulated_cell(files.sim, options, files.out / "sim.stderr"):
+            yield lambda: Daemon(files, "--no-hold")
+
+
+def polish(out: Path, controller: Controller) -> Figures:
+    """Two passes, whatever they reach."""
+    files = write_files(out, controller)
+    with running(files, controller) as started:
+        with started() as daemon:
+            assert daemon.wait() == 1, daemon.output.read_text()
+        require_safe_order(events(files))
+        programs = account(files)["programs"]
+    assert [program["loads"] for program in programs] == [1, 1]
+    return figures(files, controller, [np.array(program["contact_s"]) for program in programs])
+
+
+def figures(files: DemoFiles, controller: Controller, true_s: Sequence[np.ndarray[Any, Any]]) -> Figures:
+    """Of two passes, from the run folder and the plant's own account of contact."""
+    predicted, told = [], []
+    for cycle in (0, 1):
+        folder = files.run_dir / f"cycle-{cycle:02d}"
+        rows = np.genfromtxt(folder / "executed.csv", delimiter=",", names=True)
+        told.append(float(np.sum((rows["end_s"] - rows["start_s"]) * (rows["contact"] == 1))))
+        with np.load(folder / "plan.npz") as plan:
+            predicted.append(float(plan["expected_s"].sum()))
+            blocks = len(plan["expected_s"])
+    first, second, last = summary(files)["cycles"]
+    learned = json.loads((files.run_dir / "cycle-01" / "learned.json").read_text())
+    return Figures(
+        controller.name,
+        controller.encoding,
+        blocks,
+        learned["beliefs"]["block_overhead_s"] * 1e3,
+        (told[0] / predicted[0] - 1.0, told[1] / predicted[1] - 1.0),
+        (told[0] / float(true_s[0].sum()) - 1.0, told[1] / float(true_s[1].sum()) - 1.0),
+        (first["rms_nm"], second["rms_nm"], last["rms_nm"]),
+        (first["predicted_rms_nm"], second["predicted_rms_nm"]),
+    )
+
+
+SAVED = Path("build/five-controllers")
+PAGE = Path(__file__).parents[2] / "docs" / "robot.md"
+BEGIN = "<!-- written by python -m tests.system.five_controllers -->\n"
+END = "<!-- end of what it writes -->"
+HEADER = """\
+| controller | program | a point, ms | beyond prediction, % | unaccounted, % | RMS, nm | certified | link |
+|---|---|---|---|---|---|---|---|
+"""
+
+
+def save(found: Figures) -> None:
+    """For the table."""
+    SAVED.mkdir(parents=True, exist_ok=True)
+    name = found.name.lower().replace(",", "").replace(" ", "-")
+    (SAVED / f"{name}.json").write_text(json.dumps(asdict(found), indent=1))
+
+
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """A row a controller, in the order of ``FIVE``."""
+    names = [controller.name for controller in FIVE]
+    lines = []
+    for row in sorted(rows, key=lambda row: names.index(row["name"])):
+        missed, unaccounted = (
+            ", ".join(f"{share * 100:.{digits}f}" for share in row[key])
+            for key, digits in (("missed", 2), ("unaccounted", 4))
+        )
+        rms = ", ".join(f"{value:.2f}" for value in row["rms_nm"])
+        link = "-" if row["link_rms_nm"] is None else f"{row['link_rms_nm']:.2f}"
+        figures = f"{row['beyond_ms']:.1f} | {missed} | {unaccounted} | {rms} | {row['certified_nm'][1]:.2f} | {link}"
+        lines.append(f"| {row['name']} | {row['encoding']}, {row['blocks']} points | {figures} |\n")
+    return HEADER + "".join(lines)
+
+
+def rows_of(page: str) -> list[list[str]]:
+    """The cells of the table in the page."""
+    written = page.partition(BEGIN)[2].partition(END)[0].removeprefix(HEADER)
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in written.splitlines()]
+
+
+def write_page() -> None:
+    """Put the table of what was saved into docs/robot.md."""
+    before, _, rest = PAGE.read_text().partition(BEGIN)
+    after = rest.partition(END)[2]
+    rows = [json.loads(path.read_text()) for path in SAVED.glob("*.json")]
+    PAGE.write_text(before + BEGIN + table(rows) + END + after)
+
+
+if __name__ == "__main__":
+    write_page()
