@@ -142,7 +142,8 @@ class UniversalRobotServer:
 async def main(runtime: Runtime) -> None:
     """The device coroutine."""
     server, config = UniversalRobotServer(runtime), runtime.start.config.robot
-    wires = [Wire(runtime, receive) for receive in (server.rtde, server.dashboard, server.primary)]
+    receivers = {"rtde": server.rtde, "dashboard": server.dashboard, "primary": server.primary}
+    wires = [Wire(runtime, receive, link) for link, receive in receivers.items()]
     address = await wires[0].open_tcp(config.port)
     await wires[1].open_tcp(config.dashboard_port or config.port + 1, dashboard.GREETING)
     await wires[2].open_tcp(config.primary_port or config.port + 2)
