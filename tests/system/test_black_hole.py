@@ -6,22 +6,27 @@ import json
 import os
 import signal
 from pathlib import Path
+from typing import Literal
 
 import pytest
 
-from tests.system.cell_rig import Daemon, summary
-from tests.system.handover_rig import running, write_files
+from tests.system.cell_rig import Daemon, summary, write_small
+from tests.system.handover_rig import Kind, hand_over, running
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
 
 
 @pytest.mark.parametrize("kind", ["link", "opcua", "ads"])
-def test_a_stop_ends_in_time_though_robot_and_actuator_swallow_all(tmp_path: Path, kind: str) -> None:
+def test_a_stop_ends_in_time_though_robot_and_actuator_swallow_all(
+    tmp_path: Path, kind: Kind | Literal["link"]
+) -> None:
     """Their processes are stopped: the kernel takes new connections and bytes, and nobody answers.
 
     The limit that ``wait`` has ends what hangs: what the daemon may take by its own limits is much less.
     """
-    files = write_files(tmp_path / "cell", kind, 30.0, tolerance_nm=0.01, max_cycles=1)
+    files = write_small(tmp_path / "cell", tolerance_nm=0.01, max_cycles=1)
+    if kind != "link":
+        hand_over(files, kind)
     with running(files, 4.0), Daemon(files) as daemon:
         daemon.wait_in_contact(60)
         pids = json.loads((files.sim_dir / "pids.json").read_text())

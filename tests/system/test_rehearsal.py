@@ -56,7 +56,7 @@ def loads_files(out: Path) -> DemoFiles:
 
 def arm(out: Path) -> DemoFiles:
     """A Universal Robots arm."""
-    return universal_robots_rig.write_files(out, "universal_robots", tolerance_nm=40.0, max_cycles=3)
+    return universal_robots_rig.write_files(out, tolerance_nm=40.0, max_cycles=3)
 
 
 @contextlib.contextmanager
