@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip -qq --disable-pip-version-check --no-input
 PYTEST := $(BIN)/python -m pytest
 
-# One thread per process: tests run side by side, and benchmarks count CPU seconds. Three on two cores, as many tests wait.
+# One thread per process: tests run side by side, and benchmarks count CPU seconds. More of them than cores, as many wait.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 # Tests start Python hundreds of times: what it compiles is kept, whatever the environment says.
 unexport PYTHONDONTWRITEBYTECODE
@@ -22,7 +22,7 @@ demo: $(VENV)/.installed ## polish a simulated part, from the first map to the r
 	@$(BIN)/polishd demo $(ARGS)
 
 test: $(VENV)/.installed ## run the tests, one of each kind (ARGS="...")
-	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m "not full and not slow and not hil" $(ARGS)
+	@$(ONE_THREAD) $(PYTEST) -n 4 --dist worksteal -m "not full and not slow and not hil" $(ARGS)
 
 test-all: $(VENV)/.installed ## run all tests but the long campaigns (ARGS="...")
 	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m "not slow and not hil" $(ARGS)

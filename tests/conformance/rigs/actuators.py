@@ -83,7 +83,7 @@ async def cia402_actuator_spring(folder: Path) -> AsyncIterator[ActuatorRig]:
     drive, coil = cia402.sim_coil()
     wire = PtyWire(SlcanPeer(drive), folder / "slcan")
     device: ForceActuator = cia402.cia402_actuator(Slcan(wire.path), PATIENT)
-    async with cia402_drive(drive, wire, device, lambda: coil.position_mm == 0.0) as rig:
+    async with cia402_drive(drive, wire, device, lambda: coil.position_mm <= 0.1) as rig:
         yield rig
 
 
