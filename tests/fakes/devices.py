@@ -7,8 +7,9 @@ the block's time then; readings of actuator and spindle let a little of the same
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.signals import Signals
@@ -131,6 +132,8 @@ class FakeRobot(FakeDevice):
         self.stands = False
         """It does not move, whatever it is told."""
         self.most_buffered_s = 0.0
+        self.before_block: Callable[[], Awaitable[None]] = partial(asyncio.sleep, 0)
+        """Whoever feeds may feed meanwhile."""
         self._changed = asyncio.Event()
 
     async def prepare(self, plan: Plan) -> None:
@@ -161,7 +164,7 @@ class FakeRobot(FakeDevice):
             while self.done >= len(self.loaded) or self._is_held():
                 self._changed.clear()
                 await self._changed.wait()
-            await asyncio.sleep(0)  # whoever feeds may feed
+            await self.before_block()
             block = self.loaded[self.done]
             seconds = self._seconds(block)
             begun_s = self.clock.at_s

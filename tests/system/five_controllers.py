@@ -32,7 +32,7 @@ from tests.system.test_daemon import require_safe_order
 
 PART = {"aperture_mm": 20.0}
 SURFACES = {"feed": {"pv_nm": 100.0, "rms_nm": 18.0}, "dwell": {"pv_nm": 500.0, "rms_nm": 100.0}}
-"""A dwell is to be long beside the cycle of a controller (8 ms) that it is a multiple of."""
+"""A dwell is to be long beside the cycle of a controller (2 ms) that it is a multiple of."""
 TWO_PASSES = {"tolerance_nm": 0.01, "max_cycles": 2}
 CALM = {"max_spot_change": 0.99, "max_rate_drift": 0.99}
 """So small a part tells little of its spot."""
@@ -63,7 +63,7 @@ FIVE = (
     Controller("LinuxCNC", "linuxcnc", "feed", None, corner_deg=180.0, speed=1.0),
     Controller("handover, OPC UA", "opcua", "feed", 0.03),
     Controller("handover, ADS", "ads", "feed", 0.03),
-    Controller("Universal Robots", "universal_robots", "dwell", 0.02),
+    Controller("Universal Robots", "universal_robots", "dwell", 0.02, speed=4.0),
 )
 
 
@@ -103,7 +103,7 @@ def write_files(out: Path, controller: Controller) -> DemoFiles:
         files.cell.write_text(with_keys(files.cell.read_text(), PATIENT))
         files.sim.write_text(with_keys(files.sim.read_text(), PATIENT_SIM))
     elif controller.kind == "universal_robots":
-        universal_robots_rig.take(files)
+        universal_robots_rig.take(files, cycle_hz=500)
         program = universal_robots_rig.script
     elif controller.kind != "link":
         handover_rig.hand_over(files, controller.kind)

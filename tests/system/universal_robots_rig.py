@@ -37,15 +37,15 @@ def write_files(out: Path, *, cut_s: float = 0.0, watchdog_s: float = 20.0, **jo
     return files
 
 
-def take(files: DemoFiles, *, watchdog_s: float = 20.0, cut_s: float = 0.0) -> None:
-    """The cell's robot becomes such a controller."""
+def take(files: DemoFiles, *, watchdog_s: float = 20.0, cut_s: float = 0.0, cycle_hz: int = 125) -> None:
+    """The cell's robot becomes such a controller: a CB3, which costs less to simulate than an e-Series with 500 Hz."""
     rtde, dashboard, primary = free_port(), free_port(), free_port()
     keys = {"address": f"tcp://127.0.0.1:{rtde}", "dashboard_port": dashboard, "primary_port": primary}
     cell = files.cell.read_text().replace('type = "robot_link"', 'type = "universal_robots"')
     cell = with_keys(cell, {"robot": {"silence_s": 3.0, "watchdog_s": watchdog_s, **keys}})
     cell = cell.replace('format = "rs274"', 'format = "urscript"')
     files.cell.write_text(cell.replace('"rnc_robot", ', '"rnc_robot", "universal_robots", '))
-    robot = {"kind": "universal_robots", "cycle_hz": 125, "port": rtde}
+    robot = {"kind": "universal_robots", "cycle_hz": cycle_hz, "port": rtde}
     robot.update(dashboard_port=dashboard, primary_port=primary)
     sim = with_keys(files.sim.read_text(), {"robot": robot})
     cut = {"device": "robot", "link": "rtde", "what": "unplug", "every_s": cut_s}
