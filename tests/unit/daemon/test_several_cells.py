@@ -145,23 +145,25 @@ async def test_an_ended_cell_is_given_back_while_the_other_goes_on(sites: Sites)
 
 
 async def test_a_signal_stops_all_safely(sites: Sites) -> None:
+    in_contact, all_are = set[int](), asyncio.Event()
+
     def waits(bench: Any) -> None:
         """It is not through before the other is in contact."""
-        robot = bench.fake.robot
 
         async def before_block() -> None:
             await asyncio.sleep(0)
-            if robot.done >= 100:
-                for site in sites.all:
-                    await site.in_contact()
+            if bench.fake.robot.done == 100:
+                in_contact.add(id(bench))
+                if len(in_contact) == len(sites.all):
+                    all_are.set()
+                await all_are.wait()
 
-        robot.before_block = before_block
+        bench.fake.robot.before_block = before_block
 
     sites.breaks = {0: waits, 1: waits}
     async with asyncio.TaskGroup() as group:
         task = group.create_task(sites.run())
-        for site in sites.all:
-            await site.in_contact()
+        await all_are.wait()
         os.kill(os.getpid(), signal.SIGTERM)
     assert [found["outcome"] for found in task.result()] == ["stopped", "stopped"]
     for site in sites.all:
