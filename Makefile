@@ -28,7 +28,7 @@ test-all: $(VENV)/.installed ## run all tests but the long campaigns (ARGS="..."
 	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m "not slow and not hil" $(ARGS)
 
 # Those that run machines in real time by themselves, and first: others would starve what they simulate.
-REAL_TIME := tests/campaigns/test_ways_out.py tests/campaigns/crash tests/campaigns/faults tests/campaigns/soak tests/system
+REAL_TIME := tests/campaigns/test_ways_out.py tests/campaigns/crash tests/campaigns/soak tests/system
 test-long: $(VENV)/.installed ## run the long campaigns (ARGS="...")
 	@$(ONE_THREAD) $(PYTEST) -n 1 -m "slow and not hil" $(REAL_TIME) $(ARGS)
 	@$(ONE_THREAD) $(PYTEST) -n 2 --dist worksteal -m "slow and not hil" $(REAL_TIME:%=--ignore=%) $(ARGS)

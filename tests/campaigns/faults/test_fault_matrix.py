@@ -1,4 +1,4 @@
-"""Every fault on every link in contact (`make faults`); of these, one in `make test-all`."""
+"""One of the faults of ``make faults``, and its page."""
 
 from __future__ import annotations
 
@@ -24,13 +24,6 @@ def test_a_device_that_hangs_in_contact_is_noticed_and_the_tool_taken_off(tmp_pa
     assert [one for one in finding.wrong if not one.startswith(BY_TIME)] == []
     assert "no answer within 1 s" in finding.noticed
     assert finding.outcome == "contact left, exit code 5"
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(300)
-@pytest.mark.parametrize(("link", "fault"), CASES)
-def test_contact_ends_in_order_or_nobody_had_to_mind(tmp_path: Path, link: str, fault: str) -> None:
-    assert measure(link, fault, tmp_path / "cell").wrong == []
 
 
 def test_the_page_names_no_case_that_there_is_not() -> None:
