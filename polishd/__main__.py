@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 from types import FrameType
+from typing import NoReturn
 
 IMPORTS = "<frozen importlib._bootstrap>"
 """The file of the frames of an import that is under way."""
@@ -24,11 +25,20 @@ def main() -> None:
 
         command_line()
     except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
+        _leave(INTERRUPTED)
+    except SystemExit as ended:
+        _leave(ended.code)
     finally:
         if signal.getsignal(signal.SIGINT) in {_interrupt, signal.default_int_handler}:
             signal.signal(signal.SIGINT, signal.SIG_DFL)  # nothing is left to tidy up while Python ends
             signal.setitimer(signal.ITIMER_REAL, 0)
+
+
+def _leave(code: object) -> NoReturn:
+    """Exit, whatever hangs."""
+    if (threads := sys.modules.get("polishd.threads")) is not None:
+        threads.leave_hung(code if isinstance(code, int) else int(code is not None))
+    sys.exit(code)  # type: ignore[arg-type]
 
 
 def _interrupt(_number: int, frame: FrameType | None) -> None:

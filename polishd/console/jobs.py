@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -15,6 +14,7 @@ from polishd.daemon.queue import Queue
 from polishd.hooks.cell import load_cell
 from polishd.model.errors import NoDaemon, PolishdError
 from polishd.show.tables import emit, record_table
+from polishd.threads import run_loop
 
 COLUMNS = ("job", "part", "state", "added", "why")
 
@@ -52,7 +52,7 @@ def _ask(config: CellConfig, verb: str, **arguments: Any) -> Mapping[str, Any]:
         answer = client.request(config.state_dir, verb, args=arguments)
     except NoDaemon:
         with Queue.at_rest(config.state_dir) as queue:
-            return asyncio.run(_answered(Desk(config, queue), verb, arguments))
+            return run_loop(_answered(Desk(config, queue), verb, arguments))
     if not answer["ok"]:
         refusal = PolishdError(answer["error"])
         refusal.exit_code = answer.get("exit_code", refusal.exit_code)

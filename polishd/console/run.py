@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -20,6 +19,7 @@ from polishd.hooks.cell import load_cell
 from polishd.model.errors import ConfigError, PolishdError, SafetyStop
 from polishd.model.events import Event
 from polishd.show.tables import emit, key_table, outcome_tables
+from polishd.threads import run_loop
 
 Ended = Mapping[str, Any] | Exception
 
@@ -48,7 +48,7 @@ def run_verb(
                 CellRun(config, hooks, partial(_shown, show), queue, until_empty)
                 for (config, hooks), show in zip(loaded, shows, strict=True)
             ]
-            ended = asyncio.run(run_cells(runs, holds=holds))
+            ended = run_loop(run_cells(runs, holds=holds))
     except PolishdError as error:
         return _opened_nothing(error, "", cells[0])
     named = list(zip(names, ended, strict=True))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import logging
 from collections.abc import Mapping, Sequence
@@ -24,6 +23,7 @@ from polishd.hooks.loader import load_own
 from polishd.model.errors import DeviceFault, NoDaemon
 from polishd.model.tolerance import judged_of, worst
 from polishd.show.tables import emit, key_table, outcome_tables, record_table, stderr, stdout
+from polishd.threads import run_loop
 
 
 def plan_verb(cell: Path, surface: Path, program: Path, out: Path, correction: str | None, *, as_json: bool) -> None:
@@ -78,7 +78,7 @@ def probe_verb(cell: Path, only: Sequence[str] = (), *, as_json: bool) -> None:
     logging.getLogger().addHandler(
         logging.NullHandler()
     )  # what it tells of a device that is silent stands in the table
-    found = asyncio.run(probe_cell(config, hooks, only))
+    found = run_loop(probe_cell(config, hooks, only))
     devices: dict[str, dict[str, Any]] = {name: asdict(identity) for name, identity in found.identities.items()}
     for name, problem in found.problems.items():
         devices.setdefault(name, {})["error"] = problem

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import socket
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -91,16 +92,23 @@ def _socketcand(address: Socketcand) -> can.BusABC:
 
 
 class TidySocketcand(SocketCanDaemonBus):
-    """python-can leaves the socket open where the server's greeting is not what it waits for."""
+    """python-can waits for ever for a server that falls silent, and leaves the socket open where one says no."""
 
     def __init__(self, **where: Any) -> None:
         try:
             super().__init__(**where)  # type: ignore[no-untyped-call]
-        except can.CanError:
-            left_open = getattr(self, "_SocketCanDaemonBus__socket", None)
-            if left_open is not None:
+        except (can.CanError, OSError):
+            if (left_open := self._own_socket()) is not None:
                 left_open.close()
             raise
+
+    def _expect_msg(self, msg: str) -> None:
+        if (connected := self._own_socket()) is not None:
+            connected.settimeout(SEND_S)  # for good: sending, on the event loop, would wait for ever, too
+        super()._expect_msg(msg)  # type: ignore[no-untyped-call]
+
+    def _own_socket(self) -> socket.socket | None:
+        return getattr(self, "_SocketCanDaemonBus__socket", None)
 
 
 class PromptSlcan(slcanBus):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from polishd.drivers.profiled.shelf import profile_of
 from polishd.drivers.transport.address import PARITIES, SerialLine, Tcp
 from polishd.model.errors import DeviceError, DeviceRefused, LinkError, ProtocolError
 from polishd.show.tables import emit, stderr, stdout
+from polishd.threads import run_loop
 
 BAUDS = (9600, 19_200, 38_400, 57_600, 115_200, 4800)
 Place = tuple[SerialLine | Tcp, int | None]
@@ -25,7 +25,7 @@ def find_verb(name: str, address: str, units: int, silence_s: float, *, as_json:
     given = address_of(profile, address, Path())
     places = list(dict.fromkeys(_places(profile, given, units)))
     with stderr.status(f"trying {len(places)} settings") as status:
-        found = asyncio.run(_try_all(profile, places, silence_s, status.update))
+        found = run_loop(_try_all(profile, places, silence_s, status.update))
     emit({"found": [{"at": at, "says": says} for at, says in found]}, as_json=as_json)
     if not as_json:
         for at, says in found:

@@ -133,7 +133,7 @@ def _plc(folder: Path, kind: str) -> DemoFiles:
 
 
 def _universal(folder: Path) -> DemoFiles:
-    files = universal_robots_rig.write_files(folder, "universal_robots", **ONE_PASS)
+    files = universal_robots_rig.write_files(folder, **ONE_PASS)
     files.cell.write_text(files.cell.read_text().replace("silence_s = 3.0", f"silence_s = {SILENCE_S}"))
     return files
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +14,7 @@ import pytest
 from polishd.config.cell import load_config
 from polishd.console.demo_files import demo_program, with_values
 from tests.commissioned import commissioned
+from tests.patience import SOON_S
 from tests.unit.said import Polishd
 
 VERBS = ("check", "probe", "run")
@@ -43,6 +47,7 @@ def build(options, context):
 def polishd_device_types():
     return [DeviceType(name="soft_tool", port="actuator", options=Options, build=build)]
 """
+LIFTS = "    async def retract(self): ..."
 OWN = ["rnc_robot", "voice_coil", "spindle", "interferometer", "removal_models", "dwell_solvers", "plan_guard"]
 
 
@@ -94,7 +99,7 @@ def test_an_actuator_that_cannot_lift(polishd: Polishd, cell: Path, install: Cal
 def test_a_device_that_cannot_be_built(
     polishd: Polishd, cell: Path, install: Callable[..., str], build: str, key: str, says: str
 ) -> None:
-    line = with_tool(cell, install("acme", TOOL.format(retract="    async def retract(self): ...", build=build)))
+    line = with_tool(cell, install("acme", TOOL.format(retract=LIFTS, build=build)))
     place = {"address": line + 1, "": line - 1, "type": line}[key]
     said = polishd("check", cell)
     assert said.code == 3
@@ -120,3 +125,22 @@ def test_a_bad_address_has_its_place(polishd: Polishd, cell: Path, section: str,
     assert said.code == 3
     assert said.err.startswith(f"polishd: {cell}:{line}: {section}.address: ")
     assert repr(address) in said.err
+
+
+@pytest.mark.full
+def test_a_driver_whose_thread_hangs_does_not_keep_the_process(cell: Path, install: Callable[..., str]) -> None:
+    """As ``asyncio.to_thread`` on a share that is away: Python itself would wait for it for ever."""
+    hangs = TOOL.replace(
+        "self.opened.touch()", "asyncio.get_running_loop().run_in_executor(None, threading.Event().wait)"
+    )
+    source = "import asyncio, threading\n" + hangs.format(
+        retract=f"{LIFTS}\n    times = ActuatorTimes(watchdog_s=1.0)", build=""
+    )
+    with_tool(cell, install("acme", source))
+    path = os.pathsep.join([str(cell.parent / "site"), os.environ.get("PYTHONPATH", "")])
+    said = subprocess.run(
+        [sys.executable, "-m", "polishd", "probe", cell, "--only", "actuator"],
+        env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, timeout=SOON_S, check=False,
+    )  # fmt: skip
+    assert said.returncode == 0, said
+    assert "a thread hangs, and is left" in said.stderr

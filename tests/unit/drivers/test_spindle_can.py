@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import threading
 import time
 import tty
 from collections.abc import AsyncIterator
@@ -250,6 +251,18 @@ async def test_what_is_no_socketcand_server(monkeypatch: pytest.MonkeyPatch, gre
     wire = await TcpWire(Mute(greeting)).start()
     with pytest.raises(LinkError, match=reason):
         await SpindleCan(Socketcand("127.0.0.1", wire.port, "can0")).open()
+    await wire.close()
+
+
+async def test_a_socketcand_server_that_falls_silent_ends_the_open_and_its_thread() -> None:
+    """Greets, and says nothing more: python-can itself would wait for ever, and the process for its thread."""
+    wire = await TcpWire(Mute(b"< hi >")).start()
+    before = set(threading.enumerate())
+    with pytest.raises(LinkError, match="timed out"):
+        await SpindleCan(Socketcand("127.0.0.1", wire.port, "can0")).open()
+    new = [thread for thread in set(threading.enumerate()) - before if not thread.daemon]
+    await asyncio.get_running_loop().shutdown_default_executor()
+    assert not any(thread.is_alive() for thread in new)
     await wire.close()
 
 
