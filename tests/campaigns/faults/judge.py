@@ -36,6 +36,8 @@ OFF = {"force_off", "force_zero", "contact_lost"}
 UP = {"tool_lifted", "retracted", "contact_lost"}
 PRESSES = {"tool_landed", "force_on", "engage"}
 MOVES = {"motion_started"}
+STOPS_FIRST = "guard_closed"
+"""The signal of these cells that leads to an emergency stop: motion stops at once, whatever the part costs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +111,7 @@ def _finding(link: str, fault: str, files: DemoFiles, *, went_on: bool, code: in
     noticed = "" if went_on else str(summary(files)["reason"])
     reacted_s = None if went_on else _first(after, REACTIONS)
     off_s = None if went_on else _first(after, OFF)
-    wrong = list(_wrong(link, fault, files, after, acted=acted is not None, went_on=went_on))
+    wrong = list(_wrong(link, fault, files, after, acted=acted is not None, noticed=noticed, went_on=went_on))
     limit_s = LINKS[link].silence_s
     detection_s = None if reacted_s is None else round(reacted_s - since_s, 3)
     force_off_s = None if off_s is None or reacted_s is None else round(off_s - reacted_s, 3)
@@ -135,7 +137,14 @@ def _first(log: Sequence[Mapping[str, Any]], names: set[str]) -> float | None:
 
 
 def _wrong(
-    link: str, fault: str, files: DemoFiles, after: Sequence[Mapping[str, Any]], *, acted: bool, went_on: bool
+    link: str,
+    fault: str,
+    files: DemoFiles,
+    after: Sequence[Mapping[str, Any]],
+    *,
+    acted: bool,
+    noticed: str,
+    went_on: bool,
 ) -> Iterator[str]:
     """What must hold whatever the fault was."""
     if not acted:
@@ -152,7 +161,7 @@ def _wrong(
     still = place({"motion_stopped"})
     lifted = any(event.get("detail") == "lift" for event in after if event["event"] == "motion_stopped")
     stood = LINKS[link].device == "robot" and LINKS[link].faults[fault]["what"] == "reboot"
-    if not stood and not lifted and 0 <= still < place({"tool_lifted", "contact_lost"}):
+    if STOPS_FIRST not in noticed and not stood and not lifted and 0 <= still < place({"tool_lifted", "contact_lost"}):
         yield "motion stopped before the tool was up"
     if place(PRESSES) > up:
         yield "it pressed again"
