@@ -174,6 +174,17 @@ def account(files: DemoFiles) -> dict[str, Any]:
     return dict(json.loads((files.sim_dir / "dwell_account.json").read_text()))
 
 
+def whole_account(files: DemoFiles) -> dict[str, Any]:
+    """That account once it holds all motion so far: it lags behind the simulator's log."""
+    stopped_s = max(event["mono_s"] for event in events(files, "motion_stopped", "lost"))
+
+    def whole() -> dict[str, Any] | None:
+        told = account(files)
+        return told if told["until_s"] >= stopped_s else None
+
+    return dict(wait_for(whole, "the plant's account"))
+
+
 def summary(files: DemoFiles) -> dict[str, Any]:
     """The run folder's summary."""
     return dict(json.loads((files.run_dir / "summary.json").read_text()))

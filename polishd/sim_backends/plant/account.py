@@ -76,8 +76,8 @@ class Account:
             times = {"from_s": at_s, "until_s": at_s, "seconds": seconds}
             self.stands.append({"x_mm": x_mm, "y_mm": y_mm, **times, "most_n": force_n, "most_rpm": rpm})
 
-    def write(self, folder: Path, part: TruePart, process_s: float) -> None:
-        """``dwell_account.json`` and ``truth.npz``, each replaced whole."""
+    def write(self, folder: Path, part: TruePart, process_s: float, until_s: float) -> None:
+        """``dwell_account.json`` and ``truth.npz``, each replaced whole; all is in them up to that wall time."""
         rms, pv = part.stats()
         books: list[dict[str, Any]] = [
             {"sha256": sha, "blocks": len(book), "loads": self.loads[sha], "contact_s": np.round(book, 7).tolist()}
@@ -85,6 +85,7 @@ class Account:
         ]
         message = {
             "process_s": process_s,
+            "until_s": until_s,
             "rms_nm": rms,
             "pv_nm": pv,
             "standstill_contact_s": self.standstill_s,

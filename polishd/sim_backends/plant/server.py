@@ -88,7 +88,7 @@ class PlantServer:
         self._measure(horizon)
         if horizon >= self.write_s:
             self.write_s = math.inf
-            self._write()
+            self._write(horizon)
         self.witness.write(horizon)
 
     def mark_way_out(self) -> None:
@@ -120,7 +120,7 @@ class PlantServer:
         for timeline in (self.world.force, self.world.rpm):
             timeline.mark_s = math.inf
         self.world.integrate(math.inf)
-        self._write()
+        self._write(time.monotonic())
         self.witness.write(math.inf)
 
     def _arrive(self, device: str, at_s: float, writer: asyncio.StreamWriter) -> None:
@@ -209,7 +209,7 @@ class PlantServer:
         seen = self.world.part.map_nm() + parts.swelling_nm(self.world.part, self.start.config, since_s)
         rms, pv = self.world.part.stats()
         self.witness.add("plant", "measured", horizon_s, true_rms_nm=round(rms, 4), true_pv_nm=round(pv, 4))
-        self._write()
+        self._write(horizon_s)
         if "interferometer" in self.writers:
             self.writers["interferometer"].write(bus.pack_rows(seen))
 
@@ -219,8 +219,8 @@ class PlantServer:
         folder.mkdir(exist_ok=True)
         self.world.part.write(folder / f"{quote(name, safe='')}.npz")
 
-    def _write(self) -> None:
-        self.world.account.write(self.start.state, self.world.part, self.world.process_s)
+    def _write(self, until_s: float) -> None:
+        self.world.account.write(self.start.state, self.world.part, self.world.process_s, until_s)
 
 
 def build(start: Start) -> PlantServer:

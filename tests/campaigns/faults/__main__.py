@@ -7,17 +7,15 @@ import json
 import shutil
 import sys
 import tempfile
-from dataclasses import asdict
 from pathlib import Path
 
-from tests.campaigns.faults.judge import CONTACT_S, Finding, measure, save
+from tests.campaigns.faults.judge import Finding, measure, save
 from tests.campaigns.faults.links import LINKS
+from tests.campaigns.faults.losses import Loss, keep, lose
 from tests.campaigns.faults.page import SAVED, write
 
 NOT_MEASURED = "not measured"
 """The cell did not come so far, or not to rest: no row of the page, and the next run with --new tries again."""
-SPREAD_S = 1.5
-"""A loss comes at another time of the contact each."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -30,11 +28,11 @@ def parser() -> argparse.ArgumentParser:
     return parse
 
 
-def tried(link: str, fault: str, at_s: float = CONTACT_S, seed: int = 3) -> Finding:
+def tried(link: str, fault: str) -> Finding:
     """In a folder of its own, which stays where something is wrong."""
     folder = Path(tempfile.mkdtemp(prefix="polishd-faults-"))
     try:
-        finding = measure(link, fault, folder / "cell", at_s=at_s, seed=seed)
+        finding = measure(link, fault, folder / "cell")
     except AssertionError as error:
         wrong = [str(error).splitlines()[0]]
         finding = Finding(link, fault, "", None, LINKS[link].silence_s, None, NOT_MEASURED, wrong)
@@ -46,16 +44,27 @@ def tried(link: str, fault: str, at_s: float = CONTACT_S, seed: int = 3) -> Find
     return finding
 
 
-def lose(link: str, count: int) -> list[Finding]:
-    """So many losses, half by silence and half by the plug, saved as they come."""
-    found: list[Finding] = []
-    SAVED.mkdir(parents=True, exist_ok=True)
-    for number in range(count):
-        fault = ("hangs", "unplugged")[number % 2]
-        found.append(tried(link, fault, CONTACT_S + SPREAD_S * number / count, seed=number + 1))
-        name = "".join(letter if letter.isalnum() else "-" for letter in link)
-        (SAVED / f"{name}.losses").write_text(json.dumps([asdict(one) for one in found]))
-    return found
+def lost(link: str, count: int) -> int:
+    """Losses of that link, saved as they come; of how many something is wrong."""
+    folder = Path(tempfile.mkdtemp(prefix="polishd-losses-"))
+    found: list[Loss] = []
+    try:
+        for one in lose(link, count, folder):
+            found.append(one)
+            keep(found, SAVED / f"{''.join(letter if letter.isalnum() else '-' for letter in link)}.losses")
+            wrong = "".join(f"; WRONG: {said}" for said in one.wrong)
+            say(
+                f"{link}: {len(found)} of {count}: {one.how}: {one.detection_s} s, force off {one.force_off_s} s{wrong}"
+            )
+    except AssertionError as error:
+        say(f"{link}: {str(error).splitlines()[0]}; the cell is in {folder}")
+        return 1
+    wrong_ones = sum(bool(one.wrong) for one in found)
+    if wrong_ones:
+        say(f"{link}: the cells are in {folder}")
+    else:
+        shutil.rmtree(folder)
+    return wrong_ones
 
 
 def say(text: str) -> None:
@@ -70,7 +79,7 @@ def main() -> int:
     saved = {(one["link"], one["fault"]) for one in _saved()} if options.new else set()
     for name in options.link or LINKS:
         if options.losses:
-            wrong += sum(bool(one.wrong) for one in lose(name, options.losses))
+            wrong += lost(name, options.losses)
             continue
         for fault in LINKS[name].faults:
             if (options.fault and fault not in options.fault) or (name, fault) in saved:

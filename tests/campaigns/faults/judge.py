@@ -18,7 +18,7 @@ from polishd.console.demo_files import DemoFiles
 from polishd.console.simulator import simulated_cell
 from tests.campaigns.faults.links import LINKS, MUST_END
 from tests.system.agreement import disagreements
-from tests.system.cell_rig import Daemon, account, events, summary, with_faults
+from tests.system.cell_rig import Daemon, events, summary, whole_account, with_faults
 from tests.system.sim_rig import wait_for
 
 SPEED = 2.0
@@ -59,13 +59,13 @@ class Finding:
     """Of the computer, processes a core, over the last minute: on one that is busy all times are longer."""
 
 
-def measure(link: str, fault: str, folder: Path, *, at_s: float = CONTACT_S, seed: int = 3) -> Finding:
+def measure(link: str, fault: str, folder: Path) -> Finding:
     """Bring a cell into contact, and let it happen."""
     chosen = LINKS[link]
     files = chosen.write(folder)
-    scripted = {**chosen.fault(fault), "contact_s": at_s}
+    scripted = {**chosen.fault(fault), "contact_s": CONTACT_S}
     files.sim.write_text(with_faults(files.sim.read_text(), scripted))
-    options = ["--state", str(files.sim_dir), "--seed", str(seed), "--speed", f"{SPEED:g}"]
+    options = ["--state", str(files.sim_dir), "--seed", "3", "--speed", f"{SPEED:g}"]
     with simulated_cell(files.sim, options, folder / "sim.stderr"):
         with Daemon(files, "--no-hold") as daemon:
             wait_for(lambda: _acted(files) or daemon.process.poll() is not None, f"{fault} on the {link}", END_S)
@@ -109,8 +109,8 @@ def _finding(link: str, fault: str, files: DemoFiles, *, went_on: bool, code: in
     since_s = acted["mono_s"] if acted else 0.0
     after = [event for event in log if event["mono_s"] >= since_s]
     noticed = "" if went_on else str(summary(files)["reason"])
-    reacted_s = None if went_on else _first(after, REACTIONS)
-    off_s = None if went_on else _first(after, OFF)
+    reacted_s = None if went_on else first(after, REACTIONS)
+    off_s = None if went_on else first(after, OFF)
     wrong = list(_wrong(link, fault, files, after, acted=acted is not None, noticed=noticed, went_on=went_on))
     limit_s = LINKS[link].silence_s
     detection_s = None if reacted_s is None else round(reacted_s - since_s, 3)
@@ -132,7 +132,8 @@ def _is_loss(fault: str) -> bool:
     return fault in {"hangs", "unplugged", "reboots", "all garbled"}
 
 
-def _first(log: Sequence[Mapping[str, Any]], names: set[str]) -> float | None:
+def first(log: Sequence[Mapping[str, Any]], names: set[str]) -> float | None:
+    """When the first of them was, of the simulators' clock."""
     return next((float(event["mono_s"]) for event in log if event["event"] in names), None)
 
 
@@ -165,7 +166,7 @@ def _wrong(
         yield "motion stopped before the tool was up"
     if place(PRESSES) > up:
         yield "it pressed again"
-    yield from _twice(files)
+    yield from disagreeing(files)
 
 
 def _last_place(log: Sequence[Mapping[str, Any]]) -> Callable[[set[str]], int]:
@@ -173,8 +174,9 @@ def _last_place(log: Sequence[Mapping[str, Any]]) -> Callable[[set[str]], int]:
     return lambda names: max(last.get(name, -1) for name in names)
 
 
-def _twice(files: DemoFiles) -> Iterator[str]:
-    books = account(files)["programs"]
+def disagreeing(files: DemoFiles) -> Iterator[str]:
+    """What was polished twice, and where journal and plant contradict each other."""
+    books = whole_account(files)["programs"]
     for book in books:
         if book["loads"] != 1:
             yield f"program {book['sha256'][:8]} was loaded {book['loads']} times"

@@ -34,6 +34,8 @@ from tests.patience import SOON_S
 PATIENT = SpindleTimes(silence_s=1.5, watchdog_s=2.5)
 PATIENT_COIL = ActuatorTimes(silence_s=1.5, watchdog_s=2.5)
 """A busy machine is silent for a while."""
+REST_MM = 0.1
+"""Up, as the driver takes it: the spring may still be pulling."""
 
 Spin = tuple[Cia402Spindle, SimDrive, Motor]
 Press = tuple[Cia402Actuator, SimDrive, FakeCoil]
@@ -339,7 +341,8 @@ async def test_the_actuator_lands_lightly_and_without_a_jump(press: Press) -> No
     assert drive.written(0x6040) == [0x06, 0x07, 0x0F]
     assert coil.force_n == 20.0
     await device.make_safe()
-    assert (coil.force_n, coil.position_mm) == (0.0, 0.0)
+    assert coil.force_n == 0.0
+    assert coil.position_mm <= REST_MM
 
 
 async def test_a_part_that_is_not_there_is_no_contact(press: Press) -> None:
@@ -351,7 +354,7 @@ async def test_a_part_that_is_not_there_is_no_contact(press: Press) -> None:
         await device.set_force(20.0)
     assert max(drive.written(0x6071)) == 60
     await device.retract()
-    assert coil.position_mm == 0.0
+    assert coil.position_mm <= REST_MM
 
 
 @pytest.mark.one_of_each
@@ -369,7 +372,7 @@ async def test_force_off_then_up_then_current_off(tmp_path: Path, lift: str, mod
     first = next(index for index, (_, data) in enumerate(drive.heard) if data[0] >> 5 == 1)
     assert drive.heard[first][1][1:3] == b"\x71\x60", "the force goes first"
     assert (coil.modes, drive.node.power.state) == (modes, stage.DISABLED)
-    assert coil.position_mm <= 0.1
+    assert coil.position_mm <= REST_MM
     drive.stop()
     await device.close()
     await wire.close()
@@ -387,7 +390,8 @@ async def test_a_drive_that_refuses_to_lift_loses_its_current_and_the_spring_lif
     await device.set_force(10.0)
     drive.instead[refused] = b"\x80" + refused[1:3] + b"\0" + code.to_bytes(4, "little")
     await device.retract()
-    assert (coil.position_mm, drive.node.power.state) == (0.0, stage.DISABLED)
+    assert coil.position_mm <= REST_MM
+    assert drive.node.power.state == stage.DISABLED
     assert "the current goes off, and the tool is lifted without it" in caplog.text
     drive.stop()
     await device.close()

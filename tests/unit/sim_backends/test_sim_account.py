@@ -63,10 +63,10 @@ def test_it_is_written_whole_beside_the_truth(tmp_path: Path) -> None:
     book = Account()
     book.load("a", 3)
     book.dwell("a", np.array([2.0]), np.array([1.5]))
-    book.write(tmp_path, part, 42.0)
+    book.write(tmp_path, part, 42.0, 7.0)
     told = json.loads((tmp_path / "dwell_account.json").read_text())
     assert told["programs"] == [{"sha256": "a", "blocks": 3, "loads": 1, "contact_s": [0.0, 0.0, 1.5]}]
-    assert told["process_s"] == 42.0
+    assert (told["process_s"], told["until_s"]) == (42.0, 7.0)
     assert told["rms_nm"] == pytest.approx(SMALL.plant.rms_nm), "a piston is no figure"
     truth = np.load(tmp_path / told["truth"])
     np.testing.assert_allclose(truth["start_nm"] - truth["height_nm"], 5.0)

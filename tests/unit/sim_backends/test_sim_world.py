@@ -251,7 +251,7 @@ def test_a_program_loaded_again_goes_on_in_its_old_book(tmp_path: Path) -> None:
     for _ in range(2):
         plant.account.load("ab", 3)
         plant.account.dwell("ab", np.array([1.0, 1.0]), np.array([0.25, 0.5]))
-    plant.account.write(tmp_path, plant.part, 12.0)
+    plant.account.write(tmp_path, plant.part, 12.0, 7.0)
     account = json.loads((tmp_path / "dwell_account.json").read_text())
     assert account["programs"] == [{"sha256": "ab", "blocks": 3, "loads": 2, "contact_s": [0.0, 1.5, 0.0]}]
     assert account["process_s"] == 12.0
