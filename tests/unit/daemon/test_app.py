@@ -233,7 +233,7 @@ async def test_a_device_that_is_not_there(bench: Bench) -> None:
 async def test_a_device_that_never_answers_is_a_lost_link(
     bench: Bench, call: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cell, "OPEN_S", 0.02)
+    monkeypatch.setattr(cell, "OPEN_S", 0.5)
     bench.fake.robot.acts.hangs.add(call)
     async with Running(bench) as running:
         with pytest.raises(LinkError, match="robot: no answer"):
@@ -245,7 +245,7 @@ async def test_a_device_that_hangs_when_it_is_opened_again(bench: Bench, monkeyp
     bench.fake.spindle.acts.hangs.add("status")
 
     def lost() -> None:
-        monkeypatch.setattr(cell, "OPEN_S", 0.02)
+        monkeypatch.setattr(cell, "OPEN_S", 0.5)
         bench.fake.spindle.acts.hangs.add("open")
 
     bench.fake.metrology.acts.before["next_map"] = lost

@@ -113,7 +113,7 @@ async def test_a_robot_that_does_not_answer_when_it_should_lift_is_not_waited_fo
     left_s = await cut_off(fake, touch)
     assert fake.clock.at_s - left_s >= ALONE_S - 0.1, "motion goes on until the actuator must have let go"
     assert fake.events[-1] == "robot.make_safe"
-    assert fake.cell.unsafe == ("actuator: jammed",)
+    assert "actuator: jammed" in fake.cell.unsafe
 
 
 async def test_no_other_device_says_anything_of_the_tool() -> None:

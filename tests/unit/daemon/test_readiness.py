@@ -100,7 +100,7 @@ async def test_a_slow_lift_is_no_lost_link_when_a_link_is_opened_again(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What opening may take is no limit to what making safe may: a lift of 20 s is none of a dead device."""
-    monkeypatch.setattr(cell, "OPEN_S", 0.05)
+    monkeypatch.setattr(cell, "OPEN_S", 0.5)
     actuator = bench.fake.actuator
     actuator.times = ActuatorTimes(retract_s=20.0)
     actuator.acts.fails["status"] = LinkError("sleeping")
@@ -109,7 +109,7 @@ async def test_a_slow_lift_is_no_lost_link_when_a_link_is_opened_again(
 
     async def lift() -> None:
         actuator.events.append("actuator.make_safe")
-        asyncio.get_running_loop().call_later(0.2, lifted.set)
+        asyncio.get_running_loop().call_later(1.0, lifted.set)
         await lifted.wait()
 
     monkeypatch.setattr(actuator, "make_safe", lift)
