@@ -68,8 +68,10 @@ def disagreements(journal: Path, books: list[dict[str, Any]]) -> list[str]:
     if not told.keys() & {book["sha256"] for book in books}:
         told = {book["sha256"]: one for book, one in zip(books, ours, strict=False)}
     for book in books:
-        contact_s = np.array(book["contact_s"])
-        one = told.get(book["sha256"]) or Told.of_no_pass(book["sha256"], len(contact_s))
+        one = told.get(book["sha256"]) or Told.of_no_pass(book["sha256"], len(book["contact_s"]))
+        contact_s, beyond_s = np.split(np.array(book["contact_s"]), [len(one.run_s)])
+        if beyond_s.any():  # a script may have a line of its own behind the program's last block
+            found.append(f"{one.sha256[:8]}: the plant saw {beyond_s.sum():.3f} s behind its last block")
         slack_s = SHARE * one.run_s + LEAST_S
         wrong = {
             "touched": (one.touched == 1) & (np.abs(contact_s - one.run_s) > slack_s),

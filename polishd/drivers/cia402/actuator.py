@@ -215,14 +215,14 @@ class Cia402Actuator:
         await self._axis.reach(calm)
 
     async def _land(self, link: DriveLink, force_n: float, unless: Unless) -> None:
-        """Press lightly until it touches. The drive is enabled with no torque: it does not jump."""
+        """Press lightly until it has landed. The drive is enabled with no torque: it does not jump."""
         deadline = time.monotonic() + self._times.landing_s
         if await self._axis.state(link) is not State.ENABLED:
             await link.write(objects.TARGET_TORQUE, 0, unless=unless)
             await self._axis.power_up(link, objects.TORQUE_MODE, unless, self._times.landing_s)
         lightly = self._scale.torque(min(force_n, self._scale.landing_n))
         await link.write(objects.TARGET_TORQUE, lightly, unless=unless)
-        while not (reading := await self._read(link, cared=True)).touches:
+        while not ((reading := await self._read(link, cared=True)).touches and self._contact.landed):
             unless()
             if reading.fault or reading.state is not State.ENABLED:
                 raise DeviceFault(f"{self._axis.name}: {reading.detail or reading.state.value}, while landing")

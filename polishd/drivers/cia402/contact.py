@@ -6,6 +6,8 @@ from collections import deque
 
 WINDOW_S = 0.08
 """Speeds are means over at least so long."""
+LANDED_MM_S = 1.0
+"""A tool that has landed while the robot stands is slower than that, whatever is told of how fast it travels."""
 
 
 class Contact:
@@ -19,11 +21,14 @@ class Contact:
         self._rest_mm = rest_mm
         self._end_mm = end_mm
         self._travel_mm_s = travel_mm_s
+        self.landed = False
+        """As of the last reading, for a robot that stands: it touches, and stands, too."""
         self._positions: deque[tuple[float, float]] = deque()
 
     def reset(self) -> None:
         """Not pressed: what was seen before says nothing."""
         self._positions.clear()
+        self.landed = False
 
     def feed(self, at_s: float, position_mm: float) -> bool:
         """A reading; whether the tool touches. It takes ``WINDOW_S`` until the first yes."""
@@ -32,6 +37,9 @@ class Contact:
         while len(seen) > 2 and seen[1][0] <= at_s - WINDOW_S:
             seen.popleft()
         began_s, from_mm = seen[0]
+        self.landed = False
         if at_s - began_s < WINDOW_S or not self._rest_mm < position_mm < self._end_mm:
             return False
-        return abs(position_mm - from_mm) / (at_s - began_s) < self._travel_mm_s
+        speed_mm_s = abs(position_mm - from_mm) / (at_s - began_s)
+        self.landed = speed_mm_s < min(self._travel_mm_s, LANDED_MM_S)
+        return speed_mm_s < self._travel_mm_s

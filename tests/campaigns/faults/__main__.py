@@ -79,6 +79,8 @@ def main() -> int:
     saved = {(one["link"], one["fault"]) for one in _saved()} if options.new else set()
     for name in options.link or LINKS:
         if options.losses:
+            if not LINKS[name].needed or not {"hangs", "unplugged"} <= LINKS[name].faults.keys():
+                continue
             wrong += lost(name, options.losses)
             continue
         for fault in LINKS[name].faults:

@@ -16,7 +16,7 @@ from typing import Any
 
 from polishd.console.demo_files import DemoFiles
 from polishd.console.simulator import simulated_cell
-from tests.campaigns.faults.links import LINKS, MUST_END
+from tests.campaigns.faults.links import LINKS
 from tests.system.agreement import disagreements
 from tests.system.cell_rig import Daemon, events, summary, whole_account, with_faults
 from tests.system.sim_rig import wait_for
@@ -70,7 +70,7 @@ def measure(link: str, fault: str, folder: Path) -> Finding:
         with Daemon(files, "--no-hold") as daemon:
             wait_for(lambda: _acted(files) or daemon.process.poll() is not None, f"{fault} on the {link}", END_S)
             assert events(files, "tool_landed"), daemon.output.read_text()
-            within_s = math.inf if fault in MUST_END else GOES_ON * chosen.silence_s
+            within_s = math.inf if chosen.must_end(fault) else GOES_ON * chosen.silence_s
             ended = daemon.process.poll
             wait_for(lambda: ended() is not None or _polished_on(files, within_s), "an end, or that it goes on", END_S)
             went_on = daemon.process.poll() is None
@@ -117,7 +117,7 @@ def _finding(link: str, fault: str, files: DemoFiles, *, went_on: bool, code: in
     force_off_s = None if off_s is None or reacted_s is None else round(off_s - reacted_s, 3)
     if force_off_s is not None and force_off_s > FORCE_OFF_S:
         wrong.append(f"force off {force_off_s} s after it was noticed")
-    if fault in MUST_END and detection_s is not None and _is_loss(fault) and detection_s > limit_s + LATE_S:
+    if LINKS[link].must_end(fault) and detection_s is not None and _is_loss(fault) and detection_s > limit_s + LATE_S:
         wrong.append(f"noticed after {detection_s} s, limit {limit_s} s")
     outcome = "goes on" if went_on else f"contact left, exit code {code}"
     return Finding(link, fault, noticed, detection_s, limit_s, force_off_s, outcome, wrong, load())
@@ -151,7 +151,7 @@ def _wrong(
     if not acted:
         yield "contact ended before the fault acted"
         return
-    if went_on and fault in MUST_END:
+    if went_on and LINKS[link].must_end(fault):
         yield "nobody noticed"
     if "Traceback" in files.daemon_log.read_text():
         yield "the daemon raised"

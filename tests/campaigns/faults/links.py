@@ -44,6 +44,7 @@ REFUSES: Mapping[str, Fault] = {"exception": {"what": "exception"}}
 """Where something is asked in contact: the robot link tells by itself."""
 ALL = {**LOST, **TIMES, **FRAMES}
 MUST_END = {*LOST, "all garbled", "sticks", "halts", "freezes", "drifts", "saturates"}
+"""Of a link that contact needs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +57,12 @@ class Link:
     silence_s: float = SILENCE_S
     link: str = ""
     """Of the robot's, where it has several."""
+    needed: bool = True
+    """In contact; else its loss costs nothing until it is used."""
+
+    def must_end(self, fault: str) -> bool:
+        """Contact has to be left over it."""
+        return self.needed and fault in MUST_END
 
     def fault(self, name: str) -> dict[str, Any]:
         """For SIM.toml, without its time."""
@@ -102,7 +109,7 @@ def _cia402(folder: Path) -> DemoFiles:
     text = files.cell.read_text().replace('"spindle"', '"cia402"', 1).replace('"voice_coil", ', "", 1)
     for section, ours in (("actuator", ACTUATOR), ("spindle", SPINDLE)):
         text = re.sub(rf"^\[{section}\].*?(?=^\[)", f"{ours}\n", text, flags=re.MULTILINE | re.DOTALL)
-    prompt = {"actuator": {"silence_s": SILENCE_S, "watchdog_s": 2.0}, "spindle": SILENT["spindle"]}
+    prompt = {"actuator": {"silence_s": SILENCE_S, "watchdog_s": 2.0, "travel_mm_s": 2.0}, "spindle": SILENT["spindle"]}
     files.cell.write_text(with_keys(text, prompt))
     (files.out / "drive.eds").write_bytes(EDS.read_bytes())
     return files
@@ -146,8 +153,12 @@ LINKS: Mapping[str, Link] = {
     "handover over OPC UA": Link("robot", lambda f: _plc(f, "opcua"), ALL, PLC_SILENCE_S),
     "handover over ADS": Link("robot", lambda f: _plc(f, "ads"), {**ALL, **REFUSES}, PLC_SILENCE_S),
     "RTDE": Link("robot", _universal, ALL, link="rtde"),
-    "dashboard": Link("robot", _universal, {"hangs": LOST["hangs"], "unplugged": LOST["unplugged"]}, link="dashboard"),
-    "primary": Link("robot", _universal, {"hangs": LOST["hangs"], "unplugged": LOST["unplugged"]}, link="primary"),
+    "dashboard": Link(
+        "robot", _universal, {"hangs": LOST["hangs"], "unplugged": LOST["unplugged"]}, link="dashboard", needed=False
+    ),
+    "primary": Link(
+        "robot", _universal, {"hangs": LOST["hangs"], "unplugged": LOST["unplugged"]}, link="primary", needed=False
+    ),
     "actuator, Modbus RTU": Link("actuator", _small, {**ALL, **UNIT, **REFUSES, **FORCE}),
     "actuator, Modbus TCP": Link("actuator", lambda f: _actuator(f, "modbus_tcp"), {**ALL, **UNIT, **REFUSES}),
     "actuator, lines": Link("actuator", lambda f: _actuator(f, "serial"), {**ALL, **REFUSES}),

@@ -50,3 +50,14 @@ def test_what_was_before_a_lift_is_forgotten() -> None:
     assert [contact.feed(t, 5.0) for t in (0.0, 0.1)] == [False, True]
     contact.reset()
     assert not contact.feed(0.2, 5.0)
+
+
+def test_a_tool_that_lands_slower_than_was_told_of_its_travel_has_not_landed_in_the_air() -> None:
+    """``travel_mm_s`` above the speed of landing is a slip of the config: the full force would slam it down."""
+    contact = Contact(rest_mm=0.1, end_mm=9.9, travel_mm_s=20.0)
+    positions = way(speed_mm_s=5.0, touch_mm=5.0)
+    landed = []
+    for at_s, position_mm in positions:
+        contact.feed(at_s, position_mm)
+        landed.append(contact.landed)
+    assert 1.0 < positions[landed.index(True)][0] < 1.0 + 2 * WINDOW_S
