@@ -6,8 +6,9 @@ A plugin is a module (or object) that implements any of these with ``@hookimpl``
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,7 @@ from polishd.process.dwell.problem import DwellProblem
 from polishd.process.edge.correctable import Transfer
 from polishd.process.edge.rim import Rim
 from polishd.process.effect import Effect
+from polishd.process.plausible import plausible
 
 API_VERSION = 1
 PROJECT = "polishd"
@@ -110,9 +112,13 @@ class SurfaceReader:
     """Usual endings of such files (".dat"), lower case: what ``write`` is chosen by."""
     write: Callable[[SurfaceMap], bytes] | None = None
     """Content of a file that holds the map; raises BadMap where the format cannot hold it. None: read only."""
+    dates: bool = False
+    """Whether such files say when they were measured; else the file system dates them."""
 
     def surface_of(self, head: bytes, path: Path) -> SurfaceMap | None:
         """The map where the file is of this format, None where it is not: everybody asks a reader through this.
+
+        A date or scale that cannot be is taken off it (``process.plausible``).
 
         Raises:
             SurfaceError: as the reader does, and BadMap, with the file and the reader, for whatever else it raises.
@@ -129,8 +135,25 @@ class SurfaceReader:
                 f"{path}: the reader {self.name!r} failed: {reason}; export the map again, or mend the reader's plugin"
             ) from error
         if isinstance(surface, SurfaceMap):
-            return surface
+            return plausible(surface, datetime.now(UTC), _written(path))
         raise BadMap(f"{path}: the reader {self.name!r} gave {type(surface).__name__}, no SurfaceMap; mend its plugin")
+
+
+def looks_like(readers: Iterable[SurfaceReader], head: bytes, path: Path) -> str:
+    """What to do with a file that no reader knows by its name, and one would by its content; "" where none would."""
+    for reader in readers:
+        for suffix in reader.suffixes:
+            other = path.with_suffix(suffix)
+            if reader.sniff(head, other) and not reader.sniff(b"", other):  # else it goes by the name alone
+                return f"; it looks like {reader.name}: name it *{suffix} (or polishd map --format {suffix[1:]})"
+    return ""
+
+
+def _written(path: Path) -> datetime | None:
+    try:
+        return datetime.fromtimestamp(path.stat().st_mtime, UTC)
+    except (OSError, ValueError, OverflowError):  # gone, or of a year that no date can hold
+        return None
 
 
 @dataclass(frozen=True, slots=True)
