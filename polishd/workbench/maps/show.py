@@ -33,7 +33,7 @@ def figures_verb(files: Sequence[Path], asked: FigureOptions, *, as_json: bool) 
     require_picture(asked.out)
     if asked.out is not None and len(files) > MOST_DRAWN:
         raise typer.BadParameter(f"--out draws {MOST_DRAWN} maps at most, not {len(files)}")
-    source = MapSource.of(asked.cell, asked.profile)
+    source = MapSource.of(asked.cell, asked.profile, asked.as_format)
     answers: list[dict[str, Any]] = []
     drawn: list[Figured] = []
     for file in files:
@@ -94,12 +94,17 @@ def _rows(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("slope", or_dash(answer["slope_rms_urad"], ".4g", " urad RMS")),
         *((band["name"], _band_words(band)) for band in answer["bands"] or ()),
     ]
-    said = {"part": answer["part_id"], "instrument": answer["instrument"], "taken": answer["taken_at"]}
+    said = {"part": answer["part_id"], "instrument": answer["instrument"], "taken": _date_words(answer)}
     rows += [(name, shown(value)) for name, value in said.items() if value]
     rows.append(("orientation", answer["orientation"]))
     if answer["unsaid"]:
         rows.append(("the file does not say", ", ".join(answer["unsaid"])))
     return [*rows, ("sha256", answer["sha256"])]
+
+
+def _date_words(answer: Mapping[str, Any]) -> str:
+    by = {"file system": "file system: its header has no date", "guessed": "guessed: not used"}
+    return f"{answer['dated_at']} ({by.get(answer['date_from'], answer['date_from'])})" if answer["dated_at"] else ""
 
 
 def _pair(answer: Mapping[str, Any], which: str) -> str:
