@@ -97,6 +97,10 @@ class ProgramFormat:
     the last one and ends, by way of a safe height to the first; None where no programs are made in this format."""
 
 
+NO_MAP = b"?\n"
+"""The head of a text that is of no format: who takes it goes by its name alone."""
+
+
 @dataclass(frozen=True, slots=True)
 class SurfaceReader:
     """A surface-map format. ``sniff`` sees the first 4096 bytes and the path; ``read`` raises BadMap.
@@ -140,12 +144,29 @@ class SurfaceReader:
 
 
 def looks_like(readers: Iterable[SurfaceReader], head: bytes, path: Path) -> str:
-    """What to do with a file that no reader knows by its name, and one would by its content; "" where none would."""
+    """What to do with a text that no reader knows by its name, and one would by its content; "" where none would."""
+    if not head or b"\0" in head:  # of other files the magic number is asked, or the name alone
+        return ""
+    advice = []
     for reader in readers:
-        for suffix in reader.suffixes:
-            other = path.with_suffix(suffix)
-            if reader.sniff(head, other) and not reader.sniff(b"", other):  # else it goes by the name alone
-                return f"; it looks like {reader.name}: name it *{suffix} (or polishd map --format {suffix[1:]})"
+        try:
+            ending = _ending(reader, head, path)
+        except Exception as error:  # noqa: BLE001  a plugin's reader may raise anything; the file is refused all the same
+            advice.append(
+                f"; the reader {reader.name!r} failed on it ({type(error).__name__}: {error}): mend its plugin"
+            )
+            continue
+        if ending:
+            advice.append(f"; it looks like {reader.name}: name it *{ending} (or polishd map --format {ending[1:]})")
+    return "".join(advice)
+
+
+def _ending(reader: SurfaceReader, head: bytes, path: Path) -> str:
+    """Under which the reader would take the file, and not any text; "" for none."""
+    for suffix in reader.suffixes:
+        other = path.parent / f"map{suffix}"
+        if reader.sniff(head, other) and not reader.sniff(NO_MAP, other):
+            return suffix
     return ""
 
 

@@ -468,7 +468,8 @@ def test_metropro_vector() -> None:
 
 
 @given(
-    HEIGHTS, st.floats(0.01, 20.0), st.text("ABCxyz-0189 ", max_size=39), st.integers(int(EARLIEST.timestamp()), 2**31 - 1),
+    HEIGHTS, st.floats(0.01, 20.0), st.text("ABCxyz-0189 ", max_size=39),
+    st.integers(int(EARLIEST.timestamp()), 2**31 - 1),
     st.tuples(st.integers(0, 500), st.integers(0, 500)),
 )  # fmt: skip
 def test_what_the_instrument_writes_is_what_is_read(
