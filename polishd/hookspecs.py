@@ -172,7 +172,7 @@ def _ending(reader: SurfaceReader, head: bytes, path: Path) -> str:
 
 def _written(path: Path) -> datetime | None:
     try:
-        return datetime.fromtimestamp(path.stat().st_mtime, UTC)
+        return datetime.fromtimestamp(int(path.stat().st_mtime), UTC)
     except (OSError, ValueError, OverflowError):  # gone, or of a year that no date can hold
         return None
 

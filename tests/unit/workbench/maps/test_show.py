@@ -245,6 +245,11 @@ def test_where_a_date_comes_from(polishd: Polishd, tmp_path: Path, good: Path) -
         answer = polishd("map", path, "--json").answer
         assert tuple(answer[key] for key in keys) == expected
         assert f"{expected[1]} {words}" in polishd("map", path).out
+        written = tmp_path / f"{path.stem}.x3p"
+        polishd("map", "convert", path, written, "--json")
+        assert (polishd("map", written, "--json").answer["taken_at"] is None) == (expected[0] is None), (
+            "made no header's"
+        )
     assert "before 1985" in polishd("map", early).out
 
 
