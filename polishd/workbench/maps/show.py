@@ -63,7 +63,7 @@ def _show(answers: Sequence[Mapping[str, Any]]) -> None:
     if len(answers) == 1:
         stdout.print(key_table(shown(answers[0]["path"]), _rows(answers[0])))
     else:
-        columns = ["file", "samples", "pitch mm", "missing", "PV nm", "RMS nm", "PV level", "RMS level"]
+        columns = ["file", "samples", "pitch mm", "missing", "dated by", "PV nm", "RMS nm", "PV level", "RMS level"]
         columns += next(([band["name"] for band in answer["bands"]] for answer in answers if answer["bands"]), [])
         stdout.print(figure_table("maps", columns, map(_row, names, answers)))
     for line in warnings(names, answers):
@@ -76,6 +76,7 @@ def _row(name: str, answer: Mapping[str, Any]) -> tuple[str, ...]:
         f"{answer['rows']} x {answer['cols']}",
         or_dash(answer["pitch_mm"], ".7g"),
         str(answer["missing"]),
+        answer["date_from"] or "-",
         *(f"{answer[key]:.3f}" for key in HEIGHTS),
         *(or_dash(band["rms_nm"], ".3f") for band in answer["bands"] or ()),
     )
