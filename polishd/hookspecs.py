@@ -6,8 +6,9 @@ A plugin is a module (or object) that implements any of these with ``@hookimpl``
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,7 @@ from polishd.process.dwell.problem import DwellProblem
 from polishd.process.edge.correctable import Transfer
 from polishd.process.edge.rim import Rim
 from polishd.process.effect import Effect
+from polishd.process.plausible import plausible
 
 API_VERSION = 1
 PROJECT = "polishd"
@@ -95,6 +97,10 @@ class ProgramFormat:
     the last one and ends, by way of a safe height to the first; None where no programs are made in this format."""
 
 
+NO_MAP = b"?\n"
+"""The head of a text that is of no format: who takes it goes by its name alone."""
+
+
 @dataclass(frozen=True, slots=True)
 class SurfaceReader:
     """A surface-map format. ``sniff`` sees the first 4096 bytes and the path; ``read`` raises BadMap.
@@ -110,9 +116,13 @@ class SurfaceReader:
     """Usual endings of such files (".dat"), lower case: what ``write`` is chosen by."""
     write: Callable[[SurfaceMap], bytes] | None = None
     """Content of a file that holds the map; raises BadMap where the format cannot hold it. None: read only."""
+    dates: bool = False
+    """Whether such files say when they were measured; else the file system dates them."""
 
     def surface_of(self, head: bytes, path: Path) -> SurfaceMap | None:
         """The map where the file is of this format, None where it is not: everybody asks a reader through this.
+
+        A date or scale that cannot be is taken off it (``process.plausible``).
 
         Raises:
             SurfaceError: as the reader does, and BadMap, with the file and the reader, for whatever else it raises.
@@ -129,8 +139,42 @@ class SurfaceReader:
                 f"{path}: the reader {self.name!r} failed: {reason}; export the map again, or mend the reader's plugin"
             ) from error
         if isinstance(surface, SurfaceMap):
-            return surface
+            return plausible(surface, datetime.now(UTC), _written(path))
         raise BadMap(f"{path}: the reader {self.name!r} gave {type(surface).__name__}, no SurfaceMap; mend its plugin")
+
+
+def looks_like(readers: Iterable[SurfaceReader], head: bytes, path: Path) -> str:
+    """What to do with a text that no reader knows by its name, and one would by its content; "" where none would."""
+    if not head or b"\0" in head:  # of other files the magic number is asked, or the name alone
+        return ""
+    advice = []
+    for reader in readers:
+        try:
+            ending = _ending(reader, head, path)
+        except Exception as error:  # noqa: BLE001  a plugin's reader may raise anything; the file is refused all the same
+            advice.append(
+                f"; the reader {reader.name!r} failed on it ({type(error).__name__}: {error}): mend its plugin"
+            )
+            continue
+        if ending:
+            advice.append(f"; it looks like {reader.name}: name it *{ending} (or polishd map --format {ending[1:]})")
+    return "".join(advice)
+
+
+def _ending(reader: SurfaceReader, head: bytes, path: Path) -> str:
+    """Under which the reader would take the file, and not any text; "" for none."""
+    for suffix in reader.suffixes:
+        other = path.parent / f"map{suffix}"
+        if reader.sniff(head, other) and not reader.sniff(NO_MAP, other):
+            return suffix
+    return ""
+
+
+def _written(path: Path) -> datetime | None:
+    try:
+        return datetime.fromtimestamp(int(path.stat().st_mtime), UTC)
+    except (OSError, ValueError, OverflowError):  # gone, or of a year that no date can hold
+        return None
 
 
 @dataclass(frozen=True, slots=True)

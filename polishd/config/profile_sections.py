@@ -124,7 +124,8 @@ class ProfileFile(Document):
     name: Text
     """The instrument's name."""
     serials: Texts = _PLAIN.serials
-    """Words of what `polishd map` shows as "instrument"; maps of any other are refused. Empty: any."""
+    """Words of what `polishd map` shows as "instrument"; maps of any other are refused. Zygo's numbers
+    also by their last 16 bits, as `.dat` has them. Empty: any."""
     gives: Given = ()
     """What this profile answers for files that do not say it: that heights are of the surface, and how arrays lie."""
     orientation: OrientationTable = OrientationTable()

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+DateFrom = Literal["header", "file system", "guessed"]
+"""Who dates a map: its header; the system that keeps the file; nobody (no year, not a date of any map, filled in)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,12 +64,16 @@ class SurfaceMap:
     part_id: str = ""
     instrument: str = ""
     taken_at: datetime | None = None
+    """As near as is known to when it was measured: ``measured_at`` where ``date_from`` is the header."""
+    date_from: DateFrom = "header"
     sha256: str = ""
     path: Path | None = None
     format: str = ""
     factors: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     unsaid: frozenset[str] = frozenset()
+    doubts: Mapping[str, str] = field(default_factory=dict)
+    """By a name in ``unsaid``: the warning that holds until it is answered."""
     orientation: str = "row 0 at the top, as displayed"
     """How the file's own order was turned into this one."""
     fiducials_px: tuple[tuple[float, float], ...] = ()
@@ -81,6 +87,12 @@ class SurfaceMap:
             raise ValueError("this map has no lateral scale (pitch_mm is None)")
         ny, nx = self.height_nm.shape
         return Grid(ny, nx, self.pitch_mm)
+
+    @property
+    def measured_at(self) -> datetime | None:
+        """When its header says that it was measured, UTC where that names no zone; None where no header says it."""
+        at = self.taken_at if self.date_from == "header" else None
+        return at.replace(tzinfo=UTC) if at is not None and at.tzinfo is None else at
 
     @property
     def valid(self) -> BoolArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from polishd.model.errors import BadMap
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
 from polishd.process.orientation import Orientation
+from polishd.process.plausible import scale_fault
 
 ANSWERS = {
     "pitch": "pitch_mm, the width of a pixel on the part",
@@ -19,25 +21,32 @@ ANSWERS = {
     "square pixels": "nothing: no profile mends pixels that are not square; resample the map",
 }
 """What a profile answers, and with which key."""
+SYSTEM = re.compile(r"(?:Zygo.*, system )?(\d+)")
+SHORT = 2**16
+"""Zygo's ``.dat`` keeps the last 16 bits of the system's number; its texts and ``.datx`` keep all."""
 
 
-def as_profiled(surface: SurfaceMap, instrument: Instrument | None) -> SurfaceMap:
+def as_profiled(surface: SurfaceMap, instrument: Instrument | None, *, partly: bool = False) -> SurfaceMap:
     """The map as it lies on the part, in nm of surface: flipped, turned, signed and scaled as the profile says.
 
     Args:
         surface: the map as its reader gave it.
         instrument: the profile; None where there is none, and then only a map whose file says all is taken.
+        partly: to look at: what the profile does not answer stays ``unsaid``.
 
     Returns:
-        The map with nothing ``unsaid``; what was applied stands in ``factors["profile"]``.
+        The map with nothing ``unsaid``, and without the warnings that were of it; what was applied stands in
+        ``factors["profile"]``.
 
     Raises:
         BadMap: as `require_profile` does.
     """
-    require_profile(surface, instrument)
+    require_profile(surface, instrument, partly=partly)
     if instrument is None:
         return surface
     pitch = _pitch_mm(surface, instrument)
+    unsaid = surface.unsaid - _answered(instrument)
+    settled = {warning for key, warning in surface.doubts.items() if key not in unsaid}
     unit = (instrument.unit_nm or 1.0) if "unit" in surface.unsaid else 1.0
     orientation = Orientation(instrument.mirror, instrument.rotation_deg)
     scaled = orientation.turn(surface.height_nm) * (instrument.sign * instrument.factor * unit)
@@ -50,17 +59,19 @@ def as_profiled(surface: SurfaceMap, instrument: Instrument | None) -> SurfaceMa
         height_nm=np.ascontiguousarray(scaled),
         pitch_mm=pitch,
         factors={**surface.factors, "profile": applied},
-        unsaid=frozenset(),
+        unsaid=unsaid,
+        doubts={key: warning for key, warning in surface.doubts.items() if key in unsaid},
+        warnings=tuple(warning for warning in surface.warnings if warning not in settled),
         orientation=f"{surface.orientation}; {orientation.name} by the profile {instrument.name}",
         fiducials_px=tuple(orientation.turn_point(mark, surface.height_nm.shape) for mark in surface.fiducials_px),
     )
 
 
-def require_profile(surface: SurfaceMap, instrument: Instrument | None) -> None:
+def require_profile(surface: SurfaceMap, instrument: Instrument | None, *, partly: bool = False) -> None:
     """BadMap where a profile, or none, cannot be applied to a map: asked before anybody waits for its answer.
 
-    What the file does not say the profile does not either, they contradict each other, the map is of another
-    instrument, or a profile was applied before.
+    What the file does not say the profile does not either (no matter where ``partly``), they contradict each other, the
+    map is of another instrument, or a profile was applied before.
     """
     name = surface.path.name if surface.path is not None else "the map"
     if "profile" in surface.factors:
@@ -70,7 +81,7 @@ def require_profile(surface: SurfaceMap, instrument: Instrument | None) -> None:
         return
     _of_this_instrument(name, surface, instrument)
     unanswered = sorted(_asked(surface) - _answered(instrument))
-    if unanswered:
+    if unanswered and not partly:
         raise BadMap(f"{name}: its file does not say its {_words(unanswered)} and neither does the profile "
                      f"{instrument.name!r}: give it {_answers(unanswered)}")  # fmt: skip
     _require_pitch(name, surface, instrument)
@@ -94,20 +105,33 @@ def _all_said(name: str, surface: SurfaceMap) -> None:
 
 def _of_this_instrument(name: str, surface: SurfaceMap, instrument: Instrument) -> None:
     words = {surface.instrument, *surface.instrument.replace(",", " ").split()}
-    if instrument.serials and not words & set(instrument.serials):
+    known = words & set(instrument.serials) or any(same_system(surface.instrument, one) for one in instrument.serials)
+    if instrument.serials and not known:
         raise BadMap(f"{name} is of the instrument {surface.instrument!r}, the profile {instrument.name!r} of "
                      f"{', '.join(instrument.serials)}: choose its own profile, or add it to serials and commission it "
                      "again")  # fmt: skip
 
 
+def same_system(one: str, other: str) -> bool:
+    """Whether two names of instruments may be of one: alike, or of one system number, cut to 16 bits in either."""
+    numbers = [int(found[1]) for found in map(SYSTEM.fullmatch, (one, other)) if found]
+    cut = len(numbers) == 2 and min(numbers) < SHORT and numbers[0] % SHORT == numbers[1] % SHORT
+    return one == other or cut or (len(numbers) == 2 and numbers[0] == numbers[1])
+
+
 def _pitch_mm(surface: SurfaceMap, instrument: Instrument) -> float | None:
-    """The file's pitch where it gives one, else the profile's."""
+    """The file's pitch where it gives one, else the profile's; none for samples that are not square."""
+    if "square pixels" in surface.unsaid:
+        return None
     given, own = surface.pitch_mm, instrument.pitch_mm
     return own if own is not None and (given is None or "pitch" in surface.unsaid) else given
 
 
 def _require_pitch(name: str, surface: SurfaceMap, instrument: Instrument) -> None:
     given, own = surface.pitch_mm, instrument.pitch_mm
+    fault = "" if own is None else scale_fault(surface.height_nm.shape, own)
+    if fault:
+        raise BadMap(f"{name}: the profile {instrument.name!r} gives it a pitch of {own:g} mm: {fault}; mend pitch_mm")
     if given is None or own is None or "pitch" in surface.unsaid:
         return
     if not abs(given / own - 1) <= instrument.pitch_tolerance:

@@ -9,6 +9,7 @@ import numpy as np
 
 from polishd.model.errors import BadMap
 from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
+from polishd.process.instrument import same_system
 from polishd.process.metrics import Removal, without
 
 FEWEST = 3
@@ -42,7 +43,7 @@ class Repeats:
     """Single samples left out of maps that were used."""
 
 
-def average(surfaces: Sequence[SurfaceMap], removal: Removal = "tilt") -> Repeats:
+def average(surfaces: Sequence[SurfaceMap], removal: Removal = "tilt", *, mixed: bool = False) -> Repeats:
     """Mean of repeated maps, registered to each other, without those that deviate.
 
     A map is left out where its RMS deviation from the median map is more than ``MAP_SIGMAS`` robust standard
@@ -52,11 +53,14 @@ def average(surfaces: Sequence[SurfaceMap], removal: Removal = "tilt") -> Repeat
     Args:
         surfaces: the maps; alike in shape and pitch.
         removal: taken off each over the mask before they are compared: alignment differs from one to the next.
+        mixed: they may have no pitch, and be of several instruments.
 
     Raises:
         BadMap: fewer than ``FEWEST`` maps, before or after the rejection; shapes or pitches that differ; no sample that
-            all have.
+            all have; unless ``mixed``, a map without pitch, or of another instrument than the first that names one.
     """
+    if not mixed:
+        _require_one_setup(surfaces)
     common = _common(surfaces)
     heights = np.stack([without(surface.height_nm, common, removal)[common] for surface in surfaces])
     names = _names(surfaces)
@@ -82,6 +86,20 @@ def average(surfaces: Sequence[SurfaceMap], removal: Removal = "tilt") -> Repeat
         rejected=rejected,
         samples_rejected=int(np.count_nonzero(~kept)),
     )
+
+
+def _require_one_setup(surfaces: Sequence[SurfaceMap]) -> None:
+    names = _names(surfaces)
+    bare = [name for name, surface in zip(names, surfaces, strict=True) if surface.pitch_mm is None]
+    if bare:
+        raise BadMap(f"{', '.join(bare)}: without a lateral scale nobody knows whether repeats are of one zoom; give "
+                     "the instrument's --profile, or say --mixed")  # fmt: skip
+    known = [(name, surface.instrument) for name, surface in zip(names, surfaces, strict=True) if surface.instrument]
+    for name, instrument in known[1:]:
+        first, usual = known[0]
+        if not same_system(instrument, usual):
+            raise BadMap(f"{name} is of the instrument {instrument!r}, {first} of {usual!r}: repeats are of one; leave "
+                         "it out, or say --mixed")  # fmt: skip
 
 
 def _common(surfaces: Sequence[SurfaceMap]) -> BoolArray:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection
 from pathlib import Path
 
-from polishd.hookspecs import SurfaceReader
+from polishd.hookspecs import SurfaceReader, looks_like
 from polishd.model.errors import BadMap, ProgramError
 from polishd.model.surface import SurfaceMap
 
@@ -23,7 +23,7 @@ def read_program_bytes(path: Path) -> bytes:
     return content
 
 
-def read_map(path: Path, readers: Iterable[SurfaceReader]) -> SurfaceMap:
+def read_map(path: Path, readers: Collection[SurfaceReader]) -> SurfaceMap:
     """Read a map with the first reader that knows the file; SurfaceError where none does, or that one refuses."""
     try:
         with path.open("rb") as file:
@@ -38,4 +38,5 @@ def read_map(path: Path, readers: Iterable[SurfaceReader]) -> SurfaceMap:
         if surface is not None:
             return surface
         tried.append(reader.name)
-    raise BadMap(f"{path}: no loaded reader knows this file (tried: {', '.join(tried) or 'none'})")
+    hint = looks_like(readers, head, path)
+    raise BadMap(f"{path}: no loaded reader knows this file (tried: {', '.join(tried) or 'none'}){hint}")

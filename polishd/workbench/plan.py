@@ -17,6 +17,7 @@ from polishd.hooks.loader import Hooks
 from polishd.model.errors import ConfigError, PlanRefused, WrongPart
 from polishd.model.events import PlanWritten
 from polishd.model.surface import FloatArray, SurfaceMap
+from polishd.process.instrument import as_profiled
 from polishd.recipe import dwell_step, steps
 from polishd.recipe.dwell_step import require_certificate
 from polishd.recipe.files import read_map
@@ -52,7 +53,7 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
         notes.append("run will refuse: the cell has no commissioned instrument's profile (polishd check says more)")
     said, misfit = judged(recipe, program, config.program.covers)
     notes += [f"check will refuse: {said}{misfit}"] if misfit else []
-    notes += [*surface.warnings, *measured.notes, *program.warnings]
+    notes += [*as_profiled(surface, recipe.instrument).warnings, *measured.notes, *program.warnings]
     notes += [*steps.violations(recipe, plan), *solved.answer.notes, *planned.certificate.notes]
     summary = {**_summary(recipe, measured, planned), "job": config.job.id, "run_dir": str(out), "notes": notes}
     with _appearing(out) as folder:

@@ -38,7 +38,7 @@ from polishd.drivers.spindle_can import codec as spindle_codec
 from polishd.drivers.transport import numbered
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats import metropro as reader
-from polishd.plugins.interferometer.formats.common import EARLIEST_S
+from polishd.process.plausible import EARLIEST
 from polishd.sim_backends import metropro as writer
 from polishd.sim_backends.actuator.ascii import AsciiSlave, body, line
 from polishd.sim_backends.actuator.coil import VoiceCoil
@@ -468,7 +468,8 @@ def test_metropro_vector() -> None:
 
 
 @given(
-    HEIGHTS, st.floats(0.01, 20.0), st.text("ABCxyz-0189 ", max_size=39), st.integers(EARLIEST_S, 2**31 - 1),
+    HEIGHTS, st.floats(0.01, 20.0), st.text("ABCxyz-0189 ", max_size=39),
+    st.integers(int(EARLIEST.timestamp()), 2**31 - 1),
     st.tuples(st.integers(0, 500), st.integers(0, 500)),
 )  # fmt: skip
 def test_what_the_instrument_writes_is_what_is_read(

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 from polishd.api import BadMap, SurfaceMap, SurfaceReader
 from polishd.files import sync_folder, write_atomic
+from polishd.hookspecs import looks_like
 
 SNIFFED_BYTES = 4096
 UNFINISHED = (".tmp", ".part", ".partial", ".filepart", ".crdownload", ".swp", "~")
@@ -153,7 +154,7 @@ def _read(path: Path, readers: Sequence[SurfaceReader]) -> SurfaceMap:
             return surface
     state = "is empty" if not head else "is in no format that is known"
     known = ", ".join(reader.name for reader in readers) or "no reader is loaded"
-    raise BadMap(f"{path}: {state} (known: {known})")
+    raise BadMap(f"{path}: {state} (known: {known}){looks_like(readers, head, path)}")
 
 
 def _zeros_at_end(handle: int, block: int = 1 << 16) -> int:

@@ -29,7 +29,7 @@ from polishd.api import (
 )
 from polishd.files import write_atomic
 from polishd.plugins.interferometer import files
-from polishd.plugins.interferometer.judge import Rules, measured_at, require_new, require_plausible, source_of
+from polishd.plugins.interferometer.judge import Rules, require_new, require_plausible, source_of
 from polishd.plugins.interferometer.taken import Ask, Given, Taken
 
 TORN_AFTER = 10
@@ -245,7 +245,7 @@ class WatchedFolder:
         for path in wait.settled.poll(found, now_s):
             surface = self._judged(path, found[path], wait, ask, now_s)
             if surface is not None:
-                at = measured_at(surface)
+                at = surface.measured_at
                 seen = found[path]
                 key = (at.timestamp() if at else seen.mtime_ns / 1e9, seen.mtime_ns, path.name)
                 best = min(filter(None, (best, (key, path, surface))), key=lambda one: one[0])
@@ -287,7 +287,7 @@ class WatchedFolder:
             name=path.name,
             claimed=target.name,
             source=source_of(surface),
-            measured=measured_at(surface),
+            measured=surface.measured_at,
         )
         taken.give(ask, given)
         if not files.claim(path, seen, target, surface.sha256):

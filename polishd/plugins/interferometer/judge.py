@@ -26,12 +26,6 @@ class Rules:
     instrument: Instrument | None
 
 
-def measured_at(surface: SurfaceMap) -> datetime | None:
-    """When the instrument says that it measured, with a zone: UTC where it names none."""
-    taken_at = surface.taken_at
-    return taken_at.replace(tzinfo=UTC) if taken_at is not None and taken_at.tzinfo is None else taken_at
-
-
 def source_of(surface: SurfaceMap) -> str:
     """Part and instrument: times are in order only among maps of the same."""
     return f"{surface.part_id} | {surface.instrument}"
@@ -60,7 +54,7 @@ def require_new(surface: SurfaceMap, seen: tuple[Path, Identity], ask: Ask, take
         f". If that is a clock's mistake and the map is the one to use, move it back as {path.stem}-{ask.token}"
         f"{path.suffix} while it is waited for; else measure again"
     )
-    measured, last = measured_at(surface), taken.last(source_of(surface))
+    measured, last = surface.measured_at, taken.last(source_of(surface))
     if measured is not None and last is not None and measured < last:
         raise StaleMap(
             f"out of order: measured at {measured.isoformat()}, before the last map that was taken, of "
@@ -70,10 +64,11 @@ def require_new(surface: SurfaceMap, seen: tuple[Path, Identity], ask: Ask, take
         return
     tolerance = timedelta(seconds=rules.clock_tolerance_s)
     written = datetime.fromtimestamp(min(max(identity.mtime_ns / 1e9, 0), LATEST_S), UTC)
-    if (measured or written) < ask.since - tolerance:
+    at, how = (measured, "measured") if measured else (written, "its header has no date that counts; written")
+    if at < ask.since - tolerance:
         raise StaleMap(
-            f"stale: measured at {(measured or written).isoformat()}, before it was asked for at "
-            f"{ask.since.isoformat()} by the folder's clock{nevertheless}"
+            f"stale: {how} at {at.isoformat()}, before it was asked for at {ask.since.isoformat()} by the folder's "
+            f"clock{nevertheless}"
         )
     if ask.present.get(path.name) == identity and abs(written - ask.since) > tolerance:
         raise StaleMap(f"stale: it lay there when the map was asked for, at {ask.since.isoformat()}{nevertheless}")

@@ -19,15 +19,23 @@ from polishd.workbench.maps.files import MapSource
 
 
 def average_verb(
-    files: Sequence[Path], target: Path | None, profile: Path | None, cell: Path | None, *, force: bool, as_json: bool
+    files: Sequence[Path],
+    target: Path | None,
+    profile: Path | None,
+    cell: Path | None,
+    as_format: str | None,
+    *,
+    mixed: bool,
+    force: bool,
+    as_json: bool,
 ) -> None:
     """Average the maps, each without its own piston and tilt; write the mean where it is wanted."""
-    source = MapSource.of(cell, profile)
+    source = MapSource.of(cell, profile, as_format)
     if target is not None:
         require_target(target, files, source, force=force)
     surfaces = [source.read(path) for path in files]
     _require_one_part(surfaces)
-    found = average(surfaces)
+    found = average(surfaces, mixed=mixed)
     answer: dict[str, Any] = {
         "used": list(found.used),
         "rejected": dict(found.rejected),
@@ -50,8 +58,8 @@ def _require_one_part(surfaces: Sequence[SurfaceMap]) -> None:
 
 def _mean_map(surfaces: Sequence[SurfaceMap], found: Repeats) -> SurfaceMap:
     """The mean with what is known of the first map; as new as the newest."""
-    times = [surface.taken_at for surface in surfaces if surface.taken_at is not None]
-    return replace(surfaces[0], height_nm=found.height_nm, taken_at=max(times, default=None))
+    times = [surface.measured_at for surface in surfaces if surface.measured_at is not None]
+    return replace(surfaces[0], height_nm=found.height_nm, taken_at=max(times, default=None), date_from="header")
 
 
 def _table(answer: Mapping[str, Any]) -> Table:

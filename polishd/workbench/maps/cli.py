@@ -10,7 +10,7 @@ import typer
 from typer import Argument, Option
 from typer.core import TyperGroup
 
-from polishd.workbench.maps.options import FigureOptions, Json, OfCell, Profile
+from polishd.workbench.maps.options import AsFormat, FigureOptions, Json, OfCell, Profile
 from polishd.workbench.options import spread
 
 DEFAULT = "figures"
@@ -80,11 +80,12 @@ def convert(
     force: Annotated[bool, Option("--force", help="Replace B where it is there.")] = False,
     as_json: Json = False,
     cell: OfCell = None,
+    as_format: AsFormat = None,
 ) -> None:
     """Write a map in another format; it is read back and compared before it appears."""
     from polishd.workbench.maps.convert import convert_verb
 
-    convert_verb(source, target, profile, cell, force=force, as_json=as_json)
+    convert_verb(source, target, profile, cell, as_format, force=force, as_json=as_json)
 
 
 @app.command()
@@ -96,13 +97,15 @@ def average(
     ] = None,
     profile: Profile = None,
     force: Annotated[bool, Option("--force", help="Replace MEAN where it is there.")] = False,
+    mixed: Annotated[bool, Option("--mixed", help="Also maps of unknown pitch, or of several instruments.")] = False,
     as_json: Json = False,
     cell: OfCell = None,
+    as_format: AsFormat = None,
 ) -> None:
     """The mean of repeated measurements, without maps and samples that deviate, and its uncertainty."""
     from polishd.workbench.maps.average import average_verb
 
-    average_verb(files, out, profile, cell, force=force, as_json=as_json)
+    average_verb(files, out, profile, cell, as_format, mixed=mixed, force=force, as_json=as_json)
 
 
 @app.command()

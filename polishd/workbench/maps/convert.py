@@ -23,10 +23,17 @@ WITHIN = 1e-6
 
 
 def convert_verb(
-    file: Path, target: Path, profile: Path | None, cell: Path | None, *, force: bool, as_json: bool
+    file: Path,
+    target: Path,
+    profile: Path | None,
+    cell: Path | None,
+    as_format: str | None,
+    *,
+    force: bool,
+    as_json: bool,
 ) -> None:
     """Write a map to ``target``, in the format of its ending. Nothing is written where anything is refused."""
-    source = MapSource.of(cell, profile)
+    source = MapSource.of(cell, profile, as_format)
     require_target(target, [file], source, force=force)
     surface = source.read(file)
     answer = {"path": str(file), "format": surface.format, **store(surface, target, source)}
@@ -108,13 +115,13 @@ def _read_back(content: bytes, target: Path, source: MapSource) -> SurfaceMap:
         trial = Path(scratch) / f"map{target.suffix.lower()}"
         trial.write_bytes(content)
         try:
-            return MapSource(source.readers).read(trial)
+            return MapSource(source.readers, tuple(source.readers.values())).read(trial)
         except SurfaceError as error:
             raise BadMap(f"{target}: what would be written does not read back: {error}") from error
 
 
 def _notes(surface: SurfaceMap, back: SurfaceMap, *, profiled: bool) -> list[str]:
-    named = {"part": "part_id", "time of measurement": "taken_at", "fiducials": "fiducials_px"}
+    named = {"part": "part_id", "time of measurement": "measured_at", "fiducials": "fiducials_px"}
     lost = [word for word, key in named.items() if getattr(surface, key) and not _alike(surface, back, key)]
     notes = [f"the format does not keep the {', '.join(lost)}"] if lost else []
     if profiled:
@@ -124,7 +131,7 @@ def _notes(surface: SurfaceMap, back: SurfaceMap, *, profiled: bool) -> list[str
 
 def _alike(surface: SurfaceMap, back: SurfaceMap, key: str) -> bool:
     before, after = getattr(surface, key), getattr(back, key)
-    if key == "taken_at":
+    if key == "measured_at":
         return after is not None and abs((after - before).total_seconds()) < 1
     if key == "fiducials_px":
         return len(before) == len(after) and bool(np.allclose(before, after, atol=0.01))

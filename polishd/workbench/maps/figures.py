@@ -113,10 +113,13 @@ def _or_none(figure: Callable[[], T]) -> T | None:
 
 
 def _origin(surface: SurfaceMap) -> dict[str, Any]:
+    at = surface.measured_at or surface.taken_at
     return {
         "part_id": surface.part_id,
         "instrument": surface.instrument,
-        "taken_at": None if surface.taken_at is None else surface.taken_at.isoformat(),
+        "taken_at": None if surface.measured_at is None else surface.measured_at.isoformat(),
+        "dated_at": None if at is None else at.isoformat(),
+        "date_from": None if at is None else surface.date_from,
         "orientation": surface.orientation,
         "unsaid": sorted(surface.unsaid),
         "fiducials_px": [list(mark) for mark in surface.fiducials_px],

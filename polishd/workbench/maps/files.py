@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -28,28 +28,38 @@ class MapSource:
 
     readers: Mapping[str, SurfaceReader]
     """By name, in the order in which they are asked."""
+    asked: Sequence[SurfaceReader]
+    """Those of them that read files."""
     instrument: Instrument | None = None
 
     @classmethod
-    def of(cls, cell: Path | None = None, profile: Path | None = None) -> MapSource:
-        """The cell's plugins, without a cell polishd's own; ConfigError or PluginError where a file is broken."""
+    def of(cls, cell: Path | None = None, profile: Path | None = None, as_format: str | None = None) -> MapSource:
+        """The cell's plugins, without a cell polishd's own; ConfigError or PluginError where a file is broken.
+
+        ``as_format``: read files as this format or ending, whatever they are called; BadParameter where it is none.
+        """
+        readers = readers_for(cell)
+        asked = tuple(readers.values()) if as_format is None else _of_format(readers, as_format)
         if profile is None:
-            return cls(readers_for(cell))
+            return cls(readers, asked)
         from polishd.config.profile import load_profile
 
-        instrument = load_profile(profile).instrument
-        return cls(readers_for(cell), instrument)
+        return cls(readers, asked, load_profile(profile).instrument)
 
     def read(self, path: Path) -> SurfaceMap:
-        """A map, as it is or as the profile says; BadMap where it cannot be had."""
-        if path.exists() and not path.is_file():
+        """A map, as it is or as far as the profile says; BadMap where it cannot be had."""
+        try:
+            odd = path.exists() and not path.is_file()
+        except OSError as error:  # a name that is too long, a folder that may not be entered
+            raise BadMap(f"{path}: cannot be read: {error.strerror}; name a map file") from error
+        if odd:
             raise BadMap(f"{path}: is {'a folder' if path.is_dir() else 'no file'}; name a map file")
-        surface = read_map(path, self.readers.values())
+        surface = read_map(path, self.asked)
         if self.instrument is None:
             return surface
         from polishd.process.instrument import as_profiled
 
-        return as_profiled(surface, self.instrument)
+        return as_profiled(surface, self.instrument, partly=True)
 
 
 def readers_for(cell: Path | None = None) -> Mapping[str, SurfaceReader]:
@@ -61,6 +71,21 @@ def readers_for(cell: Path | None = None) -> Mapping[str, SurfaceReader]:
     from polishd.hooks.loader import load_plugins
 
     return load_plugins([READERS]).surface_readers()
+
+
+def _of_format(readers: Mapping[str, SurfaceReader], name: str) -> Sequence[SurfaceReader]:
+    """The reader of this name, for any file; or those of this ending, as if files had it."""
+    if name in readers:
+        return [replace(readers[name], sniff=lambda _head, _path: True)]
+    suffix = f".{name.removeprefix('.').lower()}"
+    found = [_as_if(reader, suffix) for reader in readers.values() if suffix in reader.suffixes]
+    if not found:
+        raise typer.BadParameter(f"--format {name!r}: one of {', '.join(readers)}, or one of their endings")
+    return found
+
+
+def _as_if(reader: SurfaceReader, suffix: str) -> SurfaceReader:
+    return replace(reader, sniff=lambda head, path: reader.sniff(head, path.with_suffix(suffix)))
 
 
 def edges_mm(text: str) -> tuple[float, ...]:

@@ -24,7 +24,7 @@ def formats_verb(cell: Path | None = None, *, as_json: bool) -> None:
     asked = readers_for(cell)
     own = asked.keys() if cell is None else readers_for().keys()
     answers = [{**format_answer(reader), "own": reader.name in own} for reader in asked.values()]
-    columns = ("format", "endings", "reads", "writes", "installed by")
+    columns = ("format", "endings", "reads", "writes", "dated by", "installed by")
     emit({"formats": answers}, as_json=as_json, table=lambda: record_table("formats", columns, map(_row, answers)))
 
 
@@ -37,6 +37,7 @@ def format_answer(reader: SurfaceReader) -> dict[str, Any]:
         "suffixes": list(reader.suffixes),
         "reads": installed,
         "writes": installed and reader.write is not None,
+        "dates": reader.dates,
         "extra": extra,
         "installed": installed,
     }
@@ -50,5 +51,6 @@ def _row(answer: dict[str, Any]) -> tuple[str, ...]:
         " ".join(answer["suffixes"]) or "any",
         "yes" if answer["reads"] else "no",
         "yes" if answer["writes"] else "no",
+        "header" if answer["dates"] else "file system",
         f"pip install 'polishd[{extra}]'" + (": is there" if answer["installed"] else "") if extra else by,
     )

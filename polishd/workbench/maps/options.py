@@ -17,6 +17,9 @@ Profile = Annotated[
 OfCell = Annotated[
     Path | None, Option("--cell", metavar="CELL.toml", help="Read as this cell does: with its plugins.", readable=False)
 ]
+AsFormat = Annotated[
+    str | None, Option("--format", metavar="NAME", help="Read as this format, or ending, whatever a file is called.")
+]
 Json = Annotated[bool, Option("--json", help="One JSON object a file on stdout, for programs.")]
 
 
@@ -29,3 +32,4 @@ class FigureOptions:
     profile: Profile = None
     bands: Annotated[str, Option(metavar="MM,...", help="Periods between the bands, falling.")] = "33,0.12"
     cell: OfCell = None
+    as_format: AsFormat = None

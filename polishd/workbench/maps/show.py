@@ -33,7 +33,7 @@ def figures_verb(files: Sequence[Path], asked: FigureOptions, *, as_json: bool) 
     require_picture(asked.out)
     if asked.out is not None and len(files) > MOST_DRAWN:
         raise typer.BadParameter(f"--out draws {MOST_DRAWN} maps at most, not {len(files)}")
-    source = MapSource.of(asked.cell, asked.profile)
+    source = MapSource.of(asked.cell, asked.profile, asked.as_format)
     answers: list[dict[str, Any]] = []
     drawn: list[Figured] = []
     for file in files:
@@ -63,7 +63,7 @@ def _show(answers: Sequence[Mapping[str, Any]]) -> None:
     if len(answers) == 1:
         stdout.print(key_table(shown(answers[0]["path"]), _rows(answers[0])))
     else:
-        columns = ["file", "samples", "pitch mm", "missing", "PV nm", "RMS nm", "PV level", "RMS level"]
+        columns = ["file", "samples", "pitch mm", "missing", "dated by", "PV nm", "RMS nm", "PV level", "RMS level"]
         columns += next(([band["name"] for band in answer["bands"]] for answer in answers if answer["bands"]), [])
         stdout.print(figure_table("maps", columns, map(_row, names, answers)))
     for line in warnings(names, answers):
@@ -76,6 +76,7 @@ def _row(name: str, answer: Mapping[str, Any]) -> tuple[str, ...]:
         f"{answer['rows']} x {answer['cols']}",
         or_dash(answer["pitch_mm"], ".7g"),
         str(answer["missing"]),
+        answer["date_from"] or "-",
         *(f"{answer[key]:.3f}" for key in HEIGHTS),
         *(or_dash(band["rms_nm"], ".3f") for band in answer["bands"] or ()),
     )
@@ -94,12 +95,17 @@ def _rows(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("slope", or_dash(answer["slope_rms_urad"], ".4g", " urad RMS")),
         *((band["name"], _band_words(band)) for band in answer["bands"] or ()),
     ]
-    said = {"part": answer["part_id"], "instrument": answer["instrument"], "taken": answer["taken_at"]}
+    said = {"part": answer["part_id"], "instrument": answer["instrument"], "taken": _date_words(answer)}
     rows += [(name, shown(value)) for name, value in said.items() if value]
     rows.append(("orientation", answer["orientation"]))
     if answer["unsaid"]:
         rows.append(("the file does not say", ", ".join(answer["unsaid"])))
     return [*rows, ("sha256", answer["sha256"])]
+
+
+def _date_words(answer: Mapping[str, Any]) -> str:
+    by = {"file system": "file system: its header has no date", "guessed": "guessed: not used"}
+    return f"{answer['dated_at']} ({by.get(answer['date_from'], answer['date_from'])})" if answer["dated_at"] else ""
 
 
 def _pair(answer: Mapping[str, Any], which: str) -> str:

@@ -144,6 +144,18 @@ def fourd(
     return held.getvalue()
 
 
+def foursight(height: FloatArray = HEIGHT_NM, **attributes: str) -> bytes:
+    """A 4D ``.h5`` as 4Sight writes it: no ``ypix``, but ``aspect``; a date, and the head's serial number."""
+    words = {"xpix": f"{PITCH_MM} mm", "aspect": "1.0", "date": "Thu Mar 14 10:22:33 2019", "head_serial": "20714"}
+
+    def change(_: h5py.File, data: h5py.Dataset) -> None:
+        del data.parent.attrs["ypix"]
+        for name, text in (words | attributes).items():
+            data.parent.attrs[name] = np.bytes_(text)
+
+    return fourd(height, change=change)
+
+
 def zygo_header(kind: str, shape: tuple[int, ...], **line: str) -> str:
     """The 14 lines; ``line`` replaces the one of its number ("line8")."""
     rows, columns = shape

@@ -10,6 +10,8 @@ import os
 import struct
 import time
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -239,6 +241,40 @@ async def test_what_is_refused_is_kept_with_its_reason(
     assert found.part_id == PART
     assert (folder / "quarantine" / "bad.dat").read_bytes() == content
     assert f"bad.dat: {reason}" in (folder / "quarantine" / "bad.dat.reason.txt").read_text()
+
+
+async def test_a_guessed_date_makes_no_map_new_and_none_out_of_order(
+    make: Callable[..., WatchedFolder], folder: Path
+) -> None:
+    """A library took ``02:15:18`` for a time of today: when the file was written decides."""
+
+    def read(path: Path) -> SurfaceMap:
+        ahead = datetime.now(UTC) + timedelta(hours=3)
+        return replace(METROPRO.read(path), taken_at=ahead, date_from="guessed")
+
+    guessing = replace(METROPRO, sniff=lambda _, path: path.suffix == ".opd", read=read)
+    device = make((guessing, METROPRO), stable_s=0.02, request_file="measure.request")
+
+    async def act() -> None:
+        await until((folder / "measure.request").exists)
+        written = folder / ".old"
+        written.write_bytes(dat(1))
+        os.utime(written, (time.time() - 60, time.time() - 60))
+        written.rename(folder / "old.opd")
+        await until(lambda: bool(reasons(folder)))
+        (folder / "new.opd").write_bytes(dat(2))
+
+    first = await while_waiting(device, act)
+    assert first.date_from == "guessed"
+    assert "old.opd: StaleMap: stale: its header has no date that counts; written at" in reasons(folder)
+
+    async def measure() -> None:
+        await until((folder / "measure.request").exists)
+        (folder / "later.dat").write_bytes(dat(3))
+
+    later = await while_waiting(device, measure, first.sha256)
+    assert later.date_from == "header"
+    assert "later.dat" not in reasons(folder)
 
 
 async def test_time_is_up(make: Callable[..., WatchedFolder], folder: Path) -> None:

@@ -120,7 +120,16 @@ def test_each_factor_is_applied_once(path: Path, fields: dict[str, object], fact
 
 @pytest.mark.parametrize(
     ("part", "serial", "expected"),
-    [(b"A", b"B", "B"), (b"A", b"", "A"), (b"", b"", ""), (b" A \0junk", b"  ", "A"), (b"x" * 40, b"", "x" * 40)],
+    [
+        (b"A", b"B", "B"),
+        (b"A", b"", "A"),
+        (b"", b"", ""),
+        (b" A \0junk", b"  ", "A"),
+        (b"x" * 40, b"", "x" * 40),
+        (b"A", b'""', "A"),
+        (b"' '", b'" "', ""),
+        (b'5" flat', b"", '5" flat'),
+    ],
 )
 def test_part_id(path: Path, part: bytes, serial: bytes, expected: str) -> None:
     path.write_bytes(dat(VECTOR, part=part, serial=serial))

@@ -256,7 +256,6 @@ BROKEN: dict[str, tuple[Change, str]] = {
     "obliquity 0": (given("Obliquity Factor", 0.0), "Obliquity"),
     "obliquity is text": (given("Obliquity Factor", "one"), "not a number"),
     "pitch NaN": (given("X Converter", make.converter("LateralCat", "Pixels", 0.0, np.nan, 0, 0)), "pitch in x"),
-    "pitch absurd": (given("X Converter", make.converter("LateralCat", "Pixels", 0.0, 5e3, 0, 0)), "pitch in x"),
     "huge attribute": (given("Unit", np.zeros(7000)), "does not|larger than|not known"),
 }
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import gzip
+import hashlib
 import io
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +89,43 @@ def test_the_pitch_is_what_its_keywords_say(tmp_path: Path, cards: dict[str, Any
     assert fits.read(put(tmp_path, fits_file(**cards))).pitch_mm == pytest.approx(pitch_mm)
 
 
+@pytest.mark.one_of_each
+@pytest.mark.parametrize("name", ["map.fits.gz", "map.fits", "map.gz"])
+def test_a_packed_file_is_read_by_its_content(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(gzip.compress(fits_file(OBJECT="M1")))
+    assert fits.FITS.sniff(path.read_bytes()[:4096], path)
+    surface = fits.read(path)
+    np.testing.assert_array_equal(surface.height_nm, heights_nm())
+    assert surface.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert not fits.FITS.sniff(gzip.compress(b"anything else"), path)
+
+
+def test_a_packed_file_that_bursts_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadMap, match="32 times the file"):
+        fits.read(put(tmp_path, gzip.compress(fits_file(np.zeros((1000, 1000))))))
+
+
+@pytest.mark.parametrize(("cards", "nm"), [({"UNITS": "MICRONS"}, 1e3), ({"ZUNITS": "mm"}, 1e6), ({"UNITS": "x"}, 1.0)])
+def test_the_unit_has_other_names(tmp_path: Path, cards: dict[str, Any], nm: float) -> None:
+    surface = fits.read(put(tmp_path, fits_file(BUNIT=None, **cards)))
+    np.testing.assert_allclose(surface.height_nm, heights_nm() * nm)
+    assert ("unit" in surface.unsaid) == (cards.get("UNITS") == "x")
+    assert fits.read(put(tmp_path, fits_file(**cards))).factors["nm_per_unit"] == 1.0  # BUNIT is the standard's
+
+
+def test_the_date_of_observation_is_utc(tmp_path: Path) -> None:
+    surface = fits.read(put(tmp_path, fits_file(**{"DATE-OBS": "2019-03-14T10:22:33"})))
+    assert (surface.taken_at, surface.date_from) == (datetime(2019, 3, 14, 10, 22, 33, tzinfo=UTC), "header")
+    surface = fits.read(put(tmp_path, fits_file(**{"DATE-OBS": "2019-03-14"})))
+    assert (surface.measured_at, surface.date_from) == (None, "guessed")
+
+
+@pytest.mark.parametrize("text", ['""', "' '", '"'])
+def test_a_part_of_quotation_marks_is_none(tmp_path: Path, text: str) -> None:
+    assert fits.read(put(tmp_path, fits_file(OBJECT=text))).part_id == ""
+
+
 def test_turned_axes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(BadMap, match="PC1_2 turns"):
         fits.read(put(tmp_path, fits_file(PC1_2=0.1)))
@@ -125,7 +164,16 @@ def test_cubes_and_tables_and_infinities_are_refused(tmp_path: Path) -> None:
 
 def test_torn_and_packed_files_are_refused(tmp_path: Path) -> None:
     whole = fits_file()
-    for content in (whole[:20], whole[:2880], whole[:3000], gzip.compress(whole), b"SIMPLE  ="):
+    packed = gzip.compress(whole)
+    torn = (whole[:20], whole[:2880], whole[:3000], b"SIMPLE  =")
+    torn_packed = (
+        packed[:-1],
+        packed[:20],
+        packed + b"more",
+        packed[:50] + b"\xff" + packed[51:],
+        gzip.compress(b"no"),
+    )
+    for content in torn + torn_packed:
         with pytest.raises(BadMap):
             fits.read(put(tmp_path, content))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,9 @@ import numpy as np
 import pytest
 
 from polishd.api import BadMap, SurfaceMap
+from polishd.model.instrument import Instrument
 from polishd.plugins.interferometer.formats.fourd import FOURD
+from polishd.process.instrument import as_profiled
 from tests.unit.plugins import map_files as make
 
 Change = Callable[[h5py.File, h5py.Dataset], None]
@@ -156,7 +159,6 @@ BROKEN: dict[str, tuple[Change, str]] = {
     "wedge text": (given("wedge", np.bytes_("half")), "not a number"),
     "wedge infinite": (given("wedge", np.inf), "not a number"),
     "pitch negative": (given("xpix", np.bytes_("-0.2 mm")), "pitch in x"),
-    "pitch absurd": (given("xpix", np.bytes_("1e9 mm")), "pitch in x"),
 }
 
 
@@ -185,6 +187,39 @@ def test_an_odd_wedge_is_applied_with_a_warning(tmp_path: Path, wedge: str) -> N
     surface = found(tmp_path, make.fourd(wedge=wedge))
     same(surface)
     assert "neither" in surface.warnings[0]
+
+
+def test_what_4sight_writes(tmp_path: Path) -> None:
+    surface = found(tmp_path, make.foursight())
+    same(surface)
+    assert surface.pitch_mm == pytest.approx(make.PITCH_MM)
+    assert (surface.unsaid, surface.warnings, surface.date_from) == (frozenset(), (), "header")
+    assert surface.taken_at == datetime(2019, 3, 14, 10, 22, 33).astimezone()
+    assert surface.instrument == "4D, system 20714"
+    assert as_profiled(surface, Instrument("fizcam", serials=("20714",)))
+    with pytest.raises(BadMap, match="serials"):
+        as_profiled(surface, Instrument("fizcam", serials=("20715",)))
+
+
+def test_an_aspect_makes_pixels_that_are_not_square(tmp_path: Path) -> None:
+    surface = found(tmp_path, make.foursight(aspect="1.2"))
+    assert (surface.pitch_mm, set(surface.unsaid)) == (None, {"square pixels"})
+    assert "0.25 mm wide and 0.3 mm high" in surface.warnings[0]
+    with pytest.raises(BadMap, match="pitch in y"):
+        found(tmp_path, make.foursight(aspect="-1.0"))
+
+
+@pytest.mark.one_of_each
+@pytest.mark.parametrize("attributes", [{"xpix": ""}, {"xpix": "0.0953"}, {"aspect": "0"}])
+def test_4sight_without_a_scale(tmp_path: Path, attributes: dict[str, str]) -> None:
+    assert found(tmp_path, make.foursight(**attributes)).unsaid == {"pitch"}
+
+
+@pytest.mark.parametrize(("text", "by"), [("03/04/2019 10:22:33", "guessed"), ("a Thursday", "header")])
+def test_a_date_that_is_none(tmp_path: Path, text: str, by: str) -> None:
+    surface = found(tmp_path, make.foursight(date=text))
+    assert (surface.measured_at, surface.date_from) == (None, by)
+    assert text in surface.warnings[0]
 
 
 @pytest.mark.parametrize("name", ["xpix", "ypix"])

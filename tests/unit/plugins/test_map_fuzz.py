@@ -29,7 +29,7 @@ LONG = 100_000 // PARTS
 
 SUFFIX = {reader.name: reader.suffixes[0] for reader in READERS if reader.suffixes}
 EXAMPLES = {name: (f"map{SUFFIX.get(name, '')}", content()) for name, content in map_files.EXAMPLES.items()}
-EXAMPLES |= map_files_other.EXAMPLES
+EXAMPLES |= map_files_other.EXAMPLES | {"4d-4sight": ("map.h5", map_files.foursight())}
 VARIANTS: dict[str, list[tuple[str, bytes]]] = {reader.name: [] for reader in READERS if reader.name != "tail"}
 """Names and contents of valid files by reader; the tail's parsers run in a process of their own."""
 for file_name, valid in EXAMPLES.values():

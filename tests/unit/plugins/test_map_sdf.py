@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,9 @@ import sdfio
 
 from polishd.api import BadMap
 from polishd.plugins.interferometer.formats import sdf
-from tests.unit.plugins.map_files_other import COLUMNS, PITCH_MM, ROWS, heights_nm, sdf_ascii, sdf_binary
+from tests.unit.plugins.map_files_other import COLUMNS, PITCH_MM, ROWS, heights_nm, sdf_ascii, sdf_binary, sdf_second
+
+ITEM = {"INT8": 1, "INT16": 2, "INT32": 4}
 
 
 def put(folder: Path, content: bytes) -> Path:
@@ -37,6 +41,37 @@ def test_heights_come_back_the_right_way_up(tmp_path: Path, content: bytes) -> N
     np.testing.assert_allclose(surface.height_nm, heights_nm(), atol=1e-10)
     assert surface.pitch_mm == pytest.approx(PITCH_MM)
     assert not surface.unsaid
+
+
+@pytest.mark.one_of_each
+@pytest.mark.parametrize("kind", [kind for kind in sdfio.DataType if not kind.name.startswith("U")])
+def test_the_second_editions_header_is_four_bytes_longer(tmp_path: Path, kind: sdfio.DataType) -> None:
+    content = sdf_second(kind)
+    assert (content[:8], struct.unpack_from("<II", content, 42)) == (b"bISO-2.0", (COLUMNS, ROWS))
+    step_nm = np.nanmax(np.abs(heights_nm())) / np.iinfo(f"i{ITEM[kind.name]}").max if "INT" in kind.name else 1e-4
+    for whole in (content, b"\xef\xbb\xbf" + content, content + b"Operator = A\r\n"):
+        surface = sdf.read(put(tmp_path, whole))
+        np.testing.assert_allclose(surface.height_nm, heights_nm(), atol=step_nm)
+        assert surface.pitch_mm == pytest.approx(PITCH_MM)
+    for start in range(8, 85):  # no byte of the header makes another error than a refusal
+        for value in (0, 1, 0xFF):
+            broken = content[:start] + bytes([value]) + content[start + 1 :]
+            with suppress(BadMap):
+                sdf.read(put(tmp_path, broken))
+
+
+def test_samples_beyond_the_second_editions_are_refused(tmp_path: Path) -> None:
+    content = bytearray(sdf_second())
+    struct.pack_into("<I", content, 42, COLUMNS - 1)
+    with pytest.raises(BadMap, match="more than its header asks for"):
+        sdf.read(put(tmp_path, bytes(content)))
+
+
+def test_the_date_is_the_headers(tmp_path: Path) -> None:
+    at = datetime(2019, 3, 14, 10, 22, tzinfo=UTC)
+    surface = sdf.read(put(tmp_path, sdf_second(create_date=at)))
+    assert (surface.taken_at, surface.date_from) == (at, "header")
+    assert sdf.read(put(tmp_path, sdf_second(create_date=None))).taken_at is None
 
 
 def test_the_forerunner_lists_its_rows_from_the_top(tmp_path: Path) -> None:

@@ -12,12 +12,13 @@ from polishd.api import BadMap
 from polishd.plugins.interferometer.formats import tail
 
 STAND_IN = """
+import dateutil.parser
 import numpy as np
 print("a library that prints")
 
 class Topography:
     dim, is_uniform, nb_grid_pts, unit = 2, True, (3, 2), {unit!r}
-    info = {{"instrument": {{"name": "Wyko NT"}}}}
+    info = {{"instrument": {{"name": "Wyko NT"}}, **{info}}}
     pixel_size = (2000.0, {y_nm})
     def to_unit(self, unit):
         assert unit == "nm"
@@ -50,10 +51,15 @@ def library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def put(
-    folder: Path, library: Path | None = None, body: str = "pass", unit: str | None = "m", y_nm: float = 2e3
+    folder: Path,
+    library: Path | None = None,
+    body: str = "pass",
+    unit: str | None = "m",
+    y_nm: float = 2e3,
+    info: str = "{}",
 ) -> Path:
     if library is not None:
-        (library / "SurfaceTopography.py").write_text(STAND_IN.format(body=body, unit=unit, y_nm=y_nm))
+        (library / "SurfaceTopography.py").write_text(STAND_IN.format(body=body, unit=unit, y_nm=y_nm, info=info))
     path = folder / "map.OPD"
     path.write_bytes(b"anything")
     return path
@@ -69,6 +75,32 @@ def test_what_the_worker_says_is_the_map(tmp_path: Path, library: Path) -> None:
     assert surface.format == "tail:opd"
     assert surface.sha256 == hashlib.sha256(b"anything").hexdigest()
     assert surface.warnings == ("the default one of 2 channels is taken",)
+
+
+def test_a_date_that_the_library_fills_in_is_guessed(tmp_path: Path, library: Path) -> None:
+    """``Date 02:15:18`` is month, day and year, and read as a time of today: a map of years ago would be new."""
+    path = put(tmp_path, library, info="{'acquisition_time': dateutil.parser.parse('02:15:18')}")
+    surface = tail.read(path)
+    assert surface.taken_at is not None
+    assert (surface.date_from, surface.measured_at) == ("guessed", None)
+    assert "is today's, as if filled in: the map counts as not dated" in surface.warnings[-1]
+
+
+@pytest.mark.one_of_each
+@pytest.mark.parametrize(
+    ("text", "by"), [("02/15/18 10:32:11", "header"), ("02/15/18", "guessed"), ("2018-02-15T10:32:11Z", "header")]
+)
+def test_a_date_with_its_year_is_the_headers(tmp_path: Path, library: Path, text: str, by: str) -> None:
+    surface = tail.read(put(tmp_path, library, info=f"{{'acquisition_time': dateutil.parser.parse({text!r})}}"))
+    assert surface.date_from == by
+    assert surface.taken_at
+    assert surface.taken_at.year == 2018
+    assert surface.taken_at.tzinfo
+
+
+def test_what_is_no_date_at_all_is_none(tmp_path: Path, library: Path) -> None:
+    surface = tail.read(put(tmp_path, library, info="{'acquisition_time': 'soon'}"))
+    assert (surface.taken_at, surface.warnings) == (None, ("the default one of 2 channels is taken",))
 
 
 def test_a_file_without_units_leaves_them_open(tmp_path: Path, library: Path) -> None:

@@ -41,6 +41,13 @@ def test_what_stands_in_a_file(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FORMATS)
+def test_a_serial_number_of_quotation_marks_is_none(tmp_path: Path, name: str) -> None:
+    assert found(tmp_path, name, FORMATS[name](line6='""" """')).part_id == "M1"
+    assert found(tmp_path, name, FORMATS[name](line6="\"''\"", line7='""')).part_id == ""
+    assert found(tmp_path, name, FORMATS[name](line6='"5\' mirror"')).part_id == "5' mirror"
+
+
+@pytest.mark.parametrize("name", FORMATS)
 def test_without_lateral_scale(tmp_path: Path, name: str) -> None:
     surface = found(tmp_path, name, FORMATS[name](line8="0 0.5 6.328e-07 0 1 0 0 0"))
     same(surface)

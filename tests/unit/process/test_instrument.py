@@ -116,6 +116,42 @@ def test_pitches_must_agree() -> None:
         as_profiled(MAP, replace(PROFILE, pitch_mm=0.26))
 
 
+def test_a_number_cut_to_16_bits_is_that_of_its_twin() -> None:
+    """651365 in the text and 61541 in the ``.dat`` of one measurement."""
+    twins = [replace(MAP, instrument=name) for name in ("Zygo MetroPro, system 61541", "Zygo, system 651365")]
+    for entry in ("651365", "61541", *(twin.instrument for twin in twins)):
+        for twin in twins:
+            assert as_profiled(twin, replace(PROFILE, serials=(entry,))).pitch_mm == MAP.pitch_mm
+    for other in ("Zygo, system 651366", "Zygo, system 127077", "4D, system 651365x", "system 61541"):
+        with pytest.raises(BadMap, match="serials"):
+            as_profiled(replace(MAP, instrument=other), replace(PROFILE, serials=("651365",)))
+
+
+def test_one_key_is_enough_to_look_but_not_to_polish() -> None:
+    doubts = {"pitch": "no lateral scale", "unit": "no unit"}
+    asked = replace(
+        MAP,
+        pitch_mm=None,
+        unsaid=frozenset({"pitch", "unit", "surface"}),
+        doubts=doubts,
+        warnings=(*doubts.values(), "cut"),
+    )
+    for profile, left, pitch_mm, factor in (
+        (replace(PROFILE, pitch_mm=0.2), {"unit", "surface"}, 0.2, 1.0),
+        (replace(PROFILE, unit_nm=10.0), {"pitch", "surface"}, None, 10.0),
+        (replace(PROFILE, unit_nm=10.0, pitch_mm=0.2, gives=frozenset({"surface"})), set(), 0.2, 10.0),
+    ):
+        seen = as_profiled(asked, profile, partly=True)
+        assert (set(seen.unsaid), seen.pitch_mm) == (left, pitch_mm)
+        assert seen.warnings == (*(doubts[key] for key in ("pitch", "unit") if key in left), "cut")
+        np.testing.assert_array_equal(seen.height_nm, HEIGHT * factor)
+        if left:
+            with pytest.raises(BadMap, match="does not say its"):
+                as_profiled(asked, profile)
+    odd = replace(asked, unsaid=frozenset({"square pixels"}))
+    assert as_profiled(odd, replace(PROFILE, pitch_mm=0.2), partly=True).pitch_mm is None
+
+
 def test_another_instrument_is_refused() -> None:
     assert as_profiled(MAP, replace(PROFILE, serials=("SN 6", "SN 7"))).instrument == "SN 7"
     zygo = replace(MAP, instrument="Zygo MetroPro, system 62398")

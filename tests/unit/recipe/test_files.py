@@ -65,6 +65,36 @@ def test_a_map_that_nobody_knows(tmp_path: Path) -> None:
         read_map(path, [])
 
 
+def test_a_text_under_another_name_is_told_its_own(tmp_path: Path) -> None:
+    """By what a reader says of its content, not of a name alone; one that fails at it is named."""
+
+    def odd(head: bytes, path: Path) -> bool:
+        return path.suffix == ".odd" and head[4] == 1
+
+    def lists(head: bytes, path: Path) -> bool:
+        return path.suffix == ".pts" and head.startswith(b"1 2")
+
+    readers = [
+        SurfaceReader("odd", odd, small_map, (".odd",)),
+        SurfaceReader("named", lambda head, path: path.suffix == ".nam", small_map, (".nam",)),
+        SurfaceReader("lists", lists, small_map, (".pts",)),
+    ]
+    path = tmp_path / "m.dat"
+    path.write_bytes(b"1 2 3")
+    with pytest.raises(
+        BadMap,
+        match=r"\(tried: odd, named, lists\); it looks like lists: name it \*\.pts \(or polishd map --format pts\)$",
+    ):
+        read_map(path, readers)
+    path.write_bytes(b"x y")
+    with pytest.raises(BadMap, match=r"; the reader 'odd' failed on it \(IndexError: .*\): mend its plugin$"):
+        read_map(path, readers)
+    for content in (b"x y z", b"1 2\0"):
+        path.write_bytes(content)
+        with pytest.raises(BadMap, match=r"\(tried: odd, named, lists\)$"):
+            read_map(path, readers)
+
+
 def test_a_map_that_is_empty_or_gone(tmp_path: Path) -> None:
     path = tmp_path / "m.dat"
     with pytest.raises(BadMap, match="cannot be read: No such file"):

@@ -271,10 +271,13 @@ def test_a_tilt_that_is_polished_is_said(desk: Desk) -> None:
 
 
 def test_a_map_that_leaves_something_unsaid_needs_a_profile_that_gives_it(desk: Desk) -> None:
-    desk.surface = replace(desk.surface, unsaid=frozenset({"orientation"}))
+    doubt = "how its rows lie is left open"
+    desk.surface = replace(
+        desk.surface, unsaid=frozenset({"orientation"}), doubts={"orientation": doubt}, warnings=(doubt, "cut")
+    )
     desk.refused(BadMap, "orientation")
     desk.recipe = small_recipe(instrument=Instrument("bench", gives=frozenset({"orientation"})))
-    assert UNPROVED in desk.plan()["notes"]
+    assert desk.plan()["notes"][:2] == [UNPROVED, "cut"], "what the profile gives is no longer called open"
 
 
 def test_a_commissioned_profile_needs_no_note(desk: Desk) -> None:

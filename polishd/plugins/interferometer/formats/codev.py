@@ -130,14 +130,12 @@ def _cut(path: Path, last: bytes, no_data: bytes) -> tuple[str, ...]:
 
 def _pitch(header: Header) -> Pitch:
     """None, and what else is left open."""
-    warnings, unsaid = [NO_PITCH], {"pitch"}
+    doubts = {"pitch": NO_PITCH}
     if header.kind == "WFR":
-        warnings.append(WAVEFRONT)
-        unsaid.add("surface")
+        doubts["surface"] = WAVEFRONT
     if header.number.get("XSC", 1.0) != 1.0:
-        warnings.append(f"XSC is {header.number['XSC']:g}: its pixels are not square")
-        unsaid.add("square pixels")
-    return Pitch(None, tuple(warnings), frozenset(unsaid))
+        doubts["square pixels"] = f"XSC is {header.number['XSC']:g}: its pixels are not square"
+    return Pitch(None, doubts)
 
 
-CODEV = FORMAT.reader(read, ".int", sniff=sniff)
+CODEV = FORMAT.reader(read, ".int", sniff=sniff, dates=False)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
+from polishd.process.plausible import EARLIEST
 
 MOST_BYTES = 2**30
 """No map of a camera is larger."""
@@ -26,8 +27,7 @@ ZERO_TAIL, MOST_ZEROS = 16, 0.05
 """So many samples of exactly zero at the very end are not measured where hardly any other is zero: preallocated."""
 OPTICS = {"IntfScaleFactor": (0.01, 100.0), "Wavelength (m)": (1e-7, 2e-5), "Obliquity": (0.01, 100.0)}
 """What the factors of an interferometer's heights may be."""
-EARLIEST_S = 315_532_800
-"""1980: before it there were no such files. Small numbers are clocks never set, or days where seconds should be."""
+QUOTES = " \t\r\n\0\"'`"
 
 
 def content_of(path: Path) -> bytes:
@@ -111,9 +111,14 @@ def require_said(surface: SurfaceMap, *also: str) -> None:
 def time_of(seconds: float) -> datetime | None:
     """The instant of a time stamp in seconds since 1970; None for what is no time a map was measured at."""
     try:
-        return datetime.fromtimestamp(seconds, UTC) if seconds >= EARLIEST_S else None
+        return datetime.fromtimestamp(seconds, UTC) if seconds >= EARLIEST.timestamp() else None
     except (OverflowError, ValueError, OSError):
         return None
+
+
+def named(text: str) -> str:
+    """A name as it stands, without blanks around it; "" for one of nothing but quotation marks and blanks."""
+    return text.strip() if text.strip(QUOTES) else ""
 
 
 def members_of(path: Path, archive: ZipFile) -> list[ZipInfo]:

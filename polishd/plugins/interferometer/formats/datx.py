@@ -17,7 +17,7 @@ import numpy as np
 from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats import apart, hdf5
-from polishd.plugins.interferometer.formats.common import require_optics, time_of
+from polishd.plugins.interferometer.formats.common import named, require_optics, time_of
 from polishd.plugins.interferometer.formats.datx_writer import write
 from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, HeightUnit, Pitch, checked, height_unit, pitch
@@ -174,7 +174,7 @@ def _pitch(source: hdf5.Opened, data: Any) -> Pitch:
         return NO_PITCH
     odd = sorted({unit for unit, _ in sides if unit.lower() not in PIXELS})
     if odd:
-        return NO_PITCH._replace(warnings=(f"its pitch is in {odd[0]!r} a pixel, not in m: it is not used",))
+        return Pitch(None, {"pitch": f"its pitch is in {odd[0]!r} a pixel, not in m: it is not used"})
     return pitch(source.path, metres[0] * 1e3, metres[1] * 1e3)
 
 
@@ -187,7 +187,7 @@ def _about(source: hdf5.Opened, links: dict[tuple[str, str], str]) -> dict[str, 
     key = {name.rpartition(".")[2]: name for name in reversed(list(node.attrs))}
 
     def text(name: str) -> str:
-        return hdf5.text(source, node, key[name]) if name in key else ""
+        return named(hdf5.text(source, node, key[name])) if name in key else ""
 
     system = " ".join(["Zygo", text("System Type")]).strip()
     serial = text("System Serial Number")

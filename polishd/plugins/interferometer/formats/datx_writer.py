@@ -80,7 +80,7 @@ def _about(group: h5py.Group, surface: SurfaceMap) -> None:
     for name in ("Part Serial Number", "Part Number"):
         group.attrs[f"{prefix}.{name}"] = np.array([surface.part_id], dtype=text)
     group.attrs[f"{prefix}.System Type"] = np.array(["polishd"], dtype=text)
-    if surface.taken_at:
+    if surface.measured_at:
         stamp = [("time", "<i8"), ("millitm", "<u2"), ("timezone", "<i2"), ("dstflag", "<i2")]
-        seconds, milli = divmod(int(surface.taken_at.timestamp() * 1000), 1000)
+        seconds, milli = divmod(int(surface.measured_at.timestamp() * 1000), 1000)
         group.attrs[f"{prefix}.Time Stamp"] = np.array([(seconds, milli, 0, 0)], dtype=stamp)

@@ -1,4 +1,4 @@
-"""FITS images through astropy: the primary array, or the first image extension, of two dimensions.
+"""FITS images through astropy, also packed by gzip: the primary array, or the first image extension, of two axes.
 
 FITS counts rows from the bottom as displayed, so they are turned. What the numbers are (surface or wavefront) and how
 the part lay, no keyword of the standard says: that is left to the instrument's profile.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import math
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +16,34 @@ import numpy as np
 
 from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, extra, parsing, require_tail
+from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, extra, named, parsing, require_tail
+from polishd.plugins.interferometer.formats.dates import date_of
 from polishd.plugins.interferometer.formats.format import NOT_SAID, Format
+from polishd.plugins.interferometer.formats.hdf5 import FREE_BYTES, MOST_RATIO
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
 
-FORMAT = Format("fits", 1, (b"SIMPLE  =",))
+FORMAT = Format("fits", 2, (b"SIMPLE  =",))
 BITPIX = (8, 16, 32, 64, -32, -64)
 MOST_EXTENSIONS = 64
+GZIP, GZIP_WINDOW = b"\x1f\x8b\x08", 31
+UNIT_KEYS = ("BUNIT", "UNITS", "ZUNITS")
+
+
+def sniff(head: bytes, path: Path) -> bool:
+    """True where the file, or what gzip packed into it, starts as FITS does."""
+    if not head.startswith(GZIP):
+        return FORMAT.sniff(head, path)
+    try:
+        return FORMAT.sniff(zlib.decompressobj(GZIP_WINDOW).decompress(head, len(FORMAT.magic[0])), path)
+    except zlib.error:
+        return False
 
 
 def read(path: Path) -> SurfaceMap:
     """Read the first image. BadMap without astropy, for torn files, tables, cubes and compressed images."""
     fits = extra(path, "astropy.io.fits", "fits")
-    content = content_of(path)
+    packed = content_of(path)
+    content = _unpacked(path, packed) if packed.startswith(GZIP) else packed
     if not FORMAT.sniff(content, path):
         raise BadMap(f"{path}: no FITS file: it starts with {content[:9]!r}")
     with parsing(path, "astropy"):
@@ -36,25 +52,44 @@ def read(path: Path) -> SurfaceMap:
             hdu = _image(path, hdus)
             header = hdu.header
             _check_size(path, hdu, len(content))
-            height = height_unit(str(header.get("BUNIT", "")))
+            height = height_unit(next((str(header[key]) for key in UNIT_KEYS if header.get(key)), ""))
             lateral = _pitch(path, header)
             height_nm, factors = _scaled(path, header, hdu.data)
+            date = date_of(str(header.get("DATE-OBS", "")), utc=True)
             others = sum(_is_image(other.header) for other in hdus) - 1
     height_nm *= height.nm
     height_nm[np.isinf(height_nm)] = np.inf  # both signs alike: refused below
     return FORMAT.surface(
         path,
-        content,
+        packed,
         checked(path, height_nm, height.nm),
         height=height,
         lateral=lateral,
-        part_id=str(header.get("OBJECT", "")).strip(),
-        instrument=str(header.get("INSTRUME", "")).strip(),
+        part_id=named(str(header.get("OBJECT", ""))),
+        instrument=named(str(header.get("INSTRUME", ""))),
+        taken_at=date.at,
+        date_from=date.by,
         factors=factors | {"nm_per_unit": height.nm},
-        warnings=(NOT_SAID, *((f"the first of {others + 1} images is taken",) if others else ())),
-        unsaid={"surface", "orientation"},
+        doubts={"surface": NOT_SAID},
+        warnings=((f"the first of {others + 1} images is taken",) if others else ()) + date.warnings,
+        unsaid={"orientation"},
         orientation="rows turned upside down: FITS counts them from the bottom",
     )
+
+
+def _unpacked(path: Path, packed: bytes) -> bytes:
+    """What gzip packed, within the bounds of HDF5's samples."""
+    most = MOST_RATIO * len(packed) + FREE_BYTES
+    unpacking = zlib.decompressobj(GZIP_WINDOW)
+    try:
+        content = unpacking.decompress(packed, most)
+    except zlib.error as error:
+        raise BadMap(f"{path}: gzip cannot unpack it: {error}") from error
+    if unpacking.unconsumed_tail:
+        raise BadMap(f"{path}: would unpack to more than {MOST_RATIO} times the file")
+    if not unpacking.eof or unpacking.unused_data:
+        raise BadMap(f"{path}: {'something follows' if unpacking.eof else 'torn before'} the end of what gzip packed")
+    return content
 
 
 def _image(path: Path, hdus: Any) -> Any:
@@ -114,4 +149,4 @@ def _pitch(path: Path, header: Any) -> Pitch:
     return pitch(path, x_mm, y_mm)
 
 
-FITS = FORMAT.reader(read, ".fits", ".fit", ".fts")
+FITS = FORMAT.reader(read, ".fits", ".fit", ".fts", ".fits.gz", sniff=sniff)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 from polishd.api import SurfaceMap, SurfaceReader
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats.common import sha256_of
-from polishd.plugins.interferometer.formats.scales import SAID, HeightUnit, Pitch
+from polishd.plugins.interferometer.formats.scales import NOTHING, SAID, HeightUnit, Pitch
 
 NOT_SAID = "the file does not say that this is a surface"
 
@@ -35,9 +35,10 @@ class Format:
         *suffixes: str,
         sniff: Callable[[bytes, Path], bool] | None = None,
         write: Callable[[SurfaceMap], bytes] | None = None,
+        dates: bool = True,
     ) -> SurfaceReader:
         """What the plugin declares; ``sniff`` where a magic number is not all that tells the format."""
-        return SurfaceReader(self.name, sniff or self.sniff, read, suffixes, write)
+        return SurfaceReader(self.name, sniff or self.sniff, read, suffixes, write, dates)
 
     def surface(
         self,
@@ -47,21 +48,25 @@ class Format:
         *,
         height: HeightUnit = SAID,
         lateral: Pitch,
+        doubts: Mapping[str, str] = NOTHING,
         warnings: tuple[str, ...] = (),
         unsaid: frozenset[str] | set[str] = frozenset(),
         **about: Any,
     ) -> SurfaceMap:
         """The map of heights that were checked: what their unit and pitch leave open comes before what else is.
 
-        ``content``: the file's, or its sha256 where that is all that is left of it.
+        ``content``: the file's, or its sha256 where that is all that is left of it. ``doubts``: what the file leaves to
+        the profile, and what to warn of until that answers; ``unsaid``: what it leaves without a word.
         """
+        left = {**height.doubts, **lateral.doubts, **doubts}
         return SurfaceMap(
             height_nm=height_nm,
             pitch_mm=lateral.mm,
             sha256=content if isinstance(content, str) else sha256_of(content),
             path=path,
-            warnings=height.warnings + lateral.warnings + warnings,
-            unsaid=height.unsaid | lateral.unsaid | unsaid,
+            warnings=(*left.values(), *warnings),
+            unsaid=frozenset(unsaid | left.keys()),
+            doubts=left,
             reader_version=self.version,
             **{"format": self.name} | about,
         )

@@ -15,11 +15,12 @@ import numpy as np
 
 from polishd.api import BadMap, SurfaceMap
 from polishd.plugins.interferometer.formats import apart, hdf5
-from polishd.plugins.interferometer.formats.common import require_optics
+from polishd.plugins.interferometer.formats.common import named, require_optics
+from polishd.plugins.interferometer.formats.dates import date_of
 from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, nm_per, pitch
 
-FORMAT = Format("4d", 2)
+FORMAT = Format("4d", 3)
 GENRAW = "/measurement0/genraw"
 MISSING = 1e37
 WITH_UNIT = re.compile(r"([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(.*)", re.DOTALL)
@@ -52,7 +53,8 @@ def parse(path: Path) -> SurfaceMap:
         scale = _pitch(source, nodes)
         fiducials, odd = _fiducials(source, nodes, waves.shape)
         part = next((found for found in (_text(source, nodes, name) for name in PARTS) if found), "")
-        instrument = _text(source, nodes, "instrument")
+        instrument, serial = (_text(source, nodes, name) for name in ("instrument", "head_serial"))
+        date = date_of(_text(source, nodes, "date"))
     waves[~(np.abs(waves) < MISSING)] = np.nan
     waves *= wavelength_nm * (1.0 if wedge is None else wedge)
     return FORMAT.surface(
@@ -61,16 +63,18 @@ def parse(path: Path) -> SurfaceMap:
         checked(path, waves, wavelength_nm),
         lateral=scale,
         part_id=part,
-        instrument=f"4D {instrument}".strip(),
+        instrument=f"4D {instrument}".strip() + (f", system {serial}" if serial else ""),
+        taken_at=date.at,
+        date_from=date.by,
         factors={"wavelength_nm": wavelength_nm, "wedge": wedge},
-        warnings=odd + _odd_wedge(wedge),
-        unsaid=set() if wedge else {"surface"},
+        doubts={} if wedge else {"surface": NO_WEDGE},
+        warnings=odd + _odd_wedge(wedge) + date.warnings,
         fiducials_px=fiducials,
     )
 
 
 def _text(source: hdf5.Opened, nodes: list[Any], name: str) -> str:
-    return next((found for node in nodes if node is not None and (found := hdf5.text(source, node, name))), "")
+    return next((found for node in nodes if node is not None and (found := named(hdf5.text(source, node, name)))), "")
 
 
 def _measure(source: hdf5.Opened, nodes: list[Any], name: str) -> Measure | None:
@@ -110,19 +114,21 @@ def _wedge(source: hdf5.Opened, nodes: list[Any]) -> float | None:
 
 
 def _odd_wedge(wedge: float | None) -> tuple[str, ...]:
-    if wedge is None:
-        return (NO_WEDGE,)
-    return () if wedge in {0.5, 1.0} else (ODD_WEDGE.format(wedge),)
+    return () if wedge in {None, 0.5, 1.0} else (ODD_WEDGE.format(wedge),)
 
 
 def _pitch(source: hdf5.Opened, nodes: list[Any]) -> Pitch:
-    """From ``xpix`` and ``ypix``, where both are lengths; pixels, 0 or nothing: no lateral scale."""
-    sides = [found for name in ("xpix", "ypix") if (found := _measure(source, nodes, name))]
-    factors = [nm_per(side.unit.partition("/")[0]) for side in sides]
-    lengths = [side.value * factor / 1e6 for side, factor in zip(sides, factors, strict=True) if factor]
-    if not any(lengths) or len(lengths) < 2:
-        return NO_PITCH
-    return pitch(source.path, lengths[0], lengths[1])
+    """From ``xpix`` and ``ypix``, or ``xpix`` times ``aspect``; pixels, 0 or nothing: no lateral scale."""
+    x_mm, y_mm = (_length_mm(source, nodes, name) for name in ("xpix", "ypix"))
+    if x_mm and not y_mm and (aspect := _measure(source, nodes, "aspect")):
+        y_mm = x_mm * aspect.value
+    return pitch(source.path, x_mm, y_mm) if x_mm and y_mm else NO_PITCH
+
+
+def _length_mm(source: hdf5.Opened, nodes: list[Any], name: str) -> float | None:
+    found = _measure(source, nodes, name)
+    factor = nm_per(found.unit.partition("/")[0]) if found else None
+    return found.value * factor / 1e6 if found and factor else None
 
 
 def _fiducials(

@@ -155,4 +155,4 @@ def _pitch(path: Path, field: Any) -> Pitch:
     return pitch(path, sizes[0] / field["xres"] * factor / 1e6, sizes[1] / field["yres"] * factor / 1e6)
 
 
-GWY = FORMAT.reader(read, ".gwy")
+GWY = FORMAT.reader(read, ".gwy", dates=False)

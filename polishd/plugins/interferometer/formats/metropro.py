@@ -14,7 +14,7 @@ import numpy as np
 
 from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import MOST_BYTES, MOST_SAMPLES, require_said
+from polishd.plugins.interferometer.formats.common import MOST_BYTES, MOST_SAMPLES, named, require_said
 from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.zygo import MISSING, RESOLUTION, Header
 
@@ -103,7 +103,7 @@ def _field(head: bytes, name: str) -> tuple[Any, ...]:
 
 def _text(head: bytes, name: str) -> str:
     field: bytes = _field(head, name)[0]
-    return field.partition(b"\0")[0].decode("latin-1").strip()
+    return named(field.partition(b"\0")[0].decode("latin-1"))
 
 
 def _fiducials_px(header: Header) -> tuple[tuple[tuple[float, float], ...], tuple[str, ...]]:
@@ -163,7 +163,7 @@ def write(surface: SurfaceMap) -> bytes:
 def _written_header(surface: SurfaceMap, rows: int, columns: int) -> bytes:
     part = _latin(surface.part_id)
     marks = [value for row, column in surface.fiducials_px[:MOST_FIDUCIALS] for value in (column, row)]
-    seconds = int(surface.taken_at.timestamp()) if surface.taken_at else 0
+    seconds = int(surface.measured_at.timestamp()) if surface.measured_at else 0
     values: dict[str, tuple[int | float | bytes, ...]] = {
         "magic": FORMAT.magic[:1], "format": (1,), "length": (min(HEADER_BYTES),), "software": (1,),
         "size": (columns, rows), "phase_bytes": (4 * rows * columns,),

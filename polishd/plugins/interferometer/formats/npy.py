@@ -83,8 +83,8 @@ def _bare(path: Path, array: NDArray[np.generic], content: bytes) -> SurfaceMap:
         height=height_unit(""),
         lateral=NO_PITCH,
         factors={"nm_per_unit": 1.0},
-        warnings=(NOT_SAID,),
-        unsaid={"surface", "orientation"},
+        doubts={"surface": NOT_SAID},
+        unsaid={"orientation"},
         orientation=AS_STORED,
     )
 
@@ -100,12 +100,12 @@ def _with_coordinates(path: Path, arrays: dict[str, NDArray[np.generic]], conten
         path,
         content,
         checked(path, scaled(found.z, 1e9)),
-        height=HeightUnit(1e9, (METRES,)),
+        height=HeightUnit(1e9),
         lateral=scale,
         factors={"nm_per_unit": 1e9},
-        warnings=("Z is taken, not " + ", ".join(others),) if others else (),
+        warnings=(METRES, *(("Z is taken, not " + ", ".join(others),) if others else ())),
         orientation=ORIENTATION,
     )
 
 
-NPY = FORMAT.reader(read, ".npy", ".npz", sniff=sniff)
+NPY = FORMAT.reader(read, ".npy", ".npz", sniff=sniff, dates=False)

@@ -20,7 +20,7 @@ from polishd.plugins.interferometer.formats.gridded import ORIENTATION, Gridded,
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
 
 FORMAT = Format("points", 2)
-SUFFIXES = (".csv", ".xyz", ".txt", ".asc", ".pts")
+SUFFIXES = (".xyz", ".csv", ".txt", ".asc", ".pts")
 MOST_HEADER_LINES = 64
 NUMBER = rb"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?"
 POINT = re.compile(rb"[ \t]*" + NUMBER + rb"(?:[ \t]*[,;][ \t]*|[ \t]+)" + NUMBER + rb"(?:[ \t,;]|$)")
@@ -68,7 +68,8 @@ def read(path: Path) -> SurfaceMap:
     lateral = _pitch(path, header, found)
     height = height_unit(header.units[2])
     height_nm = scaled(found.z, height.nm)
-    odd = ("its heights are a wavefront's",) * header.wavefront + (ODD_TITLES,) * header.unknown + (CUT,) * (not whole)
+    doubts = {"surface": "its heights are a wavefront's"} if header.wavefront else {}
+    doubts |= {"orientation": ODD_TITLES} if header.unknown else {}
     return FORMAT.surface(
         path,
         sha256,
@@ -76,8 +77,8 @@ def read(path: Path) -> SurfaceMap:
         height=height,
         lateral=lateral,
         factors={"nm_per_unit": height.nm, "points": len(table)},
-        warnings=odd,
-        unsaid=({"surface"} if header.wavefront else set()) | ({"orientation"} if header.unknown else set()),
+        doubts=doubts,
+        warnings=() if whole else (CUT,),
         orientation=ORIENTATION,
     )
 
@@ -145,4 +146,4 @@ def _pitch(path: Path, header: Header, found: Gridded) -> Pitch:
     return pitch(path, found.pitch_x * units[0] / 1e6, found.pitch_y * units[1] / 1e6)
 
 
-POINTS = FORMAT.reader(read, *SUFFIXES, sniff=sniff)
+POINTS = FORMAT.reader(read, *SUFFIXES, sniff=sniff, dates=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,32 +29,32 @@ NM_PER = {
 }
 SQUARE_WITHIN = 1e-3
 """Relative difference of the pitches in x and y that still counts as square pixels."""
-PITCH_MM = (1e-7, 1e3)
 MOST_NM = 1e9
 """A metre: what is higher is no height, but in another unit, or a marker of missing data that nobody declared."""
 MARKERS = {9999.0, 99999.0, 999999.0, 32767.0, 32768.0, 2147483647.0, 2147483648.0}
 """Numbers that programs write for missing data, in the unit of their file."""
 
 
+NOTHING: Mapping[str, str] = {}
+
+
 class Pitch(NamedTuple):
-    """A pitch, or None; what to warn of; what the file leaves to the profile."""
+    """A pitch, or None; and by what the file leaves to the profile, what to warn of."""
 
     mm: float | None
-    warnings: tuple[str, ...] = ()
-    unsaid: frozenset[str] = frozenset()
+    doubts: Mapping[str, str] = NOTHING
 
 
 class HeightUnit(NamedTuple):
-    """How many nm a unit of height is; what to warn of; what the file leaves to the profile."""
+    """How many nm a unit of height is; and by what the file leaves to the profile, what to warn of."""
 
     nm: float
-    warnings: tuple[str, ...] = ()
-    unsaid: frozenset[str] = frozenset()
+    doubts: Mapping[str, str] = NOTHING
 
 
 SAID = HeightUnit(1.0)
 """Of heights whose unit the format or the file says."""
-NO_PITCH = Pitch(None, ("the file gives no lateral scale",), frozenset({"pitch"}))
+NO_PITCH = Pitch(None, {"pitch": "the file gives no lateral scale"})
 
 
 def nm_per(unit: str) -> float | None:
@@ -73,7 +74,7 @@ def height_unit(unit: str) -> HeightUnit:
     if factor is not None:
         return HeightUnit(factor)
     found = f"the unit of heights, {unit.strip()!r}, is not known" if unit.strip() else "the heights have no unit"
-    return HeightUnit(1.0, (f"{found}: shown as if nm",), frozenset({"unit"}))
+    return HeightUnit(1.0, {"unit": f"{found}: shown as if nm"})
 
 
 def pitch(path: Path, x_mm: float, y_mm: float) -> Pitch:
@@ -81,14 +82,13 @@ def pitch(path: Path, x_mm: float, y_mm: float) -> Pitch:
 
     Pixels that are not square can be shown, but have no pitch: no profile mends that, so "square pixels" is unsaid.
     """
-    low, high = PITCH_MM
     for axis, value in (("x", x_mm), ("y", y_mm)):
-        if not (math.isfinite(value) and low <= value <= high):
-            raise BadMap(f"{path}: the pitch in {axis} is {value:g} mm, outside {low:g} to {high:g}")
+        if not (math.isfinite(value) and value > 0):
+            raise BadMap(f"{path}: the pitch in {axis} is {value:g} mm, no length")
     if abs(x_mm - y_mm) > SQUARE_WITHIN * max(x_mm, y_mm):
         warning = f"pixels are {x_mm:.6g} mm wide and {y_mm:.6g} mm high: not square, so the map has no pitch"
-        return Pitch(None, (warning,), frozenset({"square pixels"}))
-    return Pitch((x_mm + y_mm) / 2)
+        return Pitch(None, {"square pixels": warning})
+    return Pitch(x_mm / 2 + y_mm / 2)
 
 
 def checked(path: Path, height_nm: FloatArray, nm: float = 1.0) -> FloatArray:

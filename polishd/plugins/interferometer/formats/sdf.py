@@ -18,10 +18,11 @@ from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, checked, pitch
 from polishd.plugins.interferometer.formats.x3p import TURNED
 
-FORMAT = Format("sdf", 1, (b"AISO-", b"BISO-", b"ABCR-", b"BBCR-"))
+FORMAT = Format("sdf", 2, (b"AISO-", b"BISO-", b"ABCR-", b"BBCR-"))
 MOST_ASCII_BYTES = 2**26
-HEADER_BYTES = 81
-"""Of binary files; the last byte but one is the type of the samples."""
+BOM = b"\xef\xbb\xbf"
+HEADER_BYTES, HEADER_BYTES_2 = 81, 85
+"""Of binary files, and since the standard's second edition; the last byte but one is the type of the samples."""
 ITEM_BYTES = (1, 2, 4, 4, 1, 2, 4, 8)
 MARKER = 1e37
 """Counts beyond this are the largest number of a floating type, not heights."""
@@ -29,15 +30,16 @@ MARKER = 1e37
 
 def sniff(head: bytes, path: Path) -> bool:
     """True where the file starts with the magic of ISO 25178-71 or of its forerunner."""
-    return FORMAT.sniff(head.removeprefix(b"\xef\xbb\xbf")[:5].upper(), path)
+    return FORMAT.sniff(head.removeprefix(BOM)[:5].upper(), path)
 
 
 def read(path: Path) -> SurfaceMap:
     """Read a surface. BadMap for profiles, for whatever is torn, and for scales that are no number."""
     import sdfio
 
-    content = content_of(path)
-    if content[:1] in b"aA\xef" and len(content) > MOST_ASCII_BYTES:
+    whole = content_of(path)
+    content = whole.removeprefix(BOM)
+    if content[:1] in b"aA" and len(content) > MOST_ASCII_BYTES:
         raise BadMap(f"{path}: more than {MOST_ASCII_BYTES} bytes of ASCII: write it as binary SDF")
     with parsing(path, "sdfio"):
         file = sdfio.read(io.BytesIO(content))
@@ -50,14 +52,15 @@ def read(path: Path) -> SurfaceMap:
         raise BadMap(f"{path}: holds a profile of {file.data.size} points, not a surface")
     if content[:1] in b"bB":
         require_tail(path, file.data)
-        _require_text(path, content[HEADER_BYTES + file.data.size * ITEM_BYTES[content[HEADER_BYTES - 2]] :])
+        start = HEADER_BYTES_2 if content[1:8].upper() == b"ISO-2.0" else HEADER_BYTES
+        _require_text(path, content[start + file.data.size * ITEM_BYTES[content[start - 2]] :])
     # ISO marks with a type's minimum, its forerunner with the maximum, and writers mix them up
     marked = (np.abs(file.data) > MARKER * header.z_scale) & np.isfinite(file.data)
     height_nm = scaled(np.where(marked, np.nan, file.data)[::-1], 1e9)
     x_m, y_m = header.x_scale, header.y_scale
     return FORMAT.surface(
         path,
-        content,
+        whole,
         checked(path, height_nm),
         lateral=NO_PITCH if x_m == 0 and y_m == 0 else pitch(path, x_m * 1e3, y_m * 1e3),
         instrument=header.manufacturer_id.strip(),

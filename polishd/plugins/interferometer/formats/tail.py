@@ -6,7 +6,7 @@ memory and time reads the file, and what goes wrong there is a BadMap here.
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,12 @@ import numpy as np
 from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats import apart
-from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, extra, parsing, sha256_of
+from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, extra, named, parsing, sha256_of
+from polishd.plugins.interferometer.formats.dates import Date, instant
 from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, checked, height_unit, pitch
 
-FORMAT = Format("tail", 1)
+FORMAT = Format("tail", 2)
 BOUNDS = apart.Bounds(memory_bytes=3 * 2**30, memory_per_byte=16, cpu_s=120.0, wall_s=120.0, is_kept=False)
 """The library's own imports take 1 GiB of address space."""
 FORMATS = (
@@ -55,7 +56,8 @@ def parse(path: Path) -> SurfaceMap:
         reader = library.open_topography(str(path), format=FORMAT_OF[suffix])
         topography = reader.topography()
         height_nm, unit, pitch_nm = _numbers(path, topography)
-        channels, kind, about = len(reader.channels), str(reader.format()), _about(topography.info)
+        channels, kind = len(reader.channels), str(reader.format())
+        instrument, date = _about(topography.info)
     if sha256_of(content_of(path)) != sha256:
         raise BadMap(f"{path}: changed while it was read")
     height = height_unit("nm" if unit is not None else "")
@@ -68,10 +70,12 @@ def parse(path: Path) -> SurfaceMap:
         lateral=lateral,
         format=f"{FORMAT.name}:{kind}",
         factors={"unit": unit, "read_by": "SurfaceTopography"},
-        warnings=(f"the default one of {channels} channels is taken",) if channels > 1 else (),
+        warnings=((f"the default one of {channels} channels is taken",) if channels > 1 else ()) + date.warnings,
         unsaid={"orientation", "surface"} if suffix in OPTICAL_PATH else {"orientation"},
         orientation="as stored, transposed from SurfaceTopography's [x, y]; its formats differ in their first row",
-        **about,
+        instrument=instrument,
+        taken_at=date.at,
+        date_from=date.by,
     )
 
 
@@ -92,13 +96,12 @@ def _numbers(path: Path, topography: Any) -> tuple[FloatArray, Any, tuple[float,
     return height_nm, unit, tuple(float(step) for step in topography.pixel_size) if unit is not None else ()
 
 
-def _about(info: Any) -> dict[str, Any]:
-    """Instrument and time, where the library found them."""
+def _about(info: Any) -> tuple[str, Date]:
+    """Instrument and time, where the library found them. It fills in what a header's date does not say."""
     instrument, taken = info.get("instrument"), info.get("acquisition_time")
     name = instrument.get("name") if isinstance(instrument, dict) else instrument
-    if isinstance(taken, datetime) and not taken.tzinfo:
-        taken = taken.replace(tzinfo=UTC)
-    return {"instrument": str(name or ""), "taken_at": taken if isinstance(taken, datetime) else None}
+    date = instant(taken, datetime.now().astimezone()) if isinstance(taken, datetime) else Date()
+    return named(str(name or "")), date
 
 
 TAIL = FORMAT.reader(read, *SUFFIXES, sniff=sniff)

@@ -46,8 +46,8 @@ def read(path: Path) -> SurfaceMap:
         height=height_unit(""),
         lateral=lateral,
         factors={"nm_per_unit": 1.0},
-        warnings=(NOT_SAID,),
-        unsaid={"surface", "orientation"},
+        doubts={"surface": NOT_SAID},
+        unsaid={"orientation"},
         orientation=f"as displayed (TIFF's orientation {turned})",
     )
 
@@ -127,4 +127,4 @@ def _ome_pitch(path: Path, text: str) -> Pitch:
     return pitch(path, sizes[0], sizes[1])
 
 
-TIFF = FORMAT.reader(read, ".tif", ".tiff")
+TIFF = FORMAT.reader(read, ".tif", ".tiff", dates=False)

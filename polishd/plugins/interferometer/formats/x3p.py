@@ -53,8 +53,7 @@ def read(path: Path) -> SurfaceMap:
         instrument=_instrument(made.instrument) if made else "",
         taken_at=made.date if made and made.date and made.date != NO_DATE else None,
         factors={"nm_per_unit": 1e9, "z_increment": file.header.z.increment},
-        warnings=(ROTATED,) if rotated else (),
-        unsaid={"orientation"} if rotated else set(),
+        doubts={"orientation": ROTATED} if rotated else {},
         orientation=orientation,
     )
 
@@ -67,7 +66,7 @@ def write(surface: SurfaceMap) -> bytes:
     if surface.pitch_mm is None:
         raise BadMap("an X3P file needs a lateral scale, and this map has none: say it in the instrument's profile")
     metadata = x3pio.Metadata(
-        date=surface.taken_at or NO_DATE,
+        date=surface.measured_at or NO_DATE,
         creator="polishd",
         instrument=x3pio.Instrument(surface.instrument or NOT_KNOWN, *[NOT_KNOWN] * 3),
         probing_system=x3pio.ProbingSystem(x3pio.ProbingType.NON_CONTACTING, "interferometer"),

@@ -64,7 +64,7 @@ class Header:
         if metres != 0 and not (math.isfinite(metres) and 1e-8 <= metres <= 0.1):
             raise BadMap(f"{path}: CameraRes is {metres:g} m a pixel")
         return {
-            "lateral": Pitch(metres * 1e3) if metres else Pitch(None, (NOT_CALIBRATED,), frozenset({"pitch"})),
+            "lateral": Pitch(metres * 1e3) if metres else Pitch(None, {"pitch": NOT_CALIBRATED}),
             "part_id": self.serial or self.part,
             "instrument": self.instrument,
             "taken_at": time_of(self.timestamp),

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from polishd.api import BadMap, SurfaceMap
-from polishd.plugins.interferometer.formats.common import content_of, require_data
+from polishd.plugins.interferometer.formats.common import content_of, named, require_data
 from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.numbers import block
 from polishd.plugins.interferometer.formats.zygo import MISSING, Header
@@ -69,8 +69,8 @@ def _fields(lines: list[str], end: int) -> Header:
         origin=(frame[0], frame[1]),
         columns=frame[2],
         rows=frame[3],
-        serial=lines[5].strip('"').strip(),
-        part=lines[6].strip('"').strip(),
+        serial=named(lines[5].strip('"')),
+        part=named(lines[6].strip('"')),
         scale=optics[1],
         wavelength_m=optics[2],
         obliquity=optics[4],

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from polishd.model.errors import BadMap
+from polishd.model.surface import SurfaceMap
+from polishd.process.repeats import average
 from polishd.workbench.maps.files import MapSource
+from tests.unit.plugins.map_files import HEIGHT_NM, foursight
 from tests.unit.said import Polishd
 from tests.unit.workbench.maps.maps import PITCH_MM, dat, surface
 
@@ -50,6 +55,44 @@ def test_people_are_told_the_same(polishd: Polishd, tmp_path: Path, repeats: lis
     assert "not written" in said
     written = polishd("map", "average", *repeats, "--out", tmp_path / "mean.dat").out
     assert "written to" in written
+
+
+def test_repeats_of_unknown_pitch_are_averaged_only_when_asked(
+    polishd: Polishd, tmp_path: Path, repeats: list[Path]
+) -> None:
+    bare = [dat(tmp_path / f"bare{number}.dat", surface(seed=number), pitch_mm=0.0) for number in range(3)]
+    said = polishd("map", "average", *bare)
+    assert said.code == 8
+    assert "bare0.dat, bare1.dat, bare2.dat: without a lateral scale nobody knows" in said.err
+    assert polishd("map", "average", *bare, "--mixed", "--json").answer["used"] == [path.name for path in bare]
+    profile = tmp_path / "p.toml"
+    profile.write_text(f'name = "x"\n[lateral]\npitch_mm = {PITCH_MM}\n')
+    assert polishd("map", "average", *bare, "--profile", profile, "--json").code == 0
+    one = polishd("map", "average", *repeats[:3], bare[1])
+    assert one.code == 8
+    assert "polishd: bare1.dat: without a lateral scale" in one.err
+    assert polishd("map", "average", *repeats[:3], bare[1], "--mixed").code == 8  # 0.5 mm and none are two
+
+
+def test_repeats_of_another_instrument_are_refused_by_name(polishd: Polishd, tmp_path: Path) -> None:
+    """4Sight's files name the head; Zygo's ``.dat`` keeps 16 bits of the number that its text has."""
+    heads = ["20714", "20714", "20715", ""]
+    files = [tmp_path / f"{number}.h5" for number in range(4)]
+    for number, (path, head) in enumerate(zip(files, heads, strict=True)):
+        noise = np.random.default_rng(number).normal(0.0, 1.0, HEIGHT_NM.shape)
+        path.write_bytes(foursight(HEIGHT_NM + noise, head_serial=head))
+    said = polishd("map", "average", *files)
+    assert said.code == 8
+    assert "2.h5 is of the instrument '4D, system 20715', 0.h5 of '4D, system 20714'" in said.err
+    assert polishd("map", "average", *files, "--mixed").code == 0
+    names = ["Zygo MetroPro, system 61541", "Zygo, system 651365", ""]
+    maps = [
+        SurfaceMap(surface(seed=n), PITCH_MM, instrument=name, path=Path(f"{n}.dat")) for n, name in enumerate(names)
+    ]
+    assert average(maps).used == ("0.dat", "1.dat", "2.dat")
+    other = replace(maps[2], instrument="Zygo, system 651366")
+    with pytest.raises(BadMap, match=r"2\.dat is of the instrument"):
+        average([*maps[:2], other])
 
 
 @pytest.mark.parametrize("out", [".x3p", ".png"])

@@ -108,9 +108,17 @@ def test_formats_are_those_of_the_plugin(polishd: Polishd) -> None:
     assert [answer["name"] for answer in answers] == list(readers_for())
     by_name = {answer["name"]: answer for answer in answers}
     assert by_name["metropro"] == {
-        "name": "metropro", "suffixes": [".dat"], "reads": True, "writes": True, "extra": None, "installed": True,
-        "own": True,
+        "name": "metropro", "suffixes": [".dat"], "reads": True, "writes": True, "dates": True, "extra": None,
+        "installed": True, "own": True,
     }  # fmt: skip
+    assert ".fits.gz" in by_name["fits"]["suffixes"]
+    assert {name for name, answer in by_name.items() if not answer["dates"]} == {
+        "gwy",
+        "tiff",
+        "npy",
+        "codev",
+        "points",
+    }
     said = polishd("map", "formats")
     assert said.code == 0
     for answer in answers:

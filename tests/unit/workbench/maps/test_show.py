@@ -7,14 +7,17 @@ import json
 import os
 import subprocess
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import sdfio
 
 from polishd.show.tables import stdout
 from polishd.workbench.maps.files import told_apart
+from tests.unit.plugins.map_files_other import points_file, sdf_second
 from tests.unit.said import Polishd
 from tests.unit.workbench.maps.maps import PITCH_MM, dat, surface
 
@@ -184,6 +187,101 @@ def test_good_files_among_bad_ones_are_said(polishd: Polishd, tmp_path: Path, go
     assert "good.dat" in said.out
     assert "other.dat" in said.out
     assert "empty.dat" in said.err
+
+
+def test_a_broken_sdf_of_the_second_edition_hides_nobody(polishd: Polishd, tmp_path: Path, good: Path) -> None:
+    """Its header is four bytes longer: a type of samples that is none was looked for in the wrong place."""
+    whole, torn = tmp_path / "whole.sdf", tmp_path / "torn.sdf"
+    whole.write_bytes(sdf_second())
+    torn.write_bytes(sdf_second()[:-9])
+    said = polishd("map", torn, whole, tmp_path / ("n" * 300), good, "--json")
+    assert (said.code, said.err.count("\n")) == (8, 2)
+    assert [Path(answer["path"]).name for answer in lines(said.out)] == ["whole.sdf", "good.dat"]
+
+
+def points(path: Path) -> Path:
+    """A list of x y z, whatever it is called."""
+    path.write_bytes(points_file(" ", "x_mm y_mm z_nm\n"))
+    return path
+
+
+def test_a_list_under_another_name_is_read_as_what_it_is(polishd: Polishd, tmp_path: Path) -> None:
+    named, other = points(tmp_path / "a.xyz"), points(tmp_path / "a.dat")
+    said = polishd("map", other)
+    assert said.code == 8
+    assert "it looks like points: name it *.xyz (or polishd map --format xyz)" in said.err
+    expected = polishd("map", named, "--json").answer
+    for name in ("xyz", ".csv", "points"):
+        answer = polishd("map", other, "--format", name, "--json").answer
+        assert answer | {"path": ""} == expected | {"path": ""} | {"dated_at": answer["dated_at"]}
+    assert polishd("map", "convert", other, tmp_path / "b.x3p", "--format", "xyz").code == 0
+    assert polishd("map", "compare", other, named, "--format", "xyz", "--json").answer["difference_rms_nm"] == 0
+    wrong = polishd("map", other, "--format", "nonsense")
+    assert wrong.code == 2
+    assert "metropro" in wrong.err
+    assert "no MetroPro file" in polishd("map", other, "--format", "metropro").err
+
+
+@pytest.mark.full
+def test_what_is_like_no_format_gets_no_advice(polishd: Polishd, tmp_path: Path) -> None:
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"anything at all\n")
+    assert "looks like" not in polishd("map", path).err
+
+
+def test_where_a_date_comes_from(polishd: Polishd, tmp_path: Path, good: Path) -> None:
+    """By the header; where that says nothing, by the file system; and one that cannot be is not used."""
+    assert "2025-10-09T08:53:20+00:00 (header)" in polishd("map", good).out
+    bare = points(tmp_path / "a.xyz")
+    os.utime(bare, (1_600_000_000, 1_600_000_000))
+    early = tmp_path / "early.sdf"
+    early.write_bytes(sdf_second(create_date=datetime(1980, 1, 1, tzinfo=UTC)))
+    keys = ("taken_at", "dated_at", "date_from")
+    for path, expected, words in (
+        (good, ("2025-10-09T08:53:20+00:00", "2025-10-09T08:53:20+00:00", "header"), "(header)"),
+        (bare, (None, "2020-09-13T12:26:40+00:00", "file system"), "(file system: its header has no date)"),
+        (early, (None, "1980-01-01T00:00:00+00:00", "guessed"), "(guessed: not used)"),
+    ):
+        answer = polishd("map", path, "--json").answer
+        assert tuple(answer[key] for key in keys) == expected
+        assert f"{expected[1]} {words}" in polishd("map", path).out
+        written = tmp_path / f"{path.stem}.x3p"
+        polishd("map", "convert", path, written, "--json")
+        assert (polishd("map", written, "--json").answer["taken_at"] is None) == (expected[0] is None), (
+            "made no header's"
+        )
+    assert "before 1985" in polishd("map", early).out
+
+
+def test_a_scale_a_million_times_too_large_is_none(polishd: Polishd, tmp_path: Path, good: Path) -> None:
+    """312.5 mm a sample for 0.3125 um; a profile may say the right one, and then nothing is warned of."""
+    path, profile = tmp_path / "m.sdf", tmp_path / "p.toml"
+    sdfio.write(path, surface(80, 70) / 1e9, x_scale=0.3125, y_scale=0.3125)
+    answer = polishd("map", path, "--json").answer
+    assert (answer["pitch_mm"], answer["bands"], answer["unsaid"]) == (None, None, ["pitch"])
+    assert "80 samples of 312.5 mm would be a part of 25 m, more than 20 m" in answer["warnings"][0]
+    profile.write_text('name = "x"\n[lateral]\npitch_mm = 3.125e-4\n')
+    told = polishd("map", path, "--json", "--profile", profile).answer
+    assert (told["pitch_mm"], told["warnings"], told["unsaid"]) == (3.125e-4, [], [])
+
+
+@pytest.mark.full
+def test_one_key_of_a_profile_is_enough_to_look(polishd: Polishd, tmp_path: Path) -> None:
+    """And what it gives is no longer called missing; a file that would say more than is known is not written."""
+    path, profile = tmp_path / "m.npy", tmp_path / "p.toml"
+    np.save(path, surface())
+    plain = polishd("map", path, "--json").answer
+    profile.write_text('name = "x"\n[lateral]\npitch_mm = 0.5\n')
+    answer = polishd("map", path, "--json", "--profile", profile).answer
+    assert (answer["pitch_mm"], answer["unsaid"]) == (0.5, ["orientation", "surface", "unit"])
+    assert set(plain["warnings"]) - set(answer["warnings"]) == {"the file gives no lateral scale"}
+    profile.write_text('name = "x"\n[height]\nunit_nm = 10\n')
+    answer = polishd("map", path, "--json", "--profile", profile).answer
+    assert answer["rms_nm"] == pytest.approx(10 * plain["rms_nm"])
+    assert not any("no unit" in warning for warning in answer["warnings"])
+    said = polishd("map", "convert", path, tmp_path / "b.x3p", "--profile", profile)
+    assert said.code == 8
+    assert "does not say its orientation and surface" in said.err
 
 
 def test_no_permission_to_read(polishd: Polishd, good: Path, monkeypatch: pytest.MonkeyPatch) -> None:
