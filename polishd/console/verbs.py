@@ -86,7 +86,8 @@ def probe_verb(cell: Path, only: Sequence[str] = (), *, as_json: bool) -> None:
     tables = _probed_tables(config.cell.name, devices, all_=not only)
     if found.signals:
         tables.append(key_table("signals", list(found.signals.items())))
-    emit(answer, as_json=as_json, table=lambda: Group(*tables))
+    wrong = [f"{name}: {problem}" for name, problem in found.problems.items()]
+    emit(answer, as_json=as_json, table=(lambda: Group(*tables)) if tables else None, lines=wrong)
     if found.problems:
         names = ", ".join(found.problems)
         raise DeviceFault(
@@ -95,13 +96,12 @@ def probe_verb(cell: Path, only: Sequence[str] = (), *, as_json: bool) -> None:
 
 
 def _probed_tables(cell: str, devices: Mapping[str, Mapping[str, Any]], *, all_: bool) -> list[Table]:
-    """Who answered, and what is wrong with the others."""
+    """Who answered."""
     columns = ("device", "vendor", "model", "serial", "firmware")
     answered = [(name, *(facts[key] for key in columns[1:])) for name, facts in devices.items() if "model" in facts]
-    wrong = [(name, facts["error"]) for name, facts in devices.items() if "error" in facts]
+    wrong = any("error" in facts for facts in devices.values())
     safe = "all safe" if all_ and not wrong else "not made safe" if not all_ else "these answered"
-    tables = [record_table(f"{cell}: {safe}", columns, answered)] if answered else []
-    return tables + ([record_table(f"{cell}: not as they should", ("device", "what is wrong"), wrong)] if wrong else [])
+    return [record_table(f"{cell}: {safe}", columns, answered)] if answered else []
 
 
 def status_verb(cell: Path, *, as_json: bool) -> None:

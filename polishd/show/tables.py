@@ -124,7 +124,7 @@ def emit(
     if table is not None:
         stdout.print(table())
     for line in lines:
-        stdout.print(line, markup=False)
+        stdout.print(line, markup=False, soft_wrap=True)
 
 
 def json_line(answer: Mapping[str, Any]) -> str:

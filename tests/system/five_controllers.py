@@ -31,8 +31,8 @@ from tests.system.cell_rig import (
 from tests.system.test_daemon import require_safe_order
 
 PART = {"aperture_mm": 20.0}
-SURFACES = {"feed": {"pv_nm": 100.0, "rms_nm": 18.0}, "dwell": {"pv_nm": 500.0, "rms_nm": 100.0}}
-"""A dwell is to be long beside the cycle of a controller (2 ms) that it is a multiple of."""
+FINE, ROUGH = {"pv_nm": 100.0, "rms_nm": 18.0}, {"pv_nm": 500.0, "rms_nm": 100.0}
+"""Surfaces. Where dwells are multiples of a cycle, or points cost much, they are to be long beside that."""
 TWO_PASSES = {"tolerance_nm": 0.01, "max_cycles": 2}
 CALM = {"max_spot_change": 0.99, "max_rate_drift": 0.99}
 """So small a part tells little of its spot."""
@@ -56,6 +56,8 @@ class Controller:
     corner_deg: float = 30.0
     """Change of direction beyond which it stops between two blocks."""
     speed: float = SPEED
+    rough: bool = False
+    """Of the surface."""
 
 
 FIVE = (
@@ -63,13 +65,15 @@ FIVE = (
     Controller("LinuxCNC", "linuxcnc", "feed", None, corner_deg=180.0, speed=1.0),
     Controller("handover, OPC UA", "opcua", "feed", 0.03),
     Controller("handover, ADS", "ads", "feed", 0.03),
-    Controller("Universal Robots", "universal_robots", "dwell", 0.02, speed=4.0),
+    Controller("Universal Robots", "universal_robots", "dwell", 0.02, speed=4.0, rough=True),
 )
+SLOW_PLC = Controller("handover, OPC UA, slow", "opcua", "feed", 0.29, rough=True)
+"""Its points cost more than most dwells are long: what the floor removes is most of what is removed."""
 
 
 def link_like(controller: Controller) -> Controller:
     """A robot link with the same program, whose blocks cost as much; a real controller's cost some tenths of a ms."""
-    return Controller("robot link", "link", controller.encoding, controller.beyond_s or 0.0)
+    return Controller("robot link", "link", controller.encoding, controller.beyond_s or 0.0, rough=controller.rough)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +119,7 @@ def write_files(out: Path, controller: Controller) -> DemoFiles:
     if controller.encoding == "feed":
         changed["machine"] = {"max_feed_mm_s": MAX_FEED_MM_S, "corner_deg": controller.corner_deg}
     files.cell.write_text(with_keys(files.cell.read_text(), changed))
-    with_part(files, PART, program, **SURFACES[controller.encoding])
+    with_part(files, PART, program, **(ROUGH if controller.rough else FINE))
     return files
 
 
@@ -186,7 +190,7 @@ def save(found: Figures) -> None:
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """A row a controller, in the order of ``FIVE``."""
-    names = [controller.name for controller in FIVE]
+    names = [controller.name for controller in (*FIVE, SLOW_PLC)]
     lines = []
     for row in sorted(rows, key=lambda row: names.index(row["name"])):
         missed, unaccounted = (

@@ -12,11 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.system.five_controllers import FIVE, PAGE, Controller, Figures, link_like, polish, rows_of, save
+from tests.system.five_controllers import FIVE, PAGE, SLOW_PLC, Controller, Figures, link_like, polish, rows_of, save
 
 pytestmark = pytest.mark.system
 
 PREDICTED, ACCOUNTED, AS_GOOD = 0.01, 1e-3, 0.1
+AS_CERTIFIED = 3.0
+"""Times what the certificate says: a robot link that waits nowhere leaves 2.2 to 2.9 times as much (docs/robot.md)."""
 SLOW = ("linuxcnc",)
 """It knows real time only."""
 
@@ -51,6 +53,18 @@ def test_what_was_learned_predicts_a_pass_and_all_of_it_is_accounted_for(
         assert abs(found.missed[0]) > PREDICTED, "the first pass cannot know"
 
 
+@pytest.mark.slow
+def test_a_floor_of_290_ms_a_point_is_in_the_certificate(
+    tmp_path: Path, of_the_link: Callable[[Controller], float]
+) -> None:
+    """Acceptance: against the certificate with that floor. Learned in the first pass, it is known to the second."""
+    found = replace(polish(tmp_path / "cell", SLOW_PLC), link_rms_nm=of_the_link(link_like(SLOW_PLC)))
+    save(found)
+    require_good(found)
+    assert found.beyond_ms == pytest.approx(290.0, abs=1.0)
+    assert found.certified_nm[1] < found.rms_nm[2] < AS_CERTIFIED * found.certified_nm[1]
+
+
 def require_good(found: Figures) -> None:
     assert abs(found.missed[1]) < PREDICTED, found
     assert max(map(abs, found.unaccounted)) < ACCOUNTED, found
@@ -61,7 +75,7 @@ def require_good(found: Figures) -> None:
 
 def test_the_table_shows_nothing_that_would_not_pass() -> None:
     rows = rows_of(PAGE.read_text())
-    assert {row[0] for row in rows} <= {controller.name for controller in FIVE}
+    assert {row[0] for row in rows} <= {controller.name for controller in (*FIVE, SLOW_PLC)}
     for name, _, _, missed, unaccounted, *_ in rows:
         assert abs(float(missed.split(", ")[1])) < 100 * PREDICTED, name
         assert max(abs(float(share)) for share in unaccounted.split(", ")) < 100 * ACCOUNTED, name

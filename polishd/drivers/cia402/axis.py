@@ -74,6 +74,8 @@ class Axis:
         self._modes = modes
         self._orders = 0
         self._link: DriveLink | None = None
+        self._opening = asyncio.Lock()
+        """A serial adapter is open once only."""
 
     @property
     def link(self) -> DriveLink:
@@ -88,18 +90,19 @@ class Axis:
 
         ``look`` is what else is to be read, and may refuse it.
         """
-        await self.close()
-        link = self._new_link()
-        await link.open()
-        try:
-            await self._recognise(link)
-            await self._tell(link)
-            await self.state(link)
-            await look(link)
-        except BaseException:
-            await link.close()
-            raise
-        self._link = link
+        async with self._opening:
+            await self.close()
+            link = self._new_link()
+            await link.open()
+            try:
+                await self._recognise(link)
+                await self._tell(link)
+                await self.state(link)
+                await look(link)
+            except BaseException:
+                await link.close()
+                raise
+            self._link = link
 
     async def close(self) -> None:
         """Idempotent."""
@@ -133,12 +136,15 @@ class Axis:
         if self._link is not None and self._link.alive:
             with contextlib.suppress(LinkError, ProtocolError):
                 return await act(self._link)
-        link = self._new_link()
-        await link.open()
-        try:
-            await act(link)
-        finally:
-            await link.close()
+        async with self._opening:
+            if self._link is not None:
+                await self._link.close()
+            link = self._new_link()
+            await link.open()
+            try:
+                await act(link)
+            finally:
+                await link.close()
 
     async def state(self, link: DriveLink, *, urgent: bool = False) -> State:
         """Of the power stage, by the drive's own word."""

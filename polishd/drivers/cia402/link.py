@@ -48,7 +48,7 @@ class DriveLink(Background):
         self._broken: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         self._beat_at: float | None = None
         self._timed = False
-        self._booted = self._restarted = False
+        self._booted = self._restarted = self._answered = False
         self.silent_idly = False
         """The bus or we were away while the motor had no power: that has harmed nobody."""
         self.emergency: Emergency | None = None
@@ -140,6 +140,10 @@ class DriveLink(Background):
         finally:
             self._asked = None
 
+    def _unanswered(self, within_s: float) -> str:
+        said = super()._unanswered(within_s)
+        return said if self._answered or self._bus is None else f"{said}; {self._bus.unheard(self._node)}"
+
     async def _run(self, ready: Ready) -> None:
         if self._bus is None:
             return
@@ -191,6 +195,7 @@ class DriveLink(Background):
             request, answer = self._asked
             if not request.answered_by(message) or answer.done():
                 return
+            self._answered = True
             answer.set_result(message)
         else:
             return

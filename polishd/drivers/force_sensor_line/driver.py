@@ -55,5 +55,10 @@ class ForceSensorLine(LookingLine):
             last = reading.count
             await pace.next()
 
+    async def _look(self) -> None:
+        """See LineDevice. Others on such lines know who they are, too, and no force."""
+        await super()._look()
+        await self._read()
+
     async def _read(self) -> Reading:
         return codec.force(await self.ask("F?"))

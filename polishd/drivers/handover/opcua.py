@@ -9,6 +9,8 @@ import logging
 import time
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from polishd.api import Identity, LinkError, ProtocolError
@@ -22,6 +24,8 @@ CLOSE_S = 0.5
 """A server that does not answer is not waited for."""
 SERVER_START, VENDOR, PRODUCT, VERSION = "i=2257", "i=2263", "i=2261", "i=2264"
 """Nodes that every server has."""
+APPLICATION = "urn:polishd"
+"""What our certificate says whose it is."""
 _TYPES: dict[Kind, str] = {
     "bool": "Boolean",
     "int16": "Int16",
@@ -34,11 +38,51 @@ _TYPES: dict[Kind, str] = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class Papers:
+    """Certificates, in PEM or DER: ours with its key, and the one that the server must have."""
+
+    certificate: Path
+    private_key: Path
+    server_certificate: Path
+
+    async def show(self, client: Client) -> None:
+        """The client signs and encrypts with them."""
+        from asyncua import ua
+        from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
+        from asyncua.crypto.uacrypto import CertProperties
+
+        def paper(path: Path) -> CertProperties:
+            """By what is in it: the library goes by the name."""
+            content = path.read_bytes()
+            return CertProperties(content, "PEM" if b"-----BEGIN " in content else "DER")
+
+        client.application_uri = APPLICATION
+        await client.set_security(
+            SecurityPolicyBasic256Sha256,
+            paper(self.certificate),
+            paper(self.private_key),
+            server_certificate=paper(self.server_certificate),
+            mode=ua.MessageSecurityMode.SignAndEncrypt,
+        )
+
+
 class OpcUa:
     """A Variables over ``opc.tcp://host:port``. This computer times readings, half-way between asked and told."""
 
-    def __init__(self, url: str, table: VariablesTable, silence_s: float, user: str = "", password: str = "") -> None:
+    def __init__(
+        self,
+        url: str,
+        table: VariablesTable,
+        silence_s: float,
+        user: str = "",
+        password: str = "",
+        *,
+        papers: Papers | None = None,
+    ) -> None:
+        """With ``papers`` all is signed and encrypted (Basic256Sha256), and no other server is spoken to."""
         self._url = url
+        self._papers = papers
         self._watched = watched(table)
         self._written = written(table)
         self._silence_s = silence_s
@@ -57,7 +101,10 @@ class OpcUa:
             client.set_password(self._account[1])
         self._client = client
         try:
-            async with self._link("cannot be opened"):
+            secured = "" if self._papers is None else " with these certificates: does each trust the other's?"
+            async with self._link(f"cannot be opened{secured}"):
+                if self._papers is not None:
+                    await self._papers.show(client)
                 await client.connect()
                 await self._find(client)
             await self.read()
@@ -149,7 +196,7 @@ class OpcUa:
 
         try:
             yield
-        except (ua.UaError, OSError, TimeoutError, asyncio.IncompleteReadError) as error:
+        except (ua.UaError, OSError, TimeoutError, ValueError, asyncio.IncompleteReadError) as error:
             reason = " ".join(str(error).split()) or type(error).__name__
             raise LinkError(f"{self._url}: {what}: {reason}") from error
 

@@ -7,7 +7,7 @@ import time
 
 from polishd.api import LinkError
 from polishd.drivers.profiled.unnumbered import UnnumberedLink
-from polishd.drivers.transport.address import SerialLine, Tcp, silent
+from polishd.drivers.transport.address import SerialLine, Tcp, garbled, silent
 
 LONGEST = 512
 """Bytes of an answer."""
@@ -82,6 +82,4 @@ class LineLink(UnnumberedLink):
         if not self._rest:
             how = "way that requests end"
             return f"no answer to {request!r} {silent(self._address, self._silence_s, how)}"
-        settings = f" at {self._address.settings}" if isinstance(self._address, SerialLine) else ""
-        said = f"no answer to {request!r} within {self._silence_s:g} s{settings}"
-        return f"{said}, only {self._rest[:16]!r}; see baud rate, parity and lines.answer_ending"
+        return f"{request!r}: {garbled(self._address, self._rest, self._silence_s, 'lines.answer_ending')}"

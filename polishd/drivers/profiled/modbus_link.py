@@ -16,7 +16,7 @@ from pymodbus.pdu import register_message as word
 from polishd.api import DeviceRefused, LinkError, ProtocolError
 from polishd.config.device_tables import Table
 from polishd.drivers.profiled.unnumbered import UnnumberedLink
-from polishd.drivers.transport.address import SerialLine, Tcp, silent
+from polishd.drivers.transport.address import SerialLine, Tcp, garbled, silent
 
 READS: dict[Table, tuple[type[ModbusPDU], type[ModbusPDU]]] = {
     "coil": (bit.ReadCoilsRequest, bit.ReadCoilsResponse),
@@ -131,11 +131,7 @@ class ModbusLink(UnnumberedLink):
             return error
         if not came:
             return LinkError(f"{self.name}: no answer {silent(self._address, self._silence_s, 'unit number')}")
-        serial = isinstance(self._address, SerialLine)
-        settings = f" at {self._address.settings}" if isinstance(self._address, SerialLine) else ""
-        bad = f"{len(came)} bytes within {self._silence_s:g} s{settings} are no answer ({came[:8].hex(' ')} ...)"
-        todo = "see whether baud rate, parity and stop bits are the device's" if serial else "is it another device?"
-        return LinkError(f"{self.name}: {bad}; {todo}")
+        return LinkError(f"{self.name}: {garbled(self._address, came, self._silence_s)}")
 
     def _refused(self, function: int, code: int) -> DeviceRefused | LinkError:
         if code in GATEWAY:

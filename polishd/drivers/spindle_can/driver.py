@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import math
 import time
@@ -38,6 +39,8 @@ class SpindleCan:
         self._node = node
         self._link: DriveLink | None = None
         self._max_rpm = 0
+        self._opening = asyncio.Lock()
+        """A serial adapter is open once only."""
 
     @property
     def times(self) -> SpindleTimes:
@@ -46,15 +49,16 @@ class SpindleCan:
 
     async def open(self) -> None:
         """See Device. LinkError unless the drive itself is heard."""
-        await self.close()
-        link = DriveLink(self._address, self._node, self._times.silence_s)
-        await link.open()
-        try:
-            self._max_rpm = min(await link.upload(codec.MAXIMUM_SPEED), codec.MAX_RPM)
-        except BaseException:
-            await link.close()
-            raise
-        self._link = link
+        async with self._opening:
+            await self.close()
+            link = DriveLink(self._address, self._node, self._times.silence_s)
+            await link.open()
+            try:
+                self._max_rpm = min(await link.upload(codec.MAXIMUM_SPEED), codec.MAX_RPM)
+            except BaseException:
+                await link.close()
+                raise
+            self._link = link
 
     async def close(self) -> None:
         """See Device."""
@@ -89,12 +93,15 @@ class SpindleCan:
         if self._link is not None and self._link.alive:
             with contextlib.suppress(LinkError, ProtocolError):
                 return await self._stop(self._link)
-        link = DriveLink(self._address, self._node, self._times.silence_s)
-        await link.open()
-        try:
-            await self._stop(link)
-        finally:
-            await link.close()
+        async with self._opening:
+            if self._link is not None:
+                await self._link.close()
+            link = DriveLink(self._address, self._node, self._times.silence_s)
+            await link.open()
+            try:
+                await self._stop(link)
+            finally:
+                await link.close()
 
     async def set_speed(self, rpm: float) -> None:
         """See Spindle. DeviceRefused outside the drive's range."""

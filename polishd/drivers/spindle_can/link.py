@@ -111,6 +111,11 @@ class DriveLink(Background):
             )
         return answer.value
 
+    def _unanswered(self, within_s: float) -> str:
+        said = super()._unanswered(within_s)
+        heard = self._status is not None and self._beating
+        return said if heard or self._bus is None else f"{said}; {self._bus.unheard(self._node)}"
+
     async def _run(self, ready: Ready) -> None:
         if self._bus is None:
             return

@@ -190,11 +190,23 @@ def _path(url: SplitResult, base_dir: Path) -> Path:
     return base_dir / url.path
 
 
+def garbled(address: SerialLine | Tcp, came: bytes, silence_s: float, other: str = "") -> str:
+    """What bytes that came instead of an answer most likely are; ``other`` is looked at where they can be read."""
+    within = f"within {silence_s:g} s" + (f" at {address.settings}" if isinstance(address, SerialLine) else "")
+    text = came.decode("latin-1").strip()
+    if text.isascii() and text.isprintable():
+        return f"{text[:40]!r} {within} is no answer; {f'see {other}; ' if other else ''}is it another device?"
+    serial = isinstance(address, SerialLine)
+    todo = "see whether baud rate, parity and stop bits are the device's" if serial else "is it another device?"
+    shown = f"{came[:8].hex(' ')}{' ...' if len(came) > 8 else ''}"
+    return f"{len(came)} bytes {within} are no answer ({shown}); {todo}"
+
+
 def silent(address: SerialLine | Tcp, silence_s: float, other: str = "") -> str:
     """What silence for so long most likely is: ``within 0.3 s at 9600 8N1; see ...``; ``other`` is looked at, too."""
     if isinstance(address, SerialLine):
         looked, asked = f" at {address.settings}", ["baud rate", "parity", *filter(None, [other])]
     else:
-        looked, asked = "", [*filter(None, [other])]
-    named = " and ".join(filter(None, [", ".join(asked[:-1]), *asked[-1:]]))
-    return f"within {silence_s:g} s{looked}; see whether it has power" + (f", and this {named}" if named else "")
+        looked, asked = "", ["port", *filter(None, [other])]
+    named = " and ".join(filter(None, [", ".join(asked[:-1]), asked[-1]]))
+    return f"within {silence_s:g} s{looked}; see whether it has power, and this {named}"

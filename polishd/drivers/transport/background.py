@@ -45,7 +45,7 @@ class Background:
             if self._task.done():
                 await asyncio.shield(self._task)
             if not ready.done():
-                raise LinkError(f"{self.name}: no answer within {within_s:g} s")
+                raise LinkError(f"{self.name}: {self._unanswered(within_s)}")
         except BaseException:
             await self.stop()
             raise
@@ -92,7 +92,11 @@ class Background:
         if future.done():
             return future.result()
         self.check()
-        raise LinkError(f"{self.name}: no answer within {within_s:g} s")
+        raise LinkError(f"{self.name}: {self._unanswered(within_s or 0.0)}")
+
+    def _unanswered(self, within_s: float) -> str:
+        """What silence for so long means; where more is known of the link, what is most likely wrong, too."""
+        return f"no answer within {within_s:g} s"
 
     async def _first(self, future: asyncio.Future[T], within_s: float | None) -> None:
         if self._task is None:

@@ -16,7 +16,7 @@ from can.interfaces.socketcand import SocketCanDaemonBus
 from polishd.api import LinkError
 from polishd.drivers.transport.address import Slcan, Socketcand, Tcp
 from polishd.drivers.transport.background import open_blocking
-from polishd.drivers.transport.streams import open_stream
+from polishd.drivers.transport.streams import open_stream, why_closed
 
 OPEN_S = 2.0
 OPEN_TRIES = 3
@@ -27,6 +27,8 @@ SEND_S = 0.3
 EMPTY_READS = 3
 """A serial line that was readable and then had nothing: on a loaded machine once, on a dead one for ever."""
 
+OF_NODES = frozenset({1, 3, 5, 7, 9, 11, 14})
+"""Function codes of CiA 301 that a node sends by: emergency, process data, answers to SDO, heartbeat."""
 BUS_OFF = 0x40
 """Class of an error frame: the adapter has left the bus."""
 
@@ -46,15 +48,20 @@ async def open_bus(address: Slcan | Socketcand) -> CanBus:
     if isinstance(address, Socketcand):
         await _greeted(address)
     try:
-        bus = await open_blocking(lambda: _make(address), can.BusABC.shutdown, OPEN_S, str(address))
+        bus = await open_blocking(lambda: _make(address), lambda bus: bus.shutdown(), OPEN_S, str(address))
     except (can.CanError, OSError, ValueError) as error:
-        raise LinkError(f"{address}: {error}") from error
-    return CanBus(str(address), bus)
+        port = isinstance(address, Slcan) and error.__cause__
+        raise LinkError(f"{address}: {why_closed(port, 'such baud rate') if port else error}") from error
+    return CanBus(address, bus)
 
 
 async def _greeted(address: Socketcand) -> None:
     """See that a socketcand server is there: python-can would spin for 10 s, or wait for ever for its greeting."""
-    stream = await open_stream(Tcp(address.host, address.port), GREETING_S)
+    server = Tcp(address.host, address.port)
+    try:
+        stream = await open_stream(server, GREETING_S)
+    except LinkError as error:
+        raise LinkError(str(error).replace(str(server), str(address), 1)) from error
     greeting = b""
     try:
         async with asyncio.timeout(GREETING_S):
@@ -63,7 +70,7 @@ async def _greeted(address: Socketcand) -> None:
                 if len(greeting) > 64:
                     raise LinkError(f"{address}: no socketcand server, it said {greeting!r}")
     except TimeoutError:
-        raise LinkError(f"{address}: no greeting within {GREETING_S:g} s") from None
+        raise LinkError(f"{address}: no greeting within {GREETING_S:g} s; is it a socketcand server?") from None
     finally:
         await stream.close()
 
@@ -112,7 +119,31 @@ class TidySocketcand(SocketCanDaemonBus):
 
 
 class PromptSlcan(slcanBus):
-    """python-can waits until the line has taken each frame, on the event loop: an adapter that hangs would stop it."""
+    """python-can waits until the line has taken each frame, on the event loop: an adapter that hangs would stop it.
+
+    It also shares the port with whatever has it open, and leaves it open where the adapter takes nothing more.
+    """
+
+    def __init__(self, channel: str, **settings: Any) -> None:
+        try:
+            super().__init__(channel, **settings)
+        except (can.CanError, OSError):
+            if (port := getattr(self, "serialPortOrig", None)) is not None:
+                port.close()
+            self._is_shutdown = True
+            raise
+
+    def set_bitrate(self, bitrate: int, data_bitrate: int | None = None) -> None:
+        """Called before the first byte is sent: nothing is said to an adapter that another program uses."""
+        self.serialPortOrig.exclusive = True
+        super().set_bitrate(bitrate, data_bitrate)
+
+    def shutdown(self) -> None:
+        """Leave the bus, and the port in any case."""
+        try:
+            super().shutdown()
+        finally:
+            self.serialPortOrig.close()
 
     def _write(self, string: str) -> None:
         line = string.encode() + self.LINE_TERMINATOR
@@ -127,10 +158,13 @@ class PromptSlcan(slcanBus):
 class CanBus:
     """An open bus. What is received goes to a callback; errors end ``receive`` with LinkError."""
 
-    def __init__(self, name: str, bus: can.BusABC) -> None:
-        self._name = name
+    def __init__(self, address: Slcan | Socketcand, bus: can.BusABC) -> None:
+        self._name = str(address)
+        self._address = address
         self._bus = bus
         self._empty = 0
+        self._nodes: set[int] = set()
+        """Those that were heard."""
 
     def send(self, frame: CanFrame) -> None:
         """Hand over a frame; LinkError where the adapter takes none."""
@@ -148,6 +182,15 @@ class CanBus:
             await self._receive_in_thread(on_frame)
         else:
             await self._receive_when_ready(fileno, on_frame)
+
+    def unheard(self, node: int) -> str:
+        """Of a node that does not answer: what is most likely wrong, and what to do."""
+        if node in self._nodes:
+            return f"node {node} is there, but is no such device: is it another one?"
+        if self._nodes:
+            return f"heard are nodes {', '.join(map(str, sorted(self._nodes)))}: see the node number"
+        adapter = f", and the adapter's {self._address.baud} baud" if isinstance(self._address, Slcan) else ""
+        return f"nothing is heard on the bus: see power, bit rate, wires and termination{adapter}"
 
     async def close(self) -> None:
         """Leave the bus; what is dead already is left as it is."""
@@ -209,6 +252,8 @@ class CanBus:
         if message is None or message.is_extended_id or message.is_remote_frame or message.is_error_frame:
             return None
         self._empty = 0
+        if message.arbitration_id >> 7 in OF_NODES and message.arbitration_id & 0x7F:
+            self._nodes.add(message.arbitration_id & 0x7F)
         return CanFrame(message.arbitration_id, bytes(message.data))
 
     def _flush(self, bus: slcanBus) -> None:

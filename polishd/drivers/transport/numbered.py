@@ -10,7 +10,7 @@ import time
 from functools import reduce
 from operator import xor
 
-from polishd.drivers.transport.address import SerialLine, Tcp, silent
+from polishd.drivers.transport.address import SerialLine, Tcp, garbled, silent
 from polishd.drivers.transport.streams import LineReader, open_stream
 from polishd.model.devices import Identity
 from polishd.model.errors import DeviceRefused, LinkError, ProtocolError
@@ -60,6 +60,8 @@ class NumberedLines:
         self._stream: ByteStream | None = None
         self._lines: LineReader | None = None
         self._number = 0
+        self._broken = b""
+        """A line that came instead of the answer."""
 
     @property
     def connected(self) -> bool:
@@ -82,7 +84,7 @@ class NumberedLines:
         """The answer's body. LinkError where none comes in time; DeviceRefused for ``ERR,...``."""
         if self._stream is None or self._lines is None:
             raise LinkError(f"{self.name}: is not open")
-        self._number = (self._number + 1) & 0xFFFF
+        self._number, self._broken = (self._number + 1) & 0xFFFF, b""
         deadline = time.monotonic() + self._silence_s
         try:
             await self._stream.write(encode(self._number, request))
@@ -91,16 +93,27 @@ class NumberedLines:
             if time.monotonic() < deadline:  # not merely silent: the wire itself is gone
                 await self.disconnect()
                 raise LinkError(f"{self.name}: no answer to {request} ({error})") from error
-            raise LinkError(f"{self.name}: no answer to {request} {silent(self._address, self._silence_s)}") from error
+            raise LinkError(f"{self.name}: {self._unanswered(request, self._lines.rest)}") from error
         if answer.startswith("ERR,"):
-            raise DeviceRefused(f"{self.name}: {request} was refused: {answer.removeprefix('ERR,')}")
+            why = answer.removeprefix("ERR,")
+            other = "; is it another device?" if why.startswith("unknown") else ""
+            raise DeviceRefused(f"{self.name}: {request} was refused: {why}{other}")
         return answer
 
     async def _answer(self, lines: LineReader, deadline: float) -> str:
         while True:
-            numbered = decode(await lines.next(max(deadline - time.monotonic(), 0.0)))
-            if numbered is not None and numbered[0] == self._number:
+            line = await lines.next(max(deadline - time.monotonic(), 0.0))
+            numbered = decode(line)
+            if numbered is None:
+                self._broken = line.strip() or self._broken
+            elif numbered[0] == self._number:
                 return numbered[1]
+
+    def _unanswered(self, request: str, rest: bytes) -> str:
+        """What silence, or what came instead of an answer, most likely is."""
+        if came := self._broken or rest.strip():
+            return f"{request}: {garbled(self._address, came, self._silence_s)}"
+        return f"no answer to {request} {silent(self._address, self._silence_s)}"
 
 
 def _checksum(text: bytes) -> int:

@@ -7,11 +7,12 @@ before ``open``; and a caller that is cancelled leaves its answer to be read, an
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import TypeVar
 
-from polishd.drivers.transport.address import SerialLine, Tcp
+from polishd.drivers.transport.address import SerialLine, Tcp, garbled, silent
 from polishd.drivers.transport.requests import RequestQueue
 from polishd.drivers.transport.streams import LineReader, open_stream
 from polishd.model.errors import DeviceRefused, LinkError, ProtocolError
@@ -94,12 +95,17 @@ class PlainLines:
     async def _exchange(self, line: str) -> str:
         if self._stream is None or self._lines is None:
             raise LinkError(f"{self.name}: the link was lost")
+        deadline = time.monotonic() + self._silence_s
         try:
             await self._stream.write(line.encode("ascii") + b"\n")
             answer = await self._lines.next(self._silence_s)
         except LinkError as error:
+            why, came = f"no answer to {line} ({error})", self._lines.rest
+            if time.monotonic() >= deadline:  # else the wire itself is gone
+                garbage = came and f"{line}: {garbled(self._address, came, self._silence_s)}"
+                why = str(garbage or f"no answer to {line} {silent(self._address, self._silence_s)}")
             await self._hang_up()
-            raise LinkError(f"{self.name}: no answer to {line} ({error})") from error
+            raise LinkError(f"{self.name}: {why}") from error
         return answer.decode("ascii", "replace").strip()
 
     async def _hang_up(self) -> None:

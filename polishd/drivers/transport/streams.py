@@ -64,12 +64,12 @@ async def _open_serial(address: SerialLine, within_s: float) -> SerialStream:
     try:
         port = await open_blocking(make, serial.Serial.close, within_s, str(address))
     except (OSError, ValueError, termios.error) as error:  # SerialException is the first
-        raise LinkError(f"{address}: {_why_closed(address, error)}") from error
+        raise LinkError(f"{address}: {why_closed(error, address.settings)}") from error
     return SerialStream(str(address), port)
 
 
-def _why_closed(address: SerialLine, error: Exception) -> str:
-    """What is wrong with the port, and what to do."""
+def why_closed(error: BaseException, settings: str) -> str:
+    """What is wrong with a serial port that pyserial did not open, and what to do."""
     cause = error.__context__ if isinstance(error.__context__, termios.error) else error
     match cause.args[0] if cause.args else None:
         case errno.EAGAIN | errno.EBUSY:
@@ -79,7 +79,7 @@ def _why_closed(address: SerialLine, error: Exception) -> str:
         case errno.ENOENT | errno.ENXIO | errno.ENODEV:
             return "there is no such port; plug the adapter in, or mend the path"
         case errno.ENOTTY | errno.EINVAL | errno.EISDIR:
-            return f"it is no serial port, or knows no {address.settings}; mend the path or the settings"
+            return f"it is no serial port, or knows no {settings}; mend the path or the settings"
     return str(error)
 
 
@@ -253,6 +253,11 @@ class LineReader:
         self._stream = stream
         self._longest = longest
         self._rest = bytearray()
+
+    @property
+    def rest(self) -> bytes:
+        """What came after the last line."""
+        return bytes(self._rest)
 
     async def next(self, within_s: float) -> bytes:
         """The next line without its end; LinkError when it is not complete in time."""

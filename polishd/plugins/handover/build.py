@@ -15,7 +15,7 @@ from polishd.drivers.handover.ads import Ads
 from polishd.drivers.handover.delivery import Delivery, Folder
 from polishd.drivers.handover.driver import Handover
 from polishd.drivers.handover.modbus import Modbus
-from polishd.drivers.handover.opcua import OpcUa
+from polishd.drivers.handover.opcua import OpcUa, Papers
 from polishd.drivers.handover.remote import Ftp, Place, Sftp
 from polishd.drivers.handover.variables import Variables
 from polishd.drivers.transport.address import tcp_address
@@ -47,7 +47,8 @@ def _link(profile: ControllerProfile, options: HandoverOptions, context: DeviceC
             if not options.address.startswith("opc.tcp://"):
                 raise ConfigError(f"address {options.address!r}: opcua runs over opc.tcp://host:port")
             password = read_secret(options.password, context.base_dir) if options.password is not None else ""
-            return lambda: OpcUa(options.address, table, silence_s, options.user, password)
+            papers = _papers(options, context.base_dir)
+            return lambda: OpcUa(options.address, table, silence_s, options.user, password, papers=papers)
         case "ads":
             _require("ads", f"profile {options.profile!r}")
             host, netid, port = _ads_address(options.address)
@@ -57,6 +58,18 @@ def _link(profile: ControllerProfile, options: HandoverOptions, context: DeviceC
             make = partial(Modbus, where, table, silence_s, unit=profile.modbus_unit, little=profile.order == "little")
             make()  # its addresses are looked at
             return make
+
+
+def _papers(options: HandoverOptions, base_dir: Path) -> Papers | None:
+    """All three files, or None where none is named."""
+    names = {key: getattr(options, key) for key in ("certificate", "private_key", "server_certificate")}
+    if not any(names.values()):
+        return None
+    for key, name in names.items():
+        if not (name and (base_dir / Path(name).expanduser()).is_file()):
+            said = f"{name!r} is no file" if name else "is missing"
+            raise ConfigError(f"{key} {said}; encrypted opcua needs {', '.join(names)} (docs/handover.md)")
+    return Papers(**{key: base_dir / Path(name).expanduser() for key, name in names.items()})
 
 
 def _delivery(options: HandoverOptions, context: DeviceContext) -> Delivery:

@@ -22,6 +22,12 @@ class HandoverOptions(Section):
     """Who logs in on opcua; empty: nobody."""
     password: SecretPlace | None = None
     """That user's."""
+    certificate: str = ""
+    """Ours, PEM or DER, for opcua that is signed and encrypted (Basic256Sha256); its URI is ``urn:polishd``."""
+    private_key: str = ""
+    """That certificate's."""
+    server_certificate: str = ""
+    """The controller's: a server with another one is not spoken to."""
     delivery_password: SecretPlace | None = None
     """That of the user in ``delivery``."""
     known_hosts: str = "~/.ssh/known_hosts"

@@ -11,6 +11,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
+import serial
 
 from polishd.api import DeviceFault, DeviceRefused, LinkError, ProtocolError, SpindleTimes
 from polishd.drivers.spindle_can import SpindleCan, codec
@@ -63,6 +64,8 @@ async def test_an_adapter_that_takes_nothing_is_told_at_once_and_holds_nobody_up
     with pytest.raises(LinkError, match="takes no"):
         fill()
     await link.close()
+    with serial.Serial(str(tmp_path / "can"), exclusive=True):
+        pass  # and leaves its port to whoever opens it next
     os.close(master)
     os.close(slave)
 

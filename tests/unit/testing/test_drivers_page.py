@@ -5,6 +5,9 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import sysconfig
+import venv
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -13,6 +16,7 @@ from docs.reference import ports
 from polishd.config.cell import PORTS
 from polishd.ports.devices import Device
 
+ROOT = Path(__file__).parents[3]
 TEXT = ports.PAGE.read_text()
 FILES = {
     name: content
@@ -46,10 +50,26 @@ def written(folder: Path, driver: str) -> Path:
     return folder
 
 
-def suite(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
+def suite(folder: Path, *options: str, python: str | Path = sys.executable) -> subprocess.CompletedProcess[str]:
     """Runs as whoever has read the page runs it."""
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *options]
+    command = [python, "-m", "pytest", "-q", "-p", "no:cacheprovider", *options]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def installed(folder: Path) -> Path:
+    """The Python of an environment into which polishd's wheel was installed, beside the packages that it needs."""
+    run = partial(subprocess.run, check=True, capture_output=True, text=True)
+    run([sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", folder], cwd=ROOT)
+    (wheel,) = folder.glob("polishd-*.whl")
+    venv.create(folder / "venv")
+    python = folder / "venv" / "bin" / "python"
+    site = Path(run([python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]).stdout.strip())
+    for package in Path(sysconfig.get_path("purelib")).iterdir():
+        if package.suffix != ".pth" and "polishd" not in package.name:  # not the checkout's
+            (site / package.name).symlink_to(package)
+    pip = [sys.executable, "-m", "pip", "--python", python, "--disable-pip-version-check", "install"]
+    run([*pip, "--no-index", "--no-deps", wheel])
+    return python
 
 
 def test_it_has_a_driver_of_under_60_lines_with_simulator_and_test() -> None:
@@ -66,6 +86,23 @@ def test_its_driver_passes(tmp_path: Path) -> None:
 @pytest.mark.full
 def test_its_driver_passes_the_whole_suite(tmp_path: Path) -> None:
     done = suite(written(tmp_path, FILES[DRIVER]))
+    assert done.returncode == 0, done.stdout
+    assert re.search(r"^\d{2} passed in", done.stdout, re.MULTILINE), done.stdout
+
+
+@pytest.mark.full
+def test_its_driver_passes_where_polishd_is_installed_and_there_is_no_checkout(tmp_path: Path) -> None:
+    """Acceptance: written from the docs alone, in a clean environment."""
+    python = installed(tmp_path)
+    work = tmp_path / "work"
+    work.mkdir()
+    where = subprocess.run(
+        [python, "-c", "import polishd, sys; print(polishd.__file__, *sys.path, sep='\\n')"],
+        cwd=work, capture_output=True, text=True, check=True,
+    ).stdout.splitlines()  # fmt: skip
+    assert where[0].startswith(str(tmp_path))
+    assert not any(Path(path).is_relative_to(ROOT) for path in where), where
+    done = suite(written(work, FILES[DRIVER]), python=python)
     assert done.returncode == 0, done.stdout
     assert re.search(r"^\d{2} passed in", done.stdout, re.MULTILINE), done.stdout
 

@@ -21,6 +21,8 @@ TAKEN: tuple[Kind, ...] = get_args(Kind)[:-2]
 """What a language's statements may be, in the order in which their templates are tried."""
 Text = Annotated[str, Field(min_length=1)]
 Templates = list[Text]
+MOST_DECIMALS = 9
+"""Of a dwell's number."""
 
 
 class _Strict(BaseModel):
@@ -53,24 +55,33 @@ class Dwell(_Strict):
 
     unit_s: float = Field(1.0, gt=0)
     quantum_s: float = Field(gt=0)
-    """Smallest step of time that is written; a power of ten of the unit."""
+    """Step of the times that are written: as fine as numbers go, or the cycle that the controller ends a dwell with."""
     max_s: float = Field(float("inf"), gt=0)
     fly_by: Literal["refuse", "warn"] = "refuse"
     """What to do with a dwell after a move that need not stop: ``warn`` where the controller stops there anyway."""
 
     @model_validator(mode="after")
     def _decimal(self) -> Dwell:
-        if abs(self.unit_s / self.quantum_s - 10**self.decimals) > 1e-6 * self.unit_s / self.quantum_s:
-            raise ValueError("quantum_s: 1, 0.1, 0.01, ... of unit_s")
+        if not self._whole(self.decimals):
+            raise ValueError(f"quantum_s: a number of unit_s with at most {MOST_DECIMALS} decimals")
         return self
 
     @property
     def decimals(self) -> int:
         """Decimals of a number that resolves one quantum."""
-        ratio, decimals = self.unit_s / self.quantum_s, 0
-        while 10**decimals < ratio * (1 - 1e-6):
+        decimals = 0
+        while decimals < MOST_DECIMALS and not self._whole(decimals):
             decimals += 1
         return decimals
+
+    @property
+    def steps(self) -> int:
+        """One quantum, in units of the last of these decimals."""
+        return round(self.quantum_s / self.unit_s * 10.0**self.decimals)
+
+    def _whole(self, decimals: int) -> bool:
+        steps = self.quantum_s / self.unit_s * 10.0**decimals
+        return round(steps) > 0 and abs(steps - round(steps)) < 1e-6
 
 
 class Statements(_Strict):

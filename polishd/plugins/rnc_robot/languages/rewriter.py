@@ -43,19 +43,19 @@ def rewrite(profile: Profile, program: Program, time_s: FloatArray) -> bytes:
         quanta = max(round(wanted / dwell.quantum_s), 0)
         residue = new_s + residue - quanta * dwell.quantum_s
         start, end = old.statement.match.span("time")
-        pieces += [program.text[at:start], styled(quanta, dwell.decimals, program.text[start:end])]
+        pieces += [program.text[at:start], styled(quanta * dwell.steps, dwell.decimals, program.text[start:end])]
         at = end
     return b"".join([*pieces, program.text[at:]])
 
 
-def styled(quanta: int, decimals: int, old: bytes) -> bytes:
-    """``quanta`` steps of 10^-decimals as ``old`` is written: its plus, its leading zeros or bare ``.5``, its decimals.
+def styled(steps: int, decimals: int, old: bytes) -> bytes:
+    """``steps`` of 10^-decimals as ``old`` is written: its plus, its leading zeros or bare ``.5``, its decimals.
 
     Zeros at the end go as far as the old number had no digits there.
     """
     mantissa = old.lower().partition(b"e")[0].lstrip(b"+-")
     old_whole, point, old_fraction = mantissa.partition(b".")
-    digits = str(quanta).rjust(decimals + 1, "0").encode()
+    digits = str(steps).rjust(decimals + 1, "0").encode()
     whole, fraction = (digits[:-decimals], digits[-decimals:]) if decimals else (digits, b"")
     keep = len(old_fraction)
     fraction = (fraction[:keep] + fraction[keep:].rstrip(b"0")).ljust(keep, b"0")

@@ -112,7 +112,7 @@ def rewritten(old: Program, asked: np.ndarray, text: bytes) -> None:
     assert abs(new.time_s.sum() - asked.sum()) <= quanta.max() * 1.001 + 1e-9
 
 
-QUANTUM_S = {"rapid": 0.001, "krl": 0.001, "fanuc-tp": 0.01, "urscript": 0.001}
+QUANTUM_S = {"rapid": 0.001, "krl": 0.001, "fanuc-tp": 0.01, "urscript": 0.002}
 _NUMBER = rb"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?"
 TIME = {
     "rapid": re.compile(rb"(?i)(\bWaitTime\s*(?:\\InPos\s*,\s*)?)" + _NUMBER),

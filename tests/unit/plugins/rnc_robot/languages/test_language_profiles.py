@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from polishd.api import ConfigError, Program, ProgramError
 from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.languages import Profile, parse, read, rewrite, split
+from polishd.plugins.rnc_robot.languages.profile import Dwell
 from polishd.plugins.rnc_robot.languages.template import Writing, compiled
 from tests.unit.plugins.rnc_robot.languages.robot_programs import LANGUAGES, PROGRAMS, around, profile
 
@@ -83,10 +84,19 @@ def test_the_shipped_profiles(name: str) -> None:
 def test_the_quanta_of_the_shipped_profiles() -> None:
     rules = {name: profile(name).dwell for name in LANGUAGES}
     assert {name: rule.quantum_s for name, rule in rules.items()} == {
-        "rapid": 0.001, "krl": 0.001, "fanuc-tp": 0.01, "urscript": 0.001,
+        "rapid": 0.001, "krl": 0.001, "fanuc-tp": 0.01, "urscript": 0.002,
     }  # fmt: skip
     assert {name: rule.decimals for name, rule in rules.items()} == {"rapid": 3, "krl": 3, "fanuc-tp": 2, "urscript": 3}
     assert rules["fanuc-tp"].max_s == 327.67
+
+
+@pytest.mark.parametrize(
+    ("unit_s", "quantum_s", "decimals", "steps"),
+    [(1.0, 0.001, 3, 1), (1.0, 0.008, 3, 8), (1.0, 0.0125, 4, 125), (0.001, 0.008, 0, 8), (1.0, 1e-7, 7, 1)],
+)
+def test_a_quantum_may_be_any_decimal_number(unit_s: float, quantum_s: float, decimals: int, steps: int) -> None:
+    dwell = Dwell(unit_s=unit_s, quantum_s=quantum_s)
+    assert (dwell.decimals, dwell.steps) == (decimals, steps)
 
 
 def test_a_variant_adds_templates_and_changes_keys(tmp_path: Path) -> None:
@@ -171,8 +181,8 @@ BAD = [
     ("line_limit", -1, "line_limit: Input should be greater than or equal to 0"),
     ("feed_units_mm_min", {"mm": -1.0}, r"feed_units_mm_min\.mm: Input should be greater than 0"),
     ("dwell.quantum_s", None, r"dwell\.quantum_s: Field required"),
-    ("dwell.quantum_s", 0.003, r"dwell: Value error, quantum_s: 1, 0\.1, 0\.01"),
-    ("dwell.quantum_s", 10.0, "dwell: Value error, quantum_s"),
+    ("dwell.quantum_s", 1 / 3, r"dwell: Value error, quantum_s: a number of unit_s with at most 9 decimals"),
+    ("dwell.quantum_s", 1e-12, r"dwell: Value error, quantum_s"),
     ("dwell.fly_by", "guess", r"dwell\.fly_by: Input should be 'refuse' or 'warn'"),
     ("orientation.convention", "euler_deg", "orientation: Value error, axes"),
     ("orientation.convention", "quaternion", "orientation: Value error, quaternion has 4 fields"),

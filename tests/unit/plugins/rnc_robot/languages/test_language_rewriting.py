@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from polishd.api import ProgramError
 from polishd.plugins.rnc_robot.languages import read, rewrite
 from polishd.plugins.rnc_robot.languages.rewriter import styled
+from polishd.plugins.rnc_robot.verify import verify
 from tests.unit.plugins.rnc_robot.languages.robot_programs import LANGUAGES, PROGRAMS, around, many, profile
 
 DWELLS = {
@@ -86,6 +87,20 @@ def test_the_residue_is_carried_over_thousands_of_dwells(name: str) -> None:
     found = [float(number) for number in numbers(name, rewrite(language, program, third))]
     assert abs(math.fsum(found) - count / 3) <= language.dwell.quantum_s / 2 * (1 + 1e-6)
     assert len(set(found)) == 2  # one third is written now shorter, now longer
+
+
+@given(st.lists(st.floats(0.0, 5.0), min_size=1, max_size=200))
+def test_a_dwell_is_a_multiple_of_the_controllers_cycle(wanted: list[float]) -> None:
+    """An older UR: else each lasts up to 8 ms longer than is written, and nobody knows how much."""
+    newer = profile("urscript")
+    older = newer.model_copy(update={"dwell": newer.dwell.model_copy(update={"quantum_s": 0.008})})
+    program = read(older, many("urscript", ["0.5001"] * len(wanted)), "part.txt")
+    text = rewrite(older, program, np.array(wanted))
+    written_ms = np.rint(1000.0 * read(older, text, "part.txt").time_s)
+    assert [float(number) * 1000.0 for number in numbers("urscript", text)] == pytest.approx(written_ms.tolist())
+    assert not np.any(written_ms % 8)
+    assert np.abs(np.cumsum(written_ms / 1000.0) - np.cumsum(wanted)).max() <= 0.004 + 1e-9
+    assert verify(program.text, text, older).identical_motion
 
 
 @pytest.mark.parametrize("name", LANGUAGES)
