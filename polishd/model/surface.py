@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,17 @@ class Grid:
         return np.hypot(self.x_mm[None, :], self.y_mm[:, None])
 
 
+class MaskCount(NamedTuple):
+    """A mask that was laid over a map by hand, and what it holds of it."""
+
+    mask: str
+    """As it was given."""
+    samples: int
+    """With data that lie in it."""
+    of: int
+    """Samples with data that the map had."""
+
+
 @dataclass(frozen=True, slots=True)
 class SurfaceMap:
     """One interferometer map: surface (not wavefront) height, positive = high, NaN = no data.
@@ -73,6 +84,8 @@ class SurfaceMap:
     fiducials_px: tuple[tuple[float, float], ...] = ()
     """(row, column) of the marks that the file lists, in this array's own pixels."""
     reader_version: int = 0
+    masks: tuple[MaskCount, ...] = ()
+    """What was laid over it by hand: a sample outside any of these has no data any more."""
 
     @property
     def grid(self) -> Grid:

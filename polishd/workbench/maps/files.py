@@ -17,6 +17,7 @@ from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
 from polishd.recipe.files import read_map
 from polishd.show.tables import stdout
+from polishd.workbench.maps.masks import Mask, masked
 
 READERS = "interferometer"
 """The plugin of polishd that reads maps. Without the other ones these verbs start in half the time."""
@@ -29,19 +30,28 @@ class MapSource:
     readers: Mapping[str, SurfaceReader]
     """By name, in the order in which they are asked."""
     instrument: Instrument | None = None
+    masks: tuple[Mask, ...] = ()
+    """Laid over each map, as the profile turns it."""
 
     @classmethod
-    def of(cls, cell: Path | None = None, profile: Path | None = None) -> MapSource:
-        """The cell's plugins, without a cell polishd's own; ConfigError or PluginError where a file is broken."""
+    def of(cls, cell: Path | None = None, profile: Path | None = None, masks: Sequence[str] | None = None) -> MapSource:
+        """The cell's plugins, without a cell polishd's own; ConfigError or PluginError where a file is broken.
+
+        BadParameter where one of the masks, as ``--mask`` has them, is none.
+        """
+        laid = tuple(Mask.of(text) for text in masks or ())
         if profile is None:
-            return cls(readers_for(cell))
+            return cls(readers_for(cell), None, laid)
         from polishd.config.profile import load_profile
 
         instrument = load_profile(profile).instrument
-        return cls(readers_for(cell), instrument)
+        return cls(readers_for(cell), instrument, laid)
 
     def read(self, path: Path) -> SurfaceMap:
-        """A map, as it is or as the profile says; BadMap where it cannot be had."""
+        """A map, as it is or as the profile says, within the masks; BadMap where it cannot be had."""
+        return masked(self._whole(path), self.masks, self._whole)
+
+    def _whole(self, path: Path) -> SurfaceMap:
         if path.exists() and not path.is_file():
             raise BadMap(f"{path}: is {'a folder' if path.is_dir() else 'no file'}; name a map file")
         surface = read_map(path, self.readers.values())

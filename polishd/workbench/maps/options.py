@@ -17,6 +17,16 @@ Profile = Annotated[
 OfCell = Annotated[
     Path | None, Option("--cell", metavar="CELL.toml", help="Read as this cell does: with its plugins.", readable=False)
 ]
+Masks = Annotated[
+    list[str] | None,
+    Option(
+        "--mask",
+        metavar="MASK",
+        help="Only what lies in it counts; may be repeated: then what lies in all. circle:X,Y,R, annulus:X,Y,R,r, "
+        "rectangle:X,Y,W,H, hexagon:X,Y,W in mm from the map's centre; polygon:FILE, map:FILE (where that has data). "
+        "not: before it takes what lies outside, px: means pixels.",
+    ),
+]
 Json = Annotated[bool, Option("--json", help="One JSON object a file on stdout, for programs.")]
 
 
@@ -29,3 +39,4 @@ class FigureOptions:
     profile: Profile = None
     bands: Annotated[str, Option(metavar="MM,...", help="Periods between the bands, falling.")] = "33,0.12"
     cell: OfCell = None
+    masks: Masks = None

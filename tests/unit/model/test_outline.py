@@ -10,7 +10,8 @@ from polishd.model.errors import ComputeError
 from polishd.model.outline import MOST_CORNERS, Circle, Outline, Polygon, hexagon, polygon, rectangle
 
 ELL = [(-3.0, -2.0), (3.0, -2.0), (3.0, 0.5), (0.5, 0.5), (0.5, 4.0), (-3.0, 4.0)]
-STAR = [(4.0 if k % 2 else 1.5) * np.array([np.cos(k * np.pi / 5), np.sin(k * np.pi / 5)]) for k in range(10)]
+TURN = np.arange(10) * np.pi / 5
+STAR = np.tile([1.5, 4.0], 5)[:, None] * np.stack([np.cos(TURN), np.sin(TURN)], axis=1)
 
 
 @pytest.mark.parametrize("outline", [polygon(ELL), polygon(ELL[::-1]), polygon(STAR), hexagon(6.0), rectangle(5, 3)])
