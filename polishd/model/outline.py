@@ -20,6 +20,7 @@ DRAWN = 256
 """Corners of a circle that is drawn."""
 
 Point = tuple[float, float]
+Lengths = FloatArray | float
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,15 +39,25 @@ class Circle:
         return self.radius_mm, self.radius_mm
 
     @property
+    def size_mm(self) -> Point:
+        """How far it reaches along x and along y, from end to end."""
+        return 2 * self.radius_mm, 2 * self.radius_mm
+
+    @property
     def area_mm2(self) -> float:
         """Its area."""
         return math.pi * self.radius_mm**2
 
-    def inside_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+    @property
+    def depth_mm(self) -> float:
+        """How far inside the origin lies."""
+        return float(self.inside_mm(0.0, 0.0))
+
+    def inside_mm(self, x_mm: Lengths, y_mm: Lengths) -> FloatArray:
         """Distance of points from it, in the shape that x and y give together, mm: positive inside, else negative."""
         return np.asarray(self.radius_mm - np.hypot(x_mm, y_mm), dtype=np.float64)
 
-    def contains(self, x_mm: FloatArray, y_mm: FloatArray, edge_mm: float = 0.0) -> BoolArray:
+    def contains(self, x_mm: Lengths, y_mm: Lengths, edge_mm: float = 0.0) -> BoolArray:
         """Whether points lie inside, and ``edge_mm`` from it at least; below 0: so far outside at most."""
         return np.asarray(np.hypot(x_mm, y_mm) <= self.radius_mm - edge_mm)
 
@@ -94,11 +105,22 @@ class Polygon:
         return float(x), float(y)
 
     @property
+    def size_mm(self) -> Point:
+        """How far it reaches along x and along y, from end to end."""
+        x, y = np.ptp(self.corners(), axis=0)
+        return float(x), float(y)
+
+    @property
     def area_mm2(self) -> float:
         """Its area."""
         return abs(sum(ax * by - bx * ay for (ax, ay), (bx, by) in self._sides())) / 2
 
-    def inside_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+    @property
+    def depth_mm(self) -> float:
+        """How far inside the origin lies."""
+        return float(self.inside_mm(0.0, 0.0))
+
+    def inside_mm(self, x_mm: Lengths, y_mm: Lengths) -> FloatArray:
         """Distance of points from it, in the shape that x and y give together, mm: positive inside, else negative."""
         x, y = np.broadcast_arrays(x_mm, y_mm)
         nearest, inside = np.full(x.shape, np.inf), np.zeros(x.shape, dtype=np.bool_)
@@ -111,7 +133,7 @@ class Polygon:
         distance = np.sqrt(nearest)
         return np.asarray(np.where(inside, distance, -distance), dtype=np.float64)
 
-    def contains(self, x_mm: FloatArray, y_mm: FloatArray, edge_mm: float = 0.0) -> BoolArray:
+    def contains(self, x_mm: Lengths, y_mm: Lengths, edge_mm: float = 0.0) -> BoolArray:
         """Whether points lie inside, and ``edge_mm`` from it at least; below 0: so far outside at most."""
         return np.asarray(self.inside_mm(x_mm, y_mm) >= edge_mm - ROUNDING_MM)
 
@@ -120,8 +142,8 @@ class Polygon:
         return np.asarray(self.corners_mm, dtype=np.float64)
 
     def __str__(self) -> str:
-        x, y = self.corners().T
-        return f"a {self.name} of {np.ptp(x):g} x {np.ptp(y):g} mm"
+        x, y = self.size_mm
+        return f"a {self.name} of {x:g} x {y:g} mm"
 
     def _sides(self) -> list[tuple[Point, Point]]:
         return list(pairwise((*self.corners_mm, self.corners_mm[0])))

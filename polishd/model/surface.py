@@ -41,6 +41,11 @@ class Grid:
         """Row coordinates, (ny,), descending: row 0 is the top."""
         return np.asarray(((self.ny - 1) / 2 - np.arange(self.ny)) * self.pitch_mm, dtype=np.float64)
 
+    @property
+    def axes_mm(self) -> tuple[FloatArray, FloatArray]:
+        """The same as a row (1, nx) and a column (ny, 1), which together are the samples."""
+        return self.x_mm[None, :], self.y_mm[:, None]
+
     def radius_mm(self) -> FloatArray:
         """Distance of each sample from the origin, (ny, nx)."""
         return np.hypot(self.x_mm[None, :], self.y_mm[:, None])

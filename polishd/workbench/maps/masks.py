@@ -73,7 +73,7 @@ class Mask:
             raise BadMap(f"{surface.path}: has no lateral scale for --mask {self.text}; give the instrument's "
                          f"--profile, or the mask in pixels: px:{self.text.removeprefix('not:')}")  # fmt: skip
         else:
-            found = self.inside(surface.grid.x_mm[None, :], surface.grid.y_mm[:, None])
+            found = self.inside(*surface.grid.axes_mm)
         return np.asarray(found != self.inverted)
 
 

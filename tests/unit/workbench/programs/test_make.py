@@ -183,7 +183,7 @@ def test_a_cell_says_what_is_not_asked_for(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         dips_deg(part.axis, unit_normals(Optic(400.0), plane)), config.process.dip_deg, atol=1e-3
     )
-    assert np.hypot(*plane.T).max() > config.part.aperture_mm / 2
+    assert np.hypot(*plane.T).max() > config.outline().radius_mm
     assert said["largest_turn_deg"] < 5
     assert said["not_checked"] == []
 
