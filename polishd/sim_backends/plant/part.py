@@ -10,6 +10,7 @@ import numpy as np
 from scipy import ndimage, optimize
 
 from polishd.config.simulator import Plant, SimConfig
+from polishd.model.outline import Circle
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.sim_backends import metropro
 
@@ -18,6 +19,8 @@ MIDDLE_MM = (9.5, 30.0)
 MIDDLE_SHARE = 0.15
 """RMS of the middle periods relative to the figure."""
 BUMP_SIGMA_MM = 4.5
+BEYOND_MM = 2.0
+"""So far beyond straight sides the map goes on: a side that the map ends with is not seen as the part's."""
 
 
 @dataclass(slots=True)
@@ -67,7 +70,8 @@ class TruePart:
 def make(config: Plant, seed: int) -> TruePart:
     """A part with figure and middle-frequency errors, RMS and PV as configured, flush with its ring."""
     pitch = config.pitch_mm
-    nx, ny = (2 * math.ceil(half / pitch) + 1 for half in config.outline.half_mm)
+    beyond = 0.0 if isinstance(config.outline, Circle) else BEYOND_MM
+    nx, ny = (2 * math.ceil((half + beyond) / pitch) + 1 for half in config.outline.half_mm)
     pad = math.ceil(config.ring_mm / pitch)
     grid, frame = Grid(ny + 2 * pad, nx + 2 * pad, pitch), Grid(ny, nx, pitch)
     valid = config.outline.contains(*frame.axes_mm, -1e-9)
