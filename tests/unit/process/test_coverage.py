@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polishd.model.outline import Circle
+from polishd.model.outline import Circle, rectangle
 from polishd.model.surface import FloatArray
 from polishd.process.coverage import coverage
 
@@ -46,3 +46,20 @@ def test_points_without_length_count_where_they_are() -> None:
     assert found.reach_mm == 70.0
     assert found.outside == pytest.approx(1 / 3)
     assert found.unreached == pytest.approx(1 - 2 * (3 / 47) ** 2, abs=0.002)
+
+
+def test_of_a_part_that_is_not_round_its_own_outline_counts() -> None:
+    """A path over 100 x 100 mm; one over a disc leaves the corners of the rectangle that it lies in."""
+    part = rectangle(80.0, 40.0)
+    found = coverage(*lines(100.0), spot_mm=2.0, outline=part, edge_mm=3.0, landing_mm=5.0)
+    assert found.unreached == 0.0
+    assert found.outside == pytest.approx(1 - disc_share(90.0, 50.0, 100.0), abs=0.02)
+    found = coverage(*lines(60.0), spot_mm=2.0, outline=part, edge_mm=3.0, landing_mm=5.0)
+    assert found.unreached == pytest.approx(1 - disc_share(74.0, 34.0, 64.0) * 32**2 * np.pi / (74 * 34), abs=0.02)
+
+
+def disc_share(wide_mm: float, high_mm: float, diameter_mm: float) -> float:
+    """Share of a disc that lies in a rectangle about its centre."""
+    x, y = np.meshgrid(*(np.linspace(-diameter_mm / 2, diameter_mm / 2, 1001),) * 2)
+    disc = np.hypot(x, y) <= diameter_mm / 2
+    return float(np.mean((np.abs(x) <= wide_mm / 2)[disc] & (np.abs(y) <= high_mm / 2)[disc]))
