@@ -67,4 +67,10 @@ class Recipe:
         """What a summary says of it."""
         job = self.job.model_dump(include={"tolerance_nm", "tolerance_period_mm", "lsf_period_mm"})
         lines = [{"what": line.what, "limit": line.limit, "unit": line.unit} for line in self.lines]
-        return {"part_id": self.part.id, "correction": self.correction, **job, "tolerance": lines}
+        return {
+            "part_id": self.part.id,
+            "outline": str(self.outline),
+            "correction": self.correction,
+            **job,
+            "tolerance": lines,
+        }
