@@ -92,7 +92,7 @@ def _drop_other_tolerance(raw: dict[str, Any], fragment: Mapping[str, Any]) -> N
 def _drop_other_outline(raw: dict[str, Any], fragment: Mapping[str, Any]) -> None:
     """So has the part's outline: of a job's part that has one the cell's says nothing."""
     if any(_value(fragment, ("part", key)) is not None for key in OUTLINES):
-        for key in OUTLINES:
+        for key in (*OUTLINES, "hole_mm"):
             raw["part"].pop(key, None)
 
 

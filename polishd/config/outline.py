@@ -13,7 +13,7 @@ from polishd.model.errors import ComputeError
 from polishd.model.outline import Circle, Outline, hexagon, polygon, rectangle
 
 OUTLINES = ("aperture_mm", "rectangle_mm", "hexagon_mm", "polygon_mm", "polygon_file")
-"""Each says the whole outline: what has one has no other."""
+"""Each says the outline: what has one has no other."""
 Corners = tuple[tuple[float, float], ...]
 
 
@@ -22,8 +22,10 @@ class OutlineKeys(Section):
 
     aperture_mm: Annotated[float, Field(gt=0, le=5000)] | None = None
     """Diameter of a round part."""
+    hole_mm: Positive | None = None
+    """Diameter of a round hole in the middle of a round part; what lies in it is no part."""
     rectangle_mm: Annotated[tuple[Positive, Positive], BeforeValidator(as_tuple)] | None = None
-    """Instead: sides of a rectangular part, along its x and y."""
+    """Instead of `aperture_mm`: sides of a rectangular part, along its x and y."""
     hexagon_mm: Positive | None = None
     """Instead: width across flats of a regular hexagon; two of its corners lie on the part's x."""
     polygon_mm: Annotated[tuple[Pair, ...], BeforeValidator(as_tuple)] | None = None
@@ -39,11 +41,13 @@ class OutlineKeys(Section):
                 "aperture_mm: is missing; add it: aperture_mm = ...; of a part that is not round instead one of "
                 f"{', '.join(OUTLINES[1:])}"
             )
+        if self.hole_mm is not None and self.outline_key != "aperture_mm":
+            raise ValueError(f"hole_mm: goes with aperture_mm, not with {first}; leave it out")
         try:
-            if first in OUTLINES[:-1]:
+            if first != "polygon_file":
                 _ = self.outline
         except ComputeError as error:
-            raise ValueError(f"{first}: {error}") from error
+            raise ValueError(f"{'hole_mm' if self.hole_mm is not None else first}: {error}") from error
         return self
 
     @property
@@ -58,19 +62,22 @@ class OutlineKeys(Section):
     @property
     def outline(self) -> Outline:
         """What these keys say; ComputeError where they name a file, which has to be read."""
-        return _made(self.outline_key, getattr(self, self.outline_key))
+        return _made(self.outline_key, getattr(self, self.outline_key), (self.hole_mm or 0.0) / 2)
 
 
 def as_keys(outline: Outline) -> Mapping[str, Any]:
     """The keys that say this outline without a file."""
-    return {"aperture_mm": 2 * outline.radius_mm} if isinstance(outline, Circle) else {"polygon_mm": outline.corners_mm}
+    if not isinstance(outline, Circle):
+        return {"polygon_mm": outline.corners_mm}
+    hole = {"hole_mm": 2 * outline.hole_mm} if outline.hole_mm else {}
+    return {"aperture_mm": 2 * outline.radius_mm, **hole}
 
 
 @functools.lru_cache(maxsize=16)
-def _made(key: str, value: Any) -> Outline:
+def _made(key: str, value: Any, hole_mm: float) -> Outline:
     match key:
         case "aperture_mm":
-            return Circle(value / 2)
+            return Circle(value / 2, hole_mm)
         case "rectangle_mm":
             return rectangle(*value)
         case "hexagon_mm":

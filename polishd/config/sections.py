@@ -186,11 +186,14 @@ class PartSection(OutlineKeys):
 
     def misfits(self, outline: Outline) -> Iterator[tuple[str, str]]:
         """(key, what is wrong) of what does not go with the part's outline."""
-        centre, radius = outline.depth_mm, self.curvature_radius_mm
-        if centre <= 0:
+        depth, radius = outline.depth_mm, self.curvature_radius_mm
+        if depth <= 0:
             yield self.outline_key, "the part's centre, x 0 and y 0, lies outside; give corners about it"
-        elif self.edge_mm >= centre:
-            yield "edge_mm", f"no clear aperture is left about the centre, {centre:g} mm from the rim; must be less"
+        elif self.edge_mm >= depth:
+            yield (
+                "edge_mm",
+                f"no clear aperture is left: the part's middle lies {depth:g} mm from its rim; must be less",
+            )
         if radius is not None and (1 + self.conic) * outline.radius_mm**2 >= radius**2:
             across = 2 * outline.radius_mm
             yield "curvature_radius_mm", f"{radius:g} mm is no surface of {across:g} mm aperture"

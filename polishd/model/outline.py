@@ -1,4 +1,4 @@
-"""Outlines in a plane: of a part about its centre, or of a mask. A circle, or a polygon that does not cross itself."""
+"""Outlines in a plane, of a part about its centre or of a mask: a circle, a ring, or a polygon that crosses nowhere."""
 
 from __future__ import annotations
 
@@ -25,13 +25,19 @@ Lengths = FloatArray | float
 
 @dataclass(frozen=True, slots=True)
 class Circle:
-    """A circle about the origin."""
+    """A circle about the origin, or a ring."""
 
     radius_mm: float
+    hole_mm: float = 0.0
+    """Radius of the hole in its middle; 0: there is none."""
 
     def __post_init__(self) -> None:
         """ComputeError for a radius that cannot be."""
         _require_length("radius", self.radius_mm)
+        if not 0 <= self.hole_mm < self.radius_mm:
+            raise ComputeError(
+                f"the outline's hole is {2 * self.hole_mm:g} mm wide; it must be less than {2 * self.radius_mm:g} mm"
+            )
 
     @property
     def half_mm(self) -> Point:
@@ -46,28 +52,32 @@ class Circle:
     @property
     def area_mm2(self) -> float:
         """Its area."""
-        return math.pi * self.radius_mm**2
+        return math.pi * (self.radius_mm**2 - self.hole_mm**2)
 
     @property
     def depth_mm(self) -> float:
-        """How far inside the origin lies."""
-        return float(self.inside_mm(0.0, 0.0))
+        """How far inside its middle lies; of a ring the middle between both rims."""
+        return (self.radius_mm - self.hole_mm) / 2 if self.hole_mm else self.radius_mm
 
     def inside_mm(self, x_mm: Lengths, y_mm: Lengths) -> FloatArray:
         """Distance of points from it, in the shape that x and y give together, mm: positive inside, else negative."""
-        return np.asarray(self.radius_mm - np.hypot(x_mm, y_mm), dtype=np.float64)
+        away = np.hypot(x_mm, y_mm)
+        inside = self.radius_mm - away
+        return np.asarray(np.minimum(inside, away - self.hole_mm) if self.hole_mm else inside, dtype=np.float64)
 
     def contains(self, x_mm: Lengths, y_mm: Lengths, edge_mm: float = 0.0) -> BoolArray:
         """Whether points lie inside, and ``edge_mm`` from it at least; below 0: so far outside at most."""
-        return np.asarray(np.hypot(x_mm, y_mm) <= self.radius_mm - edge_mm)
+        away = np.hypot(x_mm, y_mm)
+        return np.asarray((away <= self.radius_mm - edge_mm) & (not self.hole_mm or away >= self.hole_mm + edge_mm))
 
     def corners(self) -> FloatArray:
-        """(n, 2) mm: as a polygon, for a picture."""
+        """(n, 2) mm: its outer rim as a polygon, for a picture."""
         turn = np.arange(DRAWN) * 2 * np.pi / DRAWN
         return self.radius_mm * np.stack([np.cos(turn), np.sin(turn)], axis=1)
 
     def __str__(self) -> str:
-        return f"a circle of {2 * self.radius_mm:g} mm"
+        hole = f", less a hole of {2 * self.hole_mm:g} mm" if self.hole_mm else ""
+        return f"a circle of {2 * self.radius_mm:g} mm{hole}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,8 @@ from polishd.model.handling import Seat, TouchOff
 from polishd.model.outline import Outline
 from polishd.model.surface import FloatArray
 
+TRIED = 257
+"""Points from the centre to the rim, among which one that is deep enough is found."""
 FLATTEST = 1e-3
 """Below it, relative to the part's size, three places lie so nearly on a line that no tilt can be told."""
 
@@ -23,12 +25,14 @@ def rim_places_mm(outline: Outline, edge_mm: float) -> FloatArray:
 
 
 def _reach_mm(outline: Outline, inside_mm: float, x: float, y: float) -> float:
-    """How far from the centre, which lies deeper, a point in this direction is so far inside the rim."""
+    """How far from the centre the farthest point in this direction is that lies so far inside the rim."""
 
     def deeper(reach_mm: float) -> float:
         return float(outline.inside_mm(reach_mm * x, reach_mm * y)) - inside_mm
 
-    return float(optimize.brentq(deeper, 0.0, outline.radius_mm, xtol=1e-12))
+    tried = np.linspace(0.0, outline.radius_mm, TRIED)
+    inner = max((reach for reach in tried if deeper(reach) > 0), default=0.0)
+    return float(optimize.brentq(deeper, inner, outline.radius_mm, xtol=1e-12))
 
 
 def seat_of(asked: TouchOff, early_mm: FloatArray) -> Seat:

@@ -26,6 +26,7 @@ pytestmark = pytest.mark.system
 OUTLINES = {
     "rectangle": ("rectangle_mm = [40.0, 24.0]", 40 * 24, (50, 34)),
     "hexagon": ("hexagon_mm = 24.0", 24**2 * np.sqrt(3) / 2, (38, 34)),
+    "ring": ("aperture_mm = 40.0\nhole_mm = 16.0", np.pi * (20**2 - 8**2), (50, 50)),
     "file": ('polygon_file = "corners.csv"', 26 * 30 - 10 * 12 / 2, (36, 40)),
 }
 """By name: the key of the cell, mm^2, and how far the process grid reaches along x and y, mm."""
@@ -68,7 +69,7 @@ def write_map(files: DemoFiles) -> Path:
 
 
 @pytest.mark.parametrize(
-    "name", ["rectangle", *(pytest.param(name, marks=pytest.mark.full) for name in ("hexagon", "file"))]
+    "name", ["rectangle", *(pytest.param(name, marks=pytest.mark.full) for name in ("hexagon", "ring", "file"))]
 )
 def test_it_is_planned_by_its_outline(tmp_path: Path, name: str) -> None:
     files = write_files(tmp_path / "cell", name)

@@ -38,9 +38,11 @@ def add_part(draft: Draft, speed: float) -> None:
     draft.put("plant", "speed", speed, "--speed: process seconds per wall second")
     draft.put("plant", "part_id", part.id, "part.id")
     said = part.outline_key
-    keys = as_keys(draft.config.outline()) if said == "polygon_file" else {said: getattr(part, said)}
-    for key, value in keys.items():
-        draft.put("plant", key, value, draft.origin(f"part.{said}"))
+    if said == "polygon_file":
+        for key, value in as_keys(draft.config.outline()).items():
+            draft.put("plant", key, value, f"part.{said}")
+    else:
+        draft.take("plant", (said, "hole_mm"), "part", part)
     draft.take("plant", PLANT, "part", part)
     draft.put("plant", "rotation_rpy_deg", part.rotation_rpy_deg, "part.rotation_rpy_deg")
     draft.put("plant", "program_offset_mm", program.offset_mm, draft.origin("program.offset_mm"))

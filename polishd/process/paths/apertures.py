@@ -100,7 +100,7 @@ def rectangle(width_mm: float, height_mm: float) -> Aperture:
 def over_outline(outline: Outline) -> Aperture:
     """The smallest convex aperture that holds an outline: itself where that is convex."""
     if isinstance(outline, Circle):
-        return circle(2 * outline.radius_mm)
+        return annulus(2 * outline.radius_mm, 2 * outline.hole_mm) if outline.hole_mm else circle(2 * outline.radius_mm)
     return Aperture(np.asarray((outline.corners() @ TOWARDS.T).max(axis=0), dtype=np.float64))
 
 

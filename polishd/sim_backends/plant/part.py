@@ -126,7 +126,7 @@ def _errors(part: TruePart, config: Plant, rng: np.random.Generator) -> FloatArr
     base /= _rms(part, base)
     if config.rms_nm == 0.0:
         return np.zeros(grid.shape)
-    angle, radius = rng.uniform(0.0, math.tau), rng.uniform(0.2, 0.6) * config.outline.depth_mm
+    angle, radius = rng.uniform(0.0, math.tau), rng.uniform(0.2, 0.6) * min(config.outline.half_mm)
     centre = radius * math.cos(angle), radius * math.sin(angle)
     distance = np.hypot(grid.x_mm[None, :] - centre[0], grid.y_mm[:, None] - centre[1])
     bump = _level(part, np.exp(-0.5 * (distance / BUMP_SIGMA_MM) ** 2))

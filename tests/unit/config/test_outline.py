@@ -28,6 +28,7 @@ def cell(folder: Path, said: str, more: str = "") -> CellConfig:
     ("said", "outline"),
     [
         (ROUND, Circle(50.0)),
+        ("aperture_mm = 100.0\nhole_mm = 40.0", Circle(50.0, 20.0)),
         ("rectangle_mm = [40.0, 24]", rectangle(40, 24)),
         ("hexagon_mm = 30", hexagon(30)),
         (f"polygon_mm = {[list(corner) for corner in CORNERS]}", polygon(CORNERS)),
@@ -44,12 +45,21 @@ def test_one_key_says_the_outline(tmp_path: Path, said: str, outline: Outline) -
     [
         ("rectangle_mm = [40.0, 24.0]\naperture_mm = 30.0", "part.rectangle_mm: aperture_mm says the part's outline"),
         ("rectangle_mm = [40.0, -1]", "part.rectangle_mm: -1 is out of range; must be greater than 0"),
+        ("rectangle_mm = [40.0, 24.0]\nhole_mm = 5.0", "part.hole_mm: goes with aperture_mm, not with rectangle_mm"),
+        ("aperture_mm = 100.0\nhole_mm = 100.0", "part.hole_mm: the outline's hole is 100 mm wide; it must be less"),
+        (
+            "aperture_mm = 100.0\nhole_mm = 94.0",
+            "part.edge_mm: no clear aperture is left: the part's middle lies 1.5 mm",
+        ),
         ("rectangle_mm = 40.0", "part.rectangle_mm: must be a list [...], not 40.0"),
         ("hexagon_mm = 0", "part.hexagon_mm: 0 is out of range"),
         ("polygon_mm = [[1, 1], [-1, 1]]", "part.polygon_mm: a polygon has 3 to 500 corners, not 2"),
         ("polygon_mm = [[9, 9], [-9, -9], [9, -9], [-9, 9]]", "part.polygon_mm: the sides of the polygon that begin"),
         ("polygon_mm = [[9, 9], [1, 9], [1, 1], [9, 1]]", "part.polygon_mm: the part's centre, x 0 and y 0, lies out"),
-        ("rectangle_mm = [40.0, 6.0]", "part.edge_mm: no clear aperture is left about the centre, 3 mm from the rim"),
+        (
+            "rectangle_mm = [40.0, 6.0]",
+            "part.edge_mm: no clear aperture is left: the part's middle lies 3 mm from its rim",
+        ),
         ("hexagon_mm = 30\ncurvature_radius_mm = 17.0", "part.curvature_radius_mm: 17 mm is no surface of 34.641 mm"),
         ('polygon_file = "none.csv"', "part.polygon_file: "),
     ],

@@ -30,6 +30,7 @@ def test_points_lie_inside_as_matplotlib_has_it_and_as_far_from_the_sides_as_the
     ("outline", "area", "radius", "half", "words"),
     [
         (Circle(25.0), np.pi * 625, 25.0, (25.0, 25.0), "a circle of 50 mm"),
+        (Circle(25.0, 10.0), np.pi * 525, 25.0, (25.0, 25.0), "a circle of 50 mm, less a hole of 20 mm"),
         (rectangle(40, 24), 960.0, np.hypot(20, 12), (20.0, 12.0), "a rectangle of 40 x 24 mm"),
         (hexagon(30.0), 900 * np.sqrt(3) / 2, 15 / np.cos(np.pi / 6), (15 / np.cos(np.pi / 6), 15.0), "a hexagon of "),
         (polygon([*ELL, ELL[0]]), 6 * 2.5 + 3.5 * 3.5, 5.0, (3.0, 4.0), "a polygon of 6 x 6 mm"),
@@ -50,6 +51,15 @@ def test_an_edge_is_kept_from_the_rim_and_a_sample_on_it_counts() -> None:
         np.testing.assert_array_equal(outline.contains(x, np.zeros(6), -10.0), np.ones(6))
     third = hexagon(6.0 * np.sqrt(3))
     assert third.contains(np.array([4.5]), np.array([1.5 * np.sqrt(3)])).all()  # on a slanting side, but for rounding
+
+
+def test_a_ring_is_kept_from_both_its_rims() -> None:
+    x = np.array([0.0, 4.9, 5.0, 7.9, 8.0, 12.0, 17.0, 17.1, 20.0, 20.1])
+    ring = Circle(20.0, 5.0)
+    np.testing.assert_array_equal(ring.contains(x, 0.0), [False] * 2 + [True] * 7 + [False])
+    np.testing.assert_array_equal(ring.contains(x, 0.0, 3.0), [False] * 4 + [True] * 3 + [False] * 3)
+    np.testing.assert_allclose(ring.inside_mm(x, 0.0)[[0, 4, 6, 9]], [-5, 3, 3, -0.1])
+    assert ring.depth_mm == 7.5
 
 
 def test_grids_are_taken_as_rows_and_columns() -> None:
@@ -76,7 +86,15 @@ def test_corners_that_enclose_nothing_are_refused(corners: list[tuple[float, flo
         polygon(corners)
 
 
-@pytest.mark.parametrize("made", [lambda: Circle(0.0), lambda: rectangle(4, -1), lambda: hexagon(np.inf)])
+def test_a_hole_is_smaller_than_its_circle() -> None:
+    for hole in (5.0, -1.0, np.nan):
+        with pytest.raises(ComputeError, match="it must be less than 10 mm"):
+            Circle(5.0, hole)
+
+
+@pytest.mark.parametrize(
+    "made", [lambda: Circle(0.0), lambda: Circle(np.nan), lambda: rectangle(4, -1), lambda: hexagon(np.inf)]
+)
 def test_lengths_that_are_none_are_refused(made: type) -> None:
     with pytest.raises(ComputeError, match="it must be above 0"):
         made()

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from polishd.model.errors import ComputeError
 from polishd.model.handling import TouchOff
-from polishd.model.outline import Circle, Polygon, hexagon, polygon, rectangle
+from polishd.model.outline import Circle, Outline, hexagon, polygon, rectangle
 from polishd.model.process import FLAT, Optic
 from polishd.model.surface import FloatArray
 from polishd.process import optics
@@ -81,9 +81,9 @@ def test_the_places_lie_on_the_rim_a_third_of_a_turn_apart() -> None:
 
 
 @pytest.mark.parametrize(
-    "outline", [rectangle(40, 24), hexagon(30), polygon([(20, 15), (-18, 15), (-18, -9), (20, -9)])]
+    "outline", [rectangle(40, 24), hexagon(30), Circle(30.0, 12.0), polygon([(20, 15), (-18, 15), (-18, -9), (20, -9)])]
 )
-def test_of_a_part_that_is_not_round_they_lie_in_the_middle_of_its_rim_too(outline: Polygon) -> None:
+def test_of_a_part_that_is_not_round_they_lie_in_the_middle_of_its_rim_too(outline: Outline) -> None:
     places = rim_places_mm(outline, EDGE_MM)
     np.testing.assert_allclose(outline.inside_mm(*places.T), [EDGE_MM / 2] * 3, atol=1e-9)
     np.testing.assert_allclose(np.degrees(np.arctan2(places[:, 1], places[:, 0])) % 360, [90, 210, 330], atol=1e-9)
