@@ -53,6 +53,7 @@ from polishd.model.errors import (
 from polishd.model.events import Event
 from polishd.model.limits import Envelope
 from polishd.model.notification import Notification
+from polishd.model.outline import Circle, Polygon
 from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Optic, Placement, ToolProcess
 from polishd.model.program import Plan, Program, Segment
 from polishd.model.robot import HybridRobot, MeasuredCompliance, SerialRobot
@@ -101,6 +102,7 @@ __all__ = [
     "Beliefs",
     "ByteStream",
     "Certificate",
+    "Circle",
     "Clock",
     "ComplianceOptions",
     "ComputeError",
@@ -150,6 +152,7 @@ __all__ = [
     "PlanRefused",
     "PluginError",
     "PolishdError",
+    "Polygon",
     "Program",
     "ProgramError",
     "ProgramFormat",

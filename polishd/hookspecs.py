@@ -21,6 +21,7 @@ from polishd.model.events import Event
 from polishd.model.instrument import Instrument
 from polishd.model.limits import Envelope
 from polishd.model.notification import Notification
+from polishd.model.outline import Outline
 from polishd.model.process import (
     FLAT,
     SHIPPED_OPTIONS,
@@ -38,7 +39,6 @@ from polishd.ports.devices import Device
 from polishd.process import learning
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.edge.correctable import Transfer
-from polishd.process.edge.rim import Rim
 from polishd.process.effect import Effect
 from polishd.process.plausible import plausible
 
@@ -193,7 +193,7 @@ class RemovalRequest:
     optic: Optic = FLAT
     tif: MeasuredTif | None = None
     """The cell's measured TIF (``process.tif``), for models that use one."""
-    rim: Rim | None = None
+    rim: Outline | None = None
     """The part's rim where it is free; None: the part sits in a flush ring."""
     beliefs: Beliefs = UNTAUGHT
     """All that the model believes, its own record (``RemovalModel.beliefs``); ``rate`` is of it."""

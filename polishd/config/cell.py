@@ -146,7 +146,10 @@ PORTS: Mapping[str, Port] = {
 }
 """What each port asks; in the order in which devices are opened."""
 
-FILES = ("program.path", "program.dialects", "instrument.profile", "part.nominal", "process.tif", "kinematics.table")
+FILES = (
+    "program.path", "program.dialects", "instrument.profile", "part.polygon_file", "part.nominal", "process.tif",
+    "kinematics.table",
+)  # fmt: skip
 """Keys that name files: what counts is the content, wherever it lies."""
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from polishd.config.cell import FILES, PORTS, CellConfig, consistent, lay_over
 from polishd.config.document import parse_text
+from polishd.config.outline import OUTLINES
 from polishd.config.places import listed
 from polishd.files import toml_text
 from polishd.model.errors import ConfigError
@@ -57,6 +58,7 @@ class JobFile:
             fragment[section][name] = value
         raw = copy.deepcopy(dict(cell.raw))
         _drop_other_tolerance(raw, fragment)
+        _drop_other_outline(raw, fragment)
         lay_over(raw, fragment)
         return consistent(CellConfig.of(raw, replace(cell.source, included=(*cell.source.included, source))))
 
@@ -85,6 +87,13 @@ def _drop_other_tolerance(raw: dict[str, Any], fragment: Mapping[str, Any]) -> N
             raw["job"].pop(key, None)
     elif _value(fragment, ("job", "tolerance_nm")) is not None:
         raw.pop("tolerance", None)
+
+
+def _drop_other_outline(raw: dict[str, Any], fragment: Mapping[str, Any]) -> None:
+    """So has the part's outline: of a job's part that has one the cell's says nothing."""
+    if any(_value(fragment, ("part", key)) is not None for key in OUTLINES):
+        for key in (*OUTLINES, "hole_mm"):
+            raw["part"].pop(key, None)
 
 
 def _sections() -> list[str]:

@@ -8,6 +8,9 @@ from polishd.config.document import Document
 from polishd.config.process import ComplianceSection, HybridSection, KinematicsSection, ProcessSection
 from polishd.config.robots import robot_of
 from polishd.config.sections import PartSection
+from polishd.config.tables import read_polygon
+from polishd.model.errors import ConfigError
+from polishd.model.outline import Outline
 from polishd.model.process import ComplianceOptions, Optic, Placement, ToolProcess
 from polishd.model.robot import RobotModel
 from polishd.process.frames import rotation_from_rpy_deg
@@ -39,6 +42,18 @@ class PartDocument(ProcessDocument):
     def compliance_options(self) -> ComplianceOptions:
         """How the robot's compliance is read."""
         return ComplianceOptions(**dict(self.compliance))
+
+    def outline(self) -> Outline:
+        """The part's outline about its centre; ConfigError where its file says none."""
+        if self.part.polygon_file is None:
+            return self.part.outline
+        try:
+            found = read_polygon(self.resolve(self.part.polygon_file))
+        except ConfigError as error:
+            raise self.error("part.polygon_file", str(error)) from error
+        for wrong, problem in self.part.misfits(found):
+            raise self.error(f"part.{wrong}", problem)
+        return found
 
     def optic(self) -> Optic:
         """The nominal surface."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
+from polishd.config.outline import OutlineKeys
 from polishd.config.values import (
     Angle,
     Angles,
@@ -26,6 +28,7 @@ from polishd.config.values import (
 )
 from polishd.model.dwell import Choice
 from polishd.model.finding import FindingLimits
+from polishd.model.outline import Outline
 from polishd.model.process import FLAT
 
 _FINDING = FindingLimits()
@@ -146,13 +149,13 @@ class InstrumentSection(Section):
     has a steep bump. 0: none is looked for. [MAD]"""
 
 
-class PartSection(Section):
+class PartSection(OutlineKeys):
     """The part, and where it lies in the robot's base frame."""
 
     id: Text
     """The part's name, which each map must give."""
-    aperture_mm: Annotated[float, Field(gt=0, le=5000)]
-    """The part's diameter."""
+    polygon_file: Text | None = None
+    """Instead of `aperture_mm`: CSV file of the corners, columns `x_mm` and `y_mm`, in order around the part."""
     edge_mm: NotNegative = 3.0
     """Width of the rim that the clear aperture leaves out: figures and tolerance do not count it."""
     rim: Literal["ring", "free"] = "ring"
@@ -176,12 +179,24 @@ class PartSection(Section):
 
     @model_validator(mode="after")
     def _has_clear_aperture(self) -> Self:
-        if 2 * self.edge_mm >= self.aperture_mm:
-            raise ValueError("edge_mm: no clear aperture is left; edge_mm must be less than half of aperture_mm")
-        radius = self.curvature_radius_mm
-        if radius is not None and (1 + self.conic) * (self.aperture_mm / 2) ** 2 >= radius**2:
-            raise ValueError(f"curvature_radius_mm: {radius:g} mm is no surface of {self.aperture_mm:g} mm aperture")
+        if self.polygon_file is None:
+            for key, problem in self.misfits(self.outline):
+                raise ValueError(f"{key}: {problem}")
         return self
+
+    def misfits(self, outline: Outline) -> Iterator[tuple[str, str]]:
+        """(key, what is wrong) of what does not go with the part's outline."""
+        depth, radius = outline.depth_mm, self.curvature_radius_mm
+        if depth <= 0:
+            yield self.outline_key, "the part's centre, x 0 and y 0, lies outside; give corners about it"
+        elif self.edge_mm >= depth:
+            yield (
+                "edge_mm",
+                f"no clear aperture is left: the part's middle lies {depth:g} mm from its rim; must be less",
+            )
+        if radius is not None and (1 + self.conic) * outline.radius_mm**2 >= radius**2:
+            across = 2 * outline.radius_mm
+            yield "curvature_radius_mm", f"{radius:g} mm is no surface of {across:g} mm aperture"
 
 
 class ProgramSection(Section):

@@ -7,6 +7,7 @@ from typing import Annotated, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from polishd.config.outline import OutlineKeys
 from polishd.config.process import Poisson, Preston
 from polishd.config.values import (
     Dip,
@@ -30,7 +31,7 @@ MOST_OF_RADIUS = 0.99
 """So near to its end may a sphere or an ellipsoid come under the part and its ring."""
 
 
-class Plant(Section):
+class Plant(OutlineKeys):
     """The part, where it lies, and the surface it starts with."""
 
     seed: int = 1
@@ -39,8 +40,8 @@ class Plant(Section):
     """Process seconds per wall second while the robot runs. [1]"""
     part_id: str = "DEMO-100"
     """The part's name in the maps; `part.id` of the cell must be the same."""
-    aperture_mm: Annotated[float, Field(gt=5)] = 100.0
-    """The part's diameter."""
+    aperture_mm: Annotated[float, Field(gt=5)] | None = 100.0
+    """Diameter of a round part, which counts where no other key says the outline."""
     edge_mm: NotNegative = 3.0
     """Width of the rim that the true RMS and PV in the logs leave out."""
     ring_mm: Annotated[float, Field(ge=3)] = 15.0
@@ -77,7 +78,7 @@ class Plant(Section):
     @property
     def reach_mm(self) -> float:
         """From the vertex to the farthest of part and ring."""
-        return math.hypot(*self.off_axis_mm) + self.aperture_mm / 2 + self.ring_mm
+        return math.hypot(*self.off_axis_mm) + self.outline.radius_mm + self.ring_mm
 
     @model_validator(mode="after")
     def _is_a_surface(self) -> Self:

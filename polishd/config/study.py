@@ -27,7 +27,7 @@ from polishd.config.values import (
     Text,
 )
 from polishd.model.errors import ConfigError, PolishdError
-from polishd.process.edge.rim import Rim, round_rim
+from polishd.model.outline import Outline
 
 MOST_SAMPLES = 1_000_000
 """Samples, and dwell points, of a study: beyond it the machine's memory decides, not the file."""
@@ -107,17 +107,17 @@ class PartStudy(StudyFile, PartDocument):
 
     path: PathSection = PathSection()
 
-    @model_validator(mode="after")
-    def _is_not_too_large(self) -> Self:
+    def require_size(self) -> None:
+        """ConfigError where it would be more than a study can hold."""
         pitch = min(self.path.step_mm, self.process.grid_mm)
-        samples = ((self.part.aperture_mm + 2 * self.path.extension_mm) / pitch) ** 2
-        if samples > MOST_SAMPLES:
-            raise ValueError(f"path: {samples:.3g} dwell points or samples; at most {MOST_SAMPLES:.0e} can be studied")
-        return self
+        wide, high = (2 * (half + self.path.extension_mm) / pitch for half in self.outline().half_mm)
+        if wide * high > MOST_SAMPLES:
+            said = f"{wide * high:.3g} dwell points or samples; at most {MOST_SAMPLES:.0e} can be studied"
+            raise self.error("path", said)
 
-    def free_rim(self) -> Rim | None:
-        """The part's rim where it is free; None: the part sits in a flush ring."""
-        return round_rim(self.part.aperture_mm / 2) if self.part.rim == "free" else None
+    def free_rim(self) -> Outline | None:
+        """The part's outline where its rim is free; None: the part sits in a flush ring."""
+        return self.outline() if self.part.rim == "free" else None
 
 
 class CorrectionsStudy(PartStudy):
@@ -198,4 +198,6 @@ def load_study(path: Path) -> Study:
     unused = [source.error(tuple(key.split(".")), f"{why}; drop it") for key, why in study.without_use()]
     if unused:
         raise ConfigError("\n".join(unused))
+    if isinstance(study, PartStudy):
+        study.require_size()
     return study

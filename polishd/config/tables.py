@@ -13,7 +13,8 @@ import numpy as np
 
 from polishd.config.places import did_you_mean, listed
 from polishd.files import write_atomic
-from polishd.model.errors import ConfigError
+from polishd.model.errors import ComputeError, ConfigError
+from polishd.model.outline import Polygon, polygon
 from polishd.model.process import MeasuredTif
 from polishd.model.robot import MeasuredCompliance
 from polishd.model.surface import FloatArray
@@ -65,6 +66,15 @@ def _number(place: str, name: str, given: str | None) -> float:
         told = "nothing" if given is None else repr(given.strip())
         raise ConfigError(f"{place}: {name} is {told}, it must be a finite number")
     return value
+
+
+def read_polygon(path: Path, names: tuple[str, str] = PLACE[:2]) -> Polygon:
+    """Corners in order around it: CSV with ``x_mm, y_mm``, or what else ``names`` has; ConfigError where it is none."""
+    columns = read_columns(path, names)
+    try:
+        return polygon(np.column_stack([columns[name] for name in names]))
+    except ComputeError as error:
+        raise ConfigError(f"{path}: {error}") from error
 
 
 def read_compliance_table(path: Path) -> MeasuredCompliance:

@@ -20,7 +20,7 @@ from polishd.plugins.rnc_robot.make import path_program
 from polishd.process import contact
 from polishd.process.compliance import depth_ratio
 from polishd.process.path_compliance import compliance_at
-from polishd.process.paths.apertures import circle
+from polishd.process.paths.apertures import over_outline
 from polishd.process.paths.raster import quiet_step_mm, raster
 from polishd.process.paths.wrist import tool_axes
 from polishd.recipe.files import read_map
@@ -28,7 +28,7 @@ from polishd.recipe.files import read_map
 RASTER_MM = 1.0
 """Length of a block, and most distance of the lines: the step that leaves no ripple is a little less."""
 OVERRUN_MM = 1.0
-"""How far the raster's disc is larger than the part: its turns, where the machine stops, lie on the ring around it."""
+"""How far the raster is larger than the part: its turns, where the machine stops, lie on the ring around it."""
 LANDING_MM = 6.0
 """How far outside the part the tool lands, on the ring that the part sits in."""
 FEED_MM_MIN = 900.0
@@ -87,7 +87,7 @@ def write_demo(out: Path, surface: Path | None, tolerance_nm: float, cycles: int
 
 def demo_program(config: CellConfig) -> bytes:
     """A boustrophedon raster over the clear aperture and a little more, as RNC text."""
-    name = f"polishd demo raster, phi {config.part.aperture_mm:g} mm"
+    name = f"polishd demo raster over {config.outline()}"
     return path_program(*demo_path(config), FEED_MM_MIN, name)
 
 
@@ -96,7 +96,7 @@ def demo_path(config: CellConfig, dwells_mm: float | None = None) -> tuple[Float
 
     ``dwells_mm``: most distance of the points where each has a dwell: they are then quiet along the lines, too.
     """
-    covered = circle(config.part.aperture_mm + 2 * OVERRUN_MM)
+    covered = over_outline(config.outline()).larger(OVERRUN_MM)
     step = quiet_step_mm(_contact_radius_mm(config), dwells_mm or RASTER_MM)
     along = step if dwells_mm else RASTER_MM
     points = raster(covered, step, along, optic=config.optic(), landing_mm=LANDING_MM - OVERRUN_MM)

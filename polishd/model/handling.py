@@ -28,7 +28,7 @@ class TouchOff:
     axis: FloatArray
     """(3, 3) unit tool axes there, from the tip into the spindle."""
     rim_mm: float
-    """The part's radius."""
+    """Radius of the circle about the part's centre that holds the part."""
 
     @property
     def reach_mm(self) -> FloatArray:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,9 +43,25 @@ class Grid:
         """Row coordinates, (ny,), descending: row 0 is the top."""
         return np.asarray(((self.ny - 1) / 2 - np.arange(self.ny)) * self.pitch_mm, dtype=np.float64)
 
+    @property
+    def axes_mm(self) -> tuple[FloatArray, FloatArray]:
+        """The same as a row (1, nx) and a column (ny, 1), which together are the samples."""
+        return self.x_mm[None, :], self.y_mm[:, None]
+
     def radius_mm(self) -> FloatArray:
         """Distance of each sample from the origin, (ny, nx)."""
         return np.hypot(self.x_mm[None, :], self.y_mm[:, None])
+
+
+class MaskCount(NamedTuple):
+    """A mask that was laid over a map by hand, and what it holds of it."""
+
+    mask: str
+    """As it was given."""
+    samples: int
+    """With data that lie in it."""
+    of: int
+    """Samples with data that the map had."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +95,8 @@ class SurfaceMap:
     fiducials_px: tuple[tuple[float, float], ...] = ()
     """(row, column) of the marks that the file lists, in this array's own pixels."""
     reader_version: int = 0
+    masks: tuple[MaskCount, ...] = ()
+    """What was laid over it by hand: a sample outside any of these has no data any more."""
 
     @property
     def grid(self) -> Grid:

@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 
 from polishd.model.errors import BadMap, WrongPart
+from polishd.model.outline import Outline
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
 from polishd.process.metrics import Removal, fitted
 from polishd.process.registration.record import Registration
@@ -50,7 +51,7 @@ class Conditioned:
 def condition(
     surface: SurfaceMap,
     *,
-    aperture_mm: float,
+    outline: Outline,
     edge_mm: float,
     grid_mm: float,
     masks: Masks | None = None,
@@ -62,7 +63,7 @@ def condition(
 
     Args:
         surface: the map as its reader gave it.
-        aperture_mm: diameter of the part's aperture.
+        outline: of the part, about its centre: its aperture.
         edge_mm: width of the rim outside the clear aperture.
         grid_mm: pitch of the process grid.
         masks: those of the first map, to be kept; None for the first map.
@@ -75,12 +76,11 @@ def condition(
             or masks of another grid.
         WrongPart: data over much more than the aperture.
     """
-    _check(surface, aperture_mm)
-    grid = process_grid(aperture_mm, grid_mm, margin_mm)
+    _check(surface, outline)
+    grid = process_grid(outline, grid_mm, margin_mm)
     raw = resample_registered(surface.height_nm, surface.grid, grid, registration)
-    radius = grid.radius_mm()
-    aperture = radius <= aperture_mm / 2
-    clear = (radius <= aperture_mm / 2 - edge_mm) & (from_outline_mm(raw, grid_mm) > edge_mm)
+    aperture = outline.contains(*grid.axes_mm)
+    clear = outline.contains(*grid.axes_mm, edge_mm) & (from_outline_mm(raw, grid_mm) > edge_mm)
     solve, metric = masks or _new_masks(raw, aperture, clear)
     if solve.shape != grid.shape or metric.shape != grid.shape:
         raise BadMap(f"the masks of the first map are {solve.shape}, the process grid is {grid.shape}")
@@ -100,10 +100,10 @@ def from_outline_mm(height_nm: FloatArray, pitch_mm: float) -> FloatArray:
     return np.asarray(np.maximum(depth - 0.5, 0.0) * pitch_mm, dtype=np.float64)
 
 
-def process_grid(aperture_mm: float, grid_mm: float, margin_mm: float = MARGIN_MM) -> Grid:
-    """The square grid that covers the aperture and a margin around it."""
-    n = int(np.ceil((aperture_mm + 2 * margin_mm) / grid_mm - 1e-9))
-    return Grid(n, n, grid_mm)
+def process_grid(outline: Outline, grid_mm: float, margin_mm: float = MARGIN_MM) -> Grid:
+    """The grid about the part's centre that covers the aperture and a margin around it."""
+    nx, ny = (int(np.ceil((2 * half + 2 * margin_mm) / grid_mm - 1e-9)) for half in outline.half_mm)
+    return Grid(ny, nx, grid_mm)
 
 
 def fill_holes(height_nm: FloatArray) -> FloatArray:
@@ -141,21 +141,23 @@ def fill_holes(height_nm: FloatArray) -> FloatArray:
     return filled
 
 
-def _check(surface: SurfaceMap, aperture_mm: float) -> None:
+def _check(surface: SurfaceMap, outline: Outline) -> None:
     name = surface.path.name if surface.path is not None else "the map"
     if surface.pitch_mm is None:
         raise BadMap(f"{name} has no lateral scale: give the instrument's profile a pitch")
     if not surface.valid.any():
         raise BadMap(f"{name} holds no data")
-    shown = np.count_nonzero(surface.valid) * surface.pitch_mm**2 / (np.pi * aperture_mm**2 / 4)
+    shown = np.count_nonzero(surface.valid) * surface.pitch_mm**2 / outline.area_mm2
     if shown > MOST_DATA:
         raise WrongPart(
-            f"{name} has data over {shown:.1f} times the area of the aperture ({aperture_mm:g} mm): it shows a larger "
-            "part; name the right map, mend part.aperture_mm, or mask what is not the part"
+            f"{name} has data over {shown:.1f} times the area of the part, {outline}: it shows a larger one; name the "
+            "right map, mend the part's outline, or mask what is not the part"
         )
-    size = min(surface.height_nm.shape) * surface.pitch_mm
-    if size < aperture_mm - surface.pitch_mm:
-        raise BadMap(f"{name} is {size:g} mm wide, the aperture {aperture_mm:g} mm")
+    ny, nx = surface.height_nm.shape
+    for word, count, needed_mm in zip(("wide", "high"), (nx, ny), outline.size_mm, strict=True):
+        size = count * surface.pitch_mm
+        if size < needed_mm - surface.pitch_mm:
+            raise BadMap(f"{name} is {size:g} mm {word}, the aperture {needed_mm:g} mm")
 
 
 def _new_masks(raw: FloatArray, aperture: BoolArray, clear: BoolArray) -> Masks:

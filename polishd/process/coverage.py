@@ -1,4 +1,4 @@
-"""How a path lies on a round part: how far it reaches, and what of the clear aperture it never touches."""
+"""How a path lies on a part: how far it reaches, and what of the clear aperture it never touches."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from polishd.model.outline import Outline
 from polishd.model.surface import FloatArray
 
 ACROSS = 200
-"""Samples across the clear aperture."""
+"""Samples along x and along y across the clear aperture."""
 STEPS = 4
 """Samples of the path a radius of the spot."""
 
@@ -22,20 +23,30 @@ class Coverage:
     reach_mm: float
     """From the part's centre to the farthest point of the path."""
     outside: float
-    """Share of the path beyond the part's rim, by its length; of a path of points, by their number."""
+    """Share of the path farther beyond the part's rim than landing takes, by its length; of points, by number."""
     unreached: float
     """Share of the clear aperture that lies farther from the path than the spot's radius."""
 
 
-def coverage(start_mm: FloatArray, end_mm: FloatArray, *, spot_mm: float, part_mm: float, clear_mm: float) -> Coverage:
-    """Of a path of blocks, (n, 3) mm in the part's frame; spot, part and clear aperture by their radii."""
+def coverage(
+    start_mm: FloatArray, end_mm: FloatArray, *, spot_mm: float, outline: Outline, edge_mm: float, landing_mm: float
+) -> Coverage:
+    """Of a path of blocks, (n, 3) mm in the part's frame.
+
+    Args:
+        start_mm: (n, 3) where each begins.
+        end_mm: (n, 3) where each ends.
+        spot_mm: radius of the spot.
+        outline: of the part.
+        edge_mm: width of the rim that the clear aperture leaves out.
+        landing_mm: so far beyond the rim a path may run.
+    """
     path = _samples(start_mm[:, :2], end_mm[:, :2], spot_mm / STEPS)
-    away = np.linalg.norm(path, axis=1)
-    across = np.linspace(-clear_mm, clear_mm, ACROSS)
-    aperture = np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2)
-    aperture = aperture[np.linalg.norm(aperture, axis=1) <= clear_mm]
+    outside = ~outline.contains(path[:, 0], path[:, 1], -landing_mm)
+    x, y = np.meshgrid(*(np.linspace(edge_mm - half, half - edge_mm, ACROSS) for half in outline.half_mm))
+    aperture = np.stack([x, y], axis=-1)[outline.contains(x, y, edge_mm)]
     near, _ = cKDTree(path).query(aperture, distance_upper_bound=spot_mm)
-    return Coverage(float(away.max()), float(np.mean(away > part_mm)), float(np.mean(np.isinf(near))))
+    return Coverage(float(np.linalg.norm(path, axis=1).max()), float(np.mean(outside)), float(np.mean(np.isinf(near))))
 
 
 def _samples(start_mm: FloatArray, end_mm: FloatArray, step_mm: float) -> FloatArray:

@@ -3,19 +3,36 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy import optimize
 
 from polishd.model.errors import ComputeError
 from polishd.model.handling import Seat, TouchOff
+from polishd.model.outline import Outline
 from polishd.model.surface import FloatArray
 
+TRIED = 257
+"""Points from the centre to the rim, among which one that is deep enough is found."""
 FLATTEST = 1e-3
 """Below it, relative to the part's size, three places lie so nearly on a line that no tilt can be told."""
 
 
-def rim_places_mm(rim_mm: float, edge_mm: float) -> FloatArray:
+def rim_places_mm(outline: Outline, edge_mm: float) -> FloatArray:
     """(3, 2) places on the middle of the rim that the clear aperture leaves out, a third of a turn apart."""
     turn = np.radians([90.0, 210.0, 330.0])
-    return np.asarray((rim_mm - edge_mm / 2) * np.stack([np.cos(turn), np.sin(turn)], axis=1), dtype=np.float64)
+    towards = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    reach = [_reach_mm(outline, edge_mm / 2, x, y) for x, y in towards]
+    return np.asarray(np.array(reach)[:, None] * towards, dtype=np.float64)
+
+
+def _reach_mm(outline: Outline, inside_mm: float, x: float, y: float) -> float:
+    """How far from the centre the farthest point in this direction is that lies so far inside the rim."""
+
+    def deeper(reach_mm: float) -> float:
+        return float(outline.inside_mm(reach_mm * x, reach_mm * y)) - inside_mm
+
+    tried = np.linspace(0.0, outline.radius_mm, TRIED)
+    inner = max((reach for reach in tried if deeper(reach) > 0), default=0.0)
+    return float(optimize.brentq(deeper, inner, outline.radius_mm, xtol=1e-12))
 
 
 def seat_of(asked: TouchOff, early_mm: FloatArray) -> Seat:

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from polishd.model.outline import Outline
 from polishd.model.process import Optic, Placement, ToolProcess
 from polishd.model.program import Program
 from polishd.model.surface import Grid
 from polishd.process.convolution import ConvolutionEffect, convolution_effect
 from polishd.process.dynamic_tif import CorrectedSpot, effect_matrix
 from polishd.process.edge.edge_tif import sunk_at_rim
-from polishd.process.edge.rim import Rim
 from polishd.process.effect import SparseEffect
 from polishd.process.frames import surface_normals, upright
 from polishd.process.spot import Spot
@@ -27,7 +27,7 @@ class SpotPath:
     spot: Spot
     """The rigid robot's."""
     process: ToolProcess
-    rim: Rim | None
+    rim: Outline | None
     """The part's, where it is free."""
 
     def at_rim(self, spots: CorrectedSpot) -> tuple[CorrectedSpot, tuple[str, ...]]:

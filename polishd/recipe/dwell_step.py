@@ -280,7 +280,7 @@ def _with_rim(recipe: Recipe, measured: Measured, answer: RemovalAnswer) -> Whol
     Only as far as the part goes: beyond it nothing has to be right, and asking for it costs time.
     """
     mask, pitch = measured.solve_mask, measured.grid.pitch_mm
-    gap = (measured.grid.radius_mm() <= recipe.part.aperture_mm / 2) & ~mask
+    gap = recipe.outline.contains(*measured.grid.axes_mm) & ~mask
     if recipe.dwell.extension == "none" or not gap.any():
         return Whole(measured.height_nm, mask, None)
     reach = max(float(ndimage.distance_transform_edt(~mask)[gap].max()) * pitch, pitch)

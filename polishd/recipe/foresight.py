@@ -68,7 +68,7 @@ def check_pass(config: CellConfig, recipe: Recipe, program: Program) -> None:
 def pass_words(recipe: Recipe, program: Program, answer: RemovalAnswer) -> str:
     """What a pass takes as far as it is known without a map, beside its limit."""
     limit = recipe.envelope.max_pass_s
-    clear = steps.process_grid(recipe).radius_mm() <= recipe.part.aperture_mm / 2 - recipe.part.edge_mm
+    clear = recipe.outline.contains(*steps.process_grid(recipe).axes_mm, recipe.part.edge_mm)
     mean = float(answer.removal_nm(np.full(program.n, limit / program.n))[clear].mean())
     own = float(motion.delivered_time_s(program, program.time_s, envelope_of(recipe, program)).sum())
     return (

@@ -48,7 +48,7 @@ def touch_off_of(config: CellConfig, program: ProgramFormat) -> TouchOff | None:
         places_mm=points,
         normal=normal,
         axis=axis,
-        rim_mm=config.part.aperture_mm / 2,
+        rim_mm=config.outline().radius_mm,
     )
     if not seat.told_apart(made):
         raise config.error(key, "the three places lie on a line: no tilt can be told; move one of them")
@@ -81,7 +81,7 @@ def _places_mm(config: CellConfig, section: TouchOffSection) -> tuple[FloatArray
     """(3, 2) in the part's frame, and the key that says where; ConfigError where the tool would touch what counts."""
     part, process = config.part, replace(config.tool_process(), force_n=section.force_n)
     room = float(contact.contact_radius_mm(process, contact.hertz_depth_mm(process))) + LEAST_SLACK_MM
-    rim, clear = part.aperture_mm / 2, part.aperture_mm / 2 - part.edge_mm
+    outline = config.outline()
     if section.places_mm is None:
         if part.edge_mm < 2 * room:
             raise config.error(
@@ -90,12 +90,12 @@ def _places_mm(config: CellConfig, section: TouchOffSection) -> tuple[FloatArray
                 f"{2 * room:.2f} mm to rest on it: say where it may touch, "
                 "touch_off.places_mm = [[x, y], [x, y], [x, y]]",
             )
-        return seat.rim_places_mm(rim, part.edge_mm), "touch_off"
+        return seat.rim_places_mm(outline, part.edge_mm), "touch_off"
     places = np.asarray(section.places_mm, dtype=np.float64)
-    for x, y in places[np.hypot(*places.T) < clear + room]:
+    for x, y in places[outline.inside_mm(*places.T) > part.edge_mm - room]:
         raise config.error(
             "touch_off.places_mm",
-            f"x {x:g}, y {y:g} mm lies in the clear aperture (radius {clear:g} mm), or the contact reaches it: keep "
-            f"{clear + room:.2f} mm off the centre",
+            f"x {x:g}, y {y:g} mm lies in the clear aperture, {outline} less {part.edge_mm:g} mm all round, or the "
+            f"contact reaches it: keep {room:.2f} mm off it",
         )
     return places, "touch_off.places_mm"

@@ -58,6 +58,7 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
     cross_check = config.dwell.cross_check
     return Recipe(
         part=config.part,
+        outline=config.outline(),
         program=config.program,
         dwell=config.dwell,
         job=config.job,

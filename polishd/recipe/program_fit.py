@@ -14,11 +14,11 @@ from polishd.recipe import steps
 from polishd.recipe.recipe import Recipe
 
 MOST_UNREACHED = 0.05
-"""Of the clear aperture: one whose spots end at 97 % of its radius misses more."""
+"""Of the clear aperture: one whose spots end at 97 % of a round one's radius misses more."""
 LANDING_MM = 10.0
 """Beyond the rim: turns and landing points lie there, and are much of a small part's path."""
 MOST_OUTSIDE = 0.5
-"""Of the path. A square raster round the part, a quarter of its radius too large, has less beyond the rim."""
+"""Of the path. A square raster round a round part, a quarter of its radius too large, has less beyond the rim."""
 
 
 def require_fit(config: CellConfig, recipe: Recipe, program: Program) -> str:
@@ -36,10 +36,10 @@ def judged(recipe: Recipe, program: Program, covers: Literal["aperture", "zone"]
     """
     found = program_coverage(recipe, program)
     said = (
-        f"{program.name} reaches {found.reach_mm:.1f} mm from the part's centre, the part's radius is "
-        f"{recipe.part.aperture_mm / 2:g} mm; no point reaches {100 * found.unreached:.1f} % of the clear aperture"
+        f"{program.name} reaches {found.reach_mm:.1f} mm from the part's centre, the part is {recipe.outline}; "
+        f"no point reaches {100 * found.unreached:.1f} % of the clear aperture"
     )
-    mend = "name the program of this part, or mend part.aperture_mm or program.offset_mm"
+    mend = "name the program of this part, or mend the part's outline ([part]) or program.offset_mm"
     if found.outside > MOST_OUTSIDE:
         away = f"{100 * found.outside:.0f} % of its path lies more than {LANDING_MM:g} mm beyond the part's rim"
         return said, f", and {away}: {mend}"
@@ -56,8 +56,9 @@ def program_coverage(recipe: Recipe, program: Program) -> Coverage:
         placed.start_mm,
         placed.end_mm,
         spot_mm=_spot_mm(recipe),
-        part_mm=recipe.part.aperture_mm / 2 + LANDING_MM,
-        clear_mm=recipe.part.aperture_mm / 2 - recipe.part.edge_mm,
+        outline=recipe.outline,
+        edge_mm=recipe.part.edge_mm,
+        landing_mm=LANDING_MM,
     )
 
 

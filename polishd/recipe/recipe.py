@@ -11,6 +11,7 @@ from polishd.model.finding import FindingLimits
 from polishd.model.handling import NOTHING, Between, TouchOff
 from polishd.model.instrument import Instrument
 from polishd.model.limits import Envelope
+from polishd.model.outline import Outline
 from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Optic, Placement, ToolProcess
 from polishd.model.robot import RobotModel
 from polishd.model.surface import SurfaceMap
@@ -24,6 +25,8 @@ class Recipe:
     """One part, one process, one robot, one way of solving: sections of the config, and what is made of the others."""
 
     part: PartSection
+    outline: Outline
+    """Of the part, about its centre."""
     program: ProgramSection
     dwell: DwellSection
     job: JobSection
@@ -64,4 +67,10 @@ class Recipe:
         """What a summary says of it."""
         job = self.job.model_dump(include={"tolerance_nm", "tolerance_period_mm", "lsf_period_mm"})
         lines = [{"what": line.what, "limit": line.limit, "unit": line.unit} for line in self.lines]
-        return {"part_id": self.part.id, "correction": self.correction, **job, "tolerance": lines}
+        return {
+            "part_id": self.part.id,
+            "outline": str(self.outline),
+            "correction": self.correction,
+            **job,
+            "tolerance": lines,
+        }

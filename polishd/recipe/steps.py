@@ -18,7 +18,6 @@ from polishd.model.surface import BoolArray, Grid, SurfaceMap
 from polishd.process import conditioning, gate, metrics, motion
 from polishd.process.alignment import alignment_notes
 from polishd.process.conditioning import Masks
-from polishd.process.edge.rim import round_rim
 from polishd.process.instrument import as_profiled
 from polishd.process.nominal import less_nominal
 from polishd.process.paths.wrist import tool_axes
@@ -56,13 +55,13 @@ def condition(
     profiled = as_profiled(surface, recipe.instrument)
     lies = CENTRED
     if recipe.instrument is not None:
-        lies = register(profiled, recipe.instrument, recipe.part.aperture_mm, last)
+        lies = register(profiled, recipe.instrument, recipe.outline, last)
     clean, spikes = cleaned(profiled, recipe.spike_mads)
     if recipe.nominal is not None:
         clean = less_nominal(clean, recipe.nominal, lies)
     part = conditioning.condition(
         clean,
-        aperture_mm=recipe.part.aperture_mm,
+        outline=recipe.outline,
         edge_mm=recipe.part.edge_mm,
         grid_mm=recipe.grid_mm,
         masks=masks,
@@ -142,7 +141,7 @@ def _request(recipe: Recipe, program: Program, grid: Grid, believed: Believed) -
         options=recipe.options,
         optic=recipe.optic,
         tif=recipe.tif,
-        rim=round_rim(recipe.part.aperture_mm / 2) if recipe.part.rim == "free" else None,
+        rim=recipe.outline if recipe.part.rim == "free" else None,
         beliefs=believed.removal,
     )
 
@@ -224,19 +223,18 @@ def violations(recipe: Recipe, plan: Plan) -> list[str]:
             f"{program.name}: states no tool axis (A and C words), and the process dips the tool by "
             f"{recipe.process.dip_deg:g} deg: post it with its axis"
         )
-    reach = recipe.part.aperture_mm / 2
     ends = (("starts", program.line[0], program.start_mm[0]), ("ends", program.line[-1], program.end_mm[-1]))
     return found + [
-        f"{program.name}:{line}: contact {word} at {point[0]:.2f}, {point[1]:.2f} mm, on the part (radius {reach:g}); "
-        "a tool that stands still there digs a pit: lead in from and out to a landing point beside the part"
+        f"{program.name}:{line}: contact {word} at {point[0]:.2f}, {point[1]:.2f} mm, on the part, {recipe.outline}; a "
+        "tool that stands still there digs a pit: lead in from and out to a landing point beside the part"
         for word, line, point in ends
-        if np.hypot(point[0], point[1]) <= reach
+        if recipe.outline.contains(point[0], point[1])
     ]
 
 
 def process_grid(recipe: Recipe) -> Grid:
     """The grid that surfaces are brought to: the aperture and a margin, centred on the part."""
-    return conditioning.process_grid(recipe.part.aperture_mm, recipe.grid_mm)
+    return conditioning.process_grid(recipe.outline, recipe.grid_mm)
 
 
 def _on_map(surface: SurfaceMap, grid: Grid, mask: BoolArray, lies: Registration) -> BoolArray:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.config.cell import CellConfig, port_of
+from polishd.config.outline import as_keys
 from polishd.model.errors import ConfigError, DeviceFault
 
 MODULE = "polishd.sim_backends"
@@ -19,7 +20,7 @@ SIM = """
 [plant]
 speed = 20.0
 part_id = {part_id}
-aperture_mm = {aperture_mm}
+{outline}
 origin_mm = {origin_mm}
 rotation_rpy_deg = {rotation_rpy_deg}
 [robot]
@@ -58,9 +59,10 @@ def stand_ins(config: CellConfig, names: Sequence[str], folder: Path) -> Iterato
         return
     part = config.part
     sim = folder / "sim.toml"
-    written = {"part_id": part.id, "aperture_mm": part.aperture_mm}
+    written = {"part_id": part.id}
+    outline = "\n".join(f"{key} = {json.dumps(value)}" for key, value in as_keys(config.outline()).items())
     placed = {"origin_mm": list(part.origin_mm), "rotation_rpy_deg": list(part.rotation_rpy_deg)}
-    text = SIM.format(**{key: json.dumps(value) for key, value in {**written, **placed}.items()})
+    text = SIM.format(outline=outline, **{key: json.dumps(value) for key, value in {**written, **placed}.items()})
     ports = [port_of(name) for name in names]
     sim.write_text(text + ("[loader]\n" if "loader" in ports else ""))
     only = [word for port in ports for word in ("--only", port)]

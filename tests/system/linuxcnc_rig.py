@@ -17,7 +17,7 @@ from polishd.config.cell import CellConfig, load_config
 from polishd.console.demo_files import DemoFiles
 from polishd.plugins.rnc_robot.dialect import Dialect, dialect
 from polishd.plugins.rnc_robot.make import path_program
-from polishd.process.paths.apertures import circle
+from polishd.process.paths.apertures import over_outline
 from polishd.process.paths.raster import raster
 from polishd.process.paths.wrist import tool_axes
 from polishd.sim_backends.linuxcnc.server import ISOLATE
@@ -140,7 +140,7 @@ def take(files: DemoFiles, turns: Turns = "tool") -> None:
 
 def dwell_program(config: CellConfig) -> bytes:
     """A coarse raster with a dwell at each point, for whichever of tool and table is turned."""
-    points = raster(circle(config.part.aperture_mm), DWELL_PITCH_MM, DWELL_PITCH_MM)
+    points = raster(over_outline(config.outline()), DWELL_PITCH_MM, DWELL_PITCH_MM)
     axes = tool_axes(points, config.optic(), config.process.dip_deg, config.compliance_options(), config.placement())
     to = dialect(next(iter(config.dialect_paths), config.program.format))
     assert isinstance(to, Dialect)

@@ -196,7 +196,7 @@ def test_the_stated_rms_is_the_plants_own(aperture_mm: float, pitch_mm: float) -
     plant = Plant(aperture_mm=aperture_mm, pv_nm=100.0, pitch_mm=pitch_mm)
     part = parts.make(plant, 3)
     shown = SurfaceMap(height_nm=part.map_nm(), pitch_mm=pitch_mm)
-    conditioned = conditioning.condition(shown, aperture_mm=aperture_mm, edge_mm=plant.edge_mm, grid_mm=0.5)
+    conditioned = conditioning.condition(shown, outline=plant.outline, edge_mm=plant.edge_mm, grid_mm=0.5)
     clear = steps._on_map(shown, conditioned.grid, conditioned.metric_mask, Registration())
     assert clear.sum() == pytest.approx(part.clear.sum(), rel=0.03)
     assert part.map_nm()[clear].std() == pytest.approx(part.stats()[0], rel=0.015)

@@ -12,6 +12,7 @@ from polishd.config.document import parse_text
 from polishd.config.profile_sections import ProfileFile
 from polishd.console.rehearsal.draft import SIM_STATE, Draft
 from polishd.files import toml_text
+from polishd.model.outline import Circle
 
 PROFILE = "instrument.toml"
 REQUEST = "measure.request"
@@ -79,7 +80,7 @@ def _mend(draft: Draft, document: tomlkit.TOMLDocument, profile: ProfileFile) ->
     if profile.serials:
         leave_out("", "serials", "the simulated instrument has no serial number")
     diameter_mm = profile.aperture.diameter_mm
-    if diameter_mm is not None and diameter_mm != draft.config.part.aperture_mm:
+    if diameter_mm is not None and draft.config.outline() != Circle(diameter_mm / 2):
         leave_out("aperture", "aperture.diameter_mm", "simulated maps show the whole part")
     if profile.registration.by in {"fiducials", "both"}:
         leave_out("registration", "registration.by", "the simulated part has no marks, and lies in the array's centre")

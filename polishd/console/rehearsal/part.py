@@ -6,13 +6,14 @@ import math
 
 import numpy as np
 
+from polishd.config.outline import as_keys
 from polishd.config.process import MeasuredSection
 from polishd.config.simulator import Truth
 from polishd.console.rehearsal.draft import Draft
 from polishd.model.process import ToolProcess
 from polishd.process.frames import rotation_from_rpy_deg
 
-PLANT = ("aperture_mm", "edge_mm", "curvature_radius_mm", "conic", "even", "off_axis_mm", "origin_mm")
+PLANT = ("edge_mm", "curvature_radius_mm", "conic", "even", "off_axis_mm", "origin_mm")
 CONTACT = (
     "tool_radius_mm", "normal_force", "spot_offset_mm", "tool_modulus_mpa", "tool_poisson", "part_modulus_mpa",
     "part_poisson",
@@ -36,6 +37,12 @@ def add_part(draft: Draft, speed: float) -> None:
     draft.put("plant", "seed", 1, "--seed: what nobody is told is drawn from it")
     draft.put("plant", "speed", speed, "--speed: process seconds per wall second")
     draft.put("plant", "part_id", part.id, "part.id")
+    said = part.outline_key
+    if said == "polygon_file":
+        for key, value in as_keys(draft.config.outline()).items():
+            draft.put("plant", key, value, f"part.{said}")
+    else:
+        draft.take("plant", (said, "hole_mm"), "part", part)
     draft.take("plant", PLANT, "part", part)
     draft.put("plant", "rotation_rpy_deg", part.rotation_rpy_deg, "part.rotation_rpy_deg")
     draft.put("plant", "program_offset_mm", program.offset_mm, draft.origin("program.offset_mm"))
@@ -138,7 +145,7 @@ def most_a_deg(draft: Draft) -> float:
     part = draft.config.part
     slope = 0.0
     if part.curvature_radius_mm is not None:
-        share = (part.aperture_mm / 2 + math.hypot(*part.off_axis_mm)) / abs(part.curvature_radius_mm)
+        share = (draft.config.outline().radius_mm + math.hypot(*part.off_axis_mm)) / abs(part.curvature_radius_mm)
         slope = math.degrees(math.asin(min(share, 1.0)))
     return max(60.0, math.ceil(draft.config.process.dip_deg + slope + 15.0))
 

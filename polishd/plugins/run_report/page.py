@@ -155,6 +155,7 @@ def facts_of(folder: RunFolder) -> list[tuple[str, str]]:
         ("process time", duration(rows, "dwell_s" if folder.planned else "executed_s")),
         ("time on the wall", words.spent(summary.get("phase_times_s"))),
         ("correction", text(summary.get("correction"))),
+        ("outline", text(summary.get("outline"))),
         ("job", text(summary.get("job"))),
         ("started", when(summary.get("started"))),
         ("ended", when(summary.get("ended"))),

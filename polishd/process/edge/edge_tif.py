@@ -17,12 +17,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from polishd.model.outline import Outline
 from polishd.model.process import ToolProcess
 from polishd.model.program import Program
 from polishd.model.surface import FloatArray
 from polishd.process import contact
 from polishd.process.dynamic_tif import CorrectedSpot, lean_azimuth_rad
-from polishd.process.edge.rim import Rim
 from polishd.process.robot.refusal import refuse_where, require_number
 from polishd.process.spot import Spot
 
@@ -45,16 +45,16 @@ class RimContact:
 
 
 def rim_contact(
-    process: ToolProcess, rim: Rim, centre_mm: FloatArray, depth_ratio: FloatArray, most_sunk: float = MOST_SUNK
+    process: ToolProcess, rim: Outline, centre_mm: FloatArray, depth_ratio: FloatArray, most_sunk: float = MOST_SUNK
 ) -> RimContact:
     """How far contacts sink over a free rim.
 
     The rim is taken as straight within a contact: the force is right within 1 % where the part's radius is above 11
-    contact radii.
+    contact radii. At a corner the contact is taken to reach over one side only: less of it is on the part.
 
     Args:
         process: the tool.
-        rim: the part's.
+        rim: the part's outline.
         centre_mm: (n, 2) centres of the contacts (`contact_centres_mm`).
         depth_ratio: (n,) gamma of the undisturbed contacts.
         most_sunk: the depth at most, over the undisturbed one. Beyond it the force falls to nothing.
@@ -65,14 +65,14 @@ def rim_contact(
     require_number("the depth that the bonnet may sink to", most_sunk, "", above=1 - 1e-12)
     refuse_where(~((depth_ratio > 0) & np.isfinite(depth_ratio)), depth_ratio, "gamma", "", "it must be above 0")
     radius = contact.contact_radius_mm(process, depth_ratio * contact.hertz_depth_mm(process))
-    inside = rim.inside_mm(centre_mm) / radius
+    inside = rim.inside_mm(*centre_mm.T) / radius
     refuse_where(~np.isfinite(inside), inside, "the distance from the rim over the contact's radius", "", "no number")
     sunk = np.minimum(sinking(inside), most_sunk)
     return RimContact(inside, depth_ratio * sunk, carried(inside, sunk))
 
 
 def sunk_at_rim(
-    spots: CorrectedSpot, rim: Rim, process: ToolProcess, spot: Spot, program: Program
+    spots: CorrectedSpot, rim: Outline, process: ToolProcess, spot: Spot, program: Program
 ) -> tuple[CorrectedSpot, str]:
     """The spots along a program, deeper where the bonnet hangs over a free rim; and a note that says how many.
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polishd.model.errors import ComputeError
+from polishd.model.outline import Circle, Outline
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.robot.refusal import require_number
 
@@ -94,6 +95,13 @@ def rectangle(width_mm: float, height_mm: float) -> Aperture:
     """A rectangle of these lengths along x and y."""
     half = np.array([_length("width", width_mm), _length("height", height_mm)]) / 2
     return Aperture(np.asarray(np.abs(TOWARDS) @ half, dtype=np.float64))
+
+
+def over_outline(outline: Outline) -> Aperture:
+    """The smallest convex aperture that holds an outline: itself where that is convex."""
+    if isinstance(outline, Circle):
+        return annulus(2 * outline.radius_mm, 2 * outline.hole_mm) if outline.hole_mm else circle(2 * outline.radius_mm)
+    return Aperture(np.asarray((outline.corners() @ TOWARDS.T).max(axis=0), dtype=np.float64))
 
 
 def over_mask(grid: Grid, mask: BoolArray) -> Aperture:

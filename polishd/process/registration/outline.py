@@ -36,9 +36,7 @@ def fit_circle(height_nm: FloatArray, pitch_mm: float, diameter_mm: float, toler
         BadMap: an outline that is no circle, another diameter, or too little of the rim in sight.
     """
     x, y = rim_px(height_nm)
-    if x.size < SECTORS:
-        raise BadMap(f"the map shows {x.size} samples of the part's rim, too few to place it: the part fills the "
-                     "frame, or hardly has data; register by fiducials, or measure with the rim in view")  # fmt: skip
+    require_rim(x)
     centre_x, centre_y, radius = _trials(x, y)
     for _ in range(STEPS):
         held = abs(np.hypot(x - centre_x, y - centre_y) - radius) <= WITHIN_PX
@@ -63,6 +61,13 @@ def fit_circle(height_nm: FloatArray, pitch_mm: float, diameter_mm: float, toler
     shift = (centre_x * pitch_mm, centre_y * pitch_mm)
     residual = float(np.sqrt(np.mean(gap[held] ** 2))) * pitch_mm
     return Registration(0.0, shift, residual, int(held.sum()), "aperture", diameter / diameter_mm)
+
+
+def require_rim(x: FloatArray) -> None:
+    """BadMap unless so many samples of a rim (n,) can place a part."""
+    if x.size < SECTORS:
+        raise BadMap(f"the map shows {x.size} samples of the part's rim, too few to place it: the part fills the "
+                     "frame, or hardly has data; register by fiducials, or measure with the rim in view")  # fmt: skip
 
 
 def rim_px(height_nm: FloatArray) -> tuple[FloatArray, FloatArray]:

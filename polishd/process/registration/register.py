@@ -6,20 +6,21 @@ from dataclasses import replace
 
 from polishd.model.errors import BadMap
 from polishd.model.instrument import Instrument
+from polishd.model.outline import Circle, Outline
 from polishd.model.surface import SurfaceMap
-from polishd.process.registration import fiducials, marks, outline
+from polishd.process.registration import fiducials, marks, outline, sides
 from polishd.process.registration.record import Registration
 
 
 def register(
-    surface: SurfaceMap, instrument: Instrument | None, aperture_mm: float, last: Registration | None = None
+    surface: SurfaceMap, instrument: Instrument | None, part: Outline, last: Registration | None = None
 ) -> Registration:
     """Where the part lies in a map that has been turned as its profile says.
 
     Args:
         surface: the map (`process.instrument.as_profiled`).
         instrument: the profile; None: the centre of the array is the part's centre, as without a profile's wish.
-        aperture_mm: diameter of the part's aperture; the outline's, where the profile gives no other.
+        part: its outline, which maps show where the profile gives no other.
         last: the last map's registration of the same part; None: no drift is judged.
 
     Raises:
@@ -31,9 +32,9 @@ def register(
     if surface.pitch_mm is None:
         raise BadMap("the map has no lateral scale: give the instrument's profile a pitch")
     found = {
-        "aperture": lambda: _by_aperture(surface, instrument, aperture_mm),
+        "aperture": lambda: _by_aperture(surface, instrument, part),
         "fiducials": lambda: _by_fiducials(surface, instrument),
-        "both": lambda: _by_both(surface, instrument, aperture_mm),
+        "both": lambda: _by_both(surface, instrument, part),
     }[instrument.register_by]()
     _within_limits(found, instrument)
     if last is not None and last.by != "none":
@@ -45,9 +46,12 @@ def register(
     return found
 
 
-def _by_aperture(surface: SurfaceMap, instrument: Instrument, aperture_mm: float) -> Registration:
-    diameter = aperture_mm if instrument.aperture_mm is None else instrument.aperture_mm
-    return outline.fit_circle(surface.height_nm, surface.grid.pitch_mm, diameter, instrument.aperture_tolerance_mm)
+def _by_aperture(surface: SurfaceMap, instrument: Instrument, part: Outline) -> Registration:
+    height, pitch, tolerance = surface.height_nm, surface.grid.pitch_mm, instrument.aperture_tolerance_mm
+    seen = part if instrument.aperture_mm is None else Circle(instrument.aperture_mm / 2)
+    if isinstance(seen, Circle):
+        return outline.fit_circle(height, pitch, 2 * seen.radius_mm, tolerance)
+    return sides.fit_polygon(height, pitch, seen, tolerance)
 
 
 def _by_fiducials(surface: SurfaceMap, instrument: Instrument) -> Registration:
@@ -58,9 +62,9 @@ def _by_fiducials(surface: SurfaceMap, instrument: Instrument) -> Registration:
     return fiducials.fit(found, instrument.fiducials_mm, shape, pitch, instrument.fiducial_tolerance_mm)
 
 
-def _by_both(surface: SurfaceMap, instrument: Instrument, aperture_mm: float) -> Registration:
+def _by_both(surface: SurfaceMap, instrument: Instrument, part: Outline) -> Registration:
     """By the fiducials; the outline must have the centre in the same place."""
-    found, seen = _by_fiducials(surface, instrument), _by_aperture(surface, instrument, aperture_mm)
+    found, seen = _by_fiducials(surface, instrument), _by_aperture(surface, instrument, part)
     apart = found.drift_mm(seen)
     if apart > instrument.fiducial_tolerance_mm:
         raise BadMap(f"by its fiducials the part has its {found}, by its outline its {seen}: {apart:.3f} mm apart, "

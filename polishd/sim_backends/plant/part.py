@@ -10,6 +10,7 @@ import numpy as np
 from scipy import ndimage, optimize
 
 from polishd.config.simulator import Plant, SimConfig
+from polishd.model.outline import Circle
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.sim_backends import metropro
 
@@ -18,6 +19,8 @@ MIDDLE_MM = (9.5, 30.0)
 MIDDLE_SHARE = 0.15
 """RMS of the middle periods relative to the figure."""
 BUMP_SIGMA_MM = 4.5
+BEYOND_MM = 2.0
+"""So far beyond straight sides the map goes on: a side that the map ends with is not seen as the part's."""
 
 
 @dataclass(slots=True)
@@ -65,14 +68,14 @@ class TruePart:
 
 
 def make(config: Plant, seed: int) -> TruePart:
-    """A round part with figure and middle-frequency errors, RMS and PV as configured, flush with its ring."""
+    """A part with figure and middle-frequency errors, RMS and PV as configured, flush with its ring."""
     pitch = config.pitch_mm
-    half = math.ceil(config.aperture_mm / 2 / pitch)
+    beyond = 0.0 if isinstance(config.outline, Circle) else BEYOND_MM
+    nx, ny = (2 * math.ceil((half + beyond) / pitch) + 1 for half in config.outline.half_mm)
     pad = math.ceil(config.ring_mm / pitch)
-    grid = Grid(2 * (half + pad) + 1, 2 * (half + pad) + 1, pitch)
-    frame = Grid(2 * half + 1, 2 * half + 1, pitch)
-    valid = frame.radius_mm() <= config.aperture_mm / 2 + 1e-9
-    clear = frame.radius_mm() <= config.aperture_mm / 2 - config.edge_mm + 1e-9
+    grid, frame = Grid(ny + 2 * pad, nx + 2 * pad, pitch), Grid(ny, nx, pitch)
+    valid = config.outline.contains(*frame.axes_mm, -1e-9)
+    clear = config.outline.contains(*frame.axes_mm, config.edge_mm - 1e-9)
     part = TruePart(grid, np.zeros(grid.shape), pad, valid, clear)
     part.height_nm = _errors(part, config, np.random.default_rng([seed, 2]))
     part.start_nm = part.height_nm.copy()
@@ -95,7 +98,7 @@ def from_map(path: Path, config: Plant) -> TruePart:
 def swelling_nm(part: TruePart, config: SimConfig, since_s: float) -> FloatArray:
     """(map rows, map columns) by which the part stands higher so long after a pass (simulated clock): it is warm."""
     rows, columns = part.valid.shape
-    radius = Grid(rows, columns, part.grid.pitch_mm).radius_mm() * 2.0 / config.plant.aperture_mm
+    radius = Grid(rows, columns, part.grid.pitch_mm).radius_mm() / config.plant.outline.radius_mm
     return np.asarray(config.truth.warm_nm * math.exp(-since_s / config.truth.warm_s) * radius**2)
 
 
@@ -123,7 +126,7 @@ def _errors(part: TruePart, config: Plant, rng: np.random.Generator) -> FloatArr
     base /= _rms(part, base)
     if config.rms_nm == 0.0:
         return np.zeros(grid.shape)
-    angle, radius = rng.uniform(0.0, math.tau), rng.uniform(0.2, 0.6) * config.aperture_mm / 2
+    angle, radius = rng.uniform(0.0, math.tau), rng.uniform(0.2, 0.6) * min(config.outline.half_mm)
     centre = radius * math.cos(angle), radius * math.sin(angle)
     distance = np.hypot(grid.x_mm[None, :] - centre[0], grid.y_mm[:, None] - centre[1])
     bump = _level(part, np.exp(-0.5 * (distance / BUMP_SIGMA_MM) ** 2))

@@ -80,7 +80,7 @@ class Shape:
         if self.flat:
             return Local(np.zeros(n), np.tile([0.0, 0.0, 1.0], (n, 1)), np.zeros(n))
         plane = place[:, :2]
-        end_mm = self.plant.aperture_mm / 2 + self.plant.ring_mm - 2 * STEP_MM
+        end_mm = self.plant.outline.radius_mm + self.plant.ring_mm - 2 * STEP_MM
         plane = plane * np.minimum(1.0, end_mm / np.maximum(np.hypot(plane[:, 0], plane[:, 1]), 1e-9))[:, None]
         nine = self._part_mm((plane[:, None] + _NINE).reshape(-1, 2)).reshape(n, 9)
         height, slope, bend = _looked_at(nine)

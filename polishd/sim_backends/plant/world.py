@@ -181,7 +181,7 @@ class World:
         half_x, half_y = grid.nx * grid.pitch_mm / 2.0, grid.ny * grid.pitch_mm / 2.0
         flat = (np.abs(place[:, 0]) <= half_x) & (np.abs(place[:, 1]) <= half_y)
         if self.config.plant.seat_empty:
-            flat &= np.hypot(place[:, 0], place[:, 1]) > self.config.plant.aperture_mm / 2.0
+            flat &= ~self.config.plant.outline.contains(place[:, 0], place[:, 1])
         return np.asarray(flat & (np.abs(self._gap_mm(place, local)) <= REACH_MM))
 
     def _gap_mm(self, place: FloatArray, local: Local) -> FloatArray:

@@ -15,22 +15,20 @@ from polishd.model.surface import SurfaceMap
 from polishd.process.repeats import Repeats, average
 from polishd.show.tables import emit, record_table
 from polishd.workbench.maps.convert import require_target, store, stored_lines
-from polishd.workbench.maps.files import MapSource
+from polishd.workbench.maps.files import MapSource, told_apart
+from polishd.workbench.maps.masks import mask_lines, mask_records
 
 
 def average_verb(
     files: Sequence[Path],
     target: Path | None,
-    profile: Path | None,
-    cell: Path | None,
-    as_format: str | None,
+    source: MapSource,
     *,
     mixed: bool,
     force: bool,
     as_json: bool,
 ) -> None:
     """Average the maps, each without its own piston and tilt; write the mean where it is wanted."""
-    source = MapSource.of(cell, profile, as_format)
     if target is not None:
         require_target(target, files, source, force=force)
     surfaces = [source.read(path) for path in files]
@@ -45,6 +43,7 @@ def average_verb(
         "rms_uncertainty_nm": found.rms_uncertainty_nm,
         "sample_uncertainty_nm": float(np.median(found.uncertainty_nm[found.mask])),
     }
+    answer["masks"] = [{"path": str(one.path), "masks": mask_records(one)} for one in surfaces if one.masks]
     if target is not None:
         answer |= store(_mean_map(surfaces, found), target, source)
     emit(answer, as_json=as_json, table=lambda: _table(answer), lines=_lines(answer))
@@ -72,7 +71,9 @@ def _lines(answer: Mapping[str, Any]) -> list[str]:
     samples, rejected = answer["samples"], answer["samples_rejected"]
     mean = f"{answer['rms_nm']:.4f} +- {answer['rms_uncertainty_nm']:.4f} nm"
     known = f"{answer['sample_uncertainty_nm']:.4f} nm (median standard error)"
+    masked = answer["masks"]
     return [
+        *mask_lines(told_apart([record["path"] for record in masked]), masked),
         f"RMS of the mean, tilt removed: {mean} over {samples} samples",
         f"a sample is known to {known}; {rejected} single samples were left out",
         *(stored_lines(answer) if "out" in answer else ["not written: --out MEAN.x3p would"]),

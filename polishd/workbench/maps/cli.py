@@ -10,7 +10,7 @@ import typer
 from typer import Argument, Option
 from typer.core import TyperGroup
 
-from polishd.workbench.maps.options import AsFormat, FigureOptions, Json, OfCell, Profile
+from polishd.workbench.maps.options import AsFormat, FigureOptions, Json, Masks, OfCell, Profile
 from polishd.workbench.options import spread
 
 DEFAULT = "figures"
@@ -81,11 +81,14 @@ def convert(
     as_json: Json = False,
     cell: OfCell = None,
     as_format: AsFormat = None,
+    masks: Masks = None,
 ) -> None:
     """Write a map in another format; it is read back and compared before it appears."""
     from polishd.workbench.maps.convert import convert_verb
+    from polishd.workbench.maps.files import MapSource
 
-    convert_verb(source, target, profile, cell, as_format, force=force, as_json=as_json)
+    read_as = MapSource.of(cell, profile, as_format, masks)
+    convert_verb(source, target, read_as, force=force, as_json=as_json)
 
 
 @app.command()
@@ -101,25 +104,30 @@ def average(
     as_json: Json = False,
     cell: OfCell = None,
     as_format: AsFormat = None,
+    masks: Masks = None,
 ) -> None:
     """The mean of repeated measurements, without maps and samples that deviate, and its uncertainty."""
     from polishd.workbench.maps.average import average_verb
+    from polishd.workbench.maps.files import MapSource
 
-    average_verb(files, out, profile, cell, as_format, mixed=mixed, force=force, as_json=as_json)
+    source = MapSource.of(cell, profile, as_format, masks)
+    average_verb(files, out, source, mixed=mixed, force=force, as_json=as_json)
 
 
 @app.command()
 def commission(
+    *,
     profile: Annotated[Path, Argument(metavar="P.toml", help="The instrument's profile.", readable=False)],
     surface: Annotated[Path, Argument(metavar="MAP", help="A map.", readable=False)],
     out: Annotated[Path | None, Option("--out", metavar="PNG", help="Draw what was found.")] = None,
     as_json: Json = False,
     cell: OfCell = None,
+    masks: Masks = None,
 ) -> None:
     """Prove an instrument's profile with a map of its artefact, and record it: before that no map drives polishing."""
     from polishd.workbench.maps.commission import commission_verb
 
-    commission_verb(profile, surface, out, cell, as_json=as_json)
+    commission_verb(profile, surface, out, cell, masks, as_json=as_json)
 
 
 @app.command()

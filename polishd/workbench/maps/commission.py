@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,9 +14,9 @@ from polishd.model.errors import BadMap, ConfigError
 from polishd.model.instrument import Commissioned
 from polishd.model.surface import SurfaceMap
 from polishd.process.commissioning import Proof, artefact_heights, prove
-from polishd.process.instrument import as_profiled
 from polishd.show.tables import emit, key_table
-from polishd.workbench.maps.files import MapSource, require_picture
+from polishd.workbench.maps.files import MapSource, require_picture, shown
+from polishd.workbench.maps.masks import mask_lines, mask_records
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +30,15 @@ class Proved:
     record: Commissioned
 
 
-def commission_verb(profile: Path, surface: Path, out: Path | None, cell: Path | None = None, *, as_json: bool) -> None:
+def commission_verb(
+    profile: Path,
+    surface: Path,
+    out: Path | None,
+    cell: Path | None = None,
+    masks: Sequence[str] | None = None,
+    *,
+    as_json: bool,
+) -> None:
     """Prove and record; a table and, with ``out``, a picture, which is drawn where nothing is proved, too.
 
     Raises:
@@ -37,18 +46,25 @@ def commission_verb(profile: Path, surface: Path, out: Path | None, cell: Path |
         ConfigError: the profile or the picture's file is wrong.
     """
     require_picture(out)
-    proved = prove_profile(profile, surface, out, cell)
+    proved = prove_profile(profile, surface, out, cell, masks)
     facts = {"profile": str(profile), **asdict(proved.proof), **asdict(proved.record)}
     facts["at"] = proved.record.at.isoformat()
-    emit(facts, as_json=as_json, table=lambda: _table(proved))
+    facts["masks"] = mask_records(proved.surface)
+    emit(facts, as_json=as_json, table=lambda: _table(proved), lines=mask_lines([shown(surface.name)], [facts]))
 
 
-def prove_profile(profile: Path, surface: Path, out: Path | None = None, cell: Path | None = None) -> Proved:
+def prove_profile(
+    profile: Path,
+    surface: Path,
+    out: Path | None = None,
+    cell: Path | None = None,
+    masks: Sequence[str] | None = None,
+) -> Proved:
     """Prove a profile by a map of its artefact, and write the record into its file; arguments, errors: the verb's."""
     given = load_profile(profile)
     if not given.bumps:
         raise ConfigError(f"{profile}: [artefact] is missing; describe the artefact's bumps (docs/instruments.md)")
-    seen = as_profiled(MapSource.of(cell).read(surface), given.instrument)
+    seen = MapSource.of(cell, profile, None, masks).read(surface)
     try:
         proof = prove(seen, given.bumps)
     except BadMap as error:

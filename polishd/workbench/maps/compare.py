@@ -24,10 +24,9 @@ from polishd.workbench.maps.files import (
     told_apart,
     warnings,
 )
+from polishd.workbench.maps.masks import SAME_PITCH, mask_lines, mask_records
 from polishd.workbench.maps.options import FigureOptions
 
-SAME_PITCH = 1e-6
-"""Part of a pitch by which two may differ and still be one grid."""
 LEAST_COMMON = 0.5
 """Share of the smaller map's data that both must have: less is another part, or another place on it."""
 SIDES = ("before", "after")
@@ -51,7 +50,7 @@ def compare_verb(before: Path, after: Path, asked: FigureOptions, *, as_json: bo
     """Figures of both, and by how much they changed."""
     edges = edges_mm(asked.bands)
     require_picture(asked.out)
-    source = MapSource.of(asked.cell, asked.profile, asked.as_format)
+    source = MapSource.of(asked.cell, asked.profile, asked.as_format, asked.masks)
     maps = [source.read(path) for path in (before, after)]
     pair = paired(*maps, trim=asked.trim)
     pitch, mask = pair.pitch_mm, pair.mask
@@ -62,6 +61,7 @@ def compare_verb(before: Path, after: Path, asked: FigureOptions, *, as_json: bo
             "path": str(surface.path),
             "sha256": surface.sha256,
             "warnings": list(surface.warnings),
+            "masks": mask_records(surface),
             **heights_nm(height, metrics.without(height, mask, "tilt"), mask),
             "bands": None if pitch is None else band_records(getattr(found, side).band_rms_nm, pitch, edges),
         }
@@ -179,7 +179,8 @@ def _show(answer: Mapping[str, Any], lines: Mapping[str, Line], *, as_json: bool
         for key, (words, was, now) in lines.items()
     ]
     notes = [f"over the {answer['samples']} samples that both have"]
-    notes += warnings(names, [answer[side] for side in SIDES])
+    both = [answer[side] for side in SIDES]
+    notes += [*mask_lines(names, both), *warnings(names, both)]
     notes += [f"note: {shown(note)}" for note in answer["notes"]]
     title, columns = " to ".join(names), ("nm", *SIDES, "change, %")
     emit(answer, as_json=as_json, table=lambda: figure_table(title, columns, rows), lines=notes)

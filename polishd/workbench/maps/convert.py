@@ -15,6 +15,7 @@ from polishd.model.errors import BadMap, ConfigError, SurfaceError
 from polishd.model.surface import SurfaceMap
 from polishd.show.tables import emit
 from polishd.workbench.maps.files import MapSource, shown
+from polishd.workbench.maps.masks import mask_lines, mask_records
 
 WITHIN_NM = 0.01
 """Most that the counts of a format may change a height by ..."""
@@ -25,19 +26,18 @@ WITHIN = 1e-6
 def convert_verb(
     file: Path,
     target: Path,
-    profile: Path | None,
-    cell: Path | None,
-    as_format: str | None,
+    source: MapSource,
     *,
     force: bool,
     as_json: bool,
 ) -> None:
     """Write a map to ``target``, in the format of its ending. Nothing is written where anything is refused."""
-    source = MapSource.of(cell, profile, as_format)
     require_target(target, [file], source, force=force)
     surface = source.read(file)
-    answer = {"path": str(file), "format": surface.format, **store(surface, target, source)}
-    emit(answer, as_json=as_json, lines=stored_lines(answer))
+    answer = {"path": str(file), "format": surface.format, "masks": mask_records(surface)}
+    answer |= store(surface, target, source)
+    lines = [*mask_lines([shown(file.name)], [answer]), *stored_lines(answer)]
+    emit(answer, as_json=as_json, lines=lines)
 
 
 def require_target(target: Path, files: Sequence[Path], source: MapSource, *, force: bool) -> None:

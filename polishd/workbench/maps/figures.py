@@ -13,6 +13,7 @@ from polishd.model.errors import BadMap, SurfaceError
 from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
 from polishd.process import metrics
 from polishd.workbench.maps.files import band_names
+from polishd.workbench.maps.masks import mask_records, masked_out
 
 HEIGHTS = {"pv_nm": "PV", "rms_nm": "RMS", "pv_tilt_removed_nm": "PV level", "rms_tilt_removed_nm": "RMS level"}
 """What every map has, scale or none: the key, and the word for people."""
@@ -27,7 +28,7 @@ class Figured:
 
     surface: SurfaceMap
     mask: BoolArray
-    """(ny, nx) samples that count: those with data, trimmed."""
+    """(ny, nx) samples that count: those with data within the masks, trimmed."""
     level_nm: FloatArray
     """(ny, nx) piston and tilt over the mask removed; NaN outside it."""
     bands_nm: tuple[FloatArray, ...]
@@ -58,13 +59,15 @@ def figured(surface: SurfaceMap, trim: int, edges: Sequence[float]) -> Figured:
         "rows": height.shape[0],
         "cols": height.shape[1],
         "pitch_mm": pitch,
-        "missing": int(np.count_nonzero(~surface.valid)),
+        "missing": int(np.count_nonzero(~surface.valid)) - masked_out(surface),
         **heights_nm(height, level, mask),
         "bands": None if pitch is None else band_records([float(band[mask].std()) for band in bands], pitch, edges),
         "sha256": surface.sha256,
         "warnings": list(surface.warnings),
         "trim": trim,
         "samples": int(np.count_nonzero(mask)),
+        "masks": mask_records(surface),
+        "masked": masked_out(surface),
         **_more(level, mask, pitch),
         **_origin(surface),
     }

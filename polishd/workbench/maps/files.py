@@ -17,6 +17,7 @@ from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
 from polishd.recipe.files import read_map
 from polishd.show.tables import stdout
+from polishd.workbench.maps.masks import Mask, masked
 
 READERS = "interferometer"
 """The plugin of polishd that reads maps. Without the other ones these verbs start in half the time."""
@@ -31,23 +32,36 @@ class MapSource:
     asked: Sequence[SurfaceReader]
     """Those of them that read files."""
     instrument: Instrument | None = None
+    masks: tuple[Mask, ...] = ()
+    """Laid over each map, as the profile turns it."""
 
     @classmethod
-    def of(cls, cell: Path | None = None, profile: Path | None = None, as_format: str | None = None) -> MapSource:
+    def of(
+        cls,
+        cell: Path | None = None,
+        profile: Path | None = None,
+        as_format: str | None = None,
+        masks: Sequence[str] | None = None,
+    ) -> MapSource:
         """The cell's plugins, without a cell polishd's own; ConfigError or PluginError where a file is broken.
 
-        ``as_format``: read files as this format or ending, whatever they are called; BadParameter where it is none.
+        ``as_format``: read files as this format or ending, whatever they are called. BadParameter where it is none, or
+        where one of the masks, as ``--mask`` has them, is none.
         """
+        laid = tuple(Mask.of(text) for text in masks or ())
         readers = readers_for(cell)
         asked = tuple(readers.values()) if as_format is None else _of_format(readers, as_format)
         if profile is None:
-            return cls(readers, asked)
+            return cls(readers, asked, None, laid)
         from polishd.config.profile import load_profile
 
-        return cls(readers, asked, load_profile(profile).instrument)
+        return cls(readers, asked, load_profile(profile).instrument, laid)
 
     def read(self, path: Path) -> SurfaceMap:
-        """A map, as it is or as far as the profile says; BadMap where it cannot be had."""
+        """A map, as it is or as far as the profile says, within the masks; BadMap where it cannot be had."""
+        return masked(self._whole(path), self.masks, self._whole)
+
+    def _whole(self, path: Path) -> SurfaceMap:
         try:
             odd = path.exists() and not path.is_file()
         except OSError as error:  # a name that is too long, a folder that may not be entered

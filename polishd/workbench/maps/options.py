@@ -20,6 +20,16 @@ OfCell = Annotated[
 AsFormat = Annotated[
     str | None, Option("--format", metavar="NAME", help="Read as this format, or ending, whatever a file is called.")
 ]
+Masks = Annotated[
+    list[str] | None,
+    Option(
+        "--mask",
+        metavar="MASK",
+        help="Only what lies in it counts; may be repeated: then what lies in all. circle:X,Y,R, annulus:X,Y,R,r, "
+        "rectangle:X,Y,W,H, hexagon:X,Y,W in mm from the map's centre; polygon:FILE, map:FILE (where that has data). "
+        "not: before it takes what lies outside, px: means pixels.",
+    ),
+]
 Json = Annotated[bool, Option("--json", help="One JSON object a file on stdout, for programs.")]
 
 
@@ -33,3 +43,4 @@ class FigureOptions:
     bands: Annotated[str, Option(metavar="MM,...", help="Periods between the bands, falling.")] = "33,0.12"
     cell: OfCell = None
     as_format: AsFormat = None
+    masks: Masks = None

@@ -12,7 +12,7 @@ from matplotlib.ticker import NullFormatter
 from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
 from polishd.process import metrics
 from polishd.process.metrics import RadialPsd
-from polishd.show.style import BLUE, DIVERGING, MUTED, NO_DATA, ORANGE, figure, png, polishd_style, ruled
+from polishd.show.style import BLUE, DIVERGING, INK, MUTED, NO_DATA, ORANGE, figure, png, polishd_style, ruled
 from polishd.workbench.maps.figures import Figured
 from polishd.workbench.maps.files import shown, told_apart
 
@@ -44,6 +44,8 @@ def _heights(row: Sequence[Axes], found: Figured, name: str) -> None:
     answer, pitch = found.answer, found.surface.pitch_mm
     whole, level = (_words(answer[f"pv{what}_nm"], answer[f"rms{what}_nm"]) for what in ("", "_tilt_removed"))
     _panel(row[0], found.surface.height_nm, pitch, f"{_short(name)}\n{whole}")
+    if found.surface.masks:
+        _outlined(row[0], found.surface.valid)
     _panel(row[1], found.level_nm, pitch, f"tilt removed\n{level}")
     _histogram(row[2], found.level_nm[found.mask])
     if pitch is None:
@@ -186,6 +188,18 @@ def _panel(ax: Axes, height_nm: FloatArray, pitch_mm: float | None, title: str, 
         ax.set_yticks([-half_y, half_y], [f"{-half_y:.3g}", f"{half_y:.3g}"])
     ax.set_xlabel("px" if pitch_mm is None else "mm")
     ax.figure.colorbar(seen, ax=ax, shrink=0.8, label="nm")
+
+
+def _outlined(ax: Axes, mask: BoolArray) -> None:
+    """The edge of what the masks leave, as a thin line on a panel."""
+    step = max(1, int(np.ceil(max(mask.shape) / MOST_PX)))
+    rim = np.pad(mask[::step, ::step].astype(np.float64), 1)
+    left, right, bottom, top = ax.images[0].get_extent()
+    ny, nx = (n - 2 for n in rim.shape)
+    x = left + (np.arange(nx + 2) - 0.5) * (right - left) / nx
+    y = top - (np.arange(ny + 2) - 0.5) * (top - bottom) / ny
+    ax.contour(x, y, rim, levels=[0.5], colors=[INK], linewidths=0.8)
+    ax.set(xlim=(left, right), ylim=(bottom, top))
 
 
 def _limit(height_nm: FloatArray) -> float:

@@ -21,6 +21,7 @@ from polishd.workbench.maps.files import (
     told_apart,
     warnings,
 )
+from polishd.workbench.maps.masks import mask_lines, mask_words
 from polishd.workbench.maps.options import FigureOptions
 
 MOST_DRAWN = 12
@@ -33,7 +34,7 @@ def figures_verb(files: Sequence[Path], asked: FigureOptions, *, as_json: bool) 
     require_picture(asked.out)
     if asked.out is not None and len(files) > MOST_DRAWN:
         raise typer.BadParameter(f"--out draws {MOST_DRAWN} maps at most, not {len(files)}")
-    source = MapSource.of(asked.cell, asked.profile, asked.as_format)
+    source = MapSource.of(asked.cell, asked.profile, asked.as_format, asked.masks)
     answers: list[dict[str, Any]] = []
     drawn: list[Figured] = []
     for file in files:
@@ -66,7 +67,7 @@ def _show(answers: Sequence[Mapping[str, Any]]) -> None:
         columns = ["file", "samples", "pitch mm", "missing", "dated by", "PV nm", "RMS nm", "PV level", "RMS level"]
         columns += next(([band["name"] for band in answer["bands"]] for answer in answers if answer["bands"]), [])
         stdout.print(figure_table("maps", columns, map(_row, names, answers)))
-    for line in warnings(names, answers):
+    for line in [*(mask_lines(names, answers) if len(answers) > 1 else ()), *warnings(names, answers)]:
         stdout.print(line, markup=False)
 
 
@@ -84,10 +85,12 @@ def _row(name: str, answer: Mapping[str, Any]) -> tuple[str, ...]:
 
 def _rows(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
     missing, trim = f"{answer['missing']} missing", f", {answer['trim']} px trimmed" if answer["trim"] else ""
+    missing += f", {answer['masked']} masked" if answer["masks"] else ""
     pitch = answer["pitch_mm"]
     rows = [
         ("format", f"{answer['format']}, reader {answer['reader_version']}"),
         ("samples", f"{answer['rows']} x {answer['cols']}, {missing}; {answer['samples']} count{trim}"),
+        *((f"mask {shown(record['mask'])}", mask_words(record)) for record in answer["masks"]),
         ("pitch", "none" if pitch is None else f"{pitch:.7g} mm"),
         ("PV, RMS", _pair(answer, "")),
         ("level", f"{_pair(answer, '_tilt_removed')} (piston and tilt removed)"),

@@ -13,9 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from polishd.config.cell import CellConfig
 from polishd.config.sections import InstrumentSection
+from polishd.config.tables import read_polygon
 from polishd.hooks.cell import load_cell
 from polishd.hooks.loader import Hooks
 from polishd.model.errors import ProgramError
+from polishd.model.outline import hexagon
 from polishd.model.process import FLAT, ComplianceOptions, Optic, Placement
 from polishd.model.program import Encoding, Program
 from polishd.model.surface import FloatArray
@@ -43,6 +45,7 @@ SHAPES: dict[str, tuple[int, Callable[..., Aperture]]] = {
     "annulus": (2, apertures.annulus),
     "ellipse": (2, apertures.ellipse),
     "rectangle": (2, apertures.rectangle),
+    "hexagon": (1, lambda flats_mm: apertures.over_outline(hexagon(flats_mm))),
 }
 """Apertures by name: how many lengths, and what makes one of them."""
 UNCHECKED = (
@@ -117,8 +120,9 @@ def _encoding(options: MakeOptions) -> Encoding:
 
 
 def _write(options: MakeOptions, made: MadePath, text: bytes) -> None:
-    mask = (options.aperture or "").partition("mask:")[2]
-    not_over(options.out, *(Path(read_from) for read_from in (options.cell, mask) if read_from))
+    kind, _, rest = (options.aperture or "").partition(":")
+    aperture = rest if kind in ("mask", "polygon") else ""
+    not_over(options.out, *(Path(read_from) for read_from in (options.cell, aperture) if read_from))
     with target_file(options.out) as file:
         file.write(text)
     if options.picture is not None:
@@ -147,16 +151,19 @@ def _aperture(options: MakeOptions, config: CellConfig | None) -> Aperture:
     if options.aperture is None:
         if config is None:
             raise typer.BadParameter("name an --aperture, or a --cell that has one")
-        return apertures.circle(config.part.aperture_mm)
+        return apertures.over_outline(config.outline())
     name, _, rest = options.aperture.partition(":")
     if name == "mask" and rest:
         measured = MapSource.of().read(Path(rest))
         return apertures.over_mask(measured.grid, measured.valid)
+    if name == "polygon" and rest:
+        return apertures.over_outline(read_polygon(Path(rest)))
     count, make = SHAPES.get(name, (0, apertures.circle))
     values = _numbers("--aperture", rest)
     if not count or len(values) != count:
         raise typer.BadParameter(
-            f"--aperture {options.aperture!r} is none of circle:D, annulus:D,d, ellipse:A,B, rectangle:W,H, mask:MAP"
+            f"--aperture {options.aperture!r} is none of circle:D, annulus:D,d, ellipse:A,B, rectangle:W,H, "
+            "hexagon:W, polygon:FILE, mask:MAP"
         )
     return make(*values)
 

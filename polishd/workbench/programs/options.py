@@ -22,7 +22,8 @@ class MakeOptions:
         str | None,
         Option(
             metavar="SHAPE",
-            help="circle:D, annulus:D,d, ellipse:A,B, rectangle:W,H in mm, or mask:MAP; default: the cell's.",
+            help="circle:D, annulus:D,d, ellipse:A,B, rectangle:W,H, hexagon:W in mm, polygon:FILE (CSV: "
+            "x_mm,y_mm), or mask:MAP; default: the cell's.",
         ),
     ] = None
     optic: Annotated[

@@ -56,7 +56,7 @@ def polish_evenly(study: PassesStudy, tell: Callable[[str], None]) -> Passes:
     time_s = np.full(scene.program.n, study.dwell_s * study.passes)
     removal = scene.effect(corrected_spot("exact", scene.gamma)).removal_nm(time_s)
     gamma = gamma_map(scene)
-    clear = scene.grid.radius_mm() <= study.part.aperture_mm / 2 - study.part.edge_mm
+    clear = study.outline().contains(*scene.grid.axes_mm, study.part.edge_mm)
     with study.blame("path"):
         correlation, slope = against_gamma(removal[clear], gamma[clear])
     inside = removal[clear]

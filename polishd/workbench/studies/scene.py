@@ -8,7 +8,7 @@ import numpy as np
 
 from polishd.config.study import PartStudy
 from polishd.model.program import Program
-from polishd.model.surface import FloatArray, Grid
+from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.compliance import depth_ratio
 from polishd.process.contact import hertz_depth_mm
 from polishd.process.dynamic_tif import CorrectedSpot, corrected_spot
@@ -31,7 +31,7 @@ class Scene(SpotPath):
     compliance_um_per_n: FloatArray
     """(n,) linear equivalent compliance."""
     lattice: Grid
-    """The dwell points are its nodes, those within the path's radius."""
+    """The dwell points are its nodes, those that the path goes to."""
     on_nodes: bool
     """Whether the dwell points are nodes of the grid: then a convolution is exact but for its truncation."""
     notes: tuple[str, ...]
@@ -53,10 +53,10 @@ def make_scene(study: PartStudy) -> Scene:
     """Dwell points, tool axes and gamma of a study; ConfigError where the robot cannot do it."""
     process, robot = study.tool_process(), study.robot_model()
     placement, options, optic = study.placement(), study.compliance_options(), study.optic()
-    radius = study.part.aperture_mm / 2 + study.path.extension_mm
     lattice = study_grid(study, study.path.step_mm)
+    reached = study.outline().contains(*lattice.axes_mm, -study.path.extension_mm)
     with study.blame("part"):
-        points = on_optic(optic, lattice_points(lattice, radius)[:, :2])
+        points = on_optic(optic, lattice_points(lattice, reached)[:, :2])
         program = dwells(points, tool_axes(points, optic, process.dip_deg, options, placement), study.title)
         found = path_compliance(program, process, robot, placement, options=options, optic=optic)
     with study.blame("process"):
@@ -79,9 +79,8 @@ def make_scene(study: PartStudy) -> Scene:
     )
 
 
-def lattice_points(lattice: Grid, radius_mm: float) -> FloatArray:
-    """(n, 3) mm: the lattice's nodes within the radius, row by row to and fro, as a tool would visit them."""
-    inside = lattice.radius_mm() <= radius_mm
+def lattice_points(lattice: Grid, inside: BoolArray) -> FloatArray:
+    """(n, 3) mm: the lattice's nodes that lie inside, (ny, nx), row by row to and fro, as a tool would visit them."""
     rows = [
         [(x, y, 0.0) for x in (lattice.x_mm[row] if k % 2 == 0 else lattice.x_mm[row][::-1])]
         for k, (y, row) in enumerate(zip(lattice.y_mm, inside, strict=True))

@@ -22,7 +22,7 @@ ReadMap = Callable[[Path], SurfaceMap]
 
 def study_grid(study: PartStudy, pitch_mm: float) -> Grid:
     """The grid of this pitch over the aperture, its extension and a margin: samples and dwell points share it."""
-    return process_grid(study.part.aperture_mm, pitch_mm, max(MARGIN_MM, study.path.extension_mm))
+    return process_grid(study.outline(), pitch_mm, max(MARGIN_MM, study.path.extension_mm))
 
 
 def start_surface(study: CorrectionsStudy, read: ReadMap) -> Conditioned:
@@ -37,7 +37,7 @@ def start_surface(study: CorrectionsStudy, read: ReadMap) -> Conditioned:
                 surface = less_nominal(surface, read(study.resolve(part.nominal)), Registration())
         return condition(
             surface,
-            aperture_mm=part.aperture_mm,
+            outline=study.outline(),
             edge_mm=part.edge_mm,
             grid_mm=study.process.grid_mm,
             removal=part.alignment,
@@ -46,12 +46,10 @@ def start_surface(study: CorrectionsStudy, read: ReadMap) -> Conditioned:
 
 
 def drawn_surface(study: CorrectionsStudy, rms_nm: float, period_mm: tuple[float, float]) -> Conditioned:
-    """A round surface of this RMS over the clear aperture, without what the part's maps are levelled by."""
+    """A surface of this RMS over the clear aperture, without what the part's maps are levelled by."""
     part = study.part
     grid = study_grid(study, study.process.grid_mm)
-    radius = grid.radius_mm()
-    solve = radius <= part.aperture_mm / 2
-    metric = radius <= part.aperture_mm / 2 - part.edge_mm
+    solve, metric = (study.outline().contains(*grid.axes_mm, edge) for edge in (0.0, part.edge_mm))
     if np.count_nonzero(metric) < MIN_SAMPLES:
         samples = f"{np.count_nonzero(metric)} samples of process.grid_mm = {grid.pitch_mm:g}"
         raise study.error("part", f"the clear aperture has {samples}; at least {MIN_SAMPLES} are needed")

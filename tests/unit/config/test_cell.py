@@ -210,7 +210,10 @@ def test_wrong_values_are_named_by_file_line_and_key(
 def test_missing_key_is_placed_at_its_section(tmp_path: Path, example: str) -> None:
     text = replaced(example, "aperture_mm", "", "part")
     at = line_of(text, "[part]")
-    assert refused(tmp_path, text) == f"FILE:{at}: part.aperture_mm: is missing; add it: aperture_mm = ..."
+    assert refused(tmp_path, text) == (
+        f"FILE:{at}: part.aperture_mm: is missing; add it: aperture_mm = ...; of a part that is not round instead one "
+        "of rectangle_mm, hexagon_mm, polygon_mm, polygon_file"
+    )
 
 
 def test_missing_device_type(tmp_path: Path, example: str) -> None:

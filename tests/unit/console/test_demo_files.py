@@ -160,7 +160,7 @@ def test_the_program_reads_back(program: Program, config: CellConfig) -> None:
 
 
 def test_turns_and_landings_lie_off_the_part(program: Program, config: CellConfig) -> None:
-    reach = config.part.aperture_mm / 2
+    reach = config.outline().radius_mm
     move = program.end_mm - program.start_mm
     turns = np.abs(move[:, 1]) > 1e-6
     assert turns.sum() > 50
@@ -172,12 +172,12 @@ def test_turns_and_landings_lie_off_the_part(program: Program, config: CellConfi
 
 def test_the_lines_cover_the_part_at_a_quiet_step(program: Program, config: CellConfig) -> None:
     y = np.unique(np.round(program.end_mm[:, 1], 3))
-    lines = y[np.abs(y) < config.part.aperture_mm / 2]
+    lines = y[np.abs(y) < config.outline().radius_mm]
     at = np.unique(program.end_mm[np.abs(program.end_mm[:, 0]) < 1.0, 1])
     step = np.diff(at)
     assert step == pytest.approx(step[0], abs=1e-3)
     assert 0.5 < step[0] <= RASTER_MM
-    assert lines[0] < -config.part.aperture_mm / 2 + 1.5
+    assert lines[0] < -config.outline().radius_mm + 1.5
 
 
 def test_the_tool_dips_inward_by_the_processs_angle(program: Program, config: CellConfig) -> None:

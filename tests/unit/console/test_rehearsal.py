@@ -100,6 +100,18 @@ def test_the_simulator_is_this_cells_part_tool_and_robot(tmp_path: Path) -> None
     assert all("#" in line for line in told.splitlines() if " = " in line)
 
 
+@pytest.mark.parametrize(
+    "said", ["rectangle_mm = [40.0, 24.0]", "aperture_mm = 60.0\nhole_mm = 20.0", 'polygon_file = "corners.csv"']
+)
+def test_a_part_that_is_not_round_is_not_in_the_simulator_either(tmp_path: Path, said: str) -> None:
+    (tmp_path / "corners.csv").write_text("x_mm,y_mm\n20,12\n-20,12\n-20,-12\n9,-12\n")
+    draft = made(tmp_path, CELL.replace("aperture_mm = 100.0", said))
+    played, real = sim_of(draft, tmp_path).plant.outline, draft.config.outline()
+    assert played.corners().tolist() == real.corners().tolist()
+    assert played.area_mm2 == real.area_mm2
+    assert f"# part.{said.split(' ', maxsplit=1)[0]}\n" in sim_text(draft)
+
+
 def test_the_part_starts_as_one_that_the_job_may_polish(tmp_path: Path) -> None:
     plant = sim_of(made(tmp_path, CELL), tmp_path).plant
     assert (plant.rms_nm, plant.pv_nm) == (18.0, pytest.approx(149.4))

@@ -24,6 +24,7 @@ from polishd.model.cycle import Outcome
 from polishd.model.dwell import Certificate
 from polishd.model.events import Event
 from polishd.model.limits import Envelope
+from polishd.model.outline import Circle
 from polishd.model.process import FLAT, SHIPPED_OPTIONS, Placement, ToolProcess
 from polishd.model.program import Plan, Program, Segment
 from polishd.model.robot import HybridRobot
@@ -78,6 +79,7 @@ def small_recipe(**changes: Any) -> Recipe:
     """The recipe, with changes: of its own fields, or else of keys of its sections."""
     recipe = Recipe(
         part=PART,
+        outline=Circle(APERTURE_MM / 2),
         program=ProgramSection(path="small.rnc"),
         dwell=DWELL,
         job=JOB,
@@ -105,7 +107,7 @@ def small_recipe(**changes: Any) -> Recipe:
         keys = {key: changes.pop(key) for key in list(changes) if key in type(section).model_fields}
         recipe = replace(recipe, **{name: section.model_copy(update=keys)})
     assert not changes, f"a recipe has no {changes}"
-    return replace(recipe, **own)
+    return replace(recipe, **{"outline": recipe.part.outline, **own})
 
 
 def small_text(radius_mm: float = APERTURE_MM / 2 + 1) -> bytes:

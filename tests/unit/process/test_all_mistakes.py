@@ -17,6 +17,7 @@ import pytest
 
 from polishd.model.errors import BadMap
 from polishd.model.instrument import Instrument
+from polishd.model.outline import Circle
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.process.commissioning import artefact_heights, prove
 from polishd.process.gate import judge
@@ -75,7 +76,7 @@ def commissioning(mistake: Mistake) -> str:
 
 def fiducials(mistake: Mistake) -> str:
     try:
-        register(mistake.shown(BEFORE), mistake.profile, 104.0)
+        register(mistake.shown(BEFORE), mistake.profile, Circle(52.0))
     except BadMap as refused:
         return str(refused)
     return ""

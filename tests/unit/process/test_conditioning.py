@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from polishd.model.errors import BadMap
+from polishd.model.outline import Circle
 from polishd.model.surface import Grid, SurfaceMap
 from polishd.process.conditioning import Conditioned, Masks, condition, fill_holes, process_grid
 from polishd.process.metrics import polynomial
@@ -26,7 +27,7 @@ def disc_map(grid: Grid = FINE, radius_mm: float = 26.0, seed: int = 0) -> Surfa
 
 
 def conditioned(surface: SurfaceMap, **changes: Any) -> Conditioned:
-    return condition(surface, **({"aperture_mm": 50.0, "edge_mm": 3.0, "grid_mm": 1.0} | changes))
+    return condition(surface, **({"outline": Circle(25.0), "edge_mm": 3.0, "grid_mm": 1.0} | changes))
 
 
 @settings(max_examples=30)
@@ -71,9 +72,9 @@ def test_the_centre_stays_and_nothing_is_turned() -> None:
 
 
 def test_the_grid_covers_the_aperture_and_a_margin() -> None:
-    assert process_grid(100.0, 1.0) == Grid(110, 110, 1.0)
-    assert process_grid(100.0, 0.7, 0.0).nx * 0.7 >= 100
-    assert process_grid(0.3, 0.1, 0.0) == Grid(3, 3, 0.1)
+    assert process_grid(Circle(50.0), 1.0) == Grid(110, 110, 1.0)
+    assert process_grid(Circle(50.0), 0.7, 0.0).nx * 0.7 >= 100
+    assert process_grid(Circle(0.15), 0.1, 0.0) == Grid(3, 3, 0.1)
 
 
 def test_a_map_is_brought_onto_the_grid_and_levelled() -> None:
@@ -169,7 +170,7 @@ def test_refusals() -> None:
     with pytest.raises(BadMap, match=r"a\.dat holds no data"):
         conditioned(surface.with_height(np.full(FINE.shape, np.nan)))
     with pytest.raises(BadMap, match="the map is 60 mm wide, the aperture 70 mm"):
-        conditioned(SurfaceMap(surface.height_nm, 0.25), aperture_mm=70.0)
+        conditioned(SurfaceMap(surface.height_nm, 0.25), outline=Circle(35.0))
     with pytest.raises(BadMap, match="fewer than 100"):
         conditioned(surface, grid_mm=5.0)
     with pytest.raises(BadMap, match="of the aperture has data, less than 80%"):
@@ -190,7 +191,7 @@ def test_a_measured_map(shared_data: Path) -> None:
     middle = height.shape[1] // 2
     height = height[:, middle - across : middle + across] if height.shape[1] > height.shape[0] else height
     surface = SurfaceMap(height, pitch)
-    part = conditioned(surface, aperture_mm=size, edge_mm=1.0, grid_mm=0.5)
+    part = conditioned(surface, outline=Circle(size / 2), edge_mm=1.0, grid_mm=0.5)
     there = part.grid.radius_mm() <= size / 2 - 1
     assert part.metric_mask.sum() == there.sum()
     fine = height[surface.grid.radius_mm() <= size / 2 - 1]

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from polishd.model.outline import Circle
 from polishd.model.process import ToolProcess
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.dwell import newton_cg
@@ -16,7 +17,6 @@ from polishd.process.dwell.setup import regularisation_from_rho
 from polishd.process.dynamic_tif import effect_matrix
 from polishd.process.edge.edge_tif import contact_centres_mm, rim_contact
 from polishd.process.edge.extension import Extension, extend
-from polishd.process.edge.rim import round_rim
 from polishd.process.effect import SparseEffect
 from polishd.process.paths.apertures import circle
 from polishd.process.paths.raster import raster
@@ -33,7 +33,7 @@ SPOT = HertzSpot(ToolProcess())
 POINTS = raster(circle(2 * RADIUS), 1.0, 1.0, overrun_mm=2.0)[:, :2]
 PATH = program(POINTS[:-1], POINTS[1:], 0.3)
 GAMMA, ONE = np.full(PATH.n, 0.87), np.ones(PATH.n)
-RIM = round_rim(RADIUS)
+RIM = Circle(RADIUS)
 METHODS: tuple[Extension, ...] = ("nearest", "c1", "gerchberg_papoulis")
 LEAST = PATH.length_mm / 50
 

@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.model.errors import ComputeError
+from polishd.model.outline import Circle, Lengths
 from polishd.model.process import ToolProcess
 from polishd.model.surface import FloatArray, Grid
 from polishd.process import contact
 from polishd.process.dynamic_tif import effect_matrix
 from polishd.process.edge.edge_tif import MOST_SUNK, carried, contact_centres_mm, rim_contact, sinking
-from polishd.process.edge.rim import Rim, round_rim
 from polishd.process.spot import HertzSpot
 from tests.unit.process.moves import program
 
@@ -21,14 +21,14 @@ PAPER = ToolProcess()
 DEPTH = contact.hertz_depth_mm(PAPER)
 A = float(contact.contact_radius_mm(PAPER, DEPTH))
 SPOT = HertzSpot(PAPER)
-RIM = round_rim(50.0)
+RIM = Circle(50.0)
 
 
-class Straight(Rim):
+class Straight(Circle):
     """A part that ends at x = 0."""
 
-    def inside_mm(self, point_mm: FloatArray) -> FloatArray:
-        return -point_mm[:, 0]
+    def inside_mm(self, x_mm: Lengths, y_mm: Lengths) -> FloatArray:
+        return -np.asarray(x_mm, dtype=np.float64)
 
 
 def force_on_half_plane_n(depth_mm: float, inside_mm: float) -> float:
@@ -111,7 +111,7 @@ def columns(x_mm: FloatArray, most_sunk: float = MOST_SUNK) -> tuple[FloatArray,
     path = program(at, at, np.pi / 2)
     gamma = np.full(len(x_mm), 0.87)
     shallow = HertzSpot(ToolProcess(viscosity_mpa_s=0.0, second_viscosity_mpa_s=0.0))
-    found = rim_contact(PAPER, Straight(np.inf), contact_centres_mm(shallow, path, gamma), gamma, most_sunk)
+    found = rim_contact(PAPER, Straight(1.0), contact_centres_mm(shallow, path, gamma), gamma, most_sunk)
     matrix = effect_matrix(grid, shallow, path, found.depth_ratio, np.ones(len(x_mm)))
     return matrix.toarray().T.reshape(-1, *grid.shape) * part, grid
 

@@ -9,6 +9,7 @@ import pytest
 
 from polishd.model.errors import BadMap
 from polishd.model.instrument import Instrument
+from polishd.model.outline import Circle
 from polishd.model.surface import Grid, SurfaceMap
 from polishd.process.registration import Registration, marks, outline, register, resample_registered
 from tests.unit.process.placed_parts import MARKS_MM, disc, on_part, punched, seen_px
@@ -142,7 +143,7 @@ def test_too_little_rim_is_refused() -> None:
 
 @pytest.mark.parametrize("by", ["aperture", "fiducials", "both"])
 def test_each_way_finds_the_part(by: str) -> None:
-    found = register(part(), replace(PROFILE, register_by=by), 100.0)
+    found = register(part(), replace(PROFILE, register_by=by), Circle(50.0))
     assert found.by == by
     assert off_px(found) < 0.1
     assert found.rotation_deg == pytest.approx(0 if by == "aperture" else 0.8, abs=0.02)
@@ -150,16 +151,16 @@ def test_each_way_finds_the_part(by: str) -> None:
 
 
 def test_nothing_is_done_where_nothing_is_asked() -> None:
-    assert register(part(), None, 104.0) == Registration()
-    assert register(part(), replace(PROFILE, register_by="none"), 104.0) == Registration()
+    assert register(part(), None, Circle(52.0)) == Registration()
+    assert register(part(), replace(PROFILE, register_by="none"), Circle(52.0)) == Registration()
 
 
 def test_marks_that_the_file_lists_are_taken_first() -> None:
     listed = tuple((float(r), float(c)) for r, c in seen_px(MARKS_MM, GRID, 1.5, (0.2, 0.1)))
-    found = register(replace(part(), fiducials_px=listed), replace(PROFILE, register_by="fiducials"), 104.0)
+    found = register(replace(part(), fiducials_px=listed), replace(PROFILE, register_by="fiducials"), Circle(52.0))
     assert found.rotation_deg == pytest.approx(1.5)
     with pytest.raises(BadMap, match="by its outline"):
-        register(replace(part(), fiducials_px=tuple((r - 4, c) for r, c in listed)), PROFILE, 104.0)
+        register(replace(part(), fiducials_px=tuple((r - 4, c) for r, c in listed)), PROFILE, Circle(52.0))
 
 
 @pytest.mark.parametrize(
@@ -168,26 +169,26 @@ def test_marks_that_the_file_lists_are_taken_first() -> None:
 )
 def test_limits(turn_deg: float, shift_mm: tuple[float, float], match: str) -> None:
     with pytest.raises(BadMap, match=match):
-        register(part(turn_deg, shift_mm), PROFILE, 104.0)
+        register(part(turn_deg, shift_mm), PROFILE, Circle(52.0))
 
 
 def test_a_mirrored_map_is_named() -> None:
     seen = part()
     with pytest.raises(BadMap, match="mirror image"):
-        register(seen.with_height(seen.height_nm[:, ::-1]), PROFILE, 104.0)
+        register(seen.with_height(seen.height_nm[:, ::-1]), PROFILE, Circle(52.0))
 
 
 def test_drift_is_judged_against_the_last_map() -> None:
-    last = register(part(), PROFILE, 104.0)
-    assert register(part(0.8, (0.7, -0.5)), PROFILE, 104.0, last).drift_mm(last) == pytest.approx(0.29, abs=0.03)
+    last = register(part(), PROFILE, Circle(52.0))
+    assert register(part(0.8, (0.7, -0.5)), PROFILE, Circle(52.0), last).drift_mm(last) == pytest.approx(0.29, abs=0.03)
     with pytest.raises(BadMap, match=r"0\.6\d\d mm from where the last map"):
-        register(part(0.8, (1.0, -0.3)), PROFILE, 104.0, last)
-    assert register(part(0.8, (1.0, -0.3)), PROFILE, 104.0, Registration()).distance_mm > 1
+        register(part(0.8, (1.0, -0.3)), PROFILE, Circle(52.0), last)
+    assert register(part(0.8, (1.0, -0.3)), PROFILE, Circle(52.0), Registration()).distance_mm > 1
 
 
 def test_without_a_scale_nothing_is_registered() -> None:
     with pytest.raises(BadMap, match="lateral scale"):
-        register(replace(part(), pitch_mm=None), PROFILE, 104.0)
+        register(replace(part(), pitch_mm=None), PROFILE, Circle(52.0))
 
 
 # into the part's frame
@@ -250,7 +251,7 @@ def test_registered_maps_of_one_part_agree() -> None:
     truth = disc(target, 100.0)
     for turn_deg, shift_mm in ((0.0, (0.0, 0.0)), (1.7, (1.1, -0.9)), (-1.2, (-0.4, 1.3))):
         seen = part(turn_deg, shift_mm, holes_px=9)
-        mapped = resample_registered(seen.height_nm, seen.grid, target, register(seen, PROFILE, 104.0))
+        mapped = resample_registered(seen.height_nm, seen.grid, target, register(seen, PROFILE, Circle(52.0)))
         inner = (target.radius_mm() < 45) & np.isfinite(mapped)
         difference = (mapped - truth)[inner]
         assert np.sqrt(np.mean(difference**2)) < 0.35  # of 35 nm RMS; a cell's average is not its middle

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from polishd.model.errors import BadMap
+from polishd.model.outline import Circle
 from polishd.model.surface import Grid, SurfaceMap
 from polishd.plugins.interferometer.formats.metropro import METROPRO
 from polishd.process.conditioning import condition
@@ -83,7 +84,7 @@ def test_islands_go_and_pieces_of_the_part_stay() -> None:
 def test_a_map_is_conditioned_without_its_spikes() -> None:
     spiked = SMOOTH.copy()
     spiked[40, 50] += 3e4
-    arguments = {"aperture_mm": 50.0, "edge_mm": 3.0, "grid_mm": 1.0}
+    arguments = {"outline": Circle(25.0), "edge_mm": 3.0, "grid_mm": 1.0}
     found = {mads: cleaned(SurfaceMap(spiked, 0.5), mads) for mads in (0.0, 12.0)}
     assert [count for _, count in found.values()] == [0, 1]
     assert cleaned(SurfaceMap(SMOOTH, 0.5), 12.0)[1] == 0

@@ -103,7 +103,7 @@ def test_a_free_rim_reaches_the_removal_model() -> None:
     ring, rim = (request.rim for request in seen)
     assert ring is None
     assert rim is not None
-    np.testing.assert_allclose(rim.inside_mm(np.array([[0.0, 0.0], [APERTURE_MM / 2 + 1, 0.0]])), [12.0, -1.0])
+    np.testing.assert_allclose(rim.inside_mm(np.array([0.0, APERTURE_MM / 2 + 1]), np.zeros(2)), [12.0, -1.0])
 
 
 def test_the_certificate_says_what_is_out_of_reach() -> None:

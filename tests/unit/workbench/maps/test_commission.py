@@ -71,6 +71,18 @@ def test_a_true_map_is_recorded(polishd: Polishd, ours: Path, good: Path) -> Non
     assert "edited after" in load_profile(ours).unproved
 
 
+def test_what_a_mask_leaves_out_spoils_no_proof(polishd: Polishd, tmp_path: Path) -> None:
+    """Of a profile that turns: the mask lies on what it makes of the file."""
+    ours = profile(tmp_path / "p.toml", "[orientation]\nrotation_deg = 90")
+    height = np.where(np.hypot(*np.mgrid[-44.5:45, -44.5:45]) < 46, artefact(), np.nan)
+    height[:, :8] += 5000.0  # a clamp at the artefact's left
+    file = dat(tmp_path / "clamped.dat", np.rot90(height, -1), part="artefact")
+    assert polishd("map", "commission", ours, file).code == 8
+    said = polishd("map", "commission", ours, file, "--mask", "not:rectangle:-22,0,8,60")
+    assert (said.code, said.err) == (0, "")
+    assert "mask not:rectangle:-22,0,8,60 holds " in said.out
+
+
 def test_proved_again_it_has_one_record(polishd: Polishd, ours: Path, good: Path) -> None:
     for _ in range(2):
         assert polishd("map", "commission", ours, good).code == 0

@@ -19,6 +19,7 @@ from polishd.config.cell import load_config
 from polishd.config.sections import InstrumentSection
 from polishd.hooks.loader import load_own
 from polishd.model.errors import ComputeError, ConfigError, PolishdError, ProgramError
+from polishd.model.outline import hexagon, polygon
 from polishd.model.process import FLAT, Optic
 from polishd.model.program import Program
 from polishd.model.surface import Grid
@@ -161,6 +162,28 @@ def test_a_mask_out_of_a_map(tmp_path: Path) -> None:
     assert map_file.read_bytes() == measured
 
 
+@pytest.mark.parametrize("aperture", ["hexagon:30", "polygon:corners.csv", None])
+def test_a_part_that_is_not_round_is_covered_as_far_as_it_goes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, aperture: str | None
+) -> None:
+    """By the option, or because the cell's part is so: from the overrun on, no line runs over what is not the part."""
+    monkeypatch.chdir(tmp_path)
+    outline = hexagon(30) if aperture == "hexagon:30" else polygon([(15, 10), (-15, 10), (-12, -10), (12, -10)])
+    Path("corners.csv").write_text("x_mm,y_mm\n" + "".join(f"{x},{y}\n" for x, y in outline.corners()))
+    words = ["--aperture", aperture]
+    if aperture is None:
+        text = EXAMPLE.read_text().replace("aperture_mm = 100.0", 'polygon_file = "corners.csv"')
+        Path("cell.toml").write_text(text)
+        words = ["--cell", "cell.toml", "--landing", "5"]
+    _, program = made(tmp_path, "raster", *words, "--pitch", "1", "--overrun", "1")
+    inside = outline.inside_mm(*program.end_mm[3:-3, :2].T)
+    assert inside.min() > -3.5
+    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(-18, 18, 73), np.linspace(-18, 18, 73)))
+    on_part = outline.contains(x, y)
+    near = np.hypot(x[on_part, None] - program.end_mm[:, 0], y[on_part, None] - program.end_mm[:, 1]).min(axis=1)
+    assert near.max() < 0.8
+
+
 def test_a_cell_says_what_is_not_asked_for(tmp_path: Path) -> None:
     text = EXAMPLE.read_text()
     for key, value in (
@@ -183,7 +206,7 @@ def test_a_cell_says_what_is_not_asked_for(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         dips_deg(part.axis, unit_normals(Optic(400.0), plane)), config.process.dip_deg, atol=1e-3
     )
-    assert np.hypot(*plane.T).max() > config.part.aperture_mm / 2
+    assert np.hypot(*plane.T).max() > config.outline().radius_mm
     assert said["largest_turn_deg"] < 5
     assert said["not_checked"] == []
 

@@ -63,6 +63,13 @@ def test_passes_add_up(tmp_path: Path) -> None:
     assert ten.slope == pytest.approx(one.slope, rel=1e-9)
 
 
+def test_a_part_that_is_not_round_is_studied_over_its_own_outline(tmp_path: Path) -> None:
+    path = variant(tmp_path, FIG_12, ("aperture_mm = 200.0", "rectangle_mm = [40.0, 24.0]"))
+    found = polish(path)
+    assert np.count_nonzero(found.metric_mask) * found.grid.pitch_mm**2 == pytest.approx(30 * 14, rel=0.01)
+    assert found.grid.nx > 1.3 * found.grid.ny
+
+
 def test_gamma_at_a_sample_is_that_of_the_point_there(tmp_path: Path) -> None:
     scene = make_scene(study_of(small(tmp_path)))
     inside = scene.grid.radius_mm() <= 28.0

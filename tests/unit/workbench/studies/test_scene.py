@@ -30,7 +30,7 @@ def scene() -> Scene:
 
 def test_points_are_the_nodes_within_the_radius_in_running_order() -> None:
     lattice = Grid(9, 9, 1.0)
-    points = lattice_points(lattice, 3.2)
+    points = lattice_points(lattice, lattice.radius_mm() <= 3.2)
     assert len(points) == np.count_nonzero(lattice.radius_mm() <= 3.2)
     assert (np.hypot(points[:, 0], points[:, 1]) <= 3.2).all()
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
