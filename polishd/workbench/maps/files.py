@@ -34,6 +34,8 @@ class MapSource:
     instrument: Instrument | None = None
     masks: tuple[Mask, ...] = ()
     """Laid over each map, as the profile turns it."""
+    partly: bool = True
+    """The profile need not say all that a file leaves open: enough to look."""
 
     @classmethod
     def of(
@@ -42,6 +44,8 @@ class MapSource:
         profile: Path | None = None,
         as_format: str | None = None,
         masks: Sequence[str] | None = None,
+        *,
+        partly: bool = True,
     ) -> MapSource:
         """The cell's plugins, without a cell polishd's own; ConfigError or PluginError where a file is broken.
 
@@ -52,10 +56,10 @@ class MapSource:
         readers = readers_for(cell)
         asked = tuple(readers.values()) if as_format is None else _of_format(readers, as_format)
         if profile is None:
-            return cls(readers, asked, None, laid)
+            return cls(readers, asked, None, laid, partly)
         from polishd.config.profile import load_profile
 
-        return cls(readers, asked, load_profile(profile).instrument, laid)
+        return cls(readers, asked, load_profile(profile).instrument, laid, partly)
 
     def read(self, path: Path) -> SurfaceMap:
         """A map, as it is or as far as the profile says, within the masks; BadMap where it cannot be had."""
@@ -73,7 +77,7 @@ class MapSource:
             return surface
         from polishd.process.instrument import as_profiled
 
-        return as_profiled(surface, self.instrument, partly=True)
+        return as_profiled(surface, self.instrument, partly=self.partly)
 
 
 def readers_for(cell: Path | None = None) -> Mapping[str, SurfaceReader]:
