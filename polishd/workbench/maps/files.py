@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -37,29 +37,26 @@ class MapSource:
     def of(cls, cell: Path | None = None, profile: Path | None = None, masks: Sequence[str] | None = None) -> MapSource:
         """The cell's plugins, without a cell polishd's own; ConfigError or PluginError where a file is broken.
 
-        BadParameter where one of the masks, as ``--mask`` has them, is none.
+        Of a mask, as ``--mask`` has it, that is none: what ``Mask.of`` raises.
         """
-        laid = tuple(Mask.of(text) for text in masks or ())
-        if profile is None:
-            return cls(readers_for(cell), None, laid)
-        from polishd.config.profile import load_profile
+        instrument = None
+        if profile is not None:
+            from polishd.config.profile import load_profile
 
-        instrument = load_profile(profile).instrument
-        return cls(readers_for(cell), instrument, laid)
+            instrument = load_profile(profile).instrument
+        source = cls(readers_for(cell), instrument)
+        return replace(source, masks=tuple(Mask.of(text, source.read) for text in masks or ()))
 
     def read(self, path: Path) -> SurfaceMap:
         """A map, as it is or as the profile says, within the masks; BadMap where it cannot be had."""
-        return masked(self._whole(path), self.masks, self._whole)
-
-    def _whole(self, path: Path) -> SurfaceMap:
         if path.exists() and not path.is_file():
             raise BadMap(f"{path}: is {'a folder' if path.is_dir() else 'no file'}; name a map file")
         surface = read_map(path, self.readers.values())
-        if self.instrument is None:
-            return surface
-        from polishd.process.instrument import as_profiled
+        if self.instrument is not None:
+            from polishd.process.instrument import as_profiled
 
-        return as_profiled(surface, self.instrument)
+            surface = as_profiled(surface, self.instrument)
+        return masked(surface, self.masks)
 
 
 def readers_for(cell: Path | None = None) -> Mapping[str, SurfaceReader]:
