@@ -35,7 +35,7 @@ CORNERS = "x_mm,y_mm\n13,15\n-13,15\n-13,-15\n3,-15\n13,-3\n"
 
 def write_files(out: Path, name: str) -> DemoFiles:
     """The demo's cell with such a part, which it finds in its maps by its outline."""
-    files = write_small(out, tolerance_nm=4.0, max_cycles=3)
+    files = write_small(out, touch_off=True, tolerance_nm=4.0, max_cycles=3)
     key = OUTLINES[name][0]
     (out / "corners.csv").write_text(CORNERS)
     corners = [list(map(float, line.split(","))) for line in CORNERS.splitlines()[1:]]
@@ -104,4 +104,6 @@ def test_it_is_polished_to_its_tolerance(tmp_path: Path) -> None:
             assert daemon.wait() == 0, daemon.output.read_text()
         told = summary(files)
         assert told["outcome"] == "in_tolerance"
+        assert told["outline"] == "a rectangle of 40 x 24 mm"
+        assert (files.run_dir / "cycle-00" / "touch_off.json").exists()
         assert told["cycles"][-1]["rms_nm"] == pytest.approx(events(files, "measured")[-1]["true_rms_nm"], abs=0.4)

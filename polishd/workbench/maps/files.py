@@ -49,23 +49,21 @@ class MapSource:
     ) -> MapSource:
         """The cell's plugins, without a cell polishd's own; ConfigError or PluginError where a file is broken.
 
-        ``as_format``: read files as this format or ending, whatever they are called. BadParameter where it is none, or
-        where one of the masks, as ``--mask`` has them, is none.
+        ``as_format``: read files as this format or ending, whatever they are called; BadParameter where it is none. Of
+        a mask, as ``--mask`` has it, that is none: what ``Mask.of`` raises.
         """
-        laid = tuple(Mask.of(text) for text in masks or ())
         readers = readers_for(cell)
         asked = tuple(readers.values()) if as_format is None else _of_format(readers, as_format)
-        if profile is None:
-            return cls(readers, asked, None, laid, partly)
-        from polishd.config.profile import load_profile
+        instrument = None
+        if profile is not None:
+            from polishd.config.profile import load_profile
 
-        return cls(readers, asked, load_profile(profile).instrument, laid, partly)
+            instrument = load_profile(profile).instrument
+        source = cls(readers, asked, instrument, partly=partly)
+        return replace(source, masks=tuple(Mask.of(text, source.read) for text in masks or ()))
 
     def read(self, path: Path) -> SurfaceMap:
         """A map, as it is or as far as the profile says, within the masks; BadMap where it cannot be had."""
-        return masked(self._whole(path), self.masks, self._whole)
-
-    def _whole(self, path: Path) -> SurfaceMap:
         try:
             odd = path.exists() and not path.is_file()
         except OSError as error:  # a name that is too long, a folder that may not be entered
@@ -73,11 +71,11 @@ class MapSource:
         if odd:
             raise BadMap(f"{path}: is {'a folder' if path.is_dir() else 'no file'}; name a map file")
         surface = read_map(path, self.asked)
-        if self.instrument is None:
-            return surface
-        from polishd.process.instrument import as_profiled
+        if self.instrument is not None:
+            from polishd.process.instrument import as_profiled
 
-        return as_profiled(surface, self.instrument, partly=self.partly)
+            surface = as_profiled(surface, self.instrument, partly=self.partly)
+        return masked(surface, self.masks)
 
 
 def readers_for(cell: Path | None = None) -> Mapping[str, SurfaceReader]:

@@ -30,64 +30,60 @@ class Mask:
 
     text: str
     """As it was given."""
-    inside: Inside | None
-    """None: what the map ``path`` has."""
-    path: Path
+    what: Inside | SurfaceMap
+    """A shape, or a map: where it has data."""
     inverted: bool = False
     in_px: bool = False
 
     @classmethod
-    def of(cls, text: str) -> Mask:
-        """From what stands behind ``--mask``.
+    def of(cls, text: str, read: Callable[[Path], SurfaceMap]) -> Mask:
+        """From what stands behind ``--mask``; ``read`` reads a map that it names, as those are that it is laid over.
 
         Raises:
             BadParameter: it is no mask.
             ConfigError: a file of corners that cannot be read, with its line.
+            SurfaceError: a map that cannot be.
         """
         marks: set[str] = set()
         kind, _, rest = text.partition(":")
         while kind in ("not", "px") and kind not in marks:
             marks.add(kind)
             kind, _, rest = rest.partition(":")
-        in_px, inside = "px" in marks, None
+        in_px, inverted = "px" in marks, "not" in marks
         if kind == "polygon" and rest:
             from polishd.config.tables import read_polygon  # which most calls can do without
 
             outline = read_polygon(Path(rest), ("column", "row") if in_px else ("x_mm", "y_mm"))
-            inside = _about((0.0, 0.0), outline)
-        elif kind == "map" and rest:
+            return cls(text, _about((0.0, 0.0), outline), inverted, in_px)
+        if kind == "map" and rest:
             if in_px:
                 raise typer.BadParameter(f"--mask {text!r}: a map has its own samples; leave out px:")
-        else:
-            inside = _shape(text, kind, rest)
-        return cls(text, inside, Path(rest), "not" in marks, in_px)
+            return cls(text, read(Path(rest)), inverted)
+        return cls(text, _shape(text, kind, rest), inverted, in_px)
 
-    def holds(self, surface: SurfaceMap, read: Callable[[Path], SurfaceMap]) -> BoolArray:
+    def holds(self, surface: SurfaceMap) -> BoolArray:
         """(ny, nx) samples of a map that lie in it. BadMap where nobody can say."""
-        if self.inside is None:
-            found = _valid_on(surface, read(self.path))
+        if isinstance(self.what, SurfaceMap):
+            found = _valid_on(surface, self.what)
         elif self.in_px:
             ny, nx = surface.height_nm.shape
-            found = self.inside(np.arange(float(nx))[None, :], np.arange(float(ny))[:, None])
+            found = self.what(np.arange(float(nx))[None, :], np.arange(float(ny))[:, None])
         elif surface.pitch_mm is None:
             raise BadMap(f"{surface.path}: has no lateral scale for --mask {self.text}; give the instrument's "
                          f"--profile, or the mask in pixels: px:{self.text.removeprefix('not:')}")  # fmt: skip
         else:
-            found = self.inside(*surface.grid.axes_mm)
+            found = self.what(*surface.grid.axes_mm)
         return np.asarray(found != self.inverted)
 
 
-def masked(surface: SurfaceMap, masks: Sequence[Mask], read: Callable[[Path], SurfaceMap]) -> SurfaceMap:
-    """The map without what lies outside any of the masks, and how many samples each holds.
-
-    ``read`` gives the map that a mask names, as this one was read. BadMap where no sample is left.
-    """
+def masked(surface: SurfaceMap, masks: Sequence[Mask]) -> SurfaceMap:
+    """The map without what lies outside any of them, and how many samples each holds; BadMap where none is left."""
     if not masks:
         return surface
     valid = surface.valid
     left, counts = valid.copy(), []
     for mask in masks:
-        held = mask.holds(surface, read) & valid
+        held = mask.holds(surface) & valid
         counts.append(MaskCount(mask.text, int(np.count_nonzero(held)), int(np.count_nonzero(valid))))
         if not held.any():
             raise BadMap(f"{surface.path}: --mask {mask.text} holds none of its {counts[-1].of} samples with data; "

@@ -147,6 +147,18 @@ def test_run_refuses_what_differs_before_it_asks_a_device(cell: Path) -> None:
     assert "part.edge_mm: is 7.5, the job 'demo' was begun with" in said.stderr.replace("\n", " ")
 
 
+def test_another_outline_in_the_same_file_is_another_part(cell: Path) -> None:
+    text = cell.read_text()
+    cell.write_text(text.replace("aperture_mm = 100.0", 'polygon_file = "corners.csv"'))
+    corners = cell.parent / "corners.csv"
+    corners.write_text("x_mm,y_mm\n40,30\n-40,30\n-40,-30\n")
+    begin(cell)
+    go_on(cell)
+    corners.write_text("x_mm,y_mm\n40,30\n-40,30\n-40,-31\n")
+    with pytest.raises(ConfigError, match=r"part\.polygon_file: .*corners\.csv"):
+        go_on(cell)
+
+
 def test_terms_are_json_and_hold_every_value(cell: Path) -> None:
     config = load_config(cell)
     terms = terms_of(config, "aa" * 32)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.model.errors import ComputeError
-from polishd.model.outline import Circle, Lengths
+from polishd.model.outline import Circle, Lengths, rectangle
 from polishd.model.process import ToolProcess
 from polishd.model.surface import FloatArray, Grid
 from polishd.process import contact
@@ -176,3 +176,13 @@ def test_what_cannot_be_is_refused() -> None:
             rim_contact(PAPER, RIM, at, np.array([1.0, gamma]))
     with pytest.raises(ComputeError, match="point 0: the distance from the rim"):
         rim_contact(PAPER, RIM, np.array([[np.nan, 0.0], [0.0, 0.0]]), np.ones(2))
+
+
+def test_a_straight_side_of_a_polygon_is_a_straight_rim() -> None:
+    """Away from its corners; over the rim of a hole the bonnet sinks as over the outer one."""
+    inside = np.linspace(-1.5, 1.5, 31) * A
+    along = np.stack([np.linspace(-20, 20, 31), 15.0 - inside], axis=1)
+    found = rim_contact(PAPER, rectangle(100, 30), along, np.ones(31))
+    np.testing.assert_allclose(found.depth_ratio, np.minimum(sinking(inside / A), MOST_SUNK), rtol=1e-12)
+    hole = rim_contact(PAPER, Circle(50.0, 20.0), np.stack([20.0 + inside, 0 * inside], axis=1), np.ones(31))
+    np.testing.assert_allclose(hole.depth_ratio, found.depth_ratio, rtol=1e-12)

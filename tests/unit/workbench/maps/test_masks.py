@@ -143,6 +143,12 @@ def test_corners_that_are_none_are_named_with_their_line(
     assert says in said.err
 
 
+def test_a_map_that_is_none_is_said_once(polishd: Polishd, shown: Path) -> None:
+    said = polishd("map", shown, shown, "--mask", "map:none.dat")
+    assert said.code == 8
+    assert said.err.count("none.dat: cannot be read") == 1
+
+
 def test_a_mask_that_holds_nothing_is_named(polishd: Polishd, shown: Path) -> None:
     said = polishd("map", shown, "--mask", "circle:200,0,5")
     assert said.code == 8
