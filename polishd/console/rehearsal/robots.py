@@ -14,6 +14,11 @@ from polishd.console.rehearsal.text import toml
 SPEED = {"linuxcnc": 1.0, "universal_robots": 4.0, "handover": 8.0}
 USUAL_SPEED = 10.0
 """Process seconds per wall second: what each controller's own clock, and the daemon's looks at it, bear."""
+NOT_SIMULATED = (
+    "controller_dir", "user", "password", "certificate", "private_key", "server_certificate", "delivery_password",
+    "known_hosts",
+)  # fmt: skip
+"""Keys of a handover: its simulated controller lets everybody in, and reads a folder."""
 OTHER_LANGUAGES = ("fanuc-tp", "krl", "rapid", "urscript")
 WINDOW, MOST_SPEED = 16384, 60
 """Blocks that a simulated controller holds ahead, and up to which speed that is enough."""
@@ -148,7 +153,7 @@ def _handover(draft: Draft, device: str) -> None:
     address = {"opcua": f"opc.tcp://{LOOPBACK}:{port}", "ads": f"ads://{host}/{host}.1.1:851"}
     draft.laid[f"{device}.address"] = address.get(profile.link, f"tcp://{LOOPBACK}:{port}")
     draft.laid[f"{device}.delivery"] = f"folder:{SIM_STATE}/programs"
-    for key in ("controller_dir", "user", "password", "delivery_password", "known_hosts"):
+    for key in NOT_SIMULATED:
         draft.laid[f"{device}.{key}"] = None
     if not options["delivery"].startswith("folder:"):
         draft.notes.append(f"{device}.delivery: the simulated controller reads a folder: nothing goes by FTP or SFTP")

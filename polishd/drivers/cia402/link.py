@@ -14,6 +14,7 @@ from polishd.drivers.cia402.dictionary import Dictionary, abort_text
 from polishd.drivers.transport.address import Slcan, Socketcand
 from polishd.drivers.transport.background import Background, Ready
 from polishd.drivers.transport.can_bus import CanBus, CanFrame, open_bus
+from polishd.drivers.transport.can_nodes import Heard
 from polishd.drivers.transport.requests import RequestQueue
 
 OPEN_S = 1.0
@@ -44,6 +45,7 @@ class DriveLink(Background):
         self._silence_s = silence_s
         self._queue = RequestQueue(self.name)
         self._bus: CanBus | None = None
+        self._heard = Heard()
         self._asked: tuple[Request, asyncio.Future[SdoAnswer]] | None = None
         self._broken: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         self._beat_at: float | None = None
@@ -142,7 +144,7 @@ class DriveLink(Background):
 
     def _unanswered(self, within_s: float) -> str:
         said = super()._unanswered(within_s)
-        return said if self._answered or self._bus is None else f"{said}; {self._bus.unheard(self._node)}"
+        return said if self._answered else f"{said}; {self._heard.without(self._node, self._address)}"
 
     async def _run(self, ready: Ready) -> None:
         if self._bus is None:
@@ -184,6 +186,7 @@ class DriveLink(Background):
             self.emergency = emergency
 
     def _on_frame(self, frame: CanFrame) -> None:
+        self._heard.add(frame)
         message = codec.decode(self._node, frame)
         if isinstance(message, Heartbeat):
             self._booted = self._booted or message.state is NodeState.BOOT

@@ -11,6 +11,7 @@ from polishd.drivers.spindle_can.codec import DriveObject, DriveStatus, Heartbea
 from polishd.drivers.transport.address import Slcan, Socketcand
 from polishd.drivers.transport.background import Background, Ready
 from polishd.drivers.transport.can_bus import CanBus, CanFrame, open_bus
+from polishd.drivers.transport.can_nodes import Heard
 
 OPEN_S = 1.0
 REPEAT_S = 0.1
@@ -32,6 +33,7 @@ class DriveLink(Background):
         self._sdo = asyncio.Lock()
         self._uploads: dict[DriveObject, asyncio.Future[SdoAnswer]] = {}
         self._bus: CanBus | None = None
+        self._heard = Heard()
         self._status: DriveStatus | None = None
         self._status_at = self._beat_at = -1.0
         self._beating = False
@@ -114,7 +116,7 @@ class DriveLink(Background):
     def _unanswered(self, within_s: float) -> str:
         said = super()._unanswered(within_s)
         heard = self._status is not None and self._beating
-        return said if heard or self._bus is None else f"{said}; {self._bus.unheard(self._node)}"
+        return said if heard else f"{said}; {self._heard.without(self._node, self._address)}"
 
     async def _run(self, ready: Ready) -> None:
         if self._bus is None:
@@ -152,6 +154,7 @@ class DriveLink(Background):
             self._bus.send(frame)
 
     def _on_frame(self, frame: CanFrame) -> None:
+        self._heard.add(frame)
         message = codec.decode(self._node, frame)
         now = time.monotonic()
         if isinstance(message, DriveStatus):

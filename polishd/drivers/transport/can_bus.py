@@ -27,8 +27,6 @@ SEND_S = 0.3
 EMPTY_READS = 3
 """A serial line that was readable and then had nothing: on a loaded machine once, on a dead one for ever."""
 
-OF_NODES = frozenset({1, 3, 5, 7, 9, 11, 14})
-"""Function codes of CiA 301 that a node sends by: emergency, process data, answers to SDO, heartbeat."""
 BUS_OFF = 0x40
 """Class of an error frame: the adapter has left the bus."""
 
@@ -52,7 +50,7 @@ async def open_bus(address: Slcan | Socketcand) -> CanBus:
     except (can.CanError, OSError, ValueError) as error:
         port = isinstance(address, Slcan) and error.__cause__
         raise LinkError(f"{address}: {why_closed(port, 'such baud rate') if port else error}") from error
-    return CanBus(address, bus)
+    return CanBus(str(address), bus)
 
 
 async def _greeted(address: Socketcand) -> None:
@@ -158,13 +156,10 @@ class PromptSlcan(slcanBus):
 class CanBus:
     """An open bus. What is received goes to a callback; errors end ``receive`` with LinkError."""
 
-    def __init__(self, address: Slcan | Socketcand, bus: can.BusABC) -> None:
-        self._name = str(address)
-        self._address = address
+    def __init__(self, name: str, bus: can.BusABC) -> None:
+        self._name = name
         self._bus = bus
         self._empty = 0
-        self._nodes: set[int] = set()
-        """Those that were heard."""
 
     def send(self, frame: CanFrame) -> None:
         """Hand over a frame; LinkError where the adapter takes none."""
@@ -182,15 +177,6 @@ class CanBus:
             await self._receive_in_thread(on_frame)
         else:
             await self._receive_when_ready(fileno, on_frame)
-
-    def unheard(self, node: int) -> str:
-        """Of a node that does not answer: what is most likely wrong, and what to do."""
-        if node in self._nodes:
-            return f"node {node} is there, but is no such device: is it another one?"
-        if self._nodes:
-            return f"heard are nodes {', '.join(map(str, sorted(self._nodes)))}: see the node number"
-        adapter = f", and the adapter's {self._address.baud} baud" if isinstance(self._address, Slcan) else ""
-        return f"nothing is heard on the bus: see power, bit rate, wires and termination{adapter}"
 
     async def close(self) -> None:
         """Leave the bus; what is dead already is left as it is."""
@@ -252,8 +238,6 @@ class CanBus:
         if message is None or message.is_extended_id or message.is_remote_frame or message.is_error_frame:
             return None
         self._empty = 0
-        if message.arbitration_id >> 7 in OF_NODES and message.arbitration_id & 0x7F:
-            self._nodes.add(message.arbitration_id & 0x7F)
         return CanFrame(message.arbitration_id, bytes(message.data))
 
     def _flush(self, bus: slcanBus) -> None:

@@ -165,12 +165,13 @@ def test_a_measured_spot_and_a_measured_robot_come_along(tmp_path: Path) -> None
 )
 def test_a_controller_that_loads_files(tmp_path: Path, profile: str, address: str, kind: str) -> None:
     keys = f'type = "handover"\nprofile = "{profile}"\naddress = "{address}"\ndelivery = "sftp://me@10.0.0.2/nc"'
-    draft = made(tmp_path, robot(f'{keys}\ndelivery_password = "env:SECRET"'), ', "handover"')
+    secrets = 'delivery_password = "env:SECRET"\nserver_certificate = "plc.der"'
+    draft = made(tmp_path, robot(f"{keys}\n{secrets}"), ', "handover"')
     sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)
     assert sim.robot.kind == kind
     assert "127." in other["robot.address"]
     assert other["robot.delivery"] == "folder:sim/programs"
-    assert other["robot.delivery_password"] is None
+    assert other["robot.delivery_password"] is other["robot.server_certificate"] is None
     stands_in = profile == "twincat-nci"
     assert any("the simulated controller has the variables of plc-ads" in note for note in draft.notes) == stands_in
     assert ("controller.toml" in draft.files) == stands_in
