@@ -123,10 +123,10 @@ class _Writer:
             if one is None:
                 return
             self._file.write(passed_line(one, self._began_s))
+            if self._raw.tell() > self._limit:
+                self._file.write(note_line(one.at_s - self._began_s, "full", self._limit))
+                log.warning("%s: has %d bytes, its limit; nothing more is recorded", self._path, self._limit)
+                return
             if time.monotonic() - flushed_s > FLUSH_S:
                 self._file.flush()
                 flushed_s = time.monotonic()
-                if self._raw.tell() > self._limit:
-                    self._file.write(note_line(one.at_s - self._began_s, "full", self._limit))
-                    log.warning("%s: has %d bytes, its limit; nothing more is recorded", self._path, self._limit)
-                    return

@@ -17,7 +17,7 @@ from pathlib import Path
 from polishd.model.errors import ConfigError
 from polishd.ports.tap import Passed
 from polishd.ports.wire_file import Recording, read_recording
-from polishd.testing.replay_script import Exchange, Mismatch, Script, exchanges
+from polishd.testing.replay_script import Exchange, Script, exchanges
 
 Send = Callable[[bytes], None]
 
@@ -28,14 +28,16 @@ class Link:
     def __init__(self, script: Script, *, paced: bool) -> None:
         self.endpoint = ""
         """The address for the driver's options."""
-        self.mismatch: Mismatch | None = None
+        self.mismatch: AssertionError | None = None
         """The first one; the link is closed over it, and the block raises it."""
         self._script, self._paced = script, paced
         self._got = b""
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._loop = asyncio.get_running_loop()
+        self._timers: list[asyncio.TimerHandle] = []
 
     def connected(self, send: Send, close: Callable[[], None]) -> None:
         """The driver opened it."""
+        self.end()
         self._got, self._send, self._close = b"", send, close
         if (greeting := self._script.opened()) is not None:
             self._serve(greeting, b"")
@@ -43,37 +45,41 @@ class Link:
     def came(self, data: bytes) -> None:
         """The driver sent that."""
         self._got += data
-        try:
-            while self._got and (end := self._script.dialect.cut(self._got)) is not None:
-                message, self._got = self._got[:end], self._got[end:]
-                self._serve(self._script.asked(message), message)
-        except Mismatch as error:
-            self.mismatch = self.mismatch or error
-            self._got = b""
-            self._close()
+        while self._got and (end := self._script.dialect.cut(self._got)) is not None:
+            message, self._got = self._got[:end], self._got[end:]
+            try:
+                exchange = self._script.asked(message)
+            except AssertionError as error:
+                self.mismatch = self.mismatch or error
+                self._hang_up()
+                return
+            self._serve(exchange, message)
 
     def end(self) -> None:
         """Nothing more is sent."""
-        for task in self._tasks:
-            task.cancel()
+        for timer in self._timers:
+            timer.cancel()
+        self._timers.clear()
+
+    def _hang_up(self) -> None:
+        self._got = b""
+        self.end()
+        self._close()
 
     def _serve(self, exchange: Exchange, asked: bytes) -> None:
-        if self._paced:
-            task = asyncio.create_task(self._in_time(exchange, asked))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
-            return
-        self._answer(exchange, b"".join(data for _, data in exchange.came), asked)
+        came = exchange.came if self._paced else [(0.0, b"".join(data for _, data in exchange.came))]
+        for after_s, data in came:
+            self._later(after_s, self._answer, exchange, data, asked)
         if exchange.cut:
-            self._close()
+            self._later(max((after_s for after_s, _ in came), default=0.0), self._hang_up)
 
-    async def _in_time(self, exchange: Exchange, asked: bytes) -> None:
-        began_s = asyncio.get_running_loop().time()
-        for after_s, data in exchange.came:
-            await asyncio.sleep(max(began_s + after_s - asyncio.get_running_loop().time(), 0.0))
-            self._answer(exchange, data, asked)
-        if exchange.cut:
-            self._close()
+    def _later(self, after_s: float, act: Callable[..., None], *given: object) -> None:
+        """At once where nothing is paced."""
+        if not self._paced:
+            act(*given)
+            return
+        self._timers = [timer for timer in self._timers if timer.when() > self._loop.time()]
+        self._timers.append(self._loop.call_later(after_s, act, *given))
 
     def _answer(self, exchange: Exchange, data: bytes, asked: bytes) -> None:
         if data:
@@ -88,7 +94,7 @@ async def replayed(recording: Path, role: str, *, link: str = "", paced: bool = 
 
     Raises:
         ConfigError: the file, or that device in it, is not what is asked for; with file and line.
-        Mismatch: as the block ends, where the driver sent what is not recorded: what, and what is.
+        AssertionError: as the block ends, where the driver sent what is not recorded: what, and what is.
     """
     found = await asyncio.to_thread(read_recording, recording)
     name, passed = _of_link(found, role, link)

@@ -16,10 +16,6 @@ SHOWN = 48
 """Bytes of a message in a mismatch."""
 
 
-class Mismatch(AssertionError):
-    """The driver sent what the recording does not have there."""
-
-
 @dataclass
 class Exchange:
     """A request, or nothing where a link was opened, and what came until the next one."""
@@ -148,13 +144,13 @@ class Script:
         return None if ahead is None else self._at(ahead)
 
     def asked(self, message: bytes) -> Exchange:
-        """The exchange that a whole message of the driver is of; Mismatch where there is none."""
+        """The exchange that a whole message of the driver is of; AssertionError where there is none."""
         key = self.dialect.key(message)
         found = self._ahead(key)
         if found is None:
             found = self._behind(key)
         if found is None:
-            raise Mismatch(f"{self._name}: the driver sent {_shown(message)}; {self._expected()}")
+            raise AssertionError(f"{self._name}: the driver sent {_shown(message)}; {self._expected()}")
         return self._at(found)
 
     def _at(self, found: int) -> Exchange:

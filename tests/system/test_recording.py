@@ -21,7 +21,6 @@ from polishd.ports.devices import Device
 from polishd.ports.wire_file import read_recording
 from polishd.testing.case import DriverCase
 from polishd.testing.replay import replayed
-from polishd.testing.replay_script import Mismatch
 from tests.patience import SOON_S
 from tests.system.cell_rig import PATIENT, write_small
 
@@ -36,11 +35,16 @@ def probed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, An
     """The recording of a simulated cell's probe, and what that said."""
     files = write_small(tmp_path_factory.mktemp("cell") / "cell")
     case = files.cell.parent / "case.wire.jsonl.gz"
-    command = [sys.executable, "-m", "polishd.cli", "probe", str(files.cell), "--json", "--record", str(case)]
     with simulated_cell(files.sim, ["--state", str(files.sim_dir), "--seed", "3"], files.cell.parent / "sim.stderr"):
-        said = subprocess.run(command, capture_output=True, text=True, timeout=SOON_S, check=False)
+        said = polishd("probe", files.cell, "--json", "--record", case)
+    return case, json.loads(said)
+
+
+def polishd(*arguments: object) -> str:
+    command = [sys.executable, "-m", "polishd.cli", *map(str, arguments)]
+    said = subprocess.run(command, capture_output=True, text=True, timeout=SOON_S, check=False)
     assert said.returncode == 0, said.stderr
-    return case, json.loads(said.stdout)
+    return said.stdout
 
 
 def driver(plugin: Any, kind: str, options: dict[str, Any], folder: Path, endpoint: str) -> Device:
@@ -86,6 +90,19 @@ def test_the_file_names_devices_links_and_ends(probed: tuple[Path, dict[str, Any
     assert times == sorted(times)
 
 
+@pytest.mark.full
+def test_the_links_are_shown(probed: tuple[Path, dict[str, Any]]) -> None:
+    told = json.loads(polishd("record", "show", probed[0], "--json"))
+    links = {link["device"]: link for link in told["links"]}
+    assert set(links) == {"actuator", "robot", "spindle"}
+    assert told["missing"] == []
+    for link in links.values():
+        assert link["out"] <= link["bytes_out"]
+        assert 0 < link["in"] <= link["bytes_in"]
+        assert 0.0 <= link["first_s"] <= link["first_s"] + link["longest_silence_s"] <= link["last_s"]
+    assert "spindle" in polishd("record", "show", probed[0])
+
+
 def mutilated(case: Path, folder: Path, change: Callable[[list[bytes]], list[bytes]]) -> Path:
     path = folder / "changed.jsonl"
     path.write_bytes(b"".join(change(gzip.decompress(case.read_bytes()).splitlines(keepends=True))))
@@ -114,7 +131,7 @@ async def test_what_is_not_recorded_is_said(
                 await device.close()
 
     with pytest.raises(
-        Mismatch, match=r"actuator on \S+: the driver sent .*; the recording has 00 .*\(line \d+\)$"
+        AssertionError, match=r"actuator on \S+: the driver sent .*; the recording has 00 .*\(line \d+\)$"
     ) as said:
         await opened()
     assert isinstance(said.value.__context__, LinkError)
