@@ -7,7 +7,7 @@ meanwhile is that device's.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -33,6 +33,8 @@ class Passed:
     """Of a CAN frame."""
     why: str = ""
     """How a link ended."""
+    values: Mapping[str, object] | None = None
+    """By name, in place of bytes: of a link that a library hides."""
 
 
 Recorder = Callable[[Passed], None]
@@ -47,9 +49,16 @@ class Tap:
     role: str
     link: str
 
-    def __call__(self, way: Way, data: bytes = b"", identifier: int | None = None, why: str = "") -> None:
+    def __call__(
+        self,
+        way: Way,
+        data: bytes = b"",
+        identifier: int | None = None,
+        why: str = "",
+        values: Mapping[str, object] | None = None,
+    ) -> None:
         """That passes, now."""
-        self.recorder(Passed(time.monotonic(), self.role, self.link, way, data, identifier, why))
+        self.recorder(Passed(time.monotonic(), self.role, self.link, way, data, identifier, why, values))
 
 
 _recorder: ContextVar[Recorder | None] = ContextVar("recorder", default=None)

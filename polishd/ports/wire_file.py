@@ -3,6 +3,7 @@
 {"polishd_wire": 1, "version": "0.9", "cell": "demo", "began": "2026-11-23T00:42:53+00:00", "devices": {...}}
 {"t_s": 0.01, "role": "actuator", "link": "tcp://10.0.0.7:502", "way": "out", "hex": "0001..."}
 {"t_s": 0.02, "role": "spindle", "link": "slcan:/dev/ttyACM0", "way": "in", "id": 897, "hex": "00ff"}
+    {"t_s": 0.03, "role": "robot", "link": "opc.tcp://10.0.0.9:4840", "way": "out", "values": {"start": true}}
 {"t_s": 9.5, "lost": 12}        so many were dropped since the line before: the disk was slower than the wires
 {"t_s": 99.5, "full": 100000000}    the limit of the file, bytes: nothing was recorded from here on
 """
@@ -57,9 +58,12 @@ def note_line(t_s: float, key: str, number: int) -> bytes:
 
 def passed_line(one: Passed, began_s: float) -> bytes:
     """What passed."""
-    line = {"t_s": round(one.at_s - began_s, 6), "role": one.role, "link": one.link, "way": one.way}
+    line: dict[str, Any] = {"t_s": round(one.at_s - began_s, 6), "role": one.role, "link": one.link, "way": one.way}
     line |= {} if one.identifier is None else {"id": one.identifier}
-    line |= {"hex": one.data.hex()} if one.way in ("out", "in") else {}
+    if one.values is not None:
+        line["values"] = dict(one.values)
+    elif one.way in ("out", "in"):
+        line["hex"] = one.data.hex()
     return _line(line | ({"why": one.why} if one.why else {}))
 
 
@@ -126,9 +130,12 @@ def _passed(path: Path, at: int, row: Mapping[str, Any]) -> Passed:
         way: Way = row["way"]
         if way not in get_args(Way):
             raise ValueError(f"way {way!r} is none of {', '.join(get_args(Way))}")
-        data = bytes.fromhex(row["hex"]) if way in ("out", "in") else b""
+        values: dict[str, Any] | None = dict(row["values"]) if "values" in row else None
+        data = bytes.fromhex(row["hex"]) if way in ("out", "in") and values is None else b""
         identifier = None if row.get("id") is None else int(row["id"])
-        return Passed(float(row["t_s"]), str(row["role"]), str(row["link"]), way, data, identifier, row.get("why", ""))
+        return Passed(
+            float(row["t_s"]), str(row["role"]), str(row["link"]), way, data, identifier, row.get("why", ""), values
+        )
     except KeyError as error:
         raise _bad(path, at, f"has no {error.args[0]!r}") from error
     except (TypeError, ValueError) as error:

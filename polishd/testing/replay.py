@@ -121,6 +121,10 @@ def _of_link(recording: Recording, role: str, link: str) -> tuple[str, list[tupl
     if link not in links and (link or len(links) > 1):
         raise ConfigError(f"{recording.path}: {role} has the links {', '.join(links)}; say link= one of them")
     name = link or links[0]
+    if any(one.values is not None for _, one in passed):
+        raise ConfigError(
+            f"{recording.path}: {role} is recorded as values of variables; only bytes and frames are played"
+        )
     return name, [(line, one) for line, one in passed if one.link == name]
 
 
