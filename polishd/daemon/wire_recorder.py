@@ -6,12 +6,14 @@ import contextlib
 import gzip
 import logging
 import queue
+import re
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import copy_context
 from datetime import UTC, datetime
+from itertools import chain, count
 from pathlib import Path
 from typing import IO
 
@@ -34,11 +36,14 @@ ENDING = ".wire.jsonl.gz"
 
 def place(where: Path, config: CellConfig) -> Path:
     """The file of that cell: ``where``, or one of its own in the folder ``where``; ConfigError where it exists."""
+    if not where.is_dir():
+        if where.exists():
+            raise ConfigError(f"--record {where}: exists already; name another file, or a folder")
+        return where
     stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-    path = where / f"{config.path.stem}-{stamp}{ENDING}" if where.is_dir() else where
-    if path.exists():
-        raise ConfigError(f"--record {path}: exists already; name another file, or a folder")
-    return path
+    name = re.sub(r"[^\w.-]+", "_", config.cell.name)
+    names = (f"{name}-{stamp}{which}{ENDING}" for which in chain([""], (f"-{number}" for number in count(2))))
+    return next(path for path in map(where.joinpath, names) if not path.exists())
 
 
 @contextmanager

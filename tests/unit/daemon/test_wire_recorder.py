@@ -113,7 +113,10 @@ def test_no_file_is_overwritten(tmp_path: Path) -> None:
     there.write_text("precious")
     with pytest.raises(ConfigError, match=f"--record {there}: exists already; name another file, or a folder"):
         place(there, CELL)
-    assert place(tmp_path, CELL).name.startswith("left-")
+    first = place(tmp_path, CELL)
+    assert first.name.startswith("left-")
+    first.touch()
+    assert place(tmp_path, CELL) != first, "two cells of one name, in one second"
     with (
         pytest.raises(ConfigError, match=r"--record .*: No such file or directory"),
         recording_to(tmp_path / "no" / "a.gz", CELL),
