@@ -56,18 +56,17 @@ def recording_to(path: Path, config: CellConfig, limit: int = LIMIT) -> Iterator
         file = path.open("xb")
     except OSError as error:
         raise ConfigError(f"--record {path}: {error.strerror or error}; name a file that can be made") from error
-    with file:
-        writer = _Writer(path, file, limit)
-        writer.start(config)
-        try:
-            with heard_by(writer.hear):
-                yield
-        finally:
-            writer.stop()
+    writer = _Writer(path, file, limit)
+    writer.start(config)
+    try:
+        with heard_by(writer.hear):
+            yield
+    finally:
+        writer.stop()
 
 
 class _Writer:
-    """The queue and the thread of one file."""
+    """The queue and the thread of one file, which the thread closes."""
 
     def __init__(self, path: Path, file: IO[bytes], limit: int) -> None:
         self._path, self._raw, self._limit = path, file, limit
@@ -105,8 +104,8 @@ class _Writer:
 
     def _write(self) -> None:
         try:
-            self._until_told()
-            self._file.close()
+            with self._raw, self._file:
+                self._until_told()
         except OSError as error:
             log.error("%s: %s: the recording ends here", self._path, error.strerror or error)
         finally:

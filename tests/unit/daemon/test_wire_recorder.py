@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import random
+import resource
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -106,6 +107,22 @@ def test_what_the_disk_cannot_take_is_counted(
     assert lost + len(found.passed) == 51, "each is there, or counted"
     assert lost >= 39
     assert f"{lost} records were dropped" in caplog.text
+
+
+def test_a_disk_that_fails_ends_the_recording_and_nothing_else(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path, (soft, hard) = tmp_path / "a.jsonl.gz", resource.getrlimit(resource.RLIMIT_FSIZE)
+    with caplog.at_level(logging.ERROR), recording_to(path, CELL):
+        link = tapped("tcp://h:1")
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
+        try:
+            while not caplog.records:
+                link("in", random.randbytes(4096))
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        link("in", b"goes on")
+    assert f"{path}: File too large: the recording ends here" in caplog.text
 
 
 def test_no_file_is_overwritten(tmp_path: Path) -> None:
