@@ -13,7 +13,7 @@ import typer
 from typer import Argument, Option
 
 from polishd import __version__
-from polishd.console.cli import Reason, jobs, services
+from polishd.console.cli import Reason, jobs, recordings, services
 from polishd.model.errors import PolishdError
 from polishd.workbench.cli import app as workbench
 from polishd.workbench.options import Cell, Json
@@ -31,6 +31,11 @@ STDOUT = 1
 
 Correction = Annotated[
     Literal["none", "pointwise", "linear", "power", "exact"] | None, Option(help="Override process.correction.")
+]
+
+Record = Annotated[
+    Path | None,
+    Option(metavar="FILE|DIR", help="Record what passes on the devices' links, to replay it (docs/recording.md)."),
 ]
 
 
@@ -63,13 +68,14 @@ def run(
     no_hold: Annotated[bool, Option("--no-hold", help="End where it would wait for a person to mend.")] = False,
     queue: Annotated[bool, Option("--queue", help="Work the queue of polishd job; wait for more.")] = False,
     until_empty: Annotated[bool, Option("--until-empty", help="With --queue: end when no job waits.")] = False,
+    record: Record = None,
     as_json: Json = False,
 ) -> None:
     """Run the daemon of a cell, or of several, until their jobs end. After an interruption one comes up held."""
     from polishd.console.run import run_verb
 
     how = {"queue": queue, "until_empty": until_empty}
-    raise typer.Exit(run_verb(cells, correction, holds=not no_hold, as_json=as_json, **how))
+    raise typer.Exit(run_verb(cells, correction, holds=not no_hold, as_json=as_json, record=record, **how))
 
 
 @app.command()
@@ -100,12 +106,13 @@ def check(cell: Cell, as_json: Json = False) -> None:
 def probe(
     cell: Cell,
     only: Annotated[list[str] | None, Option(metavar="NAME", help="Ask that device who it is, nothing else.")] = None,
+    record: Record = None,
     as_json: Json = False,
 ) -> None:
     """Connect to each device, identify it, leave it safe."""
     from polishd.console.verbs import probe_verb
 
-    probe_verb(cell, only or (), as_json=as_json)
+    probe_verb(cell, only or (), record, as_json=as_json)
 
 
 @app.command()
@@ -223,6 +230,7 @@ def version() -> None:
 
 app.add_typer(jobs, name="job", no_args_is_help=True)
 app.add_typer(services, name="service", no_args_is_help=True)
+app.add_typer(recordings, name="record", no_args_is_help=True)
 app.add_typer(workbench)
 
 

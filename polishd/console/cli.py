@@ -1,4 +1,4 @@
-"""Verbs of a cell that come in groups: its queue, and its service."""
+"""Verbs of a cell that come in groups: its queue, its service, and recordings of its wires."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from polishd.workbench.options import Cell, Json
 
 jobs = typer.Typer(help="The queue of a cell: parts, one after another.")
 services = typer.Typer(help="Run a cell as a service of systemd.")
+recordings = typer.Typer(help="Recordings of a cell's wires (run --record).")
 
 Reason = Annotated[str, Option("--reason", metavar="TEXT", help="Why: for the journal, and for status.")]
 JobId = Annotated[str, Argument(metavar="ID", help="Its job.id.", show_default=False)]
@@ -78,3 +79,13 @@ def service_show(cells: Served, *, system: Scope, queue: Queued = False) -> None
     from polishd.console.service import show_verb
 
     show_verb(cells, system=system, queue=queue)
+
+
+@recordings.command("show")
+def record_show(
+    file: Annotated[Path, Argument(metavar="FILE", help="A recording.", show_default=False)], as_json: Json = False
+) -> None:
+    """Each link: messages and bytes either way, first and last, the longest silence; and what is missing."""
+    from polishd.console.recordings import show_verb
+
+    show_verb(file, as_json=as_json)

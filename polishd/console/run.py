@@ -32,6 +32,7 @@ def run_verb(
     as_json: bool,
     queue: bool = False,
     until_empty: bool = False,
+    record: Path | None = None,
 ) -> int:
     """Run the daemons; the worst exit code. The last lines on stderr say how each cell stands and what to do."""
     try:
@@ -41,11 +42,15 @@ def run_verb(
             raise ConfigError(
                 "--correction is for the cell's own job; a job of the queue says process.correction itself"
             )
+        if record is not None and len(cells) > 1 and not record.is_dir():
+            raise ConfigError(
+                f"--record {record}: is no folder; several cells have a file each, in a folder that exists"
+            )
         loaded = [load_cell(cell, correction) for cell in cells]
         names = _names(cells, [config for config, _ in loaded])
         with progress(names) as shows:
             runs = [
-                CellRun(config, hooks, partial(_shown, show), queue, until_empty)
+                CellRun(config, hooks, partial(_shown, show), queue, until_empty, record)
                 for (config, hooks), show in zip(loaded, shows, strict=True)
             ]
             ended = run_loop(run_cells(runs, holds=holds))

@@ -70,7 +70,7 @@ def _limit_table(limits: Sequence[Mapping[str, Any]]) -> Table:
     return record_table("time limits", ("what", "time", "needed", "key"), rows)
 
 
-def probe_verb(cell: Path, only: Sequence[str] = (), *, as_json: bool) -> None:
+def probe_verb(cell: Path, only: Sequence[str] = (), record: Path | None = None, *, as_json: bool) -> None:
     """Connect, identify, leave safe; DeviceFault, after the table, where one of them does not answer."""
     from polishd.daemon.checking import probe_cell
 
@@ -78,7 +78,7 @@ def probe_verb(cell: Path, only: Sequence[str] = (), *, as_json: bool) -> None:
     logging.getLogger().addHandler(
         logging.NullHandler()
     )  # what it tells of a device that is silent stands in the table
-    found = run_loop(probe_cell(config, hooks, only))
+    found = run_loop(probe_cell(config, hooks, only, record))
     devices: dict[str, dict[str, Any]] = {name: asdict(identity) for name, identity in found.identities.items()}
     for name, problem in found.problems.items():
         devices.setdefault(name, {})["error"] = problem

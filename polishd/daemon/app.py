@@ -13,6 +13,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from contextvars import Context, copy_context
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from polishd.config.cell import CellConfig
@@ -36,6 +37,7 @@ from polishd.daemon.service import serving
 from polishd.daemon.standing import require_shallow
 from polishd.daemon.states import State
 from polishd.daemon.supervisor import Supervisor
+from polishd.daemon.wire_recorder import place, recording_to
 from polishd.hooks.loader import Hooks
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.model.events import Event
@@ -61,6 +63,8 @@ class CellRun:
     """Work the queue, not the job of the cell's file, ..."""
     until_empty: bool = False
     """... until it is empty."""
+    record: Path | None = None
+    """File, or folder, that all which passes on its links goes to."""
 
 
 @dataclass(slots=True)
@@ -158,6 +162,8 @@ def _made_ready(run: CellRun, context: Context, kept: ExitStack) -> _Ready:
         kept.enter_context(logging_to(config.state_dir))
     except OSError as error:
         raise unusable(config.state_dir, error) from error
+    if run.record is not None:
+        kept.enter_context(recording_to(place(run.record, config), config))
     journal = kept.enter_context(_journal(config, work[1]) if work else Journal.of_cell(config.state_dir))
     return _Ready(run, work, cell, notifiers, journal, kept, context)
 

@@ -18,6 +18,7 @@ from polishd.model.devices import DeviceStatus, Identity
 from polishd.model.errors import DeviceBusy, DeviceFault, LinkError
 from polishd.ports.clock import Clock
 from polishd.ports.devices import Device, ForceActuator, ForceSensor, Metrology, Robot, Spindle
+from polishd.ports.tap import talking_to
 
 log = logging.getLogger(__name__)
 
@@ -239,7 +240,8 @@ class Cell:
 async def _answering(name: str, within_s: float | None = None) -> AsyncIterator[None]:
     limit_s = OPEN_S if within_s is None else within_s
     try:
-        async with asyncio.timeout(limit_s):
-            yield
+        with talking_to(name):
+            async with asyncio.timeout(limit_s):
+                yield
     except TimeoutError:
         raise LinkError(f"{name}: no answer within {limit_s:g} s; is it on, and connected?") from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -21,6 +22,7 @@ from polishd.daemon.queue import NewJob
 from polishd.daemon.safety import ContactLimits, make_safe
 from polishd.daemon.signal_watch import tell_once
 from polishd.daemon.standing import blur, require_shallow
+from polishd.daemon.wire_recorder import place, recording_to
 from polishd.hooks.cell import hooks_of_job
 from polishd.hooks.loader import Hooks
 from polishd.model.devices import Identity
@@ -141,17 +143,18 @@ class Probed:
     signals: Mapping[str, str]
 
 
-async def probe_cell(config: CellConfig, hooks: Hooks, only: Sequence[str] = ()) -> Probed:
+async def probe_cell(config: CellConfig, hooks: Hooks, only: Sequence[str] = (), record: Path | None = None) -> Probed:
     """Connect to each device, whatever is wrong with another; identify it, and leave all safe.
 
     With ``only``, these are asked who they are and nothing else: no robot is stopped over a tool that nobody lifts.
+    With ``record`` what passes on their links goes to that file.
     """
     cell = build_cell(config, hooks)
     require_time_limits(config, cell)
     if unknown := [name for name in only if name not in cell.devices]:
         raise ConfigError(f"--only {unknown[0]}: the cell has {', '.join(cell.devices)}")
     found, problems = {}, {}
-    with locked(config.state_dir):
+    with locked(config.state_dir), recording_to(place(record, config), config) if record else nullcontext():
         try:
             for name in only or cell.devices:
                 try:

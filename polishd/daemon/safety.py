@@ -26,6 +26,7 @@ from polishd.daemon.touch import Touch
 from polishd.model.devices import ForceSample, SpeedSample
 from polishd.model.errors import DeviceFault, LinkError, SafetyStop, WrongSeat
 from polishd.ports.devices import ForceActuator, Robot
+from polishd.ports.tap import talking_to
 
 log = logging.getLogger(__name__)
 
@@ -229,7 +230,8 @@ class _Leaving:
         device, begun_s = self._cell.devices[name], self._cell.clock.now_s()
         within_s = safe_within_s(getattr(device, "times", None))
         try:
-            await within(within_s, device.make_safe())
+            with talking_to(name):
+                await within(within_s, device.make_safe())
         except Exception as error:  # noqa: BLE001 - a plugin may raise anything: the others are asked all the same
             self._failures[name] = str(error) or f"no answer within {within_s:g} s"
             log.error("make_safe: %s did not confirm (%s); its own watchdog takes over", name, self._failures[name])

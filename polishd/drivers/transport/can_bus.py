@@ -17,6 +17,7 @@ from polishd.api import LinkError
 from polishd.drivers.transport.address import Slcan, Socketcand, Tcp
 from polishd.drivers.transport.background import open_blocking
 from polishd.drivers.transport.streams import open_stream, why_closed
+from polishd.ports.tap import tap
 
 OPEN_S = 2.0
 OPEN_TRIES = 3
@@ -160,6 +161,7 @@ class CanBus:
         self._name = name
         self._bus = bus
         self._empty = 0
+        self._tap = tap(name)
 
     def send(self, frame: CanFrame) -> None:
         """Hand over a frame; LinkError where the adapter takes none."""
@@ -168,6 +170,8 @@ class CanBus:
             self._bus.send(message, timeout=SEND_S)
         except (can.CanError, OSError) as error:
             raise LinkError(f"{self._name}: {error}") from error
+        if self._tap is not None:
+            self._tap("out", frame.data, frame.identifier)
 
     async def receive(self, on_frame: OnFrame) -> None:
         """Pass on frames until cancelled, or LinkError."""
@@ -180,6 +184,8 @@ class CanBus:
 
     async def close(self) -> None:
         """Leave the bus; what is dead already is left as it is."""
+        if self._tap is not None:
+            self._tap("end", why="the bus is closed")
         with contextlib.suppress(can.CanError, OSError):
             await asyncio.to_thread(self._bus.shutdown)
 
@@ -238,7 +244,10 @@ class CanBus:
         if message is None or message.is_extended_id or message.is_remote_frame or message.is_error_frame:
             return None
         self._empty = 0
-        return CanFrame(message.arbitration_id, bytes(message.data))
+        frame = CanFrame(message.arbitration_id, bytes(message.data))
+        if self._tap is not None:
+            self._tap("in", frame.data, frame.identifier)
+        return frame
 
     def _flush(self, bus: slcanBus) -> None:
         """Drop what is buffered: else one byte above 0x7F would spoil all frames from now on."""

@@ -17,6 +17,7 @@ from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.drivers.transport.background import open_blocking, settle
 from polishd.model.errors import LinkError
 from polishd.ports.stream import ByteStream
+from polishd.ports.tap import tap
 
 WRITE_S = 1.0
 """A peer, or a line, that takes no bytes for so long is dead."""
@@ -90,10 +91,13 @@ class ReadBuffer:
         self._name = name
         self._bytes = bytearray()
         self._failure: str | None = None
+        self._tap = tap(name)
         self._waiter: asyncio.Future[None] | None = None
 
     def feed(self, data: bytes) -> None:
         """Bytes came."""
+        if self._tap is not None:
+            self._tap("in", data)
         self._bytes += data
         self._wake()
 
@@ -101,6 +105,8 @@ class ReadBuffer:
         """No more will come. The first reason counts."""
         if self._failure is None:
             self._failure = reason
+            if self._tap is not None:
+                self._tap("end", why=reason)
         self._wake()
 
     @property
@@ -112,6 +118,11 @@ class ReadBuffer:
         """LinkError once the link has failed."""
         if self._failure is not None:
             raise LinkError(f"{self._name}: {self._failure}")
+
+    def wrote(self, data: bytes) -> None:
+        """Bytes go out."""
+        if self._tap is not None:
+            self._tap("out", data)
 
     async def read(self, at_most: int, within_s: float) -> bytes:
         """See ByteStream. Bytes that came in time are not lost to a late wake-up."""
@@ -143,6 +154,8 @@ class SerialStream(ReadBuffer):
     async def write(self, data: bytes) -> None:
         """See ByteStream."""
         view = memoryview(data)
+        self.check()
+        self.wrote(data)
         while view:
             self.check()
             try:
@@ -229,6 +242,7 @@ class TcpStream(ReadBuffer, asyncio.Protocol):
         self.check()
         if self._transport is None or self._transport.is_closing():
             raise LinkError(f"{self._name}: the connection is closed")
+        self.wrote(data)
         self._transport.write(data)
         if not self._writable.is_set():
             try:

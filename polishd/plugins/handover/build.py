@@ -16,6 +16,7 @@ from polishd.drivers.handover.delivery import Delivery, Folder
 from polishd.drivers.handover.driver import Handover
 from polishd.drivers.handover.modbus import Modbus
 from polishd.drivers.handover.opcua import OpcUa, Papers
+from polishd.drivers.handover.recorded import Recorded
 from polishd.drivers.handover.remote import Ftp, Place, Sftp
 from polishd.drivers.handover.variables import Variables
 from polishd.drivers.transport.address import tcp_address
@@ -30,10 +31,11 @@ def build(options: HandoverOptions, context: DeviceContext) -> Handover:
     """The robot. ConfigError where the controller must not polish, or a library is missing."""
     profile = load_controller_profile(options.profile, context.base_dir)
     profile.require_usable()
+    make = _link(profile, options, context)
     return Handover(
         f"{profile.name} at {options.address}",
         profile,
-        _link(profile, options, context),
+        lambda: Recorded(make(), options.address),
         _delivery(options, context),
         options.controller_dir,
     )
