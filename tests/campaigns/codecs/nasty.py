@@ -14,6 +14,8 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
+import pytest
+
 from polishd.api import LinkError, PolishdError
 from tests.fakes.wires import Peer
 
@@ -22,7 +24,7 @@ BAD = ("broken replies", "doubled", "late")
 WEIGHTS = {"good": 30, "broken": 55, "doubled": 8, "late": 2, "lost": 1, "refused": 2, "dribbled": 2}
 SELDOM = WEIGHTS | {"good": 80, "broken": 20}
 """Where each broken one costs the connection, and opening needs several that are good."""
-ON_WIRES = WEIGHTS | {"late": 0, "lost": 0}
+NEVER_ON_WIRES = ("late", "lost")
 """There time is real, and nobody waits for what does not come."""
 IN_A_ROW = 3
 ENOUGH = 50
@@ -70,6 +72,10 @@ class Talk(ABC):
     def tells(self, sent: bytes, reply: bytes) -> bool:
         """Nothing in what is sent could be another answer than that reply."""
 
+    def wired(self, monkeypatch: pytest.MonkeyPatch, nasty: Nasty) -> None:
+        """Where it has a bus of its own, lay it."""
+        return
+
     def greets(self) -> Iterable[bytes]:
         """What the device says first."""
         return ()
@@ -86,14 +92,14 @@ class Talk(ABC):
 class Nasty(Peer):
     """The far end of a talk."""
 
-    def __init__(self, talk: Talk, seed: int, weights: dict[str, int] | None = None) -> None:
+    def __init__(self, talk: Talk, seed: int, without: Sequence[str] = ()) -> None:
         super().__init__()
         self.talk = talk
         talk.say = self.treat
         self.rng = random.Random(seed)
         self.counts = Counter[str]()
-        weights = weights or (WEIGHTS if talk.resyncs else SELDOM)
-        self._kinds = [kind for kind in weights if kind in talk.kinds]
+        weights = WEIGHTS if talk.resyncs else SELDOM
+        self._kinds = [kind for kind in weights if kind in talk.kinds and kind not in without]
         self._weights = [weights[kind] for kind in self._kinds]
         self._older: deque[bytes] = deque([b"\0"], maxlen=8)
 

@@ -85,7 +85,7 @@ class RobotLink(Talk):
         return link_frame(Kind.NAK, json.dumps({"of": of, "code": "state", "text": "no"}).encode())
 
     def tells(self, sent: bytes, reply: bytes) -> bool:
-        """What has a right checksum is ours. An ACK has no number: an older one, or a double, may answer the next order."""
+        """What has a right checksum is ours. An ACK has no number: an older one, or a double, may answer the next."""
         return sent.count(reply) <= 1 and not any(one in sent for one in self._said if one != reply)
 
     def damages(self, rng: random.Random, reply: bytes) -> Sequence[bytes]:

@@ -6,29 +6,12 @@ The driver's whole link runs, with its queue, time limits and reopening: on a vi
 from __future__ import annotations
 
 import gc
-from collections import Counter
 from pathlib import Path
 
 import pytest
 
-from tests.campaigns.codecs import lines, modbus, robots
-from tests.campaigns.codecs.nasty import Nasty, Talk, ask_for_ever, require_a_talk
-from tests.campaigns.codecs.virtual import virtual
-
-TALKS: list[type[Talk]] = [
-    lines.ForceSensor, lines.Monitor, lines.Loader, lines.VoiceCoil, lines.ForceGauge, lines.OwnLines, lines.LinuxCnc,
-    modbus.ProfiledRtu, modbus.ProfiledTcp, modbus.Controller,
-    robots.RobotLink, robots.Rtde, robots.Dashboard,
-]  # fmt: skip
-
-
-def campaign(monkeypatch: pytest.MonkeyPatch, make: type[Talk], bad: int) -> tuple[Nasty, Counter[str]]:
-    """So many malformed or late replies on the virtual clock."""
-    with virtual(monkeypatch) as loop:
-        nasty = Nasty(make(), 15)
-        loop.peer = nasty
-        outcomes = loop.run_until_complete(ask_for_ever(nasty.talk, nasty, bad))
-    return nasty, outcomes
+from tests.campaigns.codecs.nasty import Talk, require_a_talk
+from tests.campaigns.codecs.talks import TALKS, campaign
 
 
 @pytest.mark.parametrize("make", TALKS, ids=lambda one: one.name)
