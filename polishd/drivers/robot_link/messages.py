@@ -7,7 +7,7 @@ import math
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast, get_args
+from typing import Any, TypeGuard, cast, get_args
 
 from polishd.api import Executed, Identity, ProtocolError, RobotProgress
 from polishd.drivers.robot_link.frames import Kind, encode
@@ -146,11 +146,11 @@ def _object(payload: bytes) -> dict[str, Any]:
     return content
 
 
-def _is_count(value: object) -> bool:
+def _is_count(value: object) -> TypeGuard[int]:
     return isinstance(value, int) and not isinstance(value, bool) and value >= 0
 
 
-def _is_time(value: object) -> bool:
+def _is_time(value: object) -> TypeGuard[float]:
     """Seconds that may be: JSON of others has NaN, infinities, and whole numbers of any length."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False

@@ -17,7 +17,7 @@ from tests.campaigns.codecs.test_variables import ads, opcua
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "replies.md"
 BEGIN, END = "<!-- written by make replies -->\n", "<!-- end of what make replies writes -->"
 HEADER = """\
-| driver | broken | doubled | late | of them taken for a value | refused or link lost | values taken | left out: cannot be told |
+| driver | broken | doubled | late | of them taken | refused or link lost | values taken | left out |
 |---|---|---|---|---|---|---|---|
 """
 

@@ -241,7 +241,8 @@ class LinuxCnc(Talk):
     """Its answers name what they answer, and bear no number."""
 
     name = "LinuxCNC"
-    least = 0.02  # five answers are one look, and nonsense ends the connection
+    ends = True
+    least = 0.05  # five answers are one look
 
     def __init__(self, address: Tcp = HOST, **how: Any) -> None:
         super().__init__(**how)

@@ -37,6 +37,8 @@ class Talk(ABC):
     name: str
     resyncs = True
     """After nonsense an answer may still be found: broken replies come before a good one, and else in its place."""
+    ends = False
+    """Nonsense ends the connection even so."""
     pauses = False
     """It waits a little before it asks again: a double comes by itself, and before that."""
     kinds = frozenset(WEIGHTS)
@@ -98,7 +100,7 @@ class Nasty(Peer):
         talk.say = self.treat
         self.rng = random.Random(seed)
         self.counts = Counter[str]()
-        weights = WEIGHTS if talk.resyncs else SELDOM
+        weights = WEIGHTS if talk.resyncs and not talk.ends else SELDOM
         self._kinds = [kind for kind in weights if kind in talk.kinds and kind not in without]
         self._weights = [weights[kind] for kind in self._kinds]
         self._older: deque[bytes] = deque([b"\0"], maxlen=8)
@@ -135,7 +137,7 @@ class Nasty(Peer):
         elif kind == "lost":
             sent = []
         self._older.append(reply)
-        for at, data in enumerate(sent):
+        for at, data in enumerate(filter(None, sent)):
             asyncio.get_running_loop().call_later(delay_s + 1e-6 * at, self.write, data)
 
     def _broken(self, reply: bytes) -> list[bytes]:
