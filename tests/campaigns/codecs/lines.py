@@ -290,7 +290,7 @@ class LinuxCnc(Talk):
 
     def tells(self, sent: bytes, reply: bytes) -> bool:
         name, said = reply.split(b" ")[0] + b" ", [line.strip() for line in sent.split(b"\n")[:-1]]
-        if said.count(reply.strip()) > 1:  # the second would answer the next request
+        if reply.strip() in said[:-1]:  # what follows it would answer the next request
             return False
         for text in said:
             if not text.startswith(name) or text == reply.strip():
