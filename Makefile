@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-all test-long test-maps ways-out crash faults model soak coverage mutate interop check format reference bench compare lock clean
+.PHONY: help demo test test-all test-long test-maps ways-out crash faults replies model soak coverage mutate interop check format reference bench compare lock clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -45,6 +45,9 @@ crash: $(VENV)/.installed ## 100,000 crash states of the journal, 2,000 kills, a
 
 faults: $(VENV)/.installed ## every fault on every link in contact; into docs/fault-matrix.md (ARGS="--losses 200")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.faults $(ARGS)
+
+replies: $(VENV)/.installed ## a million malformed or late replies a driver; into docs/replies.md (ARGS=20000)
+	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.codecs $(ARGS)
 
 model: $(VENV)/.installed ## of that, the model alone
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.crash --states 0 --kills 0 $(ARGS)

@@ -8,6 +8,8 @@ from collections.abc import Awaitable, Mapping
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
 from pymodbus.pdu import ModbusPDU
+from pymodbus.pdu import bit_message as bit
+from pymodbus.pdu import register_message as word
 
 from polishd.api import Identity, LinkError, ProtocolError
 from polishd.config.controller_profile import Value, VariablesTable
@@ -15,6 +17,14 @@ from polishd.drivers.handover.registers import BITS, Place, Table, place, spans
 from polishd.drivers.handover.variables import Reading, of_kind, watched, written
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.background import cancellable
+
+WRITE_COIL, WRITE_REGISTERS = 5, 16
+READS: tuple[type[ModbusPDU], ...] = (
+    bit.ReadCoilsResponse,
+    bit.ReadDiscreteInputsResponse,
+    word.ReadHoldingRegistersResponse,
+    word.ReadInputRegistersResponse,
+)
 
 
 class Modbus:
@@ -37,6 +47,8 @@ class Modbus:
         client = AsyncModbusTcpClient(
             self._address.host, port=self._address.port, timeout=self._silence_s, retries=0, reconnect_delay=0
         )
+        for response in READS:
+            client.register(_strict(response))
         self._client = client
         try:
             if not await cancellable(client.connect()):
@@ -72,13 +84,19 @@ class Modbus:
             words = one.words(of_kind(one.kind, value, name))
             client = self._session()
             if one.table == "coil":
-                await self._answer(
-                    client.write_coil(one.address, bool(words[0]), device_id=self._unit), f"write {name}"
-                )
+                order = client.write_coil(one.address, bool(words[0]), device_id=self._unit)
+                answer = await self._answer(order, WRITE_COIL, f"write {name}")
+                echoed = (answer.address, answer.bits[:1]) == (one.address, [bool(words[0])])
             elif one.table == "holding":
-                await self._answer(client.write_registers(one.address, words, device_id=self._unit), f"write {name}")
+                order = client.write_registers(one.address, words, device_id=self._unit)
+                answer = await self._answer(order, WRITE_REGISTERS, f"write {name}")
+                echoed = (answer.address, answer.count) == (one.address, len(words))
             else:
                 raise ProtocolError(f"{self._name}: variable {name} is a {one.table}, which nobody can write")
+            if not echoed:
+                raise ProtocolError(
+                    f"{self._name}: the write of {name} was answered by that of another: see the server"
+                )
 
     def _places(self) -> list[tuple[str, Place]]:
         return list(self._watched.items())
@@ -90,19 +108,22 @@ class Modbus:
 
     async def _read(self, table: Table, first: int, count: int) -> list[int]:
         client = self._session()
-        read = {
-            "coil": client.read_coils,
-            "discrete": client.read_discrete_inputs,
-            "holding": client.read_holding_registers,
-            "input": client.read_input_registers,
+        function, read = {
+            "coil": (1, client.read_coils),
+            "discrete": (2, client.read_discrete_inputs),
+            "holding": (3, client.read_holding_registers),
+            "input": (4, client.read_input_registers),
         }[table]
-        answer = await self._answer(read(first, count=count, device_id=self._unit), f"read {table}s from {first}")
-        words = [int(bit) for bit in answer.bits[:count]] if table in BITS else list(answer.registers)
-        if len(words) != count:
-            raise ProtocolError(f"{self._name}: {count} {table}s were asked for, {len(words)} came")
-        return words
+        request = read(first, count=count, device_id=self._unit)
+        answer = await self._answer(request, function, f"read {table}s from {first}")
+        words = [int(one) for one in (answer.bits if table in BITS else answer.registers)]
+        # bits come in whole bytes
+        if len(words) != (-(-count // 8) * 8 if table in BITS else count):
+            raise ProtocolError(f"{self._name}: {count} {table}s were asked for, {len(words)} came: see the server")
+        return words[:count]
 
-    async def _answer(self, request: Awaitable[ModbusPDU], what: str) -> ModbusPDU:
+    async def _answer(self, request: Awaitable[ModbusPDU], function: int, what: str) -> ModbusPDU:
+        """The answer. pymodbus takes one of any function, and one whose number is 0, which no request of its has."""
         try:
             answer = await cancellable(request)
         except (ModbusException, OSError) as error:
@@ -110,9 +131,25 @@ class Modbus:
             raise LinkError(f"{self._name}: answers no more: {error}") from error
         if answer.isError():
             raise ProtocolError(f"{self._name}: refuses to {what}: {answer}: look at the addresses in the profile")
+        if answer.function_code != function or not answer.transaction_id:
+            said = f"function {answer.function_code}, number {answer.transaction_id}"
+            raise ProtocolError(
+                f"{self._name}: to {what} was answered by {said}, which is no answer to it: see the server"
+            )
         return answer
 
 
 def _value(name: str, one: Place, words: list[int], first: int) -> Value:
     at = one.address - first
     return of_kind(one.kind, one.value(words[at : at + one.count]), name)
+
+
+def _strict(response: type[ModbusPDU]) -> type[ModbusPDU]:
+    """An answer that is empty where its length is not what it says: pymodbus takes what is there."""
+
+    class Strict(response):  # type: ignore[misc, valid-type]
+        def decode(self, data: bytes) -> None:
+            if data and data[0] == len(data) - 1:
+                super().decode(data)
+
+    return Strict

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -18,6 +19,8 @@ _WHOLE = {
     "int32": (-(1 << 31), 1 << 31),
     "uint32": (0, 1 << 32),
 }
+_MOST = sys.float_info.max
+"""Beyond it are infinities, and no comparison holds of what is no number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,11 +82,11 @@ def of_kind(kind: Kind, value: object, name: str) -> Value:
     elif kind == "bool":
         found = bool(value) if isinstance(value, int) else None
     elif kind in ("float", "double"):
-        found = float(value) if isinstance(value, int | float) else None
+        found = float(value) if isinstance(value, int | float) and -_MOST <= value <= _MOST else None
     else:
         low, high = _WHOLE[kind]
-        whole = isinstance(value, int | float) and float(value).is_integer()
-        found = int(value) if whole and isinstance(value, int | float) and low <= value < high else None
+        fits = isinstance(value, int | float) and low <= value < high
+        found = int(value) if fits and isinstance(value, int | float) and float(value).is_integer() else None
     if found is None:
         raise ProtocolError(f"variable {name}: {value!r} is no {kind}: look at its type in the controller's profile")
     return found

@@ -80,11 +80,19 @@ class Connection:
 
     async def look(self) -> Snapshot:
         """What LinuxCNC is doing."""
-        return await self._queue.ask(self._look)
+        return await self._queue.ask(self._looked)
 
     async def errors(self) -> str:
         """What it has to complain of since it was last asked; forgets operator messages with it."""
         return await self._queue.ask(self._drain)
+
+    async def _looked(self) -> Snapshot:
+        try:
+            return await self._look()
+        except ProtocolError:
+            if self._stream is not None:
+                await self._stream.close()  # the true answer may come yet, to the next question of that name
+            raise
 
     async def _look(self) -> Snapshot:
         time_s = numbers_of(await self._get("time"), 1)[0]
@@ -117,6 +125,8 @@ class Connection:
     async def _ask(self, request: str, within_s: float | None = None) -> Answer:
         """Send and wait for the answer; whatever goes wrong ends the link."""
         try:
+            if self._lines is not None:
+                await self._lines.restart()  # an answer that came twice
             await self._tell(request)
             answer = await self._answer(asks(request), self._silence_s if within_s is None else within_s)
         except LinkError:

@@ -52,9 +52,12 @@ def asks(request: str) -> str:
 def parse(line: bytes) -> Answer | None:
     """Read one line; None for echoes, blank lines and garbage."""
     try:
-        words = line.decode("ascii").strip().split(" ", 2)
+        text = line.decode("ascii").strip(" \r\n")
     except UnicodeDecodeError:
         return None
+    if not text.replace("\t", " ").isprintable():  # some of what does not print would count as space
+        return None
+    words = text.split(" ", 2)
     match words:
         case ["HELLO", ("ACK" | "NAK") as word, *rest]:
             return Answer("hello", word == "ACK", " ".join(rest))

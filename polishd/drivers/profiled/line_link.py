@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 
 from polishd.api import LinkError
 from polishd.drivers.profiled.unnumbered import UnnumberedLink
 from polishd.drivers.transport.address import SerialLine, Tcp, garbled, silent
+from polishd.drivers.transport.streams import drop_stale
 
 LONGEST = 512
 """Bytes of an answer."""
@@ -59,9 +59,7 @@ class LineLink(UnnumberedLink):
         """What came before we ask is no answer."""
         self._rest = b""
         if self._stream is not None:
-            with contextlib.suppress(LinkError):  # silence is what is wanted; a dead wire is told by the next write
-                while True:
-                    await self._stream.read(4096, 0.0)
+            await drop_stale(self._stream)
 
     async def _line(self, deadline: float) -> bytes:
         stream = self._stream

@@ -17,6 +17,7 @@ from polishd.api import DeviceRefused, LinkError, ProtocolError
 from polishd.config.device_tables import Table
 from polishd.drivers.profiled.unnumbered import UnnumberedLink
 from polishd.drivers.transport.address import SerialLine, Tcp, garbled, silent
+from polishd.drivers.transport.streams import drop_stale
 
 READS: dict[Table, tuple[type[ModbusPDU], type[ModbusPDU]]] = {
     "coil": (bit.ReadCoilsRequest, bit.ReadCoilsResponse),
@@ -33,6 +34,8 @@ REFUSALS = {
 }
 LOOKS, NOT_THERE = (1, 2, 3, 4), (1, 2)
 """Functions that read, and exception codes of a device that has nothing there: most often it is another one."""
+ECHO = 5
+"""Bytes of the answer to a write: function, address, value or count."""
 BITS = ("coil", "discrete")
 GATEWAY = (10, 11)
 """Exception codes of a gateway whose device does not answer."""
@@ -83,6 +86,8 @@ class ModbusLink(UnnumberedLink):
         try:
             if body[0] != request.function_code:
                 raise ValueError(f"function {body[0]}")
+            if len(body) != (2 + body[1] if request.function_code in LOOKS else ECHO):
+                raise ValueError(f"{len(body)} bytes")  # pymodbus takes what is there
             response.decode(body[1:])
         except (ModbusException, ValueError, IndexError, struct.error):
             await self.distrust()
@@ -95,6 +100,7 @@ class ModbusLink(UnnumberedLink):
         if self._stream is None:
             raise LinkError(f"{self.name}: is not open")
         await asyncio.sleep(max(self._heard + self._pause_s - time.monotonic(), 0.0))
+        await drop_stale(self._stream)
         came, deadline = b"", time.monotonic() + self._silence_s
         self._due_until = deadline + self._silence_s
         try:
@@ -113,7 +119,7 @@ class ModbusLink(UnnumberedLink):
 
     def _cut(self, came: bytes) -> bytes | None:
         """The body of our answer, where it is among the bytes that came."""
-        at = 0
+        at, due = 0, 0 if isinstance(self._framer, FramerRTU) else self._number
         while at < len(came):
             if isinstance(self._framer, FramerSocket) and came[at + 2 : at + 4].strip(b"\0"):
                 raise ProtocolError(f"{self.name}: what answers there does not speak Modbus TCP: {came[:16].hex(' ')}")
@@ -121,7 +127,7 @@ class ModbusLink(UnnumberedLink):
             if not used or not body:
                 return None
             at += used
-            if unit == self._unit and number in {0, self._number}:
+            if unit == self._unit and number == due:
                 return body
         return None
 

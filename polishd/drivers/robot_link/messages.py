@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast, get_args
+from typing import Any, TypeGuard, cast, get_args
 
 from polishd.api import Executed, Identity, ProtocolError, RobotProgress
 from polishd.drivers.robot_link.frames import Kind, encode
@@ -15,6 +16,8 @@ from polishd.model.devices import RobotState
 PROTOCOL = 1
 LONGEST_LINE = 0xFFFF
 
+LONGEST_S = 1e9
+"""Nothing takes 30 years."""
 _BLOCKS = struct.Struct(">IH")
 _LENGTH = struct.Struct(">H")
 _ACCEPTED = struct.Struct(">IId")
@@ -79,7 +82,7 @@ def welcome(payload: bytes) -> Welcome:
         raise ProtocolError(f"the robot speaks protocol {content.get('protocol')!r}, not {PROTOCOL}")
     texts = {key: _text(content, key) for key in ("vendor", "model", "serial", "firmware", "boot_id")}
     window, watchdog_s = content.get("window"), content.get("watchdog_s")
-    if not isinstance(window, int) or not isinstance(watchdog_s, int | float) or window < 1 or watchdog_s <= 0:
+    if not _is_count(window) or not _is_time(watchdog_s) or window < 1 or watchdog_s <= 0:
         raise ProtocolError(f"WELCOME with window {window!r}, watchdog_s {watchdog_s!r}")
     lease = _text(content, "lease")
     return Welcome(Identity(**texts), float(watchdog_s), window, lease, _progress(content.get("status")))
@@ -105,6 +108,8 @@ def status(payload: bytes) -> Progress:
 def accepted(payload: bytes) -> tuple[int, int, float]:
     """Content of ACCEPTED: next sequence number, credit, seconds of motion held."""
     next_seq, credit, buffer_s = _unpack(_ACCEPTED, payload)
+    if not _is_time(buffer_s):
+        raise ProtocolError(f"ACCEPTED with buffer_s {buffer_s!r}")
     return next_seq, credit, buffer_s
 
 
@@ -112,7 +117,11 @@ def executed(payload: bytes) -> list[Executed]:
     """Content of EXECUTED."""
     if len(payload) < _LENGTH.size or len(payload) != _LENGTH.size + _LENGTH.unpack_from(payload)[0] * _RECORD.size:
         raise ProtocolError(f"EXECUTED of {len(payload)} bytes does not hold what it counts")
-    return [Executed(*record) for record in _RECORD.iter_unpack(payload[_LENGTH.size :])]
+    records = [Executed(*record) for record in _RECORD.iter_unpack(payload[_LENGTH.size :])]
+    for one in records:
+        if not (math.isfinite(one.start_s) and one.start_s <= one.end_s < math.inf):
+            raise ProtocolError(f"block {one.seq} executed from {one.start_s!r} to {one.end_s!r} s")
+    return records
 
 
 def resend(payload: bytes) -> int:
@@ -130,11 +139,22 @@ def _unpack(form: struct.Struct, payload: bytes) -> tuple[Any, ...]:
 def _object(payload: bytes) -> dict[str, Any]:
     try:
         content = json.loads(payload)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ProtocolError(f"not JSON: {payload[:80]!r}") from error
     if not isinstance(content, dict):
         raise ProtocolError(f"no JSON object: {payload[:80]!r}")
     return content
+
+
+def _is_count(value: object) -> TypeGuard[int]:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+
+
+def _is_time(value: object) -> TypeGuard[float]:
+    """Seconds that may be: JSON of others has NaN, infinities, and whole numbers of any length."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return 0 <= value <= LONGEST_S
 
 
 def _text(content: Mapping[str, Any], key: str) -> str:
@@ -146,7 +166,7 @@ def _text(content: Mapping[str, Any], key: str) -> str:
 
 def _of(content: Mapping[str, Any]) -> int:
     of = content.get("of")
-    if not isinstance(of, int):
+    if not _is_count(of):
         raise ProtocolError(f"an answer to nothing: {content!r}")
     return of
 
@@ -156,9 +176,9 @@ def _progress(content: Any) -> Progress:
         raise ProtocolError(f"no status: {content!r}")
     state, buffer_s = content.get("state"), content.get("buffer_s")
     counts = content.get("accepted"), content.get("executed"), content.get("stops")
-    if state not in get_args(RobotState) or not isinstance(buffer_s, int | float):
+    if state not in get_args(RobotState) or not _is_time(buffer_s):
         raise ProtocolError(f"status with state {state!r}, buffer_s {buffer_s!r}")
-    if not all(isinstance(count, int) and count >= 0 for count in counts):
+    if not all(map(_is_count, counts)):
         raise ProtocolError(f"status with accepted, executed, stops {counts!r}")
     texts = {key: _text(content, key) for key in ("program_sha256", "boot_id", "detail")}
     return Progress(

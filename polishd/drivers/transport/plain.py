@@ -1,7 +1,8 @@
 """Lines without numbers: each has one answer, the next line that comes. Silence ends the link.
 
-A late answer could not be told from that to the next line. So where none comes in time nothing is asked any more
-before ``open``; and a caller that is cancelled leaves its answer to be read, and dropped.
+A late answer could not be told from that to the next line. So what comes before a line is sent is dropped, and where no
+answer comes in time nothing is asked any more before ``open``; and a caller that is cancelled leaves its answer to be
+read, and dropped.
 """
 
 from __future__ import annotations
@@ -97,6 +98,7 @@ class PlainLines:
             raise LinkError(f"{self.name}: the link was lost")
         deadline = time.monotonic() + self._silence_s
         try:
+            await self._lines.restart()
             await self._stream.write(line.encode("ascii") + b"\n")
             answer = await self._lines.next(self._silence_s)
         except LinkError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import os
 import socket
@@ -260,6 +261,13 @@ class TcpStream(ReadBuffer, asyncio.Protocol):
             await asyncio.wait({self._closed}, timeout=WRITE_S)
 
 
+async def drop_stale(stream: ByteStream) -> None:
+    """Drop what has come: before it is asked it is no answer. A dead link is told by the next write."""
+    with contextlib.suppress(LinkError):
+        while True:
+            await stream.read(4096, 0.0)
+
+
 class LineReader:
     """Reads lines off a stream; what is longer than allowed is dropped up to its end."""
 
@@ -272,6 +280,11 @@ class LineReader:
     def rest(self) -> bytes:
         """What came after the last line."""
         return bytes(self._rest)
+
+    async def restart(self) -> None:
+        """Drop what has come; see ``drop_stale``."""
+        self._rest.clear()
+        await drop_stale(self._stream)
 
     async def next(self, within_s: float) -> bytes:
         """The next line without its end; LinkError when it is not complete in time."""

@@ -15,6 +15,7 @@ ANSWER_S = 1.0
 """It lives in the pendant's user interface, which may be busy."""
 GREETING = b"Connected: Universal Robots Dashboard Server"
 _UNKNOWN = re.compile(r"could not understand|not supported", re.IGNORECASE)
+_YES_OR_NO = re.compile(r"(?:[\w ]+: )?(true|false)", re.IGNORECASE | re.ASCII)
 LONGEST = 4096
 
 
@@ -47,8 +48,11 @@ def read(answer: str, question: str, name: str) -> str:
 
 
 def yes(answer: str) -> bool:
-    """``true``, ``Program running: true``."""
-    return answer.rpartition(" ")[2].lower() == "true"
+    """``true``, ``Program running: true``. ProtocolError where it is neither true nor false."""
+    found = _YES_OR_NO.fullmatch(answer)
+    if found is None:
+        raise ProtocolError(f"dashboard: {answer[:60]!r} is neither true nor false")
+    return found[1].lower() == "true"
 
 
 async def in_remote_control(address: Tcp) -> bool:

@@ -135,11 +135,14 @@ class Link(Background):
 
     async def _packages(self) -> AsyncIterator[Package]:
         """Packages as they come, texts left out; LinkError after silence."""
-        reader = PackageReader()
+        reader, heard_s = PackageReader(), time.monotonic()
         while self._stream is not None:
             for package in reader.feed(await self._stream.read(1 << 16, self._silence_s)):
+                heard_s = time.monotonic()
                 if package.kind != Kind.TEXT:
                     yield package
+            if time.monotonic() - heard_s > self._silence_s:  # a wrong length waits for what never comes
+                raise LinkError(f"{self._address}: no whole package for {self._silence_s:.2g} s")
 
     async def _listen(self, packages: AsyncIterator[Package], ready: Ready) -> None:
         heard_s = time.monotonic()

@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 
+from polishd.api import ProtocolError
 from polishd.drivers.universal_robots.rtde import Value
 
 STILL_M_S = 1e-5
 """A tool that stands is meant to have no speed at all."""
-FULL = 0.999
-"""Of the speed slider."""
+FULL, MOST = 0.999, 1.001
+"""Of the speed slider: 1, but for rounding."""
 
 
 class Runtime(IntEnum):
@@ -96,8 +97,10 @@ class Sample:
 
     @classmethod
     def of(cls, values: Mapping[str, Value], registers: Registers) -> Sample:
-        """From a data package's values."""
+        """From a data package's values. ProtocolError where the speed slider is where it cannot be."""
         one = {name: value[0] for name, value in values.items()}
+        if not 0.0 <= one["target_speed_fraction"] <= MOST:
+            raise ProtocolError(f"RTDE: a speed slider at {100.0 * one['target_speed_fraction']:.3g} %, of 0 to 100 %")
         token, block, phase, turns = (int(one[name]) for name in registers.outputs())
         return cls(
             time_s=one["timestamp"],

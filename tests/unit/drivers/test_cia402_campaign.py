@@ -9,11 +9,9 @@ import asyncio
 import gc
 import itertools
 import random
-import selectors
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -26,6 +24,7 @@ from polishd.drivers.cia402.link import DriveLink
 from polishd.drivers.transport import background
 from polishd.drivers.transport.address import Slcan
 from polishd.drivers.transport.can_bus import CanFrame, OnFrame
+from tests.campaigns.codecs.virtual import VirtualLoop
 from tests.fakes.cia402 import EDS, NODE, Frame, cia402_spindle, sim_motor
 from tests.fakes.drive import SlcanPeer
 from tests.fakes.wires import PtyWire
@@ -33,28 +32,6 @@ from tests.fakes.wires import PtyWire
 SILENCE_S = 0.5
 ASKED = (objects.VELOCITY, objects.TARGET_VELOCITY, objects.POSITION)
 ANSWER = 0x580 + NODE
-
-
-class VirtualLoop(asyncio.SelectorEventLoop):
-    """Time goes on only where nothing is left to do, and then at once to what is next."""
-
-    def __init__(self) -> None:
-        super().__init__(_Jumping(self))
-        self.now_s = 0.0
-
-    def time(self) -> float:
-        return self.now_s
-
-
-class _Jumping(selectors.DefaultSelector):
-    def __init__(self, loop: VirtualLoop) -> None:
-        super().__init__()
-        self._loop = loop
-
-    def select(self, timeout: float | None = None) -> list[Any]:
-        if timeout:
-            self._loop.now_s += timeout
-        return super().select(0)
 
 
 class NastyDrive:

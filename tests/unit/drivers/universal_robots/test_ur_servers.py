@@ -79,7 +79,9 @@ def test_true_is_true() -> None:
     assert dashboard.yes("Program running: true")
     assert dashboard.yes("True")
     assert not dashboard.yes("Program running: false")
-    assert not dashboard.yes("")
+    for neither in ("", "Program running: tru", "maybe"):
+        with pytest.raises(ProtocolError, match="neither true nor false"):
+            dashboard.yes(neither)
 
 
 def test_complaints_are_found_among_states_however_they_are_dribbled() -> None:

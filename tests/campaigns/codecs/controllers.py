@@ -1,0 +1,145 @@
+"""What libraries answer: the variables of a controller over OPC UA and ADS.
+
+Bytes and their order are the libraries' affair. What is told apart here is types, numbers that are none, what is
+missing, errors of single variables, and timestamps.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections import Counter
+from datetime import datetime, timedelta
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from asyncua import ua
+
+from polishd.api import PolishdError
+from polishd.config.controller_profile import Variable, load_controller_profile
+from polishd.drivers.handover.report import report_of
+from polishd.drivers.handover.variables import Variables, watched
+
+BAD_SHARE = 0.6
+NOW = datetime(2026, 1, 1)  # noqa: DTZ001 -- as asyncua gives them
+RANGES = {"int16": 1 << 15, "uint16": 1 << 16, "int32": 1 << 31, "uint32": 1 << 32}
+
+
+class Controller:
+    """Tells all variables of a profile, each with a value of its own, and now and then one that is none."""
+
+    def __init__(self, name: str, seed: int) -> None:
+        self.profile = load_controller_profile(name, Path())
+        self.points = watched(self.profile.variables)
+        self.rng = random.Random(seed)
+        self.counts = Counter[str]()
+        self.truth: dict[str, Any] = {}
+        self.broken = False
+        """The last reading has something that is no value."""
+
+    def reading(self) -> dict[str, Any]:
+        """By address."""
+        self.broken = self.rng.random() < BAD_SHARE
+        number = self.counts.total()
+        self.counts["broken" if self.broken else "good"] += 1
+        self.truth = {name: self._value(point, number + at) for at, (name, point) in enumerate(self.points.items())}
+        told = {self.points[name].address: value for name, value in self.truth.items()}
+        if self.broken:
+            point = self.rng.choice(list(self.points.values()))
+            told[point.address] = self._nonsense(point)
+        return told
+
+    def _value(self, point: Variable, number: int) -> Any:
+        match point.type:
+            case "string":
+                return f"text {number}"
+            case "bool":
+                return number % 2 == 0
+            case "float" | "double":
+                return number / 8
+        return number % 7 if point is self.profile.variables.state else number % (RANGES[point.type] - 1)
+
+    def _nonsense(self, point: Variable) -> Any:
+        rng = self.rng
+        match point.type:
+            case "string":
+                return rng.choice([None, 7, 1.5, b"text", [], True])
+            case "bool":
+                return rng.choice([None, "True", 1.0, b"\1", []])
+            case "float" | "double":
+                return rng.choice([None, math.nan, math.inf, -math.inf, "1.0", b"1", [1.0], 10**400])
+        most = RANGES[point.type]
+        return rng.choice([None, "7", 1.5, math.nan, math.inf, most, -most - 1, 1 << 70, 10**400, [3], b"3"])
+
+
+class OpcUaServer(Controller):
+    """In place of asyncua's client: what it makes of a server's answers."""
+
+    def __init__(self, seed: int = 15) -> None:
+        super().__init__("plc-opcua", seed)
+        self.uaclient = self
+        self.nodes: dict[str, Any] = {}
+
+    def client(self, *_: object, **__: object) -> OpcUaServer:
+        return self
+
+    async def connect(self) -> None: ...
+    async def disconnect(self) -> None: ...
+    def disconnect_socket(self) -> None: ...
+
+    async def get_namespace_array(self) -> list[str]:
+        return ["", "urn:polishd:handover"]
+
+    async def read_attributes(self, nodes: list[Any], _attribute: object) -> list[Any]:
+        told = list(self.reading().values())
+        answers = [_answer(value) for value in told]
+        if self.broken and self.rng.random() < 0.2:
+            answers[0].StatusCode = ua.StatusCode(ua.StatusCodes.BadSensorFailure)
+        return answers
+
+
+def _answer(value: Any) -> Any:
+    told = SimpleNamespace(Value=value)
+    return SimpleNamespace(Value=told, StatusCode=None, SourceTimestamp=NOW, ServerTimestamp=NOW + timedelta(seconds=1))
+
+
+class AdsServer(Controller):
+    """In place of a connection of pyads."""
+
+    def __init__(self, seed: int = 15) -> None:
+        super().__init__("plc-ads", seed)
+
+    def connection(self, *_: object) -> AdsServer:
+        return self
+
+    def open(self) -> None: ...
+    def close(self) -> None: ...
+    def set_timeout(self, _ms: int) -> None: ...
+
+    def read_list_by_name(self, addresses: list[str]) -> dict[str, Any]:
+        return self.reading()
+
+
+async def read_for_ever(variables: Variables, controller: Controller, bad: int) -> Counter[str]:
+    """Until so many readings were broken; each is refused, and no good one is."""
+    outcomes = Counter[str]()
+    opened = False
+    while controller.counts["broken"] < bad:
+        try:
+            if not opened:
+                await variables.open()
+                opened = True
+            reading = await variables.read()
+            report = report_of(controller.profile.variables, reading)
+        except PolishdError:
+            outcomes["refused"] += 1
+            assert controller.broken, "a good reading was refused"
+        else:
+            outcomes["value"] += 1
+            assert not controller.broken, f"taken: {reading.values}"
+            assert reading.values == controller.truth
+            assert math.isfinite(report.time_s)
+            assert math.isfinite(report.override)
+    await variables.close()
+    return outcomes

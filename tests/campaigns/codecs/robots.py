@@ -1,0 +1,258 @@
+"""The robot link, and the servers of a Universal Robots controller."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import random
+import re
+import struct
+from collections import deque
+from collections.abc import Iterable, Sequence
+from typing import Any
+from zlib import crc32
+
+from polishd.api import RobotTimes
+from polishd.drivers.robot_link.connection import Connection
+from polishd.drivers.robot_link.frames import Kind
+from polishd.drivers.transport.address import Tcp
+from polishd.drivers.universal_robots import dashboard
+from polishd.drivers.universal_robots.link import Link
+from polishd.drivers.universal_robots.sample import OUTPUTS, Registers
+from tests.campaigns.codecs.lines import HOST
+from tests.campaigns.codecs.nasty import WEIGHTS, Talk
+
+BOOT = "boot-1"
+
+
+def link_frame(kind: int, payload: bytes) -> bytes:
+    """A frame of the robot link, as its page says."""
+    head = struct.pack(">BI", kind, len(payload))
+    body = b"PL" + head[:1] + bytes([crc32(head) & 0xFF]) + head[1:] + payload
+    return body + struct.pack(">I", crc32(body))
+
+
+class RobotLink(Talk):
+    """An order, and its ACK with the robot's state. Frames have a checksum; what they say is JSON."""
+
+    name = "robot link"
+    least = 0.2  # most nonsense with a right checksum ends the connection
+
+    def __init__(self, address: Tcp = HOST, **how: Any) -> None:
+        super().__init__(**how)
+        self._address = address
+        self._connection: Connection | None = None
+        self._said: deque[bytes] = deque(maxlen=9)
+
+    async def open(self) -> None:
+        times = RobotTimes(silence_s=self.silence_s, watchdog_s=1.0)
+        self._connection = Connection(self._address, "writer", None, times)
+        await self._connection.open("test")
+
+    async def close(self) -> None:
+        if self._connection is not None:
+            await self._connection.close()
+
+    async def ask(self) -> Any:
+        assert self._connection is not None
+        told = (await self._connection.command(Kind.HOLD, {})).progress
+        assert math.isfinite(self._connection.progress.buffer_s)
+        return told.state, told.accepted, told.executed, told.stops, told.buffer_s
+
+    def replies(self, data: bytes) -> Iterable[bytes]:
+        while data:
+            kind, size = data[2], struct.unpack_from(">I", data, 4)[0]
+            data = data[12 + size :]
+            if kind == Kind.HELLO:
+                about = dict.fromkeys(("vendor", "model", "serial", "firmware"), "x")
+                more = {"protocol": 1, "boot_id": BOOT, "window": 100, "watchdog_s": 10.0, "lease": "l"}
+                yield link_frame(Kind.WELCOME, json.dumps({**about, **more, "status": self._status()}).encode())
+            elif kind == Kind.HOLD:
+                self._said.append(
+                    link_frame(Kind.ACK, json.dumps({"of": Kind.HOLD, "status": self._status()}).encode())
+                )
+                yield self._said[-1]
+
+    def _status(self) -> dict[str, Any]:
+        number = next(self.numbers)
+        self.truth = ("held", number + 2, number, number + 1, number / 8)
+        keys = ("state", "accepted", "executed", "stops", "buffer_s")
+        return {**dict(zip(keys, self.truth, strict=True)), "program_sha256": "", "boot_id": BOOT, "detail": ""}
+
+    def refusal(self, reply: bytes) -> bytes:
+        of = Kind.HELLO if reply[2] == Kind.WELCOME else Kind.HOLD
+        return link_frame(Kind.NAK, json.dumps({"of": of, "code": "state", "text": "no"}).encode())
+
+    def tells(self, sent: bytes, reply: bytes) -> bool:
+        """What has a right checksum is ours. An ACK has no number: an older one, or a double, may answer the next."""
+        return sent.count(reply) <= 1 and not any(one in sent for one in self._said if one != reply)
+
+    def damages(self, rng: random.Random, reply: bytes) -> Sequence[bytes]:
+        """Sound frames with nonsense in them: each ends the connection, or answers nothing."""
+        content = json.loads(reply[8:-4])
+        status = content["status"]
+        wrong: list[dict[str, Any]] = [
+            {"buffer_s": rng.choice([math.nan, math.inf, -math.inf, "1", None, True, -1.0])},
+            {"accepted": rng.choice([-1, 1.5, "7", None, True])},
+            {"stops": rng.choice([-1, 2.5, [], True])},
+            {"state": rng.choice(["", "HELD", 3, ["held"], None])},
+            {"boot_id": rng.choice([7, "boot-2"])},
+        ]
+        said = [json.dumps(content | {"status": status | one}) for one in wrong]
+        said += [json.dumps(content | {"status": rng.choice([None, [], "held", 5])})]
+        said += [json.dumps(content).replace(str(status["buffer_s"]), rng.choice(["1e999", "1" + "0" * 400]), 1)]
+        said += ["", "[" * 3000, "[]", "7", "{", '"held"', json.dumps(content)[:-1]]
+        if reply[2] == Kind.WELCOME:
+            watchdog = rng.choice([math.nan, math.inf, 0, -1, None, "1", True])
+            said += [
+                json.dumps(content | {"watchdog_s": watchdog}),
+                json.dumps(content | {"window": rng.choice([0, True, 1.5])}),
+            ]
+        return [link_frame(reply[2], one.encode()) for one in said] + [link_frame(rng.randrange(0x88, 256), b"{}")]
+
+
+DOUBLES = ("timestamp", "target_speed_fraction", "speed_scaling")
+TYPES = dict.fromkeys(DOUBLES, "DOUBLE") | {"target_TCP_speed": "VECTOR6D", "runtime_state": "UINT32"}
+FORMS = {"DOUBLE": ">d", "UINT32": ">I", "INT32": ">i"}
+
+
+class Rtde(Talk):
+    """Samples come by themselves. Neither number nor checksum: what can be told is kind, length, time and range."""
+
+    name = "Universal Robots, RTDE"
+    resyncs = False
+    least = 0.1  # five good answers in a row open it, and nonsense ends it
+    kinds = frozenset(WEIGHTS) - {"late", "refused"}
+    period_s = 0.01
+
+    def __init__(self, address: Tcp = HOST, **how: Any) -> None:
+        super().__init__(**how)
+        registers = Registers()
+        self.link = Link(address, 100.0, registers, self.silence_s)
+        self._names = (*OUTPUTS, *registers.outputs())
+        self._timer: asyncio.TimerHandle | None = None
+        self._own: list[bytes] = []
+
+    async def open(self) -> None:
+        await self.link.open()
+
+    async def close(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        await self.link.close()
+
+    async def ask(self) -> Any:
+        count = self.link._count
+        await self.link.until(lambda: self.link._count != count)
+        last = self.link.last
+        return last.block, last.time_s
+
+    def replies(self, data: bytes) -> Iterable[bytes]:
+        while data:
+            size, kind = struct.unpack_from(">HB", data)
+            payload, data = data[3:size], data[size:]
+            match chr(kind):
+                case "V":
+                    yield self._package("V", b"\1")
+                case "v":
+                    yield self._package("v", struct.pack(">4I", 5, 11, 0, 0))
+                case "O":
+                    types = [TYPES.get(name, "INT32") for name in self._names]
+                    yield self._package("O", b"\1" + ",".join(types).encode())
+                case "I":
+                    yield self._package("I", b"\2" + ",".join(["INT32"] * (payload.count(b",") + 1)).encode())
+                case "S":
+                    self._timer = asyncio.get_running_loop().call_later(self.period_s, self._tick)
+                    yield self._package("S", b"\1")
+
+    def _tick(self) -> None:
+        number = next(self.numbers)
+        self.truth = (number % 100_000, number / 100)
+        self._timer = asyncio.get_running_loop().call_later(self.period_s, self._tick)
+        self.say(self._sample(number))
+
+    def _sample(self, number: int, **other: float) -> bytes:
+        values: dict[str, Any] = {
+            "timestamp": number / 100, "runtime_state": 2, "robot_mode": 7, "safety_mode": 1, "speed_scaling": 1.0,
+            "target_speed_fraction": 1.0, "output_int_register_25": number % 100_000, **other,
+        }  # fmt: skip
+        data = b""
+        for name in self._names:
+            value, kind = values.get(name, 0), TYPES.get(name, "INT32")
+            data += struct.pack(">6d", *[value] * 6) if kind == "VECTOR6D" else struct.pack(FORMS[kind], value)
+        return self._package("U", b"\1" + data)
+
+    def _package(self, kind: str, payload: bytes) -> bytes:
+        return struct.pack(">HB", 3 + len(payload), ord(kind)) + payload
+
+    def tells(self, sent: bytes, reply: bytes) -> bool:
+        """Only its own damages: a stream that is shifted could say anything."""
+        return sent in self._own
+
+    def damages(self, rng: random.Random, reply: bytes) -> Sequence[bytes]:
+        kind, payload = chr(reply[2]), reply[3:]
+        longer = payload + rng.randbytes(rng.randrange(1, 9))
+        self._own = [
+            self._package(kind, payload[: rng.randrange(len(payload))]),
+            self._package(kind, longer),
+            self._package(rng.choice("xyzQ"), payload),
+            self._package("M", rng.randbytes(20)),
+            struct.pack(">HB", rng.randrange(3), reply[2]) + payload,
+            struct.pack(">HB", 0xFFFF, reply[2]) + payload,
+        ]
+        if kind == "U":
+            number = next(self.numbers)
+            name = rng.choice(["timestamp", "target_speed_fraction", "speed_scaling", "target_TCP_speed"])
+            self._own += [
+                self._package("U", bytes([rng.choice([0, 2, 3, 255])]) + payload[1:]),
+                self._sample(number, **{name: rng.choice([math.nan, math.inf, -math.inf])}),
+                self._sample(number, target_speed_fraction=rng.choice([7.0, -1.0, 1e200])),
+            ]
+            if self.link._last is not None:
+                self._own.append(self._sample(max(round(100 * self.link._last.time_s) - rng.randrange(900), 0)))
+        elif kind in "OI":
+            self._own += [self._package(kind, reply[3:4] + b"DOUBLE,NONSENSE"), self._package(kind, b"")]
+        return self._own
+
+
+class Dashboard(Talk):
+    """One question a connection: its greeting, and a yes or no."""
+
+    name = "Universal Robots, dashboard"
+    resyncs = False
+    least = 0.3
+    greeting = b"Connected: Universal Robots Dashboard Server\n"
+    answer = re.compile(rb"([\w ]+: )?(true|false)", re.IGNORECASE)
+
+    def __init__(self, address: Tcp = HOST, **how: Any) -> None:
+        super().__init__(**how)
+        self._address = address
+
+    async def open(self) -> None:
+        """Each question opens its own."""
+
+    async def close(self) -> None:
+        """It has closed it."""
+
+    def greets(self) -> Iterable[bytes]:
+        yield self.greeting
+
+    def replies(self, data: bytes) -> Iterable[bytes]:
+        self.truth = next(self.numbers) % 2 == 0
+        yield b"Program running: %b\n" % (b"true" if self.truth else b"false")
+
+    def refusal(self, reply: bytes) -> bytes:
+        return b"" if reply == self.greeting else b"error: not now\n"
+
+    def tells(self, sent: bytes, reply: bytes) -> bool:
+        lines = [line.strip() for line in sent.split(b"\n")[:-1]]
+        answers = (
+            lines[1:] if reply == self.greeting and lines and lines[0].startswith(self.greeting[:-1]) else lines[:1]
+        )
+        wrong = (line for line in answers if line != reply.strip())
+        return not any(self.answer.fullmatch(line) or b"not " in line.lower() for line in wrong)
+
+    async def ask(self) -> Any:
+        answer = await dashboard.ask(self._address, "running", self.silence_s)
+        return dashboard.yes(answer)
