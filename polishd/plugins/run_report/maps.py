@@ -34,13 +34,16 @@ def overview(surfaces: list[tuple[str, Surface]]) -> Figure:
 
 
 def before_and_after(before: Surface, after: Surface, after_name: str) -> Figure:
-    """Two maps on one scale, and both on the horizontal line through the middle."""
+    """Two maps on one scale, the second on its own too, and both on the horizontal line through the middle."""
     limit = scale_nm(before)
-    fig, axes = row_of_three()
+    fig = figure(WIDTH_IN * 4 / 3, 3.5)
+    axes = list(fig.subplots(1, 4))
     show(axes[0], before, before.levelled(), limit, f"Before: {before.rms_nm():.2f} nm RMS")
     image = show(axes[1], after, after.levelled(), limit, f"{after_name}: {after.rms_nm():.2f} nm RMS")
     colour_bar(fig, image, [axes[0], axes[1]])
-    profiles(axes[2], before, after, after_name)
+    own = show(axes[2], after, after.levelled(), scale_nm(after), f"{after_name}, on its own scale")
+    colour_bar(fig, own, [axes[2]])
+    profiles(axes[3], before, after, after_name)
     return fig
 
 

@@ -118,12 +118,17 @@ def surface_pictures(cycle: Cycle, after: Surface | None, album: Album) -> None:
         album.missing.append(f"{cycle.name}: no map, so nothing to compare with")
         return
     if after is None:
-        caption = "Measured before the pass, and what the plan predicts after it, on one colour scale. No map follows."
+        caption = (
+            "Measured before the pass, and what the plan predicts after it, on one colour scale and on its own. "
+            "No map follows."
+        )
         album.add(
             f"{cycle.name}-maps", caption, lambda: maps.before_and_after(before, predicted(cycle, before), "Predicted")
         )
         return
-    caption = "Measured before and after the pass on one colour scale. Outlined: the clear aperture."
+    caption = (
+        "Measured before and after the pass on one colour scale, and after it on its own. Outlined: the clear aperture."
+    )
     album.add(f"{cycle.name}-maps", caption, lambda: maps.before_and_after(before, after, "After"))
     caption = "What the plan said would remain, what the next map shows, and the difference, on one colour scale."
     album.add(f"{cycle.name}-prediction", caption, lambda: maps.prediction(cycle, after))

@@ -63,7 +63,7 @@ def compare_verb(before: Path, after: Path, asked: FigureOptions, *, as_json: bo
             "warnings": list(surface.warnings),
             "masks": mask_records(surface),
             **heights_nm(height, metrics.without(height, mask, "tilt"), mask),
-            "bands": None if pitch is None else band_records(getattr(found, side).band_rms_nm, pitch, edges),
+            "bands": None if pitch is None else band_records(getattr(found, side).band_rms_nm, mask, pitch, edges),
         }
     lines = _lines(answer)
     answer["change_percent"] = {key: _percent(was, now) for key, (_, was, now) in lines.items()}
@@ -140,7 +140,7 @@ def _lines(answer: Mapping[str, Any]) -> dict[str, Line]:
         key.removesuffix("_nm"): (words, before[key], after[key]) for key, words in HEIGHTS.items()
     }
     for was, now in zip(before["bands"] or (), after["bands"] or (), strict=True):
-        lines[was["name"]] = (f"{was['name']} RMS", was["rms_nm"], now["rms_nm"])
+        lines[was["name"]] = (f"{was['name']} RMS{' (soft)' if was['soft'] else ''}", was["rms_nm"], now["rms_nm"])
     return lines
 
 

@@ -18,6 +18,8 @@ from polishd.workbench.maps.masks import mask_records, masked_out
 HEIGHTS = {"pv_nm": "PV", "rms_nm": "RMS", "pv_tilt_removed_nm": "PV level", "rms_tilt_removed_nm": "RMS level"}
 """What every map has, scale or none: the key, and the word for people."""
 PVR_TERMS = 36
+FEWEST_PERIODS = 3
+"""On the part: what lies to either side of a period of which there are fewer depends on how the edge is continued."""
 ISO_KEYS = ("a_nm", "b_nm", "c_nm", "rms_t_nm", "rms_i_nm", "rms_a_nm")
 T = TypeVar("T")
 
@@ -61,7 +63,9 @@ def figured(surface: SurfaceMap, trim: int, edges: Sequence[float]) -> Figured:
         "pitch_mm": pitch,
         "missing": int(np.count_nonzero(~surface.valid)) - masked_out(surface),
         **heights_nm(height, level, mask),
-        "bands": None if pitch is None else band_records([float(band[mask].std()) for band in bands], pitch, edges),
+        "bands": None
+        if pitch is None
+        else band_records([float(band[mask].std()) for band in bands], mask, pitch, edges),
         "sha256": surface.sha256,
         "warnings": list(surface.warnings),
         "trim": trim,
@@ -80,8 +84,14 @@ def heights_nm(height_nm: FloatArray, level_nm: FloatArray, mask: BoolArray) -> 
     return dict(zip(HEIGHTS, found, strict=True))
 
 
-def band_records(rms_nm: Sequence[float], pitch_mm: float, edges: Sequence[float]) -> list[dict[str, Any]]:
-    """A band each: name, periods from and to (None: no end), RMS in nm; None where no sample shows such periods."""
+def band_records(
+    rms_nm: Sequence[float], mask: BoolArray, pitch_mm: float, edges: Sequence[float]
+) -> list[dict[str, Any]]:
+    """A band each: name, periods from and to (None: no end), RMS in nm; None where no sample shows such periods.
+
+    ``soft``: it ends at a period of which fewer than ``FEWEST_PERIODS`` lie on the mask's longer side.
+    """
+    longest_mm = pitch_mm * max(np.ptp(np.flatnonzero(mask.any(axis=axis))) + 1 for axis in (0, 1)) / FEWEST_PERIODS
     limits = [None, *edges, None]
     return [
         {
@@ -89,6 +99,7 @@ def band_records(rms_nm: Sequence[float], pitch_mm: float, edges: Sequence[float
             "from_mm": limits[k],
             "to_mm": limits[k + 1],
             "rms_nm": None if (limits[k] or math.inf) <= 2 * pitch_mm else rms,
+            "soft": bool(max(limits[k] or 0.0, limits[k + 1] or 0.0) > longest_mm),
         }
         for k, (name, rms) in enumerate(zip(band_names(len(rms_nm)), rms_nm, strict=True))
     ]

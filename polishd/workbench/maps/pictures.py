@@ -52,7 +52,7 @@ def _heights(row: Sequence[Axes], found: Figured, name: str) -> None:
         _empty(row[3], "no lateral scale:\nno bands, no spectrum")
     else:
         edges = [band["to_mm"] for band in answer["bands"] if band["to_mm"] is not None]
-        _spectra(row[3], {"": metrics.radial_psd(found.level_nm, found.mask, pitch)}, edges)
+        _spectra(row[3], {"": metrics.radial_psd(found.level_nm, found.mask, pitch)}, pitch, edges)
     for ax in row[4:]:
         ax.set_axis_off()
 
@@ -81,7 +81,7 @@ def compared_picture(
     pitch_mm: float | None,
     figures: Mapping[str, tuple[float, float]],
 ) -> bytes:
-    """PNG: two maps on one scale and their difference on its own; below their figures and both spectra.
+    """PNG: two maps on the first one's scale, the second and the difference on their own; figures and both spectra.
 
     Args:
         heights: by name, before and after: (ny, nx) nm.
@@ -93,17 +93,27 @@ def compared_picture(
     level = {name: np.where(mask, height - height[mask].mean(), np.nan) for name, height in heights.items()}
     before, after = level.values()
     with polishd_style():
-        page = figure(PANEL_IN * ACROSS, PANEL_IN * 2.2)
-        axes = page.subplot_mosaic([["b", "a", "d"], ["f", "p", "p"]])
+        page = figure(PANEL_IN * (ACROSS + 1), PANEL_IN * 2.2)
+        axes = page.subplot_mosaic([["b", "a", "o", "d"], ["f", "f", "p", "p"]])
         for key, (name, height) in zip("ba", level.items(), strict=True):
             _panel(axes[key], height, pitch_mm, f"{name}\n{_pv_rms(height, mask)}", _limit(before))
+        _panel(axes["o"], after, pitch_mm, f"{list(level)[1]}, on its own scale\n{_pv_rms(after, mask)}")
         change = after - before
         _panel(axes["d"], change, pitch_mm, f"after less before\n{_pv_rms(change, mask)}")
         _bars(axes["f"], figures)
-        if spectra:
-            _spectra(axes["p"], spectra)
+        if spectra and pitch_mm is not None:
+            _spectra(axes["p"], spectra, pitch_mm)
         else:
             _empty(axes["p"], "no lateral scale")
+        return png(page)
+
+
+def subtracted_picture(heights: Mapping[str, FloatArray], mask: BoolArray, pitch_mm: float | None) -> bytes:
+    """PNG: maps (ny, nx) nm by what they are called, beside each other, each about its mean on its own scale."""
+    with polishd_style():
+        page = figure(PANEL_IN * len(heights), PANEL_IN)
+        for ax, (name, height) in zip(page.subplots(1, len(heights)), heights.items(), strict=True):
+            _panel(ax, np.where(mask, height, np.nan), pitch_mm, f"{_short(name)}\n{_pv_rms(height, mask)}")
         return png(page)
 
 
@@ -149,10 +159,11 @@ def _bars(ax: Axes, figures: Mapping[str, tuple[float, float]]) -> None:
     ruled(ax)
 
 
-def _spectra(ax: Axes, spectra: Mapping[str, RadialPsd], edges_mm: Sequence[float] = ()) -> None:
+def _spectra(ax: Axes, spectra: Mapping[str, RadialPsd], pitch_mm: float, edges_mm: Sequence[float] = ()) -> None:
+    """Up to Nyquist's frequency: the rings beyond it are corners of the square of frequencies."""
     drawn = False
     for (name, psd), colour in zip(spectra.items(), (BLUE, ORANGE), strict=False):
-        some = (psd.density_nm2_mm2 > LEAST_NM**2) & (psd.frequency_per_mm > 0)
+        some = (psd.density_nm2_mm2 > LEAST_NM**2) & (psd.frequency_per_mm <= 0.5 / pitch_mm)
         if some.any():
             drawn = True
             ax.loglog(psd.frequency_per_mm[some], psd.density_nm2_mm2[some], color=colour, label=name, linewidth=1.1)

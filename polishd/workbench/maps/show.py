@@ -24,6 +24,8 @@ from polishd.workbench.maps.files import (
 from polishd.workbench.maps.masks import mask_lines, mask_words
 from polishd.workbench.maps.options import FigureOptions
 
+SOFT = "; soft: longer than a third of the part"
+"""Of a band whose end is such a period."""
 MOST_DRAWN = 12
 """Maps in a picture: one row each."""
 
@@ -118,4 +120,4 @@ def _pair(answer: Mapping[str, Any], which: str) -> str:
 def _band_words(band: Mapping[str, Any]) -> str:
     ends = (("below", band["from_mm"]), ("above", band["to_mm"]))
     periods = " and ".join(f"{word} {edge:g} mm" for word, edge in ends if edge is not None)
-    return or_dash(band["rms_nm"], ".3f", " nm RMS") + f" (periods {periods})"
+    return or_dash(band["rms_nm"], ".3f", " nm RMS") + f" (periods {periods}{SOFT if band['soft'] else ''})"

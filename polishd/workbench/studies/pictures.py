@@ -94,7 +94,8 @@ def _spectra(compared: Comparison) -> Figure:
     for name, (height, colour) in maps.items():
         spectrum = radial_psd(np.where(start.metric_mask, height, 0.0), start.metric_mask, start.grid.pitch_mm)
         dashed = "--" if name == "linear" else "-"  # it lies on pointwise
-        ax.loglog(spectrum.frequency_per_mm, spectrum.density_nm2_mm2, dashed, color=colour, label=name)
+        seen = spectrum.frequency_per_mm <= 0.5 / start.grid.pitch_mm  # beyond Nyquist: only the square's corners
+        ax.loglog(spectrum.frequency_per_mm[seen], spectrum.density_nm2_mm2[seen], dashed, color=colour, label=name)
     ax.set(title="plant depth: spectra", xlabel="frequency, 1/mm", ylabel="PSD, nm2 mm2")
     ax.legend(ncols=2)
     ruled(ax, "both")

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from polishd.process import metrics
+from polishd.show.style import figure
 from polishd.workbench.maps import pictures as map_pictures
 from tests.unit.said import Polishd
 from tests.unit.workbench.maps.maps import dat, surface
@@ -104,3 +106,14 @@ def test_spikes_do_not_bleach_the_rest() -> None:
     height[5, 5] = 1e4
     assert map_pictures._limit(height) < 10
     assert map_pictures._limit(np.zeros((3, 3))) == 1.0
+
+
+def test_a_spectrum_ends_at_nyquist() -> None:
+    """White noise has power in the corners of the square of frequencies, up to 1.41 times Nyquist's."""
+    height = np.random.default_rng(1).normal(0.0, 1.0, (64, 64))
+    spectrum = metrics.radial_psd(height, np.ones((64, 64), dtype=np.bool_), 0.5)
+    assert spectrum.frequency_per_mm[-1] > 1.3
+    ax = figure(3, 3).subplots()
+    map_pictures._spectra(ax, {"": spectrum}, 0.5)
+    drawn = np.asarray(ax.lines[0].get_xdata(), dtype=np.float64)
+    assert 0.98 < drawn.max() <= 1.0

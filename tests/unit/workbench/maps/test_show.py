@@ -390,3 +390,14 @@ def test_a_profile_is_applied(polishd: Polishd, good: Path) -> None:
     profile.write_text("name = 3\n")
     assert polishd("map", good, "--profile", profile).code == 3
     assert polishd("map", good, "--profile", profile.with_name("none.toml")).code == 3
+
+
+def test_a_band_that_ends_at_a_third_of_the_part_is_soft(polishd: Polishd, tmp_path: Path) -> None:
+    """30 rows of 0.5 mm: 15 mm, a third of which is 5 mm."""
+    good = dat(tmp_path / "part.dat", np.random.default_rng(4).normal(0.0, 1.0, (30, 20)))
+    bands = polishd("map", good, "--bands", "5.1,4.9", "--json").answer["bands"]
+    assert [band["soft"] for band in bands] == [True, True, False]
+    said = polishd("map", good, "--bands", "5.1,4.9").out
+    assert said.count("soft: longer than a third of the part") == 2
+    assert "RMS (soft)" in polishd("map", "compare", good, good, "--bands", "5.1").out
+    assert "soft" not in polishd("map", good, "--bands", "5,2").out
