@@ -128,7 +128,8 @@ def test_a_part_on_a_tilting_table_is_polished_as_if_the_tool_were_turned(tmp_pa
         require_safe_end(files)
         (program,) = account(files)["programs"]
     first, final = summary(files)["cycles"]
-    assert final["rms_nm"] < 0.6 * first["rms_nm"]
+    # Of one pass, before anybody knows what a block costs a controller that waits for a busy computer.
+    assert final["rms_nm"] < 0.8 * first["rms_nm"]
     assert program["loads"] == 1
     rows = np.genfromtxt(files.run_dir / "cycle-00" / "executed.csv", delimiter=",", names=True)
     assert np.all(np.diff(rows["seq"]) == 1), "each block of the contact once, and in order"
