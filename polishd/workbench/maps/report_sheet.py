@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from datetime import datetime
 from typing import Any
 
 from polishd.show.sheet import Cell, Chapter, Figure, Part, Sheet, Table
@@ -40,7 +41,8 @@ def sheet(found: list[Reported]) -> Sheet:
 
 def _footer(computed: Mapping[str, Any]) -> str:
     by = f" for {computed['by']}" if computed["by"] else ""
-    return f"computed by {computed['program']} {computed['version']}{by}, {computed['at']}"
+    at = datetime.fromisoformat(computed["at"])
+    return f"computed by {computed['program']} {computed['version']}{by}, {at:%Y-%m-%d %H:%M:%S} UTC"
 
 
 def _chapter(found: Reported) -> Chapter:
@@ -207,10 +209,14 @@ def _origin(answer: Mapping[str, Any]) -> Part:
         ]
         tables.append(Table(("mask", "samples with data in it", "of"), masks))
     if answer["factors"]:
-        factors = [(shown(name), shown(value)) for name, value in answer["factors"].items()]
+        factors = [(shown(name), _factor(answer, name, value)) for name, value in answer["factors"].items()]
         tables.append(Table(("applied once by the reader", ""), factors))
     notes = [f"warning: {shown(warning)}" for warning in answer["warnings"]]
     return Part("Measurement", tables, [*notes, *(f"left out: {shown(reason)}" for reason in answer["left_out"])])
+
+
+def _factor(answer: Mapping[str, Any], name: str, value: object) -> Cell:
+    return Figure.of(answer, f"factors.{name}", ".7g") if isinstance(value, float) and "." not in name else shown(value)
 
 
 def _editions() -> Part:
