@@ -22,7 +22,7 @@ MARGIN_IN = 0.75
 INNER_IN = WIDE_IN - 2 * MARGIN_IN
 TEXT_PT = 8.0
 LINE_IN = 0.17
-LETTER_IN = 0.6 * TEXT_PT / 72
+LETTER_IN = 0.64 * TEXT_PT / 72
 """Width of a letter at ``TEXT_PT``, generously: columns are laid out by it."""
 GAP_IN = 0.2
 """Between two columns."""
@@ -87,7 +87,7 @@ class _Pages:
     ) -> None:
         """Lines across the page."""
         step = LINE_IN * size / TEXT_PT
-        for line in textwrap.wrap(words, int(INNER_IN / (LETTER_IN * size / TEXT_PT) * (0.95 if bold else 1.1))):
+        for line in textwrap.wrap(words, int(INNER_IN / (LETTER_IN * size / TEXT_PT) * (1.0 if bold else 1.15))):
             self.room(step)
             self.put(line, 0.0, size=size, color=colour, weight="bold" if bold else "normal")
             self.y_in -= step

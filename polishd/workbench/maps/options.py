@@ -70,7 +70,7 @@ class ReportOptions:
         float, Option(min=100.0, max=20000.0, metavar="NM", help="Of the waves: ISO's e line, or 632.8.")
     ] = 546.07
     zernike: Annotated[ZernikeOrder, Option(help="Ordering of the Zernike terms.")] = ZernikeOrder.fringe
-    terms: Annotated[int, Option(min=15, max=120, metavar="N", help="Zernike terms of the fit.")] = 37
+    terms: Annotated[int, Option(min=15, max=120, metavar="N", help="Zernike terms of the fit.")] = 36
     by: Annotated[str, Option(metavar="NAME", help="Who answers for the report.")] = ""
     trim: Trim = 0
     profile: Profile = None

@@ -29,6 +29,8 @@ ISO_WORDS = {
     "rms_i": "RMSi, irregularity",
     "rms_a": "RMSa, without the symmetric part",
 }
+BANDS = {"from_mm": "g", "to_mm": "g", "rms_nm": ".3f"}
+"""Figures of a band, and their formats."""
 NORMS = {"edge": "amplitude 1 at the circle's edge", "rms": "RMS 1 over the circle"}
 
 
@@ -55,57 +57,72 @@ def _chapter(found: Reported) -> Chapter:
         ("measured", date_words(answer)),
         ("computed by", _footer(answer["computed"]).removeprefix("computed by ")),
     ]
-    parts = [*_form(found), *_tolerance(answer), *_slope(found), *_periods(found), *_zernike(answer), _origin(answer)]
+    parts = [
+        _surface(found),
+        *_aberrations(answer),
+        *_indications(answer),
+        *_tolerance(answer),
+        *_slope(found),
+        *_periods(found),
+        *_zernike(answer),
+        _origin(answer),
+        _editions(),
+    ]
     held = sum(line["holds"] for line in answer["tolerance"])
     verdict = f"{held} of {len(answer['tolerance'])} lines of the tolerance hold" if answer["tolerance"] else ""
-    return Chapter(
-        shown(answer["part_id"]) or name, facts, [*parts, _editions()], verdict, answer["within"] is not False
-    )
+    return Chapter(shown(answer["part_id"]) or name, facts, parts, verdict, answer["within"] is not False)
 
 
-def _form(found: Reported) -> Iterator[Part]:
-    answer, wavelength = found.answer, f"waves of {found.answer['wavelength_nm']:g} nm"
+def _surface(found: Reported) -> Part:
+    answer = found.answer
     level = [(WORDS[key], *_length(answer, f"level.{key}")) for key in WORDS]
     marks = [
         (name, Figure.of(answer, f"{name}.nm", ".3f"), *(Figure.of(answer, f"{name}.{axis}", ".4g") for axis in "xy"))
         for name in ("peak", "valley")
     ]
-    places = ("place", "height, nm", *(f"{axis}, {found.unit}" for axis in "xy"))
     heights = (
         "Heights are of the surface, not of a wavefront; piston and tilt are removed by least squares over the samples "
         "that count. A wave is a wavelength of surface height: two fringes in reflection."
     )
-    notes = [
-        heights,
-        f"PVr: PV of a fit of {answer['pvr_terms']} Zernike terms (fringe) and three times the RMS of what it leaves.",
+    pvr = f"PVr: PV of a fit of {answer['pvr_terms']} Zernike terms (fringe) and three times the RMS of what it leaves."
+    places = ("place", "height, nm", f"x, {found.unit}", f"y, {found.unit}")
+    tables = [Table(("height", "nm", _waves(answer)), level), Table(places, marks)]
+    return Part("Surface", tables, [heights, pvr], [pictures.heights(found)])
+
+
+def _aberrations(answer: Mapping[str, Any]) -> Iterator[Part]:
+    if answer["aberrations"] is None:
+        return
+    rows = [
+        (
+            name,
+            *_length(answer, f"aberrations.{name}"),
+            Figure.of(answer, f"aberrations.{name}.deg", ".1f") if "deg" in aberration else "",
+        )
+        for name, aberration in answer["aberrations"].items()
     ]
-    tables = [Table(("height", "nm", wavelength), level), Table(places, marks)]
-    yield Part("Surface", tables, notes, [pictures.heights(found)])
-    if answer["aberrations"] is not None:
-        rows = [
-            (name, *_length(answer, f"aberrations.{name}"), Figure.of(answer, f"aberrations.{name}.deg", ".1f"))
-            if "deg" in answer["aberrations"][name]
-            else (name, *_length(answer, f"aberrations.{name}"), "")
-            for name in answer["aberrations"]
-        ]
-        note = (
-            "Amplitudes of the fringe Zernike terms 4; 5 and 6; 7 and 8; 9, each 1 at the edge of the circle, from "
-            "the fit below. Directions: of the high meridian or side, from x (right) towards y (up)."
-        )
-        yield Part("Primary aberrations", [Table(("aberration", "nm", wavelength, "direction, °"), rows)], [note])
-    if answer["indications"] is not None:
-        iso = [
-            (words, Figure.of(answer, f"iso10110.{key}_nm", ".3f"), Figure.of(answer, f"iso10110_waves.{key}", ".4f"))
-            for key, words in ISO_WORDS.items()
-        ]
-        said = answer["indications"]
-        texts = [("surface form, nm", said["iso10110_5"]), ("reflected wavefront, nm", said["iso10110_14"])]
-        note = (
-            f"By {FORM}. The indications are the tightest, rounded up to three digits, that this surface keeps; the "
-            "wavefront's, by ISO 10110-14:2018, is that of one reflection at normal incidence, twice the surface."
-        )
-        tables = [Table((FORM, "nm", wavelength), iso), Table(("indication", "text"), texts)]
-        yield Part("ISO 10110-5 and ISO 10110-14", tables, [note])
+    note = (
+        "Amplitudes of the fringe Zernike terms 4; 5 and 6; 7 and 8; 9, each 1 at the edge of the circle, from the fit "
+        "below. Directions: of the high meridian or side, from x (right) towards y (up)."
+    )
+    yield Part("Primary aberrations", [Table(("aberration", "nm", _waves(answer), "direction, °"), rows)], [note])
+
+
+def _indications(answer: Mapping[str, Any]) -> Iterator[Part]:
+    said = answer["indications"]
+    if said is None:
+        return
+    rows = [
+        (words, Figure.of(answer, f"iso10110.{key}_nm", ".3f"), Figure.of(answer, f"iso10110_waves.{key}", ".4f"))
+        for key, words in ISO_WORDS.items()
+    ]
+    texts = [("surface form, nm", said["iso10110_5"]), ("reflected wavefront, nm", said["iso10110_14"])]
+    note = (
+        f"By {FORM}. The indications are the tightest, rounded up to three digits, that this surface keeps; the "
+        "wavefront's, by ISO 10110-14:2018, is that of one reflection at normal incidence, twice the surface."
+    )
+    tables = [Table((FORM, "nm", _waves(answer)), rows), Table(("indication", "text"), texts)]
+    yield Part("ISO 10110-5 and ISO 10110-14", tables, [note])
 
 
 def _tolerance(answer: Mapping[str, Any]) -> Iterator[Part]:
@@ -148,15 +165,12 @@ def _periods(found: Reported) -> Iterator[Part]:
     if answer["psd"] is None:
         return
     rows = [
-        (band["name"], *(Figure.of(answer, f"bands.{at}.{key}", form) for key, form in _BAND.items()))
+        (band["name"], *(Figure.of(answer, f"bands.{at}.{key}", form) for key, form in BANDS.items()))
         for at, band in enumerate(answer["bands"])
     ]
     note = "The surface split by ideal band-passes; a dash is no limit, or a band that the samples do not show."
     table = Table(("band", "below, mm", "above, mm", "RMS, nm"), rows)
     yield Part("Spatial periods", [table], [note], [pictures.spectrum(found)])
-
-
-_BAND = {"from_mm": "g", "to_mm": "g", "rms_nm": ".3f"}
 
 
 def _zernike(answer: Mapping[str, Any]) -> Iterator[Part]:
@@ -183,8 +197,9 @@ def _zernike(answer: Mapping[str, Any]) -> Iterator[Part]:
         f"Ordering: {fitted['ordering']}; norm: {NORMS[fitted['norm']]}. m above 0 is a cosine, below 0 a sine, "
         "of the angle from x (right) towards y (up). By least squares over the samples that count, all terms together."
     )
-    waves = f"waves of {answer['wavelength_nm']:g} nm"
-    yield Part("Zernike terms", [Table(("term", "n", "m", "nm", waves), rows), Table(("fit", ""), circle)], [note])
+    yield Part(
+        "Zernike terms", [Table(("term", "n", "m", "nm", _waves(answer)), rows), Table(("fit", ""), circle)], [note]
+    )
 
 
 def _origin(answer: Mapping[str, Any]) -> Part:
@@ -230,3 +245,7 @@ def _editions() -> Part:
 
 def _length(answer: Mapping[str, Any], key: str) -> tuple[Figure | str, Figure | str]:
     return Figure.of(answer, f"{key}.nm", ".3f"), Figure.of(answer, f"{key}.waves", ".4f")
+
+
+def _waves(answer: Mapping[str, Any]) -> str:
+    return f"waves of {answer['wavelength_nm']:g} nm"
