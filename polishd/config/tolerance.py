@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
-from polishd.config.values import Positive, Section, Text
+from polishd.config.document import Document, parse_toml
+from polishd.config.values import Positive, Section, Text, as_tuple
 from polishd.model.tolerance import Figure, Line
 
 FIGURES: dict[str, Figure] = {
@@ -97,6 +99,19 @@ class ToleranceSection(Section):
             raise ValueError(f"{missing}: is missing; a PSD's line goes from one period to another: add both")
         if above is not None and below is not None and above >= below:
             raise ValueError(f"periods_below_mm: {below:g} leaves no period above {above:g}; exchange or mend them")
+
+
+class ToleranceFile(Document):
+    """A drawing's lines in a file of their own."""
+
+    tolerance: Annotated[tuple[ToleranceSection, ...], BeforeValidator(as_tuple), Field(min_length=1)]
+    """The lines: at least one."""
+
+
+def load_tolerance(path: Path) -> tuple[Line, ...]:
+    """The lines of a file that holds ``[[tolerance]]`` sections and nothing else; ConfigError with file and line."""
+    raw, source = parse_toml(path)
+    return tuple(line for section in ToleranceFile.of(raw, source).tolerance for line in section.lines)
 
 
 def notation(text: str) -> dict[Figure, float]:

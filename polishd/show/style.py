@@ -83,10 +83,10 @@ def figure(width_in: float, height_in: float) -> Figure:
     return fig
 
 
-def png(fig: Figure) -> bytes:
+def png(fig: Figure, dpi: int = DPI) -> bytes:
     """The figure as PNG bytes."""
     target = io.BytesIO()
-    fig.savefig(target, format="png", dpi=DPI, metadata={"Software": None})
+    fig.savefig(target, format="png", dpi=dpi, metadata={"Software": None})
     return target.getvalue()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -10,11 +9,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
+from jinja2 import Template
 
 from polishd.plugins.run_report import words
 from polishd.plugins.run_report.folder import RunFolder
 from polishd.plugins.run_report.words import duration, figure, plain, text, when
+from polishd.show.sheet import Picture
+from polishd.show.sheet_html import templates
 
 
 class Verdict(NamedTuple):
@@ -76,21 +77,6 @@ CERTIFICATE: Mapping[str, str] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
-    """A drawn picture and what it shows."""
-
-    name: str
-    caption: str
-    content: bytes
-    wide: bool = True
-
-    @property
-    def base64(self) -> str:
-        """The content as it stands inside the page."""
-        return base64.b64encode(self.content).decode("ascii")
-
-
-@dataclass(frozen=True, slots=True)
 class Section:
     """A part of the page."""
 
@@ -126,14 +112,7 @@ def render(folder: RunFolder, sections: Sequence[Section]) -> str:
 
 @cache
 def _template() -> Template:
-    page = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
+    page = templates(Path(__file__).parent)
     page.filters |= {"figure": figure, "plain": plain, "quote": quote, "text": text}
     page.globals |= {name: getattr(words, name) for name in ("measurement", "interrupted", "share")}
     return page.get_template("report.html.jinja")

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from polishd.files import write_atomic
 from polishd.plugins.run_report import along_path, maps, trend, words
 from polishd.plugins.run_report.folder import Cycle, RunFolder, Surface, read_folder
-from polishd.plugins.run_report.page import Picture, Section, render
+from polishd.plugins.run_report.page import Section, render
+from polishd.show.sheet import Picture
 from polishd.show.style import png, polishd_style
 
 PAGE = "report.html"

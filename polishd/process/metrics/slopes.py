@@ -42,6 +42,35 @@ def slope(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, integration_m
         BadMap: the surface is not finite inside the mask, or the mask nowhere as wide as the length.
         ValueError: a length that is not positive.
     """
+    x, y, reach = _differences(height_nm, mask, pitch_mm, integration_mm)
+    length = 2 * reach * pitch_mm
+    known = np.isfinite(x)
+    x, y = x[known], y[known]
+    size = np.hypot(x, y)
+    return Slope(
+        rms_x_urad=_rms(x),
+        pv_x_urad=float(np.ptp(x)),
+        rms_y_urad=_rms(y),
+        pv_y_urad=float(np.ptp(y)),
+        rms_urad=_rms(size),
+        max_urad=float(size.max()),
+        integration_mm=length,
+        samples=size.size,
+    )
+
+
+def slope_map(
+    height_nm: FloatArray, mask: BoolArray, pitch_mm: float, integration_mm: float | None = None
+) -> FloatArray:
+    """(ny, nx) the slope's magnitude that ``slope`` has the figures of, urad; NaN where it does not count."""
+    x, y, reach = _differences(height_nm, mask, pitch_mm, integration_mm)
+    return np.pad(np.hypot(x, y), reach, constant_values=np.nan)
+
+
+def _differences(
+    height_nm: FloatArray, mask: BoolArray, pitch_mm: float, integration_mm: float | None
+) -> tuple[FloatArray, FloatArray, int]:
+    """(ny - 2 k, nx - 2 k) each: slopes along x and y, NaN where one of both does not count; and k, half the length."""
     if integration_mm is not None and not integration_mm > 0:
         raise ValueError(f"an integration length of {integration_mm:g} mm")
     level = without(height_nm, mask, "tilt")
@@ -55,18 +84,7 @@ def slope(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, integration_m
     known = np.isfinite(x) & np.isfinite(y) & mask[inner, inner]
     if not known.any():
         raise BadMap(f"the mask is nowhere as wide as the integration length, {length:g} mm")
-    x, y = x[known], y[known]
-    size = np.hypot(x, y)
-    return Slope(
-        rms_x_urad=_rms(x),
-        pv_x_urad=float(np.ptp(x)),
-        rms_y_urad=_rms(y),
-        pv_y_urad=float(np.ptp(y)),
-        rms_urad=_rms(size),
-        max_urad=float(size.max()),
-        integration_mm=length,
-        samples=size.size,
-    )
+    return np.where(known, x, np.nan), np.where(known, y, np.nan), reach
 
 
 def _rms(values: FloatArray) -> float:

@@ -10,14 +10,14 @@ import typer
 from typer import Argument, Option
 from typer.core import TyperGroup
 
-from polishd.workbench.maps.options import AsFormat, FigureOptions, Json, Masks, OfCell, Profile
+from polishd.workbench.maps.options import AsFormat, FigureOptions, Json, Masks, OfCell, Profile, ReportOptions
 from polishd.workbench.options import spread
 
 DEFAULT = "figures"
 """What ``polishd map FILE`` does."""
 HELP = (
     "Maps of surfaces: polishd map FILE... gives their figures (options: polishd map figures --help); or compare, "
-    "convert, average, commission."
+    "report, convert, average, commission."
 )
 
 
@@ -69,6 +69,20 @@ def compare(
     from polishd.workbench.maps.compare import compare_verb
 
     compare_verb(before, after, asked, as_json=as_json)
+
+
+@app.command()
+@spread
+def report(
+    files: Annotated[list[Path], Argument(metavar="FILE...", help="Maps.", readable=False)],
+    *,
+    as_json: Json = False,
+    asked: ReportOptions,
+) -> None:
+    """A report for the customer, HTML or PDF: figures in nm and waves, ISO 10110, Zernike, slope, profiles, PSD."""
+    from polishd.workbench.maps.report import report_verb
+
+    report_verb(files, asked, as_json=as_json)
 
 
 @app.command()

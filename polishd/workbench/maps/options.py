@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -30,6 +31,8 @@ Masks = Annotated[
         "not: before it takes what lies outside, px: means pixels.",
     ),
 ]
+Trim = Annotated[int, Option(min=0, max=1000, metavar="N", help="Pixels to take off every edge of the data.")]
+Bands = Annotated[str, Option(metavar="MM,...", help="Periods between the bands, falling.")]
 Json = Annotated[bool, Option("--json", help="One JSON object a file on stdout, for programs.")]
 
 
@@ -38,9 +41,40 @@ class FigureOptions:
     """What ``figures`` and ``compare`` are asked for."""
 
     out: Picture = None
-    trim: Annotated[int, Option(min=0, max=1000, metavar="N", help="Pixels to take off every edge of the data.")] = 0
+    trim: Trim = 0
     profile: Profile = None
-    bands: Annotated[str, Option(metavar="MM,...", help="Periods between the bands, falling.")] = "33,0.12"
+    bands: Bands = "33,0.12"
+    cell: OfCell = None
+    as_format: AsFormat = None
+    masks: Masks = None
+
+
+class ZernikeOrder(StrEnum):
+    """Orderings of Zernike terms."""
+
+    fringe = "fringe"
+    noll = "noll"
+    ansi = "ansi"
+
+
+@dataclass(frozen=True, slots=True)
+class ReportOptions:
+    """What ``report`` is asked for."""
+
+    out: Annotated[Path, Option("--out", metavar="REPORT", help="The report: *.html or *.pdf.")]
+    tolerance: Annotated[
+        Path | None,
+        Option(metavar="T.toml", help="The drawing's lines, as [[tolerance]] of a cell has them.", readable=False),
+    ] = None
+    wavelength: Annotated[
+        float, Option(min=100.0, max=20000.0, metavar="NM", help="Of the waves: ISO's e line, or 632.8.")
+    ] = 546.07
+    zernike: Annotated[ZernikeOrder, Option(help="Ordering of the Zernike terms.")] = ZernikeOrder.fringe
+    terms: Annotated[int, Option(min=15, max=120, metavar="N", help="Zernike terms of the fit.")] = 36
+    by: Annotated[str, Option(metavar="NAME", help="Who answers for the report.")] = ""
+    trim: Trim = 0
+    profile: Profile = None
+    bands: Bands = "33,0.12"
     cell: OfCell = None
     as_format: AsFormat = None
     masks: Masks = None

@@ -100,7 +100,7 @@ def _rows(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("slope", or_dash(answer["slope_rms_urad"], ".4g", " urad RMS")),
         *((band["name"], _band_words(band)) for band in answer["bands"] or ()),
     ]
-    said = {"part": answer["part_id"], "instrument": answer["instrument"], "taken": _date_words(answer)}
+    said = {"part": answer["part_id"], "instrument": answer["instrument"], "taken": date_words(answer)}
     rows += [(name, shown(value)) for name, value in said.items() if value]
     rows.append(("orientation", answer["orientation"]))
     if answer["unsaid"]:
@@ -108,7 +108,8 @@ def _rows(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [*rows, ("sha256", answer["sha256"])]
 
 
-def _date_words(answer: Mapping[str, Any]) -> str:
+def date_words(answer: Mapping[str, Any]) -> str:
+    """When the map was taken, and who says so."""
     by = {"file system": "file system: its header has no date", "guessed": "guessed: not used"}
     return f"{answer['dated_at']} ({by.get(answer['date_from'], answer['date_from'])})" if answer["dated_at"] else ""
 

@@ -22,9 +22,10 @@ from polishd.model.tolerance import Judged
 from polishd.plugins import run_report
 from polishd.plugins.run_report import trend
 from polishd.plugins.run_report.folder import Executed, Surface, read_folder
-from polishd.plugins.run_report.page import CERTIFICATE, COLUMNS, Picture, Section, render
+from polishd.plugins.run_report.page import CERTIFICATE, COLUMNS, Section, render
 from polishd.plugins.run_report.report import write_report
 from polishd.plugins.run_report.words import duration, plain, spent, when
+from polishd.show.sheet import Picture
 
 N = 24
 PITCH_MM = 1.0

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from polishd.model.errors import BadMap
 from polishd.model.surface import FloatArray, Grid
-from polishd.process.metrics import band_rms, compare, iso10110, pv_rms, radial_psd, slope
+from polishd.process.metrics import band_rms, compare, iso10110, pv_rms, radial_psd, slope, slope_map
 from tests.unit.process.gaussian import rough
 from tests.unit.process.masked import shapes
 
@@ -68,6 +68,14 @@ class TestIso10110:
 
 
 class TestSlope:
+    def test_the_map_of_it_has_its_figures_in_its_places(self) -> None:
+        found, magnitude = slope(2.0 * X**2, DISC, 0.5, 2.0), slope_map(2.0 * X**2, DISC, 0.5, 2.0)
+        known = np.isfinite(magnitude)
+        assert magnitude.shape == DISC.shape
+        assert np.count_nonzero(known) == found.samples
+        assert np.sqrt(np.mean(magnitude[known] ** 2)) == pytest.approx(found.rms_urad, rel=1e-12)
+        np.testing.assert_allclose(magnitude[known], np.abs(4.0 * X[known]), atol=1e-9)
+
     def test_a_bowl_has_a_slope_that_grows_with_x(self) -> None:
         found = slope(2.0 * X**2, DISC, 0.5)  # 4 x nm per mm
         assert found.integration_mm == 1.0

@@ -15,6 +15,7 @@ from polishd.show.tables import WIDE, stdout
 from tests.unit.said import Polishd
 
 ROOT = Path(__file__).parents[4]
+DRAWING = (ROOT / "docs/tolerance.md").read_text(encoding="utf-8").split("```toml\n")[1].split("```")[0]
 PAGE = (ROOT / "docs/maps.md").read_text(encoding="utf-8")
 
 
@@ -49,12 +50,13 @@ def shell(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.parametrize("words", ["map zygo_metropro.dat --trim", "map codev.int", "map convert zygo"])
+@pytest.mark.parametrize("words", ["map zygo_metropro.dat --trim", "map codev.int", "map convert zygo", "map report"])
 def test_what_the_page_shows_of_the_shared_maps(
     polishd: Polishd, shared_data: Path, tmp_path: Path, words: str
 ) -> None:
     for name in ("zygo_metropro.dat", "zygo_mx.datx", "codev.int"):
         (tmp_path / name).symlink_to(shared_data / name)
+    (tmp_path / "drawing.toml").write_text(DRAWING)
     ((command, promised),) = examples(words)
     assert len(promised) >= 1
     require_said(polishd, command, promised)

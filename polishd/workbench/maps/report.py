@@ -1,0 +1,73 @@
+"""``polishd map report FILE... --out report.html|pdf``: the page that goes to the customer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import typer
+
+from polishd.files import write_atomic
+from polishd.model.errors import ConfigError, SurfaceError
+from polishd.show.tables import json_line, stdout
+from polishd.workbench.maps.figures import figured
+from polishd.workbench.maps.files import MapSource, edges_mm, shown
+from polishd.workbench.maps.options import ReportOptions
+from polishd.workbench.maps.report_figures import Asked, Reported, reported
+
+ENDINGS = (".html", ".pdf")
+
+
+def report_verb(files: Sequence[Path], asked: ReportOptions, *, as_json: bool) -> None:
+    """Report of the maps. One that cannot be read is named on stderr, the others are reported; the exit code is 8."""
+    edges = edges_mm(asked.bands)
+    if asked.out.suffix.lower() not in ENDINGS:
+        raise ConfigError(f"{asked.out}: a report is an HTML or a PDF file; name it *.html or *.pdf")
+    source = MapSource.of(asked.cell, asked.profile, asked.as_format, asked.masks)
+    wanted = _wanted(asked, source)
+    found: list[Reported] = []
+    for file in files:
+        try:
+            found.append(reported(figured(source.read(file), asked.trim, edges), wanted))
+        except SurfaceError as error:
+            typer.echo(f"polishd: {error}", err=True)
+            continue
+        if as_json:
+            typer.echo(json_line(found[-1].answer))
+    if found:
+        _write(asked.out, found, as_json=as_json)
+    if len(found) < len(files):
+        raise typer.Exit(SurfaceError.exit_code)
+
+
+def _wanted(asked: ReportOptions, source: MapSource) -> Asked:
+    from polishd.config.tolerance import load_tolerance
+
+    return Asked(
+        wavelength_nm=asked.wavelength,
+        ordering=asked.zernike.value,
+        terms=asked.terms,
+        lines=() if asked.tolerance is None else load_tolerance(asked.tolerance),
+        repeatability_nm=None if source.instrument is None else source.instrument.repeatability_nm,
+        by=asked.by,
+    )
+
+
+def _write(out: Path, found: list[Reported], *, as_json: bool) -> None:
+    from polishd.workbench.maps.report_sheet import sheet
+
+    page = sheet(found)
+    if out.suffix.lower() == ".pdf":
+        from polishd.show.sheet_pdf import pdf
+
+        content = pdf(page)
+    else:
+        from polishd.show.sheet_html import html
+
+        content = html(page).encode()
+    try:
+        write_atomic(out, content)
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be written: {error.strerror}; name a file with --out") from error
+    if not as_json:
+        stdout.print(f"report of {len(found)} map{'s' * (len(found) > 1)} in {shown(out)}", markup=False)

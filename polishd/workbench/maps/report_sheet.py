@@ -1,0 +1,251 @@
+"""The report of a map as it stands on paper: every figure of it is taken from the answer that ``--json`` gives."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from datetime import datetime
+from typing import Any
+
+from polishd.show.sheet import Cell, Chapter, Figure, Part, Sheet, Table
+from polishd.workbench.maps import report_pictures as pictures
+from polishd.workbench.maps.files import shown
+from polishd.workbench.maps.report_figures import Reported
+from polishd.workbench.maps.show import date_words
+
+FORM = "ISO 10110-5:2015, evaluated by ISO 14999-4:2015"
+EDITIONS = (
+    ("surface form, 3/A(B/C), RMSt, RMSi, RMSa", "ISO 10110-5:2015", "2026"),
+    ("wavefront, 13/A(B/C) and RMS", "ISO 10110-14:2018", ""),
+    ("evaluation of both", "ISO 14999-4:2015", "2026"),
+    ("PSD line A / f^B", "ISO 10110-8:2010", "2019"),
+)
+"""What is followed, and the edition that is newer and whose text was not at hand."""
+WORDS = {"pv": "PV", "rms": "RMS", "pvr": "PVr"}
+ISO_WORDS = {
+    "a": "A, sagitta error",
+    "b": "B, irregularity",
+    "c": "C, rotationally symmetric irregularity",
+    "rms_t": "RMSt, whole deviation",
+    "rms_i": "RMSi, irregularity",
+    "rms_a": "RMSa, without the symmetric part",
+}
+BANDS = {"from_mm": "g", "to_mm": "g", "rms_nm": ".3f"}
+"""Figures of a band, and their formats."""
+NORMS = {"edge": "amplitude 1 at the circle's edge", "rms": "RMS 1 over the circle"}
+
+
+def sheet(found: list[Reported]) -> Sheet:
+    """A chapter for each map."""
+    first = found[0].answer
+    title = "Surface report" + (f": {shown(first['part_id'])}" if len(found) == 1 and first["part_id"] else "")
+    return Sheet(title, [_chapter(one) for one in found], _footer(first["computed"]))
+
+
+def _footer(computed: Mapping[str, Any]) -> str:
+    by = f" for {computed['by']}" if computed["by"] else ""
+    at = datetime.fromisoformat(computed["at"])
+    return f"computed by {computed['program']} {computed['version']}{by}, {at:%Y-%m-%d %H:%M:%S} UTC"
+
+
+def _chapter(found: Reported) -> Chapter:
+    answer = found.answer
+    name = shown(answer["path"].rpartition("/")[2])
+    facts = [
+        ("part", shown(answer["part_id"])),
+        ("file", name),
+        ("instrument", shown(answer["instrument"])),
+        ("measured", date_words(answer)),
+        ("computed by", _footer(answer["computed"]).removeprefix("computed by ")),
+    ]
+    parts = [
+        _surface(found),
+        *_aberrations(answer),
+        *_indications(answer),
+        *_tolerance(answer),
+        *_slope(found),
+        *_periods(found),
+        *_zernike(answer),
+        _origin(answer),
+        _editions(),
+    ]
+    held = sum(line["holds"] for line in answer["tolerance"])
+    verdict = f"{held} of {len(answer['tolerance'])} lines of the tolerance hold" if answer["tolerance"] else ""
+    return Chapter(shown(answer["part_id"]) or name, facts, parts, verdict, answer["within"] is not False)
+
+
+def _surface(found: Reported) -> Part:
+    answer = found.answer
+    level = [(WORDS[key], *_length(answer, f"level.{key}")) for key in WORDS]
+    marks = [
+        (name, Figure.of(answer, f"{name}.nm", ".3f"), *(Figure.of(answer, f"{name}.{axis}", ".4g") for axis in "xy"))
+        for name in ("peak", "valley")
+    ]
+    heights = (
+        "Heights are of the surface, not of a wavefront; piston and tilt are removed by least squares over the samples "
+        "that count. A wave is a wavelength of surface height: two fringes in reflection."
+    )
+    pvr = f"PVr: PV of a fit of {answer['pvr_terms']} Zernike terms (fringe) and three times the RMS of what it leaves."
+    places = ("place", "height, nm", f"x, {found.unit}", f"y, {found.unit}")
+    tables = [Table(("height", "nm", _waves(answer)), level), Table(places, marks)]
+    return Part("Surface", tables, [heights, pvr], [pictures.heights(found)])
+
+
+def _aberrations(answer: Mapping[str, Any]) -> Iterator[Part]:
+    if answer["aberrations"] is None:
+        return
+    rows = [
+        (
+            name,
+            *_length(answer, f"aberrations.{name}"),
+            Figure.of(answer, f"aberrations.{name}.deg", ".1f") if "deg" in aberration else "",
+        )
+        for name, aberration in answer["aberrations"].items()
+    ]
+    note = (
+        "Amplitudes of the fringe Zernike terms 4; 5 and 6; 7 and 8; 9, each 1 at the edge of the circle, from the fit "
+        "below. Directions: of the high meridian or side, from x (right) towards y (up)."
+    )
+    yield Part("Primary aberrations", [Table(("aberration", "nm", _waves(answer), "direction, °"), rows)], [note])
+
+
+def _indications(answer: Mapping[str, Any]) -> Iterator[Part]:
+    said = answer["indications"]
+    if said is None:
+        return
+    rows = [
+        (words, Figure.of(answer, f"iso10110.{key}_nm", ".3f"), Figure.of(answer, f"iso10110_waves.{key}", ".4f"))
+        for key, words in ISO_WORDS.items()
+    ]
+    texts = [("surface form, nm", said["iso10110_5"]), ("reflected wavefront, nm", said["iso10110_14"])]
+    note = (
+        f"By {FORM}. The indications are the tightest, rounded up to three digits, that this surface keeps; the "
+        "wavefront's, by ISO 10110-14:2018, is that of one reflection at normal incidence, twice the surface."
+    )
+    tables = [Table((FORM, "nm", _waves(answer)), rows), Table(("indication", "text"), texts)]
+    yield Part("ISO 10110-5 and ISO 10110-14", tables, [note])
+
+
+def _tolerance(answer: Mapping[str, Any]) -> Iterator[Part]:
+    if not answer["tolerance"]:
+        return
+    rows = [
+        (
+            line["what"],
+            Figure.of(answer, f"tolerance.{at}.value", ".4g"),
+            Figure.of(answer, f"tolerance.{at}.limit", "g"),
+            Figure.of(answer, f"tolerance.{at}.uncertainty", ".2g"),
+            line["unit"],
+            "yes" if line["holds"] else "no",
+        )
+        for at, line in enumerate(answer["tolerance"])
+    ]
+    note = (
+        "± is the instrument's repeatability, where it is known. A PSD line is the A of A / f^B as ISO 10110-8:2010 "
+        "writes it, of the radially averaged two-dimensional PSD, not of profiles."
+    )
+    yield Part("Tolerance", [Table(("line", "measured", "limit", "±", "unit", "holds"), rows)], [note])
+
+
+def _slope(found: Reported) -> Iterator[Part]:
+    if found.slope_urad is None:
+        return
+    answer = found.answer
+    rows = [
+        ("along x", *(Figure.of(answer, f"slope.{key}_x_urad", ".4g") for key in ("rms", "pv"))),
+        ("along y", *(Figure.of(answer, f"slope.{key}_y_urad", ".4g") for key in ("rms", "pv"))),
+        ("magnitude", *(Figure.of(answer, f"slope.{key}_urad", ".4g") for key in ("rms", "max"))),
+    ]
+    length = Table(("", "mm"), [("integration length", Figure.of(answer, "slope.integration_mm", ".4g"))])
+    table = Table(("slope", "RMS, µrad", "PV, µrad"), rows)
+    yield Part("Slope", [table, length], (), [pictures.slopes(found, found.slope_urad)])
+
+
+def _periods(found: Reported) -> Iterator[Part]:
+    answer = found.answer
+    if answer["psd"] is None:
+        return
+    rows = [
+        (band["name"], *(Figure.of(answer, f"bands.{at}.{key}", form) for key, form in BANDS.items()))
+        for at, band in enumerate(answer["bands"])
+    ]
+    note = "The surface split by ideal band-passes; a dash is no limit, or a band that the samples do not show."
+    table = Table(("band", "below, mm", "above, mm", "RMS, nm"), rows)
+    yield Part("Spatial periods", [table], [note], [pictures.spectrum(found)])
+
+
+def _zernike(answer: Mapping[str, Any]) -> Iterator[Part]:
+    fitted = answer["zernike"]
+    if fitted is None:
+        return
+    rows = [
+        (
+            Figure.of(answer, f"zernike.terms.{at}.index", "d"),
+            Figure.of(answer, f"zernike.terms.{at}.n", "d"),
+            Figure.of(answer, f"zernike.terms.{at}.m", "d"),
+            *_length(answer, f"zernike.terms.{at}"),
+        )
+        for at in range(len(fitted["terms"]))
+    ]
+    circle = [
+        ("circle's radius, mm", Figure.of(answer, "zernike.radius_mm", ".6g")),
+        ("circle's radius, px", Figure.of(answer, "zernike.radius_px", ".6g")),
+        ("circle's centre, row", Figure.of(answer, "zernike.centre_px.0", ".6g")),
+        ("circle's centre, column", Figure.of(answer, "zernike.centre_px.1", ".6g")),
+        ("RMS that the fit leaves, nm", Figure.of(answer, "zernike.residual_rms_nm", ".3f")),
+    ]
+    note = (
+        f"Ordering: {fitted['ordering']}; norm: {NORMS[fitted['norm']]}. m above 0 is a cosine, below 0 a sine, "
+        "of the angle from x (right) towards y (up). By least squares over the samples that count, all terms together."
+    )
+    yield Part(
+        "Zernike terms", [Table(("term", "n", "m", "nm", _waves(answer)), rows), Table(("fit", ""), circle)], [note]
+    )
+
+
+def _origin(answer: Mapping[str, Any]) -> Part:
+    rows: list[tuple[str, Cell]] = [
+        ("file", shown(answer["path"])),
+        ("SHA-256", answer["sha256"]),
+        ("format", f"{answer['format']}, reader {answer['reader_version']}"),
+        ("rows", Figure.of(answer, "rows", "d")),
+        ("columns", Figure.of(answer, "cols", "d")),
+        ("pitch, mm", Figure.of(answer, "pitch_mm", ".7g")),
+        ("samples without data", Figure.of(answer, "missing", "d")),
+        ("samples that count", Figure.of(answer, "samples", "d")),
+        ("trimmed, px", Figure.of(answer, "trim", "d")),
+        ("orientation", answer["orientation"]),
+        ("the file does not say", ", ".join(answer["unsaid"])),
+    ]
+    tables = [Table(("measurement", ""), [row for row in rows if row[1]])]
+    if answer["masks"]:
+        masks = [
+            (shown(mask["mask"]), *(Figure.of(answer, f"masks.{at}.{key}", "d") for key in ("samples", "of")))
+            for at, mask in enumerate(answer["masks"])
+        ]
+        tables.append(Table(("mask", "samples with data in it", "of"), masks))
+    if answer["factors"]:
+        factors = [(shown(name), _factor(answer, name, value)) for name, value in answer["factors"].items()]
+        tables.append(Table(("applied once by the reader", ""), factors))
+    notes = [f"warning: {shown(warning)}" for warning in answer["warnings"]]
+    return Part("Measurement", tables, [*notes, *(f"left out: {shown(reason)}" for reason in answer["left_out"])])
+
+
+def _factor(answer: Mapping[str, Any], name: str, value: object) -> Cell:
+    return Figure.of(answer, f"factors.{name}", ".7g") if isinstance(value, float) and "." not in name else shown(value)
+
+
+def _editions() -> Part:
+    rows = [(what, edition, newer or "–") for what, edition, newer in EDITIONS]
+    note = (
+        "Where a newer edition is out and its text was not at hand, the older is followed. Definitions were checked "
+        "against published summaries of the standards."
+    )
+    return Part("Editions", [Table(("figure", "follows", "newer, not at hand"), rows)], [note])
+
+
+def _length(answer: Mapping[str, Any], key: str) -> tuple[Figure | str, Figure | str]:
+    return Figure.of(answer, f"{key}.nm", ".3f"), Figure.of(answer, f"{key}.waves", ".4f")
+
+
+def _waves(answer: Mapping[str, Any]) -> str:
+    return f"waves of {answer['wavelength_nm']:g} nm"
