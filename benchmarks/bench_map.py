@@ -1,9 +1,9 @@
 """A 1024 x 1024 masked map from its file to its figures, beside prysm doing what of it prysm can.
 
-Import (.dat), registration by the outline, piston and tilt off, holes filled, 37 Zernike terms, PSD, three bands. prysm
-neither registers nor fills, and splits no map into bands; its band RMS needs `numpy.trapz`, which NumPy 2 has no more.
-Its levelling is of tilt alone. CPU seconds, in turns; the last rows are wall time of ours on the cores that are
-there, and memory. Aims: 1 s and 600 MB.
+Import (.dat), registration by the outline, levelling, holes filled, 37 Zernike terms, PSD, three bands, slope.
+prysm neither registers nor fills, and has no slope; its bands are two filters of a map whose missing samples are 0 (its
+band RMS needs `numpy.trapz`, which NumPy 2 has not). Its levelling is of tilt alone. CPU seconds, in turns; the last
+rows are wall time of ours on the cores that are there, and memory. Aims: 1 s and 600 MB.
 """
 
 from __future__ import annotations
@@ -46,6 +46,13 @@ def rows(progress: Progress) -> Iterator[Row]:
         path.write_bytes(written(measured()))
         for name, (ours, prysm) in steps(path).items():
             yield race(f"map: {name}", ours, {} if prysm is None else {"prysm": prysm}, progress=progress)
+        height, mask = METROPRO.read(path).height_nm, METROPRO.read(path).valid
+        yield race(
+            "map: figures: level, bands, PSD, 37 terms, slope (aim 1 s; prysm: no slope)",
+            partial(figures, height, mask),
+            {"prysm": partial(figures_prysm, Interferogram.from_zygo_dat(path))},
+            progress=progress,
+        )
         yield race(
             "map: import to bands (prysm: import, level, 37 terms, PSD)",
             partial(whole, path),
@@ -94,8 +101,25 @@ def steps(path: Path) -> dict[str, tuple[Callable[[], object], Callable[[], obje
         "fill 40 holes": (lambda: filled(level, mask), None),
         f"{TERMS} Zernike terms": (lambda: metrics.zernike.fit(level, mask, TERMS), lambda: zernike_prysm(theirs)),
         "PSD, radial": (lambda: metrics.radial_psd(level, mask, PITCH_MM), lambda: psd_prysm(theirs)),
-        "three bands": (lambda: metrics.split_bands(level, mask, PITCH_MM, EDGES_MM), None),
+        "three bands": (lambda: metrics.split_bands(level, mask, PITCH_MM, EDGES_MM), lambda: bands_prysm(theirs)),
+        "slope": (lambda: metrics.slope(level, mask, PITCH_MM), None),
     }
+
+
+def figures(height_nm: FloatArray, mask: np.ndarray) -> object:
+    """What ``polishd map`` says of a map, one after the other."""
+    level = metrics.without(height_nm, mask, "tilt")
+    bands = metrics.split_bands(level, mask, PITCH_MM, EDGES_MM)
+    terms = metrics.zernike.fit(level, mask, TERMS)
+    return bands, terms, metrics.radial_psd(level, mask, PITCH_MM), metrics.slope(level, mask, PITCH_MM)
+
+
+def figures_prysm(surface: Interferogram) -> object:
+    """What prysm has of it."""
+    level = surface.copy()
+    level.remove_piston()
+    level.remove_tiptilt()
+    return bands_prysm(level), zernike_prysm(level), psd_prysm(level)
 
 
 def whole(path: Path) -> object:
@@ -135,6 +159,17 @@ def zernike_prysm(surface: Interferogram) -> object:
     """37 Noll terms by prysm's least squares."""
     pairs = [noll_to_nm(index) for index in range(1, TERMS + 1)]
     return lstsq(list(zernike_nm_sequence(pairs, surface.r / RADIUS_MM, surface.t, norm=True)), surface.data)
+
+
+def bands_prysm(surface: Interferogram) -> object:
+    """Two filters make three bands."""
+    kept = []
+    for edge in EDGES_MM:
+        copy = surface.copy()
+        copy.fill(0)
+        copy.filter(1 / edge)
+        kept.append(copy.data)
+    return kept
 
 
 def psd_prysm(surface: Interferogram) -> object:
