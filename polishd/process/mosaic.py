@@ -90,7 +90,7 @@ def lay(maps: Sequence[SubAperture], found_px: FloatArray, pitch_mm: float) -> l
     """Each map where it is said to lie, and by ``found_px`` (maps, 2), right and down, from there.
 
     The grid is the first map's. Others are interpolated by polynomials of degree 6 through 7 samples a direction, which
-    keep 98 % of a wave of 4 px half-way between two samples and 99.99 % of one of 8 px (linear: 71 and 92 %).
+    keep 97.8 % of a wave of 4 px halfway between two samples and 99.99 % of one of 8 px (linear: 71 and 92 %).
     """
     first = maps[0]
     middle = np.array([np.divide(np.subtract(one.height_nm.shape, 1), 2) for one in maps])

@@ -276,7 +276,7 @@ def _placed(k: int, pitch_mm: float, found_px: FloatArray, fit: _Fit, *, power: 
     freed = len(values) > 3 + power
     return Placed(
         name=one.name,
-        shift_mm=(float(found_px[0]) * pitch_mm, -float(found_px[1]) * pitch_mm),
+        shift_mm=(float(found_px[0]) * pitch_mm, (0.0 - float(found_px[1])) * pitch_mm),
         shift_uncertainty_mm=(float(sure[-2]), float(sure[-1])) if freed else (0.0, 0.0),
         piston_nm=float(values[0]),
         tilt_urad=(float(values[1] / radius_mm), float(values[2] / radius_mm)),

@@ -45,7 +45,8 @@ def stitch_verb(files: Sequence[Path], asked: StitchOptions, *, as_json: bool) -
     found = stitch(maps, pitch, power="power" in free, shift="shift" in free)
     answer = _answer(found, maps[0], pitch, free)
     answer["masks"] = [{"path": str(one.path), "masks": mask_records(one)} for one in surfaces if one.masks]
-    answer |= _stored(surfaces, found, asked, source, free=list(free), at=positions)
+    places = [f"{path.name} {x:.9g},{y:.9g} mm" for path in files for x, y in [positions[path.name]]]
+    answer |= _stored(surfaces, found, asked, source, free=list(free), at=places)
     emit(answer, as_json=as_json, table=lambda: _table(answer), lines=_lines(answer))
     if asked.picture is not None:
         from polishd.workbench.maps.pictures import stitched_picture
