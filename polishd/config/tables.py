@@ -29,6 +29,29 @@ def read_columns(path: Path, names: Sequence[str], optional: Sequence[str] = ())
     Raises ConfigError ``FILE:LINE: ...`` for a file that cannot be read, a column that is missing or stands twice, or
     an entry that is no finite number.
     """
+    entries = _entries(path, names, optional)
+    wanted = [*names, *(name for name in optional if any(name in given for _, given in entries))]
+    values = [[_number(place, name, given.get(name)) for name in wanted] for place, given in entries]
+    return dict(zip(wanted, np.array(values, dtype=np.float64).T, strict=True))
+
+
+def read_positions(path: Path) -> dict[str, tuple[float, float]]:
+    """Where files lie on a part: CSV with ``file`` (its name, without folders), ``x_mm, y_mm``.
+
+    Raises ConfigError ``FILE:LINE: ...`` as ``read_columns`` does, and for a name that is empty or stands twice.
+    """
+    found: dict[str, tuple[float, float]] = {}
+    for place, given in _entries(path, ("file", *PLACE[:2])):
+        name = (given.get("file") or "").strip()
+        if not name or name in found:
+            told = f"{name} stands there a second time" if name else "file is empty"
+            raise ConfigError(f"{place}: {told}; write each map's file name once")
+        found[name] = (_number(place, "x_mm", given.get("x_mm")), _number(place, "y_mm", given.get("y_mm")))
+    return found
+
+
+def _entries(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> list[tuple[str, dict[str, str]]]:
+    """Of each line behind the header ``FILE:LINE`` and its entries by column; the header has all ``names``."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -49,12 +72,9 @@ def read_columns(path: Path, names: Sequence[str], optional: Sequence[str] = ())
                 f"{path}:{rows[0][0]}: the column {name!r} is missing{did_you_mean(name, header)} There are: "
                 f"{listed(header)}"
             )
-    wanted = [name for name in (*names, *optional) if name in header]
-    entries = [
+    return [
         (f"{path}:{number}", dict(zip(header, next(csv.reader([line])), strict=False))) for number, line in rows[1:]
     ]
-    values = [[_number(place, name, given.get(name)) for name in wanted] for place, given in entries]
-    return dict(zip(wanted, np.array(values, dtype=np.float64).T, strict=True))
 
 
 def _number(place: str, name: str, given: str | None) -> float:

@@ -11,6 +11,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from polishd.model.map_history import MapStep
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 DateFrom = Literal["header", "file system", "guessed"]
@@ -97,6 +99,8 @@ class SurfaceMap:
     reader_version: int = 0
     masks: tuple[MaskCount, ...] = ()
     """What was laid over it by hand: a sample outside any of these has no data any more."""
+    history: MapStep | None = None
+    """How polishd made it; None: it is as it was measured, or its file does not say."""
 
     @property
     def grid(self) -> Grid:

@@ -36,6 +36,8 @@ class Repeats:
     """RMS of the mean map, which holds the noise that averaging left."""
     rms_uncertainty_nm: float
     """Its standard error: the mean is repeated without each map in turn (jackknife)."""
+    names: tuple[str, ...]
+    """Of all maps, in their order."""
     used: tuple[str, ...]
     rejected: Mapping[str, float]
     """Names of the maps left out, and the RMS in nm by which each deviates from the median map."""
@@ -82,6 +84,7 @@ def average(surfaces: Sequence[SurfaceMap], removal: Removal = "tilt", *, mixed:
         uncertainty_nm=_spread(error, common),
         rms_nm=float(mean.std()),
         rms_uncertainty_nm=float(np.std(without_one) * np.sqrt(len(heights) - 1)),
+        names=names,
         used=tuple(name for name in names if name not in rejected),
         rejected=rejected,
         samples_rejected=int(np.count_nonzero(~kept)),

@@ -16,6 +16,7 @@ from polishd.process.repeats import Repeats, average
 from polishd.show.tables import emit, record_table
 from polishd.workbench.maps.convert import require_target, store, stored_lines
 from polishd.workbench.maps.files import MapSource, told_apart
+from polishd.workbench.maps.history import made
 from polishd.workbench.maps.masks import mask_lines, mask_records
 
 
@@ -45,7 +46,7 @@ def average_verb(
     }
     answer["masks"] = [{"path": str(one.path), "masks": mask_records(one)} for one in surfaces if one.masks]
     if target is not None:
-        answer |= store(_mean_map(surfaces, found), target, source)
+        answer |= store(_kept(surfaces, found, source, mixed=mixed), target, source)
     emit(answer, as_json=as_json, table=lambda: _table(answer), lines=_lines(answer))
 
 
@@ -59,6 +60,12 @@ def _mean_map(surfaces: Sequence[SurfaceMap], found: Repeats) -> SurfaceMap:
     """The mean with what is known of the first map; as new as the newest."""
     times = [surface.measured_at for surface in surfaces if surface.measured_at is not None]
     return replace(surfaces[0], height_nm=found.height_nm, taken_at=max(times, default=None), date_from="header")
+
+
+def _kept(surfaces: Sequence[SurfaceMap], found: Repeats, source: MapSource, *, mixed: bool) -> SurfaceMap:
+    """The mean, and in its history all maps by what became of them."""
+    roles = ["left out" if name in found.rejected else "repeat" for name in found.names]
+    return made(_mean_map(surfaces, found), "average", list(zip(roles, surfaces, strict=True)), source, mixed=mixed)
 
 
 def _table(answer: Mapping[str, Any]) -> Table:

@@ -10,14 +10,23 @@ import typer
 from typer import Argument, Option
 from typer.core import TyperGroup
 
-from polishd.workbench.maps.options import AsFormat, FigureOptions, Json, Masks, OfCell, Profile, ReportOptions
+from polishd.workbench.maps.options import (
+    AsFormat,
+    FigureOptions,
+    Json,
+    Masks,
+    OfCell,
+    Profile,
+    ReportOptions,
+    StitchOptions,
+)
 from polishd.workbench.options import spread
 
 DEFAULT = "figures"
 """What ``polishd map FILE`` does."""
 HELP = (
     "Maps of surfaces: polishd map FILE... gives their figures (options: polishd map figures --help); or compare, "
-    "report, convert, average, commission."
+    "report, convert, average, stitch, commission."
 )
 
 
@@ -126,6 +135,22 @@ def average(
 
     source = MapSource.of(cell, profile, as_format, masks)
     average_verb(files, out, source, mixed=mixed, force=force, as_json=as_json)
+
+
+@app.command()
+@spread
+def stitch(
+    files: Annotated[
+        list[Path], Argument(metavar="MAP...", help="Sub-apertures; the first is the reference.", readable=False)
+    ],
+    *,
+    as_json: Json = False,
+    asked: StitchOptions,
+) -> None:
+    """Overlapping sub-apertures as one map, by least squares over what differs from map to map, and its uncertainty."""
+    from polishd.workbench.maps.stitch import stitch_verb
+
+    stitch_verb(files, asked, as_json=as_json)
 
 
 @app.command()

@@ -15,6 +15,7 @@ from polishd.model.errors import BadMap, ConfigError, SurfaceError
 from polishd.model.surface import SurfaceMap
 from polishd.show.tables import emit
 from polishd.workbench.maps.files import MapSource, shown
+from polishd.workbench.maps.history import made
 from polishd.workbench.maps.masks import mask_lines, mask_records
 
 WITHIN_NM = 0.01
@@ -35,7 +36,7 @@ def convert_verb(
     require_target(target, [file], source, force=force)
     surface = source.read(file)
     answer = {"path": str(file), "format": surface.format, "masks": mask_records(surface)}
-    answer |= store(surface, target, source)
+    answer |= store(made(surface, "convert", [("map", surface)], source), target, source)
     lines = [*mask_lines([shown(file.name)], [answer]), *stored_lines(answer)]
     emit(answer, as_json=as_json, lines=lines)
 
@@ -121,7 +122,7 @@ def _read_back(content: bytes, target: Path, source: MapSource) -> SurfaceMap:
 
 
 def _notes(surface: SurfaceMap, back: SurfaceMap, *, profiled: bool) -> list[str]:
-    named = {"part": "part_id", "time of measurement": "measured_at", "fiducials": "fiducials_px"}
+    named = {"part": "part_id", "time of measurement": "measured_at", "fiducials": "fiducials_px", "history": "history"}
     lost = [word for word, key in named.items() if getattr(surface, key) and not _alike(surface, back, key)]
     notes = [f"the format does not keep the {', '.join(lost)}"] if lost else []
     if profiled:

@@ -13,6 +13,7 @@ from polishd.model.errors import BadMap, SurfaceError
 from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
 from polishd.process import metrics
 from polishd.workbench.maps.files import band_names
+from polishd.workbench.maps.history import history_record
 from polishd.workbench.maps.masks import mask_records, masked_out
 
 HEIGHTS = {"pv_nm": "PV", "rms_nm": "RMS", "pv_tilt_removed_nm": "PV level", "rms_tilt_removed_nm": "RMS level"}
@@ -139,4 +140,5 @@ def _origin(surface: SurfaceMap) -> dict[str, Any]:
         "fiducials_px": [list(mark) for mark in surface.fiducials_px],
         "factors": dict(surface.factors),
         "reader_version": surface.reader_version,
+        "history": history_record(surface),
     }

@@ -62,6 +62,12 @@ class MapSource:
         source = cls(readers, asked, instrument, partly=partly)
         return replace(source, masks=tuple(Mask.of(text, source.read) for text in masks or ()))
 
+    @property
+    def options(self) -> dict[str, Any]:
+        """How maps are read, for a history: values of JSON."""
+        told: dict[str, Any] = {"mask": [mask.text for mask in self.masks]} if self.masks else {}
+        return told | ({"profile": self.instrument.name} if self.instrument is not None else {})
+
     def read(self, path: Path) -> SurfaceMap:
         """A map, as it is or as far as the profile says, within the masks; BadMap where it cannot be had."""
         try:

@@ -78,3 +78,21 @@ class ReportOptions:
     cell: OfCell = None
     as_format: AsFormat = None
     masks: Masks = None
+
+
+@dataclass(frozen=True, slots=True)
+class StitchOptions:
+    """What ``stitch`` is asked for."""
+
+    at: Annotated[Path, Option(metavar="CSV", help="Where each map's centre lies: file,x_mm,y_mm.", readable=False)]
+    out: Annotated[Path | None, Option(metavar="C", help="The new map; its ending says the format.")] = None
+    uncertainty: Annotated[
+        Path | None, Option(metavar="U", help="A map of the standard deviation of each sample of C.")
+    ] = None
+    free: Annotated[str, Option(metavar="power,shift", help="What else may differ from map to map.")] = ""
+    picture: Annotated[Path | None, Option(metavar="PNG", help="Draw it, too.")] = None
+    force: Annotated[bool, Option("--force", help="Replace C and U where they are there.")] = False
+    profile: Profile = None
+    cell: OfCell = None
+    as_format: AsFormat = None
+    masks: Masks = None

@@ -12,7 +12,19 @@ from matplotlib.ticker import NullFormatter
 from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
 from polishd.process import metrics
 from polishd.process.metrics import RadialPsd
-from polishd.show.style import BLUE, DIVERGING, INK, MUTED, NO_DATA, ORANGE, figure, png, polishd_style, ruled
+from polishd.show.style import (
+    BLUE,
+    DIVERGING,
+    INK,
+    MUTED,
+    NO_DATA,
+    ORANGE,
+    SEQUENTIAL,
+    figure,
+    png,
+    polishd_style,
+    ruled,
+)
 from polishd.workbench.maps.figures import Figured
 from polishd.workbench.maps.files import shown, told_apart
 
@@ -115,6 +127,33 @@ def subtracted_picture(heights: Mapping[str, FloatArray], mask: BoolArray, pitch
         for ax, (name, height) in zip(page.subplots(1, len(heights)), heights.items(), strict=True):
             _panel(ax, np.where(mask, height, np.nan), pitch_mm, f"{_short(name)}\n{_pv_rms(height, mask)}")
         return png(page)
+
+
+def stitched_picture(height_nm: FloatArray, uncertainty_nm: FloatArray, maps: FloatArray, pitch_mm: float) -> bytes:
+    """PNG: a stitched map, (ny, nx) nm, without its tilt; its uncertainty; how many maps have each sample."""
+    there = np.isfinite(height_nm)
+    level = np.where(there, metrics.without(height_nm, there, "tilt"), np.nan)
+    with polishd_style():
+        page = figure(PANEL_IN * 4.2, PANEL_IN * 1.2)
+        axes = page.subplots(1, 3)
+        _panel(axes[0], level, pitch_mm, f"stitched, tilt removed\n{_pv_rms(level, there)}")
+        worst = float(np.nanmax(uncertainty_nm))
+        _amount(axes[1], uncertainty_nm, pitch_mm, f"uncertainty (1 sigma)\nat worst {_nm(worst)}", "nm")
+        _amount(axes[2], np.where(there, maps, np.nan), pitch_mm, "maps that have\na sample", "")
+        return png(page)
+
+
+def _amount(ax: Axes, values: FloatArray, pitch_mm: float, title: str, unit: str) -> None:
+    """What is never below 0, from 0 on."""
+    ny, nx = values.shape
+    step = max(1, int(np.ceil(max(ny, nx) / MOST_PX)))
+    half_x, half_y = nx * pitch_mm / 2, ny * pitch_mm / 2
+    ax.set_facecolor(NO_DATA)
+    extent = (-half_x, half_x, -half_y, half_y)
+    seen = ax.imshow(values[::step, ::step], extent=extent, vmin=0.0, cmap=SEQUENTIAL)
+    ax.set_title(title, parse_math=False)
+    ax.set_xlabel("mm")
+    ax.figure.colorbar(seen, ax=ax, shrink=0.8, label=unit)
 
 
 def artefact_picture(artefact_nm: FloatArray, seen: SurfaceMap, title: str) -> bytes:

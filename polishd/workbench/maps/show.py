@@ -21,6 +21,7 @@ from polishd.workbench.maps.files import (
     told_apart,
     warnings,
 )
+from polishd.workbench.maps.history import history_rows
 from polishd.workbench.maps.masks import mask_lines, mask_words
 from polishd.workbench.maps.options import FigureOptions
 
@@ -102,7 +103,7 @@ def _rows(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
     ]
     said = {"part": answer["part_id"], "instrument": answer["instrument"], "taken": date_words(answer)}
     rows += [(name, shown(value)) for name, value in said.items() if value]
-    rows.append(("orientation", answer["orientation"]))
+    rows += [("orientation", answer["orientation"]), *history_rows(answer["history"])]
     if answer["unsaid"]:
         rows.append(("the file does not say", ", ".join(answer["unsaid"])))
     return [*rows, ("sha256", answer["sha256"])]

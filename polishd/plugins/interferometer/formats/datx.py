@@ -18,8 +18,9 @@ from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats import apart, hdf5
 from polishd.plugins.interferometer.formats.common import named, require_optics, time_of
-from polishd.plugins.interferometer.formats.datx_writer import write
+from polishd.plugins.interferometer.formats.datx_writer import HISTORY, write
 from polishd.plugins.interferometer.formats.format import Format
+from polishd.plugins.interferometer.formats.kept_history import found_in
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, HeightUnit, Pitch, checked, height_unit, pitch
 
 FORMAT = Format("datx", 2)
@@ -58,8 +59,17 @@ def parse(path: Path) -> SurfaceMap:
         odd = _contradictions(source, data, optics)
         factors = {"unit": hdf5.text(source, data, "Unit"), "nm_per_unit": unit.nm, **optics, "window": str(origin)}
     height_nm = checked(path, height, unit.nm)
+    history, broken = found_in(about.pop("history", ""))
     return FORMAT.surface(
-        path, source.sha256, height_nm, height=unit, lateral=scale, factors=factors, warnings=odd, **about
+        path,
+        source.sha256,
+        height_nm,
+        height=unit,
+        lateral=scale,
+        factors=factors,
+        warnings=(*odd, *broken),
+        history=history,
+        **about,
     )
 
 
@@ -179,7 +189,7 @@ def _pitch(source: hdf5.Opened, data: Any) -> Pitch:
 
 
 def _about(source: hdf5.Opened, links: dict[tuple[str, str], str]) -> dict[str, Any]:
-    """Part, instrument and time, from the attributes of the measurement."""
+    """Part, instrument, time and the text of a history, from the attributes of the measurement."""
     place = links.get((links.get(("Root", "Measurement"), ""), "Attributes"), "/Measurement/Attributes")
     node = hdf5.member(source, place)
     if node is None:
@@ -197,6 +207,7 @@ def _about(source: hdf5.Opened, links: dict[tuple[str, str], str]) -> dict[str, 
         "part_id": text("Part Serial Number") or text("Part Number"),
         "instrument": f"{system}, system {serial}" if serial else system,
         "taken_at": time_of(float(stamp["time"])) if told else None,
+        "history": text(HISTORY),
     }
 
 

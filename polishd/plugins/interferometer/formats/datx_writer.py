@@ -11,10 +11,13 @@ import numpy as np
 
 from polishd.api import SurfaceMap
 from polishd.plugins.interferometer.formats.common import require_said
+from polishd.plugins.interferometer.formats.kept_history import line_of
 
 if TYPE_CHECKING:
     import h5py
 
+HISTORY = "polishd History"
+"""The attribute that keeps a map's history, beside those of the instrument."""
 NO_DATA = float(np.finfo(np.float64).max)
 WAVELENGTH_M, SCALE, OBLIQUITY = 632.8e-9, 0.5, 1.0
 """Readers expect them; heights in nm do not use them."""
@@ -80,6 +83,9 @@ def _about(group: h5py.Group, surface: SurfaceMap) -> None:
     for name in ("Part Serial Number", "Part Number"):
         group.attrs[f"{prefix}.{name}"] = np.array([surface.part_id], dtype=text)
     group.attrs[f"{prefix}.System Type"] = np.array(["polishd"], dtype=text)
+    kept = line_of(surface)
+    if kept is not None:
+        group.attrs[f"{prefix}.{HISTORY}"] = np.array([kept], dtype=text)
     if surface.measured_at:
         stamp = [("time", "<i8"), ("millitm", "<u2"), ("timezone", "<i2"), ("dstflag", "<i2")]
         seconds, milli = divmod(int(surface.measured_at.timestamp() * 1000), 1000)

@@ -17,6 +17,7 @@ from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats.common import content_of, members_of, parsing, require_said, scaled
 from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.gridded import ORIENTATION, gridded
+from polishd.plugins.interferometer.formats.kept_history import found_in, line_of
 from polishd.plugins.interferometer.formats.scales import Pitch, checked, pitch
 
 FORMAT = Format("x3p", 1)
@@ -45,6 +46,7 @@ def read(path: Path) -> SurfaceMap:
         height_nm, scale, orientation = _surface(path, file.layers[0])
     rotated = file.layers[0].placement.has_rotation
     made = file.metadata
+    history, odd = found_in((made.comment if made else None) or "")
     return FORMAT.surface(
         path,
         content,
@@ -54,7 +56,9 @@ def read(path: Path) -> SurfaceMap:
         taken_at=made.date if made and made.date and made.date != NO_DATE else None,
         factors={"nm_per_unit": 1e9, "z_increment": file.header.z.increment},
         doubts={"orientation": ROTATED} if rotated else {},
+        warnings=odd,
         orientation=orientation,
+        history=history,
     )
 
 
@@ -65,12 +69,13 @@ def write(surface: SurfaceMap) -> bytes:
     require_said(surface, "pitch", "square pixels")
     if surface.pitch_mm is None:
         raise BadMap("an X3P file needs a lateral scale, and this map has none: say it in the instrument's profile")
+    comments = [f"part {surface.part_id}" if surface.part_id else None, line_of(surface)]
     metadata = x3pio.Metadata(
         date=surface.measured_at or NO_DATE,
         creator="polishd",
         instrument=x3pio.Instrument(surface.instrument or NOT_KNOWN, *[NOT_KNOWN] * 3),
         probing_system=x3pio.ProbingSystem(x3pio.ProbingType.NON_CONTACTING, "interferometer"),
-        comment=f"part {surface.part_id}" if surface.part_id else None,
+        comment="\n".join(filter(None, comments)) or None,
     )
     file = io.BytesIO()
     metres = surface.pitch_mm / 1e3

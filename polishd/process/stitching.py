@@ -1,0 +1,286 @@
+"""Overlapping sub-apertures of one surface as one map, and how sure each of its samples is.
+
+Each map is the surface, and a piston, a tilt and, if asked, a power and a lateral shift of its own. On a grid that has
+the first map's samples the surface is eliminated exactly: of a sample that n maps have, the least-squares surface is
+their mean, and what remains to be solved for are 3 to 6 unknowns a map [Otsubo, Okada, Tsujiuchi, Opt. Eng. 33 (1994)
+608]. Their normal matrix has blocks only for maps that overlap. The first map's unknowns are 0: it is the reference.
+
+Units: heights nm, lengths mm, x right, y up; rows grow downwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse
+from scipy.sparse.csgraph import connected_components
+
+from polishd.model.errors import BadMap
+from polishd.model.surface import BoolArray, FloatArray
+from polishd.process.mosaic import NOISE_SLOPE, Laid, SubAperture, Sum, lay, slopes, summed
+
+LEAST_COMMON = 25
+"""Samples that two maps must share to count as overlapping."""
+LEAST_EIGENVALUE = 1e-10
+"""Of the normal matrix with a diagonal of 1: below it the overlaps do not tell the unknowns apart."""
+SURE_PX = 0.1
+"""Uncertainty of a freed shift, pixels, above which the overlaps have no structure to tell it by."""
+CONVERGED_PX = 1e-3
+MOST_STEPS = 30
+MOST_SHIFT_PX = 5.0
+"""A stage that is off by more is to be listed anew: further away the surface's slope says nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """What was found of a sub-aperture, against the reference."""
+
+    name: str
+    shift_mm: tuple[float, float]
+    """x, y by which it lies elsewhere than was said."""
+    shift_uncertainty_mm: tuple[float, float]
+    piston_nm: float
+    """Of its own centre, taken off it."""
+    tilt_urad: tuple[float, float]
+    """Slope in x and y, taken off it."""
+    power_nm: float
+    """Sag at its radius, taken off it; 0 where power is not free."""
+    residual_nm: float
+    """RMS deviation from the stitched map, where others overlap it."""
+    common: int
+    """Samples that others have, too."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stitched:
+    """The surface in the reference's frame: its piston, tilt and power are the first map's."""
+
+    height_nm: FloatArray
+    """(ny, nx), NaN where no map has data."""
+    uncertainty_nm: FloatArray
+    """(ny, nx) one standard deviation from the noise alone, that of the unknowns with it."""
+    maps: FloatArray
+    """(ny, nx) how many maps have the sample."""
+    placed: tuple[Placed, ...]
+    noise_nm: float
+    """Of one sample of one map, from what the overlaps leave."""
+    power_growth: float
+    """(R/r)^2: sag at the rim of the result, about the reference's centre, for 1 nm at the rim of a sub-aperture. So a
+    power that all maps share, as the reference optic's, grows; no overlap shows it."""
+    centre_px: tuple[float, float]
+    """(row, column) of the reference's centre."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """Least squares with the maps laid as they are."""
+
+    laid: Sequence[Laid]
+    bases: Sequence[FloatArray]
+    values: FloatArray
+    """(maps, p) of each map's basis; the first's are 0."""
+    inverse: FloatArray
+    """(maps, maps, p, p) of the normal matrix; 0 for the first."""
+    noise_nm: float
+    surface: Sum
+
+
+def stitch(maps: Sequence[SubAperture], pitch_mm: float, *, power: bool = False, shift: bool = False) -> Stitched:
+    """The surface that overlapping maps agree upon.
+
+    Args:
+        maps: of one pitch; the first is the reference.
+        pitch_mm: of each.
+        power: each but the first may have a power of its own.
+        shift: each but the first may lie elsewhere than is said, up to some pixels (Gauss-Newton).
+
+    Raises:
+        BadMap: fewer than two; maps that do not overlap; overlaps that do not tell the unknowns.
+    """
+    if len(maps) < 2:
+        raise BadMap("one sub-aperture is nothing to stitch: name two or more that overlap")
+    found = np.zeros((len(maps), 2))
+    _require_near(maps, pitch_mm)
+    fit = _fit(lay(maps, found, pitch_mm), power=power)
+    if shift:
+        found, fit = _shifted(maps, pitch_mm, fit, power=power)
+    return _result(maps, pitch_mm, found, fit, power=power)
+
+
+def _shifted(maps: Sequence[SubAperture], pitch_mm: float, fit: _Fit, *, power: bool) -> tuple[FloatArray, _Fit]:
+    """(maps, 2) shifts in pixels to the right and down, and the fit with the maps laid there."""
+    _require_structure(fit)
+    found = np.zeros((len(maps), 2))
+    for _ in range(MOST_STEPS):
+        with_slopes = _fit(fit.laid, power=power, slope=slopes(fit.surface))
+        step = with_slopes.values[:, -2:]
+        found = found + step
+        if np.abs(found).max() > MOST_SHIFT_PX:
+            break
+        fit = _fit(lay(maps, found, pitch_mm), power=power)
+        if np.abs(step).max() < CONVERGED_PX:
+            # what the shifts leave open is part of the uncertainty; their last step is too small to be laid again
+            last = _fit(fit.laid, power=power, slope=slopes(fit.surface))
+            return found, replace(last, values=np.column_stack([fit.values, np.zeros((len(maps), 2))]))
+    worst = maps[int(np.abs(found).max(axis=1).argmax())].name
+    raise BadMap(f"{worst}: its shift does not settle within {MOST_SHIFT_PX:g} px: list where it lies more exactly, or "
+                 "leave the shift out of --free")  # fmt: skip
+
+
+def _fit(laid: Sequence[Laid], *, power: bool, slope: tuple[FloatArray, FloatArray] | None = None) -> _Fit:
+    surface = summed(laid, [one.height_nm for one in laid])
+    shared = surface.count >= 2
+    used = [one.valid & shared[one.window] for one in laid]
+    _require_overlap(laid, used)
+    bases = [one.basis(power=power, slope=slope) for one in laid]
+    share = 1.0 / np.maximum(surface.count, 1)
+    normal, right = _normal(laid, used, bases, share, surface)
+    count, size = right.shape
+    free = (count - 1) * size
+    matrix = normal.transpose(0, 2, 1, 3).reshape(count * size, -1)[size:, size:]
+    inverse = np.zeros_like(normal)
+    inverse[1:, 1:] = _inverted(matrix, laid, size).reshape(count - 1, size, count - 1, size).transpose(0, 2, 1, 3)
+    values = np.einsum("klpq,lq->kp", inverse, right)
+    flat = [one.height_nm - np.tensordot(own, base, 1) for one, own, base in zip(laid, values, bases, strict=True)]
+    surface = summed(laid, flat)
+    off = [np.where(use, z - surface.mean[one.window], 0.0) for one, use, z in zip(laid, used, flat, strict=True)]
+    # interpolation takes noise off single samples, not off the long waves that the unknowns are
+    freedom = sum(one.gain * float((use * (1 - share[one.window])).sum()) for one, use in zip(laid, used, strict=True))
+    if freedom <= free:
+        raise BadMap("the overlaps hold too few samples for what is asked; take sub-apertures that overlap more")
+    noise = np.sqrt(sum(float((one**2).sum()) for one in off) / (freedom - free))
+    return _Fit(laid, bases, values, inverse, float(noise), surface)
+
+
+def _normal(
+    laid: Sequence[Laid], used: Sequence[BoolArray], bases: Sequence[FloatArray], share: FloatArray, surface: Sum
+) -> tuple[FloatArray, FloatArray]:
+    """(maps, maps, p, p) and (maps, p): the surface, the mean of each sample, is eliminated."""
+    count, size = len(laid), len(bases[0])
+    normal, right = np.zeros((count, count, size, size)), np.zeros((count, size))
+    for k, one in enumerate(laid):
+        own = bases[k][:, used[k]]
+        right[k] = own @ (one.height_nm - surface.mean[one.window])[used[k]]
+        normal[k, k] = own @ own.T
+        for other in range(k + 1):
+            here, there = one.meeting(laid[other])
+            both = used[k][here] & used[other][there]
+            if both.any():
+                weight = share[one.window][here][both]
+                block = (bases[k][:, *here][:, both] * weight) @ bases[other][:, *there][:, both].T
+                normal[k, other] -= block
+                if other != k:
+                    normal[other, k] -= block.T
+    return normal, right
+
+
+def _inverted(matrix: FloatArray, laid: Sequence[Laid], size: int) -> FloatArray:
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    value, vector = scipy.linalg.eigh(matrix * scale * scale[:, None])
+    if value[0] < LEAST_EIGENVALUE:
+        worst = laid[1 + int(np.abs(vector[:, 0]).argmax()) // size].name
+        raise BadMap(f"{worst}: its overlaps do not tell its piston, tilt and what else is free apart; let it overlap "
+                     "more, or free less")  # fmt: skip
+    return np.asarray((vector / value) @ vector.T * scale * scale[:, None])
+
+
+def _require_near(maps: Sequence[SubAperture], pitch_mm: float) -> None:
+    """Before a canvas is made that a position in other units would make huge."""
+    place = np.array([(one.x_mm, one.y_mm) for one in maps])
+    half = np.array([one.height_nm.shape[::-1] for one in maps]) * pitch_mm / 2
+    near = (np.abs(place[:, None] - place) < half[:, None] + half).all(axis=2)
+    _require_linked([one.name for one in maps], near)
+
+
+def _require_overlap(laid: Sequence[Laid], used: Sequence[BoolArray]) -> None:
+    linked = np.eye(len(laid), dtype=np.bool_)
+    for k, one in enumerate(laid):
+        for other in range(k):
+            here, there = one.meeting(laid[other])
+            linked[k, other] = np.count_nonzero(used[k][here] & used[other][there]) >= LEAST_COMMON
+    _require_linked([one.name for one in laid], linked)
+
+
+def _require_linked(names: Sequence[str], linked: BoolArray) -> None:
+    _, group = connected_components(scipy.sparse.csr_array(linked), directed=False)
+    apart = [name for name, its in zip(names, group, strict=True) if its != group[0]]
+    if apart:
+        raise BadMap(f"{', '.join(apart)}: no overlap leads from there to {names[0]} (at least {LEAST_COMMON} common "
+                     "samples a link); see where they are said to lie, or measure between")  # fmt: skip
+
+
+def _require_structure(fit: _Fit) -> None:
+    """The surface's slopes in the overlaps, less what piston, tilt and power explain, must be more than the noise's."""
+    slope = slopes(fit.surface)
+    shared = fit.surface.count >= 2
+    for one, base in zip(fit.laid[1:], fit.bases[1:], strict=True):
+        use = one.valid & shared[one.window]
+        own = base[:, use].T
+        both = np.column_stack([along[one.window][use] for along in slope])
+        left = both - own @ np.linalg.lstsq(own, both, rcond=None)[0]
+        energy = float(np.linalg.eigvalsh(left.T @ left)[0])
+        noise = fit.noise_nm**2 * NOISE_SLOPE * float((1.0 / fit.surface.count[one.window][use]).sum())
+        unsure = fit.noise_nm / np.sqrt(max(energy - noise, np.finfo(float).tiny))
+        if energy < 2 * noise or unsure > SURE_PX:
+            raise BadMap(
+                f"{one.name}: its overlaps have no structure that tells a shift (it would be known to {unsure:.2g} px "
+                f"only, with {fit.noise_nm:.3g} nm of noise); leave the shift out of --free"
+            )
+
+
+def _result(maps: Sequence[SubAperture], pitch_mm: float, found: FloatArray, fit: _Fit, *, power: bool) -> Stitched:
+    surface, laid = fit.surface, fit.laid
+    there = surface.count > 0
+    first = laid[0]
+    row, column = np.nonzero(there)
+    furthest = float(np.hypot(row - first.centre[0], column - first.centre[1]).max())
+    return Stitched(
+        height_nm=np.where(there, surface.mean, np.nan),
+        uncertainty_nm=np.where(there, fit.noise_nm * np.sqrt(_variance(fit)), np.nan),
+        maps=surface.count,
+        placed=tuple(_placed(k, pitch_mm, found[k], fit, power=power) for k in range(len(maps))),
+        noise_nm=fit.noise_nm,
+        power_growth=(furthest / first.radius_px) ** 2,
+        centre_px=first.centre,
+    )
+
+
+def _variance(fit: _Fit) -> FloatArray:
+    """(ny, nx) of each sample's mean for noise of variance 1: its own noise, and that of the unknowns taken off.
+
+    The two are independent: the unknowns follow from differences within a sample, the mean does not hold them.
+    """
+    share = 1.0 / np.maximum(fit.surface.count, 1)
+    found = np.zeros(fit.surface.count.shape)
+    for k, one in enumerate(fit.laid):
+        found[one.window] += np.where(one.valid, one.gain, 0.0)
+        for other, its in enumerate(fit.laid):
+            here, there = one.meeting(its)
+            both = one.valid[here] & its.valid[there]
+            if both.any():
+                mine, theirs = fit.bases[k][:, *here][:, both], fit.bases[other][:, *there][:, both]
+                found[one.window][here][both] += ((fit.inverse[k, other] @ theirs) * mine).sum(axis=0)
+    return np.asarray(found * share**2)
+
+
+def _placed(k: int, pitch_mm: float, found_px: FloatArray, fit: _Fit, *, power: bool) -> Placed:
+    one, values = fit.laid[k], fit.values[k]
+    radius_mm = one.radius_px * pitch_mm
+    base = fit.bases[k]
+    shared = one.valid & (fit.surface.count[one.window] >= 2)
+    off = (one.height_nm - np.tensordot(values, base, 1) - fit.surface.mean[one.window])[shared]
+    sure = fit.noise_nm * np.sqrt(np.diag(fit.inverse[k, k])) * pitch_mm
+    freed = len(values) > 3 + power
+    return Placed(
+        name=one.name,
+        shift_mm=(float(found_px[0]) * pitch_mm, (0.0 - float(found_px[1])) * pitch_mm),
+        shift_uncertainty_mm=(float(sure[-2]), float(sure[-1])) if freed else (0.0, 0.0),
+        piston_nm=float(values[0]),
+        tilt_urad=(float(values[1] / radius_mm), float(values[2] / radius_mm)),
+        power_nm=float(values[3]) if power else 0.0,
+        residual_nm=float(np.sqrt(np.mean(off**2))),
+        common=int(np.count_nonzero(shared)),
+    )

@@ -1,0 +1,60 @@
+"""The history that ``polishd map`` writes into its results, and shows of any map."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+from polishd import __version__
+from polishd.model.map_history import MapInput, MapStep
+from polishd.model.surface import SurfaceMap
+from polishd.workbench.maps.files import MapSource, shown
+
+SHORT = 12
+"""Digits of a hash that are shown to people."""
+
+
+def made(
+    surface: SurfaceMap,
+    verb: str,
+    inputs: Sequence[tuple[str, SurfaceMap]],
+    source: MapSource,
+    **options: Any,
+) -> SurfaceMap:
+    """The map with its last step added.
+
+    Args:
+        surface: the result.
+        verb: of ``polishd map``.
+        inputs: what each map that was read was to the verb, and the map: "map", "system error", ...
+        source: how they were read: masks and profile are options, too.
+        options: what else was asked for, values of JSON; those that are None or False were not.
+    """
+    everything = source.options | options
+    asked = {key: value for key, value in everything.items() if value is not None and value is not False}
+    parts = tuple(
+        MapInput(role, one.path.name if one.path is not None else "", one.sha256, one.history) for role, one in inputs
+    )
+    return replace(surface, history=MapStep(verb, __version__, asked, parts))
+
+
+def history_record(surface: SurfaceMap) -> dict[str, Any] | None:
+    """For ``--json``: the last step, the histories of its inputs within it."""
+    return None if surface.history is None else asdict(surface.history)
+
+
+def history_rows(step: Mapping[str, Any] | None) -> Iterator[tuple[str, str]]:
+    """The same for people: a row each step, the last one first, and a row each of its inputs."""
+    if step is None:
+        return
+    options = ", ".join(f"{key} {_words(value)}" for key, value in step["options"].items())
+    yield f"made by {step['verb']}", shown(f"polishd {step['version']}" + (f"; {options}" if options else ""))
+    for one in step["inputs"]:
+        yield f"  {one['role']}", shown(f"{one['name']}, sha256 {one['sha256'][:SHORT]}")
+        for word, text in history_rows(one["history"]):
+            yield f"    {word}", text
+
+
+def _words(value: Any) -> str:
+    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
