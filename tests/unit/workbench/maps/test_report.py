@@ -240,6 +240,16 @@ def test_a_flat_map_and_one_of_few_samples(polishd: Polishd, tmp_path: Path) -> 
     assert any("too few" in reason for reason in answer["left_out"])
 
 
+@pytest.mark.full
+def test_a_strip_has_no_aberrations_of_a_circle(polishd: Polishd, tmp_path: Path) -> None:
+    """Its terms come out huge and cancel each other: nobody is to believe one of them."""
+    strip = np.random.default_rng(1).normal(0.0, 5.0, (120, 12))
+    answer = polishd("map", "report", dat(tmp_path / "s.dat", strip), "--out", tmp_path / "r.html", "--json").answer
+    assert answer["aberrations"] is None
+    assert answer["zernike"]["condition"] > 1e3
+    assert any(reason.startswith("aberrations: ") for reason in answer["left_out"])
+
+
 @pytest.mark.parametrize(
     ("asked", "words", "code"),
     [
