@@ -27,7 +27,8 @@ class Figure(NamedTuple):
             found = found[int(step)] if isinstance(found, Sequence) else found[step]
         if found is None or not math.isfinite(found):
             return "–"
-        return cls(format(found, form), key, found)
+        # no figure is a negative zero
+        return cls(format(found, f"z{form}" if form.endswith("f") else form), key, found)
 
 
 Cell = Figure | str

@@ -11,11 +11,12 @@ from typing import Any
 
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure as Page
+from matplotlib.font_manager import findfont, get_font
 from matplotlib.image import imread
 from matplotlib.lines import Line2D
 
 from polishd.show.sheet import Cell, Chapter, Figure, Part, Picture, Sheet, Table
-from polishd.show.style import INK, MUTED, RULE, polishd_style
+from polishd.show.style import INK, MUTED, RC, RULE, polishd_style
 
 WIDE_IN, HIGH_IN = 8.27, 11.69
 MARGIN_IN = 0.75
@@ -43,7 +44,7 @@ def pdf(sheet: Sheet) -> bytes:
 
 
 def _foot(page: Page, words: str) -> None:
-    page.text(0.5, 0.4 / HIGH_IN, words, ha="center", fontsize=7, color=MUTED, parse_math=False)
+    page.text(0.5, 0.4 / HIGH_IN, _written(words), ha="center", fontsize=7, color=MUTED, parse_math=False)
 
 
 @dataclass(slots=True)
@@ -97,7 +98,7 @@ class _Pages:
         """One line at the place that is next."""
         y_in = self.y_in + MARGIN_IN - LINE_IN * size / TEXT_PT
         x = (MARGIN_IN + x_in) / WIDE_IN
-        self.done[-1].text(x, y_in / HIGH_IN, words, fontsize=size, parse_math=False, **style)
+        self.done[-1].text(x, y_in / HIGH_IN, _written(words), fontsize=size, parse_math=False, **style)
 
     def table(self, table: Table) -> None:
         """Its head stands again on each page that it goes on to."""
@@ -143,6 +144,15 @@ class _Pages:
         axes.imshow(image, aspect="auto", interpolation="none")
         axes.set_axis_off()
         self.text(picture.caption, colour=MUTED, after_in=0.08)
+
+
+def _written(words: str) -> str:
+    """With escapes for the letters that the font does not have: a box in their place says nothing."""
+    font = get_font(findfont(RC["font.family"]))
+    return "".join(
+        letter if font.get_char_index(ord(letter)) else letter.encode("ascii", "backslashreplace").decode()
+        for letter in words
+    )
 
 
 def _words(cell: Cell) -> str:

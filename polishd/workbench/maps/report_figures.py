@@ -19,6 +19,8 @@ from polishd.process.tolerance import judge
 from polishd.workbench.maps.figures import ISO_KEYS, Figured
 
 T = TypeVar("T")
+WORST_CONDITION = 1e3
+"""Of a fit beyond which its single terms are large and cancel each other: they are no aberrations of the part."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +106,7 @@ def reported(found: Figured, asked: Asked) -> Reported:
             name: None if found.answer[key] is None else finder.length(found.answer[key])
             for name, key in (("pv", "pv_tilt_removed_nm"), ("rms", "rms_tilt_removed_nm"), ("pvr", "pvr_nm"))
         },
-        "aberrations": None if fitted is None else _aberrations(finder, fitted),
+        "aberrations": None if fitted is None else finder.some("aberrations", lambda: _aberrations(finder, fitted)),
         "iso10110_waves": None
         if iso is None
         else {key.removesuffix("_nm"): getattr(iso, key) / asked.wavelength_nm for key in ISO_KEYS},
@@ -154,6 +156,11 @@ def _judged(found: Figured, asked: Asked) -> Sequence[Judged]:
 
 
 def _aberrations(finder: _Finder, fitted: metrics.zernike.ZernikeFit) -> dict[str, dict[str, float]]:
+    if fitted.condition > WORST_CONDITION:
+        raise BadMap(
+            f"over this shape the Zernike terms are hard to tell apart (condition {fitted.condition:.1e}, at most "
+            f"{WORST_CONDITION:.0e}): fit fewer --terms, or lay a round --mask"
+        )
     first = metrics.primary(fitted)
     return {
         "power": finder.length(first.power_nm),

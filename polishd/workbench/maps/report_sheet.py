@@ -191,6 +191,7 @@ def _zernike(answer: Mapping[str, Any]) -> Iterator[Part]:
         ("circle's radius, px", Figure.of(answer, "zernike.radius_px", ".6g")),
         ("circle's centre, row", Figure.of(answer, "zernike.centre_px.0", ".6g")),
         ("circle's centre, column", Figure.of(answer, "zernike.centre_px.1", ".6g")),
+        ("condition", Figure.of(answer, "zernike.condition", ".3g")),
         ("RMS that the fit leaves, nm", Figure.of(answer, "zernike.residual_rms_nm", ".3f")),
     ]
     note = (

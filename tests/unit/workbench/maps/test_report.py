@@ -229,6 +229,17 @@ def test_several_maps_and_one_that_is_none(polishd: Polishd, tmp_path: Path, goo
 
 
 @pytest.mark.full
+def test_names_are_shown_as_they_are_or_escaped(polishd: Polishd, tmp_path: Path) -> None:
+    """Markup, mathematics, and letters that the PDF's font has not."""
+    name = "a <b>$x^2$ \u785d.dat"
+    path, page, out = dat(tmp_path / name, surface(), part=""), tmp_path / "r.html", tmp_path / "r.pdf"
+    for target in (page, out):
+        assert polishd("map", "report", path, "--out", target).code == 0
+    assert name in read(page).words
+    assert "a <b>$x^2$ \\u785d.dat" in text_of(out)
+
+
+@pytest.mark.full
 def test_a_flat_map_and_one_of_few_samples(polishd: Polishd, tmp_path: Path) -> None:
     flat, few = np.zeros((30, 30)), surface(5, 4)
     flat[25:] = np.nan  # a file that ends in zeros was not written to its end
@@ -238,6 +249,16 @@ def test_a_flat_map_and_one_of_few_samples(polishd: Polishd, tmp_path: Path) -> 
         assert (answer["zernike"] is None) == (name == "few.dat")
         assert out.exists()
     assert any("too few" in reason for reason in answer["left_out"])
+
+
+@pytest.mark.full
+def test_a_strip_has_no_aberrations_of_a_circle(polishd: Polishd, tmp_path: Path) -> None:
+    """Its terms come out huge and cancel each other: nobody is to believe one of them."""
+    strip = np.random.default_rng(1).normal(0.0, 5.0, (120, 12))
+    answer = polishd("map", "report", dat(tmp_path / "s.dat", strip), "--out", tmp_path / "r.html", "--json").answer
+    assert answer["aberrations"] is None
+    assert answer["zernike"]["condition"] > 1e3
+    assert any(reason.startswith("aberrations: ") for reason in answer["left_out"])
 
 
 @pytest.mark.parametrize(
