@@ -19,6 +19,8 @@ from polishd.recipe.files import read_map
 from polishd.show.tables import stdout
 from polishd.workbench.maps.masks import Mask, masked
 
+PROFILED = "its history says that a profile is in it: not applied again"
+"""The warning of a map that was turned and scaled before."""
 READERS = "interferometer"
 """The plugin of polishd that reads maps. Without the other ones these verbs start in half the time."""
 
@@ -81,6 +83,8 @@ class MapSource:
         surface = read_map(path, self.asked)
         if self.instrument is None:
             return surface
+        if self.partly and surface.history is not None and surface.history.profiled:
+            return replace(surface, warnings=(*surface.warnings, PROFILED))
         from polishd.process.instrument import as_profiled
 
         return as_profiled(surface, self.instrument, partly=self.partly)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 from polishd import __version__
 from polishd.model.map_history import MapInput, MapStep
 from polishd.model.surface import SurfaceMap
-from polishd.workbench.maps.files import MapSource, shown
+from polishd.workbench.maps.files import MapSource, draw, edges_mm, shown
+from polishd.workbench.maps.options import BANDS
 
 SHORT = 12
 """Digits of a hash that are shown to people."""
@@ -20,6 +22,7 @@ def made(
     verb: str,
     inputs: Sequence[tuple[str, SurfaceMap]],
     source: MapSource,
+    known_nm: float | None = None,
     **options: Any,
 ) -> SurfaceMap:
     """The map with its last step added.
@@ -29,6 +32,7 @@ def made(
         verb: of ``polishd map``.
         inputs: what each map that was read was to the verb, and the map: "map", "system error", ...
         source: how they were read: masks and profile are options, too.
+        known_nm: how sure a sample of the result is, one standard deviation; None: not known.
         options: what else was asked for, values of JSON; those that are None or False were not.
     """
     everything = source.options | options
@@ -36,7 +40,28 @@ def made(
     parts = tuple(
         MapInput(role, one.path.name if one.path is not None else "", one.sha256, one.history) for role, one in inputs
     )
-    return replace(surface, history=MapStep(verb, __version__, asked, parts))
+    return replace(surface, history=MapStep(verb, __version__, asked, parts, known_nm))
+
+
+def uncertainty_nm(surface: SurfaceMap) -> float | None:
+    """How sure a sample of a map is by its history: one standard deviation; None where that does not say."""
+    return None if surface.history is None else surface.history.uncertainty_nm
+
+
+def known_lines(known_nm: float | None) -> list[str]:
+    """The same for people, of what was made of several maps."""
+    if known_nm is None:
+        return ["how sure a sample is nobody knows: not each map says it of itself, as means of repeats do"]
+    return [f"a sample is known to {known_nm:.4f} nm (one standard deviation), if the maps' errors are independent"]
+
+
+def draw_maps(out: Path, surfaces: Sequence[SurfaceMap], *, as_json: bool) -> None:
+    """A PNG as ``polishd map FILE... --out`` draws, of maps of which some are in no file."""
+    from polishd.workbench.maps.figures import figured
+    from polishd.workbench.maps.pictures import figures_picture
+
+    edges = edges_mm(BANDS)
+    draw(out, figures_picture([figured(surface, 0, edges) for surface in surfaces]), as_json=as_json)
 
 
 def history_record(surface: SurfaceMap) -> dict[str, Any] | None:
@@ -49,7 +74,8 @@ def history_rows(step: Mapping[str, Any] | None) -> Iterator[tuple[str, str]]:
     if step is None:
         return
     options = ", ".join(f"{key} {_words(value)}" for key, value in step["options"].items())
-    yield f"made by {step['verb']}", shown(f"polishd {step['version']}" + (f"; {options}" if options else ""))
+    known = "" if step["uncertainty_nm"] is None else f"; a sample known to {step['uncertainty_nm']:.4g} nm"
+    yield f"made by {step['verb']}", shown(f"polishd {step['version']}{f'; {options}' if options else ''}{known}")
     for one in step["inputs"]:
         yield f"  {one['role']}", shown(f"{one['name']}, sha256 {one['sha256'][:SHORT]}")
         for word, text in history_rows(one["history"]):

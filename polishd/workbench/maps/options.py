@@ -30,6 +30,10 @@ Masks = Annotated[
         "not: before it takes what lies outside, px: means pixels.",
     ),
 ]
+BANDS = "33,0.12"
+MapsPicture = Annotated[
+    Path | None, Option("--picture", metavar="PNG", help="Draw the maps, and what was made of them.")
+]
 Json = Annotated[bool, Option("--json", help="One JSON object a file on stdout, for programs.")]
 
 
@@ -40,7 +44,7 @@ class FigureOptions:
     out: Picture = None
     trim: Annotated[int, Option(min=0, max=1000, metavar="N", help="Pixels to take off every edge of the data.")] = 0
     profile: Profile = None
-    bands: Annotated[str, Option(metavar="MM,...", help="Periods between the bands, falling.")] = "33,0.12"
+    bands: Annotated[str, Option(metavar="MM,...", help="Periods between the bands, falling.")] = BANDS
     cell: OfCell = None
     as_format: AsFormat = None
     masks: Masks = None
