@@ -19,9 +19,9 @@ from polishd.process.repeats import Repeats, average
 from polishd.show.tables import emit, record_table
 from polishd.workbench.maps.convert import require_target, store, stored_lines
 from polishd.workbench.maps.files import MapSource, require_picture, shown, told_apart, warnings
-from polishd.workbench.maps.history import draw_maps, made, uncertainty_nm
+from polishd.workbench.maps.history import made, uncertainty_nm
 from polishd.workbench.maps.masks import mask_lines, mask_records
-from polishd.workbench.maps.subtract import less
+from polishd.workbench.maps.subtract import draw_maps, less
 
 
 def average_verb(

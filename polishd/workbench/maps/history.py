@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
 from polishd import __version__
 from polishd.model.map_history import MapInput, MapStep
 from polishd.model.surface import SurfaceMap
-from polishd.workbench.maps.files import MapSource, draw, edges_mm, shown
-from polishd.workbench.maps.options import BANDS
+from polishd.workbench.maps.files import MapSource, shown
 
 SHORT = 12
 """Digits of a hash that are shown to people."""
@@ -53,15 +51,6 @@ def known_lines(known_nm: float | None) -> list[str]:
     if known_nm is None:
         return ["how sure a sample is nobody knows: not each map says it of itself, as means of repeats do"]
     return [f"a sample is known to {known_nm:.4f} nm (one standard deviation), if the maps' errors are independent"]
-
-
-def draw_maps(out: Path, surfaces: Sequence[SurfaceMap], *, as_json: bool) -> None:
-    """A PNG as ``polishd map FILE... --out`` draws, of maps of which some are in no file."""
-    from polishd.workbench.maps.figures import figured
-    from polishd.workbench.maps.pictures import figures_picture
-
-    edges = edges_mm(BANDS)
-    draw(out, figures_picture([figured(surface, 0, edges) for surface in surfaces]), as_json=as_json)
 
 
 def history_record(surface: SurfaceMap) -> dict[str, Any] | None:

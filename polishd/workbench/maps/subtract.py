@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,11 @@ from polishd.process import metrics
 from polishd.show.tables import emit, figure_table
 from polishd.workbench.maps.compare import Pair, paired
 from polishd.workbench.maps.convert import require_target, store, stored_lines
-from polishd.workbench.maps.figures import HEIGHTS, heights_nm
-from polishd.workbench.maps.files import MapSource, require_picture, shown, told_apart, warnings
-from polishd.workbench.maps.history import draw_maps, known_lines, made, uncertainty_nm
+from polishd.workbench.maps.figures import HEIGHTS, figured, heights_nm
+from polishd.workbench.maps.files import MapSource, draw, edges_mm, require_picture, shown, told_apart, warnings
+from polishd.workbench.maps.history import known_lines, made, uncertainty_nm
 from polishd.workbench.maps.masks import mask_lines, mask_records
+from polishd.workbench.maps.options import BANDS
 
 SIDES = ("map", "subtracted")
 """What the two maps are called, in JSON and in the history."""
@@ -108,6 +109,14 @@ def subtract_verb(
     _show(answer, as_json=as_json)
     if picture is not None:
         draw_maps(picture, [*maps, replace(kept, path=Path("difference"))], as_json=as_json)
+
+
+def draw_maps(out: Path, surfaces: Sequence[SurfaceMap], *, as_json: bool) -> None:
+    """A PNG as ``polishd map FILE... --out`` draws, of maps of which some are in no file."""
+    from polishd.workbench.maps.pictures import figures_picture
+
+    edges = edges_mm(BANDS)
+    draw(out, figures_picture([figured(surface, 0, edges) for surface in surfaces]), as_json=as_json)
 
 
 def _marks(surface: SurfaceMap, laid_nm: FloatArray, pitch_mm: float | None) -> tuple[tuple[float, float], ...]:
