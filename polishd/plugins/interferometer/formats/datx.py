@@ -200,7 +200,7 @@ def _about(source: hdf5.Opened, links: dict[tuple[str, str], str]) -> dict[str, 
         return named(hdf5.text(source, node, key[name])) if name in key else ""
 
     kind, serial = text("System Type"), text("System Serial Number")
-    system = text(INSTRUMENT) if kind == WRITER else " ".join(["Zygo", kind]).strip()
+    system = text(INSTRUMENT) if kind == WRITER else f"Zygo {kind}".strip()
     stamp: Any = hdf5.first(source, node, key["Time Stamp"]) if "Time Stamp" in key else None
     told = isinstance(stamp, np.void) and "time" in (stamp.dtype.names or ())
     return {
