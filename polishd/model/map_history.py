@@ -37,11 +37,19 @@ class MapStep:
     options: Mapping[str, Any]
     """What was asked for besides the maps: values of JSON."""
     inputs: tuple[MapInput, ...]
+    uncertainty_nm: float | None = None
+    """How sure a sample of the result is: one standard deviation, the median over the map; None: not known."""
 
     @property
     def depth(self) -> int:
         """How many steps follow one another."""
         return 1 + max((one.history.depth for one in self.inputs if one.history is not None), default=0)
+
+    @property
+    def profiled(self) -> bool:
+        """Whether an instrument's profile is in it, of its own or of all that it was made of."""
+        before = [one.history is not None and one.history.profiled for one in self.inputs]
+        return "profile" in self.options or (bool(before) and all(before))
 
     def to_json(self) -> str:
         """One line of ASCII, which every format can hold; ValueError where it is beyond what is read back."""

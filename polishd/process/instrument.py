@@ -74,7 +74,8 @@ def require_profile(surface: SurfaceMap, instrument: Instrument | None, *, partl
     map is of another instrument, or a profile was applied before.
     """
     name = surface.path.name if surface.path is not None else "the map"
-    if "profile" in surface.factors:
+    by_history = instrument is not None and surface.history is not None and surface.history.profiled
+    if "profile" in surface.factors or by_history:
         raise BadMap(f"{name} had the profile applied before: a second time would turn and scale it twice")
     if instrument is None:
         _all_said(name, surface)

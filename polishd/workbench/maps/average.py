@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,12 +13,15 @@ from rich.table import Table
 
 from polishd.model.errors import BadMap
 from polishd.model.surface import SurfaceMap
+from polishd.process import metrics
+from polishd.process.instrument import same_system
 from polishd.process.repeats import Repeats, average
 from polishd.show.tables import emit, record_table
 from polishd.workbench.maps.convert import require_target, store, stored_lines
-from polishd.workbench.maps.files import MapSource, told_apart
-from polishd.workbench.maps.history import made
+from polishd.workbench.maps.files import MapSource, require_picture, shown, told_apart, warnings
+from polishd.workbench.maps.history import made, uncertainty_nm
 from polishd.workbench.maps.masks import mask_lines, mask_records
+from polishd.workbench.maps.subtract import draw_maps, less
 
 
 def average_verb(
@@ -25,16 +29,24 @@ def average_verb(
     target: Path | None,
     source: MapSource,
     *,
+    system: Path | None,
+    picture: Path | None,
     mixed: bool,
     force: bool,
     as_json: bool,
 ) -> None:
-    """Average the maps, each without its own piston and tilt; write the mean where it is wanted."""
+    """Average the maps, each without ``system``, piston and tilt; write the mean where it is wanted."""
+    require_picture(picture)
     if target is not None:
-        require_target(target, files, source, force=force)
-    surfaces = [source.read(path) for path in files]
-    _require_one_part(surfaces)
+        require_target(target, files if system is None else [*files, system], source, force=force)
+    read = [source.read(path) for path in files]
+    _require_one_part(read)
+    error = None if system is None else source.read(system)
+    surfaces, notes = (read, []) if error is None else _without_system(read, error, mixed=mixed)
     found = average(surfaces, mixed=mixed)
+    own_nm = float(np.median(found.uncertainty_nm[found.mask]))
+    system_nm = None if error is None else uncertainty_nm(error)
+    known_nm = own_nm if error is None else None if system_nm is None else math.hypot(own_nm, system_nm)
     answer: dict[str, Any] = {
         "used": list(found.used),
         "rejected": dict(found.rejected),
@@ -42,12 +54,21 @@ def average_verb(
         "samples_rejected": found.samples_rejected,
         "rms_nm": found.rms_nm,
         "rms_uncertainty_nm": found.rms_uncertainty_nm,
-        "sample_uncertainty_nm": float(np.median(found.uncertainty_nm[found.mask])),
+        "sample_uncertainty_nm": own_nm,
+        "system": None if error is None else _system_record(error, system_nm, known_nm),
+        "notes": notes,
     }
-    answer["masks"] = [{"path": str(one.path), "masks": mask_records(one)} for one in surfaces if one.masks]
+    answer["masks"] = [{"path": str(one.path), "masks": mask_records(one)} for one in read if one.masks]
+    mean = _mean_map(surfaces, found)
     if target is not None:
-        answer |= store(_kept(surfaces, found, source, mixed=mixed), target, source)
+        roles = ["left out" if name in found.rejected else "repeat" for name in found.names]
+        inputs = [*zip(roles, read, strict=True), *([] if error is None else [("system error", error)])]
+        stored = store(made(mean, "average", inputs, source, known_nm, mixed=mixed), target, source)
+        answer |= stored | {"notes": [*notes, *stored["notes"]]}
     emit(answer, as_json=as_json, table=lambda: _table(answer), lines=_lines(answer))
+    if picture is not None:
+        drawn = [replace(mean, path=Path("mean")), *([] if error is None else [error])]
+        draw_maps(picture, drawn, as_json=as_json)
 
 
 def _require_one_part(surfaces: Sequence[SurfaceMap]) -> None:
@@ -62,10 +83,30 @@ def _mean_map(surfaces: Sequence[SurfaceMap], found: Repeats) -> SurfaceMap:
     return replace(surfaces[0], height_nm=found.height_nm, taken_at=max(times, default=None), date_from="header")
 
 
-def _kept(surfaces: Sequence[SurfaceMap], found: Repeats, source: MapSource, *, mixed: bool) -> SurfaceMap:
-    """The mean, and in its history all maps by what became of them."""
-    roles = ["left out" if name in found.rejected else "repeat" for name in found.names]
-    return made(_mean_map(surfaces, found), "average", list(zip(roles, surfaces, strict=True)), source, mixed=mixed)
+def _without_system(
+    surfaces: Sequence[SurfaceMap], error: SurfaceMap, *, mixed: bool
+) -> tuple[list[SurfaceMap], list[str]]:
+    """Each map less the instrument's own error, and what there is to note; BadMap where that is of another one."""
+    for surface in surfaces:
+        named = surface.instrument and error.instrument
+        if named and not mixed and not same_system(surface.instrument, error.instrument):
+            raise BadMap(f"{surface.path} is of the instrument {surface.instrument!r}, the system error {error.path} "
+                         f"of {error.instrument!r}; name its own, or say --mixed")  # fmt: skip
+    unnamed = replace(error, part_id="")  # it was measured with another part, a reference: that is no news
+    found = [less(surface, unnamed) for surface in surfaces]
+    notes = {note: None for one in found for note in one.pair.notes}
+    return [one.surface for one in found], list(notes)
+
+
+def _system_record(error: SurfaceMap, own_nm: float | None, known_nm: float | None) -> dict[str, Any]:
+    return {
+        "path": str(error.path),
+        "sha256": error.sha256,
+        "warnings": list(error.warnings),
+        "rms_nm": metrics.pv_rms(metrics.without(error.height_nm, error.valid, "tilt"), error.valid)[1],
+        "sample_uncertainty_nm": own_nm,
+        "with_mean_nm": known_nm,
+    }
 
 
 def _table(answer: Mapping[str, Any]) -> Table:
@@ -79,9 +120,25 @@ def _lines(answer: Mapping[str, Any]) -> list[str]:
     mean = f"{answer['rms_nm']:.4f} +- {answer['rms_uncertainty_nm']:.4f} nm"
     known = f"{answer['sample_uncertainty_nm']:.4f} nm (median standard error)"
     masked = answer["masks"]
-    return [
+    lines = [
         *mask_lines(told_apart([record["path"] for record in masked]), masked),
         f"RMS of the mean, tilt removed: {mean} over {samples} samples",
         f"a sample is known to {known}; {rejected} single samples were left out",
-        *(stored_lines(answer) if "out" in answer else ["not written: --out MEAN.x3p would"]),
+        *_system_lines(answer["system"]),
     ]
+    if "out" in answer:
+        return lines + stored_lines(answer)
+    return [*lines, *(f"note: {shown(note)}" for note in answer["notes"]), "not written: --out MEAN.x3p would"]
+
+
+def _system_lines(system: Mapping[str, Any] | None) -> list[str]:
+    if system is None:
+        return []
+    name = shown(Path(system["path"]).name)
+    lines = [f"less the system error {name}, of {system['rms_nm']:.4f} nm RMS (its tilt removed)"]
+    if system["with_mean_nm"] is None:
+        lines.append("how sure that is its file does not say: a mean of repeats, written by average, does")
+    else:
+        known, both = (f"{system[key]:.4f} nm" for key in ("sample_uncertainty_nm", "with_mean_nm"))
+        lines.append(f"which is known to {known} itself: a sample of the result to {both}")
+    return [*lines, *warnings([name], [system])]

@@ -14,6 +14,7 @@ from polishd.workbench.maps.options import (
     AsFormat,
     FigureOptions,
     Json,
+    MapsPicture,
     Masks,
     OfCell,
     Profile,
@@ -26,7 +27,7 @@ DEFAULT = "figures"
 """What ``polishd map FILE`` does."""
 HELP = (
     "Maps of surfaces: polishd map FILE... gives their figures (options: polishd map figures --help); or compare, "
-    "report, convert, average, stitch, commission."
+    "report, convert, average, subtract, stitch, commission."
 )
 
 
@@ -121,6 +122,10 @@ def average(
     out: Annotated[
         Path | None, Option("--out", metavar="MEAN", help="The new map; its ending says the format.")
     ] = None,
+    picture: MapsPicture = None,
+    system: Annotated[
+        Path | None, Option("--system", metavar="MAP", help="The instrument's own error: off each.", readable=False)
+    ] = None,
     profile: Profile = None,
     force: Annotated[bool, Option("--force", help="Replace MEAN where it is there.")] = False,
     mixed: Annotated[bool, Option("--mixed", help="Also maps of unknown pitch, or of several instruments.")] = False,
@@ -134,7 +139,29 @@ def average(
     from polishd.workbench.maps.files import MapSource
 
     source = MapSource.of(cell, profile, as_format, masks)
-    average_verb(files, out, source, mixed=mixed, force=force, as_json=as_json)
+    average_verb(files, out, source, system=system, picture=picture, mixed=mixed, force=force, as_json=as_json)
+
+
+@app.command()
+def subtract(
+    *,
+    first: Annotated[Path, Argument(metavar="A", help="A map.", readable=False)],
+    second: Annotated[Path, Argument(metavar="B", help="What is taken off it: a reference, say.", readable=False)],
+    out: Annotated[Path | None, Option("--out", metavar="C", help="The new map; its ending says the format.")] = None,
+    picture: MapsPicture = None,
+    profile: Profile = None,
+    force: Annotated[bool, Option("--force", help="Replace C where it is there.")] = False,
+    as_json: Json = False,
+    cell: OfCell = None,
+    as_format: AsFormat = None,
+    masks: Masks = None,
+) -> None:
+    """A less B, over the samples that both have: a reference, a system error, the wavefront of a test stand."""
+    from polishd.workbench.maps.files import MapSource
+    from polishd.workbench.maps.subtract import subtract_verb
+
+    source = MapSource.of(cell, profile, as_format, masks)
+    subtract_verb(first, second, out, picture, source, force=force, as_json=as_json)
 
 
 @app.command()

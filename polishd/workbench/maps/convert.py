@@ -15,7 +15,7 @@ from polishd.model.errors import BadMap, ConfigError, SurfaceError
 from polishd.model.surface import SurfaceMap
 from polishd.show.tables import emit
 from polishd.workbench.maps.files import MapSource, shown
-from polishd.workbench.maps.history import made
+from polishd.workbench.maps.history import made, uncertainty_nm
 from polishd.workbench.maps.masks import mask_lines, mask_records
 
 WITHIN_NM = 0.01
@@ -36,7 +36,7 @@ def convert_verb(
     require_target(target, [file], source, force=force)
     surface = source.read(file)
     answer = {"path": str(file), "format": surface.format, "masks": mask_records(surface)}
-    answer |= store(made(surface, "convert", [("map", surface)], source), target, source)
+    answer |= store(made(surface, "convert", [("map", surface)], source, uncertainty_nm(surface)), target, source)
     lines = [*mask_lines([shown(file.name)], [answer]), *stored_lines(answer)]
     emit(answer, as_json=as_json, lines=lines)
 

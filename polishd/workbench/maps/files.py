@@ -19,6 +19,8 @@ from polishd.recipe.files import read_map
 from polishd.show.tables import stdout
 from polishd.workbench.maps.masks import Mask, masked
 
+PROFILED = "its history says that a profile is in it: not applied again"
+"""The warning of a map that was turned and scaled before."""
 READERS = "interferometer"
 """The plugin of polishd that reads maps. Without the other ones these verbs start in half the time."""
 
@@ -78,10 +80,16 @@ class MapSource:
             raise BadMap(f"{path}: is {'a folder' if path.is_dir() else 'no file'}; name a map file")
         surface = read_map(path, self.asked)
         if self.instrument is not None:
-            from polishd.process.instrument import as_profiled
-
-            surface = as_profiled(surface, self.instrument, partly=self.partly)
+            surface = self._as_profiled(surface, self.instrument)
         return masked(surface, self.masks)
+
+    def _as_profiled(self, surface: SurfaceMap, instrument: Instrument) -> SurfaceMap:
+        """Once: what a verb made of profiled maps is taken as it is."""
+        if self.partly and surface.history is not None and surface.history.profiled:
+            return replace(surface, warnings=(*surface.warnings, PROFILED))
+        from polishd.process.instrument import as_profiled
+
+        return as_profiled(surface, instrument, partly=self.partly)
 
 
 def readers_for(cell: Path | None = None) -> Mapping[str, SurfaceReader]:

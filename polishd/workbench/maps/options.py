@@ -31,8 +31,12 @@ Masks = Annotated[
         "not: before it takes what lies outside, px: means pixels.",
     ),
 ]
+BANDS = "33,0.12"
 Trim = Annotated[int, Option(min=0, max=1000, metavar="N", help="Pixels to take off every edge of the data.")]
 Bands = Annotated[str, Option(metavar="MM,...", help="Periods between the bands, falling.")]
+MapsPicture = Annotated[
+    Path | None, Option("--picture", metavar="PNG", help="Draw the maps, and what was made of them.")
+]
 Json = Annotated[bool, Option("--json", help="One JSON object a file on stdout, for programs.")]
 
 
@@ -43,7 +47,7 @@ class FigureOptions:
     out: Picture = None
     trim: Trim = 0
     profile: Profile = None
-    bands: Bands = "33,0.12"
+    bands: Bands = BANDS
     cell: OfCell = None
     as_format: AsFormat = None
     masks: Masks = None
@@ -74,7 +78,7 @@ class ReportOptions:
     by: Annotated[str, Option(metavar="NAME", help="Who answers for the report.")] = ""
     trim: Trim = 0
     profile: Profile = None
-    bands: Bands = "33,0.12"
+    bands: Bands = BANDS
     cell: OfCell = None
     as_format: AsFormat = None
     masks: Masks = None
@@ -90,7 +94,7 @@ class StitchOptions:
         Path | None, Option(metavar="U", help="A map of the standard deviation of each sample of C.")
     ] = None
     free: Annotated[str, Option(metavar="power,shift", help="What else may differ from map to map.")] = ""
-    picture: Annotated[Path | None, Option(metavar="PNG", help="Draw it, too.")] = None
+    picture: MapsPicture = None
     force: Annotated[bool, Option("--force", help="Replace C and U where they are there.")] = False
     profile: Profile = None
     cell: OfCell = None

@@ -18,7 +18,7 @@ from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats import apart, hdf5
 from polishd.plugins.interferometer.formats.common import named, require_optics, time_of
-from polishd.plugins.interferometer.formats.datx_writer import HISTORY, write
+from polishd.plugins.interferometer.formats.datx_writer import HISTORY, INSTRUMENT, WRITER, write
 from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.kept_history import found_in
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, HeightUnit, Pitch, checked, height_unit, pitch
@@ -199,8 +199,8 @@ def _about(source: hdf5.Opened, links: dict[tuple[str, str], str]) -> dict[str, 
     def text(name: str) -> str:
         return named(hdf5.text(source, node, key[name])) if name in key else ""
 
-    system = " ".join(["Zygo", text("System Type")]).strip()
-    serial = text("System Serial Number")
+    kind, serial = text("System Type"), text("System Serial Number")
+    system = text(INSTRUMENT) if kind == WRITER else f"Zygo {kind}".strip()
     stamp: Any = hdf5.first(source, node, key["Time Stamp"]) if "Time Stamp" in key else None
     told = isinstance(stamp, np.void) and "time" in (stamp.dtype.names or ())
     return {

@@ -16,8 +16,10 @@ from polishd.plugins.interferometer.formats.kept_history import line_of
 if TYPE_CHECKING:
     import h5py
 
-HISTORY = "polishd History"
-"""The attribute that keeps a map's history, beside those of the instrument."""
+WRITER = "polishd"
+"""The system type of files that are written here: their instrument stands by itself."""
+INSTRUMENT, HISTORY = "polishd Instrument", "polishd History"
+"""Attributes that keep what Mx has no place for."""
 NO_DATA = float(np.finfo(np.float64).max)
 WAVELENGTH_M, SCALE, OBLIQUITY = 632.8e-9, 0.5, 1.0
 """Readers expect them; heights in nm do not use them."""
@@ -82,7 +84,8 @@ def _about(group: h5py.Group, surface: SurfaceMap) -> None:
     prefix = "Data Context.Data Attributes"
     for name in ("Part Serial Number", "Part Number"):
         group.attrs[f"{prefix}.{name}"] = np.array([surface.part_id], dtype=text)
-    group.attrs[f"{prefix}.System Type"] = np.array(["polishd"], dtype=text)
+    group.attrs[f"{prefix}.System Type"] = np.array([WRITER], dtype=text)
+    group.attrs[f"{prefix}.{INSTRUMENT}"] = np.array([surface.instrument], dtype=text)
     kept = line_of(surface)
     if kept is not None:
         group.attrs[f"{prefix}.{HISTORY}"] = np.array([kept], dtype=text)
