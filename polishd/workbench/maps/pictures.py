@@ -120,15 +120,6 @@ def compared_picture(
         return png(page)
 
 
-def subtracted_picture(heights: Mapping[str, FloatArray], mask: BoolArray, pitch_mm: float | None) -> bytes:
-    """PNG: maps (ny, nx) nm by what they are called, beside each other, each about its mean on its own scale."""
-    with polishd_style():
-        page = figure(PANEL_IN * len(heights), PANEL_IN)
-        for ax, (name, height) in zip(page.subplots(1, len(heights)), heights.items(), strict=True):
-            _panel(ax, np.where(mask, height, np.nan), pitch_mm, f"{_short(name)}\n{_pv_rms(height, mask)}")
-        return png(page)
-
-
 def stitched_picture(height_nm: FloatArray, uncertainty_nm: FloatArray, maps: FloatArray, pitch_mm: float) -> bytes:
     """PNG: a stitched map, (ny, nx) nm, without its tilt; its uncertainty; how many maps have each sample."""
     there = np.isfinite(height_nm)
