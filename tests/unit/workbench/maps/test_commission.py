@@ -71,6 +71,7 @@ def test_a_true_map_is_recorded(polishd: Polishd, ours: Path, good: Path) -> Non
     assert "edited after" in load_profile(ours).unproved
 
 
+@pytest.mark.full
 def test_what_a_mask_leaves_out_spoils_no_proof(polishd: Polishd, tmp_path: Path) -> None:
     """Of a profile that turns: the mask lies on what it makes of the file."""
     ours = profile(tmp_path / "p.toml", "[orientation]\nrotation_deg = 90")

@@ -50,7 +50,15 @@ def shell(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.parametrize("words", ["map zygo_metropro.dat --trim", "map codev.int", "map convert zygo", "map report"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        "map zygo_metropro.dat --trim",
+        "map codev.int",
+        "map convert zygo",
+        pytest.param("map report", marks=pytest.mark.full),
+    ],
+)
 def test_what_the_page_shows_of_the_shared_maps(
     polishd: Polishd, shared_data: Path, tmp_path: Path, words: str
 ) -> None:

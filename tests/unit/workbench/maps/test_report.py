@@ -173,6 +173,7 @@ def test_the_surface_keeps_the_indication_and_no_tighter_one(polishd: Polishd, t
     assert all(limit == pytest.approx(2 * limits[figure], rel=0.01) for figure, limit in twice.items())
 
 
+@pytest.mark.full
 def test_a_pdf_has_the_same_figures(polishd: Polishd, tmp_path: Path, good: Path, drawing: Path) -> None:
     out, page = tmp_path / "r.pdf", tmp_path / "r.html"
     assert polishd("map", "report", good, "--out", page, "--tolerance", drawing).code == 0

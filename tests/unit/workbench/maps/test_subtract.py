@@ -39,7 +39,7 @@ def residual_nm(path: Path, true_nm: FloatArray) -> float:
     return float((off - plane @ np.linalg.lstsq(plane, off, rcond=None)[0]).std())
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize("ending", [".x3p", ".datx", ".dat"])
 def test_errors_of_both_add_in_squares(polishd: Polishd, tmp_path: Path, ending: str) -> None:
     one, two = measured(tmp_path / "a.dat", PART + SYSTEM, 1), measured(tmp_path / "b.dat", SYSTEM, 2, 2 * NOISE_NM)
@@ -139,6 +139,7 @@ def test_a_mean_without_the_system_error_is_as_sure_as_it_says(
     )
 
 
+@pytest.mark.full
 def test_people_are_told_of_the_system_error(polishd: Polishd, tmp_path: Path) -> None:
     files = [measured(tmp_path / f"m{n}.dat", PART + SYSTEM, n) for n in range(3)]
     system = measured(tmp_path / "system.dat", SYSTEM, 9)
