@@ -34,6 +34,7 @@ def counted(output: str) -> dict[str, int]:
     }
 
 
+@pytest.mark.full
 def test_nothing_is_opened_where_nobody_is_there_to_ask(tmp_path: Path) -> None:
     done = hil(Path(shutil.copy(ROOT / "examples" / "cell.toml", tmp_path)))
     assert done.returncode == 3

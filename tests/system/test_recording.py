@@ -75,6 +75,7 @@ def type_of_actuator(probed: tuple[Path, dict[str, Any]]) -> str:
     return str(read_recording(probed[0]).header["devices"]["actuator"]["type"])
 
 
+@pytest.mark.full
 def test_the_file_names_devices_links_and_ends(probed: tuple[Path, dict[str, Any]]) -> None:
     found = read_recording(probed[0])
     assert found.header["cell"]

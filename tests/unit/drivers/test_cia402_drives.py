@@ -292,6 +292,7 @@ async def test_silent_heartbeats_are_a_lost_link_though_the_drive_answers(spin: 
     await device.make_safe()
 
 
+@pytest.mark.full
 async def test_a_late_answer_is_not_taken_for_the_next_ones(spin: Spin) -> None:
     device, drive, _ = spin
     await device.open()

@@ -67,6 +67,7 @@ async def test_the_answer_vector_is_read(rig: Rig) -> None:
     assert (values["force"], values["set_point"], values["position"]) == (11.98, 12.0, 5.0)
 
 
+@pytest.mark.full
 async def test_a_late_answer_is_not_the_next_ones(rig: Rig) -> None:
     kept: list[bytes] = []
 
@@ -83,6 +84,7 @@ async def test_a_late_answer_is_not_the_next_ones(rig: Rig) -> None:
     assert (await rig.wire.read(POLLED))["set_point"] == 9.0
 
 
+@pytest.mark.full
 async def test_a_write_is_not_repeated(rig: Rig) -> None:
     rig.peer.filter = Once(lambda data: [])
     with pytest.raises(LinkError):
