@@ -35,8 +35,10 @@ sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 
-# What collecting makes stays to the end: looking for garbage in it only takes time.
+# Looking for garbage may take a second of a busy machine, in which a fake device that shares the process says nothing:
+# it is looked for between tests. What collecting makes stays to the end.
 gc.disable()
+ALLOCATIONS = 100_000
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -46,9 +48,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Garbage is collected from here on."""
+    """What is there now is no garbage."""
     gc.freeze()
-    gc.enable()
+
+
+def pytest_runtest_logfinish() -> None:
+    """Between two tests, once there is enough to look at."""
+    if gc.get_count()[0] > ALLOCATIONS:
+        gc.collect()
 
 
 class MeasuredMaps:

@@ -85,6 +85,11 @@ def _source(root: Path, path: Path) -> Source:
     return _parsed[path]
 
 
+def forget() -> None:
+    """Drop what was parsed: close to a million objects."""
+    _parsed.clear()
+
+
 def length(node: Function | ast.ClassDef) -> int:
     """Lines of a definition, its docstring and decorators not counted."""
     docstring = ast.get_docstring(node, clean=False)

@@ -5,18 +5,25 @@ from __future__ import annotations
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.arch import code_rules, repository_rules
-from tests.arch.source import Rule
+from tests.arch.source import Rule, forget
 
 ROOT = Path(__file__).resolve().parents[2]
 # Cells, studies, profiles; the simulator's own config is loaded by tests/system/test_sim_cell.py.
 EXAMPLES = sorted(
     path for path in (ROOT / "examples").rglob("*.toml") if path.name not in ("pyproject.toml", "sim.toml")
 )
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _parsed_for_these_alone() -> Iterator[None]:
+    yield
+    forget()
 
 
 @pytest.mark.parametrize("rule", [*code_rules.RULES, *repository_rules.RULES], ids=lambda rule: rule.__name__)

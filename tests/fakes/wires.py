@@ -105,8 +105,9 @@ class PtyWire:
             os.write(self._master, data)
 
     def cut(self) -> None:
-        """Pull the plug; idempotent."""
+        """Pull the plug; idempotent. The kernel gives the number of a closed one to the next, of any process."""
         if self._master >= 0:
+            self.path.unlink(missing_ok=True)
             self._loop.remove_reader(self._master)
             os.close(self._master)
             os.close(self._slave)

@@ -117,7 +117,6 @@ async def test_a_hung_up_line_is_opened_again_out_of_contact(tmp_path: Path) -> 
     first.line.cut()
     with pytest.raises(LinkError):
         await first.device.status()
-    path.unlink()
     second = PtyWire(AsciiCoil(first.coil), path)
     assert (await first.device.status()).ready
     await first.device.close()
