@@ -43,7 +43,7 @@ ways-out: $(VENV)/.installed ## of those, every way out of contact in real time,
 crash: $(VENV)/.installed ## 100,000 crash states of the journal, 2,000 kills, and its model; into docs/reliability.md (ARGS="...")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.crash $(ARGS)
 
-faults: $(VENV)/.installed ## every fault on every link in contact; into docs/fault-matrix.md (ARGS="--losses 200")
+faults: $(VENV)/.installed ## every fault on every link in contact; into docs/fault-matrix.md, in sittings (ARGS="--minutes 30 --jobs 3")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.faults $(ARGS)
 
 replies: $(VENV)/.installed ## a million malformed or late replies a driver; into docs/replies.md (ARGS=20000)
