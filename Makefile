@@ -46,7 +46,7 @@ crash: $(VENV)/.installed ## 100,000 crash states of the journal, 2,000 kills, a
 faults: $(VENV)/.installed ## every fault on every link in contact; into docs/fault-matrix.md, in sittings (ARGS="--minutes 30 --jobs 3")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.faults $(ARGS)
 
-replies: $(VENV)/.installed ## a million malformed or late replies a driver; into docs/replies.md (ARGS=20000)
+replies: $(VENV)/.installed ## a million malformed or late replies a driver; into docs/replies.md, in sittings (ARGS="--minutes 20")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.codecs $(ARGS)
 
 model: $(VENV)/.installed ## of that, the model alone
