@@ -137,7 +137,7 @@ def _passed(path: Path, at: int, row: Mapping[str, Any]) -> Passed:
         data = bytes.fromhex(row["hex"]) if way in ("out", "in") and values is None else b""
         identifier = None if row.get("id") is None else int(row["id"])
         clock_s = None if row.get("clock_s") is None else float(row["clock_s"])
-        changed_s = {str(name): float(at_s) for name, at_s in dict(row.get("changed_s", {})).items()}
+        changed_s = {str(name): float(at_s) for name, at_s in dict(row.get("changed_s", {})).items()} or None
         why, told = row.get("why", ""), (values, clock_s, changed_s)
         return Passed(float(row["t_s"]), str(row["role"]), str(row["link"]), way, data, identifier, why, *told)
     except KeyError as error:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -66,8 +67,8 @@ def _of_variables(make: controllers.Make, patch: pytest.MonkeyPatch, bad: int, s
     return dict(zip(TOLD, told, strict=True))
 
 
-def _module(of: object) -> str:
-    return str(Path(inspect.getfile(of)).relative_to(ROOT))  # type: ignore[arg-type]
+def _module(of: type | ModuleType) -> str:
+    return str(Path(inspect.getfile(of)).relative_to(ROOT))
 
 
 DRIVERS = {

@@ -64,7 +64,7 @@ class Kept:
         """In the place of what was known of that case."""
         with self._lock:
             found = {(row["link"], row["fault"]): row for row in self.cases()}
-            about = {"cells": self._cells, "date": beside.today(), "of": of_case(finding.link)}
+            about: Row = {"cells": self._cells, "date": beside.today(), "of": of_case(finding.link)}
             found[finding.link, finding.fault] = {**asdict(finding), **about}
             beside.keep(self._cases, (found[case] for case in CASES if case in found))
 
