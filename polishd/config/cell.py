@@ -36,6 +36,7 @@ from polishd.hookspecs import DeviceType, NotifierType
 from polishd.model.errors import ConfigError
 from polishd.model.limits import Envelope
 from polishd.model.process import MeasuredTif
+from polishd.model.tolerance import Line
 from polishd.ports.devices import ForceActuator, ForceSensor, Loader, Metrology, Monitor, Robot, Spindle
 
 
@@ -67,6 +68,11 @@ class CellConfig(PartDocument):
     tolerance: Annotated[tuple[ToleranceSection, ...], BeforeValidator(as_tuple)] = ()
     limits: LimitsSection = LimitsSection()
     notify: Mapping[Name, NotifySection] = {}
+
+    @property
+    def drawing(self) -> tuple[Line, ...]:
+        """The drawing's lines; none where the job has the short form."""
+        return tuple(line for section in self.tolerance for line in section.lines)
 
     @property
     def path(self) -> Path:
@@ -186,7 +192,7 @@ def consistent(config: CellConfig) -> CellConfig:
 
 def _wrong_tolerance(config: CellConfig) -> Iterator[tuple[str, str]]:
     """(key, what is wrong) of what the part is to be."""
-    job, lines = config.job, [line for section in config.tolerance for line in section.lines]
+    job, lines = config.job, config.drawing
     if job.tolerance_nm is None and not lines:
         yield "job.tolerance_nm", "is missing; add it: tolerance_nm = ..., or the drawing's lines: [[tolerance]]"
     if job.tolerance_nm is not None and lines:

@@ -113,9 +113,15 @@ def _of_this_instrument(name: str, surface: SurfaceMap, instrument: Instrument) 
                      "again")  # fmt: skip
 
 
+def system_number(instrument: str) -> int | None:
+    """The number in an instrument's name as maps bear it; None where it has none."""
+    found = SYSTEM.fullmatch(instrument)
+    return int(found[1]) if found else None
+
+
 def same_system(one: str, other: str) -> bool:
     """Whether two names of instruments may be of one: alike, or of one system number, cut to 16 bits in either."""
-    numbers = [int(found[1]) for found in map(SYSTEM.fullmatch, (one, other)) if found]
+    numbers = [number for number in map(system_number, (one, other)) if number is not None]
     cut = len(numbers) == 2 and min(numbers) < SHORT and numbers[0] % SHORT == numbers[1] % SHORT
     return one == other or cut or (len(numbers) == 2 and numbers[0] == numbers[1])
 

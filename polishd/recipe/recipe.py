@@ -59,9 +59,7 @@ class Recipe:
     @property
     def lines(self) -> tuple[Line, ...]:
         """What the part is judged by: it is accepted when all of them hold."""
-        if self.job.tolerance_nm is None:
-            return self.tolerance
-        return (Line("rms", self.job.tolerance_nm, self.job.tolerance_period_mm),)
+        return self.job.judged_by(self.tolerance)
 
     def facts(self) -> dict[str, Any]:
         """What a summary says of it."""

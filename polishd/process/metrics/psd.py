@@ -75,7 +75,7 @@ def _density(
 ) -> tuple[FloatArray, tuple[int, ...]]:
     """Density on the half plane of the real FFT, (ny, nx // 2 + 1), and the shape (ny, nx) that was transformed."""
     rest = without(height_nm, mask, "tilt")
-    width = int(max(mask.shape) * TAPER) + 1
+    width = max(int(max(mask.shape) * TAPER), 1)
     if window == "extended":
         field, _ = extended(rest, mask, width)
         field -= field.mean()

@@ -9,6 +9,7 @@ import typer
 
 from polishd.files import write_atomic
 from polishd.model.errors import ConfigError, SurfaceError
+from polishd.model.tolerance import Line
 from polishd.show.tables import json_line, stdout
 from polishd.workbench.maps.figures import figured
 from polishd.workbench.maps.files import MapSource, edges_mm, shown
@@ -41,16 +42,28 @@ def report_verb(files: Sequence[Path], asked: ReportOptions, *, as_json: bool) -
 
 
 def _wanted(asked: ReportOptions, source: MapSource) -> Asked:
-    from polishd.config.tolerance import load_tolerance
-
     return Asked(
         wavelength_nm=asked.wavelength,
         ordering=asked.zernike.value,
         terms=asked.terms,
-        lines=() if asked.tolerance is None else load_tolerance(asked.tolerance),
+        lines=_drawing(asked.tolerance, asked.cell),
         repeatability_nm=None if source.instrument is None else source.instrument.repeatability_nm,
         by=asked.by,
     )
+
+
+def _drawing(tolerance: Path | None, cell: Path | None) -> tuple[Line, ...]:
+    """The lines of that file, or what the cell judges its part by."""
+    if tolerance is not None:
+        from polishd.config.tolerance import load_tolerance
+
+        return load_tolerance(tolerance)
+    if cell is not None:
+        from polishd.config.cell import load_config
+
+        config = load_config(cell)
+        return config.job.judged_by(config.drawing)
+    return ()
 
 
 def _write(out: Path, found: list[Reported], *, as_json: bool) -> None:

@@ -139,3 +139,13 @@ def test_a_header_is_as_long_as_it_says(tmp_path: Path, magic: bytes, length: in
     struct.pack_into(">i", head, 6, length)
     surface = found(tmp_path, bytes(head) + content[usual:])
     np.testing.assert_allclose(surface.height_nm, make.HEIGHT_NM, atol=0.5001 * abs(surface.factors["nm_per_count"]))
+
+
+@pytest.mark.parametrize(
+    ("instrument", "system"),
+    [("Zygo MetroPro, system 53213", 53213), ("Zygo Mx, system 118749", 53213), ("20714", 20714), ("bench", 0)],
+)
+def test_the_instrument_s_number_is_kept_as_far_as_the_format_goes(
+    tmp_path: Path, instrument: str, system: int
+) -> None:
+    assert found(tmp_path, write(replace(SURFACE, instrument=instrument))).instrument.endswith(f"system {system}")

@@ -17,6 +17,7 @@ from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats.common import MOST_BYTES, MOST_SAMPLES, named, require_said
 from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.zygo import MISSING, RESOLUTION, Header
+from polishd.process.instrument import SHORT, system_number
 
 FORMAT = Format("metropro", 2, (b"\x88\x1b\x03\x6f", b"\x88\x1b\x03\x70", b"\x88\x1b\x03\x71"))
 HEADER_BYTES = (834, 4096)
@@ -142,6 +143,8 @@ def _height_nm(path: Path, header: Header, content: bytes) -> FloatArray:
 def write(surface: SurfaceMap) -> bytes:
     """Content of a file that reads back to within half a count; NaN is a missing sample, no pitch is CameraRes 0.
 
+    Of an instrument that has a number the last 16 bits are kept, as the format has it; another is system 0.
+
     BadMap for what the format cannot hold: heights beyond 5.2 mm, a part's name of more than 40 characters, a map that
     ends in exact zeros (readers take it for a file that was preallocated), or whose unit nobody has said.
     """
@@ -170,7 +173,7 @@ def _written_header(surface: SurfaceMap, rows: int, columns: int) -> bytes:
         "timestamp": (seconds if 0 < seconds <= LATEST_S else 0,), "comment": (b"written by polishd",),
         "scale": (SCALE,), "wavelength_m": (WAVELENGTH_M,), "obliquity": (1.0,),
         "camera_res_m": ((surface.pitch_mm or 0.0) / 1e3,), "resolution": (RESOLVED,), "camera": (columns, rows),
-        "part": (part,), "serial": (part,),
+        "part": (part,), "serial": (part,), "system": ((system_number(surface.instrument) or 0) % SHORT,),
         "fiducials": (len(marks) // 2, *marks, *[0.0] * (2 * MOST_FIDUCIALS - len(marks))),
     }  # fmt: skip
     header = bytearray(min(HEADER_BYTES))

@@ -71,6 +71,18 @@ def test_a_true_map_is_recorded(polishd: Polishd, ours: Path, good: Path) -> Non
     assert "edited after" in load_profile(ours).unproved
 
 
+def test_what_has_the_profile_in_it_proves_nothing(polishd: Polishd, tmp_path: Path, ours: Path) -> None:
+    """A mean that was made with the profile would prove whatever the profile says."""
+    noise = np.random.default_rng(7)
+    repeats = [dat(tmp_path / f"{n}.dat", noise.normal(artefact(), 1.0), part="artefact") for n in range(3)]
+    mean = tmp_path / "mean.x3p"
+    assert polishd("map", "average", *repeats, "--out", mean, "--profile", ours).code == 0
+    said = polishd("map", "commission", ours, mean)
+    assert said.code == 8
+    assert "mean.x3p had the profile applied before" in said.err
+    assert "never commissioned" in load_profile(ours).unproved
+
+
 @pytest.mark.full
 def test_what_a_mask_leaves_out_spoils_no_proof(polishd: Polishd, tmp_path: Path) -> None:
     """Of a profile that turns: the mask lies on what it makes of the file."""

@@ -23,6 +23,7 @@ from tests import patience
 from tests.unit.said import Polishd
 from tests.unit.workbench.maps.maps import PITCH_MM, dat, surface
 
+EXAMPLES = Path(__file__).resolve().parents[4] / "examples"
 TOLERANCE = """
 [[tolerance]]
 iso10110 = "3/-(200/-); RMSi < 20"
@@ -117,6 +118,25 @@ def test_each_number_of_the_page_is_the_json_s(polishd: Polishd, tmp_path: Path,
                  "2 of 3 lines of the tolerance hold"):  # fmt: skip
         assert said in words
     assert page.pictures == len(page.fetched) == 3
+
+
+def test_a_cell_judges_by_what_it_judges_its_part_by(polishd: Polishd, tmp_path: Path, good: Path) -> None:
+    cell = shutil.copytree(EXAMPLES, tmp_path / "cell") / "cell.toml"
+
+    def judged(*asked: str | Path) -> Any:
+        return polishd("map", "report", good, "--out", tmp_path / "r.html", "--json", "--cell", cell, *asked).answer
+
+    short = judged()
+    (line,) = short["tolerance"]
+    assert (line["limit"], line["value"]) == (2.0, short["rms_tilt_removed_nm"])
+    assert short["within"] is (line["value"] <= 2.0)
+    text = cell.read_text()
+    assert text.count("tolerance_nm = 2.0") == 1
+    cell.write_text(text.replace("tolerance_nm = 2.0", "") + "[[tolerance]]\npv_nm = 1e4\n")
+    assert [(line["limit"], line["holds"]) for line in judged()["tolerance"]] == [(1e4, True)]
+    drawing = tmp_path / "drawing.toml"
+    drawing.write_text("[[tolerance]]\npv_nm = 0.1\n")
+    assert judged("--tolerance", drawing)["within"] is False
 
 
 @pytest.mark.full
