@@ -100,7 +100,7 @@ def _low_passed(
     length = wide.shape[1]
 
     def columns(edge: float) -> int:
-        return min(int(length * pitch_mm / edge) + 2, length // 2 + 1)
+        return int(min(length * pitch_mm / edge + 2, length // 2 + 1))
 
     if not edges_mm:
         return
