@@ -40,15 +40,18 @@ def tapered(height_nm: FloatArray, mask: BoolArray, margin: int) -> tuple[FloatA
     window = (slice(margin, margin + mask.shape[0]), slice(margin, margin + mask.shape[1]))
     wide = np.zeros(shape, dtype=np.bool_)
     wide[window] = mask
-    nearest = scipy.ndimage.distance_transform_edt(~wide, return_distances=False, return_indices=True)
-    beyond = np.stack(np.nonzero(~wide))  # scipy's own distances would be those of all samples, and cost as much again
-    edge = nearest[:, ~wide]
-    squared = ((beyond - edge) ** 2).sum(axis=0)
-    near = squared < margin**2
-    taper = 0.5 + 0.5 * np.cos(np.pi / margin * np.sqrt(squared[near]))
+    # scipy's own distances are of all samples, and cost as much again
+    down, right = scipy.ndimage.distance_transform_edt(~wide, return_distances=False, return_indices=True)
+    down -= np.arange(shape[0], dtype=down.dtype)[:, None]
+    right -= np.arange(shape[1], dtype=right.dtype)
+    squared = (down**2 + right**2).ravel()
+    near = np.flatnonzero((squared > 0) & (squared < margin**2))
+    edge = near + down.ravel()[near] * shape[1] + right.ravel()[near]
+    taper = 0.5 + 0.5 * np.cos(np.pi / margin * np.sqrt(np.arange(margin**2)))
     found = np.zeros(shape)
     np.copyto(found[window], height_nm, where=mask)
-    found[tuple(beyond[:, near])] = height_nm[tuple(edge[:, near] - margin)] * taper
+    flat = found.ravel()
+    flat[near] = flat[edge] * taper[squared[near]]
     return found, wide, window
 
 
