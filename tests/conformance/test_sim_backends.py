@@ -119,7 +119,7 @@ class Place:
 
 
 ROBOTS = kind(*(Place(name, "robot") for name in ("rtu_slcan", "universal_robots", "handover_modbus")))
-ACTUATORS = kind(*(Place(name, "actuator") for name in CELLS))
+ACTUATORS = kind(*(Place(name, "actuator") for name in ("rtu_slcan", "tcp_socketcand", "ascii", "profiles")))
 SPINDLES = kind(*(Place(name, "spindle") for name in ("rtu_slcan", "tcp_socketcand", "profiles")))
 LOOKING = kind(Place("rtu_slcan", "force_sensor"), Place("rtu_slcan", "monitor"))
 
