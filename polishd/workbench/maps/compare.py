@@ -50,7 +50,7 @@ def compare_verb(before: Path, after: Path, asked: FigureOptions, *, as_json: bo
     """Figures of both, and by how much they changed."""
     edges = edges_mm(asked.bands)
     require_picture(asked.out)
-    source = MapSource.of(asked.cell, asked.profile, asked.as_format, asked.masks)
+    source = MapSource.by(asked)
     maps = [source.read(path) for path in (before, after)]
     pair = paired(*maps, trim=asked.trim)
     pitch, mask = pair.pitch_mm, pair.mask

@@ -17,6 +17,7 @@ from polishd.show.tables import emit
 from polishd.workbench.maps.files import MapSource, shown
 from polishd.workbench.maps.history import made, uncertainty_nm
 from polishd.workbench.maps.masks import mask_lines, mask_records
+from polishd.workbench.maps.options import WriteOptions
 
 WITHIN_NM = 0.01
 """Most that the counts of a format may change a height by ..."""
@@ -24,16 +25,10 @@ WITHIN = 1e-6
 """... or this part of the PV, where that is more. A pitch may change by the same part."""
 
 
-def convert_verb(
-    file: Path,
-    target: Path,
-    source: MapSource,
-    *,
-    force: bool,
-    as_json: bool,
-) -> None:
+def convert_verb(file: Path, target: Path, asked: WriteOptions, *, as_json: bool) -> None:
     """Write a map to ``target``, in the format of its ending. Nothing is written where anything is refused."""
-    require_target(target, [file], source, force=force)
+    source = MapSource.by(asked)
+    require_target(target, [file], source, force=asked.force)
     surface = source.read(file)
     answer = {"path": str(file), "format": surface.format, "masks": mask_records(surface)}
     answer |= store(made(surface, "convert", [("map", surface)], source, uncertainty_nm(surface)), target, source)

@@ -23,7 +23,7 @@ def report_verb(files: Sequence[Path], asked: ReportOptions, *, as_json: bool) -
     edges = edges_mm(asked.bands)
     if asked.out.suffix.lower() not in ENDINGS:
         raise ConfigError(f"{asked.out}: a report is an HTML or a PDF file; name it *.html or *.pdf")
-    source = MapSource.of(asked.cell, asked.profile, asked.as_format, asked.masks)
+    source = MapSource.by(asked)
     wanted = _wanted(asked, source)
     found: list[Reported] = []
     for file in files:

@@ -31,7 +31,7 @@ def stitch_verb(files: Sequence[Path], asked: StitchOptions, *, as_json: bool) -
     from polishd.config.tables import read_positions
 
     free = _free(asked.free)
-    source = MapSource.of(asked.cell, asked.profile, asked.as_format, asked.masks)
+    source = MapSource.by(asked)
     _require_targets(files, asked, source)
     positions = read_positions(asked.at)
     _require_listed(files, positions, asked.at)
