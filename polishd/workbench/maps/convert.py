@@ -13,6 +13,7 @@ import typer
 from polishd.files import write_atomic
 from polishd.model.errors import BadMap, ConfigError, SurfaceError
 from polishd.model.surface import SurfaceMap
+from polishd.process.instrument import same_system
 from polishd.show.tables import emit
 from polishd.workbench.maps.files import MapSource, shown
 from polishd.workbench.maps.history import made, uncertainty_nm
@@ -117,7 +118,13 @@ def _read_back(content: bytes, target: Path, source: MapSource) -> SurfaceMap:
 
 
 def _notes(surface: SurfaceMap, back: SurfaceMap, *, profiled: bool) -> list[str]:
-    named = {"part": "part_id", "time of measurement": "measured_at", "fiducials": "fiducials_px", "history": "history"}
+    named = {
+        "part": "part_id",
+        "instrument": "instrument",
+        "time of measurement": "measured_at",
+        "fiducials": "fiducials_px",
+        "history": "history",
+    }
     lost = [word for word, key in named.items() if getattr(surface, key) and not _alike(surface, back, key)]
     notes = [f"the format does not keep the {', '.join(lost)}"] if lost else []
     if profiled:
@@ -127,6 +134,8 @@ def _notes(surface: SurfaceMap, back: SurfaceMap, *, profiled: bool) -> list[str
 
 def _alike(surface: SurfaceMap, back: SurfaceMap, key: str) -> bool:
     before, after = getattr(surface, key), getattr(back, key)
+    if key == "instrument":
+        return same_system(before, after)
     if key == "measured_at":
         return after is not None and abs((after - before).total_seconds()) < 1
     if key == "fiducials_px":
