@@ -12,6 +12,7 @@ import numpy as np
 from polishd.model.errors import BadMap
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
 from polishd.process import metrics
+from polishd.process.plausible import SAME_PITCH
 from polishd.show.tables import emit, figure_table
 from polishd.workbench.maps.figures import HEIGHTS, band_records, heights_nm
 from polishd.workbench.maps.files import (
@@ -24,7 +25,7 @@ from polishd.workbench.maps.files import (
     told_apart,
     warnings,
 )
-from polishd.workbench.maps.masks import SAME_PITCH, mask_lines, mask_records
+from polishd.workbench.maps.masks import mask_lines, mask_records
 from polishd.workbench.maps.options import FigureOptions
 
 LEAST_COMMON = 0.5

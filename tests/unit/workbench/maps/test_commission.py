@@ -151,7 +151,7 @@ def test_a_map_that_somebody_made_up_proves_nothing(polishd: Polishd, tmp_path: 
     said = polishd("map", "commission", ours, scaled)
     assert (said.code, ours.read_bytes()) == (8, before)
     assert f"{scaled.name} had the profile applied before" in said.err
-    good = [dat(tmp_path / f"good{n}.dat", artefact(), part="artefact") for n in range(3)]
+    good = [dat(tmp_path / f"good{n}.dat", artefact() + n, part="artefact") for n in range(3)]
     assert polishd("map", "average", *good, "--mixed", "--out", mean).code == 0
     said = polishd("map", "commission", ours, mean)
     assert (said.code, ours.read_bytes()) == (8, before)
