@@ -30,7 +30,7 @@ from polishd.config.sections import (
 )
 from polishd.config.signals import SignalSection
 from polishd.config.tables import read_tif
-from polishd.config.tolerance import ToleranceSection
+from polishd.config.tolerance import ToleranceSection, lines_of
 from polishd.config.values import Name, Texts, as_tuple
 from polishd.hookspecs import DeviceType, NotifierType
 from polishd.model.errors import ConfigError
@@ -68,11 +68,6 @@ class CellConfig(PartDocument):
     tolerance: Annotated[tuple[ToleranceSection, ...], BeforeValidator(as_tuple)] = ()
     limits: LimitsSection = LimitsSection()
     notify: Mapping[Name, NotifySection] = {}
-
-    @property
-    def drawing(self) -> tuple[Line, ...]:
-        """The drawing's lines; none where the job has the short form."""
-        return tuple(line for section in self.tolerance for line in section.lines)
 
     @property
     def path(self) -> Path:
@@ -118,6 +113,11 @@ class CellConfig(PartDocument):
             for port, mark in PORTS.items()
             if mark.chosen and (port in self.roles or port in self.devices)
         }
+
+    @property
+    def lines(self) -> tuple[Line, ...]:
+        """What the part is judged by."""
+        return lines_of(self.job, tuple(line for section in self.tolerance for line in section.lines))
 
     def effective(self) -> dict[str, Any]:
         """All values in force, JSON-ready."""
@@ -192,7 +192,7 @@ def consistent(config: CellConfig) -> CellConfig:
 
 def _wrong_tolerance(config: CellConfig) -> Iterator[tuple[str, str]]:
     """(key, what is wrong) of what the part is to be."""
-    job, lines = config.job, config.drawing
+    job, lines = config.job, [line for section in config.tolerance for line in section.lines]
     if job.tolerance_nm is None and not lines:
         yield "job.tolerance_nm", "is missing; add it: tolerance_nm = ..., or the drawing's lines: [[tolerance]]"
     if job.tolerance_nm is not None and lines:

@@ -30,7 +30,6 @@ from polishd.model.dwell import Choice
 from polishd.model.finding import FindingLimits
 from polishd.model.outline import Outline
 from polishd.model.process import FLAT
-from polishd.model.tolerance import Line
 
 _FINDING = FindingLimits()
 
@@ -297,12 +296,6 @@ class JobSection(Section):
     """Most passes; after the last a measurement still decides. [1]"""
     lookahead_s: Annotated[float, Field(ge=0.2, le=600)] = 8.0
     """Wall seconds of motion that are sent ahead: enough to lift the tool while the robot still moves."""
-
-    def judged_by(self, drawing: tuple[Line, ...]) -> tuple[Line, ...]:
-        """The lines that must hold for the part to be accepted: the drawing's, or the one that is written short."""
-        if self.tolerance_nm is None:
-            return drawing
-        return (Line("rms", self.tolerance_nm, self.tolerance_period_mm),)
 
 
 class LimitsSection(Section):

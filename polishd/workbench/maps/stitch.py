@@ -15,12 +15,13 @@ from polishd.model.errors import BadMap, ConfigError
 from polishd.model.surface import SurfaceMap
 from polishd.process.metrics import pv_rms
 from polishd.process.mosaic import SubAperture
+from polishd.process.plausible import SAME_PITCH
 from polishd.process.stitching import Stitched, stitch
 from polishd.show.tables import emit, figure_table
 from polishd.workbench.maps.convert import require_target, store, stored_lines
 from polishd.workbench.maps.files import MapSource, draw, require_picture, told_apart
 from polishd.workbench.maps.history import made
-from polishd.workbench.maps.masks import SAME_PITCH, mask_lines, mask_records
+from polishd.workbench.maps.masks import mask_lines, mask_records
 from polishd.workbench.maps.options import StitchOptions
 
 FREE = ("power", "shift")
@@ -31,7 +32,7 @@ def stitch_verb(files: Sequence[Path], asked: StitchOptions, *, as_json: bool) -
     from polishd.config.tables import read_positions
 
     free = _free(asked.free)
-    source = MapSource.of(asked.cell, asked.profile, asked.as_format, asked.masks)
+    source = MapSource.by(asked)
     _require_targets(files, asked, source)
     positions = read_positions(asked.at)
     _require_listed(files, positions, asked.at)
