@@ -1,7 +1,7 @@
-"""Many losses of one link: the same daemon loses it in contact, leaves the part, is told to resume, and loses it again.
+"""Many losses of one link: a daemon loses it in contact, leaves the part and ends; the next goes on with the same cell.
 
-A cell that ends over a loss, as one whose tool nobody could confirm to be up, is followed by another, and so is one in
-which something was wrong. One that is held over something else, as too little removal, is told to resume as well.
+A cell in which something was wrong is followed by another. A daemon that is held before the loss, as it is over the one
+before, is told to resume.
 """
 
 from __future__ import annotations
@@ -72,22 +72,18 @@ def lose(name: str, first: int, most: int, folder: Path, until_s: float = math.i
     template = files.sim.read_text()
     _script(files, template, name, number)
     options = ["--state", str(files.sim_dir), "--seed", str(1 + first), "--speed", f"{SPEED:g}"]
-    with simulated_cell(files.sim, options, files.out / "sim.stderr"), Daemon(files) as daemon:
+    with simulated_cell(files.sim, options, files.out / "sim.stderr"):
         log = Log(files.sim_dir / "sim.log")
-        while (loss := _lost(name, number, daemon, log)) is not None:
+        while True:
+            with Daemon(files) as daemon:
+                loss = _lost(name, number, daemon, log)
+            assert loss is not None, f"the daemon ended before loss {number}: {last_words(files.daemon_log)}"
             yield loss
             number += 1
-            enough = number == first + most or time.monotonic() > until_s
-            if enough or loss.wrong or daemon.process.poll() is not None:
+            if loss.wrong or number == first + most or time.monotonic() > until_s:
                 return
             _script(files, template, name, number)
             os.kill(json.loads((files.sim_dir / "pids.json").read_text())[link.device], signal.SIGHUP)
-            wait_for(
-                lambda: _asked(daemon, "resume").get("ok") or daemon.process.poll() is not None,
-                "resume to be obeyed",
-                END_S,
-            )
-    assert number > first, f"the daemon ended before anything was lost: {last_words(files.daemon_log)}"
 
 
 def _script(files: DemoFiles, template: str, name: str, number: int) -> None:
@@ -105,11 +101,6 @@ def _asked(daemon: Daemon, verb: str) -> dict[str, Any]:
     return {}
 
 
-def _obeys(daemon: Daemon, verb: str) -> bool:
-    """Or it has ended."""
-    return bool(_asked(daemon, verb).get("ok")) or daemon.process.poll() is not None
-
-
 def _lost(name: str, number: int, daemon: Daemon, log: Log) -> Loss | None:
     """Wait for the next loss, and for the cell to be at rest behind it; None where the daemon ended before."""
     begun, looked_s = len(log.look()), 0.0
@@ -119,11 +110,13 @@ def _lost(name: str, number: int, daemon: Daemon, log: Log) -> Loss | None:
         nonlocal looked_s
         ended = daemon.process.poll() is not None  # first: what it did is in the log then
         after = {event["event"] for event in log.look()[begun:]}
-        if not ended and ("fault_ends" not in after or log.last("robot", MOVING)):
-            if "fault_begins" not in after and time.monotonic() > looked_s + LOOK_S:
+        if "fault_begins" not in after:
+            if not ended and time.monotonic() > looked_s + LOOK_S:
                 looked_s = time.monotonic()
                 if _asked(daemon, "status").get("state") == "held":
                     _asked(daemon, "resume")
+            return ended
+        if not (ended or "fault_ends" in after) or log.last("robot", MOVING):
             return False
         told.update({"state": "ended"} if ended else _asked(daemon, "status"))
         return told.get("state") in {"held", "ended"}
