@@ -54,8 +54,10 @@ def _entries(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> 
     """Of each line behind the header ``FILE:LINE`` and its entries by column; the header has all ``names``."""
     try:
         text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}; name a CSV file") from error
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}; name a CSV file") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
     rows = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip(" ,;\t")]
     rows = [(number, line) for number, line in rows if not line.lstrip().startswith("#")]
     if len(rows) < 2:
