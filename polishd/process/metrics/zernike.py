@@ -40,6 +40,8 @@ class ZernikeFit:
     condition: float
     """Of the terms over the mask: near 1 to 3 on a circle."""
     samples: int
+    per_noise: FloatArray
+    """(k, k) covariance of the coefficients, nm^2, for white noise of 1 nm in each sample."""
 
 
 def fit(
@@ -84,6 +86,7 @@ def fit(
         )
     sign = np.where(np.diag(own) < 0, -1.0, 1.0)
     root = np.sqrt(heights.size)
+    inverse = np.linalg.inv(own)
     return ZernikeFit(
         coefficients_nm=np.asarray(np.linalg.solve(own, projected), dtype=np.float64),
         over_mask_nm=sign * projected / root,
@@ -95,6 +98,7 @@ def fit(
         residual_rms_nm=float(abs(found[terms, terms]) / root),
         condition=condition,
         samples=heights.size,
+        per_noise=inverse @ inverse.T,
     )
 
 
