@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.ndimage
+from numpy.typing import NDArray
 
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.absolute.poses import Pose
@@ -19,6 +20,10 @@ SWEEPS = 12
 """Of both means. A wave of which each sweep finds half is known to 1/4096 after them."""
 LEAST_MAPS = 2
 """Maps that must show a sample."""
+SETTLED = 1e-3
+"""Change of the instrument's map, of itself, at which it is done."""
+LEAST_SHARE = 0.1
+"""Of the samples that must be more than the unknowns for the noise to be told."""
 Way = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 """From coordinates in one frame, mm about the axis, to those in the other."""
 
@@ -36,16 +41,29 @@ class Rest:
 
 @dataclass(frozen=True, slots=True)
 class _Turned:
-    """Where the samples of one frame lie in the other."""
+    """A frame's samples in the other: what does not change from sweep to sweep."""
 
     at: FloatArray
-    """(2, ny, nx) rows and columns."""
+    """(2, ny, nx) rows and columns of where each lies in the other."""
+    nearest: NDArray[np.int32]
+    """(2, ny, nx) of each sample of the other the nearest with data."""
+    there: BoolArray
+    """(ny, nx) where the other has data."""
 
-    def take(self, height_nm: FloatArray, valid: BoolArray) -> tuple[FloatArray, BoolArray]:
-        """(ny, nx) cubic splines through the data, with the nearest where there is none; where that is data."""
+    @classmethod
+    def of(cls, way: Way, valid: BoolArray, axis_px: tuple[float, float], pitch_mm: float) -> _Turned:
+        """By coordinates about the axis, of a frame with data where ``valid``."""
+        rows, columns = np.indices(valid.shape)
+        x, y = way((columns - axis_px[1]) * pitch_mm, (axis_px[0] - rows) * pitch_mm)
+        at = np.stack([axis_px[0] - y / pitch_mm, axis_px[1] + x / pitch_mm])
         nearest = scipy.ndimage.distance_transform_edt(~valid, return_distances=False, return_indices=True)
-        there = scipy.ndimage.map_coordinates(valid.astype(np.float64), self.at, order=1, cval=0.0) > 0.5
-        return scipy.ndimage.map_coordinates(height_nm[tuple(nearest)], self.at, order=3, mode="nearest"), there
+        there = scipy.ndimage.map_coordinates(valid.astype(np.float64), at, order=1, cval=0.0) > 0.5
+        return cls(at, nearest, there)
+
+    def take(self, height_nm: FloatArray) -> FloatArray:
+        """(ny, nx) by cubic splines through the data and, where there is none, the nearest."""
+        found = scipy.ndimage.map_coordinates(height_nm[tuple(self.nearest)], self.at, order=3, mode="nearest")
+        return np.where(self.there, found, np.nan)
 
 
 def split(
@@ -60,39 +78,33 @@ def split(
         pitch_mm: of all.
     """
     valid = [np.isfinite(height) for height in heights_nm]
-    heights = [np.where(there, height, 0.0) for there, height in zip(valid, heights_nm, strict=True)]
-    onto = [_way(pose.in_map, heights[0].shape, axis_px, pitch_mm) for pose in poses]
-    back = [_way(pose.on_part, heights[0].shape, axis_px, pitch_mm) for pose in poses]
-    seen = np.sum(valid, axis=0)
-    instrument, part, shown = np.zeros(seen.shape), np.zeros(seen.shape), np.zeros(seen.shape)
-    off: list[FloatArray] = []
-    for sweep in range(SWEEPS + 1):
-        taken = [way.take(z - instrument, there) for way, z, there in zip(onto, heights, valid, strict=True)]
-        part, shown = _mean(taken)
-        lies = shown > 0
-        both = [way.take(part, lies) for way in back]
-        off = [np.where(there & its[1], z - its[0], np.nan) for z, there, its in zip(heights, valid, both, strict=True)]
-        if sweep < SWEEPS:
-            instrument = _mean([(np.nan_to_num(one), np.isfinite(one)) for one in off])[0]
+    onto = [_Turned.of(pose.in_map, there, axis_px, pitch_mm) for pose, there in zip(poses, valid, strict=True)]
+    shown, seen = np.sum([way.there for way in onto], axis=0), np.sum(valid, axis=0)
+    back = [_Turned.of(pose.on_part, shown > 0, axis_px, pitch_mm) for pose in poses]
+    instrument = np.zeros(seen.shape)
+    for _ in range(SWEEPS):
+        before = instrument
+        part = _part(heights_nm, instrument, onto)
+        instrument = _mean([height - way.take(part) for height, way in zip(heights_nm, back, strict=True)])
+        if np.linalg.norm(instrument - before) <= SETTLED * np.linalg.norm(instrument):
+            break
+    part = _part(heights_nm, instrument, onto)
     enough = seen >= LEAST_MAPS
-    left = np.concatenate([(one - instrument)[np.isfinite(one) & enough] for one in off])
+    off = [(height - way.take(part) - instrument)[enough] for height, way in zip(heights_nm, back, strict=True)]
+    left = np.concatenate([one[np.isfinite(one)] for one in off])
     freedom = left.size - np.count_nonzero(enough) - np.count_nonzero(shown >= LEAST_MAPS)
     return Rest(
         instrument_nm=np.where(enough, instrument, np.nan),
         part_nm=np.where(shown >= LEAST_MAPS, part, np.nan),
-        noise_nm=float(np.sqrt((left**2).sum() / freedom)) if freedom > 0.1 * left.size else None,
+        noise_nm=float(np.sqrt((left**2).sum() / freedom)) if freedom > LEAST_SHARE * left.size else None,
     )
 
 
-def _mean(taken: Sequence[tuple[FloatArray, BoolArray]]) -> tuple[FloatArray, FloatArray]:
-    """(ny, nx) mean of the data, 0 where there is none, and how many maps have it."""
-    count = np.sum([there for _, there in taken], axis=0).astype(np.float64)
-    total = np.sum([np.where(there, height, 0.0) for height, there in taken], axis=0)
-    return total / np.maximum(count, 1.0), count
+def _part(heights_nm: Sequence[FloatArray], instrument_nm: FloatArray, onto: Sequence[_Turned]) -> FloatArray:
+    return _mean([way.take(height - instrument_nm) for height, way in zip(heights_nm, onto, strict=True)])
 
 
-def _way(to: Way, shape: tuple[int, ...], axis_px: tuple[float, float], pitch_mm: float) -> _Turned:
-    """Rows and columns of ``to`` of each sample."""
-    rows, columns = np.indices(shape)
-    x, y = to((columns - axis_px[1]) * pitch_mm, (axis_px[0] - rows) * pitch_mm)
-    return _Turned(np.stack([axis_px[0] - y / pitch_mm, axis_px[1] + x / pitch_mm]))
+def _mean(heights_nm: Sequence[FloatArray]) -> FloatArray:
+    """(ny, nx) of what has data, 0 where nothing has."""
+    count = np.sum([np.isfinite(height) for height in heights_nm], axis=0)
+    return np.nansum(heights_nm, axis=0) / np.maximum(count, 1)

@@ -40,6 +40,8 @@ class Separated:
     design: Design
     axis_px: tuple[float, float]
     """(row, column) about which the part was turned."""
+    decentre_mm: tuple[float, ...]
+    """Of each map, how far the middle of its data lies from where its pose puts the axis."""
     noise_nm: float
     """Of one sample of one map, as it acts on the terms."""
     rest_noise_nm: float | None
@@ -91,7 +93,8 @@ def separate(
     """
     _require_alike(heights_nm, poses)
     masks = [np.isfinite(height) for height in heights_nm]
-    axis = _axis(masks, poses, pitch_mm) if axis_px is None else axis_px
+    middle = _middles(masks, poses, pitch_mm)
+    axis = (float(middle[:, 0].mean()), float(middle[:, 1].mean())) if axis_px is None else axis_px
     radius = max(_furthest(mask, axis) for mask in masks)
     count = (degree + 1) * (degree + 2) // 2
     fits = [
@@ -116,6 +119,7 @@ def separate(
         solution=solution,
         design=found,
         axis_px=axis,
+        decentre_mm=tuple(float(one) * pitch_mm for one in np.hypot(*(middle - axis).T)),
         noise_nm=noise,
         rest_noise_nm=rest.noise_nm,
         misfit=solution.chi2 / found.freedom if found.freedom else 0.0,
@@ -135,12 +139,10 @@ def _require_alike(heights_nm: Sequence[FloatArray], poses: Sequence[Pose]) -> N
                      "one camera's frame: measure all with one zoom and one crop")  # fmt: skip
 
 
-def _axis(masks: Sequence[BoolArray], poses: Sequence[Pose], pitch_mm: float) -> tuple[float, float]:
-    """(row, column) mean of the middles of the data, each less its shift."""
+def _middles(masks: Sequence[BoolArray], poses: Sequence[Pose], pitch_mm: float) -> FloatArray:
+    """(maps, 2) row and column of the middle of each map's data, less its shift."""
     middle = np.array([zernike.enclosing(mask)[:2] for mask in masks])
-    shift = np.array([(-pose.y_mm, pose.x_mm) for pose in poses]) / pitch_mm
-    row, column = (middle - shift).mean(axis=0)
-    return float(row), float(column)
+    return middle - np.array([(-pose.y_mm, pose.x_mm) for pose in poses]) / pitch_mm
 
 
 def _furthest(mask: BoolArray, axis_px: tuple[float, float]) -> float:
