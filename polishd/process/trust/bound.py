@@ -93,8 +93,10 @@ def true_rms_bound(
         BadMap: as `posterior`.
     """
     found = posterior(height_nm, mask, pitch_mm, errors, circle_px)
-    whole = _rms_bound(found, errors, tolerance_nm, samples, seed, power=False)
-    without = _rms_bound(found, errors, tolerance_nm, samples, seed, power=True)
+    rng = np.random.default_rng(seed)
+    drawn = found.draw(samples, rng)
+    rest = np.maximum(rng.normal(*found.rest_square, samples), 0.0)
+    whole, without = (_rms_bound(found, errors, tolerance_nm, drawn, rest, power=power) for power in (False, True))
     return replace(whole, power_removed=without)
 
 
@@ -137,19 +139,21 @@ def true_figure_bound(
 
 
 def _rms_bound(
-    found: Posterior, errors: Errors, tolerance_nm: float | None, samples: int, seed: int, *, power: bool
+    found: Posterior,
+    errors: Errors,
+    tolerance_nm: float | None,
+    drawn_nm: FloatArray,
+    rest_square: FloatArray,
+    *,
+    power: bool,
 ) -> RmsBound:
-    rng = np.random.default_rng(seed)
     weight = found.figure_weight(power=power)
-    drawn = found.draw(samples, rng)
-    square = np.einsum("si,ij,sj->s", drawn, weight, drawn, optimize=True)
-    rest = np.maximum(rng.normal(*found.rest_square, samples), 0.0)
-    rms = _bound(np.sqrt(np.maximum(square, 0.0) + rest))
-    contributions = _contributions(found, weight)
+    square = np.einsum("si,ij,sj->s", drawn_nm, weight, drawn_nm, optimize=True)
+    rms = _bound(np.sqrt(np.maximum(square, 0.0) + rest_square))
     return RmsBound(
         rms.mean, rms.interval, rms.bound,
         removed="power" if power else "tilt",
-        contributions=contributions,
+        contributions=_contributions(found, weight),
         demanded=_demanded(errors, weight, found, tolerance_nm, power=power),
     )  # fmt: skip
 

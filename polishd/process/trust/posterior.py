@@ -22,7 +22,7 @@ from polishd.process.trust.errors import Errors
 
 GROUPS = (4, 7)
 """Last radial order of the first groups of terms that are taken to be alike; the rest is one more."""
-SIZES = 100
+SIZES = 50
 """Draws of how large the part's terms are."""
 SMALLEST = 1e-3
 """Of the noise: the least size of a part's terms."""

@@ -7,7 +7,7 @@ import pytest
 
 from polishd.model.errors import BadMap
 from polishd.model.surface import FloatArray
-from polishd.process.absolute import PlaceError, Pose, separate
+from polishd.process.absolute import PlaceError, Pose, Separated, separate
 from tests.unit.process.turned_maps import (
     PITCH_MM,
     PLANE,
@@ -29,11 +29,16 @@ def astigmatism_nm(x: FloatArray, y: FloatArray) -> FloatArray:
     return np.asarray(3.0 * (x * x - y * y))
 
 
+def true_astigmatism_nm(found: Separated) -> float:
+    """In RMS norm over the circle of the terms, which is wider than the part where that is shifted."""
+    return float(3.0 / np.sqrt(6) * (found.design.radius_mm / RADIUS_MM) ** 2)
+
+
 def test_two_turns_find_the_astigmatism_of_an_instrument() -> None:
     poses = [Pose(0), Pose(90)]
     found = separate(maps(poses, NOISE_NM, instrument=astigmatism_nm), poses, PITCH_MM)
     at = found.design.terms.index(ASTIGMATISM)
-    off = found.solution.instrument_nm[at] - 3.0 / np.sqrt(6)
+    off = found.solution.instrument_nm[at] - true_astigmatism_nm(found)
     assert abs(off) < 4 * found.sigma_nm[at]
     # of two maps of n samples, RMS norm: noise / sqrt(n) each, and half of their difference
     samples = np.count_nonzero(np.abs(PLANE) <= RADIUS_MM)
@@ -75,7 +80,7 @@ def test_errors_are_what_sigma_says() -> None:
             maps(poses, NOISE_NM, instrument=astigmatism_nm, seed=seed), poses, PITCH_MM, noise_nm=NOISE_NM
         )
         true = np.zeros(len(found.design.terms))
-        true[found.design.terms.index(ASTIGMATISM)] = 3.0 / np.sqrt(6)
+        true[found.design.terms.index(ASTIGMATISM)] = true_astigmatism_nm(found)
         known = found.sigma_nm > 1e-6
         off.append(((found.solution.instrument_nm - true) / found.sigma_nm)[known])
     assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1, abs=0.25)
@@ -108,14 +113,15 @@ def test_half_turns_have_no_sense() -> None:
 
 
 def test_poses_that_are_not_well_known_make_the_instrument_less_sure() -> None:
+    """By far less than one map alone: an error of its pose shows in all of its terms, and is found there."""
     given = maps(turns(4), 0.05)
     sure = separate(given, turns(4), PITCH_MM, noise_nm=0.05)
     unsure = separate(given, turns(4), PITCH_MM, noise_nm=0.05, place=PlaceError(angle_deg=0.2, shift_mm=0.2))
     known = sure.sigma_nm > 1e-6
     assert (unsure.sigma_nm[known] > sure.sigma_nm[known]).all()
-    # astigmatism a of the part, turned by d too far, is 2 a d of the other astigmatism: 5 nm by 0.2 deg 0.03 nm
+    # 0.2 deg turn 2.4 nm of one astigmatism into 0.017 nm of the other, 0.2 mm trefoil and coma into more
     at = sure.design.terms.index((2, -2))
-    assert unsure.sigma_nm[at] > 3 * sure.sigma_nm[at]
+    assert 1.3 * sure.sigma_nm[at] < unsure.sigma_nm[at] < 0.01
 
 
 @pytest.mark.full
@@ -127,7 +133,7 @@ def test_turns_that_were_not_as_said_are_within_their_uncertainty() -> None:
         given = maps(true, 0.05, instrument=astigmatism_nm, part=lambda x, y: 8 * x * y + 6 * (x**3 - 3 * x * y * y))
         found = separate(given, turns(4), PITCH_MM, noise_nm=0.05, place=PlaceError(0.3, 0.15))
         at = found.design.terms.index(ASTIGMATISM)
-        off.append(found.solution.instrument_nm[at] - 3.0 / np.sqrt(6))
+        off.append(found.solution.instrument_nm[at] - true_astigmatism_nm(found))
         sigma.append(found.sigma_nm[at])
     assert 0.4 < np.sqrt(np.mean(np.square(off))) / np.mean(sigma) < 1.8
 
