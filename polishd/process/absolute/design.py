@@ -85,8 +85,8 @@ def design(poses: Sequence[Pose], degree: int, radius_mm: float) -> Design:
         raise BadMap("the part lies alike in all maps, which tells nothing of the instrument: turn it between them, "
                      "by 90 deg say")  # fmt: skip
     moves = np.stack([moved(degree, pose, radius_mm)[LEVEL:, LEVEL:] for pose in poses])
-    null = null_space(sum(information(move) for move in moves))
     size = moves.shape[1]
+    null = null_space(sum((information(move) for move in moves), np.zeros((2 * size, 2 * size))))
     own, strength, _ = np.linalg.svd(null[size:], full_matrices=False)
     return Design(
         poses=tuple(poses),
