@@ -38,8 +38,8 @@ class Separated:
     """(ny, nx) as it lies at 0 deg, the axis where the maps have it; with what is hidden."""
     solution: Solution
     design: Design
-    axis_px: tuple[float, float]
-    """(row, column) about which the part was turned."""
+    circle_px: tuple[float, float, float]
+    """(row, column) about which the part was turned, and the radius of the terms' unit circle."""
     decentre_mm: tuple[float, ...]
     """Of each map, how far the middle of its data lies from where its pose puts the axis."""
     noise_nm: float
@@ -118,7 +118,7 @@ def separate(
         part_nm=rest.part_nm + _surface(found, solution.part_nm, rest.part_nm, axis, radius),
         solution=solution,
         design=found,
-        axis_px=axis,
+        circle_px=(*axis, radius),
         decentre_mm=tuple(float(one) * pitch_mm for one in np.hypot(*(middle - axis).T)),
         noise_nm=noise,
         rest_noise_nm=rest.noise_nm,

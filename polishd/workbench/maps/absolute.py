@@ -129,7 +129,7 @@ def _require_one_instrument(surfaces: Sequence[SurfaceMap]) -> None:
 def _answer(found: Separated, names: Sequence[str], pitch_mm: float) -> dict[str, Any]:
     design, solution = found.design, found.solution
     rows, columns = found.instrument_nm.shape
-    row, column = found.axis_px
+    row, column, _ = found.circle_px
     share = {(one.n, one.m): one.share for one in design.unknown}
     terms = [
         {"n": n, "m": m, "name": term_name(n, m), "instrument_nm": float(own), "sigma_nm": float(sigma),

@@ -13,7 +13,7 @@ from polishd.model.surface import FloatArray
 from polishd.process.absolute import Pose, separate
 from polishd.process.metrics import pv_rms, without
 from polishd.process.trust import Errors, Noise, of_separated, true_figure_bound, true_rms_bound
-from tests.unit.process.turned_maps import PITCH_MM, maps, turns
+from tests.unit.process.turned_maps import PITCH_MM, maps, part_nm, true_nm, turns
 
 SIDE, PITCH = 41, 2.5
 ALONG = np.arange(SIDE) - 20.0
@@ -179,6 +179,16 @@ def test_what_the_poses_told_is_taken_from_them() -> None:
     assert set(given.unseen_nm) == {POWER, SPHERICAL}  # astigmatism was told
     assert given.unseen_nm[POWER] == pytest.approx(5.0)
     assert given.covariance.shape == (len(given.terms),) * 2
+    measured = maps([Pose(0)], 0.3, seed=9)[0] - found.instrument_nm
+    mask = np.isfinite(measured)
+    true = without(np.where(mask, true_nm(part_nm), np.nan), mask, "tilt")[mask].std()
+    bound = true_rms_bound(measured, mask, PITCH_MM, given, tolerance_nm=2.0, circle_px=found.circle_px)
+    assert true < bound.bound
+    assert [one.name for one in bound.demanded] == ["power"]
+    assert bound.power_removed is not None
+    off_power = without(np.where(mask, true_nm(part_nm), np.nan), mask, "power")[mask].std()
+    # what is left to chance is noise, and 1 nm of spherical in squares
+    assert off_power < bound.power_removed.bound < 1.4 * off_power
 
 
 def test_terms_above_the_order_are_refused() -> None:
