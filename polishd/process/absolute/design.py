@@ -69,7 +69,7 @@ class Design:
     def freedom(self) -> int:
         """Equations more than unknowns that can be found: what tells the noise."""
         count, size, _ = self.moves.shape
-        return count * size - (2 * size - self.null.shape[1])
+        return int(count * size - (2 * size - self.null.shape[1]))
 
 
 def design(poses: Sequence[Pose], degree: int, radius_mm: float) -> Design:

@@ -66,5 +66,6 @@ def _lattice(degree: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(p,) x and y of points in the unit circle, and (k, p) what finds the terms of values there."""
     radius = np.sqrt((np.arange(degree + 2) + 0.5) / (degree + 2))[:, None]
     angle = 2 * np.pi * np.arange(2 * degree + 3)[None, :] / (2 * degree + 3)
-    x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
-    return x, y, np.linalg.pinv(values(terms(degree), "rms", x, y).T)
+    x: FloatArray = (radius * np.cos(angle)).ravel()
+    y: FloatArray = (radius * np.sin(angle)).ravel()
+    return x, y, np.asarray(np.linalg.pinv(values(terms(degree), "rms", x, y).T), dtype=np.float64)

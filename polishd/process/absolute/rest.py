@@ -53,8 +53,8 @@ class _Turned:
     @classmethod
     def of(cls, way: Way, valid: BoolArray, axis_px: tuple[float, float], pitch_mm: float) -> _Turned:
         """By coordinates about the axis, of a frame with data where ``valid``."""
-        rows, columns = np.indices(valid.shape)
-        x, y = way((columns - axis_px[1]) * pitch_mm, (axis_px[0] - rows) * pitch_mm)
+        rows, columns = np.indices(valid.shape, dtype=np.float64)
+        x, y = way(np.asarray((columns - axis_px[1]) * pitch_mm), np.asarray((axis_px[0] - rows) * pitch_mm))
         at = np.stack([axis_px[0] - y / pitch_mm, axis_px[1] + x / pitch_mm])
         nearest = scipy.ndimage.distance_transform_edt(~valid, return_distances=False, return_indices=True)
         there = scipy.ndimage.map_coordinates(valid.astype(np.float64), at, order=1, cval=0.0) > 0.5
@@ -107,4 +107,4 @@ def _part(heights_nm: Sequence[FloatArray], instrument_nm: FloatArray, onto: Seq
 def _mean(heights_nm: Sequence[FloatArray]) -> FloatArray:
     """(ny, nx) of what has data, 0 where nothing has."""
     count = np.sum([np.isfinite(height) for height in heights_nm], axis=0)
-    return np.nansum(heights_nm, axis=0) / np.maximum(count, 1)
+    return np.asarray(np.nansum(heights_nm, axis=0) / np.maximum(count, 1))

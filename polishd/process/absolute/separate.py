@@ -170,8 +170,6 @@ def _surface(
 ) -> FloatArray:
     """(ny, nx) nm of terms where ``wanted`` has data, NaN elsewhere."""
     mask = np.isfinite(wanted)
-    row, column = np.nonzero(mask)
-    x, y = (column - axis_px[1]) / radius_px, (axis_px[0] - row) / radius_px
     surface = np.full(wanted.shape, np.nan)
-    surface[mask] = terms_nm @ values(found.terms, "rms", x, y)
+    surface[mask] = terms_nm @ values(found.terms, "rms", *zernike.unit(mask, (*axis_px, radius_px)))
     return surface

@@ -107,7 +107,7 @@ def misplaced(design: Design, part_nm: FloatArray, place: PlaceError) -> FloatAr
     whole = np.concatenate([np.zeros(LEVEL), part_nm])
 
     def seen(pose: Pose) -> FloatArray:
-        return (moved(design.degree, pose, design.radius_mm) @ whole)[LEVEL:]
+        return np.asarray((moved(design.degree, pose, design.radius_mm) @ whole)[LEVEL:])
 
     found = []
     for pose in design.poses:

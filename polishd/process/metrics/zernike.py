@@ -76,7 +76,7 @@ def fit(
         raise ValueError(f"a unit circle of radius {radius:g} pixels")
     if heights.size < terms:
         raise BadMap(f"{heights.size} samples are too few for {terms} Zernike terms: fit fewer, or mend the mask")
-    found = triangle(lambda x, y: values(pairs, norm, x, y), *_unit(mask, circle), heights)
+    found = triangle(lambda x, y: values(pairs, norm, x, y), *unit(mask, circle), heights)
     own, projected = found[:terms, :terms], found[:terms, terms]
     condition = float(np.linalg.cond(own))
     if not condition <= WORST_CONDITION:
@@ -104,7 +104,7 @@ def fit(
 
 def surface(fitted: ZernikeFit, mask: BoolArray) -> FloatArray:
     """(ny, nx) the fitted surface in nm over a mask; NaN outside the mask."""
-    x, y = _unit(mask, (*fitted.centre_px, fitted.radius_px))
+    x, y = unit(mask, (*fitted.centre_px, fitted.radius_px))
     heights = np.zeros(x.size)
     for start in range(0, x.size, BLOCK):
         part = slice(start, start + BLOCK)
@@ -158,7 +158,7 @@ def enclosing(mask: BoolArray) -> tuple[float, float, float]:
     return float(row), float(column), max(float(np.hypot(rows - row, across).max()), 0.5)
 
 
-def _unit(mask: BoolArray, circle_px: tuple[float, float, float]) -> tuple[FloatArray, FloatArray]:
+def unit(mask: BoolArray, circle_px: tuple[float, float, float]) -> tuple[FloatArray, FloatArray]:
     """Coordinates of the mask's samples, 1 = the circle's radius, y up."""
     row, column, radius = circle_px
     x = (np.arange(mask.shape[1]) - column) / radius

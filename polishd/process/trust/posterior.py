@@ -107,8 +107,7 @@ def posterior(
         raise BadMap(f"errors are given of terms (n, m) {sorted(stray)}, above order {errors.degree}: raise the order")
     circle = zernike.enclosing(mask) if circle_px is None else circle_px
     fitted = zernike.fit(height_nm, mask, len(found), "ansi", circle_px=circle)
-    row, column = np.nonzero(mask)
-    evaluated = values(found, "rms", (column - circle[1]) / circle[2], (circle[0] - row) / circle[2])
+    evaluated = values(found, "rms", *zernike.unit(mask, circle))
     by_source = _by_source(found, errors, fitted.per_noise @ evaluated, mask, pitch_mm)
     weight = evaluated @ evaluated.T / fitted.samples
     noise = errors.noise
