@@ -11,6 +11,7 @@ from typer import Argument, Option
 from typer.core import TyperGroup
 
 from polishd.workbench.maps.options import (
+    AbsoluteOptions,
     AverageOptions,
     FigureOptions,
     Json,
@@ -27,7 +28,7 @@ DEFAULT = "figures"
 """What ``polishd map FILE`` does."""
 HELP = (
     "Maps of surfaces: polishd map FILE... gives their figures (options: polishd map figures --help); or compare, "
-    "report, convert, average, subtract, stitch, commission."
+    "report, convert, average, subtract, stitch, absolute, commission."
 )
 
 
@@ -153,6 +154,20 @@ def stitch(
     from polishd.workbench.maps.stitch import stitch_verb
 
     stitch_verb(files, asked, as_json=as_json)
+
+
+@app.command()
+@spread
+def absolute(
+    files: Annotated[list[Path], Argument(metavar="MAP...", help="One part, turned and shifted.", readable=False)],
+    *,
+    as_json: Json = False,
+    asked: AbsoluteOptions,
+) -> None:
+    """The instrument's own error and the part, from maps of it turned and shifted, and what they do not tell."""
+    from polishd.workbench.maps.absolute import absolute_verb
+
+    absolute_verb(files, asked, as_json=as_json)
 
 
 @app.command()

@@ -126,3 +126,34 @@ class ReportOptions(ReadOptions):
     by: Annotated[str, Option(metavar="NAME", help="Who answers for the report.")] = ""
     trim: Trim = 0
     bands: Bands = BANDS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AbsoluteOptions(WriteOptions):
+    """What ``absolute`` is asked for."""
+
+    angles: Annotated[
+        str | None,
+        Option(metavar="DEG,...", help="How far the part is turned in each map, counter-clockwise as displayed."),
+    ] = None
+    shifts: Annotated[
+        str | None, Option(metavar="X,Y:...", help="By which it is shifted in each, mm right and up; 0,0 where not.")
+    ] = None
+    at: Annotated[
+        Path | None,
+        Option(metavar="CSV", help="Both from a list: file,angle_deg and, where shifted, x_mm,y_mm.", readable=False),
+    ] = None
+    out_instrument: Annotated[
+        Path | None, Option(metavar="S", help="The instrument's own error; its ending says the format.")
+    ] = None
+    out_part: Annotated[Path | None, Option(metavar="P", help="The part, without that error.")] = None
+    axis: Annotated[
+        str | None, Option(metavar="X,Y", help="Where the part is turned about, mm from the map's centre.")
+    ] = None
+    order: Annotated[int, Option(min=4, max=14, metavar="N", help="Radial order of the Zernike terms.")] = 10
+    noise: Annotated[
+        float | None, Option(min=0.0, metavar="NM", help="White noise of a sample; found from the maps unless given.")
+    ] = None
+    angle_error: Annotated[float, Option(min=0.0, metavar="DEG", help="How well angles are known, 1 sigma.")] = 0.0
+    shift_error: Annotated[float, Option(min=0.0, metavar="MM", help="How well places are known, 1 sigma.")] = 0.0
+    picture: MapsPicture = None
