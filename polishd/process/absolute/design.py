@@ -76,18 +76,19 @@ def design(poses: Sequence[Pose], degree: int, radius_mm: float) -> Design:
     """What poses tell of terms up to a radial order over a circle.
 
     Raises:
-        BadMap: fewer than two poses, or all alike.
+        BadMap: fewer than two poses, or all alike, if by a whole turn or by next to nothing.
         ValueError: an order below 2.
     """
     if degree < 2:
         raise ValueError(f"terms up to order {degree}: the lowest above tilt is 2")
-    if len(set(poses)) < 2:
-        raise BadMap("the part lies alike in all maps, which tells nothing of the instrument: turn it between them, "
-                     "by 90 deg say")  # fmt: skip
     moves = np.stack([moved(degree, pose, radius_mm)[LEVEL:, LEVEL:] for pose in poses])
     size = moves.shape[1]
     null = null_space(sum((information(move) for move in moves), np.zeros((2 * size, 2 * size))))
     own, strength, _ = np.linalg.svd(null[size:], full_matrices=False)
+    hidden = own[:, strength > 1 / MOST_GAIN]
+    if hidden.shape[1] == size:
+        raise BadMap("the part lies alike in all maps, which tells nothing of the instrument: turn it between them, "
+                     "by 90 deg say")  # fmt: skip
     return Design(
         poses=tuple(poses),
         degree=degree,
@@ -95,7 +96,7 @@ def design(poses: Sequence[Pose], degree: int, radius_mm: float) -> Design:
         terms=terms(degree)[LEVEL:],
         moves=moves,
         null=null,
-        hidden=own[:, strength > 1 / MOST_GAIN],
+        hidden=hidden,
     )
 
 

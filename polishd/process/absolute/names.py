@@ -7,6 +7,7 @@ from collections.abc import Iterable
 FOLDS = {2: "astigmatism", 3: "trefoil", 4: "tetrafoil", 5: "pentafoil", 6: "hexafoil"}
 RANKS = ("", "secondary ", "tertiary ")
 RADIUS = "a reference of known radius or a flat of known power"
+OTHER_FOLDS = "more angles that share no fold, and a lateral shift"
 ROUND = "a lateral shift of the part, or a reference"
 
 

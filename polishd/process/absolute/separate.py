@@ -14,8 +14,9 @@ import numpy as np
 from polishd.model.errors import BadMap
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.absolute.design import Design, design
+from polishd.process.absolute.hidden_rest import hidden_share
 from polishd.process.absolute.poses import LEVEL, Pose
-from polishd.process.absolute.rest import split
+from polishd.process.absolute.rest import Rest, split
 from polishd.process.absolute.solution import PlaceError, Solution, solve, solve_noise
 from polishd.process.metrics import zernike
 from polishd.process.metrics.zernike_terms import values
@@ -24,6 +25,8 @@ DEGREE = 10
 """Radial order of the terms: 66 with piston and tilts."""
 BY_FAR = 10.0
 """Misfits of the two senses of turning that differ by more than this tell which is right."""
+LEAST_SHOWN = 0.01
+"""Share of shorter waves that is taken to be seen at least."""
 LEAST_FREEDOM = 3
 """Equations more than unknowns, below which the noise must be given."""
 
@@ -46,6 +49,10 @@ class Separated:
     """Of one sample of one map, as it acts on the terms."""
     rest_noise_nm: float | None
     """The same of what the terms leave; None where too few maps tell it."""
+    hidden_share: float
+    """Of the square of the instrument's waves above the terms' order, what the poses leave in the part."""
+    hidden_rest_nm: float
+    """The RMS of those waves, from what is seen of the rest: for a print that follows no fold of the turns."""
     misfit: float
     """Of the terms, over its expectation: 1 where the noise was found here."""
     sense: bool
@@ -113,6 +120,7 @@ def separate(
         [height - zernike.surface(fit, mask) for height, fit, mask in zip(heights_nm, fits, masks, strict=True)],
         poses, axis, pitch_mm,
     )  # fmt: skip
+    share = hidden_share(poses, degree, radius * pitch_mm)
     return Separated(
         instrument_nm=rest.instrument_nm + _surface(found, solution.instrument_nm, rest.instrument_nm, axis, radius),
         part_nm=rest.part_nm + _surface(found, solution.part_nm, rest.part_nm, axis, radius),
@@ -122,6 +130,8 @@ def separate(
         decentre_mm=tuple(float(one) * pitch_mm for one in np.hypot(*(middle - axis).T)),
         noise_nm=noise,
         rest_noise_nm=rest.noise_nm,
+        hidden_share=share,
+        hidden_rest_nm=_hidden_nm(rest, share, len(poses), noise),
         misfit=solution.chi2 / found.freedom if found.freedom else 0.0,
         sense=sense,
         left_nm=tuple(float(one) for one in np.sqrt((solution.left_nm**2).sum(axis=1))),
@@ -149,6 +159,14 @@ def _furthest(mask: BoolArray, axis_px: tuple[float, float]) -> float:
     """Pixels from the axis to the furthest sample."""
     row, column = np.nonzero(mask)
     return float(np.hypot(row - axis_px[0], column - axis_px[1]).max())
+
+
+def _hidden_nm(rest: Rest, share: float, maps: int, noise_nm: float) -> float:
+    """RMS of what is hidden of the rest, by what is shown of it less the noise of the mean over maps."""
+    shown = max(1.0 - share, LEAST_SHOWN)
+    own = noise_nm if rest.noise_nm is None else rest.noise_nm
+    square = float(np.nanmean(rest.instrument_nm**2)) - shown * own**2 / maps
+    return float(np.sqrt(max(square, 0.0) * share / shown))
 
 
 def _sense(found: Design, seen_nm: FloatArray, per_noise: FloatArray) -> bool:

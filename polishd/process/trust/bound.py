@@ -8,13 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.absolute.names import name_of, reference_for
+from polishd.process.absolute.names import OTHER_FOLDS, name_of, reference_for
 from polishd.process.absolute.poses import LEVEL
 from polishd.process.trust.errors import Errors
 from polishd.process.trust.posterior import POWER, Posterior, posterior
 
 BOUND = 0.95
 SAMPLES, MAP_SAMPLES = 4000, 300
+SHORTER = "shorter waves"
+"""What is above the order of the terms."""
 LEAST_NM = 1e-3
 """Contributions below it are left out."""
 
@@ -96,6 +98,7 @@ def true_rms_bound(
     rng = np.random.default_rng(seed)
     drawn = found.draw(samples, rng)
     rest = np.maximum(rng.normal(*found.rest_square, samples), 0.0)
+    rest += errors.unseen_rest_nm**2 * rng.exponential(size=samples)  # a print is a few waves: of two, chi-squared / 2
     whole, without = (_rms_bound(found, errors, tolerance_nm, drawn, rest, power=power) for power in (False, True))
     return replace(whole, power_removed=without)
 
@@ -134,6 +137,7 @@ def true_figure_bound(
     for index, terms_nm in enumerate(drawn):
         noise = errors.noise.draw(mask.shape, pitch_mm, rng)[mask]
         surface[mask] = terms_nm @ found.evaluated + found.kept * found.rest_nm + np.sqrt(found.kept) * noise
+        surface[mask] += rng.normal(0.0, errors.unseen_rest_nm, found.rest_nm.size)
         values[index] = figure(surface)
     return _bound(values)
 
@@ -153,7 +157,7 @@ def _rms_bound(
     return RmsBound(
         rms.mean, rms.interval, rms.bound,
         removed="power" if power else "tilt",
-        contributions=_contributions(found, weight),
+        contributions=_contributions(found, errors, weight),
         demanded=_demanded(errors, weight, found, tolerance_nm, power=power),
     )  # fmt: skip
 
@@ -163,14 +167,15 @@ def _bound(values: FloatArray) -> Bound:
     return Bound(float(values.mean()), (float(low), float(high)), float(high))
 
 
-def _contributions(found: Posterior, weight: FloatArray) -> tuple[Contribution, ...]:
+def _contributions(found: Posterior, errors: Errors, weight: FloatArray) -> tuple[Contribution, ...]:
     """Of each source and family of terms; of noise what the terms leave, too."""
     squares: dict[tuple[str, str], float] = {}
     for source, covariance in found.by_source.items():
         for index, (n, m) in list(enumerate(found.terms))[LEVEL:]:
             key = (name_of(n, m), source)
             squares[key] = squares.get(key, 0.0) + float(weight[index, index] * covariance[index, index])
-    squares["shorter waves", "noise"] = found.rest_square[1]
+    squares[SHORTER, "noise"] = found.rest_square[1]
+    squares[SHORTER, "unseen"] = errors.unseen_rest_nm**2
     all_of_them = (Contribution(*key, float(np.sqrt(max(one, 0.0)))) for key, one in squares.items())
     told = [one for one in all_of_them if one.rms_nm >= LEAST_NM]
     return tuple(sorted(told, key=lambda one: -one.rms_nm))
@@ -190,5 +195,6 @@ def _demanded(
         if not (power and (n, m) == POWER):
             square[name] = square.get(name, 0.0) + float(weight[index, index]) * prior**2
             needs[name] = reference_for(n, m)
+    square[SHORTER], needs[SHORTER] = errors.unseen_rest_nm**2, OTHER_FOLDS
     over = {name: float(np.sqrt(one)) for name, one in square.items() if one > tolerance_nm**2}
     return tuple(Demand(name, prior, needs[name]) for name, prior in over.items())

@@ -74,19 +74,31 @@ class Errors:
     """(j, j) nm^2 of them, as far as they were measured."""
     unseen_nm: Mapping[Term, float] = field(default_factory=dict)
     """Prior of terms that nothing has seen: one standard deviation each about 0, nm RMS."""
+    unseen_rest_nm: float = 0.0
+    """Prior RMS of what the terms leave of the instrument and nothing has seen."""
 
 
-def of_separated(found: Separated, noise: Noise, unseen_nm: Mapping[Term, float]) -> Errors:
+def of_separated(
+    found: Separated, noise: Noise, unseen_nm: Mapping[Term, float], unseen_rest_nm: float | None = None
+) -> Errors:
     """Errors of a map less the instrument's map that a set of poses gave.
 
     Args:
         found: instrument and part, told apart.
         noise: of the map that is judged, not of those that told the instrument.
         unseen_nm: priors of the instrument's terms; those that the poses told take no part.
+        unseen_rest_nm: prior of its shorter waves that the poses leave; None: as what they tell of them has it.
     """
     share = {(one.n, one.m): float(np.sqrt(one.share)) for one in found.design.unknown}
     unseen = {term: prior * share[term] for term, prior in unseen_nm.items() if term in share}
-    return Errors(noise, found.design.degree, found.design.terms, found.solution.covariance, unseen)
+    return Errors(
+        noise,
+        found.design.degree,
+        found.design.terms,
+        found.solution.covariance,
+        unseen,
+        found.hidden_rest_nm if unseen_rest_nm is None else unseen_rest_nm,
+    )
 
 
 def _kernel(length_px: float) -> FloatArray:

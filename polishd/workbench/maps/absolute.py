@@ -149,6 +149,8 @@ def _answer(found: Separated, names: Sequence[str], pitch_mm: float) -> dict[str
         "demanded": {families([term])[0]: reference_for(*term, angles) for term in share},
         "noise_nm": found.noise_nm,
         "rest_noise_nm": found.rest_noise_nm,
+        "hidden_share": found.hidden_share,
+        "hidden_rest_nm": found.hidden_rest_nm,
         "misfit": found.misfit,
         "sense_told": found.sense,
         "sample_uncertainty_nm": found.uncertainty_nm,
@@ -236,6 +238,7 @@ def _lines(answer: Mapping[str, Any]) -> list[str]:
                f"{answer[what]['samples']} samples" for what in ("instrument", "part"))  # fmt: skip
     left = ", ".join(f"{one['name']} {one['left_nm']:.3f}" for one in answer["maps"])
     unknown = ", ".join(answer["unknown"]) or "nothing"
+    rest = answer["hidden_rest_nm"]
     needs = dict.fromkeys(answer["demanded"].values())
     wanted = {what: [name for name, need in answer["demanded"].items() if need == what] for what in needs}
     lines = [
@@ -245,6 +248,7 @@ def _lines(answer: Mapping[str, Any]) -> list[str]:
         f"noise {answer['noise_nm']:.4f} nm a sample",
         f"a sample of the instrument's map is known to {answer['sample_uncertainty_nm']:.4f} nm, less what is unknown",
         f"unknown, and left in the part: {unknown}",
+        f"and of waves above order {answer['order']} {answer['hidden_share']:.0%} in square, {rest:.3f} nm RMS",
         *(f"to be told by {what}: {', '.join(names)}" for what, names in wanted.items()),
         *(f"note: {shown(note)}" for note in answer["notes"]),
     ]

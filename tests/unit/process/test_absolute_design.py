@@ -100,8 +100,9 @@ def test_terms_are_moved_as_the_part_is() -> None:
 
 
 def test_poses_that_are_all_alike_tell_nothing() -> None:
-    with pytest.raises(BadMap, match="lies alike in all maps"):
-        design([Pose(90), Pose(90)], 6, RADIUS_MM)
+    for other in (90, 450, 90.01):
+        with pytest.raises(BadMap, match="lies alike in all maps"):
+            design([Pose(90), Pose(other)], 6, RADIUS_MM)
     with pytest.raises(ValueError, match="the lowest above tilt"):
         design(turns(2), 1, RADIUS_MM)
 

@@ -52,6 +52,7 @@ def test_instrument_and_part_come_back(polishd: Polishd, tmp_path: Path, files: 
     assert "radius" in answer["demanded"]["power"]
     assert answer["noise_nm"] == pytest.approx(NOISE_NM, rel=0.15)
     assert answer["sense_told"]
+    assert answer["hidden_share"] == pytest.approx(0.25, abs=0.05)
     assert answer["instrument"]["out"] == str(system)
 
 
@@ -77,6 +78,7 @@ def test_people_are_told_what_is_unknown_and_the_file_keeps_how_it_came_about(
         "gravity, counts as instrument",
         "secondary astigmatism cos",
         "orders 5 to 10, RMS",
+        "and of waves above order 10 26% in square",
     ):
         assert words in " ".join(said.split())
     assert picture.read_bytes().startswith(b"\x89PNG")
