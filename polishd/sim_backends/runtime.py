@@ -110,7 +110,8 @@ class Runtime:
                     raise
                 continue
             got = int(server.sockets[0].getsockname()[1])
-            kept.write_text(str(got))
+            if not port:
+                kept.write_text(str(got))
             return got
         return 0
 
