@@ -165,13 +165,9 @@ class PtyPort:
         beside.replace(self.link)
 
     def close(self) -> None:
-        """Pull the plug: whoever has it open reads an error, and who opens it finds none.
-
-        The kernel gives the number of a closed terminal to the next one: a link left behind leads to another device.
-        """
+        """Pull the plug: whoever has it open reads an error."""
         if self._master < 0:
             return
-        self.link.unlink(missing_ok=True)
         asyncio.get_running_loop().remove_reader(self._master)
         os.close(self._master)
         os.close(self._slave)

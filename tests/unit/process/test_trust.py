@@ -77,7 +77,7 @@ CASES = {
 }
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_the_bound_is_calibrated(name: str) -> None:
     """400 draws: one standard deviation of the share is 1.1 %."""
@@ -194,7 +194,7 @@ def test_the_same_seed_gives_the_same_bound() -> None:
     assert one.bound == pytest.approx(other.bound, rel=0.05)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_any_figure_has_a_bound() -> None:
     """RMS by whole maps is RMS by terms; the PV's share below its bound is as said, within what 100 draws tell."""
     given = CASES["all"]
