@@ -43,7 +43,7 @@ SENSELESS = "these maps fit angles of either sense: see on a mark that the part 
 
 def absolute_verb(files: Sequence[Path], asked: AbsoluteOptions, *, as_json: bool) -> None:
     """Tell part and instrument apart; write both where they are wanted."""
-    source = MapSource.of(asked.cell, asked.profile, asked.as_format, asked.masks)
+    source = MapSource.by(asked)
     _require_targets(files, asked, source)
     poses = _poses(files, asked)
     axis = None if asked.axis is None else _numbers("--axis", asked.axis, 2)
