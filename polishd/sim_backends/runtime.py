@@ -124,6 +124,9 @@ class Runtime:
         await self.link.writer.drain()
         known = [argument for argument in sys.argv[1:] if argument != "--rebooted"]
         arguments = [sys.executable, "-m", "polishd.sim_backends", *known, "--rebooted"]
+        terminal = self.start.state / self.name
+        if terminal.is_symlink():
+            terminal.unlink()  # the terminal ends with this program, and its number is the next one's
         os.execv(sys.executable, arguments)  # noqa: S606  (no shell: the process replaces itself)
 
 

@@ -165,9 +165,13 @@ class PtyPort:
         beside.replace(self.link)
 
     def close(self) -> None:
-        """Pull the plug: whoever has it open reads an error."""
+        """Pull the plug: whoever has it open reads an error, and who opens it finds none.
+
+        The kernel gives a closed terminal's number to the next one: a link left behind leads to another cell's device.
+        """
         if self._master < 0:
             return
+        self.link.unlink(missing_ok=True)
         asyncio.get_running_loop().remove_reader(self._master)
         os.close(self._master)
         os.close(self._slave)
