@@ -12,6 +12,7 @@ import time
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
+from polishd.model.errors import PolishdError
 from tests.campaigns.crash import attacks, kills, model
 from tests.campaigns.crash.figures import SAID, Figures, table, write_page
 from tests.campaigns.crash.recording import ROOT
@@ -19,6 +20,8 @@ from tests.campaigns.crash.states import rounds
 
 FOLDER = ROOT / "build" / "crash"
 STATES, KILLS, FAULTS = 100_000, 2_000, 3
+BEGINNINGS = 10
+"""So many cells may be starved before they begin, in one sitting."""
 
 
 def say(*words: object) -> None:
@@ -41,7 +44,7 @@ def run_states(figures: Figures, wanted: int, until_s: float) -> None:
 
 def run_kills(figures: Figures, wanted: int, until_s: float) -> None:
     """Cells side by side until so many processes were killed."""
-    seed, first = int(figures.all["seed"]), figures.parts
+    seed, first, beginnings = int(figures.all["seed"]), figures.parts, BEGINNINGS
     with ThreadPoolExecutor(kills.CELLS) as pool:
         running: dict[Future[kills.Count], int] = {}
         while True:
@@ -51,7 +54,16 @@ def run_kills(figures: Figures, wanted: int, until_s: float) -> None:
             if not running:
                 return
             for part in wait(running, return_when=FIRST_COMPLETED).done:
-                figures.add_kills(running.pop(part), part.result())
+                number = running.pop(part)
+                try:
+                    count = part.result()
+                except PolishdError as error:
+                    say(f"crash: cell {number} did not begin, another one takes its place: {error}")
+                    beginnings -= 1
+                    if not beginnings:
+                        raise
+                    continue
+                figures.add_kills(number, count)
                 say(f"crash: {figures.kills} of {wanted} kills, wrong: {figures.all['kills']['bad'] or 'none'}")
 
 
