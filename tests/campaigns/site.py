@@ -173,13 +173,20 @@ class Site:
 
     def contradictions(self) -> list[str]:
         """Where the journal and the plant's account of contact tell different things of passes that are settled."""
-        with contextlib.closing(self.journal()) as journal:
-            rows = journal.execute("SELECT program_sha256, ended IS NOT NULL FROM pass").fetchall()
-        settled = dict(rows)
+        settled = self._passes()
         books = account(self.files)["programs"]
         unknown = [book["sha256"][:8] for book in books if book["sha256"] not in settled and any(book["contact_s"])]
         known = [book for book in books if settled.get(book["sha256"])]
         return [f"{name}: polished, and no pass" for name in unknown] + disagreements(self._path, known)
+
+    def _passes(self) -> dict[str, bool]:
+        """By program, each that the journal has: whether it is settled."""
+        if not self._path.exists():
+            return {}
+        with contextlib.closing(self.journal()) as journal:
+            if not journal.execute("SELECT 1 FROM sqlite_master WHERE name = 'pass'").fetchall():
+                return {}  # killed before it had tables
+            return dict(journal.execute("SELECT program_sha256, ended IS NOT NULL FROM pass").fetchall())
 
     def dug_s(self) -> float:
         """Seconds that the tool stood on the part, pressing, since the last call."""
