@@ -60,7 +60,6 @@ class Site:
         self.log = Log(files.sim_dir / "sim.log")
         self.process: subprocess.Popen[bytes] | None = None
         self.booted: list[subprocess.Popen[bytes]] = []
-        self._dug_s = 0.0
 
     # the daemon
 
@@ -174,7 +173,7 @@ class Site:
     def contradictions(self) -> list[str]:
         """Where the journal and the plant's account of contact tell different things of passes that are settled."""
         settled = self._passes()
-        books = account(self.files)["programs"]
+        books = self._account()["programs"]
         unknown = [book["sha256"][:8] for book in books if book["sha256"] not in settled and any(book["contact_s"])]
         known = [book for book in books if settled.get(book["sha256"])]
         return [f"{name}: polished, and no pass" for name in unknown] + disagreements(self._path, known)
@@ -188,11 +187,17 @@ class Site:
                 return {}  # killed before it had tables
             return dict(journal.execute("SELECT program_sha256, ended IS NOT NULL FROM pass").fetchall())
 
-    def dug_s(self) -> float:
-        """Seconds that the tool stood on the part, pressing, since the last call."""
-        inside = (s for s in account(self.files)["stands"] if math.hypot(s["x_mm"], s["y_mm"]) < APERTURE_MM / 2)
-        before, self._dug_s = self._dug_s, sum(stand["seconds"] for stand in inside)
-        return self._dug_s - before
+    def stands(self) -> list[tuple[float, float]]:
+        """When the tool began to stand on the part, pressing, on ``time.monotonic``, and for how many seconds."""
+        found = self._account()["stands"]
+        inside = (stand for stand in found if math.hypot(stand["x_mm"], stand["y_mm"]) < APERTURE_MM / 2)
+        return [(stand["from_s"], stand["seconds"]) for stand in inside]
+
+    def _account(self) -> dict[str, Any]:
+        """The plant's, who writes the first one when there is anything to write."""
+        if not (self.files.sim_dir / "dwell_account.json").exists():
+            return {"programs": [], "stands": []}
+        return account(self.files)
 
     def change(self, **job: Any) -> None:
         """Another value of [job] in the cell's file."""

@@ -7,6 +7,7 @@ block been in contact that the journal does not know of, and does the next start
 from __future__ import annotations
 
 import contextlib
+import math
 import random
 import re
 import socket
@@ -88,12 +89,15 @@ class Campaign:
         """Of the attack, over all parts: which commit is next."""
         self._told: set[str] = set()
         """Contradictions that were counted."""
-        self._stands_s = 0.0
-        """Longest that the attack before may have cost."""
+        self._attacks: list[tuple[float, Attack]] = []
+        """And when they began, on ``time.monotonic``."""
+        self._dug: set[int] = set()
+        """Those whose standing was counted as wrong."""
 
     def attack(self, attack: Attack) -> None:
         """Do it, and ask."""
         self._number += 1
+        self._attacks.append((time.monotonic(), attack))
         self.count.attacks[attack.name] += 1
         self.count.kills += attack.kills
         try:
@@ -114,11 +118,18 @@ class Campaign:
                 self._told.add(said)
                 claimed = (found := CLAIMED.search(said)) is not None and float(found[2]) < float(found[1])
                 self.count.wrong("claimed" if claimed else "twice_unmarked", f"{name}: {said}")
-        dug_s = self.site.dug_s()
-        self.count.dug_s = max(self.count.dug_s, dug_s)
-        if dug_s > max(attack.stands_s, self._stands_s):  # the plant may write down later how the last one ended
-            self.count.wrong("dug", f"{name}: the tool stood for {dug_s:.2f} s")
-        self._stands_s = attack.stands_s
+        self._ask_where_it_stood()
+
+    def _ask_where_it_stood(self) -> None:
+        """Of each attack so far: the plant may write down later how one of them ended."""
+        stands, ends = self.site.stands(), [begun_s for begun_s, _ in self._attacks[1:]] + [math.inf]
+        for number, ((begun_s, attack), end_s) in enumerate(zip(self._attacks, ends, strict=True)):
+            stood_s = sum(seconds for from_s, seconds in stands if begun_s <= from_s < end_s)
+            self.count.dug_s = max(self.count.dug_s, stood_s)
+            if stood_s > attack.stands_s and number not in self._dug:
+                self._dug.add(number)
+                name = f"{attack.name}, {len(self._attacks) - number - 1} before attack {self._number}"
+                self.count.wrong("dug", f"{name}: the tool stood for {stood_s:.2f} s")
 
     def begin(self) -> None:
         """Have the daemon that was started polish: it comes up held if its job is under way, and nothing moves."""
@@ -172,6 +183,8 @@ class Campaign:
 
     def finish(self) -> None:
         """To the end of the job, undisturbed; a start that fails over what an attack left is tried again."""
+        end = Attack("end", Campaign.finish, 0)
+        self._attacks.append((time.monotonic(), end))
         journal = self.site.journal()
         ((job,),) = journal.execute("SELECT max(id) FROM job").fetchall()
         ((done,),) = journal.execute("SELECT count(*) FROM pass WHERE job = ? AND how = 'done'", (job,)).fetchall()
@@ -184,7 +197,7 @@ class Campaign:
         if code not in {0, 1, 6} or self.site.job_under_way():
             self.count.wrong("stuck", f"after attack {self._number} the job does not end: exit code {code}")
         self.count.finished += 1
-        self._ask(Attack("end", Campaign.finish, 0))
+        self._ask(end)
 
     def commit(self) -> int:
         """The commit at which the next daemon is killed: each in turn."""
