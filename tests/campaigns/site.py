@@ -176,7 +176,8 @@ class Site:
         books = self._account()["programs"]
         unknown = [book["sha256"][:8] for book in books if book["sha256"] not in settled and any(book["contact_s"])]
         known = [book for book in books if settled.get(book["sha256"])]
-        return [f"{name}: polished, and no pass" for name in unknown] + disagreements(self._path, known)
+        said = [f"{name}: polished, and no pass" for name in unknown]
+        return said + disagreements(self._path, known) if settled else said
 
     def _passes(self) -> dict[str, bool]:
         """By program, each that the journal has: whether it is settled."""
