@@ -176,7 +176,8 @@ class Motion:
             return cut
         stood = float(cut[-1, 2]) if len(cut) else since
         if stood < self.process_s:
-            block = min(self._cursor.block, max(self.path.blocks - 1, 0))
+            # the block that it stands in: the cursor may be behind where much has passed since it was last looked at
+            block = int(cut[-1, 0]) if len(cut) else min(self._cursor.block, max(self.path.blocks - 1, 0))
             cut = np.vstack([cut.reshape(-1, 8), lift.standing(block, self._where(), stood, self.process_s)])
         return np.column_stack([cut[:, :3], lift.poses(cut[:, 3:], cut[:, 1:3].mean(axis=1))])
 

@@ -43,6 +43,17 @@ def test_it_goes_along_the_tools_axis_while_it_still_brakes() -> None:
     assert np.allclose(after[1:, 1], after[:-1, 2]), "without a gap in time"
 
 
+def test_who_looks_late_books_the_lift_to_the_block_that_it_stands_in() -> None:
+    motion = loaded([PATH[0], *(f"X{x} F1200" if x == 1 else f"X{x}" for x in range(1, 30))])
+    motion.advance(0.905)
+    before = len(motion.rows)
+    motion.lift(0.905, 15.0)
+    motion.advance(2.0)  # over the end of a block, to a stand in the next one, in one step
+    blocks = np.concatenate(motion.rows[before:])[:, 0]
+    assert len(np.unique(blocks)) == 2
+    assert (np.diff(blocks) >= 0).all()
+
+
 def test_it_is_off_within_a_tenth_of_a_second() -> None:
     lift = Lift(0.0, 15.0, 1000.0, 100.0)
     assert lift.offset_mm(np.array([0.1]))[0] == pytest.approx(5.0)
