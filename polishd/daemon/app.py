@@ -43,7 +43,7 @@ from polishd.model.errors import ConfigError, PolishdError
 from polishd.model.events import Event
 from polishd.model.program import Program
 from polishd.recipe.folder import RunFolder
-from polishd.recipe.making import make_recipe, require_commissioned
+from polishd.recipe.making import instrument_of, make_recipe, require_commissioned
 from polishd.recipe.program_fit import require_fit
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.steps import read_program
@@ -152,6 +152,8 @@ def _written(cells: Sequence[_Ready], within_s: float) -> bool:
 def _made_ready(run: CellRun, context: Context, kept: ExitStack) -> _Ready:
     config, hooks = run.config, run.hooks
     work = None if run.queue else _own_work(config, hooks)
+    if run.queue and config.profile_path is not None:  # where it names none, each job names its own
+        require_commissioned(config, instrument_of(config))
     cell = build_cell(config, hooks)
     require_time_limits(config, cell)
     if work:
@@ -171,7 +173,7 @@ def _made_ready(run: CellRun, context: Context, kept: ExitStack) -> _Ready:
 def _own_work(config: CellConfig, hooks: Hooks) -> tuple[Recipe, Program]:
     """Of the job that the cell's own file describes."""
     recipe = make_recipe(config, hooks)
-    require_commissioned(config, recipe)
+    require_commissioned(config, recipe.instrument)
     program = read_program(recipe, config.program_path)
     require_taken(config, hooks, program)
     require_fit(config, recipe, program)

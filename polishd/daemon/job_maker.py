@@ -47,7 +47,7 @@ class JobMaker:
         config = await asyncio.to_thread(lay, self.config, entry)
         hooks = await asyncio.to_thread(hooks_of_job, self.config, self.hooks, config)
         recipe = await asyncio.to_thread(make_recipe, config, hooks)
-        require_commissioned(config, recipe)
+        require_commissioned(config, recipe.instrument)
         program = await self.compute(read_program, recipe, config.program_path)
         await self.compute(require_fit, config, recipe, program)
         require_time_limits(config, self.cell)

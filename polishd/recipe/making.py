@@ -44,9 +44,9 @@ def why_not_commissioned(config: CellConfig) -> str:
     return load_profile(config.profile_path).unproved
 
 
-def require_commissioned(config: CellConfig, recipe: Recipe) -> None:
-    """ConfigError unless the recipe's instrument is commissioned."""
-    if recipe.instrument is None or recipe.instrument.commissioned is None:
+def require_commissioned(config: CellConfig, instrument: Instrument | None) -> None:
+    """ConfigError unless the instrument that this config names is commissioned."""
+    if instrument is None or instrument.commissioned is None:
         raise ConfigError(f"{why_not_commissioned(config)} (nothing was opened)")
 
 

@@ -315,7 +315,8 @@ def test_a_wrong_profile_is_not_commissioned_and_does_not_run(
     said = polishd("map", "commission", files.profile, files.artefact)
     assert (said.returncode, files.profile.read_bytes()) == (8, before)
     assert mends in said.stderr.replace("\n", " ")
-    refused = polishd("run", files.cell)
-    assert refused.returncode == 3
-    assert "never commissioned" in refused.stderr
-    assert not files.state_dir.exists(), "nothing was opened"
+    for queue in ((), ("--queue", "--until-empty")):
+        refused = polishd("run", files.cell, *queue)
+        assert refused.returncode == 3
+        assert "never commissioned" in refused.stderr
+        assert not files.state_dir.exists(), "nothing was opened"

@@ -86,3 +86,14 @@ def test_a_name_that_waits_is_refused(polishd: Polishd, cell: Path, tmp_path: Pa
 def test_options_of_run_that_do_not_go_together(polishd: Polishd, cell: Path) -> None:
     assert "--until-empty goes with --queue" in polishd("run", cell, "--until-empty").err
     assert "--correction is for the cell's own job" in polishd("run", cell, "--queue", "--correction", "none").err
+
+
+def test_a_queue_does_not_begin_with_an_instrument_that_nothing_proved(polishd: Polishd, cell: Path) -> None:
+    """Not once each part is refused by itself: the first of them would be put aside for it."""
+    profile = cell.parent / "unproved.toml"
+    profile.write_text((cell.parent / "instrument.toml").read_text().partition("[commissioned]")[0])
+    cell.write_text(cell.read_text().replace('"instrument.toml"', '"unproved.toml"'))
+    refused = polishd("run", cell, "--queue", "--until-empty")
+    assert refused.code == 3
+    assert "never commissioned" in refused.err
+    assert not (cell.parent / "state").exists(), "nothing was opened"

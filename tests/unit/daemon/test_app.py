@@ -472,7 +472,7 @@ class Site:
             self.bench.journal = found
             return found
 
-        monkeypatch.setattr(app, "require_commissioned", lambda config, recipe: None)
+        monkeypatch.setattr(app, "require_commissioned", lambda config, instrument: None)
         monkeypatch.setattr(app, "require_fit", lambda config, recipe, program: "")
         monkeypatch.setattr(app, "require_taken", lambda config, hooks, program: None)
         monkeypatch.setattr(app, "make_recipe", lambda config, hooks: self.recipe)

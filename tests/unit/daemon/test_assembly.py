@@ -310,7 +310,7 @@ def test_the_instrument_reaches_recipe_and_devices(
     recipe = make_recipe(config, hooks)
     assert recipe.instrument is not None
     assert [context.instrument for context in contexts] == [recipe.instrument] * 4
-    require_commissioned(config, recipe)
+    require_commissioned(config, recipe.instrument)
 
 
 def test_an_edited_profile_is_refused_and_check_says_so(configured: Any, hooks: Hooks) -> None:
@@ -322,7 +322,7 @@ def test_an_edited_profile_is_refused_and_check_says_so(configured: Any, hooks: 
     assert recipe.instrument is not None
     assert recipe.instrument.mirror
     with pytest.raises(ConfigError, match="edited after it was commissioned"):
-        require_commissioned(config, recipe)
+        require_commissioned(config, recipe.instrument)
     config.program_path.write_bytes(demo_program(config))
     assert "run will refuse" in checking.check_cell(config, hooks)["instrument"]
 
@@ -334,4 +334,4 @@ def test_a_cell_without_a_profile_is_refused(configured: Any, hooks: Hooks) -> N
     recipe = make_recipe(bare, hooks)
     assert recipe.instrument is None
     with pytest.raises(ConfigError, match=r"cell.toml:\d+: instrument.profile: the cell names no"):
-        require_commissioned(bare, recipe)
+        require_commissioned(bare, recipe.instrument)
