@@ -34,8 +34,12 @@ TOUCH, LEAVE = 3, len(RASTER) - 2
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
-    """One cell for the tests that leave it as they found it."""
-    with cell(tmp_path_factory.mktemp("cell"), SMALL, "--seed", "5", "--speed", "20") as running:
+    """One cell for the tests that leave it as they found it.
+
+    Its spindle is patient: a test that is starved for a second falls silent, and would polish with a drive that stands.
+    """
+    patient = SMALL + "[spindle]\nwatchdog_s = 3.0\n"
+    with cell(tmp_path_factory.mktemp("cell"), patient, "--seed", "5", "--speed", "20") as running:
         yield running
 
 
@@ -182,8 +186,7 @@ def check_map(shared: Cell, path: Path) -> None:
     worn = truth["start_nm"] - truth["height_nm"]
     row, column = np.unravel_index(np.argmax(worn), worn.shape)
     assert abs(row - worn.shape[0] // 2) <= 2
-    # where the drive fell silent at one of the ends (a starved machine), the deepest place is on the way there
-    assert abs(abs(column - worn.shape[1] // 2) * 0.5 - 10.0) <= 3.0
+    assert abs(abs(column - worn.shape[1] // 2) * 0.5 - 10.0) <= 1.5
 
 
 def check_log(shared: Cell) -> None:
