@@ -362,6 +362,7 @@ def test_an_actuator_that_loses_power_presses_no_more(tmp_path: Path) -> None:
         end_pid(running.pids["actuator"], signal.SIGKILL)
         coil.close()
         wait_for(lambda: "lost" in running.events("lost"), "the loss in the log")
+        wait_for(lambda: not os.path.lexists(running.state / "actuator"), "its link to go with it")
         running.boot("actuator")
         coil = running.coil()
         assert coil.inputs()[0] == 0

@@ -88,7 +88,9 @@ def test_options_of_run_that_do_not_go_together(polishd: Polishd, cell: Path) ->
     assert "--correction is for the cell's own job" in polishd("run", cell, "--queue", "--correction", "none").err
 
 
-def test_a_queue_does_not_begin_with_an_instrument_that_nothing_proved(polishd: Polishd, cell: Path) -> None:
+def test_a_queue_does_not_begin_with_an_instrument_that_nothing_proved(
+    polishd: Polishd, cell: Path, tmp_path: Path
+) -> None:
     """Not once each part is refused by itself: the first of them would be put aside for it."""
     profile = cell.parent / "unproved.toml"
     profile.write_text((cell.parent / "instrument.toml").read_text().partition("[commissioned]")[0])
@@ -96,4 +98,5 @@ def test_a_queue_does_not_begin_with_an_instrument_that_nothing_proved(polishd: 
     refused = polishd("run", cell, "--queue", "--until-empty")
     assert refused.code == 3
     assert "never commissioned" in refused.err
-    assert not (cell.parent / "state").exists(), "nothing was opened"
+    assert str(tmp_path / "state") in cell.read_text()
+    assert not (tmp_path / "state").exists(), "nothing was opened"
