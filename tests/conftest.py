@@ -10,7 +10,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Generator, Iterator
 from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
 
@@ -22,6 +22,9 @@ from tests.kinds import mark_others_full
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "tests" / "data"
+
+# Of a log that is shown.
+LAST_LINES = 15
 
 # What is ending when the test ends may take this long to be gone.
 SETTLE_S = 10.0
@@ -72,6 +75,18 @@ class MeasuredMaps:
             if path.exists():
                 return path
         pytest.skip(f"{name} is not in tests/data, and there is no ../shared/data beside the project")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """A test that failed on a simulated cell tells how the cell's logs ended: its folder is soon gone."""
+    report = yield
+    folder = getattr(item, "funcargs", {}).get("tmp_path")
+    if report.when == "call" and report.failed and folder is not None:
+        for log in sorted((*folder.rglob("sim.log"), *folder.rglob("sim.stderr"))):
+            lines = log.read_text(errors="replace").splitlines()[-LAST_LINES:]
+            report.sections.append((str(log), "\n".join(lines)))
+    return report
 
 
 @pytest.fixture(scope="session")

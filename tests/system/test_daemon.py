@@ -134,8 +134,8 @@ def test_kill_9_leaves_the_tool_lifted_by_watchdogs_and_comes_up_held(tmp_path: 
         with Daemon(files) as daemon:
             daemon.wait_in_contact(20)
             daemon.end(signal.SIGKILL)
-        wait_for(lambda: events(files)[-1]["event"] in ("motion_stopped", "spindle_stopped"), "watchdogs")
         wait_for(lambda: {"watchdog"} & {e.get("detail") for e in events(files, "motion_stopped")}, "robot's watchdog")
+        wait_for(lambda: events(files, "spindle_fault"), "spindle's watchdog")
         require_safe_order(events(files))
         status = polishd("status", files.cell, "--json")
         told = json.loads(status.stdout)
