@@ -125,7 +125,7 @@ def _executed(acted: list[FloatArray], blocks: int) -> dict[str, FloatArray]:
         np.bincount(block, rows[:, 1] * weight, blocks) for weight in (np.ones(len(rows)), rows[:, 2], rows[:, 3])
     )
     some = np.where(contact > 0.0, contact, 1.0)
-    return {"contact_s": contact, "force_n": force / some, "rpm": rpm / some}
+    return {"contact_s": np.asarray(contact, np.float64), "force_n": force / some, "rpm": rpm / some}
 
 
 def _shifted(height_nm: FloatArray, by_px: tuple[int, int]) -> FloatArray:

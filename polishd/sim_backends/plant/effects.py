@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polishd.config.simulator import SimConfig
-from polishd.config.simulator_effects import Effects
+from polishd.config.simulator import Effects, SimConfig
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.truth import stream
 

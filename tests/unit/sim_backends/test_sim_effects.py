@@ -48,7 +48,7 @@ def spot(made: BatchPlant, x: float = 0.0, y: float = 0.0, seconds: float = 10.0
 def centroid(made: BatchPlant, removal: FloatArray) -> FloatArray:
     grid = made.world.part.grid
     along = np.array([(removal.sum(axis=0) * grid.x_mm).sum(), (removal.sum(axis=1) * grid.y_mm).sum()])
-    return along / removal.sum()
+    return np.asarray(along / removal.sum())
 
 
 def test_off_is_nothing_to_the_last_bit() -> None:
