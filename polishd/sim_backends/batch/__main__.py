@@ -8,7 +8,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from pydantic import ValidationError
 
-from polishd.model.errors import PolishdError
+from polishd.model.errors import BadRequestError, BrokenFrameError, PolishdError
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.batch import frames, plant
 
@@ -21,7 +21,7 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> int:
     while True:
         try:
             request = frames.read(requests)
-        except frames.BrokenFrameError as error:
+        except BrokenFrameError as error:
             frames.write(answers, {"error": str(error)})
             return 1
         if request is None:
@@ -36,16 +36,16 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> int:
             frames.write(answers, *answer)
         except ValidationError as error:
             frames.write(answers, {"error": "; ".join(f"{_key(one['loc'])}: {one['msg']}" for one in error.errors())})
-        except (frames.BadRequestError, PolishdError) as error:
+        except PolishdError as error:
             frames.write(answers, {"error": str(error)})
 
 
 def _answer(current: plant.BatchPlant | None, message: dict[str, Any], arrays: dict[str, FloatArray]) -> Answer:
     verb = message.get("do")
     if verb not in {"polish", "measure", "truth"}:
-        raise frames.BadRequestError(f"do: {verb!r} is none of new, polish, measure, truth")
+        raise BadRequestError(f"do: {verb!r} is none of new, polish, measure, truth")
     if current is None:
-        raise frames.BadRequestError(f"do: {verb} before there is a plant; send new first")
+        raise BadRequestError(f"do: {verb} before there is a plant; send new first")
     if verb == "polish":
         executed = current.polish(arrays)
         return {"done": verb, "now_s": current.now_s}, executed
@@ -54,7 +54,7 @@ def _answer(current: plant.BatchPlant | None, message: dict[str, Any], arrays: d
         return {"done": verb, **told}, figure
     wait_s, turn = _number(message, "wait_s"), _number(message, "rotation_deg")
     if wait_s < 0.0:
-        raise frames.BadRequestError(f"wait_s: {wait_s:g} is negative")
+        raise BadRequestError(f"wait_s: {wait_s:g} is negative")
     shift = (_whole(message, "shift_columns") or 0, _whole(message, "shift_rows") or 0)
     height = current.measure(wait_s, turn, shift)
     return {"done": verb, "now_s": current.now_s, "pitch_mm": current.world.part.grid.pitch_mm}, {"height_nm": height}
@@ -63,21 +63,21 @@ def _answer(current: plant.BatchPlant | None, message: dict[str, Any], arrays: d
 def _section(message: dict[str, Any], name: str) -> dict[str, Any]:
     value = message.get(name, {})
     if not isinstance(value, dict):
-        raise frames.BadRequestError(f"{name}: the sections of SIM.toml as an object, not {value!r}")
+        raise BadRequestError(f"{name}: the sections of SIM.toml as an object, not {value!r}")
     return value
 
 
 def _number(message: dict[str, Any], name: str) -> float:
     value = message.get(name, 0.0)
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise frames.BadRequestError(f"{name}: a finite number, not {value!r}")
+        raise BadRequestError(f"{name}: a finite number, not {value!r}")
     return float(value)
 
 
 def _whole(message: dict[str, Any], name: str) -> int | None:
     value = message.get(name)
     if value is not None and (isinstance(value, bool) or not isinstance(value, int)):
-        raise frames.BadRequestError(f"{name}: a whole number, not {value!r}")
+        raise BadRequestError(f"{name}: a whole number, not {value!r}")
     return value
 
 

@@ -9,18 +9,11 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from polishd.model.errors import BrokenFrameError
 from polishd.model.surface import FloatArray
 
 WIDTHS = {"f8": 8, "f4": 4}
 MOST_VALUES = 1 << 27
-
-
-class BadRequestError(Exception):
-    """A request that cannot be served; its message says what and where."""
-
-
-class BrokenFrameError(Exception):
-    """Where the next message begins is not known any more: the connection ends."""
 
 
 def read(stream: BinaryIO) -> tuple[dict[str, Any], dict[str, FloatArray]] | None:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from polishd.config.simulator import SimConfig
+from polishd.model.errors import BadRequestError
 from polishd.model.surface import FloatArray
 from polishd.sim_backends import truth
-from polishd.sim_backends.batch.frames import BadRequestError
 from polishd.sim_backends.interferometer import as_seen
 from polishd.sim_backends.plant import effects
 from polishd.sim_backends.plant import part as parts

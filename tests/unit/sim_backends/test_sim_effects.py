@@ -8,8 +8,8 @@ from pydantic import ValidationError
 
 from polishd.config.simulator import Plant, SimConfig, Truth
 from polishd.config.simulator_effects import Effects
+from polishd.model.errors import BadRequestError
 from polishd.model.surface import FloatArray
-from polishd.sim_backends.batch.frames import BadRequestError
 from polishd.sim_backends.batch.plant import BatchPlant
 from polishd.sim_backends.plant import effects
 
