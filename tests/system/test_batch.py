@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from polishd.model import frames
 from polishd.model.surface import FloatArray
-from polishd.sim_backends.batch import frames
 from tests.patience import SOON_S
 
 SMALL = {"plant": {"aperture_mm": 40.0, "rms_nm": 5.0, "pv_nm": 40.0, "seed": 4}}

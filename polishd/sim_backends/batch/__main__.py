@@ -8,9 +8,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from pydantic import ValidationError
 
+from polishd.model import frames
 from polishd.model.errors import BadRequestError, BrokenFrameError, PolishdError
 from polishd.model.surface import FloatArray
-from polishd.sim_backends.batch import frames, plant
+from polishd.sim_backends.batch import plant
 
 Answer = tuple[dict[str, Any], dict[str, FloatArray]]
 
