@@ -13,6 +13,7 @@ import numpy as np
 
 from polishd.config.cell import CellConfig, load_config
 from polishd.hooks.cell import plugins_of
+from polishd.hookspecs import RemovalAnswer, RemovalModel, RemovalRequest
 from polishd.model.cycle import Outcome
 from polishd.model.errors import ComputeError, PlanRefused, PolishdError
 from polishd.model.finding import Finding, Series, Shown
@@ -101,7 +102,8 @@ class ClosedLoop:
         self.passes = passes
         self._hooks = plugins_of(self.config)
         self._hooks.report.require()
-        self._recipe = make_recipe(self.config, self._hooks)
+        recipe = make_recipe(self.config, self._hooks)
+        self._recipe = replace(recipe, model=_remembering(recipe.model))
         self._program = self._raster() if raster else _timed_by_feeds(self.config, self._recipe)
 
     def _raster(self) -> Program:
@@ -212,6 +214,19 @@ class ClosedLoop:
         touched = np.where(acted["contact_s"] > 0.0, 1.0, np.nan)
         weight = relative_removal(recipe.process, acted["force_n"] * touched, acted["rpm"] * touched)
         return seconds, seconds * weight
+
+
+def _remembering(model: RemovalModel) -> RemovalModel:
+    """The same model, which keeps its last answer: a pass is solved, planned and learned from with one effect."""
+    last: list[tuple[tuple[Any, ...], RemovalAnswer]] = []
+
+    def effect(request: RemovalRequest) -> RemovalAnswer:
+        key = (request.grid, request.correction, request.rate, request.beliefs)  # a loop has one program
+        if not last or last[0][0] != key:
+            last[:] = [(key, model.effect(request))]
+        return last[0][1]
+
+    return replace(model, effect=effect)
 
 
 def _judge(surface: Measured, account: _Account, found: tuple[Finding, ...]) -> None:

@@ -6,7 +6,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any, BinaryIO, Self, cast
 
 from polishd.model import frames
 from polishd.model.errors import ComputeError
@@ -77,12 +77,9 @@ class PlantProcess:
     def _ask(
         self, request: Mapping[str, Any], arrays: Mapping[str, FloatArray] | None = None
     ) -> tuple[dict[str, Any], dict[str, FloatArray]]:
-        to, back = self._process.stdin, self._process.stdout
-        if to is None or back is None:
-            raise ComputeError("the plant's process has no pipes")
         try:
-            frames.write(to, request, arrays)
-            answer = frames.read(back)
+            frames.write(cast(BinaryIO, self._process.stdin), request, arrays)
+            answer = frames.read(cast(BinaryIO, self._process.stdout))
         except OSError:
             answer = None
         if answer is None:
