@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
@@ -12,7 +13,7 @@ from pydantic import PrivateAttr, ValidationError
 from polishd.config.places import Source, problems
 from polishd.config.values import Section
 from polishd.files import toml_text
-from polishd.model.errors import ConfigError
+from polishd.model.errors import ConfigError, PolishdError
 
 
 class Document(Section):
@@ -49,6 +50,16 @@ class Document(Section):
     def error(self, key: str, problem: str) -> ConfigError:
         """A ConfigError about a dotted key, with its place: for checks that need more than this file."""
         return ConfigError(self._source.error(tuple(key.split(".")), problem))
+
+    @contextmanager
+    def blame(self, key: str) -> Iterator[None]:
+        """What cannot be computed in this block is the file's fault, and is said with the place of this dotted key."""
+        try:
+            yield
+        except ConfigError:
+            raise
+        except PolishdError as error:
+            raise self.error(key, str(error)) from error
 
 
 def parse_toml(path: Path) -> tuple[dict[str, Any], Source]:

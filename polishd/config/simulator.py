@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from polishd.config.document import Document, parse_toml
 from polishd.config.process import HybridSection, KinematicsSection
 from polishd.config.robots import robot_of
+from polishd.config.simulator_effects import Effects
 from polishd.config.simulator_faults import FRAMES, STATES, Fault
 from polishd.config.simulator_plant import CLOSEST, Contact, Plant, Truth
 from polishd.config.tables import read_tif
@@ -266,6 +267,7 @@ class SimConfig(Document):
 
     plant: Plant = Plant()
     truth: Truth = Truth()
+    effects: Effects = Effects()
     process: Contact = Contact()
     kinematics: KinematicsSection = HybridSection()
     robot: Robot = Robot()

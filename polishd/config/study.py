@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from polishd.config.document import parse_toml
+from polishd.config.loop_study import LoopStudy
 from polishd.config.physics import PartDocument, ProcessDocument
 from polishd.config.places import did_you_mean, listed
 from polishd.config.values import (
@@ -26,7 +26,7 @@ from polishd.config.values import (
     Speed,
     Text,
 )
-from polishd.model.errors import ConfigError, PolishdError
+from polishd.model.errors import ConfigError
 from polishd.model.outline import Outline
 
 MOST_SAMPLES = 1_000_000
@@ -90,16 +90,6 @@ class StudyFile(ProcessDocument):
         for key in ("removal_model", "correction", "tif"):
             if key in self.process.model_fields_set:
                 yield f"process.{key}", "a study has its own corrections, and its spot is the modelled one"
-
-    @contextmanager
-    def blame(self, key: str) -> Iterator[None]:
-        """What cannot be computed in this block is the file's fault, and is said with the place of this dotted key."""
-        try:
-            yield
-        except ConfigError:
-            raise
-        except PolishdError as error:
-            raise self.error(key, str(error)) from error
 
 
 class PartStudy(StudyFile, PartDocument):
@@ -182,8 +172,13 @@ class SpotsStudy(StudyFile):
     """The spots by name, each a table `[spots.NAME]`."""
 
 
-Study = CorrectionsStudy | SpotsStudy | PassesStudy
-KINDS: dict[str, type[Study]] = {"corrections": CorrectionsStudy, "spots": SpotsStudy, "passes": PassesStudy}
+Study = CorrectionsStudy | SpotsStudy | PassesStudy | LoopStudy
+KINDS: dict[str, type[Study]] = {
+    "corrections": CorrectionsStudy,
+    "spots": SpotsStudy,
+    "passes": PassesStudy,
+    "loop": LoopStudy,
+}
 
 
 def load_study(path: Path) -> Study:

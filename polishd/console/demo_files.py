@@ -15,23 +15,9 @@ import numpy as np
 from polishd.config.cell import CellConfig, load_config
 from polishd.hooks.loader import load_own
 from polishd.model.errors import BadMap
-from polishd.model.surface import FloatArray
-from polishd.plugins.rnc_robot.make import path_program
-from polishd.process import contact
-from polishd.process.compliance import depth_ratio
-from polishd.process.path_compliance import compliance_at
-from polishd.process.paths.apertures import over_outline
-from polishd.process.paths.raster import quiet_step_mm, raster
-from polishd.process.paths.wrist import tool_axes
 from polishd.recipe.files import read_map
+from polishd.workbench.programs.own_raster import own_program
 
-RASTER_MM = 1.0
-"""Length of a block, and most distance of the lines: the step that leaves no ripple is a little less."""
-OVERRUN_MM = 1.0
-"""How far the raster is larger than the part: its turns, where the machine stops, lie on the ring around it."""
-LANDING_MM = 6.0
-"""How far outside the part the tool lands, on the ring that the part sits in."""
-FEED_MM_MIN = 900.0
 SURFACE_PERIOD_MM = 7.0
 """Twice the spot's diameter: no dwell reaches shorter periods."""
 
@@ -87,42 +73,7 @@ def write_demo(out: Path, surface: Path | None, tolerance_nm: float, cycles: int
 
 def demo_program(config: CellConfig) -> bytes:
     """A boustrophedon raster over the clear aperture and a little more, as RNC text."""
-    name = f"polishd demo raster over {config.outline()}"
-    return path_program(*demo_path(config), FEED_MM_MIN, name)
-
-
-def demo_path(config: CellConfig, dwells_mm: float | None = None) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) points of that raster, mm, and the tool axes there.
-
-    ``dwells_mm``: most distance of the points where each has a dwell: they are then quiet along the lines, too.
-    """
-    covered = over_outline(config.outline()).larger(OVERRUN_MM)
-    step = quiet_step_mm(_contact_radius_mm(config), dwells_mm or RASTER_MM)
-    along = step if dwells_mm else RASTER_MM
-    points = raster(covered, step, along, optic=config.optic(), landing_mm=LANDING_MM - OVERRUN_MM)
-    return points, _axes(config, points)
-
-
-def _axes(config: CellConfig, points_mm: FloatArray) -> FloatArray:
-    """(n, 3) tool axes in the part's frame, dipped as the cell dips."""
-    return tool_axes(points_mm, config.optic(), config.process.dip_deg, config.compliance_options(), config.placement())
-
-
-def _contact_radius_mm(config: CellConfig) -> float:
-    """Radius of the contact that acts at the part's centre."""
-    centre, process = np.zeros((1, 3)), config.tool_process()
-    found = compliance_at(
-        centre,
-        _axes(config, centre),
-        process,
-        config.robot_model(),
-        config.placement(),
-        options=config.compliance_options(),
-        optic=config.optic(),
-    )
-    depth = contact.hertz_depth_mm(process)
-    gamma = depth_ratio(found.compliance_mm_per_n, process, depth)
-    return float(contact.contact_radius_mm(process, gamma * depth)[0])
+    return own_program(config, f"polishd demo raster over {config.outline()}")
 
 
 def aperture_of(surface: Path) -> float:

@@ -27,14 +27,13 @@ from polishd.model.tolerance import holds
 from polishd.process.conditioning import Masks
 from polishd.process.contact import relative_removal
 from polishd.process.executed import executed_s
+from polishd.process.findings import diverged
 from polishd.process.registration.record import Registration
 from polishd.recipe import dwell_step, steps
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved, Taught, figures, tolerated_nm
 
-DIVERGED_RATIO, DIVERGED_NM = 1.3, 1.0
-"""A surface that is worse than the best one so far by this ratio, and by more than noise and ripple, ends the job."""
 PROGRESS_BLOCKS = 50
 """Blocks between two progress events."""
 
@@ -132,10 +131,7 @@ class Job:
         torn = [record.cycle for record in self.journal.passes if record.how != "done"]
         since = max(torn, default=-1)  # a pass that was torn off leaves a step, which is nobody's divergence
         earlier = [tolerated_nm(record.stats) for record in self.journal.history[:-1] if record.cycle > since]
-        if not earlier:
-            return False
-        best = min(earlier)
-        return surface.figure_nm > max(DIVERGED_RATIO * best, best + DIVERGED_NM)
+        return diverged(earlier, surface.figure_nm)
 
     # learn, solve, plan
 

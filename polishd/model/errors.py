@@ -172,3 +172,11 @@ class WrongSeat(HandlingError):
 
 class SeatNotLeft(WrongSeat):
     """A touch-off found no part, and the robot stands there still."""
+
+
+class BadRequestError(PolishdError):
+    """A request to the batch plant that cannot be served."""
+
+
+class BrokenFrameError(PolishdError):
+    """Where the next message to the batch plant begins is not known any more: the connection ends."""

@@ -24,6 +24,14 @@ BY_REACH = 0.5
 """Share of what is left that the spot must be able to correct, for more passes to be worth a thought."""
 BY_WEAR = 0.5
 """Share of a fall that what was lost within the passes must make, for the fall to be wear."""
+DIVERGED_RATIO, DIVERGED_NM = 1.3, 1.0
+"""A surface that is worse than the best one so far by this ratio, and by more than noise and ripple, ends the job."""
+
+
+def diverged(earlier_nm: Sequence[float], now_nm: float) -> bool:
+    """Whether a surface is clearly worse than it has been: RMS of the earlier measurements, and of this one."""
+    best = min(earlier_nm, default=math.inf)
+    return now_nm > max(DIVERGED_RATIO * best, best + DIVERGED_NM)
 
 
 def followed(series: Series, shown: Shown) -> Series:

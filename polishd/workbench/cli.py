@@ -11,8 +11,9 @@ from typer import Argument, Option
 from polishd.workbench.calibration.cli import app as calibrations
 from polishd.workbench.devices.cli import app as devices
 from polishd.workbench.maps.cli import app as maps
-from polishd.workbench.options import Cell, Json, Picture
+from polishd.workbench.options import Cell, Json, Picture, spread
 from polishd.workbench.programs.cli import app as programs
+from polishd.workbench.studies.options import StudyOptions
 
 app = typer.Typer(help="Maps, programs, calibration, physics and studies.", no_args_is_help=True)
 app.add_typer(calibrations, name="calibrate", no_args_is_help=True)
@@ -48,12 +49,9 @@ def compliance(
 
 
 @app.command()
-def study(
-    file: Annotated[Path, Argument(metavar="STUDY.toml")],
-    out: Annotated[Path | None, Option(metavar="DIR", help="Folder for pictures and tables.")] = None,
-    as_json: Json = False,
-) -> None:
-    """A simulation without a cell: corrections compared, spots of a table, passes of equal dwell."""
+@spread
+def study(file: Annotated[Path, Argument(metavar="STUDY.toml")], asked: StudyOptions, as_json: Json = False) -> None:
+    """A simulation without a cell: corrections compared, spots, passes of equal dwell, whole jobs in a closed loop."""
     from polishd.workbench.studies.verb import study_verb
 
-    study_verb(file, out, as_json=as_json)
+    study_verb(file, asked, as_json=as_json)

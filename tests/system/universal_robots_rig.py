@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from polishd.config.cell import CellConfig
-from polishd.console.demo_files import DemoFiles, demo_path, free_port
+from polishd.console.demo_files import DemoFiles, free_port
 from polishd.console.simulator import simulated_cell
 from polishd.plugins.rnc_robot.make import path_program
 from polishd.process.frames import angles_from_axis
 from polishd.sim_backends.universal_robots.turning import from_wrist, to_vector
+from polishd.workbench.programs.own_raster import own_path
 from tests.system.cell_rig import with_faults, with_keys, with_part, write_small
 
 PART = {"aperture_mm": 14.0, "edge_mm": 1.0}
@@ -54,12 +55,12 @@ def take(files: DemoFiles, *, watchdog_s: float = 20.0, cut_s: float = 0.0, cycl
 
 def nc(config: CellConfig) -> bytes:
     """As NC text, for another robot."""
-    return path_program(*demo_path(config, POINTS_MM), FEED_MM_S * 60.0, "dwells", encoding="dwell", dwell_s=DWELL_S)
+    return path_program(*own_path(config, POINTS_MM), FEED_MM_S * 60.0, "dwells", encoding="dwell", dwell_s=DWELL_S)
 
 
 def script(config: CellConfig) -> bytes:
     """As URScript: over the first point, down, a dwell behind each move, up."""
-    points, axes = demo_path(config, POINTS_MM)
+    points, axes = own_path(config, POINTS_MM)
     vectors = [to_vector(from_wrist(float(a), float(c))) for a, c in np.stack(angles_from_axis(axes), axis=1)]
     moves = [_movel(point, turn) for point, turn in zip(points, vectors, strict=True)]
     above, over = ([*points[at][:2], points[at][2] + SAFE_Z_MM] for at in (0, -1))

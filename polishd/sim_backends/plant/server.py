@@ -16,6 +16,7 @@ import numpy as np
 
 from polishd.model.surface import FloatArray
 from polishd.sim_backends import bus, truth
+from polishd.sim_backends.plant import effects
 from polishd.sim_backends.plant import part as parts
 from polishd.sim_backends.plant.timeline import Timeline
 from polishd.sim_backends.plant.witness import Witness
@@ -229,13 +230,15 @@ def build(start: Start) -> PlantServer:
     hidden = truth.draw(config.truth, start.seed, config.robot_model())
     part = parts.from_map(start.surface, config.plant) if start.surface else parts.make(config.plant, start.seed)
     rng = truth.stream(start.seed, "plant")
-    world = World(config, hidden, part, rng, config.robot.home, time.monotonic())
+    drawn = effects.draw(config, start.seed)
+    world = World(config, hidden, part, rng, config.robot.home, time.monotonic(), effects=drawn)
     log = start.state / "sim.log"
     log.unlink(missing_ok=True)
     rms, pv = part.stats()
     witness = Witness(log)
     witness.add("plant", "boot", time.monotonic(), seed=start.seed, true_rms_nm=round(rms, 4), true_pv_nm=round(pv, 4))
-    replace(start.state / "truth.json", json.dumps(asdict(hidden), indent=1, default=np.ndarray.tolist).encode())
+    told = {**asdict(hidden), "effects": asdict(drawn)}
+    replace(start.state / "truth.json", json.dumps(told, indent=1, default=np.ndarray.tolist).encode())
     return PlantServer(start, world, witness, seat=config.plant.part_id)
 
 

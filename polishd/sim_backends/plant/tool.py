@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from polishd.model.process import ToolProcess
 from polishd.model.robot import RobotModel
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.placement import Frames
+from polishd.sim_backends.plant.effects import Drawn
 from polishd.sim_backends.plant.giving import Giving, giving
 from polishd.sim_backends.plant.measured import MeasuredStamp
 from polishd.sim_backends.plant.part import TruePart
@@ -37,13 +38,14 @@ class Tool:
     giving: Giving
     stamp: MeasuredStamp | None
     """What it removes, where that was measured."""
+    effects: Drawn = field(default_factory=Drawn)
 
     @classmethod
-    def of(cls, config: SimConfig, robot: RobotModel) -> Tool:
+    def of(cls, config: SimConfig, robot: RobotModel, effects: Drawn) -> Tool:
         """As SIM.toml has it, on the robot as it truly is; ConfigError where its TIF cannot be read."""
         process, tif = config.process.tool(), config.measured_tif()
         stamp = None if tif is None else MeasuredStamp(tif, process)
-        return cls(process, giving(robot, config.process.projection), stamp)
+        return cls(process, giving(robot, config.process.projection), stamp, effects)
 
     def wear(
         self,
@@ -60,9 +62,10 @@ class Tool:
         axis = local.levelled(touches.axis)
         tips, axes = frames.in_base(touches.place_mm, touches.axis)
         compliance = self.giving(tips, axes, local.normal @ frames.to_base.T)
+        compliance *= self.effects.compliance * self.effects.eq_44
         radius = contact_radius_mm(self.process, local.curvature_per_mm)
         depth = worn_depth_mm(self.process, force_n, axis, compliance, radius)
-        centre = touches.place_mm[:, :2] + self._offset_mm(axis, local)
+        centre = touches.place_mm[:, :2] + self._offset_mm(axis, local) - np.array(self.effects.seat_mm)
         at = {"centre_mm": centre, "axis": axis, "depth_mm": depth, "stretch": local.stretch}
         if self.stamp is not None:
             self.stamp.wear(part.height_nm, part.grid, turns=rpm * seconds, **at)
@@ -71,7 +74,10 @@ class Tool:
 
     def _offset_mm(self, axis: FloatArray, local: Local) -> FloatArray:
         """(n, 2) from the tool's tip to the spot's centre, in the part's x and y."""
-        across, along = self.process.spot_offset_mm
+        off = self.effects
+        on_tool = (0.0, 0.0) if off.spot_on_part else off.spot_mm
+        across, along = np.add(self.process.spot_offset_mm, on_tool)
         lean = axis[:, :2] / np.maximum(np.hypot(axis[:, 0], axis[:, 1]), 1e-12)[:, None]
         offset = across * np.column_stack([lean[:, 1], -lean[:, 0]]) + along * lean
-        return np.asarray(np.linalg.solve(local.stretch, offset[:, :, None])[:, :, 0])
+        on_part = np.array(off.spot_mm if off.spot_on_part else (0.0, 0.0))
+        return np.asarray(np.linalg.solve(local.stretch, offset[:, :, None])[:, :, 0] + on_part)

@@ -13,6 +13,7 @@ from polishd.model.surface import BoolArray, FloatArray
 from polishd.sim_backends.bus import ROW
 from polishd.sim_backends.placement import Frames
 from polishd.sim_backends.plant.account import Account, WayOut
+from polishd.sim_backends.plant.effects import Drawn
 from polishd.sim_backends.plant.part import TruePart
 from polishd.sim_backends.plant.shape import Local, Shape
 from polishd.sim_backends.plant.timeline import Timeline
@@ -43,7 +44,12 @@ class World:
     force: Timeline = field(default_factory=Timeline)
     rpm: Timeline = field(default_factory=Timeline)
     account: Account = field(default_factory=Account)
+    effects: Drawn = field(default_factory=Drawn)
     process_s: float = 0.0
+    contact_s: float = 0.0
+    """Process time that the tool has polished: what wears and warms it."""
+    acted: list[FloatArray] | None = None
+    """Where kept: (n, 4) block, seconds, N and rpm of each stretch of contact, as they truly acted."""
     polished_s: float = -math.inf
     """Wall time of the last contact of a tool that turned."""
     _queue: list[tuple[str, FloatArray]] = field(default_factory=list)
@@ -55,7 +61,7 @@ class World:
     def __post_init__(self) -> None:
         """Fix the frames, the tool and the optic."""
         self._frames, self._shape = Frames(self.config.plant), Shape(self.config.plant)
-        self._tool = Tool.of(self.config, self.hidden.robot)
+        self._tool = Tool.of(self.config, self.hidden.robot, self.effects)
 
     def move(self, rows: FloatArray) -> None:
         """Take motion as the robot reports it (``bus.ROW``); time before it that no row covers was standstill."""
@@ -135,6 +141,10 @@ class World:
         rows, force, place, axis, begin = (v[touching] for v in (rows, force, place, axis, begin))
         force = force * (1.0 + self._force_noise(rows[:, DT]))
         rpm = np.abs(self.rpm.at(middle[touching]))
+        turning = np.where(rpm > 0.0, rows[:, DT], 0.0)
+        worked = self.contact_s + np.cumsum(turning) - turning / 2.0
+        self.contact_s += float(turning.sum())
+        rpm = rpm * self.effects.speed(worked)
         if rpm.any():
             self.polished_s = float(rows[-1, WALL1])
         before = None if self.account.way_out is None else self.part.height_nm.copy()
@@ -144,8 +154,13 @@ class World:
             self._frames,
             force_n=force,
             rpm=rpm,
-            seconds=rows[:, DT] * (1.0 - self.config.truth.worn) * np.array([self.hidden.rate_at(t) for t in begin]),
+            seconds=rows[:, DT]
+            * (1.0 - self.config.truth.worn)
+            * np.array([self.hidden.rate_at(t) for t in begin])
+            * self.effects.rate(place, worked),
         )
+        if self.acted is not None:
+            self.acted.append(np.column_stack([rows[:, SEQ], rows[:, DT], force, rpm]))
         self._book(program, rows, place, np.stack([force, rpm], axis=1))
         if before is not None:
             self._book_way_out(rows, before - self.part.height_nm)

@@ -25,10 +25,14 @@ from polishd.show.style import (
     ruled,
 )
 from polishd.workbench.studies.corrections import PLANTS, Comparison, Row
+from polishd.workbench.studies.loops import Looped
 from polishd.workbench.studies.passes import Passes
 from polishd.workbench.studies.spots import READINGS, SpotRow
 
 Draw = Callable[[], bytes]
+PANELS = 4
+"""Side by side."""
+LOOP_COLOURS = (BLUE, ORANGE, GREEN, MUTED, "#cc79a7", "#e69f00")
 COLOURS = (MUTED, BLUE, GREEN, "#cc79a7", "#e69f00", ORANGE)
 
 
@@ -49,6 +53,11 @@ def of_spots(rows: Sequence[SpotRow]) -> Mapping[str, Draw]:
 def of_passes(passes: Passes) -> Mapping[str, Draw]:
     """Gamma and removal side by side, and one against the other."""
     return {"passes.png": _drawn(_passes, passes)}
+
+
+def of_loops(looped: Looped) -> Mapping[str, Draw]:
+    """True RMS over the passes, a panel each scenario, a colour each loop."""
+    return {"loops.png": _drawn(_loops, looped)}
 
 
 def _drawn(draw: Callable[..., Figure], *what: object) -> Draw:
@@ -152,3 +161,30 @@ def _map(ax: Axes, grid: Grid, values: FloatArray, title: str, unit: str = "", *
     bar = ax.figure.colorbar(image, ax=[ax], shrink=0.8, aspect=24, pad=0.02)
     bar.set_label(unit)
     bar.outline.set_visible(False)
+
+
+def _loops(looped: Looped) -> Figure:
+    """The part's own RMS at each map: medians, and each job as a thin line."""
+    scenarios = list(dict.fromkeys(run.scenario for run in looped.runs))
+    loops = list(dict.fromkeys(run.loop for run in looped.runs))
+    rows = -(-len(scenarios) // PANELS)
+    page = figure(11.0, 2.6 * rows + 0.6)
+    panels = page.subplots(rows, PANELS, sharex=True, sharey=True, squeeze=False).ravel()
+    for panel in panels[len(scenarios) :]:
+        panel.set_visible(False)
+    for panel, scenario in zip(panels, scenarios, strict=False):
+        panel.set_title(scenario, fontsize=9)
+        for colour, loop in zip(LOOP_COLOURS, loops, strict=False):
+            mine = [run.true_rms_nm for run in looped.runs if (run.scenario, run.loop) == (scenario, loop)]
+            for rms in mine:
+                panel.plot(rms, color=colour, alpha=0.2, lw=0.6)
+            longest = max((len(rms) for rms in mine), default=0)
+            middle = [np.median([rms[min(k, len(rms) - 1)] for rms in mine if rms]) for k in range(longest)]
+            panel.plot(middle, color=colour, lw=1.6, label=loop)
+        panel.set_yscale("log")
+    for panel in panels[::PANELS]:
+        panel.set_ylabel("true RMS nm")
+    for panel in panels[-PANELS:]:
+        panel.set_xlabel("passes")
+    panels[0].legend(fontsize=8)
+    return page

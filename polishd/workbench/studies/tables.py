@@ -7,10 +7,12 @@ from rich.table import Table
 from polishd.config.study import PassesStudy, SpotsStudy
 from polishd.show.tables import figure_table, key_table
 from polishd.workbench.studies.corrections import PLANTS, Comparison, Row, tie_words
+from polishd.workbench.studies.loops import Looped, LoopRow
 from polishd.workbench.studies.paper import DIVERGENCE_BASE, TABLE_IV, TABLE_IV_RATIO
 from polishd.workbench.studies.passes import Passes
 from polishd.workbench.studies.spots import READINGS, SpotRow, shape_words
 
+MOST_NOTES = 12
 PLANT_WORDS = {"eq49": "plant eq. 49: R0 diag(gamma)", "depth": "plant depth: each point's spot at its own depth"}
 
 
@@ -110,3 +112,37 @@ def passes_table(study: PassesStudy, passes: Passes) -> Table:
         ("slope of log removal on log gamma", f"{passes.slope:.4f} (Hertz 1.5; eq. 48-49 take it for 1)"),
     ]
     return key_table(f"{study.title}: equal dwell", rows)
+
+
+def loop_table(title: str, looped: Looped) -> Table:
+    """One row a scenario and loop."""
+    columns = ("scenario", "loop", "jobs", "accepted", "passes", "after pass 1 nm", "true RMS nm")
+    return figure_table(title, (*columns, "falsely", "named rightly", "CPU s"), map(_loop_cells, looped.rows))
+
+
+def _loop_cells(row: LoopRow) -> list[str]:
+    return [
+        row.scenario,
+        row.loop,
+        str(row.runs),
+        str(row.accepted),
+        "not reached" if row.passes_median is None else f"{row.passes_median:g}",
+        "" if row.first_pass_nm_median is None else f"{row.first_pass_nm_median:.2f}",
+        f"{row.true_rms_nm_median:.2f}",
+        str(row.false_accepts),
+        str(row.named_rightly),
+        f"{row.cpu_s_median:.1f}",
+    ]
+
+
+def loop_notes(looped: Looped) -> list[str]:
+    """What the columns mean, and what stopped loops said."""
+    stopped = {f"{run.scenario}, {run.loop}, seed {run.seed}: {run.why}": None for run in looped.runs if run.why}
+    told = list(stopped)[:MOST_NOTES]
+    more = [f"... and {len(stopped) - len(told)} more that were stopped"] if len(stopped) > len(told) else []
+    return [
+        "passes, RMS and CPU are medians; passes count to tolerance, true RMS is the part's own at the job's end",
+        "falsely: accepted, and the part itself is out of tolerance; named rightly: what is wrong, and nothing else",
+        *told,
+        *more,
+    ]

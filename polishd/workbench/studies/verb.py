@@ -11,7 +11,8 @@ from typing import Any
 import typer
 from rich.table import Table
 
-from polishd.config.study import CorrectionsStudy, SpotsStudy, Study, load_study
+from polishd.config.loop_study import LoopStudy
+from polishd.config.study import CorrectionsStudy, PassesStudy, SpotsStudy, Study, load_study
 from polishd.files import require_writable, write_atomic
 from polishd.hooks.loader import load_own
 from polishd.model.errors import ConfigError
@@ -21,6 +22,8 @@ from polishd.recipe.files import read_map
 from polishd.show.tables import stderr, stdout
 from polishd.workbench.studies import pictures, tables
 from polishd.workbench.studies.corrections import Tell, compare_corrections
+from polishd.workbench.studies.loops import run_loops
+from polishd.workbench.studies.options import StudyOptions
 from polishd.workbench.studies.passes import polish_evenly
 from polishd.workbench.studies.spots import compute_spots
 
@@ -38,13 +41,16 @@ class Answer:
     """By file name."""
 
 
-def study_verb(study: Path, out: Path | None, *, as_json: bool) -> None:
+def study_verb(study: Path, options: StudyOptions, *, as_json: bool) -> None:
     """Run a study: a JSON list or tables on stdout, pictures and ``table.json`` in ``out``. ConfigError."""
-    loaded = load_study(study)
+    loaded, out = load_study(study), options.out
+    for name in ("limit", "jobs"):
+        if getattr(options, name) is not None and not isinstance(loaded, LoopStudy):
+            raise typer.BadParameter(f'--{name} goes with a study of kind = "loop"; leave it out')
     if out is not None:
         _make_folder(out)
     with stderr.status("reading") as status:
-        answer = _answer(loaded, lambda words: status.update(f"{loaded.title}: {words}"))
+        answer = _answer(loaded, options, lambda words: status.update(f"{loaded.title}: {words}"))
         if out is not None:
             status.update(f"{loaded.title}: drawing")
             _write(out, answer)
@@ -59,7 +65,7 @@ def study_verb(study: Path, out: Path | None, *, as_json: bool) -> None:
         stdout.print(f"written to {out}: {', '.join([TABLE, *answer.pictures])}", markup=False, soft_wrap=True)
 
 
-def _answer(study: Study, tell: Tell) -> Answer:
+def _answer(study: Study, options: StudyOptions, tell: Tell) -> Answer:
     if isinstance(study, CorrectionsStudy):
         compared = compare_corrections(study, _read, tell)
         rows = [facts_of(row) for row in compared.rows]
@@ -69,6 +75,14 @@ def _answer(study: Study, tell: Tell) -> Answer:
         spots = compute_spots(study, tell)
         shown = tables.spot_tables(study, spots)
         return Answer([row.as_json() for row in spots], shown, tables.spot_notes(spots), pictures.of_spots(spots))
+    if isinstance(study, PassesStudy):
+        return _of_passes(study, tell)
+    looped = run_loops(study, tell, seeds=options.limit, jobs=options.jobs)
+    shown = [tables.loop_table(study.title, looped)]
+    return Answer(looped.as_json(), shown, tables.loop_notes(looped), pictures.of_loops(looped))
+
+
+def _of_passes(study: PassesStudy, tell: Tell) -> Answer:
     polished = polish_evenly(study, tell)
     shown = [tables.passes_table(study, polished)]
     return Answer([polished.as_json()], shown, list(polished.notes), pictures.of_passes(polished))

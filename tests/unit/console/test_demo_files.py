@@ -12,9 +12,6 @@ import pytest
 
 from polishd.config.cell import CellConfig, load_config
 from polishd.console.demo_files import (
-    LANDING_MM,
-    OVERRUN_MM,
-    RASTER_MM,
     SURFACE_PERIOD_MM,
     DemoFiles,
     aperture_of,
@@ -29,6 +26,7 @@ from polishd.model.program import Program
 from polishd.recipe import steps
 from polishd.recipe.making import make_recipe
 from polishd.sim_backends.metropro import DatMap, pack
+from polishd.workbench.programs.own_raster import LANDING_MM, OVERRUN_MM, RASTER_MM
 from tests.rs274 import read
 
 TEMPLATE = """# top

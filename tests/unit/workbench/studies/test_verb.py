@@ -11,6 +11,7 @@ import pytest
 from polishd.config.study import PassesStudy, load_study
 from polishd.model.errors import ConfigError
 from polishd.show.tables import stdout
+from polishd.workbench.studies.options import StudyOptions
 from polishd.workbench.studies.passes import polish_evenly
 from polishd.workbench.studies.tables import passes_table
 from polishd.workbench.studies.verb import study_verb
@@ -31,7 +32,7 @@ def few_passes(tmp_path: Path) -> Path:
 
 
 def test_corrections_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    study_verb(small(tmp_path), None, as_json=True)
+    study_verb(small(tmp_path), StudyOptions(), as_json=True)
     printed = capsys.readouterr()
     rows = json.loads(printed.out)
     corrections = ["none", "calibrated", "pointwise", "linear", "power", "exact"]
@@ -46,7 +47,7 @@ def test_corrections_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 @pytest.mark.full
 def test_corrections_for_people(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    study_verb(small(tmp_path), out, as_json=False)
+    study_verb(small(tmp_path), StudyOptions(out=out), as_json=False)
     said = capsys.readouterr().out
     assert "plant eq. 49: R0 diag(gamma)" in said
     assert "plant depth: each point's spot at its own depth" in said
@@ -63,7 +64,7 @@ def test_corrections_for_people(tmp_path: Path, capsys: pytest.CaptureFixture[st
 @pytest.mark.full
 def test_out_gets_pictures_and_the_same_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "deep" / "out"
-    study_verb(small(tmp_path), out, as_json=True)
+    study_verb(small(tmp_path), StudyOptions(out=out), as_json=True)
     pictures = {"setting.png", "residuals_eq49.png", "residuals_depth.png", "psd.png"}
     assert {path.name for path in out.iterdir()} == {*pictures, "table.json"}
     assert all((out / name).read_bytes().startswith(PNG) for name in pictures)
@@ -71,7 +72,7 @@ def test_out_gets_pictures_and_the_same_table(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_spots_as_json_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    study_verb(TABLE_III, tmp_path, as_json=True)
+    study_verb(TABLE_III, StudyOptions(out=tmp_path), as_json=True)
     rows = json.loads(capsys.readouterr().out)
     assert [row["name"] for row in rows if row["size_is"] == "radius"] == list("123456")
     assert rows[0]["paper_jsd"] == 0.298
@@ -79,7 +80,7 @@ def test_spots_as_json_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 def test_spots_for_people(capsys: pytest.CaptureFixture[str]) -> None:
-    study_verb(TABLE_III, None, as_json=False)
+    study_verb(TABLE_III, StudyOptions(), as_json=False)
     said = capsys.readouterr().out
     assert "size = radius: no x profile is M-shaped; it needs (R - d) tan(dip) < a" in said
     assert "log base 2" in said
@@ -89,11 +90,11 @@ def test_spots_for_people(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_passes_as_json_and_for_people(few_passes: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    study_verb(few_passes, None, as_json=True)
+    study_verb(few_passes, StudyOptions(), as_json=True)
     (row,) = json.loads(capsys.readouterr().out)
     assert row["passes"] == 10
     assert row["slope"] == pytest.approx(1.5, abs=0.05)
-    study_verb(few_passes, few_passes.parent / "out", as_json=False)
+    study_verb(few_passes, StudyOptions(out=few_passes.parent / "out"), as_json=False)
     said = capsys.readouterr().out
     assert f"PV {row['pv_nm']:.3f} nm" in said
     assert f"{row['slope']:.4f} (Hertz 1.5; eq. 48-49 take it for 1)" in said
@@ -116,7 +117,7 @@ def test_a_map_is_read_by_the_cells_own_readers(tmp_path: Path, capsys: pytest.C
         if content is not None:
             (tmp_path / "map.dat").write_bytes(content)
         with pytest.raises(ConfigError) as caught:
-            study_verb(path, None, as_json=True)
+            study_verb(path, StudyOptions(), as_json=True)
         said = str(caught.value)
         assert said.startswith(f"{path}:{line_of(path, 'file')}: surface.file: ")
         assert says in said
@@ -140,7 +141,7 @@ def test_an_error_is_one_line_with_its_place(tmp_path: Path, change: tuple[str, 
     path = small(tmp_path, change)
     out = tmp_path / "out"
     with pytest.raises(ConfigError) as caught:
-        study_verb(path, out, as_json=True)
+        study_verb(path, StudyOptions(out=out), as_json=True)
     said = str(caught.value)
     assert said.startswith(f"{path}:")
     assert says in said
@@ -152,4 +153,4 @@ def test_a_folder_that_cannot_be_made_is_said_before_anything_is_computed(tmp_pa
     taken = tmp_path / "taken"
     taken.write_text("a file")
     with pytest.raises(ConfigError, match=r"taken: cannot be made: File exists; name a folder with --out"):
-        study_verb(TABLE_IV, taken, as_json=True)
+        study_verb(TABLE_IV, StudyOptions(out=taken), as_json=True)

@@ -1,0 +1,70 @@
+"""A study of whole jobs against simulated plants, and the files of what may be wrong with one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from polishd.config.document import Document, parse_toml
+from polishd.config.values import Name, Text, Texts
+
+AS_IT_IS = "nothing"
+"""The scenario of a plant as its file has it."""
+
+
+class Scenario(Document):
+    """What is wrong with a plant: sections of SIM.toml that are laid over the study's."""
+
+    what: Text
+    """What is wrong, in words."""
+    named: Texts = ()
+    """What the loop may rightly say of it: kinds of findings, or of the gate's explanations; none: nothing."""
+    plant: Mapping[str, Mapping[str, Any]] = {}
+    """By section of SIM.toml, the keys that differ: `[plant.effects]`."""
+
+
+class LoopStudy(Document):
+    """Jobs in a closed loop: measured, solved, executed by a plant with its errors, and learned from."""
+
+    kind: Literal["loop"]
+    title: Text
+    """What the tables and pictures are headed with."""
+    cell: Text = "cell.toml"
+    """The cell's file: part, program, process, tolerance."""
+    plant: Text = "sim.toml"
+    """The plant's, as the simulator reads it."""
+    scenarios: Texts = ()
+    """Files of scenarios, or folders of them; none: the plant as its file has it."""
+    loops: Annotated[Mapping[Name, Mapping[str, Any]], Field(min_length=1)]
+    """By name, what that loop has otherwise than the cell's file: values by dotted key."""
+    seeds: Annotated[int, Field(ge=1, le=10_000)] = 20
+    """How many plants a scenario and loop; all loops meet the same ones. [1]"""
+    first_seed: Annotated[int, Field(ge=0)] = 1
+    """The first of them. [1]"""
+    raster: bool = False
+    """Take a raster of one's own over the part, as `polishd demo` does, instead of the cell's program."""
+    passes: Annotated[int, Field(ge=1, le=100)] = 6
+    """Most passes of a job, instead of the cell's. [1]"""
+
+    def without_use(self) -> Iterator[tuple[str, str]]:
+        """Nothing is."""
+        yield from ()
+
+    def all_scenarios(self) -> dict[str, Scenario]:
+        """By name, those of its files and folders; ConfigError for one that is wrong, or not there."""
+        found = {}
+        for given in self.scenarios:
+            path = self.resolve(given)
+            files = sorted(path.glob("*.toml")) if path.is_dir() else [path]
+            if not files:
+                raise self.error("scenarios", f"{given}: no .toml file is in this folder; name one that has scenarios")
+            found.update({file.stem: load_scenario(file) for file in files})
+        return found or {AS_IT_IS: Scenario(what="the plant as its file has it")}
+
+
+def load_scenario(path: Path) -> Scenario:
+    """One scenario's file; ConfigError with file, line and key."""
+    return Scenario.of(*parse_toml(path))

@@ -1,0 +1,44 @@
+"""The section of SIM.toml that says what else is wrong with tool, contact and robot: ranges, each off by default."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from polishd.config.values import NotNegative, Pair, Positive, Section, ShareOrNone
+
+
+class Effects(Section):
+    """What the controller assumes and the machine does not do; sizes have no source but the shop's experience."""
+
+    rate_field: ShareOrNone = 0.0
+    """Most that the removal rate changes from the part's centre to its rim, either way: a smooth field. [1]"""
+    pad_half_life_s: Positive | None = None
+    """Contact time in which the pad loses half of its rate; left out: it does not wear."""
+    warm_up: ShareOrNone = 0.0
+    """Share of the rate that a cold tool lacks. [1]"""
+    warm_up_s: Positive = 300.0
+    """Contact time in which that falls to 37 %."""
+    spot_shift_mm: NotNegative = 0.0
+    """How far the spot lies off where the tool says; its direction is drawn."""
+    spot_frame: Literal["tool", "part"] = "tool"
+    """Whether that direction turns with the lean of the spindle, or stays with the part."""
+    seat_shift_mm: NotNegative = 0.0
+    """How far the part lies off its seat, across its normal; its direction is drawn."""
+    compliance: ShareOrNone = 0.0
+    """How far the compliance along the normal is off the robot's, either way, relative. [1]"""
+    eq_44: Pair = (1.0, 1.0)
+    """How much of the way that the robot gives is lost as depth: 1 the postulate of paper eq. 44, 0 constant depth,
+    which statics gives for a constant force; drawn between the two. [1]"""
+    speed_ripple: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
+    """Amplitude of a sine of the spindle's speed, relative. [1]"""
+    speed_ripple_s: Positive = 2.0
+    """Its period, contact time."""
+
+    @model_validator(mode="after")
+    def _is_a_share(self) -> Self:
+        least, most = self.eq_44
+        if not 0.0 <= least <= most <= 1.0:
+            raise ValueError(f"eq_44: [{least:g}, {most:g}] is no range within 0 to 1; give the lower one first")
+        return self

@@ -1,0 +1,139 @@
+"""One part under one tool, polished a whole pass at a time: the wire cell's world, fed with blocks."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from polishd.config.simulator import SimConfig
+from polishd.model.errors import BadRequestError
+from polishd.model.surface import FloatArray
+from polishd.sim_backends import truth
+from polishd.sim_backends.interferometer import as_seen
+from polishd.sim_backends.plant import effects
+from polishd.sim_backends.plant import part as parts
+from polishd.sim_backends.plant.world import World
+
+STEP_MM = 0.5
+"""Longest stretch that is worn at one place: a seventh of the spot."""
+
+
+class BatchPlant:
+    """A plant of its own clock: passes and maps follow at once, and wall time is process time."""
+
+    def __init__(self, config: SimConfig, seed: int) -> None:
+        """Draw it, as the cell's plant with the same file and seed."""
+        self.config = config
+        self.world = World(
+            config,
+            truth.draw(config.truth, seed, config.robot_model()),
+            parts.make(config.plant, seed),
+            truth.stream(seed, "plant"),
+            config.robot.home,
+            robot_s=0.0,
+            effects=effects.draw(config, seed),
+        )
+        self.now_s = 0.0
+        self.instrument = truth.stream(seed, "interferometer")
+
+    def polish(self, blocks: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        """Execute blocks; per block: contact in s, mean force in N and speed in rpm as they truly acted."""
+        begin, end, axis, seconds, force, rpm = _checked(blocks)
+        pieces = np.maximum(np.ceil(np.linalg.norm(end - begin, axis=1) / STEP_MM).astype(np.int64), 1)
+        block = np.repeat(np.arange(len(seconds)), pieces)
+        within = np.arange(len(block)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+        share = ((within + 0.5) / pieces[block])[:, None]
+        tip = begin[block] + share * (end - begin)[block]
+        lasts = seconds[block] / pieces[block]
+        until = self.now_s + np.cumsum(lasts)
+        a = np.degrees(np.arccos(np.clip(axis[:, 2], -1.0, 1.0)))
+        c = np.degrees(np.arctan2(axis[:, 0], -axis[:, 1]))
+        rows = np.column_stack([block, until - lasts, until, lasts, tip, a[block], c[block]])
+        edges = np.column_stack([until - lasts, until]).ravel()
+        for timeline, values in ((self.world.force, force), (self.world.rpm, rpm)):
+            timeline.push(
+                list(zip(edges.tolist(), np.repeat(values[block], 2).tolist(), strict=True)), float(until[-1])
+            )
+        self.world.acted = []
+        self.world.robot_s = self.now_s
+        self.world.move(rows)
+        self.world.integrate(float(until[-1]))
+        self.now_s = float(until[-1])
+        return _executed(self.world.acted, len(seconds))
+
+    def measure(self, wait_s: float, rotation_deg: float, shift_px: tuple[int, int]) -> FloatArray:
+        """A map so long after the last contact, nm, NaN outside, of the part turned and shifted on the instrument."""
+        if rotation_deg % 90:
+            raise BadRequestError(f"rotation_deg: {rotation_deg:g} is no quarter turn; give 0, 90, 180 or 270")
+        self.now_s += wait_s
+        world = self.world
+        height = world.part.map_nm() + parts.swelling_nm(world.part, self.config, self.now_s - world.polished_s)
+        height = _shifted(np.rot90(height, int(rotation_deg // 90)), shift_px)
+        noise = self.config.truth.map_noise_nm * self.instrument.standard_normal(height.shape)
+        return as_seen(height + noise, self.config.interferometer.faults)
+
+    def truth(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
+        """What nobody is told: the draws, and the figure."""
+        rms, pv = self.world.part.stats()
+        drawn = {"machines": asdict(self.world.hidden), "effects": asdict(self.world.effects)}
+        told = {
+            **drawn,
+            "rms_nm": rms,
+            "pv_nm": pv,
+            "process_s": self.world.process_s,
+            "pitch_mm": self.world.part.grid.pitch_mm,
+        }
+        return told, {"height_nm": self.world.part.map_nm()}
+
+
+def of(raw: dict[str, Any], seed: int | None) -> BatchPlant:
+    """A plant of SIM.toml's sections, as JSON."""
+    config = SimConfig.model_validate(raw)
+    return BatchPlant(config, config.plant.seed if seed is None else seed)
+
+
+def _checked(blocks: dict[str, FloatArray]) -> tuple[FloatArray, ...]:
+    wide = {"begin_mm": True, "end_mm": True, "axis": True, "seconds": False, "force_n": False, "rpm": False}
+    count = len(blocks["seconds"]) if "seconds" in blocks and blocks["seconds"].ndim else 0
+    for name, three in wide.items():
+        shape = (count, 3) if three else (count,)
+        if name not in blocks:
+            raise BadRequestError(f"arrays: {name} is missing; polish takes {', '.join(wide)}")
+        if not count or blocks[name].shape != shape:
+            raise BadRequestError(f"arrays: {name} is of shape {blocks[name].shape}; it wants {shape}, one row a block")
+        if not np.isfinite(blocks[name]).all():
+            raise BadRequestError(f"arrays: {name}: block {_first(~np.isfinite(blocks[name]))} is not finite")
+    for name in ("seconds", "force_n"):
+        if (blocks[name] < 0.0).any():
+            raise BadRequestError(f"arrays: {name}: block {_first(blocks[name] < 0.0)} is negative")
+    wrong = np.abs(np.linalg.norm(blocks["axis"], axis=1) - 1.0) > 1e-6
+    if wrong.any():
+        raise BadRequestError(f"arrays: axis: block {_first(wrong)} is not of length 1")
+    return tuple(blocks[name] for name in wide)
+
+
+def _first(wrong: np.ndarray) -> int:
+    return int(np.argwhere(wrong)[0][0])
+
+
+def _executed(acted: list[FloatArray], blocks: int) -> dict[str, FloatArray]:
+    rows = np.concatenate([np.zeros((0, 4)), *acted])
+    block = rows[:, 0].astype(np.int64)
+    contact, force, rpm = (
+        np.bincount(block, rows[:, 1] * weight, blocks) for weight in (np.ones(len(rows)), rows[:, 2], rows[:, 3])
+    )
+    some = np.where(contact > 0.0, contact, 1.0)
+    return {"contact_s": np.asarray(contact, np.float64), "force_n": force / some, "rpm": rpm / some}
+
+
+def _shifted(height_nm: FloatArray, by_px: tuple[int, int]) -> FloatArray:
+    """Moved by columns to the right and rows up; NaN comes in."""
+    right, up = by_px
+    rows, columns = height_nm.shape
+    moved = np.full_like(height_nm, np.nan)
+    to_rows, from_rows = slice(max(-up, 0), rows - max(up, 0)), slice(max(up, 0), rows - max(-up, 0))
+    to_cols, from_cols = slice(max(right, 0), columns - max(-right, 0)), slice(max(-right, 0), columns - max(right, 0))
+    moved[to_rows, to_cols] = height_nm[from_rows, from_cols]
+    return moved

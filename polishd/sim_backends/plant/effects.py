@@ -1,0 +1,77 @@
+"""What the machine does that its controller does not assume: drawn once from the seed, apart from all other draws."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from polishd.config.simulator import Effects, SimConfig
+from polishd.model.surface import FloatArray
+from polishd.sim_backends.truth import stream
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """One draw. The default does nothing, to the last bit."""
+
+    linear: float = 0.0
+    """Change of the rate from the centre to the rim along ``field_deg``, relative."""
+    square: float = 0.0
+    """Change from the centre to the rim, the same all round, relative."""
+    field_deg: float = 0.0
+    rim_mm: float = 1.0
+    halvings_per_s: float = 0.0
+    """Of the pad's rate, for each second of contact."""
+    warm_up: float = 0.0
+    warm_up_s: float = 1.0
+    spot_mm: tuple[float, float] = (0.0, 0.0)
+    """Of the tool's frame (across the lean, along it) or, with ``spot_on_part``, of the part's x and y."""
+    spot_on_part: bool = False
+    seat_mm: tuple[float, float] = (0.0, 0.0)
+    """The part's centre from where it should lie, in its x and y."""
+    compliance: float = 1.0
+    eq_44: float = 1.0
+    ripple: float = 0.0
+    ripple_s: float = 1.0
+
+    def rate(self, place_mm: FloatArray, contact_s: FloatArray) -> FloatArray:
+        """(n,) factor of the removal at places (n, >= 2) after so long (n,) in contact."""
+        x, y = ((place_mm[:, k] - self.seat_mm[k]) / self.rim_mm for k in (0, 1))
+        angle = math.radians(self.field_deg)
+        field = 1.0 + self.linear * (math.cos(angle) * x + math.sin(angle) * y) + self.square * (x**2 + y**2)
+        cold = 1.0 - self.warm_up * np.exp(-contact_s / self.warm_up_s)
+        return np.asarray(np.maximum(field, 0.0) * cold * 0.5 ** (contact_s * self.halvings_per_s))
+
+    def speed(self, contact_s: FloatArray) -> FloatArray:
+        """(n,) factor of the spindle's speed after so long in contact."""
+        return np.asarray(1.0 + self.ripple * np.sin(math.tau * contact_s / self.ripple_s))
+
+
+def draw(config: SimConfig, seed: int) -> Drawn:
+    """The same seed gives the same machine; one effect's range does not change what another draws."""
+    ranges: Effects = config.effects
+    rng = stream(seed, "effects")
+    angles, shares = rng.uniform(0.0, math.tau, 3), rng.uniform(-1.0, 1.0, 3)
+    least, most = ranges.eq_44
+    return Drawn(
+        linear=ranges.rate_field * float(shares[0]),
+        square=ranges.rate_field * (1.0 - abs(float(shares[0]))) * math.copysign(1.0, shares[1]),
+        field_deg=math.degrees(angles[0]),
+        rim_mm=config.plant.outline.radius_mm,
+        halvings_per_s=0.0 if ranges.pad_half_life_s is None else 1.0 / ranges.pad_half_life_s,
+        warm_up=ranges.warm_up,
+        warm_up_s=ranges.warm_up_s,
+        spot_mm=_towards(ranges.spot_shift_mm, float(angles[1])),
+        spot_on_part=ranges.spot_frame == "part",
+        seat_mm=_towards(ranges.seat_shift_mm, float(angles[2])),
+        compliance=1.0 + ranges.compliance * float(shares[2]),
+        eq_44=least + (most - least) * float(rng.uniform()),
+        ripple=ranges.speed_ripple,
+        ripple_s=ranges.speed_ripple_s,
+    )
+
+
+def _towards(length: float, angle: float) -> tuple[float, float]:
+    return length * math.cos(angle), length * math.sin(angle)

@@ -1,0 +1,257 @@
+"""One job in a closed loop, without wires: the recipe's own steps, and a plant with its errors for a machine."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from polishd.config.cell import CellConfig, load_config
+from polishd.hooks.cell import plugins_of
+from polishd.hookspecs import RemovalAnswer, RemovalModel, RemovalRequest
+from polishd.model.cycle import Outcome
+from polishd.model.errors import ComputeError, PlanRefused, PolishdError
+from polishd.model.finding import Finding, Series, Shown
+from polishd.model.program import Plan, Program
+from polishd.model.surface import FloatArray, SurfaceMap
+from polishd.model.tolerance import holds
+from polishd.plugins.rnc_robot.dialect import dialect
+from polishd.plugins.rnc_robot.formats import read
+from polishd.process import motion
+from polishd.process.contact import relative_removal
+from polishd.process.findings import diverged, findings, followed
+from polishd.process.gate import MAX_SHIFT_MM, Verdict
+from polishd.recipe import dwell_step, steps
+from polishd.recipe.dwell_step import require_certificate
+from polishd.recipe.making import make_recipe
+from polishd.recipe.recipe import Recipe
+from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved
+from polishd.workbench.programs.own_raster import own_program
+from polishd.workbench.studies.plant_process import PlantProcess
+
+GATE = "gate"
+"""How a loop ends that the gate stopped."""
+TOOL = "tool"
+"""... or a finding of the tool."""
+ERROR = "error"
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One job: what it saw, and what was true."""
+
+    scenario: str
+    loop: str
+    seed: int
+    ended: str
+    """An outcome of a job, or "gate", "tool" or "error"."""
+    why: str
+    """In words; empty for an outcome."""
+    named: tuple[str, ...]
+    """What it said of its machine: kinds of findings, and the gate's explanation where that stopped it."""
+    passes: int
+    rms_nm: tuple[float, ...]
+    """As measured, one a map, in the clear aperture."""
+    predicted_nm: tuple[float, ...]
+    """RMS that each plan expected after its pass."""
+    true_rms_nm: tuple[float, ...]
+    """Of the part, at each of those maps, aligned as the map is."""
+    true_fits: bool
+    """Whether the part truly fits its tolerance at the end."""
+    cpu_s: float
+    """Of this process; the plant's own is not in it."""
+
+    @property
+    def accepted(self) -> bool:
+        """The loop says that the part fits."""
+        return self.ended == Outcome.IN_TOLERANCE.value
+
+    @property
+    def falsely_accepted(self) -> bool:
+        """It says so, and the part does not."""
+        return self.accepted and not self.true_fits
+
+
+@dataclass(slots=True)
+class _Account:
+    """What a run leaves, as it goes."""
+
+    rms_nm: list[float] = field(default_factory=list)
+    predicted_nm: list[float] = field(default_factory=list)
+    true_rms_nm: list[float] = field(default_factory=list)
+    named: list[str] = field(default_factory=list)
+    true_fits: bool = False
+
+
+class _Ended(Exception):
+    def __init__(self, how: str, why: str = "") -> None:
+        self.how, self.why = how, why
+
+
+class ClosedLoop:
+    """A cell's job against one plant after the other."""
+
+    def __init__(self, cell: Path, overrides: Mapping[str, Any], passes: int, *, raster: bool) -> None:
+        """Read the cell's file with a loop's own values, and its program or a raster. ConfigError, ProgramError."""
+        self.config = load_config(cell, {"dwell.cross_check": "", **overrides})
+        self.passes = passes
+        self._hooks = plugins_of(self.config)
+        self._hooks.report.require()
+        recipe = make_recipe(self.config, self._hooks)
+        self._recipe = replace(recipe, model=_remembering(recipe.model))
+        self._program = self._raster() if raster else _timed_by_feeds(self.config, self._recipe)
+
+    def _raster(self) -> Program:
+        text = own_program(self.config, f"raster over {self.config.outline()}")
+        return read(dialect(self.config.program.format), text, "raster.rnc")
+
+    def run(self, plant: PlantProcess, scenario: str, loop: str, seed: int) -> Run:
+        """One job, from its first map to its end, on the plant as it was drawn."""
+        begun_s, account = time.process_time(), _Account()
+        try:
+            self._polish(plant, account)
+            ended = _Ended(Outcome.CYCLES_USED.value)
+        except _Ended as how:
+            ended = how
+        except PolishdError as error:
+            ended = _Ended(ERROR, f"{type(error).__name__}: {error}")
+        return Run(
+            scenario,
+            loop,
+            seed,
+            ended.how,
+            ended.why,
+            tuple(account.named),
+            max(len(account.rms_nm) - 1, 0),
+            tuple(account.rms_nm),
+            tuple(account.predicted_nm),
+            tuple(account.true_rms_nm),
+            account.true_fits,
+            time.process_time() - begun_s,
+        )
+
+    def _polish(self, plant: PlantProcess, account: _Account) -> None:
+        """As the daemon's cycle (``polishd.daemon.cycle``): measure, learn, judge, solve, plan, run."""
+        recipe, program = self._recipe, self._program
+        believed, series, shown = steps.believed_at_first(recipe), Series(""), []
+        before: Measured | None = None
+        last: tuple[Planned, FloatArray, FloatArray] | None = None
+        for cycle in range(self.passes + 1):
+            surface = self._measured(plant, before, account)
+            found: tuple[Finding, ...] = ()
+            if before is not None and last is not None:
+                believed, seen = self._learned(before, surface, last, believed, account)
+                if seen is not None:
+                    shown.append(seen)
+                    series = followed(series, seen)
+                    found = findings(series, shown, recipe.finding)
+                    account.named += [one.kind for one in found if one.kind not in account.named]
+            _judge(surface, account, found)
+            if cycle == self.passes:
+                return
+            solved = dwell_step.solve(recipe, program, surface, believed, None if last is None else last[0].kept)
+            require_certificate(solved.dwell.certificate, recipe)
+            plan = steps.rewrite(recipe, program, solved, program.name)
+            last = (self._planned(plan, solved), *self._execute(plant, plan))
+            account.predicted_nm.append(solved.dwell.certificate.predicted_rms_nm)
+            before = surface
+
+    def _measured(self, plant: PlantProcess, before: Measured | None, account: _Account) -> Measured:
+        recipe = self._recipe
+        masks, lay = (None, None) if before is None else (before.masks, before.registration)
+        surface = steps.condition(recipe, self._map(*plant.measure(), len(account.rms_nm)), masks, lay)
+        told, height = plant.truth()
+        true = self._map(height, float(told["pitch_mm"]), -1)
+        truly = steps.condition(replace(recipe, instrument=None), true, surface.masks)
+        account.rms_nm.append(surface.figure_nm)
+        account.true_rms_nm.append(truly.figure_nm)
+        account.true_fits = holds(truly.judged)
+        return surface
+
+    def _map(self, height_nm: FloatArray, pitch_mm: float, number: int) -> SurfaceMap:
+        name = hashlib.sha256(height_nm.tobytes() + bytes([number % 256])).hexdigest()
+        return SurfaceMap(height_nm, pitch_mm, part_id=self.config.part.id, sha256=name)
+
+    def _learned(
+        self,
+        before: Measured,
+        after: Measured,
+        last: tuple[Planned, FloatArray, FloatArray],
+        believed: Believed,
+        account: _Account,
+    ) -> tuple[Believed, Shown | None]:
+        planned, executed_s, acting_s = last
+        expected_nm = planned.certificate.predicted_rms_nm
+        done = Pass(before, after, planned.asked_s, executed_s, acting_s, predicted_rms_nm=expected_nm)
+        taught = steps.learn(self._recipe, self._program, done, believed)
+        if taught.verdict.stop:
+            account.named.append(_stopped_by(taught.verdict))
+            raise _Ended(GATE, taught.verdict.stop)
+        return taught.believed, taught.shown
+
+    def _planned(self, plan: Plan, solved: Solved) -> Planned:
+        vetoes = [*steps.violations(self._recipe, plan), *self._hooks.check_plan(plan, self._recipe.envelope)]
+        if vetoes:
+            raise PlanRefused("; ".join(vetoes))
+        return Planned.of(plan, solved, steps.in_part_frame(self._recipe, plan.program))
+
+    def _execute(self, plant: PlantProcess, plan: Plan) -> tuple[FloatArray, FloatArray]:
+        """(n,) seconds of each timed point as the plant's own robot moves, and as force and speed acted."""
+        recipe, program = self._recipe, plan.program
+        machines = plant.truth()[0]["machines"]
+        robot = replace(
+            steps.envelope_of(recipe, program),
+            accel_mm_s2=float(machines["accel_mm_s2"]),
+            block_overhead_s=float(machines["overhead_s"]),
+        )
+        seconds = motion.delivered_time_s(program, program.time_s, robot)
+        acted = plant.polish(program, seconds, recipe.process.force_n, recipe.process.rpm)
+        touched = np.where(acted["contact_s"] > 0.0, 1.0, np.nan)
+        weight = relative_removal(recipe.process, acted["force_n"] * touched, acted["rpm"] * touched)
+        return seconds, seconds * weight
+
+
+def _remembering(model: RemovalModel) -> RemovalModel:
+    """The same model, which keeps its last answer: a pass is solved, planned and learned from with one effect."""
+    last: list[tuple[tuple[Any, ...], RemovalAnswer]] = []
+
+    def effect(request: RemovalRequest) -> RemovalAnswer:
+        key = (request.grid, request.correction, request.rate, request.beliefs)  # a loop has one program
+        if not last or last[0][0] != key:
+            last[:] = [(key, model.effect(request))]
+        return last[0][1]
+
+    return replace(model, effect=effect)
+
+
+def _judge(surface: Measured, account: _Account, found: tuple[Finding, ...]) -> None:
+    """Leave the loop where the daemon's job ends."""
+    if holds(surface.judged):
+        raise _Ended(Outcome.IN_TOLERANCE.value)
+    if diverged(account.rms_nm[:-1], surface.figure_nm):
+        raise _Ended(Outcome.DIVERGED.value)
+    if any(one.kind == "stall" for one in found):
+        raise _Ended(Outcome.STALLED.value)
+    if of_tool := [one.what for one in found if one.stops == "cell"]:
+        raise _Ended(TOOL, "; ".join(of_tool))
+
+
+def _stopped_by(verdict: Verdict) -> str:
+    """In a word: how the map would have to be turned, or "shift", or "rate"."""
+    if not verdict.best.as_it_is:
+        return verdict.best.name
+    return "shift" if np.hypot(*verdict.shift_mm) > MAX_SHIFT_MM else "rate"
+
+
+def _timed_by_feeds(config: CellConfig, recipe: Recipe) -> Program:
+    program = steps.read_program(recipe, config.program_path)
+    if program.encoding == "dwell":
+        raise ComputeError(
+            f"{program.name}: dwells at rest; a loop is studied with a program whose feeds are its times"
+        )
+    return program

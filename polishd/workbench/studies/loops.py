@@ -1,0 +1,170 @@
+"""Many jobs in a closed loop: each scenario and loop on the same plants, side by side, and a row of each."""
+
+from __future__ import annotations
+
+import atexit
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from copy import deepcopy
+from dataclasses import asdict, dataclass
+from itertools import groupby
+from statistics import median
+from typing import Any
+
+from polishd.config.cell import lay_over
+from polishd.config.document import parse_toml
+from polishd.config.loop_study import LoopStudy, Scenario
+from polishd.workbench.studies.loop import ClosedLoop, Run
+from polishd.workbench.studies.plant_process import PlantProcess
+
+Case = tuple[str, str, int]
+"""Scenario, loop and seed."""
+Plants = Mapping[str, Mapping[str, Any]]
+"""By scenario, SIM.toml's sections."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoopRow:
+    """What a loop came to in a scenario."""
+
+    scenario: str
+    loop: str
+    runs: int
+    accepted: int
+    passes_median: float | None
+    """To tolerance; None where half of the runs or more did not come so far."""
+    true_rms_nm_median: float
+    """At the end, whatever the end."""
+    first_pass_nm_median: float | None
+    """As measured after the first pass."""
+    false_accepts: int
+    named_rightly: int
+    """Runs that said of the machine what is wrong with it, and nothing else; nothing, where nothing is."""
+    ended: Mapping[str, int]
+    """How many ended in which way."""
+    cpu_s_median: float
+
+
+@dataclass(frozen=True, slots=True)
+class Looped:
+    """All runs, and the row of each scenario and loop."""
+
+    runs: tuple[Run, ...]
+    rows: tuple[LoopRow, ...]
+
+    def as_json(self) -> list[dict[str, Any]]:
+        """The rows."""
+        return [asdict(row) for row in self.rows]
+
+
+def run_loops(study: LoopStudy, tell: Callable[[str], None], *, seeds: int | None, jobs: int | None) -> Looped:
+    """All cases of a study on ``jobs`` processes (None: one a core). ConfigError, ProgramError.
+
+    A case is drawn from its seed alone: the order of the cases, and who works them, changes nothing but the times.
+    """
+    scenarios = study.all_scenarios()
+    for name in study.loops:  # before anything is computed
+        with study.blame(f"loops.{name}"):
+            _loop(study, name)
+    plant, _ = parse_toml(study.resolve(study.plant))
+    plants = {name: _laid(plant, scenario) for name, scenario in scenarios.items()}
+    numbers = range(study.first_seed, study.first_seed + (seeds or study.seeds))
+    cases = [(scenario, loop, seed) for seed in numbers for scenario in scenarios for loop in study.loops]
+    runs: list[Run] = []
+    for run in _worked(study, plants, cases, jobs or os.cpu_count() or 1):
+        runs.append(run)
+        tell(f"{len(runs)} of {len(cases)} jobs")
+    place = {case: number for number, case in enumerate(cases)}
+    runs.sort(key=lambda run: place[run.scenario, run.loop, run.seed])
+    return Looped(tuple(runs), tuple(_rows(runs, scenarios)))
+
+
+def _laid(plant: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
+    """SIM.toml's sections with a scenario's laid over them; what a plant without wires has no use for is left out."""
+    whole = deepcopy(dict(plant))
+    whole.pop("fault", None)
+    lay_over(whole, {name: dict(keys) for name, keys in scenario.plant.items()})
+    return whole
+
+
+def _loop(study: LoopStudy, name: str) -> ClosedLoop:
+    return ClosedLoop(study.resolve(study.cell), study.loops[name], study.passes, raster=study.raster)
+
+
+def _worked(study: LoopStudy, plants: Plants, cases: Sequence[Case], jobs: int) -> Iterator[Run]:
+    """Each as it ends."""
+    if jobs == 1:
+        with PlantProcess() as plant:
+            yield from map(_Worker(study, plants, plant).run, cases)
+        return
+    context = multiprocessing.get_context("forkserver")
+    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin, initargs=(study, plants)) as pool:
+        waiting: set[Future[Run]] = {pool.submit(_run, case) for case in cases}
+        try:
+            while waiting:
+                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in done:
+                    yield future.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+class _Worker:
+    """One process's plant, and the loops of the study."""
+
+    def __init__(self, study: LoopStudy, plants: Plants, plant: PlantProcess) -> None:
+        self._plants, self._plant = plants, plant
+        self._loops = {name: _loop(study, name) for name in study.loops}
+
+    def run(self, case: Case) -> Run:
+        scenario, loop, seed = case
+        self._plant.new(self._plants[scenario], seed)
+        return self._loops[loop].run(self._plant, scenario, loop, seed)
+
+
+_worker: _Worker | None = None
+
+
+def _begin(study: LoopStudy, plants: Plants) -> None:
+    global _worker  # noqa: PLW0603  (a process of the pool has one)
+    plant = PlantProcess()
+    atexit.register(plant.__exit__)
+    _worker = _Worker(study, plants, plant)
+
+
+def _run(case: Case) -> Run:
+    if _worker is None:
+        raise RuntimeError("the worker has not begun")
+    return _worker.run(case)
+
+
+def _rows(runs: Sequence[Run], scenarios: Mapping[str, Scenario]) -> Iterator[LoopRow]:
+    """In the scenarios' order."""
+    order = {name: number for number, name in enumerate(scenarios)}
+    ordered = sorted(runs, key=lambda run: order[run.scenario])  # stable: loops stay in theirs
+    for scenario, some in groupby(ordered, key=lambda run: run.scenario):
+        mine = list(some)
+        for loop in dict.fromkeys(run.loop for run in mine):
+            yield _row(scenarios[scenario], [run for run in mine if run.loop == loop])
+
+
+def _row(scenario: Scenario, runs: Sequence[Run]) -> LoopRow:
+    never = float("inf")
+    passes = median(run.passes if run.accepted else never for run in runs)
+    first = [run.rms_nm[1] for run in runs if len(run.rms_nm) > 1]
+    right = [set(run.named) <= set(scenario.named) and bool(run.named) == bool(scenario.named) for run in runs]
+    return LoopRow(
+        scenario=runs[0].scenario,
+        loop=runs[0].loop,
+        runs=len(runs),
+        accepted=sum(run.accepted for run in runs),
+        passes_median=None if passes == never else passes,
+        true_rms_nm_median=median(run.true_rms_nm[-1] if run.true_rms_nm else never for run in runs),
+        first_pass_nm_median=median(first) if first else None,
+        false_accepts=sum(run.falsely_accepted for run in runs),
+        named_rightly=sum(right),
+        ended={how: sum(run.ended == how for run in runs) for how in dict.fromkeys(run.ended for run in runs)},
+        cpu_s_median=median(run.cpu_s for run in runs),
+    )
