@@ -1,0 +1,254 @@
+"""The removal of a pass as a function of the parameters, and its derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from polishd.model.process import ToolProcess
+from polishd.model.surface import BoolArray, FloatArray, Grid
+from polishd.process.dynamic_tif import effect_columns
+from polishd.process.identification.parameters import ABERRATIONS, Parameter
+from polishd.process.identification.passes import Blocks
+from polishd.process.metrics import zernike_terms
+from polishd.process.spot import Spot, turned
+
+SMALL_STEP = 0.02
+"""Of the spot's own step (half the radius of its core), and of a width and a turn: where differences are taken."""
+GAMMA_STEP = 1e-3
+SLOPES = ("x", "y", "gamma", "width", "turn")
+"""Changes of the effect matrix: the spots moved along x and y (by mm), gamma and width (relative), azimuth (rad)."""
+
+Matrix = scipy.sparse.csr_array
+
+
+@dataclass(frozen=True, slots=True)
+class WiderSpot:
+    """A spot spread over another width, its volume the same."""
+
+    spot: Spot
+    factor: float
+
+    def half_width_mm(self, depth_ratio: FloatArray) -> FloatArray:
+        """(n,) mm."""
+        return self.factor * self.spot.half_width_mm(depth_ratio)
+
+    def step_mm(self, depth_ratio: FloatArray) -> FloatArray:
+        """(n,) mm."""
+        return self.factor * self.spot.step_mm(depth_ratio)
+
+    def offset_mm(self, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
+        """(n, 2) mm, as it was."""
+        return self.spot.offset_mm(depth_ratio, azimuth_rad)
+
+    def patch(self, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
+        """(n, squares, squares) nm mm^2/s: the squares grow, what each removes does not."""
+        return self.spot.patch(depth_ratio, azimuth_rad)
+
+
+@dataclass(frozen=True, slots=True)
+class Forward:
+    """n blocks whose removal is seen at N samples; made by `forward`.
+
+    ``removal = M(geometry) w``, with ``w = seconds * exp(rate + field(place) - wear * hours + exponent * ln gamma)``, and
+    what the instrument adds. M is the house's own effect matrix at the blocks moved, turned and sunk as the parameters say.
+    """
+
+    grid: Grid
+    mask: BoolArray
+    spot: Spot
+    parameters: tuple[Parameter, ...]
+    blocks: Blocks
+    """Those that took time."""
+    weight_s: FloatArray
+    """(n,)"""
+    waves: FloatArray
+    """(f, n) the rate's field, term by term, at the blocks."""
+    maps: FloatArray
+    """(N, i) what the instrument may add, term by term."""
+    projection: str
+
+    def values(self, theta: FloatArray) -> dict[str, float]:
+        """By name; a parameter that is not fitted is 0."""
+        return dict.fromkeys(_NAMES, 0.0) | dict(zip((p.name for p in self.parameters), theta.tolist(), strict=True))
+
+    def gamma(self, theta: FloatArray) -> FloatArray:
+        """(n,) depth ratios: ``1 - exp(compliance) (1 - gamma)``, above 0.01."""
+        own = self.blocks.depth_ratio[self.projection]
+        return np.asarray(np.maximum(1 - np.exp(self.values(theta)["compliance"]) * (1 - own), 0.01))
+
+    def matrix(self, theta: FloatArray, change: str | None = None, by: float = 0.0) -> Matrix:
+        """(N, n) nm/s of each block at these parameters' geometry, one thing of it changed."""
+        at = self.values(theta)
+        changed = {name: by if name == change else 0.0 for name in SLOPES}
+        rotation = np.radians(at["rotation"])
+        azimuth = self.blocks.azimuth_rad + np.radians(at["turn"]) + rotation
+        move = turned(at["offset_x"], at["offset_y"], azimuth)
+        move += [at["shift_x"] + changed["x"], at["shift_y"] + changed["y"]]
+        cosine, sine = np.cos(rotation), np.sin(rotation)
+        ends = [
+            p @ np.array([[cosine, sine], [-sine, cosine]]) + move for p in (self.blocks.start_mm, self.blocks.end_mm)
+        ]
+        wide = WiderSpot(self.spot, float(np.exp(at["width"] + changed["width"])))
+        gamma = self.gamma(theta) * (1 + changed["gamma"])
+        found = effect_columns(
+            self.grid,
+            wide,
+            (ends[0], ends[1]),
+            azimuth + changed["turn"],
+            depth_ratio=gamma,
+            factor=np.ones_like(gamma),
+        )
+        return Matrix(found[np.flatnonzero(self.mask)])
+
+    def slopes(self, theta: FloatArray, base: Matrix) -> dict[str, Matrix]:
+        """Derivatives of the matrix, by forward differences: only those that a parameter asks for."""
+        step = SMALL_STEP * float(np.median(self.spot.step_mm(self.gamma(theta))))
+        steps = {"x": step, "y": step, "gamma": GAMMA_STEP, "width": SMALL_STEP, "turn": SMALL_STEP}
+        names = {p.name for p in self.parameters}
+        wanted = {kind for kind, of in _ASKED.items() if names & of}
+        return {
+            kind: Matrix((self.matrix(theta, kind, by) - base) / by) for kind, by in steps.items() if kind in wanted
+        }
+
+    def block_s(self, theta: FloatArray, weight_s: FloatArray | None = None) -> FloatArray:
+        """(n,) s times all that acts on a block's rate: w."""
+        at = self.values(theta)
+        log = at["rate"] - at["wear"] * self.blocks.contact_h + at["exponent"] * np.log(self.gamma(theta))
+        fields = np.array([at[p.name] for p in self.parameters if p.name.startswith("field_")])
+        weight = self.weight_s if weight_s is None else weight_s
+        return np.asarray(weight * np.exp(log + fields @ self.waves), dtype=np.float64)
+
+    def removal_nm(self, theta: FloatArray, base: Matrix) -> FloatArray:
+        """(N,) nm with the instrument's own terms, by the matrix at these parameters."""
+        own = theta[[k for k, p in enumerate(self.parameters) if p.name in ABERRATIONS]]
+        return np.asarray(base @ self.block_s(theta) + self.maps @ own, dtype=np.float64)
+
+    def columns(
+        self, theta: FloatArray, base: Matrix, slopes: dict[str, Matrix], weight_s: FloatArray | None = None
+    ) -> FloatArray:
+        """(N, k) derivative of the removal by each parameter, nm over its unit; of another dwell where one is given."""
+        w = self.block_s(theta, weight_s)
+        terms = iter(self.waves)
+        maps = iter(self.maps.T)
+        found: list[FloatArray] = []
+        for parameter in self.parameters:
+            if parameter.name in ABERRATIONS:
+                found.append(next(maps))
+            elif parameter.name.startswith("field_"):
+                found.append(base @ (w * next(terms)))
+            else:
+                found.append(self._column(parameter.name, theta, w, base, slopes))
+        return np.column_stack(found)
+
+    def _column(
+        self, name: str, theta: FloatArray, w: FloatArray, base: Matrix, slopes: dict[str, Matrix]
+    ) -> FloatArray:
+        """(N,) of a parameter of the rate or the geometry."""
+        blocks, degree = self.blocks, np.pi / 180
+        at, gamma = self.values(theta), self.gamma(theta)
+        azimuth = blocks.azimuth_rad + degree * (at["turn"] + at["rotation"])
+        middle = (blocks.start_mm + blocks.end_mm) / 2
+
+        def moved(x: FloatArray | float, y: FloatArray | float) -> FloatArray:
+            return np.asarray(slopes["x"] @ (w * x) + slopes["y"] @ (w * y), dtype=np.float64)
+
+        def turning() -> FloatArray:
+            swing = turned(-at["offset_y"], at["offset_x"], azimuth)
+            return np.asarray(slopes["turn"] @ w + moved(swing[:, 0], swing[:, 1]), dtype=np.float64)
+
+        def sinking() -> FloatArray:
+            share = (gamma - 1) / gamma
+            return np.asarray(slopes["gamma"] @ (w * share) + base @ (w * at["exponent"] * share), dtype=np.float64)
+
+        rules: dict[str, Callable[[], FloatArray]] = {
+            "rate": lambda: base @ w,
+            "wear": lambda: -(base @ (w * blocks.contact_h)),
+            "exponent": lambda: base @ (w * np.log(gamma)),
+            "compliance": sinking,
+            "width": lambda: slopes["width"] @ w,
+            "offset_x": lambda: moved(np.sin(azimuth), -np.cos(azimuth)),
+            "offset_y": lambda: moved(np.cos(azimuth), np.sin(azimuth)),
+            "turn": lambda: degree * turning(),
+            "shift_x": lambda: moved(1.0, 0.0),
+            "shift_y": lambda: moved(0.0, 1.0),
+            "rotation": lambda: degree * (moved(-middle[:, 1], middle[:, 0]) + turning()),
+        }
+        return np.asarray(rules[name](), dtype=np.float64)
+
+    def of(self, projection: str) -> Forward:
+        """The same with another projection's gamma."""
+        return replace(self, projection=projection)
+
+
+_NAMES = (
+    "rate",
+    "wear",
+    "exponent",
+    "compliance",
+    "width",
+    "offset_x",
+    "offset_y",
+    "turn",
+    "shift_x",
+    "shift_y",
+    "rotation",
+)
+_OFFSET = {"offset_x", "offset_y", "shift_x", "shift_y", "rotation", "turn"}
+_ASKED = {
+    "x": _OFFSET,
+    "y": _OFFSET,
+    "gamma": {"compliance"},
+    "width": {"width"},
+    "turn": {"turn", "rotation"},
+}
+
+
+def forward(
+    blocks: Blocks,
+    grid: Grid,
+    mask: BoolArray,
+    spot: Spot,
+    process: ToolProcess,
+    *,
+    parameters: tuple[Parameter, ...],
+    projection: str,
+    radius_mm: float,
+) -> Forward:
+    """The forward model of a pass; ``radius_mm`` of the circle about the part's origin that Zernike terms are over."""
+    timed = blocks.time_s > 0
+    some = _only(blocks, timed)  # those without time neither remove nor wear
+    middle = (some.start_mm + some.end_mm) / 2 / radius_mm
+    terms = [int(p.name.split("_")[1]) for p in parameters if p.name.startswith("field_")]
+    waves = _zernike(terms, middle[:, 0], middle[:, 1])
+    rows, columns = np.nonzero(mask)
+    noll = [1 + ABERRATIONS.index(p.name) for p in parameters if p.name in ABERRATIONS]
+    maps = _zernike(noll, grid.x_mm[columns] / radius_mm, grid.y_mm[rows] / radius_mm).T
+    return Forward(grid, mask, spot, parameters, some, some.weight_s(process), waves, maps, projection)
+
+
+def _zernike(terms: list[int], x: FloatArray, y: FloatArray) -> FloatArray:
+    """(t, p) terms of Noll's order, RMS 1 over the unit circle; beyond it they go on."""
+    if not terms:
+        return np.zeros((0, len(x)))
+    pairs = zernike_terms.order("noll", max(terms))
+    return zernike_terms.values([pairs[k - 1] for k in terms], "rms", x, y)
+
+
+def _only(blocks: Blocks, timed: BoolArray) -> Blocks:
+    def cut(values: FloatArray | None) -> FloatArray | None:
+        return None if values is None else values[timed]
+
+    return Blocks(
+        start_mm=blocks.start_mm[timed],
+        end_mm=blocks.end_mm[timed],
+        time_s=blocks.time_s[timed],
+        azimuth_rad=blocks.azimuth_rad[timed],
+        depth_ratio={name: gamma[timed] for name, gamma in blocks.depth_ratio.items()},
+        factor=cut(blocks.factor),
+        force_n=cut(blocks.force_n),
+        rpm=cut(blocks.rpm),
+    )
