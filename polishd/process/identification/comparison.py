@@ -105,8 +105,8 @@ def worth(
     """What an extension takes off the next pass's residual, mean square in nm^2: its gain less its cost in noise.
 
     Left out it leaves ``|J theta|^2``, taken in with its error ``tr(J C J')``; the first is known by its estimate,
-    which is too large by that error. So it pays where ``|J theta|^2 > 2 tr(J C J')`` (C. L. Mallows, Technometrics 15, 661,
-    1973).
+    which is too large by that error. So it pays where ``|J theta|^2 > 2 tr(J C J')`` (C. L. Mallows, Technometrics 15,
+    661, 1973).
 
     Args:
         parameters: k of them.

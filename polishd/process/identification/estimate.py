@@ -9,7 +9,7 @@ import scipy
 
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.identification.forward import Forward, Matrix
+from polishd.process.identification.forward import Forward, Laid
 from polishd.process.identification.parameters import Knowledge
 from polishd.process.identification.passes import Noise
 
@@ -31,14 +31,12 @@ class Estimate:
     """(k, k)"""
     residual_nm: FloatArray
     """(N,) measured less modelled."""
-    base: Matrix
-    """(N, n) the effect at theta."""
-    slopes: dict[str, Matrix]
+    laid: Laid
+    """The effect at theta, or near it."""
     columns: FloatArray
     """(N, k) nm over each parameter's unit."""
     log_evidence: float
     """Natural logarithm of the data's density by this model (Laplace), up to a constant of data and noise."""
-    steps: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +59,7 @@ def estimate(
     *,
     robust: bool = False,
     start: FloatArray | None = None,
-    slopes: dict[str, Matrix] | None = None,
+    near: Laid | None = None,
 ) -> Estimate:
     """Most likely parameters of a forward model.
 
@@ -74,20 +72,18 @@ def estimate(
         prior: what was known.
         robust: count outliers by their size (Huber); else by their square.
         start: (k,) where to begin; None: at the prior's mean.
-        slopes: derivatives of the effect matrix from a geometry near this one; None: taken at the start. They say
-            where to step and how sure the result is; the residual is always that of the true effect.
+        near: an effect whose slopes are taken for this one's; None: they are computed at the start.
 
     Raises:
         ComputeError: it did not settle.
     """
     aim = _Aim(model, data, prior, HUBER * data.noise.sigma_nm if robust else np.inf)
     theta = prior.mean.copy() if start is None else start.copy()
-    base = model.matrix(theta)
-    at = _Point(theta, base, *aim.loss(theta, base))
-    slopes = model.slopes(theta, base) if slopes is None else slopes
+    laid = model.lay(theta, None if near is None else near.slopes)
+    at = _Point(theta, laid, *aim.loss(theta, laid))
     damping = 0.0
-    for count in range(1, STEPS + 1):
-        columns = model.columns(at.theta, at.base, slopes)
+    for _ in range(STEPS):
+        columns = model.columns(at.theta, at.laid)
         weight = aim.weight(at.residual_nm)
         hessian = columns.T @ (columns * weight[:, None]) + aim.precision
         downhill = columns.T @ (weight * at.residual_nm) - aim.precision @ (at.theta - prior.mean)
@@ -99,7 +95,7 @@ def estimate(
         raise ComputeError(f"the fit of the removal did not settle in {STEPS} steps: is this the map of this pass?")
     covariance = np.linalg.inv(hessian)
     evidence = -at.loss + (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(prior.covariance)[1]) / 2
-    return Estimate(at.theta, covariance, at.residual_nm, at.base, slopes, columns, float(evidence), count)
+    return Estimate(at.theta, covariance, at.residual_nm, at.laid, columns, float(evidence))
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +103,7 @@ class _Point:
     """Parameters, with what follows of them."""
 
     theta: FloatArray
-    base: Matrix
+    laid: Laid
     loss: float
     residual_nm: FloatArray
 
@@ -120,9 +116,9 @@ class _Aim:
         self.precision = np.linalg.inv(prior.covariance)
         self.scale = 1 / (data.noise.sigma_nm**2 * data.cells)
 
-    def loss(self, theta: FloatArray, base: Matrix) -> tuple[float, FloatArray]:
+    def loss(self, theta: FloatArray, laid: Laid) -> tuple[float, FloatArray]:
         """The loss, and the (N,) residual; 0 where a sample does not count."""
-        residual = np.where(self.data.keep, self.data.removal_nm - self.model.removal_nm(theta, base), 0.0)
+        residual = np.where(self.data.keep, self.data.removal_nm - self.model.removal_nm(theta, laid), 0.0)
         size = abs(residual)
         inner = np.minimum(size, self.bend_nm)
         off = theta - self.prior.mean
@@ -140,9 +136,11 @@ def _step(aim: _Aim, at: _Point, hessian: FloatArray, downhill: FloatArray, damp
     for _ in range(DAMPINGS):
         damped = hessian + damping * np.diag(np.diag(hessian))
         theta = at.theta + scipy.linalg.solve(damped, downhill, assume_a="pos")
-        base = aim.model.matrix(theta)
-        after = _Point(theta, base, *aim.loss(theta, base))
+        laid = at.laid if aim.model.near(theta, at.laid) else aim.model.lay(theta, at.laid.slopes)
+        after = _Point(theta, laid, *aim.loss(theta, laid))
         if after.loss <= at.loss + SETTLED**2:
             return after, damping / 8
         damping = max(4 * damping, 0.1)
+    if float(downhill @ scipy.linalg.solve(hessian, downhill, assume_a="pos")) < 1:
+        return at, damping  # within a standard error: a measured spot turns in steps, and the loss has some of them
     raise ComputeError(f"the fit of the removal did not settle: no step from a loss of {at.loss:.6g} lowers it")

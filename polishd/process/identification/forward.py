@@ -17,8 +17,12 @@ from polishd.process.metrics import zernike_terms
 from polishd.process.spot import Spot, turned
 
 SMALL_STEP = 0.02
-"""Of the spot's own step (half the radius of its core), and of a width and a turn: where differences are taken."""
+"""Of the spot's own step (half the radius of its core), and of a width: where differences are taken."""
 GAMMA_STEP = 1e-3
+TURN_STEP = float(np.radians(3.0))
+"""A whole number of the steps in which a measured spot turns."""
+NEAR = {"x": 0.1, "y": 0.1, "gamma": 0.005, "width": 0.01, "turn": 0.02}
+"""Changes up to which the slopes are believed; along x and y in the spot's steps."""
 SLOPES = ("x", "y", "gamma", "width", "turn")
 """Changes of the effect matrix: the spots moved along x and y (by mm), gamma and width (relative), azimuth (rad)."""
 
@@ -50,11 +54,23 @@ class WiderSpot:
 
 
 @dataclass(frozen=True, slots=True)
+class Laid:
+    """The effect of the blocks at the geometry of some parameters, and how it changes with that."""
+
+    theta: FloatArray
+    """(k,)"""
+    base: Matrix
+    """(N, n) nm/s."""
+    slopes: dict[str, Matrix]
+    """Those of `SLOPES` that a parameter asks for."""
+
+
+@dataclass(frozen=True, slots=True)
 class Forward:
     """n blocks whose removal is seen at N samples; made by `forward`.
 
-    ``removal = M(geometry) w``, with ``w = seconds * exp(rate + field(place) - wear * hours + exponent * ln gamma)``, and
-    what the instrument adds. M is the house's own effect matrix at the blocks moved, turned and sunk as the parameters say.
+    ``removal = M(geometry) w``, ``w = seconds * exp(rate + field(place) - wear * hours + exponent * ln gamma)``, and
+    what the instrument adds. M is the effect matrix of the blocks moved, turned and sunk as the parameters say.
     """
 
     grid: Grid
@@ -80,39 +96,67 @@ class Forward:
         own = self.blocks.depth_ratio[self.projection]
         return np.asarray(np.maximum(1 - np.exp(self.values(theta)["compliance"]) * (1 - own), 0.01))
 
+    def moves(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Where these parameters lay the blocks: (n, 2) mm their middles, (n,) rad the azimuths."""
+        at = self.values(theta)
+        azimuth = self.blocks.azimuth_rad + np.radians(at["turn"] + at["rotation"])
+        middle = (self.blocks.start_mm + self.blocks.end_mm) / 2 @ self._rotation(theta)
+        middle = middle + turned(at["offset_x"], at["offset_y"], azimuth) + [at["shift_x"], at["shift_y"]]
+        return middle, azimuth
+
     def matrix(self, theta: FloatArray, change: str | None = None, by: float = 0.0) -> Matrix:
         """(N, n) nm/s of each block at these parameters' geometry, one thing of it changed."""
-        at = self.values(theta)
         changed = {name: by if name == change else 0.0 for name in SLOPES}
-        rotation = np.radians(at["rotation"])
-        azimuth = self.blocks.azimuth_rad + np.radians(at["turn"]) + rotation
-        move = turned(at["offset_x"], at["offset_y"], azimuth)
-        move += [at["shift_x"] + changed["x"], at["shift_y"] + changed["y"]]
-        cosine, sine = np.cos(rotation), np.sin(rotation)
-        ends = [
-            p @ np.array([[cosine, sine], [-sine, cosine]]) + move for p in (self.blocks.start_mm, self.blocks.end_mm)
-        ]
-        wide = WiderSpot(self.spot, float(np.exp(at["width"] + changed["width"])))
+        middle, azimuth = self.moves(theta)
+        half = (self.blocks.end_mm - self.blocks.start_mm) / 2 @ self._rotation(theta)
+        middle = middle + np.array([changed["x"], changed["y"]])
         gamma = self.gamma(theta) * (1 + changed["gamma"])
         found = effect_columns(
             self.grid,
-            wide,
-            (ends[0], ends[1]),
+            WiderSpot(self.spot, float(np.exp(self.values(theta)["width"] + changed["width"]))),
+            (middle - half, middle + half),
             azimuth + changed["turn"],
             depth_ratio=gamma,
             factor=np.ones_like(gamma),
         )
         return Matrix(found[np.flatnonzero(self.mask)])
 
-    def slopes(self, theta: FloatArray, base: Matrix) -> dict[str, Matrix]:
-        """Derivatives of the matrix, by forward differences: only those that a parameter asks for."""
-        step = SMALL_STEP * float(np.median(self.spot.step_mm(self.gamma(theta))))
-        steps = {"x": step, "y": step, "gamma": GAMMA_STEP, "width": SMALL_STEP, "turn": SMALL_STEP}
-        names = {p.name for p in self.parameters}
-        wanted = {kind for kind, of in _ASKED.items() if names & of}
+    def lay(self, theta: FloatArray, slopes: dict[str, Matrix] | None = None) -> Laid:
+        """The effect at these parameters' geometry; with slopes from one near it, or its own by forward differences."""
+        base = self.matrix(theta)
+        if slopes is None:
+            step = SMALL_STEP * self._step_mm(theta)
+            steps = {"x": step, "y": step, "gamma": GAMMA_STEP, "width": SMALL_STEP, "turn": TURN_STEP}
+            names = {p.name for p in self.parameters}
+            wanted = {kind: by for kind, by in steps.items() if names & _ASKED[kind]}
+            slopes = {kind: Matrix((self.matrix(theta, kind, by) - base) / by) for kind, by in wanted.items()}
+        return Laid(theta, base, slopes)
+
+    def changes(self, theta: FloatArray, laid: Laid) -> dict[str, FloatArray]:
+        """By slope, (n,) how far these parameters lay the blocks from where they are laid."""
+        (to, azimuth), (at, lean) = self.moves(theta), self.moves(laid.theta)
+        wide = self.values(theta)["width"] - self.values(laid.theta)["width"]
         return {
-            kind: Matrix((self.matrix(theta, kind, by) - base) / by) for kind, by in steps.items() if kind in wanted
+            "x": to[:, 0] - at[:, 0],
+            "y": to[:, 1] - at[:, 1],
+            "gamma": np.log(self.gamma(theta) / self.gamma(laid.theta)),
+            "width": np.full(len(to), wide),
+            "turn": azimuth - lean,
         }
+
+    def near(self, theta: FloatArray, laid: Laid) -> bool:
+        """Whether the slopes hold that far: of the square of such a step a hundredth of a nanometre is left."""
+        scale = {"x": self._step_mm(theta), "y": self._step_mm(theta)}
+        by = self.changes(theta, laid)
+        return all(float(abs(change).max()) <= NEAR[kind] * scale.get(kind, 1.0) for kind, change in by.items())
+
+    def _step_mm(self, theta: FloatArray) -> float:
+        return float(np.median(self.spot.step_mm(self.gamma(theta))))
+
+    def _rotation(self, theta: FloatArray) -> FloatArray:
+        """(2, 2) that turns (n, 2) rows counterclockwise."""
+        angle = np.radians(self.values(theta)["rotation"])
+        return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
     def block_s(self, theta: FloatArray, weight_s: FloatArray | None = None) -> FloatArray:
         """(n,) s times all that acts on a block's rate: w."""
@@ -122,33 +166,34 @@ class Forward:
         weight = self.weight_s if weight_s is None else weight_s
         return np.asarray(weight * np.exp(log + fields @ self.waves), dtype=np.float64)
 
-    def removal_nm(self, theta: FloatArray, base: Matrix) -> FloatArray:
-        """(N,) nm with the instrument's own terms, by the matrix at these parameters."""
+    def removal_nm(self, theta: FloatArray, laid: Laid) -> FloatArray:
+        """(N,) nm with the instrument's own terms; to first order in what the geometry is from where it is laid."""
+        w = self.block_s(theta)
         own = theta[[k for k, p in enumerate(self.parameters) if p.name in ABERRATIONS]]
-        return np.asarray(base @ self.block_s(theta) + self.maps @ own, dtype=np.float64)
+        removal = laid.base @ w + self.maps @ own
+        changes = self.changes(theta, laid)
+        for kind, slope in laid.slopes.items():
+            removal = removal + slope @ (w * changes[kind])
+        return np.asarray(removal, dtype=np.float64)
 
-    def columns(
-        self, theta: FloatArray, base: Matrix, slopes: dict[str, Matrix], weight_s: FloatArray | None = None
-    ) -> FloatArray:
+    def columns(self, theta: FloatArray, laid: Laid, weight_s: FloatArray | None = None) -> FloatArray:
         """(N, k) derivative of the removal by each parameter, nm over its unit; of another dwell where one is given."""
         w = self.block_s(theta, weight_s)
-        terms = iter(self.waves)
-        maps = iter(self.maps.T)
+        terms, maps = iter(self.waves), iter(self.maps.T)
         found: list[FloatArray] = []
         for parameter in self.parameters:
             if parameter.name in ABERRATIONS:
                 found.append(next(maps))
             elif parameter.name.startswith("field_"):
-                found.append(base @ (w * next(terms)))
+                found.append(laid.base @ (w * next(terms)))
             else:
-                found.append(self._column(parameter.name, theta, w, base, slopes))
+                found.append(self._column(parameter.name, theta, w, laid))
         return np.column_stack(found)
 
-    def _column(
-        self, name: str, theta: FloatArray, w: FloatArray, base: Matrix, slopes: dict[str, Matrix]
-    ) -> FloatArray:
+    def _column(self, name: str, theta: FloatArray, w: FloatArray, laid: Laid) -> FloatArray:
         """(N,) of a parameter of the rate or the geometry."""
         blocks, degree = self.blocks, np.pi / 180
+        base, slopes = laid.base, laid.slopes
         at, gamma = self.values(theta), self.gamma(theta)
         azimuth = blocks.azimuth_rad + degree * (at["turn"] + at["rotation"])
         middle = (blocks.start_mm + blocks.end_mm) / 2

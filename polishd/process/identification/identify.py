@@ -151,7 +151,7 @@ def identify(
     by_projection = {projection: found}
     for name in blocks.depth_ratio:
         if name != projection:
-            by_projection[name] = estimate(model.of(name), data, prior, start=found.theta, slopes=found.slopes)
+            by_projection[name] = estimate(model.of(name), data, prior, start=found.theta, near=found.laid)
     odds = {name: prior.odds.get(name, 0.0) + one.log_evidence for name, one in by_projection.items()}
     best = max(odds, key=lambda name: odds[name])
     chosen = best if odds[best] > odds[projection] + RIVAL else projection
@@ -161,11 +161,11 @@ def identify(
         covariance[prior.at("rate"), prior.at("rate")] += _followed(model, found, data) ** 2
     learned = replace(prior, mean=found.theta, covariance=covariance, odds=_levelled_odds(odds))
     weight = model.weight_s if next_s is None else model.weight_s * (next_s / blocks.time_s)[blocks.time_s > 0]
-    future = _without_plane(model.columns(found.theta, found.base, found.slopes, weight), model)
+    future = _without_plane(model.columns(found.theta, found.laid, weight), model)
     comparison = compare(prior.parameters, learned.mean, covariance)
     worths, applied = _applied(learned, comparison.best, future, least_gain_nm)
     residual = np.full(removed.mask.shape, np.nan)
-    residual[removed.mask] = removed.removal_nm[removed.mask] - model.removal_nm(found.theta, found.base)
+    residual[removed.mask] = removed.removal_nm[removed.mask] - model.removal_nm(found.theta, found.laid)
     return Identified(
         _estimates(learned, prior, comparison),
         learned,
@@ -192,7 +192,7 @@ def _fitted(model: Forward, removed: Removed, prior: Knowledge) -> tuple[Data, E
     keep = mask & ~rejected
     noise = own_noise(residual, keep, removed.noise, pitch)
     data = Data(measured, keep[mask], noise, noise.cells(pitch))
-    return data, estimate(model, data, prior, start=first.theta, slopes=first.slopes), rejected
+    return data, estimate(model, data, prior, start=first.theta, near=first.laid), rejected
 
 
 def _followed(model: Forward, found: Estimate, data: Data) -> float:

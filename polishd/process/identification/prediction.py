@@ -52,11 +52,11 @@ def predict(model: Forward, known: Knowledge) -> Prediction:
     """
     removing = np.array([p.name not in ABERRATIONS for p in known.parameters])
     theta = np.where(removing, known.mean, 0.0)
-    base = model.matrix(theta)
-    columns = model.columns(theta, base, model.slopes(theta, base)) * removing
+    laid = model.lay(theta)
+    columns = model.columns(theta, laid) * removing
     values, vectors = np.linalg.eigh(known.covariance[np.ix_(removing, removing)])
     factor = columns[:, removing] @ (vectors * np.sqrt(np.clip(values, 0.0, None)))
-    return Prediction(model.grid, model.mask, model.removal_nm(theta, base), np.asarray(factor, dtype=np.float64))
+    return Prediction(model.grid, model.mask, model.removal_nm(theta, laid), np.asarray(factor, dtype=np.float64))
 
 
 def rms_samples(
