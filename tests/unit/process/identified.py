@@ -88,7 +88,7 @@ def polished(seed: int = 1, *, lean: str = "turning", gamma_span: float = 0.2, t
     wavy = ndimage.gaussian_filter(rng.standard_normal((41, 41)), 2.0, mode="wrap")
     at = (20 - place[:, 1]).astype(int), (place[:, 0] + 20).astype(int)
     even = np.full(len(place), 0.6)
-    waves = {"varied": wavy[at] / wavy.std(), "even": 0.0, "stripes": np.sin(place[:, 1])}[time]
+    waves = {"varied": wavy[at] / wavy.std(), "even": 0 * even, "stripes": np.sin(place[:, 1])}[time]
     dwell = even * (1 + 0.25 * waves).clip(0.1)
     azimuth = np.full(len(place), 0.6) + (np.radians(100) * place[:, 0] / 40 if lean == "turning" else 0.0)
     gamma = 0.85 + gamma_span / 2 * np.sin(place[:, 0] / 5) * np.cos(place[:, 1] / 7)

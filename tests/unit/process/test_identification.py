@@ -69,9 +69,9 @@ def test_what_is_wrong_is_found_within_its_error(names: str, truth: dict[str, fl
     result = hour().identified(truth, names)
     for one in result.estimates:
         assert abs(one.value - truth.get(one.parameter.name, 0.0)) < 3.5 * one.sigma, one.sentence
-    for name in truth:
+    for name, value in truth.items():
         assert result[name].told.decided, result[name].sentence
-        assert abs(truth[name]) > 5 * result[name].sigma, "the pass shows it well"
+        assert abs(value) > 5 * result[name].sigma, "the pass shows it well"
 
 
 @pytest.mark.full
