@@ -167,7 +167,7 @@ def identify(
     residual = np.full(removed.mask.shape, np.nan)
     residual[removed.mask] = removed.removal_nm[removed.mask] - model.removal_nm(found.theta, found.laid)
     return Identified(
-        _estimates(learned, prior, comparison),
+        _estimates(learned, prior, comparison, float(blocks.contact_h[-1]) / 2),
         learned,
         applied,
         comparison,
@@ -230,9 +230,14 @@ def _applied(
         taken -= {min(poor, key=lambda name: own[name])}
 
 
-def _estimates(learned: Knowledge, prior: Knowledge, comparison: Comparison) -> tuple[Estimated, ...]:
+def _estimates(learned: Knowledge, prior: Knowledge, comparison: Comparison, middle_h: float) -> tuple[Estimated, ...]:
+    """What is told of the rate is of that in the middle of the pass: the first minute's has the wear's error, too."""
+    middle = np.eye(len(learned.mean))
+    if {"rate", "wear"} <= set(learned.names):
+        middle[learned.at("rate"), learned.at("wear")] = -middle_h
     limits = detection_limits(learned.parameters, learned.covariance)
-    seen = told(learned.parameters, prior.covariance, learned.covariance)
+    before, after = (middle @ known.covariance @ middle.T for known in (prior, learned))
+    seen = told(learned.parameters, before, after)
     columns = zip(learned.parameters, learned.mean, learned.sigma, prior.sigma, strict=True)
     return tuple(
         Estimated(

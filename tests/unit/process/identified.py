@@ -73,11 +73,14 @@ EVERYTHING = "field wear offset turn width compliance exponent shift rotation po
 
 
 @cache
-def polished(seed: int = 1, *, lean: str = "turning", gamma_span: float = 0.2, time: str = "varied") -> Polished:
+def polished(
+    seed: int = 1, *, lean: str = "turning", gamma_span: float = 0.2, time: str = "varied", smooth: bool = False
+) -> Polished:
     """A raster of 1 mm over the disc and beyond.
 
     lean: the azimuth is "fixed", or "turning" by 100 degrees over the part.
-    gamma_span: of the depth ratio about 0.85, from one corner of the part to the other and wavy.
+    gamma_span: of the depth ratio about 0.85.
+    smooth: it falls evenly along x, as on a small part; else it is wavy.
     time: "varied" with the place, "even", or "stripes" along x.
     """
     rng = np.random.default_rng(seed)
@@ -91,7 +94,8 @@ def polished(seed: int = 1, *, lean: str = "turning", gamma_span: float = 0.2, t
     waves = {"varied": wavy[at] / wavy.std(), "even": 0 * even, "stripes": np.sin(place[:, 1])}[time]
     dwell = even * (1 + 0.25 * waves).clip(0.1)
     azimuth = np.full(len(place), 0.6) + (np.radians(100) * place[:, 0] / 40 if lean == "turning" else 0.0)
-    gamma = 0.85 + gamma_span / 2 * np.sin(place[:, 0] / 5) * np.cos(place[:, 1] / 7)
+    wave = place[:, 0] / 20 if smooth else np.sin(place[:, 0] / 5) * np.cos(place[:, 1] / 7)
+    gamma = 0.85 + gamma_span / 2 * wave
     return Polished(place, dwell, azimuth, gamma)
 
 
@@ -157,5 +161,5 @@ def seen(removal_nm: FloatArray, sigma_nm: float, seed: int | None) -> Removed:
 
 
 def slower(one: Polished, factor: float) -> Polished:
-    """The same with all times multiplied: hours of contact for the wear."""
-    return replace(one, time=one.time * factor)
+    """The same with all times multiplied, hours of contact for the wear; and a map as poor as the removal is large."""
+    return replace(one, time=one.time * factor, noise=one.noise * max(1.0, factor))

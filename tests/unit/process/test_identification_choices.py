@@ -31,15 +31,15 @@ from tests.unit.process.identified import (
 NARROW = 0.012
 """Span of the depth ratio over the demo's part."""
 CONFOUNDED = [
-    (polished(gamma_span=NARROW), "compliance exponent", "compliance", {"rate", "exponent"}),
-    (polished(gamma_span=NARROW), "compliance exponent", "rate", {"compliance"}),
+    (polished(gamma_span=NARROW, smooth=True), "compliance exponent", "compliance", {"rate", "exponent"}),
+    (polished(gamma_span=NARROW, smooth=True), "compliance exponent field", "rate", {"compliance", "exponent"}),
     (slower(polished(), 5), "field wear", "wear", {"field_3"}),
     (polished(lean="fixed"), "offset shift", "shift_x", {"offset_x"}),
     (polished(time="even", gamma_span=0.0), "", "rate", {"piston"}),
     (polished(time="even", gamma_span=0.0), "field", "field_2", {"tilt_x"}),
 ]
 APART = [
-    (polished(gamma_span=0.3), "compliance exponent", "compliance"),
+    (polished(gamma_span=0.3), "compliance", "compliance"),
     (polished(), "offset shift", "shift_x"),
     (polished(), "", "rate"),
     (polished(), "field", "field_2"),
