@@ -12,7 +12,7 @@ NORMAL = 1.4826
 """Standard deviation over the median of the magnitudes, of a normal distribution."""
 OUTLIER = 4.5
 """Standard deviations from which a sample, or the mean of a window, is none of the pass: 1 of 150,000 by chance."""
-WINDOW = 5
+WINDOW = 3
 """Samples across the window: a bump of no sample's own."""
 LOCAL = 0.1
 """Share of the samples up to which outliers are something local: more is a model that does not fit."""
@@ -23,7 +23,7 @@ NEGLIGIBLE = 0.05
 def outliers(residual_nm: FloatArray, mask: BoolArray, noise: Noise, pitch_mm: float) -> BoolArray:
     """(ny, nx) samples that are none of the pass: pits, drop-outs read as heights, a local bump, and their rims.
 
-    Empty where more than `LOCAL` of the map would go: that is no local matter.
+    A bump of more than `LOCAL` of the map stays, and so do single samples: that is no local matter.
 
     Args:
         residual_nm: (ny, nx) of a robust fit of all parameters.
@@ -39,9 +39,11 @@ def outliers(residual_nm: FloatArray, mask: BoolArray, noise: Noise, pitch_mm: f
     count = np.rint(_box(calm.astype(np.float64)))
     apart = np.sqrt(np.maximum(count, 1) * noise.cells(pitch_mm))
     raised = (count >= WINDOW) & (abs(total) > OUTLIER * sigma * apart)
-    bump = scipy.ndimage.binary_dilation(raised, np.ones((WINDOW, WINDOW))) if raised.any() else raised
-    found = mask & (scipy.ndimage.binary_dilation(alone) | bump)
-    return found if found.sum() <= LOCAL * mask.sum() else np.zeros_like(mask)
+    alone = scipy.ndimage.binary_dilation(alone)
+    for found in (mask & (alone | raised), mask & alone):
+        if found.sum() <= LOCAL * mask.sum():
+            return found
+    return np.zeros_like(mask)
 
 
 def size_nm(residual_nm: FloatArray, mask: BoolArray, noise: Noise) -> float:

@@ -23,6 +23,8 @@ SIZES_MM = (1.2, 2.0)
 """Standard deviations of the spot along its own x and y (y where the spindle leans)."""
 PEAK_NM_S = 20.0
 RADIUS_MM = 16.0
+BEYOND_MM = 23.0
+"""The raster ends where no spot reaches the disc any more."""
 PITCH_MM = 1.0
 NODE = np.array([-1.0, 1.0]) / np.sqrt(12) * PITCH_MM
 """Two Gauss points a cell and way: a sample is the mean over its cell."""
@@ -84,31 +86,33 @@ def polished(
     time: "varied" with the place, "even", or "stripes" along x.
     """
     rng = np.random.default_rng(seed)
-    axis = np.arange(-20.0, 20.5, 1.0)
+    axis = np.arange(-BEYOND_MM, BEYOND_MM + 0.5)
     x, y = np.meshgrid(axis, axis[::-1])
     place = np.column_stack([x.ravel(), y.ravel()])
-    place = place[np.hypot(*place.T) < RADIUS_MM + 4]
-    wavy = ndimage.gaussian_filter(rng.standard_normal((41, 41)), 2.0, mode="wrap")
-    at = (20 - place[:, 1]).astype(int), (place[:, 0] + 20).astype(int)
+    place = place[np.hypot(*place.T) <= BEYOND_MM]
+    wavy = ndimage.gaussian_filter(rng.standard_normal((len(axis), len(axis))), 2.0, mode="wrap")
+    at = (BEYOND_MM - place[:, 1]).astype(int), (place[:, 0] + BEYOND_MM).astype(int)
     even = np.full(len(place), 0.6)
     waves = {"varied": wavy[at] / wavy.std(), "even": 0 * even, "stripes": np.sin(place[:, 1])}[time]
     dwell = even * (1 + 0.25 * waves).clip(0.1)
     azimuth = np.full(len(place), 0.6) + (np.radians(100) * place[:, 0] / 40 if lean == "turning" else 0.0)
-    wave = place[:, 0] / 20 if smooth else np.sin(place[:, 0] / 5) * np.cos(place[:, 1] / 7)
+    wave = place[:, 0] / BEYOND_MM if smooth else np.sin(place[:, 0] / 5) * np.cos(place[:, 1] / 7)
     gamma = 0.85 + gamma_span / 2 * wave
     return Polished(place, dwell, azimuth, gamma)
 
 
 @cache
 def spot() -> MeasuredSpot:
-    """The spot as the controller was given it: a map of it at gamma 1, leaning along y."""
-    fine = (np.arange(121) - 60) * 0.15
-    map_nm_s = PEAK_NM_S * np.exp(
-        -(fine[None, :] ** 2) / 2 / SIZES_MM[0] ** 2 - fine[:, None] ** 2 / 2 / SIZES_MM[1] ** 2
-    )
-    return measured_spot(
-        MeasuredTif(np.where(map_nm_s > 1e-5 * PEAK_NM_S, map_nm_s, 0.0), 0.15, azimuth_deg=90.0), PROCESS
-    )
+    """The spot as the controller was given it: a map of it at gamma 1, leaning along y.
+
+    Each of its samples stands for a square, which widens it: what is sampled is narrower by that.
+    """
+    pitch = 0.3
+    fine = (np.arange(61) - 30) * pitch
+    x_size, y_size = (np.sqrt(size**2 - pitch**2 / 12) for size in SIZES_MM)
+    peak = PEAK_NM_S * SIZES_MM[0] * SIZES_MM[1] / x_size / y_size
+    rate = peak * np.exp(-(fine[None, :] ** 2) / 2 / x_size**2 - fine[:, None] ** 2 / 2 / y_size**2)
+    return measured_spot(MeasuredTif(np.where(rate > 1e-4 * peak, rate, 0.0), pitch, azimuth_deg=90.0), PROCESS)
 
 
 @cache

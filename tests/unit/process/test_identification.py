@@ -112,12 +112,12 @@ def test_drop_outs_and_a_bump_are_left_out() -> None:
     clean = one.removed(truth)
     grid, mask = disc()
     x, y = np.meshgrid(grid.x_mm, grid.y_mm)
-    bump = 6 * np.exp(-((x - 6) ** 2 + (y + 4) ** 2) / 2 / 1.5**2)
+    bump = 3 * np.exp(-((x - 6) ** 2 + (y + 4) ** 2) / 2 / 1.5**2)
     dots = np.zeros(mask.shape)
     dots[8, 10], dots[20, 25], dots[16, 5] = 400.0, -300.0, 90.0
     spoilt = replace(clean, removal_nm=clean.removal_nm + bump + dots)
     result = found(spoilt, one.blocks(), knowing("offset"))
-    assert result.rejected[(bump > 3) | (dots != 0)].all()
+    assert result.rejected[(bump > 1.5) | (dots != 0)].all()
     assert result.rejected.sum() < 0.1 * mask.sum()
     for name in ("rate", "offset_x", "offset_y"):
         assert abs(result[name].value - truth.get(name, 0.0)) < 4 * result[name].sigma, result[name].sentence
@@ -218,7 +218,7 @@ def test_a_map_that_cannot_be(change: dict[str, object], said: str) -> None:
 def test_blocks_that_cannot_be() -> None:
     one, prior = polished(), knowing("")
     removed, blocks = one.removed({}), one.blocks()
-    with pytest.raises(ComputeError, match="1245 times and 3 of rpm"):
+    with pytest.raises(ComputeError, match=f"{len(one.time)} times and 3 of rpm"):
         found(removed, replace(blocks, rpm=np.ones(3)), prior)
     with pytest.raises(ComputeError, match="no gamma is given for the projection 'linear'"):
         found(removed, replace(blocks, depth_ratio={"normal": one.gamma}), prior)
