@@ -17,7 +17,9 @@ HUBER = 1.5
 """Standard deviations from which the robust fit counts a residual by its size, not its square."""
 SETTLED = 0.03
 """A step of so many standard errors in all is the last."""
-STEPS = 12
+MISFIT = 1e-3
+"""Of the loss: a step that lowers it by less is the last one, too, where no parameters fit the map at all."""
+STEPS = 20
 DAMPINGS = 8
 
 
@@ -88,8 +90,10 @@ def estimate(
         hessian = columns.T @ (columns * weight[:, None]) + aim.precision
         downhill = columns.T @ (weight * at.residual_nm) - aim.precision @ (at.theta - prior.mean)
         after, damping = _step(aim, at, hessian, downhill, damping)
-        moved, at = after.theta - at.theta, after
+        moved, gained, at = after.theta - at.theta, at.loss - after.loss, after
         if float(moved @ hessian @ moved) < SETTLED**2:
+            break
+        if at.loss > data.removal_nm.size and gained < MISFIT * at.loss:
             break
     else:
         raise ComputeError(f"the fit of the removal did not settle in {STEPS} steps: is this the map of this pass?")

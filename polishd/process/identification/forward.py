@@ -16,8 +16,10 @@ from polishd.process.identification.passes import Blocks
 from polishd.process.metrics import zernike_terms
 from polishd.process.spot import Spot, turned
 
-SMALL_STEP = 0.02
-"""Of the spot's own step (half the radius of its core), and of a width: where differences are taken."""
+STEP = 0.2
+"""Of the spot's own step (half the radius of its core): how far a spot is moved to either side for its slope. That is
+about a square of a spot's patch: over less than one a slope is that of the square, not of the spot."""
+WIDTH_STEP = 0.04
 GAMMA_STEP = 1e-3
 TURN_STEP = float(np.radians(3.0))
 """A whole number of the steps in which a measured spot turns."""
@@ -122,15 +124,19 @@ class Forward:
         return Matrix(found[np.flatnonzero(self.mask)])
 
     def lay(self, theta: FloatArray, slopes: dict[str, Matrix] | None = None) -> Laid:
-        """The effect at these parameters' geometry; with slopes from one near it, or its own by forward differences."""
+        """The effect at these parameters' geometry; with slopes from one near it, or its own by differences."""
         base = self.matrix(theta)
         if slopes is None:
-            step = SMALL_STEP * self._step_mm(theta)
-            steps = {"x": step, "y": step, "gamma": GAMMA_STEP, "width": SMALL_STEP, "turn": TURN_STEP}
             names = {p.name for p in self.parameters}
-            wanted = {kind: by for kind, by in steps.items() if names & _ASKED[kind]}
-            slopes = {kind: Matrix((self.matrix(theta, kind, by) - base) / by) for kind, by in wanted.items()}
+            slopes = {kind: self._slope(theta, base, kind) for kind in SLOPES if names & _ASKED[kind]}
         return Laid(theta, base, slopes)
+
+    def _slope(self, theta: FloatArray, base: Matrix, kind: str) -> Matrix:
+        if kind in ("gamma", "turn"):  # to one side: they bend little, and a matrix is what takes time
+            by = {"gamma": GAMMA_STEP, "turn": TURN_STEP}[kind]
+            return Matrix((self.matrix(theta, kind, by) - base) / by)
+        by = WIDTH_STEP if kind == "width" else STEP * self._step_mm(theta)
+        return Matrix((self.matrix(theta, kind, by) - self.matrix(theta, kind, -by)) / (2 * by))
 
     def changes(self, theta: FloatArray, laid: Laid) -> dict[str, FloatArray]:
         """By slope, (n,) how far these parameters lay the blocks from where they are laid."""

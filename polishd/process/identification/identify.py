@@ -147,11 +147,7 @@ def identify(
         projection=projection,
         radius_mm=radius_mm,
     )
-    data, found, rejected = _fitted(model, removed, prior)
-    by_projection = {projection: found}
-    for name in blocks.depth_ratio:
-        if name != projection:
-            by_projection[name] = estimate(model.of(name), data, prior, start=found.theta, near=found.laid)
+    data, by_projection, rejected = _fitted(model, removed, prior)
     odds = {name: prior.odds.get(name, 0.0) + one.log_evidence for name, one in by_projection.items()}
     best = max(odds, key=lambda name: odds[name])
     chosen = best if odds[best] > odds[projection] + RIVAL else projection
@@ -180,19 +176,27 @@ def identify(
     )
 
 
-def _fitted(model: Forward, removed: Removed, prior: Knowledge) -> tuple[Data, Estimate, BoolArray]:
-    """All parameters, robustly; then once more without what is none of the pass, with the noise that is left."""
+def _fitted(model: Forward, removed: Removed, prior: Knowledge) -> tuple[Data, dict[str, Estimate], BoolArray]:
+    """All parameters by each projection, robustly; then without what is none of the pass, with the noise that is left.
+
+    Outliers and noise are those of the projection that fits best: what another leaves says nothing of the map.
+    """
     mask, pitch = removed.mask, removed.grid.pitch_mm
     measured = removed.removal_nm[mask]
     all_of_it = Data(measured, np.ones(measured.size, dtype=bool), removed.noise, removed.noise.cells(pitch))
-    first = estimate(model, all_of_it, prior, robust=True)
+    own = estimate(model, all_of_it, prior, robust=True)
+    first = {model.projection: own}
+    for name in model.blocks.depth_ratio:
+        if name != model.projection:
+            first[name] = estimate(model.of(name), all_of_it, prior, robust=True, near=own.laid)
     residual = np.zeros(mask.shape)
-    residual[mask] = first.residual_nm
+    residual[mask] = max(first.values(), key=lambda one: one.log_evidence).residual_nm
     rejected = outliers(residual, mask, removed.noise, pitch)
     keep = mask & ~rejected
     noise = own_noise(residual, keep, removed.noise, pitch)
     data = Data(measured, keep[mask], noise, noise.cells(pitch))
-    return data, estimate(model, data, prior, start=first.theta, near=first.laid), rejected
+    final = {name: estimate(model.of(name), data, prior, start=one.theta, near=one.laid) for name, one in first.items()}
+    return data, final, rejected
 
 
 def _followed(model: Forward, found: Estimate, data: Data) -> float:

@@ -162,7 +162,7 @@ def test_the_derivatives_are_those_of_the_removal() -> None:
     columns = model.columns(theta, model.lay(theta))
     for k, parameter in enumerate(all_parameters()):
         by = np.zeros(len(theta))
-        by[k] = 3.0 if parameter.name in ("turn", "rotation") else 0.02 * parameter.sigma
+        by[k] = {"deg": 3.0, "mm": 0.15}.get(parameter.unit, 0.04 if parameter.name == "width" else 0.002)
         high, low = (model.removal_nm(at, model.lay(at)) for at in (theta + by, theta - by))
         slope = (high - low) / (2 * by[k])
         assert np.linalg.norm(columns[:, k] - slope) < 0.06 * np.linalg.norm(slope), parameter.name

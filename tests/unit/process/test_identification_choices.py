@@ -257,7 +257,7 @@ def test_a_small_shift_is_corrected_and_a_large_one_stops() -> None:
     assert small.corrected[0].size == pytest.approx(0.2, abs=0.02)
     assert small.stops == ()
     large = decide(polished().identified({"offset_x": 1.2}, "offset"))
-    assert large.stops[0].startswith("offset of 1.2")
+    assert large.stops[0].startswith("offset of 1.2 +- 0.00")
     assert "more than 0.5: look at tool, seat and map" in large.stops[0]
     lenient = decide(polished().identified({"offset_x": 1.2}, "offset"), limits={"offset": 2.0})
     assert lenient.stops == ()
