@@ -28,8 +28,6 @@ NEAR = {"x": 0.1, "y": 0.1, "gamma": 0.005, "width": 0.01, "turn": 0.02}
 SLOPES = ("x", "y", "gamma", "width", "turn")
 """Changes of the effect matrix: the spots moved along x and y (by mm), gamma and width (relative), azimuth (rad)."""
 
-Matrix = scipy.sparse.csr_array
-
 
 @dataclass(frozen=True, slots=True)
 class WiderSpot:
@@ -61,9 +59,9 @@ class Laid:
 
     theta: FloatArray
     """(k,)"""
-    base: Matrix
+    base: scipy.sparse.csr_array
     """(N, n) nm/s."""
-    slopes: dict[str, Matrix]
+    slopes: dict[str, scipy.sparse.csr_array]
     """Those of `SLOPES` that a parameter asks for."""
 
 
@@ -106,7 +104,7 @@ class Forward:
         middle = middle + turned(at["offset_x"], at["offset_y"], azimuth) + [at["shift_x"], at["shift_y"]]
         return middle, azimuth
 
-    def matrix(self, theta: FloatArray, change: str | None = None, by: float = 0.0) -> Matrix:
+    def matrix(self, theta: FloatArray, change: str | None = None, by: float = 0.0) -> scipy.sparse.csr_array:
         """(N, n) nm/s of each block at these parameters' geometry, one thing of it changed."""
         changed = {name: by if name == change else 0.0 for name in SLOPES}
         middle, azimuth = self.moves(theta)
@@ -121,9 +119,9 @@ class Forward:
             depth_ratio=gamma,
             factor=np.ones_like(gamma),
         )
-        return Matrix(found[np.flatnonzero(self.mask)])
+        return scipy.sparse.csr_array(found[np.flatnonzero(self.mask)])
 
-    def lay(self, theta: FloatArray, slopes: dict[str, Matrix] | None = None) -> Laid:
+    def lay(self, theta: FloatArray, slopes: dict[str, scipy.sparse.csr_array] | None = None) -> Laid:
         """The effect at these parameters' geometry; with slopes from one near it, or its own by differences."""
         base = self.matrix(theta)
         if slopes is None:
@@ -131,12 +129,12 @@ class Forward:
             slopes = {kind: self._slope(theta, base, kind) for kind in SLOPES if names & _ASKED[kind]}
         return Laid(theta, base, slopes)
 
-    def _slope(self, theta: FloatArray, base: Matrix, kind: str) -> Matrix:
+    def _slope(self, theta: FloatArray, base: scipy.sparse.csr_array, kind: str) -> scipy.sparse.csr_array:
         if kind in ("gamma", "turn"):  # to one side: they bend little, and a matrix is what takes time
             by = {"gamma": GAMMA_STEP, "turn": TURN_STEP}[kind]
-            return Matrix((self.matrix(theta, kind, by) - base) / by)
+            return scipy.sparse.csr_array((self.matrix(theta, kind, by) - base) / by)
         by = WIDTH_STEP if kind == "width" else STEP * self._step_mm(theta)
-        return Matrix((self.matrix(theta, kind, by) - self.matrix(theta, kind, -by)) / (2 * by))
+        return scipy.sparse.csr_array((self.matrix(theta, kind, by) - self.matrix(theta, kind, -by)) / (2 * by))
 
     def changes(self, theta: FloatArray, laid: Laid) -> dict[str, FloatArray]:
         """By slope, (n,) how far these parameters lay the blocks from where they are laid."""

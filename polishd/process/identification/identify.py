@@ -222,7 +222,8 @@ def _applied(
     learned: Knowledge, best: Candidate, future: FloatArray, least_gain_nm: float
 ) -> tuple[dict[str, float], Knowledge]:
     """The best model less what does not pay, the least worth of it first, as each that goes changes the others."""
-    taken, worths = best.extensions, {}
+    taken = best.extensions
+    worths: dict[str, float] = {}
     while True:
         out = without(learned.parameters, taken)
         mean, covariance = conditioned(learned.mean, learned.covariance, out)

@@ -28,7 +28,7 @@ class Prediction:
     @property
     def sigma_nm(self) -> FloatArray:
         """(N,) standard error of each sample's removal."""
-        return np.sqrt((self.factor_nm**2).sum(axis=1))
+        return np.asarray(np.sqrt((self.factor_nm**2).sum(axis=1)), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,7 +42,7 @@ def outliers(residual_nm: FloatArray, mask: BoolArray, noise: Noise, pitch_mm: f
     alone = scipy.ndimage.binary_dilation(alone)
     for found in (mask & (alone | raised), mask & alone):
         if found.sum() <= LOCAL * mask.sum():
-            return found
+            return np.asarray(found, dtype=np.bool_)
     return np.zeros_like(mask)
 
 

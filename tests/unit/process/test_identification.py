@@ -139,6 +139,7 @@ def test_noise_is_measured_with_its_area(wide: float) -> None:
     assert seen_noise.area_mm2 == pytest.approx(area, rel=0.25)
 
 
+@pytest.mark.full
 def test_correlated_noise_widens_the_errors_as_it_should() -> None:
     one = polished()
     grid, mask = disc()
@@ -152,6 +153,7 @@ def test_correlated_noise_widens_the_errors_as_it_should() -> None:
     assert 0.2 < np.mean(np.square(errors)) < 2.6
 
 
+@pytest.mark.full
 def test_the_derivatives_are_those_of_the_removal() -> None:
     one = polished()
     grid, mask = disc()
