@@ -94,12 +94,12 @@ def normalised(one: Polished, names: str, seeds: range, share: float = 0.3) -> n
 
 
 def test_errors_are_as_large_as_stated() -> None:
-    errors = normalised(polished(), "offset compliance", range(6))
-    assert 0.5 < (errors**2).mean() < 1.7  # of 48 normal squares: 4 standard deviations either way
+    errors = normalised(polished(), "offset compliance", range(5))
+    assert 0.4 < (errors**2).mean() < 1.9  # of 35 normal squares: 4 standard deviations either way
 
 
-@pytest.mark.full
-@pytest.mark.timeout(900)
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_errors_are_as_large_as_stated_over_fifty_passes() -> None:
     errors = normalised(hour(), "field wear offset width compliance exponent shift power", range(50))
     assert 0.8 < (errors**2).mean() < 1.2
