@@ -45,7 +45,7 @@ APART = [
     (polished(), "field", "field_2"),
     (slower(polished(), 5), "wear", "wear"),
 ]
-WRONG_ALONE = ["field_2", "wear", "offset_x", "turn", "width", "compliance", "shift_y", "rotation"]
+WRONG_ALONE = ["field_2", "wear", "turn", "width", "compliance", "shift_y", "rotation"]
 
 
 @pytest.mark.parametrize(("one", "names", "name", "others"), CONFOUNDED)
