@@ -129,7 +129,11 @@ def removal(one: Polished, truth: Mapping[str, float]) -> FloatArray:
     gamma = 1 - compliance * (1 - one.gamma)
     hours = (np.cumsum(one.time) - one.time / 2) / 3600
     x, y = one.place.T / RADIUS_MM
-    field = true["field_2"] * 2 * x + true["field_3"] * 2 * y + true["field_4"] * np.sqrt(3) * (2 * (x**2 + y**2) - 1)
+    square = x**2 + y**2
+    terms = [2 * x, 2 * y, np.sqrt(3) * (2 * square - 1), np.sqrt(6) * 2 * x * y, np.sqrt(6) * (x**2 - y**2)]
+    terms += [np.sqrt(8) * (3 * square - 2) * y, np.sqrt(8) * (3 * square - 2) * x]
+    terms += [np.sqrt(8) * (3 * x**2 * y - y**3), np.sqrt(8) * (x**3 - 3 * x * y**2)]
+    field = sum(true[f"field_{k}"] * term for k, term in enumerate(terms, 2))
     rate = PEAK_NM_S * np.exp(true["rate"] + field - true["wear"] * hours) * gamma ** (0.5 + true["exponent"])
     # the volume goes as gamma^1.5, the spot's area as gamma: so the peak as gamma^0.5
     turn, rotation = np.radians(true["turn"]), np.radians(true["rotation"])
