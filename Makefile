@@ -34,7 +34,7 @@ test-long: $(VENV)/.installed ## run the long campaigns (ARGS="...")
 	@$(ONE_THREAD) $(PYTEST) -n 2 --dist worksteal -m "slow and not hil" $(REAL_TIME:%=--ignore=%) $(ARGS)
 
 test-maps: $(VENV)/.installed ## of those, 100,000 broken files of each map format and 10,000 writes into the folder
-	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m slow tests/unit/plugins/test_map_fuzz.py tests/campaigns $(ARGS)
+	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m slow tests/unit/plugins/test_map_fuzz.py tests/campaigns/test_folder_campaign.py $(ARGS)
 
 ways-out: $(VENV)/.installed ## of those, every way out of contact in real time, and its table in docs/cycle.md
 	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m slow tests/campaigns/test_ways_out.py $(ARGS)
@@ -43,10 +43,10 @@ ways-out: $(VENV)/.installed ## of those, every way out of contact in real time,
 crash: $(VENV)/.installed ## 100,000 crash states of the journal, 2,000 kills, and its model; into docs/reliability.md (ARGS="...")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.crash $(ARGS)
 
-faults: $(VENV)/.installed ## every fault on every link in contact; into docs/fault-matrix.md (ARGS="--losses 200")
+faults: $(VENV)/.installed ## every fault on every link in contact; into docs/fault-matrix.md, in sittings (ARGS="--minutes 30 --jobs 3")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.faults $(ARGS)
 
-replies: $(VENV)/.installed ## a million malformed or late replies a driver; into docs/replies.md (ARGS=20000)
+replies: $(VENV)/.installed ## a million malformed or late replies a driver; into docs/replies.md, in sittings (ARGS="--minutes 20")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.codecs $(ARGS)
 
 model: $(VENV)/.installed ## of that, the model alone

@@ -28,6 +28,7 @@ from polishd.plugins.interferometer.formats.metropro import METROPRO
 from polishd.process import metrics
 from polishd.process.conditioning import fill_holes
 from polishd.process.registration import outline
+from polishd.workbench.maps.figures import figured
 
 SIDE = 1024
 PITCH_MM = 0.44
@@ -52,6 +53,10 @@ def rows(progress: Progress) -> Iterator[Row]:
             partial(figures, height, mask),
             {"prysm": partial(figures_prysm, Interferogram.from_zygo_dat(path))},
             progress=progress,
+        )
+        surface = METROPRO.read(path)
+        yield race(
+            "map: all that `polishd map` says of it", lambda: figured(surface, 0, EDGES_MM), {}, progress=progress
         )
         yield race(
             "map: import to bands (prysm: import, level, 37 terms, PSD)",
@@ -107,7 +112,7 @@ def steps(path: Path) -> dict[str, tuple[Callable[[], object], Callable[[], obje
 
 
 def figures(height_nm: FloatArray, mask: np.ndarray) -> object:
-    """What ``polishd map`` says of a map, one after the other."""
+    """Each figure that prysm has, and slope, one after the other."""
     level = metrics.without(height_nm, mask, "tilt")
     bands = metrics.split_bands(level, mask, PITCH_MM, EDGES_MM)
     terms = metrics.zernike.fit(level, mask, TERMS)

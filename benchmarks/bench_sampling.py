@@ -8,10 +8,8 @@ until it was in hand, the wait for the loop included. The solve is a process of 
 from __future__ import annotations
 
 import asyncio
-import json
 import multiprocessing
 import os
-import tempfile
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import AsyncExitStack, contextmanager
@@ -22,8 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.dwell_cases import Case, build
-from benchmarks.harness import Progress, Row
-from polishd.console.simulator import simulated_cell
+from benchmarks.harness import Progress, Row, running_cell
 from polishd.drivers.force_sensor_line import ForceSensorLine
 from polishd.drivers.profiled import make
 from polishd.drivers.profiled.shelf import profile_of
@@ -57,12 +54,8 @@ Ask = Callable[[], Awaitable[object]]
 
 def rows(progress: Progress) -> Iterator[Row]:
     """Milliseconds late, p99 and p99.9: beside a solve, and beside nothing."""
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        sim, state = folder / "sim.toml", folder / "sim"
-        sim.write_text(SIM)
-        with simulated_cell(sim, ["--state", str(state)], folder / "sim.stderr"):
-            late_ms = asyncio.run(measured(json.loads((state / "endpoints.json").read_text()), progress))
+    with running_cell(SIM) as endpoints:
+        late_ms = asyncio.run(measured(endpoints, progress))
     for share in (99.0, 99.9):
         beside, alone = (float(np.percentile(late_ms[solves], share)) for solves in (True, False))
         meant = f", meant to be at most {MEANT_MS:g} ms where nothing else runs" if share > 99.0 else ""

@@ -9,17 +9,13 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-import json
 import statistics
-import tempfile
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import MIN_REPEATS, Progress, Row
-from polishd.console.simulator import simulated_cell
+from benchmarks.harness import MIN_REPEATS, Progress, Row, running_cell
 from polishd.daemon.stream import CHUNK
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.transport.address import Tcp
@@ -41,13 +37,9 @@ window = {BLOCKS}
 
 def rows(progress: Progress) -> Iterator[Row]:
     """Microseconds a block: all at once, in the daemon's chunks, and one by one."""
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        sim, state = folder / "sim.toml", folder / "sim"
-        sim.write_text(SIM)
-        with simulated_cell(sim, ["--state", str(state)], folder / "sim.stderr"):
-            host, port = json.loads((state / "endpoints.json").read_text())["robot"].removeprefix("tcp://").split(":")
-            costs = asyncio.run(measured(Tcp(host, int(port)), progress))
+    with running_cell(SIM) as endpoints:
+        host, port = endpoints["robot"].removeprefix("tcp://").split(":")
+        costs = asyncio.run(measured(Tcp(host, int(port)), progress))
     alone = costs[1]
     for at_once, name in ((BLOCKS, "all at once"), (CHUNK, f"{CHUNK} at once, as the daemon does")):
         row = Row(f"robot link, blocks accepted, {name}", costs[at_once], {"send-and-wait": alone}, "us/block")

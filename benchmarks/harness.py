@@ -1,19 +1,25 @@
-"""What a benchmark module needs: ``Row``, and ``race`` that measures one."""
+"""What a benchmark module needs: ``Row``, ``race`` that measures one, and a simulated cell."""
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import os
 import resource
 import signal
 import statistics
+import tempfile
 import time
 import traceback
 import tracemalloc
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
+
+from polishd.console.simulator import simulated_cell
 
 Progress = Callable[[str], None]
 Runner = Callable[[], object]
@@ -136,6 +142,17 @@ def _kill_group(process: multiprocessing.process.BaseProcess) -> None:
         process.kill()  # it has no group of its own yet, or nothing is left of it
     process.join()
     process.close()
+
+
+@contextmanager
+def running_cell(sim: str) -> Iterator[dict[str, str]]:
+    """A simulated cell of that SIM.toml, as processes: where each device answers."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        config, state = folder / "sim.toml", folder / "sim"
+        config.write_text(sim)
+        with simulated_cell(config, ["--state", str(state)], folder / "sim.stderr"):
+            yield json.loads((state / "endpoints.json").read_text())
 
 
 def peak_mb(run: Callable[[], object]) -> float:

@@ -125,13 +125,14 @@ def hil(
     max_force: Annotated[float | None, Option(metavar="N", help="Nothing is pressed harder.")] = None,
     simulate: Annotated[str, Option(metavar="NAME,...", help="Devices that are simulated instead.")] = "",
     motion: Annotated[Path | None, Option(metavar="PROGRAM", help="Blocks that the robot may run in the air.")] = None,
+    record: Record = None,
     yes: Annotated[bool, Option("--yes", help="Do not ask before anything moves.")] = False,
     as_json: Json = False,
 ) -> None:
     """Hold a real cell's devices to what their ports demand. Needs polishd[testing]."""
     from polishd.console.hil import hil_verb
 
-    hil_verb(cell, level, max_force, simulate, motion, yes=yes, as_json=as_json)
+    hil_verb(cell, level, max_force, simulate, motion, record=record, yes=yes, as_json=as_json)
 
 
 @app.command()

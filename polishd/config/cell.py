@@ -30,12 +30,13 @@ from polishd.config.sections import (
 )
 from polishd.config.signals import SignalSection
 from polishd.config.tables import read_tif
-from polishd.config.tolerance import ToleranceSection
+from polishd.config.tolerance import ToleranceSection, lines_of
 from polishd.config.values import Name, Texts, as_tuple
 from polishd.hookspecs import DeviceType, NotifierType
 from polishd.model.errors import ConfigError
 from polishd.model.limits import Envelope
 from polishd.model.process import MeasuredTif
+from polishd.model.tolerance import Line
 from polishd.ports.devices import ForceActuator, ForceSensor, Loader, Metrology, Monitor, Robot, Spindle
 
 
@@ -112,6 +113,11 @@ class CellConfig(PartDocument):
             for port, mark in PORTS.items()
             if mark.chosen and (port in self.roles or port in self.devices)
         }
+
+    @property
+    def lines(self) -> tuple[Line, ...]:
+        """What the part is judged by."""
+        return lines_of(self.job, tuple(line for section in self.tolerance for line in section.lines))
 
     def effective(self) -> dict[str, Any]:
         """All values in force, JSON-ready."""

@@ -40,13 +40,28 @@ def read_positions(path: Path) -> dict[str, tuple[float, float]]:
 
     Raises ConfigError ``FILE:LINE: ...`` as ``read_columns`` does, and for a name that is empty or stands twice.
     """
-    found: dict[str, tuple[float, float]] = {}
-    for place, given in _entries(path, ("file", *PLACE[:2])):
-        name = (given.get("file") or "").strip()
-        if not name or name in found:
-            told = f"{name} stands there a second time" if name else "file is empty"
+    return {name: (x, y) for name, (x, y) in _by_file(path, PLACE[:2]).items()}
+
+
+def read_poses(path: Path) -> dict[str, tuple[float, float, float]]:
+    """How a part lay in files: CSV with ``file``, ``angle_deg`` and, where it was shifted, ``x_mm, y_mm``.
+
+    Raises ConfigError as ``read_positions`` does.
+    """
+    found = _by_file(path, ("angle_deg",), PLACE[:2])
+    return {name: (angle, x, y) for name, (angle, x, y) in found.items()}
+
+
+def _by_file(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> dict[str, list[float]]:
+    """Numbers of each line by its ``file``; an optional column that is not there, or empty, is 0."""
+    found: dict[str, list[float]] = {}
+    for place, given in _entries(path, ("file", *names), optional):
+        file = (given.get("file") or "").strip()
+        if not file or file in found:
+            told = f"{file} stands there a second time" if file else "file is empty"
             raise ConfigError(f"{place}: {told}; write each map's file name once")
-        found[name] = (_number(place, "x_mm", given.get("x_mm")), _number(place, "y_mm", given.get("y_mm")))
+        found[file] = [_number(place, name, given.get(name)) for name in names]
+        found[file] += [_number(place, name, given.get(name) or "0") for name in optional]
     return found
 
 
@@ -54,8 +69,10 @@ def _entries(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> 
     """Of each line behind the header ``FILE:LINE`` and its entries by column; the header has all ``names``."""
     try:
         text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}; name a CSV file") from error
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}; name a CSV file") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
     rows = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip(" ,;\t")]
     rows = [(number, line) for number, line in rows if not line.lstrip().startswith("#")]
     if len(rows) < 2:

@@ -9,6 +9,7 @@ from typing import Annotated, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from polishd.config.document import Document, parse_toml
+from polishd.config.sections import JobSection
 from polishd.config.values import Positive, Section, Text, as_tuple
 from polishd.model.tolerance import Figure, Line
 
@@ -112,6 +113,13 @@ def load_tolerance(path: Path) -> tuple[Line, ...]:
     """The lines of a file that holds ``[[tolerance]]`` sections and nothing else; ConfigError with file and line."""
     raw, source = parse_toml(path)
     return tuple(line for section in ToleranceFile.of(raw, source).tolerance for line in section.lines)
+
+
+def lines_of(job: JobSection, drawing: tuple[Line, ...]) -> tuple[Line, ...]:
+    """What a part is judged by: the one line of the job's short form, or the drawing's."""
+    if job.tolerance_nm is None:
+        return drawing
+    return (Line("rms", job.tolerance_nm, job.tolerance_period_mm),)
 
 
 def notation(text: str) -> dict[Figure, float]:

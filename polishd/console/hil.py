@@ -23,7 +23,15 @@ KEPT, BROKEN, INTERRUPTED, REFUSED = 0, 1, 2, 4
 
 
 def hil_verb(
-    cell: Path, level: str, max_force_n: float | None, simulate: str, motion: Path | None, *, yes: bool, as_json: bool
+    cell: Path,
+    level: str,
+    max_force_n: float | None,
+    simulate: str,
+    motion: Path | None,
+    *,
+    record: Path | None,
+    yes: bool,
+    as_json: bool,
 ) -> None:
     """DeviceFault where a demand is not kept; ConfigError where nothing was tried.
 
@@ -34,7 +42,8 @@ def hil_verb(
     from polishd.testing.bench import SUITES, Asked, Level, foreseen
 
     names = tuple(filter(None, simulate.split(",")))
-    asked = Asked(cell=cell, level=Level.of(level), max_force_n=max_force_n, simulate=names, motion=motion)
+    of = Level.of(level)
+    asked = Asked(cell=cell, level=of, max_force_n=max_force_n, simulate=names, motion=motion, record=record)
     seen = foreseen(asked)
     title, columns = f"{seen.config.cell.name}: level {level}", ("device", "what it is", "what happens to it")
     does = list(seen.does())
@@ -44,6 +53,7 @@ def hil_verb(
     options = ["--cell", str(cell.resolve()), "--hil-level", level, "--hil-simulate", simulate]
     options += [] if max_force_n is None else ["--hil-max-force", str(max_force_n)]
     options += [] if motion is None else ["--hil-motion", str(motion.resolve())]
+    options += [] if record is None else ["--hil-record", str(record.resolve())]
     code, found = _run([f"{suite}.py" for suite in SUITES], options, out=sys.stderr if as_json else None)
     if as_json:
         devices = [dict(zip(("device", "what", "does"), row, strict=True)) for row in does]

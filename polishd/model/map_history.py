@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -44,6 +44,14 @@ class MapStep:
     def depth(self) -> int:
         """How many steps follow one another."""
         return 1 + max((one.history.depth for one in self.inputs if one.history is not None), default=0)
+
+    @property
+    def steps(self) -> Iterator[MapStep]:
+        """This one and all before it, of whatever input."""
+        yield self
+        for one in self.inputs:
+            if one.history is not None:
+                yield from one.history.steps
 
     @property
     def profiled(self) -> bool:

@@ -35,6 +35,10 @@ class Passed:
     """How a link ended."""
     values: Mapping[str, object] | None = None
     """By name, in place of bytes: of a link that a library hides."""
+    clock_s: float | None = None
+    """Of values that came: when, on the clock of whoever has them."""
+    changed_s: Mapping[str, float] | None = None
+    """On that clock, when some came to their values."""
 
 
 Recorder = Callable[[Passed], None]
@@ -55,10 +59,15 @@ class Tap:
         data: bytes = b"",
         identifier: int | None = None,
         why: str = "",
+        *,
         values: Mapping[str, object] | None = None,
+        clock_s: float | None = None,
+        changed_s: Mapping[str, float] | None = None,
     ) -> None:
         """That passes, now."""
-        self.recorder(Passed(time.monotonic(), self.role, self.link, way, data, identifier, why, values))
+        now_s = time.monotonic()
+        passed = Passed(now_s, self.role, self.link, way, data, identifier, why, values, clock_s, changed_s)
+        self.recorder(passed)
 
 
 _recorder: ContextVar[Recorder | None] = ContextVar("recorder", default=None)

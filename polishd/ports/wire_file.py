@@ -3,7 +3,8 @@
 {"polishd_wire": 1, "version": "0.9", "cell": "demo", "began": "2026-11-23T00:42:53+00:00", "devices": {...}}
 {"t_s": 0.01, "role": "actuator", "link": "tcp://10.0.0.7:502", "way": "out", "hex": "0001..."}
 {"t_s": 0.02, "role": "spindle", "link": "slcan:/dev/ttyACM0", "way": "in", "id": 897, "hex": "00ff"}
-    {"t_s": 0.03, "role": "robot", "link": "opc.tcp://10.0.0.9:4840", "way": "out", "values": {"start": true}}
+{"t_s": 0.03, "role": "robot", "link": "opc.tcp://10.0.0.9:4840", "way": "out", "values": {"start": true}}
+{"t_s": 0.04, "role": "robot", "link": "opc.tcp://10.0.0.9:4840", "way": "in", "values": {"state": 2}, "clock_s": 5.1}
 {"t_s": 9.5, "lost": 12}        so many were dropped since the line before: the disk was slower than the wires
 {"t_s": 99.5, "full": 100000000}    the limit of the file, bytes: nothing was recorded from here on
 """
@@ -62,6 +63,8 @@ def passed_line(one: Passed, began_s: float) -> bytes:
     line |= {} if one.identifier is None else {"id": one.identifier}
     if one.values is not None:
         line["values"] = dict(one.values)
+        line |= {} if one.clock_s is None else {"clock_s": one.clock_s}
+        line |= {"changed_s": dict(one.changed_s)} if one.changed_s else {}
     elif one.way in ("out", "in"):
         line["hex"] = one.data.hex()
     return _line(line | ({"why": one.why} if one.why else {}))
@@ -133,9 +136,10 @@ def _passed(path: Path, at: int, row: Mapping[str, Any]) -> Passed:
         values: dict[str, Any] | None = dict(row["values"]) if "values" in row else None
         data = bytes.fromhex(row["hex"]) if way in ("out", "in") and values is None else b""
         identifier = None if row.get("id") is None else int(row["id"])
-        return Passed(
-            float(row["t_s"]), str(row["role"]), str(row["link"]), way, data, identifier, row.get("why", ""), values
-        )
+        clock_s = None if row.get("clock_s") is None else float(row["clock_s"])
+        changed_s = {str(name): float(at_s) for name, at_s in dict(row.get("changed_s", {})).items()} or None
+        why, told = row.get("why", ""), (values, clock_s, changed_s)
+        return Passed(float(row["t_s"]), str(row["role"]), str(row["link"]), way, data, identifier, why, *told)
     except KeyError as error:
         raise _bad(path, at, f"has no {error.args[0]!r}") from error
     except (TypeError, ValueError) as error:

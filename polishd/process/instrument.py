@@ -71,12 +71,17 @@ def require_profile(surface: SurfaceMap, instrument: Instrument | None, *, partl
     """BadMap where a profile, or none, cannot be applied to a map: asked before anybody waits for its answer.
 
     What the file does not say the profile does not either (no matter where ``partly``), they contradict each other, the
-    map is of another instrument, or a profile was applied before.
+    map is of another instrument, or a profile was applied before, to the map or to one that it was made of. Nor is a
+    mean of mixed repeats taken but to look at (``partly``): nobody knows what it shows.
     """
     name = surface.path.name if surface.path is not None else "the map"
-    by_history = instrument is not None and surface.history is not None and surface.history.profiled
+    steps = [] if surface.history is None else list(surface.history.steps)
+    by_history = instrument is not None and any("profile" in step.options for step in steps)
     if "profile" in surface.factors or by_history:
         raise BadMap(f"{name} had the profile applied before: a second time would turn and scale it twice")
+    if not partly and any(step.options.get("mixed") for step in steps):
+        raise BadMap(f"{name}: by its history it holds a mean of mixed repeats, of unknown pitch or several "
+                     "instruments: average repeats of one set-up, without --mixed")  # fmt: skip
     if instrument is None:
         _all_said(name, surface)
         return
@@ -113,9 +118,15 @@ def _of_this_instrument(name: str, surface: SurfaceMap, instrument: Instrument) 
                      "again")  # fmt: skip
 
 
+def system_number(name: str) -> int | None:
+    """The number in the name of a Zygo, or that is all of a name; None where there is none."""
+    found = SYSTEM.fullmatch(name)
+    return None if found is None else int(found[1])
+
+
 def same_system(one: str, other: str) -> bool:
     """Whether two names of instruments may be of one: alike, or of one system number, cut to 16 bits in either."""
-    numbers = [int(found[1]) for found in map(SYSTEM.fullmatch, (one, other)) if found]
+    numbers = [number for number in map(system_number, (one, other)) if number is not None]
     cut = len(numbers) == 2 and min(numbers) < SHORT and numbers[0] % SHORT == numbers[1] % SHORT
     return one == other or cut or (len(numbers) == 2 and numbers[0] == numbers[1])
 

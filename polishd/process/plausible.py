@@ -12,6 +12,8 @@ EARLIEST = datetime(1985, 1, 1, tzinfo=UTC)
 AHEAD = timedelta(days=1)
 """Local times are taken for UTC's where a file names no zone; what is further ahead has another reason."""
 LARGEST_PART_MM, SMALLEST_SAMPLE_MM = 20e3, 1e-6
+SAME_PITCH = 1e-6
+"""Part of a pitch by which two may differ and still be one grid."""
 
 
 def plausible(surface: SurfaceMap, now: datetime, written: datetime | None) -> SurfaceMap:

@@ -11,6 +11,7 @@ from polishd.model.errors import BadMap
 from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
 from polishd.process.instrument import same_system
 from polishd.process.metrics import Removal, without
+from polishd.process.plausible import SAME_PITCH
 
 FEWEST = 3
 """Maps that must be left: of two that differ nobody knows which is wrong."""
@@ -58,9 +59,11 @@ def average(surfaces: Sequence[SurfaceMap], removal: Removal = "tilt", *, mixed:
         mixed: they may have no pitch, and be of several instruments.
 
     Raises:
-        BadMap: fewer than ``FEWEST`` maps, before or after the rejection; shapes or pitches that differ; no sample that
-            all have; unless ``mixed``, a map without pitch, or of another instrument than the first that names one.
+        BadMap: one file that is there twice; fewer than ``FEWEST`` maps, before or after the rejection; shapes or
+            pitches that differ; no sample that all have; unless ``mixed``, a map without pitch, or of another
+            instrument than the first that names one.
     """
+    _require_measured_each(surfaces)
     if not mixed:
         _require_one_setup(surfaces)
     common = _common(surfaces)
@@ -105,17 +108,36 @@ def _require_one_setup(surfaces: Sequence[SurfaceMap]) -> None:
                          "it out, or say --mixed")  # fmt: skip
 
 
+def _require_measured_each(surfaces: Sequence[SurfaceMap]) -> None:
+    """BadMap where one measurement is there twice: what is alike by being the same would pass for sure."""
+    seen: dict[str, str] = {}
+    for name, surface in zip(_names(surfaces), surfaces, strict=True):
+        before = seen.setdefault(surface.sha256, name) if surface.sha256 else name
+        if before != name:
+            raise BadMap(f"{name} and {before} hold the same measurement, byte for byte: name each repeat once")
+
+
+def _size(surface: SurfaceMap) -> str:
+    rows, columns = surface.height_nm.shape
+    pitch = "no lateral scale" if surface.pitch_mm is None else f"a pitch of {surface.pitch_mm:.7g} mm"
+    return f"{rows} x {columns} samples and {pitch}"
+
+
+def _same_pitch(one: SurfaceMap, other: SurfaceMap) -> bool:
+    """As closely as any format keeps a pitch: ``.dat`` rounds it to 7 digits."""
+    if one.pitch_mm is None or other.pitch_mm is None:
+        return one.pitch_mm is other.pitch_mm
+    return abs(one.pitch_mm - other.pitch_mm) <= SAME_PITCH * one.pitch_mm
+
+
 def _common(surfaces: Sequence[SurfaceMap]) -> BoolArray:
     """(ny, nx) samples that all have."""
     if len(surfaces) < FEWEST:
         raise BadMap(f"{len(surfaces)} repeats are too few: at least {FEWEST} tell which of them deviates")
     first, *others = surfaces
     for name, other in zip(_names(surfaces)[1:], others, strict=True):
-        if other.height_nm.shape != first.height_nm.shape or other.pitch_mm != first.pitch_mm:
-            raise BadMap(
-                f"{name} is {other.height_nm.shape} at {other.pitch_mm} mm, the first repeat "
-                f"{first.height_nm.shape} at {first.pitch_mm} mm: repeats are of one set-up"
-            )
+        if other.height_nm.shape != first.height_nm.shape or not _same_pitch(other, first):
+            raise BadMap(f"{name} has {_size(other)}, the first repeat {_size(first)}: repeats are of one set-up")
     everywhere: BoolArray = np.logical_and.reduce([surface.valid for surface in surfaces])
     return everywhere
 

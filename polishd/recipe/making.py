@@ -80,7 +80,7 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
         solver=_named(config, "dwell.solver", config.dwell.solver, solvers),
         cross_check=_named(config, "dwell.cross_check", cross_check, solvers) if cross_check else None,
         finding=config.limits.finding,
-        tolerance=tuple(line for section in config.tolerance for line in section.lines),
+        tolerance=config.lines,
         touch_off=touch_off_of(config, program),
         between=between_of(config, instrument),
     )

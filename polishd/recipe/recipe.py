@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from polishd.config.sections import DwellSection, JobSection, PartSection, ProgramSection
+from polishd.config.tolerance import lines_of
 from polishd.hookspecs import DwellSolver, ProgramFormat, RemovalModel
 from polishd.model.finding import FindingLimits
 from polishd.model.handling import NOTHING, Between, TouchOff
@@ -51,7 +52,7 @@ class Recipe:
     cross_check: DwellSolver | None
     finding: FindingLimits = DEFAULT
     tolerance: tuple[Line, ...] = ()
-    """The drawing's lines; none where the job has the short form."""
+    """The drawing's lines, where the job has no short form."""
     touch_off: TouchOff | None = None
     """How the part's seat is proved; None: nobody proves it."""
     between: Between = NOTHING
@@ -59,9 +60,7 @@ class Recipe:
     @property
     def lines(self) -> tuple[Line, ...]:
         """What the part is judged by: it is accepted when all of them hold."""
-        if self.job.tolerance_nm is None:
-            return self.tolerance
-        return (Line("rms", self.job.tolerance_nm, self.job.tolerance_period_mm),)
+        return lines_of(self.job, self.tolerance)
 
     def facts(self) -> dict[str, Any]:
         """What a summary says of it."""

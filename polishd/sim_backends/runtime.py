@@ -110,7 +110,8 @@ class Runtime:
                     raise
                 continue
             got = int(server.sockets[0].getsockname()[1])
-            kept.write_text(str(got))
+            if not port:
+                kept.write_text(str(got))
             return got
         return 0
 
@@ -123,6 +124,9 @@ class Runtime:
         await self.link.writer.drain()
         known = [argument for argument in sys.argv[1:] if argument != "--rebooted"]
         arguments = [sys.executable, "-m", "polishd.sim_backends", *known, "--rebooted"]
+        terminal = self.start.state / self.name
+        if terminal.is_symlink():
+            terminal.unlink()  # the terminal ends with this program, and its number is the next one's
         os.execv(sys.executable, arguments)  # noqa: S606  (no shell: the process replaces itself)
 
 

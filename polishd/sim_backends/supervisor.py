@@ -28,6 +28,8 @@ class Supervisor:
     children: dict[str, asyncio.subprocess.Process] = field(default_factory=dict)
     ends: dict[str, asyncio.Task[None]] = field(default_factory=dict)
     endpoints: dict[str, str] = field(default_factory=dict)
+    terminals: dict[str, str] = field(default_factory=dict)
+    """Where the links of devices on serial lines led when they came up."""
     stop: asyncio.Event = field(default_factory=asyncio.Event)
 
     async def run(self) -> int:
@@ -79,6 +81,9 @@ class Supervisor:
             print(f"polishd sim: the {name} did not come up", file=sys.stderr)  # noqa: T201
             return False
         self.endpoints[name] = str(json.loads(line)["endpoint"])
+        link = self.start.state / name
+        if link.is_symlink():
+            self.terminals[name] = str(link.readlink())
         return True
 
     def _announce(self) -> None:
@@ -98,10 +103,17 @@ class Supervisor:
     async def _mourn(self, name: str, child: asyncio.subprocess.Process) -> None:
         """Note a death; without the plant there is no cell."""
         await child.wait()
+        self._unplug(name)
         if not self.stop.is_set():
             print(f"polishd sim: the {name} has ended", file=sys.stderr)  # noqa: T201
         if name == "plant":
             self.stop.set()
+
+    def _unplug(self, name: str) -> None:
+        """Take away the link to the terminal of a device that was killed: its number may be any program's next."""
+        link = self.start.state / name
+        if link.is_symlink() and str(link.readlink()) == self.terminals.get(name):
+            link.unlink()
 
     async def _end(self) -> None:
         """Devices first, then the plant, so that it books all that they did."""

@@ -167,7 +167,7 @@ class PtyPort:
     def close(self) -> None:
         """Pull the plug: whoever has it open reads an error, and who opens it finds none.
 
-        The kernel gives the number of a closed terminal to the next one: a link left behind leads to another device.
+        The kernel gives a closed terminal's number to the next one: a link left behind leads to another cell's device.
         """
         if self._master < 0:
             return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import AsyncIterator, Iterator, Sequence
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import asynccontextmanager, contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import IntEnum
@@ -16,6 +16,7 @@ import pytest
 from polishd.config.cell import PORTS, CellConfig, load_config, port_of
 from polishd.daemon.assembly import build_cell, require_time_limits
 from polishd.daemon.lock import locked
+from polishd.daemon.wire_recorder import place, recording_to
 from polishd.hooks.cell import plugins_of
 from polishd.hooks.loader import Hooks
 from polishd.model.errors import ConfigError
@@ -62,6 +63,8 @@ class Asked:
     """Devices of the cell that are simulated, by name."""
     motion: Path | None = None
     """A program that the robot may run in the air, again and again, block by block."""
+    record: Path | None = None
+    """File, or folder, that takes what passes on the devices' links."""
 
 
 @dataclass(frozen=True)
@@ -163,6 +166,7 @@ def asked_in(config: pytest.Config) -> Asked:
         max_force_n=config.getoption("--hil-max-force"),
         simulate=tuple(filter(None, simulate.split(","))),
         motion=config.getoption("--hil-motion"),
+        record=config.getoption("--hil-record"),
     )
 
 
@@ -171,6 +175,8 @@ def foreseen(asked: Asked) -> Bench:
     _require(asked)
     config = load_config(asked.cell)
     require_simulated(config, asked.simulate)
+    if asked.record is not None:
+        place(asked.record, config)
     hooks = plugins_of(config)
     hooks.report.require()
     return Bench(asked, config, hooks)
@@ -191,7 +197,8 @@ def bench(asked: Asked) -> Iterator[Bench]:
         cell = build_cell(config, hooks)
         if asked.level >= Level.CYCLE:
             require_time_limits(config, cell)
-        yield Bench(asked, config, hooks)
+        with recording_to(place(asked.record, config), config) if asked.record else nullcontext():
+            yield Bench(asked, config, hooks)
 
 
 def _one_cycle(asked: Asked, config: CellConfig, scratch: Path) -> dict[str, Any]:

@@ -41,6 +41,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--hil-max-force", type=float, metavar="N", help="nothing is pressed harder; from contact on")
     group.addoption("--hil-simulate", default="", metavar="NAME,...", help="devices that are simulated instead")
     group.addoption("--hil-motion", type=Path, metavar="PROGRAM", help="blocks that the robot may run in the air")
+    group.addoption("--hil-record", type=Path, metavar="FILE|DIR", help="records what passes on the devices' links")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -102,6 +103,18 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 @pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """Links that a test opens are of the device of the cell that it tries: for whoever records."""
+    device = _device(item)
+    if device is None or BENCH not in item.config.stash:
+        return (yield)
+    from polishd.ports.tap import talking_to
+
+    with talking_to(device):
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """A failure comes with what the port demands."""
     report = yield
@@ -117,11 +130,14 @@ def _of_suites(obj: object) -> bool:
 
 def _on_cell(item: pytest.Item) -> bool:
     """It is a suite's test on the cell that ``--cell`` names, or on a device of it."""
-    given = getattr(getattr(item, "callspec", None), "params", {})
-    of_cell = "cell" in getattr(item, "fixturenames", ()) or any(
-        hasattr(given.get(name), "device") for name in FIXTURES
-    )
+    of_cell = "cell" in getattr(item, "fixturenames", ()) or _device(item) is not None
     return of_cell and _of_suites(getattr(item, "function", None))
+
+
+def _device(item: pytest.Item) -> str | None:
+    """The device of the cell that it tries; None where it tries none."""
+    given = getattr(getattr(item, "callspec", None), "params", {})
+    return next((case.device for case in map(given.get, FIXTURES) if hasattr(case, "device")), None)
 
 
 def _name(case: object) -> str:

@@ -123,7 +123,7 @@ def _of_link(recording: Recording, role: str, link: str) -> tuple[str, list[tupl
     name = link or links[0]
     if any(one.values is not None for _, one in passed):
         raise ConfigError(
-            f"{recording.path}: {role} is recorded as values of variables; only bytes and frames are played"
+            f"{recording.path}: {role} is recorded as values of variables; replayed_controller plays them"
         )
     return name, [(line, one) for line, one in passed if one.link == name]
 

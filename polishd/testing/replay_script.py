@@ -128,13 +128,20 @@ def exchanges(passed: Sequence[tuple[int, Passed]]) -> list[Exchange]:
 class Script:
     """Where in its recording a link is."""
 
-    def __init__(self, name: str, found: Sequence[Exchange]) -> None:
-        """``name`` for messages."""
+    def __init__(
+        self,
+        name: str,
+        found: Sequence[Exchange],
+        dialect: Dialect | None = None,
+        polls: frozenset[bytes] | None = None,
+    ) -> None:
+        """``name`` for messages. ``polls``: keys of what may come more or less often; without them, what does so."""
         self._name, self._found, self._next = name, found, 0
         outs = [one.out for one in found if one.out]
-        self.dialect = _dialect(outs)
+        self.dialect = dialect or _dialect(outs)
         self._keys = [self.dialect.key(one.out) if one.out else b"" for one in found]
-        self._often = Counter(self._keys)
+        self._again = polls
+        self._polls = polls or {key for key, times in Counter(self._keys).items() if times > 1}
 
     def opened(self) -> Exchange | None:
         """What came when the link was opened, before anything was asked."""
@@ -147,7 +154,7 @@ class Script:
         """The exchange that a whole message of the driver is of; AssertionError where there is none."""
         key = self.dialect.key(message)
         found = self._ahead(key)
-        if found is None:
+        if found is None and (self._again is None or key in self._again):
             found = self._behind(key)
         if found is None:
             raise AssertionError(f"{self._name}: the driver sent {_shown(message)}; {self._expected()}")
@@ -162,7 +169,7 @@ class Script:
         for at in range(self._next, len(self._found)):
             if self._keys[at] == key:
                 return at
-            if self._keys[at] and self._often[self._keys[at]] == 1:
+            if self._keys[at] and self._keys[at] not in self._polls:
                 return None
         return None
 

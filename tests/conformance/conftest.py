@@ -15,7 +15,10 @@ BOUND_S = 8 * PATIENT.silence_s
 """No call to a dead device takes longer: four answers, each of which may still come as late again."""
 
 FULL = {"test_samples_feed_the_watchdog", "test_samples_keep_it_running"}
+SLOW_RIG, ITS_OWN = "[universal_robots]", {"test_all_is_executed_in_order_and_once", "test_hold_returns_when_it_stands"}
+"""A controller that takes seconds to boot and to load: of the robots' tests these alone."""
 ONE_OF_EACH = {
+    "test_make_safe_on_a_cut_link_says_so_in_bounded_time": (),
     "test_a_silent_link_is_known_at_once": (),
     "test_make_safe_on_a_silent_link_says_so_in_bounded_time": (),
     "test_opening_a_silent_link_says_so_in_bounded_time": (),
@@ -32,7 +35,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         name = getattr(item, "originalname", item.name)
         if not str(getattr(getattr(item, "function", None), "__module__", "")).startswith("polishd.testing"):
             continue
-        if name in FULL:
+        slow = item.name.endswith(SLOW_RIG) and item.path.name == "test_robot.py" and name not in ITS_OWN
+        if name in FULL or slow:
             item.add_marker(pytest.mark.full)
         elif name in ONE_OF_EACH:
             item.add_marker(pytest.mark.one_of_each(*ONE_OF_EACH[name]))

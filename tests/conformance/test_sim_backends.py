@@ -1,6 +1,6 @@
 """The drivers against the simulator's own processes, over real wires: what holds for the fakes holds for these too.
 
-Four cells serve the whole module: between them they have every wire that the simulator speaks.
+Six cells serve the whole module: between them they have every wire that the simulator speaks but OPC UA and ADS.
 """
 
 from __future__ import annotations
@@ -8,12 +8,15 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import re
 import signal
 import sys
 import time
+import tomllib
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import ExitStack, asynccontextmanager
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from subprocess import PIPE, Popen
@@ -22,12 +25,20 @@ from typing import Any
 import pytest
 
 from polishd.api import DeviceRefused, Executed, ForceSample, LinkError, Robot, SpeedSample, SpindleTimes
+from polishd.config.controller_profile import load_controller_profile
+from polishd.console.demo_files import free_port
 from polishd.drivers.force_sensor_line import ForceSensorLine
+from polishd.drivers.handover.delivery import Folder
+from polishd.drivers.handover.driver import Handover
+from polishd.drivers.handover.modbus import Modbus
 from polishd.drivers.monitor_line import MonitorLine
 from polishd.drivers.profiled import make
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp, parse_address
+from polishd.drivers.universal_robots.driver import Addresses, UniversalRobot
+from polishd.drivers.universal_robots.sample import Registers
+from polishd.drivers.universal_robots.script import Settings
 from polishd.testing.rig import Rig
 from polishd.testing.suites.actuator import ActuatorRig
 from polishd.testing.suites.device import (  # noqa: F401 -- the suite itself, with this module's any_device
@@ -47,6 +58,7 @@ from polishd.testing.waiting import until_lost
 from tests.conformance.conftest import BOUND_S, PROMPT_S, seen
 from tests.conformance.rigs.actuators import PATIENT
 from tests.conformance.rigs.looking import PATIENT_MONITOR, PATIENT_SENSOR
+from tests.conformance.rigs.robots import PATIENT_ROBOT
 from tests.conformance.rigs.spindles import PATIENT_SPINDLE
 from tests.fakes.devices_by_profile import file_of, shipped, voice_coil_modbus, voice_coil_serial
 from tests.kinds import kind
@@ -67,6 +79,12 @@ speed = 20.0
 port = 0
 home = [0.0, 0.0, 0.0, 15.0, 0.0]
 """
+UNIVERSAL = """\
+kind = "universal_robots"
+cycle_hz = 125
+dashboard_port = FREE
+primary_port = FREE
+"""
 CELLS = {
     "rtu_slcan": BASE + '[force_sensor]\n[monitor]\nkind = "serial"\n',
     "tcp_socketcand": BASE + '[actuator]\nkind = "modbus_tcp"\n[spindle]\nkind = "socketcand"\n',
@@ -74,6 +92,8 @@ CELLS = {
     "profiles": BASE
     + f'[actuator]\nkind = "profile"\nbaud = 57600\nprofile = "{file_of("line_drive.toml")}"\n'
     + f'[spindle]\nkind = "profile_tcp"\nprofile = "{file_of("delta_ms300")}"\n',
+    "universal_robots": BASE.replace("port = 0\n", f"port = 0\n{UNIVERSAL}"),
+    "handover_modbus": BASE.replace("port = 0\n", 'port = 0\nkind = "modbus"\n'),
 }
 AT_REST = {
     "robot": ("motion_started", {"motion_stopped", "boot", "lost"}),
@@ -81,6 +101,10 @@ AT_REST = {
     "spindle": ("spindle_ramping", {"spindle_stopped", "boot", "lost"}),
 }
 """Device: the event that ends its rest, and those that begin it."""
+
+
+UNCOUNTED = {"profiles", "universal_robots"}
+"""Their devices do not tell one power-up from another."""
 
 
 @dataclass(frozen=True)
@@ -94,8 +118,8 @@ class Place:
         return f"{self.device}-{self.cell}"
 
 
-ROBOTS = [Place("rtu_slcan", "robot")]
-ACTUATORS = kind(*(Place(name, "actuator") for name in CELLS))
+ROBOTS = kind(*(Place(name, "robot") for name in ("rtu_slcan", "universal_robots", "handover_modbus")))
+ACTUATORS = kind(*(Place(name, "actuator") for name in ("rtu_slcan", "tcp_socketcand", "ascii", "profiles")))
 SPINDLES = kind(*(Place(name, "spindle") for name in ("rtu_slcan", "tcp_socketcand", "profiles")))
 LOOKING = kind(Place("rtu_slcan", "force_sensor"), Place("rtu_slcan", "monitor"))
 
@@ -175,11 +199,27 @@ def cells(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         for name in sorted(names):
             folder = known.folder / name
             folder.mkdir()
-            known.running[name] = stack.enter_context(cell(folder, CELLS[name]))
+            config = re.sub("FREE", lambda _: str(free_port()), CELLS[name])
+            known.running[name] = stack.enter_context(cell(folder, config))
         yield known
 
 
-def connect(cells: Cells, place: Place) -> RobotLink | SpindleCan | Any:
+def robot_of(cells: Cells, place: Place, address: Tcp) -> RobotLink | UniversalRobot | Handover:
+    """The driver of a cell's robot."""
+    running = cells.get(place.cell)
+    match place.cell:
+        case "universal_robots":
+            ports = tomllib.loads(running.toml.read_text())["robot"]
+            addresses = Addresses.of(address.host, address.port, ports["dashboard_port"], ports["primary_port"])
+            return UniversalRobot(addresses, Settings(Registers(), PATIENT_ROBOT.watchdog_s), PATIENT_ROBOT)
+        case "handover_modbus":
+            profile = load_controller_profile("plc-modbus", Path())
+            make_link = partial(Modbus, address, profile.variables, profile.silence_s)
+            return Handover("simulated PLC", profile, make_link, Folder(running.state / "programs"))
+    return RobotLink(address)
+
+
+def connect(cells: Cells, place: Place) -> Any:
     """The driver that goes with the device's wire; opens nothing."""
     running = cells.get(place.cell)
     address = parse_address(running.endpoints[place.device], running.state)
@@ -189,7 +229,7 @@ def connect(cells: Cells, place: Place) -> RobotLink | SpindleCan | Any:
         case Tcp() | SerialLine() if place.device == "monitor":
             return MonitorLine(address, PATIENT_MONITOR)
         case Tcp() if place.device == "robot":
-            return RobotLink(address)
+            return robot_of(cells, place, address)
         case SerialLine() if place.cell == "profiles":
             return make.actuator(shipped("line_drive.toml"), address, PATIENT)
         case Tcp() if place.cell == "profiles":
@@ -320,7 +360,7 @@ async def test_a_device_that_was_booted_again_says_so(any_device: Rig[Any], cell
         assert (await device.status()).safe
     finally:
         await device.close()
-    assert after.boot_id != before.boot_id or place.cell == "profiles", "neither of these counts its power-ups"
+    assert after.boot_id != before.boot_id or place.cell in UNCOUNTED, "none of these counts its power-ups"
     assert (after.vendor, after.model, after.serial) == (before.vendor, before.model, before.serial)
 
 
@@ -340,28 +380,47 @@ async def executed(robot: Robot, count: int) -> list[Executed]:
 
 # along the part, so that the actuator still finds it
 LINES = [b"G21 G90 G94", b"G0 X0 Y0 Z0", *(b"G1 X%.1f Y%.1f F300" % (0.1 * k, -0.1 * k) for k in range(1, 60)), b"M2"]
+SLOW = [line.replace(b"F300", b"F60") for line in LINES]
 
 
-async def test_the_robot_executes_all_in_order_and_once(robot: RobotRig) -> None:
-    plan = plan_of(LINES)
+@pytest.fixture
+def slow(request: pytest.FixtureRequest) -> list[bytes]:
+    """A program for the robot of this test, of blocks that last some tens of ms of the wall."""
+    place: Place = request.node.callspec.params["robot"]
+    if place.cell != "universal_robots":
+        return SLOW
+    return [b"movel(p[%.4f, 0, 0, 0, 3.14159, 0], a=5, v=0.001)" % (4e-4 * k) for k in range(60)]
+
+
+async def test_the_robot_executes_all_in_order_and_once(robot: RobotRig, slow: list[bytes]) -> None:
+    plan = plan_of(slow)
     await robot.device.prepare(plan)
     await robot.device.send(plan.segments)
     progress = await robot.device.progress()
-    assert (progress.state, progress.accepted, progress.executed) == ("held", len(LINES), 0)
+    assert (progress.state, progress.accepted, progress.executed) == ("held", len(slow), 0)
     assert progress.program_sha256 == plan.program.sha256
     await robot.device.resume()
     found = [one async for one in robot.device.executed()]
-    assert [one.seq for one in found] == list(range(len(LINES)))
+    assert [one.seq for one in found] == list(range(len(slow)))
     assert all(a.end_s <= b.start_s + 1e-9 for a, b in pairwise(found))
-    # 0.1 mm a block both ways at 5 mm/s, and the machine's own overhead
-    middle = [one.end_s - one.start_s for one in found[10:50]]
-    assert sum(middle) / len(middle) == pytest.approx(0.1 * 2**0.5 / 5.0, abs=0.012)
     assert (await robot.device.progress()).state == "done"
     assert robot.safe()
 
 
-async def test_the_robot_stops_where_it_is_told_and_goes_on_from_there(robot: RobotRig) -> None:
+@pytest.mark.parametrize("robot", ROBOTS[:1], ids=str, indirect=True)
+async def test_blocks_last_as_long_as_the_machine_moves(robot: RobotRig) -> None:
     plan = plan_of(LINES)
+    await robot.device.prepare(plan)
+    await robot.device.send(plan.segments)
+    await robot.device.resume()
+    found = await executed(robot.device, len(LINES))
+    # 0.1 mm a block both ways at 5 mm/s, and the machine's own overhead
+    middle = [one.end_s - one.start_s for one in found[10:50]]
+    assert sum(middle) / len(middle) == pytest.approx(0.1 * 2**0.5 / 5.0, abs=0.012)
+
+
+async def test_the_robot_stops_where_it_is_told_and_goes_on_from_there(robot: RobotRig, slow: list[bytes]) -> None:
+    plan = plan_of(slow)
     await robot.device.prepare(plan)
     await robot.device.send(plan.segments)
     await robot.device.resume(until=20)
@@ -369,11 +428,10 @@ async def test_the_robot_stops_where_it_is_told_and_goes_on_from_there(robot: Ro
     await seen(robot.safe)
     assert (await robot.device.progress()).executed == 20
     await robot.device.resume()
-    assert [one.seq for one in await executed(robot.device, len(LINES))] == list(range(len(LINES)))
+    assert [one.seq for one in await executed(robot.device, len(slow))] == list(range(len(slow)))
 
 
-async def test_the_robot_holds_and_resumes_without_losing_or_repeating(robot: RobotRig) -> None:
-    slow = [line.replace(b"F300", b"F60") for line in LINES]
+async def test_the_robot_holds_and_resumes_without_losing_or_repeating(robot: RobotRig, slow: list[bytes]) -> None:
     plan = plan_of(slow)
     await robot.device.prepare(plan)
     await robot.device.send(plan.segments)
@@ -392,8 +450,8 @@ async def test_the_robot_holds_and_resumes_without_losing_or_repeating(robot: Ro
 
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("how", ["cut", "mute"])
-async def test_all_who_wait_for_a_dead_robot_hear_of_it(robot: RobotRig, how: str) -> None:
-    plan = plan_of([b"G21 G90 G94", b"G1 X1 Z0 F300", b"G4 P500", b"M2"])
+async def test_all_who_wait_for_a_dead_robot_hear_of_it(robot: RobotRig, how: str, slow: list[bytes]) -> None:
+    plan = plan_of(slow)
     await robot.device.prepare(plan)
     await robot.device.send(plan.segments)
     await robot.device.resume()
@@ -405,6 +463,7 @@ async def test_all_who_wait_for_a_dead_robot_hear_of_it(robot: RobotRig, how: st
     assert robot.device.buffer_s == 0.0
 
 
+@pytest.mark.parametrize("robot", ROBOTS[:1], ids=str, indirect=True)
 @pytest.mark.parametrize(
     ("line", "why"),
     [(b"G1 X9999 F60", "limits"), (b"G1 X1 Z-50 F60", "limits"), (b"G2 X1 Y1 I1 F60", "syntax"), (b"G4 X1", "syntax")],

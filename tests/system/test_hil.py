@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from polishd.console.simulator import simulated_cell
+from polishd.ports.wire_file import read_recording
 from tests.patience import SOON_S
 from tests.system.cell_rig import events, small_cell, with_keys, write_small
 from tests.system.sim_rig import ROOT, wait_for
@@ -44,8 +45,8 @@ def test_nothing_is_opened_where_nobody_is_there_to_ask(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_a_dead_device_fails_and_the_simulated_ones_beside_it_pass(tmp_path: Path) -> None:
-    files = write_small(tmp_path)
-    done = hil(files.cell, "--simulate", "robot,spindle", "--yes")
+    files, case = write_small(tmp_path), tmp_path / "case.wire.jsonl.gz"
+    done = hil(files.cell, "--simulate", "robot,spindle", "--yes", "--record", str(case))
     assert done.returncode == 5, done.stdout + done.stderr
     assert re.search(r"test_it_says_who_it_is\[actuator\] (FAILED|ERROR)", done.stdout)
     for device in ("robot", "spindle"):
@@ -53,6 +54,12 @@ def test_a_dead_device_fails_and_the_simulated_ones_beside_it_pass(tmp_path: Pat
         assert len(found) > 10
         assert set(found) == {"PASSED"}
     assert "what the port demands" in done.stdout
+    found = read_recording(case)
+    assert {one.role for one in found.passed} == {"robot", "spindle"}, "the actuator has no line to open"
+    assert {one.way for one in found.passed} == {"open", "out", "in", "end"}
+    again = hil(files.cell, "--yes", "--record", str(case))
+    assert again.returncode == 3
+    assert "exists already; name another file, or a folder" in again.stderr
 
 
 @pytest.mark.full

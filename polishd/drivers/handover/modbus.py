@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Awaitable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
 
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
@@ -84,11 +85,11 @@ class Modbus:
             words = one.words(of_kind(one.kind, value, name))
             client = self._session()
             if one.table == "coil":
-                order = client.write_coil(one.address, bool(words[0]), device_id=self._unit)
+                order = partial(client.write_coil, one.address, bool(words[0]), device_id=self._unit)
                 answer = await self._answer(order, WRITE_COIL, f"write {name}")
                 echoed = (answer.address, answer.bits[:1]) == (one.address, [bool(words[0])])
             elif one.table == "holding":
-                order = client.write_registers(one.address, words, device_id=self._unit)
+                order = partial(client.write_registers, one.address, words, device_id=self._unit)
                 answer = await self._answer(order, WRITE_REGISTERS, f"write {name}")
                 echoed = (answer.address, answer.count) == (one.address, len(words))
             else:
@@ -114,7 +115,7 @@ class Modbus:
             "holding": (3, client.read_holding_registers),
             "input": (4, client.read_input_registers),
         }[table]
-        request = read(first, count=count, device_id=self._unit)
+        request = partial(read, first, count=count, device_id=self._unit)
         answer = await self._answer(request, function, f"read {table}s from {first}")
         words = [int(one) for one in (answer.bits if table in BITS else answer.registers)]
         # bits come in whole bytes
@@ -122,10 +123,13 @@ class Modbus:
             raise ProtocolError(f"{self._name}: {count} {table}s were asked for, {len(words)} came: see the server")
         return words[:count]
 
-    async def _answer(self, request: Awaitable[ModbusPDU], function: int, what: str) -> ModbusPDU:
-        """The answer. pymodbus takes one of any function, and one whose number is 0, which no request of its has."""
+    async def _answer(self, request: Callable[[], Awaitable[ModbusPDU]], function: int, what: str) -> ModbusPDU:
+        """The answer. pymodbus takes one of any function, and one whose number is 0, which no request of its has.
+
+        Where the link is gone it raises as it is asked, before there is anything to wait for.
+        """
         try:
-            answer = await cancellable(request)
+            answer = await cancellable(request())
         except (ModbusException, OSError) as error:
             await self.close()
             raise LinkError(f"{self._name}: answers no more: {error}") from error

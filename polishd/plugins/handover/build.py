@@ -16,7 +16,7 @@ from polishd.drivers.handover.delivery import Delivery, Folder
 from polishd.drivers.handover.driver import Handover
 from polishd.drivers.handover.modbus import Modbus
 from polishd.drivers.handover.opcua import OpcUa, Papers
-from polishd.drivers.handover.recorded import Recorded
+from polishd.drivers.handover.recorded import Recorded, RecordedDelivery
 from polishd.drivers.handover.remote import Ftp, Place, Sftp
 from polishd.drivers.handover.variables import Variables
 from polishd.drivers.transport.address import tcp_address
@@ -32,11 +32,12 @@ def build(options: HandoverOptions, context: DeviceContext) -> Handover:
     profile = load_controller_profile(options.profile, context.base_dir)
     profile.require_usable()
     make = _link(profile, options, context)
+    delivery = RecordedDelivery(_delivery(options, context), options.delivery)
     return Handover(
         f"{profile.name} at {options.address}",
         profile,
-        lambda: Recorded(make(), options.address),
-        _delivery(options, context),
+        lambda: Recorded(make(), options.address, delivery),
+        delivery,
         options.controller_dir,
     )
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from polishd.api import BadMap, StaleMap, SurfaceMap, WrongPart
+from polishd.api import StaleMap, SurfaceMap, WrongPart
 from polishd.model.instrument import Instrument
 from polishd.plugins.interferometer.files import Identity
 from polishd.plugins.interferometer.taken import Ask, Taken
@@ -32,15 +32,12 @@ def source_of(surface: SurfaceMap) -> str:
 
 
 def require_plausible(surface: SurfaceMap, rules: Rules) -> None:
-    """WrongPart where it shows another part; BadMap where the instrument's profile contradicts it."""
+    """WrongPart where it shows another part; BadMap where the profile, or none, cannot be applied to it."""
     if not surface.part_id and not rules.accept_unnamed:
         raise WrongPart(f"it does not say whose map it is; the part is {rules.part_id!r}")
     if surface.part_id and surface.part_id != rules.part_id:
         raise WrongPart(f"it shows part {surface.part_id!r}, the part is {rules.part_id!r}")
-    if rules.instrument is not None:
-        require_profile(surface, rules.instrument)  # the daemon applies it, a refusal is ours
-    elif surface.pitch_mm is None:
-        raise BadMap("it has no lateral scale: such a map cannot drive polishing")
+    require_profile(surface, rules.instrument)  # the daemon applies it, a refusal is ours
 
 
 def require_new(surface: SurfaceMap, seen: tuple[Path, Identity], ask: Ask, taken: Taken, rules: Rules) -> None:

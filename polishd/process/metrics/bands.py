@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -84,14 +84,31 @@ def split_bands(
     fit = polynomial(height_nm, mask, FIT_DEGREE)
     margin = int(np.ceil(min(MARGIN * edges[0] / pitch_mm, max(mask.shape))))
     wide, window = extended(height_nm - fit, mask, margin)
-    spectrum = scipy.fft.rfft2(wide, workers=WORKERS)
-    frequency = frequencies(wide.shape, pitch_mm)
-    below = []
-    for edge in edges:
-        if edge <= 2 * pitch_mm:
-            below.append(height_nm)
-            continue
-        kept = np.where(frequency <= 1 / edge, spectrum, 0)
-        below.append(fit + scipy.fft.irfft2(kept, wide.shape, overwrite_x=True, workers=WORKERS)[window])
+    seen = [edge for edge in edges if edge > 2 * pitch_mm]
+    below = [fit + low for low in _low_passed(wide, window, pitch_mm, seen)] + [height_nm] * (len(edges) - len(seen))
     steps = [below[0], *(b - a for a, b in pairwise(below)), height_nm - below[-1]]
     return tuple(np.where(mask, step, np.nan) for step in steps)
+
+
+def _low_passed(
+    wide: FloatArray, window: tuple[slice, slice], pitch_mm: float, edges_mm: Sequence[float]
+) -> Iterator[FloatArray]:
+    """What of an extended surface has longer periods than each of the edges, which fall, in its window.
+
+    Of the spectrum only the columns are made that an edge lets through, and of the result only the window's rows.
+    """
+    length = wide.shape[1]
+
+    def columns(edge: float) -> int:
+        return int(min(length * pitch_mm / edge + 2, length // 2 + 1))
+
+    if not edges_mm:
+        return
+    rows = scipy.fft.rfft(wide, workers=WORKERS)[:, : columns(edges_mm[-1])]
+    spectrum = scipy.fft.fft(rows, axis=0, overwrite_x=True, workers=WORKERS)
+    frequency = frequencies(wide.shape, pitch_mm, spectrum.shape[1])
+    for edge in edges_mm:
+        some = slice(0, columns(edge))
+        kept = np.where(frequency[:, some] <= 1 / edge, spectrum[:, some], 0)
+        kept = scipy.fft.ifft(kept, axis=0, overwrite_x=True, workers=WORKERS)[window[0]]
+        yield scipy.fft.irfft(kept, length, overwrite_x=True, workers=WORKERS)[:, window[1]]

@@ -12,6 +12,7 @@ figures, while noise at the edge is drawn out into lines (white noise on 128 x 1
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -75,7 +76,7 @@ def _density(
 ) -> tuple[FloatArray, tuple[int, ...]]:
     """Density on the half plane of the real FFT, (ny, nx // 2 + 1), and the shape (ny, nx) that was transformed."""
     rest = without(height_nm, mask, "tilt")
-    width = int(max(mask.shape) * TAPER) + 1
+    width = math.ceil(max(mask.shape) * TAPER)
     if window == "extended":
         field, _ = extended(rest, mask, width)
         field -= field.mean()

@@ -6,13 +6,15 @@ from typing import Literal, get_args
 
 import numpy as np
 import scipy
+from numpy.typing import ArrayLike
 
 from polishd.model.errors import BadMap
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.metrics.fitting import points, triangle
 
 Removal = Literal["piston", "tilt", "power"]
 """Each with those before it: "tilt" is piston and tilt, "power" is piston, tilt and r^2, fitted together."""
+WORST_RATIO = 1e-12
+"""Of the normal equations' singular values: less is rounding, and the mask does not tell the terms apart."""
 
 
 def pv_rms(height_nm: FloatArray, mask: BoolArray) -> tuple[float, float]:
@@ -64,12 +66,13 @@ def fitted(height_nm: FloatArray, mask: BoolArray, removal: Removal) -> FloatArr
 
 def polynomial(height_nm: FloatArray, mask: BoolArray, degree: int) -> FloatArray:
     """(ny, nx) least-squares polynomial of this total degree over the mask, evaluated everywhere: 0 piston, 1 plane."""
-    y, x = (np.linspace(-1, 1, n) for n in height_nm.shape)
     powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
-    found = triangle(lambda u, v: np.stack([u**i * v**j for i, j in powers]), *points(mask, x, y), height_nm[mask])
+    x, y = _scaled(mask)
+    normal, right = _moments(height_nm, mask, np.vander(x, 2 * degree + 1, True), np.vander(y, 2 * degree + 1, True))
     factors = np.zeros((degree + 1, degree + 1))
-    factors[tuple(zip(*powers, strict=True))] = np.linalg.lstsq(found[:, :-1], found[:, -1], rcond=None)[0]
-    evaluated: FloatArray = np.vander(y, degree + 1, increasing=True) @ factors.T @ np.vander(x, degree + 1, True).T
+    matrix = [[normal[i + k, j + m] for k, m in powers] for i, j in powers]
+    factors[tuple(zip(*powers, strict=True))] = _solved(matrix, [right[power] for power in powers])
+    evaluated: FloatArray = np.vander(y, degree + 1, True) @ factors @ np.vander(x, degree + 1, True).T
     return evaluated
 
 
@@ -79,12 +82,44 @@ def power(height_nm: FloatArray, mask: BoolArray) -> tuple[FloatArray, float]:
     Returns:
         (ny, nx) what was fitted, evaluated everywhere; the factor of r^2 in nm per squared pixel, whatever the centre.
     """
-    rows, columns = height_nm.shape
-    half = max(rows, columns) / 2  # one scale for both: r^2 is round whatever the array's shape
-    y, x = ((rows - 1) / 2 - np.arange(rows)) / half, (np.arange(columns) - (columns - 1) / 2) / half
-    found = triangle(lambda u, v: np.stack([np.ones_like(u), u, v, u**2 + v**2]), *points(mask, x, y), height_nm[mask])
-    c = np.linalg.lstsq(found[:, :-1], found[:, -1], rcond=None)[0]
-    return (c[0] + c[2] * y + c[3] * y**2)[:, None] + (c[1] * x + c[3] * x**2)[None, :], float(c[3] / half**2)
+    x, y = _scaled(mask, alike=True)
+    normal, right = _moments(height_nm, mask, np.vander(x, 5, True), np.vander(y, 5, True))
+    terms = [{(0, 0)}, {(0, 1)}, {(1, 0)}, {(0, 2), (2, 0)}]  # powers of y and x; the last is r^2
+    matrix = [[sum(normal[i + k, j + m] for i, j in one for k, m in other) for other in terms] for one in terms]
+    c = _solved(matrix, [sum(right[power] for power in term) for term in terms])
+    evaluated = (c[0] + c[2] * y + c[3] * y**2)[:, None] + (c[1] * x + c[3] * x**2)[None, :]
+    longer = x if x.size > y.size else y
+    return evaluated, float(c[3] * (np.ptp(longer) / max(longer.size - 1, 1)) ** 2)
+
+
+def _scaled(mask: BoolArray, *, alike: bool = False) -> tuple[FloatArray, FloatArray]:
+    """(nx,) and (ny,) coordinates that are -1 and 1 at the mask's box, so that low powers of them are well told apart.
+
+    Args:
+        mask: (ny, nx).
+        alike: one scale for both, that of the longer side: then r^2 is round.
+    """
+    ends = [np.flatnonzero(mask.any(axis=axis))[[0, -1]] for axis in (0, 1)]
+    half = [max((last - first) / 2, 0.5) for first, last in ends]
+    if alike:
+        half = [max(half)] * 2
+    x, y = ((np.arange(n) - np.mean(end)) / h for n, end, h in zip(mask.shape[::-1], ends, half, strict=True))
+    return x, y
+
+
+def _moments(
+    height_nm: FloatArray, mask: BoolArray, of_x: FloatArray, of_y: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(k, k) sums over the mask of the products of powers of y (rows) and x (columns): of 1, and of the heights.
+
+    For so few powers the normal equations lose nothing that shows, and cost two passes over the map.
+    """
+    return of_y.T @ mask.astype(np.float64) @ of_x, of_y.T @ np.where(mask, height_nm, 0.0) @ of_x
+
+
+def _solved(matrix: ArrayLike, right: ArrayLike) -> FloatArray:
+    """The least of the solutions where the mask does not tell all terms apart (a line of samples and a plane)."""
+    return np.asarray(np.linalg.lstsq(np.asarray(matrix), np.asarray(right), rcond=WORST_RATIO)[0], dtype=np.float64)
 
 
 def inside(height_nm: FloatArray, mask: BoolArray) -> FloatArray:

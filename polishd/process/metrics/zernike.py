@@ -40,6 +40,8 @@ class ZernikeFit:
     condition: float
     """Of the terms over the mask: near 1 to 3 on a circle."""
     samples: int
+    per_noise: FloatArray
+    """(k, k) covariance of the coefficients, nm^2, for white noise of 1 nm in each sample."""
 
 
 def fit(
@@ -74,7 +76,7 @@ def fit(
         raise ValueError(f"a unit circle of radius {radius:g} pixels")
     if heights.size < terms:
         raise BadMap(f"{heights.size} samples are too few for {terms} Zernike terms: fit fewer, or mend the mask")
-    found = triangle(lambda x, y: values(pairs, norm, x, y), *_unit(mask, circle), heights)
+    found = triangle(lambda x, y: values(pairs, norm, x, y), *unit(mask, circle), heights)
     own, projected = found[:terms, :terms], found[:terms, terms]
     condition = float(np.linalg.cond(own))
     if not condition <= WORST_CONDITION:
@@ -84,6 +86,7 @@ def fit(
         )
     sign = np.where(np.diag(own) < 0, -1.0, 1.0)
     root = np.sqrt(heights.size)
+    inverse = np.linalg.inv(own)
     return ZernikeFit(
         coefficients_nm=np.asarray(np.linalg.solve(own, projected), dtype=np.float64),
         over_mask_nm=sign * projected / root,
@@ -95,12 +98,13 @@ def fit(
         residual_rms_nm=float(abs(found[terms, terms]) / root),
         condition=condition,
         samples=heights.size,
+        per_noise=inverse @ inverse.T,
     )
 
 
 def surface(fitted: ZernikeFit, mask: BoolArray) -> FloatArray:
     """(ny, nx) the fitted surface in nm over a mask; NaN outside the mask."""
-    x, y = _unit(mask, (*fitted.centre_px, fitted.radius_px))
+    x, y = unit(mask, (*fitted.centre_px, fitted.radius_px))
     heights = np.zeros(x.size)
     for start in range(0, x.size, BLOCK):
         part = slice(start, start + BLOCK)
@@ -154,7 +158,7 @@ def enclosing(mask: BoolArray) -> tuple[float, float, float]:
     return float(row), float(column), max(float(np.hypot(rows - row, across).max()), 0.5)
 
 
-def _unit(mask: BoolArray, circle_px: tuple[float, float, float]) -> tuple[FloatArray, FloatArray]:
+def unit(mask: BoolArray, circle_px: tuple[float, float, float]) -> tuple[FloatArray, FloatArray]:
     """Coordinates of the mask's samples, 1 = the circle's radius, y up."""
     row, column, radius = circle_px
     x = (np.arange(mask.shape[1]) - column) / radius

@@ -21,24 +21,16 @@ from polishd.workbench.maps.convert import require_target, store, stored_lines
 from polishd.workbench.maps.files import MapSource, require_picture, shown, told_apart, warnings
 from polishd.workbench.maps.history import made, uncertainty_nm
 from polishd.workbench.maps.masks import mask_lines, mask_records
+from polishd.workbench.maps.options import AverageOptions
 from polishd.workbench.maps.subtract import draw_maps, less
 
 
-def average_verb(
-    files: Sequence[Path],
-    target: Path | None,
-    source: MapSource,
-    *,
-    system: Path | None,
-    picture: Path | None,
-    mixed: bool,
-    force: bool,
-    as_json: bool,
-) -> None:
-    """Average the maps, each without ``system``, piston and tilt; write the mean where it is wanted."""
-    require_picture(picture)
-    if target is not None:
-        require_target(target, files if system is None else [*files, system], source, force=force)
+def average_verb(files: Sequence[Path], asked: AverageOptions, *, as_json: bool) -> None:
+    """Average the maps, each without the system error, piston and tilt; write the mean where it is wanted."""
+    source, system, mixed = MapSource.by(asked), asked.system, asked.mixed
+    require_picture(asked.picture)
+    if asked.out is not None:
+        require_target(asked.out, files if system is None else [*files, system], source, force=asked.force)
     read = [source.read(path) for path in files]
     _require_one_part(read)
     error = None if system is None else source.read(system)
@@ -60,15 +52,15 @@ def average_verb(
     }
     answer["masks"] = [{"path": str(one.path), "masks": mask_records(one)} for one in read if one.masks]
     mean = _mean_map(surfaces, found)
-    if target is not None:
+    if asked.out is not None:
         roles = ["left out" if name in found.rejected else "repeat" for name in found.names]
         inputs = [*zip(roles, read, strict=True), *([] if error is None else [("system error", error)])]
-        stored = store(made(mean, "average", inputs, source, known_nm, mixed=mixed), target, source)
+        stored = store(made(mean, "average", inputs, source, known_nm, mixed=mixed), asked.out, source)
         answer |= stored | {"notes": [*notes, *stored["notes"]]}
     emit(answer, as_json=as_json, table=lambda: _table(answer), lines=_lines(answer))
-    if picture is not None:
+    if asked.picture is not None:
         drawn = [replace(mean, path=Path("mean")), *([] if error is None else [error])]
-        draw_maps(picture, drawn, as_json=as_json)
+        draw_maps(asked.picture, drawn, as_json=as_json)
 
 
 def _require_one_part(surfaces: Sequence[SurfaceMap]) -> None:
@@ -78,9 +70,16 @@ def _require_one_part(surfaces: Sequence[SurfaceMap]) -> None:
 
 
 def _mean_map(surfaces: Sequence[SurfaceMap], found: Repeats) -> SurfaceMap:
-    """The mean with what is known of the first map; as new as the newest."""
+    """The mean with what is known of the first map; as new as the newest, and of no instrument where of several."""
+    names = [surface.instrument for surface in surfaces if surface.instrument]
     times = [surface.measured_at for surface in surfaces if surface.measured_at is not None]
-    return replace(surfaces[0], height_nm=found.height_nm, taken_at=max(times, default=None), date_from="header")
+    return replace(
+        surfaces[0],
+        height_nm=found.height_nm,
+        instrument=names[0] if names and all(same_system(name, names[0]) for name in names) else "",
+        taken_at=max(times, default=None),
+        date_from="header",
+    )
 
 
 def _without_system(

@@ -11,15 +11,16 @@ from typer import Argument, Option
 from typer.core import TyperGroup
 
 from polishd.workbench.maps.options import (
-    AsFormat,
+    AbsoluteOptions,
+    AverageOptions,
     FigureOptions,
     Json,
-    MapsPicture,
     Masks,
+    NewMapOptions,
     OfCell,
-    Profile,
     ReportOptions,
     StitchOptions,
+    WriteOptions,
 )
 from polishd.workbench.options import spread
 
@@ -27,7 +28,7 @@ DEFAULT = "figures"
 """What ``polishd map FILE`` does."""
 HELP = (
     "Maps of surfaces: polishd map FILE... gives their figures (options: polishd map figures --help); or compare, "
-    "report, convert, average, subtract, stitch, commission."
+    "report, convert, average, subtract, stitch, absolute, commission."
 )
 
 
@@ -96,72 +97,47 @@ def report(
 
 
 @app.command()
+@spread
 def convert(
-    *,
     source: Annotated[Path, Argument(metavar="A", help="A map.", readable=False)],
     target: Annotated[Path, Argument(metavar="B", help="The new file; its ending says the format.")],
-    profile: Profile = None,
-    force: Annotated[bool, Option("--force", help="Replace B where it is there.")] = False,
+    *,
     as_json: Json = False,
-    cell: OfCell = None,
-    as_format: AsFormat = None,
-    masks: Masks = None,
+    asked: WriteOptions,
 ) -> None:
     """Write a map in another format; it is read back and compared before it appears."""
     from polishd.workbench.maps.convert import convert_verb
-    from polishd.workbench.maps.files import MapSource
 
-    read_as = MapSource.of(cell, profile, as_format, masks)
-    convert_verb(source, target, read_as, force=force, as_json=as_json)
+    convert_verb(source, target, asked, as_json=as_json)
 
 
 @app.command()
+@spread
 def average(
-    *,
     files: Annotated[list[Path], Argument(metavar="MAP...", help="Repeats.", readable=False)],
-    out: Annotated[
-        Path | None, Option("--out", metavar="MEAN", help="The new map; its ending says the format.")
-    ] = None,
-    picture: MapsPicture = None,
-    system: Annotated[
-        Path | None, Option("--system", metavar="MAP", help="The instrument's own error: off each.", readable=False)
-    ] = None,
-    profile: Profile = None,
-    force: Annotated[bool, Option("--force", help="Replace MEAN where it is there.")] = False,
-    mixed: Annotated[bool, Option("--mixed", help="Also maps of unknown pitch, or of several instruments.")] = False,
+    *,
     as_json: Json = False,
-    cell: OfCell = None,
-    as_format: AsFormat = None,
-    masks: Masks = None,
+    asked: AverageOptions,
 ) -> None:
     """The mean of repeated measurements, without maps and samples that deviate, and its uncertainty."""
     from polishd.workbench.maps.average import average_verb
-    from polishd.workbench.maps.files import MapSource
 
-    source = MapSource.of(cell, profile, as_format, masks)
-    average_verb(files, out, source, system=system, picture=picture, mixed=mixed, force=force, as_json=as_json)
+    average_verb(files, asked, as_json=as_json)
 
 
 @app.command()
+@spread
 def subtract(
-    *,
     first: Annotated[Path, Argument(metavar="A", help="A map.", readable=False)],
     second: Annotated[Path, Argument(metavar="B", help="What is taken off it: a reference, say.", readable=False)],
-    out: Annotated[Path | None, Option("--out", metavar="C", help="The new map; its ending says the format.")] = None,
-    picture: MapsPicture = None,
-    profile: Profile = None,
-    force: Annotated[bool, Option("--force", help="Replace C where it is there.")] = False,
+    *,
     as_json: Json = False,
-    cell: OfCell = None,
-    as_format: AsFormat = None,
-    masks: Masks = None,
+    asked: NewMapOptions,
 ) -> None:
     """A less B, over the samples that both have: a reference, a system error, the wavefront of a test stand."""
-    from polishd.workbench.maps.files import MapSource
     from polishd.workbench.maps.subtract import subtract_verb
 
-    source = MapSource.of(cell, profile, as_format, masks)
-    subtract_verb(first, second, out, picture, source, force=force, as_json=as_json)
+    subtract_verb(first, second, asked, as_json=as_json)
 
 
 @app.command()
@@ -178,6 +154,20 @@ def stitch(
     from polishd.workbench.maps.stitch import stitch_verb
 
     stitch_verb(files, asked, as_json=as_json)
+
+
+@app.command()
+@spread
+def absolute(
+    files: Annotated[list[Path], Argument(metavar="MAP...", help="One part, turned and shifted.", readable=False)],
+    *,
+    as_json: Json = False,
+    asked: AbsoluteOptions,
+) -> None:
+    """The instrument's own error and the part, from maps of it turned and shifted, and what they do not tell."""
+    from polishd.workbench.maps.absolute import absolute_verb
+
+    absolute_verb(files, asked, as_json=as_json)
 
 
 @app.command()

@@ -12,6 +12,7 @@ import numpy as np
 from polishd.model.errors import BadMap
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
 from polishd.process import metrics
+from polishd.process.plausible import SAME_PITCH
 from polishd.show.tables import emit, figure_table
 from polishd.workbench.maps.figures import HEIGHTS, band_records, heights_nm
 from polishd.workbench.maps.files import (
@@ -24,7 +25,7 @@ from polishd.workbench.maps.files import (
     told_apart,
     warnings,
 )
-from polishd.workbench.maps.masks import SAME_PITCH, mask_lines, mask_records
+from polishd.workbench.maps.masks import mask_lines, mask_records
 from polishd.workbench.maps.options import FigureOptions
 
 LEAST_COMMON = 0.5
@@ -50,7 +51,7 @@ def compare_verb(before: Path, after: Path, asked: FigureOptions, *, as_json: bo
     """Figures of both, and by how much they changed."""
     edges = edges_mm(asked.bands)
     require_picture(asked.out)
-    source = MapSource.of(asked.cell, asked.profile, asked.as_format, asked.masks)
+    source = MapSource.by(asked)
     maps = [source.read(path) for path in (before, after)]
     pair = paired(*maps, trim=asked.trim)
     pitch, mask = pair.pitch_mm, pair.mask

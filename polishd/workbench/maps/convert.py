@@ -13,10 +13,12 @@ import typer
 from polishd.files import write_atomic
 from polishd.model.errors import BadMap, ConfigError, SurfaceError
 from polishd.model.surface import SurfaceMap
+from polishd.process.instrument import same_system
 from polishd.show.tables import emit
 from polishd.workbench.maps.files import MapSource, shown
 from polishd.workbench.maps.history import made, uncertainty_nm
 from polishd.workbench.maps.masks import mask_lines, mask_records
+from polishd.workbench.maps.options import WriteOptions
 
 WITHIN_NM = 0.01
 """Most that the counts of a format may change a height by ..."""
@@ -24,16 +26,10 @@ WITHIN = 1e-6
 """... or this part of the PV, where that is more. A pitch may change by the same part."""
 
 
-def convert_verb(
-    file: Path,
-    target: Path,
-    source: MapSource,
-    *,
-    force: bool,
-    as_json: bool,
-) -> None:
+def convert_verb(file: Path, target: Path, asked: WriteOptions, *, as_json: bool) -> None:
     """Write a map to ``target``, in the format of its ending. Nothing is written where anything is refused."""
-    require_target(target, [file], source, force=force)
+    source = MapSource.by(asked)
+    require_target(target, [file], source, force=asked.force)
     surface = source.read(file)
     answer = {"path": str(file), "format": surface.format, "masks": mask_records(surface)}
     answer |= store(made(surface, "convert", [("map", surface)], source, uncertainty_nm(surface)), target, source)
@@ -122,7 +118,13 @@ def _read_back(content: bytes, target: Path, source: MapSource) -> SurfaceMap:
 
 
 def _notes(surface: SurfaceMap, back: SurfaceMap, *, profiled: bool) -> list[str]:
-    named = {"part": "part_id", "time of measurement": "measured_at", "fiducials": "fiducials_px", "history": "history"}
+    named = {
+        "part": "part_id",
+        "instrument": "instrument",
+        "time of measurement": "measured_at",
+        "fiducials": "fiducials_px",
+        "history": "history",
+    }
     lost = [word for word, key in named.items() if getattr(surface, key) and not _alike(surface, back, key)]
     notes = [f"the format does not keep the {', '.join(lost)}"] if lost else []
     if profiled:
@@ -132,6 +134,8 @@ def _notes(surface: SurfaceMap, back: SurfaceMap, *, profiled: bool) -> list[str
 
 def _alike(surface: SurfaceMap, back: SurfaceMap, key: str) -> bool:
     before, after = getattr(surface, key), getattr(back, key)
+    if key == "instrument":
+        return same_system(before, after)
     if key == "measured_at":
         return after is not None and abs((after - before).total_seconds()) < 1
     if key == "fiducials_px":

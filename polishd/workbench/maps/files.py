@@ -18,6 +18,7 @@ from polishd.model.surface import SurfaceMap
 from polishd.recipe.files import read_map
 from polishd.show.tables import stdout
 from polishd.workbench.maps.masks import Mask, masked
+from polishd.workbench.maps.options import ReadOptions
 
 PROFILED = "its history says that a profile is in it: not applied again"
 """The warning of a map that was turned and scaled before."""
@@ -63,6 +64,11 @@ class MapSource:
             instrument = load_profile(profile).instrument
         source = cls(readers, asked, instrument, partly=partly)
         return replace(source, masks=tuple(Mask.of(text, source.read) for text in masks or ()))
+
+    @classmethod
+    def by(cls, asked: ReadOptions) -> MapSource:
+        """As the command line asks; errors: those of ``of``."""
+        return cls.of(asked.cell, asked.profile, asked.as_format, asked.masks)
 
     @property
     def options(self) -> dict[str, Any]:

@@ -13,13 +13,12 @@ import typer
 from polishd.model.errors import BadMap, ComputeError
 from polishd.model.outline import Circle, Outline, hexagon, rectangle
 from polishd.model.surface import BoolArray, FloatArray, MaskCount, SurfaceMap
+from polishd.process.plausible import SAME_PITCH
 
 FORMS = (
     "circle:X,Y,R, annulus:X,Y,R,r, rectangle:X,Y,W,H, hexagon:X,Y,W, polygon:FILE, map:FILE; before it not: for what "
     "lies outside, px: for pixels"
 )
-SAME_PITCH = 1e-6
-"""Part of a pitch by which two may differ and still be one grid."""
 Inside = Callable[[FloatArray, FloatArray], BoolArray]
 """Whether points lie in a shape, by x (1, nx) and y (ny, 1)."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import typer
@@ -23,7 +24,7 @@ def report_verb(files: Sequence[Path], asked: ReportOptions, *, as_json: bool) -
     edges = edges_mm(asked.bands)
     if asked.out.suffix.lower() not in ENDINGS:
         raise ConfigError(f"{asked.out}: a report is an HTML or a PDF file; name it *.html or *.pdf")
-    source = MapSource.of(asked.cell, asked.profile, asked.as_format, asked.masks)
+    source = MapSource.by(asked)
     wanted = _wanted(asked, source)
     found: list[Reported] = []
     for file in files:
@@ -41,15 +42,34 @@ def report_verb(files: Sequence[Path], asked: ReportOptions, *, as_json: bool) -
 
 
 def _wanted(asked: ReportOptions, source: MapSource) -> Asked:
-    from polishd.config.tolerance import load_tolerance
-
-    return Asked(
+    wanted = Asked(
         wavelength_nm=asked.wavelength,
         ordering=asked.zernike.value,
         terms=asked.terms,
-        lines=() if asked.tolerance is None else load_tolerance(asked.tolerance),
         repeatability_nm=None if source.instrument is None else source.instrument.repeatability_nm,
         by=asked.by,
+    )
+    if asked.tolerance is not None:
+        from polishd.config.tolerance import load_tolerance
+
+        return replace(wanted, lines=load_tolerance(asked.tolerance), judged_by=str(asked.tolerance))
+    return wanted if asked.cell is None else _as_the_cell(wanted, asked.cell)
+
+
+def _as_the_cell(wanted: Asked, cell: Path) -> Asked:
+    """Judged by the lines of a cell's file, as its job is."""
+    from polishd.config.cell import load_config
+    from polishd.recipe.making import instrument_of
+
+    config = load_config(cell)
+    instrument = instrument_of(config)
+    repeatability_nm = instrument.repeatability_nm if instrument is not None else None
+    return replace(
+        wanted,
+        lines=config.lines,
+        judged_by=str(cell),
+        alignment=config.part.alignment,
+        repeatability_nm=wanted.repeatability_nm if wanted.repeatability_nm is not None else repeatability_nm,
     )
 
 

@@ -14,6 +14,7 @@ from polishd.model.errors import BadMap, SurfaceError
 from polishd.model.surface import FloatArray, Grid
 from polishd.model.tolerance import Judged, Line, holds
 from polishd.process import metrics
+from polishd.process.metrics import Removal
 from polishd.process.metrics.zernike_terms import FIRST, Ordering
 from polishd.process.tolerance import judge
 from polishd.workbench.maps.figures import ISO_KEYS, Figured
@@ -36,6 +37,10 @@ class Asked:
     """Of the instrument, RMS of a map's noise; None: not known."""
     by: str = ""
     """Who answers for the page."""
+    judged_by: str = ""
+    """The file in which the lines stand."""
+    alignment: Removal = "tilt"
+    """What the lines do not count."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +134,8 @@ def reported(found: Figured, asked: Asked) -> Reported:
         "zernike": None if fitted is None else _zernike(finder, fitted),
         "tolerance": [one.facts() for one in judged],
         "within": holds(judged) if judged else None,
+        "judged_by": asked.judged_by if judged else None,
+        "alignment": asked.alignment if judged else None,
         "left_out": finder.left_out,
         "computed": {
             "program": "polishd",
@@ -149,8 +156,11 @@ def _judged(found: Figured, asked: Asked) -> Sequence[Judged]:
         raise BadMap(
             f"{found.surface.path}: has no lateral scale to judge a tolerance by; give the instrument's --profile"
         )
+    figure = found.level_nm
+    if asked.alignment != "tilt":
+        figure = metrics.without(found.surface.height_nm, found.mask, asked.alignment)
     try:
-        return judge(asked.lines, found.level_nm, found.mask, pitch, asked.repeatability_nm)
+        return judge(asked.lines, figure, found.mask, pitch, asked.repeatability_nm)
     except BadMap as error:
         raise BadMap(f"{found.surface.path}: {error}") from error
 

@@ -31,6 +31,7 @@ ISO_WORDS = {
 }
 BANDS = {"from_mm": "g", "to_mm": "g", "rms_nm": ".3f"}
 """Figures of a band, and their formats."""
+REMOVED = {"piston": "piston", "tilt": "piston and tilt", "power": "piston, tilt and power"}
 NORMS = {"edge": "amplitude 1 at the circle's edge", "rms": "RMS 1 over the circle"}
 
 
@@ -68,9 +69,16 @@ def _chapter(found: Reported) -> Chapter:
         _origin(answer),
         _editions(),
     ]
-    held = sum(line["holds"] for line in answer["tolerance"])
-    verdict = f"{held} of {len(answer['tolerance'])} lines of the tolerance hold" if answer["tolerance"] else ""
+    verdict = _verdict(answer)
     return Chapter(shown(answer["part_id"]) or name, facts, parts, verdict, answer["within"] is not False)
+
+
+def _verdict(answer: Mapping[str, Any]) -> str:
+    lines = answer["tolerance"]
+    if not lines:
+        return ""
+    held = sum(line["holds"] for line in lines)
+    return f"{'in' if answer['within'] else 'not in'} tolerance: {held} of {len(lines)} lines hold"
 
 
 def _surface(found: Reported) -> Part:
@@ -140,6 +148,7 @@ def _tolerance(answer: Mapping[str, Any]) -> Iterator[Part]:
         for at, line in enumerate(answer["tolerance"])
     ]
     note = (
+        f"By {shown(answer['judged_by'])}, over the samples that count, {REMOVED[answer['alignment']]} removed. "
         "± is the instrument's repeatability, where it is known. A PSD line is the A of A / f^B as ISO 10110-8:2010 "
         "writes it, of the radially averaged two-dimensional PSD, not of profiles."
     )

@@ -37,7 +37,7 @@ def figures_verb(files: Sequence[Path], asked: FigureOptions, *, as_json: bool) 
     require_picture(asked.out)
     if asked.out is not None and len(files) > MOST_DRAWN:
         raise typer.BadParameter(f"--out draws {MOST_DRAWN} maps at most, not {len(files)}")
-    source = MapSource.of(asked.cell, asked.profile, asked.as_format, asked.masks)
+    source = MapSource.by(asked)
     answers: list[dict[str, Any]] = []
     drawn: list[Figured] = []
     for file in files:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -15,12 +15,13 @@ from polishd.model.errors import BadMap, ConfigError
 from polishd.model.surface import SurfaceMap
 from polishd.process.metrics import pv_rms
 from polishd.process.mosaic import SubAperture
+from polishd.process.plausible import SAME_PITCH
 from polishd.process.stitching import Stitched, stitch
 from polishd.show.tables import emit, figure_table
 from polishd.workbench.maps.convert import require_target, store, stored_lines
 from polishd.workbench.maps.files import MapSource, draw, require_picture, told_apart
 from polishd.workbench.maps.history import made
-from polishd.workbench.maps.masks import SAME_PITCH, mask_lines, mask_records
+from polishd.workbench.maps.masks import mask_lines, mask_records
 from polishd.workbench.maps.options import StitchOptions
 
 FREE = ("power", "shift")
@@ -31,12 +32,12 @@ def stitch_verb(files: Sequence[Path], asked: StitchOptions, *, as_json: bool) -
     from polishd.config.tables import read_positions
 
     free = _free(asked.free)
-    source = MapSource.of(asked.cell, asked.profile, asked.as_format, asked.masks)
+    source = MapSource.by(asked)
     _require_targets(files, asked, source)
     positions = read_positions(asked.at)
-    _require_listed(files, positions, asked.at)
+    require_listed(files, positions, asked.at, "file,x_mm,y_mm")
     surfaces = [source.read(path) for path in files]
-    pitch = _one_pitch(surfaces)
+    pitch = one_pitch(surfaces)
     names = told_apart(files)
     maps = [
         SubAperture(name, one.height_nm, *positions[path.name])
@@ -71,17 +72,19 @@ def _require_targets(files: Sequence[Path], asked: StitchOptions, source: MapSou
     require_picture(asked.picture)
 
 
-def _require_listed(files: Sequence[Path], positions: Mapping[str, tuple[float, float]], at: Path) -> None:
+def require_listed(files: Sequence[Path], listed: Collection[str], at: Path, line: str) -> None:
+    """ConfigError where a list does not have a line for each map, told by its file's name."""
     names = [path.name for path in files]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ConfigError(f"{', '.join(twice)}: named twice; {at} tells maps by their file names alone")
-    missing = [name for name in names if name not in positions]
+    missing = [name for name in names if name not in listed]
     if missing:
-        raise ConfigError(f"{at}: does not say where {', '.join(missing)} lies; add a line file,x_mm,y_mm for each map")
+        raise ConfigError(f"{at}: does not say where {', '.join(missing)} lies; add a line {line} for each map")
 
 
-def _one_pitch(surfaces: Sequence[SurfaceMap]) -> float:
+def one_pitch(surfaces: Sequence[SurfaceMap]) -> float:
+    """Of maps of one part; BadMap where they have none, or two, or are of several parts."""
     pitches: list[float] = []
     for one in surfaces:
         if one.pitch_mm is None:
@@ -90,12 +93,12 @@ def _one_pitch(surfaces: Sequence[SurfaceMap]) -> float:
         pitches.append(one.pitch_mm)
         if abs(one.pitch_mm - pitches[0]) > SAME_PITCH * pitches[0]:
             raise BadMap(
-                f"{one.path}: has a pitch of {one.pitch_mm:.7g} mm, {surfaces[0].path} {pitches[0]:.7g} mm: stitch "
+                f"{one.path}: has a pitch of {one.pitch_mm:.7g} mm, {surfaces[0].path} {pitches[0]:.7g} mm: name "
                 "maps of one zoom"
             )
     parts = sorted({one.part_id for one in surfaces if one.part_id})
     if len(parts) > 1:
-        raise BadMap(f"the maps are of several parts: {', '.join(parts)}; name sub-apertures of one")
+        raise BadMap(f"the maps are of several parts: {', '.join(parts)}; name those of one")
     return pitches[0]
 
 

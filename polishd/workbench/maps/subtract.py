@@ -19,7 +19,7 @@ from polishd.workbench.maps.figures import HEIGHTS, figured, heights_nm
 from polishd.workbench.maps.files import MapSource, draw, edges_mm, require_picture, shown, told_apart, warnings
 from polishd.workbench.maps.history import known_lines, made, uncertainty_nm
 from polishd.workbench.maps.masks import mask_lines, mask_records
-from polishd.workbench.maps.options import BANDS
+from polishd.workbench.maps.options import BANDS, NewMapOptions
 
 SIDES = ("map", "subtracted")
 """What the two maps are called, in JSON and in the history."""
@@ -64,20 +64,12 @@ def less(surface: SurfaceMap, other: SurfaceMap) -> Difference:
     return Difference(found, pair, None if None in known else math.hypot(*filter(None, known)))
 
 
-def subtract_verb(
-    first: Path,
-    second: Path,
-    target: Path | None,
-    picture: Path | None,
-    source: MapSource,
-    *,
-    force: bool,
-    as_json: bool,
-) -> None:
+def subtract_verb(first: Path, second: Path, asked: NewMapOptions, *, as_json: bool) -> None:
     """FIRST less SECOND; figures of both and of the difference over the same samples, written where it is wanted."""
-    require_picture(picture)
-    if target is not None:
-        require_target(target, [first, second], source, force=force)
+    source = MapSource.by(asked)
+    require_picture(asked.picture)
+    if asked.out is not None:
+        require_target(asked.out, [first, second], source, force=asked.force)
     maps = [source.read(path) for path in (first, second)]
     found = less(*maps)
     mask = found.pair.mask
@@ -103,12 +95,12 @@ def subtract_verb(
         "notes": list(found.pair.notes),
     }
     kept = made(found.surface, "subtract", list(zip(SIDES, maps, strict=True)), source, known_nm=found.uncertainty_nm)
-    if target is not None:
-        stored = store(kept, target, source)
+    if asked.out is not None:
+        stored = store(kept, asked.out, source)
         answer |= stored | {"notes": [*found.pair.notes, *stored["notes"]]}
     _show(answer, as_json=as_json)
-    if picture is not None:
-        draw_maps(picture, [*maps, replace(kept, path=Path("difference"))], as_json=as_json)
+    if asked.picture is not None:
+        draw_maps(asked.picture, [*maps, replace(kept, path=Path("difference"))], as_json=as_json)
 
 
 def draw_maps(out: Path, surfaces: Sequence[SurfaceMap], *, as_json: bool) -> None:

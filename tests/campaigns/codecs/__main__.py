@@ -1,57 +1,52 @@
-"""``python -m tests.campaigns.codecs [REPLIES]``: every driver's talk, and the table in docs/replies.md."""
+"""``make replies``: every driver's talk, seed after seed, until each has had so many malformed or late replies.
+
+Goes on where an earlier sitting ended, on whichever machine that was; the table is in docs/replies.md.
+"""
 
 from __future__ import annotations
 
-import asyncio
+import argparse
 import logging
+import math
 import sys
-from pathlib import Path
+import time
 
 import pytest
 
-from tests.campaigns.codecs.controllers import read_for_ever
-from tests.campaigns.codecs.nasty import BAD, require_a_talk
-from tests.campaigns.codecs.talks import TALKS, campaign
-from tests.campaigns.codecs.test_variables import ads, opcua
+from tests.campaigns import beside
+from tests.campaigns.codecs.kept import BEGIN, DRIVERS, END, PAGE, Kept, bad, text
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "replies.md"
-BEGIN, END = "<!-- written by make replies -->\n", "<!-- end of what make replies writes -->"
-HEADER = """\
-| driver | broken | doubled | late | of them taken | refused or link lost | values taken | left out |
-|---|---|---|---|---|---|---|---|
-"""
+A_SEED = 20_000
+"""Malformed and late replies."""
 
 
-def main(bad: int) -> None:
-    """Talk, and write."""
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    parse = argparse.ArgumentParser(prog="make replies", description=__doc__)
+    parse.add_argument("--replies", type=int, default=1_000_000, metavar="N", help="malformed or late ones, a driver")
+    parse.add_argument("--driver", action="append", choices=DRIVERS, help="these alone")
+    parse.add_argument("--minutes", type=float, default=math.inf, help="of this sitting; what was begun is ended")
+    return parse
+
+
+def main() -> int:
+    """1 where a reply was taken for a value that it is not."""
+    options = parser().parse_args()
     logging.disable()  # pymodbus tells of each broken reply
-    rows = []
-    with pytest.MonkeyPatch.context() as patch:
-        for make in TALKS:
-            nasty, outcomes = campaign(patch, make, bad)
-            require_a_talk(nasty, outcomes)
-            counts = [nasty.counts[kind] for kind in BAD]
-            told = [
-                *counts,
-                0,
-                outcomes["refused"] + outcomes["lost"],
-                outcomes["value"],
-                nasty.counts["not to be told"],
-            ]
-            rows.append(_row(make.name, told))
-        for make_variables, name in ((opcua, "handover, OPC UA"), (ads, "handover, ADS")):
-            server, variables = make_variables(patch)
-            outcomes = asyncio.run(read_for_ever(variables, server, bad))
-            rows.append(_row(name, [server.counts["broken"], "", "", 0, outcomes["refused"], outcomes["value"], 0]))
-    before, _, rest = PAGE.read_text().partition(BEGIN)
-    PAGE.write_text(before + BEGIN + HEADER + "".join(rows) + END + rest.partition(END)[2])
-
-
-def _row(name: str, told: list[int | str]) -> str:
-    cells = [f"{one:,}" if isinstance(one, int) else one for one in told]
-    print(name, *cells, sep=" | ", file=sys.stderr, flush=True)
-    return f"| {name} | {' | '.join(cells)} |\n"
+    kept, until_s = Kept(), time.monotonic() + 60 * options.minutes
+    try:
+        for name in options.driver or DRIVERS:
+            while bad(row := kept.row(name)) < options.replies and time.monotonic() < until_s:
+                with pytest.MonkeyPatch.context() as patch:
+                    kept.add(name, DRIVERS[name].told(patch, A_SEED, row["seeds"]))
+                row = kept.row(name)
+                print(
+                    f"{name}: {bad(row):,} of {options.replies:,}, taken: {row['taken']}", file=sys.stderr, flush=True
+                )
+    finally:
+        beside.write(PAGE, BEGIN, END, text(kept))
+    return int(any(row["taken"] for row in kept.rows()))
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if sys.argv[1:] else 1_000_000)
+    sys.exit(main())

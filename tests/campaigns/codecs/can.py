@@ -46,6 +46,7 @@ class Spindle(Talk):
     """An object's answer names it, and bears no number; each object has one value."""
 
     name = "spindle, CAN"
+    driver = "spindle_can"
     resyncs = False
     pauses = True
     least = 0.02  # of most replies, which are process data, only the last counts
@@ -75,9 +76,8 @@ class Spindle(Talk):
 
     async def ask(self) -> Any:
         what = OBJECTS[next(self.numbers) % len(OBJECTS)]
-        value = await self._link.upload(what)
-        assert round(10 * self._link.status.rpm) % STEP == 0
-        return what.index, what.sub, value
+        value, rpm = await self._link.upload(what), self._link.status.rpm
+        return what.index, what.sub, value if round(10 * rpm) % STEP == 0 else f"{rpm} rpm"
 
     def greets(self) -> Iterable[bytes]:
         self._tick()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from abc import abstractmethod
 from collections.abc import AsyncGenerator, Iterable
 from functools import reduce
 from operator import xor
@@ -37,9 +38,9 @@ class Numbered(Talk):
         self.address = address
         self._number = b""
 
+    @abstractmethod
     def answer(self, request: str) -> str:
         """The body; sets the truth."""
-        raise NotImplementedError
 
     def replies(self, data: bytes) -> Iterable[bytes]:
         for line in data.splitlines():
@@ -90,6 +91,7 @@ class Sampled(Numbered):
 
 class ForceSensor(Sampled):
     name = "force sensor"
+    driver = "force_sensor_line"
 
     def __init__(self, **how: Any) -> None:
         super().__init__(**how)
@@ -107,6 +109,7 @@ class ForceSensor(Sampled):
 
 class Monitor(Sampled):
     name = "monitor"
+    driver = "monitor_line"
     signals = ("flow", "guard-2", "p_1")
 
     def __init__(self, **how: Any) -> None:
@@ -128,6 +131,7 @@ class Monitor(Sampled):
 
 class Loader(Sampled):
     name = "loader"
+    driver = "loader_line"
 
     def __init__(self, **how: Any) -> None:
         super().__init__(**how)
@@ -143,6 +147,7 @@ class Loader(Sampled):
 
 class VoiceCoil(Numbered):
     name = "voice coil, lines"
+    driver = "profiled"
 
     def __init__(self, **how: Any) -> None:
         super().__init__(**how)
@@ -181,6 +186,7 @@ class Plain(Talk):
 
 class ForceGauge(Plain):
     name = "force gauge by profile, plain lines"
+    driver = "profiled"
     pattern, refused = re.compile(rb"[-+]?\d+(\.\d+)? N"), re.compile(rb"\*(10|11|12|22)$")
 
     def __init__(self, address: SerialLine | Tcp = LINE, **how: Any) -> None:
@@ -207,6 +213,7 @@ class ForceGauge(Plain):
 
 class OwnLines(Plain):
     name = "lines of polishd.api"
+    driver = "transport"
     pattern, refused = re.compile(rb"F\d+"), re.compile(rb"NO")
 
     def __init__(self, address: SerialLine | Tcp = HOST, **how: Any) -> None:
@@ -241,6 +248,7 @@ class LinuxCnc(Talk):
     """Its answers name what they answer, and bear no number."""
 
     name = "LinuxCNC"
+    driver = "linuxcnc"
     ends = True
     least = 0.05  # five answers are one look
 

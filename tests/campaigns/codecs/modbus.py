@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import struct
+from abc import abstractmethod
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -50,13 +51,13 @@ class Slave(Talk):
         self._asked: tuple[int, int, int, int] = (0, 0, 0, 0)
         """Number, function, address, count or value."""
 
+    @abstractmethod
     def frame(self, number: int, unit: int, body: bytes) -> bytes:
         """An answer."""
-        raise NotImplementedError
 
+    @abstractmethod
     def requests(self, data: bytes) -> Iterable[tuple[int, bytes]]:
         """(number, function and data) of each."""
-        raise NotImplementedError
 
     def replies(self, data: bytes) -> Iterable[bytes]:
         for number, request in self.requests(data):
@@ -102,9 +103,9 @@ class Slave(Talk):
             self.frame(number, UNIT, rng.randbytes(rng.randrange(1, 12))),
         ]
 
+    @abstractmethod
     def body_of(self, reply: bytes) -> bytes:
         """Function and data of it."""
-        raise NotImplementedError
 
     def could_be(self, body: bytes, good: bytes) -> bool:
         """It is of the right kind and length: an answer as good as that one."""
@@ -178,6 +179,7 @@ class ProfiledTcp(TcpSlave):
     """Words and bits are read, words are written, in turn."""
 
     name = "profile, Modbus TCP"
+    driver = "profiled"
 
     def __init__(self, address: Any = HOST, **how: Any) -> None:
         super().__init__(**how)
@@ -218,6 +220,7 @@ class Controller(TcpSlave):
     """The shipped profile of a PLC; its registers are read in three requests."""
 
     name = "handover, Modbus"
+    driver = "handover"
     least = 0.2  # two answers are one reading
 
     def __init__(self, address: Tcp = HOST, **how: Any) -> None:

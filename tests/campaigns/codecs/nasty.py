@@ -29,12 +29,15 @@ NEVER_ON_WIRES = ("late", "lost")
 IN_A_ROW = 3
 ENOUGH = 50
 """Tries for a damage that can be told."""
+EXAMPLES = 3
 
 
 class Talk(ABC):
     """One codec: the driver's end, what its device answers, and what the protocol can tell from an answer."""
 
     name: str
+    driver: str
+    """Its folder in polishd/drivers."""
     resyncs = True
     """After nonsense an answer may still be found: broken replies come before a good one, and else in its place."""
     ends = False
@@ -53,6 +56,8 @@ class Talk(ABC):
         """Where goes what it says by itself."""
         self.truth: Any = None
         """The value of the last good reply."""
+        self.taken: list[str] = []
+        """The first of what was taken for a value that it is not."""
 
     @abstractmethod
     async def open(self) -> None:
@@ -200,13 +205,21 @@ async def _ask(talk: Talk, outcomes: Counter[str]) -> bool:
         outcomes["refused"] += 1
         return False
     outcomes["value"] += 1
-    assert value == talk.truth, f"{talk.name}: {value!r} is not the answer to this request, which is {talk.truth!r}"
+    if value != talk.truth:
+        outcomes["taken"] += 1
+        talk.taken = [*talk.taken, f"{value!r} is not the answer to this request, which is {talk.truth!r}"][:EXAMPLES]
     return True
 
 
-def require_a_talk(nasty: Nasty, outcomes: Counter[str]) -> None:
+def require_said(nasty: Nasty, outcomes: Counter[str]) -> None:
     """All kinds of replies came, and most of the good ones got through."""
     counts, talk = nasty.counts, nasty.talk
     good = sum(counts[kind] for kind in ("good", "doubled", "dribbled", *(["broken"] if talk.resyncs else [])))
     assert min(counts[kind] for kind in BAD if kind in talk.kinds or kind == "broken replies") > 0, counts
     assert outcomes["value"] > talk.least * good, (counts, outcomes)
+
+
+def require_a_talk(nasty: Nasty, outcomes: Counter[str]) -> None:
+    """So it was, and none was taken for another's value."""
+    require_said(nasty, outcomes)
+    assert outcomes["taken"] == 0, (nasty.talk.name, outcomes["taken"], nasty.talk.taken)

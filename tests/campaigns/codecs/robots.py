@@ -37,6 +37,7 @@ class RobotLink(Talk):
     """An order, and its ACK with the robot's state. Frames have a checksum; what they say is JSON."""
 
     name = "robot link"
+    driver = "robot_link"
     least = 0.2  # most nonsense with a right checksum ends the connection
 
     def __init__(self, address: Tcp = HOST, **how: Any) -> None:
@@ -57,8 +58,8 @@ class RobotLink(Talk):
     async def ask(self) -> Any:
         assert self._connection is not None
         told = (await self._connection.command(Kind.HOLD, {})).progress
-        assert math.isfinite(self._connection.progress.buffer_s)
-        return told.state, told.accepted, told.executed, told.stops, told.buffer_s
+        buffer_s = told.buffer_s if math.isfinite(self._connection.progress.buffer_s) else math.nan
+        return told.state, told.accepted, told.executed, told.stops, buffer_s
 
     def replies(self, data: bytes) -> Iterable[bytes]:
         while data:
@@ -121,6 +122,7 @@ class Rtde(Talk):
     """Samples come by themselves. Neither number nor checksum: what can be told is kind, length, time and range."""
 
     name = "Universal Robots, RTDE"
+    driver = "universal_robots"
     resyncs = False
     least = 0.1  # five good answers in a row open it, and nonsense ends it
     kinds = frozenset(WEIGHTS) - {"late", "refused"}
@@ -220,6 +222,7 @@ class Dashboard(Talk):
     """One question a connection: its greeting, and a yes or no."""
 
     name = "Universal Robots, dashboard"
+    driver = "universal_robots"
     resyncs = False
     least = 0.3
     greeting = b"Connected: Universal Robots Dashboard Server\n"

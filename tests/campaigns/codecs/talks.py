@@ -17,10 +17,10 @@ TALKS: list[type[Talk]] = [
 ]  # fmt: skip
 
 
-def campaign(monkeypatch: pytest.MonkeyPatch, make: type[Talk], bad: int) -> tuple[Nasty, Counter[str]]:
+def campaign(monkeypatch: pytest.MonkeyPatch, make: type[Talk], bad: int, seed: int = 15) -> tuple[Nasty, Counter[str]]:
     """So many malformed or late replies on the virtual clock."""
     with virtual(monkeypatch) as loop:
-        nasty = Nasty(make(), 15)
+        nasty = Nasty(make(), seed)
         loop.peer = nasty
         nasty.talk.wired(monkeypatch, nasty)
         outcomes = loop.run_until_complete(ask_for_ever(nasty.talk, nasty, bad))

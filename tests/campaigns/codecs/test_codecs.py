@@ -6,17 +6,71 @@ The driver's whole link runs, with its queue, time limits and reopening: on a vi
 from __future__ import annotations
 
 import gc
+import re
 from pathlib import Path
 
 import pytest
 
+from tests.campaigns import beside
+from tests.campaigns.codecs import kept as keeping
+from tests.campaigns.codecs import lines
+from tests.campaigns.codecs.kept import BEGIN, DRIVERS, END, PAGE, TOLD, Kept, bad, text
 from tests.campaigns.codecs.nasty import Talk, require_a_talk
 from tests.campaigns.codecs.talks import TALKS, campaign
+from tests.kinds import kind
 
 
 @pytest.mark.parametrize("make", TALKS, ids=lambda one: one.name)
 def test_no_reply_is_taken_for_a_value_that_is_none(monkeypatch: pytest.MonkeyPatch, make: type[Talk]) -> None:
     require_a_talk(*campaign(monkeypatch, make, 2_000))
+
+
+class Gullible(lines.OwnLines):
+    """Takes any digits for its answer."""
+
+    async def ask(self) -> int:
+        return await self._lines.read("?", digits)
+
+
+def digits(answer: str) -> int:
+    if (found := re.search(r"\d+", answer, re.ASCII)) is None:
+        raise ValueError("no digits")
+    return int(found[0])
+
+
+def test_what_is_taken_for_a_value_that_it_is_not_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    nasty, outcomes = campaign(monkeypatch, Gullible, 500)
+    assert 0 < outcomes["taken"] < outcomes["value"]
+    with pytest.raises(AssertionError, match="is not the answer to this request"):
+        require_a_talk(nasty, outcomes)
+
+
+def test_seeds_add_up_and_older_lines_go_once_there_are_as_many_replies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept, told = Kept(tmp_path / "replies.jsonl"), {**dict.fromkeys(TOLD, 0), "broken": 10, "late": 2, "values": 7}
+    monkeypatch.setattr(keeping.beside, "sources", lambda names: "before")
+    kept.add("monitor", told)
+    kept.add("monitor", told)
+    monkeypatch.undo()
+    kept.add("monitor", {**told, "taken": 1})
+    assert [(row["seeds"], row["broken"]) for row in kept.rows()] == [(2, 20), (1, 10)]
+    assert "| monitor | 10 | 0 | 2 | **1** |" in text(kept)
+    kept.add("monitor", told)
+    [row] = Kept(tmp_path / "replies.jsonl").rows()
+    assert (row["seeds"], row["broken"], row["late"], row["taken"], row["values"]) == (2, 20, 4, 1, 14)
+
+
+@pytest.mark.parametrize("name", kind("spindle, CAN", "handover, ADS"))
+def test_a_seed_is_counted_for_the_page(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    told = DRIVERS[name].told(monkeypatch, 1_000, 3)
+    assert bad(told) >= 1_000
+    assert told["taken"] == 0
+    assert told["values"] > 0
+
+
+def test_the_page_is_written_of_what_is_kept() -> None:
+    assert beside.written(PAGE, BEGIN, END) == text(Kept())
 
 
 def left_behind() -> tuple[int, int]:

@@ -2,43 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-import asyncua
-import pyads
 import pytest
 
-from polishd.drivers.handover.ads import Ads
-from polishd.drivers.handover.opcua import OpcUa
-from polishd.drivers.handover.variables import Variables
-from tests.campaigns.codecs.controllers import AdsServer, Controller, OpcUaServer, read_for_ever
+from polishd.drivers.handover.variables import Reading
+from tests.campaigns.codecs.controllers import MAKERS, Make, read_for_ever
 
-Make = Callable[[pytest.MonkeyPatch], tuple[Controller, Variables]]
+SEED = 15
 
 
-def opcua(monkeypatch: pytest.MonkeyPatch) -> tuple[Controller, Variables]:
-    server = OpcUaServer()
-    monkeypatch.setattr(asyncua, "Client", server.client)
-    return server, OpcUa("opc.tcp://nowhere", server.profile.variables, 60.0)
-
-
-def ads(monkeypatch: pytest.MonkeyPatch) -> tuple[Controller, Variables]:
-    server = AdsServer()
-    monkeypatch.setattr(pyads, "Connection", server.connection)
-    return server, Ads("nowhere", "1.1.1.1.1.1", 851, server.profile.variables, 60.0)
-
-
-@pytest.mark.parametrize("make", [opcua, ads])
+@pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
 async def test_no_reading_is_taken_that_is_none(monkeypatch: pytest.MonkeyPatch, make: Make) -> None:
-    server, variables = make(monkeypatch)
+    server, variables = make(monkeypatch, SEED)
     outcomes = await read_for_ever(variables, server, 1_000)
+    assert outcomes["taken"] == 0
     assert outcomes["value"] > 100
+
+
+@pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
+async def test_what_is_taken_is_counted(monkeypatch: pytest.MonkeyPatch, make: Make) -> None:
+    server, variables = make(monkeypatch, SEED)
+
+    async def gullible() -> Reading:
+        server.reading()
+        return Reading(1.0, server.truth)
+
+    monkeypatch.setattr(variables, "read", gullible)
+    outcomes = await read_for_ever(variables, server, 20)
+    assert 0 < outcomes["taken"] < outcomes["value"]
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(7200)
-@pytest.mark.parametrize("make", [opcua, ads])
+@pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
 async def test_of_a_million_readings_none_is_taken(monkeypatch: pytest.MonkeyPatch, make: Make) -> None:
-    server, variables = make(monkeypatch)
+    server, variables = make(monkeypatch, SEED)
     outcomes = await read_for_ever(variables, server, 1_000_000)
+    assert outcomes["taken"] == 0
     assert outcomes["value"] > 100_000

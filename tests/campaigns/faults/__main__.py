@@ -1,70 +1,78 @@
-"""``make faults``: every fault on every link in contact, and what came of it, into docs/fault-matrix.md."""
+"""``make faults``: every fault on every link in contact, and what came of it, into docs/fault-matrix.md.
+
+Goes on where an earlier sitting ended, on whichever machine that was: first with the cases that were never measured,
+then with those of other sources.
+"""
 
 from __future__ import annotations
 
 import argparse
-import json
+import math
 import shutil
 import sys
 import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
-from tests.campaigns.faults.judge import Finding, measure, save
+from polishd.model.errors import PolishdError
+from tests.campaigns.beside import side_by_side
+from tests.campaigns.faults.judge import Finding, measure
+from tests.campaigns.faults.kept import LOSES, Kept
 from tests.campaigns.faults.links import LINKS
-from tests.campaigns.faults.losses import Loss, keep, lose
-from tests.campaigns.faults.page import SAVED, write
+from tests.campaigns.faults.losses import A_CELL, Loss, lose
+from tests.campaigns.faults.page import write
 
 NOT_MEASURED = "not measured"
-"""The cell did not come so far, or not to rest: no row of the page, and the next run with --new tries again."""
+"""The cell did not come so far, or not to rest: no row of the page, and the next sitting tries again."""
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    parse = argparse.ArgumentParser(prog="faults", description=__doc__)
+    parse = argparse.ArgumentParser(prog="make faults", description=__doc__)
     parse.add_argument("--link", action="append", choices=LINKS, help="these alone")
     parse.add_argument("--fault", action="append", help="these alone, as the page names them")
-    parse.add_argument("--new", action="store_true", help="only those that are not saved yet")
-    parse.add_argument("--losses", type=int, default=0, metavar="N", help="instead: so many losses of each link")
+    parse.add_argument("--new", action="store_true", help="none that has a row, of whatever sources")
+    parse.add_argument("--again", action="store_true", help="those of these sources, too")
+    parse.add_argument("--losses", type=int, default=0, metavar="N", help="instead: so many losses of each link in all")
+    parse.add_argument("--jobs", type=int, default=1, metavar="K", help="cells side by side; the rows name the load")
+    parse.add_argument("--minutes", type=float, default=math.inf, help="of this sitting; what was begun is ended")
     return parse
 
 
-def tried(link: str, fault: str) -> Finding:
-    """In a folder of its own, which stays where something is wrong."""
+def tried(kept: Kept, link: str, fault: str) -> int:
+    """Whether something was wrong, in a folder of its own, which then stays."""
     folder = Path(tempfile.mkdtemp(prefix="polishd-faults-"))
     try:
         finding = measure(link, fault, folder / "cell")
-    except AssertionError as error:
+    except (AssertionError, PolishdError) as error:
         wrong = [str(error).splitlines()[0]]
         finding = Finding(link, fault, "", None, LINKS[link].silence_s, None, NOT_MEASURED, wrong)
-    say(f"{link}: {fault}: {finding.outcome}{''.join(f'; WRONG: {one}' for one in finding.wrong)}")
-    if finding.wrong:
-        say(f"  the cell is in {folder}")
     else:
-        shutil.rmtree(folder)
-    return finding
+        kept.add(finding)
+    say(f"{link}: {fault}: {finding.outcome}{_wrong(finding)}")
+    _clear(folder, len(finding.wrong))
+    return int(bool(finding.wrong))
 
 
-def lost(link: str, count: int) -> int:
-    """Losses of that link, saved as they come; of how many something is wrong."""
+def lost(kept: Kept, link: str, first: int, most: int, until_s: float) -> int:
+    """So many losses of that link, kept as they come; of how many something is wrong."""
     folder = Path(tempfile.mkdtemp(prefix="polishd-losses-"))
-    found: list[Loss] = []
+    done = wrong = 0
     try:
-        for one in lose(link, count, folder):
-            found.append(one)
-            keep(found, SAVED / f"{''.join(letter if letter.isalnum() else '-' for letter in link)}.losses")
-            wrong = "".join(f"; WRONG: {said}" for said in one.wrong)
-            say(
-                f"{link}: {len(found)} of {count}: {one.how}: {one.detection_s} s, force off {one.force_off_s} s{wrong}"
-            )
-    except AssertionError as error:
-        say(f"{link}: {str(error).splitlines()[0]}; the cell is in {folder}")
-        return 1
-    wrong_ones = sum(bool(one.wrong) for one in found)
-    if wrong_ones:
-        say(f"{link}: the cells are in {folder}")
-    else:
-        shutil.rmtree(folder)
-    return wrong_ones
+        while done < most and time.monotonic() < until_s:
+            for one in lose(link, first + done, most - done, folder / f"from-{first + done}", until_s):
+                kept.add_loss(one)
+                done += 1
+                wrong += bool(one.wrong)
+                times = f"{one.detection_s} s, force off {one.force_off_s} s"
+                say(f"{link}: {first + done}: {one.how}: {times}{_wrong(one)}")
+    except (AssertionError, PolishdError) as error:
+        say(f"{link}: {str(error).splitlines()[0]}")
+        wrong += 1
+    _clear(folder, wrong)
+    return wrong
 
 
 def say(text: str) -> None:
@@ -72,30 +80,43 @@ def say(text: str) -> None:
     print(text, flush=True)
 
 
+def _wrong(one: Finding | Loss) -> str:
+    return "".join(f"; WRONG: {said}" for said in one.wrong)
+
+
+def _clear(folder: Path, wrong: int) -> None:
+    """A cell in which something is wrong is kept."""
+    if wrong:
+        say(f"  see {folder}")
+    else:
+        shutil.rmtree(folder)
+
+
+def _work(options: argparse.Namespace, kept: Kept, until_s: float) -> list[Callable[[], int]]:
+    """What is to be done, in its order."""
+    links = options.link or list(LINKS)
+    if not options.losses:
+        left = kept.left(new=options.new, again=options.again)
+        chosen = [case for case in left if case[0] in links and case[1] in (options.fault or [case[1]])]
+        return [partial(tried, kept, *case) for case in chosen]
+    return [
+        partial(lost, kept, link, first, min(A_CELL, options.losses - first), until_s)
+        for link in links
+        if link in LOSES
+        for first in range(kept.lost(link), options.losses, A_CELL)
+    ]
+
+
 def main() -> int:
     """1 where something was wrong."""
     options = parser().parse_args()
-    wrong = 0
-    saved = {(one["link"], one["fault"]) for one in _saved()} if options.new else set()
-    for name in options.link or LINKS:
-        if options.losses:
-            if not LINKS[name].needed or not {"hangs", "unplugged"} <= LINKS[name].faults.keys():
-                continue
-            wrong += lost(name, options.losses)
-            continue
-        for fault in LINKS[name].faults:
-            if (options.fault and fault not in options.fault) or (name, fault) in saved:
-                continue
-            finding = tried(name, fault)
-            if finding.outcome != NOT_MEASURED:
-                save(finding, SAVED)
-            wrong += bool(finding.wrong)
-    write()
+    kept, until_s = Kept(cells=options.jobs), time.monotonic() + 60 * options.minutes
+    try:
+        wrong = side_by_side(_work(options, kept, until_s), options.jobs, until_s)
+    finally:
+        write(kept)
+    say(f"{len(kept.left(new=True))} cases were never measured, {len(kept.left())} not with these sources")
     return int(wrong > 0)
-
-
-def _saved() -> list[dict[str, str]]:
-    return [json.loads(path.read_text()) for path in SAVED.glob("*.json")]
 
 
 if __name__ == "__main__":

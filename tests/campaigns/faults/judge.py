@@ -6,11 +6,10 @@ noticed as is the daemon's.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +61,7 @@ class Finding:
 def measure(link: str, fault: str, folder: Path) -> Finding:
     """Bring a cell into contact, and let it happen."""
     chosen = LINKS[link]
-    files = chosen.write(folder)
+    files = chosen.files(folder)
     scripted = {**chosen.fault(fault), "contact_s": CONTACT_S}
     files.sim.write_text(with_faults(files.sim.read_text(), scripted))
     options = ["--state", str(files.sim_dir), "--seed", "3", "--speed", f"{SPEED:g}"]
@@ -108,7 +107,7 @@ def _finding(link: str, fault: str, files: DemoFiles, *, went_on: bool, code: in
     log, acted = events(files), _acted(files)
     since_s = acted["mono_s"] if acted else 0.0
     after = [event for event in log if event["mono_s"] >= since_s]
-    noticed = "" if went_on else str(summary(files)["reason"])
+    noticed = "" if went_on else _without_folder(str(summary(files)["reason"]), files)
     reacted_s = None if went_on else first(after, REACTIONS)
     off_s = None if went_on else first(after, OFF)
     wrong = list(_wrong(link, fault, files, after, acted=acted is not None, noticed=noticed, went_on=went_on))
@@ -121,6 +120,11 @@ def _finding(link: str, fault: str, files: DemoFiles, *, went_on: bool, code: in
         wrong.append(f"noticed after {detection_s} s, limit {limit_s} s")
     outcome = "goes on" if went_on else f"contact left, exit code {code}"
     return Finding(link, fault, noticed, detection_s, limit_s, force_off_s, outcome, wrong, load())
+
+
+def _without_folder(text: str, files: DemoFiles) -> str:
+    """That of a case says nothing to a reader."""
+    return text.replace(f"{files.sim_dir}/", "...").replace(f"{files.out}", "...")
 
 
 def load() -> float:
@@ -181,10 +185,3 @@ def disagreeing(files: DemoFiles) -> Iterator[str]:
         if book["loads"] != 1:
             yield f"program {book['sha256'][:8]} was loaded {book['loads']} times"
     yield from disagreements(files.state_dir / "journal.sqlite", books)
-
-
-def save(finding: Finding, folder: Path) -> None:
-    """For the page."""
-    folder.mkdir(parents=True, exist_ok=True)
-    name = "".join(letter if letter.isalnum() else "-" for letter in f"{finding.link} {finding.fault}")
-    (folder / f"{name}.json").write_text(json.dumps(asdict(finding), indent=1))

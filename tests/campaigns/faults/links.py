@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,19 @@ MUST_END = {*LOST, "all garbled", "sticks", "halts", "freezes", "drifts", "satur
 """Of a link that contact needs."""
 
 
+QUICK: Sections = {"actuator": {"land_s": 0.5}, "spindle": {"spin_s": 0.5}, "interferometer": {"write_s": 0.02}}
+"""Before contact nothing is lost yet. How long the tool takes to lift is part of what is asked."""
+COMMON = (
+    "polishd/daemon",
+    "polishd/model",
+    "polishd/ports",
+    "polishd/drivers/transport",
+    "polishd/sim_backends/faults",
+    "tests/campaigns/faults/judge.py",
+)
+"""What each case depends on."""
+
+
 @dataclass(frozen=True, slots=True)
 class Link:
     """One of them."""
@@ -59,6 +73,29 @@ class Link:
     """Of the robot's, where it has several."""
     needed: bool = True
     """In contact; else its loss costs nothing until it is used."""
+    driver: str = "profiled"
+    """Its folder in polishd/drivers."""
+    simulator: str = ""
+    """Its folder in polishd/sim_backends, where that is not called as the device."""
+
+    def files(self, folder: Path, **sim: Mapping[str, Any]) -> DemoFiles:
+        """A cell with it, quick where nobody looks; ``sim`` for SIM.toml."""
+        files = self.write(folder)
+        files.cell.write_text(with_keys(files.cell.read_text(), {"metrology": {"stable_s": 0.1}}))
+        files.sim.write_text(with_keys(with_keys(files.sim.read_text(), QUICK), sim))
+        return files
+
+    def loses(self) -> bool:
+        """Its loss in contact can be counted."""
+        return self.needed and {"hangs", "unplugged"} <= self.faults.keys()
+
+    def parts(self) -> tuple[str, ...]:
+        """Files and folders that what comes of its faults depends on."""
+        return (
+            *COMMON,
+            f"polishd/drivers/{self.driver}",
+            f"polishd/sim_backends/{self.simulator or self.device}",
+        )
 
     def must_end(self, fault: str) -> bool:
         """Contact has to be left over it."""
@@ -148,25 +185,25 @@ def _universal(folder: Path) -> DemoFiles:
 FORCE = {"sticks": {"what": "stick"}}
 DRIFT = {"drifts": {"what": "drift", "drift_n_s": 2.0}}
 CELL = {"halts": {"what": "halt"}, **DRIFT, "saturates": {"what": "saturate", "limit_n": 13.0}}
+UR = partial(Link, "robot", _universal, driver="universal_robots", simulator="universal_robots")
+PLC = partial(Link, "robot", silence_s=PLC_SILENCE_S, driver="handover", simulator="handover")
+CIA402 = partial(Link, write=_cia402, driver="cia402", simulator="cia402")
+ASIDE: Mapping[str, Fault] = {name: LOST[name] for name in ("hangs", "unplugged")}
 LINKS: Mapping[str, Link] = {
-    "robot link": Link("robot", _small, ALL),
-    "handover over OPC UA": Link("robot", lambda f: _plc(f, "opcua"), ALL, PLC_SILENCE_S),
-    "handover over ADS": Link("robot", lambda f: _plc(f, "ads"), {**ALL, **REFUSES}, PLC_SILENCE_S),
-    "RTDE": Link("robot", _universal, ALL, link="rtde"),
-    "dashboard": Link(
-        "robot", _universal, {"hangs": LOST["hangs"], "unplugged": LOST["unplugged"]}, link="dashboard", needed=False
-    ),
-    "primary": Link(
-        "robot", _universal, {"hangs": LOST["hangs"], "unplugged": LOST["unplugged"]}, link="primary", needed=False
-    ),
+    "robot link": Link("robot", _small, ALL, driver="robot_link"),
+    "handover over OPC UA": PLC(write=lambda f: _plc(f, "opcua"), faults=ALL),
+    "handover over ADS": PLC(write=lambda f: _plc(f, "ads"), faults={**ALL, **REFUSES}),
+    "RTDE": UR(ALL, link="rtde"),
+    "dashboard": UR(ASIDE, link="dashboard", needed=False),
+    "primary": UR(ASIDE, link="primary", needed=False),
     "actuator, Modbus RTU": Link("actuator", _small, {**ALL, **UNIT, **REFUSES, **FORCE}),
     "actuator, Modbus TCP": Link("actuator", lambda f: _actuator(f, "modbus_tcp"), {**ALL, **UNIT, **REFUSES}),
     "actuator, lines": Link("actuator", lambda f: _actuator(f, "serial"), {**ALL, **REFUSES}),
     "actuator beside a force sensor": Link("actuator", _sensed, DRIFT),
-    "spindle, slcan": Link("spindle", _small, {**ALL, **UNIT}),
-    "spindle, socketcand": Link("spindle", _spindle, {**ALL, **UNIT}),
-    "actuator, CiA 402": Link("actuator", _cia402, {**ALL, **UNIT, **FORCE}),
-    "spindle, CiA 402": Link("spindle", _cia402, {**ALL, **UNIT}),
-    "force sensor": Link("force_sensor", _sensed, {**ALL, **REFUSES, **CELL}),
-    "monitor": Link("monitor", _monitored, {**ALL, **REFUSES}),
+    "spindle, slcan": Link("spindle", _small, {**ALL, **UNIT}, driver="spindle_can"),
+    "spindle, socketcand": Link("spindle", _spindle, {**ALL, **UNIT}, driver="spindle_can"),
+    "actuator, CiA 402": CIA402("actuator", faults={**ALL, **UNIT, **FORCE}),
+    "spindle, CiA 402": CIA402("spindle", faults={**ALL, **UNIT}),
+    "force sensor": Link("force_sensor", _sensed, {**ALL, **REFUSES, **CELL}, driver="force_sensor_line"),
+    "monitor": Link("monitor", _monitored, {**ALL, **REFUSES}, driver="monitor_line"),
 }

@@ -1,35 +1,45 @@
-"""Many losses of one link: the same daemon loses it in contact, leaves the part, is told to resume, and loses it again.
+"""Many losses of one link: a daemon loses it in contact, leaves the part and ends; the next goes on with the same cell.
 
-A cell that ends over a loss, as one whose tool nobody could confirm to be up, is followed by another.
+A cell in which something was wrong is followed by another. A daemon that is held before the loss, as it is over the one
+before, is told to resume.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import signal
+import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from random import Random
 from typing import Any
 
 from polishd.console.demo_files import DemoFiles
-from polishd.console.simulator import simulated_cell
+from polishd.console.simulator import last_words, simulated_cell
 from polishd.daemon import client
 from polishd.model.errors import PolishdError
 from tests.campaigns.faults.judge import FORCE_OFF_S, LATE_S, OFF, PRESSES, REACTIONS, SPEED, UP, disagreeing, first
-from tests.campaigns.faults.links import LINKS, Link
+from tests.campaigns.faults.links import LINKS
 from tests.campaigns.site import MOVING, Log
 from tests.system.cell_rig import Daemon, with_faults, with_keys
 from tests.system.sim_rig import wait_for
 
-CONTACT_S = (0.2, 2.0)
-"""In contact before a loss, wall time."""
-AGAIN_S = 1.5
-"""The link is back so long after its limit."""
+CONTACT_S = (0.2, 1.2)
+"""In contact before a loss, wall time: all phases of polls and heartbeats."""
+AGAIN_S = LATE_S + 0.1
+"""The link is back so long after its limit: later than anybody may notice."""
+LIFTS = {"actuator": {"lift_s": 1.0}}
+"""The force is off before the tool lifts."""
+A_CELL = 50
+"""Losses in one cell: the whole journal is held against the plant after each."""
 END_S = 120.0
+LOOK_S = 0.3
+"""Between two looks whether it is held before it was lost."""
+ANSWER_S = 5.0
 SAID = 3
 """Contradictions of one loss that are told."""
 ENDLESS = {"job": {"max_cycles": 100, "tolerance_nm": 0.01}}
@@ -51,74 +61,91 @@ class Loss:
     wrong: list[str]
 
 
-def lose(name: str, count: int, folder: Path, seed: int = 1) -> Iterator[Loss]:
-    """So many, half by silence and half by the plug; as many in a cell as it takes."""
-    link, rng, number = LINKS[name], Random(seed), 0
-    while number < count:
-        files = link.write(folder / f"from-{number}")
-        files.cell.write_text(with_keys(files.cell.read_text(), ENDLESS))
-        template = files.sim.read_text()
-        _script(files, template, link, number, rng)
-        options = ["--state", str(files.sim_dir), "--seed", str(seed + number), "--speed", f"{SPEED:g}"]
-        with simulated_cell(files.sim, options, files.out / "sim.stderr"), Daemon(files) as daemon:
-            log = Log(files.sim_dir / "sim.log")
-            while number < count:
-                yield _lost(name, number, daemon, log)
-                number += 1
-                if daemon.process.poll() is not None:
-                    break
-                _script(files, template, link, number, rng)
-                os.kill(json.loads((files.sim_dir / "pids.json").read_text())[link.device], signal.SIGHUP)
-                _resume(daemon)
+def lose(name: str, first: int, most: int, folder: Path, until_s: float = math.inf) -> Iterator[Loss]:
+    """Up to so many, from that number on, half by silence and half by the plug: as many as a cell takes.
+
+    None is waited for after ``until_s``, on ``time.monotonic``.
+    """
+    link, number = LINKS[name], first
+    files = link.files(folder, **LIFTS)
+    files.cell.write_text(with_keys(files.cell.read_text(), ENDLESS))
+    template = files.sim.read_text()
+    _script(files, template, name, number)
+    options = ["--state", str(files.sim_dir), "--seed", str(1 + first), "--speed", f"{SPEED:g}"]
+    with simulated_cell(files.sim, options, files.out / "sim.stderr"):
+        log = Log(files.sim_dir / "sim.log")
+        while True:
+            with Daemon(files) as daemon:
+                loss = _lost(name, number, daemon, log)
+            assert loss is not None, f"the daemon ended before loss {number}: {last_words(files.daemon_log)}"
+            yield loss
+            number += 1
+            if loss.wrong or number == first + most or time.monotonic() > until_s:
+                return
+            _script(files, template, name, number)
+            os.kill(json.loads((files.sim_dir / "pids.json").read_text())[link.device], signal.SIGHUP)
 
 
-def _script(files: DemoFiles, template: str, link: Link, number: int, rng: Random) -> None:
+def _script(files: DemoFiles, template: str, name: str, number: int) -> None:
     """When the next loss comes, and how."""
-    how = ("hangs", "unplugged")[number % 2]
-    fault = {**link.fault(how), "contact_s": round(rng.uniform(*CONTACT_S), 3), "for_s": link.silence_s + AGAIN_S}
+    link, how = LINKS[name], ("hangs", "unplugged")[number % 2]
+    contact_s = round(Random(f"{name} {number}").uniform(*CONTACT_S), 3)
+    fault = {**link.fault(how), "contact_s": contact_s, "for_s": link.silence_s + AGAIN_S}
     files.sim.write_text(with_faults(template, fault))
 
 
-def _resume(daemon: Daemon) -> None:
-    """As a person who tries until it is obeyed."""
-    state = daemon.files.state_dir
-
-    def obeyed() -> bool:
-        if daemon.process.poll() is not None:
-            return True
-        with contextlib.suppress(PolishdError):
-            return bool(client.request(state, "resume").get("ok"))
-        return False
-
-    wait_for(obeyed, "resume to be obeyed", END_S)
+def _asked(daemon: Daemon, verb: str) -> dict[str, Any]:
+    """As a person does; empty where nobody answers, or it is refused."""
+    with contextlib.suppress(PolishdError):
+        return client.request(daemon.files.state_dir, verb, ANSWER_S)
+    return {}
 
 
-def _lost(name: str, number: int, daemon: Daemon, log: Log) -> Loss:
-    """Wait for the next loss, and for the cell to be at rest behind it."""
-    begun = len(log.look())
+def _lost(name: str, number: int, daemon: Daemon, log: Log) -> Loss | None:
+    """Wait for the next loss, and for the cell to be at rest behind it; None where the daemon ended before."""
+    begun, looked_s = len(log.look()), 0.0
     told: dict[str, Any] = {}
 
     def rests() -> bool:
-        after = [event["event"] for event in log.look()[begun:]]
-        if "fault_begins" not in after or (daemon.process.poll() is None and "fault_ends" not in after):
+        nonlocal looked_s
+        ended = daemon.process.poll() is not None  # first: what it did is in the log then
+        after = {event["event"] for event in log.look()[begun:]}
+        if "fault_begins" not in after:
+            if not ended and time.monotonic() > looked_s + LOOK_S:
+                looked_s = time.monotonic()
+                if _asked(daemon, "status").get("state") == "held":
+                    _asked(daemon, "resume")
+            return ended
+        if not (ended or "fault_ends" in after) or log.last("robot", MOVING):
             return False
-        told.update(daemon.status() if daemon.process.poll() is None else {"state": "ended"})
-        return told.get("state") in {"held", "ended"} and not log.last("robot", MOVING)
+        told.update({"state": "ended"} if ended else _asked(daemon, "status"))
+        return told.get("state") in {"held", "ended"}
 
-    wait_for(rests, f"loss {number} of the {name}, and that the cell rests", END_S)
+    try:
+        wait_for(rests, f"loss {number} of the {name}, and that the cell rests", END_S)
+    except AssertionError:
+        if "fault_begins" not in {event["event"] for event in log.look()[begun:]}:
+            raise
+        told["state"] = "stuck"
     events = log.look()[begun:]
-    at = next(k for k, event in enumerate(events) if event["event"] == "fault_begins")
-    since_s, after = events[at]["mono_s"], events[at:]
+    at = next((k for k, event in enumerate(events) if event["event"] == "fault_begins"), None)
+    if at is None:
+        return None
+    return _loss(name, events[at:], daemon.files, told)
+
+
+def _loss(name: str, after: list[dict[str, Any]], files: DemoFiles, told: dict[str, Any]) -> Loss:
+    """Of what the simulator tells from the loss on, and the daemon at its end."""
+    since_s, limit_s = after[0]["mono_s"], LINKS[name].silence_s
     reacted_s, off_s = first(after, REACTIONS), first(after, OFF)
-    wrong = list(_wrong(daemon.files, after))
-    limit_s = LINKS[name].silence_s
+    wrong = ["the cell does not come to rest"] if told["state"] == "stuck" else list(_wrong(files, after))
     detection_s = None if reacted_s is None else round(reacted_s - since_s, 3)
     force_off_s = None if off_s is None or reacted_s is None else round(off_s - reacted_s, 3)
     if detection_s is None or detection_s > limit_s + LATE_S:
         wrong.append(f"noticed after {detection_s} s, limit {limit_s} s")
     if force_off_s is None or force_off_s > FORCE_OFF_S:
         wrong.append(f"force off {force_off_s} s after it was noticed")
-    return Loss(name, events[at]["what"], str(told.get("reason", "")), limit_s, detection_s, force_off_s, wrong)
+    return Loss(name, after[0]["what"], str(told.get("reason", "")), limit_s, detection_s, force_off_s, wrong)
 
 
 def _wrong(files: DemoFiles, after: list[dict[str, Any]]) -> Iterator[str]:
@@ -130,9 +157,3 @@ def _wrong(files: DemoFiles, after: list[dict[str, Any]]) -> Iterator[str]:
     if max(place.get(name, -1) for name in PRESSES) > up:
         yield "it pressed again"
     yield from list(disagreeing(files))[:SAID]
-
-
-def keep(losses: list[Loss], path: Path) -> None:
-    """All of a link, for the page."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps([asdict(one) for one in losses], indent=1))

@@ -217,7 +217,10 @@ REFUSED = {
     "wrong part": (lambda: dat(1, part="OTHER"), "WrongPart: it shows part 'OTHER', the part is 'DEMO-100'"),
     "unnamed": (lambda: dat(1, part=""), "WrongPart: it does not say whose map it is"),
     "stale": (lambda: dat(1, at=time.time() - 60), "StaleMap: stale: measured at"),
-    "no scale": (lambda: dat(1, pitch_m=0.0), "BadMap: it has no lateral scale"),
+    "no scale": (
+        lambda: dat(1, pitch_m=0.0),
+        "BadMap: bad.dat: its file does not say its pitch, and there is no instrument's profile",
+    ),
     "torn": (lambda: dat(1)[:-7], "BadMap: has 7227 bytes of 7234: torn"),
     "preallocated": (lambda: dat(1)[:-80] + bytes(80), "BadMap: ends in a tail of zeros"),
     "empty": (lambda: b"", "BadMap: is empty (known: metropro)"),

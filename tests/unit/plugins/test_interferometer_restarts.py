@@ -17,10 +17,13 @@ import pytest
 
 from polishd.api import BadMap, DeviceContext, SurfaceError, SurfaceMap, SurfaceReader
 from polishd.model.instrument import Instrument
+from polishd.model.map_history import MapInput, MapStep
 from polishd.plugins.interferometer import files, folder, taken
 from polishd.plugins.interferometer.files import Settled
 from polishd.plugins.interferometer.folder import FolderOptions, Waiting, WatchedFolder
+from polishd.plugins.interferometer.formats.datx import DATX
 from polishd.plugins.interferometer.formats.metropro import METROPRO
+from polishd.plugins.interferometer.formats.x3p import X3P
 from polishd.sim_backends.metropro import DatMap, pack
 
 PART, JOURNALLED = "P-1", "a" * 64
@@ -37,7 +40,8 @@ class Daemon:
     """A process of the daemon, polled in virtual time."""
 
     def __init__(self, base: Path, after: str | None, **options: Any) -> None:
-        context = DeviceContext(base, base / "state", PART, (METROPRO,), options.pop("instrument", None))
+        readers = options.pop("readers", (METROPRO,))
+        context = DeviceContext(base, base / "state", PART, readers, options.pop("instrument", None))
         known = {"folder": "maps", "stable_s": 1.0, "poll_s": 0.5} | options
         self.device = WatchedFolder(FolderOptions.model_validate(known), context)
         self.ask(after)
@@ -367,6 +371,61 @@ def test_the_profile_judges_and_the_map_stays_as_it_is(tmp_path: Path, maps: Pat
     found = Daemon(tmp_path, None, instrument=Instrument("ours", mirror=True, sign=-1, gives=answers)).poll()
     assert found
     assert np.array_equal(found.height_nm, plain.height_nm, equal_nan=True)
+
+
+ANSWERS_ALL = Instrument("ours", gives=frozenset({"surface", "orientation"}), pitch_mm=0.5, unit_nm=1.0)
+BARE = SurfaceMap(np.random.default_rng(1).normal(0.0, 30.0, (12, 14)), 0.5, PART, taken_at=NOW + timedelta(minutes=1))
+
+
+def stepped(verb: str, **options: Any) -> MapStep:
+    return MapStep(verb, "0.1.0", options, (MapInput("map", "m.dat", "ab" * 32),))
+
+
+BY_HAND = stepped("convert", profile="by hand")
+LESS = MapStep("subtract", "0.1.0", {}, (MapInput("map", "a.dat", ""), MapInput("subtracted", "b.dat", "", BY_HAND)))
+
+
+@pytest.mark.parametrize("ending", [".dat", ".datx", ".x3p"])
+@pytest.mark.parametrize(
+    ("history", "why"),
+    [
+        (BY_HAND, "had the profile applied before"),
+        (LESS, "had the profile applied before"),
+        (stepped("average", mixed=True), "holds a mean of mixed repeats"),
+        (MapStep("convert", "0.1.0", {}, (MapInput("map", "m", "", stepped("average", mixed=True)),)), "mixed repeats"),
+        (stepped("average"), None),
+        (stepped("convert", mask=["circle:0,0,3"]), None),
+    ],
+)
+def test_what_somebody_made_by_hand_drives_nothing(
+    tmp_path: Path, maps: Path, ending: str, history: MapStep, why: str | None
+) -> None:
+    """Whatever file it was written to: a scale or an orientation that nobody proved stays known as such."""
+    writer = {reader.suffixes[0]: reader for reader in (METROPRO, DATX, X3P)}[ending]
+    assert writer.write is not None
+    (maps / f"a{ending}").write_bytes(writer.write(replace(BARE, history=history)))
+    options = {"accept_unnamed": True}  # X3P has no field for the part
+    daemon = Daemon(tmp_path, None, instrument=ANSWERS_ALL, readers=(METROPRO, DATX, X3P), **options)
+    found = daemon.poll()
+    assert (found is None) == (why is not None)
+    if why:
+        assert f"BadMap: a{ending}" in reason(maps, f"a{ending}")
+        assert why in reason(maps, f"a{ending}")
+
+
+@pytest.mark.parametrize("word", ["unit", "surface", "orientation", "pitch"])
+@pytest.mark.parametrize("instrument", [None, Instrument("looks", serials=())])
+def test_what_a_file_leaves_open_and_no_profile_answers_is_refused_by_name(
+    tmp_path: Path, maps: Path, word: str, instrument: Instrument | None
+) -> None:
+    """A list of numbers read as a map, whatever format somebody took it for."""
+    opened = replace(METROPRO, read=lambda path: replace(METROPRO.read(path), unsaid=frozenset({word})))
+    (maps / "a.dat").write_bytes(dat(1))
+    assert Daemon(tmp_path, None, instrument=instrument, readers=(opened,)).poll() is None
+    assert f"BadMap: a.dat: its file does not say its {word}" in reason(maps, "a.dat")
+    (maps / "b.dat").write_bytes(dat(2))
+    answers = replace(ANSWERS_ALL, pitch_mm=0.5)
+    assert Daemon(tmp_path, None, instrument=answers, readers=(opened,)).poll()
 
 
 @pytest.mark.parametrize(

@@ -47,6 +47,12 @@ def test_a_map_arrives_whole_and_can_be_changed(tmp_path: Path) -> None:
     assert int(surface.part_id) != os.getpid()
 
 
+def test_a_file_is_called_as_it_was_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(BadMap, match=r"^map\.bin: .*torn"):
+        read(Path(), "refuse")
+
+
 @pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("what", "reason"),

@@ -182,3 +182,16 @@ def test_one_bad_pixel_does_not_set_pvr() -> None:
     spiked[60, 60] += 2000
     assert np.ptp(spiked[mask]) > 1900
     assert pvr(spiked, mask).pvr_nm < pvr(height, mask).pvr_nm * 1.6
+
+
+def test_terms_of_noise_scatter_as_their_covariance_says() -> None:
+    """On half a circle, where terms are far from orthogonal: 400 draws, each entry within 4 of its own deviations."""
+    small = Grid(24, 24, 1.0)
+    x, y = small.axes_mm
+    mask = (np.hypot(x, y) <= 12) & (x + 0 * y < 3)
+    rng = np.random.default_rng(5)
+    drawn = [zernike.fit(rng.normal(size=mask.shape), mask, 6) for _ in range(400)]
+    told = drawn[0].per_noise
+    seen = np.cov(np.array([one.coefficients_nm for one in drawn]).T)
+    deviation = np.sqrt((told**2 + np.outer(np.diag(told), np.diag(told))) / 400)
+    assert (np.abs(seen - told) < 4 * deviation).all()

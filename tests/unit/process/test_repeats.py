@@ -105,9 +105,9 @@ def test_refusals() -> None:
     maps = [repeat(i) for i in range(4)]
     with pytest.raises(BadMap, match="2 repeats are too few"):
         average(maps[:2])
-    with pytest.raises(BadMap, match=r"2\.dat is \(59, 64\)"):
+    with pytest.raises(BadMap, match=r"2\.dat has 59 x 64 samples"):
         average([*maps[:2], maps[2].with_height(maps[2].height_nm[1:]), maps[3]])
-    with pytest.raises(BadMap, match=r"at 0\.25 mm"):
+    with pytest.raises(BadMap, match=r"pitch of 0\.25 mm"):
         average([*maps[:2], replace(maps[2], pitch_mm=0.25)])
     with pytest.raises(BadMap, match="no sample"):
         average([maps[0], maps[1], maps[2].with_height(np.full(GRID.shape, np.nan))])

@@ -21,6 +21,7 @@ from polishd.model.dwell import DwellSolution
 from polishd.model.errors import BadMap, ComputeError, ConfigError, PlanRefused, PolishdError, ProgramError, WrongPart
 from polishd.model.events import Event
 from polishd.model.instrument import Commissioned, Instrument
+from polishd.model.map_history import MapStep
 from polishd.model.program import Plan
 from polishd.model.surface import SurfaceMap
 from polishd.process.dwell.problem import DwellProblem
@@ -278,6 +279,12 @@ def test_a_map_that_leaves_something_unsaid_needs_a_profile_that_gives_it(desk: 
     desk.refused(BadMap, "orientation")
     desk.recipe = small_recipe(instrument=Instrument("bench", gives=frozenset({"orientation"})))
     assert desk.plan()["notes"][:2] == [UNPROVED, "cut"], "what the profile gives is no longer called open"
+
+
+def test_a_map_with_the_profile_in_it_is_not_turned_again(desk: Desk) -> None:
+    desk.surface = replace(desk.surface, history=MapStep("average", "1", {"profile": "bench"}, ()))
+    desk.recipe = small_recipe(instrument=Instrument("bench"))
+    desk.refused(BadMap, "had the profile applied before")
 
 
 def test_a_commissioned_profile_needs_no_note(desk: Desk) -> None:

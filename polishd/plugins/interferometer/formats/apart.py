@@ -146,6 +146,7 @@ class _Worker:
             raise BadMap(f"{path}: the process that reads it {self._end()}: the file is broken") from error
         self.is_idle = True
         if reason:
+            reason = reason.replace(str(path.absolute()), str(path), 1)  # as it was named
             raise BadMap(reason) from (OSError(number, os.strerror(number), str(path)) if number else None)
         surface: SurfaceMap = pickle.loads(head, buffers=buffers)  # noqa: S301  our own process wrote it
         return surface

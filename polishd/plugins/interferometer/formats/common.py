@@ -103,6 +103,10 @@ def require_size(path: Path, rows: int, columns: int, most: float = MOST_SAMPLES
 def require_said(surface: SurfaceMap, *also: str) -> None:
     """BadMap where a written file would say what nobody knows; ``also`` names what that format can leave open."""
     open_ones = sorted(surface.unsaid - set(also))
+    if "square pixels" in open_ones:
+        raise BadMap(
+            f"{surface.path}: its pixels are not square, and those of the file to be written would be: resample it"
+        )
     if open_ones:
         raise BadMap(f"{surface.path}: does not say its {' and '.join(open_ones)}, and the file to be written would: "
                      "read it with the instrument's profile")  # fmt: skip

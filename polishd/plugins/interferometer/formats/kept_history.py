@@ -1,11 +1,18 @@
-"""A map's history in the texts of the files that are written here: a line of JSON behind a mark."""
+"""A map's history in the texts of the files that are written here: a line of JSON behind a mark, or a few words."""
 
 from __future__ import annotations
+
+import re
+from typing import Any
 
 from polishd.api import BadMap, SurfaceMap
 from polishd.model.map_history import MapStep
 
 MARK = "polishd history: "
+WRITTEN, BRIEF_BYTES = "written by polishd", 82
+BRIEF = re.compile(
+    rf"{WRITTEN} (?P<version>\S+): (?P<verb>\w+)(?P<mixed>; mixed)?(?:; profile (?P<name>.+))?", re.DOTALL
+)
 
 
 def line_of(surface: SurfaceMap) -> str | None:
@@ -29,3 +36,25 @@ def found_in(text: str) -> tuple[MapStep | None, tuple[str, ...]]:
     except ValueError as error:
         reason = str(error).splitlines()[0]
         return None, (f"its history cannot be read: {reason}",)
+
+
+def brief_of(surface: SurfaceMap) -> bytes:
+    """What a comment of 82 letters holds of it: the last verb, and what no later reader may overlook, of any step."""
+    step = surface.history
+    if step is None:
+        return WRITTEN.encode()
+    options: dict[str, Any] = {}
+    for one in step.steps:
+        options |= one.options
+    mixed = "; mixed" if options.get("mixed") else ""
+    profile = f"; profile {options['profile']}" if "profile" in options else ""
+    return f"{WRITTEN} {step.version}: {step.verb}{mixed}{profile}".encode("latin-1", "replace")[:BRIEF_BYTES]
+
+
+def found_in_brief(comment: str) -> MapStep | None:
+    """The step, without its inputs; None where the comment is another's, or says nothing."""
+    found = BRIEF.fullmatch(comment)
+    if found is None:
+        return None
+    options: dict[str, Any] = {"mixed": True} if found["mixed"] else {}
+    return MapStep(found["verb"], found["version"], options | ({"profile": found["name"]} if found["name"] else {}), ())

@@ -16,7 +16,9 @@ from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats.common import MOST_BYTES, MOST_SAMPLES, named, require_said
 from polishd.plugins.interferometer.formats.format import Format
+from polishd.plugins.interferometer.formats.kept_history import brief_of, found_in_brief
 from polishd.plugins.interferometer.formats.zygo import MISSING, RESOLUTION, Header
+from polishd.process.instrument import SHORT, system_number
 
 FORMAT = Format("metropro", 2, (b"\x88\x1b\x03\x6f", b"\x88\x1b\x03\x70", b"\x88\x1b\x03\x71"))
 HEADER_BYTES = (834, 4096)
@@ -61,6 +63,7 @@ def read(path: Path) -> SurfaceMap:
         factors=header.factors,
         warnings=odd,
         fiducials_px=fiducials,
+        history=found_in_brief(_text(content, "comment")),
         **header.about(path),
     )
 
@@ -84,7 +87,7 @@ def _header(path: Path, head: bytes) -> Header:
         columns=columns,
         rows=rows,
         origin=_field(head, "origin"),
-        instrument=f"Zygo MetroPro, system {_field(head, 'system')[0]}",
+        instrument=_instrument(_field(head, "system")[0]),
         part=_text(head, "part"),
         serial=_text(head, "serial"),
         fiducials=tuple(marks[: 2 * count]) if 0 < count <= MOST_FIDUCIALS else (),
@@ -104,6 +107,11 @@ def _field(head: bytes, name: str) -> tuple[Any, ...]:
 def _text(head: bytes, name: str) -> str:
     field: bytes = _field(head, name)[0]
     return named(field.partition(b"\0")[0].decode("latin-1"))
+
+
+def _instrument(system: int) -> str:
+    """What a map of this number is of; a number of 0 names nobody."""
+    return f"Zygo MetroPro, system {system}" if system else ""
 
 
 def _fiducials_px(header: Header) -> tuple[tuple[tuple[float, float], ...], tuple[str, ...]]:
@@ -142,6 +150,9 @@ def _height_nm(path: Path, header: Header, content: bytes) -> FloatArray:
 def write(surface: SurfaceMap) -> bytes:
     """Content of a file that reads back to within half a count; NaN is a missing sample, no pitch is CameraRes 0.
 
+    The comment keeps the last step of its history in brief. The system is the last 16 bits of a Zygo's number, as
+    its own files have it; 0 for any other instrument.
+
     BadMap for what the format cannot hold: heights beyond 5.2 mm, a part's name of more than 40 characters, a map that
     ends in exact zeros (readers take it for a file that was preallocated), or whose unit nobody has said.
     """
@@ -167,10 +178,10 @@ def _written_header(surface: SurfaceMap, rows: int, columns: int) -> bytes:
     values: dict[str, tuple[int | float | bytes, ...]] = {
         "magic": FORMAT.magic[:1], "format": (1,), "length": (min(HEADER_BYTES),), "software": (1,),
         "size": (columns, rows), "phase_bytes": (4 * rows * columns,),
-        "timestamp": (seconds if 0 < seconds <= LATEST_S else 0,), "comment": (b"written by polishd",),
+        "timestamp": (seconds if 0 < seconds <= LATEST_S else 0,), "comment": (brief_of(surface),),
         "scale": (SCALE,), "wavelength_m": (WAVELENGTH_M,), "obliquity": (1.0,),
         "camera_res_m": ((surface.pitch_mm or 0.0) / 1e3,), "resolution": (RESOLVED,), "camera": (columns, rows),
-        "part": (part,), "serial": (part,),
+        "system": ((system_number(surface.instrument) or 0) % SHORT,), "part": (part,), "serial": (part,),
         "fiducials": (len(marks) // 2, *marks, *[0.0] * (2 * MOST_FIDUCIALS - len(marks))),
     }  # fmt: skip
     header = bytearray(min(HEADER_BYTES))

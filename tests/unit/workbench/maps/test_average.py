@@ -10,6 +10,7 @@ import pytest
 
 from polishd.model.errors import BadMap
 from polishd.model.surface import SurfaceMap
+from polishd.plugins.interferometer.formats.x3p import X3P
 from polishd.process.repeats import average
 from polishd.workbench.maps.files import MapSource
 from tests.unit.plugins.map_files import HEIGHT_NM, foursight
@@ -74,6 +75,24 @@ def test_repeats_of_unknown_pitch_are_averaged_only_when_asked(
     assert polishd("map", "average", *repeats[:3], bare[1], "--mixed").code == 8  # 0.5 mm and none are two
 
 
+@pytest.mark.full
+def test_one_pitch_in_two_formats_is_one(polishd: Polishd, tmp_path: Path, repeats: list[Path]) -> None:
+    """``.dat`` rounds it to 32 bits; a mean that was written as one is of its repeats' instrument, or of none."""
+    files = [repeats[0], repeats[1], tmp_path / "third.x3p"]
+    exact = SurfaceMap(MapSource.of().read(repeats[2]).height_nm, PITCH_MM)
+    assert X3P.write is not None
+    files[2].write_bytes(X3P.write(exact))
+    assert polishd("map", "average", *files, "--json").answer["used"] == [path.name for path in files]
+    mean = tmp_path / "mean.dat"
+    zygo = replace(exact, instrument="Zygo, system 651365")
+    named = [tmp_path / f"named{number}.x3p" for number in range(3)]
+    for number, path in enumerate(named):
+        path.write_bytes(X3P.write(replace(zygo, height_nm=MapSource.of().read(repeats[number]).height_nm)))
+    assert polishd("map", "average", *named, "--out", mean).code == 0
+    assert polishd("map", mean, "--json").answer["instrument"] == "Zygo MetroPro, system 61541"
+    assert polishd("map", "average", *named, "--system", mean).code == 0
+
+
 def test_repeats_of_another_instrument_are_refused_by_name(polishd: Polishd, tmp_path: Path) -> None:
     """4Sight's files name the head; Zygo's ``.dat`` keeps 16 bits of the number that its text has."""
     heads = ["20714", "20714", "20715", ""]
@@ -99,6 +118,12 @@ def test_repeats_of_another_instrument_are_refused_by_name(polishd: Polishd, tmp
 def test_what_is_refused(polishd: Polishd, tmp_path: Path, repeats: list[Path], out: str) -> None:
     few = polishd("map", "average", *repeats[:2])
     assert (few.code, few.err.count("too few")) == (8, 1)
+    copied = tmp_path / "copied.dat"
+    copied.write_bytes(repeats[0].read_bytes())
+    twice = polishd("map", "average", *repeats[:3], copied)
+    assert (twice.code, twice.err.count("copied.dat and repeat0.dat hold the same measurement")) == (8, 1)
+    larger = polishd("map", "average", *repeats[:3], dat(tmp_path / "larger.dat", surface(80, 48)))
+    assert "larger.dat has 80 x 48 samples and a pitch of 0.5 mm, the first repeat 60 x 48 samples" in larger.err
     other = dat(tmp_path / "other.dat", surface(), part="else")
     mixed = polishd("map", "average", *repeats, other)
     assert (mixed.code, mixed.err.count("several parts: blank-7, else")) == (8, 1)

@@ -138,6 +138,48 @@ def test_what_does_not_show_the_artefact(polishd: Polishd, tmp_path: Path, ours:
     assert ours.read_bytes() == before
 
 
+@pytest.mark.one_of_each
+@pytest.mark.parametrize("ending", [".dat", ".x3p", ".datx"])
+def test_a_map_that_somebody_made_up_proves_nothing(polishd: Polishd, tmp_path: Path, ending: str) -> None:
+    """A profile by hand was applied to it, or it is a mean of two instruments' maps."""
+    ours = profile(tmp_path / "p.toml")
+    before, hand = ours.read_bytes(), tmp_path / "hand.toml"
+    hand.write_text(f'name = "by hand"\n[lateral]\npitch_mm = {PITCH_MM}\n')
+    bare = [dat(tmp_path / f"bare{n}.dat", artefact(), pitch_mm=0.0, part="artefact") for n in range(3)]
+    scaled, mean = tmp_path / f"scaled{ending}", tmp_path / f"mean{ending}"
+    assert polishd("map", "convert", bare[0], scaled, "--profile", hand).code == 0
+    said = polishd("map", "commission", ours, scaled)
+    assert (said.code, ours.read_bytes()) == (8, before)
+    assert f"{scaled.name} had the profile applied before" in said.err
+    good = [dat(tmp_path / f"good{n}.dat", artefact() + n, part="artefact") for n in range(3)]
+    assert polishd("map", "average", *good, "--mixed", "--out", mean).code == 0
+    said = polishd("map", "commission", ours, mean)
+    assert (said.code, ours.read_bytes()) == (8, before)
+    assert f"{mean.name}: by its history it holds a mean of mixed repeats" in said.err
+    assert polishd("map", mean, "--profile", ours).code == 0  # to look at
+    assert polishd("map", "average", *good, "--out", mean, "--force").code == 0
+    assert polishd("map", "commission", ours, mean).code == 0
+
+
+@pytest.mark.full
+def test_a_list_that_was_called_a_format_proves_nothing(polishd: Polishd, tmp_path: Path) -> None:
+    """``--format`` is to look: commission reads a file as what it is, and it does not say its unit."""
+    ours, path = profile(tmp_path / "p.toml"), tmp_path / "list.dat"
+    rows = [f"{x * PITCH_MM} {y * PITCH_MM} {nm}" for (y, x), nm in np.ndenumerate(artefact()) if np.isfinite(nm)]
+    path.write_text("\n".join(rows) + "\n")
+    assert polishd("map", path, "--format", "xyz").code == 0
+    said = polishd("map", "commission", ours, path)
+    assert said.code == 8
+    assert "--format xyz" in said.err
+    named = path.rename(path.with_suffix(".xyz"))
+    said = polishd("map", "commission", ours, named)
+    assert said.code == 8
+    assert "its file does not say its" in said.err
+    assert "unit" in said.err
+    assert "commissioned" not in ours.read_text()
+    assert polishd("map", "convert", named, tmp_path / "new.dat").code == 8
+
+
 def test_no_artefact_and_a_symmetric_one(polishd: Polishd, tmp_path: Path, good: Path) -> None:
     said = polishd("map", "commission", profile(tmp_path / "none.toml", bumps=()), good)
     assert said.code == 3

@@ -60,7 +60,10 @@ def test_every_verb_reads_as_the_cell_does(polishd: Polishd, cell: Path, table: 
     assert (compared["rows"], compared["cols"]) == (4, 3)
     converted = polishd("map", "convert", table, tmp_path / "out.x3p", "--json", "--cell", cell).answer
     assert (converted["format"], converted["out_format"]) == ("acme", "x3p")
-    averaged = polishd("map", "average", table, table, table, "--json", "--cell", cell).answer
+    repeats = [table.with_name(f"heights{n}.csv") for n in range(3)]
+    for n, repeat in enumerate(repeats):
+        repeat.write_text(table.read_text().replace("heights", f"repeat {n}: heights"))
+    averaged = polishd("map", "average", *repeats, "--json", "--cell", cell).answer
     assert averaged["samples"] == 12
     profile = tmp_path / "instrument.toml"
     profile.write_text((Path(__file__).parents[4] / "examples" / "instrument.toml").read_text())

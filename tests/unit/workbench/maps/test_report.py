@@ -17,6 +17,7 @@ import pytest
 
 from polishd import __version__
 from polishd.config.tolerance import notation
+from polishd.console.demo_files import with_values
 from polishd.model.tolerance import Line
 from polishd.process.tolerance import judge
 from tests import patience
@@ -114,9 +115,38 @@ def test_each_number_of_the_page_is_the_json_s(polishd: Polishd, tmp_path: Path,
     words = " ".join(page.words)
     for said in (answer["indications"]["iso10110_5"], answer["indications"]["iso10110_14"], answer["sha256"],
                  "A. <Optician>", f"polishd {__version__}", "ISO 14999-4:2015", "blank-7", "circle:0,0,11",
-                 "2 of 3 lines of the tolerance hold"):  # fmt: skip
+                 "not in tolerance: 2 of 3 lines hold", "tolerance.toml, over the samples that count"):  # fmt: skip
         assert said in words
     assert page.pictures == len(page.fetched) == 3
+
+
+@pytest.mark.one_of_each
+@pytest.mark.parametrize("nm", [1000.0, 1.0])
+@pytest.mark.parametrize("form", ["short", "lines"])
+@pytest.mark.parametrize("alignment", ["tilt", "piston"])
+def test_a_cell_judges_as_its_job_does(
+    polishd: Polishd, tmp_path: Path, example: str, good: Path, nm: float, form: str, alignment: str
+) -> None:
+    """By its tolerance, short or long, and with what it calls alignment taken off; a file of lines goes before it."""
+    cell, out = tmp_path / "cell.toml", tmp_path / "r.html"
+    text = with_values(example, {"part": {"alignment": alignment}, "job": {"tolerance_nm": nm}})
+    if form == "lines":
+        text = "\n".join(line for line in text.splitlines() if not line.startswith("tolerance_"))
+        text += f"\n[[tolerance]]\nrms_nm = {nm}\n"
+    cell.write_text(text)
+    answer = polishd("map", "report", good, "--cell", cell, "--out", out, "--json").answer
+    (line,) = answer["tolerance"]
+    assert (line["limit"], line["holds"], answer["within"]) == (nm, nm > 100, nm > 100)
+    assert line["value"] == pytest.approx(answer["rms_tilt_removed_nm" if alignment == "tilt" else "rms_nm"])
+    assert (answer["judged_by"], answer["alignment"]) == (str(cell), alignment)
+    words = " ".join(read(out).words)
+    assert f"{'in' if nm > 100 else 'not in'} tolerance: {int(nm > 100)} of 1 lines hold" in words
+    assert "cell.toml" in words
+    drawing = tmp_path / "drawing.toml"
+    drawing.write_text("[[tolerance]]\npv_nm = 5000.0\n")
+    asked = ["--cell", cell, "--tolerance", drawing, "--out", out, "--json"]
+    other = polishd("map", "report", good, *asked).answer
+    assert ([one["what"] for one in other["tolerance"]], other["judged_by"]) == (["PV"], str(drawing))
 
 
 @pytest.mark.full

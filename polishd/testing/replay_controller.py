@@ -1,0 +1,184 @@
+"""A recorded controller that loads files, for its driver as it is: its variables and its place for files.
+
+async with replayed_controller(Path("case.wire.jsonl.gz"), "robot") as plc:
+    robot = Handover("PLC", profile, plc.variables, plc)
+    await robot.open()
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Mapping, Sequence
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+from polishd.api import DeviceRefused, Identity, LinkError
+from polishd.config.controller_profile import Value
+from polishd.drivers.handover.recorded import DELIVERED
+from polishd.drivers.handover.variables import Reading
+from polishd.model.errors import ConfigError
+from polishd.ports.tap import Passed
+from polishd.ports.wire_file import read_recording
+from polishd.testing.replay_script import OWN_ENDS, Exchange, Script
+
+READ, BEAT = b"a reading", b"heartbeat"
+CUT_OFF = "the recording ends here"
+
+Numbered = Sequence[tuple[int, Passed]]
+
+
+class Orders:
+    """A Dialect: readings, and values that are written; which heartbeat it is nobody minds."""
+
+    def cut(self, data: bytes) -> int | None:
+        """See Dialect. Nothing comes in pieces."""
+        return len(data)
+
+    def key(self, message: bytes) -> bytes:
+        """See Dialect."""
+        return BEAT if message != READ and set(json.loads(message)) == {"heartbeat"} else message
+
+    def answer(self, recorded: bytes, asked: bytes, now: bytes) -> bytes:  # noqa: ARG002 -- there is no number
+        """See Dialect."""
+        return recorded
+
+
+class Controller:
+    """What the recording has of one. As ``Delivery``, it takes the files that were delivered then."""
+
+    def __init__(self, name: str, variables: Numbered, files: Numbered) -> None:
+        """``name`` for messages."""
+        self._name = name
+        self._files = _delivered(files)
+        self._passed = dict(variables)
+        self._ends: dict[int, str] = {}
+        """By line: how the link ended upon it."""
+        self._script = Script(name, self._exchanges(), Orders(), frozenset({READ, BEAT}))
+        self.mismatch: AssertionError | None = None
+        """The first one; the link is lost over it, and the block raises it."""
+
+    def variables(self) -> Replayed:
+        """A new, closed link."""
+        return Replayed(self)
+
+    async def put(self, name: str, text: bytes) -> None:  # noqa: ARG002 -- its proof's dwells are drawn anew each time
+        """See Delivery: the next file, by its name, that was delivered or refused; so is this one."""
+        line, recorded, why = self._files.pop(0) if self._files else (0, "", "")
+        if recorded != name:
+            has = f"has {recorded!r} (line {line})" if recorded else "has no more files"
+            raise self.differs(AssertionError(f"{self._name}: the driver delivered {name!r}; the recording {has}"))
+        if why != DELIVERED:
+            raise DeviceRefused(why)
+
+    def differs(self, error: AssertionError) -> LinkError:
+        """What to raise over it."""
+        self.mismatch = self.mismatch or error
+        return LinkError(str(error))
+
+    def opened(self) -> str:
+        """How the link was lost upon it; empty where it was not."""
+        exchange = self._script.opened()
+        return CUT_OFF if exchange is None else self._ends.get(exchange.line, "")
+
+    def asked(self, message: bytes) -> tuple[Passed, str]:
+        """What is recorded of it, and how the link was lost upon it."""
+        try:
+            line = self._script.asked(message).line
+        except AssertionError as error:
+            raise self.differs(error) from error
+        return self._passed[line], self._ends.get(line, "")
+
+    def _exchanges(self) -> list[Exchange]:
+        found: list[Exchange] = []
+        for line, one in self._passed.items():
+            if one.way == "end":
+                if found and one.why not in OWN_ENDS:
+                    self._ends[found[-1].line] = one.why
+                continue
+            out = {"open": b"", "in": READ}.get(one.way)
+            found.append(Exchange(line, one.at_s, _written(one.values or {}) if out is None else out))
+        return found
+
+
+class Replayed:
+    """A Variables of it."""
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self._lost = "is not open"
+
+    async def open(self) -> None:
+        """See Variables."""
+        self._lost = self._controller.opened()
+        self._require()
+
+    async def close(self) -> None:
+        """See Variables."""
+        self._lost = "is not open"
+
+    async def identify(self) -> Identity:
+        """See Variables. Who answered is not recorded."""
+        self._require()
+        return Identity("recorded", "controller", "", "")
+
+    async def read(self) -> Reading:
+        """See Variables."""
+        one = self._asked(READ)
+        values = {
+            name: value for name, value in (one.values or {}).items() if isinstance(value, bool | int | float | str)
+        }
+        return Reading(one.at_s if one.clock_s is None else one.clock_s, values, one.changed_s or {})
+
+    async def write(self, values: Mapping[str, Value]) -> None:
+        """See Variables."""
+        self._asked(_written(values))
+
+    def _asked(self, message: bytes) -> Passed:
+        self._require()
+        one, self._lost = self._controller.asked(message)
+        return one
+
+    def _require(self) -> None:
+        if self._lost:
+            raise LinkError(self._lost)
+
+
+@asynccontextmanager
+async def replayed_controller(recording: Path, role: str) -> AsyncIterator[Controller]:
+    """The controller of that device, for the time of the block. Readings come as the driver asks for them.
+
+    Raises:
+        ConfigError: the file, or that device in it, is not what is asked for; with file and line.
+        AssertionError: as the block ends, where the driver sent or delivered what is not recorded: what, and what is.
+    """
+    found = await asyncio.to_thread(read_recording, recording)
+    passed = found.of(role)
+    files = {one.link for _, one in passed if one.values is not None and "sha256" in one.values}
+    variables = [(line, one) for line, one in passed if one.link not in files]
+    if not any(one.values is not None for _, one in variables):
+        raise ConfigError(
+            f"{recording}: {role} is recorded as bytes, not as a controller's variables; replayed plays it"
+        )
+    delivered = [(line, one) for line, one in passed if one.link in files]
+    controller = Controller(f"{recording.name}, {role} on {variables[0][1].link}", variables, delivered)
+    try:
+        yield controller
+    finally:
+        if controller.mismatch is not None:
+            raise controller.mismatch
+
+
+def _delivered(files: Numbered) -> list[tuple[int, str, str]]:
+    """(line, name, how it ended) of each."""
+    found: list[tuple[int, str, str]] = []
+    for line, one in files:
+        if one.values is not None:
+            found.append((line, str(one.values["file"]), CUT_OFF))
+        elif one.way == "end" and found:
+            found[-1] = (*found[-1][:2], one.why)
+    return found
+
+
+def _written(values: Mapping[str, object]) -> bytes:
+    return json.dumps(dict(values)).encode()
