@@ -20,11 +20,11 @@ from polishd.process.identification.comparison import (
     worth,
 )
 from polishd.process.identification.confounding import Told, told
-from polishd.process.identification.estimate import Data, Estimate, estimate
-from polishd.process.identification.forward import Forward, forward
+from polishd.process.identification.fit import fit, followed_rate
+from polishd.process.identification.forward import forward
 from polishd.process.identification.parameters import Knowledge, Parameter
 from polishd.process.identification.passes import Blocks, Noise, Removed, check_pass
-from polishd.process.identification.residual import outliers, own_noise
+from polishd.process.identification.residual import without_plane
 from polishd.process.spot import Spot
 
 LEAST_GAIN_NM = 0.05
@@ -147,17 +147,17 @@ def identify(
         projection=projection,
         radius_mm=radius_mm,
     )
-    data, by_projection, rejected = _fitted(model, removed, prior)
+    data, by_projection, rejected = fit(model, removed, prior)
     odds = {name: prior.odds.get(name, 0.0) + one.log_evidence for name, one in by_projection.items()}
     best = max(odds, key=lambda name: odds[name])
     chosen = best if odds[best] > odds[projection] + RIVAL else projection
     found, model = by_projection[chosen], model.of(chosen)
     covariance = found.covariance.copy()
     if followed and "rate" in prior.names:
-        covariance[prior.at("rate"), prior.at("rate")] += _followed(model, found, data) ** 2
+        covariance[prior.at("rate"), prior.at("rate")] += followed_rate(model, found, data) ** 2
     learned = replace(prior, mean=found.theta, covariance=covariance, odds=_levelled_odds(odds))
     weight = model.weight_s if next_s is None else model.weight_s * (next_s / blocks.time_s)[blocks.time_s > 0]
-    future = _without_plane(model.columns(found.theta, found.laid, weight), model)
+    future = without_plane(model.columns(found.theta, found.laid, weight), removed.mask)
     comparison = compare(prior.parameters, learned.mean, covariance)
     worths, applied = _applied(learned, comparison.best, future, least_gain_nm)
     residual = np.full(removed.mask.shape, np.nan)
@@ -174,48 +174,6 @@ def identify(
         rejected,
         residual,
     )
-
-
-def _fitted(model: Forward, removed: Removed, prior: Knowledge) -> tuple[Data, dict[str, Estimate], BoolArray]:
-    """All parameters by each projection, robustly; then without what is none of the pass, with the noise that is left.
-
-    Outliers and noise are those of the projection that fits best: what another leaves says nothing of the map.
-    """
-    mask, pitch = removed.mask, removed.grid.pitch_mm
-    measured = removed.removal_nm[mask]
-    all_of_it = Data(measured, np.ones(measured.size, dtype=bool), removed.noise, removed.noise.cells(pitch))
-    own = estimate(model, all_of_it, prior, robust=True)
-    first = {model.projection: own}
-    for name in model.blocks.depth_ratio:
-        if name != model.projection:
-            first[name] = estimate(model.of(name), all_of_it, prior, robust=True, near=own.laid)
-    residual = np.zeros(mask.shape)
-    residual[mask] = max(first.values(), key=lambda one: one.log_evidence).residual_nm
-    rejected = outliers(residual, mask, removed.noise, pitch)
-    keep = mask & ~rejected
-    noise = own_noise(residual, keep, removed.noise, pitch)
-    data = Data(measured, keep[mask], noise, noise.cells(pitch))
-    final = {name: estimate(model.of(name), data, prior, start=one.theta, near=one.laid) for name, one in first.items()}
-    return data, final, rejected
-
-
-def _followed(model: Forward, found: Estimate, data: Data) -> float:
-    """By how much the rate may be too high: half the map's noise is also what the plan followed, as far as it could.
-
-    Noise finer than the spot is not polished in: of white noise a spot follows the share of a sample in its core.
-    """
-    rate = _without_plane(found.columns[:, [k for k, p in enumerate(model.parameters) if p.name == "rate"]], model)
-    energy = float((rate[data.keep] ** 2).mean())
-    core = np.pi * float(np.median(2 * model.spot.step_mm(model.gamma(found.theta)))) ** 2
-    share = min(1.0, data.cells * model.grid.pitch_mm**2 / core)
-    return share * data.noise.sigma_nm**2 / 2 / max(energy, 1e-12)
-
-
-def _without_plane(columns: FloatArray, model: Forward) -> FloatArray:
-    """(N, k) without piston and tilt over the mask."""
-    rows, across = np.nonzero(model.mask)
-    plane = np.linalg.qr(np.column_stack([np.ones(rows.size), rows - rows.mean(), across - across.mean()]))[0]
-    return np.asarray(columns - plane @ (plane.T @ columns), dtype=np.float64)
 
 
 def _applied(

@@ -65,6 +65,13 @@ class Noise:
         """Samples that count as one: the noise of a smooth mean over the map is so many times the white one's."""
         return max(1.0, self.area_mm2 / pitch_mm**2)
 
+    def with_another(self, other: Noise, pitch_mm: float) -> Noise:
+        """Both together, where one knows nothing of the other: their variances add, over each one's area."""
+        square = np.array([self.sigma_nm, other.sigma_nm]) ** 2
+        cells = np.array([self.cells(pitch_mm), other.cells(pitch_mm)])
+        both = float(square.sum())
+        return Noise(float(np.sqrt(both)), float(square @ cells) / both * pitch_mm**2)
+
 
 @dataclass(frozen=True, slots=True)
 class Removed:

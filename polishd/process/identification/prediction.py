@@ -10,6 +10,7 @@ from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.identification.forward import Forward
 from polishd.process.identification.parameters import ABERRATIONS, Knowledge
 from polishd.process.identification.passes import Noise
+from polishd.process.identification.residual import without_plane
 
 SAMPLES = 4000
 
@@ -78,22 +79,16 @@ def rms_samples(
         samples: how many.
         measured: of the RMS that a next map with the same noise will show; else of the true one.
     """
-    rows, columns = np.nonzero(prediction.mask)
-    plane = np.linalg.qr(np.column_stack([np.ones(rows.size), rows - rows.mean(), columns - columns.mean()]))[0]
-
-    def level(values: FloatArray) -> FloatArray:
-        return np.asarray(values - plane @ (plane.T @ values), dtype=np.float64)
-
-    left = level(height_nm[prediction.mask] - prediction.mean_nm)
-    factor = level(prediction.factor_nm)
+    left = without_plane(height_nm[prediction.mask] - prediction.mean_nm, prediction.mask)
+    factor = without_plane(prediction.factor_nm, prediction.mask)
     z = rng.standard_normal((samples, factor.shape[1]))
     gram, across = factor.T @ factor, factor.T @ left
     square = left @ left - 2 * z @ across + np.einsum("si,ij,sj->s", z, gram, z)
-    free = max((rows.size - 3) / noise.cells(prediction.grid.pitch_mm), 1.0)
+    free = max((left.size - 3) / noise.cells(prediction.grid.pitch_mm), 1.0)
     own = noise.sigma_nm**2 * (2 if measured else 1)
-    mixed = 2 * noise.sigma_nm * np.sqrt(2 if measured else 1) * np.sqrt(np.clip(square, 0, None) / rows.size / free)
+    mixed = 2 * noise.sigma_nm * np.sqrt(2 if measured else 1) * np.sqrt(np.clip(square, 0, None) / left.size / free)
     chance = own * rng.chisquare(free, samples) / free + mixed * rng.standard_normal(samples)
-    return np.asarray(np.sqrt(np.clip(square / rows.size + chance, 0.0, None)), dtype=np.float64)
+    return np.asarray(np.sqrt(np.clip(square / left.size + chance, 0.0, None)), dtype=np.float64)
 
 
 def interval(draws: FloatArray, level: float = 0.9) -> Interval:

@@ -74,6 +74,13 @@ def own_noise(residual_nm: FloatArray, mask: BoolArray, noise: Noise, pitch_mm: 
     return Noise(size_nm(left, mask, noise), max(noise.area_mm2, cells * pitch_mm**2))
 
 
+def without_plane(values: FloatArray, mask: BoolArray) -> FloatArray:
+    """(N,) or (N, k) values at a mask's samples, less the plane that fits each best: without piston and tilt."""
+    rows, across = np.nonzero(mask)
+    plane = np.linalg.qr(np.column_stack([np.ones(rows.size), rows - rows.mean(), across - across.mean()]))[0]
+    return np.asarray(values - plane @ (plane.T @ values), dtype=np.float64)
+
+
 def _box(values: FloatArray) -> FloatArray:
     """Sums over the window about each sample."""
     means = scipy.ndimage.uniform_filter(values, WINDOW, mode="constant")

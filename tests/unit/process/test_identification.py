@@ -139,6 +139,13 @@ def test_noise_is_measured_with_its_area(wide: float) -> None:
     assert seen_noise.area_mm2 == pytest.approx(area, rel=0.25)
 
 
+def test_two_noises_count_each_over_its_area() -> None:
+    both = Noise(3.0).with_another(Noise(4.0, 9.0), pitch_mm=2.0)
+    assert both.sigma_nm == pytest.approx(5.0)
+    # a mean over many samples has the sum of what each would leave of it
+    assert both.sigma_nm**2 * both.area_mm2 == pytest.approx(9.0 * 4.0 + 16.0 * 9.0)
+
+
 @pytest.mark.full
 def test_correlated_noise_widens_the_errors_as_it_should() -> None:
     one = polished()
