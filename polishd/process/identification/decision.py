@@ -1,0 +1,83 @@
+"""What is done about a shift that was found: corrected in the next plan where it is small and certain, else stopped."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from polishd.process.identification.identify import Identified
+
+CERTAIN = 3.0
+"""Standard errors that what is corrected must be away from none."""
+LIMITS = {"rate": 0.4, "offset": 0.5, "shift": 0.5, "rotation": 0.5, "turn": 5.0, "width": 0.2, "compliance": 0.5}
+"""Largest correction that needs no person, by extension, in its parameters' units."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """One extension, or the rate, of what is applied."""
+
+    name: str
+    size: float
+    """Length of its parameters' vector."""
+    sigma: float
+    """Standard error of the length."""
+    unit: str
+
+    @property
+    def words(self) -> str:
+        """With its error."""
+        return f"{self.name} of {self.size:.3g} +- {self.sigma:.2g} {self.unit}".removesuffix(" 1")
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What the next plan corrects, what it leaves, and why there is none before a person has looked."""
+
+    corrected: tuple[Found, ...]
+    left: tuple[Found, ...]
+    """Found, and not certain."""
+    stops: tuple[str, ...]
+
+
+def decide(found: Identified, limits: Mapping[str, float] = LIMITS, certain: float = CERTAIN) -> Decision:
+    """What is done about each extension that is applied, and about the rate.
+
+    Beyond its limit by more than chance stops; within it, and ``certain`` standard errors from none, is corrected. What
+    has no limit is corrected where it is certain.
+    """
+    corrected, left, stops = [], [], []
+    for one in _sizes(found):
+        limit = limits.get(one.name, np.inf)
+        if one.size > limit and one.size - 2 * one.sigma > limit:
+            others = ", ".join(_instead(found, one.name))
+            also = f" (or {others}: this pass cannot tell)" if others else ""
+            stops.append(f"{one.words}{also}, more than {limit:g}: look at tool, seat and map before the next pass")
+        elif one.size >= certain * one.sigma:
+            corrected.append(one)
+        else:
+            left.append(one)
+    return Decision(tuple(corrected), tuple(left), tuple(stops))
+
+
+def _instead(found: Identified, name: str) -> list[str]:
+    """Extensions that rivals without this one have and the best model has not."""
+    best, rivals = found.comparison.best.extensions, found.comparison.rivals
+    return sorted({other for one in rivals if name not in one.extensions for other in one.extensions - best})
+
+
+def _sizes(found: Identified) -> list[Found]:
+    applied = found.applied
+    groups = {"rate": [applied.at("rate")]} if "rate" in applied.names else {}
+    for name in sorted(found.extensions):
+        groups[name] = [k for k, p in enumerate(applied.parameters) if p.extension == name]
+    sizes = []
+    for name, own in groups.items():
+        vector = applied.mean[own]
+        size = float(np.linalg.norm(vector))
+        along = vector / size if size > 0 else np.ones(len(own)) / np.sqrt(len(own))
+        sigma = float(np.sqrt(along @ applied.covariance[np.ix_(own, own)] @ along))
+        sizes.append(Found(name, size, sigma, applied.parameters[own[0]].unit))
+    return sizes

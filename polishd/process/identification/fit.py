@@ -1,0 +1,67 @@
+"""All parameters fitted to one map: outliers left out, with the noise that the map and the model really have."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from polishd.model.surface import BoolArray, FloatArray
+from polishd.process.identification.estimate import Data, Estimate, estimate
+from polishd.process.identification.forward import Forward
+from polishd.process.identification.parameters import Knowledge
+from polishd.process.identification.passes import Noise, Removed
+from polishd.process.identification.residual import NORMAL, outliers, own_noise, without_plane
+
+LAYING = 1e-3
+"""Of the removal's standard deviation: by what spots of squares, laid on cells, miss the same spots summed exactly."""
+
+
+def fit(model: Forward, removed: Removed, prior: Knowledge) -> tuple[Data, dict[str, Estimate], BoolArray]:
+    """All parameters by each projection, robustly; then without what is none of the pass, with the noise that is left.
+
+    Outliers, noise and the slopes of the second fit are those of the projection that fits best: what another leaves
+    says nothing of the map.
+    """
+    mask, pitch = removed.mask, removed.grid.pitch_mm
+    measured = removed.removal_nm[mask]
+    stated = removed.noise.with_another(laying(model, removed), pitch)
+    all_of_it = Data(measured, np.ones(measured.size, dtype=bool), stated, stated.cells(pitch))
+    own = estimate(model, all_of_it, prior, robust=True)
+    first = {model.projection: own}
+    for name in model.blocks.depth_ratio:
+        if name != model.projection:
+            first[name] = estimate(model.of(name), all_of_it, prior, robust=True, near=own.laid)
+    best = max(first, key=lambda name: first[name].log_evidence)
+    residual = np.zeros(mask.shape)
+    residual[mask] = first[best].residual_nm
+    rejected = outliers(residual, mask, stated, pitch)
+    keep = mask & ~rejected
+    noise = own_noise(residual, keep, stated, pitch)
+    data = Data(measured, keep[mask], noise, noise.cells(pitch))
+    # slopes of the prior's geometry lead to the right place, but what they say of its errors is not that place's
+    final = {best: estimate(model.of(best), data, prior, start=first[best].theta)}
+    for name, one in first.items():
+        if name != best:
+            final[name] = estimate(model.of(name), data, prior, start=one.theta, near=final[best].laid)
+    return data, final, rejected
+
+
+def laying(model: Forward, removed: Removed) -> Noise:
+    """What the effect matrix itself is off by: in proportion to how the removal varies, and as wide as the spot."""
+    varies = abs(without_plane(removed.removal_nm[removed.mask], removed.mask))
+    return Noise(LAYING * NORMAL * float(np.median(varies)), _core_mm2(model, np.zeros(len(model.parameters))))
+
+
+def _core_mm2(model: Forward, theta: FloatArray) -> float:
+    """Area of the spot's core."""
+    return np.pi * float(np.median(2 * model.spot.step_mm(model.gamma(theta)))) ** 2
+
+
+def followed_rate(model: Forward, found: Estimate, data: Data) -> float:
+    """By how much the rate may be too high: half the map's noise is also what the plan followed, as far as it could.
+
+    Noise finer than the spot is not polished in: of white noise a spot follows the share of a sample in its core.
+    """
+    rate = without_plane(found.columns[:, [p.name for p in model.parameters].index("rate")], model.mask)
+    energy = float((rate[data.keep] ** 2).mean())
+    share = min(1.0, data.cells * model.grid.pitch_mm**2 / _core_mm2(model, found.theta))
+    return share * data.noise.sigma_nm**2 / 2 / max(energy, 1e-12)

@@ -1,0 +1,303 @@
+"""The removal of a pass as a function of the parameters, and its derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from polishd.model.process import ToolProcess
+from polishd.model.surface import BoolArray, FloatArray, Grid
+from polishd.process.dynamic_tif import effect_columns
+from polishd.process.identification.parameters import ABERRATIONS, Parameter
+from polishd.process.identification.passes import Blocks
+from polishd.process.metrics import zernike_terms
+from polishd.process.spot import Spot, turned
+
+STEP = 0.2
+"""Of the spot's own step (half the radius of its core): how far a spot is moved to either side for its slope. That is
+about a square of a spot's patch: over less than one a slope is that of the square, not of the spot."""
+WIDTH_STEP = 0.04
+GAMMA_STEP = 1e-3
+TURN_STEP = float(np.radians(3.0))
+"""A whole number of the steps in which a measured spot turns."""
+NEAR = {"x": 0.1, "y": 0.1, "gamma": 0.005, "width": 0.01, "turn": 0.02}
+"""Changes up to which the slopes are believed; along x and y in the spot's steps."""
+SLOPES = ("x", "y", "gamma", "width", "turn")
+"""Changes of the effect matrix: the spots moved along x and y (by mm), gamma and width (relative), azimuth (rad)."""
+
+
+@dataclass(frozen=True, slots=True)
+class WiderSpot:
+    """A spot spread over another width, its volume the same."""
+
+    spot: Spot
+    factor: float
+
+    def half_width_mm(self, depth_ratio: FloatArray) -> FloatArray:
+        """(n,) mm."""
+        return self.factor * self.spot.half_width_mm(depth_ratio)
+
+    def step_mm(self, depth_ratio: FloatArray) -> FloatArray:
+        """(n,) mm."""
+        return self.factor * self.spot.step_mm(depth_ratio)
+
+    def offset_mm(self, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
+        """(n, 2) mm, as it was."""
+        return self.spot.offset_mm(depth_ratio, azimuth_rad)
+
+    def patch(self, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
+        """(n, squares, squares) nm mm^2/s: the squares grow, what each removes does not."""
+        return self.spot.patch(depth_ratio, azimuth_rad)
+
+
+@dataclass(frozen=True, slots=True)
+class Laid:
+    """The effect of the blocks at the geometry of some parameters, and how it changes with that."""
+
+    theta: FloatArray
+    """(k,)"""
+    base: scipy.sparse.csr_array
+    """(N, n) nm/s."""
+    slopes: dict[str, scipy.sparse.csr_array]
+    """Those of `SLOPES` that a parameter asks for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Forward:
+    """n blocks whose removal is seen at N samples; made by `forward`.
+
+    ``removal = M(geometry) w``, ``w = seconds * exp(rate + field(place) - wear * hours + exponent * ln gamma)``, and
+    what the instrument adds. M is the effect matrix of the blocks moved, turned and sunk as the parameters say.
+    """
+
+    grid: Grid
+    mask: BoolArray
+    spot: Spot
+    parameters: tuple[Parameter, ...]
+    blocks: Blocks
+    """Those that took time."""
+    weight_s: FloatArray
+    """(n,)"""
+    waves: FloatArray
+    """(f, n) the rate's field, term by term, at the blocks."""
+    maps: FloatArray
+    """(N, i) what the instrument may add, term by term."""
+    projection: str
+
+    def values(self, theta: FloatArray) -> dict[str, float]:
+        """By name; a parameter that is not fitted is 0."""
+        return dict.fromkeys(_NAMES, 0.0) | dict(zip((p.name for p in self.parameters), theta.tolist(), strict=True))
+
+    def gamma(self, theta: FloatArray) -> FloatArray:
+        """(n,) depth ratios: ``1 - exp(compliance) (1 - gamma)``, above 0.01."""
+        own = self.blocks.depth_ratio[self.projection]
+        return np.asarray(np.maximum(1 - np.exp(self.values(theta)["compliance"]) * (1 - own), 0.01))
+
+    def moves(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Where these parameters lay the blocks: (n, 2) mm their middles, (n,) rad the azimuths."""
+        at = self.values(theta)
+        azimuth = self.blocks.azimuth_rad + np.radians(at["turn"] + at["rotation"])
+        middle = (self.blocks.start_mm + self.blocks.end_mm) / 2 @ self._rotation(theta)
+        middle = middle + turned(at["offset_x"], at["offset_y"], azimuth) + [at["shift_x"], at["shift_y"]]
+        return middle, azimuth
+
+    def matrix(self, theta: FloatArray, change: str | None = None, by: float = 0.0) -> scipy.sparse.csr_array:
+        """(N, n) nm/s of each block at these parameters' geometry, one thing of it changed."""
+        changed = {name: by if name == change else 0.0 for name in SLOPES}
+        middle, azimuth = self.moves(theta)
+        half = (self.blocks.end_mm - self.blocks.start_mm) / 2 @ self._rotation(theta)
+        middle = middle + np.array([changed["x"], changed["y"]])
+        gamma = self.gamma(theta) * (1 + changed["gamma"])
+        found = effect_columns(
+            self.grid,
+            WiderSpot(self.spot, float(np.exp(self.values(theta)["width"] + changed["width"]))),
+            (middle - half, middle + half),
+            azimuth + changed["turn"],
+            depth_ratio=gamma,
+            factor=np.ones_like(gamma),
+        )
+        return scipy.sparse.csr_array(found[np.flatnonzero(self.mask)])
+
+    def lay(self, theta: FloatArray, slopes: dict[str, scipy.sparse.csr_array] | None = None) -> Laid:
+        """The effect at these parameters' geometry; with slopes from one near it, or its own by differences."""
+        base = self.matrix(theta)
+        if slopes is None:
+            names = {p.name for p in self.parameters}
+            slopes = {kind: self._slope(theta, base, kind) for kind in SLOPES if names & _ASKED[kind]}
+        return Laid(theta, base, slopes)
+
+    def _slope(self, theta: FloatArray, base: scipy.sparse.csr_array, kind: str) -> scipy.sparse.csr_array:
+        if kind in ("gamma", "turn"):  # to one side: they bend little, and a matrix is what takes time
+            by = {"gamma": GAMMA_STEP, "turn": TURN_STEP}[kind]
+            return scipy.sparse.csr_array((self.matrix(theta, kind, by) - base) / by)
+        by = WIDTH_STEP if kind == "width" else STEP * self._step_mm(theta)
+        return scipy.sparse.csr_array((self.matrix(theta, kind, by) - self.matrix(theta, kind, -by)) / (2 * by))
+
+    def changes(self, theta: FloatArray, laid: Laid) -> dict[str, FloatArray]:
+        """By slope, (n,) how far these parameters lay the blocks from where they are laid."""
+        (to, azimuth), (at, lean) = self.moves(theta), self.moves(laid.theta)
+        wide = self.values(theta)["width"] - self.values(laid.theta)["width"]
+        return {
+            "x": to[:, 0] - at[:, 0],
+            "y": to[:, 1] - at[:, 1],
+            "gamma": np.log(self.gamma(theta) / self.gamma(laid.theta)),
+            "width": np.full(len(to), wide),
+            "turn": azimuth - lean,
+        }
+
+    def near(self, theta: FloatArray, laid: Laid) -> bool:
+        """Whether the slopes hold that far: of the square of such a step a hundredth of a nanometre is left."""
+        scale = {"x": self._step_mm(theta), "y": self._step_mm(theta)}
+        by = self.changes(theta, laid)
+        return all(float(abs(change).max()) <= NEAR[kind] * scale.get(kind, 1.0) for kind, change in by.items())
+
+    def _step_mm(self, theta: FloatArray) -> float:
+        return float(np.median(self.spot.step_mm(self.gamma(theta))))
+
+    def _rotation(self, theta: FloatArray) -> FloatArray:
+        """(2, 2) that turns (n, 2) rows counterclockwise."""
+        angle = np.radians(self.values(theta)["rotation"])
+        return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+
+    def block_s(self, theta: FloatArray, weight_s: FloatArray | None = None) -> FloatArray:
+        """(n,) s times all that acts on a block's rate: w."""
+        at = self.values(theta)
+        log = at["rate"] - at["wear"] * self.blocks.contact_h + at["exponent"] * np.log(self.gamma(theta))
+        fields = np.array([at[p.name] for p in self.parameters if p.name.startswith("field_")])
+        weight = self.weight_s if weight_s is None else weight_s
+        return np.asarray(weight * np.exp(log + fields @ self.waves), dtype=np.float64)
+
+    def removal_nm(self, theta: FloatArray, laid: Laid) -> FloatArray:
+        """(N,) nm with the instrument's own terms; to first order in what the geometry is from where it is laid."""
+        w = self.block_s(theta)
+        own = theta[[k for k, p in enumerate(self.parameters) if p.name in ABERRATIONS]]
+        removal = laid.base @ w + self.maps @ own
+        changes = self.changes(theta, laid)
+        for kind, slope in laid.slopes.items():
+            removal = removal + slope @ (w * changes[kind])
+        return np.asarray(removal, dtype=np.float64)
+
+    def columns(self, theta: FloatArray, laid: Laid, weight_s: FloatArray | None = None) -> FloatArray:
+        """(N, k) derivative of the removal by each parameter, nm over its unit; of another dwell where one is given."""
+        w = self.block_s(theta, weight_s)
+        terms, maps = iter(self.waves), iter(self.maps.T)
+        found: list[FloatArray] = []
+        for parameter in self.parameters:
+            if parameter.name in ABERRATIONS:
+                found.append(next(maps))
+            elif parameter.name.startswith("field_"):
+                found.append(laid.base @ (w * next(terms)))
+            else:
+                found.append(self._column(parameter.name, theta, w, laid))
+        return np.column_stack(found)
+
+    def _column(self, name: str, theta: FloatArray, w: FloatArray, laid: Laid) -> FloatArray:
+        """(N,) of a parameter of the rate or the geometry."""
+        blocks, degree = self.blocks, np.pi / 180
+        base, slopes = laid.base, laid.slopes
+        at, gamma = self.values(theta), self.gamma(theta)
+        azimuth = blocks.azimuth_rad + degree * (at["turn"] + at["rotation"])
+        middle = (blocks.start_mm + blocks.end_mm) / 2
+
+        def moved(x: FloatArray | float, y: FloatArray | float) -> FloatArray:
+            return np.asarray(slopes["x"] @ (w * x) + slopes["y"] @ (w * y), dtype=np.float64)
+
+        def turning() -> FloatArray:
+            swing = turned(-at["offset_y"], at["offset_x"], azimuth)
+            return np.asarray(slopes["turn"] @ w + moved(swing[:, 0], swing[:, 1]), dtype=np.float64)
+
+        def sinking() -> FloatArray:
+            share = (gamma - 1) / gamma
+            return np.asarray(slopes["gamma"] @ (w * share) + base @ (w * at["exponent"] * share), dtype=np.float64)
+
+        rules: dict[str, Callable[[], FloatArray]] = {
+            "rate": lambda: base @ w,
+            "wear": lambda: -(base @ (w * blocks.contact_h)),
+            "exponent": lambda: base @ (w * np.log(gamma)),
+            "compliance": sinking,
+            "width": lambda: slopes["width"] @ w,
+            "offset_x": lambda: moved(np.sin(azimuth), -np.cos(azimuth)),
+            "offset_y": lambda: moved(np.cos(azimuth), np.sin(azimuth)),
+            "turn": lambda: degree * turning(),
+            "shift_x": lambda: moved(1.0, 0.0),
+            "shift_y": lambda: moved(0.0, 1.0),
+            "rotation": lambda: degree * (moved(-middle[:, 1], middle[:, 0]) + turning()),
+        }
+        return np.asarray(rules[name](), dtype=np.float64)
+
+    def of(self, projection: str) -> Forward:
+        """The same with another projection's gamma."""
+        return replace(self, projection=projection)
+
+
+_NAMES = (
+    "rate",
+    "wear",
+    "exponent",
+    "compliance",
+    "width",
+    "offset_x",
+    "offset_y",
+    "turn",
+    "shift_x",
+    "shift_y",
+    "rotation",
+)
+_OFFSET = {"offset_x", "offset_y", "shift_x", "shift_y", "rotation", "turn"}
+_ASKED = {
+    "x": _OFFSET,
+    "y": _OFFSET,
+    "gamma": {"compliance"},
+    "width": {"width"},
+    "turn": {"turn", "rotation"},
+}
+
+
+def forward(
+    blocks: Blocks,
+    grid: Grid,
+    mask: BoolArray,
+    spot: Spot,
+    process: ToolProcess,
+    *,
+    parameters: tuple[Parameter, ...],
+    projection: str,
+    radius_mm: float,
+) -> Forward:
+    """The forward model of a pass; ``radius_mm`` of the circle about the part's origin that Zernike terms are over."""
+    timed = blocks.time_s > 0
+    some = _only(blocks, timed)  # those without time neither remove nor wear
+    middle = (some.start_mm + some.end_mm) / 2 / radius_mm
+    terms = [int(p.name.split("_")[1]) for p in parameters if p.name.startswith("field_")]
+    waves = _zernike(terms, middle[:, 0], middle[:, 1])
+    rows, columns = np.nonzero(mask)
+    noll = [1 + ABERRATIONS.index(p.name) for p in parameters if p.name in ABERRATIONS]
+    maps = _zernike(noll, grid.x_mm[columns] / radius_mm, grid.y_mm[rows] / radius_mm).T
+    return Forward(grid, mask, spot, parameters, some, some.weight_s(process), waves, maps, projection)
+
+
+def _zernike(terms: list[int], x: FloatArray, y: FloatArray) -> FloatArray:
+    """(t, p) terms of Noll's order, RMS 1 over the unit circle; beyond it they go on."""
+    if not terms:
+        return np.zeros((0, len(x)))
+    pairs = zernike_terms.order("noll", max(terms))
+    return zernike_terms.values([pairs[k - 1] for k in terms], "rms", x, y)
+
+
+def _only(blocks: Blocks, timed: BoolArray) -> Blocks:
+    def cut(values: FloatArray | None) -> FloatArray | None:
+        return None if values is None else values[timed]
+
+    return Blocks(
+        start_mm=blocks.start_mm[timed],
+        end_mm=blocks.end_mm[timed],
+        time_s=blocks.time_s[timed],
+        azimuth_rad=blocks.azimuth_rad[timed],
+        depth_ratio={name: gamma[timed] for name, gamma in blocks.depth_ratio.items()},
+        factor=cut(blocks.factor),
+        force_n=cut(blocks.force_n),
+        rpm=cut(blocks.rpm),
+    )

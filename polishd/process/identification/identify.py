@@ -1,0 +1,226 @@
+"""What the removal map of a pass teaches: the whole of it, from blocks and map to estimates in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from polishd.model.process import ToolProcess
+from polishd.model.surface import BoolArray, FloatArray
+from polishd.process.identification.comparison import (
+    RIVAL,
+    Candidate,
+    Comparison,
+    compare,
+    conditioned,
+    detection_limits,
+    without,
+    worth,
+)
+from polishd.process.identification.confounding import Told, told
+from polishd.process.identification.fit import fit, followed_rate
+from polishd.process.identification.forward import forward
+from polishd.process.identification.parameters import Knowledge, Parameter
+from polishd.process.identification.passes import Blocks, Noise, Removed, check_pass
+from polishd.process.identification.residual import without_plane
+from polishd.process.spot import Spot
+
+LEAST_GAIN_NM = 0.05
+"""RMS that an extension must take off the next pass's residual to be applied."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimated:
+    """One parameter after a pass."""
+
+    parameter: Parameter
+    value: float
+    """With all extensions in."""
+    sigma: float
+    before: float
+    """Its standard error before the pass."""
+    told: Told
+    probability: float
+    """That its extension is there at all; 1 for what is always fitted."""
+    detection_limit: float
+    """Size at which the evidence for its extension would be even; 0 for what is always fitted."""
+
+    @property
+    def sentence(self) -> str:
+        """What a person should know of it."""
+        size = f"{self.value:+.3g} +- {self.sigma:.2g} {self.parameter.unit}".removesuffix(" 1")
+        others = _listed(self.told.confounded_with)
+        if self.told.decided and others:
+            return f"{self.parameter.words}: {size}; most of its error is that of {others}"
+        if self.told.decided:
+            return f"{self.parameter.words}: {size}"
+        if others:
+            return f"{self.parameter.words}: this pass cannot tell it from {others} ({size})"
+        return f"{self.parameter.words}: this pass does not show it ({size})"
+
+
+@dataclass(frozen=True, slots=True)
+class Identified:
+    """What a pass taught."""
+
+    estimates: tuple[Estimated, ...]
+    learned: Knowledge
+    """All parameters, as the next pass's prior (`parameters.advanced`)."""
+    applied: Knowledge
+    """Those that the next plan counts with: the best model's extensions that pay; the others 0, without error."""
+    comparison: Comparison
+    worth_nm2: Mapping[str, float]
+    """By extension of the best model: what it takes off the next pass's residual, mean square."""
+    projection: str
+    """That the data want, or the one that was believed."""
+    projection_rivals: tuple[str, ...]
+    """Others that the evidence does not exclude."""
+    noise: Noise
+    """That was reckoned with."""
+    rejected: BoolArray = field(repr=False)
+    """(ny, nx) samples that are none of the pass."""
+    residual_nm: FloatArray = field(repr=False)
+    """(ny, nx) measured less modelled removal; NaN outside the mask."""
+
+    def __getitem__(self, name: str) -> Estimated:
+        """The estimate of a parameter."""
+        return self.estimates[self.learned.at(name)]
+
+    @property
+    def extensions(self) -> frozenset[str]:
+        """That the next plan counts with."""
+        return frozenset(name for name, gain in self.worth_nm2.items() if gain > 0)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """For people: each parameter, and what could as well be the cause."""
+        said = tuple(one.sentence for one in self.estimates if one.parameter.scope != "map")
+        rivals = [_listed(sorted(one.extensions)) or "nothing" for one in self.comparison.rivals]
+        if rivals:
+            best = _listed(sorted(self.comparison.best.extensions)) or "nothing"
+            said += (f"found: {best}; this map would as well be explained by: {'; '.join(rivals)}",)
+        if self.projection_rivals:
+            said += (f"projection {self.projection}: {_listed(self.projection_rivals)} cannot be told from it",)
+        return said
+
+
+def identify(
+    removed: Removed,
+    blocks: Blocks,
+    spot: Spot,
+    process: ToolProcess,
+    prior: Knowledge,
+    *,
+    projection: str,
+    radius_mm: float,
+    next_s: FloatArray | None = None,
+    followed: bool = True,
+    least_gain_nm: float = LEAST_GAIN_NM,
+) -> Identified:
+    """Parameters of the process from the removal of one pass, and what is to be done about them.
+
+    Args:
+        removed: what two maps show, on a grid about as fine as a third of the spot's core (`Removed.coarser`).
+        blocks: what was executed.
+        spot: the rigid robot's, as the plan had it.
+        process: likewise.
+        prior: what is known: `unlearned`, or `advanced` from the last pass.
+        projection: the one believed of those in ``blocks.depth_ratio``.
+        radius_mm: of the circle about the part's origin that the rate's field is over; the same for all passes.
+        next_s: (n,) s that the next pass is expected to dwell at the blocks; None: as this one.
+        followed: whether the dwell was solved on the map before: its noise is then in what was removed, too.
+        least_gain_nm: what an extension must take off the next pass's RMS.
+
+    Raises:
+        ComputeError: input that cannot be, or a fit that does not settle.
+    """
+    check_pass(blocks, removed, projection)
+    model = forward(
+        blocks,
+        removed.grid,
+        removed.mask,
+        spot,
+        process,
+        parameters=prior.parameters,
+        projection=projection,
+        radius_mm=radius_mm,
+    )
+    data, by_projection, rejected = fit(model, removed, prior)
+    odds = {name: prior.odds.get(name, 0.0) + one.log_evidence for name, one in by_projection.items()}
+    best = max(odds, key=lambda name: odds[name])
+    chosen = best if odds[best] > odds[projection] + RIVAL else projection
+    found, model = by_projection[chosen], model.of(chosen)
+    covariance = found.covariance.copy()
+    if followed and "rate" in prior.names:
+        covariance[prior.at("rate"), prior.at("rate")] += followed_rate(model, found, data) ** 2
+    learned = replace(prior, mean=found.theta, covariance=covariance, odds=_levelled_odds(odds))
+    weight = model.weight_s if next_s is None else model.weight_s * (next_s / blocks.time_s)[blocks.time_s > 0]
+    future = without_plane(model.columns(found.theta, found.laid, weight), removed.mask)
+    comparison = compare(prior.parameters, learned.mean, covariance)
+    worths, applied = _applied(learned, comparison.best, future, least_gain_nm)
+    residual = np.full(removed.mask.shape, np.nan)
+    residual[removed.mask] = removed.removal_nm[removed.mask] - model.removal_nm(found.theta, found.laid)
+    return Identified(
+        _estimates(learned, prior, comparison, float(blocks.contact_h[-1]) / 2),
+        learned,
+        applied,
+        comparison,
+        worths,
+        chosen,
+        tuple(name for name in odds if name != chosen and odds[name] > odds[chosen] - RIVAL),
+        data.noise,
+        rejected,
+        residual,
+    )
+
+
+def _applied(
+    learned: Knowledge, best: Candidate, future: FloatArray, least_gain_nm: float
+) -> tuple[dict[str, float], Knowledge]:
+    """The best model less what does not pay, the least worth of it first, as each that goes changes the others."""
+    taken = best.extensions
+    worths: dict[str, float] = {}
+    while True:
+        out = without(learned.parameters, taken)
+        mean, covariance = conditioned(learned.mean, learned.covariance, out)
+        own = {name: worth(learned.parameters, mean, covariance, future, name) - least_gain_nm**2 for name in taken}
+        worths |= own
+        poor = [name for name, gain in own.items() if gain <= 0]
+        if not poor:
+            return worths, replace(learned, mean=mean, covariance=covariance)
+        taken -= {min(poor, key=lambda name: own[name])}
+
+
+def _estimates(learned: Knowledge, prior: Knowledge, comparison: Comparison, middle_h: float) -> tuple[Estimated, ...]:
+    """What is told of the rate is of that in the middle of the pass: the first minute's has the wear's error, too."""
+    middle = np.eye(len(learned.mean))
+    if {"rate", "wear"} <= set(learned.names):
+        middle[learned.at("rate"), learned.at("wear")] = -middle_h
+    limits = detection_limits(learned.parameters, learned.covariance)
+    before, after = (middle @ known.covariance @ middle.T for known in (prior, learned))
+    seen = told(learned.parameters, before, after)
+    columns = zip(learned.parameters, learned.mean, learned.sigma, prior.sigma, strict=True)
+    return tuple(
+        Estimated(
+            p,
+            float(value),
+            float(sigma),
+            float(before),
+            seen[p.name],
+            1.0 if p.extension is None else comparison.probability[p.extension],
+            limits.get(p.name, 0.0),
+        )
+        for p, value, sigma, before in columns
+    )
+
+
+def _levelled_odds(odds: Mapping[str, float]) -> dict[str, float]:
+    """The likeliest at 0."""
+    most = max(odds.values())
+    return {name: value - most for name, value in odds.items()}
+
+
+def _listed(names: tuple[str, ...] | list[str]) -> str:
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
