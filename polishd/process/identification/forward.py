@@ -11,9 +11,9 @@ import scipy
 from polishd.model.process import ToolProcess
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.dynamic_tif import effect_columns
+from polishd.process.identification.acting import FIELD, Acting, WiderSpot, zernike_field
 from polishd.process.identification.parameters import ABERRATIONS, Parameter
 from polishd.process.identification.passes import Blocks
-from polishd.process.metrics import zernike_terms
 from polishd.process.spot import Spot, turned
 
 STEP = 0.2
@@ -27,30 +27,6 @@ NEAR = {"x": 0.1, "y": 0.1, "gamma": 0.005, "width": 0.01, "turn": 0.02}
 """Changes up to which the slopes are believed; along x and y in the spot's steps."""
 SLOPES = ("x", "y", "gamma", "width", "turn")
 """Changes of the effect matrix: the spots moved along x and y (by mm), gamma and width (relative), azimuth (rad)."""
-
-
-@dataclass(frozen=True, slots=True)
-class WiderSpot:
-    """A spot spread over another width, its volume the same."""
-
-    spot: Spot
-    factor: float
-
-    def half_width_mm(self, depth_ratio: FloatArray) -> FloatArray:
-        """(n,) mm."""
-        return self.factor * self.spot.half_width_mm(depth_ratio)
-
-    def step_mm(self, depth_ratio: FloatArray) -> FloatArray:
-        """(n,) mm."""
-        return self.factor * self.spot.step_mm(depth_ratio)
-
-    def offset_mm(self, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
-        """(n, 2) mm, as it was."""
-        return self.spot.offset_mm(depth_ratio, azimuth_rad)
-
-    def patch(self, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
-        """(n, squares, squares) nm mm^2/s: the squares grow, what each removes does not."""
-        return self.spot.patch(depth_ratio, azimuth_rad)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,29 +68,26 @@ class Forward:
         return dict.fromkeys(_NAMES, 0.0) | dict(zip((p.name for p in self.parameters), theta.tolist(), strict=True))
 
     def gamma(self, theta: FloatArray) -> FloatArray:
-        """(n,) depth ratios: ``1 - exp(compliance) (1 - gamma)``, above 0.01."""
-        own = self.blocks.depth_ratio[self.projection]
-        return np.asarray(np.maximum(1 - np.exp(self.values(theta)["compliance"]) * (1 - own), 0.01))
+        """(n,) depth ratios."""
+        return Acting(self.values(theta)).sunk(self.blocks.depth_ratio[self.projection])
 
     def moves(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Where these parameters lay the blocks: (n, 2) mm their middles, (n,) rad the azimuths."""
-        at = self.values(theta)
-        azimuth = self.blocks.azimuth_rad + np.radians(at["turn"] + at["rotation"])
-        middle = (self.blocks.start_mm + self.blocks.end_mm) / 2 @ self._rotation(theta)
-        middle = middle + turned(at["offset_x"], at["offset_y"], azimuth) + [at["shift_x"], at["shift_y"]]
-        return middle, azimuth
+        middle = (self.blocks.start_mm + self.blocks.end_mm) / 2
+        return Acting(self.values(theta)).laid(middle, self.blocks.azimuth_rad)
 
     def matrix(self, theta: FloatArray, change: str | None = None, by: float = 0.0) -> scipy.sparse.csr_array:
         """(N, n) nm/s of each block at these parameters' geometry, one thing of it changed."""
         changed = {name: by if name == change else 0.0 for name in SLOPES}
-        middle, azimuth = self.moves(theta)
-        half = (self.blocks.end_mm - self.blocks.start_mm) / 2 @ self._rotation(theta)
-        middle = middle + np.array([changed["x"], changed["y"]])
+        acting, blocks = Acting(self.values(theta)), self.blocks
+        start, azimuth = acting.laid(blocks.start_mm, blocks.azimuth_rad)
+        end, _ = acting.laid(blocks.end_mm, blocks.azimuth_rad)
+        off = np.array([changed["x"], changed["y"]])
         gamma = self.gamma(theta) * (1 + changed["gamma"])
         found = effect_columns(
             self.grid,
             WiderSpot(self.spot, float(np.exp(self.values(theta)["width"] + changed["width"]))),
-            (middle - half, middle + half),
+            (start + off, end + off),
             azimuth + changed["turn"],
             depth_ratio=gamma,
             factor=np.ones_like(gamma),
@@ -157,16 +130,11 @@ class Forward:
     def _step_mm(self, theta: FloatArray) -> float:
         return float(np.median(self.spot.step_mm(self.gamma(theta))))
 
-    def _rotation(self, theta: FloatArray) -> FloatArray:
-        """(2, 2) that turns (n, 2) rows counterclockwise."""
-        angle = np.radians(self.values(theta)["rotation"])
-        return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-
     def block_s(self, theta: FloatArray, weight_s: FloatArray | None = None) -> FloatArray:
         """(n,) s times all that acts on a block's rate: w."""
         at = self.values(theta)
-        log = at["rate"] - at["wear"] * self.blocks.contact_h + at["exponent"] * np.log(self.gamma(theta))
-        fields = np.array([at[p.name] for p in self.parameters if p.name.startswith("field_")])
+        log = Acting(at).log_rate(self.gamma(theta), self.blocks.contact_h)
+        fields = np.array([at[p.name] for p in self.parameters if p.name.startswith(FIELD)])
         weight = self.weight_s if weight_s is None else weight_s
         return np.asarray(weight * np.exp(log + fields @ self.waves), dtype=np.float64)
 
@@ -188,7 +156,7 @@ class Forward:
         for parameter in self.parameters:
             if parameter.name in ABERRATIONS:
                 found.append(next(maps))
-            elif parameter.name.startswith("field_"):
+            elif parameter.name.startswith(FIELD):
                 found.append(laid.base @ (w * next(terms)))
             else:
                 found.append(self._column(parameter.name, theta, w, laid))
@@ -271,20 +239,12 @@ def forward(
     timed = blocks.time_s > 0
     some = _only(blocks, timed)  # those without time neither remove nor wear
     middle = (some.start_mm + some.end_mm) / 2 / radius_mm
-    terms = [int(p.name.split("_")[1]) for p in parameters if p.name.startswith("field_")]
-    waves = _zernike(terms, middle[:, 0], middle[:, 1])
+    terms = [int(p.name.removeprefix(FIELD)) for p in parameters if p.name.startswith(FIELD)]
+    waves = zernike_field(terms, middle)
     rows, columns = np.nonzero(mask)
     noll = [1 + ABERRATIONS.index(p.name) for p in parameters if p.name in ABERRATIONS]
-    maps = _zernike(noll, grid.x_mm[columns] / radius_mm, grid.y_mm[rows] / radius_mm).T
+    maps = zernike_field(noll, np.column_stack([grid.x_mm[columns], grid.y_mm[rows]]) / radius_mm).T
     return Forward(grid, mask, spot, parameters, some, some.weight_s(process), waves, maps, projection)
-
-
-def _zernike(terms: list[int], x: FloatArray, y: FloatArray) -> FloatArray:
-    """(t, p) terms of Noll's order, RMS 1 over the unit circle; beyond it they go on."""
-    if not terms:
-        return np.zeros((0, len(x)))
-    pairs = zernike_terms.order("noll", max(terms))
-    return zernike_terms.values([pairs[k - 1] for k in terms], "rms", x, y)
 
 
 def _only(blocks: Blocks, timed: BoolArray) -> Blocks:
