@@ -8,6 +8,7 @@ from polishd.hookspecs import (
     DeviceContext,
     DeviceType,
     DwellSolver,
+    Learner,
     NotifierType,
     ProgramFormat,
     RemovalAnswer,
@@ -18,7 +19,7 @@ from polishd.hookspecs import (
     learn_rate,
 )
 from polishd.model import events
-from polishd.model.beliefs import Belief, Beliefs, Evidence, Lesson
+from polishd.model.beliefs import Belief, Beliefs, Evidence, Lesson, MachineBeliefs
 from polishd.model.concern import Concern, Severity, Standing
 from polishd.model.devices import (
     DeviceStatus,
@@ -132,11 +133,13 @@ __all__ = [
     "Grid",
     "HybridRobot",
     "Identity",
+    "Learner",
     "Lesson",
     "LineReader",
     "LinkError",
     "Loader",
     "LoaderTimes",
+    "MachineBeliefs",
     "MeasuredCompliance",
     "MeasuredTif",
     "Metrology",

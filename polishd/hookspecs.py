@@ -6,8 +6,8 @@ A plugin is a module (or object) that implements any of these with ``@hookimpl``
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -224,6 +224,19 @@ def learn_rate(request: RemovalRequest, evidence: Evidence) -> Lesson:
     return learning.learn_rate(evidence)
 
 
+Learn = Callable[[RemovalRequest, Evidence], Lesson]
+"""(what the last pass's effect was asked with, what the pass did) -> what is believed after it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Learner:
+    """One way to learn from passes."""
+
+    beliefs: Beliefs
+    """What is believed before anything was polished. Its class is the record that is kept, and made again from JSON."""
+    learn: Learn
+
+
 @dataclass(frozen=True, slots=True)
 class RemovalModel:
     """A removal model: ``hertz_preston`` is polishd's own. Runs in the compute worker; must be picklable."""
@@ -232,8 +245,9 @@ class RemovalModel:
     effect: Callable[[RemovalRequest], RemovalAnswer]
     beliefs: Beliefs = UNTAUGHT
     """What it believes before anything was polished. Its class is the record that is kept, and made again from JSON."""
-    learn: Callable[[RemovalRequest, Evidence], Lesson] = learn_rate
-    """(what the last pass's effect was asked with, what the pass did) -> what is believed after it."""
+    learn: Learn = learn_rate
+    learners: Mapping[str, Learner] = field(default_factory=dict)
+    """Other ways, by the name that ``process.learns`` gives them; ``effect`` knows the beliefs of each."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -183,6 +183,10 @@ class ProcessSection(Section):
     removal_model: Text = "hertz_preston"
     """What a spot removes, by the name that a plugin gives it: `hertz_preston` computes it, `measured_tif` takes
     `tif`."""
+    learns: Text = "rate"
+    """What a pass teaches: `rate`, the removal rate, or whatever the removal model learns by itself; `machine`, of
+    polishd's own models, all that identification finds (docs/identification.md): its field over the part, the spot's
+    place and width, compliance, seat."""
     correction: Correction = "exact"
     """How the dwell accounts for the robot's compliance: not, afterwards point by point, by gamma (eq. 49), by gamma
     to the power `depth_exponent`, or by the spot of each point's own depth."""

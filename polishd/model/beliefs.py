@@ -34,6 +34,22 @@ UNTAUGHT = Beliefs()
 
 
 @dataclass(frozen=True, slots=True)
+class MachineBeliefs(Beliefs):
+    """What identification believes of a machine, by its parameters (docs/identification.md), 0 as it is configured."""
+
+    applied: Mapping[str, float] = field(default_factory=dict)
+    """Those that plans count with, besides the rate; where none is, a plan is as if nothing were known of it."""
+    mean: Mapping[str, float] = field(default_factory=dict)
+    """All of them, applied or not; empty before the first pass."""
+    covariance: tuple[tuple[float, ...], ...] = ()
+    """Of those, in their order."""
+    odds: Mapping[str, float] = field(default_factory=dict)
+    """Natural logarithm, by choice (`Knowledge.odds`)."""
+    pass_h: float = 0.0
+    """Hours of contact of the last pass: what a plan takes the next one's to be, where the tool wears."""
+
+
+@dataclass(frozen=True, slots=True)
 class Evidence:
     """What a pass removed, for a removal model to learn from: the gate has found nothing wrong with it."""
 
@@ -52,6 +68,11 @@ class Evidence:
     """Whether a wrong rate would have been seen: else nothing may be learned of it."""
     rates: tuple[float, float]
     """Least and largest rate, relative to the model's own, that ``limits.max_rate_change`` allows."""
+    acted_s: FloatArray | None = None
+    """(n,) s at the process's own force and speed that remove what the force and speed of the pass did; None: as
+    executed."""
+    noise_nm: float | None = None
+    """Standard deviation of a sample of ``measured_nm`` by the instrument's repeatability; None: not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,3 +84,5 @@ class Lesson:
     """How it was found, JSON-ready: stands in ``learned.json``."""
     notes: tuple[str, ...] = ()
     """For people: what was found and not taken."""
+    stop: str = ""
+    """Why a person must look before the next pass, and what to do; "" where the job may go on."""

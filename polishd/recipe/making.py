@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from polishd.config.cell import CellConfig
 from polishd.config.places import did_you_mean, listed
 from polishd.config.profile import load_profile
 from polishd.hooks.loader import Hooks
+from polishd.hookspecs import Learner, RemovalModel
 from polishd.model.errors import ConfigError, SurfaceError
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
 from polishd.recipe.files import read_map
 from polishd.recipe.handling import between_of, touch_off_of
 from polishd.recipe.recipe import Recipe
+
+OWN = "rate"
+"""What a removal model learns that is asked for nothing else."""
 
 
 def instrument_of(config: CellConfig) -> Instrument | None:
@@ -76,7 +81,7 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
         envelope=config.envelope(),
         max_rate_change=config.limits.max_rate_change,
         format=program,
-        model=_named(config, "process.removal_model", config.process.removal_model, hooks.removal_models()),
+        model=_model(config, hooks),
         solver=_named(config, "dwell.solver", config.dwell.solver, solvers),
         cross_check=_named(config, "dwell.cross_check", cross_check, solvers) if cross_check else None,
         finding=config.limits.finding,
@@ -84,6 +89,20 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
         touch_off=touch_off_of(config, program),
         between=between_of(config, instrument),
     )
+
+
+def _model(config: CellConfig, hooks: Hooks) -> RemovalModel:
+    """The removal model, with the way to learn that the cell asks for."""
+    process = config.process
+    model: RemovalModel = _named(config, "process.removal_model", process.removal_model, hooks.removal_models())
+    own = {OWN: Learner(model.beliefs, model.learn)}
+    ways = {**own, **model.learners}
+    if process.learns not in ways:
+        hint = did_you_mean(process.learns, ways)
+        problem = f"the removal model {model.name!r} does not learn {process.learns!r}{hint} It has: {listed(ways)}"
+        raise config.error("process.learns", problem)
+    way = ways[process.learns]
+    return replace(model, beliefs=way.beliefs, learn=way.learn)
 
 
 def _named(config: CellConfig, key: str, name: str, records: Mapping[str, Any]) -> Any:

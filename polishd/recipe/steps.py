@@ -167,8 +167,12 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
         pitch_mm=grid.pitch_mm,
         tells_rate=verdict.tells_rate,
         rates=(low, high),
+        acted_s=done.acted_s,
+        noise_nm=_change_noise_nm(recipe),
     )
     lesson = recipe.model.learn(request, evidence)
+    if lesson.stop:
+        return Taught(believed, replace(verdict, stop=lesson.stop), grid, notes=lesson.notes)
     envelope = envelope_of(recipe, program, believed)
     overhead = motion.learn_overhead_s(program, done.asked_s, done.executed_s, envelope)
     shown = shown_by(done, answer, predicted, verdict, believed.rate)
@@ -178,6 +182,12 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
 def _unknown(recipe: Recipe) -> metrics.Removal:
     """Of the change from one map to the next: the part is set up anew for each, even where tilt is figure."""
     return "power" if recipe.part.alignment == "power" else "tilt"
+
+
+def _change_noise_nm(recipe: Recipe) -> float | None:
+    """Of the change from one map to the next, a sample; None where nothing is known of the instrument's."""
+    one = None if recipe.instrument is None else recipe.instrument.repeatability_nm
+    return None if one is None else 2**0.5 * one
 
 
 def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan:

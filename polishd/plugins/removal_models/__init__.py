@@ -1,18 +1,40 @@
 """Plugin: the removal models ``hertz_preston`` and ``measured_tif``, with the robot's compliance along the path.
 
-Both believe in the removal rate, and learn it.
+Both believe in the removal rate and learn it; or, with ``process.learns = "machine"``, all that identification finds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
-from polishd.api import ComputeError, RemovalAnswer, RemovalModel, RemovalRequest, hookimpl
+from polishd.api import (
+    ComputeError,
+    Learner,
+    MachineBeliefs,
+    RemovalAnswer,
+    RemovalModel,
+    RemovalRequest,
+    hookimpl,
+)
 from polishd.plugins.removal_models.along_path import effect_along_path
+from polishd.plugins.removal_models.machine import learn_machine
 from polishd.process.measured_spot import measured_spot
-from polishd.process.spot import HertzSpot
+from polishd.process.spot import HertzSpot, Spot
 
 POLISHD_API = 1
+
+
+def hertz_spot(request: RemovalRequest) -> tuple[Spot, float]:
+    """The rigid robot's spot, and the depth ratio that it is of."""
+    return HertzSpot(request.process), 1.0
+
+
+def measured_spot_of(request: RemovalRequest) -> tuple[Spot, float]:
+    """The measured spot, and the depth ratio that it was measured at. ComputeError."""
+    if request.tif is None:
+        raise ComputeError("the removal model measured_tif needs a measured TIF, and the cell's process has none")
+    return measured_spot(request.tif, request.process), request.tif.depth_ratio
 
 
 def hertz_preston(request: RemovalRequest) -> RemovalAnswer:
@@ -20,7 +42,7 @@ def hertz_preston(request: RemovalRequest) -> RemovalAnswer:
 
     Corrections other than "exact" start from the rigid robot's spot.
     """
-    return effect_along_path(request, HertzSpot(request.process), reference=1.0)
+    return effect_along_path(request, *hertz_spot(request))
 
 
 def measured_tif(request: RemovalRequest) -> RemovalAnswer:
@@ -28,13 +50,16 @@ def measured_tif(request: RemovalRequest) -> RemovalAnswer:
 
     Corrections other than "exact" start from the spot as it is.
     """
-    tif = request.tif
-    if tif is None:
-        raise ComputeError("the removal model measured_tif needs a measured TIF, and the cell's process has none")
-    return effect_along_path(request, measured_spot(tif, request.process), reference=tif.depth_ratio)
+    return effect_along_path(request, *measured_spot_of(request))
 
 
 @hookimpl
 def polishd_removal_models() -> Sequence[RemovalModel]:
     """Declare both."""
-    return [RemovalModel(model.__name__, model) for model in (hertz_preston, measured_tif)]
+    both = ((hertz_preston, hertz_spot), (measured_tif, measured_spot_of))
+    return [
+        RemovalModel(
+            model.__name__, model, learners={"machine": Learner(MachineBeliefs(), partial(learn_machine, spot_of=spot))}
+        )
+        for model, spot in both
+    ]

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from polishd.api import ComputeError, Effect, Grid, RemovalAnswer, RemovalRequest
+import numpy as np
+
+from polishd.api import ComputeError, Effect, FloatArray, Grid, MachineBeliefs, Program, RemovalAnswer, RemovalRequest
 from polishd.process.compliance import depth_ratio
 from polishd.process.contact import contact_radius_mm, hertz_depth_mm
 from polishd.process.convolution import on_nodes
-from polishd.process.dynamic_tif import CorrectedSpot, corrected_spot
+from polishd.process.dynamic_tif import CorrectedSpot, corrected_spot, lean_azimuth_rad
 from polishd.process.edge.correctable import transfer
+from polishd.process.identification.acting import Acting
 from polishd.process.path_compliance import path_compliance
 from polishd.process.robot.refusal import require_number
 from polishd.process.spot import Spot
@@ -19,31 +22,89 @@ MOST_CONVOLUTIONS = 6
 """A family of higher rank (the azimuth turns over the part) costs more as convolutions than as a matrix."""
 
 
-def effect_along_path(request: RemovalRequest, spot: Spot, reference: float) -> RemovalAnswer:
-    """Effect matrix, compliance and gamma along the request's program (paper eq. 43-49).
+@dataclass(frozen=True, slots=True)
+class Path:
+    """A spot along a request's program, as it is believed to act."""
+
+    along: SpotPath
+    spots: CorrectedSpot
+    """With the rates of their places, but for the rate of all."""
+    gamma: FloatArray
+    """(n,) as the robot's compliance gives it."""
+    compliance_um_per_n: FloatArray
+    radius_mm: float
+    """Of the circle that the rate's field is over: that of the grid's longer side."""
+    notes: tuple[str, ...]
+
+
+def path_of(request: RemovalRequest, spot: Spot, reference: float) -> Path:
+    """The spot at each timed point: as the compliance sinks it, and as what was identified moves and scales it.
 
     ``reference`` is the depth ratio of the one spot that the corrections other than "exact" take for all points.
     Raises ComputeError that names what is impossible, its value with the unit, and the first point it happens at.
     """
-    _check(request.grid, request.rate)
     process, program = request.process, request.program
     depth = hertz_depth_mm(process)
     at = (request.robot, request.placement)
     path = path_compliance(program, process, *at, options=request.options, optic=request.optic)
     gamma = depth_ratio(path.compliance_mm_per_n, process, depth)
-    along = SpotPath(levelled_axes(program, request.optic), spot, process, request.rim)
-    spots, edge = along.at_rim(corrected_spot(request.correction, gamma, process.depth_exponent, reference))
-    effect, how = _effect(along, request.grid, replace(spots, factor=spots.factor * request.rate))
+    acting, pass_h = _acting(request)
+    level = levelled_axes(program, request.optic)
+    along = SpotPath(_laid(level, acting), acting.spot(spot), process, request.rim)
+    sunk = acting.sunk(gamma)
+    spots, edge = along.at_rim(corrected_spot(request.correction, sunk, process.depth_exponent, reference))
+    radius = max(request.grid.shape) * request.grid.pitch_mm / 2
+    hours = pass_h * (np.arange(program.n) + 0.5) / max(program.n, 1)
+    middle = (level.start_mm + level.end_mm)[:, :2] / 2
+    own = np.exp(acting.log_rate(sunk, hours) + acting.log_field(middle, radius))
     notes = [f"rigid contact: depth {depth:.5f} mm, radius {float(contact_radius_mm(process, depth)):.4f} mm"]
     if gamma.size:
         notes.append(f"gamma {gamma.min():.4f} to {gamma.max():.4f}, mean {gamma.mean():.4f}")
+    return Path(
+        along,
+        replace(spots, factor=spots.factor * own),
+        gamma,
+        path.compliance_mm_per_n * 1e3,
+        radius,
+        (*notes, *edge, *path.notes),
+    )
+
+
+def effect_along_path(request: RemovalRequest, spot: Spot, reference: float) -> RemovalAnswer:
+    """Effect matrix, compliance and gamma along the request's program (paper eq. 43-49); errors as of `path_of`."""
+    _check(request.grid, request.rate)
+    path = path_of(request, spot, reference)
+    spots = replace(path.spots, factor=path.spots.factor * request.rate)
+    effect, how = _effect(path.along, request.grid, spots)
     return RemovalAnswer(
         effect=effect,
-        compliance_um_per_n=path.compliance_mm_per_n * 1e3,
-        gamma=gamma,
+        compliance_um_per_n=path.compliance_um_per_n,
+        gamma=path.gamma,
         divide_by=spots.divide_by,
-        notes=(*notes, *how, *edge, *path.notes),
-        transfer=transfer(spot, float(gamma.mean())) if gamma.size else None,
+        notes=(*path.notes, *how),
+        transfer=transfer(spot, float(path.gamma.mean())) if path.gamma.size else None,
+    )
+
+
+def _acting(request: RemovalRequest) -> tuple[Acting, float]:
+    """What was identified, and the hours of contact that the pass is taken to last."""
+    known = request.beliefs
+    return (Acting(known.applied), known.pass_h) if isinstance(known, MachineBeliefs) else (Acting({}), 0.0)
+
+
+def _laid(program: Program, acting: Acting) -> Program:
+    """The program where it really runs."""
+    if not acting.moves:
+        return program
+    lean = lean_azimuth_rad(program)
+    start, _ = acting.laid(program.start_mm[:, :2], lean)
+    end, azimuth = acting.laid(program.end_mm[:, :2], lean)
+    tilt = np.hypot(program.axis[:, 0], program.axis[:, 1])
+    return replace(
+        program,
+        start_mm=np.column_stack([start, program.start_mm[:, 2]]),
+        end_mm=np.column_stack([end, program.end_mm[:, 2]]),
+        axis=np.column_stack([tilt * np.cos(azimuth), tilt * np.sin(azimuth), program.axis[:, 2]]),
     )
 
 

@@ -14,6 +14,7 @@ from polishd.process.spot import Spot, turned
 
 FIELD = "field_"
 """What the rate's terms over the part begin with; Noll's number follows."""
+MOVING = ("offset_x", "offset_y", "shift_x", "shift_y", "turn", "rotation")
 LEAST_RATIO = 0.01
 """Depth ratio below which no compliance sinks a block."""
 
@@ -48,6 +49,11 @@ class Acting:
     def __init__(self, values: Mapping[str, float]) -> None:
         """The values, in the parameters' units."""
         self.at: Mapping[str, float] = defaultdict(float, values)
+
+    @property
+    def moves(self) -> bool:
+        """Whether any point lies elsewhere than where it was programmed, or any lean."""
+        return any(self.at[name] for name in MOVING)
 
     def laid(self, place_mm: FloatArray, azimuth_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n, 2) mm where programmed points really are, and (n,) rad where the spindle leans there."""

@@ -1,0 +1,90 @@
+"""The learner ``machine``: what a pass's removal says of rate, its field, wear, spot, compliance and seat."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from polishd.api import ComputeError, Evidence, Lesson, MachineBeliefs, RemovalRequest, learn_rate
+from polishd.plugins.removal_models.along_path import path_of
+from polishd.process.dynamic_tif import lean_azimuth_rad
+from polishd.process.identification.beliefs import beliefs_of, knowledge_of
+from polishd.process.identification.decision import decide
+from polishd.process.identification.identify import Identified, identify
+from polishd.process.identification.passes import Blocks, Noise, Removed
+from polishd.process.spot import Spot
+
+NOISE_NM = 0.2
+"""Of a change between maps where nobody says; what is left by the fit counts where it is more."""
+FINE = 1.25
+"""Samples are this much of the spot's step apart, at most, or as fine as they are."""
+BELIEVED = "believed"
+"""The projection of the compliance that the cell is configured with."""
+
+
+def learn_machine(
+    request: RemovalRequest, evidence: Evidence, spot_of: Callable[[RemovalRequest], tuple[Spot, float]]
+) -> Lesson:
+    """Identification (docs/identification.md) of a pass; the rate alone where that does not settle."""
+    beliefs = request.beliefs
+    if not isinstance(beliefs, MachineBeliefs):
+        raise ComputeError(f"identification goes on from beliefs of its own, not from {type(beliefs).__name__}")
+    rate_alone = learn_rate(request, evidence)
+    try:
+        found = _identified(request, evidence, beliefs, *spot_of(request))
+    except ComputeError as error:
+        told = f"the machine was not identified: {error}"
+        kept = replace(beliefs, rate=rate_alone.beliefs.rate)
+        return replace(rate_alone, beliefs=kept, notes=(*rate_alone.notes, told))
+    decision = decide(found)
+    taken = [one.name for one in decision.corrected if one.name != "rate"]
+    contact_h = float(evidence.executed_s.sum()) / 3600
+    after = beliefs_of(found.learned, taken, contact_h, evidence.rates)
+    how = {**rate_alone.found, "rate": after.rate.value / beliefs.rate.value, "parameters": _table(found)}
+    said = tuple(f"{one.words}: corrected" for one in decision.corrected if one.name != "rate")
+    said += tuple(f"{one.words}: found, and not certain" for one in decision.left if one.name != "rate")
+    return Lesson(after, how, said, "; ".join(decision.stops))
+
+
+def _identified(
+    request: RemovalRequest, evidence: Evidence, beliefs: MachineBeliefs, spot: Spot, reference: float
+) -> Identified:
+    path = path_of(replace(request, beliefs=replace(beliefs, applied={})), spot, reference)  # as configured
+    executed = evidence.executed_s
+    acted = executed if evidence.acted_s is None else evidence.acted_s
+    share = np.divide(acted, executed, out=np.ones_like(executed), where=executed > 0)
+    blocks = Blocks(
+        path.along.program.start_mm[:, :2],
+        path.along.program.end_mm[:, :2],
+        executed,
+        lean_azimuth_rad(path.along.program),
+        {BELIEVED: path.spots.depth_ratio},
+        path.spots.factor * share,
+    )
+    noise = Noise(NOISE_NM if evidence.noise_nm is None else evidence.noise_nm)
+    removed = Removed(request.grid, np.nan_to_num(evidence.measured_nm), evidence.mask, noise)
+    step = float(np.median(spot.step_mm(path.spots.depth_ratio)))
+    odd = max(int(FINE * step / request.grid.pitch_mm) - 1, 0) // 2 * 2 + 1
+    return identify(
+        removed.coarser(odd), blocks, spot, request.process, knowledge_of(beliefs),
+        projection=BELIEVED, radius_mm=path.radius_mm,
+    )  # fmt: skip
+
+
+def _table(found: Identified) -> dict[str, dict[str, float | str | bool]]:
+    """Each parameter for ``learned.json``."""
+    return {
+        one.parameter.name: {
+            "value": one.value,
+            "sigma": one.sigma,
+            "unit": one.parameter.unit,
+            "decided": one.told.decided,
+            "confounded_with": ", ".join(one.told.confounded_with),
+            "detection_limit": one.detection_limit,
+            "probability": one.probability,
+            "said": one.sentence,
+        }
+        for one in found.estimates
+    }

@@ -1,0 +1,59 @@
+"""What is known of a machine as the record that a job keeps, and as the knowledge that the next pass begins with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from polishd.model.beliefs import Belief, MachineBeliefs
+from polishd.model.errors import ComputeError
+from polishd.process.identification.comparison import conditioned, without
+from polishd.process.identification.parameters import Knowledge, advanced, unlearned, usual_parameters
+
+
+def knowledge_of(beliefs: MachineBeliefs) -> Knowledge:
+    """As the next pass's prior; ComputeError where another polishd kept other parameters."""
+    known = unlearned(usual_parameters())
+    if not beliefs.mean:
+        return known
+    if tuple(beliefs.mean) != known.names:
+        raise ComputeError(
+            f"what was kept of the machine has the parameters {', '.join(beliefs.mean)}, and this polishd knows "
+            f"{', '.join(known.names)}: finish the job with the polishd that began it, or give job.id a new name"
+        )
+    return Knowledge(
+        known.parameters, np.array(list(beliefs.mean.values())), np.array(beliefs.covariance), dict(beliefs.odds)
+    )
+
+
+def beliefs_of(
+    learned: Knowledge, taken: Iterable[str], contact_h: float, rates: tuple[float, float]
+) -> MachineBeliefs:
+    """What is believed after a pass of so many hours in contact.
+
+    Args:
+        learned: by the pass.
+        taken: extensions that plans are to count with; the others' parameters are 0 then, and the rest follows.
+        contact_h: of the pass.
+        rates: least and largest rate that may be believed.
+    """
+    out = without(learned.parameters, frozenset(taken))
+    mean, covariance = conditioned(learned.mean, learned.covariance, out)
+    known = advanced(learned, contact_h)
+    plan = advanced(Knowledge(learned.parameters, mean, covariance), contact_h)
+    applied = {
+        p.name: float(value)
+        for p, value in zip(plan.parameters, plan.mean, strict=True)
+        if p.extension is not None and p.extension in taken
+    }
+    rate = plan.at("rate")
+    value = float(np.clip(np.exp(plan.mean[rate]), *rates))
+    return MachineBeliefs(
+        rate=Belief(value, value * float(plan.sigma[rate])),
+        applied=applied,
+        mean=dict(zip(known.names, known.mean.tolist(), strict=True)),
+        covariance=tuple(tuple(row) for row in known.covariance.tolist()),
+        odds=dict(known.odds),
+        pass_h=contact_h,
+    )
