@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from polishd.api import ComputeError, Effect, FloatArray, Grid, MachineBeliefs, Program, RemovalAnswer, RemovalRequest
+from polishd.api import ComputeError, Effect, Grid, MachineBeliefs, Program, RemovalAnswer, RemovalRequest
+from polishd.model.surface import FloatArray
 from polishd.process.compliance import depth_ratio
 from polishd.process.contact import contact_radius_mm, hertz_depth_mm
 from polishd.process.convolution import on_nodes
