@@ -19,7 +19,7 @@ from polishd.hookspecs import (
     learn_rate,
 )
 from polishd.model import events
-from polishd.model.beliefs import Belief, Beliefs, Evidence, Lesson, MachineBeliefs
+from polishd.model.beliefs import Belief, Beliefs, Evidence, Lesson, MachineBeliefs, MapPixels
 from polishd.model.concern import Concern, Severity, Standing
 from polishd.model.devices import (
     DeviceStatus,
@@ -140,6 +140,7 @@ __all__ = [
     "Loader",
     "LoaderTimes",
     "MachineBeliefs",
+    "MapPixels",
     "MeasuredCompliance",
     "MeasuredTif",
     "Metrology",

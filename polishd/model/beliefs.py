@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from polishd.model.surface import BoolArray, FloatArray
+from polishd.model.surface import BoolArray, FloatArray, Grid
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +50,16 @@ class MachineBeliefs(Beliefs):
 
 
 @dataclass(frozen=True, slots=True)
+class MapPixels:
+    """A map's own samples: a point p of the part is seen at ``R(rotation) p + shift`` from the middle of the map."""
+
+    grid: Grid
+    rotation_deg: float = 0.0
+    """Counter-clockwise."""
+    shift_mm: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
 class Evidence:
     """What a pass removed, for a removal model to learn from: the gate has found nothing wrong with it."""
 
@@ -73,6 +83,9 @@ class Evidence:
     executed."""
     noise_nm: float | None = None
     """Standard deviation of a sample of ``measured_nm`` by the instrument's repeatability; None: not known."""
+    pixels: MapPixels | None = None
+    """Of both maps: a sample of ``measured_nm`` is the mean of those that lie in its cell, by area. None: not known, or
+    not the same of both."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,6 +52,8 @@ class Measured:
     """What a person should know of how it was levelled, and of figures that are near to their limits."""
     judged: tuple[Judged, ...] = ()
     """Each line of the tolerance."""
+    map_grid: Grid | None = None
+    """The map's own samples; None: of a job of an earlier polishd."""
 
     @property
     def masks(self) -> Masks:
@@ -77,6 +79,7 @@ class Measured:
             "metric_mask": self.metric_mask,
             "pitch_mm": self.grid.pitch_mm,
             "lies": np.array([*self.registration.shift_mm, self.registration.rotation_deg]),
+            **({} if self.map_grid is None else {"map_grid": np.array([*self.map_grid.shape, self.map_grid.pitch_mm])}),
         }
 
     def files(self) -> dict[str, bytes]:
@@ -101,8 +104,13 @@ class Measured:
                 "height_nm": np.nan_to_num(height),
                 "solve_mask": np.asarray(arrays["solve_mask"], dtype=np.bool_),
                 "metric_mask": np.asarray(arrays["metric_mask"], dtype=np.bool_),
+                "map_grid": _grid(arrays.get("map_grid")),
             },
         )
+
+
+def _grid(stored: NDArray[Any] | None) -> Grid | None:
+    return None if stored is None else Grid(int(stored[0]), int(stored[1]), float(stored[2]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from polishd.hookspecs import RemovalAnswer, RemovalRequest
-from polishd.model.beliefs import Evidence
+from polishd.model.beliefs import Evidence, MapPixels
 from polishd.model.errors import ComputeError
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program, Segment
@@ -31,6 +31,8 @@ from polishd.recipe.records import CENTRED, Believed, Measured, Pass, Solved, Ta
 from polishd.recipe.showing import shown_by
 from polishd.recipe.staying import Staying
 
+ALIKE = 0.2
+"""Share of a map's sample by which the part may lie elsewhere in the next one, the samples being taken for the same."""
 ROUNDING = 1e-3
 """Of a share of samples: files keep a pitch in seven digits, and a rim must not move with the last of them."""
 
@@ -83,7 +85,17 @@ def condition(
     wanted = min((line.limit for line in recipe.lines if line.unit == "nm"), default=0.0)
     notes = (*alignment_notes(clean.height_nm, clear, recipe.part.alignment, wanted), *notes_of(judged))
     return Measured(
-        part.grid, height, part.solve_mask, part.metric_mask, stats, surface.sha256, lies, spikes, notes, judged
+        part.grid,
+        height,
+        part.solve_mask,
+        part.metric_mask,
+        stats,
+        surface.sha256,
+        lies,
+        spikes,
+        notes,
+        judged,
+        clean.grid,
     )
 
 
@@ -169,6 +181,7 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
         rates=(low, high),
         acted_s=done.acted_s,
         noise_nm=_change_noise_nm(recipe),
+        pixels=_pixels(done.before, done.after),
     )
     lesson = recipe.model.learn(request, evidence)
     if lesson.stop:
@@ -177,6 +190,17 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
     overhead = motion.learn_overhead_s(program, done.asked_s, done.executed_s, envelope)
     shown = shown_by(done, answer, predicted, verdict, believed.rate)
     return Taught(Believed(lesson.beliefs, overhead), verdict, grid, lesson.found, lesson.notes, shown)
+
+
+def _pixels(before: Measured, after: Measured) -> MapPixels | None:
+    """Of both maps, where the part lay alike in both."""
+    grid, lies, was = after.map_grid, after.registration, before.registration
+    if grid is None or before.map_grid != grid:
+        return None
+    turned_mm = np.radians(abs(lies.rotation_deg - was.rotation_deg)) * grid.pitch_mm * max(grid.shape) / 2
+    if lies.drift_mm(was) + turned_mm > ALIKE * grid.pitch_mm:
+        return None
+    return MapPixels(grid, lies.rotation_deg, lies.shift_mm)
 
 
 def _unknown(recipe: Recipe) -> metrics.Removal:

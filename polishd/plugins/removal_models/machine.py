@@ -7,19 +7,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from polishd.api import ComputeError, Evidence, Lesson, MachineBeliefs, RemovalRequest, learn_rate
+from polishd.api import ComputeError, Evidence, Grid, Lesson, MachineBeliefs, MapPixels, RemovalRequest, learn_rate
 from polishd.plugins.removal_models.along_path import path_of
 from polishd.process.dynamic_tif import lean_azimuth_rad
 from polishd.process.identification.beliefs import beliefs_of, knowledge_of
 from polishd.process.identification.decision import decide
 from polishd.process.identification.identify import Identified, identify
-from polishd.process.identification.passes import Blocks, Noise, Removed
-from polishd.process.spot import Spot
+from polishd.process.identification.passes import Blocks, Noise, Pixels, Removed
+from polishd.process.registration.record import Registration
+from polishd.process.registration.resampling import averaging
+from polishd.process.spot import HertzSpot, Spot
 
 NOISE_NM = 0.2
 """Of a change between maps where nobody says; what is left by the fit counts where it is more."""
 FINE = 1.25
 """Samples are this much of the spot's step apart, at most, or as fine as they are."""
+COARSE = 0.6
+"""Of the grid's pitch: a map's sample that counts with its own place and size."""
 BELIEVED = "believed"
 """The projection of the compliance that the cell is configured with."""
 
@@ -64,13 +68,21 @@ def _identified(
         path.spots.factor * share,
     )
     noise = Noise(NOISE_NM if evidence.noise_nm is None else evidence.noise_nm)
-    removed = Removed(request.grid, np.nan_to_num(evidence.measured_nm), evidence.mask, noise)
+    measured = np.nan_to_num(evidence.measured_nm)
+    removed = Removed(request.grid, measured, evidence.mask, noise, _pixels(evidence.pixels, request.grid))
     step = float(np.median(spot.step_mm(path.spots.depth_ratio)))
     odd = max(int(FINE * step / request.grid.pitch_mm) - 1, 0) // 2 * 2 + 1
+    prior = knowledge_of(beliefs, turns=not isinstance(spot, HertzSpot))
     return identify(
-        removed.coarser(odd), blocks, spot, request.process, knowledge_of(beliefs),
-        projection=BELIEVED, radius_mm=path.radius_mm,
-    )  # fmt: skip
+        removed.coarser(odd), blocks, spot, request.process, prior, projection=BELIEVED, radius_mm=path.radius_mm
+    )
+
+
+def _pixels(at: MapPixels | None, grid: Grid) -> Pixels | None:
+    """Where they are about as large as the grid's cells: of finer ones a mean is as good as one over the cell."""
+    if at is None or at.grid.pitch_mm < COARSE * grid.pitch_mm:
+        return None
+    return Pixels(at, averaging(at.grid, grid, Registration(at.rotation_deg, at.shift_mm)))
 
 
 def _table(found: Identified) -> dict[str, dict[str, float | str | bool]]:

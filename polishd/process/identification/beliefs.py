@@ -12,9 +12,9 @@ from polishd.process.identification.comparison import conditioned, without
 from polishd.process.identification.parameters import Knowledge, advanced, unlearned, usual_parameters
 
 
-def knowledge_of(beliefs: MachineBeliefs) -> Knowledge:
-    """As the next pass's prior; ComputeError where another polishd kept other parameters."""
-    known = unlearned(usual_parameters())
+def knowledge_of(beliefs: MachineBeliefs, *, turns: bool) -> Knowledge:
+    """As the next pass's prior (`usual_parameters`); ComputeError where another polishd kept other parameters."""
+    known = unlearned(usual_parameters(turns=turns))
     if not beliefs.mean:
         return known
     if tuple(beliefs.mean) != known.names:

@@ -13,12 +13,15 @@ from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.dynamic_tif import effect_columns
 from polishd.process.identification.acting import FIELD, Acting, WiderSpot, zernike_field
 from polishd.process.identification.parameters import ABERRATIONS, Parameter
-from polishd.process.identification.passes import Blocks
-from polishd.process.spot import Spot, turned
+from polishd.process.identification.passes import Blocks, Pixels
+from polishd.process.spot import HertzSpot, Spot, turned
 
 STEP = 0.2
 """Of the spot's own step (half the radius of its core): how far a spot is moved to either side for its slope. That is
 about a square of a spot's patch: over less than one a slope is that of the square, not of the spot."""
+FINE = 64
+"""Squares across a Hertz contact as it is laid. With a plan's 32 a pass of 10 nm RMS is off by 0.03 nm, which reads as
+6 % of compliance and 0.5 % of width; with these by 0.005. Slopes are multiplied by little: theirs are as coarse."""
 WIDTH_STEP = 0.04
 GAMMA_STEP = 1e-3
 TURN_STEP = float(np.radians(3.0))
@@ -62,6 +65,8 @@ class Forward:
     maps: FloatArray
     """(N, i) what the instrument may add, term by term."""
     projection: str
+    pixels: Pixels | None = None
+    """Of the maps, where a sample is a mean of them."""
 
     def values(self, theta: FloatArray) -> dict[str, float]:
         """By name; a parameter that is not fitted is 0."""
@@ -77,35 +82,49 @@ class Forward:
         return Acting(self.values(theta)).laid(middle, self.blocks.azimuth_rad)
 
     def matrix(self, theta: FloatArray, change: str | None = None, by: float = 0.0) -> scipy.sparse.csr_array:
-        """(N, n) nm/s of each block at these parameters' geometry, one thing of it changed."""
+        """(N, n) nm/s of each block at these parameters' geometry, one thing of it changed; for slopes."""
+        return self._matrix(self.spot, theta, change, by)
+
+    def fine_matrix(self, theta: FloatArray) -> scipy.sparse.csr_array:
+        """(N, n) nm/s of each block at these parameters' geometry."""
+        spot = replace(self.spot, squares=FINE) if isinstance(self.spot, HertzSpot) else self.spot
+        return self._matrix(spot, theta)
+
+    def _matrix(
+        self, spot: Spot, theta: FloatArray, change: str | None = None, by: float = 0.0
+    ) -> scipy.sparse.csr_array:
         changed = {name: by if name == change else 0.0 for name in SLOPES}
         acting, blocks = Acting(self.values(theta)), self.blocks
         start, azimuth = acting.laid(blocks.start_mm, blocks.azimuth_rad)
         end, _ = acting.laid(blocks.end_mm, blocks.azimuth_rad)
         off = np.array([changed["x"], changed["y"]])
+        ends, azimuth = (start + off, end + off), azimuth + changed["turn"]
+        grid, pixels, samples = self.grid, self.pixels, np.flatnonzero(self.mask)
+        if pixels is not None:
+            grid, azimuth = pixels.at.grid, azimuth + pixels.turn_rad
+            ends = (pixels.laid(ends[0]), pixels.laid(ends[1]))
         gamma = self.gamma(theta) * (1 + changed["gamma"])
         found = effect_columns(
-            self.grid,
-            WiderSpot(self.spot, float(np.exp(self.values(theta)["width"] + changed["width"]))),
-            (start + off, end + off),
-            azimuth + changed["turn"],
+            grid,
+            WiderSpot(spot, float(np.exp(self.values(theta)["width"] + changed["width"]))),
+            ends,
+            azimuth,
             depth_ratio=gamma,
             factor=np.ones_like(gamma),
         )
-        return scipy.sparse.csr_array(found[np.flatnonzero(self.mask)])
+        return scipy.sparse.csr_array(found[samples] if pixels is None else pixels.means[samples] @ found)
 
     def lay(self, theta: FloatArray, slopes: dict[str, scipy.sparse.csr_array] | None = None) -> Laid:
         """The effect at these parameters' geometry; with slopes from one near it, or its own by differences."""
-        base = self.matrix(theta)
         if slopes is None:
-            names = {p.name for p in self.parameters}
-            slopes = {kind: self._slope(theta, base, kind) for kind in SLOPES if names & _ASKED[kind]}
-        return Laid(theta, base, slopes)
+            names, at = {p.name for p in self.parameters}, self.matrix(theta)
+            slopes = {kind: self._slope(theta, at, kind) for kind in SLOPES if names & _ASKED[kind]}
+        return Laid(theta, self.fine_matrix(theta), slopes)
 
-    def _slope(self, theta: FloatArray, base: scipy.sparse.csr_array, kind: str) -> scipy.sparse.csr_array:
+    def _slope(self, theta: FloatArray, at: scipy.sparse.csr_array, kind: str) -> scipy.sparse.csr_array:
         if kind in ("gamma", "turn"):  # to one side: they bend little, and a matrix is what takes time
             by = {"gamma": GAMMA_STEP, "turn": TURN_STEP}[kind]
-            return scipy.sparse.csr_array((self.matrix(theta, kind, by) - base) / by)
+            return scipy.sparse.csr_array((self.matrix(theta, kind, by) - at) / by)
         by = WIDTH_STEP if kind == "width" else STEP * self._step_mm(theta)
         return scipy.sparse.csr_array((self.matrix(theta, kind, by) - self.matrix(theta, kind, -by)) / (2 * by))
 
@@ -234,6 +253,7 @@ def forward(
     parameters: tuple[Parameter, ...],
     projection: str,
     radius_mm: float,
+    pixels: Pixels | None = None,
 ) -> Forward:
     """The forward model of a pass; ``radius_mm`` of the circle about the part's origin that Zernike terms are over."""
     timed = blocks.time_s > 0
@@ -244,7 +264,7 @@ def forward(
     rows, columns = np.nonzero(mask)
     noll = [1 + ABERRATIONS.index(p.name) for p in parameters if p.name in ABERRATIONS]
     maps = zernike_field(noll, np.column_stack([grid.x_mm[columns], grid.y_mm[rows]]) / radius_mm).T
-    return Forward(grid, mask, spot, parameters, some, some.weight_s(process), waves, maps, projection)
+    return Forward(grid, mask, spot, parameters, some, some.weight_s(process), waves, maps, projection, pixels)
 
 
 def _only(blocks: Blocks, timed: BoolArray) -> Blocks:

@@ -146,6 +146,7 @@ def identify(
         parameters=prior.parameters,
         projection=projection,
         radius_mm=radius_mm,
+        pixels=removed.pixels,
     )
     data, by_projection, rejected = fit(model, removed, prior)
     odds = {name: prior.odds.get(name, 0.0) + one.log_evidence for name, one in by_projection.items()}

@@ -72,15 +72,22 @@ class Knowledge:
             raise KeyError(f"no parameter {name!r}; there are {', '.join(self.names)}") from None
 
 
-def usual_parameters(instrument: Iterable[str] = INSTRUMENT) -> tuple[Parameter, ...]:
-    """All of them, with the priors of docs/identification.md; ``instrument`` names what maps may differ by."""
+def usual_parameters(instrument: Iterable[str] = INSTRUMENT, *, turns: bool = True) -> tuple[Parameter, ...]:
+    """All of them, with the priors of docs/identification.md.
+
+    Args:
+        instrument: what maps may differ by.
+        turns: whether the spot has a shape that turns. A sphere's contact is round: its turn is an offset of what it
+            removes, and all else of it smaller than what laying it on samples costs.
+    """
+    turn = Parameter("turn", "deg", 5.0, "tool", 0.1, 0.1, "turn", "spot's turn about the normal")
     return (
         Parameter("rate", "1", 0.3, "tool", 0.02, 0.03, None, "removal rate, natural logarithm"),
         *_field(),
         Parameter("wear", "1/h", 0.5, "tool", 0.05, 0.0, "wear", "loss of rate an hour of contact"),
         Parameter("offset_x", "mm", 1.0, "tool", 0.01, 0.01, "offset", "spot's offset across the lean"),
         Parameter("offset_y", "mm", 1.0, "tool", 0.01, 0.01, "offset", "spot's offset along the lean"),
-        Parameter("turn", "deg", 5.0, "tool", 0.1, 0.1, "turn", "spot's turn about the normal"),
+        *((turn,) if turns else ()),
         Parameter("width", "1", 0.1, "tool", 0.01, 0.0, "width", "spot's width, natural logarithm"),
         Parameter("compliance", "1", 0.3, "cell", 0.005, 0.005, "compliance", "scale of the compliance, natural log."),
         Parameter("exponent", "1", 0.5, "cell", 0.0, 0.005, "exponent", "gamma's exponent, beside the spot's own"),

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
+from polishd.model.beliefs import MapPixels
 from polishd.model.errors import ComputeError
 from polishd.model.process import ToolProcess
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.contact import relative_removal
+from polishd.process.registration.record import Registration
+from polishd.process.registration.resampling import averaging
 from polishd.process.robot.refusal import refuse_where, require_number
 
 FEWEST = 50
@@ -74,6 +78,26 @@ class Noise:
 
 
 @dataclass(frozen=True, slots=True)
+class Pixels:
+    """The maps' own samples, and what was made of them."""
+
+    at: MapPixels
+    means: scipy.sparse.csr_array
+    """(ny * nx, pixels) of each sample of the removal, `registration.resampling.averaging`."""
+
+    def laid(self, place_mm: FloatArray) -> FloatArray:
+        """(n, 2) mm from the middle of the map, of places (n, 2) on the part."""
+        turn = self.turn_rad
+        rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])  # of rows
+        return np.asarray(place_mm @ rotation + self.at.shift_mm, dtype=np.float64)
+
+    @property
+    def turn_rad(self) -> float:
+        """Of the part in the map, counter-clockwise."""
+        return float(np.radians(self.at.rotation_deg))
+
+
+@dataclass(frozen=True, slots=True)
 class Removed:
     """What two maps say was removed."""
 
@@ -83,6 +107,8 @@ class Removed:
     mask: BoolArray
     """(ny, nx) where it counts and has data."""
     noise: Noise
+    pixels: Pixels | None = None
+    """None: each sample is the mean over its own cell."""
 
     def coarser(self, odd: int) -> Removed:
         """Means over squares of ``odd`` by ``odd`` samples, of which at least half have data; the middle stays."""
@@ -106,9 +132,12 @@ class Removed:
         cells = self.noise.cells(grid.pitch_mm)
         noise = Noise(self.noise.sigma_nm * min(1.0, np.sqrt(cells) / odd), self.noise.area_mm2)
         mask = count >= odd**2 / 2
-        return Removed(
-            Grid(ny, nx, grid.pitch_mm * odd), np.where(mask, total / np.maximum(count, 1), 0.0), mask, noise
-        )
+        coarse = Grid(ny, nx, grid.pitch_mm * odd)
+        pixels = self.pixels
+        if pixels is not None:
+            means = averaging(grid, coarse, Registration()) @ pixels.means
+            pixels = replace(pixels, means=scipy.sparse.csr_array(means))
+        return Removed(coarse, np.where(mask, total / np.maximum(count, 1), 0.0), mask, noise, pixels)
 
 
 def check_pass(blocks: Blocks, removed: Removed, projection: str) -> None:

@@ -47,6 +47,28 @@ def resample_registered(
     return np.where(enough, volume / np.where(enough, area, 1.0), np.nan)
 
 
+def averaging(source: Grid, target: Grid, registration: Registration) -> scipy.sparse.csr_array:
+    """`resample_registered` of a map with data everywhere, as a matrix (target.ny * target.nx, source.ny * source.nx).
+
+    Each row is a cell's mean over the pixels that it covers; the row of a cell that lies beyond the map is empty.
+    """
+    if abs(registration.rotation_deg) <= FLAT_DEG:
+        x, y = registration.shift_mm
+        rows = _overlap(source.ny, source.pitch_mm, target.ny, target.pitch_mm, y)
+        columns = _overlap(source.nx, source.pitch_mm, target.nx, target.pitch_mm, -x)
+        covered = scipy.sparse.csr_array(scipy.sparse.kron(rows, columns))
+    else:
+        everywhere = np.ones(source.shape, dtype=np.bool_)
+        shared = zip(*_shared(everywhere, source, target, registration), strict=True)
+        pixel, cell, area = (np.concatenate(part) for part in shared)
+        covered = scipy.sparse.csr_array(
+            scipy.sparse.coo_array((area, (cell, pixel)), shape=(target.ny * target.nx, source.ny * source.nx))
+        )
+    total = covered.sum(axis=1)
+    share = np.divide(1.0, total, out=np.zeros_like(total), where=total >= COVERED * target.pitch_mm**2 * (1 - 1e-9))
+    return scipy.sparse.csr_array(scipy.sparse.diags_array(share) @ covered)
+
+
 def _aligned(
     data: FloatArray, valid: BoolArray, source: Grid, target: Grid, placed: Registration
 ) -> tuple[FloatArray, FloatArray]:
@@ -70,11 +92,22 @@ def _overlap(
 def _turned(
     data: FloatArray, valid: BoolArray, source: Grid, target: Grid, placed: Registration
 ) -> tuple[FloatArray, FloatArray]:
+    height = data.ravel()
+    volume, area = np.zeros(target.ny * target.nx), np.zeros(target.ny * target.nx)
+    for pixel, cell, covered in _shared(valid, source, target, placed):
+        area += np.bincount(cell, covered, minlength=area.size)
+        volume += np.bincount(cell, covered * height[pixel], minlength=area.size)
+    return volume.reshape(target.shape), area.reshape(target.shape)
+
+
+def _shared(
+    valid: BoolArray, source: Grid, target: Grid, placed: Registration
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]]:
+    """(n,) pixel, cell and the area, mm2, that they share: piece by piece of the n valid pixels."""
     pieces = max(1, ceil(2 * source.pitch_mm / target.pitch_mm - 1e-9))
     side = source.pitch_mm / pieces
     row, column = np.nonzero(valid)
-    height = data[row, column]
-    volume, area = np.zeros(target.ny * target.nx), np.zeros(target.ny * target.nx)
+    pixel = row * source.nx + column
     inner = (np.arange(pieces) + 0.5) / pieces * source.pitch_mm - source.pitch_mm / 2
     turn = np.radians(placed.rotation_deg)
     for dx in inner:
@@ -84,9 +117,7 @@ def _turned(
             on_part_x = np.cos(turn) * x + np.sin(turn) * y
             on_part_y = -np.sin(turn) * x + np.cos(turn) * y
             for cell, covered in _cells(on_part_x, on_part_y, side, target):
-                area += np.bincount(cell, covered, minlength=area.size)
-                volume += np.bincount(cell, covered * height, minlength=area.size)
-    return volume.reshape(target.shape), area.reshape(target.shape)
+                yield pixel, cell, covered
 
 
 def _cells(x: FloatArray, y: FloatArray, side: float, target: Grid) -> Iterator[tuple[NDArray[np.int64], FloatArray]]:
