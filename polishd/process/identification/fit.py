@@ -11,7 +11,7 @@ from polishd.process.identification.parameters import Knowledge
 from polishd.process.identification.passes import Noise, Removed
 from polishd.process.identification.residual import NORMAL, outliers, own_noise, without_plane
 
-LAYING = 1e-3
+LAYING = 2e-3
 """Of the removal's standard deviation: by what spots of squares, laid on cells, miss the same spots summed exactly."""
 
 

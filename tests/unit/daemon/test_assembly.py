@@ -20,6 +20,7 @@ from polishd.daemon.lock import locked
 from polishd.daemon.priority import host
 from polishd.hooks.loader import Hooks, load_own, load_plugins
 from polishd.hookspecs import DeviceContext, DeviceType
+from polishd.model.beliefs import Beliefs, MachineBeliefs
 from polishd.model.errors import ConfigError, LinkError, ProgramError
 from polishd.model.surface import SurfaceMap
 from polishd.ports.devices import Device, ForceActuator, Robot, Spindle
@@ -108,6 +109,7 @@ def test_no_cross_check(configured: Any, hooks: Hooks) -> None:
     [
         ("program", "format", "rs247", "rs274"),
         ("process", "removal_model", "preston", "hertz_preston"),
+        ("process", "learns", "machin", "machine"),
         ("dwell", "solver", "newton", "newton_cg"),
         ("dwell", "cross_check", "pq", "qp"),
     ],
@@ -122,6 +124,13 @@ def test_what_no_plugin_serves_is_named(
     assert repr(name) in message
     assert says in message
     assert "cell.toml" in message
+
+
+@pytest.mark.parametrize(("learns", "believes"), [("rate", Beliefs), ("machine", MachineBeliefs)])
+def test_a_cell_says_how_its_model_learns(configured: Any, hooks: Hooks, learns: str, believes: type) -> None:
+    model = make_recipe(configured(process={"learns": learns}), hooks).model
+    assert type(model.beliefs) is believes
+    assert pickle.loads(pickle.dumps(model)) == model, "it goes to the worker"
 
 
 def test_a_plugin_that_is_not_loaded_serves_nothing(configured: Any) -> None:

@@ -12,6 +12,7 @@ from polishd.model.instrument import Instrument
 from polishd.model.outline import Circle
 from polishd.model.surface import Grid, SurfaceMap
 from polishd.process.registration import Registration, marks, outline, register, resample_registered
+from polishd.process.registration.resampling import averaging
 from tests.unit.process.placed_parts import MARKS_MM, disc, on_part, punched, seen_px
 
 GRID = Grid(432, 425, 0.25)
@@ -235,6 +236,20 @@ def test_a_turn_and_its_limit_of_no_turn_agree() -> None:
     both = np.isfinite(still) & np.isfinite(nearly)
     assert (np.isfinite(still) != np.isfinite(nearly)).sum() <= 2
     np.testing.assert_allclose(nearly[both], still[both], atol=1e-3)
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 2.0])
+@pytest.mark.parametrize("pitch_mm", [0.7, 1.0])
+def test_the_means_as_a_matrix_are_those_of_a_full_map(turn_deg: float, pitch_mm: float) -> None:
+    source, target, placed = Grid(61, 50, pitch_mm), Grid(70, 66, 0.8), Registration(turn_deg, (0.31, -0.77))
+    height = np.random.default_rng(3).normal(size=source.shape)
+    want = resample_registered(height, source, target, placed)
+    means = averaging(source, target, placed)
+    got = (means @ height.ravel()).reshape(target.shape)
+    has = np.isfinite(want)
+    assert 0 < has.sum() < has.size, "the map does not cover all of the grid"
+    np.testing.assert_allclose(got[has], want[has], atol=1e-12)
+    np.testing.assert_array_equal(got[~has], 0.0)
 
 
 def test_cells_with_little_data_have_none() -> None:

@@ -48,6 +48,15 @@ def test_each_square_holds_what_a_fine_sum_over_it_holds() -> None:
     assert np.abs(got - want).max() < 1e-3 * want.max()
 
 
+def test_finer_squares_are_of_the_same_spot() -> None:
+    depth, azimuth = np.array([0.85]), np.array([0.7])
+    coarse, fine = (HertzSpot(PAPER, n).patch(depth, azimuth)[0] for n in (PATCH, 2 * PATCH))
+    assert fine.shape == (2 * PATCH, 2 * PATCH)
+    whole = fine.reshape(PATCH, 2, PATCH, 2).sum(axis=(1, 3))
+    assert abs(whole - coarse).max() < 1e-3 * coarse.max()
+    assert fine.sum() == pytest.approx(coarse.sum(), rel=1e-12)
+
+
 @pytest.mark.parametrize("azimuth", [0.0, 1.0, 2.5, -2.0])
 def test_the_centre_of_removal_lies_where_the_spindle_leans(azimuth: float) -> None:
     radius = float(contact.contact_radius_mm(PAPER, DEPTH))

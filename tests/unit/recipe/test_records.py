@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from polishd.hookspecs import RemovalModel
-from polishd.model.beliefs import Belief, Beliefs
+from polishd.model.beliefs import Belief, Beliefs, MachineBeliefs, MapPixels
 from polishd.model.errors import ComputeError
 from polishd.model.program import Program
+from polishd.model.surface import Grid
 from polishd.process.registration.record import Registration
 from polishd.recipe import dwell_step, steps
 from polishd.recipe.encoding import npz
@@ -84,8 +85,10 @@ def test_a_measurement_of_an_earlier_job_knows_where_the_part_lay(measured: Meas
     again = Measured.load(arrays, facts, "aperture")
     assert again.registration == Registration(0.1, (0.3, -0.2), by="aperture")
     assert (again.sha256, again.spikes, again.notes) == ("abc", 0, ())
-    del arrays["lies"]
+    assert again.map_grid == measured.map_grid
+    del arrays["lies"], arrays["map_grid"]
     assert Measured.load(arrays, facts, "none").registration == Registration()
+    assert Measured.load(arrays, facts, "none").map_grid is None
 
 
 def test_a_plan(planned: Planned) -> None:
@@ -151,6 +154,68 @@ def test_a_model_of_somebody_else_is_asked_with_its_own_beliefs_and_learns(
     assert set(asked) == {Worn()}
     assert taught.believed.rate == pytest.approx(0.9, rel=1e-3)
     assert taught.believed.facts()["removal"]["wear"]["value"] == pytest.approx(solved.expected_s.sum())
+
+
+@pytest.mark.parametrize(
+    ("then", "alike"),
+    [
+        ({}, True),
+        ({"registration": replace(LIES, shift_mm=(0.305, -0.2))}, True),
+        ({"registration": replace(LIES, shift_mm=(0.9, -0.2))}, False),
+        ({"registration": replace(LIES, rotation_deg=2.0)}, False),
+        ({"map_grid": None}, False),
+        ({"map_grid": Grid(70, 70, 0.9)}, False),
+    ],
+)
+def test_a_model_is_told_which_samples_the_maps_had(
+    program: Program, measured: Measured, solved: Solved, then: dict[str, Any], alike: bool
+) -> None:
+    from polishd.api import Evidence, Lesson, RemovalRequest, learn_rate
+
+    heard: list[Evidence] = []
+
+    def learn(request: RemovalRequest, evidence: Evidence) -> Lesson:
+        heard.append(evidence)
+        return learn_rate(request, evidence)
+
+    recipe = small_recipe(model=RemovalModel("hears", gaussian_effect, learn=learn))
+    removal = steps.effect_of(recipe, program, measured.grid).removal_nm(solved.expected_s)
+    after = replace(measured, height_nm=measured.height_nm - removal, **then)
+    done = Pass(measured, after, solved.asked_s, solved.expected_s)
+    steps.learn(recipe, program, done, steps.believed_at_first(recipe))
+    grid = small_map().grid
+    lies = after.registration
+    assert heard[0].pixels == (MapPixels(grid, lies.rotation_deg, lies.shift_mm) if alike else None)
+
+
+def test_what_a_model_will_not_go_on_after_stops_and_teaches_nothing(
+    program: Program, measured: Measured, solved: Solved
+) -> None:
+    from polishd.api import Evidence, Lesson, RemovalRequest, learn_rate
+
+    def learn(request: RemovalRequest, evidence: Evidence) -> Lesson:
+        return replace(learn_rate(request, evidence), stop="the spot is 3 mm off", notes=("look at the tool",))
+
+    recipe = small_recipe(model=RemovalModel("stops", gaussian_effect, learn=learn))
+    removal = steps.effect_of(recipe, program, measured.grid).removal_nm(solved.expected_s)
+    after = replace(measured, height_nm=measured.height_nm - 0.9 * removal)
+    believed = steps.believed_at_first(recipe)
+    taught = steps.learn(recipe, program, Pass(measured, after, solved.asked_s, solved.expected_s), believed)
+    assert taught.verdict.stop == "the spot is 3 mm off"
+    assert taught.believed == believed
+    assert taught.notes == ("look at the tool",)
+
+
+def test_what_is_known_of_a_machine_is_kept() -> None:
+    removal = MachineBeliefs(
+        Belief(0.93, 0.02),
+        applied={"width": 0.03},
+        mean={"rate": -0.07, "width": 0.03},
+        covariance=((4e-4, 1e-5), (1e-5, 1e-6)),
+        odds={"believed": 0.0},
+        pass_h=0.2,
+    )
+    assert Believed.load(journalled(Believed(removal).facts()), MachineBeliefs()) == Believed(removal)
 
 
 def test_a_summary_says_what_was_measured_and_planned(measured: Measured, planned: Planned) -> None:

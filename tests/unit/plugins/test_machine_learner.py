@@ -1,0 +1,140 @@
+"""What a pass's maps teach of the machine: the learner ``machine``, from evidence to beliefs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from polishd.api import Evidence, Grid, Lesson, MachineBeliefs, MapPixels, Program, RemovalRequest
+from polishd.model.surface import FloatArray
+from polishd.plugins.removal_models import hertz_spot
+from polishd.plugins.removal_models.machine import learn_machine
+from polishd.process.dynamic_tif import effect_columns, lean_azimuth_rad
+from polishd.process.identification.acting import Acting
+from polishd.process.path_compliance import path_compliance
+from polishd.process.registration import Registration, resample_registered
+from polishd.process.spot import HertzSpot
+from tests.unit.plugins.test_removal_models import request
+
+HALF_MM = 16.0
+STEP_MM = 0.93
+GRID = Grid(72, 72, 0.5)
+NOISE_NM = 0.1
+
+
+def raster() -> Program:
+    """Lines along x with the spindle leaning inward, 0.93 mm apart: nearly two samples."""
+    lines = np.arange(-HALF_MM, HALF_MM, STEP_MM)
+    along = np.arange(-HALF_MM, HALF_MM, 1.0)
+    x, y = (v.ravel() for v in np.meshgrid(along, lines))
+    start = np.column_stack([x, y, np.zeros(x.size)])
+    one, index = request().program, np.arange(x.size)
+    end = start + np.array([1.0, 0.0, 0.0])
+    axis = np.tile(one.axis[0], (x.size, 1))
+    return replace(one, line=index + 1, block=index, start_mm=start, end_mm=end, axis=axis, time_s=np.ones(x.size))
+
+
+def asked(learned: MachineBeliefs | None = None) -> RemovalRequest:
+    return request(program=raster(), grid=GRID, beliefs=learned or MachineBeliefs())
+
+
+@cache
+def dwell_s() -> FloatArray:
+    """(n,) as a solved dwell varies, over some millimetres."""
+    x, y, _ = raster().end_mm.T
+    return 0.3 * np.asarray(0.2 + 0.06 * np.sin(x / 3) * np.cos(y / 4) + 0.04 * np.cos(np.hypot(x - 4, y) / 2))
+
+
+@cache
+def seen(at: MapPixels, **truth: float) -> FloatArray:
+    """(ny, nx) nm: the removal by squares finer than the learner's, on a map's own samples, brought to the grid."""
+    program, acting = raster(), Acting(truth)
+    ask = asked()
+    gamma = 1 - _compliance(ask) * ask.process.force_n / np.cos(np.radians(15.0)) / 0.14834891
+    turn = np.radians(at.rotation_deg)
+    rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    lean = lean_azimuth_rad(program)
+    ends = [acting.laid(end[:, :2], lean)[0] @ rotation + at.shift_mm for end in (program.start_mm, program.end_mm)]
+    depth = acting.sunk(gamma)
+    hours = np.cumsum(dwell_s()) / 3600
+    columns = effect_columns(
+        at.grid,
+        acting.spot(HertzSpot(ask.process, 128)),
+        (ends[0], ends[1]),
+        lean + turn,
+        depth_ratio=depth,
+        factor=np.exp(acting.log_rate(depth, hours)),
+    )
+    removed = np.asarray(columns @ dwell_s()).reshape(at.grid.shape)
+    noise = np.random.default_rng(5).normal(0.0, NOISE_NM, at.grid.shape)
+    return resample_registered(removed + noise, at.grid, GRID, Registration(at.rotation_deg, at.shift_mm))
+
+
+def _compliance(ask: RemovalRequest) -> FloatArray:
+    path = path_compliance(ask.program, ask.process, ask.robot, ask.placement, options=ask.options, optic=ask.optic)
+    return path.compliance_mm_per_n
+
+
+def taught(at: MapPixels, told: bool = True, **truth: float) -> Lesson:
+    """What the learner makes of a pass of which this is true."""
+    removal = seen(at, **truth)
+    mask = GRID.radius_mm() < 13.0
+    evidence = Evidence(
+        beliefs=MachineBeliefs(),
+        executed_s=dwell_s(),
+        predicted_nm=np.where(mask, removal, np.nan),
+        measured_nm=np.where(mask, removal - removal[mask].mean(), np.nan),
+        mask=mask,
+        pitch_mm=GRID.pitch_mm,
+        tells_rate=True,
+        rates=(0.6, 1.4),
+        noise_nm=NOISE_NM,
+        pixels=at if told else None,
+    )
+    return learn_machine(asked(), evidence, hertz_spot)
+
+
+def off(lesson: Lesson, name: str, true: float = 0.0) -> float:
+    """By how many of its standard errors a parameter is found off."""
+    found: dict[str, Any] = lesson.found["parameters"][name]
+    return abs(found["value"] - true) / found["sigma"]
+
+
+HALF_A_SAMPLE = MapPixels(Grid(71, 71, 0.5))
+
+
+def test_a_machine_as_it_is_configured_is_found_so_and_a_round_contact_does_not_turn() -> None:
+    lesson = taught(HALF_A_SAMPLE)
+    assert lesson.stop == ""
+    assert isinstance(lesson.beliefs, MachineBeliefs)
+    assert dict(lesson.beliefs.applied) == {}
+    assert lesson.beliefs.rate.value == pytest.approx(1.0, abs=0.1)
+    for name in ("width", "compliance", "offset_x", "offset_y", "wear"):
+        assert off(lesson, name) < 4, name
+    assert "turn" not in lesson.found["parameters"]
+    assert "turn" not in lesson.beliefs.mean
+
+
+@pytest.mark.full
+def test_a_wider_spot_is_found_and_taken() -> None:
+    lesson = taught(HALF_A_SAMPLE, width=0.05)
+    assert off(lesson, "width", 0.05) < 4
+    assert lesson.beliefs.applied == {"width": pytest.approx(0.05, abs=0.01)}
+    assert any(note.startswith("width of 0.05") for note in lesson.notes)
+
+
+@pytest.mark.full
+def test_a_map_that_was_turned_is_read_on_its_own_samples() -> None:
+    lesson = taught(MapPixels(Grid(75, 75, 0.5), 3.0, (0.2, -0.1)), width=0.05)
+    assert off(lesson, "width", 0.05) < 4
+    assert off(lesson, "rotation") < 4
+
+
+@pytest.mark.full
+def test_who_does_not_know_the_samples_takes_their_smear_for_the_spots() -> None:
+    lesson = taught(HALF_A_SAMPLE, told=False)
+    assert min(off(lesson, "width"), off(lesson, "compliance")) > 4
