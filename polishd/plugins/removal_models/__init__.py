@@ -6,11 +6,12 @@ Both believe in the removal rate and learn it; or, with ``process.learns = "mach
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 from polishd.api import (
     ComputeError,
+    Evidence,
     Learner,
+    Lesson,
     MachineBeliefs,
     RemovalAnswer,
     RemovalModel,
@@ -53,13 +54,19 @@ def measured_tif(request: RemovalRequest) -> RemovalAnswer:
     return effect_along_path(request, *measured_spot_of(request))
 
 
+def _identify_hertz(request: RemovalRequest, evidence: Evidence) -> Lesson:
+    return learn_machine(request, evidence, hertz_spot)
+
+
+def _identify_measured(request: RemovalRequest, evidence: Evidence) -> Lesson:
+    return learn_machine(request, evidence, measured_spot_of)
+
+
 @hookimpl
 def polishd_removal_models() -> Sequence[RemovalModel]:
     """Declare both."""
-    both = ((hertz_preston, hertz_spot), (measured_tif, measured_spot_of))
+    both = ((hertz_preston, _identify_hertz), (measured_tif, _identify_measured))
     return [
-        RemovalModel(
-            model.__name__, model, learners={"machine": Learner(MachineBeliefs(), partial(learn_machine, spot_of=spot))}
-        )
-        for model, spot in both
+        RemovalModel(effect.__name__, effect, learners={"machine": Learner(MachineBeliefs(), learn)})
+        for effect, learn in both
     ]
