@@ -69,7 +69,7 @@ def run_loops(study: LoopStudy, tell: Callable[[str], None], *, seeds: int | Non
         with study.blame(f"loops.{name}"):
             _loop(study, name)
     plant, _ = parse_toml(study.resolve(study.plant))
-    plants = {name: _laid(plant, scenario) for name, scenario in scenarios.items()}
+    plants = {name: laid_over(plant, scenario) for name, scenario in scenarios.items()}
     numbers = range(study.first_seed, study.first_seed + (seeds or study.seeds))
     cases = [(scenario, loop, seed) for seed in numbers for scenario in scenarios for loop in study.loops]
     runs: list[Run] = []
@@ -81,7 +81,7 @@ def run_loops(study: LoopStudy, tell: Callable[[str], None], *, seeds: int | Non
     return Looped(tuple(runs), tuple(_rows(runs, scenarios)))
 
 
-def _laid(plant: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
+def laid_over(plant: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
     """SIM.toml's sections with a scenario's laid over them; what a plant without wires has no use for is left out."""
     whole = deepcopy(dict(plant))
     whole.pop("fault", None)

@@ -11,10 +11,12 @@ from pathlib import Path
 import pytest
 import typer
 
+from polishd.config.document import parse_toml
+from polishd.config.loop_study import LoopStudy
 from polishd.config.study import load_study
 from polishd.model.errors import ComputeError, ConfigError, PolishdError
 from polishd.workbench.studies import plant_process
-from polishd.workbench.studies.loops import Looped, run_loops
+from polishd.workbench.studies.loops import Looped, laid_over, run_loops
 from polishd.workbench.studies.options import StudyOptions
 from polishd.workbench.studies.plant_process import PlantProcess
 from polishd.workbench.studies.verb import study_verb
@@ -127,6 +129,20 @@ def test_a_folder_without_scenarios_and_an_unknown_section_of_the_plant(tmp_path
     (tmp_path / "wrong" / "odd.toml").write_text('what = "x"\n[plan.truth]\nrate = [0.0, 0.0]\n')
     with pytest.raises(ConfigError, match=r"odd\.toml:1: plan.*plant"):
         looped(path, 1)
+
+
+def test_every_shipped_scenario_is_another_plant() -> None:
+    study = load_study(EXAMPLES / "scenarios.toml")
+    assert isinstance(study, LoopStudy)
+    sections, _ = parse_toml(EXAMPLES / "sim.toml")
+    drawn: dict[str, str] = {}
+    with PlantProcess() as plant:
+        for name, scenario in study.all_scenarios().items():
+            plant.new(laid_over(sections, scenario), 1)
+            told, _ = plant.truth()
+            drawn[name] = json.dumps([told["machines"], told["effects"], scenario.plant.get("truth", {}).get("worn")])
+    assert "nothing" in drawn
+    assert len(drawn) == len(set(drawn.values())) > 10
 
 
 def test_limit_and_jobs_go_with_loops_only() -> None:
