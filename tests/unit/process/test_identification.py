@@ -93,6 +93,7 @@ def normalised(one: Polished, names: str, seeds: range, share: float = 0.3) -> n
     return np.array(errors)
 
 
+@pytest.mark.full
 def test_errors_are_as_large_as_stated() -> None:
     errors = normalised(polished(), "offset compliance", range(5))
     assert 0.4 < (errors**2).mean() < 1.9  # of 35 normal squares: 4 standard deviations either way
@@ -172,11 +173,12 @@ def test_the_derivatives_are_those_of_the_removal() -> None:
     for k, parameter in enumerate(all_parameters()):
         by = np.zeros(len(theta))
         by[k] = {"deg": 3.0, "mm": 0.15}.get(parameter.unit, 0.04 if parameter.name == "width" else 0.002)
-        high, low = (model.removal_nm(at, model.lay(at)) for at in (theta + by, theta - by))
+        high, low = (model.removal_nm(at, model.lay(at, {})) for at in (theta + by, theta - by))
         slope = (high - low) / (2 * by[k])
         assert np.linalg.norm(columns[:, k] - slope) < 0.06 * np.linalg.norm(slope), parameter.name
 
 
+@pytest.mark.full
 def test_the_projection_that_fits_is_found() -> None:
     one = polished(gamma_span=0.3)
     other = 0.85 + 0.1 * np.cos(one.place[:, 0] / 4) * np.sin(one.place[:, 1] / 6)
