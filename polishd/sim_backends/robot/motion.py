@@ -129,9 +129,9 @@ class Motion:
         if self._lift is not None:
             end = max(end, self._lift.end_s)
         self.process_s = min(now, end)
-        reached = legs.reached(self.process_s)
-        self._witness(legs, reached, since)
+        reached, first = legs.reached(self.process_s), self._leg
         self._complete(legs, reached)
+        self._witness(legs, (first, reached), since)
         if now >= end and reached > legs.stop:
             self._stop()
 
@@ -157,10 +157,10 @@ class Motion:
         self._legs = plan(self.path, self._cursor, self.process_s, self.until)
         self._leg, self._stale = 0, False
 
-    def _witness(self, legs: Legs, reached: int, since: float) -> None:
+    def _witness(self, legs: Legs, run: tuple[int, int], since: float) -> None:
         if self.process_s <= since:
             return
-        cut = rows(self.path, legs, self._leg, reached, (since, self.process_s))
+        cut = rows(self.path, legs, *run, (since, self.process_s))
         if self._lift is not None:
             cut = self._off_the_path(cut, since)
         if not len(cut):
@@ -176,8 +176,7 @@ class Motion:
             return cut
         stood = float(cut[-1, 2]) if len(cut) else since
         if stood < self.process_s:
-            # the block that it stands in: the cursor may be behind where much has passed since it was last looked at
-            block = int(cut[-1, 0]) if len(cut) else min(self._cursor.block, max(self.path.blocks - 1, 0))
+            block = min(self._cursor.block, max(self.path.blocks - 1, 0))
             cut = np.vstack([cut.reshape(-1, 8), lift.standing(block, self._where(), stood, self.process_s)])
         return np.column_stack([cut[:, :3], lift.poses(cut[:, 3:], cut[:, 1:3].mean(axis=1))])
 

@@ -13,10 +13,11 @@ import re
 import socket
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from polishd.console.demo_files import with_values
 from polishd.console.simulator import simulated_cell
@@ -78,6 +79,18 @@ class Attack:
     share: int
     kills: bool = True
     stands_s: float = STANDS_S
+
+
+def moved_since(events: Sequence[Mapping[str, Any]], since_s: float) -> list[Mapping[str, Any]]:
+    """What moved or pressed after that time, but for the end of a landing that was ordered before it."""
+    moved, landing = [], False
+    for event in events:
+        name, after = event["event"], event["mono_s"] > since_s
+        if (after and name in {"motion_started", "engage"}) or (after and name == "force_on" and not landing):
+            moved.append(event)
+        if name in {"engage", "force_on", "tool_lifted", "retract"}:
+            landing = name == "engage" and not after
+    return moved
 
 
 class Campaign:
@@ -151,9 +164,7 @@ class Campaign:
 
     def _require_still(self, since_s: float) -> None:
         """By the time of what happened: the plant writes late what every device has vouched for."""
-        moving = {"motion_started", "force_on", "engage"}
-        moved = [e for e in self.site.log.look() if e["event"] in moving and e["mono_s"] > since_s]
-        if moved:
+        if moved := moved_since(self.site.log.look(), since_s):
             self.count.wrong("not_held", f"attack {self._number}: {moved[0]}")
 
     def until_contact(self) -> None:

@@ -133,3 +133,16 @@ def _recorded(site: Site) -> int:
     with contextlib.suppress(sqlite3.OperationalError), contextlib.closing(site.journal()) as journal:
         return int(journal.execute("SELECT count(*) FROM segment WHERE touched").fetchone()[0])
     return 0
+
+
+def test_a_landing_that_was_ordered_before_a_start_is_not_its_own() -> None:
+    def found(*names: str) -> list[str]:
+        events = [{"event": name, "mono_s": float(at)} for at, name in enumerate(names)]
+        return [event["event"] for event in kills.moved_since(events, since_s=0.5)]
+
+    assert found("engage", "force_on", "tool_lifted", "retract") == []
+    assert found("engage", "force_on", "force_on") == ["force_on"]  # nobody had ordered the second one
+    assert found("engage", "tool_lifted", "force_on") == ["force_on"]
+    assert found("retract", "force_on") == ["force_on"]
+    assert found("engage", "engage", "force_on") == ["engage", "force_on"]
+    assert found("engage", "force_on", "motion_started") == ["motion_started"]

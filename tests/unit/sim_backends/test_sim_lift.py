@@ -54,6 +54,21 @@ def test_who_looks_late_books_the_lift_to_the_block_that_it_stands_in() -> None:
     assert (np.diff(blocks) >= 0).all()
 
 
+def test_a_block_that_is_done_as_the_path_ends_has_no_more_than_its_own_time() -> None:
+    motion = loaded([PATH[0], "X20 F1200", "Y20", "X0"])
+    wall = 0.0
+    while motion._cursor.block == 0 or motion._cursor.done_mm < 19.85:  # it brakes for the corner
+        motion.advance(wall := wall + 0.001)
+    motion.lift(wall, 15.0)
+    motion.advance(wall + 1.0)
+    rows = np.concatenate(motion.rows)
+    done = {seq: until_s - from_s for seq, from_s, until_s in motion.executed}
+    assert sorted(done) == [0, 1], "braking ends where the corner is"
+    booked = {seq: rows[rows[:, 0] == seq, 3].sum() for seq in (0, 1, 2)}
+    assert [booked[0], booked[1]] == pytest.approx([done[0], done[1]], abs=1e-9)
+    assert booked[2] > 0.1, "the lift is the next one's, which nobody calls executed"
+
+
 def test_it_is_off_within_a_tenth_of_a_second() -> None:
     lift = Lift(0.0, 15.0, 1000.0, 100.0)
     assert lift.offset_mm(np.array([0.1]))[0] == pytest.approx(5.0)
