@@ -48,6 +48,7 @@ def test_the_example_loads(path: Path) -> None:
     from polishd.config.cell import load_config  # not at the top: the rules should run while this does not
     from polishd.config.device_file import load_device_profile
     from polishd.config.job_file import JobFile
+    from polishd.config.loop_study import load_scenario
     from polishd.config.profile import load_profile
     from polishd.config.study import load_study
 
@@ -57,6 +58,9 @@ def test_the_example_loads(path: Path) -> None:
         return
     if {"modbus", "lines"} & keys:
         load_device_profile(path)
+        return
+    if "what" in keys:
+        load_scenario(path)
         return
     load = load_study if "kind" in keys else load_profile if "artefact" in keys else load_config
     load(path)

@@ -16,7 +16,7 @@ from polishd.hooks.cell import plugins_of
 from polishd.hookspecs import RemovalAnswer, RemovalModel, RemovalRequest
 from polishd.model.cycle import Outcome
 from polishd.model.errors import ComputeError, PlanRefused, PolishdError
-from polishd.model.finding import Finding, Series, Shown
+from polishd.model.finding import Finding, Series
 from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.model.tolerance import holds
@@ -30,7 +30,7 @@ from polishd.recipe import dwell_step, steps
 from polishd.recipe.dwell_step import require_certificate
 from polishd.recipe.making import make_recipe
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved
+from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved, Taught
 from polishd.workbench.programs.own_raster import own_program
 from polishd.workbench.studies.plant_process import PlantProcess
 
@@ -88,9 +88,12 @@ class _Account:
     true_fits: bool = False
 
 
-class _Ended(Exception):
-    def __init__(self, how: str, why: str = "") -> None:
-        self.how, self.why = how, why
+@dataclass(frozen=True, slots=True)
+class _Ended:
+    """How a job ended."""
+
+    how: str
+    why: str = ""
 
 
 class ClosedLoop:
@@ -114,10 +117,7 @@ class ClosedLoop:
         """One job, from its first map to its end, on the plant as it was drawn."""
         begun_s, account = time.process_time(), _Account()
         try:
-            self._polish(plant, account)
-            ended = _Ended(Outcome.CYCLES_USED.value)
-        except _Ended as how:
-            ended = how
+            ended = self._polish(plant, account)
         except PolishdError as error:
             ended = _Ended(ERROR, f"{type(error).__name__}: {error}")
         return Run(
@@ -135,25 +135,29 @@ class ClosedLoop:
             time.process_time() - begun_s,
         )
 
-    def _polish(self, plant: PlantProcess, account: _Account) -> None:
+    def _polish(self, plant: PlantProcess, account: _Account) -> _Ended:
         """As the daemon's cycle (``polishd.daemon.cycle``): measure, learn, judge, solve, plan, run."""
         recipe, program = self._recipe, self._program
         believed, series, shown = steps.believed_at_first(recipe), Series(""), []
         before: Measured | None = None
         last: tuple[Planned, FloatArray, FloatArray] | None = None
-        for cycle in range(self.passes + 1):
+        while True:
             surface = self._measured(plant, before, account)
             found: tuple[Finding, ...] = ()
             if before is not None and last is not None:
-                believed, seen = self._learned(before, surface, last, believed, account)
-                if seen is not None:
-                    shown.append(seen)
-                    series = followed(series, seen)
+                taught = self._taught(before, surface, last, believed)
+                if taught.verdict.stop:
+                    account.named.append(_stopped_by(taught.verdict))
+                    return _Ended(GATE, taught.verdict.stop)
+                believed = taught.believed
+                if taught.shown is not None:
+                    shown.append(taught.shown)
+                    series = followed(series, taught.shown)
                     found = findings(series, shown, recipe.finding)
                     account.named += [one.kind for one in found if one.kind not in account.named]
-            _judge(surface, account, found)
-            if cycle == self.passes:
-                return
+            ended = _judged(surface, account, found)
+            if ended is not None or len(account.rms_nm) > self.passes:
+                return ended or _Ended(Outcome.CYCLES_USED.value)
             solved = dwell_step.solve(recipe, program, surface, believed, None if last is None else last[0].kept)
             require_certificate(solved.dwell.certificate, recipe)
             plan = steps.rewrite(recipe, program, solved, program.name)
@@ -177,22 +181,13 @@ class ClosedLoop:
         name = hashlib.sha256(height_nm.tobytes() + bytes([number % 256])).hexdigest()
         return SurfaceMap(height_nm, pitch_mm, part_id=self.config.part.id, sha256=name)
 
-    def _learned(
-        self,
-        before: Measured,
-        after: Measured,
-        last: tuple[Planned, FloatArray, FloatArray],
-        believed: Believed,
-        account: _Account,
-    ) -> tuple[Believed, Shown | None]:
+    def _taught(
+        self, before: Measured, after: Measured, last: tuple[Planned, FloatArray, FloatArray], believed: Believed
+    ) -> Taught:
         planned, executed_s, acting_s = last
         expected_nm = planned.certificate.predicted_rms_nm
         done = Pass(before, after, planned.asked_s, executed_s, acting_s, predicted_rms_nm=expected_nm)
-        taught = steps.learn(self._recipe, self._program, done, believed)
-        if taught.verdict.stop:
-            account.named.append(_stopped_by(taught.verdict))
-            raise _Ended(GATE, taught.verdict.stop)
-        return taught.believed, taught.shown
+        return steps.learn(self._recipe, self._program, done, believed)
 
     def _planned(self, plan: Plan, solved: Solved) -> Planned:
         vetoes = [*steps.violations(self._recipe, plan), *self._hooks.check_plan(plan, self._recipe.envelope)]
@@ -229,16 +224,17 @@ def _remembering(model: RemovalModel) -> RemovalModel:
     return replace(model, effect=effect)
 
 
-def _judge(surface: Measured, account: _Account, found: tuple[Finding, ...]) -> None:
-    """Leave the loop where the daemon's job ends."""
+def _judged(surface: Measured, account: _Account, found: tuple[Finding, ...]) -> _Ended | None:
+    """Where the daemon's job would end, and None where it would go on."""
     if holds(surface.judged):
-        raise _Ended(Outcome.IN_TOLERANCE.value)
+        return _Ended(Outcome.IN_TOLERANCE.value)
     if diverged(account.rms_nm[:-1], surface.figure_nm):
-        raise _Ended(Outcome.DIVERGED.value)
+        return _Ended(Outcome.DIVERGED.value)
     if any(one.kind == "stall" for one in found):
-        raise _Ended(Outcome.STALLED.value)
+        return _Ended(Outcome.STALLED.value)
     if of_tool := [one.what for one in found if one.stops == "cell"]:
-        raise _Ended(TOOL, "; ".join(of_tool))
+        return _Ended(TOOL, "; ".join(of_tool))
+    return None
 
 
 def _stopped_by(verdict: Verdict) -> str:
