@@ -15,6 +15,7 @@ from polishd.config.process import HybridSection, KinematicsSection
 from polishd.config.robots import robot_of
 from polishd.config.simulator_effects import Effects
 from polishd.config.simulator_faults import FRAMES, STATES, Fault
+from polishd.config.simulator_instrument import InstrumentErrors
 from polishd.config.simulator_plant import CLOSEST, Contact, Plant, Truth
 from polishd.config.tables import read_tif
 from polishd.config.values import (
@@ -176,6 +177,7 @@ class Interferometer(Section):
     """Suffix while writing; empty: it writes slowly under the final name."""
     artefact: Artefact = Artefact()
     faults: MapFaults = MapFaults()
+    errors: InstrumentErrors = InstrumentErrors()
 
 
 class Line(Section):

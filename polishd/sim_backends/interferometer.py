@@ -13,11 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from polishd.config.simulator import MapFaults, SimConfig
+from polishd.config.simulator import SimConfig
 from polishd.model.surface import FloatArray, Grid
 from polishd.sim_backends import metropro
 from polishd.sim_backends.bus import Message
 from polishd.sim_backends.runtime import Runtime, replace
+from polishd.sim_backends.seeing import as_measured, as_seen
 from polishd.sim_backends.truth import stream
 
 POLL_S = 0.03
@@ -56,8 +57,7 @@ class Interferometer:
         """Measure and write."""
         start = self.runtime.start
         faults = start.config.interferometer.faults
-        measured = true_nm + start.config.truth.map_noise_nm * self.rng.standard_normal(true_nm.shape)
-        measured += self.rng.uniform(-200.0, 200.0)
+        measured = as_measured(true_nm, start.config, self.pitch_mm, self.rng) + self.rng.uniform(-200.0, 200.0)
         if faults.wrong_part_first:
             await self.write("wrong", self._file(np.where(np.isfinite(measured), -measured, np.nan), "OTHER-7"))
         if faults.duplicate_first and self.last:
@@ -84,14 +84,7 @@ class Interferometer:
         return name
 
     def _file(self, height_nm: FloatArray, part: str) -> bytes:
-        seen = as_seen(height_nm, self.runtime.start.config.interferometer.faults)
-        return _pack(seen, self.pitch_mm, part, self.origin)
-
-
-def as_seen(height_nm: FloatArray, faults: MapFaults) -> FloatArray:
-    """What an instrument with these faults gives for true heights, (rows, columns)."""
-    lying = np.rot90(height_nm[:, ::-1] if faults.mirror else height_nm, faults.rotation_deg // 90)
-    return np.asarray(lying * (faults.sign * faults.factor))
+        return _pack(height_nm, self.pitch_mm, part, self.origin)
 
 
 def write_artefact(config: SimConfig, path: Path, rng: np.random.Generator) -> None:

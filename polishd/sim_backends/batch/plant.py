@@ -11,10 +11,10 @@ from polishd.config.simulator import SimConfig
 from polishd.model.errors import BadRequestError
 from polishd.model.surface import FloatArray
 from polishd.sim_backends import truth
-from polishd.sim_backends.interferometer import as_seen
 from polishd.sim_backends.plant import effects
 from polishd.sim_backends.plant import part as parts
 from polishd.sim_backends.plant.world import World
+from polishd.sim_backends.seeing import as_measured
 
 STEP_MM = 0.3
 """Longest stretch that is worn at one place: a tenth of the spot, which is right to 0.01 nm in a pass of 10 nm RMS."""
@@ -70,9 +70,10 @@ class BatchPlant:
         self.now_s += wait_s
         world = self.world
         height = world.part.map_nm() + parts.swelling_nm(world.part, self.config, self.now_s - world.polished_s)
-        height = _shifted(np.rot90(height, int(rotation_deg // 90)), shift_px)
-        noise = self.config.truth.map_noise_nm * self.instrument.standard_normal(height.shape)
-        return as_seen(height + noise, self.config.interferometer.faults)
+        pitch = world.part.grid.pitch_mm
+        return as_measured(
+            height, self.config, pitch, self.instrument, quarters=int(rotation_deg // 90), shift_px=shift_px
+        )
 
     def truth(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
         """What nobody is told: the draws, and the figure."""
@@ -126,14 +127,3 @@ def _executed(acted: list[FloatArray], blocks: int) -> dict[str, FloatArray]:
     )
     some = np.where(contact > 0.0, contact, 1.0)
     return {"contact_s": np.asarray(contact, np.float64), "force_n": force / some, "rpm": rpm / some}
-
-
-def _shifted(height_nm: FloatArray, by_px: tuple[int, int]) -> FloatArray:
-    """Moved by columns to the right and rows up; NaN comes in."""
-    right, up = by_px
-    rows, columns = height_nm.shape
-    moved = np.full_like(height_nm, np.nan)
-    to_rows, from_rows = slice(max(-up, 0), rows - max(up, 0)), slice(max(up, 0), rows - max(-up, 0))
-    to_cols, from_cols = slice(max(right, 0), columns - max(-right, 0)), slice(max(-right, 0), columns - max(right, 0))
-    moved[to_rows, to_cols] = height_nm[from_rows, from_cols]
-    return moved

@@ -17,7 +17,8 @@ from polishd.config.simulator import Interferometer as Section
 from polishd.config.simulator_faults import Fault
 from polishd.sim_backends import metropro
 from polishd.sim_backends.faults.script import Script
-from polishd.sim_backends.interferometer import Interferometer, as_seen, write_artefact
+from polishd.sim_backends.interferometer import Interferometer, write_artefact
+from polishd.sim_backends.seeing import as_seen
 from polishd.sim_backends.wire import Wire
 from tests.patience import SOON_S
 

@@ -140,9 +140,10 @@ def test_every_shipped_scenario_is_another_plant() -> None:
         for name, scenario in study.all_scenarios().items():
             plant.new(laid_over(sections, scenario), 1)
             told, _ = plant.truth()
-            drawn[name] = json.dumps([told["machines"], told["effects"], scenario.plant.get("truth", {}).get("worn")])
+            own = [{k: v for k, v in scenario.plant.get("truth", {}).items() if k in {"worn", "warm_nm"}}]
+            drawn[name] = json.dumps([told["machines"], told["effects"], own, scenario.plant.get("interferometer")])
     assert "nothing" in drawn
-    assert len(drawn) == len(set(drawn.values())) > 10
+    assert len(drawn) == len(set(drawn.values())) > 15
 
 
 def test_limit_and_jobs_go_with_loops_only() -> None:
