@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from polishd.config.simulator import MapFaults, SimConfig
-from polishd.config.simulator_instrument import InstrumentErrors
+from polishd.config.simulator import InstrumentErrors, MapFaults, SimConfig
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.truth import stream
 
@@ -88,7 +87,7 @@ def _imaged(height_nm: FloatArray, errors: InstrumentErrors) -> FloatArray:
     from_column = (np.arange(columns)[None, :] - (columns - 1) / 2.0) / larger + (columns - 1) / 2.0
     seen = ndimage.map_coordinates(_whole(height_nm), [from_row, from_column], order=3, mode="nearest")
     missing = ndimage.map_coordinates(np.isnan(height_nm).astype(float), [from_row, from_column], order=1, cval=1.0)
-    return np.where(missing > 0.5, np.nan, seen)
+    return np.asarray(np.where(missing > 0.5, np.nan, seen), dtype=np.float64)
 
 
 def _whole(height_nm: FloatArray) -> FloatArray:
