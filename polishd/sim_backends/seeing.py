@@ -67,13 +67,14 @@ def _reference(x: FloatArray, y: FloatArray, errors: InstrumentErrors) -> FloatA
     twice = 2.0 * np.radians(errors.astigmatism_deg)
     astigmatism = np.sqrt(6.0) * ((x**2 - y**2) * np.cos(twice) + 2.0 * x * y * np.sin(twice))
     coma = np.sqrt(8.0) * (3.0 * square - 2.0) * x
-    return errors.power_nm * power + errors.astigmatism_nm * astigmatism + errors.coma_nm * coma
+    added = errors.power_nm * power + errors.astigmatism_nm * astigmatism + errors.coma_nm * coma
+    return np.asarray(added, dtype=np.float64)
 
 
 def _trefoil(height_nm: FloatArray, size_nm: float) -> FloatArray:
     """Three points of a mount, the first below."""
     x, y = _places(height_nm)
-    return np.asarray(size_nm * np.sqrt(8.0) * (3.0 * x**2 * y - y**3))
+    return np.asarray(size_nm * np.sqrt(8.0) * (3.0 * x**2 * y - y**3), dtype=np.float64)
 
 
 def _imaged(height_nm: FloatArray, errors: InstrumentErrors) -> FloatArray:
