@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from polishd.api import ComputeError, RemovalAnswer, RemovalModel, RemovalRequest, hookimpl
 from polishd.plugins.removal_models.along_path import effect_along_path
 from polishd.process.measured_spot import measured_spot
-from polishd.process.spot import HertzSpot
+from polishd.process.spot import hertz_spot
 
 POLISHD_API = 1
 
@@ -20,7 +20,7 @@ def hertz_preston(request: RemovalRequest) -> RemovalAnswer:
 
     Corrections other than "exact" start from the rigid robot's spot.
     """
-    return effect_along_path(request, HertzSpot(request.process), reference=1.0)
+    return effect_along_path(request, hertz_spot(request.process, request.grid.pitch_mm), reference=1.0)
 
 
 def measured_tif(request: RemovalRequest) -> RemovalAnswer:

@@ -1,0 +1,86 @@
+"""What polishes where: blocks at rest or in motion, each with its own spot; and exact rows of their effect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polishd.model.program import Program
+from polishd.model.surface import FloatArray
+from polishd.process.dynamic_tif import lean_azimuth_rad, positions
+from polishd.process.robot.refusal import refuse_where
+from polishd.process.spot import Spot, shares
+
+Indices = NDArray[np.int64]
+
+CHUNK = 256
+"""Blocks worked on at a time: bounds memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Blocks:
+    """n blocks of a path, and what the spot is in each of them."""
+
+    start_mm: FloatArray
+    """(n, 2) part's x and y."""
+    end_mm: FloatArray
+    """(n, 2)"""
+    azimuth_rad: FloatArray
+    """(n,) where the spindle leans."""
+    depth_ratio: FloatArray
+    """(n,) as of `corrected_spot`, sunk at the rim."""
+    factor: FloatArray
+    """(n,) on the removal."""
+
+    @property
+    def n(self) -> int:
+        """Number of blocks."""
+        return len(self.factor)
+
+    def part(self, which: Indices | slice) -> Blocks:
+        """Some of them."""
+        return Blocks(
+            self.start_mm[which], self.end_mm[which], self.azimuth_rad[which], self.depth_ratio[which],
+            self.factor[which],
+        )  # fmt: skip
+
+    def positions(self, spot: Spot) -> tuple[Indices, FloatArray, FloatArray]:
+        """The places that stand for the blocks, as in `effect_columns`: (m,) block, (m, 2) mm, (m,) share of it."""
+        length = np.linalg.norm(self.end_mm - self.start_mm, axis=1)
+        pieces = np.ceil(length / spot.step_mm(self.depth_ratio)).astype(np.int64)
+        block, place = positions(self.start_mm, self.end_mm, pieces)
+        return block, place, 1 / np.bincount(block, minlength=self.n)[block]
+
+    def reach_mm(self, spot: Spot) -> FloatArray:
+        """(n,) radius about the middle of each block outside which it removes nothing."""
+        offset = np.linalg.norm(spot.offset_mm(self.depth_ratio, self.azimuth_rad), axis=1)
+        length = np.linalg.norm(self.end_mm - self.start_mm, axis=1)
+        return np.asarray(np.sqrt(2) * spot.half_width_mm(self.depth_ratio) + offset + length / 2, dtype=np.float64)
+
+
+def blocks_of(program: Program, depth_ratio: FloatArray, factor: FloatArray) -> Blocks:
+    """The blocks of a program; depth ratios and factors (n,) as of `corrected_spot`. ComputeError: they cannot be."""
+    refuse_where(~((factor >= 0) & np.isfinite(factor)), factor, "the factor on the removal", "", "it must be finite")
+    impossible = ~((depth_ratio > 0) & np.isfinite(depth_ratio))
+    refuse_where(impossible, depth_ratio, "the depth ratio gamma", "", "it must be above 0")
+    ends = program.start_mm[:, :2], program.end_mm[:, :2]
+    return Blocks(*ends, lean_azimuth_rad(program), depth_ratio, factor)
+
+
+def effect_row(spot: Spot, blocks: Blocks, sample_mm: FloatArray, pitch_mm: float) -> FloatArray:
+    """(n,) nm/s: the row of `effect_columns` for the cell about (2,) ``sample_mm``, and nothing else of it."""
+    parts = [np.zeros(0)]
+    for first in range(0, blocks.n, CHUNK):
+        some = blocks.part(slice(first, first + CHUNK))
+        block, place, share = some.positions(spot)
+        half = spot.half_width_mm(some.depth_ratio)[block]
+        away = place + spot.offset_mm(some.depth_ratio, some.azimuth_rad)[block] - sample_mm
+        patch = spot.patch(some.depth_ratio, some.azimuth_rad)[block]
+        across, down = (
+            shares(pitch_mm / 2 + at, half, pitch_mm, 1, patch.shape[1]) for at in (away[:, 0], -away[:, 1])
+        )
+        rate = (down @ patch @ across.transpose(0, 2, 1))[:, 0, 0] / pitch_mm**2
+        parts.append(np.bincount(block, share * rate, some.n) * some.factor)
+    return np.concatenate(parts)
