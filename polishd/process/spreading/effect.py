@@ -24,10 +24,8 @@ from polishd.process.spreading.sampling import misses, sampled_rounds
 from polishd.process.spreading.weights import outermost, spread
 
 TOLERANCE = 1e-3
-FINER = (1, 2, 3, 4, 6)
+FINER = (1, 2, 3, 4)
 """Nodes to a sample's side that are tried: each product costs their square."""
-FAMILY = 3.0
-"""A spot that its family misses by this share of itself, times the tolerance, costs the removal a third of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +112,7 @@ def spread_effect(
         program: n timed points, the axes as seen where the surface lies level.
         depth_ratio: (n,) as of `corrected_spot`, sunk where the bonnet hangs over the rim: nothing else is done there.
         factor: (n,) on the removal.
-        tolerance: largest ``error``, and with FAMILY what the spot's family may miss of a window.
+        tolerance: largest ``error``, and and what the spot's family may miss of a window (Euclidean norm).
 
     Raises:
         ComputeError: an impossible depth ratio or factor, no block that touches the grid, or the tolerance is out of
@@ -129,7 +127,7 @@ def spread_effect(
     error = np.inf
     for finer in FINER:
         fine = Grid(grid.ny * finer, grid.nx * finer, grid.pitch_mm / finer)
-        family = meshed_family(spot, fine.pitch_mm, depth_ratio, blocks.azimuth_rad, FAMILY * tolerance)
+        family = meshed_family(spot, fine.pitch_mm, depth_ratio, blocks.azimuth_rad, tolerance)
         trials = [_laid_down((grid, fine), spot, blocks.part(r.which), family.part(r.which)) for r in rounds]
         error, entry = misses(rounds, trials)
         if error <= tolerance:

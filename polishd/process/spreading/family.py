@@ -14,11 +14,14 @@ from scipy.interpolate import RegularGridInterpolator
 from polishd.model.surface import FloatArray
 from polishd.process.spot import Spot
 from polishd.process.spreading.blocks import Indices
-from polishd.process.tif_family import AZIMUTH_STEP, chunks, reach_cells, smallest_basis, windows
+from polishd.process.tif_family import chunks, reach_cells, smallest_basis, windows
 
-LEAST = 5
-"""Ratios or azimuths over a range, at least: splines of degree 3 need four."""
+LEAST = 9
+"""Ratios or azimuths over a range, at least."""
 MOST_RATIOS = 65
+STEP_CELLS = 0.25
+"""How far the spot's rim moves from one ratio to the next."""
+TURN_STEP = np.radians(4.0)
 MOST_SHAPES = 500
 """Of the mesh, that the basis is taken from: its cost grows with their square."""
 NO_RANGE = 1e-12
@@ -64,11 +67,11 @@ def meshed_family(
 
 
 def _ratios(spot: Spot, pitch_mm: float, depth_ratio: FloatArray) -> FloatArray:
-    """Depth ratios over the range of the blocks', so near that the spot's rim moves by half a cell at most."""
+    """Depth ratios over the range of the blocks', so near that the spot's rim moves by STEP_CELLS."""
     ends = np.array([depth_ratio.min(), depth_ratio.max()])
     if np.ptp(ends) <= NO_RANGE:
         return ends[:1]
-    steps = int(np.ceil(np.ptp(spot.half_width_mm(ends)) / (pitch_mm / 2)))
+    steps = int(np.ceil(np.ptp(spot.half_width_mm(ends)) / (STEP_CELLS * pitch_mm)))
     return np.linspace(*ends, min(max(steps + 1, LEAST), MOST_RATIOS))
 
 
@@ -76,7 +79,7 @@ def _turns(turn: FloatArray) -> FloatArray:
     """Azimuths over the range of the blocks', rad."""
     if np.ptp(turn) <= NO_RANGE:
         return turn[:1]
-    return np.linspace(turn.min(), turn.max(), max(1 + int(np.ceil(np.ptp(turn) / AZIMUTH_STEP)), LEAST))
+    return np.linspace(turn.min(), turn.max(), max(1 + int(np.ceil(np.ptp(turn) / TURN_STEP)), LEAST))
 
 
 def _between(mesh: tuple[FloatArray, ...], value: FloatArray, at: tuple[FloatArray, ...]) -> FloatArray:
