@@ -16,6 +16,10 @@ from polishd.model.outline import Circle
 from polishd.model.process import ToolProcess
 from polishd.model.program import Program
 from polishd.model.surface import FloatArray, Grid
+from polishd.process.dwell import newton_cg
+from polishd.process.dwell.problem import DwellProblem
+from polishd.process.dwell.quadratic import quadratic
+from polishd.process.dwell.setup import regularisation_from_rho
 from polishd.process.dynamic_tif import CorrectedSpot, effect_matrix
 from polishd.process.edge.edge_tif import sunk_at_rim
 from polishd.process.effect import Effect, SparseEffect
@@ -235,3 +239,23 @@ def test_a_path_beside_the_grid_is_refused() -> None:
 def test_an_impossible_depth_or_factor_is_refused(gamma: float, factor: float) -> None:
     with pytest.raises(ComputeError, match=r"point 0: the (depth ratio gamma|factor on the removal) is"):
         spread_effect(GRID, SPOT, moves(1), np.full(1, gamma), np.full(1, factor))
+
+
+def test_projected_newton_runs_on_it_and_finds_the_dwell_of_the_matrix() -> None:
+    path = moves(1500)
+    quick, exact = both(path)
+    disc = GRID.radius_mm() < 19
+    x, y = GRID.axes_mm
+    target = 300 + 40 * np.sin(x / 11) * np.cos(y / 14)
+    p = regularisation_from_rho(exact, disc, 1e-3)
+    lower, upper = np.full(path.n, 1e-4), np.full(path.n, np.inf)
+    found, want = (
+        newton_cg.solve(DwellProblem(effect, target, disc, disc, lower, upper, p), 120.0) for effect in (quick, exact)
+    )
+    assert found.certificate.kkt_residual <= 1e-5
+    assert quick.note in found.certificate.notes
+    assert want.certificate.notes == ()
+    really = exact.removal_nm(found.time_s)
+    assert np.abs(really - found.removal_nm)[disc].max() < 2e-3 * really.max()
+    f = quadratic(DwellProblem(exact, target, disc, disc, lower, upper, p))
+    assert f.value(found.time_s) < want.certificate.objective + (1e-3 * really.max()) ** 2
