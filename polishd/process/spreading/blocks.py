@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,10 @@ class Blocks:
             self.factor[which],
         )  # fmt: skip
 
+    def seen_from(self, origin_mm: FloatArray) -> Blocks:
+        """The same, (2,) ``origin_mm`` at their origin."""
+        return replace(self, start_mm=self.start_mm - origin_mm, end_mm=self.end_mm - origin_mm)
+
     def positions(self, spot: Spot) -> tuple[Indices, FloatArray, FloatArray]:
         """The places that stand for the blocks, as in `effect_columns`: (m,) block, (m, 2) mm, (m,) share of it."""
         length = np.linalg.norm(self.end_mm - self.start_mm, axis=1)
@@ -71,16 +75,24 @@ def blocks_of(program: Program, depth_ratio: FloatArray, factor: FloatArray) -> 
 
 def effect_row(spot: Spot, blocks: Blocks, sample_mm: FloatArray, pitch_mm: float) -> FloatArray:
     """(n,) nm/s: the row of `effect_columns` for the cell about (2,) ``sample_mm``, and nothing else of it."""
-    parts = [np.zeros(0)]
-    for first in range(0, blocks.n, CHUNK):
-        some = blocks.part(slice(first, first + CHUNK))
+    reached = _touching(spot, blocks, sample_mm, pitch_mm)
+    rates = np.zeros(blocks.n)
+    for which in np.split(reached, range(CHUNK, reached.size, CHUNK)):
+        some = blocks.part(which)
         block, place, share = some.positions(spot)
         half = spot.half_width_mm(some.depth_ratio)[block]
         away = place + spot.offset_mm(some.depth_ratio, some.azimuth_rad)[block] - sample_mm
         patch = spot.patch(some.depth_ratio, some.azimuth_rad)[block]
-        across, down = (
-            shares(pitch_mm / 2 + at, half, pitch_mm, 1, patch.shape[1]) for at in (away[:, 0], -away[:, 1])
-        )
+        centre = pitch_mm / 2 + away * [1, -1]
+        across, down = (shares(at, half, pitch_mm, 1, patch.shape[1]) for at in centre.T)
         rate = (down @ patch @ across.transpose(0, 2, 1))[:, 0, 0] / pitch_mm**2
-        parts.append(np.bincount(block, share * rate, some.n) * some.factor)
-    return np.concatenate(parts)
+        rates[which] = np.bincount(block, share * rate, some.n) * some.factor
+    return rates
+
+
+def _touching(spot: Spot, blocks: Blocks, sample_mm: FloatArray, pitch_mm: float) -> Indices:
+    """The blocks whose patch touches the cell from any of their positions."""
+    block, place, _ = blocks.positions(spot)
+    away = place + spot.offset_mm(blocks.depth_ratio, blocks.azimuth_rad)[block] - sample_mm
+    half = spot.half_width_mm(blocks.depth_ratio)[block] + pitch_mm / 2
+    return np.unique(block[(np.abs(away) < half[:, None]).all(axis=1)])

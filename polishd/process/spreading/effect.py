@@ -20,7 +20,7 @@ from polishd.process.robot.refusal import require_number
 from polishd.process.spot import Spot
 from polishd.process.spreading.blocks import Blocks, blocks_of
 from polishd.process.spreading.family import Family, meshed_family
-from polishd.process.spreading.sampling import misses, sampled_rounds
+from polishd.process.spreading.sampling import misses, sampled_rows
 from polishd.process.spreading.weights import outermost, spread
 
 TOLERANCE = 1e-3
@@ -112,7 +112,7 @@ def spread_effect(
         program: n timed points, the axes as seen where the surface lies level.
         depth_ratio: (n,) as of `corrected_spot`, sunk where the bonnet hangs over the rim: nothing else is done there.
         factor: (n,) on the removal.
-        tolerance: largest ``error``, and and what the spot's family may miss of a window (Euclidean norm).
+        tolerance: largest ``error``, and what the spot's family may miss of a window (Euclidean norm).
 
     Raises:
         ComputeError: an impossible depth ratio or factor, no block that touches the grid, or the tolerance is out of
@@ -121,17 +121,17 @@ def spread_effect(
     require_number("the tolerance of the effect", tolerance, "", above=0.0, below=1.0)
     require_number("the grid's pitch", grid.pitch_mm, "mm", above=0.0)
     blocks = blocks_of(program, depth_ratio, factor)
-    rounds = sampled_rounds(grid, spot, blocks)
-    if not rounds:
+    rows = sampled_rows(grid, spot, blocks)
+    if not rows:
         raise ComputeError("no block touches the grid at a sample: path and part do not meet")
     error = np.inf
     for finer in FINER:
-        fine = Grid(grid.ny * finer, grid.nx * finer, grid.pitch_mm / finer)
-        family = meshed_family(spot, fine.pitch_mm, depth_ratio, blocks.azimuth_rad, tolerance)
-        trials = [_laid_down((grid, fine), spot, blocks.part(r.which), family.part(r.which)) for r in rounds]
-        error, entry = misses(rounds, trials)
+        family = meshed_family(spot, grid.pitch_mm / finer, depth_ratio, blocks.azimuth_rad, tolerance)
+        trials = (_laid_down(row.grid, finer, spot, row.blocks, family.part(row.which)) for row in rows)
+        found = (trial.adjoint(row.only_sample) for trial, row in zip(trials, rows, strict=True))
+        error, entry = misses(rows, found)
         if error <= tolerance:
-            whole = _laid_down((grid, fine), spot, blocks, family)
+            whole = _laid_down(grid, finer, spot, blocks, family)
             return replace(whole, error=error, entry_error=entry)
     raise ComputeError(
         f"without a matrix the removal is off by {error:.1e} of its peak on a grid {FINER[-1]} times as fine, "
@@ -139,14 +139,14 @@ def spread_effect(
     )
 
 
-def _laid_down(grids: tuple[Grid, Grid], spot: Spot, blocks: Blocks, family: Family) -> SpreadEffect:
-    """The effect of these blocks, and of their family on the second, finer of the grids; its error not yet known."""
-    grid, fine = grids
+def _laid_down(grid: Grid, finer: int, spot: Spot, blocks: Blocks, family: Family) -> SpreadEffect:
+    """The effect of these blocks, of a family on the finer grid; its error not yet known."""
+    fine = Grid(grid.ny * finer, grid.nx * finer, grid.pitch_mm / finer)
     side = family.kernels.shape[1]
     where = layout(fine.shape, outermost(fine, blocks), (side, side))
     return SpreadEffect(
         grid=grid,
-        finer=fine.ny // grid.ny,
+        finer=finer,
         weights=spread(fine, spot, blocks, where),
         where=where,
         coefficients=family.coefficients * blocks.factor[:, None],
