@@ -72,7 +72,7 @@ def _ratios(spot: Spot, pitch_mm: float, depth_ratio: FloatArray) -> FloatArray:
     if np.ptp(ends) <= NO_RANGE:
         return ends[:1]
     steps = int(np.ceil(np.ptp(spot.half_width_mm(ends)) / (STEP_CELLS * pitch_mm)))
-    return np.linspace(*ends, min(max(steps + 1, LEAST), MOST_RATIOS))
+    return np.linspace(ends[0], ends[1], min(max(steps + 1, LEAST), MOST_RATIOS))
 
 
 def _turns(turn: FloatArray) -> FloatArray:
