@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -117,25 +118,46 @@ def sum_of_convolutions(
 
     ``place`` is each point's (n,) row and column on the grid's lattice, whole but for rounding; it may lie beyond it.
     """
-    (top, rows), (left, columns) = (_lattice(at, n) for at, n in zip(place, grid.shape, strict=True))
-    row, column = (np.round(at).astype(np.int64) for at in place)
-    down, across = (side // 2 for side in kernels.shape[1:])
+    found = layout(grid.shape, place, (kernels.shape[1], kernels.shape[2]))
+    row, column = (np.round(at).astype(np.int64) - first for at, first in zip(place, found.first, strict=True))
+    return ConvolutionEffect(
+        grid=grid,
+        truncation=truncation,
+        node=row * found.lattice[1] + column,
+        lattice=found.lattice,
+        corner=found.corner,
+        coefficients=coefficients,
+        spectra=np.asarray(scipy.fft.rfft2(kernels, found.size), dtype=np.complex128),
+        size=found.size,
+    )
+
+
+class Layout(NamedTuple):
+    """How a grid and a lattice of dwells about it lie in a transform."""
+
+    first: tuple[int, int]
+    """Row and column of the lattice's first node, counted from the grid's first sample."""
+    lattice: tuple[int, int]
+    corner: tuple[int, int]
+    """Row and column of the grid's first sample in a full convolution of the lattice with the kernels."""
+    size: tuple[int, int]
+    """Shape of what is transformed: so large that nothing wraps round into the grid."""
+
+
+def layout(shape: tuple[int, int], place: tuple[Index, Index], sides: tuple[int, int]) -> Layout:
+    """The layout of a grid of this shape, of nodes in these rows and columns of its lattice, and of kernels this wide.
+
+    ``place`` is whole but for rounding, and may lie beyond the grid; the sides are odd.
+    """
+    (top, rows), (left, columns) = (_lattice(at, n) for at, n in zip(place, shape, strict=True))
+    down, across = (side // 2 for side in sides)
     corner = (down - top, across - left)
     # of a full convolution, rows + 2 reach, as much may wrap round as lies before the grid's first row
     high, wide = (
         scipy.fft.next_fast_len(max(n, n + 2 * reach - first, first + grid_n), True)
-        for n, reach, first, grid_n in zip((rows, columns), (down, across), corner, grid.shape, strict=True)
+        for n, reach, first, grid_n in zip((rows, columns), (down, across), corner, shape, strict=True)
     )
-    return ConvolutionEffect(
-        grid=grid,
-        truncation=truncation,
-        node=(row - top) * columns + column - left,
-        lattice=(rows, columns),
-        corner=corner,
-        coefficients=coefficients,
-        spectra=np.asarray(scipy.fft.rfft2(kernels, (high, wide)), dtype=np.complex128),
-        size=(high, wide),
-    )
+    return Layout((top, left), (rows, columns), corner, (high, wide))
 
 
 def on_nodes(grid: Grid, program: Program) -> bool:

@@ -15,10 +15,10 @@ from polishd.model.process import Correction
 from polishd.model.program import Program
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.robot.refusal import refuse_where
-from polishd.process.spot import Spot, overlap
+from polishd.process.spot import PATCH, Spot, overlap
 
 CHUNK = 1024
-"""Spot positions worked on at a time: bounds memory, and keeps the patches in the processor's cache."""
+"""Positions of a spot of PATCH squares across that are worked on at a time: bounds memory, keeps patches in cache."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,8 +91,9 @@ def effect_columns(
     length = np.linalg.norm(end - start, axis=1)
     pieces = np.ceil(length / spot.step_mm(depth_ratio)).astype(np.int64)
     parts = []
-    for part in _chunks(np.maximum(2 * pieces, 1)):
-        block, position = _positions(start[part], end[part], pieces[part])
+    squares = spot.patch(depth_ratio[:1], azimuth_rad[:1]).shape[-1]
+    for part in _chunks(np.maximum(2 * pieces, 1) * max(1, round((squares / PATCH) ** 2))):
+        block, position = positions(start[part], end[part], pieces[part])
         patch = spot.patch(depth_ratio[part], azimuth_rad[part])
         patch *= (factor[part] / np.bincount(block, minlength=len(patch)))[:, None, None]
         parts.append(_columns(grid, block, position, half[part], patch))
@@ -107,7 +108,7 @@ def lean_azimuth_rad(program: Program) -> FloatArray:
 
 
 def _chunks(count: NDArray[np.int64]) -> Iterator[slice]:
-    """Cut blocks with (n,) spot positions each into runs of about CHUNK positions."""
+    """Cut blocks that hold as much as (n,) positions of a spot of PATCH squares across into runs of about CHUNK."""
     chunk = (np.cumsum(count) - count) // CHUNK
     edges = [0, *(np.flatnonzero(np.diff(chunk)) + 1).tolist(), len(count)]
     for first, last in pairwise(edges):
@@ -115,7 +116,7 @@ def _chunks(count: NDArray[np.int64]) -> Iterator[slice]:
             yield slice(first, last)
 
 
-def _positions(
+def positions(
     start_mm: FloatArray, end_mm: FloatArray, pieces: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], FloatArray]:
     """Spot positions of blocks: the block (s,) each belongs to, and (s, 2) x and y in mm.

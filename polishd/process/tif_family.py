@@ -19,7 +19,7 @@ RATIOS = 33
 """Depth ratios that the basis is taken from, evenly over their range."""
 AZIMUTH_STEP = np.radians(2.0)
 """And azimuths, at most this far apart."""
-CHUNK = 512
+CHUNK = 128
 """Windows worked on at a time: bounds memory."""
 
 
@@ -47,7 +47,7 @@ def tif_family(
     require_number("the grid's pitch", pitch_mm, "mm", above=0.0)
     impossible = ~((depth_ratio > 0) & np.isfinite(depth_ratio))
     refuse_where(impossible, depth_ratio, "the depth ratio gamma", "", "it must be above 0")
-    reach = _reach(spot, pitch_mm, depth_ratio, azimuth_rad)
+    reach = reach_cells(spot, pitch_mm, depth_ratio, azimuth_rad)
     size = 2 * reach + 1
     if depth_ratio.size == 0:
         return TifFamily(np.zeros((1, size, size)), np.zeros((0, 1)), 0.0)
@@ -55,7 +55,7 @@ def tif_family(
     def project(basis: FloatArray) -> tuple[FloatArray, float, FloatArray]:
         """Coefficients, the largest relative error, and what is left, relative, of windows missed by too much."""
         parts, worst, missed = [], 0.0, []
-        for part in _chunks(depth_ratio.size):
+        for part in chunks(depth_ratio.size):
             window = windows(spot, pitch_mm, depth_ratio[part], azimuth_rad[part], reach)
             parts.append(window @ basis)
             left = (window - parts[-1] @ basis.T) / np.linalg.norm(window, axis=1)[:, None]
@@ -65,12 +65,12 @@ def tif_family(
         return np.concatenate(parts), worst, np.concatenate(missed)
 
     ratio, azimuth = _samples(depth_ratio, azimuth_rad)
-    mesh = np.concatenate([windows(spot, pitch_mm, ratio[p], azimuth[p], reach) for p in _chunks(ratio.size)])
-    basis = _basis(mesh / np.linalg.norm(mesh, axis=1)[:, None], tolerance)
+    mesh = np.concatenate([windows(spot, pitch_mm, ratio[p], azimuth[p], reach) for p in chunks(ratio.size)])
+    basis = smallest_basis(mesh / np.linalg.norm(mesh, axis=1)[:, None], tolerance)
     coefficients, worst, missed = project(basis)
     if len(missed):
         # what was missed is orthogonal to the basis only as far as rounding allows
-        basis = np.linalg.qr(np.hstack([basis, _basis(missed, tolerance)]))[0]
+        basis = np.linalg.qr(np.hstack([basis, smallest_basis(missed, tolerance)]))[0]
         coefficients, worst, _ = project(basis)
     return TifFamily(basis.T.reshape(-1, size, size), coefficients, worst)
 
@@ -86,7 +86,7 @@ def windows(spot: Spot, pitch_mm: float, depth_ratio: FloatArray, azimuth_rad: F
     return np.asarray(down @ patch @ across.transpose(0, 2, 1) / pitch_mm**2).reshape(len(patch), -1)
 
 
-def _reach(spot: Spot, pitch_mm: float, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> int:
+def reach_cells(spot: Spot, pitch_mm: float, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> int:
     """Cells on either side of a point that hold every spot, whichever way it lies."""
     offset = np.linalg.norm(spot.offset_mm(depth_ratio, azimuth_rad), axis=1)
     return int(np.ceil((spot.half_width_mm(depth_ratio) + offset).max(initial=0.0) / pitch_mm - 0.5 + 1e-9))
@@ -103,7 +103,7 @@ def _samples(depth_ratio: FloatArray, azimuth_rad: FloatArray) -> tuple[FloatArr
     return np.repeat(ratio, count), np.tile(azimuth, ratios)
 
 
-def _basis(shape: FloatArray, tolerance: float) -> FloatArray:
+def smallest_basis(shape: FloatArray, tolerance: float) -> FloatArray:
     """(m^2, k) orthonormal columns with which each of the (s, m^2) shapes is held within the tolerance (absolute)."""
     square = np.linalg.qr(shape, mode="r")  # has the shapes' right singular vectors, and no more rows than it needs
     vectors = np.linalg.svd(square, full_matrices=False)[2].T
@@ -113,6 +113,7 @@ def _basis(shape: FloatArray, tolerance: float) -> FloatArray:
     return np.asarray(vectors[:, : int(enough.argmax()) + 1], dtype=np.float64)
 
 
-def _chunks(n: int) -> Iterator[slice]:
+def chunks(n: int) -> Iterator[slice]:
+    """Slices of at most CHUNK that make up n."""
     for first in range(0, n, CHUNK):
         yield slice(first, min(first + CHUNK, n))

@@ -24,6 +24,7 @@ from polishd.process.dwell.curve import Solved as Chosen
 from polishd.process.dwell.limit import TimeLimit
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
+from polishd.process.dwell.validation import NEGLIGIBLE
 from polishd.process.edge.correctable import correctable
 from polishd.process.edge.extension import extend
 from polishd.process.tolerance import out_of_reach
@@ -101,14 +102,18 @@ def solve(
 def _require_coverage(program: Program, answer: RemovalAnswer, measured: Measured) -> None:
     """ProgramError unless the path works nearly all of the clear aperture, and mostly the part."""
     right = "program of this part, and are program.offset_mm and program.rotation_deg right?"
-    on_part = float(np.mean(answer.effect.adjoint(measured.solve_mask.astype(np.float64)) > 0))
+    on_part = float(_touched(answer.effect.adjoint(measured.solve_mask.astype(np.float64))).mean())
     if on_part < LEAST_ON_PART:
         touch = f"only {on_part:.0%} of its timed points touch the part"
         raise ProgramError(f"{program.name}: {touch}: is it the {right}")
-    reached = answer.removal_nm(np.ones(program.n)) > 0
-    share = float(reached[measured.metric_mask].mean())
+    share = float(_touched(answer.removal_nm(np.ones(program.n)))[measured.metric_mask].mean())
     if share < LEAST_COVERAGE:
         raise ProgramError(f"{program.name}: the path reaches {share:.0%} of the clear aperture; is it the {right}")
+
+
+def _touched(removal: FloatArray) -> BoolArray:
+    """Where there is any, and not only what an effect that is no matrix is off by."""
+    return np.asarray(removal > NEGLIGIBLE * np.abs(removal).max(initial=0.0))
 
 
 class Bounds(NamedTuple):

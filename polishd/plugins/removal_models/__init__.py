@@ -21,14 +21,14 @@ from polishd.api import (
 from polishd.plugins.removal_models.along_path import effect_along_path
 from polishd.plugins.removal_models.machine import learn_machine
 from polishd.process.measured_spot import measured_spot
-from polishd.process.spot import HertzSpot, Spot
+from polishd.process.spot import Spot, hertz_spot
 
 POLISHD_API = 1
 
 
-def hertz_spot(request: RemovalRequest) -> tuple[Spot, float]:
+def modelled_spot_of(request: RemovalRequest) -> tuple[Spot, float]:
     """The rigid robot's spot, and the depth ratio that it is of."""
-    return HertzSpot(request.process), 1.0
+    return hertz_spot(request.process, request.grid.pitch_mm), 1.0
 
 
 def measured_spot_of(request: RemovalRequest) -> tuple[Spot, float]:
@@ -43,7 +43,7 @@ def hertz_preston(request: RemovalRequest) -> RemovalAnswer:
 
     Corrections other than "exact" start from the rigid robot's spot.
     """
-    return effect_along_path(request, *hertz_spot(request))
+    return effect_along_path(request, *modelled_spot_of(request))
 
 
 def measured_tif(request: RemovalRequest) -> RemovalAnswer:
@@ -55,7 +55,7 @@ def measured_tif(request: RemovalRequest) -> RemovalAnswer:
 
 
 def _identify_hertz(request: RemovalRequest, evidence: Evidence) -> Lesson:
-    return learn_machine(request, evidence, hertz_spot)
+    return learn_machine(request, evidence, modelled_spot_of)
 
 
 def _identify_measured(request: RemovalRequest, evidence: Evidence) -> Lesson:

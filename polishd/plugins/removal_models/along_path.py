@@ -11,6 +11,7 @@ from polishd.model.surface import FloatArray
 from polishd.process.compliance import depth_ratio
 from polishd.process.contact import contact_radius_mm, hertz_depth_mm
 from polishd.process.convolution import on_nodes
+from polishd.process.dwell.sampled_tif import MATRIX_ENTRIES
 from polishd.process.dynamic_tif import CorrectedSpot, corrected_spot, lean_azimuth_rad
 from polishd.process.edge.correctable import transfer
 from polishd.process.identification.acting import Acting
@@ -110,7 +111,10 @@ def _laid(program: Program, acting: Acting) -> Program:
 
 
 def _effect(along: SpotPath, grid: Grid, spots: CorrectedSpot) -> tuple[Effect, tuple[str, ...]]:
-    """Few convolutions where all points rest on nodes of the grid, else a matrix; and a note that says which."""
+    """Few convolutions where all points rest on nodes of the grid, else a matrix while it is small; and which it is.
+
+    Where no effect without a matrix is near enough it is a matrix, however large.
+    """
     if on_nodes(grid, along.program):
         found = along.convolutions(grid, spots)
         if found.rank <= MOST_CONVOLUTIONS:
@@ -118,6 +122,12 @@ def _effect(along: SpotPath, grid: Grid, spots: CorrectedSpot) -> tuple[Effect, 
                 f"the TIF's family is a sum of {found.rank} convolutions, truncated to {found.truncation:.1e} of a spot"
             )
             return found, (note,)
+    if along.entries(grid, spots) > MATRIX_ENTRIES:
+        try:
+            spread = along.without_matrix(grid, spots)
+        except ComputeError as error:
+            return along.matrix(grid, spots), (f"the effect is a matrix: {error}",)
+        return spread, (spread.note,)
     return along.matrix(grid, spots), ()
 
 

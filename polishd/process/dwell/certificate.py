@@ -10,7 +10,9 @@ from polishd.model.surface import FloatArray
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadratic, safe_step
 from polishd.process.dwell.setup import conditioning_note
+from polishd.process.effect import Effect
 from polishd.process.metrics import band_rms
+from polishd.process.spreading.effect import SpreadEffect
 
 
 def certified(
@@ -52,7 +54,7 @@ def certified(
         pitch, mask = problem.effect.grid.pitch_mm, problem.metric_mask
         band = band_rms(residual, mask, pitch, problem.band_period_mm)
     f = quadratic(problem)
-    ill = conditioning_note(problem, f)
+    told = [note for note in (conditioning_note(problem, f), effect_note(problem.effect)) if note is not None]
     certificate = Certificate(
         solver=solver,
         objective=f.value(t),
@@ -67,10 +69,15 @@ def certified(
         iterations=iterations,
         seconds=seconds,
         stopped=stopped,
-        notes=notes if ill is None else (*notes, ill),
+        notes=(*notes, *told),
         predicted_band_rms_nm=band,
     )
     return DwellSolution(t, removal, residual, certificate, problem.lower_s, problem.upper_s)
+
+
+def effect_note(effect: Effect) -> str | None:
+    """What a certificate has to say of an effect that is not quite what it stands for; None of a matrix."""
+    return effect.note if isinstance(effect, SpreadEffect) else None
 
 
 def kkt_residual(problem: DwellProblem, time_s: FloatArray, f: Quadratic | None = None) -> float:

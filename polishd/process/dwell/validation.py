@@ -8,6 +8,10 @@ from polishd.model.errors import ComputeError
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.effect import SparseEffect
 
+NEGLIGIBLE = 1e-3
+"""Share of the strongest point by which one that hardly reaches the samples may be negative: an effect without a matrix
+is right to an error."""
+
 
 def check(problem: DwellProblem) -> None:
     """Refuse a problem that has no meaningful answer, naming what is wrong and where.
@@ -84,10 +88,12 @@ def _check_effect(problem: DwellProblem) -> None:
     strength = effect.adjoint(problem.solve_mask.astype(np.float64))
     if strength.shape != (effect.n,):
         raise ComputeError(f"the effect's adjoint answers {strength.shape} for {effect.n} dwell points")
-    entries = effect.matrix.data if isinstance(effect, SparseEffect) else strength
+    entries, least = strength, -NEGLIGIBLE * float(np.abs(strength).max())
+    if isinstance(effect, SparseEffect):
+        entries, least = effect.matrix.data, 0.0
     if not np.isfinite(entries).all():
         raise ComputeError("the effect is not finite")
-    if (entries < 0).any():
+    if (entries < least).any():
         raise ComputeError("the effect is negative somewhere: dwelling can only remove material")
     if not strength.any():
         raise ComputeError("the effect is zero at every sample of solve_mask: path and part do not meet")

@@ -87,7 +87,9 @@ class Forward:
 
     def fine_matrix(self, theta: FloatArray) -> scipy.sparse.csr_array:
         """(N, n) nm/s of each block at these parameters' geometry."""
-        spot = replace(self.spot, squares=FINE) if isinstance(self.spot, HertzSpot) else self.spot
+        spot = self.spot
+        if isinstance(spot, HertzSpot):
+            spot = replace(spot, squares=max(FINE, spot.squares))
         return self._matrix(spot, theta)
 
     def _matrix(

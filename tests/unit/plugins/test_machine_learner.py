@@ -11,7 +11,7 @@ import pytest
 
 from polishd.api import Evidence, Grid, Lesson, MachineBeliefs, MapPixels, Program, RemovalRequest
 from polishd.model.surface import FloatArray
-from polishd.plugins.removal_models import hertz_spot
+from polishd.plugins.removal_models import modelled_spot_of
 from polishd.plugins.removal_models.machine import learn_machine
 from polishd.process.dynamic_tif import effect_columns, lean_azimuth_rad
 from polishd.process.identification.acting import Acting
@@ -95,7 +95,7 @@ def taught(at: MapPixels, told: bool = True, **truth: float) -> Lesson:
         noise_nm=NOISE_NM,
         pixels=at if told else None,
     )
-    return learn_machine(asked(), evidence, hertz_spot)
+    return learn_machine(asked(), evidence, modelled_spot_of)
 
 
 def off(lesson: Lesson, name: str, true: float = 0.0) -> float:

@@ -22,10 +22,13 @@ from polishd.api import (
     Program,
     RemovalModel,
     RemovalRequest,
+    SparseEffect,
     ToolProcess,
 )
 from polishd.plugins import removal_models
+from polishd.plugins.removal_models import along_path
 from polishd.process import contact
+from polishd.process.spreading.effect import SpreadEffect
 
 DIP = np.radians(15.0)
 
@@ -201,3 +204,34 @@ def test_an_empty_program_has_an_empty_effect() -> None:
 def test_what_cannot_be_is_refused_by_name_value_and_point(changes: dict[str, Any], says: str) -> None:
     with pytest.raises(ComputeError, match=says):
         the_model().effect(request(**changes))
+
+
+def large(n: int = 800) -> RemovalRequest:
+    """Many blocks of a bonnet with a contact of 8 mm radius on a part of 40 mm."""
+    rng = np.random.default_rng(0)
+    start = np.column_stack([rng.uniform(-20, 20, (n, 2)), np.zeros(n)])
+    base, index = request(), np.arange(n)
+    end, axis = start + np.array([0.7, 0.4, 0.0]), np.tile(base.program.axis[0], (n, 1))
+    program = Program(b"", "", "p", "rs274", "feed", index + 1, index, start, end, axis, np.ones(n), n, 600.0)
+    process = ToolProcess(tool_radius_mm=200.0, force_n=120.0)
+    return dataclasses.replace(base, program=program, process=process, grid=Grid(41, 41, 1.0))
+
+
+def test_a_matrix_that_would_be_too_large_is_not_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    small = the_model().effect(large())
+    monkeypatch.setattr(along_path, "MATRIX_ENTRIES", 50_000)
+    answer = the_model().effect(large())
+    assert isinstance(small.effect, SparseEffect)
+    assert isinstance(answer.effect, SpreadEffect)
+    assert answer.effect.note in answer.notes
+    want = small.effect.removal_nm(np.ones(800))
+    assert np.abs(answer.effect.removal_nm(np.ones(800)) - want).max() < 2e-3 * want.max()
+
+
+def test_where_no_effect_without_a_matrix_is_near_enough_it_is_one_and_says_why(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(along_path, "MATRIX_ENTRIES", 0)
+    answer = the_model().effect(request())
+    assert isinstance(answer.effect, SparseEffect)
+    assert any(note.startswith("the effect is a matrix: without a matrix the removal is off") for note in answer.notes)

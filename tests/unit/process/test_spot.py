@@ -10,9 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from polishd.model.errors import ComputeError
 from polishd.model.process import ToolProcess
 from polishd.process import contact
-from polishd.process.spot import PATCH, HertzSpot, overlap, turned
+from polishd.process.spot import MOST_PATCH, PATCH, HertzSpot, hertz_spot, overlap, turned
+from polishd.process.spreading.blocks import Blocks, effect_row
 
 PAPER = ToolProcess()
 DEPTH = contact.hertz_depth_mm(PAPER)
@@ -111,3 +113,24 @@ def test_the_offset_of_the_hertz_spot_holds_the_dissipative_shift() -> None:
     shift = contact.dissipative_shift_mm(PAPER, DEPTH)
     np.testing.assert_allclose(HertzSpot(PAPER).offset_mm(np.ones(2), azimuth), turned(shift, 0.0, azimuth))
     np.testing.assert_allclose(HertzSpot(moved).offset_mm(np.ones(2), azimuth), turned(0.3 + shift, -0.1, azimuth))
+
+
+def test_squares_are_a_quarter_of_a_cell_where_the_spot_is_large() -> None:
+    large = dataclasses.replace(PAPER, tool_radius_mm=200.0, force_n=120.0)  # a contact of 8 mm radius
+    assert [hertz_spot(PAPER, pitch).squares for pitch in (0.2, 0.5, 1.0)] == [69, PATCH, PATCH]
+    assert [hertz_spot(large, pitch).squares for pitch in (0.2, 1.0, 3.0)] == [MOST_PATCH, 64, PATCH]
+    with pytest.raises(ComputeError, match=r"the grid's pitch is 0 mm"):
+        hertz_spot(PAPER, 0.0)
+
+
+@pytest.mark.full
+def test_more_squares_bring_a_large_spot_nearer_to_what_very_many_give() -> None:
+    large = dataclasses.replace(PAPER, tool_radius_mm=200.0, force_n=120.0)
+    places = np.random.default_rng(0).uniform(-8, 8, (60, 2))
+    blocks = Blocks(places, places, np.linspace(0, 6, 60), np.full(60, 0.9), np.ones(60))
+    coarse, chosen, truth = (
+        effect_row(spot, blocks, np.zeros(2), 0.5)
+        for spot in (HertzSpot(large), hertz_spot(large, 0.5), HertzSpot(large, 512))
+    )
+    assert np.abs(coarse - truth).max() > 0.02 * truth.max()
+    assert np.abs(chosen - truth).max() < 0.006 * truth.max()

@@ -1,0 +1,98 @@
+"""What polishes where: blocks at rest or in motion, each with its own spot; and exact rows of their effect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polishd.model.program import Program
+from polishd.model.surface import FloatArray
+from polishd.process.dynamic_tif import lean_azimuth_rad, positions
+from polishd.process.robot.refusal import refuse_where
+from polishd.process.spot import Spot, shares
+
+Indices = NDArray[np.int64]
+
+CHUNK = 256
+"""Blocks worked on at a time: bounds memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Blocks:
+    """n blocks of a path, and what the spot is in each of them."""
+
+    start_mm: FloatArray
+    """(n, 2) part's x and y."""
+    end_mm: FloatArray
+    """(n, 2)"""
+    azimuth_rad: FloatArray
+    """(n,) where the spindle leans."""
+    depth_ratio: FloatArray
+    """(n,) as of `corrected_spot`, sunk at the rim."""
+    factor: FloatArray
+    """(n,) on the removal."""
+
+    @property
+    def n(self) -> int:
+        """Number of blocks."""
+        return len(self.factor)
+
+    def part(self, which: Indices | slice) -> Blocks:
+        """Some of them."""
+        return Blocks(
+            self.start_mm[which], self.end_mm[which], self.azimuth_rad[which], self.depth_ratio[which],
+            self.factor[which],
+        )  # fmt: skip
+
+    def seen_from(self, origin_mm: FloatArray) -> Blocks:
+        """The same, (2,) ``origin_mm`` at their origin."""
+        return replace(self, start_mm=self.start_mm - origin_mm, end_mm=self.end_mm - origin_mm)
+
+    def positions(self, spot: Spot) -> tuple[Indices, FloatArray, FloatArray]:
+        """The places that stand for the blocks, as in `effect_columns`: (m,) block, (m, 2) mm, (m,) share of it."""
+        length = np.linalg.norm(self.end_mm - self.start_mm, axis=1)
+        pieces = np.ceil(length / spot.step_mm(self.depth_ratio)).astype(np.int64)
+        block, place = positions(self.start_mm, self.end_mm, pieces)
+        return block, place, 1 / np.bincount(block, minlength=self.n)[block]
+
+    def reach_mm(self, spot: Spot) -> FloatArray:
+        """(n,) radius about the middle of each block outside which it removes nothing."""
+        offset = np.linalg.norm(spot.offset_mm(self.depth_ratio, self.azimuth_rad), axis=1)
+        length = np.linalg.norm(self.end_mm - self.start_mm, axis=1)
+        return np.asarray(np.sqrt(2) * spot.half_width_mm(self.depth_ratio) + offset + length / 2, dtype=np.float64)
+
+
+def blocks_of(program: Program, depth_ratio: FloatArray, factor: FloatArray) -> Blocks:
+    """The blocks of a program; depth ratios and factors (n,) as of `corrected_spot`. ComputeError: they cannot be."""
+    refuse_where(~((factor >= 0) & np.isfinite(factor)), factor, "the factor on the removal", "", "it must be finite")
+    impossible = ~((depth_ratio > 0) & np.isfinite(depth_ratio))
+    refuse_where(impossible, depth_ratio, "the depth ratio gamma", "", "it must be above 0")
+    ends = program.start_mm[:, :2], program.end_mm[:, :2]
+    return Blocks(*ends, lean_azimuth_rad(program), depth_ratio, factor)
+
+
+def effect_row(spot: Spot, blocks: Blocks, sample_mm: FloatArray, pitch_mm: float) -> FloatArray:
+    """(n,) nm/s: the row of `effect_columns` for the cell about (2,) ``sample_mm``, and nothing else of it."""
+    reached = _touching(spot, blocks, sample_mm, pitch_mm)
+    rates = np.zeros(blocks.n)
+    for which in np.split(reached, range(CHUNK, reached.size, CHUNK)):
+        some = blocks.part(which)
+        block, place, share = some.positions(spot)
+        half = spot.half_width_mm(some.depth_ratio)[block]
+        away = place + spot.offset_mm(some.depth_ratio, some.azimuth_rad)[block] - sample_mm
+        patch = spot.patch(some.depth_ratio, some.azimuth_rad)[block]
+        centre = pitch_mm / 2 + away * [1, -1]
+        across, down = (shares(at, half, pitch_mm, 1, patch.shape[1]) for at in centre.T)
+        rate = (down @ patch @ across.transpose(0, 2, 1))[:, 0, 0] / pitch_mm**2
+        rates[which] = np.bincount(block, share * rate, some.n) * some.factor
+    return rates
+
+
+def _touching(spot: Spot, blocks: Blocks, sample_mm: FloatArray, pitch_mm: float) -> Indices:
+    """The blocks whose patch touches the cell from any of their positions."""
+    block, place, _ = blocks.positions(spot)
+    away = place + spot.offset_mm(blocks.depth_ratio, blocks.azimuth_rad)[block] - sample_mm
+    half = spot.half_width_mm(blocks.depth_ratio)[block] + pitch_mm / 2
+    return np.unique(block[(np.abs(away) < half[:, None]).all(axis=1)])

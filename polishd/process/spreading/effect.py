@@ -1,0 +1,154 @@
+"""The effect of any path without a matrix: ``R = B sum_k Conv(U_k) S' diag(c_k)``.
+
+S' lays a block down on nodes of a grid ``finer`` times as fine, Conv gives averages over its cells, and B averages
+those over the cells of the process grid: an entry keeps its meaning, the removal rate averaged over a sample's cell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from polishd.model.errors import ComputeError
+from polishd.model.program import Program
+from polishd.model.surface import FloatArray, Grid
+from polishd.process.convolution import Layout, layout
+from polishd.process.robot.refusal import require_number
+from polishd.process.spot import Spot
+from polishd.process.spreading.blocks import Blocks, blocks_of
+from polishd.process.spreading.family import Family, meshed_family
+from polishd.process.spreading.sampling import misses, sampled_rows
+from polishd.process.spreading.weights import outermost, spread
+
+TOLERANCE = 1e-3
+FINER = (1, 2, 3, 4)
+"""Nodes to a sample's side that are tried: each product costs their square."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpreadEffect:
+    """An Effect (paper eq. 47) whose memory goes with points plus samples; made by `spread_effect`."""
+
+    grid: Grid
+    finer: int
+    """Nodes to a sample's side."""
+    weights: scipy.sparse.csr_array
+    """(n, nodes) of each block on each node of the layout's lattice; a row's sum is 1."""
+    where: Layout
+    coefficients: FloatArray
+    """(n, k) nm/s: the learned or corrected factor is in them."""
+    spectra: NDArray[np.complex128]
+    """(k, ...) transforms of the kernels, averages over cells of the finer grid."""
+    error: float = np.nan
+    """Of the removal against the matrix, over its peak: `misses`."""
+    entry_error: float = np.nan
+    """Largest of a single entry at these samples, over the largest entry."""
+
+    @property
+    def n(self) -> int:
+        """Number of timed points."""
+        return len(self.coefficients)
+
+    @property
+    def rank(self) -> int:
+        """Number of convolutions."""
+        return int(self.coefficients.shape[1])
+
+    @property
+    def note(self) -> str:
+        """What a certificate says of it."""
+        return (
+            f"no matrix: {self.rank} convolutions on {self.finer} x {self.finer} nodes a sample; from the matrix, at "
+            f"samples, the removal is off by up to {self.error:.1e} of its peak, an entry by {self.entry_error:.1e}"
+        )
+
+    def removal_nm(self, time_s: FloatArray) -> FloatArray:
+        """(n,) s -> (ny, nx) nm."""
+        total = np.zeros(self.spectra.shape[1:], dtype=np.complex128)
+        for k in range(self.rank):
+            dwell = (self.weights.T @ (self.coefficients[:, k] * time_s)).reshape(self.where.lattice)
+            total += self.spectra[k] * scipy.fft.rfft2(dwell, self.where.size)
+        fine = scipy.fft.irfft2(total, self.where.size)[self._on_grid]
+        cells = fine.reshape(self.grid.ny, self.finer, self.grid.nx, self.finer)
+        return np.asarray(cells.mean(axis=(1, 3)), dtype=np.float64)
+
+    def adjoint(self, weight: FloatArray) -> FloatArray:
+        """(ny, nx) -> (n,)."""
+        fine = np.zeros(self.where.size)
+        fine[self._on_grid] = np.repeat(np.repeat(weight / self.finer**2, self.finer, axis=0), self.finer, axis=1)
+        spectrum = scipy.fft.rfft2(fine)
+        (rows, columns), total = self.where.lattice, np.zeros(self.n)
+        for k in range(self.rank):
+            back = scipy.fft.irfft2(self.spectra[k].conj() * spectrum, self.where.size)[:rows, :columns]
+            total += self.coefficients[:, k] * (self.weights @ back.ravel())
+        return total
+
+    @property
+    def _on_grid(self) -> tuple[slice, slice]:
+        """Where the finer grid lies in what is transformed."""
+        row, column = self.where.corner
+        return slice(row, row + self.finer * self.grid.ny), slice(column, column + self.finer * self.grid.nx)
+
+
+def spread_effect(
+    grid: Grid,
+    spot: Spot,
+    program: Program,
+    depth_ratio: FloatArray,
+    factor: FloatArray,
+    *,
+    tolerance: float = TOLERANCE,
+) -> SpreadEffect:
+    """The effect of blocks at rest or in motion, on nodes of the grid or off them, as `effect_matrix` has it.
+
+    The coarsest of the FINER grids is taken with which the removal's error, sampled, is within the tolerance.
+
+    Args:
+        grid: the process grid.
+        spot: the spot as depth and azimuth change it.
+        program: n timed points, the axes as seen where the surface lies level.
+        depth_ratio: (n,) as of `corrected_spot`, sunk where the bonnet hangs over the rim: nothing else is done there.
+        factor: (n,) on the removal.
+        tolerance: largest ``error``, and what the spot's family may miss of a window (Euclidean norm).
+
+    Raises:
+        ComputeError: an impossible depth ratio or factor, no block that touches the grid, or the tolerance is out of
+            reach: a spot with a sharp rim that few others overlap needs the matrix.
+    """
+    require_number("the tolerance of the effect", tolerance, "", above=0.0, below=1.0)
+    require_number("the grid's pitch", grid.pitch_mm, "mm", above=0.0)
+    blocks = blocks_of(program, depth_ratio, factor)
+    rows = sampled_rows(grid, spot, blocks)
+    if not rows:
+        raise ComputeError("no block touches the grid at a sample: path and part do not meet")
+    error = np.inf
+    for finer in FINER:
+        family = meshed_family(spot, grid.pitch_mm / finer, depth_ratio, blocks.azimuth_rad, tolerance)
+        trials = (_laid_down(row.grid, finer, spot, row.blocks, family.part(row.which)) for row in rows)
+        found = (trial.adjoint(row.only_sample) for trial, row in zip(trials, rows, strict=True))
+        error, entry = misses(rows, found)
+        if error <= tolerance:
+            whole = _laid_down(grid, finer, spot, blocks, family)
+            return replace(whole, error=error, entry_error=entry)
+    raise ComputeError(
+        f"without a matrix the removal is off by {error:.1e} of its peak on a grid {FINER[-1]} times as fine, "
+        f"{tolerance:.1e} is asked for: use the matrix, or a tolerance above it"
+    )
+
+
+def _laid_down(grid: Grid, finer: int, spot: Spot, blocks: Blocks, family: Family) -> SpreadEffect:
+    """The effect of these blocks, of a family on the finer grid; its error not yet known."""
+    fine = Grid(grid.ny * finer, grid.nx * finer, grid.pitch_mm / finer)
+    side = family.kernels.shape[1]
+    where = layout(fine.shape, outermost(fine, blocks), (side, side))
+    return SpreadEffect(
+        grid=grid,
+        finer=finer,
+        weights=spread(fine, spot, blocks, where),
+        where=where,
+        coefficients=family.coefficients * blocks.factor[:, None],
+        spectra=np.asarray(scipy.fft.rfft2(family.kernels, where.size), dtype=np.complex128),
+    )
