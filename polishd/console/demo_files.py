@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import socket
 from collections.abc import Mapping
@@ -10,20 +9,17 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from polishd.config.cell import CellConfig, load_config
 from polishd.hooks.loader import load_own
 from polishd.model.errors import BadMap
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.make import path_program
-from polishd.process import contact
-from polishd.process.compliance import depth_ratio
-from polishd.process.path_compliance import compliance_at
 from polishd.process.paths.apertures import over_outline
 from polishd.process.paths.raster import quiet_step_mm, raster
 from polishd.process.paths.wrist import tool_axes
 from polishd.recipe.files import read_map
+from polishd.workbench.programs.contact import contact_radius_mm
+from polishd.workbench.setup.sample import aperture_mm
 
 RASTER_MM = 1.0
 """Length of a block, and most distance of the lines: the step that leaves no ripple is a little less."""
@@ -97,7 +93,7 @@ def demo_path(config: CellConfig, dwells_mm: float | None = None) -> tuple[Float
     ``dwells_mm``: most distance of the points where each has a dwell: they are then quiet along the lines, too.
     """
     covered = over_outline(config.outline()).larger(OVERRUN_MM)
-    step = quiet_step_mm(_contact_radius_mm(config), dwells_mm or RASTER_MM)
+    step = quiet_step_mm(contact_radius_mm(config), dwells_mm or RASTER_MM)
     along = step if dwells_mm else RASTER_MM
     points = raster(covered, step, along, optic=config.optic(), landing_mm=LANDING_MM - OVERRUN_MM)
     return points, _axes(config, points)
@@ -108,31 +104,12 @@ def _axes(config: CellConfig, points_mm: FloatArray) -> FloatArray:
     return tool_axes(points_mm, config.optic(), config.process.dip_deg, config.compliance_options(), config.placement())
 
 
-def _contact_radius_mm(config: CellConfig) -> float:
-    """Radius of the contact that acts at the part's centre."""
-    centre, process = np.zeros((1, 3)), config.tool_process()
-    found = compliance_at(
-        centre,
-        _axes(config, centre),
-        process,
-        config.robot_model(),
-        config.placement(),
-        options=config.compliance_options(),
-        optic=config.optic(),
-    )
-    depth = contact.hertz_depth_mm(process)
-    gamma = depth_ratio(found.compliance_mm_per_n, process, depth)
-    return float(contact.contact_radius_mm(process, gamma * depth)[0])
-
-
 def aperture_of(surface: Path) -> float:
     """Diameter, mm, of the round part that a measured map shows, centred in its frame."""
     measured = read_map(surface, load_own().surface_readers().values())
     if measured.pitch_mm is None:
         raise BadMap(f"{surface}: has no lateral scale; the demo needs one")
-    rows, columns = np.nonzero(measured.valid)
-    extent = (min(np.ptp(rows), np.ptp(columns)) + 1) * measured.pitch_mm
-    return math.floor(float(extent))
+    return aperture_mm(measured, measured.pitch_mm)
 
 
 def with_values(text: str, sections: Mapping[str, Mapping[str, Any]]) -> str:
