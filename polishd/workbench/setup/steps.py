@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from polishd.config.cell import CellConfig, load_config
 from polishd.config.profile import load_profile
@@ -14,6 +15,7 @@ from polishd.files import toml_text
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.workbench.setup.text import LOOK
 
+CHECK = "check"
 PLANNED = "planned"
 MAP = "MAP"
 
@@ -40,6 +42,16 @@ def steps(cell: Path) -> list[Step]:
     return list(_steps(config, cell))
 
 
+def lines(found: Sequence[Step]) -> list[str]:
+    """For people: two lines a step, whole: what is on them can be copied. A step that is done has no command."""
+    marks = {True: "[x]", False: "[ ]", None: "[?]"}
+    told = []
+    for step in found:
+        told.append(f"{marks[step.done]} {step.what}: {step.found}")
+        told += [] if step.done else [f"    {step.command}"]
+    return told
+
+
 def _steps(config: CellConfig, file: Path) -> Iterator[Step]:
     cell = _quoted(file)
     runs = _summaries(config.state_dir / "runs", *([config.run_dir] if config.run_dir else []))
@@ -51,12 +63,12 @@ def _steps(config: CellConfig, file: Path) -> Iterator[Step]:
     path = _quoted(file.parent / config.program.path)
     command = f"polishd program make raster --out {path} --cell {cell}"
     yield Step("have a program", made, path if made else f"{path}: is missing", command)
-    yield Step("check", None, "leaves nothing on disk: ask again after each change", f"polishd check {cell}")
+    yield Step(CHECK, None, "leaves nothing on disk: ask again after each change", f"polishd check {cell}")
     answered = "a run has been there" if runs else "leaves nothing on disk: ask the devices"
     yield Step("probe", True if runs else None, answered, f"polishd probe {cell}")
     yield _commission(config, file.parent)
     yield from _calibrate(config, cell)
-    plans = [path.parent for path, outcome in _summaries(*_beside(config)).items() if outcome == PLANNED]
+    plans = [at.parent for at, of in _summaries(*_beside(config)).items() if _is_plan(of, config.job.id)]
     planned = ", ".join(map(_quoted, plans)) or "no plan of this job lies beside the cell"
     yield Step("plan", bool(plans), planned, f"polishd plan {cell} {MAP} --program {path} --out plan")
     rehearsal = config.state_dir.parent / f"{config.path.stem}-rehearsal"
@@ -96,19 +108,25 @@ def _beside(config: CellConfig) -> list[Path]:
     return [path for path in config.base_dir.iterdir() if path.is_dir()]
 
 
-def _summaries(*folders: Path) -> dict[Path, str]:
-    """Outcomes by summary, of run folders and of folders of them; one that is half written is none."""
+def _is_plan(summary: Mapping[str, Any], job: str) -> bool:
+    return summary["outcome"] == PLANNED and summary.get("job") == job
+
+
+def _summaries(*folders: Path) -> dict[Path, Mapping[str, Any]]:
+    """The summaries of run folders and of folders of them; one that is broken is none."""
     found = {}
     for path in (path for folder in folders for depth in ("", "*/") for path in folder.glob(f"{depth}summary.json")):
         try:
-            found[path] = str(json.loads(path.read_text())["outcome"])
-        except (OSError, ValueError, KeyError, TypeError):
+            summary = json.loads(path.read_bytes())
+        except (OSError, ValueError):
             continue
+        if isinstance(summary, dict) and isinstance(summary.get("outcome"), str):
+            found[path] = summary
     return found
 
 
-def _outcomes(found: dict[Path, str]) -> str:
-    return ", ".join(f"{path.parent.name}: {outcome}" for path, outcome in sorted(found.items()))
+def _outcomes(found: Mapping[Path, Mapping[str, Any]]) -> str:
+    return ", ".join(f"{path.parent.name}: {found[path]['outcome']}" for path in sorted(found))
 
 
 def _quoted(path: Path) -> str:

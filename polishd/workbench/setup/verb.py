@@ -22,7 +22,7 @@ from polishd.workbench.setup.answers import Answers, read_answers
 from polishd.workbench.setup.draft import PROFILE, Draft, gathered
 from polishd.workbench.setup.sample import profile_text, read_sample
 from polishd.workbench.setup.spot import add_spot
-from polishd.workbench.setup.steps import Step, steps
+from polishd.workbench.setup.steps import Step, lines, steps
 from polishd.workbench.setup.text import cell_text
 
 CELL = "cell.toml"
@@ -139,6 +139,6 @@ def _tell(made: NewCell, cell: Path, todo: list[Step], *, dry_run: bool) -> None
     if dry_run:
         stdout.print(made.files[CELL].decode(), markup=False, highlight=False, soft_wrap=True)
         return
-    for step in (step for step in todo if not step.done):
-        stdout.print(f"to do: {step.what}: {step.found}\n       {step.command}", markup=False, soft_wrap=True)
+    for line in lines(todo):
+        stdout.print(line, markup=False, highlight=False, soft_wrap=True)
     stdout.print(f"how far that is: polishd status --setup {shlex.quote(str(cell))}", markup=False, soft_wrap=True)
