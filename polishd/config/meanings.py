@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import inspect
 import itertools
+import re
 import textwrap
 
 from pydantic import BaseModel
@@ -21,3 +22,8 @@ def meanings(model: type[BaseModel]) -> dict[str, str]:
                     case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
                         told[name] = " ".join(text.split())
     return told
+
+
+def in_words(meaning: str) -> str:
+    """Without the unit at its end, which the reference has in a column, and without the marks of its text."""
+    return re.sub(r" \[[^]]+\]$", "", meaning).replace("``", "`")

@@ -25,7 +25,9 @@ app.add_typer(devices, name="device", no_args_is_help=True)
 def init(
     *,
     folder: Annotated[Path, Argument(metavar="DIR", help="Where the cell is to stand; made where it is not there.")],
-    answers: Annotated[Path, Option("--from", metavar="ANSWERS.toml", help="What is known of it.")],
+    answers: Annotated[
+        Path | None, Option("--from", metavar="ANSWERS.toml", help="What is known of it; left out: you are asked.")
+    ] = None,
     dry_run: Annotated[bool, Option("--dry-run", help="Show what it would write; write nothing.")] = False,
     force: Annotated[bool, Option("--force", help="Overwrite what is there.")] = False,
     as_json: Json = False,

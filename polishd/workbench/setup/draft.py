@@ -27,6 +27,7 @@ ALWAYS = ("rnc_robot", "interferometer", "removal_models", "dwell_solvers", "pla
 """Plugins that every cell needs."""
 PROGRAM = "program.rnc"
 PROFILE = "instrument.toml"
+PART = "PART-1"
 AROUND_MM = 15.0
 """How far beside the part the tool goes: turns and landing of a path, and some room."""
 ABOVE_MM = 60.0
@@ -176,7 +177,7 @@ def _assume_names(draft: Draft, sample: Sample | None) -> None:
             draft.assume("part.aperture_mm", sample.aperture_mm, f"as wide as {sample.name} shows data")
         if sample.part_id:
             draft.assume("part.id", sample.part_id, f"as {sample.name} names it")
-    draft.assume("part.id", "PART-1", "the name that its maps must give")
+    draft.assume("part.id", PART, "the name that its maps must give")
     draft.assume("cell.name", re.sub(r"[^\w.-]+", "-", draft.folder.name, flags=re.ASCII).strip("-._") or "cell")
     draft.assume("job.id", str(part["id"]))
     draft.assume("program.path", PROGRAM)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import textwrap
 from collections.abc import Iterator, Mapping
 from typing import Any, get_args
@@ -10,7 +9,7 @@ from typing import Any, get_args
 from pydantic import BaseModel
 
 from polishd.config.cell import PORTS, CellConfig
-from polishd.config.meanings import meanings
+from polishd.config.meanings import in_words, meanings
 from polishd.config.process import HybridSection, MeasuredSection, SerialSection
 from polishd.plain import toml
 from polishd.workbench.setup.arms import ARMS
@@ -57,7 +56,7 @@ def _keys(draft: Draft, name: str, section: Mapping[str, Any]) -> Iterator[str]:
         why = "to be filled in, from the arm's data sheet" if blank else draft.assumed.get(f"{name}.{key}")
         if why:
             yield f"{LOOK}{why}"
-        lines = _written(key, value, _plain(told.get(key, "")))
+        lines = _written(key, value, in_words(told.get(key, "")))
         yield from (f"# {line}" if blank and not line.startswith("#") else line for line in lines)
 
 
@@ -77,11 +76,6 @@ def _written(key: str, value: Any, meaning: str) -> Iterator[str]:
         yield line
     else:
         yield beside
-
-
-def _plain(meaning: str) -> str:
-    """Without the unit that the reference has in a column, and without the marks of its text."""
-    return re.sub(r" \[[^]]+\]$", "", meaning).replace("``", "`")
 
 
 def _meanings(draft: Draft, name: str, section: Mapping[str, Any]) -> Mapping[str, str]:

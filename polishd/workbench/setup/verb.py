@@ -3,29 +3,36 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import typer
 from rich.table import Table
 
 from polishd.config.cell import CellConfig
 from polishd.files import make_folder, write_atomic
 from polishd.hooks.cell import plugins_of
+from polishd.hooks.loader import load_own
 from polishd.model.errors import ConfigError, PolishdError
+from polishd.plain import toml
 from polishd.process.paths.raster import quiet_step_mm
 from polishd.show.tables import emit, key_table, stderr, stdout
 from polishd.workbench.programs.contact import contact_radius_mm
 from polishd.workbench.programs.make import make_program
 from polishd.workbench.programs.options import MakeOptions
 from polishd.workbench.setup.answers import Answers, read_answers
+from polishd.workbench.setup.connected import Connected, look
 from polishd.workbench.setup.draft import PROFILE, Draft, gathered
+from polishd.workbench.setup.questions import ANSWERS, Question, asked
 from polishd.workbench.setup.sample import profile_text, read_sample
 from polishd.workbench.setup.spot import add_spot
 from polishd.workbench.setup.steps import Step, lines, steps
 from polishd.workbench.setup.text import cell_text
 
 CELL = "cell.toml"
+LEFT_OUT = "-"
+"""Typed where an answer is left out."""
 PITCH_MM = 1.0
 """Most distance of a made program's lines, and the length of its moves."""
 
@@ -45,21 +52,30 @@ class NewCell:
     """What was made, or why none was."""
 
 
-def init_verb(folder: Path, answers: Path, *, dry_run: bool, force: bool, as_json: bool) -> None:
-    """Make a cell of answers and write it; a table of what was written and assumed, and what is to be done.
+def init_verb(folder: Path, answers: Path | None, *, dry_run: bool, force: bool, as_json: bool) -> None:
+    """Make a cell of answers, asked for where no file has them, and write it; what was assumed, and what is to be done.
 
     Raises:
         ConfigError: answers that are wrong, with file, line and key; files that are there already, without ``force``.
         BadMap, ComputeError: a map that the answers name is none, or shows no spot.
     """
+    connected = look(Path())
+    if answers is None:
+        _require_new(folder, [ANSWERS], force=force)  # before anybody answers
+        given = _ask(folder, connected)
+        if not dry_run:
+            _write(folder, {ANSWERS: given.source.text.encode()})  # whatever comes of them
+    else:
+        given = read_answers(answers)
     with stderr.status("making the cell"):
-        made = new_cell(read_answers(answers), folder)
+        made = new_cell(given, folder)
     if not dry_run:
         write_cell(made, force=force)
     cell = folder / CELL
     todo = [] if dry_run else steps(cell)
     answer = {
         "cell": str(cell),
+        "connected": asdict(connected),
         "written": [] if dry_run else sorted(made.files),
         "texts": {name: text.decode() for name, text in made.files.items() if name.endswith(".toml")},
         "look": dict(made.assumed),
@@ -70,6 +86,27 @@ def init_verb(folder: Path, answers: Path, *, dry_run: bool, force: bool, as_jso
     emit(answer, as_json=as_json, table=lambda: _table(made, cell, dry_run=dry_run))
     if not as_json:
         _tell(made, cell, todo, dry_run=dry_run)
+
+
+def _ask(folder: Path, connected: Connected) -> Answers:
+    """On the terminal; what is connected is said before."""
+    for line in (
+        "Looked, and opened nothing:",
+        *connected.lines(),
+        "Return takes what stands in [ ]; - leaves it out.",
+    ):
+        stderr.print(line, markup=False, highlight=False, soft_wrap=True)
+    return asked(folder, connected, load_own(), _prompt)
+
+
+def _prompt(question: Question, problem: str) -> str:
+    if problem:
+        stderr.print(problem, style="red", markup=False, highlight=False, soft_wrap=True)
+    among = f" ({', '.join(question.choices)})" if question.choices else ""
+    default = question.default if isinstance(question.default, str) else toml(question.default)
+    stderr.print(question.why, style="dim", markup=False, highlight=False, soft_wrap=True)
+    said: str = typer.prompt(question.key.lstrip("?") + among, default or LEFT_OUT, err=True, show_default=True)
+    return "" if said == LEFT_OUT else said
 
 
 def new_cell(answers: Answers, folder: Path) -> NewCell:
@@ -112,18 +149,26 @@ def _add_program(draft: Draft, config: CellConfig) -> str:
 
 def write_cell(made: NewCell, *, force: bool) -> None:
     """Write all files, each whole; ConfigError where one is there already, unless ``force``, and where it cannot be."""
-    there = [name for name in made.files if (made.folder / name).exists()]
+    _require_new(made.folder, made.files, force=force)
+    _write(made.folder, made.files)
+
+
+def _require_new(folder: Path, names: Iterable[str], *, force: bool) -> None:
+    there = [name for name in names if (folder / name).exists()]
     if there and not force:
         raise ConfigError(
-            f"{made.folder}: {', '.join(there)}: there already, and nothing was written; name another folder, or "
+            f"{folder}: {', '.join(there)}: there already, and nothing was written; name another folder, or "
             "overwrite with --force"
         )
+
+
+def _write(folder: Path, files: Mapping[str, bytes]) -> None:
     try:
-        make_folder(made.folder)
-        for name, content in made.files.items():
-            write_atomic(made.folder / name, content)
+        make_folder(folder)
+        for name, content in files.items():
+            write_atomic(folder / name, content)
     except OSError as error:
-        raise ConfigError(f"{error.filename or made.folder}: cannot be written: {error.strerror}") from error
+        raise ConfigError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
 
 
 def _table(made: NewCell, cell: Path, *, dry_run: bool) -> Table:
