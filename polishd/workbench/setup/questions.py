@@ -140,9 +140,8 @@ def _of_part(given: Mapping[str, Any]) -> Iterator[Question]:
     yield _of("part.id", PartSection, SKIP if sample else PART, text=True)
     yield Question("?shape", "Its outline.", "round", tuple(SHAPES))
     name = SHAPES[given["?shape"]]
-    yield _of(
-        f"part.{name}", PartSection, SKIP if sample and name == "aperture_mm" else USUAL[name], text="file" in name
-    )
+    size = SKIP if sample and name == "aperture_mm" else USUAL[name]
+    yield _of(f"part.{name}", PartSection, size, text=name == "polygon_file")
     if name == "aperture_mm":
         yield _of("part.hole_mm", PartSection)
     yield Question("?surface", "What is polished.", "flat", SURFACES)
