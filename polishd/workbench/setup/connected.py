@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,7 +60,8 @@ class Connected:
 
 def look(here: Path) -> Connected:
     """What is connected, and which folders, here or just below, have maps in them."""
-    folders = [here, *sorted(path for path in here.iterdir() if path.is_dir() and not path.name.startswith("."))]
+    below = sorted(path for path in here.iterdir() if path.is_dir() and not path.name.startswith("."))
+    folders = [path for path in (here, *below) if os.access(path, os.R_OK | os.X_OK)]
     return Connected(_serial_ports(), can_interfaces(INTERFACES), tuple(map_folders(folders)))
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from polishd.config.cell import FILES, PORTS, CellConfig, consistent, device_options
 from polishd.config.document import Document
@@ -34,6 +35,8 @@ ABOVE_MM = 60.0
 BLANK_ARM = ("dh", "joint_limits_deg", "home_deg", "joint_stiffness_n_mm_per_rad")
 """What only a data sheet says of an arm."""
 
+LANGUAGES = {"universal_robots": "urscript"}
+"""Of robots whose controllers take one language only."""
 DATA_SHEET = "from the machine's data sheet, on the safe side"
 PAPER = "the paper's; your tool's is another"
 ASSUMED: Mapping[str, tuple[Any, str]] = {
@@ -57,7 +60,6 @@ ASSUMED: Mapping[str, tuple[Any, str]] = {
     "process.dip_deg": (15.0, PAPER),
     "process.preston": ("1.49e-9 cm2/N", PAPER + ": polishd calibrate tif measures it"),
     "process.grid_mm": (0.5, ""),
-    "program.format": ("rs274", ""),
     "machine.max_feed_mm_s": (50.0, DATA_SHEET),
     "machine.min_feed_mm_s": (0.5, DATA_SHEET),
     "machine.accel_mm_s2": (800.0, DATA_SHEET),
@@ -146,6 +148,7 @@ def gathered(answers: Answers, folder: Path, sample: Sample | None) -> Draft:
             CellConfig.of(draft.raw, answers.source)
     _assume_names(draft, sample)
     _assume_robot(draft)
+    draft.assume("program.format", LANGUAGES.get(draft.raw["robot"].get("type"), "rs274"))
     for key, (value, why) in ASSUMED.items():
         port = key.partition(".")[0]
         if key.endswith(".address") and f"{port}.type" not in draft.assumed and not _is_usual(draft, port):
@@ -236,14 +239,12 @@ def _assume_ranges(draft: Draft) -> None:
     machine, draft.raw["machine"] = draft.raw["machine"], provisional
     config = draft.judged()
     draft.raw["machine"] = machine
-    if config.program.rotation_deg or any(config.program.offset_mm):
-        why = "the part and some room, not turned or shifted as the program is"
-    else:
-        why = "the part and some room: what the machine may use there"
-    outline = config.outline()
-    for axis, reach in zip("xy", outline.half_mm, strict=True):
-        room = float(np.ceil(reach + AROUND_MM))
-        draft.assume(f"machine.{axis}_mm", [-room, room], why)
-    around = outline.corners() * (1 + AROUND_MM / outline.radius_mm)
-    heights = on_optic(config.optic(), np.vstack([np.zeros((1, 2)), outline.corners(), around]))[:, 2]
-    draft.assume("machine.z_mm", [float(np.floor(heights.min())) - 1.0, float(np.ceil(heights.max())) + ABOVE_MM], why)
+    outline, optic = config.outline(), config.optic()
+    seen = np.vstack([np.zeros((1, 2)), outline.corners(), outline.corners() * (1 + AROUND_MM / outline.radius_mm)])
+    back = Rotation.from_euler("z", -config.program.rotation_deg, degrees=True)
+    there = back.apply(on_optic(optic, seen) - np.asarray(config.program.offset_mm))  # in the program's frame
+    room = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, ABOVE_MM]])
+    low, high = np.floor(there.min(axis=0)) + room[0], np.ceil(there.max(axis=0)) + room[1]
+    for at, axis in enumerate("xyz"):
+        limits = [float(low[at]), float(high[at])]
+        draft.assume(f"machine.{axis}_mm", limits, "the part and some room: what the machine may use there")

@@ -115,7 +115,7 @@ def _is_plan(summary: Mapping[str, Any], job: str) -> bool:
 
 def _summaries(*folders: Path) -> dict[Path, Mapping[str, Any]]:
     """The summaries of run folders and of folders of them; one that is broken is none."""
-    found = {}
+    found: dict[Path, Mapping[str, Any]] = {}
     for path in (path for folder in folders for depth in ("", "*/") for path in folder.glob(f"{depth}summary.json")):
         try:
             summary = json.loads(path.read_bytes())

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator, Mapping
-from typing import Any, get_args
+from typing import Any
 
 from pydantic import BaseModel
 
 from polishd.config.cell import PORTS, CellConfig
 from polishd.config.meanings import in_words, meanings
+from polishd.config.places import plain_kind, section_of
 from polishd.config.process import HybridSection, MeasuredSection, SerialSection
 from polishd.plain import toml
 from polishd.workbench.setup.arms import ARMS
@@ -89,6 +90,4 @@ def _model(draft: Draft, name: str, section: Mapping[str, Any]) -> type[BaseMode
         return None if kind is None else kind.options
     if name == "kinematics":
         return KINDS[section.get("type", "hybrid")]
-    found = CellConfig.model_fields[name].annotation
-    kinds = (one for one in (found, *get_args(found)) if isinstance(one, type))
-    return next((one for one in kinds if issubclass(one, BaseModel)), None)
+    return section_of(plain_kind(CellConfig.model_fields[name].annotation))

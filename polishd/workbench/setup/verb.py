@@ -22,7 +22,7 @@ from polishd.workbench.programs.contact import contact_radius_mm
 from polishd.workbench.programs.make import make_program
 from polishd.workbench.programs.options import MakeOptions
 from polishd.workbench.setup.answers import Answers, read_answers
-from polishd.workbench.setup.connected import Connected, look
+from polishd.workbench.setup.connected import look
 from polishd.workbench.setup.draft import PROFILE, Draft, gathered
 from polishd.workbench.setup.questions import ANSWERS, Question, asked
 from polishd.workbench.setup.sample import profile_text, read_sample
@@ -31,6 +31,7 @@ from polishd.workbench.setup.steps import Step, lines, steps
 from polishd.workbench.setup.text import cell_text
 
 CELL = "cell.toml"
+LOOKED = "Looked at what is connected, and opened nothing:"
 LEFT_OUT = "-"
 """Typed where an answer is left out."""
 PITCH_MM = 1.0
@@ -59,10 +60,15 @@ def init_verb(folder: Path, answers: Path | None, *, dry_run: bool, force: bool,
         ConfigError: answers that are wrong, with file, line and key; files that are there already, without ``force``.
         BadMap, ComputeError: a map that the answers name is none, or shows no spot.
     """
-    connected = look(Path())
+    with stderr.status("looking at what is connected"):
+        connected = look(Path())
+    if not as_json:
+        for line in (LOOKED, *connected.lines()):
+            stderr.print(line, markup=False, highlight=False, soft_wrap=True)
     if answers is None:
         _require_new(folder, [ANSWERS], force=force)  # before anybody answers
-        given = _ask(folder, connected)
+        stderr.print(f"Return takes what stands in [ ]; {LEFT_OUT} leaves it out.", markup=False, highlight=False)
+        given = asked(folder, connected, load_own(), _prompt)
         if not dry_run:
             _write(folder, {ANSWERS: given.source.text.encode()})  # whatever comes of them
     else:
@@ -86,17 +92,6 @@ def init_verb(folder: Path, answers: Path | None, *, dry_run: bool, force: bool,
     emit(answer, as_json=as_json, table=lambda: _table(made, cell, dry_run=dry_run))
     if not as_json:
         _tell(made, cell, todo, dry_run=dry_run)
-
-
-def _ask(folder: Path, connected: Connected) -> Answers:
-    """On the terminal; what is connected is said before."""
-    for line in (
-        "Looked, and opened nothing:",
-        *connected.lines(),
-        "Return takes what stands in [ ]; - leaves it out.",
-    ):
-        stderr.print(line, markup=False, highlight=False, soft_wrap=True)
-    return asked(folder, connected, load_own(), _prompt)
 
 
 def _prompt(question: Question, problem: str) -> str:
