@@ -83,11 +83,20 @@ def asked(folder: Path, connected: Connected, hooks: Hooks, ask: Ask) -> Answers
 
 def _looked_at(given: Mapping[str, Any]) -> dict[str, Any]:
     """Without what `polishd init` assumes by itself: whoever only pressed Return is still to look at it."""
-    return {
-        name: {key: value for key, value in section.items() if ASSUMED.get(f"{name}.{key}", (None,))[0] != value}
-        for name, section in given.items()
-        if not name.startswith("?")
-    }
+    kept: dict[str, Any] = {}
+    for name, section in given.items():
+        own = ASSUMED.get(f"{name}.type", (None,))[0]
+        if (
+            isinstance(section, str) or section.get("type", own) != own
+        ):  # what is usual for one type is said for another
+            kept[name] = section
+        else:
+            kept[name] = {key: value for key, value in section.items() if _unusual(f"{name}.{key}", value)}
+    return kept
+
+
+def _unusual(key: str, value: Any) -> bool:
+    return key not in ASSUMED or ASSUMED[key][0] != value
 
 
 def questions(given: Mapping[str, Any], connected: Connected, hooks: Hooks) -> Iterator[Question]:

@@ -20,7 +20,7 @@ WIDTH = 120
 COLUMN = 36
 """In which meanings begin, where a value leaves room."""
 LOOK = "# LOOK: "
-KINDS = {"hybrid": HybridSection, "serial": SerialSection, "measured": MeasuredSection}
+KINDS: Mapping[str, type[BaseModel]] = {"hybrid": HybridSection, "serial": SerialSection, "measured": MeasuredSection}
 ROW = "a_mm, alpha_deg, d_mm, theta_deg with joint {} at 0"
 
 

@@ -91,6 +91,12 @@ def test_a_device_type_is_asked_what_it_cannot_do_without(tmp_path: Path) -> Non
     assert {"handover", "device_profiles"} <= set(config.plugins.load)
 
 
+def test_a_usual_address_of_another_type_stays_said(tmp_path: Path) -> None:
+    answers = answered(tmp_path, Person(actuator__type=["voice_coil_serial"]))
+    config = gathered(answers, tmp_path / "cell", None).judged()
+    assert config.actuator.model_dump() == {"type": "voice_coil_serial", "address": "serial:/dev/ttyUSB0?baud=115200"}
+
+
 def test_what_is_connected_becomes_the_defaults(tmp_path: Path) -> None:
     maps = MapFolder(tmp_path, tmp_path / "part.dat", "metropro")
     found = Connected((SerialPort("/dev/serial/by-id/usb-1", "FTDI"),), ("can0",), (maps,))
