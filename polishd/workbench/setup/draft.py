@@ -144,8 +144,8 @@ def gathered(answers: Answers, folder: Path, sample: Sample | None) -> Draft:
     for name, section in answers.cell.items():
         draft.raw[name] = dict(section) if isinstance(section, Mapping) else section
     for section in dict.fromkeys(key.partition(".")[0] for key in (*ASSUMED, "plugins.load", "instrument.profile")):
-        if not isinstance(draft.raw.setdefault(section, {}), dict):  # it is told so
-            CellConfig.of(draft.raw, answers.source)
+        if not isinstance(given := draft.raw.setdefault(section, {}), dict):
+            raise answers.own.error(section, f"must be a section of its own, [{section}], not {given!r}; mend it")
     _assume_names(draft, sample)
     _assume_robot(draft)
     draft.assume("program.format", LANGUAGES.get(draft.raw["robot"].get("type"), "rs274"))
@@ -191,6 +191,8 @@ def _assume_robot(draft: Draft) -> None:
     """Its geometry, and a place of the part that it reaches."""
     kinematics = draft.raw["kinematics"]
     arm = draft.answers.own.kinematics.arm
+    if arm is not None and kinematics.get("type", "serial") != "serial":
+        raise draft.answers.own.error("kinematics.arm", 'goes with type = "serial", and says that itself; drop type')
     if arm is None and kinematics.get("type") == "serial" and "dh" not in kinematics:
         arm, draft.blank = next(iter(ARMS)), tuple(key for key in BLANK_ARM if key not in kinematics)
     if arm is not None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -57,8 +58,8 @@ def init_verb(folder: Path, answers: Path | None, *, dry_run: bool, force: bool,
     """Make a cell of answers, asked for where no file has them, and write it; what was assumed, and what is to be done.
 
     Raises:
-        ConfigError: answers that are wrong, with file, line and key; files that are there already, without ``force``.
-        BadMap, ComputeError: a map that the answers name is none, or shows no spot.
+        ConfigError: answers that are wrong, and maps that they name, with file, line and key; files that are there
+            already, without ``force``.
     """
     with stderr.status("looking at what is connected"):
         connected = look(Path())
@@ -107,11 +108,13 @@ def _prompt(question: Question, problem: str) -> str:
 def new_cell(answers: Answers, folder: Path) -> NewCell:
     """The files of a cell of these answers; errors: the verb's. Nothing is written."""
     sample = answers.own.instrument.sample
-    shown = None if sample is None else read_sample(answers.folder / Path(sample).expanduser())
+    with _blamed(answers, "instrument.sample"):
+        shown = None if sample is None else read_sample(answers.folder / Path(sample).expanduser())
     draft = gathered(answers, folder, shown)
     config = draft.judged()
     if answers.own.spot is not None:
-        add_spot(draft, answers.own.spot, config)
+        with _blamed(answers, "spot"):
+            add_spot(draft, answers.own.spot, config)
     if draft.raw["instrument"]["profile"] == PROFILE and "profile" not in answers.cell.get("instrument", {}):
         draft.files[PROFILE] = profile_text(shown).encode()
     draft.rebase()
@@ -119,6 +122,15 @@ def new_cell(answers: Answers, folder: Path) -> NewCell:
     said = _add_program(draft, config)
     files = {CELL: text.encode(), **draft.files}
     return NewCell(draft.folder, files, draft.assumed, tuple(f"kinematics.{key}" for key in draft.blank), said)
+
+
+@contextmanager
+def _blamed(answers: Answers, key: str) -> Iterator[None]:
+    """What is wrong with a file that an answer names is told with the answer's place."""
+    try:
+        yield
+    except PolishdError as error:
+        raise answers.own.error(key, str(error)) from error
 
 
 def _add_program(draft: Draft, config: CellConfig) -> str:

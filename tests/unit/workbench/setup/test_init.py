@@ -21,6 +21,7 @@ from polishd.model.robot import SerialRobot
 from polishd.recipe import foresight, steps
 from polishd.recipe.making import make_recipe
 from polishd.workbench.setup.arms import ARMS
+from tests.unit.workbench.maps.maps import dat
 
 LENS = """
 [kinematics]
@@ -102,6 +103,10 @@ def test_nothing_is_overwritten_without_being_asked(tmp_path: Path) -> None:
         (LENS + '[robot]\ntype = "robot_link"\naddres = "x"\n', r"answers\.toml:12: robot\.addres: unknown key"),
         (LENS + '[spot]\nfile = "x.npz"\nseconds = 3.0\n', r"answers\.toml:11: spot\.file: is given beside maps"),
         (LENS + "robot = 3\n", r"answers\.toml:10: part\.robot: unknown key"),
+        ('robot = "left"\n' + LENS, r"answers\.toml:1: robot: must be a section of its own, \[robot\], not 'left'"),
+        (LENS + '[instrument]\nsample = "no.dat"\n', r"toml:11: instrument\.sample: .*no\.dat: cannot be read"),
+        (LENS + '[spot]\nfile = "no.csv"\npitch_mm = 1.0\n', r"toml:10: spot: .*no\.csv: is no array of a spot"),
+        (LENS.replace("arm =", 'type = "hybrid"\narm ='), r"toml:4: kinematics\.arm: goes with type = \"serial\""),
         ("[part", r"answers\.toml:1: this is not TOML"),
     ],
 )
@@ -132,6 +137,18 @@ def test_a_measured_spot_becomes_the_cells_removal(tmp_path: Path) -> None:
     np.testing.assert_allclose(tif.rate_nm_s, rate)
     assert (config.process.removal_model, tif.pitch_mm, tif.azimuth_deg) == ("measured_tif", 0.25, 90.0)
     assert config.process.preston != pytest.approx(1.49e-9, rel=0.01)
+
+
+@pytest.mark.full
+def test_two_maps_of_a_spot_become_the_cells_removal(tmp_path: Path) -> None:
+    at = (np.arange(81) - 40) * 0.25
+    spot_nm = 90.0 * np.exp(-(at**2 + at[:, None] ** 2) / 4)
+    dat(tmp_path / "before.dat", np.full_like(spot_nm, 100.0), pitch_mm=0.25)
+    dat(tmp_path / "after.dat", 100.0 - spot_nm, pitch_mm=0.25)
+    init(tmp_path, LENS + '[spot]\nbefore = "before.dat"\nafter = "after.dat"\nseconds = 30.0\n')
+    tif = load_config(tmp_path / "cell" / "cell.toml").measured_tif()
+    assert tif is not None
+    assert tif.rate_nm_s.max() == pytest.approx(90.0 / 30.0, rel=0.01)
 
 
 def test_files_that_answers_name_are_found_from_the_cell_too(tmp_path: Path) -> None:
