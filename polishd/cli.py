@@ -83,7 +83,9 @@ def plan(
     *,
     cell: Cell,
     surface: Annotated[Path, Argument(metavar="MAP", help="A measured map.")],
-    program: Annotated[Path, Option(metavar="P.rnc", help="The RNC program to rewrite.")],
+    program: Annotated[
+        Path | None, Option(metavar="P.rnc", help="The RNC program to rewrite; default: the cell's.")
+    ] = None,
     out: Annotated[Path, Option(metavar="DIR", help="New folder for the plan.")],
     correction: Correction = None,
     as_json: Json = False,

@@ -71,7 +71,7 @@ def _steps(config: CellConfig, file: Path) -> Iterator[Step]:
     plans = [at.parent for at, of in _summaries(*_beside(config)).items() if _is_plan(of, config.job.id)]
     out = _quoted(file.parent / "plan")
     planned = ", ".join(map(_quoted, plans)) or "no plan of this job lies beside the cell"
-    yield Step("plan", bool(plans), planned, f"polishd plan {cell} {MAP} --program {path} --out {out}")
+    yield Step("plan", bool(plans), planned, f"polishd plan {cell} {MAP} --out {out}")
     rehearsal = config.state_dir.parent / f"{config.path.stem}-rehearsal"
     rehearsed = _summaries(rehearsal / "run", rehearsal / "state" / "runs")
     said = _outcomes(rehearsed) or ("made, and not run" if rehearsal.is_dir() else "not made")

@@ -44,10 +44,7 @@ def test_a_new_cell_passes_its_check_and_has_all_else_to_do(cell: Path) -> None:
     done = [what for what, (is_done, _, _) in found.items() if is_done]
     assert done == ["have a program", "check"]
     assert found["probe"][0] is None
-    assert (
-        found["plan"][2]
-        == f"polishd plan {cell} MAP --program {cell.parent / 'program.rnc'} --out {cell.parent / 'plan'}"
-    )
+    assert found["plan"][2] == f"polishd plan {cell} MAP --out {cell.parent / 'plan'}"
 
 
 def test_steps_are_done_as_their_files_appear_and_undone_as_they_go(cell: Path) -> None:
