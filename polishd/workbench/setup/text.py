@@ -16,6 +16,7 @@ from polishd.plain import toml
 from polishd.workbench.setup.arms import ARMS
 from polishd.workbench.setup.draft import ORDER, Draft
 
+FILL_IN = "to be filled in, from the arm's data sheet; here that of another arm"
 WIDTH = 120
 COLUMN = 36
 """In which meanings begin, where a value leaves room."""
@@ -54,7 +55,7 @@ def _keys(draft: Draft, name: str, section: Mapping[str, Any]) -> Iterator[str]:
         yield f"# {ARMS[arm].title}. Rows: {ARMS[arm].source}"
     for key, value in sorted(section.items(), key=lambda item: item[0] != "type"):
         blank = name == "kinematics" and key in draft.blank
-        why = "to be filled in, from the arm's data sheet" if blank else draft.assumed.get(f"{name}.{key}")
+        why = FILL_IN if blank else draft.assumed.get(f"{name}.{key}")
         if why:
             yield f"{LOOK}{why}"
         lines = _written(key, value, in_words(told.get(key, "")))

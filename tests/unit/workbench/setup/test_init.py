@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -123,6 +124,11 @@ def test_an_arm_without_rows_is_left_to_be_filled_in_and_says_where(tmp_path: Pa
     with pytest.raises(ConfigError, match=r"cell\.toml:\d+: kinematics\.dh: is missing"):
         load_config(tmp_path / "cell" / "cell.toml")
     assert "kinematics.dh" in told["todo"][0]["found"]
+    lines = (tmp_path / "cell" / "cell.toml").read_text().splitlines()
+    filled = [line.removeprefix("# ") for line in lines if not line.startswith("# LOOK")]
+    text = "\n".join(line for line in filled if re.match(r"\[|\]|\w+ = |  \[", line))
+    (tmp_path / "filled.toml").write_text(text)
+    assert isinstance(load_config(tmp_path / "filled.toml").robot_model(), SerialRobot)
 
 
 def test_a_measured_spot_becomes_the_cells_removal(tmp_path: Path) -> None:
