@@ -16,7 +16,7 @@ from polishd.config.cell import FILES, PORTS, CellConfig, consistent, device_opt
 from polishd.config.document import Document
 from polishd.config.outline import OUTLINES
 from polishd.config.process import SerialSection
-from polishd.hooks.loader import Hooks, load_own
+from polishd.hooks.loader import Hooks
 from polishd.model.robot import SerialRobot
 from polishd.process.paths.spacing import on_optic
 from polishd.process.robot.dh_chain import chain
@@ -138,9 +138,12 @@ class Draft:
         return Path(os.path.relpath(there, self.folder)).as_posix()
 
 
-def gathered(answers: Answers, folder: Path, sample: Sample | None) -> Draft:
-    """The cell of these answers, its files' paths still from the answers' folder; ConfigError as of `judged`."""
-    draft = Draft(answers, folder.absolute(), load_own())
+def gathered(answers: Answers, folder: Path, hooks: Hooks, sample: Sample | None = None) -> Draft:
+    """The cell of these answers, its files' paths still from the answers' folder; ConfigError as of `judged`.
+
+    ``hooks`` has the plugins among which the answers choose: polishd's own.
+    """
+    draft = Draft(answers, folder.absolute(), hooks)
     for name, section in answers.cell.items():
         draft.raw[name] = dict(section) if isinstance(section, Mapping) else section
     for section in dict.fromkeys(key.partition(".")[0] for key in (*ASSUMED, "plugins.load", "instrument.profile")):

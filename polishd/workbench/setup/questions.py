@@ -74,7 +74,7 @@ def asked(folder: Path, connected: Connected, hooks: Hooks, ask: Ask) -> Answers
             value = _value(question, ask(question, problem), folder)
             if value != SKIP:
                 _put(given, question.key, value)
-            problem = _problem(given, question, value, folder)
+            problem = _problem(given, question, value, folder, hooks)
             if not problem:
                 break
             _put(given, question.key, None)
@@ -204,14 +204,14 @@ def _put(given: dict[str, Any], key: str, value: Any) -> None:
         table[name] = value
 
 
-def _problem(given: Mapping[str, Any], question: Question, value: Any, folder: Path) -> str:
+def _problem(given: Mapping[str, Any], question: Question, value: Any, folder: Path, hooks: Hooks) -> str:
     """What is wrong with this answer; empty where nothing is. What others lack is not its fault."""
     if value == SKIP:
         return "cannot be left out" if question.needed else ""
     if question.choices:
         return "" if value in question.choices else f"{value!r} is none of {', '.join(question.choices)}"
     try:
-        gathered(answers_of(answers_text(given), folder / ANSWERS), folder, None).judged()
+        gathered(answers_of(answers_text(given), folder / ANSWERS), folder, hooks).judged()
     except ConfigError as error:
         here = [line for line in str(error).splitlines() if f" {question.key}: " in line]
         return "\n".join(line.partition(f" {question.key}: ")[2] for line in here)

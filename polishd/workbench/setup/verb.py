@@ -110,7 +110,7 @@ def new_cell(answers: Answers, folder: Path) -> NewCell:
     sample = answers.own.instrument.sample
     with _blamed(answers, "instrument.sample"):
         shown = None if sample is None else read_sample(answers.folder / Path(sample).expanduser())
-    draft = gathered(answers, folder, shown)
+    draft = gathered(answers, folder, load_own(), shown)
     config = draft.judged()
     if answers.own.spot is not None:
         with _blamed(answers, "spot"):

@@ -92,6 +92,7 @@ def test_nothing_is_overwritten_without_being_asked(tmp_path: Path) -> None:
     assert load_config(cell).part.id == "MIRROR-7"
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("answers", "said"),
     [
@@ -117,6 +118,7 @@ def test_a_wrong_answer_is_told_with_its_line_and_nothing_is_written(tmp_path: P
     assert not (tmp_path / "cell").exists()
 
 
+@pytest.mark.full
 def test_an_arm_without_rows_is_left_to_be_filled_in_and_says_where(tmp_path: Path) -> None:
     told = init(tmp_path, LENS.replace('arm = "ur10e"', 'type = "serial"'))
     assert "kinematics.dh" in told["fill_in"]
@@ -157,6 +159,7 @@ def test_two_maps_of_a_spot_become_the_cells_removal(tmp_path: Path) -> None:
     assert tif.rate_nm_s.max() == pytest.approx(90.0 / 30.0, rel=0.01)
 
 
+@pytest.mark.full
 def test_files_that_answers_name_are_found_from_the_cell_too(tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "corners.csv").write_text("x_mm,y_mm\n9,7\n-9,7\n-9,-7\n9,-7\n")

@@ -51,12 +51,13 @@ def test_each_question_has_a_line_of_why_and_a_part_and_an_arm_become_their_answ
 
 def test_what_only_got_a_return_is_still_to_be_looked_at(tmp_path: Path) -> None:
     person = Person(robot=["ur5e"], process__force_n=["9.5"])
-    draft = gathered(answered(tmp_path, person), tmp_path / "cell", None)
+    draft = gathered(answered(tmp_path, person), tmp_path / "cell", load_own())
     assert {"process.rpm", "robot.address", "job.tolerance_nm"} <= set(draft.assumed)
     assert "process.force_n" not in draft.assumed
     assert draft.raw["process"]["force_n"] == 9.5
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("key", "wrong", "right", "said"),
     [
@@ -76,6 +77,7 @@ def test_a_wrong_answer_is_told_at_once_and_asked_again(
     assert said in problem
 
 
+@pytest.mark.full
 def test_a_device_type_is_asked_what_it_cannot_do_without(tmp_path: Path) -> None:
     person = Person(
         robot__type=["handover"],
@@ -87,16 +89,18 @@ def test_a_device_type_is_asked_what_it_cannot_do_without(tmp_path: Path) -> Non
     answers = answered(tmp_path, person)
     assert person.problems == [("robot.profile", "cannot be left out")]
     assert answers.cell["robot"]["address"] == "opc.tcp://robot-controller:4840"
-    config = gathered(answers, tmp_path / "cell", None).judged()
+    config = gathered(answers, tmp_path / "cell", load_own()).judged()
     assert {"handover", "device_profiles"} <= set(config.plugins.load)
 
 
+@pytest.mark.full
 def test_a_usual_address_of_another_type_stays_said(tmp_path: Path) -> None:
     answers = answered(tmp_path, Person(actuator__type=["voice_coil_serial"]))
-    config = gathered(answers, tmp_path / "cell", None).judged()
+    config = gathered(answers, tmp_path / "cell", load_own()).judged()
     assert config.actuator.model_dump() == {"type": "voice_coil_serial", "address": "serial:/dev/ttyUSB0?baud=115200"}
 
 
+@pytest.mark.full
 def test_what_is_connected_becomes_the_defaults(tmp_path: Path) -> None:
     maps = MapFolder(tmp_path, tmp_path / "part.dat", "metropro")
     found = Connected((SerialPort("/dev/serial/by-id/usb-1", "FTDI"),), ("can0",), (maps,))
