@@ -83,7 +83,9 @@ def plan(
     *,
     cell: Cell,
     surface: Annotated[Path, Argument(metavar="MAP", help="A measured map.")],
-    program: Annotated[Path, Option(metavar="P.rnc", help="The RNC program to rewrite.")],
+    program: Annotated[
+        Path | None, Option(metavar="P.rnc", help="The RNC program to rewrite; default: the cell's.")
+    ] = None,
     out: Annotated[Path, Option(metavar="DIR", help="New folder for the plan.")],
     correction: Correction = None,
     as_json: Json = False,
@@ -144,8 +146,19 @@ def notify(cell: Cell, as_json: Json = False) -> None:
 
 
 @app.command()
-def status(cell: Cell, as_json: Json = False) -> None:
+def status(
+    cell: Cell,
+    setup: Annotated[
+        bool, Option("--setup", help="How far the cell is from its first pass, by what is on disk.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
     """What the daemon of a cell is doing."""
+    if setup:
+        from polishd.console.setup import setup_verb
+
+        setup_verb(cell, as_json=as_json)
+        return
     from polishd.console.verbs import status_verb
 
     status_verb(cell, as_json=as_json)

@@ -1,9 +1,11 @@
-"""What json cannot hold by itself, as something that it can."""
+"""Values as text: what json cannot hold by itself as something that it can, and values as TOML."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import asdict, is_dataclass
+from typing import Any
 
 import numpy as np
 
@@ -19,3 +21,12 @@ def plain(value: object) -> object:
     if isinstance(value, Mapping):
         return dict(value)
     return str(value)
+
+
+def toml(value: Any) -> str:
+    """A value as TOML writes it on one line."""
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {toml(one)}" for key, one in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    return json.dumps(value) if isinstance(value, bool | str) else repr(value)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import ast
 import inspect
-import itertools
 import json
 import re
-import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +16,7 @@ from docs.reference import ports
 from polishd.config.cell import CellConfig
 from polishd.config.controller_profile import ControllerProfile
 from polishd.config.device_profile import DeviceProfile
+from polishd.config.meanings import meanings
 from polishd.config.places import plain_kind, section_of, variants
 from polishd.config.profile_sections import ProfileFile
 from polishd.config.sections import DeviceSection
@@ -122,19 +120,6 @@ def keys(model: type[BaseModel]) -> list[Key]:
     told, given = meanings(model), model.model_construct().model_dump(mode="json")
     own = [name for name in model.model_fields if not _tables(model, name) and "const" not in found[name]]
     return [Key(name, found[name], (given[name],) if name in given else (), told.get(name, "")) for name in own]
-
-
-def meanings(model: type[BaseModel]) -> dict[str, str]:
-    """The docstring below each field of the model and of those that it is made from."""
-    told: dict[str, str] = {}
-    for made_of in reversed(model.__mro__):
-        if issubclass(made_of, BaseModel) and made_of is not BaseModel:
-            body = ast.parse(textwrap.dedent(inspect.getsource(made_of))).body[0].body  # type: ignore[attr-defined]
-            for field, below in itertools.pairwise(body):
-                match field, below:
-                    case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                        told[name] = " ".join(text.split())
-    return told
 
 
 def tables(model: type[BaseModel], above: str = "") -> Iterator[Table]:

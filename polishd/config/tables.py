@@ -138,6 +138,11 @@ def read_tif(path: Path) -> MeasuredTif:
 
 def write_tif(path: Path, tif: MeasuredTif) -> None:
     """Write a TIF whole: an npz file of arrays, readable with numpy alone."""
+    write_atomic(path, tif_bytes(tif))
+
+
+def tif_bytes(tif: MeasuredTif) -> bytes:
+    """What stands in such a file."""
     buffer = io.BytesIO()
     np.savez(buffer, **{key: getattr(tif, key) for key in TIF_KEYS})
-    write_atomic(path, buffer.getvalue())
+    return buffer.getvalue()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import socket
 from collections.abc import Mapping
@@ -10,13 +9,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from polishd.config.cell import CellConfig, load_config
 from polishd.hooks.loader import load_own
 from polishd.model.errors import BadMap
 from polishd.recipe.files import read_map
 from polishd.workbench.programs.own_raster import own_program
+from polishd.workbench.setup.sample import aperture_mm
 
 SURFACE_PERIOD_MM = 7.0
 """Twice the spot's diameter: no dwell reaches shorter periods."""
@@ -81,9 +79,7 @@ def aperture_of(surface: Path) -> float:
     measured = read_map(surface, load_own().surface_readers().values())
     if measured.pitch_mm is None:
         raise BadMap(f"{surface}: has no lateral scale; the demo needs one")
-    rows, columns = np.nonzero(measured.valid)
-    extent = (min(np.ptp(rows), np.ptp(columns)) + 1) * measured.pitch_mm
-    return math.floor(float(extent))
+    return aperture_mm(measured, measured.pitch_mm)
 
 
 def with_values(text: str, sections: Mapping[str, Mapping[str, Any]]) -> str:

@@ -26,13 +26,15 @@ from polishd.show.tables import emit, key_table, outcome_tables, record_table, s
 from polishd.threads import run_loop
 
 
-def plan_verb(cell: Path, surface: Path, program: Path, out: Path, correction: str | None, *, as_json: bool) -> None:
-    """Plan a part by hand."""
+def plan_verb(
+    cell: Path, surface: Path, program: Path | None, out: Path, correction: str | None, *, as_json: bool
+) -> None:
+    """Plan a part by hand; without ``program`` by the cell's."""
     from polishd.workbench.plan import plan_part
 
     config, hooks = load_cell(cell, correction)
     with stderr.status("solving the dwell"):
-        summary = plan_part(config, hooks, surface, program, out)
+        summary = plan_part(config, hooks, surface, program or config.program_path, out)
     emit(summary, as_json=as_json, table=lambda: outcome_tables(summary))
     if not as_json:
         for note in summary["notes"]:

@@ -23,6 +23,23 @@ app.add_typer(devices, name="device", no_args_is_help=True)
 
 
 @app.command()
+def init(
+    *,
+    folder: Annotated[Path, Argument(metavar="DIR", help="Where the cell is to stand; made where it is not there.")],
+    answers: Annotated[
+        Path | None, Option("--from", metavar="ANSWERS.toml", help="What is known of it; left out: you are asked.")
+    ] = None,
+    dry_run: Annotated[bool, Option("--dry-run", help="Show what it would write; write nothing.")] = False,
+    force: Annotated[bool, Option("--force", help="Overwrite what is there.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Begin a cell: its commented file, an instrument's profile, a program, and what is still to be done."""
+    from polishd.workbench.setup.verb import init_verb
+
+    init_verb(folder, answers, dry_run=dry_run, force=force, as_json=as_json)
+
+
+@app.command()
 def tif(
     cell: Cell,
     depth_ratio: Annotated[float, Option(metavar="G", help="Gamma: depth over the rigid robot's.")] = 1.0,

@@ -9,7 +9,7 @@ from polishd.config.controller_profile import FOLDER, ControllerProfile, load_co
 from polishd.console.demo_files import free_port
 from polishd.console.rehearsal.draft import LOOPBACK, SIM_STATE, Draft
 from polishd.console.rehearsal.part import home, most_a_deg
-from polishd.console.rehearsal.text import toml
+from polishd.plain import toml
 
 SPEED = {"linuxcnc": 1.0, "universal_robots": 4.0, "handover": 8.0}
 USUAL_SPEED = 10.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, MutableMapping
 from typing import Any
 
@@ -10,6 +9,7 @@ import tomlkit
 
 from polishd.config.cell import FILES, lay_over
 from polishd.console.rehearsal.draft import Draft
+from polishd.plain import toml
 
 COLUMN = 45
 """In which comments begin, where a value leaves room."""
@@ -40,15 +40,6 @@ def cell_text(draft: Draft) -> str:
         f"# Made by polishd sim --from {config.path}: the same cell, with simulated devices and folders of its own.\n"
     )
     return head + "".join(f"# {note}\n" for note in draft.notes) + tomlkit.dumps(document)
-
-
-def toml(value: Any) -> str:
-    """A value as TOML writes it on one line."""
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {toml(one)}" for key, one in value.items()) + " }"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(toml, value)) + "]"
-    return json.dumps(value) if isinstance(value, bool | str) else repr(value)
 
 
 def _files(draft: Draft) -> dict[str, Any]:

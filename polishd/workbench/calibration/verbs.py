@@ -22,7 +22,7 @@ from polishd.process.calibration.exponent import fit_exponent
 from polishd.process.calibration.judgement import doubts
 from polishd.process.calibration.loading import LoadingTests
 from polishd.process.calibration.stiffness import StiffnessFit, fit_stiffness
-from polishd.process.measured_tif import preston_from_tif, tif_from_maps
+from polishd.process.measured_tif import TifReport, preston_from_tif, tif_from_maps
 from polishd.show.tables import emit, key_table, record_table, stderr
 from polishd.workbench.maps.files import MapSource
 
@@ -138,19 +138,25 @@ def tif_verb(
     _require_toml(out)
     config = None if cell is None else load_config(cell)
     process = ToolProcess() if config is None else config.tool_process()
-    source = MapSource.of(cell)
+    tif, report = tif_of_maps(MapSource.of(cell), maps, seconds, place)
+    preston = preston_from_tif(process, place.depth_ratio, tif)
+    if out is not None:
+        _write_tif_fragment(out, config, tif, preston, f"a spot of {seconds:g} s, {maps[0].name} to {maps[1].name}")
+    answer = {**asdict(report), "preston_cm2_per_n": preston}
+    _emit(answer, out, as_json=as_json, table=lambda: key_table("measured TIF", _tif_rows(answer)))
+
+
+def tif_of_maps(
+    source: MapSource, maps: tuple[Path, Path], seconds: float, place: SpotPlace
+) -> tuple[MeasuredTif, TifReport]:
+    """The TIF of a spot, and how well it was measured; BadMap or ComputeError where the maps show none."""
     before, after = (source.read(path) for path in maps)
     for path, found in zip(maps, (before, after), strict=True):
         if found.pitch_mm is None:
             raise BadMap(f"{path}: has no lateral scale; export it with one")
     if before.pitch_mm != after.pitch_mm or before.height_nm.shape != after.height_nm.shape:
         raise BadMap(f"{maps[1]}: has not the samples of {maps[0].name}; measure both with the same setting")
-    tif, report = tif_from_maps(before.height_nm, after.height_nm, before.grid.pitch_mm, seconds, **asdict(place))
-    preston = preston_from_tif(process, place.depth_ratio, tif)
-    if out is not None:
-        _write_tif_fragment(out, config, tif, preston, f"a spot of {seconds:g} s, {maps[0].name} to {maps[1].name}")
-    answer = {**asdict(report), "preston_cm2_per_n": preston}
-    _emit(answer, out, as_json=as_json, table=lambda: key_table("measured TIF", _tif_rows(answer)))
+    return tif_from_maps(before.height_nm, after.height_nm, before.grid.pitch_mm, seconds, **asdict(place))
 
 
 def _tif_rows(answer: Mapping[str, Any]) -> list[tuple[str, str]]:

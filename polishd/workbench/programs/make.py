@@ -73,21 +73,41 @@ class MadePath:
         return np.asarray(np.linalg.norm(np.diff(self.points_mm, axis=0), axis=1), dtype=np.float64)
 
 
+@dataclass(frozen=True, slots=True)
+class MadeProgram:
+    """A program of a path."""
+
+    path: MadePath
+    text: bytes
+    answer: dict[str, Any]
+    """What ``polishd program make`` says of it."""
+
+
 def make_verb(options: MakeOptions, *, as_json: bool) -> None:
     """Make the path, write the program whole, say what it is. Nothing is written where anything is refused."""
-    encoding = _encoding(options)
     config, hooks = (None, None) if options.cell is None else load_cell(options.cell)
-    dialect = options.dialect or (DEFAULT if config is None else _dialect_of(config))
     with stderr.status("making the path"):
-        made = make_path(options, config)
-        feed, time_s = _timing(options, encoding, made.length_mm)
-        points, axis = _in_program_frame(config, made.points_mm, made.axis)
-        text = path_program(
-            points, axis, feed, _title(options), encoding=encoding, dwell_s=options.dwell_s or 0.0, to=dialect
-        )
-        if config is not None and hooks is not None:
-            _require_cell_takes(config, hooks, read(dialect_named(dialect), text, options.out.name))
-    _write(options, made, text)
+        program = make_program(options, config, hooks)
+    _write(options, program.path, program.text)
+    answer = program.answer
+    emit(answer, as_json=as_json, table=lambda: _table(options, answer), lines=[f"written to {options.out}"])
+
+
+def make_program(options: MakeOptions, config: CellConfig | None, hooks: Hooks | None) -> MadeProgram:
+    """The program's text and what it is; nothing is written.
+
+    ComputeError or ProgramError where it cannot be, or where the cell's `plan` or `run` would refuse it.
+    """
+    encoding = _encoding(options)
+    dialect = options.dialect or (DEFAULT if config is None else _dialect_of(config))
+    made = make_path(options, config)
+    feed, time_s = _timing(options, encoding, made.length_mm)
+    points, axis = _in_program_frame(config, made.points_mm, made.axis)
+    text = path_program(
+        points, axis, feed, _title(options), encoding=encoding, dwell_s=options.dwell_s or 0.0, to=dialect
+    )
+    if config is not None and hooks is not None:
+        _require_cell_takes(config, hooks, read(dialect_named(dialect), text, options.out.name))
     answer = {
         "shape": options.shape,
         "dialect": dialect_named(dialect).name,
@@ -100,7 +120,7 @@ def make_verb(options: MakeOptions, *, as_json: bool) -> None:
         "out": str(options.out),
         "not_checked": list(UNCHECKED) if config is None else [],
     }
-    emit(answer, as_json=as_json, table=lambda: _table(options, answer), lines=[f"written to {options.out}"])
+    return MadeProgram(made, text, answer)
 
 
 def _dialect_of(config: CellConfig) -> str:

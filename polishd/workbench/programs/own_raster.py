@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from polishd.config.cell import CellConfig
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.make import path_program
-from polishd.process import contact
-from polishd.process.compliance import depth_ratio
-from polishd.process.path_compliance import compliance_at
 from polishd.process.paths.apertures import over_outline
 from polishd.process.paths.raster import quiet_step_mm, raster
 from polishd.process.paths.wrist import tool_axes
+from polishd.workbench.programs.contact import contact_radius_mm
 
 RASTER_MM = 1.0
 """Length of a block, and most distance of the lines: the step that leaves no ripple is a little less."""
@@ -34,29 +30,8 @@ def own_path(config: CellConfig, dwells_mm: float | None = None) -> tuple[FloatA
     ``dwells_mm``: most distance of the points where each has a dwell: they are then quiet along the lines, too.
     """
     covered = over_outline(config.outline()).larger(OVERRUN_MM)
-    step = quiet_step_mm(_contact_radius_mm(config), dwells_mm or RASTER_MM)
+    step = quiet_step_mm(contact_radius_mm(config), dwells_mm or RASTER_MM)
     along = step if dwells_mm else RASTER_MM
     points = raster(covered, step, along, optic=config.optic(), landing_mm=LANDING_MM - OVERRUN_MM)
-    return points, _axes(config, points)
-
-
-def _axes(config: CellConfig, points_mm: FloatArray) -> FloatArray:
-    """(n, 3) tool axes in the part's frame, dipped as the cell dips."""
-    return tool_axes(points_mm, config.optic(), config.process.dip_deg, config.compliance_options(), config.placement())
-
-
-def _contact_radius_mm(config: CellConfig) -> float:
-    """Radius of the contact that acts at the part's centre."""
-    centre, process = np.zeros((1, 3)), config.tool_process()
-    found = compliance_at(
-        centre,
-        _axes(config, centre),
-        process,
-        config.robot_model(),
-        config.placement(),
-        options=config.compliance_options(),
-        optic=config.optic(),
-    )
-    depth = contact.hertz_depth_mm(process)
-    gamma = depth_ratio(found.compliance_mm_per_n, process, depth)
-    return float(contact.contact_radius_mm(process, gamma * depth)[0])
+    axes = tool_axes(points, config.optic(), config.process.dip_deg, config.compliance_options(), config.placement())
+    return points, axes

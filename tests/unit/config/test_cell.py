@@ -119,7 +119,7 @@ def test_values_of_a_config_never_change(tmp_path: Path, example: str) -> None:
 )
 def test_sections_have_the_keys_and_defaults_of_their_nouns(section: type[BaseModel], noun: Any) -> None:
     own = {"type"} if section is HybridSection else set()
-    own |= {"removal_model", "correction", "grid_mm", "tif"} if section is ProcessSection else set()
+    own |= {"removal_model", "learns", "correction", "grid_mm", "tif"} if section is ProcessSection else set()
     named = {field.name: field.name.removesuffix("_cm2_per_n") for field in fields(noun)}
     assert set(section.model_fields) - own == set(named.values())
     for field in fields(noun):

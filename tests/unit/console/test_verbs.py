@@ -25,6 +25,7 @@ from polishd.model.errors import ConfigError, DeviceFault, PolishdError
 from polishd.plugins.rnc_robot.dialect import FOLDER, dialect
 from polishd.workbench import plan as planning
 from tests.unit.said import Polishd, Said
+from tests.unit.workbench.maps.maps import dat, surface
 
 
 @pytest.fixture(scope="module")
@@ -172,6 +173,15 @@ def test_plan_refuses_what_is_there(polishd: Polishd, files: DemoFiles) -> None:
     program = files.out / "program.rnc"
     said = polishd("plan", files.cell, program, "--program", program, "--out", files.out)
     assert (said.code, "exists already" in said.err) == (3, True)
+
+
+def test_plan_takes_the_cells_own_program(polishd: Polishd, files: DemoFiles, tmp_path: Path) -> None:
+    """Read before anything is computed: that it is broken is told by its name."""
+    (files.out / "program.rnc").write_text("G21 G90 G94\nG91\nM2\n")
+    part = load_config(files.cell).part.id
+    said = polishd("plan", files.cell, dat(tmp_path / "part.dat", surface(), part=part), "--out", tmp_path / "plan")
+    assert said.code == 9, said.err
+    assert "program.rnc" in said.err
 
 
 @pytest.mark.parametrize("verb", ["plan", "demo"])

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.daemon.job import DIVERGED_RATIO, PROGRESS_BLOCKS, Job
+from polishd.daemon.job import PROGRESS_BLOCKS, Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
 from polishd.model.devices import Executed, RobotProgress
@@ -18,6 +18,7 @@ from polishd.model.errors import ComputeError, PlanRefused
 from polishd.model.program import Plan
 from polishd.model.surface import SurfaceMap
 from polishd.model.tolerance import Line
+from polishd.process.findings import DIVERGED_RATIO
 from polishd.recipe import steps
 from polishd.recipe.dwell_step import require_certificate
 from polishd.recipe.records import Measured

@@ -14,7 +14,7 @@ from polishd import cli
 from polishd.workbench.cli import app as workbench
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "cell.toml"
-VERBS = {"calibrate", "compliance", "device", "map", "program", "study", "tif"}
+VERBS = {"calibrate", "compliance", "device", "init", "map", "program", "study", "tif"}
 
 
 def test_every_verb_of_the_workbench_is_a_verb_of_polishd() -> None:

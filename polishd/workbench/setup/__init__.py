@@ -1,0 +1,1 @@
+"""``polishd init``: a new cell from answers."""

@@ -1,0 +1,126 @@
+"""The answers that a cell is made from: a cell's own sections and keys, and a few of ``polishd init``'s own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from polishd.config.document import Document, parse_text, parse_toml
+from polishd.config.places import Source, did_you_mean, listed
+from polishd.config.values import Angle, Positive, Section, Text
+from polishd.workbench.setup.arms import ARMS
+
+
+class ArmKeys(Section):
+    """What [kinematics] may say besides a cell's own keys."""
+
+    arm: Text | None = None
+    """An arm whose rows are known: type, rows, limits and home are its own."""
+
+    @field_validator("arm")
+    @classmethod
+    def _known(cls, name: str | None) -> str | None:
+        if name is not None and name not in ARMS:
+            raise ValueError(
+                f"there is no arm {name!r}{did_you_mean(name, ARMS)} There are: {listed(ARMS)}; of any other write "
+                'type = "serial" and its rows (docs/first_hour.md)'
+            )
+        return name
+
+
+class SampleKeys(Section):
+    """What [instrument] may say besides a cell's own keys."""
+
+    sample: Text | None = None
+    """A map of this instrument: its profile is begun from it, and the part's size and name where [part] has none."""
+
+
+class MakeKeys(Section):
+    """What [program] may say besides a cell's own keys."""
+
+    make: Literal["raster", "spiral", "none"] = "raster"
+    """The program to make where `path` names none."""
+
+
+class SpotKeys(Section):
+    """A removal spot that was measured: two maps and the time between, or a file of the rate."""
+
+    before: Text | None = None
+    """Map before the spot."""
+    after: Text | None = None
+    """Map after it."""
+    seconds: Positive | None = None
+    """Time on the spot."""
+    file: Text | None = None
+    """Instead: an `.npz` of `polishd calibrate tif`, or an array of nm/s (`.npy`, or text with rows), row 0 the top."""
+    pitch_mm: Positive | None = None
+    """Of an array that is not an `.npz`."""
+    depth_ratio: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """Gamma where the spot was made; 1: on a rigid machine. [1]"""
+    azimuth_deg: Angle = 0.0
+    """Where the spindle leaned, counter-clockwise from the map's x."""
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        maps = (self.before, self.after, self.seconds)
+        if self.file is None and None in maps:
+            raise ValueError("before: give before, after and seconds, or a file of the rate")
+        if self.file is not None and any(maps):
+            raise ValueError("file: is given beside maps; keep one of both")
+        if self.file is not None and (self.pitch_mm is None) != self.file.endswith(".npz"):
+            raise ValueError("pitch_mm: goes with an array file, which needs it; an .npz has its own")
+        return self
+
+
+class OwnKeys(Document):
+    """What answers may say besides a cell's keys."""
+
+    kinematics: ArmKeys = ArmKeys()
+    instrument: SampleKeys = SampleKeys()
+    program: MakeKeys = MakeKeys()
+    spot: SpotKeys | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """What was answered."""
+
+    cell: Mapping[str, Any]
+    """The cell's own keys, by section; not judged yet."""
+    own: OwnKeys
+    """The others."""
+    source: Source
+    """The text, which says where a key stands."""
+
+    @property
+    def folder(self) -> Path:
+        """Where files that it names are looked for."""
+        return Path(self.source.file).absolute().parent
+
+
+def read_answers(path: Path) -> Answers:
+    """A file of answers; ConfigError, ``FILE:LINE: key: what is wrong; what to do``, where keys of init's own are."""
+    return _answers(*parse_toml(path))
+
+
+def answers_of(text: str, path: Path) -> Answers:
+    """The same of a text that is to stand in that file."""
+    return _answers(*parse_text(text, path))
+
+
+def _answers(raw: dict[str, Any], source: Source) -> Answers:
+    cell, own = {}, {}
+    for name, section in raw.items():
+        if name == "spot":
+            own[name] = section
+        elif name in OwnKeys.model_fields and isinstance(section, Mapping):
+            known = type(OwnKeys.model_fields[name].default).model_fields
+            own[name] = {key: value for key, value in section.items() if key in known}
+            cell[name] = {key: value for key, value in section.items() if key not in known}
+        else:
+            cell[name] = section
+    return Answers(cell, OwnKeys.of(own, source), source)

@@ -1,0 +1,134 @@
+"""What there is still to do about a cell, in order, by facts on disk: files, profiles, fragments, plans, runs."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from polishd.config.cell import CellConfig, load_config
+from polishd.config.profile import load_profile
+from polishd.files import toml_text
+from polishd.model.errors import ConfigError, PolishdError
+from polishd.workbench.setup.text import LOOK
+
+CHECK = "check"
+PLANNED = "planned"
+MAP = "MAP"
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One thing to do."""
+
+    what: str
+    done: bool | None
+    """None: it leaves nothing on disk by which to tell."""
+    found: str
+    """What is there, or what is missing."""
+    command: str
+    """What does it."""
+
+
+def steps(cell: Path) -> list[Step]:
+    """All, in the order in which they are done; a cell that cannot be read has only its first."""
+    try:
+        config = load_config(cell)
+    except ConfigError as error:
+        return [Step("write the cell", False, str(error), f"$EDITOR {_quoted(cell)}")]
+    return list(_steps(config, cell))
+
+
+def lines(found: Sequence[Step]) -> list[str]:
+    """For people: two lines a step, whole: what is on them can be copied. A step that is done has no command."""
+    marks = {True: "[x]", False: "[ ]", None: "[?]"}
+    told = []
+    for step in found:
+        told.append(f"{marks[step.done]} {step.what}: {step.found}")
+        told += [] if step.done else [f"    {step.command}"]
+    return told
+
+
+def _steps(config: CellConfig, file: Path) -> Iterator[Step]:
+    cell = _quoted(file)
+    runs = _summaries(config.state_dir / "runs", *([config.run_dir] if config.run_dir else []))
+    look = [at for at, line in enumerate(toml_text(config.path).split("\n"), 1) if line.startswith(LOOK)]
+    lines = ", ".join(map(str, look))
+    found = f"{len(look)} values, below the lines {lines}" if look else "nothing is marked as assumed"
+    yield Step("look at what was assumed", not look, found, f"$EDITOR {cell}")
+    made = config.program_path.is_file()
+    path = _quoted(file.parent / config.program.path)
+    command = f"polishd program make raster --out {path} --cell {cell}"
+    yield Step("have a program", made, path if made else f"{path}: is missing", command)
+    yield Step(CHECK, None, "leaves nothing on disk: ask again after each change", f"polishd check {cell}")
+    answered = "a run has been there" if runs else "leaves nothing on disk: ask the devices"
+    yield Step("probe", True if runs else None, answered, f"polishd probe {cell}")
+    yield _commission(config, file.parent)
+    yield from _calibrate(config, cell)
+    plans = [at.parent for at, of in _summaries(*_beside(config)).items() if _is_plan(of, config.job.id)]
+    out = _quoted(file.parent / "plan")
+    planned = ", ".join(map(_quoted, plans)) or "no plan of this job lies beside the cell"
+    yield Step("plan", bool(plans), planned, f"polishd plan {cell} {MAP} --out {out}")
+    rehearsal = config.state_dir.parent / f"{config.path.stem}-rehearsal"
+    rehearsed = _summaries(rehearsal / "run", rehearsal / "state" / "runs")
+    said = _outcomes(rehearsed) or ("made, and not run" if rehearsal.is_dir() else "not made")
+    yield Step("rehearse", bool(rehearsed), said, f"polishd sim --from {cell}")
+    yield Step("run", bool(runs), _outcomes(runs) or "no run has ended", f"polishd run {cell}")
+
+
+def _commission(config: CellConfig, folder: Path) -> Step:
+    if config.profile_path is None or config.instrument.profile is None:
+        return Step("commission", False, "the cell names no instrument's profile", "docs/instruments.md")
+    command = f"polishd map commission {_quoted(folder / config.instrument.profile)} {MAP}"
+    try:
+        profile = load_profile(config.profile_path)
+    except PolishdError as error:
+        return Step("commission", False, str(error), command)
+    found = profile.unproved or f"{profile.instrument.name}: proved"
+    if profile.unproved and not profile.bumps:
+        found = f"{config.instrument.profile}: describe the artefact's bumps, [artefact], and measure it"
+    return Step("commission", not profile.unproved, found, command)
+
+
+def _calibrate(config: CellConfig, cell: str) -> Iterator[Step]:
+    """Removal and stiffness, each by its measurements."""
+    spot = config.process.tif is not None or "process.preston" in config.included
+    tif = config.process.tif or config.included.get("process.preston", "")
+    command = f"polishd calibrate tif BEFORE AFTER --seconds S --cell {cell} --out tif.toml"
+    yield Step("calibrate tif", spot, tif if spot else "removal is computed, not measured", command)
+    stiff = {file for key, file in config.included.items() if key.startswith("kinematics.")}
+    stiff |= {str(getattr(config.kinematics, "table", ""))} - {""}
+    command = f"polishd calibrate stiffness TESTS.csv --cell {cell} --out stiffness.toml"
+    yield Step("calibrate stiffness", bool(stiff), ", ".join(sorted(stiff)) or "stiffness is assumed", command)
+
+
+def _beside(config: CellConfig) -> list[Path]:
+    return [path for path in config.base_dir.iterdir() if path.is_dir()]
+
+
+def _is_plan(summary: Mapping[str, Any], job: str) -> bool:
+    return summary["outcome"] == PLANNED and summary.get("job") == job
+
+
+def _summaries(*folders: Path) -> dict[Path, Mapping[str, Any]]:
+    """The summaries of run folders and of folders of them; one that is broken is none."""
+    found: dict[Path, Mapping[str, Any]] = {}
+    for path in (path for folder in folders for depth in ("", "*/") for path in folder.glob(f"{depth}summary.json")):
+        try:
+            summary = json.loads(path.read_bytes())
+        except (OSError, ValueError):
+            continue
+        if isinstance(summary, dict) and isinstance(summary.get("outcome"), str):
+            found[path] = summary
+    return found
+
+
+def _outcomes(found: Mapping[Path, Mapping[str, Any]]) -> str:
+    return ", ".join(f"{path.parent.name}: {found[path]['outcome']}" for path in sorted(found))
+
+
+def _quoted(path: Path) -> str:
+    return shlex.quote(str(path))

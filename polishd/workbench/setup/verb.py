@@ -1,0 +1,196 @@
+"""The verb ``polishd init``: answers, a cell in a folder, and what is still to be done."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import typer
+from rich.table import Table
+
+from polishd.config.cell import CellConfig
+from polishd.files import make_folder, write_atomic
+from polishd.hooks.cell import plugins_of
+from polishd.hooks.loader import load_own
+from polishd.model.errors import ConfigError, PolishdError
+from polishd.plain import toml
+from polishd.process.paths.raster import quiet_step_mm
+from polishd.show.tables import emit, key_table, stderr, stdout
+from polishd.workbench.programs.contact import contact_radius_mm
+from polishd.workbench.programs.make import make_program
+from polishd.workbench.programs.options import MakeOptions
+from polishd.workbench.setup.answers import Answers, read_answers
+from polishd.workbench.setup.connected import look
+from polishd.workbench.setup.draft import PROFILE, Draft, gathered
+from polishd.workbench.setup.questions import ANSWERS, Question, asked
+from polishd.workbench.setup.sample import profile_text, read_sample
+from polishd.workbench.setup.spot import add_spot
+from polishd.workbench.setup.steps import Step, lines, steps
+from polishd.workbench.setup.text import cell_text
+
+CELL = "cell.toml"
+LOOKED = "Looked at what is connected, and opened nothing:"
+LEFT_OUT = "-"
+"""Typed where an answer is left out."""
+PITCH_MM = 1.0
+"""Most distance of a made program's lines, and the length of its moves."""
+
+
+@dataclass(frozen=True, slots=True)
+class NewCell:
+    """What `polishd init` makes; nothing of it is written yet."""
+
+    folder: Path
+    files: Mapping[str, bytes]
+    """By name in the folder."""
+    assumed: Mapping[str, str]
+    """By dotted key of the cell's file: why it has to be looked at."""
+    blank: tuple[str, ...]
+    """Dotted keys that have to be filled in before anything else."""
+    program: str
+    """What was made, or why none was."""
+
+
+def init_verb(folder: Path, answers: Path | None, *, dry_run: bool, force: bool, as_json: bool) -> None:
+    """Make a cell of answers, asked for where no file has them, and write it; what was assumed, and what is to be done.
+
+    Raises:
+        ConfigError: answers that are wrong, and maps that they name, with file, line and key; files that are there
+            already, without ``force``.
+    """
+    with stderr.status("looking at what is connected"):
+        connected = look(Path())
+    if not as_json:
+        for line in (LOOKED, *connected.lines()):
+            stderr.print(line, markup=False, highlight=False, soft_wrap=True)
+    if answers is None:
+        _require_new(folder, [ANSWERS], force=force)  # before anybody answers
+        stderr.print(f"Return takes what stands in [ ]; {LEFT_OUT} leaves it out.", markup=False, highlight=False)
+        given = asked(folder, connected, load_own(), _prompt)
+        if not dry_run:
+            _write(folder, {ANSWERS: given.source.text.encode()})  # whatever comes of them
+    else:
+        given = read_answers(answers)
+    with stderr.status("making the cell"):
+        made = new_cell(given, folder)
+    if not dry_run:
+        write_cell(made, force=force)
+    cell = folder / CELL
+    todo = [] if dry_run else steps(cell)
+    answer = {
+        "cell": str(cell),
+        "connected": asdict(connected),
+        "written": [] if dry_run else sorted(made.files),
+        "texts": {name: text.decode() for name, text in made.files.items() if name.endswith(".toml")},
+        "look": dict(made.assumed),
+        "fill_in": list(made.blank),
+        "program": made.program,
+        "todo": [asdict(step) for step in todo],
+    }
+    emit(answer, as_json=as_json, table=lambda: _table(made, cell, dry_run=dry_run))
+    if not as_json:
+        _tell(made, cell, todo, dry_run=dry_run)
+
+
+def _prompt(question: Question, problem: str) -> str:
+    if problem:
+        stderr.print(problem, style="red", markup=False, highlight=False, soft_wrap=True)
+    among = f" ({', '.join(question.choices)})" if question.choices else ""
+    default = question.default if isinstance(question.default, str) else toml(question.default)
+    stderr.print(question.why, style="dim", markup=False, highlight=False, soft_wrap=True)
+    said: str = typer.prompt(question.key.lstrip("?") + among, default or LEFT_OUT, err=True, show_default=True)
+    return "" if said == LEFT_OUT else said
+
+
+def new_cell(answers: Answers, folder: Path) -> NewCell:
+    """The files of a cell of these answers; errors: the verb's. Nothing is written."""
+    sample = answers.own.instrument.sample
+    with _blamed(answers, "instrument.sample"):
+        shown = None if sample is None else read_sample(answers.folder / Path(sample).expanduser())
+    draft = gathered(answers, folder, load_own(), shown)
+    config = draft.judged()
+    if answers.own.spot is not None:
+        with _blamed(answers, "spot"):
+            add_spot(draft, answers.own.spot, config)
+    if draft.raw["instrument"]["profile"] == PROFILE and "profile" not in answers.cell.get("instrument", {}):
+        draft.files[PROFILE] = profile_text(shown).encode()
+    draft.rebase()
+    text = cell_text(draft)
+    said = _add_program(draft, config)
+    files = {CELL: text.encode(), **draft.files}
+    return NewCell(draft.folder, files, draft.assumed, tuple(f"kinematics.{key}" for key in draft.blank), said)
+
+
+@contextmanager
+def _blamed(answers: Answers, key: str) -> Iterator[None]:
+    """What is wrong with a file that an answer names is told with the answer's place."""
+    try:
+        yield
+    except PolishdError as error:
+        raise answers.own.error(key, str(error)) from error
+
+
+def _add_program(draft: Draft, config: CellConfig) -> str:
+    """The program over the part, where the answers name none; what was made, or why not."""
+    shape = draft.answers.own.program.make
+    if "path" in draft.answers.cell.get("program", {}):
+        return "yours"
+    if shape == "none":
+        return "none was wanted"
+    if draft.blank:
+        return "none: the arm is not known yet"
+    by_tool = {"removal_model": "hertz_preston", "tif": None}  # of a measured spot only the place counts here
+    config = config.model_copy(update={"process": config.process.model_copy(update=by_tool)})
+    try:
+        pitch_mm = quiet_step_mm(contact_radius_mm(config), PITCH_MM)
+        options = MakeOptions(shape, Path(config.program.path), pitch_mm=pitch_mm, step_mm=PITCH_MM)
+        made = make_program(options, config, plugins_of(config))
+    except PolishdError as error:
+        return f"none: {error}"
+    draft.files[config.program.path] = made.text
+    return f"{shape}, {made.answer['points']} points, lines {pitch_mm:.3g} mm apart"
+
+
+def write_cell(made: NewCell, *, force: bool) -> None:
+    """Write all files, each whole; ConfigError where one is there already, unless ``force``, and where it cannot be."""
+    _require_new(made.folder, made.files, force=force)
+    _write(made.folder, made.files)
+
+
+def _require_new(folder: Path, names: Iterable[str], *, force: bool) -> None:
+    there = [name for name in names if (folder / name).exists()]
+    if there and not force:
+        raise ConfigError(
+            f"{folder}: {', '.join(there)}: there already, and nothing was written; name another folder, or "
+            "overwrite with --force"
+        )
+
+
+def _write(folder: Path, files: Mapping[str, bytes]) -> None:
+    try:
+        make_folder(folder)
+        for name, content in files.items():
+            write_atomic(folder / name, content)
+    except OSError as error:
+        raise ConfigError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
+
+
+def _table(made: NewCell, cell: Path, *, dry_run: bool) -> Table:
+    rows = [(f"[{key.replace('.', '] ', 1)}", why) for key, why in made.assumed.items()]
+    rows += [(f"[{key.replace('.', '] ', 1)}", "TO BE FILLED IN") for key in made.blank]
+    rows += [("program", made.program)]
+    written = "nothing was written" if dry_run else f"written: {', '.join(sorted(made.files))}"
+    return key_table(f"{cell}: {written}; assumed, look at each:", rows)
+
+
+def _tell(made: NewCell, cell: Path, todo: list[Step], *, dry_run: bool) -> None:
+    """The cell itself where nothing was written; else what is to be done, whole lines: commands can be copied."""
+    if dry_run:
+        stdout.print(made.files[CELL].decode(), markup=False, highlight=False, soft_wrap=True)
+        return
+    for line in lines(todo):
+        stdout.print(line, markup=False, highlight=False, soft_wrap=True)
+    stdout.print(f"how far that is: polishd status --setup {shlex.quote(str(cell))}", markup=False, soft_wrap=True)

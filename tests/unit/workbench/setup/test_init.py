@@ -1,0 +1,171 @@
+"""``polishd init``: from answers to a cell that is read, and what is told where they are wrong."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from polishd.cli import app
+from polishd.config.cell import load_config
+from polishd.config.profile import load_profile
+from polishd.config.tables import read_tif, write_tif
+from polishd.hooks.cell import load_cell
+from polishd.model.errors import ConfigError, PolishdError
+from polishd.model.process import MeasuredTif
+from polishd.model.robot import SerialRobot
+from polishd.recipe import foresight, steps
+from polishd.recipe.making import make_recipe
+from polishd.workbench.setup.arms import ARMS
+from tests.unit.workbench.maps.maps import dat
+
+LENS = """
+[kinematics]
+arm = "ur10e"
+tool_length_mm = 180.0
+
+[part]
+id = "MIRROR-7"
+aperture_mm = 20
+curvature_radius_mm = 800.0
+"""
+
+
+def init(folder: Path, answers: str, *options: str) -> dict[str, Any]:
+    """What it says as JSON; a PolishdError is raised as it is."""
+    (folder / "answers.toml").write_text(answers)
+    words = ["init", str(folder / "cell"), "--from", str(folder / "answers.toml"), "--json", *options]
+    said = CliRunner().invoke(app, words)
+    if isinstance(said.exception, PolishdError):
+        raise said.exception
+    assert said.exit_code == 0, said.output
+    told: dict[str, Any] = json.loads(said.stdout.splitlines()[-1])
+    return told
+
+
+def test_an_arm_and_a_part_become_a_cell_whose_program_its_plan_takes(tmp_path: Path) -> None:
+    told = init(tmp_path, LENS)
+    assert told["written"] == ["cell.toml", "instrument.toml", "program.rnc"]
+    config, hooks = load_cell(tmp_path / "cell" / "cell.toml")
+    robot = config.robot_model()
+    assert isinstance(robot, SerialRobot)
+    assert (robot.dh, robot.tool_length_mm) == (ARMS["ur10e"].dh, 180.0)
+    assert (config.part.id, config.part.aperture_mm, config.part.curvature_radius_mm) == ("MIRROR-7", 20.0, 800.0)
+    recipe = make_recipe(config, hooks)
+    program = steps.read_program(recipe, config.program_path)
+    assert foresight.refusals(recipe, program, hooks.check_plan) == []
+    assert not load_profile(tmp_path / "cell" / "instrument.toml").instrument.commissioned
+
+
+def test_what_was_assumed_is_marked_above_its_key_and_what_was_answered_is_not(tmp_path: Path) -> None:
+    told = init(tmp_path, LENS)
+    lines = (tmp_path / "cell" / "cell.toml").read_text().splitlines()
+    marked = []
+    for at, line in enumerate(lines):
+        if line.startswith("# LOOK: "):
+            marked.append(next(key for key in lines[at:] if not key.startswith("#")).partition(" ")[0])
+    assert sorted(marked) == sorted(key.partition(".")[2] for key in told["look"])
+    assert "part.origin_mm" in told["look"]
+    assert not {"part.id", "part.aperture_mm", "kinematics.tool_length_mm"} & set(told["look"])
+
+
+def test_a_dry_run_writes_nothing_and_shows_the_same_text(tmp_path: Path) -> None:
+    told = init(tmp_path, LENS, "--dry-run")
+    assert not (tmp_path / "cell").exists()
+    init(tmp_path, LENS)
+    assert told["texts"]["cell.toml"] == (tmp_path / "cell" / "cell.toml").read_text()
+
+
+def test_nothing_is_overwritten_without_being_asked(tmp_path: Path) -> None:
+    init(tmp_path, LENS)
+    cell = tmp_path / "cell" / "cell.toml"
+    cell.write_text("# mine\n")
+    with pytest.raises(ConfigError, match=r"cell\.toml.*there already, and nothing was written.*--force"):
+        init(tmp_path, LENS)
+    assert cell.read_text() == "# mine\n"
+    init(tmp_path, LENS, "--force")
+    assert load_config(cell).part.id == "MIRROR-7"
+
+
+@pytest.mark.one_of_each
+@pytest.mark.parametrize(
+    ("answers", "said"),
+    [
+        (LENS.replace("ur10e", "ur10ee"), r"answers\.toml:3: kinematics\.arm: .*did you mean 'ur10e'"),
+        (
+            LENS.replace("aperture_mm", "apperture_mm"),
+            r"toml:8: part\.apperture_mm: unknown key; did you",
+        ),
+        (LENS + "[process]\nforce_n = -3.0\n", r"answers\.toml:11: process\.force_n: -3\.0 is out of range"),
+        (LENS + '[robot]\ntype = "robot_link"\naddres = "x"\n', r"answers\.toml:12: robot\.addres: unknown key"),
+        (LENS + '[spot]\nfile = "x.npz"\nseconds = 3.0\n', r"answers\.toml:11: spot\.file: is given beside maps"),
+        (LENS + "robot = 3\n", r"answers\.toml:10: part\.robot: unknown key"),
+        ('robot = "left"\n' + LENS, r"answers\.toml:1: robot: must be a section of its own, \[robot\], not 'left'"),
+        (LENS + '[instrument]\nsample = "no.dat"\n', r"toml:11: instrument\.sample: .*no\.dat: cannot be read"),
+        (LENS + '[spot]\nfile = "no.csv"\npitch_mm = 1.0\n', r"toml:10: spot: .*no\.csv: is no array of a spot"),
+        (LENS.replace("arm =", 'type = "hybrid"\narm ='), r"toml:4: kinematics\.arm: goes with type = \"serial\""),
+        ("[part", r"answers\.toml:1: this is not TOML"),
+    ],
+)
+def test_a_wrong_answer_is_told_with_its_line_and_nothing_is_written(tmp_path: Path, answers: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        init(tmp_path, answers)
+    assert not (tmp_path / "cell").exists()
+
+
+@pytest.mark.full
+def test_an_arm_without_rows_is_left_to_be_filled_in_and_says_where(tmp_path: Path) -> None:
+    told = init(tmp_path, LENS.replace('arm = "ur10e"', 'type = "serial"'))
+    assert "kinematics.dh" in told["fill_in"]
+    assert "program.rnc" not in told["written"]
+    with pytest.raises(ConfigError, match=r"cell\.toml:\d+: kinematics\.dh: is missing"):
+        load_config(tmp_path / "cell" / "cell.toml")
+    assert "kinematics.dh" in told["todo"][0]["found"]
+    lines = (tmp_path / "cell" / "cell.toml").read_text().splitlines()
+    filled = [line.removeprefix("# ") for line in lines if not line.startswith("# LOOK")]
+    text = "\n".join(line for line in filled if re.match(r"\[|\]|\w+ = |  \[", line))
+    (tmp_path / "filled.toml").write_text(text)
+    assert isinstance(load_config(tmp_path / "filled.toml").robot_model(), SerialRobot)
+
+
+def test_a_measured_spot_becomes_the_cells_removal(tmp_path: Path) -> None:
+    """An array as a file: its samples are the TIF's, and the Preston constant is fitted to its volume."""
+    at = np.linspace(-4.0, 4.0, 33)
+    rate = np.exp(-(at**2 + at[:, None] ** 2) / 2)
+    np.savetxt(tmp_path / "rate.csv", rate, delimiter=",")
+    init(tmp_path, LENS + '[spot]\nfile = "rate.csv"\npitch_mm = 0.25\nazimuth_deg = 90.0\n')
+    config = load_config(tmp_path / "cell" / "cell.toml")
+    tif = config.measured_tif()
+    assert tif is not None
+    np.testing.assert_allclose(tif.rate_nm_s, rate)
+    assert (config.process.removal_model, tif.pitch_mm, tif.azimuth_deg) == ("measured_tif", 0.25, 90.0)
+    assert config.process.preston != pytest.approx(1.49e-9, rel=0.01)
+
+
+@pytest.mark.full
+def test_two_maps_of_a_spot_become_the_cells_removal(tmp_path: Path) -> None:
+    at = (np.arange(81) - 40) * 0.25
+    spot_nm = 90.0 * np.exp(-(at**2 + at[:, None] ** 2) / 4)
+    dat(tmp_path / "before.dat", np.full_like(spot_nm, 100.0), pitch_mm=0.25)
+    dat(tmp_path / "after.dat", 100.0 - spot_nm, pitch_mm=0.25)
+    init(tmp_path, LENS + '[spot]\nbefore = "before.dat"\nafter = "after.dat"\nseconds = 30.0\n')
+    tif = load_config(tmp_path / "cell" / "cell.toml").measured_tif()
+    assert tif is not None
+    assert tif.rate_nm_s.max() == pytest.approx(90.0 / 30.0, rel=0.01)
+
+
+@pytest.mark.full
+def test_files_that_answers_name_are_found_from_the_cell_too(tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "corners.csv").write_text("x_mm,y_mm\n9,7\n-9,7\n-9,-7\n9,-7\n")
+    write_tif(tmp_path / "data" / "spot.npz", MeasuredTif(np.eye(9), 0.5))
+    part = LENS.replace("aperture_mm = 20", 'polygon_file = "data/corners.csv"')
+    init(tmp_path, part + '[spot]\nfile = "data/spot.npz"\n')
+    config = load_config(tmp_path / "cell" / "cell.toml")
+    assert config.outline().size_mm == pytest.approx((18.0, 14.0))
+    assert read_tif(config.resolve(str(config.process.tif))).rate_nm_s.tolist() == np.eye(9).tolist()
