@@ -163,6 +163,18 @@ def test_the_adjoint_is_the_transpose() -> None:
     assert np.abs(quick.adjoint(GRID.radius_mm()) - want).max() < 2e-3 * want.max()
 
 
+def test_in_float32_it_is_the_same_to_a_millionth() -> None:
+    quick, _ = both(moves(600), tolerance=5e-3)
+    rough, rng = quick.single(), np.random.default_rng(2)
+    time, weight = rng.uniform(0, 1, quick.n), rng.uniform(0, 1, GRID.shape)
+    for got, want in (
+        (rough.removal_nm(time), quick.removal_nm(time)),
+        (rough.adjoint(weight), quick.adjoint(weight)),
+    ):
+        assert 0 < np.abs(got - want).max() < 2e-6 * want.max()
+        assert got.dtype == np.float64
+
+
 def test_no_volume_is_lost() -> None:
     """Weights on the nodes add up to one; what is left is the family's."""
     path = moves(400)
