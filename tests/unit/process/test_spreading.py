@@ -102,6 +102,7 @@ def test_a_finer_grid_brings_what_the_tolerance_asks_for() -> None:
     assert coarse.rank <= fine.rank
 
 
+@pytest.mark.full
 def test_a_spot_without_a_rim_is_met_in_every_column() -> None:
     path = moves(500)
     quick, exact = both(path, Gaussian(), tolerance=3e-4)
@@ -236,9 +237,9 @@ def test_it_is_an_effect_and_can_go_to_the_worker() -> None:
 
 
 def test_a_tolerance_out_of_reach_is_refused_with_what_was_reached() -> None:
-    path = moves(200)
+    path = moves(60)
     with pytest.raises(ComputeError, match=r"off by \S+ of its peak on a grid 4 times as fine, 1.0e-06 is asked for"):
-        spread_effect(GRID, HertzSpot(LARGE), path, gamma_of(path), np.ones(200), tolerance=1e-6)
+        spread_effect(GRID, HertzSpot(LARGE), path, gamma_of(path), np.ones(60), tolerance=1e-6)
 
 
 def test_a_path_beside_the_grid_is_refused() -> None:
