@@ -7,6 +7,7 @@ those over the cells of the process grid: an entry keeps its meaning, the remova
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,9 @@ from polishd.process.spreading.weights import outermost, spread
 TOLERANCE = 1e-3
 FINER = (1, 2, 3, 4)
 """Nodes to a sample's side that are tried: each product costs their square."""
+MISSED = (3.0, 1.0)
+"""What the family may miss of a spot (Euclidean norm), over the tolerance, as it is tried: 3 takes half as many
+convolutions as 1, and is mostly enough."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +113,8 @@ def spread_effect(
 ) -> SpreadEffect:
     """The effect of blocks at rest or in motion, on nodes of the grid or off them, as `effect_matrix` has it.
 
-    The coarsest of the FINER grids is taken with which the removal's error, sampled, is within the tolerance.
+    The coarsest of the FINER grids and the smallest family are taken with which the removal's error, sampled, is within
+    the tolerance.
 
     Args:
         grid: the process grid.
@@ -117,7 +122,7 @@ def spread_effect(
         program: n timed points, the axes as seen where the surface lies level.
         depth_ratio: (n,) as of `corrected_spot`, sunk where the bonnet hangs over the rim: nothing else is done there.
         factor: (n,) on the removal.
-        tolerance: largest ``error``, and what the spot's family may miss of a window (Euclidean norm).
+        tolerance: largest ``error``.
 
     Raises:
         ComputeError: an impossible depth ratio or factor, no block that touches the grid, or the tolerance is out of
@@ -130,8 +135,8 @@ def spread_effect(
     if not rows:
         raise ComputeError("no block touches the grid at a sample: path and part do not meet")
     error = np.inf
-    for finer in FINER:
-        family = meshed_family(spot, grid.pitch_mm / finer, depth_ratio, blocks.azimuth_rad, tolerance)
+    for finer, share in product(FINER, MISSED):
+        family = meshed_family(spot, grid.pitch_mm / finer, depth_ratio, blocks.azimuth_rad, share * tolerance)
         trials = (_laid_down(row.grid, finer, spot, row.blocks, family.part(row.which)) for row in rows)
         found = (trial.adjoint(row.only_sample) for trial, row in zip(trials, rows, strict=True))
         error, entry = misses(rows, found)

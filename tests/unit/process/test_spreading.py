@@ -182,7 +182,7 @@ def test_no_volume_is_lost() -> None:
     inner = np.linalg.norm(path.end_mm, axis=1) < 9
     quick, exact = both(path)
     volume = exact.adjoint(np.ones(GRID.shape))
-    np.testing.assert_allclose(quick.adjoint(np.ones(GRID.shape))[inner], volume[inner], rtol=1e-3)
+    np.testing.assert_allclose(quick.adjoint(np.ones(GRID.shape))[inner], volume[inner], rtol=2e-3)
     np.testing.assert_allclose(quick.weights.sum(axis=1), 1.0, rtol=0, atol=1e-12)
 
 
