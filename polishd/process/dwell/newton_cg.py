@@ -110,7 +110,10 @@ def minimise(
 
 
 def _newton_direction(f: Quadratic, gradient: FloatArray, free: BoolArray, expired: Callable[[], bool]) -> FloatArray:
-    """(n,) about ``-H_FF^-1 g_F`` on the free points, zero elsewhere; downhill however early it is stopped."""
+    """(n,) about ``-H_FF^-1 g_F`` on the free points, zero elsewhere; downhill however early it is stopped.
+
+    Float32 is enough for it: whether it leads down, and how far, is found in float64.
+    """
     weight = free.astype(np.float64)
     residual = -gradient * weight
     direction = np.zeros_like(residual)
@@ -118,7 +121,7 @@ def _newton_direction(f: Quadratic, gradient: FloatArray, free: BoolArray, expir
     size = float(residual @ residual)
     enough = INNER_TOLERANCE**2 * size
     for _ in range(MAX_INNER):
-        image = f.curvature(search)
+        image = f.rough_curvature(search)
         image *= weight
         bend = float(search @ image)
         if bend <= 0:  # nothing left that f depends on

@@ -102,6 +102,7 @@ def test_a_finer_grid_brings_what_the_tolerance_asks_for() -> None:
     assert coarse.rank <= fine.rank
 
 
+@pytest.mark.full
 def test_a_spot_without_a_rim_is_met_in_every_column() -> None:
     path = moves(500)
     quick, exact = both(path, Gaussian(), tolerance=3e-4)
@@ -163,13 +164,25 @@ def test_the_adjoint_is_the_transpose() -> None:
     assert np.abs(quick.adjoint(GRID.radius_mm()) - want).max() < 2e-3 * want.max()
 
 
+def test_in_float32_it_is_the_same_to_a_millionth() -> None:
+    quick, _ = both(moves(600), tolerance=5e-3)
+    rough, rng = quick.single(), np.random.default_rng(2)
+    time, weight = rng.uniform(0, 1, quick.n), rng.uniform(0, 1, GRID.shape)
+    for got, want in (
+        (rough.removal_nm(time), quick.removal_nm(time)),
+        (rough.adjoint(weight), quick.adjoint(weight)),
+    ):
+        assert 0 < np.abs(got - want).max() < 2e-6 * want.max()
+        assert got.dtype == np.float64
+
+
 def test_no_volume_is_lost() -> None:
     """Weights on the nodes add up to one; what is left is the family's."""
     path = moves(400)
     inner = np.linalg.norm(path.end_mm, axis=1) < 9
     quick, exact = both(path)
     volume = exact.adjoint(np.ones(GRID.shape))
-    np.testing.assert_allclose(quick.adjoint(np.ones(GRID.shape))[inner], volume[inner], rtol=1e-3)
+    np.testing.assert_allclose(quick.adjoint(np.ones(GRID.shape))[inner], volume[inner], rtol=2e-3)
     np.testing.assert_allclose(quick.weights.sum(axis=1), 1.0, rtol=0, atol=1e-12)
 
 
@@ -224,9 +237,9 @@ def test_it_is_an_effect_and_can_go_to_the_worker() -> None:
 
 
 def test_a_tolerance_out_of_reach_is_refused_with_what_was_reached() -> None:
-    path = moves(200)
+    path = moves(60)
     with pytest.raises(ComputeError, match=r"off by \S+ of its peak on a grid 4 times as fine, 1.0e-06 is asked for"):
-        spread_effect(GRID, HertzSpot(LARGE), path, gamma_of(path), np.ones(200), tolerance=1e-6)
+        spread_effect(GRID, HertzSpot(LARGE), path, gamma_of(path), np.ones(60), tolerance=1e-6)
 
 
 def test_a_path_beside_the_grid_is_refused() -> None:
