@@ -160,6 +160,11 @@ class Script:
             raise AssertionError(f"{self._name}: the driver sent {_shown(message)}; {self._expected()}")
         return self._at(found)
 
+    def has(self, message: bytes) -> bool:
+        """Whether it comes next, or came before."""
+        key = self.dialect.key(message)
+        return self._ahead(key) is not None or self._behind(key) is not None
+
     def _at(self, found: int) -> Exchange:
         self._next = max(self._next, found + 1)
         return self._found[found]

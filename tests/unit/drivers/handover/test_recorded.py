@@ -118,6 +118,25 @@ async def test_a_case_is_played_to_its_driver(tmp_path: Path) -> None:
     assert again[-1].end_s == pytest.approx(executed[-1].end_s, abs=PROFILE.report_ms / 1e3)
 
 
+async def test_a_slower_machine_s_heartbeat_may_come_sooner_than_the_first_that_was_recorded(tmp_path: Path) -> None:
+    fake, heard = FakePlc(tmp_path), list[Passed]()
+    with heard_by(heard.append), talking_to("robot"):
+        link = Recorded(Direct(fake), LINK, RecordedDelivery(Folder(tmp_path), FOLDER))
+        await link.open()
+        await link.read()
+        await link.write({"load": True})
+        await link.write({"heartbeat": 1})
+        await link.close()
+    async with replayed_controller(written(tmp_path / "case.jsonl", heard), "robot") as plc:
+        again = plc.variables()
+        with pytest.raises(LinkError, match="is not open"):
+            await again.write({"heartbeat": 1})
+        await again.open()
+        await again.write({"heartbeat": 1})
+        await again.write({"load": True})
+        await again.write({"heartbeat": 2})
+
+
 async def test_an_order_that_is_not_recorded_ends_the_link_and_the_block(tmp_path: Path) -> None:
     fake, heard = FakePlc(tmp_path), list[Passed]()
     with heard_by(heard.append):
