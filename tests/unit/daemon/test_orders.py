@@ -8,7 +8,24 @@ import pytest
 
 from polishd.daemon.orders import Order, Orders, unless
 from polishd.daemon.states import Trigger
-from polishd.model.errors import LinkError
+from polishd.model.errors import DeviceFault, ForcesApart, LinkError, PolishdError, SafetyStop
+
+
+@pytest.mark.parametrize(
+    ("first", "then", "stands", "reason"),
+    [
+        (LinkError, SafetyStop, SafetyStop, "the force; the link"),
+        (LinkError, DeviceFault, LinkError, "the link"),
+        (SafetyStop, LinkError, SafetyStop, "the link"),
+        (SafetyStop, ForcesApart, SafetyStop, "the link"),
+    ],
+)
+def test_what_nobody_should_go_on_from_counts_more_than_what_can_be_mended(
+    first: type[PolishdError], then: type[PolishdError], stands: type[PolishdError], reason: str
+) -> None:
+    order = Order(Trigger.UNFIT, "the link", error=first)
+    order.worsen("the force", then)
+    assert (order.error, order.reason) == (stands, reason)
 
 
 async def test_an_order_ends_the_work() -> None:
