@@ -135,7 +135,7 @@ class Replayed:
         return Reading(one.at_s if one.clock_s is None else one.clock_s, values, one.changed_s or {})
 
     async def write(self, values: Mapping[str, Value]) -> None:
-        """See Variables. The first heartbeat comes when it is due, be it sooner than then: it has no place of its own."""
+        """See Variables. The first heartbeat comes when it is due, which may be sooner than then: it has no place."""
         if set(values) == {"heartbeat"} and not self._controller.has(_written(values)):
             self._require()
         else:

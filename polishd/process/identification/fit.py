@@ -10,9 +10,11 @@ from polishd.process.identification.forward import Forward
 from polishd.process.identification.parameters import Knowledge
 from polishd.process.identification.passes import Noise, Removed
 from polishd.process.identification.residual import NORMAL, outliers, own_noise, without_plane
+from polishd.process.spot import HertzSpot
 
-LAYING = 2e-3
-"""Of the removal's standard deviation: by what spots of squares, laid on cells, miss the same spots summed exactly."""
+LAYING, HERTZ_LAYING = 1e-3, 2e-3
+"""Of the removal's standard deviation: by what spots of squares, laid on cells, miss the same spots summed exactly; the
+second of Hertz's, whose rim is steep."""
 
 
 def fit(model: Forward, removed: Removed, prior: Knowledge) -> tuple[Data, dict[str, Estimate], BoolArray]:
@@ -48,7 +50,8 @@ def fit(model: Forward, removed: Removed, prior: Knowledge) -> tuple[Data, dict[
 def laying(model: Forward, removed: Removed) -> Noise:
     """What the effect matrix itself is off by: in proportion to how the removal varies, and as wide as the spot."""
     varies = abs(without_plane(removed.removal_nm[removed.mask], removed.mask))
-    return Noise(LAYING * NORMAL * float(np.median(varies)), _core_mm2(model, np.zeros(len(model.parameters))))
+    share = HERTZ_LAYING if isinstance(model.spot, HertzSpot) else LAYING
+    return Noise(share * NORMAL * float(np.median(varies)), _core_mm2(model, np.zeros(len(model.parameters))))
 
 
 def _core_mm2(model: Forward, theta: FloatArray) -> float:
