@@ -20,6 +20,7 @@ from polishd.daemon.service import serving
 from polishd.daemon.sockets import LINE_BYTES
 from polishd.model.errors import ConfigError, DeviceRefused, LinkError, ProtocolError
 from polishd.model.events import Failed, Held, PassEnded, Progress
+from tests.patience import SOON_S
 
 
 async def status() -> Mapping[str, Any]:
@@ -212,9 +213,17 @@ async def test_a_subscriber_that_never_reads_is_dropped(
 async def test_daemons_end_ends_sessions_and_removes_the_socket(
     tmp_path: Path, bus: EventBus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    asked = asyncio.Event()
+
+    async def asked_to_stop() -> Mapping[str, Any]:
+        asked.set()
+        return await stop()
+
     async with AsyncExitStack() as stack:
-        await stack.enter_async_context(serving(tmp_path, HANDLERS, bus))
+        await stack.enter_async_context(serving(tmp_path, HANDLERS | {"stop": asked_to_stop}, bus))
         waiting = asyncio.create_task(ask(tmp_path, "stop"))
+        async with asyncio.timeout(SOON_S):
+            await asked.wait()
         idle, writer = await asyncio.open_unix_connection(tmp_path / "polishd.sock")
         assert (await ask(tmp_path, "status"))["ok"]
         monkeypatch.setattr(service, "WRITE_S", 0.1)
