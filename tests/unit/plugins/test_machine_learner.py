@@ -119,7 +119,7 @@ def test_a_machine_as_it_is_configured_is_found_so_and_a_round_contact_does_not_
     assert "turn" not in lesson.beliefs.mean
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_wider_spot_is_found_and_taken() -> None:
     lesson = taught(HALF_A_SAMPLE, width=0.05)
     assert off(lesson, "width", 0.05) < 4
@@ -127,14 +127,14 @@ def test_a_wider_spot_is_found_and_taken() -> None:
     assert any(note.startswith("width of 0.05") for note in lesson.notes)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_map_that_was_turned_is_read_on_its_own_samples() -> None:
     lesson = taught(MapPixels(Grid(75, 75, 0.5), 3.0, (0.2, -0.1)), width=0.05)
     assert off(lesson, "width", 0.05) < 4
     assert off(lesson, "rotation") < 4
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_who_does_not_know_the_samples_takes_their_smear_for_the_spots() -> None:
     lesson = taught(HALF_A_SAMPLE, told=False)
     assert min(off(lesson, "width"), off(lesson, "compliance")) > 4

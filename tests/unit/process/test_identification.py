@@ -31,15 +31,15 @@ from tests.unit.process.identified import (
 ONE_WRONG = [
     ("", {"rate": 0.2}),
     ("offset", {"offset_x": 0.5, "offset_y": -0.4, "rate": -0.1}),
-    pytest.param("field", {"field_2": 0.06, "field_3": -0.03, "field_4": 0.03}, marks=pytest.mark.full),
-    pytest.param("wear", {"wear": 0.3, "rate": 0.1}, marks=pytest.mark.full),
-    pytest.param("turn", {"turn": 4.0}, marks=pytest.mark.full),
-    pytest.param("width", {"width": 0.08}, marks=pytest.mark.full),
-    pytest.param("compliance", {"compliance": 0.25}, marks=pytest.mark.full),
-    pytest.param("exponent", {"exponent": 0.4}, marks=pytest.mark.full),
-    pytest.param("shift", {"shift_x": 0.3, "shift_y": -0.2}, marks=pytest.mark.full),
-    pytest.param("rotation", {"rotation": 0.4}, marks=pytest.mark.full),
-    pytest.param("power", {"power": 3.0, "piston": -20.0, "tilt_x": 8.0, "tilt_y": -5.0}, marks=pytest.mark.full),
+    pytest.param("field", {"field_2": 0.06, "field_3": -0.03, "field_4": 0.03}, marks=pytest.mark.slow),
+    pytest.param("wear", {"wear": 0.3, "rate": 0.1}, marks=pytest.mark.slow),
+    pytest.param("turn", {"turn": 4.0}, marks=pytest.mark.slow),
+    pytest.param("width", {"width": 0.08}, marks=pytest.mark.slow),
+    pytest.param("compliance", {"compliance": 0.25}, marks=pytest.mark.slow),
+    pytest.param("exponent", {"exponent": 0.4}, marks=pytest.mark.slow),
+    pytest.param("shift", {"shift_x": 0.3, "shift_y": -0.2}, marks=pytest.mark.slow),
+    pytest.param("rotation", {"rotation": 0.4}, marks=pytest.mark.slow),
+    pytest.param("power", {"power": 3.0, "piston": -20.0, "tilt_x": 8.0, "tilt_y": -5.0}, marks=pytest.mark.slow),
 ]
 ALL_WRONG = {
     "rate": -0.1,
@@ -74,7 +74,7 @@ def test_what_is_wrong_is_found_within_its_error(names: str, truth: dict[str, fl
         assert abs(value) > 5 * result[name].sigma, "the pass shows it well"
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_all_of_it_wrong_at_once() -> None:
     result = hour().identified(ALL_WRONG, EVERYTHING)
     for one in result.estimates:
@@ -93,7 +93,7 @@ def normalised(one: Polished, names: str, seeds: range, share: float = 0.3) -> n
     return np.array(errors)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_errors_are_as_large_as_stated() -> None:
     errors = normalised(polished(), "offset compliance", range(5))
     assert 0.4 < (errors**2).mean() < 1.9  # of 35 normal squares: 4 standard deviations either way
@@ -147,7 +147,7 @@ def test_two_noises_count_each_over_its_area() -> None:
     assert both.sigma_nm**2 * both.area_mm2 == pytest.approx(9.0 * 4.0 + 16.0 * 9.0)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_correlated_noise_widens_the_errors_as_it_should() -> None:
     one = polished()
     grid, mask = disc()
@@ -161,7 +161,7 @@ def test_correlated_noise_widens_the_errors_as_it_should() -> None:
     assert 0.2 < np.mean(np.square(errors)) < 2.6
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_the_derivatives_are_those_of_the_removal() -> None:
     one = polished()
     grid, mask = disc()
@@ -178,7 +178,7 @@ def test_the_derivatives_are_those_of_the_removal() -> None:
         assert np.linalg.norm(columns[:, k] - slope) < 0.06 * np.linalg.norm(slope), parameter.name
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_the_projection_that_fits_is_found() -> None:
     one = polished(gamma_span=0.3)
     other = 0.85 + 0.1 * np.cos(one.place[:, 0] / 4) * np.sin(one.place[:, 1] / 6)

@@ -66,7 +66,7 @@ def test_what_it_can_is_not(one: Polished, names: str, name: str) -> None:
     assert result[name].told.confounded_with == (), result[name].sentence
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_removal_even_along_x_shows_no_shift_along_it() -> None:
     result = polished(time="stripes", lean="fixed", gamma_span=0.0).identified({"shift_x": 0.2}, "shift")
     assert not result["shift_x"].told.decided
@@ -99,7 +99,7 @@ def at_three_limits(one: Polished, names: str, name: str, seed: int) -> Identifi
     return one.identified({name: 3 * limit}, names, 7000 + seed)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WRONG_ALONE)
 def test_three_times_the_limit_is_named(name: str) -> None:
     one = slower(polished(gamma_span=0.3), 5)
@@ -121,7 +121,7 @@ def test_three_times_the_limit_is_named_nineteen_times_of_twenty() -> None:
     assert right >= 0.95 * tries
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_nothing_wrong_is_nothing_found() -> None:
     result = polished().identified({}, "wear offset width compliance field")
     assert result.comparison.best.extensions == frozenset()
@@ -156,7 +156,7 @@ def test_evidence_by_density_is_that_of_each_model() -> None:
     assert models[frozenset({"wear"})] == pytest.approx(expected, abs=1e-8)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_what_does_not_pay_is_not_applied() -> None:
     one, prior = polished(), knowing("offset")
     removed = one.removed({"offset_x": 0.05})
@@ -174,7 +174,7 @@ def test_what_does_not_pay_is_not_applied() -> None:
     assert weak["offset_x"].value == pytest.approx(0.05, abs=0.01), "it is learned all the same"
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_second_pass_with_another_lean_tells_offset_from_shift() -> None:
     truth = {"offset_x": 0.4, "shift_x": 0.1}
     one = polished(lean="fixed")
@@ -188,7 +188,7 @@ def test_a_second_pass_with_another_lean_tells_offset_from_shift() -> None:
         assert abs(second[name].value - value) < 4 * second[name].sigma
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_second_pass_halves_the_variance() -> None:
     first = polished().identified({"rate": 0.1})
     second = polished().identified({"rate": 0.1}, prior=first.learned, seed=1)
@@ -226,7 +226,7 @@ def planned(one: Polished, known: Knowledge) -> Prediction:
 
 @pytest.mark.parametrize(
     "jobs",
-    [pytest.param(2, marks=pytest.mark.full), pytest.param(60, marks=[pytest.mark.slow, pytest.mark.timeout(1800)])],
+    [pytest.param(2, marks=pytest.mark.slow), pytest.param(60, marks=[pytest.mark.slow, pytest.mark.timeout(1800)])],
 )
 def test_the_interval_of_the_next_pass_holds(jobs: int) -> None:
     one, then, within = polished(), slower(polished(3), 0.5), 0
@@ -260,7 +260,7 @@ def test_a_prediction_has_the_covariance_of_what_is_known() -> None:
     assert (prediction.sigma_nm >= 0.99 * rate_part).all()
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_small_shift_is_corrected_and_a_large_one_stops() -> None:
     small = decide(polished().identified({"offset_x": 0.2}, "offset"))
     assert [one.name for one in small.corrected] == ["offset"]
@@ -273,7 +273,7 @@ def test_a_small_shift_is_corrected_and_a_large_one_stops() -> None:
     assert lenient.stops == ()
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_stop_says_what_else_it_may_be() -> None:
     stops = decide(polished(lean="fixed").identified({"offset_x": 0.8}, "offset shift")).stops
     assert len(stops) == 1
