@@ -16,10 +16,10 @@ from pathlib import Path
 
 from polishd.model.errors import PolishdError
 from tests.campaigns.soak.cell import SoakCell
-from tests.campaigns.soak.figures import Figures, table, write_page
+from tests.campaigns.soak.figures import Figures, life_table, table, write_page
 from tests.campaigns.soak.parts import Part, drawn
 from tests.campaigns.soak.records import Record
-from tests.campaigns.soak.scripts import SCRIPTS, Script
+from tests.campaigns.soak.scripts import LIVED, SCRIPTS, Script
 from tests.campaigns.soak.sitting import work
 from tests.system.sim_rig import ROOT
 
@@ -41,11 +41,11 @@ class Soak:
         self.wrong: list[str] = []
         """Of sittings, apart from their parts."""
 
-    def run(self, parts: int, cells: int) -> None:
+    def run(self, parts: int, cells: int, sitting: int = SITTING) -> None:
         """Those of the first ``parts`` that are not done."""
         done = self._figures.done
-        blocks = [[n for n in range(first, min(first + SITTING, parts)) if n not in done]
-                  for first in range(0, parts, SITTING)]  # fmt: skip
+        blocks = [[n for n in range(first, min(first + sitting, parts)) if n not in done]
+                  for first in range(0, parts, sitting)]  # fmt: skip
         with ThreadPoolExecutor(cells) as pool:
             for wrong in pool.map(self._sit, filter(None, blocks)):
                 self.wrong += wrong
@@ -112,6 +112,7 @@ def main() -> int:
     """The exit code: 1 where anything was wrong."""
     parse = argparse.ArgumentParser(prog="make soak", description=__doc__)
     parse.add_argument("--parts", type=int, default=PARTS, help="in all")
+    parse.add_argument("--life", type=int, default=0, help="instead: so many through one life of a daemon; what grows")
     parse.add_argument("--seed", type=int, default=1, help="another one draws other parts, and begins anew")
     parse.add_argument("--minutes", type=float, default=1e9, help="of this sitting; what was begun is ended")
     parse.add_argument("--cells", type=int, default=1, help="side by side")
@@ -123,15 +124,19 @@ def main() -> int:
     folder = options.folder.resolve()
     if options.only and folder == FOLDER:
         parse.error("--only goes with a --folder of its own: figures are of what is drawn")
-    figures = Figures(folder, options.seed, options.speed)
-    only = [NAMED[name] for name in options.only]
+    life = options.life > 0
+    figures = Figures(folder, options.seed, options.speed, life=life)
+    only = [NAMED[name] for name in options.only] or (LIVED if life else ())
     soak = Soak(figures, folder, time.monotonic() + 60 * options.minutes, only)
     signal.signal(signal.SIGTERM, soak.leave)
-    soak.run(options.parts, options.cells)
+    if life:
+        soak.run(options.life, 1, options.life)
+    else:
+        soak.run(options.parts, options.cells)
     sums = figures.sums()
-    text = table(sums, figures.conditions())
+    text = (life_table if life else table)(sums, figures.conditions())
     if folder == FOLDER and sums.all:
-        write_page(text)
+        write_page(text, life=life)
     if not options.json:
         print(text)
     found = {**sums.summary(), "sittings_wrong": soak.wrong, "seed": figures.seed, "of": figures.of}

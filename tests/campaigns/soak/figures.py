@@ -31,6 +31,7 @@ ENOUGH = 100
 """Fewer parts than that may each be all of a hundredth."""
 PAGE = ROOT / "docs" / "reliability.md"
 BEGIN, END = "<!-- written by make soak -->\n", "<!-- end of what make soak writes -->"
+LIFE_BEGIN, LIFE_END = "<!-- written by make soak --life -->\n", "<!-- end of what make soak --life writes -->"
 WITHOUT = {CALM.name, *(script.name for script in RECOVERED)}
 UNITS = {
     "daemon_rss_mb": "memory of the daemon, MB",
@@ -52,12 +53,15 @@ def sources() -> str:
 
 
 class Figures:
-    """A folder: ``SOURCES-SEED-SPEED.jsonl``, a line a part, and ``evidence`` of what was wrong."""
+    """A folder: ``SOURCES-SEED-SPEED.jsonl``, a line a part, and ``evidence`` of what was wrong.
 
-    def __init__(self, folder: Path, seed: int, speed: float) -> None:
+    ``life``: of parts apart from those, worked by one daemon each time.
+    """
+
+    def __init__(self, folder: Path, seed: int, speed: float, *, life: bool = False) -> None:
         self.folder, self.seed, self.speed, self.of = folder, seed, speed, sources()
         folder.mkdir(parents=True, exist_ok=True)
-        self._path = folder / f"{self.of}-{seed}-{speed:g}.jsonl"
+        self._path = folder / f"{self.of}-{seed}-{speed:g}{'-life' * life}.jsonl"
         text = self._path.read_text() if self._path.exists() else ""
         whole, _, cut_off = text.rpartition("\n")
         if cut_off:  # a power cut: that part is done again
@@ -253,8 +257,18 @@ def _uses(sums: Sums) -> list[tuple[str, object]]:
         ("CPU seconds a part: median, most", f"{median(sums.cpu_s):.1f}, {sums.cpu_s[-1]:.1f}"),
         ("... mean of each", each),
         ("wall seconds a part, median", f"{median(record['wall_s'] for record in sums.counted):.1f}"),
+    ]
+
+
+def life_table(sums: Sums, conditions: str) -> str:
+    """For the page, what grows."""
+    ends = Counter(record["verdict"] or "none" for record in sums.counted)
+    rows = [
+        ("parts, starts of the daemon", f"{len(sums.all)}, {len({record['life'] for record in sums.all})}"),
+        ("... how they ended", ", ".join(f"{how} {n}" for how, n in ends.most_common())),
         *((f"growth a part: {UNITS[name]}", _growth(slope, BOUNDS[name])) for name, slope in sums.slopes.items()),
     ]
+    return "| what | how many |\n|---|---|\n" + "".join(f"| {what} | {n} |\n" for what, n in rows) + f"\n{conditions}\n"
 
 
 def _growth(slope: Slope, bound: float) -> str:
@@ -265,7 +279,8 @@ def _growth(slope: Slope, bound: float) -> str:
     return f"{told} ({slope.parts} parts, mean {slope.mean:.3g})"
 
 
-def write_page(text: str) -> None:
+def write_page(text: str, *, life: bool = False) -> None:
     """Put it into docs/reliability.md."""
-    before, _, rest = PAGE.read_text().partition(BEGIN)
-    PAGE.write_text(before + BEGIN + text + END + rest.partition(END)[2])
+    begin, end = (LIFE_BEGIN, LIFE_END) if life else (BEGIN, END)
+    before, _, rest = PAGE.read_text().partition(begin)
+    PAGE.write_text(before + begin + text + end + rest.partition(end)[2])

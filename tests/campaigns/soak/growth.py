@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-WARM = 15
-"""Of each life of a process, so many parts are left out: modules are loaded then, pools of threads filled."""
+WARM = 40
+"""Of each life of a process, so many parts are left out: modules are loaded then, pools filled."""
 LEAST = 4
 """Fewer parts of a life than that say nothing of growth."""
 BOUNDS: Mapping[str, float] = {

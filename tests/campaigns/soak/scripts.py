@@ -213,3 +213,5 @@ BY_A_PERSON = (
 )
 """Only with a person's help, or not at all."""
 SCRIPTS = (CALM, *RECOVERED, *BY_A_PERSON)
+LIVED = tuple(one for script in RECOVERED if not script.restarts for one in (CALM, script))
+"""Through which a daemon lives, in turn."""

@@ -20,7 +20,7 @@ import pytest
 
 from polishd.daemon.journal_schema import SCHEMA
 from tests.campaigns.soak.cell import Row
-from tests.campaigns.soak.figures import BEGIN, END, HEAD, PAGE, Figures, Sums, table
+from tests.campaigns.soak.figures import BEGIN, END, HEAD, LIFE_BEGIN, LIFE_END, PAGE, Figures, Sums, table
 from tests.campaigns.soak.growth import BOUNDS, WARM, slope
 from tests.campaigns.soak.judge import DEEPER_NM, STANDS_S, truth_of, untouched
 from tests.campaigns.soak.parts import drawn
@@ -87,10 +87,10 @@ def life(per_part: float, parts: int, noise: float, seed: int) -> list[tuple[flo
 
 def test_a_leak_is_told_from_noise() -> None:
     bound = BOUNDS["daemon_rss_mb"]
-    flat = slope([life(0.0, 40, 0.5, seed) for seed in range(5)])
+    flat = slope([life(0.0, WARM + 25, 0.5, seed) for seed in range(5)])
     assert flat.flat(bound)
     assert not flat.grows(bound)
-    leaks = slope([life(0.3, 40, 0.5, seed) for seed in range(5)])
+    leaks = slope([life(0.3, WARM + 25, 0.5, seed) for seed in range(5)])
     assert leaks.grows(bound)
     assert leaks.per_part == pytest.approx(0.3, abs=0.05)
     few = slope([life(0.0, 5, 5.0, 1)])
@@ -228,6 +228,14 @@ def test_the_page_has_what_the_campaign_wrote_and_nothing_that_may_not_be() -> N
     assert int(rows["parts through the queue"].replace(",", "")) > 20
     assert {rows[name] for name in rows if "uncertainty" in name or "damaged" in name} == {"**0**"}
     assert all(f"| {script.name} |" in written for script in SCRIPTS)
+
+
+def test_nothing_grows_over_the_long_life_on_the_page() -> None:
+    written = PAGE.read_text().partition(LIFE_BEGIN)[2].partition(LIFE_END)[0]
+    growth = [line for line in written.splitlines() if line.startswith("| growth a part: ")]
+    assert len(growth) == len(BOUNDS)
+    assert not [line for line in growth if "**grows**" in line or "not known" in line]
+    assert all(": flat" in line for line in growth if "memory" in line or "written" in line)
 
 
 # the campaign itself
