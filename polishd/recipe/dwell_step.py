@@ -24,7 +24,7 @@ from polishd.process.dwell.curve import Solved as Chosen
 from polishd.process.dwell.limit import TimeLimit
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
-from polishd.process.dwell.validation import NEGLIGIBLE
+from polishd.process.dwell.validation import negligible
 from polishd.process.edge.correctable import correctable
 from polishd.process.edge.extension import extend
 from polishd.process.tolerance import out_of_reach
@@ -102,18 +102,19 @@ def solve(
 def _require_coverage(program: Program, answer: RemovalAnswer, measured: Measured) -> None:
     """ProgramError unless the path works nearly all of the clear aperture, and mostly the part."""
     right = "program of this part, and are program.offset_mm and program.rotation_deg right?"
-    on_part = float(_touched(answer.effect.adjoint(measured.solve_mask.astype(np.float64))).mean())
+    none = negligible(answer.effect)
+    on_part = float(_touched(answer.effect.adjoint(measured.solve_mask.astype(np.float64)), none).mean())
     if on_part < LEAST_ON_PART:
         touch = f"only {on_part:.0%} of its timed points touch the part"
         raise ProgramError(f"{program.name}: {touch}: is it the {right}")
-    share = float(_touched(answer.removal_nm(np.ones(program.n)))[measured.metric_mask].mean())
+    share = float(_touched(answer.removal_nm(np.ones(program.n)), none)[measured.metric_mask].mean())
     if share < LEAST_COVERAGE:
         raise ProgramError(f"{program.name}: the path reaches {share:.0%} of the clear aperture; is it the {right}")
 
 
-def _touched(removal: FloatArray) -> BoolArray:
-    """Where there is any, and not only what an effect that is no matrix is off by."""
-    return np.asarray(removal > NEGLIGIBLE * np.abs(removal).max(initial=0.0))
+def _touched(removal: FloatArray, none: float) -> BoolArray:
+    """Where there is more than that share of the strongest."""
+    return np.asarray(removal > none * np.abs(removal).max(initial=0.0))
 
 
 class Bounds(NamedTuple):

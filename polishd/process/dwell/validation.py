@@ -6,11 +6,15 @@ import numpy as np
 
 from polishd.model.errors import ComputeError
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.effect import SparseEffect
+from polishd.process.effect import Effect, SparseEffect
 
 NEGLIGIBLE = 1e-3
-"""Share of the strongest point by which one that hardly reaches the samples may be negative: an effect without a matrix
-is right to an error."""
+"""Share of the strongest by which an effect without a matrix may be wrong where it has nothing."""
+
+
+def negligible(effect: Effect) -> float:
+    """Share of the strongest removal up to which it is taken for none: 0 of a matrix, which is exact."""
+    return 0.0 if isinstance(effect, SparseEffect) else NEGLIGIBLE
 
 
 def check(problem: DwellProblem) -> None:
@@ -88,9 +92,8 @@ def _check_effect(problem: DwellProblem) -> None:
     strength = effect.adjoint(problem.solve_mask.astype(np.float64))
     if strength.shape != (effect.n,):
         raise ComputeError(f"the effect's adjoint answers {strength.shape} for {effect.n} dwell points")
-    entries, least = strength, -NEGLIGIBLE * float(np.abs(strength).max())
-    if isinstance(effect, SparseEffect):
-        entries, least = effect.matrix.data, 0.0
+    entries = effect.matrix.data if isinstance(effect, SparseEffect) else strength
+    least = -negligible(effect) * float(np.abs(strength).max())
     if not np.isfinite(entries).all():
         raise ComputeError("the effect is not finite")
     if (entries < least).any():
