@@ -15,7 +15,7 @@ from polishd.sim_backends.plant.removal import hertz_depth_mm
 TOGETHER_MM = 0.1
 """Contacts nearer to each other than that are one: a map shows no less."""
 FINE_MM = 1.0 / 6.0
-"""Between the points of which a cell's mean is made."""
+"""Between the points of which a cell's mean is made, at most; two of them at least along each of its sides."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class MeasuredStamp:
             rows = _span(row, reach, grid.ny)
             columns = _span(column, reach, grid.nx)
             if rows.size and columns.size:
-                fine = max(1, round(grid.pitch_mm / FINE_MM))
+                fine = max(2, math.ceil(grid.pitch_mm / FINE_MM))
                 x = _midpoints(columns - column, fine) * grid.pitch_mm
                 y = _midpoints(row - rows, fine) * grid.pitch_mm
                 offset = np.stack(np.meshgrid(x, y))

@@ -28,6 +28,7 @@ def worn(
     depth: FloatArray = DEPTH,
     rpm: float = 1000.0,
     seconds: float = 1.0,
+    stretch: FloatArray | None = None,
 ) -> tuple[FloatArray, Grid]:
     """Removal (positive, nm) of one contact on a grid of 20 mm."""
     count = int(20 / pitch) + 1
@@ -43,6 +44,7 @@ def worn(
         depth_mm=depth,
         rpm=one * rpm,
         seconds=one * seconds,
+        stretch=stretch,
     )
     return -surface, grid
 
@@ -70,6 +72,27 @@ def test_peak_rate() -> None:
 def test_a_stop_of_63_ms_removes_about_61_nm_mm2() -> None:
     removal, grid = worn(seconds=0.063)
     assert removal.sum() * grid.pitch_mm**2 == pytest.approx(61.2, rel=0.01)
+
+
+SHEARED = np.array([[1.08, 0.11], [-0.04, 1.02]])
+"""Along a steep, twisted surface."""
+
+
+@pytest.mark.parametrize("stretch", [np.eye(2), SHEARED], ids=["flat", "sheared"])
+@pytest.mark.parametrize("centre", [(0.0, 0.0), (0.13, -0.21)])
+def test_a_cell_is_its_mean(centre: tuple[float, float], stretch: FloatArray) -> None:
+    """Against a sum over 61 x 61 points of each cell, of Hertz's pressure times the speed of a tilted sphere."""
+    removal, grid = worn(0.5, centre, stretch=stretch[None])
+    fine = (np.arange(61) + 0.5) / 61 - 0.5
+    x = (grid.x_mm[:, None] + fine * grid.pitch_mm).ravel() - centre[0]
+    y = (grid.y_mm[:, None] - fine * grid.pitch_mm).ravel() - centre[1]
+    along = np.einsum("ij,jyx->iyx", stretch, np.stack(np.meshgrid(x, y)))
+    pressure = np.sqrt(np.maximum(1.0 - (along**2).sum(axis=0) / (TOOL.tool_radius_mm * DEPTH[0]), 0.0))
+    lever = np.stack([along[0], along[1], np.full(along[0].shape, DEPTH[0] - TOOL.tool_radius_mm)], axis=-1)
+    speed = np.linalg.norm(np.cross(AXIS[0], lever)[..., :2], axis=-1)
+    mean = (pressure * speed).reshape(grid.ny, 61, grid.nx, 61).mean(axis=(1, 3))
+    expected = mean * (removal.sum() / mean.sum())  # the volume has a test of its own
+    assert np.abs(removal - expected).max() < 4e-3 * removal.max()
 
 
 def test_removal_is_linear_in_time_and_speed() -> None:
