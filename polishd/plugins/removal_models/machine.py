@@ -22,7 +22,7 @@ NOISE_NM = 0.2
 """Of a change between maps where nobody says; what is left by the fit counts where it is more."""
 FINE = 1.25
 """Samples are this much of the spot's step apart, at most, or as fine as they are."""
-COARSE = 0.6
+COARSE = 0.25
 """Of the grid's pitch: a map's sample that counts with its own place and size."""
 BELIEVED = "believed"
 """The projection of the compliance that the cell is configured with."""
@@ -79,7 +79,7 @@ def _identified(
 
 
 def _pixels(at: MapPixels | None, grid: Grid) -> Pixels | None:
-    """Where they are about as large as the grid's cells: of finer ones a mean is as good as one over the cell."""
+    """Left out where they are so fine that their mean is that over the cell: of 0.4 of the pitch it is not yet."""
     if at is None or at.grid.pitch_mm < COARSE * grid.pitch_mm:
         return None
     return Pixels(at, averaging(at.grid, grid, Registration(at.rotation_deg, at.shift_mm)))

@@ -135,6 +135,13 @@ def test_a_map_that_was_turned_is_read_on_its_own_samples() -> None:
 
 
 @pytest.mark.slow
+def test_finer_samples_are_smeared_too() -> None:
+    lesson = taught(MapPixels(Grid(175, 175, 0.2), 0.0, (0.06, -0.05)), width=0.05)
+    assert off(lesson, "width", 0.05) < 3
+    assert off(lesson, "compliance") < 3
+
+
+@pytest.mark.slow
 def test_who_does_not_know_the_samples_takes_their_smear_for_the_spots() -> None:
     lesson = taught(HALF_A_SAMPLE, told=False)
     assert min(off(lesson, "width"), off(lesson, "compliance")) > 4
