@@ -7,6 +7,7 @@ import os
 import signal
 import socket
 import sqlite3
+import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -47,11 +48,13 @@ class Systemd:
 
 
 @pytest.fixture(params=["path", "abstract"])
-def systemd(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Systemd]:
-    address = str(tmp_path / "notify") if request.param == "path" else f"@polishd-test-{os.getpid()}"
-    found = Systemd(address, WATCHDOG_USEC="40000", WATCHDOG_PID=str(os.getpid()))
-    yield found
-    found.close()
+def systemd(request: pytest.FixtureRequest) -> Iterator[Systemd]:
+    """By a path as short as systemd's own: a socket's has room for 107 characters, and ``tmp_path`` may have more."""
+    with tempfile.TemporaryDirectory(prefix="polishd-", dir="/tmp") as folder:
+        address = f"{folder}/notify" if request.param == "path" else f"@polishd-test-{os.getpid()}"
+        found = Systemd(address, WATCHDOG_USEC="40000", WATCHDOG_PID=str(os.getpid()))
+        yield found
+        found.close()
 
 
 def test_ready_is_said_once_when_the_last_cell_has_spoken(systemd: Systemd) -> None:
