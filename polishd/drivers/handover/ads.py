@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import importlib
+import struct
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -22,6 +23,8 @@ T = TypeVar("T")
 CLOSE_S = 0.5
 NOT_FOUND = (0x6, 0x7, 0x710, 0x716)
 """Errors of ADS that say that there is nothing: port, machine, symbol, version."""
+UNREADABLE = (LookupError, ValueError, struct.error)
+"""What pyads raises over an answer that is none: a number of an error that no table has, text that is no text."""
 
 
 class Ads:
@@ -112,3 +115,8 @@ class Ads:
             if error.err_code in NOT_FOUND:
                 raise ProtocolError(f"{self._name}: {error}: look at the addresses in the profile") from error
             raise LinkError(f"{self._name}: answers no more: {error}") from error
+        except UNREADABLE as error:
+            told = f"{type(error).__name__}: {error}"
+            raise ProtocolError(
+                f"{self._name}: an answer that cannot be read ({told}); see what is on that wire"
+            ) from error

@@ -103,7 +103,9 @@ class Link:
 
     def fault(self, name: str) -> dict[str, Any]:
         """For SIM.toml, without its time."""
-        return {"device": self.device, **({"link": self.link} if self.link else {}), **self.faults[name]}
+        fault = self.faults[name]
+        whole = not self.link or fault["what"] == "reboot"  # which befalls the device, not one of its links
+        return {"device": self.device, **({} if whole else {"link": self.link}), **fault}
 
 
 SILENT = {

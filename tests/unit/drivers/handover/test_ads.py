@@ -61,6 +61,20 @@ async def test_a_symbol_that_is_not_there_is_named(tmp_path: Path) -> None:
             await link(line="GVL_polishd.lines").open()
 
 
+async def test_an_error_that_no_table_has_is_an_answer_that_cannot_be_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in a garbled frame; its checksum is of what was sent."""
+    fake = FakePlc(tmp_path)
+    async with serving(fake, AdsServer, HOST, TCP_PORT):
+        ads = link()
+        await ads.open()
+        monkeypatch.setattr(AdsServer, "_read", lambda *asked: (0x20000, bytes(asked[-1])))
+        with pytest.raises(ProtocolError, match="cannot be read"):
+            await ads.read()
+        await ads.close()
+
+
 async def test_nobody_there_and_nobody_answering_are_lost_links(tmp_path: Path) -> None:
     with pytest.raises(LinkError):
         await link().open()
