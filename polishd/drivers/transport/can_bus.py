@@ -236,7 +236,7 @@ class CanBus:
             if self._was_nothing(error):
                 return None
             if not (isinstance(self._bus, slcanBus) and isinstance(error.__cause__, UnicodeDecodeError)):
-                raise LinkError(f"{self._name}: {error} ({error.__cause__})") from error
+                raise LinkError(f"{self._name}: {_said(error)}; see the adapter and its wire") from error
             self._flush(self._bus)
             return None
         if message is not None and message.is_error_frame and message.arbitration_id & BUS_OFF:
@@ -255,3 +255,9 @@ class CanBus:
             bus.flush()
         except can.CanError as error:
             raise LinkError(f"{self._name}: {error}") from error
+
+
+def _said(error: Exception) -> str:
+    """One line: python-can puts whole tracebacks into what it says."""
+    told, cause = str(error).partition("Traceback (")[0].strip(), str(error.__cause__ or "")
+    return told if cause in told else f"{told} ({cause})"

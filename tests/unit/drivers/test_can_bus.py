@@ -1,0 +1,43 @@
+"""What a bus says of an adapter that cannot be understood."""
+
+from __future__ import annotations
+
+import can
+import pytest
+
+from polishd.api import LinkError
+from polishd.drivers.transport.can_bus import CanBus
+
+
+class Garbled(can.BusABC):
+    """As python-can's socketcand does: the traceback is part of what it says."""
+
+    def __init__(self, told: str) -> None:
+        super().__init__(channel="can0")
+        self._told = told
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        try:
+            bytes.fromhex("0x")
+        except ValueError as error:
+            raise can.CanOperationError(self._told.format(error)) from error
+        raise AssertionError
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Into the void."""
+
+    def fileno(self) -> int:
+        raise NotImplementedError
+
+
+@pytest.mark.parametrize("told", ["Failed to receive: {}  Traceback (most recent call last):\n  File x\n", "Failed"])
+async def test_a_frame_that_cannot_be_read_is_told_in_one_line_with_its_cause(told: str) -> None:
+    bus = Garbled(told)
+    with pytest.raises(LinkError) as raised:
+        await CanBus("can://here", bus).receive(lambda _: None)
+    bus.shutdown()
+    said = str(raised.value)
+    assert said.startswith("can://here: Failed")
+    assert said.count("non-hexadecimal") == 1
+    assert "\n" not in said
+    assert "Traceback" not in said
