@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
 from types import FunctionType
 from typing import Any
@@ -94,6 +96,29 @@ def test_a_fault_is_put_into_a_function_that_others_have_imported_and_wrapped() 
 def test_a_default_is_of_the_module_and_not_of_its_function() -> None:
     (mutant,) = [one for one in mutants("class A:\n    def f(self, a=1):\n        return\n") if "a=1" in one.change]
     assert mutant.unit_line is None
+
+
+ONE_AT_IMPORT = """
+import sys
+from tests.campaigns.mutation.__main__ import OPTIONS
+from tests.campaigns.mutation.mutants import Module
+from tests.campaigns.mutation.scope import ROOT
+from tests.campaigns.mutation.trial import Telling, in_import
+
+path = ROOT / "polishd" / "daemon" / "states.py"
+module = Module(str(path), path.read_text())
+(mutant,) = [one for one in module.mutants() if one.change == "'idle' -> 'otheridle'"]
+test = "tests/unit/daemon/test_states.py::test_the_docs_have_every_state_and_every_way"
+in_import(module, mutant if sys.argv[1] == "fault" else module.sound(mutant), [test], OPTIONS)(Telling(1))
+"""
+
+
+@pytest.mark.parametrize(("fault", "failed"), [("fault", True), ("none", False)])
+def test_a_fault_is_in_what_is_imported(fault: str, failed: bool) -> None:
+    command = [sys.executable, "-c", ONE_AT_IMPORT, fault]
+    child = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
+    assert ("failed tests/unit/daemon/test_states.py" in child.stdout) is failed, child.stdout + child.stderr
+    assert "begun tests/unit/daemon/test_states.py" in child.stdout
 
 
 def test_what_a_child_says_is_how_its_mutant_ended() -> None:
