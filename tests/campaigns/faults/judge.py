@@ -30,11 +30,13 @@ FORCE_OFF_S = 0.2
 """The most from noticing to force off."""
 LATE_S = 0.5
 """By how much a machine that is busy with other things may notice late."""
+NO_POWER = "actuator_lost"
+"""This one's spring lifts the tool."""
 REACTIONS = {"retract", "force_off", "force_zero", "contact_lost", "watchdog", "spindle_ramping", "motion_stopped"}
-OFF = {"force_off", "force_zero", "contact_lost"}
-UP = {"tool_lifted", "retracted", "contact_lost"}
+OFF = {"force_off", "force_zero", "contact_lost", NO_POWER}
+UP = {"tool_lifted", "retracted", "contact_lost", NO_POWER}
 PRESSES = {"tool_landed", "force_on", "engage"}
-MOVES = {"motion_started"}
+STANDS = {"motion_stopped", "robot_lost"}
 STOPS_FIRST = "guard_closed"
 """The signal of these cells that leads to an emergency stop: motion stops at once, whatever the part costs."""
 
@@ -92,19 +94,18 @@ def _polished_on(files: DemoFiles, after_s: float) -> bool:
 
 def _rests(files: DemoFiles) -> bool:
     """The tool is up, and nothing moves."""
-    last = {event["event"]: k for k, event in enumerate(events(files))}
-    up = max((last.get(name, -1) for name in UP), default=-1) > last.get("tool_landed", -1)
-    return up and max(last.get("motion_stopped", -1), _lost(files)) > last.get("motion_started", -1)
+    place = _last_place(_told(files))
+    return place(UP) > place({"tool_landed"}) and place(STANDS) > place({"motion_started"})
 
 
-def _lost(files: DemoFiles) -> int:
-    """Place in the log of the robot's last loss of power, which is standstill, too."""
-    places = [k for k, e in enumerate(events(files)) if (e["device"], e["event"]) == ("robot", "lost")]
-    return max(places, default=-1)
+def _told(files: DemoFiles) -> list[dict[str, Any]]:
+    """The simulators' log, in which a loss of power names its device."""
+    log = events(files)
+    return [e | {"event": f"{e['device']}_lost"} if e["event"] == "lost" else e for e in log]
 
 
 def _finding(link: str, fault: str, files: DemoFiles, *, went_on: bool, code: int) -> Finding:
-    log, acted = events(files), _acted(files)
+    log, acted = _told(files), _acted(files)
     since_s = acted["mono_s"] if acted else 0.0
     after = [event for event in log if event["mono_s"] >= since_s]
     noticed = "" if went_on else _without_folder(str(summary(files)["reason"]), files)
@@ -113,7 +114,7 @@ def _finding(link: str, fault: str, files: DemoFiles, *, went_on: bool, code: in
     wrong = list(_wrong(link, fault, files, after, acted=acted is not None, noticed=noticed, went_on=went_on))
     limit_s = LINKS[link].silence_s
     detection_s = None if reacted_s is None else round(reacted_s - since_s, 3)
-    force_off_s = None if off_s is None or reacted_s is None else round(off_s - reacted_s, 3)
+    force_off_s = None if off_s is None or reacted_s is None else round(max(off_s - reacted_s, 0.0), 3)
     if force_off_s is not None and force_off_s > FORCE_OFF_S:
         wrong.append(f"force off {force_off_s} s after it was noticed")
     if LINKS[link].must_end(fault) and detection_s is not None and _is_loss(fault) and detection_s > limit_s + LATE_S:
