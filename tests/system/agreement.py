@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import sqlite3
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from tests.system.cell_rig import account
 
 SHARE, LEAST_S = 0.02, 0.01
 """What the plant's steps make of a block's time."""
+SHARED, TOTAL = 0.6, 0.002
+"""Of blocks that one report tells of: how far the motion model, which shares out their time, may be off; and their sum."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,13 +29,15 @@ class Told:
     """Process time; 0 where no record is."""
     touched: np.ndarray[Any, Any]
     """1, 0, NaN: not known; 0 where no record is."""
+    told_s: np.ndarray[Any, Any]
+    """When we heard of it; NaN where no record is."""
     contact: tuple[int, int]
     """The range in which the tool is on the part, as planned."""
 
     @classmethod
     def of_no_pass(cls, sha256: str, blocks: int) -> Told:
         """A program of which the journal has none: nothing was touched by it."""
-        return cls(sha256, np.zeros(blocks), np.zeros(blocks), (0, 0))
+        return cls(sha256, np.zeros(blocks), np.zeros(blocks), np.full(blocks, np.nan), (0, 0))
 
     @property
     def uncertain(self) -> np.ndarray[Any, Any]:
@@ -47,18 +52,22 @@ def passes(journal: Path) -> list[Told]:
         columns = "job, cycle, program_sha256, blocks, contact_from, contact_to, uncertain_from, uncertain_to"
         for row in file.execute(f"SELECT {columns} FROM pass").fetchall():
             job, cycle, sha256, blocks, first, end, *tail = row
-            run_s, touched = np.zeros(blocks), np.zeros(blocks)
-            rows = "SELECT seq, end_s - start_s, touched FROM segment WHERE job = ? AND cycle = ?"
-            for seq, seconds, known in file.execute(rows, (job, cycle)):
+            run_s, touched, told_s = np.zeros(blocks), np.zeros(blocks), np.full(blocks, np.nan)
+            rows = "SELECT seq, end_s - start_s, touched, told_s FROM segment WHERE job = ? AND cycle = ?"
+            for seq, seconds, known, heard_s in file.execute(rows, (job, cycle)):
                 run_s[seq], touched[seq] = seconds, np.nan if known is None else known
+                told_s[seq] = np.nan if heard_s is None else heard_s
             if tail[0] is not None:
                 touched[tail[0] : tail[1]] = np.nan
-            told.append(Told(sha256, run_s, touched, (first, end)))
+            told.append(Told(sha256, run_s, touched, told_s, (first, end)))
     return told
 
 
-def disagreements(journal: Path, books: list[dict[str, Any]]) -> list[str]:
+def disagreements(journal: Path, books: list[dict[str, Any]], *, by_model: bool = False) -> list[str]:
     """Where they contradict each other: by pass and block, what the journal says, and what the plant saw.
+
+    ``by_model``: the controller shows the line that it executes. Where several ended between two reports, the motion
+    model has shared out the time between these.
 
     A program that was no pass is a touch-off's: the robot stands while the tool touches, so that no block is touched.
     A controller that is sent scripts of our own making knows no program by its hash: those are the passes in turn.
@@ -73,6 +82,11 @@ def disagreements(journal: Path, books: list[dict[str, Any]]) -> list[str]:
         if beyond_s.any():  # a script may have a line of its own behind the program's last block
             found.append(f"{one.sha256[:8]}: the plant saw {beyond_s.sum():.3f} s behind its last block")
         slack_s = SHARE * one.run_s + LEAST_S
+        if by_model:
+            runs = _told_at_once(one)
+            found += [_of_sum(one, contact_s, run) for run in runs if not _sum_holds(one, contact_s, run)]
+            for run in runs:
+                slack_s[run] += SHARED * one.run_s[run]
         wrong = {
             "touched": (one.touched == 1) & (np.abs(contact_s - one.run_s) > slack_s),
             "not touched": (one.touched == 0) & (contact_s > LEAST_S),
@@ -84,6 +98,23 @@ def disagreements(journal: Path, books: list[dict[str, Any]]) -> list[str]:
             for seq in np.flatnonzero(where)
         ]
     return found
+
+
+def _told_at_once(one: Told) -> list[slice]:
+    """Runs of several blocks that one report told of, all of them touched."""
+    told_s = np.where(one.touched == 1, one.told_s, np.nan)
+    edges = np.flatnonzero(np.diff(told_s, prepend=np.nan, append=np.nan) != 0)
+    return [slice(a, b) for a, b in pairwise(edges.tolist()) if b - a > 1]
+
+
+def _sum_holds(one: Told, contact_s: np.ndarray[Any, Any], run: slice) -> bool:
+    ours_s = one.run_s[run].sum()
+    return bool(abs(contact_s[run].sum() - ours_s) <= TOTAL * ours_s + LEAST_S)
+
+
+def _of_sum(one: Told, contact_s: np.ndarray[Any, Any], run: slice) -> str:
+    ours_s, seen_s = one.run_s[run].sum(), contact_s[run].sum()
+    return f"{one.sha256[:8]} blocks {run.start} to {run.stop - 1}: {ours_s:.3f} s in all; the plant saw {seen_s:.3f} s"
 
 
 def require_agreement(files: DemoFiles) -> None:

@@ -171,7 +171,7 @@ def _wrong(
         yield "motion stopped before the tool was up"
     if place(PRESSES) > up:
         yield "it pressed again"
-    yield from disagreeing(files)
+    yield from disagreeing(files, link)
 
 
 def _last_place(log: Sequence[Mapping[str, Any]]) -> Callable[[set[str]], int]:
@@ -179,10 +179,11 @@ def _last_place(log: Sequence[Mapping[str, Any]]) -> Callable[[set[str]], int]:
     return lambda names: max(last.get(name, -1) for name in names)
 
 
-def disagreeing(files: DemoFiles) -> Iterator[str]:
+def disagreeing(files: DemoFiles, link: str) -> Iterator[str]:
     """What was polished twice, and where journal and plant contradict each other."""
     books = whole_account(files)["programs"]
     for book in books:
         if book["loads"] != 1:
             yield f"program {book['sha256'][:8]} was loaded {book['loads']} times"
-    yield from disagreements(files.state_dir / "journal.sqlite", books)
+    by_model = LINKS[link].driver == "handover"
+    yield from disagreements(files.state_dir / "journal.sqlite", books, by_model=by_model)

@@ -138,7 +138,7 @@ def _loss(name: str, after: list[dict[str, Any]], files: DemoFiles, told: dict[s
     """Of what the simulator tells from the loss on, and the daemon at its end."""
     since_s, limit_s = after[0]["mono_s"], LINKS[name].silence_s
     reacted_s, off_s = first(after, REACTIONS), first(after, OFF)
-    wrong = ["the cell does not come to rest"] if told["state"] == "stuck" else list(_wrong(files, after))
+    wrong = ["the cell does not come to rest"] if told["state"] == "stuck" else list(_wrong(name, files, after))
     detection_s = None if reacted_s is None else round(reacted_s - since_s, 3)
     force_off_s = None if off_s is None or reacted_s is None else round(off_s - reacted_s, 3)
     if detection_s is None or detection_s > limit_s + LATE_S:
@@ -148,12 +148,12 @@ def _loss(name: str, after: list[dict[str, Any]], files: DemoFiles, told: dict[s
     return Loss(name, after[0]["what"], str(told.get("reason", "")), limit_s, detection_s, force_off_s, wrong)
 
 
-def _wrong(files: DemoFiles, after: list[dict[str, Any]]) -> Iterator[str]:
+def _wrong(name: str, files: DemoFiles, after: list[dict[str, Any]]) -> Iterator[str]:
     """What must hold whatever was lost, when it was."""
     place = {event["event"]: k for k, event in enumerate(after)}
-    up = max(place.get(name, -1) for name in UP)
+    up = max(place.get(event, -1) for event in UP)
     if up < 0:
         yield "the tool stayed on the part"
-    if max(place.get(name, -1) for name in PRESSES) > up:
+    if max(place.get(event, -1) for event in PRESSES) > up:
         yield "it pressed again"
-    yield from list(disagreeing(files))[:SAID]
+    yield from list(disagreeing(files, name))[:SAID]

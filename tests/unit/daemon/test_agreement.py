@@ -62,6 +62,35 @@ def test_contradictions(
     assert found.endswith(says)
 
 
+@pytest.mark.parametrize(
+    ("contact_s", "says"),
+    [
+        ((0.1, 0.1, 0.14, 0.06), []),  # shared out otherwise
+        ((0.1, 0.1, 0.18, 0.02), ["block 2: touched in 0.100 s; the plant saw 0.180 s", "block 3: touched"]),
+        ((0.1, 0.1, 0.14, 0.14), ["blocks 2 to 3: 0.200 s in all; the plant saw 0.280 s"]),
+        ((0.1, 0.14, 0.1, 0.1), ["block 1: touched in 0.100 s; the plant saw 0.140 s"]),  # told by itself
+    ],
+)
+def test_what_one_report_tells_of_is_shared_out_by_the_motion_model(
+    tmp_path: Path, contact_s: tuple[float, ...], says: list[str]
+) -> None:
+    with open_journal(tmp_path) as journal:
+        journal.begin_pass(0, "sha", "boot", 10)
+        told_s = (1.0, 2.0, 3.0, 3.0)
+        journal.record_executed(
+            0,
+            [
+                BlockRecord(Executed(seq, seq * RUN_S, (seq + 1) * RUN_S), touched=True, told_s=at_s)
+                for seq, at_s in enumerate(told_s)
+            ],
+        )
+        journal.mark_uncertain(0, 4, 4)
+    found = disagreements(tmp_path / "journal.sqlite", book(*contact_s), by_model=True)
+    assert len(found) == len(says)
+    for one, said in zip(found, says, strict=True):
+        assert said in one
+
+
 def test_a_touch_off_is_no_pass_and_touches_while_the_robot_stands(tmp_path: Path) -> None:
     journal = kept(tmp_path, [True, True], (2, 2))
     places = [{"sha256": f"place {place}", "contact_s": [0.0] * 4} for place in range(3)]
