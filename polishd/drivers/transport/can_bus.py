@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import os
 import socket
 from collections.abc import Callable
@@ -44,6 +45,7 @@ OnFrame = Callable[[CanFrame], None]
 
 async def open_bus(address: Slcan | Socketcand) -> CanBus:
     """Connect to the bus; LinkError where that fails."""
+    logging.getLogger("can").setLevel(logging.CRITICAL)  # what goes wrong is raised here, and told once
     if isinstance(address, Socketcand):
         await _greeted(address)
     try:

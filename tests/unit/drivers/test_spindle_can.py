@@ -274,6 +274,22 @@ async def test_nobody_at_the_socketcand_address() -> None:
         await SpindleCan(Socketcand("127.0.0.1", 9, "can0")).open()
 
 
+async def test_a_frame_that_cannot_be_read_is_raised_and_not_logged_beside_it(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    drive = Drive()
+    wire = await TcpWire(SocketcandPeer(drive)).start()
+    device = SpindleCan(Socketcand("127.0.0.1", wire.port, "can0"))
+    await device.open()
+    wire.peer.write(b"< frame 185 1.0 0x0y >")
+    with pytest.raises(LinkError, match="non-hexadecimal"):
+        await watch(device)
+    assert not [record for record in caplog.records if record.name.startswith("can")]
+    drive.stop()
+    await device.close()
+    await wire.close()
+
+
 @pytest.mark.full
 async def test_a_socketcand_server_that_goes_away(tmp_path: Path) -> None:
     drive = Drive()
