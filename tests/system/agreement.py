@@ -17,7 +17,7 @@ from tests.system.cell_rig import account
 SHARE, LEAST_S = 0.02, 0.01
 """What the plant's steps make of a block's time."""
 SHARED, TOTAL = 0.6, 0.002
-"""Of blocks that one report tells of: how far the motion model, which shares out their time, may be off; and their sum."""
+"""Of blocks that one report tells of: how far off the motion model may share out their time; and their sum."""
 
 
 @dataclass(frozen=True, slots=True)
