@@ -201,6 +201,12 @@ def test_a_folder_has_its_mode_and_may_be_there_already(tmp_path: Path) -> None:
     assert (tmp_path / "a" / "b").stat().st_mode & 0o777 == 0o700
 
 
+def test_a_folder_is_like_any_that_its_owner_makes(tmp_path: Path) -> None:
+    make_folder(tmp_path / "ours")
+    (tmp_path / "any").mkdir()
+    assert (tmp_path / "ours").stat().st_mode == (tmp_path / "any").stat().st_mode
+
+
 def test_that_files_can_be_written_is_tried_where_they_will_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tried: list[str] = []
     plain = tempfile.TemporaryFile

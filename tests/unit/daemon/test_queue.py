@@ -1,8 +1,7 @@
-"""The queue: rows of the journal, in their order, and what each ending of a job leads to."""
+"""The queue: rows of the journal, in their order."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,21 +13,9 @@ from polishd.daemon.desk import Desk, new_job, require_unchanged
 from polishd.daemon.journal import JOURNAL_NAME, Journal, over_row
 from polishd.daemon.journal_store import Store
 from polishd.daemon.queue import NewJob, Queue
-from polishd.daemon.verdicts import RULES, TORN, Rule, Verdict, judge, rule_of
+from polishd.daemon.verdicts import Verdict
 from polishd.model.cycle import Outcome
-from polishd.model.errors import (
-    BadMap,
-    ConfigError,
-    DeviceFault,
-    GateStop,
-    LinkError,
-    PlanRefused,
-    PolishdError,
-    SafetyStop,
-    WrongPart,
-)
-
-ACCEPTED = Verdict("accepted", "the part is in tolerance", "")
+from polishd.model.errors import ConfigError
 
 
 def job(name: str, part: str = "P-1") -> NewJob:
@@ -110,6 +97,9 @@ def test_a_job_under_way_that_nobody_goes_on_with_is_put_aside(tmp_path: Path) -
     with Queue.at_rest(tmp_path) as queue:
         queue.remove("a", "broken")
         assert [(entry.state, entry.reason) for entry in queue.entries()] == [("put aside", "broken")]
+        queue.add([job("b")])
+        queue.remove("b")
+        assert [(entry.state, entry.reason) for entry in queue.entries()][-1] == ("removed", "")
     with Journal.open(tmp_path, job="a", part_id="P-1") as journal:
         assert not journal.resumed
 
@@ -177,75 +167,6 @@ def test_what_was_taken_out_may_come_again(queue: Queue) -> None:
 def test_it_is_not_touched_while_a_daemon_has_the_cell(tmp_path: Path, queue: Queue) -> None:
     with pytest.raises(ConfigError, match="another polishd runs this cell"), Queue.at_rest(tmp_path):
         pass
-
-
-# verdicts
-
-
-@pytest.mark.parametrize(
-    ("end", "torn", "how", "stops"),
-    [
-        (Outcome.IN_TOLERANCE, False, "accepted", ""),
-        (Outcome.CYCLES_USED, False, "rejected", ""),
-        (Outcome.DIVERGED, False, "rejected", ""),
-        (BadMap("x"), False, "put aside", ""),
-        (WrongPart("x"), False, "put aside", ""),
-        (PlanRefused("x"), False, "put aside", ""),
-        (GateStop("x"), False, "put aside", "instrument or alignment is wrong"),
-        (SafetyStop("x"), True, "put aside", ""),
-        (LinkError("x"), True, "put aside", ""),
-        (SafetyStop("x"), False, "put aside", "a person's to judge"),
-    ],
-)
-def test_each_ending_has_its_verdict(end: Outcome | PolishdError, torn: bool, how: str, stops: str) -> None:
-    found = judge(end, torn=torn, previous="")
-    assert found is not None
-    assert (found.how, bool(found.fault)) == (how, how != "accepted")
-    assert stops in found.stops
-    assert bool(found.stops) == bool(stops)
-    if isinstance(end, PolishdError):
-        assert found.reason == f"{type(end).__name__}: x"
-
-
-@pytest.mark.parametrize("end", [LinkError("x"), DeviceFault("x")])
-def test_a_job_is_not_over_where_a_device_is_at_fault_between_passes(end: PolishdError) -> None:
-    assert judge(end, torn=False, previous="") is None
-
-
-def test_the_same_fault_twice_in_a_row_stops_the_queue() -> None:
-    for end, previous in itertools.product(
-        (BadMap("x"), Outcome.CYCLES_USED), ("BadMap", "cycles_used", "", "WrongPart")
-    ):
-        found = judge(end, torn=False, previous=previous)
-        assert found is not None
-        assert bool(found.stops) == (previous == found.fault), (end, previous)
-    assert judge(Outcome.IN_TOLERANCE, torn=False, previous="") == ACCEPTED
-
-
-def test_every_error_and_outcome_has_a_row() -> None:
-    def kinds(kind: type[PolishdError]) -> Iterator[type[PolishdError]]:
-        yield kind
-        for inner in kind.__subclasses__():
-            yield from kinds(inner)
-
-    for end in [*(kind("x") for kind in kinds(PolishdError) if kind.__module__ == PolishdError.__module__)]:
-        assert rule_of(end) in RULES
-    for outcome in set(Outcome) - {Outcome.STOPPED}:
-        assert rule_of(outcome) in RULES
-
-
-def row(rule: Rule, *, torn: bool = False) -> str:
-    """As the table has it."""
-    ends = ", ".join(f"`{end.value if isinstance(end, Outcome) else end.__name__}`" for end in rule.ends)
-    part = rule.how or "its job is not over"
-    return f"| {ends}{' that cut off a pass' if torn else ''} | {part} | {rule.queue} | {rule.why} |"
-
-
-def test_the_docs_show_the_table() -> None:
-    head = ["| what ended it | the part is | the queue | why |", "|---|---|---|---|"]
-    table = [*head, row(TORN, torn=True), *map(row, RULES)]
-    docs = Path(__file__).resolve().parents[3] / "docs" / "queue.md"
-    assert "\n".join(table) in docs.read_text(), "\n".join(table)
 
 
 # the desk

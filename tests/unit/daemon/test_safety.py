@@ -9,6 +9,7 @@ import asyncio
 import math
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import pytest
@@ -17,11 +18,12 @@ from polishd.config.cell import PORTS
 from polishd.daemon import time_limits
 from polishd.daemon.cell import Cell
 from polishd.daemon.listening import heard, most_telling
-from polishd.daemon.safety import ContactLimits, contact, make_safe
+from polishd.daemon.safety import LOOK_S, ContactLimits, contact, make_safe
 from polishd.daemon.touch import Touch
 from polishd.model.devices import ForceSample
 from polishd.model.errors import ConfigError, DeviceFault, LinkError, PolishdError, SafetyStop
 from polishd.model.times import ActuatorTimes, RobotTimes, SpindleTimes
+from polishd.ports.tap import heard_by, tap
 from tests.fakes.devices import FakeCell, FakeDevice, blank
 from tests.patience import SOON_S
 
@@ -192,6 +194,17 @@ async def test_spindle_speed(fake: FakeCell, rpm: float, stops: bool) -> None:
         assert fake.events[-4:] == SAFE
     else:
         await polish_for(fake)
+
+
+@pytest.mark.parametrize(("rpm", "stops"), [(4.5, False), (-5.5, True)])
+async def test_a_spindle_at_rest_may_creep(fake: FakeCell, rpm: float, stops: bool) -> None:
+    fake.spindle.reads = lambda s: replace(s, rpm=rpm)
+    resting = replace(LIMITS, rpm=0.0)
+    if stops:
+        with pytest.raises(SafetyStop, match="instead of 0 "):
+            await polish_for(fake, limits=resting)
+    else:
+        await polish_for(fake, limits=resting)
 
 
 @pytest.mark.parametrize("device", ["actuator", "spindle"])
@@ -369,6 +382,7 @@ async def test_an_emergency_stops_motion_at_once_also_while_the_tool_is_lifted(f
     await lifting.wait()
     fake.cell.emergency = True
     await until(fake, "robot.make_safe")
+    assert LOOK_S < 0.1, "whoever asks for it does not wait for it"
     up.set()
     with pytest.raises(asyncio.CancelledError):
         await pressing
@@ -462,6 +476,16 @@ async def test_make_safe_attempts_all(fake: FakeCell, broken: str, error: Except
     await make_safe(fake.cell)
     assert fake.events == UNTOUCHED
     assert fake.cell.unsafe == (f"{broken}: {error}",)
+
+
+async def test_a_link_that_is_opened_to_make_a_device_safe_is_recorded_as_its_own(fake: FakeCell) -> None:
+    heard: list[tuple[str, str]] = []
+    names = ("actuator", "robot", "spindle")
+    for name in names:
+        fake.devices[name].acts.before["make_safe"] = partial(tap, f"tcp://{name}:1")
+    with heard_by(lambda passed: heard.append((passed.role, passed.link))):
+        await make_safe(fake.cell)
+    assert sorted(heard) == [(name, f"tcp://{name}:1") for name in names]
 
 
 @pytest.mark.parametrize("broken", ["actuator", "robot", "spindle"])

@@ -88,7 +88,7 @@ async def looked(robot: Scripted, target: int | None = 10) -> int:
 async def test_a_robot_stands_that_does_so_three_looks_in_a_row(
     looks: list[tuple[RobotState, int]], target: int | None, at: int
 ) -> None:
-    assert STANDS == 3
+    assert (STANDS, WATCH_S) == (3, 0.1), "a tool that stands digs 160 nm a second"
     assert await looked(Scripted(*looks), target) == at
 
 

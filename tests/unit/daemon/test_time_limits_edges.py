@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -41,6 +42,17 @@ def test_what_the_daemon_makes_of_them() -> None:
     assert LIMITS.unseen_s == pytest.approx(1.25 + 2 * 0.95 + 2.0 + 0.2 + 6.5)
     assert LIMITS.lift_mm == 17.0
     assert LIMITS.safe_s == 25.5
+
+
+def test_an_actuator_that_lifts_at_once_needs_nothing_of_the_robot_and_one_that_stays_does() -> None:
+    quick = ActuatorTimes(silence_s=0.2, watchdog_s=0.3, release_s=0.1, retract_s=0.2)
+    limits = TimeLimits(quick, ROBOT, SPINDLE)
+    assert limits.buffer_s == limits.actuator.alone_s == pytest.approx(0.6)
+    assert limits.unseen_s == pytest.approx(1.25 + 2 * 0.55 + 2.0 + 0.2 + 0.6)
+    stays = TimeLimits(replace(quick, unpowered="stays"), ROBOT, SPINDLE)
+    assert stays.buffer_s == pytest.approx(0.55 + 6.0)
+    (taken_off,) = [limit for limit in stays.chain(8.5) if "taken off by the robot" in limit.what]
+    assert (taken_off.key, taken_off.seconds) == ("", stays.buffer_s)
 
 
 def test_the_slowest_way_counts_in_all_of_them() -> None:
