@@ -96,8 +96,10 @@ reference: $(VENV)/.installed ## write docs/reference, the pages of all config k
 bench: $(VENV)/.installed ## race polishd against its peers, into build/bench.json (ARGS="name ...")
 	@$(ONE_THREAD) $(BIN)/python -m benchmarks $(ARGS)
 
-compare: $(VENV)/.installed ## the same simulated cells with and without the compliance correction
-	@$(BIN)/python -m benchmarks.compare_corrections
+COMPARED = --limit 2
+compare: $(VENV)/.installed ## what the compliance correction is worth, on parts of 100 and 300 mm (COMPARED="--limit N")
+	@$(ONE_THREAD) $(BIN)/polishd study examples/corrections.toml --out build/compare/100 $(COMPARED)
+	@$(ONE_THREAD) $(BIN)/polishd study examples/corrections_300.toml --out build/compare/300 $(COMPARED)
 
 # The lock is changed only here. --upgrade in ARGS takes newer versions; without it only what pyproject.toml asks for.
 lock: ## rewrite requirements.lock (ARGS=--upgrade for newer versions)

@@ -34,12 +34,17 @@ class LoopStudy(Document):
     """What the tables and pictures are headed with."""
     cell: Text = "cell.toml"
     """The cell's file: part, program, process, tolerance."""
+    cell_with: Mapping[str, Any] = {}
+    """What all loops have otherwise than that file: values by dotted key."""
     plant: Text = "sim.toml"
     """The plant's, as the simulator reads it."""
+    plant_with: Mapping[str, Mapping[str, Any]] = {}
+    """By section of SIM.toml, the keys that differ in all scenarios: `[plant_with.plant]`."""
     scenarios: Texts = ()
     """Files of scenarios, or folders of them; none: the plant as its file has it."""
     loops: Annotated[Mapping[Name, Mapping[str, Any]], Field(min_length=1)]
-    """By name, what that loop has otherwise than the cell's file: values by dotted key."""
+    """By name, what that loop has otherwise than the cell's file: values by dotted key. And `witness = "rate"`
+    or `"spot"`: what it begins with of a spot that the same machine has polished on another part."""
     seeds: Annotated[int, Field(ge=1, le=10_000)] = 20
     """How many plants a scenario and loop; all loops meet the same ones. [1]"""
     first_seed: Annotated[int, Field(ge=0)] = 1
@@ -52,6 +57,14 @@ class LoopStudy(Document):
     def without_use(self) -> Iterator[tuple[str, str]]:
         """Nothing is."""
         yield from ()
+
+    def loop(self, name: str) -> tuple[dict[str, Any], Literal["rate", "spot"] | None]:
+        """What it has otherwise than the cell's file, by dotted key, and of its witness; ConfigError."""
+        keys = {**self.cell_with, **self.loops[name]}
+        witness = keys.pop("witness", None)
+        if witness not in {None, "rate", "spot"}:
+            raise self.error(f"loops.{name}.witness", f'{witness!r} is nothing to begin with; it is "rate" or "spot"')
+        return keys, witness
 
     def all_scenarios(self) -> dict[str, Scenario]:
         """By name, those of its files and folders; ConfigError for one that is wrong, or not there."""

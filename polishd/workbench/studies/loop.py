@@ -13,7 +13,8 @@ import numpy as np
 
 from polishd.config.cell import CellConfig, load_config
 from polishd.hooks.cell import plugins_of
-from polishd.hookspecs import RemovalAnswer, RemovalModel, RemovalRequest
+from polishd.hooks.loader import Hooks
+from polishd.hookspecs import RemovalAnswer, RemovalRequest
 from polishd.model.cycle import Outcome
 from polishd.model.errors import ComputeError, PlanRefused, PolishdError
 from polishd.model.finding import Finding, Series
@@ -33,6 +34,7 @@ from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved, Taught
 from polishd.workbench.programs.own_raster import own_program
 from polishd.workbench.studies.plant_process import PlantProcess
+from polishd.workbench.studies.witness import Taken, polish_witness
 
 GATE = "gate"
 """How a loop ends that the gate stopped."""
@@ -99,25 +101,34 @@ class _Ended:
 class ClosedLoop:
     """A cell's job against one plant after the other."""
 
-    def __init__(self, cell: Path, overrides: Mapping[str, Any], passes: int, *, raster: bool) -> None:
-        """Read the cell's file with a loop's own values, and its program or a raster. ConfigError, ProgramError."""
+    def __init__(
+        self, cell: Path, overrides: Mapping[str, Any], passes: int, *, raster: bool, witness: Taken | None = None
+    ) -> None:
+        """Read the cell's file with a loop's own values, and its program or a raster. ConfigError, ProgramError.
+
+        ``witness``: what it begins with of a spot that the same machine made on another part.
+        """
         self.config = load_config(cell, {"dwell.cross_check": "", **overrides})
         self.passes = passes
+        self._witness = witness
         self._hooks = plugins_of(self.config)
         self._hooks.report.require()
-        recipe = make_recipe(self.config, self._hooks)
-        self._recipe = replace(recipe, model=_remembering(recipe.model))
+        self._recipe = make_recipe(self.config, self._hooks)
         self._program = self._raster() if raster else _timed_by_feeds(self.config, self._recipe)
 
     def _raster(self) -> Program:
         text = own_program(self.config, f"raster over {self.config.outline()}")
         return read(dialect(self.config.program.format), text, "raster.rnc")
 
-    def run(self, plant: PlantProcess, scenario: str, loop: str, seed: int) -> Run:
-        """One job, from its first map to its end, on the plant as it was drawn."""
+    def run(self, plant: PlantProcess, sections: Mapping[str, Any], scenario: str, loop: str, seed: int) -> Run:
+        """One job, from its first map to its end, on the plant that this seed draws from SIM.toml's sections."""
         begun_s, account = time.process_time(), _Account()
+        plant.new(sections, seed)
         try:
-            ended = self._polish(plant, account)
+            recipe, believed = self._begun(plant)
+            if self._witness:
+                plant.new(sections, seed)
+            ended = self._job(recipe, plant, account).polish(believed)
         except PolishdError as error:
             ended = _Ended(ERROR, f"{type(error).__name__}: {error}")
         return Run(
@@ -135,14 +146,41 @@ class ClosedLoop:
             time.process_time() - begun_s,
         )
 
-    def _polish(self, plant: PlantProcess, account: _Account) -> _Ended:
+    def _begun(self, plant: PlantProcess) -> tuple[Recipe, Believed]:
+        """The recipe and what is believed before the first pass: as configured, or of a witness. ComputeError."""
+        recipe = self._recipe
+        if self._witness:
+            job = self._job(recipe, plant, _Account())
+            witness = polish_witness(plant, recipe, self._program, job.measured)
+            if self._witness == "rate":
+                return _remembering(recipe), witness.rate(recipe)
+            recipe = witness.spot(recipe, self._hooks.removal_models()["measured_tif"])
+        return _remembering(recipe), steps.believed_at_first(recipe)
+
+    def _job(self, recipe: Recipe, plant: PlantProcess, account: _Account) -> _Job:
+        return _Job(recipe, self._program, self._hooks, self.config.part.id, self.passes, plant, account)
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """One of them, on one plant."""
+
+    recipe: Recipe
+    program: Program
+    hooks: Hooks
+    part_id: str
+    passes: int
+    plant: PlantProcess
+    account: _Account
+
+    def polish(self, believed: Believed) -> _Ended:
         """As the daemon's cycle (``polishd.daemon.cycle``): measure, learn, judge, solve, plan, run."""
-        recipe, program = self._recipe, self._program
-        believed, series, shown = steps.believed_at_first(recipe), Series(""), []
+        recipe, program, account = self.recipe, self.program, self.account
+        series, shown = Series(""), []
         before: Measured | None = None
         last: tuple[Planned, FloatArray, FloatArray] | None = None
         while True:
-            surface = self._measured(plant, before, account)
+            surface = self.measured(before)
             found: tuple[Finding, ...] = ()
             if before is not None and last is not None:
                 taught = self._taught(before, surface, last, believed)
@@ -161,12 +199,13 @@ class ClosedLoop:
             solved = dwell_step.solve(recipe, program, surface, believed, None if last is None else last[0].kept)
             require_certificate(solved.dwell.certificate, recipe)
             plan = steps.rewrite(recipe, program, solved, program.name)
-            last = (self._planned(plan, solved), *self._execute(plant, plan))
+            last = (self._planned(plan, solved), *self._execute(plan))
             account.predicted_nm.append(solved.dwell.certificate.predicted_rms_nm)
             before = surface
 
-    def _measured(self, plant: PlantProcess, before: Measured | None, account: _Account) -> Measured:
-        recipe = self._recipe
+    def measured(self, before: Measured | None) -> Measured:
+        """The part as the instrument gives it now, and on the account what it truly is."""
+        recipe, plant, account = self.recipe, self.plant, self.account
         masks, lay = (None, None) if before is None else (before.masks, before.registration)
         surface = steps.condition(recipe, self._map(*plant.measure(), len(account.rms_nm)), masks, lay)
         told, height = plant.truth()
@@ -179,7 +218,7 @@ class ClosedLoop:
 
     def _map(self, height_nm: FloatArray, pitch_mm: float, number: int) -> SurfaceMap:
         name = hashlib.sha256(height_nm.tobytes() + bytes([number % 256])).hexdigest()
-        return SurfaceMap(height_nm, pitch_mm, part_id=self.config.part.id, sha256=name)
+        return SurfaceMap(height_nm, pitch_mm, part_id=self.part_id, sha256=name)
 
     def _taught(
         self, before: Measured, after: Measured, last: tuple[Planned, FloatArray, FloatArray], believed: Believed
@@ -187,17 +226,17 @@ class ClosedLoop:
         planned, executed_s, acting_s = last
         expected_nm = planned.certificate.predicted_rms_nm
         done = Pass(before, after, planned.asked_s, executed_s, acting_s, predicted_rms_nm=expected_nm)
-        return steps.learn(self._recipe, self._program, done, believed)
+        return steps.learn(self.recipe, self.program, done, believed)
 
     def _planned(self, plan: Plan, solved: Solved) -> Planned:
-        vetoes = [*steps.violations(self._recipe, plan), *self._hooks.check_plan(plan, self._recipe.envelope)]
+        vetoes = [*steps.violations(self.recipe, plan), *self.hooks.check_plan(plan, self.recipe.envelope)]
         if vetoes:
             raise PlanRefused("; ".join(vetoes))
-        return Planned.of(plan, solved, steps.in_part_frame(self._recipe, plan.program))
+        return Planned.of(plan, solved, steps.in_part_frame(self.recipe, plan.program))
 
-    def _execute(self, plant: PlantProcess, plan: Plan) -> tuple[FloatArray, FloatArray]:
+    def _execute(self, plan: Plan) -> tuple[FloatArray, FloatArray]:
         """(n,) seconds of each timed point as the plant's own robot moves, and as force and speed acted."""
-        recipe, program = self._recipe, plan.program
+        recipe, program, plant = self.recipe, plan.program, self.plant
         machines = plant.truth()[0]["machines"]
         robot = replace(
             steps.envelope_of(recipe, program),
@@ -211,8 +250,9 @@ class ClosedLoop:
         return seconds, seconds * weight
 
 
-def _remembering(model: RemovalModel) -> RemovalModel:
-    """The same model, which keeps its last answer: a pass is solved, planned and learned from with one effect."""
+def _remembering(recipe: Recipe) -> Recipe:
+    """Its model keeps its last answer: a pass is solved, planned and learned from with one effect."""
+    model = recipe.model
     last: list[tuple[tuple[Any, ...], RemovalAnswer]] = []
 
     def effect(request: RemovalRequest) -> RemovalAnswer:
@@ -221,7 +261,7 @@ def _remembering(model: RemovalModel) -> RemovalModel:
             last[:] = [(key, model.effect(request))]
         return last[0][1]
 
-    return replace(model, effect=effect)
+    return replace(recipe, model=replace(model, effect=effect))
 
 
 def _judged(surface: Measured, account: _Account, found: tuple[Finding, ...]) -> _Ended | None:

@@ -69,6 +69,7 @@ def run_loops(study: LoopStudy, tell: Callable[[str], None], *, seeds: int | Non
         with study.blame(f"loops.{name}"):
             _loop(study, name)
     plant, _ = parse_toml(study.resolve(study.plant))
+    lay_over(plant, {name: dict(keys) for name, keys in study.plant_with.items()})
     plants = {name: laid_over(plant, scenario) for name, scenario in scenarios.items()}
     numbers = range(study.first_seed, study.first_seed + (seeds or study.seeds))
     cases = [(scenario, loop, seed) for seed in numbers for scenario in scenarios for loop in study.loops]
@@ -90,7 +91,8 @@ def laid_over(plant: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
 
 
 def _loop(study: LoopStudy, name: str) -> ClosedLoop:
-    return ClosedLoop(study.resolve(study.cell), study.loops[name], study.passes, raster=study.raster)
+    keys, witness = study.loop(name)
+    return ClosedLoop(study.resolve(study.cell), keys, study.passes, raster=study.raster, witness=witness)
 
 
 def _worked(study: LoopStudy, plants: Plants, cases: Sequence[Case], jobs: int) -> Iterator[Run]:
@@ -120,8 +122,7 @@ class _Worker:
 
     def run(self, case: Case) -> Run:
         scenario, loop, seed = case
-        self._plant.new(self._plants[scenario], seed)
-        return self._loops[loop].run(self._plant, scenario, loop, seed)
+        return self._loops[loop].run(self._plant, self._plants[scenario], scenario, loop, seed)
 
 
 _worker: _Worker | None = None

@@ -1,0 +1,82 @@
+"""A spot on a witness part: what a shop measures of its tool before it polishes the first part."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from polishd.hookspecs import RemovalModel
+from polishd.model.beliefs import Belief
+from polishd.model.process import MeasuredTif
+from polishd.model.program import Program
+from polishd.model.surface import FloatArray
+from polishd.process.dynamic_tif import lean_azimuth_rad
+from polishd.process.measured_tif import tif_from_maps, volume_mm3_min
+from polishd.recipe import steps
+from polishd.recipe.recipe import Recipe
+from polishd.recipe.records import Believed, Measured
+from polishd.workbench.studies.plant_process import PlantProcess
+
+Taken = Literal["rate", "spot"]
+"""What a loop takes over from it: its volume rate alone, or its shape with it."""
+Measure = Callable[[Measured | None], Measured]
+"""The part that lies there, with the masks of an earlier measurement."""
+DEPTH_NM = 300.0
+"""How deep the spot is meant to be: a thousand times an interferometer's noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Witness:
+    """A spot that was polished at rest at one point of a program, and what it removed."""
+
+    point: Program
+    """That point alone."""
+    tif: MeasuredTif
+
+    def rate(self, recipe: Recipe) -> Believed:
+        """The belief with which the recipe's model removes the volume of this spot."""
+        first = steps.believed_at_first(recipe)
+        modelled = float(_modelled_nm_s(recipe, self.point).sum()) * recipe.grid_mm**2 * 60e-6  # mm^3/min
+        rate = Belief(volume_mm3_min(self.tif) / modelled)
+        return replace(first, removal=replace(first.removal, rate=rate))
+
+    def spot(self, recipe: Recipe, measured_tif: RemovalModel) -> Recipe:
+        """The recipe with this spot as its TIF, at each point as it was here."""
+        return replace(recipe, model=measured_tif, tif=self.tif)
+
+
+def polish_witness(plant: PlantProcess, recipe: Recipe, program: Program, measure: Measure) -> Witness:
+    """A spot in the middle of the part that lies there, as the program would have it. ComputeError."""
+    middle = int(np.argmin(np.hypot(*steps.in_part_frame(recipe, program).end_mm[:, :2].T)))
+    point = _at_rest(program, middle)
+    seconds = np.array([DEPTH_NM / float(_modelled_nm_s(recipe, point).max())])
+    before = measure(None)
+    plant.polish(point, seconds, recipe.process.force_n, recipe.process.rpm)
+    after = measure(before)
+    azimuth_deg = float(np.degrees(lean_azimuth_rad(steps.as_polished(recipe, point))[0]))
+    maps = (_measured_nm(before), _measured_nm(after))
+    tif, _ = tif_from_maps(*maps, before.grid.pitch_mm, float(seconds[0]), azimuth_deg=azimuth_deg)
+    return Witness(point, tif)
+
+
+def _at_rest(program: Program, point: int) -> Program:
+    """One timed point of it, where its block ends."""
+    one = slice(point, point + 1)
+    end = program.end_mm[one]
+    along = {name: getattr(program, name)[one] for name in ("line", "block", "axis", "time_s", "feed_mm_min")}
+    return replace(program, start_mm=end, end_mm=end, **along)
+
+
+def _modelled_nm_s(recipe: Recipe, point: Program) -> FloatArray:
+    """(ny, nx) nm/s of that one point, by the recipe's model as it begins."""
+    return steps.effect_of(recipe, point, steps.process_grid(recipe)).removal_nm(np.ones(1))
+
+
+def _measured_nm(surface: Measured) -> FloatArray:
+    """(ny, nx) nm, as far as there are data: without the grid's margin."""
+    rows, columns = (np.flatnonzero(surface.solve_mask.any(axis=axis)) for axis in (1, 0))
+    height = np.where(surface.solve_mask, surface.height_nm, np.nan)
+    return height[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]

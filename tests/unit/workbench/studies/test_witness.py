@@ -1,0 +1,84 @@
+"""A spot on a witness part tells a loop of its machine before the first pass."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from polishd.config.document import parse_toml
+from polishd.config.loop_study import LoopStudy
+from polishd.config.study import load_study
+from polishd.model.errors import ConfigError
+from polishd.workbench.studies.loop import ClosedLoop
+from polishd.workbench.studies.loops import laid_over, run_loops
+from polishd.workbench.studies.plant_process import PlantProcess
+from tests.unit.workbench.studies.studies import TABLE_III
+
+EXAMPLES = TABLE_III.parent
+RATE = -0.3
+HEAD = f"""
+kind = "loop"
+title = "t"
+cell = "{EXAMPLES / "cell.toml"}"
+plant = "{EXAMPLES / "sim.toml"}"
+raster = true
+seeds = 1
+passes = 2
+[cell_with]
+"part.aperture_mm" = 30.0
+"job.tolerance_nm" = 2.5
+[plant_with.plant]
+aperture_mm = 30.0
+pv_nm = 100.0
+[plant_with.truth]
+rate = [{RATE}, {RATE}]
+stiffness = 0.0
+drift = 0.0
+"""
+
+
+def study(folder: Path, loops: str) -> LoopStudy:
+    path = folder / "study.toml"
+    path.write_text(HEAD + loops)
+    found = load_study(path)
+    assert isinstance(found, LoopStudy)
+    return found
+
+
+def test_its_rate_and_its_spot_are_those_of_the_machine(tmp_path: Path) -> None:
+    of = study(tmp_path, '[loops.exact]\nwitness = "rate"\n[loops.static]\nwitness = "spot"\n')
+    sections, _ = parse_toml(EXAMPLES / "sim.toml")
+    (scenario,) = of.all_scenarios().values()
+    sections = {**sections, "plant": {**sections["plant"], **of.plant_with["plant"]}, "truth": of.plant_with["truth"]}
+    with PlantProcess() as plant:
+        begun = {}
+        for name in of.loops:
+            plant.new(laid_over(sections, scenario), 1)
+            keys, witness = of.loop(name)
+            loop = ClosedLoop(of.resolve(of.cell), keys, of.passes, raster=True, witness=witness)
+            begun[name] = loop._begun(plant)
+    recipe, believed = begun["exact"]
+    assert believed.rate == pytest.approx(1 + RATE, rel=0.02), "of eq. 44 as of the plant"
+    assert recipe.tif is None
+    recipe, believed = begun["static"]
+    assert believed.rate == 1.0, "it is in the spot"
+    assert recipe.tif is not None
+    assert recipe.model.name == "measured_tif"
+
+
+def test_a_loop_that_has_it_is_right_from_the_first_pass_on(tmp_path: Path) -> None:
+    found = run_loops(
+        study(tmp_path, '[loops.exact]\n[loops.told]\nwitness = "rate"\n'), lambda _: None, seeds=None, jobs=1
+    )
+    exact, told = found.runs
+    assert exact.rms_nm[0] == told.rms_nm[0], "the part itself is the same, whatever the witness took"
+    assert exact.rms_nm[1] > 2 * told.rms_nm[1]
+    assert told.accepted
+
+
+def test_what_is_nothing_to_begin_with_is_said(tmp_path: Path) -> None:
+    wrong = study(tmp_path, '[loops.odd]\nwitness = "spit"\n')
+    with pytest.raises(ConfigError, match=re.escape('\'spit\' is nothing to begin with; it is "rate" or "spot"')):
+        run_loops(wrong, lambda _: None, seeds=None, jobs=1)
