@@ -83,10 +83,10 @@ def disagreements(journal: Path, books: list[dict[str, Any]], *, by_model: bool 
             found.append(f"{one.sha256[:8]}: the plant saw {beyond_s.sum():.3f} s behind its last block")
         slack_s = SHARE * one.run_s + LEAST_S
         if by_model:
-            runs = _told_at_once(one)
-            found += [_of_sum(one, contact_s, run) for run in runs if not _sum_holds(one, contact_s, run)]
-            for run in runs:
+            for run in _told_at_once(one):
                 slack_s[run] += SHARED * one.run_s[run]
+                if (one.touched[run] == 1).all() and not _sum_holds(one, contact_s, run):
+                    found.append(_of_sum(one, contact_s, run))
         wrong = {
             "touched": (one.touched == 1) & (np.abs(contact_s - one.run_s) > slack_s),
             "not touched": (one.touched == 0) & (contact_s > LEAST_S),
@@ -101,9 +101,8 @@ def disagreements(journal: Path, books: list[dict[str, Any]], *, by_model: bool 
 
 
 def _told_at_once(one: Told) -> list[slice]:
-    """Runs of several blocks that one report told of, all of them touched."""
-    told_s = np.where(one.touched == 1, one.told_s, np.nan)
-    edges = np.flatnonzero(np.diff(told_s, prepend=np.nan, append=np.nan) != 0)
+    """Runs of several blocks that one report told of."""
+    edges = np.flatnonzero(np.diff(one.told_s, prepend=np.nan, append=np.nan) != 0)
     return [slice(a, b) for a, b in pairwise(edges.tolist()) if b - a > 1]
 
 

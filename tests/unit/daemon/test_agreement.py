@@ -63,16 +63,18 @@ def test_contradictions(
 
 
 @pytest.mark.parametrize(
-    ("contact_s", "says"),
+    ("known", "contact_s", "says"),
     [
-        ((0.1, 0.1, 0.14, 0.06), []),  # shared out otherwise
-        ((0.1, 0.1, 0.18, 0.02), ["block 2: touched in 0.100 s; the plant saw 0.180 s", "block 3: touched"]),
-        ((0.1, 0.1, 0.14, 0.14), ["blocks 2 to 3: 0.200 s in all; the plant saw 0.280 s"]),
-        ((0.1, 0.14, 0.1, 0.1), ["block 1: touched in 0.100 s; the plant saw 0.140 s"]),  # told by itself
+        (True, (0.1, 0.1, 0.14, 0.06), []),  # shared out otherwise
+        (True, (0.1, 0.1, 0.18, 0.02), ["block 2: touched in 0.100 s; the plant saw 0.180 s", "block 3: touched"]),
+        (True, (0.1, 0.1, 0.14, 0.14), ["blocks 2 to 3: 0.200 s in all; the plant saw 0.280 s"]),
+        (True, (0.1, 0.14, 0.1, 0.1), ["block 1: touched in 0.100 s; the plant saw 0.140 s"]),  # told by itself
+        (None, (0.1, 0.1, 0.14, 0.0), []),
+        (None, (0.1, 0.1, 0.18, 0.0), ["block 2: executed in 0.100 s; the plant saw 0.180 s"]),
     ],
 )
 def test_what_one_report_tells_of_is_shared_out_by_the_motion_model(
-    tmp_path: Path, contact_s: tuple[float, ...], says: list[str]
+    tmp_path: Path, known: bool | None, contact_s: tuple[float, ...], says: list[str]
 ) -> None:
     with open_journal(tmp_path) as journal:
         journal.begin_pass(0, "sha", "boot", 10)
@@ -80,7 +82,9 @@ def test_what_one_report_tells_of_is_shared_out_by_the_motion_model(
         journal.record_executed(
             0,
             [
-                BlockRecord(Executed(seq, seq * RUN_S, (seq + 1) * RUN_S), touched=True, told_s=at_s)
+                BlockRecord(
+                    Executed(seq, seq * RUN_S, (seq + 1) * RUN_S), touched=known if seq > 1 else True, told_s=at_s
+                )
                 for seq, at_s in enumerate(told_s)
             ],
         )
