@@ -13,7 +13,8 @@ from polishd.daemon.queue import BY_A_PERSON, NewJob, Queue
 from polishd.daemon.verdicts import Verdict, judge
 from polishd.model.cycle import Outcome
 from polishd.model.errors import ConfigError, GateStop, LinkError
-from tests.unit.daemon.test_queue import ACCEPTED, job
+from tests.unit.daemon.test_queue import job
+from tests.unit.daemon.test_verdicts import ACCEPTED
 
 REJECTED = Verdict("rejected", "all its passes are used", "cycles_used")
 
