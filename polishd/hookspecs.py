@@ -228,6 +228,10 @@ Learn = Callable[[RemovalRequest, Evidence], Lesson]
 """(what the last pass's effect was asked with, what the pass did) -> what is believed after it."""
 
 
+Later = Callable[[Beliefs, float], Beliefs]
+"""(what the last pass of a job has taught, days since) -> what the next job begins with, on another part."""
+
+
 @dataclass(frozen=True, slots=True)
 class Learner:
     """One way to learn from passes."""
@@ -235,6 +239,7 @@ class Learner:
     beliefs: Beliefs
     """What is believed before anything was polished. Its class is the record that is kept, and made again from JSON."""
     learn: Learn
+    later: Later = learning.later
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,6 +251,7 @@ class RemovalModel:
     beliefs: Beliefs = UNTAUGHT
     """What it believes before anything was polished. Its class is the record that is kept, and made again from JSON."""
     learn: Learn = learn_rate
+    later: Later = learning.later
     learners: Mapping[str, Learner] = field(default_factory=dict)
     """Other ways, by the name that ``process.learns`` gives them; ``effect`` knows the beliefs of each."""
 

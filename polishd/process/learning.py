@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from polishd.model.beliefs import Evidence, Lesson
+from polishd.model.beliefs import Beliefs, Evidence, Lesson
 from polishd.process.removal_fit import MIN_SIGNAL_NM, Fit, fit, levelled
 
+REST = 0.03
+"""By how much a rate walks at random in a day, relative; in n days by sqrt(n) times this."""
 SIGNIFICANT = 2.0
 """A rate is applied only if it is this many standard errors from the one believed."""
 
@@ -42,6 +44,15 @@ def learn_rate(evidence: Evidence) -> Lesson:
     if told and evidence.tells_rate:
         believed = replace(believed, sigma=believed.value * own.rate_scatter)
     return Lesson(replace(evidence.beliefs, rate=replace(believed, value=rate)), how, notes)
+
+
+def later(beliefs: Beliefs, days: float) -> Beliefs:
+    """What a job begins with, so many days after the pass that taught it: the rate, less certain by a random walk."""
+    rate = beliefs.rate
+    if rate.sigma is None:
+        return beliefs
+    walked = rate.value * REST * max(days, 0.0) ** 0.5
+    return replace(beliefs, rate=replace(rate, sigma=float(np.hypot(rate.sigma, walked))))
 
 
 def _applied(own: Fit, signal_nm: float, *, tells_rate: bool) -> tuple[float, tuple[str, ...]]:

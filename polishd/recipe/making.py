@@ -86,6 +86,7 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
         cross_check=_named(config, "dwell.cross_check", cross_check, solvers) if cross_check else None,
         finding=config.limits.finding,
         tolerance=config.lines,
+        remembers=config.memory.remember,
         touch_off=touch_off_of(config, program),
         between=between_of(config, instrument),
     )
@@ -95,14 +96,14 @@ def _model(config: CellConfig, hooks: Hooks) -> RemovalModel:
     """The removal model, with the way to learn that the cell asks for."""
     process = config.process
     model: RemovalModel = _named(config, "process.removal_model", process.removal_model, hooks.removal_models())
-    own = {OWN: Learner(model.beliefs, model.learn)}
+    own = {OWN: Learner(model.beliefs, model.learn, model.later)}
     ways = {**own, **model.learners}
     if process.learns not in ways:
         hint = did_you_mean(process.learns, ways)
         problem = f"the removal model {model.name!r} does not learn {process.learns!r}{hint} It has: {listed(ways)}"
         raise config.error("process.learns", problem)
     way = ways[process.learns]
-    return replace(model, beliefs=way.beliefs, learn=way.learn)
+    return replace(model, beliefs=way.beliefs, learn=way.learn, later=way.later)
 
 
 def _named(config: CellConfig, key: str, name: str, records: Mapping[str, Any]) -> Any:

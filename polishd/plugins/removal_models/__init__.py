@@ -19,7 +19,7 @@ from polishd.api import (
     hookimpl,
 )
 from polishd.plugins.removal_models.along_path import effect_along_path
-from polishd.plugins.removal_models.machine import learn_machine
+from polishd.plugins.removal_models.machine import learn_machine, machine_on_the_next_part
 from polishd.process.measured_spot import measured_spot
 from polishd.process.spot import Spot, hertz_spot
 
@@ -67,6 +67,8 @@ def polishd_removal_models() -> Sequence[RemovalModel]:
     """Declare both."""
     both = ((hertz_preston, _identify_hertz), (measured_tif, _identify_measured))
     return [
-        RemovalModel(effect.__name__, effect, learners={"machine": Learner(MachineBeliefs(), learn)})
+        RemovalModel(
+            effect.__name__, effect, learners={"machine": Learner(MachineBeliefs(), learn, machine_on_the_next_part)}
+        )
         for effect, learn in both
     ]

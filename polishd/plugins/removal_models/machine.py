@@ -7,10 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from polishd.api import ComputeError, Evidence, Grid, Lesson, MachineBeliefs, MapPixels, RemovalRequest, learn_rate
+from polishd.api import (
+    Beliefs,
+    ComputeError,
+    Evidence,
+    Grid,
+    Lesson,
+    MachineBeliefs,
+    MapPixels,
+    RemovalRequest,
+    learn_rate,
+)
 from polishd.plugins.removal_models.along_path import path_of
 from polishd.process.dynamic_tif import lean_azimuth_rad
-from polishd.process.identification.beliefs import beliefs_of, knowledge_of
+from polishd.process.identification.beliefs import beliefs_of, knowledge_of, on_the_next_part
 from polishd.process.identification.decision import decide
 from polishd.process.identification.identify import Identified, identify
 from polishd.process.identification.passes import Blocks, Noise, Pixels, Removed
@@ -50,6 +60,13 @@ def learn_machine(
     said = tuple(f"{one.words}: corrected" for one in decision.corrected if one.name != "rate")
     said += tuple(f"{one.words}: found, and not certain" for one in decision.left if one.name != "rate")
     return Lesson(after, how, said, "; ".join(decision.stops))
+
+
+def machine_on_the_next_part(beliefs: Beliefs, days: float) -> MachineBeliefs:
+    """What a job on another part begins with. ComputeError where another polishd kept other parameters."""
+    if not isinstance(beliefs, MachineBeliefs):
+        raise ComputeError(f"identification goes on from beliefs of its own, not from {type(beliefs).__name__}")
+    return on_the_next_part(beliefs, days)
 
 
 def _identified(

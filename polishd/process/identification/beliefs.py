@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,6 +25,26 @@ def knowledge_of(beliefs: MachineBeliefs, *, turns: bool) -> Knowledge:
         )
     return Knowledge(
         known.parameters, np.array(list(beliefs.mean.values())), np.array(beliefs.covariance), dict(beliefs.odds)
+    )
+
+
+def on_the_next_part(beliefs: MachineBeliefs, days: float) -> MachineBeliefs:
+    """What a job begins with, so many days after the pass that taught it: what belongs to a mounted part is forgotten.
+
+    ComputeError as of `knowledge_of`.
+    """
+    known = knowledge_of(beliefs, turns="turn" in beliefs.mean)
+    if not beliefs.mean:
+        return beliefs
+    after = advanced(known, 0.0, max(days, 0.0), anew=("mount",))
+    of_part = {p.name for p in known.parameters if p.scope in {"map", "mount"}}
+    rate = replace(beliefs.rate, sigma=beliefs.rate.value * float(after.sigma[after.at("rate")]))
+    return replace(
+        beliefs,
+        rate=rate,
+        applied={name: value for name, value in beliefs.applied.items() if name not in of_part},
+        mean=dict(zip(after.names, after.mean.tolist(), strict=True)),
+        covariance=tuple(tuple(row) for row in after.covariance.tolist()),
     )
 
 

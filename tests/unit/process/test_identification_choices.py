@@ -7,7 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from polishd.model.beliefs import Belief, MachineBeliefs
+from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
+from polishd.process.identification.beliefs import on_the_next_part
 from polishd.process.identification.comparison import compare, extensions
 from polishd.process.identification.confounding import told
 from polishd.process.identification.decision import decide
@@ -280,3 +283,22 @@ def test_a_stop_says_what_else_it_may_be() -> None:
     assert "offset" in stops[0]
     assert "shift" in stops[0]
     assert "this pass cannot tell" in stops[0]
+
+
+def test_on_the_next_part_only_what_belonged_to_the_mounted_one_is_forgotten() -> None:
+    known = unlearned(usual_parameters())
+    mean = dict.fromkeys(known.names, 0.1)
+    covariance = tuple(tuple(row) for row in (0.01**2 * np.eye(len(mean))).tolist())
+    taught = MachineBeliefs(
+        Belief(1.1, 0.011), {"offset_x": 0.1, "shift_x": 0.1, "field_2": 0.1}, mean, covariance, {}, 0.5
+    )
+    after = on_the_next_part(taught, 4.0)
+    assert after.applied == {"offset_x": 0.1, "field_2": 0.1}
+    assert (after.mean["shift_x"], after.mean["offset_x"], after.mean["rate"]) == (0.0, 0.1, 0.1)
+    variance = dict(zip(known.names, np.diag(np.array(after.covariance)), strict=True))
+    assert variance["shift_x"] == pytest.approx(0.3**2), "its prior"
+    assert variance["rate"] == pytest.approx(0.01**2 + 4 * 0.03**2), "a random walk of four days"
+    assert after.rate == Belief(1.1, pytest.approx(1.1 * variance["rate"] ** 0.5))
+    assert on_the_next_part(MachineBeliefs(), 4.0) == MachineBeliefs()
+    with pytest.raises(ComputeError, match="kept of the machine has the parameters"):
+        on_the_next_part(replace(taught, mean={"rate": 0.1}), 1.0)
