@@ -23,6 +23,7 @@ from polishd.config.sections import (
     JobSection,
     LimitsSection,
     MachineSection,
+    MemorySection,
     NotifySection,
     PluginsSection,
     Port,
@@ -65,6 +66,7 @@ class CellConfig(PartDocument):
     touch_off: TouchOffSection | None = None
     between: BetweenSection = BetweenSection()
     job: JobSection
+    memory: MemorySection = MemorySection()
     tolerance: Annotated[tuple[ToleranceSection, ...], BeforeValidator(as_tuple)] = ()
     limits: LimitsSection = LimitsSection()
     notify: Mapping[Name, NotifySection] = {}

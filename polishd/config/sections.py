@@ -298,6 +298,15 @@ class JobSection(Section):
     """Wall seconds of motion that are sent ahead: enough to lift the tool while the robot still moves."""
 
 
+class MemorySection(Section):
+    """What a job takes over from the jobs before it (docs/beliefs.md)."""
+
+    remember: bool = True
+    """Begin a job with what the last pass of its series has taught: the same tool, process, robot and instrument."""
+    tool: Text | None = None
+    """Name of the tool on the spindle: under another name all is learned anew."""
+
+
 class LimitsSection(Section):
     """What must never happen to the part."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -79,13 +79,20 @@ def read_history(state_dir: Path) -> list[JobHistory]:
 
     The file is opened for reading only, and nothing waits for it: a daemon may be in contact meanwhile.
     """
+    with read_only(state_dir) as journal:
+        return list(_jobs(journal))
+
+
+@contextmanager
+def read_only(state_dir: Path) -> Iterator[sqlite3.Connection]:
+    """A cell's journal as it is in this moment, beside a daemon that may write it; ConfigError as `read_history`."""
     path = state_dir / JOURNAL_NAME
     if not path.exists():
         raise ConfigError(f"{path}: is not there: no job was begun in this cell yet; polishd run CELL.toml begins one")
     try:
         with closing(sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro", uri=True)) as journal:
             journal.execute("BEGIN")  # one moment for all that is read
-            return list(_jobs(journal))
+            yield journal
     except (sqlite3.Error, ValueError) as error:
         raise ConfigError(f"{path}: the history cannot be read: {error}; polishd run brings an old journal up to date, "
                           "or names what is wrong with it") from error  # fmt: skip

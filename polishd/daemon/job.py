@@ -6,9 +6,10 @@ import asyncio
 import logging
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any, NamedTuple
 
+from polishd.daemon import remembering
 from polishd.daemon.compute import Compute
 from polishd.daemon.for_people import ForPeople
 from polishd.daemon.journal import Journal
@@ -65,6 +66,8 @@ class Job:
     findings: tuple[Finding, ...] = field(init=False, default=())
     """What was found in the last pass, and not told before."""
     _believed: Believed = field(init=False)
+    _remembers: tuple[str, ...] = field(init=False, default=())
+    """In words, of an earlier job."""
     _surfaces: dict[int, Measured] = field(init=False, default_factory=dict)
     _planned: dict[int, Planned] = field(init=False, default_factory=dict)
     _stored: Stored = field(init=False, default=Stored())
@@ -85,9 +88,13 @@ class Job:
     async def load(self) -> None:
         """Take up what an earlier run of the daemon knew: masks, beliefs, last surface and last plan.
 
+        Before its first pass: what the last job of its series has taught.
+
         ConfigError where the store has lost something that the journal names.
         """
         history, passes = self.journal.history, self.journal.passes
+        if not passes and (known := await asyncio.to_thread(remembering.remembered, self.journal, self.recipe)):
+            self._believed, self._remembers = known.believed, (known.note,)
         if not history:
             return
         self._masks, self._lay = self._measured(history[0]).masks, self._measured(history[-1]).registration
@@ -108,6 +115,8 @@ class Job:
     async def measured(self, cycle: int, surface: SurfaceMap) -> Measured:
         """The map on the process grid; journalled and kept in the run folder."""
         measured = await self.compute(steps.condition, self.recipe, surface, self._masks, self._lay)
+        if not self.journal.passes:
+            measured = replace(measured, notes=(*measured.notes, *self._remembers))
         files = await asyncio.to_thread(measured.files)
         arrays = await asyncio.to_thread(self.journal.arrays.put, files["surface.npz"])
         facts = {**measured.facts(), "run_dir": str(self.folder.path)}
@@ -154,6 +163,7 @@ class Job:
             self.publish(events.GateStopped(cycle=cycle, stop=taught.verdict.stop, cycle_dir=str(folder.path)))
             raise GateStop(f"{taught.verdict.stop} (see {folder.path / 'gate.png'})")
         self._believed = taught.believed
+        self.journal.add_facts(cycle - 1, remembering.facts(self.journal.terms, self._believed))
         self.publish(events.Learned(cycle=cycle, notes=taught.notes, beliefs=self._believed.facts()))
         if taught.shown is not None:
             self.findings = watch(self.journal, cycle - 1, taught.shown, self.recipe.finding)

@@ -50,6 +50,8 @@ RULES = (
     Rule(("job.id",), False, "another id is another job"),
     Rule(("part.*",), False, "masks and heights are of this part, and its place says what the robot's compliance does"),
     Rule(("program.*",), False, "executed times belong to this program's points, and to where they lie on the part"),
+    Rule(("memory.remember",), True, "how the next job begins"),
+    Rule(("memory.tool",), False, "what was learned is of this tool"),
     Rule(("process.*", "compliance.*", "kinematics.*"), False, "the rate learned is relative to what these predict"),
     Rule(("machine.*",), False, "the time that a block takes by itself is learned beside these"),
     Rule(("instrument.*",), False, "maps are read alike before and after a pass, or their difference is no removal"),

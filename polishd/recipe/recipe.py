@@ -53,6 +53,8 @@ class Recipe:
     finding: FindingLimits = DEFAULT
     tolerance: tuple[Line, ...] = ()
     """The drawing's lines, where the job has no short form."""
+    remembers: bool = False
+    """A job begins with what the last one of its series has taught."""
     touch_off: TouchOff | None = None
     """How the part's seat is proved; None: nobody proves it."""
     between: Between = NOTHING

@@ -1,0 +1,166 @@
+"""What a job begins with: what the last pass of its series has taught. The journal's passes are the only memory.
+
+A series is what a removal rate belongs to: process, compliance, robot, instrument and tool; of a learner that reads
+more than the rate from its maps, the part's form, too.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from polishd.daemon.journal import JOURNAL_NAME, NO_JOB, Journal
+from polishd.daemon.journal_store import Row, Store
+from polishd.daemon.lock import locked
+from polishd.model.errors import PolishdError
+from polishd.recipe.recipe import Recipe
+from polishd.recipe.records import Believed
+from polishd.recipe.steps import believed_at_first
+
+SERIES = ("process.", "compliance.", "kinematics.", "roles.", "instrument.", "memory.tool")
+"""Sections and keys of a job's terms."""
+FORM = "part."
+MACHINE = ("machine.accel_mm_s2", "machine.corner_deg", "machine.block_overhead_s")
+"""What the time that a block takes beyond its motion is learned beside."""
+FAR_BACK = 500
+"""Passes among which one of the series is looked for."""
+DAY_S = 86400.0
+FORGOTTEN = "forgotten"
+"""The event behind which nothing is remembered; its data has the last pass before it, ``job`` and ``cycle``."""
+
+Read = Callable[[str, Sequence[Any]], list[tuple[Any, ...]]]
+"""(SQL, its values) -> all rows of the journal."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Lesson:
+    """What a whole pass has taught, as its row keeps it."""
+
+    job: str
+    cycle: int
+    at_s: float
+    """Unix time at which the pass ended."""
+    series: str
+    machine: str
+    tool: str
+    believed: Mapping[str, Any]
+    """As of ``Believed.facts``."""
+    anew: bool
+    """The pass showed a tool that a person had to see to: what it taught is of the tool before."""
+
+
+@dataclass(frozen=True, slots=True)
+class Remembered:
+    """What a job begins with, and why, in words."""
+
+    believed: Believed
+    note: str
+
+
+def facts(terms: Mapping[str, Any] | None, believed: Believed) -> dict[str, Any]:
+    """What a pass's row keeps of what it has taught a job that was begun with those terms."""
+    own = terms or {}
+    return {
+        "taught": {
+            "series": series_of(own),
+            "machine": _hash({key: own.get(key) for key in MACHINE}),
+            "tool": own.get("memory.tool") or "",
+            "believed": believed.facts(),
+        }
+    }
+
+
+def remembered(journal: Journal, recipe: Recipe) -> Remembered | None:
+    """What this job begins with, if the cell's journal has a lesson of its series. Reads the file: call in a thread."""
+    terms = journal.terms or {}
+    series = series_of(terms)
+    if not recipe.remembers:
+        return None
+    found = lessons(journal.store.read, before=journal.number)
+    lesson = next((one for one in found if one.series == series), None)
+    if lesson is None or lesson.anew:
+        return None
+    first = believed_at_first(recipe)
+    days = max(time.time() - lesson.at_s, 0.0) / DAY_S  # of a clock that was put back: none
+    try:
+        taught = Believed.load(lesson.believed, recipe.model.beliefs)
+        removal = recipe.model.later(taught.removal, days)
+    except PolishdError as error:
+        log.warning("what the pass %d of the job %r taught is of no use: %s", lesson.cycle, lesson.job, error)
+        return None
+    if abs(removal.rate.value - 1) > recipe.max_rate_change:  # which was narrowed since
+        return None
+    same = lesson.machine == _hash({key: terms.get(key) for key in MACHINE})
+    believed = Believed(removal, taught.block_overhead_s if same else first.block_overhead_s)
+    return Remembered(believed, f"begins with what {_told(lesson)} has taught: {in_words(believed)}")
+
+
+def series_of(terms: Mapping[str, Any]) -> str:
+    """What identifies the series of a job that was begun with those terms."""
+    prefixes = SERIES if terms.get("process.learns", "rate") == "rate" else (*SERIES, FORM)
+    return _hash({key: one for key, one in terms.items() if key.startswith(prefixes) and key != "part.id"})
+
+
+def lessons(read: Read, before: int | None = None) -> Iterator[Lesson]:
+    """The last ones of a cell, the latest first; ``before``: of jobs with a lower number. None that are forgotten."""
+    gone = read("SELECT data FROM event WHERE name = ? ORDER BY id DESC LIMIT 1", (FORGOTTEN,))
+    behind = json.loads(gone[0][0]) if gone else {"job": NO_JOB, "cycle": -1}
+    sql = (
+        "SELECT job.name, pass.cycle, pass.ended, pass.facts FROM pass JOIN job ON job.id = pass.job "
+        "WHERE pass.how = 'done' AND (pass.job, pass.cycle) > (?, ?) AND pass.job < ifnull(?, pass.job + 1) "
+        "ORDER BY pass.job DESC, pass.cycle DESC LIMIT ?"
+    )
+    for job, cycle, ended, text in read(sql, (behind["job"], behind["cycle"], before, FAR_BACK)):
+        found = json.loads(text)
+        if taught := found.get("taught"):
+            anew = any(one["stops"] == "cell" for one in found.get("findings", ()))
+            yield Lesson(job=job, cycle=cycle, at_s=ended, anew=anew, **taught)
+
+
+def forget(state_dir: Path, reason: str) -> None:
+    """From now on nothing is remembered of what passes have taught so far; their rows stay as they are.
+
+    ConfigError where a daemon runs the cell: its job goes on with what it knows.
+    """
+    with locked(state_dir), closing(Store.open(state_dir / JOURNAL_NAME)) as store:
+        _forget(store, reason)
+
+
+def _forget(store: Store, reason: str) -> None:
+    last = store.read("SELECT job, cycle FROM pass ORDER BY job DESC, cycle DESC LIMIT 1")
+    job, cycle = last[0] if last else (NO_JOB, -1)
+    data = json.dumps({"job": job, "cycle": cycle, "reason": reason})
+    row: Row = (
+        "INSERT INTO event (job, at, cycle, name, data) VALUES (?,?,?,?,?)",
+        (NO_JOB, time.time(), None, FORGOTTEN, data),
+    )
+    store.write(row)
+
+
+def in_words(believed: Believed) -> str:
+    """For people."""
+    rate = believed.removal.rate
+    sure = "" if rate.sigma is None else f" +- {rate.sigma:.3f}"
+    more = len(getattr(believed.removal, "applied", ()))
+    others = f", {more} more parameters" if more else ""
+    return f"rate {rate.value:.3f}{sure}, {1e3 * believed.block_overhead_s:.1f} ms a block{others}"
+
+
+def _told(lesson: Lesson) -> str:
+    day = datetime.fromtimestamp(lesson.at_s, UTC)
+    return f"pass {lesson.cycle + 1} of job {lesson.job!r} ({day:%Y-%m-%d %H:%M} UTC)"
+
+
+def _hash(values: Mapping[str, Any]) -> str:
+    text = json.dumps(values, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
