@@ -203,6 +203,22 @@ def history(
 
 
 @app.command()
+def beliefs(
+    cell: Cell,
+    forget: Annotated[bool, Option("--forget", help="Begin anew: the next job begins with nothing learned.")] = False,
+    reason: Reason = "",
+    as_json: Json = False,
+) -> None:
+    """What the cell has learned of rate and machine, and the next job begins with."""
+    from polishd.console.beliefs import beliefs_verb, forget_verb
+
+    if forget:
+        forget_verb(cell, reason, as_json=as_json)
+    else:
+        beliefs_verb(cell, as_json=as_json)
+
+
+@app.command()
 def plugins(
     cell: Annotated[Path | None, Argument(metavar="[CELL.toml]")] = None,
     as_json: Json = False,

@@ -99,6 +99,19 @@ def test_parts_without_a_person_and_one_that_comes_while_it_runs(tmp_path: Path)
         assert [event["part"] for event in moves] == ["", "P-1", "", "P-2"]
         assert not any(event["robot_moves"] or event["tool_is_out"] for event in moves)
         assert len(list((files.run_dir).glob("*/summary.json"))) == 2
+    require_second_part_began_with_what_the_first_taught(files)
+
+
+def require_second_part_began_with_what_the_first_taught(files: DemoFiles) -> None:
+    sql = "SELECT job, json_extract(facts, '$.rate'), json_extract(facts, '$.taught.believed.rate') FROM pass ORDER BY "
+    (*_, (_, _, taught)), (second, *_) = (
+        [row for row in journal(files, f"{sql} job, cycle") if row[0] == number] for number in (1, 2)
+    )
+    assert second[1] == taught != 1.0
+    (lesson,) = json.loads(polishd("beliefs", files.cell, "--json").stdout)["beliefs"]
+    assert lesson["job"] == "two"
+    assert polishd("beliefs", files.cell, "--forget", "--reason", "another pad").returncode == 0
+    assert json.loads(polishd("beliefs", files.cell, "--json").stdout)["beliefs"] == []
 
 
 @pytest.mark.full
