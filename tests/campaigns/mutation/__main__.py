@@ -110,6 +110,8 @@ class Campaign:
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         """Of pytest: instead of the tests, all that is left."""
+        if session.testsfailed:
+            raise session.Interrupted("not all tests could be collected: nothing can be said of any fault")
         functions = functions_of([module.path for module in self.modules.values()])
         self._run(functools.partial(in_function, session, functions), at_import=False)
         return True
