@@ -151,7 +151,7 @@ class ClosedLoop:
         recipe = self._recipe
         if self._witness:
             job = self._job(recipe, plant, _Account())
-            witness = polish_witness(plant, recipe, self._program, job.measured)
+            witness = polish_witness(plant, recipe, self._program, job.map)
             if self._witness == "rate":
                 return _remembering(recipe), witness.rate(recipe)
             recipe = witness.spot(recipe, self._hooks.removal_models()["measured_tif"])
@@ -180,7 +180,7 @@ class _Job:
         before: Measured | None = None
         last: tuple[Planned, FloatArray, FloatArray] | None = None
         while True:
-            surface = self.measured(before)
+            surface = self._measured(before)
             found: tuple[Finding, ...] = ()
             if before is not None and last is not None:
                 taught = self._taught(before, surface, last, believed)
@@ -203,11 +203,15 @@ class _Job:
             account.predicted_nm.append(solved.dwell.certificate.predicted_rms_nm)
             before = surface
 
-    def measured(self, before: Measured | None) -> Measured:
+    def map(self) -> SurfaceMap:
+        """As the instrument gives the part now."""
+        return self._map(*self.plant.measure(), len(self.account.rms_nm))
+
+    def _measured(self, before: Measured | None) -> Measured:
         """The part as the instrument gives it now, and on the account what it truly is."""
         recipe, plant, account = self.recipe, self.plant, self.account
         masks, lay = (None, None) if before is None else (before.masks, before.registration)
-        surface = steps.condition(recipe, self._map(*plant.measure(), len(account.rms_nm)), masks, lay)
+        surface = steps.condition(recipe, self.map(), masks, lay)
         told, height = plant.truth()
         true = self._map(height, float(told["pitch_mm"]), -1)
         truly = steps.condition(replace(recipe, instrument=None), true, surface.masks)

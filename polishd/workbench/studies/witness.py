@@ -12,18 +12,19 @@ from polishd.hookspecs import RemovalModel
 from polishd.model.beliefs import Belief
 from polishd.model.process import MeasuredTif
 from polishd.model.program import Program
-from polishd.model.surface import FloatArray
+from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.process.dynamic_tif import lean_azimuth_rad
+from polishd.process.instrument import as_profiled
 from polishd.process.measured_tif import tif_from_maps, volume_mm3_min
 from polishd.recipe import steps
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Believed, Measured
+from polishd.recipe.records import Believed
 from polishd.workbench.studies.plant_process import PlantProcess
 
 Taken = Literal["rate", "spot"]
 """What a loop takes over from it: its volume rate alone, or its shape with it."""
-Measure = Callable[[Measured | None], Measured]
-"""The part that lies there, with the masks of an earlier measurement."""
+Measure = Callable[[], SurfaceMap]
+"""The part that lies there, as the instrument gives it."""
 DEPTH_NM = 300.0
 """How deep the spot is meant to be: a thousand times an interferometer's noise."""
 
@@ -53,12 +54,13 @@ def polish_witness(plant: PlantProcess, recipe: Recipe, program: Program, measur
     middle = int(np.argmin(np.hypot(*steps.in_part_frame(recipe, program).end_mm[:, :2].T)))
     point = _at_rest(program, middle)
     seconds = np.array([DEPTH_NM / float(_modelled_nm_s(recipe, point).max())])
-    before = measure(None)
+    before = as_profiled(measure(), recipe.instrument)
     plant.polish(point, seconds, recipe.process.force_n, recipe.process.rpm)
-    after = measure(before)
+    after = as_profiled(measure(), recipe.instrument)
     azimuth_deg = float(np.degrees(lean_azimuth_rad(steps.as_polished(recipe, point))[0]))
-    maps = (_measured_nm(before), _measured_nm(after))
-    tif, _ = tif_from_maps(*maps, before.grid.pitch_mm, float(seconds[0]), azimuth_deg=azimuth_deg)
+    whole = _with_data(before, after)
+    seen = (before.height_nm[whole], after.height_nm[whole])
+    tif, _ = tif_from_maps(*seen, before.grid.pitch_mm, float(seconds[0]), azimuth_deg=azimuth_deg)
     return Witness(point, tif)
 
 
@@ -75,8 +77,8 @@ def _modelled_nm_s(recipe: Recipe, point: Program) -> FloatArray:
     return steps.effect_of(recipe, point, steps.process_grid(recipe)).removal_nm(np.ones(1))
 
 
-def _measured_nm(surface: Measured) -> FloatArray:
-    """(ny, nx) nm, as far as there are data: without the grid's margin."""
-    rows, columns = (np.flatnonzero(surface.solve_mask.any(axis=axis)) for axis in (1, 0))
-    height = np.where(surface.solve_mask, surface.height_nm, np.nan)
-    return height[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+def _with_data(before: SurfaceMap, after: SurfaceMap) -> tuple[slice, slice]:
+    """Rows and columns that both have some of: what lies about the part is no untouched surface."""
+    both = before.valid & after.valid
+    rows, columns = (np.flatnonzero(both.any(axis=axis)) for axis in (1, 0))
+    return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
