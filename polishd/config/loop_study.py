@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field
 
 from polishd.config.document import Document, parse_toml
 from polishd.config.values import Name, Text, Texts
 
+Taken = Literal["rate", "spot"]
+"""What a loop takes over from a witness spot: its volume rate alone, or its shape with it."""
 AS_IT_IS = "nothing"
 """The scenario of a plant as its file has it."""
 
@@ -58,11 +60,11 @@ class LoopStudy(Document):
         """Nothing is."""
         yield from ()
 
-    def loop(self, name: str) -> tuple[dict[str, Any], Literal["rate", "spot"] | None]:
+    def loop(self, name: str) -> tuple[dict[str, Any], Taken | None]:
         """What it has otherwise than the cell's file, by dotted key, and of its witness; ConfigError."""
         keys = {**self.cell_with, **self.loops[name]}
         witness = keys.pop("witness", None)
-        if witness not in {None, "rate", "spot"}:
+        if witness not in {None, *get_args(Taken)}:
             raise self.error(f"loops.{name}.witness", f'{witness!r} is nothing to begin with; it is "rate" or "spot"')
         return keys, witness
 

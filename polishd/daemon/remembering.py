@@ -82,10 +82,10 @@ def facts(terms: Mapping[str, Any] | None, believed: Believed) -> dict[str, Any]
 
 def remembered(journal: Journal, recipe: Recipe) -> Remembered | None:
     """What this job begins with, if the cell's journal has a lesson of its series. Reads the file: call in a thread."""
-    terms = journal.terms or {}
-    series = series_of(terms)
     if not recipe.remembers:
         return None
+    terms = journal.terms or {}
+    series = series_of(terms)
     found = lessons(journal.store.read, before=journal.number)
     lesson = next((one for one in found if one.series == series), None)
     if lesson is None or lesson.anew:
@@ -133,18 +133,14 @@ def forget(state_dir: Path, reason: str) -> None:
     ConfigError where a daemon runs the cell: its job goes on with what it knows.
     """
     with locked(state_dir), closing(Store.open(state_dir / JOURNAL_NAME)) as store:
-        _forget(store, reason)
-
-
-def _forget(store: Store, reason: str) -> None:
-    last = store.read("SELECT job, cycle FROM pass ORDER BY job DESC, cycle DESC LIMIT 1")
-    job, cycle = last[0] if last else (NO_JOB, -1)
-    data = json.dumps({"job": job, "cycle": cycle, "reason": reason})
-    row: Row = (
-        "INSERT INTO event (job, at, cycle, name, data) VALUES (?,?,?,?,?)",
-        (NO_JOB, time.time(), None, FORGOTTEN, data),
-    )
-    store.write(row)
+        last = store.read("SELECT job, cycle FROM pass ORDER BY job DESC, cycle DESC LIMIT 1")
+        job, cycle = last[0] if last else (NO_JOB, -1)
+        data = json.dumps({"job": job, "cycle": cycle, "reason": reason})
+        row: Row = (
+            "INSERT INTO event (job, at, cycle, name, data) VALUES (?,?,?,?,?)",
+            (NO_JOB, time.time(), None, FORGOTTEN, data),
+        )
+        store.write(row)
 
 
 def in_words(believed: Believed) -> str:

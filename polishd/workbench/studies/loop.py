@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from polishd.config.cell import CellConfig, load_config
+from polishd.config.loop_study import Taken
 from polishd.hooks.cell import plugins_of
 from polishd.hooks.loader import Hooks
 from polishd.hookspecs import RemovalAnswer, RemovalRequest
@@ -34,7 +35,7 @@ from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved, Taught
 from polishd.workbench.programs.own_raster import own_program
 from polishd.workbench.studies.plant_process import PlantProcess
-from polishd.workbench.studies.witness import Taken, polish_witness
+from polishd.workbench.studies.witness import polish_witness
 
 GATE = "gate"
 """How a loop ends that the gate stopped."""

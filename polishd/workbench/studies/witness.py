@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -21,8 +20,6 @@ from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import Believed
 from polishd.workbench.studies.plant_process import PlantProcess
 
-Taken = Literal["rate", "spot"]
-"""What a loop takes over from it: its volume rate alone, or its shape with it."""
 Measure = Callable[[], SurfaceMap]
 """The part that lies there, as the instrument gives it."""
 DEPTH_NM = 300.0

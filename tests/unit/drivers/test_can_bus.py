@@ -26,9 +26,6 @@ class Garbled(can.BusABC):
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Into the void."""
 
-    def fileno(self) -> int:
-        raise NotImplementedError
-
 
 @pytest.mark.parametrize("told", ["Failed to receive: {}  Traceback (most recent call last):\n  File x\n", "Failed"])
 async def test_a_frame_that_cannot_be_read_is_told_in_one_line_with_its_cause(told: str) -> None:
