@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 import tempfile
@@ -36,7 +37,8 @@ class PlantProcess:
         """End it."""
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
-                pipe.close()
+                with contextlib.suppress(BrokenPipeError):  # what one that died has not read
+                    pipe.close()
         try:
             self._process.wait(END_S)
         except subprocess.TimeoutExpired:
