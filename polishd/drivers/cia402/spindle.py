@@ -17,6 +17,8 @@ from polishd.drivers.cia402.states import State
 from polishd.drivers.transport.pace import Pace
 
 TOLERANCE = 0.02
+ARRIVED = 0.015
+"""At which a speed counts as reached: the readings after it scatter, and are to stay within the tolerance."""
 STILL_RPM = 1.0
 SAMPLE_S = 0.04
 
@@ -59,7 +61,12 @@ class Reading:
     @property
     def at_speed(self) -> bool:
         """Within tolerance."""
-        return abs(self.rpm - self.setpoint_rpm) <= max(TOLERANCE * abs(self.setpoint_rpm), STILL_RPM)
+        return self._within(TOLERANCE)
+
+    @property
+    def arrived(self) -> bool:
+        """At speed, and far enough from the tolerance's edge to stay so."""
+        return self._within(ARRIVED)
 
     @property
     def name(self) -> str:
@@ -69,6 +76,9 @@ class Reading:
         if self.state.drives:
             return "at_speed" if self.at_speed else "ramping"
         return "stopped" if self.stands else "coasting"
+
+    def _within(self, share: float) -> bool:
+        return abs(self.rpm - self.setpoint_rpm) <= max(share * abs(self.setpoint_rpm), STILL_RPM)
 
 
 class Cia402Spindle:
@@ -135,7 +145,7 @@ class Cia402Spindle:
             await link.write(objects.TARGET_VELOCITY, 0, unless=unless)
             await self._axis.power_up(link, objects.VELOCITY_MODE, unless, self._times.spin_s)
         await link.write(objects.TARGET_VELOCITY, self._scale.units(rpm), unless=unless)
-        while not (reading := await self._read(link, cared=True)).at_speed:
+        while not (reading := await self._read(link, cared=True)).arrived:
             unless()
             self._require_running(reading, rpm, deadline)
             await asyncio.sleep(POLL_S)

@@ -25,6 +25,8 @@ from polishd.drivers.transport.pace import Pace
 BEAT_S = 0.1
 """Period of samples, which feed the drive's watchdog."""
 TOLERANCE = 0.02
+ARRIVED = 0.015
+"""At which a speed counts as reached: the readings after it scatter, and are to stay within the tolerance."""
 STANDS_RPM = 1.0
 AT_REST = "the spindle may turn: only stopping opens the link again"
 
@@ -44,9 +46,9 @@ class Reading:
         """It does not turn, by state and by speed."""
         return self.state in {"stopped", "fault"} and abs(self.rpm) < STANDS_RPM
 
-    def at(self, rpm: float) -> bool:
-        """At that speed within 2 %."""
-        return self.state == "running" and abs(self.rpm - rpm) <= TOLERANCE * abs(rpm)
+    def at(self, rpm: float, within: float = TOLERANCE) -> bool:
+        """At that speed."""
+        return self.state == "running" and abs(self.rpm - rpm) <= within * abs(rpm)
 
 
 class ProfiledSpindle(ProfiledDevice[Reading, SpindleTimes]):
@@ -99,7 +101,7 @@ class ProfiledSpindle(ProfiledDevice[Reading, SpindleTimes]):
 
     async def _reach(self, rpm: float, order: int) -> None:
         deadline = time.monotonic() + self._times.spin_s
-        while not (reading := await self._link.ask(self._beat)).at(rpm):
+        while not (reading := await self._link.ask(self._beat)).at(rpm, ARRIVED):
             if self._orders != order:
                 raise DeviceRefused(
                     f"{self._wire.name}: was commanded to {self._asked_rpm:g} rpm on the way to {rpm:g} rpm"
