@@ -16,11 +16,10 @@ from typing import Any
 from polishd.config.cell import lay_over
 from polishd.config.document import parse_toml
 from polishd.config.loop_study import LoopStudy, Scenario
+from polishd.workbench.studies.kept import Case, Kept, made_of
 from polishd.workbench.studies.loop import ClosedLoop, Run
 from polishd.workbench.studies.plant_process import PlantProcess
 
-Case = tuple[str, str, int]
-"""Scenario, loop and seed."""
 Plants = Mapping[str, Mapping[str, Any]]
 """By scenario, SIM.toml's sections."""
 
@@ -59,27 +58,40 @@ class Looped:
         return [asdict(row) for row in self.rows]
 
 
-def run_loops(study: LoopStudy, tell: Callable[[str], None], *, seeds: int | None, jobs: int | None) -> Looped:
-    """All cases of a study on ``jobs`` processes (None: one a core). ConfigError, ProgramError.
+def run_loops(
+    study: LoopStudy, tell: Callable[[str], None], *, seeds: int | None, jobs: int | None, kept: Kept | None = None
+) -> Looped:
+    """All cases of a study on ``jobs`` processes (None: one a core), but those kept. ConfigError, ProgramError.
 
     A case is drawn from its seed alone: the order of the cases, and who works them, changes nothing but the times.
     """
-    scenarios = study.all_scenarios()
+    scenarios, kept = study.all_scenarios(), kept or Kept(None)
+    beliefs = {}
     for name in study.loops:  # before anything is computed
         with study.blame(f"loops.{name}"):
-            _loop(study, name)
+            beliefs[name] = _loop(study, name).config.model_dump(mode="json")
     plant, _ = parse_toml(study.resolve(study.plant))
     lay_over(plant, {name: dict(keys) for name, keys in study.plant_with.items()})
     plants = {name: laid_over(plant, scenario) for name, scenario in scenarios.items()}
     numbers = range(study.first_seed, study.first_seed + (seeds or study.seeds))
     cases = [(scenario, loop, seed) for seed in numbers for scenario in scenarios for loop in study.loops]
-    runs: list[Run] = []
-    for run in _worked(study, plants, cases, jobs or os.cpu_count() or 1):
+    of = {(scenario, loop): _made_of(study, beliefs[loop], loop, plants[scenario]) for scenario, loop, _ in cases}
+    known = {case: kept.find(case, of[case[:2]]) for case in cases}
+    runs = [run for run in known.values() if run is not None]
+    tell(f"{len(runs)} of {len(cases)} jobs")
+    for run in _worked(study, plants, [case for case in cases if known[case] is None], jobs or os.cpu_count() or 1):
+        kept.add(run, of[run.scenario, run.loop])
         runs.append(run)
         tell(f"{len(runs)} of {len(cases)} jobs")
     place = {case: number for number, case in enumerate(cases)}
     runs.sort(key=lambda run: place[run.scenario, run.loop, run.seed])
     return Looped(tuple(runs), tuple(_rows(runs, scenarios)))
+
+
+def _made_of(study: LoopStudy, belief: Mapping[str, Any], loop: str, plant: Mapping[str, Any]) -> str:
+    cell, sim = study.resolve(study.cell), study.resolve(study.plant)
+    own = {"passes": study.passes, "raster": study.raster, "witness": study.loop(loop)[1]}
+    return made_of((belief, cell.parent), (own, cell.parent), (plant, sim.parent))
 
 
 def laid_over(plant: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:

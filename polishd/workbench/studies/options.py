@@ -13,6 +13,8 @@ from typer import Option
 class StudyOptions:
     """What of a study is run, and where it goes."""
 
-    out: Annotated[Path | None, Option(metavar="DIR", help="Folder for pictures and tables.")] = None
+    out: Annotated[
+        Path | None, Option(metavar="DIR", help="Folder for pictures and tables; a study of loops goes on there.")
+    ] = None
     limit: Annotated[int | None, Option(min=1, metavar="N", help="Of a study of loops: so many seeds.")] = None
     jobs: Annotated[int | None, Option(min=1, metavar="K", help="Of loops: processes; default: one a core.")] = None

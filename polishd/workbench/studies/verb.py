@@ -22,6 +22,7 @@ from polishd.recipe.files import read_map
 from polishd.show.tables import stderr, stdout
 from polishd.workbench.studies import pictures, tables
 from polishd.workbench.studies.corrections import Tell, compare_corrections
+from polishd.workbench.studies.kept import Kept
 from polishd.workbench.studies.loops import run_loops
 from polishd.workbench.studies.options import StudyOptions
 from polishd.workbench.studies.passes import polish_evenly
@@ -77,7 +78,7 @@ def _answer(study: Study, options: StudyOptions, tell: Tell) -> Answer:
         return Answer([row.as_json() for row in spots], shown, tables.spot_notes(spots), pictures.of_spots(spots))
     if isinstance(study, PassesStudy):
         return _of_passes(study, tell)
-    looped = run_loops(study, tell, seeds=options.limit, jobs=options.jobs)
+    looped = run_loops(study, tell, seeds=options.limit, jobs=options.jobs, kept=Kept(options.out))
     shown = [tables.loop_table(study.title, looped)]
     return Answer(looped.as_json(), shown, tables.loop_notes(looped), pictures.of_loops(looped))
 
