@@ -24,6 +24,23 @@ class Effects(Section):
     """How far the spot lies off where the tool says; its direction is drawn."""
     spot_frame: Literal["tool", "part"] = "tool"
     """Whether that direction turns with the lean of the spindle, or stays with the part."""
+    spot_turn_deg: Annotated[float, Field(ge=0, le=45)] = 0.0
+    """How far the spot is turned about the normal, either way."""
+    spot_skew: ShareOrNone = 0.0
+    """How much more is removed at the rim that the bonnet slides towards, and less where it comes from, or the other
+    way round. [1]"""
+    bonnet_pressure: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
+    """How far the bonnet's pressure, and with it its modulus, is off, either way, relative: a soft one makes a wide and
+    flat spot. [1]"""
+    robot_error_mm: NotNegative = 0.0
+    """How far the tool's tip lies off where the robot says, across the normal: a smooth field of its workspace. An arm
+    that was not calibrated has some 0.3 mm (ISO 9283 accuracy of pose)."""
+    robot_error_deg: Annotated[float, Field(ge=0, le=5)] = 0.0
+    """How far the spindle leans off, likewise; some 0.02."""
+    robot_error_wave_mm: Positive = 400.0
+    """Length of the shortest wave of that field; the longest is three times as long."""
+    vibration_mm: NotNegative = 0.0
+    """Radius of a fast circle that the tool's tip runs: it smears the spot."""
     seat_shift_mm: NotNegative = 0.0
     """How far the part lies off its seat, across its normal; its direction is drawn."""
     compliance: ShareOrNone = 0.0
@@ -34,6 +51,10 @@ class Effects(Section):
     speed_ripple: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
     """Amplitude of a sine of the spindle's speed, relative. [1]"""
     speed_ripple_s: Positive = 2.0
+    """Its period, contact time."""
+    force_ripple: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
+    """Amplitude of a sine of the force, which no sensor sees, relative. [1]"""
+    force_ripple_s: Positive = 3.0
     """Its period, contact time."""
 
     @model_validator(mode="after")

@@ -3,13 +3,28 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from polishd.config.simulator import Effects, SimConfig
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.truth import stream
+
+
+@dataclass(frozen=True, slots=True)
+class Waves:
+    """A smooth field of the workspace with two components, each a sine."""
+
+    most: float = 0.0
+    """Largest length."""
+    per_mm: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    """Wave vectors of the two, radians per mm of the base frame."""
+    phase: tuple[float, float] = (0.0, 0.0)
+
+    def at(self, tip_mm: FloatArray) -> FloatArray:
+        """(n, 2) at tips (n, 3)."""
+        return np.asarray(self.most / math.sqrt(2.0) * np.sin(tip_mm @ np.array(self.per_mm).T + self.phase))
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +50,18 @@ class Drawn:
     eq_44: float = 1.0
     ripple: float = 0.0
     ripple_s: float = 1.0
+    force_ripple: float = 0.0
+    force_ripple_s: float = 1.0
+    turn_deg: float = 0.0
+    """Of the spot about the normal, counterclockwise."""
+    skew: float = 0.0
+    bonnet: float = 1.0
+    """Its modulus, over what it should be."""
+    robot: Waves = field(default_factory=Waves)
+    """Tip off, mm, of the part's x and y."""
+    lean: Waves = field(default_factory=Waves)
+    """Spindle's axis off, radians, likewise."""
+    vibration_mm: float = 0.0
 
     def rate(self, place_mm: FloatArray, contact_s: FloatArray) -> FloatArray:
         """(n,) factor of the removal at places (n, >= 2) after so long (n,) in contact."""
@@ -48,6 +75,10 @@ class Drawn:
         """(n,) factor of the spindle's speed after so long in contact."""
         return np.asarray(1.0 + self.ripple * np.sin(math.tau * contact_s / self.ripple_s))
 
+    def force(self, contact_s: FloatArray) -> FloatArray:
+        """(n,) factor of the force, likewise."""
+        return np.asarray(1.0 + self.force_ripple * np.sin(math.tau * contact_s / self.force_ripple_s))
+
 
 def draw(config: SimConfig, seed: int) -> Drawn:
     """The same seed gives the same machine; one effect's range does not change what another draws."""
@@ -55,6 +86,9 @@ def draw(config: SimConfig, seed: int) -> Drawn:
     rng = stream(seed, "effects")
     angles, shares = rng.uniform(0.0, math.tau, 3), rng.uniform(-1.0, 1.0, 3)
     least, most = ranges.eq_44
+    lost = least + (most - least) * float(rng.uniform())
+    turn, skew, pressure = (float(share) for share in rng.uniform(-1.0, 1.0, 3))
+    robot, lean = _waves(rng, ranges.robot_error_wave_mm), _waves(rng, ranges.robot_error_wave_mm)
     return Drawn(
         linear=ranges.rate_field * float(shares[0]),
         square=ranges.rate_field * (1.0 - abs(float(shares[0]))) * math.copysign(1.0, shares[1]),
@@ -67,10 +101,26 @@ def draw(config: SimConfig, seed: int) -> Drawn:
         spot_on_part=ranges.spot_frame == "part",
         seat_mm=_towards(ranges.seat_shift_mm, float(angles[2])),
         compliance=1.0 + ranges.compliance * float(shares[2]),
-        eq_44=least + (most - least) * float(rng.uniform()),
+        eq_44=lost,
         ripple=ranges.speed_ripple,
         ripple_s=ranges.speed_ripple_s,
+        force_ripple=ranges.force_ripple,
+        force_ripple_s=ranges.force_ripple_s,
+        turn_deg=ranges.spot_turn_deg * turn,
+        skew=ranges.spot_skew * math.copysign(1.0, skew),
+        bonnet=1.0 + ranges.bonnet_pressure * math.copysign(1.0, pressure),
+        robot=replace(robot, most=ranges.robot_error_mm),
+        lean=replace(lean, most=math.radians(ranges.robot_error_deg)),
+        vibration_mm=ranges.vibration_mm,
     )
+
+
+def _waves(rng: np.random.Generator, shortest_mm: float) -> Waves:
+    """Two directions, and lengths between the shortest and three times that."""
+    ways, phases = rng.standard_normal((2, 3)), rng.uniform(0.0, math.tau, 2)
+    ways /= np.linalg.norm(ways, axis=1)[:, None] * shortest_mm * 3.0 ** rng.uniform(0.0, 1.0, 2)[:, None]
+    first, second = (math.tau * ways).tolist()
+    return Waves(0.0, (tuple(first), tuple(second)), (float(phases[0]), float(phases[1])))
 
 
 def _towards(length: float, angle: float) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from polishd.model.process import MeasuredTif, ToolProcess
 from polishd.model.surface import FloatArray, Grid
-from polishd.sim_backends.plant.removal import hertz_depth_mm
+from polishd.sim_backends.plant.removal import hertz_depth_mm, sliding
 
 TOGETHER_MM = 0.1
 """Contacts nearer to each other than that are one: a map shows no less."""
@@ -47,6 +47,7 @@ class MeasuredStamp:
         depth_mm: FloatArray,
         turns: FloatArray,
         stretch: FloatArray,
+        skew: float = 0.0,
     ) -> None:
         """Take material off in place: n contacts, rpm times seconds in ``turns`` (n,); the rest as `removal.wear`."""
         active = (depth_mm > 0.0) & (turns != 0.0)
@@ -70,6 +71,9 @@ class MeasuredStamp:
                 offset = np.stack(np.meshgrid(x, y))
                 along = np.einsum("ij,jyx->iyx", stretch[k], offset)
                 rate = self._rate(along / size, axis[k]) * size
+                if skew:
+                    rim = math.sqrt(self.tool.tool_radius_mm * float(depth_mm[k]))
+                    rate *= 1.0 + skew * np.einsum("i,iyx->yx", sliding(axis[k : k + 1])[0], along) / rim
                 mean = rate.reshape(rows.size, fine, columns.size, fine).mean(axis=(1, 3))
                 surface_nm[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] -= mean * (
                     float(turns[k]) / self.tool.rpm

@@ -103,12 +103,14 @@ def wear(
     seconds: FloatArray,
     radius_mm: FloatArray | None = None,
     stretch: FloatArray | None = None,
+    skew: float = 0.0,
 ) -> None:
     """Take material off ``surface_nm`` in place: n contacts at ``centre_mm`` (n, 2) for ``seconds`` (n,) each.
 
     ``seconds`` carries the rate factor too. ``radius_mm`` (n,) is that of the contact, and ``stretch`` (n, 2, 2) turns
-    offsets in x and y into those along the surface, where ``axis`` is seen from; left out: as on a flat. Cell averages,
-    by three lines through each cell.
+    offsets in x and y into those along the surface, where ``axis`` is seen from; left out: as on a flat. ``skew`` is by
+    how much more is removed at the rim that the bonnet slides towards, relative. Cell averages, by three lines through
+    each cell.
     """
     n = len(centre_mm)
     radius = np.full(n, tool.tool_radius_mm) if radius_mm is None else radius_mm
@@ -127,6 +129,7 @@ def wear(
             turns=rpm[take] * seconds[take],
             radius_mm=radius[take],
             stretch=along[take],
+            skew=skew,
         )
 
 
@@ -141,6 +144,7 @@ def _wear_chunk(
     turns: FloatArray,
     radius_mm: FloatArray,
     stretch: FloatArray,
+    skew: float,
 ) -> None:
     pitch = grid.pitch_mm
     reach = math.sqrt(float((radius_mm * depth_mm).max())) / pitch
@@ -155,7 +159,8 @@ def _wear_chunk(
     inside_y = np.clip(y, -ellipse.top_mm, ellipse.top_mm)
     high = np.maximum(-np.diff(inside_y, axis=1), 0.0)
     lines = inside_y[:, 1:, None] + high[:, :, None] * NODES
-    rate = _rate(tool, x, lines.reshape(len(x), -1), ellipse, axis=axis, depth_mm=depth_mm)
+    skewed = skew * sliding(axis) / np.sqrt(radius_mm * depth_mm)[:, None]
+    rate = _rate(tool, x, lines.reshape(len(x), -1), ellipse, axis=axis, depth_mm=depth_mm, skewed=skewed)
     mean = np.einsum("nrjc,nrj->nrc", rate.reshape(*lines.shape, cells), high[:, :, None] * WEIGHTS)
     # preston cm^2/N = 100 mm^2/N; 1e6 nm/mm; rpm * s = 60 turns, one turn = 2 pi rad
     mean *= (tool.preston_cm2_per_n * 100.0 * 1e6 * math.tau / 60.0 / pitch**2) * turns[:, None, None]
@@ -193,12 +198,19 @@ class _Ellipse:
 
 
 def _rate(
-    tool: ToolProcess, x: FloatArray, y: FloatArray, ellipse: _Ellipse, *, axis: FloatArray, depth_mm: FloatArray
+    tool: ToolProcess,
+    x: FloatArray,
+    y: FloatArray,
+    ellipse: _Ellipse,
+    *,
+    axis: FloatArray,
+    depth_mm: FloatArray,
+    skewed: FloatArray,
 ) -> FloatArray:
     """Pressure times sliding speed for an angular speed of 1 between neighbours of x, MPa mm^2, (n, lines, x - 1).
 
-    ``x`` (n, x) and ``y`` (n, lines) are offsets from the contact. The pressure is integrated exactly along each line;
-    the speed is that where the pressure's centre is.
+    ``x`` (n, x) and ``y`` (n, lines) are offsets from the contact, ``skewed`` (n, 2) how the rate grows along them. The
+    pressure is integrated exactly along each line; the speed is that where the pressure's centre is.
     """
     line = y[:, :, None]
     ux, uy, vx, vy = ellipse.stretch
@@ -211,8 +223,20 @@ def _rate(
     moment = np.diff(left * root, axis=2) * (-2.0 / 3.0)
     middle = half * np.divide(moment, pressure, out=np.zeros_like(moment), where=pressure > 0.0) - ellipse.shear * line
     down = (depth_mm - tool.tool_radius_mm)[:, None, None]
-    along_x = axis[:, 1:2, None] * down - axis[:, 2:3, None] * (vx * middle + vy * line)
-    along_y = axis[:, 2:3, None] * (ux * middle + uy * line) - axis[:, 0:1, None] * down
+    u, v = ux * middle + uy * line, vx * middle + vy * line
+    along_x = axis[:, 1:2, None] * down - axis[:, 2:3, None] * v
+    along_y = axis[:, 2:3, None] * u - axis[:, 0:1, None] * down
     pressure *= chord / np.sqrt(ellipse.across) * ellipse.peak_mpa
     pressure *= np.sqrt(along_x**2 + along_y**2)
+    if skewed.any():
+        pressure *= 1.0 + skewed[:, 0:1, None] * u + skewed[:, 1:2, None] * v
     return np.asarray(pressure)
+
+
+def sliding(axis: FloatArray) -> FloatArray:
+    """(n, 2) unit directions in which the bonnet slides in the middle of its contact; 0 where its axis is the normal.
+
+    ``axis`` (n, 3) where the normal is z. Of a spindle that turns counterclockwise, seen from above.
+    """
+    lean = np.hypot(axis[:, 0], axis[:, 1])[:, None]
+    return np.divide(np.column_stack([-axis[:, 1], axis[:, 0]]), lean, out=np.zeros((len(axis), 2)), where=lean > 0.0)

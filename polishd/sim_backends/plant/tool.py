@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from polishd.sim_backends.plant.measured import MeasuredStamp
 from polishd.sim_backends.plant.part import TruePart
 from polishd.sim_backends.plant.removal import contact_radius_mm, wear, worn_depth_mm
 from polishd.sim_backends.plant.shape import Local
+
+GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +48,8 @@ class Tool:
         """As SIM.toml has it, on the robot as it truly is; ConfigError where its TIF cannot be read."""
         process, tif = config.process.tool(), config.measured_tif()
         stamp = None if tif is None else MeasuredStamp(tif, process)
-        return cls(process, giving(robot, config.process.projection), stamp, effects)
+        inflated = replace(process, tool_modulus_mpa=process.tool_modulus_mpa * effects.bonnet)
+        return cls(inflated, giving(robot, config.process.projection), stamp, effects)
 
     def wear(
         self,
@@ -58,26 +62,48 @@ class Tool:
         seconds: FloatArray,
     ) -> None:
         """Take material off the part, in place; ``seconds`` (n,) carry the rate factor, too."""
-        local = touches.local
-        axis = local.levelled(touches.axis)
+        local, off = touches.local, self.effects
         tips, axes = frames.in_base(touches.place_mm, touches.axis)
+        axis = _leaning(local.levelled(touches.axis), off.lean.at(tips))
         compliance = self.giving(tips, axes, local.normal @ frames.to_base.T)
-        compliance *= self.effects.compliance * self.effects.eq_44
+        compliance *= off.compliance * off.eq_44
         radius = contact_radius_mm(self.process, local.curvature_per_mm)
         depth = worn_depth_mm(self.process, force_n, axis, compliance, radius)
-        centre = touches.place_mm[:, :2] + self._offset_mm(axis, local) - np.array(self.effects.seat_mm)
-        at = {"centre_mm": centre, "axis": axis, "depth_mm": depth, "stretch": local.stretch}
+        turned = _turn(-math.radians(off.turn_deg)) @ local.stretch
+        centre = touches.place_mm[:, :2] + off.robot.at(tips) + _circling(len(tips)) * off.vibration_mm
+        centre = centre + self._offset_mm(axis, turned) - np.array(off.seat_mm)
+        at = {"centre_mm": centre, "axis": axis, "depth_mm": depth, "stretch": turned, "skew": off.skew}
         if self.stamp is not None:
-            self.stamp.wear(part.height_nm, part.grid, turns=rpm * seconds, **at)
+            self.stamp.wear(part.height_nm, part.grid, turns=rpm * seconds * off.bonnet, **at)
         else:
             wear(part.height_nm, part.grid, self.process, rpm=rpm, seconds=seconds, radius_mm=radius, **at)
 
-    def _offset_mm(self, axis: FloatArray, local: Local) -> FloatArray:
-        """(n, 2) from the tool's tip to the spot's centre, in the part's x and y."""
+    def _offset_mm(self, axis: FloatArray, turned: FloatArray) -> FloatArray:
+        """(n, 2) from the tool's tip to the spot's centre, in the part's x and y; ``turned`` (n, 2, 2) as stretch."""
         off = self.effects
         on_tool = (0.0, 0.0) if off.spot_on_part else off.spot_mm
         across, along = np.add(self.process.spot_offset_mm, on_tool)
         lean = axis[:, :2] / np.maximum(np.hypot(axis[:, 0], axis[:, 1]), 1e-12)[:, None]
         offset = across * np.column_stack([lean[:, 1], -lean[:, 0]]) + along * lean
         on_part = np.array(off.spot_mm if off.spot_on_part else (0.0, 0.0))
-        return np.asarray(np.linalg.solve(local.stretch, offset[:, :, None])[:, :, 0] + on_part)
+        return np.asarray(np.linalg.solve(turned, offset[:, :, None])[:, :, 0] + on_part)
+
+
+def _leaning(axis: FloatArray, by: FloatArray) -> FloatArray:
+    """(n, 3) axes, more (n, 2) radians to x and y."""
+    if not by.any():
+        return axis
+    leaning = axis.copy()
+    leaning[:, :2] += by
+    return np.asarray(leaning / np.linalg.norm(leaning, axis=1)[:, None])
+
+
+def _turn(radians: float) -> FloatArray:
+    c, s = math.cos(radians), math.sin(radians)
+    return np.array([[c, -s], [s, c]])
+
+
+def _circling(count: int) -> FloatArray:
+    """(n, 2) places of the unit circle, one after the other all round: of a tip much faster than the path."""
+    angle = GOLDEN * np.arange(count)
+    return np.column_stack([np.cos(angle), np.sin(angle)])

@@ -145,6 +145,7 @@ class World:
         worked = self.contact_s + np.cumsum(turning) - turning / 2.0
         self.contact_s += float(turning.sum())
         rpm = rpm * self.effects.speed(worked)
+        force = force * self.effects.force(worked)
         if rpm.any():
             self.polished_s = float(rows[-1, WALL1])
         before = None if self.account.way_out is None else self.part.height_nm.copy()
