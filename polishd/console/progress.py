@@ -49,8 +49,10 @@ class _Line:
                 note = f"predicted RMS {data['predicted_rms_nm']:.2f} nm, KKT {data['kkt_residual']:.1e}"
                 self._update(f"cycle {cycle}: planning", note=note)
             case "pass_begun":
-                minutes = f"{data['dwell_s'] / 60:.1f} min of dwell"
-                self._update(f"cycle {cycle}: polishing", total=data["blocks"], completed=0, note=minutes)
+                note = f"{data['dwell_s'] / 60:.1f} min of dwell"
+                if expected := data.get("forecast"):
+                    note += f", then {expected['low_nm']:.2f} to {expected['high_nm']:.2f} nm"
+                self._update(f"cycle {cycle}: polishing", total=data["blocks"], completed=0, note=note)
             case "progress":
                 self._bar.update(self._task, completed=data["block"])
             case "pass_ended" | "job_finished":

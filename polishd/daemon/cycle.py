@@ -47,8 +47,10 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
             solved = await job.solve(cycle, surface)
             require_certificate(solved.dwell.certificate, job.recipe)
         async with journal.phase(cycle, Phase.PLAN):
-            plan = await job.plan(cycle, solved)
+            plan = await job.plan(cycle, surface, solved)
             job.refuse_unsafe(plan)
+        if job.worthless(cycle):
+            return Outcome.STALLED
         await before_contact(cell, job.publish, cycle)
         await handling.ready(cycle)  # pad and seat: nothing is pressed on a part that does not sit right
         await before_contact(cell, job.publish, cycle)  # which may have taken minutes

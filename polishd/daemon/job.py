@@ -28,10 +28,11 @@ from polishd.model.tolerance import holds
 from polishd.process.conditioning import Masks
 from polishd.process.contact import relative_removal
 from polishd.process.executed import executed_s
-from polishd.process.findings import diverged
+from polishd.process.findings import diverged, worthless
 from polishd.process.registration.record import Registration
 from polishd.recipe import dwell_step, steps
 from polishd.recipe.folder import RunFolder
+from polishd.recipe.forecasting import forecast_of
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved, Taught, figures, tolerated_nm
 
@@ -155,7 +156,7 @@ class Job:
         times = await asyncio.to_thread(self._at_points, cycle - 1)
         planned = self._planned[cycle - 1]
         expected_nm = planned.certificate.predicted_rms_nm
-        last = Pass(before, surface, planned.asked_s, *times, predicted_rms_nm=expected_nm)
+        last = Pass(before, surface, planned.asked_s, *times, expected_nm, planned.forecast)
         taught: Taught = await self.compute(steps.learn, self.recipe, self.program, last, self._believed)
         folder = self.folder.cycle(cycle)
         await self.people.keep(folder.write, await asyncio.to_thread(taught.files))
@@ -195,16 +196,24 @@ class Job:
         self.publish(events.Solved(cycle=cycle, certificate=solved.dwell.certificate))
         return solved
 
-    async def plan(self, cycle: int, solved: Solved) -> Plan:
+    async def plan(self, cycle: int, surface: Measured, solved: Solved) -> Plan:
         """The rewritten program; what the next cycle needs of it is kept for the journal, the rest for people."""
         plan = await self.compute(steps.rewrite, self.recipe, self.program, solved, self.program.name)
-        planned = Planned.of(plan, solved, steps.in_part_frame(self.recipe, plan.program))
+        expected = await self.compute(forecast_of, self.recipe, surface, plan, solved.believed)
+        planned = Planned.of(plan, solved, steps.in_part_frame(self.recipe, plan.program), expected)
         files, store = await asyncio.to_thread(planned.files), self.journal.arrays
         names = [await asyncio.to_thread(store.put, arrays) for arrays in (files["plan.npz"], planned.start())]
         self._stored = Stored(*names)
         self._planned[cycle] = planned
         await self.people.keep(self.folder.cycle(cycle).write, {"program.rnc": plan.program.text, **files})
         return plan
+
+    def worthless(self, cycle: int) -> bool:
+        """Whether the pass that was planned will hardly leave the surface better than it is: nobody makes it then."""
+        expected = self._planned[cycle].forecast
+        if found := expected and worthless(expected, self.recipe.finding):
+            self.publish(events.Found(cycle=cycle, kind=found.kind, what=found.what, stops=found.stops))
+        return bool(found)
 
     def refuse_unsafe(self, plan: Plan) -> None:
         """PlanRefused with every violation that a check found."""
@@ -229,7 +238,8 @@ class Job:
             **self._stored._asdict(),
             reach_s=reach_s,
         )
-        self.publish(events.PassBegun(cycle=cycle, blocks=plan.contact_blocks, dwell_s=plan.total_s))
+        told = {"blocks": plan.contact_blocks, "dwell_s": plan.total_s, "forecast": planned.facts()["forecast"]}
+        self.publish(events.PassBegun(cycle=cycle, **told))
 
     def executed(self, cycle: int, records: Sequence[BlockRecord]) -> None:
         """Blocks were executed while the tool was on the part, or may have been."""

@@ -101,7 +101,8 @@ def remembered(journal: Journal, recipe: Recipe) -> Remembered | None:
     if abs(removal.rate.value - 1) > recipe.max_rate_change:  # which was narrowed since
         return None
     same = lesson.machine == _hash({key: terms.get(key) for key in MACHINE})
-    believed = Believed(removal, taught.block_overhead_s if same else first.block_overhead_s)
+    overhead_s = taught.block_overhead_s if same else first.block_overhead_s
+    believed = Believed(removal, overhead_s, taught.unexplained)
     return Remembered(believed, f"begins with what {_told(lesson)} has taught: {in_words(believed)}")
 
 

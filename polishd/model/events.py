@@ -288,6 +288,11 @@ class PassBegun(Event):
     name: ClassVar[str] = "pass_begun"
     blocks: Annotated[int, "sequence number of the first block after contact"]
     dwell_s: Annotated[float, "s in contact, as planned"]
+    forecast: Annotated[
+        Mapping[str, Any] | None,
+        "RMS that the next map is expected to show, nm: `low_nm`, `median_nm`, `high_nm`; the chance `level` that it "
+        "lies between, and `better`, that it is less than now; null: not known",
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,6 +31,8 @@ class Shown:
     """Change of the rate from the pass's begin to its end, of its mean."""
     width: Belief | None
     """By how much the spot is wider than the model's, relative."""
+    expected_nm: tuple[float, float] | None = None
+    """Between which ``after_nm`` was expected, with a chance of nine in ten; None: nothing was."""
 
 
 @dataclass(frozen=True, slots=True)

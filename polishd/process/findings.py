@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from polishd.model.beliefs import Belief
 from polishd.model.finding import Finding, FindingLimits, Series, Shown
+from polishd.process.forecast import Forecast
 
 SIGMAS = 4.0
 """Standard errors by which a change must be other than none: a cell makes thousands of passes."""
@@ -24,6 +25,8 @@ BY_REACH = 0.5
 """Share of what is left that the spot must be able to correct, for more passes to be worth a thought."""
 BY_WEAR = 0.5
 """Share of a fall that what was lost within the passes must make, for the fall to be wear."""
+WORTH = 0.05
+"""Chance of a gain below which a pass is not made."""
 DIVERGED_RATIO, DIVERGED_NM = 1.3, 1.0
 """A surface that is worse than the best one so far by this ratio, and by more than noise and ripple, ends the job."""
 
@@ -32,6 +35,15 @@ def diverged(earlier_nm: Sequence[float], now_nm: float) -> bool:
     """Whether a surface is clearly worse than it has been: RMS of the earlier measurements, and of this one."""
     best = min(earlier_nm, default=math.inf)
     return now_nm > max(DIVERGED_RATIO * best, best + DIVERGED_NM)
+
+
+def worthless(expected: Forecast, limits: FindingLimits) -> Finding | None:
+    """A pass that is not worth making: it will hardly leave the surface better than it is."""
+    if not limits.least_gain or expected.better >= WORTH:
+        return None
+    chance = f"with a chance of {100 * expected.better:.0f} % that it is less than now"
+    todo = "it is not made. Take another tool, or tolerance, or a quieter map"
+    return Finding("stall", f"the next pass would leave {expected.words}, {chance}: {todo}", "job")
 
 
 def followed(series: Series, shown: Shown) -> Series:

@@ -21,6 +21,7 @@ from polishd.model.program import IntArray, Plan, Program
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceStats
 from polishd.model.tolerance import Judged
 from polishd.process.conditioning import Masks
+from polishd.process.forecast import UNEXPLAINED, Forecast
 from polishd.process.gate import Verdict
 from polishd.process.registration.record import Registration
 from polishd.recipe.encoding import Arrays, arrays_of, as_json, facts_of, npz, record_of, table
@@ -120,6 +121,8 @@ class Believed:
     removal: Beliefs = UNTAUGHT
     block_overhead_s: float = 0.0
     """Time that a block takes beyond its motion."""
+    unexplained: float = UNEXPLAINED
+    """RMS of what no rate explains of a pass, relative to its removal."""
 
     @property
     def rate(self) -> float:
@@ -127,8 +130,9 @@ class Believed:
         return self.removal.rate.value
 
     def facts(self) -> dict[str, Any]:
-        """The two numbers that everybody asks for, and all that the model believes."""
-        return {"rate": self.rate, "block_overhead_s": self.block_overhead_s, "removal": asdict(self.removal)}
+        """The numbers that everybody asks for, and all that the model believes."""
+        numbers = {"rate": self.rate, "block_overhead_s": self.block_overhead_s, "unexplained": self.unexplained}
+        return {**numbers, "removal": asdict(self.removal)}
 
     @classmethod
     def load(cls, facts: Mapping[str, Any], initial: Beliefs) -> Self:
@@ -137,7 +141,7 @@ class Believed:
             removal = record_of(type(initial), {**facts_of(initial), **facts["removal"]})
         else:
             removal = replace(initial, rate=Belief(float(facts["rate"])))
-        return cls(removal, float(facts["block_overhead_s"]))
+        return cls(removal, float(facts["block_overhead_s"]), float(facts.get("unexplained", UNEXPLAINED)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +158,8 @@ class Pass:
     """(n,) the time that it would have taken at the process's own force and speed to remove as much; None: the same."""
     predicted_rms_nm: float | None = None
     """RMS that its plan expected after it; None: not known."""
+    forecast: Forecast | None = None
+    """The same as a distribution, of what the map will show; None: of a pass of an earlier polishd."""
 
     @property
     def acted_s(self) -> FloatArray:
@@ -242,10 +248,12 @@ class Planned:
     """(ny, nx) surface expected after it."""
     curve_s: FloatArray
     curve_nm: FloatArray
+    forecast: Forecast | None = None
+    """What the next map is expected to show; None: of a pass of an earlier polishd."""
 
     @classmethod
-    def of(cls, plan: Plan, solved: Solved, part: Program) -> Self:
-        """Of a plan, what it was solved as, and its program in the part's frame."""
+    def of(cls, plan: Plan, solved: Solved, part: Program, forecast: Forecast) -> Self:
+        """Of a plan, what it was solved as, its program in the part's frame, and what is expected of it."""
         dwell, answer = solved.dwell, solved.answer
         return cls(
             certificate=dwell.certificate,
@@ -264,6 +272,7 @@ class Planned:
             residual_nm=dwell.residual_nm,
             curve_s=np.array([row["total_s"] for row in solved.curve]),
             curve_nm=np.array([row["rms_nm"] for row in solved.curve]),
+            forecast=forecast,
         )
 
     @property
@@ -275,7 +284,8 @@ class Planned:
         """What the journal knows of the pass that runs it."""
         certificate = asdict(self.certificate)
         total = {"predicted_rms_nm": certificate["predicted_rms_nm"], "dwell_s": float(self.expected_s.sum())}
-        return {"certificate": certificate, **total, **self.believed.facts()}
+        expected = None if self.forecast is None else asdict(self.forecast)
+        return {"certificate": certificate, **total, "forecast": expected, **self.believed.facts()}
 
     def start(self) -> Arrays:
         """A store's file of its own: small beside the plan's."""
@@ -299,6 +309,8 @@ class Planned:
         """From ``plan.npz``, what ``start`` gave, and the facts of its pass."""
         state = {name: value for name, value in start.items() if name != "time_s"}
         rest = {"certificate": record_of(Certificate, facts["certificate"]), "state": state}
+        expected = facts.get("forecast")
+        rest["forecast"] = None if expected is None else record_of(Forecast, expected)
         return record_of(cls, {}, {**arrays, **rest, "believed": Believed.load(facts, initial)})
 
 
@@ -309,8 +321,10 @@ def tolerated_nm(facts: Mapping[str, Any]) -> float:
 
 def figures(measured: Mapping[str, Any], planned: Mapping[str, Any] | None) -> dict[str, Any]:
     """Of the facts of both, what a summary's entry says; None for a pass that never was."""
+    forecast = (planned or {}).get("forecast") or {}
     return {
         **{key: measured[key] for key in FIGURES},
         "judged": measured.get("judged", []),
         **{key: None if planned is None else float(planned[key]) for key in PASS_FIGURES},
+        **{f"expected_{end}_nm": forecast.get(f"{end}_nm") for end in ("low", "high")},
     }

@@ -40,6 +40,7 @@ def shown_by(done: Pass, answer: RemovalAnswer, predicted_nm: FloatArray, verdic
         rate=Belief(rate * verdict.rate, rate * verdict.rate_sigma) if verdict.tells_rate else None,
         fade=_told(seen.fade, seen.fade_sigma),
         width=_told(seen.width, seen.width_sigma),
+        expected_nm=None if done.forecast is None else (done.forecast.low_nm, done.forecast.high_nm),
     )
 
 

@@ -18,6 +18,7 @@ from polishd.model.surface import BoolArray, Grid, SurfaceMap
 from polishd.process import conditioning, gate, metrics, motion
 from polishd.process.alignment import alignment_notes
 from polishd.process.conditioning import Masks
+from polishd.process.forecast import pooled, unexplained
 from polishd.process.instrument import as_profiled
 from polishd.process.nominal import less_nominal
 from polishd.process.paths.wrist import tool_axes
@@ -25,6 +26,7 @@ from polishd.process.registration.record import Registration
 from polishd.process.registration.register import register
 from polishd.process.spikes import cleaned
 from polishd.process.tolerance import judge, notes_of
+from polishd.recipe import forecasting
 from polishd.recipe.files import read_program_bytes
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import CENTRED, Believed, Measured, Pass, Solved, Taught
@@ -189,7 +191,9 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
     envelope = envelope_of(recipe, program, believed)
     overhead = motion.learn_overhead_s(program, done.asked_s, done.executed_s, envelope)
     shown = shown_by(done, answer, predicted, verdict, believed.rate)
-    return Taught(Believed(lesson.beliefs, overhead), verdict, grid, lesson.found, lesson.notes, shown)
+    rest = unexplained(verdict.predicted_nm, verdict.measured_nm, mask, forecasting.noise_nm(recipe, done.after))
+    learned = Believed(lesson.beliefs, overhead, pooled(believed.unexplained, rest))
+    return Taught(learned, verdict, grid, lesson.found, lesson.notes, shown)
 
 
 def _pixels(before: Measured, after: Measured) -> MapPixels | None:

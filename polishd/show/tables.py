@@ -29,7 +29,10 @@ def cycle_table(summary: Mapping[str, Any]) -> Table:
     table = Table(title=f"{summary['job']}: {summary['outcome']}", title_justify="left")
     columns = {"pv_nm": "PV nm", "rms_nm": "RMS nm", "lsf_rms_nm": "LSF nm"}
     columns |= {"band_rms_nm": f"> {period:g} mm nm"} if period else {}
-    columns |= {"predicted_rms_nm": "predicted nm", "dwell_s": "dwell s", "executed_s": "executed s", "rate": "rate"}
+    columns |= {"predicted_rms_nm": "predicted nm"}
+    if any(cycle.get("expected_low_nm") is not None for cycle in summary["cycles"]):
+        columns |= {"expected_low_nm": "expected from", "expected_high_nm": "to nm"}
+    columns |= {"dwell_s": "dwell s", "executed_s": "executed s", "rate": "rate"}
     for name in ("#", *columns.values()):
         table.add_column(name, justify="right")
     if torn := any(map(_torn, summary["cycles"])):

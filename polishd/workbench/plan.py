@@ -22,6 +22,7 @@ from polishd.recipe import dwell_step, steps
 from polishd.recipe.dwell_step import require_certificate
 from polishd.recipe.files import read_map
 from polishd.recipe.folder import RunFolder
+from polishd.recipe.forecasting import forecast_of
 from polishd.recipe.making import make_recipe
 from polishd.recipe.program_fit import judged
 from polishd.recipe.recipe import Recipe
@@ -48,7 +49,8 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
     vetoes = hooks.check_plan(plan, recipe.envelope)
     if vetoes:
         raise PlanRefused("the plan was refused, nothing was written:\n" + "\n".join(f"  {v}" for v in vetoes))
-    planned = Planned.of(plan, solved, steps.in_part_frame(recipe, plan.program))
+    expected = forecast_of(recipe, measured, plan, solved.believed)
+    planned = Planned.of(plan, solved, steps.in_part_frame(recipe, plan.program), expected)
     if recipe.instrument is None or recipe.instrument.commissioned is None:
         notes.append("run will refuse: the cell has no commissioned instrument's profile (polishd check says more)")
     said, misfit = judged(recipe, program, config.program.covers)

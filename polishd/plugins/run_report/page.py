@@ -51,6 +51,8 @@ COLUMNS: Sequence[Column] = (
     Column("lsf_rms_nm", "LSF RMS", "nm", ".2f"),
     Column("band_rms_nm", "band RMS", "nm", ".2f"),
     Column("predicted_rms_nm", "predicted", "RMS nm", ".2f"),
+    Column("expected_low_nm", "expected", "from, nm", ".2f"),
+    Column("expected_high_nm", "9 of 10", "to, nm", ".2f"),
     Column("dwell_s", "dwell", "s", ",.0f"),
     Column("executed_s", "executed", "s", ",.0f"),
     Column("rate", "learned", "rate", ".3f"),

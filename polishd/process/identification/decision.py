@@ -11,8 +11,12 @@ from polishd.process.identification.identify import Identified
 
 CERTAIN = 3.0
 """Standard errors that what is corrected must be away from none."""
-LIMITS = {"rate": 0.4, "offset": 0.5, "shift": 0.5, "rotation": 0.5, "turn": 5.0, "width": 0.2, "compliance": 0.5}
+LIMITS = {"rate": 0.4, "rotation": 0.5, "turn": 5.0, "width": 0.2, "compliance": 0.5}
 """Largest correction that needs no person, by extension, in its parameters' units."""
+MISSES_MM = 0.5
+"""So far from where it should the spot may act, by its offset and by the part's shift and rotation together."""
+PLACE = ("offset", "shift", "rotation")
+LOOK = "look at tool, seat and map before the next pass"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,19 +46,27 @@ class Decision:
     stops: tuple[str, ...]
 
 
-def decide(found: Identified, limits: Mapping[str, float] = LIMITS, certain: float = CERTAIN) -> Decision:
+def decide(
+    found: Identified, limits: Mapping[str, float] = LIMITS, certain: float = CERTAIN, misses_mm: float = MISSES_MM
+) -> Decision:
     """What is done about each extension that is applied, and about the rate.
 
     Beyond its limit by more than chance stops; within it, and ``certain`` standard errors from none, is corrected. What
-    has no limit is corrected where it is certain.
+    has no limit is corrected where it is certain. Of offset and shift it is what they come to together that stops: a
+    robot or a picture that is distorted reads as a large one of each, against one another.
     """
     corrected, left, stops = [], [], []
-    for one in _sizes(found):
+    sizes = _sizes(found)
+    miss, sigma = found.displaced_mm
+    if miss - 2 * sigma > misses_mm:
+        place = [one for one in sizes if one.name in PLACE]
+        by = " and ".join(one.words + _or_else(found, one.name) for one in place)
+        word = f"the spot acts {miss:.2f} +- {sigma:.2f} mm off where it should, more than {misses_mm:g}"
+        stops.append(f"{word}, by {by}: {LOOK}")
+    for one in sizes:
         limit = limits.get(one.name, np.inf)
         if one.size > limit and one.size - 2 * one.sigma > limit:
-            others = ", ".join(_instead(found, one.name))
-            also = f" (or {others}: this pass cannot tell)" if others else ""
-            stops.append(f"{one.words}{also}, more than {limit:g}: look at tool, seat and map before the next pass")
+            stops.append(f"{one.words}{_or_else(found, one.name)}, more than {limit:g}: {LOOK}")
         elif one.size >= certain * one.sigma:
             corrected.append(one)
         else:
@@ -62,10 +74,11 @@ def decide(found: Identified, limits: Mapping[str, float] = LIMITS, certain: flo
     return Decision(tuple(corrected), tuple(left), tuple(stops))
 
 
-def _instead(found: Identified, name: str) -> list[str]:
+def _or_else(found: Identified, name: str) -> str:
     """Extensions that rivals without this one have and the best model has not."""
     best, rivals = found.comparison.best.extensions, found.comparison.rivals
-    return sorted({other for one in rivals if name not in one.extensions for other in one.extensions - best})
+    others = {other for one in rivals if name not in one.extensions for other in one.extensions - best}
+    return f" (or {', '.join(sorted(others))}: this pass cannot tell)" if others else ""
 
 
 def _sizes(found: Identified) -> list[Found]:

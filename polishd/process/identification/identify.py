@@ -79,6 +79,9 @@ class Identified:
     """Others that the evidence does not exclude."""
     noise: Noise
     """That was reckoned with."""
+    displaced_mm: tuple[float, float]
+    """How far off where it should the spot acts, by what is applied of its offset and of the part's shift and rotation:
+    RMS over the pass's time, and its standard error."""
     rejected: BoolArray = field(repr=False)
     """(ny, nx) samples that are none of the pass."""
     residual_nm: FloatArray = field(repr=False)
@@ -172,9 +175,38 @@ def identify(
         chosen,
         tuple(name for name in odds if name != chosen and odds[name] > odds[chosen] - RIVAL),
         data.noise,
+        displaced_mm(blocks, applied),
         rejected,
         residual,
     )
+
+
+def displaced_mm(blocks: Blocks, applied: Knowledge) -> tuple[float, float]:
+    """Offset and shift may cancel where the spindle leans: it is their sum that misses."""
+    moves = _moves(blocks)
+    names = [name for name in moves if name in applied.names]
+    if not names:
+        return 0.0, 0.0
+    ways = np.array([moves[name] for name in names])
+    square = np.einsum("ikn,jkn,n->ij", ways, ways, blocks.time_s / blocks.time_s.sum())
+    at = [applied.at(name) for name in names]
+    mean, covariance = applied.mean[at], applied.covariance[np.ix_(at, at)]
+    size = float(np.sqrt(max(mean @ square @ mean, 0.0)))
+    along = square @ mean / size if size > 0 else np.zeros(len(at))
+    return size, float(np.sqrt(max(along @ covariance @ along, 0.0)))
+
+
+def _moves(blocks: Blocks) -> dict[str, FloatArray]:
+    """(2, n) mm that each block's spot moves for a unit of each parameter."""
+    x, y = (blocks.start_mm + blocks.end_mm).T / 2
+    cosine, sine, one = np.cos(blocks.azimuth_rad), np.sin(blocks.azimuth_rad), np.ones(len(x))
+    return {
+        "offset_x": np.stack([sine, -cosine]),
+        "offset_y": np.stack([cosine, sine]),
+        "shift_x": np.stack([one, 0 * one]),
+        "shift_y": np.stack([0 * one, one]),
+        "rotation": np.radians(np.stack([-y, x])),
+    }
 
 
 def _applied(

@@ -67,13 +67,16 @@ def _read(path: Path) -> Iterator[tuple[str, Run]]:
         try:
             row = json.loads(line)
             of = str(row.pop("of"))
-            values: dict[str, Any] = {key: tuple(one) if isinstance(one, list) else one for key, one in row.items()}
-            run = Run(**values)
+            run = Run(**{key: _frozen(value) for key, value in row.items()})
         except (ValueError, TypeError, KeyError, AttributeError) as error:
             raise ConfigError(
                 f"{path}:{number}: is no job of a study; take the line out, or name another folder with --out"
             ) from error
         yield of, run
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(map(_frozen, value)) if isinstance(value, list) else value
 
 
 def _texts(value: Any) -> Iterator[str]:

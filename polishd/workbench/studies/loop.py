@@ -18,7 +18,7 @@ from polishd.hooks.loader import Hooks
 from polishd.hookspecs import RemovalAnswer, RemovalRequest
 from polishd.model.cycle import Outcome
 from polishd.model.errors import ComputeError, PlanRefused, PolishdError
-from polishd.model.finding import Finding, Series
+from polishd.model.finding import Finding, Series, Shown
 from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.model.tolerance import holds
@@ -26,10 +26,11 @@ from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.formats import read
 from polishd.process import motion
 from polishd.process.contact import relative_removal
-from polishd.process.findings import diverged, findings, followed
+from polishd.process.findings import diverged, findings, followed, worthless
 from polishd.process.gate import MAX_SHIFT_MM, Verdict
 from polishd.recipe import dwell_step, steps
 from polishd.recipe.dwell_step import require_certificate
+from polishd.recipe.forecasting import forecast_of
 from polishd.recipe.making import make_recipe
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved, Taught
@@ -64,6 +65,8 @@ class Run:
     """RMS that each plan expected after its pass."""
     true_rms_nm: tuple[float, ...]
     """Of the part, at each of those maps, aligned as the map is."""
+    came_nm: tuple[tuple[float, float, float], ...]
+    """Of each pass that the gate passed: between which two RMS the map was expected, and what it showed."""
     true_fits: bool
     """Whether the part truly fits its tolerance at the end."""
     cpu_s: float
@@ -88,7 +91,13 @@ class _Account:
     predicted_nm: list[float] = field(default_factory=list)
     true_rms_nm: list[float] = field(default_factory=list)
     named: list[str] = field(default_factory=list)
+    came_nm: list[tuple[float, float, float]] = field(default_factory=list)
     true_fits: bool = False
+
+    def told(self, shown: Shown) -> None:
+        """What a pass left, beside what was expected of it."""
+        if shown.expected_nm is not None:
+            self.came_nm.append((*shown.expected_nm, shown.after_nm))
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +152,7 @@ class ClosedLoop:
             tuple(account.rms_nm),
             tuple(account.predicted_nm),
             tuple(account.true_rms_nm),
+            tuple(account.came_nm),
             account.true_fits,
             time.process_time() - begun_s,
         )
@@ -190,6 +200,7 @@ class _Job:
                     return _Ended(GATE, taught.verdict.stop)
                 believed = taught.believed
                 if taught.shown is not None:
+                    account.told(taught.shown)
                     shown.append(taught.shown)
                     series = followed(series, taught.shown)
                     found = findings(series, shown, recipe.finding)
@@ -200,7 +211,10 @@ class _Job:
             solved = dwell_step.solve(recipe, program, surface, believed, None if last is None else last[0].kept)
             require_certificate(solved.dwell.certificate, recipe)
             plan = steps.rewrite(recipe, program, solved, program.name)
-            last = (self._planned(plan, solved), *self._execute(plan))
+            planned = self._planned(plan, solved, surface)
+            if planned.forecast is not None and worthless(planned.forecast, recipe.finding):
+                return _Ended(Outcome.STALLED.value)
+            last = (planned, *self._execute(plan))
             account.predicted_nm.append(solved.dwell.certificate.predicted_rms_nm)
             before = surface
 
@@ -230,14 +244,15 @@ class _Job:
     ) -> Taught:
         planned, executed_s, acting_s = last
         expected_nm = planned.certificate.predicted_rms_nm
-        done = Pass(before, after, planned.asked_s, executed_s, acting_s, predicted_rms_nm=expected_nm)
+        done = Pass(before, after, planned.asked_s, executed_s, acting_s, expected_nm, planned.forecast)
         return steps.learn(self.recipe, self.program, done, believed)
 
-    def _planned(self, plan: Plan, solved: Solved) -> Planned:
+    def _planned(self, plan: Plan, solved: Solved, surface: Measured) -> Planned:
         vetoes = [*steps.violations(self.recipe, plan), *self.hooks.check_plan(plan, self.recipe.envelope)]
         if vetoes:
             raise PlanRefused("; ".join(vetoes))
-        return Planned.of(plan, solved, steps.in_part_frame(self.recipe, plan.program))
+        expected = forecast_of(self.recipe, surface, plan, solved.believed)
+        return Planned.of(plan, solved, steps.in_part_frame(self.recipe, plan.program), expected)
 
     def _execute(self, plan: Plan) -> tuple[FloatArray, FloatArray]:
         """(n,) seconds of each timed point as the plant's own robot moves, and as force and speed acted."""

@@ -41,6 +41,10 @@ class LoopRow:
     false_accepts: int
     named_rightly: int
     """Runs that said of the machine what is wrong with it, and nothing else; nothing, where nothing is."""
+    forecasts: int
+    """Passes of which a map told, ..."""
+    held: int
+    """... and of these, those that left what was expected with a chance of nine in ten."""
     ended: Mapping[str, int]
     """How many ended in which way."""
     cpu_s_median: float
@@ -167,6 +171,7 @@ def _row(scenario: Scenario, runs: Sequence[Run]) -> LoopRow:
     never = float("inf")
     passes = median(run.passes if run.accepted else never for run in runs)
     first = [run.rms_nm[1] for run in runs if len(run.rms_nm) > 1]
+    came = [one for run in runs for one in run.came_nm]
     right = [set(run.named) <= set(scenario.named) and bool(run.named) == bool(scenario.named) for run in runs]
     return LoopRow(
         scenario=runs[0].scenario,
@@ -178,6 +183,8 @@ def _row(scenario: Scenario, runs: Sequence[Run]) -> LoopRow:
         first_pass_nm_median=median(first) if first else None,
         false_accepts=sum(run.falsely_accepted for run in runs),
         named_rightly=sum(right),
+        forecasts=len(came),
+        held=sum(low <= left <= high for low, high, left in came),
         ended={how: sum(run.ended == how for run in runs) for how in dict.fromkeys(run.ended for run in runs)},
         cpu_s_median=median(run.cpu_s for run in runs),
     )

@@ -26,7 +26,7 @@ from polishd.model.errors import (
     SafetyStop,
     ToolStop,
 )
-from polishd.model.events import Found
+from polishd.model.events import Found, PassBegun
 from polishd.model.finding import Finding
 from polishd.model.times import ActuatorTimes
 from polishd.process.dwell import newton_cg
@@ -118,6 +118,32 @@ async def test_another_tilt_in_each_map_ends_in_tolerance_all_the_same(bench: Be
     tilts_nm = iter([4.0, -6.0, 10.0, -10.0])
     bench.fake.metrology.measure = lambda: as_map(measure().height_nm + next(tilts_nm) * x_mm / 20.0)
     assert await bench.polish(bench.job(recipe=small_recipe(tolerance_nm=1.5))) is Outcome.IN_TOLERANCE
+
+
+async def test_a_pass_that_will_hardly_gain_is_not_made(bench: Bench) -> None:
+    job = bench.job()
+    job._believed = replace(job._believed, unexplained=9.0)  # passes left nine times what they removed
+    assert await bench.polish(job) is Outcome.STALLED
+    assert not bench.journal.passes
+    assert not bench.fake.of("robot.resume", "actuator.set_force")
+    (found,) = [event for event in job.told if isinstance(event, Found)]
+    assert found.what.startswith("the next pass would leave ")
+    assert found.what.endswith("it is not made. Take another tool, or tolerance, or a quieter map")
+    assert (job.folder.cycle(0).path / "certificate.json").exists(), "for people, what was solved and not used"
+
+
+async def test_what_a_pass_is_expected_to_leave_is_told_and_kept(bench: Bench) -> None:
+    job = bench.job(max_cycles=1)
+    await bench.polish(job)
+    (begun,) = [event for event in job.told if isinstance(event, PassBegun)]
+    (record,) = bench.journal.passes
+    assert begun.forecast == record.facts["forecast"]
+    low, high = (record.facts["forecast"][key] for key in ("low_nm", "high_nm"))
+    assert record.facts["shown"]["expected_nm"] == [low, high]
+    assert 0.0 < low < high < record.facts["shown"]["before_nm"]
+    entry, last = job.summary()["cycles"]
+    assert (entry["expected_low_nm"], entry["expected_high_nm"]) == (low, high)
+    assert last["expected_low_nm"] is None
 
 
 # what is journalled

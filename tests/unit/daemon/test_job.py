@@ -57,7 +57,7 @@ async def measure(job: Job, cycle: int, rms_nm: float) -> Measured:
 
 
 async def planned(job: Job, cycle: int, surface: Measured) -> Plan:
-    return await job.plan(cycle, await job.solve(cycle, surface))
+    return await job.plan(cycle, surface, await job.solve(cycle, surface))
 
 
 async def run(
@@ -143,7 +143,8 @@ async def test_a_pass_is_journalled_before_it_moves(job: Job, journal: Journal) 
     assert (unfinished.program_sha256, unfinished.boot_id) == (plan.program.sha256, "boot-1")
     (record,) = journal.passes
     assert (record.contact_from, record.contact_to) == (plan.approach_blocks, plan.contact_blocks)
-    assert set(record.facts) == {"certificate", "predicted_rms_nm", "dwell_s", "rate", "block_overhead_s", "removal"}
+    believed = {"rate", "block_overhead_s", "unexplained", "removal"}
+    assert set(record.facts) == {"certificate", "predicted_rms_nm", "dwell_s", "forecast", *believed}
 
 
 async def test_a_pass_that_ended_is_kept_for_people(job: Job, journal: Journal, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from polishd.process.identification.comparison import compare, extensions
 from polishd.process.identification.confounding import told
 from polishd.process.identification.decision import decide
 from polishd.process.identification.forward import forward
-from polishd.process.identification.identify import Identified, identify
+from polishd.process.identification.identify import Identified, displaced_mm, identify
 from polishd.process.identification.parameters import Knowledge, advanced, unlearned, usual_parameters
 from polishd.process.identification.passes import Noise
 from polishd.process.identification.prediction import Prediction, interval, predict, rms_samples
@@ -270,10 +270,31 @@ def test_a_small_shift_is_corrected_and_a_large_one_stops() -> None:
     assert small.corrected[0].size == pytest.approx(0.2, abs=0.02)
     assert small.stops == ()
     large = decide(polished().identified({"offset_x": 1.2}, "offset"))
-    assert large.stops[0].startswith("offset of 1.2 +- 0.00")
-    assert "more than 0.5: look at tool, seat and map" in large.stops[0]
-    lenient = decide(polished().identified({"offset_x": 1.2}, "offset"), limits={"offset": 2.0})
+    assert large.stops[0].startswith(
+        "the spot acts 1.20 +- 0.00 mm off where it should, more than 0.5, by offset of 1.2"
+    )
+    assert "look at tool, seat and map" in large.stops[0]
+    lenient = decide(polished().identified({"offset_x": 1.2}, "offset"), misses_mm=2.0)
     assert lenient.stops == ()
+
+
+def test_how_far_the_spot_misses_is_offset_and_shift_together() -> None:
+    one = polished(lean="fixed")
+    known = knowing("offset shift")
+    lean = one.azimuth[0]
+    at = {"offset_y": 0.9, "shift_x": -0.9 * np.cos(lean), "shift_y": -0.9 * np.sin(lean)}
+    mean = np.array([at.get(name, 0.0) for name in known.names])
+    sigma = np.array([0.01 if name in at else 0.0 for name in known.names])
+    against = replace(known, mean=mean, covariance=np.diag(sigma**2))
+    assert displaced_mm(one.blocks(), against)[0] == pytest.approx(0.0, abs=1e-6)
+    alone = replace(against, mean=np.where(np.array(known.names) == "offset_y", mean, 0.0))
+    assert displaced_mm(one.blocks(), alone) == pytest.approx((0.9, 0.01 * np.sqrt(2)), rel=1e-9)
+    turned = knowing("rotation")
+    turned = replace(turned, mean=np.array([float(name == "rotation") for name in turned.names]))
+    middle = (one.blocks().start_mm + one.blocks().end_mm) / 2
+    radius = np.sqrt(np.average((middle**2).sum(axis=1), weights=one.blocks().time_s))
+    assert displaced_mm(one.blocks(), turned)[0] == pytest.approx(np.radians(radius), rel=1e-9)
+    assert displaced_mm(one.blocks(), knowing("wear")) == (0.0, 0.0)
 
 
 @pytest.mark.slow

@@ -60,5 +60,6 @@ def test_the_example_runs_and_learns(site: Path, capsys: pytest.CaptureFixture[s
     assert re.fullmatch(r"\d+\.\d\d nm RMS in the clear aperture", said[0])
     assert re.fullmatch(r"\d+ s leave \d+\.\d\d nm", said[1])
     assert names["taught"].believed.rate == pytest.approx(REMOVED, abs=0.03)
-    assert said[2].startswith("rate 0.")
+    assert re.fullmatch(r"the next map: \d+\.\d\d to \d+\.\d\d nm \(90 %\)", said[2])
+    assert said[3].startswith("rate 0.")
     assert names["again"].dwell.certificate.predicted_rms_nm < names["after"].stats.rms_nm

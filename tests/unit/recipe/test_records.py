@@ -17,6 +17,7 @@ from polishd.model.beliefs import Belief, Beliefs, MachineBeliefs, MapPixels
 from polishd.model.errors import ComputeError
 from polishd.model.program import Program
 from polishd.model.surface import Grid
+from polishd.process.forecast import Forecast
 from polishd.process.registration.record import Registration
 from polishd.recipe import dwell_step, steps
 from polishd.recipe.encoding import npz
@@ -25,6 +26,9 @@ from polishd.recipe.staying import Staying
 from tests.unit.daemon.small import at_rate, gaussian_effect, small_map, small_program, small_recipe
 
 LIES = Registration(0.1, (0.3, -0.2), residual_mm=0.01, used=7, by="fiducials", scale=1.001)
+
+
+EXPECTED = Forecast(0.5, 0.8, 1.4, 0.9, 0.99)
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +50,7 @@ def solved(program: Program, measured: Measured) -> Solved:
 @pytest.fixture(scope="module")
 def planned(program: Program, solved: Solved) -> Planned:
     plan = steps.rewrite(small_recipe(), program, solved, "small.rnc")
-    kept = Planned.of(plan, solved, steps.in_part_frame(small_recipe(), plan.program))
+    kept = Planned.of(plan, solved, steps.in_part_frame(small_recipe(), plan.program), EXPECTED)
     return replace(kept, state={"multipliers": np.arange(3.0)})
 
 
@@ -245,7 +249,7 @@ def test_what_a_pass_taught_leaves(program: Program, measured: Measured, solved:
         assert float(maps["pitch_mm"]) == measured.grid.pitch_mm
         return
     learned = json.loads(files["learned.json"])
-    assert set(learned["beliefs"]) == {"rate", "block_overhead_s", "removal", "notes"}
+    assert set(learned["beliefs"]) == {"rate", "block_overhead_s", "unexplained", "removal", "notes"}
     assert learned["beliefs"]["removal"]["rate"]["sigma"] == learned["rate_sigma"]
     keys = {"beliefs", "rate", "measured_rate", "rate_sigma", "correlation", "explained", "shown", "notes"}
     assert set(learned) == keys

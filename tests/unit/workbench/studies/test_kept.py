@@ -18,7 +18,7 @@ from tests.unit.workbench.studies.test_loops import LOOPS, NONE, study_file
 
 
 def run_of(case: Case, ended: str = "in_tolerance") -> Run:
-    return Run(*case, ended, "", (), 1, (9.0, 1.0), (1.1,), (9.0, 1.1), True, 2.0)
+    return Run(*case, ended, "", (), 1, (9.0, 1.0), (1.1,), (9.0, 1.1), ((0.5, 1.5, 1.0),), True, 2.0)
 
 
 @pytest.fixture

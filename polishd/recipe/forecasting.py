@@ -1,0 +1,33 @@
+"""What a planned pass is expected to leave, from what the recipe and the cycles know."""
+
+from __future__ import annotations
+
+from polishd.model.program import Plan
+from polishd.process import metrics
+from polishd.process.forecast import Forecast, forecast
+from polishd.recipe.recipe import Recipe
+from polishd.recipe.records import Believed, Measured
+
+SIGMAS = 3.0
+"""Of the rate before anything was learned: what ``limits.max_rate_change`` refuses is so many standard errors off."""
+
+
+def forecast_of(recipe: Recipe, measured: Measured, plan: Plan, believed: Believed) -> Forecast:
+    """Of a plan that was made for that surface by what was believed."""
+    mask, alignment = measured.metric_mask, recipe.part.alignment
+    maps = (measured.height_nm, plan.predicted_removal_nm)
+    now, removal = (metrics.without(one, mask, alignment)[mask] for one in maps)
+    return forecast(now, removal, rate_sigma=_rate_sigma(recipe, believed), unexplained=believed.unexplained)
+
+
+def noise_nm(recipe: Recipe, measured: Measured) -> float:
+    """RMS of a map's noise on the process grid, as far as anybody has said: a cell is the mean of its samples."""
+    one = 0.0 if recipe.instrument is None else recipe.instrument.repeatability_nm or 0.0
+    if measured.map_grid is None:
+        return one
+    return one * min(measured.map_grid.pitch_mm / measured.grid.pitch_mm, 1.0)
+
+
+def _rate_sigma(recipe: Recipe, believed: Believed) -> float:
+    rate = believed.removal.rate
+    return recipe.max_rate_change / SIGMAS if rate.sigma is None else rate.sigma / rate.value
