@@ -263,7 +263,8 @@ class DwellSection(Section):
     """Largest KKT residual of a dwell that is used; one beyond it gives no plan. [1]"""
     choose: Choice = "least"
     """Which dwell: the least residual, or a point of the curve of residual against time, where 1 % more time buys
-    less than 1 %, at `target_nm`, or within `budget_s`."""
+    less than 1 %, at `target_nm`, or within `budget_s`. Or `as_programmed`: the times that the program has, whatever
+    the map says, for one pass that is to teach, not to correct."""
     budget_s: Positive | None = None
     """Total dwell for `choose = "budget"`: the best residual in it."""
     target_nm: Positive | None = None

@@ -34,12 +34,12 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
         surface = await handling.settled(cycle, surface)
         async with journal.phase(cycle, Phase.LEARN):
             await job.learn(cycle, surface)  # first: no figure is believed of a map that the gate stops
-        if job.accepts(surface):
+        if job.judging.accepts(surface):
             return Outcome.IN_TOLERANCE
-        if job.diverges(surface):
+        if job.judging.diverges(surface):
             return Outcome.DIVERGED
         if cycle == job.last_cycle:
-            return Outcome.CYCLES_USED
+            return job.judging.used_up
         if job.stalled:
             return Outcome.STALLED
         job.require_tool()
@@ -72,7 +72,7 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
                     await job.cut_off(cycle)
                 raise
             await job.end_pass(cycle)
-    return Outcome.CYCLES_USED
+    return job.judging.used_up
 
 
 _in_contact: set[object] = set()

@@ -39,6 +39,7 @@ NEXT: Mapping[str, str] = {
     "failed": f"the daemon has ended; when that is mended: {_AGAIN}",
     "stopped": f"the daemon has ended; to go on with this job: {_AGAIN}",
     "in_tolerance": _OVER,
+    "as_programmed": f"what the pass has taught is remembered, polishd beliefs CELL.toml shows it: {_OVER}",
     "cycles_used": f"the part is not in tolerance: {_OVER}",
     "diverged": f"the surface got worse: {_OVER}",
     "stalled": f"passes bring too little of what was predicted: {_OVER}",

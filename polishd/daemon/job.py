@@ -14,6 +14,7 @@ from polishd.daemon.compute import Compute
 from polishd.daemon.for_people import ForPeople
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord, MapRecord, PassRecord
+from polishd.daemon.judging import Judging
 from polishd.daemon.safety import ContactLimits
 from polishd.daemon.watching import watch
 from polishd.model import events
@@ -24,17 +25,15 @@ from polishd.model.finding import Finding
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
-from polishd.model.tolerance import holds
 from polishd.process.conditioning import Masks
 from polishd.process.contact import relative_removal
 from polishd.process.executed import executed_s
-from polishd.process.findings import diverged, worthless
 from polishd.process.registration.record import Registration
 from polishd.recipe import dwell_step, steps
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.forecasting import forecast_of
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved, Taught, figures, tolerated_nm
+from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved, Taught, figures
 
 PROGRESS_BLOCKS = 50
 """Blocks between two progress events."""
@@ -81,9 +80,11 @@ class Job:
 
     people: ForPeople = field(init=False)
     """What it leaves in its run folder."""
+    judging: Judging = field(init=False)
 
     def __post_init__(self) -> None:
         self.people = ForPeople(self.folder, self.journal)
+        self.judging = Judging(self.recipe, self.journal)
         self._believed = steps.believed_at_first(self.recipe)
 
     async def load(self) -> None:
@@ -131,17 +132,6 @@ class Job:
         told = {"spikes": measured.spikes, "judged": facts["judged"], "run_dir": facts["run_dir"]}
         self.publish(events.Measured(cycle=cycle, stats=stats, notes=notes, **told))
         return measured
-
-    def accepts(self, surface: Measured) -> bool:
-        """Whether all lines of the tolerance hold."""
-        return holds(surface.judged)
-
-    def diverges(self, surface: Measured) -> bool:
-        """Whether the surface is clearly worse than it has been."""
-        torn = [record.cycle for record in self.journal.passes if record.how != "done"]
-        since = max(torn, default=-1)  # a pass that was torn off leaves a step, which is nobody's divergence
-        earlier = [tolerated_nm(record.stats) for record in self.journal.history[:-1] if record.cycle > since]
-        return diverged(earlier, surface.figure_nm)
 
     # learn, solve, plan
 
@@ -210,10 +200,9 @@ class Job:
 
     def worthless(self, cycle: int) -> bool:
         """Whether the pass that was planned will hardly leave the surface better than it is: nobody makes it then."""
-        expected = self._planned[cycle].forecast
-        if found := expected and worthless(expected, self.recipe.finding):
+        if found := self.judging.worthless(self._planned[cycle].forecast):
             self.publish(events.Found(cycle=cycle, kind=found.kind, what=found.what, stops=found.stops))
-        return bool(found)
+        return found is not None
 
     def refuse_unsafe(self, plan: Plan) -> None:
         """PlanRefused with every violation that a check found."""

@@ -28,6 +28,7 @@ class Rule:
 
 RULES = (
     Rule((Outcome.IN_TOLERANCE,), "accepted", "goes on", "the part is in tolerance"),
+    Rule((Outcome.AS_PROGRAMMED,), "accepted", "goes on", "it was polished as its program says, to teach"),
     Rule((Outcome.CYCLES_USED,), "rejected", "goes on", "all its passes are used"),
     Rule((Outcome.STALLED,), "put aside", "goes on", "its passes bring too little, and a person may find why"),
     Rule(

@@ -25,6 +25,7 @@ class Outcome(StrEnum):
 
     IN_TOLERANCE = "in_tolerance"
     CYCLES_USED = "cycles_used"
+    AS_PROGRAMMED = "as_programmed"
     DIVERGED = "diverged"
     STALLED = "stalled"
     STOPPED = "stopped"
@@ -32,6 +33,7 @@ class Outcome(StrEnum):
 
 EXIT_CODES: Mapping[Outcome, int] = {
     Outcome.IN_TOLERANCE: 0,
+    Outcome.AS_PROGRAMMED: 0,
     Outcome.CYCLES_USED: 1,
     Outcome.STALLED: 1,
     Outcome.STOPPED: 1,

@@ -317,7 +317,9 @@ class JobFinished(Event):
 
     name: ClassVar[str] = "job_finished"
     run_dir: Annotated[str, "the run folder"]
-    outcome: Annotated[str, "`in_tolerance`, `cycles_used`, `diverged`, `stalled`, `stopped` or `failed`"]
+    outcome: Annotated[
+        str, "`in_tolerance`, `cycles_used`, `as_programmed`, `diverged`, `stalled`, `stopped` or `failed`"
+    ]
     reason: Annotated[str, "why it was stopped or failed, or what of a queue was decided; else empty"] = ""
     standing: Annotated[Standing | None, "as of `state`; None where the daemon goes on"] = None
 

@@ -1,9 +1,9 @@
 """What a planned pass is expected to leave, as a distribution, before it is made; and how far off passes have been.
 
 ``after = left - error of the rate * removal - what no rate explains``, and the next map's noise is in the place of the
-last one's, which no spot follows. The rate's error is normal; what no rate explains (a rate that changes over the part,
-a spot of another shape or place) is a smooth field as large as the passes before have shown, or `UNEXPLAINED` where
-there were none.
+last one's, which no spot follows. The rate's error is normal; what no rate explains (a rate that changes over the part
+or the time, a spot of another shape or place) is a smooth field, as large beside all that is removed as the passes
+before have shown, or `UNEXPLAINED` where there were none; and so large only within a factor.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.removal_fit import MIN_SIGNAL_NM, levelled
 
 LEVEL = 0.9
-UNEXPLAINED = 0.05
-"""Of the removal's variation, RMS, before a pass has shown it: what plants of this package's scenarios have."""
+UNEXPLAINED = 0.007
+"""Of the removal, RMS, before a pass has shown it: what plants of this package's scenarios have."""
+WITHIN = 0.6
+"""Standard deviation of the natural logarithm of how large it is in the next pass."""
 MODES = 12
 """Independent parts of the field that no rate explains: a part is so many of its correlation lengths."""
 SURE_NOISE = 3.0
@@ -47,14 +49,17 @@ class Forecast:
         return f"{self.low_nm:.2f} to {self.high_nm:.2f} nm ({100 * self.level:.0f} %)"
 
 
-def forecast(now_nm: FloatArray, removal_nm: FloatArray, *, rate_sigma: float, unexplained: float) -> Forecast:
+def forecast(
+    now_nm: FloatArray, removal_nm: FloatArray, *, removed_nm: float, rate_sigma: float, unexplained: float
+) -> Forecast:
     """Of a pass.
 
     Args:
         now_nm: (n,) surface in the clear aperture as measured, aligned.
         removal_nm: (n,) what the pass is expected to remove there, aligned likewise.
+        removed_nm: RMS of the removal, all of it.
         rate_sigma: standard error of the removal rate, relative.
-        unexplained: RMS of what no rate explains, relative to that of the removal.
+        unexplained: RMS of what no rate explains, relative to that.
     """
     rng = np.random.default_rng(0)  # the same question has the same answer
     left, removal = now_nm - removal_nm, removal_nm - removal_nm.mean()
@@ -62,7 +67,8 @@ def forecast(now_nm: FloatArray, removal_nm: FloatArray, *, rate_sigma: float, u
     own, across, square = (float(np.mean(a * b)) for a, b in ((left, left), (left, removal), (removal, removal)))
     off = rate_sigma * rng.standard_normal(SAMPLES)
     by_rate = np.maximum(own - 2 * off * across + off**2 * square, 0.0)
-    field = unexplained**2 * square * rng.chisquare(MODES, SAMPLES) / MODES
+    size = unexplained * removed_nm * np.exp(WITHIN * rng.standard_normal(SAMPLES))
+    field = size**2 * rng.chisquare(MODES, SAMPLES) / MODES
     mixed = 2 * np.sqrt(by_rate * field / MODES) * rng.standard_normal(SAMPLES)
     after = np.sqrt(np.maximum(by_rate + field + mixed, 0.0))
     low, median, high = np.quantile(after, [(1 - LEVEL) / 2, 0.5, (1 + LEVEL) / 2])
@@ -71,10 +77,10 @@ def forecast(now_nm: FloatArray, removal_nm: FloatArray, *, rate_sigma: float, u
 
 
 def unexplained(predicted_nm: FloatArray, measured_nm: FloatArray, mask: BoolArray, noise_nm: float) -> float | None:
-    """What no rate explains of a pass, relative to its removal; None where the pass is too weak to tell.
+    """What no rate explains of a pass, relative to all that it removed; None where the pass is too weak to tell.
 
     Args:
-        predicted_nm: (ny, nx) removal by the model, of what was executed.
+        predicted_nm: (ny, nx) removal by the model, of what was executed, all of it.
         measured_nm: (ny, nx) map before less map after.
         mask: (ny, nx) the clear aperture.
         noise_nm: RMS of one map's noise on these samples.
@@ -86,7 +92,7 @@ def unexplained(predicted_nm: FloatArray, measured_nm: FloatArray, mask: BoolArr
         return None
     rate = float(predicted @ measured / (predicted @ predicted))
     rest = float(np.mean((measured - rate * predicted) ** 2))
-    return float(np.sqrt(max(rest - change_nm**2, 0.0)) / size)
+    return float(np.sqrt(max(rest - change_nm**2, 0.0) / np.mean(predicted_nm[mask] ** 2)))
 
 
 def pooled(known: float, shown: float | None) -> float:

@@ -19,6 +19,7 @@ from polishd.model.program import Program
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process import motion
 from polishd.process.dwell.budget import to_target, within_budget
+from polishd.process.dwell.certificate import certified
 from polishd.process.dwell.curve import Row, Solve, price_curve
 from polishd.process.dwell.curve import Solved as Chosen
 from polishd.process.dwell.limit import TimeLimit
@@ -49,6 +50,7 @@ CROSS_CHECK_GAP = 1e-3
 """Most by which an independent solver may be better."""
 LAST_SHARE = 0.25
 """Of the step's time, what no round may touch: the last solve goes on with it where it was not done."""
+AS_PROGRAMMED = "as_programmed"
 DEADLINE = "deadline"
 """What a certificate says of a solver whose time was over."""
 KILL_RATIO, KILL_SPARE_S = 2.0, 60.0
@@ -79,6 +81,8 @@ def solve(
     believed = believed or believed_at_first(recipe)
     envelope = envelope_of(recipe, program, believed)
     answer = effect_of(recipe, program, measured.grid, believed)
+    if recipe.dwell.choose == AS_PROGRAMMED:
+        return _Step(recipe, program, measured, answer, envelope, time_limit).as_programmed(believed)
     _require_coverage(program, answer, measured)
     bounds = Bounds(motion.least_time_s(program, envelope), motion.most_time_s(program, envelope))
     foresight.require_removal_time(recipe, measured, answer, bounds.lower_s)
@@ -166,6 +170,16 @@ class _Step:
         unasked = motion.least_time_s(self.program, envelope) if dwells else envelope.block_overhead_s
         asked = np.maximum(dwell.time_s - unasked, 0.0)
         return Round(problem, dwell, asked, motion.delivered_time_s(self.program, asked, envelope))
+
+    def as_programmed(self, believed: Believed) -> Solved:
+        """No solve: the program's own times, and what the machine makes of them."""
+        asked = self.program.time_s
+        expected = motion.delivered_time_s(self.program, asked, self.envelope)
+        problem = self.problem(Bounds(expected, expected), None)
+        how: dict[str, Any] = {"solver": AS_PROGRAMMED, "iterations": 0, "stopped": "as programmed"}
+        dwell = certified(problem, expected, seconds=self.time_limit.cpu_s, **how)
+        answer = replace(self.answer, effect=Staying(self.answer.effect, self.measured.grid))
+        return Solved(dwell, answer, asked, expected, believed)
 
     def problem(self, bounds: Bounds, warm: Start | None) -> DwellProblem:
         """The solver's; of "pointwise" the static problem, bounded so that the quotient keeps its bounds."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from polishd.model.program import Plan
 from polishd.process import metrics
 from polishd.process.forecast import Forecast, forecast
@@ -17,7 +19,9 @@ def forecast_of(recipe: Recipe, measured: Measured, plan: Plan, believed: Believ
     mask, alignment = measured.metric_mask, recipe.part.alignment
     maps = (measured.height_nm, plan.predicted_removal_nm)
     now, removal = (metrics.without(one, mask, alignment)[mask] for one in maps)
-    return forecast(now, removal, rate_sigma=_rate_sigma(recipe, believed), unexplained=believed.unexplained)
+    removed = float(np.sqrt(np.mean(plan.predicted_removal_nm[mask] ** 2)))
+    how = {"rate_sigma": _rate_sigma(recipe, believed), "unexplained": believed.unexplained}
+    return forecast(now, removal, removed_nm=removed, **how)
 
 
 def noise_nm(recipe: Recipe, measured: Measured) -> float:

@@ -140,10 +140,11 @@ def _states_no_axis(recipe: Recipe, program: Program) -> bool:
 
 def effect_of(recipe: Recipe, program: Program, grid: Grid, believed: Believed | None = None) -> RemovalAnswer:
     """Compliance, gamma and effect along the program, on the process grid, by what is believed: None before a pass."""
-    return recipe.model.effect(_request(recipe, program, grid, believed or believed_at_first(recipe)))
+    return recipe.model.effect(request_of(recipe, program, grid, believed or believed_at_first(recipe)))
 
 
-def _request(recipe: Recipe, program: Program, grid: Grid, believed: Believed) -> RemovalRequest:
+def request_of(recipe: Recipe, program: Program, grid: Grid, believed: Believed) -> RemovalRequest:
+    """What a removal model is asked for a program."""
     return RemovalRequest(
         program=as_polished(recipe, program),
         grid=grid,
@@ -163,7 +164,7 @@ def _request(recipe: Recipe, program: Program, grid: Grid, believed: Believed) -
 def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> Taught:
     """Compare predicted with measured removal of the last pass; where the gate stops, nothing is learned from it."""
     grid, mask = done.before.grid, done.before.metric_mask
-    request = _request(recipe, program, grid, believed)
+    request = request_of(recipe, program, grid, believed)
     answer = recipe.model.effect(request)
     predicted = answer.removal_nm(done.acted_s)
     measured = done.before.height_nm - done.after.height_nm
@@ -191,7 +192,9 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
     envelope = envelope_of(recipe, program, believed)
     overhead = motion.learn_overhead_s(program, done.asked_s, done.executed_s, envelope)
     shown = shown_by(done, answer, predicted, verdict, believed.rate)
-    rest = unexplained(verdict.predicted_nm, verdict.measured_nm, mask, forecasting.noise_nm(recipe, done.after))
+    rest = None  # of narrow tracks it is what the grid does not resolve
+    if recipe.dwell.choose != "as_programmed":
+        rest = unexplained(predicted, measured, mask, forecasting.noise_nm(recipe, done.after))
     learned = Believed(lesson.beliefs, overhead, pooled(believed.unexplained, rest))
     return Taught(learned, verdict, grid, lesson.found, lesson.notes, shown)
 

@@ -18,7 +18,8 @@ from polishd.api import (
     RemovalRequest,
     learn_rate,
 )
-from polishd.plugins.removal_models.along_path import path_of
+from polishd.model.surface import FloatArray
+from polishd.plugins.removal_models.along_path import Path, path_of
 from polishd.process.dynamic_tif import lean_azimuth_rad
 from polishd.process.identification.beliefs import beliefs_of, knowledge_of, on_the_next_part
 from polishd.process.identification.decision import decide
@@ -73,17 +74,7 @@ def _identified(
     request: RemovalRequest, evidence: Evidence, beliefs: MachineBeliefs, spot: Spot, reference: float
 ) -> Identified:
     path = path_of(replace(request, beliefs=replace(beliefs, applied={})), spot, reference)  # as configured
-    executed = evidence.executed_s
-    acted = executed if evidence.acted_s is None else evidence.acted_s
-    share = np.divide(acted, executed, out=np.ones_like(executed), where=executed > 0)
-    blocks = Blocks(
-        path.along.program.start_mm[:, :2],
-        path.along.program.end_mm[:, :2],
-        executed,
-        lean_azimuth_rad(path.along.program),
-        {BELIEVED: path.spots.depth_ratio},
-        path.spots.factor * share,
-    )
+    blocks = blocks_along(path, evidence.executed_s, evidence.acted_s)
     noise = Noise(NOISE_NM if evidence.noise_nm is None else evidence.noise_nm)
     measured = np.nan_to_num(evidence.measured_nm)
     removed = Removed(request.grid, measured, evidence.mask, noise, _pixels(evidence.pixels, request.grid))
@@ -93,6 +84,15 @@ def _identified(
     return identify(
         removed.coarser(odd), blocks, spot, request.process, prior, projection=BELIEVED, radius_mm=path.radius_mm
     )
+
+
+def blocks_along(path: Path, executed_s: FloatArray, acted_s: FloatArray | None = None) -> Blocks:
+    """A path's blocks as identification takes them: (n,) s executed, and at the process's own force and speed."""
+    acted = executed_s if acted_s is None else acted_s
+    share = np.divide(acted, executed_s, out=np.ones_like(executed_s), where=executed_s > 0)
+    program = path.along.program
+    ends, lean = (program.start_mm[:, :2], program.end_mm[:, :2]), lean_azimuth_rad(program)
+    return Blocks(*ends, executed_s, lean, {BELIEVED: path.spots.depth_ratio}, path.spots.factor * share)
 
 
 def _pixels(at: MapPixels | None, grid: Grid) -> Pixels | None:

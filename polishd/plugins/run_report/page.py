@@ -37,6 +37,7 @@ class Column(NamedTuple):
 VERDICTS: Mapping[str, Verdict] = {
     "in_tolerance": Verdict("good", "In tolerance"),
     "cycles_used": Verdict("bad", "Not in tolerance: all passes used"),
+    "as_programmed": Verdict("good", "Polished as programmed, to teach"),
     "diverged": Verdict("bad", "Diverged: the surface got worse"),
     "stalled": Verdict("bad", "Stalled: passes brought too little"),
     "stopped": Verdict("bad", "Stopped before the end"),

@@ -11,7 +11,7 @@ from polishd.process.identification.identify import Identified
 
 CERTAIN = 3.0
 """Standard errors that what is corrected must be away from none."""
-LIMITS = {"rate": 0.4, "rotation": 0.5, "turn": 5.0, "width": 0.2, "compliance": 0.5}
+LIMITS = {"rate": 0.4, "turn": 5.0, "width": 0.2, "compliance": 0.5}
 """Largest correction that needs no person, by extension, in its parameters' units."""
 MISSES_MM = 0.5
 """So far from where it should the spot may act, by its offset and by the part's shift and rotation together."""

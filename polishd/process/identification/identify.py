@@ -227,12 +227,9 @@ def _applied(
 
 
 def _estimates(learned: Knowledge, prior: Knowledge, comparison: Comparison, middle_h: float) -> tuple[Estimated, ...]:
-    """What is told of the rate is of that in the middle of the pass: the first minute's has the wear's error, too."""
-    middle = np.eye(len(learned.mean))
-    if {"rate", "wear"} <= set(learned.names):
-        middle[learned.at("rate"), learned.at("wear")] = -middle_h
+    """What is told of the rate is of that in the middle of the pass."""
     limits = detection_limits(learned.parameters, learned.covariance)
-    before, after = (middle @ known.covariance @ middle.T for known in (prior, learned))
+    before, after = (in_the_middle(known, middle_h) for known in (prior, learned))
     seen = told(learned.parameters, before, after)
     columns = zip(learned.parameters, learned.mean, learned.sigma, prior.sigma, strict=True)
     return tuple(
@@ -247,6 +244,14 @@ def _estimates(learned: Knowledge, prior: Knowledge, comparison: Comparison, mid
         )
         for p, value, sigma, before in columns
     )
+
+
+def in_the_middle(known: Knowledge, middle_h: float) -> FloatArray:
+    """(k, k) covariance with the rate that of so many hours after: the first minute's has the wear's error, too."""
+    middle = np.eye(len(known.mean))
+    if {"rate", "wear"} <= set(known.names):
+        middle[known.at("rate"), known.at("wear")] = -middle_h
+    return np.asarray(middle @ known.covariance @ middle.T, dtype=np.float64)
 
 
 def _levelled_odds(odds: Mapping[str, float]) -> dict[str, float]:

@@ -62,3 +62,26 @@ def exponent(
     from polishd.workbench.calibration.verbs import exponent_verb
 
     exponent_verb(spots, out, as_json=as_json)
+
+
+@app.command(name="cell")
+def cell_(
+    cell: Annotated[Path, Argument(metavar="CELL.toml", help="The cell, for parts like the witness.")],
+    *,
+    out: Annotated[Path, Option(metavar="DIR", help="A new folder, for program, job, picture and figures.")],
+    part: Annotated[str, Option(metavar="ID", help="What the maps of the witness part name.")] = "WITNESS",
+    minutes: Annotated[float, Option(min=0.1, metavar="M", help="Most contact time.")] = 20.0,
+    want: Annotated[list[str] | None, Option(metavar="NAME=SIGMA", help="A standard error wanted; repeatable.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Plan a first touch on a witness part: the tracks that tell most of the machine in the least contact time."""
+    from polishd.workbench.calibration.touch import TouchOptions, touch_verb
+
+    wanted = {}
+    for text in want or []:
+        name, _, sigma = text.partition("=")
+        try:
+            wanted[name.strip()] = float(sigma)
+        except ValueError:
+            raise typer.BadParameter(f"--want {text}: is no NAME=SIGMA, such as rate=0.01") from None
+    touch_verb(cell, out, TouchOptions(part, minutes, wanted), as_json=as_json)

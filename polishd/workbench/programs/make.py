@@ -99,10 +99,10 @@ def make_program(options: MakeOptions, config: CellConfig | None, hooks: Hooks |
     ComputeError or ProgramError where it cannot be, or where the cell's `plan` or `run` would refuse it.
     """
     encoding = _encoding(options)
-    dialect = options.dialect or (DEFAULT if config is None else _dialect_of(config))
+    dialect = options.dialect or (DEFAULT if config is None else dialect_of(config))
     made = make_path(options, config)
     feed, time_s = _timing(options, encoding, made.length_mm)
-    points, axis = _in_program_frame(config, made.points_mm, made.axis)
+    points, axis = in_program_frame(config, made.points_mm, made.axis)
     text = path_program(
         points, axis, feed, _title(options), encoding=encoding, dwell_s=options.dwell_s or 0.0, to=dialect
     )
@@ -123,7 +123,7 @@ def make_program(options: MakeOptions, config: CellConfig | None, hooks: Hooks |
     return MadeProgram(made, text, answer)
 
 
-def _dialect_of(config: CellConfig) -> str:
+def dialect_of(config: CellConfig) -> str:
     """The cell's: a shipped name, or the path of a profile of its own."""
     own = {dialect_named(path).name: str(path) for path in config.dialect_paths}
     return own.get(config.program.format, config.program.format)
@@ -220,7 +220,7 @@ def _timing(options: MakeOptions, encoding: Encoding, length_mm: FloatArray) -> 
     return feed, 60 * length_mm / feed
 
 
-def _in_program_frame(config: CellConfig | None, points: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
+def in_program_frame(config: CellConfig | None, points: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
     """From the part's frame to the one that the cell's programs are written in."""
     if config is None:
         return points, axis

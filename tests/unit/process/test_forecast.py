@@ -8,7 +8,7 @@ import pytest
 from polishd.model.finding import FindingLimits
 from polishd.model.surface import FloatArray
 from polishd.process.findings import worthless
-from polishd.process.forecast import UNEXPLAINED, Forecast, forecast, pooled, unexplained
+from polishd.process.forecast import UNEXPLAINED, WITHIN, Forecast, forecast, pooled, unexplained
 
 N = 72
 X, Y = np.meshgrid(np.linspace(-1, 1, N), np.linspace(-1, 1, N))
@@ -33,7 +33,7 @@ def figure(rng: np.random.Generator) -> FloatArray:
     return np.asarray(left / left.std())
 
 
-@pytest.mark.parametrize(("rate_sigma", "share"), [(0.05, 0.0), (0.0, 0.06), (0.1, 0.05), (0.01, 0.01)])
+@pytest.mark.parametrize(("rate_sigma", "share"), [(0.05, 0.0), (0.0, 0.02), (0.1, 0.02), (0.01, 0.005)])
 def test_nine_of_ten_come_between(rate_sigma: float, share: float) -> None:
     rng = np.random.default_rng(7)
     held = 0
@@ -41,8 +41,8 @@ def test_nine_of_ten_come_between(rate_sigma: float, share: float) -> None:
         true = 18.0 * figure(rng)
         seen = true + NOISE_NM * rng.standard_normal(true.size)
         removal = 0.98 * true
-        told = forecast(seen, removal, rate_sigma=rate_sigma, unexplained=share)
-        odd = share * removal.std() * field(rng) if share else 0.0
+        told = forecast(seen, removal, removed_nm=60.0, rate_sigma=rate_sigma, unexplained=share)
+        odd = share * 60.0 * np.exp(WITHIN * rng.standard_normal()) * field(rng) if share else 0.0
         after = true - (1 + rate_sigma * rng.standard_normal()) * removal - odd
         held += told.holds(float((after + NOISE_NM * rng.standard_normal(true.size)).std()))
     assert 0.82 <= held / 300 <= 0.97, f"{held} of 300: 90 % are to, and 300 tell 90 from 82"
@@ -50,8 +50,8 @@ def test_nine_of_ten_come_between(rate_sigma: float, share: float) -> None:
 
 def test_a_known_machine_has_a_narrow_forecast_and_an_unknown_one_a_wide() -> None:
     now = 18.0 * figure(np.random.default_rng(1))
-    narrow = forecast(now, now, rate_sigma=0.01, unexplained=0.01)
-    wide = forecast(now, now, rate_sigma=0.2, unexplained=0.05)
+    narrow = forecast(now, now, removed_nm=60.0, rate_sigma=0.01, unexplained=0.002)
+    wide = forecast(now, now, removed_nm=60.0, rate_sigma=0.2, unexplained=0.02)
     assert narrow.high_nm - narrow.low_nm < 0.1 * (wide.high_nm - wide.low_nm)
     assert narrow.low_nm <= narrow.median_nm <= narrow.high_nm
     assert narrow.better == wide.better == 1.0
@@ -60,26 +60,34 @@ def test_a_known_machine_has_a_narrow_forecast_and_an_unknown_one_a_wide() -> No
 def test_the_rate_s_error_is_of_what_varies_of_the_removal() -> None:
     """An even removal has no rate that could be seen."""
     now = 2.0 * figure(np.random.default_rng(2))
-    told = forecast(now, np.full(now.size, 100.0), rate_sigma=0.3, unexplained=0.1)
+    told = forecast(now, np.full(now.size, 100.0), removed_nm=100.0, rate_sigma=0.3, unexplained=0.0)
     assert told.low_nm == told.high_nm == pytest.approx(2.0)
+
+
+def test_what_no_rate_explains_goes_with_all_that_is_removed() -> None:
+    now = 2.0 * figure(np.random.default_rng(2))
+    little, much = (
+        forecast(now, now, removed_nm=removed, rate_sigma=0.0, unexplained=0.01) for removed in (20.0, 200.0)
+    )
+    assert much.median_nm == pytest.approx(10 * little.median_nm, rel=1e-6)
 
 
 def test_noise_that_no_spot_follows_comes_again() -> None:
     now = 10.0 * figure(np.random.default_rng(3))
     noise = 0.5 * np.random.default_rng(4).standard_normal(now.size)
-    told = forecast(now + noise, now, rate_sigma=0.0, unexplained=0.0)
+    told = forecast(now + noise, now, removed_nm=60.0, rate_sigma=0.0, unexplained=0.0)
     assert told.median_nm == pytest.approx(0.5, rel=0.03)
 
 
 def test_what_no_rate_explains_is_found_beside_noise() -> None:
     rng = np.random.default_rng(4)
     predicted, odd = np.zeros(MASK.shape), np.zeros(MASK.shape)
-    predicted[MASK], odd[MASK] = 18.0 * figure(rng), figure(rng)
+    predicted[MASK], odd[MASK] = 40.0 + 18.0 * figure(rng), figure(rng)
     noise = NOISE_NM * rng.standard_normal((2, *MASK.shape))
     measured = 0.9 * predicted + 40.0 + 3.0 * X + odd + noise[0] - noise[1]
-    assert unexplained(predicted, measured, MASK, NOISE_NM) == pytest.approx(1.0 / 18.0, rel=0.1)
+    assert unexplained(predicted, measured, MASK, NOISE_NM) == pytest.approx(1.0 / np.hypot(40.0, 18.0), rel=0.1)
     nothing = 0.9 * predicted + noise[0] - noise[1]
-    assert unexplained(predicted, nothing, MASK, NOISE_NM) == pytest.approx(0.0, abs=0.005)
+    assert unexplained(predicted, nothing, MASK, NOISE_NM) == pytest.approx(0.0, abs=0.002)
 
 
 def test_a_weak_pass_shows_nothing_of_it() -> None:

@@ -16,7 +16,7 @@ from polishd.model.instrument import Instrument
 from polishd.model.process import ComplianceOptions, MeasuredTif, Optic, Placement
 from polishd.model.program import Program
 from polishd.plugins.dwell_solvers import qp
-from polishd.process import metrics
+from polishd.process import metrics, motion
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.frames import dips_deg, surface_normals
@@ -525,3 +525,19 @@ def test_everything_pickles(solved: Solved, measured: Measured) -> None:
     """The worker is another process."""
     for value in (small_recipe(), solved, measured, Believed()):
         assert type(pickle.loads(pickle.dumps(value))) is type(value)
+
+
+def test_as_programmed_no_time_is_changed() -> None:
+    recipe, program = small_recipe(choose="as_programmed"), small_program()
+    measured = steps.condition(recipe, small_map())
+    solved = dwell_step.solve(recipe, program, measured)
+    plan = steps.rewrite(recipe, program, solved, "small.rnc")
+    assert plan.program.time_s == pytest.approx(program.time_s, rel=1e-6)
+    certificate = solved.dwell.certificate
+    dwell_step.require_certificate(certificate, recipe)
+    assert (certificate.solver, certificate.kkt_residual, certificate.cross_check) == ("as_programmed", 0.0, None)
+    expected = motion.delivered_time_s(program, program.time_s, steps.envelope_of(recipe, program))
+    assert solved.expected_s == pytest.approx(expected)
+    left = measured.height_nm - solved.answer.removal_nm(expected)
+    clear = measured.metric_mask
+    assert certificate.predicted_rms_nm == pytest.approx(float(left[clear].std()), rel=1e-6)

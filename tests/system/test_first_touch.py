@@ -1,0 +1,72 @@
+"""A first touch, as a person makes it: planned, polished on a witness part, and remembered by the next job."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+import pytest
+
+from polishd.config.cell import load_config
+from polishd.console.demo_files import DemoFiles
+from polishd.console.simulator import simulated_cell
+from tests.system.cell_rig import Daemon, summary, with_keys, write_small
+
+pytestmark = [pytest.mark.system, pytest.mark.full]
+
+RATE = -0.2
+MACHINE = {"learns": "machine"}
+PLANT = {"truth": {"rate": [RATE, RATE], "stiffness": 0.0, "drift": 0.0}}
+
+
+def polishd(*arguments: str, cwd: Path) -> str:
+    command = [sys.executable, "-m", "polishd.cli", *arguments]
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.timeout(900)
+def test_what_a_touch_teaches_the_next_job_begins_with(tmp_path: Path) -> None:
+    files = write_small(tmp_path, tolerance_nm=3.0, max_cycles=2)
+    plain = with_keys(files.cell.read_text(), {"process": MACHINE})
+    files.cell.write_text(plain)
+    files.sim.write_text(with_keys(files.sim.read_text(), PLANT))
+    part = load_config(files.cell).part.id
+
+    told = json.loads(
+        polishd("calibrate", "cell", "cell.toml", "--out", "touch", "--part", part, "--json", cwd=tmp_path)
+    )
+    errors = {row["name"]: (row["before"], row["after"]) for row in told["parameters"]}
+    assert told["contact_min"] < 5.0
+    assert errors["rate"][1] < 0.1 * errors["rate"][0]
+    assert errors["offset_x"][1] < 0.02
+
+    files.cell.write_text(f'include = ["touch/fragment.toml"]\n{plain}')
+    with cell(files), Daemon(files) as daemon:
+        assert daemon.wait() == 0, files.daemon_log.read_text()
+    touch = summary(files)
+    assert touch["outcome"] == "as_programmed"
+    assert len(touch["cycles"]) == 2, "one pass, between two maps"
+    assert touch["cycles"][1]["rms_nm"] > touch["cycles"][0]["rms_nm"], "a touch corrects nothing"
+    (belief,) = json.loads(polishd("beliefs", "cell.toml", "--json", cwd=tmp_path))["beliefs"]
+    assert belief["job"] == f"first-touch-{part}"
+
+    files.cell.write_text(plain)
+    shutil.rmtree(files.sim_dir)
+    with cell(files), Daemon(files) as daemon:  # the same machine, with a new part
+        daemon.wait()
+    first, second = summary(files)["cycles"][:2]
+    assert any(f"pass 1 of job 'first-touch-{part}'" in note for note in first["notes"]), first["notes"]
+    assert first["rate"] == pytest.approx(1 + RATE, abs=0.04)
+    assert first["expected_high_nm"] < 0.1 * first["rms_nm"], "it knows its machine, and what it knows it by"
+    assert second["rms_nm"] < 0.15 * first["rms_nm"], "20 % of rate that nobody knew would leave 20 %"
+
+
+def cell(files: DemoFiles) -> AbstractContextManager[object]:
+    options = ["--state", str(files.sim_dir), "--seed", "4", "--speed", "10"]
+    return simulated_cell(files.sim, options, files.out / "sim.stderr")
