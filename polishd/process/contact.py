@@ -86,7 +86,8 @@ def sliding_speed_mm_s(process: ToolProcess, depth_mm: Depth, x_mm: FloatArray, 
     """Speed of the bonnet along the surface at (x, y) of the tool's frame (eq. 17-18, rigid spin), mm/s."""
     dip, spin = np.radians(process.dip_deg), process.rpm * np.pi / 30
     height = process.tool_radius_mm - np.asarray(depth_mm)
-    return np.asarray(spin * np.hypot(np.sin(dip) * height + np.cos(dip) * y_mm, np.cos(dip) * x_mm))
+    across, along = np.sin(dip) * height + np.cos(dip) * y_mm, np.cos(dip) * x_mm
+    return np.asarray(spin * np.sqrt(across * across + along * along))  # hypot takes four times as long
 
 
 def dissipative_shift_mm(process: ToolProcess, depth_mm: Depth) -> FloatArray:
