@@ -54,7 +54,9 @@ class Numbered(Talk):
     def tells(self, sent: bytes, reply: bytes) -> bool:
         for line in sent.split(b"\n"):
             text, _, check = line[line.rfind(b"$") + 1 :].rstrip(b"\r").rpartition(b"*")
-            sound = check == b"%02X" % reduce(xor, text, 0) and text.partition(b",")[0] == self._number
+            number = text.partition(b",")[0]
+            due = number.isdigit() and int(number) >= int(self._number)  # of this request, or of one that will be asked
+            sound = check == b"%02X" % reduce(xor, text, 0) and due
             if sound and b"$%b*%b" % (text, check) != reply.strip():
                 return False
         return True
