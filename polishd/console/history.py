@@ -40,7 +40,9 @@ def history_table(name: str, jobs: Sequence[JobHistory]) -> Table:
     """A row a job, and how many parts came into tolerance."""
     ended = Counter(job.outcome or "under way, or given up" for job in jobs)
     words = ", ".join(f"{count} {outcome.replace('_', ' ')}" for outcome, count in ended.most_common())
-    return figure_table(f"{name}: {len(jobs)} jobs ({words})", COLUMNS, map(_row, jobs))
+    told = [one.as_forecast for job in jobs for one in job.measured if one.as_forecast is not None]
+    held = f"; {sum(told)} of {len(told)} passes as forecast, and 9 of 10 are to be" if told else ""
+    return figure_table(f"{name}: {len(jobs)} jobs ({words}){held}", COLUMNS, map(_row, jobs))
 
 
 def fault_tables(jobs: Sequence[JobHistory]) -> list[Table]:

@@ -34,6 +34,8 @@ class Measurement:
     rate_sigma: float | None
     predicted_nm: float | None
     """RMS that the plan of that pass expected."""
+    as_forecast: bool | None
+    """Whether that pass left what was expected of it with a chance of nine in ten; None: nothing was."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +136,13 @@ def _measurement(at_s: float, stats: Mapping[str, Any], before: Mapping[str, Any
     rate = (before.get("shown") or {}).get("rate") or {}
     judged = judged_of(stats)
     predicted = before.get("predicted_rms_nm")
-    return Measurement(at_s, stats["rms_nm"], judged, rate.get("value"), rate.get("sigma"), predicted)
+    rms, rates = stats["rms_nm"], (rate.get("value"), rate.get("sigma"))
+    return Measurement(at_s, rms, judged, *rates, predicted, _as_forecast(before.get("shown") or {}))
+
+
+def _as_forecast(shown: Mapping[str, Any]) -> bool | None:
+    expected = shown.get("expected_nm")
+    return None if expected is None else bool(expected[0] <= shown["after_nm"] <= expected[1])
 
 
 def _faults(events: Iterable[tuple[float, str, str]]) -> Iterator[Fault]:

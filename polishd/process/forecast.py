@@ -39,10 +39,6 @@ class Forecast:
     better: float
     """Chance that it is less than what was measured before the pass."""
 
-    def holds(self, rms_nm: float) -> bool:
-        """Whether what came lies between."""
-        return self.low_nm <= rms_nm <= self.high_nm
-
     @property
     def words(self) -> str:
         """For people."""

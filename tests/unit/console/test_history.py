@@ -28,7 +28,7 @@ def test_a_row_a_job_and_what_went_wrong(polishd: Polishd, cell: Path) -> None:
     said = polishd("history", cell)
     assert said.code == 0
     text = " ".join(said.out.split())
-    assert "2 jobs (1 in tolerance, 1 under way, or given up)" in text
+    assert "2 jobs (1 in tolerance, 1 under way, or given up); 2 of 2 passes as forecast, and 9 of 10 are to be" in text
     assert "1 + 1 torn 20.00 -> 1.50" in text
     assert "LinkError" in text
 
@@ -64,7 +64,10 @@ def test_the_picture_of_nothing_and_of_months(monkeypatch: pytest.MonkeyPatch, j
             2,
             0,
             99.0,
-            (Measurement(k * week, 20.0, (), 0.95, 0.01, 1.0), Measurement(k * week + 60, 1.5, (), None, None, None)),
+            (
+                Measurement(k * week, 20.0, (), 0.95, 0.01, 1.0, True),
+                Measurement(k * week + 60, 1.5, (), None, None, None, None),
+            ),
             tuple(Fault(k * week, f"kind-{n}", "x") for n in range(k % 9)),
         )
         for k in range(jobs)

@@ -17,7 +17,7 @@ from polishd.model.events import Failed, Found, Held, Learned
 from polishd.model.finding import FindingLimits, Shown
 from polishd.model.tolerance import Judged
 
-SHOWN = Shown(10.0, 1.0, 1.5, 1.0, 600.0, Belief(0.9, 0.02), None, None)
+SHOWN = Shown(10.0, 1.0, 1.5, 1.0, 600.0, Belief(0.9, 0.02), None, None, (1.0, 1.6))
 
 
 def polished(folder: Path, job: str, *, rms_nm: float = 1.5, outcome: Outcome | None = Outcome.IN_TOLERANCE) -> None:
@@ -51,6 +51,7 @@ def test_a_job_as_its_rows_have_it(tmp_path: Path) -> None:
         ("LinkError", "the wire is dead"),
         ("wear", "the rate fell"),
     ]
+    assert [one.as_forecast for one in job.measured] == [None, True, None]
     assert job.rate == 0.9
     assert job.worst is None, "the last map was of an earlier polishd"
 
