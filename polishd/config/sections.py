@@ -252,6 +252,9 @@ class DwellSection(Section):
     """Who solves: `auto`, the fastest of polishd's own, or the name that a plugin gives it."""
     cross_check: str = "qp"
     """An independent solver that is asked about the same problem; `""` for none."""
+    cross_check_above: NotNegative = 1e-4
+    """It is asked where the certificate cannot prove by itself that less than this share of the objective could be
+    gained (`gap`); 0: always. [1]"""
     regularisation: NotNegative = 1e-4
     """Weight of the squared dwell, rho = P N_r / sigma_max^2: more conditions better and follows less. [1]"""
     extension: Literal["none", "nearest", "c1", "gerchberg_papoulis"] = "c1"

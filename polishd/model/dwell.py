@@ -41,6 +41,11 @@ class Certificate:
     cross_check_gap: float | None = None
     """(our objective - its objective) / its objective; at most a small positive number."""
     notes: tuple[str, ...] = ()
+    gap: float | None = None
+    """Proved: no dwell within the bounds has an objective that is lower by more than this share; None: of an earlier
+    polishd."""
+    gap_nm: float | None = None
+    """The same of the objective's root, which is the RMS of the solved area where price and P weigh little."""
     predicted_band_rms_nm: float | None = None
     """RMS of the periods above the problem's ``band_period_mm`` in the clear aperture; None: none was asked for."""
 

@@ -248,9 +248,9 @@ class _Step:
         return _certified(dwell, stopped=used)
 
     def cross_checked(self, problem: DwellProblem, dwell: DwellSolution) -> DwellSolution:
-        """The same solution with an independent solver's word on it in the certificate."""
+        """The same solution with an independent solver's word on it, where its own proof is not enough."""
         other, certificate = self.recipe.cross_check, dwell.certificate
-        if other is None:
+        if other is None or (certificate.gap is not None and certificate.gap <= self.dwell.cross_check_above):
             return dwell
         try:
             theirs = other.solve(problem, self.time_limit.left_s).certificate

@@ -69,8 +69,8 @@ def test_a_whole_job_is_polished_and_left_for_people_to_see(tmp_path: Path) -> N
         assert (run / name).stat().st_size > 0
     certificate = json.loads((run / "cycle-00/certificate.json").read_text())
     assert certificate["kkt_residual"] <= 1e-4
-    assert certificate["cross_check"] == "qp"
-    assert abs(certificate["cross_check_gap"]) < 1e-3
+    assert 0.0 <= certificate["gap"] <= 1e-4, "it proves itself, and no other solver is asked"
+    assert certificate["cross_check"] is None
     page = re.sub(r"base64,[\w+/=]+", "", (run / "report.html").read_text())  # four letters come up in pictures, too
     assert "http" not in page.replace("http://www.w3.org", "")
 

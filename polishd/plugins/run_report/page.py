@@ -64,6 +64,8 @@ CERTIFICATE: Mapping[str, str] = {
     "stopped": "stopped because",
     "kkt_residual": "KKT residual (relative)",
     "bound_violation_s": "bound violation (s)",
+    "gap": "above the least objective, at most (relative)",
+    "gap_nm": "the same (nm)",
     "objective": "objective (nm²)",
     "predicted_rms_nm": "predicted RMS (nm)",
     "predicted_pv_nm": "predicted PV (nm)",

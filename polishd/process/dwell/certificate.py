@@ -54,10 +54,11 @@ def certified(
         pitch, mask = problem.effect.grid.pitch_mm, problem.metric_mask
         band = band_rms(residual, mask, pitch, problem.band_period_mm)
     f = quadratic(problem)
+    objective, gap = f.value(t), largest_gap(problem, t, f)
     told = [note for note in (conditioning_note(problem, f), effect_note(problem.effect)) if note is not None]
     certificate = Certificate(
         solver=solver,
-        objective=f.value(t),
+        objective=objective,
         kkt_residual=kkt_residual(problem, t, f),
         bound_violation_s=float(max(0.0, (problem.lower_s - t).max(), (t - problem.upper_s).max())),
         predicted_rms_nm=float(inside.std()),
@@ -70,6 +71,8 @@ def certified(
         seconds=seconds,
         stopped=stopped,
         notes=(*notes, *told),
+        gap=gap / objective if objective > 0 else 0.0,
+        gap_nm=objective**0.5 - max(objective - gap, 0.0) ** 0.5,
         predicted_band_rms_nm=band,
     )
     return DwellSolution(t, removal, residual, certificate, problem.lower_s, problem.upper_s)
@@ -78,6 +81,22 @@ def certified(
 def effect_note(effect: Effect) -> str | None:
     """What a certificate has to say of an effect that is not quite what it stands for; None of a matrix."""
     return effect.note if isinstance(effect, SpreadEffect) else None
+
+
+def largest_gap(problem: DwellProblem, time_s: FloatArray, f: Quadratic | None = None) -> float:
+    """By how much the objective at ``time_s`` (n,) is above the least one within the bounds, at most, nm^2.
+
+    The objective curves by 2 P at least, so ``f(s) >= f(t) + g (s - t) + P |s - t|^2``, whose least value within the
+    bounds is that of each point by itself. A dwell that is better than this one also has ``P s^2 <= f(t)`` at each
+    point. With a P of next to nothing it is far too much, and says little. It costs one gradient.
+    """
+    f = f or quadratic(problem)
+    g, p = f.gradient(time_s), f.regularisation
+    most = problem.upper_s if p <= 0 else np.minimum(problem.upper_s, np.sqrt(max(f.value(time_s), 0.0) / p))
+    most = np.maximum(most, np.maximum(problem.lower_s, time_s))
+    away = np.where(g > 0, problem.lower_s, most) if p <= 0 else np.clip(time_s - g / (2 * p), problem.lower_s, most)
+    step = away - time_s
+    return float(np.maximum(-g * step - p * step**2, 0.0).sum())
 
 
 def kkt_residual(problem: DwellProblem, time_s: FloatArray, f: Quadratic | None = None) -> float:

@@ -11,7 +11,7 @@ from scipy import sparse
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray, Grid
-from polishd.process.dwell.certificate import certified, kkt_residual
+from polishd.process.dwell.certificate import certified, kkt_residual, largest_gap
 from polishd.process.dwell.newton_cg import solve
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import projected_gradient, quadratic, safe_step
@@ -133,3 +133,37 @@ def test_samples_outside_the_mask_do_not_count() -> None:
     once, other = solve(problem, 10), solve(replace(problem, target_nm=target), 10)
     np.testing.assert_array_equal(once.time_s, other.time_s)
     assert once.certificate.objective == other.certificate.objective
+
+
+def test_the_gap_by_hand() -> None:
+    """Each point by itself: f = (2 t - h)^2 / 2 + t^2 / 2 has its least at t = 2 h / 5; P is 1/2, its curvature 5."""
+    problem = two_samples((5.0, 10.0), lower=0.0)
+    best = np.array([2.0, 4.0])
+    assert largest_gap(problem, best) == pytest.approx(0.0, abs=1e-12)
+    step = -3.0  # of the first point, whose gradient is 5: P alone would have its least 5 away, the bound is nearer
+    assert largest_gap(problem, best + np.array([1.0, 0.0])) == pytest.approx(-5.0 * step - 0.5 * step**2)
+
+
+@pytest.mark.parametrize("regularisation", [0.0, 1e-6, 1e-3, 1.0])
+def test_no_dwell_is_better_by_more_than_the_gap(regularisation: float) -> None:
+    problem = replace(dwell_problem(radius_mm=8), regularisation=regularisation)
+    f = quadratic(problem)
+    solution = solve(problem, 20, kkt_tolerance=1e-9)
+    best = f.value(solution.time_s)
+    rng = np.random.default_rng(3)
+    for size in (0.0, 1e-4, 1e-2, 1.0):
+        moved = solution.time_s + size * rng.standard_normal(solution.time_s.size)
+        t = np.clip(moved, problem.lower_s, problem.upper_s)
+        assert f.value(t) - best <= largest_gap(problem, t, f) + 1e-9 * best, size
+
+
+def test_the_gap_of_an_optimum_is_next_to_nothing_and_that_of_a_guess_is_not() -> None:
+    problem = dwell_problem(radius_mm=8)
+    found = solve(problem, 20, kkt_tolerance=1e-8).certificate
+    assert found.gap is not None
+    assert found.gap_nm is not None
+    assert 0.0 <= found.gap < 1e-4
+    assert found.gap_nm < 1e-3
+    guess = certify(problem, np.maximum(problem.lower_s, 0.1)).certificate
+    assert guess.gap is not None
+    assert guess.gap > 0.1

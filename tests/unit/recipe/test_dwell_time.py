@@ -56,7 +56,11 @@ def test_what_is_left_is_what_each_solve_gets(monkeypatch: pytest.MonkeyPatch) -
     budget = 0.8 * total_s()
     costly = Costly(monkeypatch, 1.0)
     other = DwellSolver("other", costly.solve)
-    solved(costly.recipe(within_s=500.0, choose="budget", budget_s=budget, curve=True, cross_check=other))
+    solved(
+        costly.recipe(
+            within_s=500.0, choose="budget", budget_s=budget, curve=True, cross_check=other, cross_check_above=0.0
+        )
+    )
     assert len(costly.given) > 20, "search, cross-check and curve"
     assert costly.given == [500.0 - done for done in range(len(costly.given))]
 
@@ -113,7 +117,7 @@ def test_a_plan_is_not_refused_for_want_of_its_curve(monkeypatch: pytest.MonkeyP
 
 def test_a_cross_check_that_is_cut_short_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     slow = DwellSolver("slow", Costly(monkeypatch, 100.0).solve)
-    certificate = solved(small_recipe(within_s=10.0, cross_check=slow)).dwell.certificate
+    certificate = solved(small_recipe(within_s=10.0, cross_check=slow, cross_check_above=0.0)).dwell.certificate
     assert (certificate.cross_check, certificate.cross_check_gap) == (None, None)
     assert certificate.notes[-1] == "cross-check by slow was not done in what was left of dwell.within_s"
 

@@ -292,7 +292,7 @@ def checked(recipe: Recipe, program: Program, measured: Measured) -> DwellSoluti
 
 
 def test_an_independent_solver_agrees(program: Program, measured: Measured) -> None:
-    recipe = small_recipe(cross_check=DwellSolver("qp", qp.solve))
+    recipe = small_recipe(cross_check=DwellSolver("qp", qp.solve), cross_check_above=0.0)
     certificate = checked(recipe, program, measured).certificate
     assert certificate.cross_check == "qp"
     assert certificate.cross_check_gap == pytest.approx(0.0, abs=1e-3)
@@ -303,16 +303,32 @@ def test_the_gap_says_by_how_much_the_other_is_better(program: Program, measured
         found = newton_cg.solve(problem, within_s)
         return replace(found, certificate=replace(found.certificate, objective=found.certificate.objective / 1.25))
 
-    certificate = checked(small_recipe(cross_check=DwellSolver("better", better)), program, measured).certificate
+    certificate = checked(
+        small_recipe(cross_check=DwellSolver("better", better), cross_check_above=0.0), program, measured
+    ).certificate
     assert certificate.cross_check == "better"
     assert certificate.cross_check_gap == pytest.approx(0.25)
+
+
+def test_nobody_is_asked_about_what_is_proved(program: Program, measured: Measured) -> None:
+    def never(problem: DwellProblem, within_s: float) -> DwellSolution:
+        raise AssertionError("was asked")
+
+    proved = checked(small_recipe(cross_check=DwellSolver("never", never)), program, measured).certificate
+    assert proved.gap is not None
+    assert 0.0 <= proved.gap <= 1e-4
+    assert proved.cross_check is None
+    doubtful = small_recipe(cross_check=DwellSolver("qp", qp.solve), cross_check_above=proved.gap / 2)
+    assert checked(doubtful, program, measured).certificate.cross_check == "qp"
 
 
 def test_a_cross_check_that_fails_is_noted(program: Program, measured: Measured) -> None:
     def fails(problem: DwellProblem, within_s: float) -> DwellSolution:
         raise ComputeError("out of time")
 
-    certificate = checked(small_recipe(cross_check=DwellSolver("slow", fails)), program, measured).certificate
+    certificate = checked(
+        small_recipe(cross_check=DwellSolver("slow", fails), cross_check_above=0.0), program, measured
+    ).certificate
     assert certificate.cross_check is certificate.cross_check_gap is None
     assert certificate.notes[-1] == "cross-check by slow failed: out of time"
 
