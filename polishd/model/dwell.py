@@ -42,8 +42,7 @@ class Certificate:
     """(our objective - its objective) / its objective; at most a small positive number."""
     notes: tuple[str, ...] = ()
     gap: float | None = None
-    """Proved: no dwell within the bounds has an objective that is lower by more than this share; None: of an earlier
-    polishd."""
+    """Proved: no dwell within the bounds has an objective that is lower by more than this share; None: nothing is."""
     gap_nm: float | None = None
     """The same of the objective's root, which is the RMS of the solved area where price and P weigh little."""
     predicted_band_rms_nm: float | None = None

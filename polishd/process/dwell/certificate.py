@@ -71,8 +71,8 @@ def certified(
         seconds=seconds,
         stopped=stopped,
         notes=(*notes, *told),
-        gap=gap / objective if objective > 0 else 0.0,
-        gap_nm=objective**0.5 - max(objective - gap, 0.0) ** 0.5,
+        gap=_finite(gap / objective if objective > 0 else 0.0),
+        gap_nm=None if np.isinf(gap) else objective**0.5 - max(objective - gap, 0.0) ** 0.5,
         predicted_band_rms_nm=band,
     )
     return DwellSolution(t, removal, residual, certificate, problem.lower_s, problem.upper_s)
@@ -83,20 +83,28 @@ def effect_note(effect: Effect) -> str | None:
     return effect.note if isinstance(effect, SpreadEffect) else None
 
 
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
 def largest_gap(problem: DwellProblem, time_s: FloatArray, f: Quadratic | None = None) -> float:
     """By how much the objective at ``time_s`` (n,) is above the least one within the bounds, at most, nm^2.
 
     The objective curves by 2 P at least, so ``f(s) >= f(t) + g (s - t) + P |s - t|^2``, whose least value within the
     bounds is that of each point by itself. A dwell that is better than this one also has ``P s^2 <= f(t)`` at each
-    point. With a P of next to nothing it is far too much, and says little. It costs one gradient.
+    point. With a P of next to nothing it is far too much, and says little; without P and an upper bound, infinite. It
+    costs one gradient.
     """
     f = f or quadratic(problem)
     g, p = f.gradient(time_s), f.regularisation
-    most = problem.upper_s if p <= 0 else np.minimum(problem.upper_s, np.sqrt(max(f.value(time_s), 0.0) / p))
-    most = np.maximum(most, np.maximum(problem.lower_s, time_s))
-    away = np.where(g > 0, problem.lower_s, most) if p <= 0 else np.clip(time_s - g / (2 * p), problem.lower_s, most)
-    step = away - time_s
-    return float(np.maximum(-g * step - p * step**2, 0.0).sum())
+    down = np.where(g > 0, time_s - problem.lower_s, 0.0)
+    up = np.where(g < 0, problem.upper_s - time_s, 0.0)
+    step = np.maximum(np.maximum(up, down), 0.0)
+    if p > 0:
+        most = np.sqrt(max(f.value(time_s), 0.0) / p) - time_s
+        step = np.minimum(step, np.where(g < 0, np.maximum(most, 0.0), step))
+        step = np.minimum(step, np.abs(g) / (2 * p))
+    return float((np.abs(g) * step - (p * step**2 if p > 0 else 0.0)).sum())
 
 
 def kkt_residual(problem: DwellProblem, time_s: FloatArray, f: Quadratic | None = None) -> float:

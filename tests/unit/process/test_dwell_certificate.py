@@ -167,3 +167,11 @@ def test_the_gap_of_an_optimum_is_next_to_nothing_and_that_of_a_guess_is_not() -
     guess = certify(problem, np.maximum(problem.lower_s, 0.1)).certificate
     assert guess.gap is not None
     assert guess.gap > 0.1
+
+
+def test_without_bounds_and_p_nothing_is_proved() -> None:
+    problem = replace(two_samples((5.0, 10.0)), regularisation=0.0, upper_s=np.full(2, np.inf))
+    guess = certify(problem, np.array([1.0, 1.0])).certificate
+    assert guess.gap is guess.gap_nm is None
+    best = certify(problem, np.array([2.5, 5.0])).certificate
+    assert best.gap == best.gap_nm == 0.0

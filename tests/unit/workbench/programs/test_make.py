@@ -32,7 +32,7 @@ from polishd.recipe import foresight, steps
 from polishd.recipe.making import make_recipe
 from polishd.sim_backends.metropro import DatMap, pack
 from polishd.workbench.programs.cli import make
-from polishd.workbench.programs.make import UNCHECKED, _dialect_of, make_path
+from polishd.workbench.programs.make import UNCHECKED, dialect_of, make_path
 from polishd.workbench.programs.options import MakeOptions
 from tests.unit.said import Polishd
 
@@ -377,10 +377,10 @@ def test_a_cells_own_dialect_is_found_by_its_name(tmp_path: Path) -> None:
     (tmp_path / "shop.toml").write_text('extends = "fanuc"\nname = "shop"\n')
     config = load_config(EXAMPLE)
     own = config.program.model_copy(update={"format": "shop", "dialects": (str(tmp_path / "shop.toml"),)})
-    assert _dialect_of(config.model_copy(update={"program": own})) == str(tmp_path / "shop.toml")
+    assert dialect_of(config.model_copy(update={"program": own})) == str(tmp_path / "shop.toml")
     other = own.model_copy(update={"format": "haas"})
-    assert _dialect_of(config.model_copy(update={"program": other})) == "haas"
-    assert _dialect_of(config) == "rs274"
+    assert dialect_of(config.model_copy(update={"program": other})) == "haas"
+    assert dialect_of(config) == "rs274"
 
 
 def test_a_dialect_of_ones_own_is_said_by_name(tmp_path: Path) -> None:
