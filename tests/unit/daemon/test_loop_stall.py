@@ -26,6 +26,7 @@ from polishd.daemon.daemon import Daemon
 from polishd.daemon.events import EventBus
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
+from polishd.daemon.judging import Judging
 from polishd.daemon.log import logging_to
 from polishd.daemon.service import serving
 from polishd.model.cycle import Outcome
@@ -180,9 +181,9 @@ def long_history(journal: Journal) -> None:
     journal.end_pass(cycle, "done")
 
 
-async def with_long_plan(plan_of: Any, cycle: int, solved: Solved) -> Plan:
+async def with_long_plan(plan_of: Any, cycle: int, surface: Any, solved: Solved) -> Plan:
     """The job's own plan with the blocks of a long one."""
-    plan: Plan = await plan_of(cycle, solved)
+    plan: Plan = await plan_of(cycle, surface, solved)
     segments = tuple(Segment(seq, b"G1 X0") for seq in range(BLOCKS))
     return replace(plan, segments=segments, approach_blocks=10, contact_blocks=BLOCKS - 10)
 
@@ -212,7 +213,7 @@ async def test_the_loop_is_never_held_for_long_in_contact(tmp_path: Path, monkey
             await job.measured(cycle, small_map(seed=cycle))
             long_history(journal)
         monkeypatch.setattr(job, "learn", learn_nothing)
-        monkeypatch.setattr(job, "diverges", lambda surface: False)  # the maps are of no one part
+        monkeypatch.setattr(Judging, "diverges", lambda self, surface: False)  # the maps are of no one part
         monkeypatch.setattr(job, "plan", functools.partial(with_long_plan, job.plan))
         daemon, asker = Daemon(cell, job, bus), Asker(tmp_path)
         async with serving(tmp_path, daemon.handlers, bus):
