@@ -69,6 +69,12 @@ def require_writable(folder: Path) -> None:
         raise unwritable(folder, error) from error
 
 
+def require_new(out: Path) -> None:
+    """ConfigError unless it can become a folder of its own: it is not there, or empty."""
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise ConfigError(f"{out}: exists already; name a new folder with --out")
+
+
 def unwritable(path: Path, error: OSError) -> ConfigError:
     """What to say of a file or folder of ``--out`` that cannot be written."""
     todo = "make room, or name another with --out" if error.errno == errno.ENOSPC else "name another with --out"

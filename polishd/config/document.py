@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -46,6 +47,10 @@ class Document(Section):
     def resolve(self, path: str) -> Path:
         """A path of the file, absolute."""
         return self.base_dir / Path(path).expanduser()
+
+    def relative(self, path: Path) -> str:
+        """A path as the file would name it: from its own folder."""
+        return Path(os.path.relpath(path.absolute(), self.base_dir)).as_posix()
 
     def error(self, key: str, problem: str) -> ConfigError:
         """A ConfigError about a dotted key, with its place: for checks that need more than this file."""

@@ -22,8 +22,8 @@ from polishd.console.progress import progress
 from polishd.console.simulator import last_words, measure_artefact, simulated_cell
 from polishd.daemon import client
 from polishd.daemon.sockets import SOCKET_NAME
-from polishd.files import require_writable
-from polishd.model.errors import ConfigError, LinkError, PolishdError
+from polishd.files import require_new, require_writable
+from polishd.model.errors import LinkError, PolishdError
 from polishd.show.tables import outcome_tables, stderr, stdout
 from polishd.workbench.maps.commission import Proved, prove_profile
 
@@ -47,8 +47,7 @@ class DemoOptions:
 def run_demo(options: DemoOptions, *, as_json: bool) -> int:
     """Run the demo to its end; 0 only if the tolerance was met."""
     out = options.out or Path("polishd-demo") / datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ConfigError(f"{out}: exists already; name a new folder with --out")
+    require_new(out)
     require_writable(out)
     files = write_demo(out.absolute(), options.surface, options.tolerance_nm, options.cycles, options.correction)
     stderr.print(f"[bold]polishd demo[/] in {out}  (seed {options.seed}, {options.speed:g} x real time)")

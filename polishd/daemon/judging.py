@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 from polishd.daemon.journal import Journal
 from polishd.model.cycle import Outcome
+from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.finding import Finding
 from polishd.model.tolerance import holds
 from polishd.process.findings import diverged, worthless
 from polishd.process.forecast import Forecast
-from polishd.recipe.dwell_step import AS_PROGRAMMED
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import Measured, tolerated_nm
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from polishd.model.surface import FloatArray
 
 Choice = Literal["least", "knee", "target", "budget", "as_programmed"]
+AS_PROGRAMMED: Choice = "as_programmed"
 """The least residual; where 1 % more time buys less than 1 % of it; the least time for a target; the best in a time."""
 
 

@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from polishd.config.sections import DwellSection
 from polishd.hookspecs import RemovalAnswer
-from polishd.model.dwell import Certificate, DwellSolution, KeptStart, Start
+from polishd.model.dwell import AS_PROGRAMMED, Certificate, DwellSolution, KeptStart, Start
 from polishd.model.errors import ComputeError, ProgramError
 from polishd.model.limits import Envelope
 from polishd.model.program import Program
@@ -50,7 +50,6 @@ CROSS_CHECK_GAP = 1e-3
 """Most by which an independent solver may be better."""
 LAST_SHARE = 0.25
 """Of the step's time, what no round may touch: the last solve goes on with it where it was not done."""
-AS_PROGRAMMED = "as_programmed"
 DEADLINE = "deadline"
 """What a certificate says of a solver whose time was over."""
 KILL_RATIO, KILL_SPARE_S = 2.0, 60.0

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from polishd.hookspecs import RemovalAnswer, RemovalRequest
 from polishd.model.beliefs import Evidence, MapPixels
+from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.errors import ComputeError
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program, Segment
@@ -193,7 +194,7 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
     overhead = motion.learn_overhead_s(program, done.asked_s, done.executed_s, envelope)
     shown = shown_by(done, answer, predicted, verdict, believed.rate)
     rest = None  # of narrow tracks it is what the grid does not resolve
-    if recipe.dwell.choose != "as_programmed":
+    if recipe.dwell.choose != AS_PROGRAMMED:
         rest = unexplained(predicted, measured, mask, forecasting.noise_nm(recipe, done.after))
     learned = Believed(lesson.beliefs, overhead, pooled(believed.unexplained, rest))
     return Taught(learned, verdict, grid, lesson.found, lesson.notes, shown)

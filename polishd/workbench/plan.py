@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from polishd.config.cell import CellConfig
-from polishd.files import require_writable, unwritable
+from polishd.files import require_new, require_writable, unwritable
 from polishd.hooks.loader import Hooks
-from polishd.model.errors import ConfigError, PlanRefused, WrongPart
+from polishd.model.errors import PlanRefused, WrongPart
 from polishd.model.events import PlanWritten
 from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.process.instrument import as_profiled
@@ -35,8 +35,7 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
     ``out`` appears whole or not at all. Raises ConfigError where it exists and is not empty, or cannot be written,
     SurfaceError, ProgramError, ComputeError, or PlanRefused with every violation.
     """
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ConfigError(f"{out}: exists already; name a new folder with --out")
+    require_new(out)
     require_writable(out.parent)
     recipe = make_recipe(config, hooks)
     surface = read_map(map_path, hooks.surface_readers().values())

@@ -9,6 +9,7 @@ import numpy as np
 
 from polishd.model.process import ToolProcess
 from polishd.model.surface import BoolArray, FloatArray
+from polishd.process.identification.acting import Acting
 from polishd.process.identification.comparison import (
     RIVAL,
     Candidate,
@@ -59,6 +60,12 @@ class Estimated:
         if others:
             return f"{self.parameter.words}: this pass cannot tell it from {others} ({size})"
         return f"{self.parameter.words}: this pass does not show it ({size})"
+
+
+PLACE = ("offset_x", "offset_y", "shift_x", "shift_y", "rotation")
+"""Parameters that move a spot."""
+SMALL = 1e-4
+"""Of their units: a rotation moves it in proportion."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,15 +205,9 @@ def displaced_mm(blocks: Blocks, applied: Knowledge) -> tuple[float, float]:
 
 def _moves(blocks: Blocks) -> dict[str, FloatArray]:
     """(2, n) mm that each block's spot moves for a unit of each parameter."""
-    x, y = (blocks.start_mm + blocks.end_mm).T / 2
-    cosine, sine, one = np.cos(blocks.azimuth_rad), np.sin(blocks.azimuth_rad), np.ones(len(x))
-    return {
-        "offset_x": np.stack([sine, -cosine]),
-        "offset_y": np.stack([cosine, sine]),
-        "shift_x": np.stack([one, 0 * one]),
-        "shift_y": np.stack([0 * one, one]),
-        "rotation": np.radians(np.stack([-y, x])),
-    }
+    middle = (blocks.start_mm + blocks.end_mm) / 2
+    laid = {name: Acting({name: SMALL}).laid(middle, blocks.azimuth_rad)[0] for name in PLACE}
+    return {name: (at - middle).T / SMALL for name, at in laid.items()}
 
 
 def _applied(

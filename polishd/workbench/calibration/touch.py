@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 from rich.table import Table
 
 from polishd.config.cell import CellConfig
-from polishd.files import unwritable, write_atomic
+from polishd.files import require_new, unwritable, write_atomic
 from polishd.hooks.cell import load_cell
 from polishd.model.errors import ComputeError, ConfigError
 from polishd.process.identification.confounding import told
@@ -60,8 +59,7 @@ class TouchOptions:
 def touch_verb(cell: Path, out: Path, options: TouchOptions, *, as_json: bool) -> None:
     """Plan it, and write program, job, picture and figures into ``out``. ConfigError, ComputeError, ProgramError."""
     config, hooks = load_cell(cell)
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ConfigError(f"{out}: exists already; name a new folder with --out")
+    require_new(out)
     recipe = _recipe(config, make_recipe(config, hooks))
     wanted = _wanted(options.wanted)
     with stderr.status("choosing tracks"):
@@ -105,19 +103,20 @@ def _wanted(own: Mapping[str, float]) -> dict[str, float]:
 
 
 def _rows(touch: Touch, wanted: Mapping[str, float]) -> list[dict[str, Any]]:
-    before, now = (in_the_middle(known, touch.seconds / 7200) for known in (touch.before, touch.after))
-    said = told(touch.before.parameters, before, now)
-    errors = zip(touch.before.parameters, *(np.sqrt(np.diag(one)) for one in (before, now)), strict=True)
+    parameters = touch.before.parameters
+    prior, learned = (in_the_middle(known, touch.seconds / 7200) for known in (touch.before, touch.after))
+    said = told(parameters, prior, learned)
+    errors = zip(parameters, np.sqrt(np.diag(prior)), np.sqrt(np.diag(learned)), strict=True)
     return [
         {
             "name": p.name,
             "unit": p.unit,
             "before": float(before),
-            "after": float(now),
+            "after": float(after),
             "wanted": wanted.get(p.name, FIELD_WANTED if p.name.startswith("field_") else None),
             "confounded_with": list(said[p.name].confounded_with),
         }
-        for p, before, now in errors
+        for p, before, after in errors
         if p.name not in ABERRATIONS
     ]
 
@@ -143,7 +142,7 @@ def _lines(config: CellConfig, out: Path, *, complete: bool) -> list[str]:
     short = "not all that is wanted will be known: no more contact was worth its time, or allowed (--minutes)"
     place = "put a witness part of the same shape, glass and slurry in"
     queue = f"polishd job add {config.path} {out / JOB} in a cell with a queue"
-    include = f'include = ["{_beside(config, out / FRAGMENT)}"]'
+    include = f'include = ["{config.relative(out / FRAGMENT)}"]'
     single = f"{include} in the first line of a copy of {config.path.name}, and polishd run of that"
     return [
         *([] if complete else [short]),
@@ -152,13 +151,8 @@ def _lines(config: CellConfig, out: Path, *, complete: bool) -> list[str]:
     ]
 
 
-def _beside(config: CellConfig, path: Path) -> str:
-    """A path as the cell's file would name it."""
-    return Path(os.path.relpath(path.absolute(), config.base_dir)).as_posix()
-
-
 def _write(config: CellConfig, out: Path, touch: Touch, answer: Mapping[str, Any], part: str) -> None:
-    single = JOB_TEXT.format(use="a fragment that a cell includes", part=part, program=_beside(config, out / NAME))
+    single = JOB_TEXT.format(use="a fragment that a cell includes", part=part, program=config.relative(out / NAME))
     made = {
         NAME: touch.text,
         JOB: JOB_TEXT.format(use="a job for polishd job add", part=part, program=NAME).encode(),

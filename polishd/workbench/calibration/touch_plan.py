@@ -159,7 +159,7 @@ def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], 
         step_s=min(STEP_NM, most_nm) / deepest,
         most_s=longest,
         most_nm=most_nm,
-        within_s=within_s,
+        within_s=within_s,  # of which the ways between take some
     )
     order = _in_order(pool, lasts_s)
     if not order:
@@ -171,6 +171,12 @@ def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], 
     speed = np.append(speed, BETWEEN_SHARE * config.machine.max_feed_mm_s)
     text, program, _ = cell.program([pool[c] for c in order], speed)
     lasts = motion.delivered_time_s(program, program.time_s, steps.envelope_of(recipe, program))
+    if lasts.sum() > within_s:
+        whole, between = lasts.sum() / 60, (lasts.sum() - seconds.sum()) / 60
+        raise ComputeError(
+            f"the touch takes {whole:.1f} min, {between:.1f} of them from track to track, and {within_s / 60:.1f} are "
+            "allowed; allow more (--minutes), or want less (--want)"
+        )
     learned = after(cell.forward(program, lasts), known, cell.noise_nm)
     return Touch(text, program, known, learned, float(lasts.sum()), len(order))
 

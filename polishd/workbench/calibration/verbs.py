@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -176,7 +175,7 @@ def _tif_rows(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
 def _write_tif_fragment(out: Path, config: CellConfig | None, tif: MeasuredTif, preston: float, what: str) -> None:
     """The fragment, and the TIF beside it, named as seen from the cell's folder."""
     spot = out.with_suffix(".npz")
-    name = spot.name if config is None else Path(os.path.relpath(spot.absolute(), config.base_dir)).as_posix()
+    name = spot.name if config is None else config.relative(spot)
     keys = {"removal_model": '"measured_tif"', "tif": f'"{name}"', "preston": f'"{preston:.5g} cm2/N"'}
     _writing(spot, lambda: write_tif(spot, tif))
     _write_fragment(out, "process", keys, what)

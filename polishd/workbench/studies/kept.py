@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd import __version__
+from polishd.files import write_atomic
 from polishd.model.errors import ConfigError
 from polishd.workbench.studies.loop import ERROR, Run
 
@@ -62,7 +63,7 @@ def _read(path: Path) -> Iterator[tuple[str, Run]]:
     lines = path.read_text(encoding="utf-8").split("\n")
     torn = lines.pop()
     if torn:  # killed while it wrote: the next line begins anew
-        path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+        write_atomic(path, "".join(f"{line}\n" for line in lines).encode())
     for number, line in enumerate(lines, 1):
         try:
             row = json.loads(line)

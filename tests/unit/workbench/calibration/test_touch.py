@@ -10,7 +10,7 @@ import pytest
 
 from polishd.config.cell import load_config
 from polishd.config.job_file import JobFile
-from polishd.model.errors import ConfigError
+from polishd.model.errors import ComputeError, ConfigError
 from polishd.workbench.calibration.touch import TouchOptions, touch_verb
 from tests.unit.workbench.studies.studies import TABLE_III
 
@@ -56,6 +56,15 @@ def test_a_job_and_a_fragment_run_the_touch(tmp_path: Path, capsys: pytest.Captu
         assert (config.part.id, config.dwell.choose, config.job.max_cycles) == ("W-1", "as_programmed", 1)
     with pytest.raises(ConfigError, match="exists already"):
         touch_verb(cell, out, OPTIONS, as_json=True)
+
+
+@pytest.mark.full
+def test_ways_between_the_tracks_count(tmp_path: Path) -> None:
+    with pytest.raises(
+        ComputeError, match=r"the touch takes \d\.\d min, \d\.\d of them from track to track, and 0\.1 are"
+    ):
+        touch_verb(cell_in(tmp_path), tmp_path / "touch", TouchOptions("W", 0.15, {}), as_json=True)
+    assert not (tmp_path / "touch").exists()
 
 
 @pytest.mark.parametrize(
