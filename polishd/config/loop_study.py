@@ -11,8 +11,9 @@ from pydantic import Field
 from polishd.config.document import Document, parse_toml
 from polishd.config.values import Name, Text, Texts
 
-Taken = Literal["rate", "spot"]
-"""What a loop takes over from a witness spot: its volume rate alone, or its shape with it."""
+Taken = Literal["rate", "spot", "touch"]
+"""What a loop takes over from a witness part: a spot's volume rate alone, or its shape with it, or all that a first
+touch teaches (`polishd calibrate cell`)."""
 AS_IT_IS = "nothing"
 """The scenario of a plant as its file has it."""
 
@@ -46,7 +47,8 @@ class LoopStudy(Document):
     """Files of scenarios, or folders of them; none: the plant as its file has it."""
     loops: Annotated[Mapping[Name, Mapping[str, Any]], Field(min_length=1)]
     """By name, what that loop has otherwise than the cell's file: values by dotted key. And `witness = "rate"`
-    or `"spot"`: what it begins with of a spot that the same machine has polished on another part."""
+    or `"spot"`: what it begins with of a spot that the same machine has polished on another part; `"touch"`: it
+    begins with what the first touch of `polishd calibrate cell` has taught there."""
     seeds: Annotated[int, Field(ge=1, le=10_000)] = 20
     """How many plants a scenario and loop; all loops meet the same ones. [1]"""
     first_seed: Annotated[int, Field(ge=0)] = 1
@@ -65,7 +67,9 @@ class LoopStudy(Document):
         keys = {**self.cell_with, **self.loops[name]}
         witness = keys.pop("witness", None)
         if witness not in {None, *get_args(Taken)}:
-            raise self.error(f"loops.{name}.witness", f'{witness!r} is nothing to begin with; it is "rate" or "spot"')
+            raise self.error(
+                f"loops.{name}.witness", f'{witness!r} is nothing to begin with; it is "rate", "spot" or "touch"'
+            )
         return keys, witness
 
     def all_scenarios(self) -> dict[str, Scenario]:

@@ -86,6 +86,8 @@ class Evidence:
     pixels: MapPixels | None = None
     """Of both maps: a sample of ``measured_nm`` is the mean of those that lie in its cell, by area. None: not known, or
     not the same of both."""
+    most_miss_mm: float = 0.5
+    """So far off where it should the spot may have acted: what is further stops for a person."""
 
 
 @dataclass(frozen=True, slots=True)

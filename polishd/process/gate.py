@@ -74,7 +74,7 @@ class Verdict:
 
 def judge(
     predicted_nm: FloatArray, measured_nm: FloatArray, mask: BoolArray, pitch_mm: float,
-    rates: tuple[float, float] = RATES, *, removal: Removal = "tilt",
+    rates: tuple[float, float] = RATES, *, removal: Removal = "tilt", most_shift_mm: float = MAX_SHIFT_MM,
 ) -> Verdict:  # fmt: skip
     """Compare measured with predicted removal, and stop where a flip, turn, negation, shift or factor fits better.
 
@@ -85,12 +85,14 @@ def judge(
         pitch_mm: of the grid.
         rates: measured over predicted removal that learning takes up; what is beyond ``RATES`` never is.
         removal: what nobody knows of a removal, taken off both: "tilt", or "power" where a map's power is alignment.
+        most_shift_mm: a larger shift stops; one pass that is made to find where the spot acts may have more.
 
     Raises:
         ComputeError: shapes that do not fit, or too few samples.
     """
     _check(predicted_nm, measured_nm, mask)
-    seen = _Pass(levelled(predicted_nm, mask, removal), levelled(measured_nm, mask, removal), mask, pitch_mm, rates)
+    levels = levelled(predicted_nm, mask, removal), levelled(measured_nm, mask, removal)
+    seen = _Pass(*levels, mask, pitch_mm, rates, most_shift_mm)
     own = fit(seen.predicted_nm, seen.measured_nm, mask, None, pitch_mm)
     if np.sqrt(np.mean(seen.predicted_nm[mask] ** 2)) < MIN_SIGNAL_NM:
         return _without_signal(own, seen)
@@ -117,6 +119,7 @@ class _Pass:
     mask: BoolArray
     pitch_mm: float
     rates: tuple[float, float]
+    most_shift_mm: float
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -181,10 +184,10 @@ def _reason(seen: _Pass, best: Explanation, moved: Fit, final: Fit) -> str:
         )
     x, y = moved.shift_mm
     distance, sigma = _sure(moved)
-    if moved.correlation >= MIN_CORRELATION and distance - MAX_SHIFT_MM > SIGMAS * sigma:
+    if moved.correlation >= MIN_CORRELATION and distance - seen.most_shift_mm > SIGMAS * sigma:
         return (
             f"the removal lies {distance:.2f} +- {sigma:.2f} mm from where it was predicted, at ({x:+.2f}, {y:+.2f}) "
-            f"mm, and {MAX_SHIFT_MM:g} mm are allowed: check the part's seat, the program's offset and the map's "
+            f"mm, and {seen.most_shift_mm:g} mm are allowed: check the part's seat, the program's offset and the map's "
             "registration before going on"
         )
     if seen.beyond(moved) > RATE_SIGMAS * moved.rate_sigma:
@@ -251,7 +254,7 @@ def _undecidable(seen: _Pass, moved: Fit) -> tuple[str, ...]:
 
     all_of_them = explanations(seen.predicted_nm, seen.predicted_nm, seen.mask, seen.mask, seen.pitch_mm)
     names = [e.name for e in all_of_them if not (e.as_it_is or shows(e))]
-    if not SIGMAS * max(moved.shift_sigma_mm) <= MAX_SHIFT_MM:
+    if not SIGMAS * max(moved.shift_sigma_mm) <= seen.most_shift_mm:
         names.append("shifted")
     if not max(RATE_SIGMAS * moved.rate_sigma, moved.rate_excess) <= SCALED:
         names.append(SCALED_WORD)

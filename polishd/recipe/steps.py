@@ -36,6 +36,8 @@ from polishd.recipe.staying import Staying
 
 ALIKE = 0.2
 """Share of a map's sample by which the part may lie elsewhere in the next one, the samples being taken for the same."""
+TOUCH_MISS_MM = 3.0
+"""So far off where it should the spot may act in a pass as programmed: to find that out is what it is made for."""
 ROUNDING = 1e-3
 """Of a share of samples: files keep a pitch in seven digits, and a rim must not move with the last of them."""
 
@@ -171,7 +173,10 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
     measured = done.before.height_nm - done.after.height_nm
     low, high = 1 - recipe.max_rate_change, 1 + recipe.max_rate_change
     allowed = (low / believed.rate, high / believed.rate)
-    verdict = gate.judge(predicted, measured, mask, grid.pitch_mm, allowed, removal=_unknown(recipe))
+    miss = TOUCH_MISS_MM if recipe.dwell.choose == AS_PROGRAMMED else gate.MAX_SHIFT_MM
+    verdict = gate.judge(
+        predicted, measured, mask, grid.pitch_mm, allowed, removal=_unknown(recipe), most_shift_mm=miss
+    )
     if verdict.stop:
         return Taught(believed, verdict, grid)
     evidence = Evidence(
@@ -186,6 +191,7 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
         acted_s=done.acted_s,
         noise_nm=_change_noise_nm(recipe),
         pixels=_pixels(done.before, done.after),
+        most_miss_mm=miss,
     )
     lesson = recipe.model.learn(request, evidence)
     if lesson.stop:

@@ -53,7 +53,7 @@ def learn_machine(
         told = f"the machine was not identified: {error}"
         kept = replace(beliefs, rate=rate_alone.beliefs.rate)
         return replace(rate_alone, beliefs=kept, notes=(*rate_alone.notes, told))
-    decision = decide(found)
+    decision = decide(found, misses_mm=evidence.most_miss_mm)
     taken = [one.name for one in decision.corrected if one.name != "rate"]
     contact_h = float(evidence.executed_s.sum()) / 3600
     after = beliefs_of(found.learned, taken, contact_h, evidence.rates)
@@ -82,7 +82,14 @@ def _identified(
     odd = max(int(FINE * step / request.grid.pitch_mm) - 1, 0) // 2 * 2 + 1
     prior = knowledge_of(beliefs, turns=not isinstance(spot, HertzSpot))
     return identify(
-        removed.coarser(odd), blocks, spot, request.process, prior, projection=BELIEVED, radius_mm=path.radius_mm
+        removed.coarser(odd),
+        blocks,
+        spot,
+        request.process,
+        prior,
+        projection=BELIEVED,
+        radius_mm=path.radius_mm,
+        counted=beliefs.applied,
     )
 
 

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from polishd.process.gate import MAX_SHIFT_MM
 from polishd.process.identification.identify import Identified
 
 CERTAIN = 3.0
 """Standard errors that what is corrected must be away from none."""
 LIMITS = {"rate": 0.4, "turn": 5.0, "width": 0.2, "compliance": 0.5}
 """Largest correction that needs no person, by extension, in its parameters' units."""
-MISSES_MM = 0.5
-"""So far from where it should the spot may act, by its offset and by the part's shift and rotation together."""
 PLACE = ("offset", "shift", "rotation")
 LOOK = "look at tool, seat and map before the next pass"
 
@@ -29,6 +28,8 @@ class Found:
     sigma: float
     """Standard error of the length."""
     unit: str
+    new: float
+    """Length of what the pass's plan did not count with."""
 
     @property
     def words(self) -> str:
@@ -47,13 +48,14 @@ class Decision:
 
 
 def decide(
-    found: Identified, limits: Mapping[str, float] = LIMITS, certain: float = CERTAIN, misses_mm: float = MISSES_MM
+    found: Identified, limits: Mapping[str, float] = LIMITS, certain: float = CERTAIN, misses_mm: float = MAX_SHIFT_MM
 ) -> Decision:
     """What is done about each extension that is applied, and about the rate.
 
-    Beyond its limit by more than chance stops; within it, and ``certain`` standard errors from none, is corrected. What
-    has no limit is corrected where it is certain. Of offset and shift it is what they come to together that stops: a
-    robot or a picture that is distorted reads as a large one of each, against one another.
+    What is further from what the plan counted with than its limit, by more than chance, stops; else what is ``certain``
+    standard errors from none is corrected. What has no limit is corrected where it is certain. Of offset, shift and
+    rotation it is what they come to together that stops, beyond ``misses_mm``: a robot or a picture that is distorted
+    reads as a large one of each, against one another.
     """
     corrected, left, stops = [], [], []
     sizes = _sizes(found)
@@ -61,11 +63,11 @@ def decide(
     if miss - 2 * sigma > misses_mm:
         place = [one for one in sizes if one.name in PLACE]
         by = " and ".join(one.words + _or_else(found, one.name) for one in place)
-        word = f"the spot acts {miss:.2f} +- {sigma:.2f} mm off where it should, more than {misses_mm:g}"
+        word = f"the spot acts {miss:.2f} +- {sigma:.2f} mm off where the plan had it, more than {misses_mm:g}"
         stops.append(f"{word}, by {by}: {LOOK}")
     for one in sizes:
         limit = limits.get(one.name, np.inf)
-        if one.size > limit and one.size - 2 * one.sigma > limit:
+        if one.new - 2 * one.sigma > limit:
             stops.append(f"{one.words}{_or_else(found, one.name)}, more than {limit:g}: {LOOK}")
         elif one.size >= certain * one.sigma:
             corrected.append(one)
@@ -92,5 +94,6 @@ def _sizes(found: Identified) -> list[Found]:
         size = float(np.linalg.norm(vector))
         along = vector / size if size > 0 else np.ones(len(own)) / np.sqrt(len(own))
         sigma = float(np.sqrt(along @ applied.covariance[np.ix_(own, own)] @ along))
-        sizes.append(Found(name, size, sigma, applied.parameters[own[0]].unit))
+        new = vector - [found.counted.get(applied.names[k], 0.0) for k in own]
+        sizes.append(Found(name, size, sigma, applied.parameters[own[0]].unit, float(np.linalg.norm(new))))
     return sizes

@@ -12,6 +12,10 @@ from polishd.process.identification.passes import Noise, Removed
 from polishd.process.identification.residual import NORMAL, outliers, own_noise, without_plane
 from polishd.process.spot import HertzSpot
 
+ROUNDS = 4
+HOME, SOME = 0.7, 0.01
+"""A fit that leaves less than this share of the noise that it reckoned with, or of the outliers where they were more
+than so many of the samples, began too far off to tell them: once more, with those that this one leaves."""
 LAYING, HERTZ_LAYING = 1e-3, 2e-3
 """Of the removal's standard deviation: by what spots of squares, laid on cells, miss the same spots summed exactly; the
 second of Hertz's, whose rim is steep."""
@@ -32,19 +36,41 @@ def fit(model: Forward, removed: Removed, prior: Knowledge) -> tuple[Data, dict[
     for name in model.blocks.depth_ratio:
         if name != model.projection:
             first[name] = estimate(model.of(name), all_of_it, prior, robust=True, near=own.laid)
-    best = max(first, key=lambda name: first[name].log_evidence)
+    found = first
+    best = max(found, key=lambda name: found[name].log_evidence)
+    data = _cleaned(found[best], model.of(best), removed, stated)
+    for _ in range(ROUNDS):
+        # slopes of the prior's geometry lead to the right place, but what they say of its errors is not that place's
+        final = {best: estimate(model.of(best), data, prior, start=found[best].theta)}
+        for name, one in found.items():
+            if name != best:
+                final[name] = estimate(model.of(name), data, prior, start=one.theta, near=final[best].laid)
+        best = max(final, key=lambda name: final[name].log_evidence)
+        again = _cleaned(final[best], model.of(best), removed, stated)
+        if not _far_off(data, again):
+            break
+        found, data = final, again
+    rejected = np.zeros(mask.shape, dtype=bool)
+    rejected[mask] = ~data.keep
+    return data, final, rejected
+
+
+def _far_off(data: Data, after: Data) -> bool:
+    """Whether a fit began too far from where the spot was to tell noise and outliers, as what it leaves says."""
+    out, still_out = (np.count_nonzero(~one.keep) for one in (data, after))
+    fewer = out > SOME * data.keep.size and still_out < HOME * out
+    return fewer or after.noise.sigma_nm < HOME * data.noise.sigma_nm
+
+
+def _cleaned(found: Estimate, model: Forward, removed: Removed, stated: Noise) -> Data:
+    """Without what is none of the pass, and with the noise that this fit leaves."""
+    mask, pitch = removed.mask, removed.grid.pitch_mm
     residual = np.zeros(mask.shape)
-    residual[mask] = first[best].residual_nm
+    residual[mask] = removed.removal_nm[mask] - model.removal_nm(found.theta, found.laid)
     rejected = outliers(residual, mask, stated, pitch)
     keep = mask & ~rejected
     noise = own_noise(residual, keep, stated, pitch)
-    data = Data(measured, keep[mask], noise, noise.cells(pitch))
-    # slopes of the prior's geometry lead to the right place, but what they say of its errors is not that place's
-    final = {best: estimate(model.of(best), data, prior, start=first[best].theta)}
-    for name, one in first.items():
-        if name != best:
-            final[name] = estimate(model.of(name), data, prior, start=one.theta, near=final[best].laid)
-    return data, final, rejected
+    return Data(removed.removal_nm[mask], keep[mask], noise, noise.cells(pitch))
 
 
 def laying(model: Forward, removed: Removed) -> Noise:

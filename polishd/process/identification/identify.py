@@ -86,9 +86,11 @@ class Identified:
     """Others that the evidence does not exclude."""
     noise: Noise
     """That was reckoned with."""
+    counted: Mapping[str, float]
+    """By parameter, what the pass's plan counted with; 0 where it is not named."""
     displaced_mm: tuple[float, float]
-    """How far off where it should the spot acts, by what is applied of its offset and of the part's shift and rotation:
-    RMS over the pass's time, and its standard error."""
+    """How far off where the plan had it the spot acted, by what is applied of its offset and of the part's shift and
+    rotation: RMS over the pass's time, and its standard error."""
     rejected: BoolArray = field(repr=False)
     """(ny, nx) samples that are none of the pass."""
     residual_nm: FloatArray = field(repr=False)
@@ -126,6 +128,7 @@ def identify(
     projection: str,
     radius_mm: float,
     next_s: FloatArray | None = None,
+    counted: Mapping[str, float] | None = None,
     followed: bool = True,
     least_gain_nm: float = LEAST_GAIN_NM,
 ) -> Identified:
@@ -140,6 +143,7 @@ def identify(
         projection: the one believed of those in ``blocks.depth_ratio``.
         radius_mm: of the circle about the part's origin that the rate's field is over; the same for all passes.
         next_s: (n,) s that the next pass is expected to dwell at the blocks; None: as this one.
+        counted: by parameter, what the plan counted with; None: with nothing.
         followed: whether the dwell was solved on the map before: its noise is then in what was removed, too.
         least_gain_nm: what an extension must take off the next pass's RMS.
 
@@ -170,6 +174,7 @@ def identify(
     weight = model.weight_s if next_s is None else model.weight_s * (next_s / blocks.time_s)[blocks.time_s > 0]
     future = without_plane(model.columns(found.theta, found.laid, weight), removed.mask)
     comparison = compare(prior.parameters, learned.mean, covariance)
+    counted = dict(counted or {})
     worths, applied = _applied(learned, comparison.best, future, least_gain_nm)
     residual = np.full(removed.mask.shape, np.nan)
     residual[removed.mask] = removed.removal_nm[removed.mask] - model.removal_nm(found.theta, found.laid)
@@ -182,14 +187,15 @@ def identify(
         chosen,
         tuple(name for name in odds if name != chosen and odds[name] > odds[chosen] - RIVAL),
         data.noise,
-        displaced_mm(blocks, applied),
+        counted,
+        displaced_mm(blocks, applied, counted),
         rejected,
         residual,
     )
 
 
-def displaced_mm(blocks: Blocks, applied: Knowledge) -> tuple[float, float]:
-    """Offset and shift may cancel where the spindle leans: it is their sum that misses."""
+def displaced_mm(blocks: Blocks, applied: Knowledge, counted: Mapping[str, float]) -> tuple[float, float]:
+    """Offset and shift may cancel where the spindle leans: it is their sum that misses what a plan counted with."""
     moves = _moves(blocks)
     names = [name for name in moves if name in applied.names]
     if not names:
@@ -197,7 +203,8 @@ def displaced_mm(blocks: Blocks, applied: Knowledge) -> tuple[float, float]:
     ways = np.array([moves[name] for name in names])
     square = np.einsum("ikn,jkn,n->ij", ways, ways, blocks.time_s / blocks.time_s.sum())
     at = [applied.at(name) for name in names]
-    mean, covariance = applied.mean[at], applied.covariance[np.ix_(at, at)]
+    mean = applied.mean[at] - [counted.get(name, 0.0) for name in names]
+    covariance = applied.covariance[np.ix_(at, at)]
     size = float(np.sqrt(max(mean @ square @ mean, 0.0)))
     along = square @ mean / size if size > 0 else np.zeros(len(at))
     return size, float(np.sqrt(max(along @ covariance @ along, 0.0)))

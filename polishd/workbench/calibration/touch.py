@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from polishd.recipe import foresight
 from polishd.recipe.making import make_recipe
 from polishd.recipe.recipe import Recipe
 from polishd.show.tables import emit, record_table, stderr
-from polishd.workbench.calibration.touch_plan import NAME, SPOTS, Touch, plan_touch
+from polishd.workbench.calibration.touch_plan import NAME, SPOTS, Touch, as_touched, plan_touch
 from polishd.workbench.programs.pictures import program_picture
 
 NOT_IN_MINUTES = {"wear": "a tool wears in hours: passes tell", "exponent": "it is not told from rate and compliance"}
@@ -87,7 +87,7 @@ def _recipe(config: CellConfig, recipe: Recipe) -> Recipe:
         raise config.error("process.removal_model", f"a touch is planned for {known}; set one of them")
     if config.process.learns != "machine":
         raise config.error("process.learns", 'is not "machine": a touch would teach the rate alone; set it')
-    return replace(recipe, dwell=recipe.dwell.model_copy(update={"choose": "as_programmed", "cross_check": ""}))
+    return as_touched(recipe)
 
 
 def _wanted(own: Mapping[str, float]) -> dict[str, float]:

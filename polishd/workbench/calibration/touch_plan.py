@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from polishd.config.cell import CellConfig
+from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.errors import ComputeError, ConfigError
 from polishd.model.program import Program
 from polishd.model.surface import BoolArray, FloatArray
@@ -136,6 +137,11 @@ class _Cell:
             projection=BELIEVED,
             radius_mm=path.radius_mm,
         )
+
+
+def as_touched(recipe: Recipe) -> Recipe:
+    """The recipe of a pass that is polished as programmed, to teach."""
+    return replace(recipe, dwell=recipe.dwell.model_copy(update={"choose": AS_PROGRAMMED, "cross_check": ""}))
 
 
 def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], within_s: float) -> Touch:

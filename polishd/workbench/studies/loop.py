@@ -6,6 +6,7 @@ import hashlib
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +29,14 @@ from polishd.process import motion
 from polishd.process.contact import relative_removal
 from polishd.process.findings import diverged, findings, followed, worthless
 from polishd.process.gate import MAX_SHIFT_MM, Verdict
+from polishd.process.identification.touch import WANTED
 from polishd.recipe import dwell_step, steps
 from polishd.recipe.dwell_step import require_certificate
 from polishd.recipe.forecasting import forecast_of
 from polishd.recipe.making import make_recipe
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved, Taught
+from polishd.workbench.calibration.touch_plan import as_touched, plan_touch
 from polishd.workbench.programs.own_raster import own_program
 from polishd.workbench.studies.plant_process import PlantProcess
 from polishd.workbench.studies.witness import polish_witness
@@ -43,6 +46,8 @@ GATE = "gate"
 TOOL = "tool"
 """... or a finding of the tool."""
 ERROR = "error"
+TOUCH_S = 1200.0
+"""Most contact of a first touch, as of `polishd calibrate cell`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,10 +140,10 @@ class ClosedLoop:
         begun_s, account = time.process_time(), _Account()
         plant.new(sections, seed)
         try:
-            recipe, believed = self._begun(plant)
+            recipe, begun = self._begun(plant, account)
             if self._witness:
                 plant.new(sections, seed)
-            ended = self._job(recipe, plant, account).polish(believed)
+            ended = begun if isinstance(begun, _Ended) else self._job(recipe, plant, account).polish(begun)
         except PolishdError as error:
             ended = _Ended(ERROR, f"{type(error).__name__}: {error}")
         return Run(
@@ -157,9 +162,14 @@ class ClosedLoop:
             time.process_time() - begun_s,
         )
 
-    def _begun(self, plant: PlantProcess) -> tuple[Recipe, Believed]:
+    def _begun(self, plant: PlantProcess, account: _Account) -> tuple[Recipe, Believed | _Ended]:
         """The recipe and what is believed before the first pass: as configured, or of a witness. ComputeError."""
         recipe = self._recipe
+        if self._witness == "touch":
+            touch = replace(self._job(_remembering(as_touched(recipe)), plant, _Account()), program=self._touch)
+            taught = touch.teach()
+            later = replace(taught.believed, removal=recipe.model.later(taught.believed.removal, 0.0))
+            return _remembering(recipe), _gate(taught, account) or later
         if self._witness:
             job = self._job(recipe, plant, _Account())
             witness = polish_witness(plant, recipe, self._program, job.map)
@@ -167,6 +177,11 @@ class ClosedLoop:
                 return _remembering(recipe), witness.rate(recipe)
             recipe = witness.spot(recipe, self._hooks.removal_models()["measured_tif"])
         return _remembering(recipe), steps.believed_at_first(recipe)
+
+    @cached_property
+    def _touch(self) -> Program:
+        """Chosen once, for all machines: nothing is known of them before. ComputeError, ConfigError."""
+        return plan_touch(self.config, as_touched(self._recipe), WANTED, TOUCH_S).program
 
     def _job(self, recipe: Recipe, plant: PlantProcess, account: _Account) -> _Job:
         return _Job(recipe, self._program, self._hooks, self.config.part.id, self.passes, plant, account)
@@ -195,9 +210,8 @@ class _Job:
             found: tuple[Finding, ...] = ()
             if before is not None and last is not None:
                 taught = self._taught(before, surface, last, believed)
-                if taught.verdict.stop:
-                    account.named.append(_stopped_by(taught.verdict))
-                    return _Ended(GATE, taught.verdict.stop)
+                if (stopped := _gate(taught, account)) is not None:
+                    return stopped
                 believed = taught.believed
                 if taught.shown is not None:
                     account.told(taught.shown)
@@ -217,6 +231,15 @@ class _Job:
             last = (planned, *self._execute(plan))
             account.predicted_nm.append(solved.dwell.certificate.predicted_rms_nm)
             before = surface
+
+    def teach(self) -> Taught:
+        """One pass as programmed, and what it teaches of the machine."""
+        recipe, program, before = self.recipe, self.program, self._measured(None)
+        believed = steps.believed_at_first(recipe)
+        solved = dwell_step.solve(recipe, program, before, believed)
+        plan = steps.rewrite(recipe, program, solved, program.name)
+        last = (self._planned(plan, solved, before), *self._execute(plan))
+        return self._taught(before, self._measured(before), last, believed)
 
     def map(self) -> SurfaceMap:
         """As the instrument gives the part now."""
@@ -295,6 +318,14 @@ def _judged(surface: Measured, account: _Account, found: tuple[Finding, ...]) ->
     if of_tool := [one.what for one in found if one.stops == "cell"]:
         return _Ended(TOOL, "; ".join(of_tool))
     return None
+
+
+def _gate(taught: Taught, account: _Account) -> _Ended | None:
+    """Where the gate, or what identification found, leaves no way on before a person has looked."""
+    if not taught.verdict.stop:
+        return None
+    account.named.append(_stopped_by(taught.verdict))
+    return _Ended(GATE, taught.verdict.stop)
 
 
 def _stopped_by(verdict: Verdict) -> str:

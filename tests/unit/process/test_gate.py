@@ -60,6 +60,14 @@ def test_shifts_stop(angle_deg: float, distance_mm: float) -> None:
     assert np.nanstd(verdict.best_residual_nm) < 0.5 * np.nanstd(verdict.residual_nm)
 
 
+def test_a_pass_that_is_made_to_find_a_shift_may_have_more_of_it() -> None:
+    measured = moved(PREDICTED, 1.5, 0.0) + noise(2)
+    assert judge(PREDICTED, measured, MASK, GRID.pitch_mm).stop
+    verdict = judge(PREDICTED, measured, MASK, GRID.pitch_mm, most_shift_mm=3.0)
+    assert not verdict.stop
+    assert verdict.shift_mm == pytest.approx((1.5, 0.0), abs=0.06)
+
+
 @pytest.mark.full
 def test_shifts_on_a_fine_grid_stop_too() -> None:
     fine = Grid(200, 200, 0.5)

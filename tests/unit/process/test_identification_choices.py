@@ -269,13 +269,18 @@ def test_a_small_shift_is_corrected_and_a_large_one_stops() -> None:
     assert [one.name for one in small.corrected] == ["offset"]
     assert small.corrected[0].size == pytest.approx(0.2, abs=0.02)
     assert small.stops == ()
-    large = decide(polished().identified({"offset_x": 1.2}, "offset"))
+    found = polished().identified({"offset_x": 1.2}, "offset")
+    large = decide(found)
     assert large.stops[0].startswith(
-        "the spot acts 1.20 +- 0.00 mm off where it should, more than 0.5, by offset of 1.2"
+        "the spot acts 1.20 +- 0.00 mm off where the plan had it, more than 0.5, by offset of 1.2"
     )
     assert "look at tool, seat and map" in large.stops[0]
-    lenient = decide(polished().identified({"offset_x": 1.2}, "offset"), misses_mm=2.0)
-    assert lenient.stops == ()
+    assert decide(found, misses_mm=2.0).stops == ()
+    counted = {"offset_x": 1.1}
+    miss = displaced_mm(polished().blocks(), found.applied, counted)
+    known = decide(replace(found, counted=counted, displaced_mm=miss))
+    assert known.stops == (), "the plan had nearly all of it"
+    assert [one.name for one in known.corrected] == ["offset"]
 
 
 def test_how_far_the_spot_misses_is_offset_and_shift_together() -> None:
@@ -286,15 +291,16 @@ def test_how_far_the_spot_misses_is_offset_and_shift_together() -> None:
     mean = np.array([at.get(name, 0.0) for name in known.names])
     sigma = np.array([0.01 if name in at else 0.0 for name in known.names])
     against = replace(known, mean=mean, covariance=np.diag(sigma**2))
-    assert displaced_mm(one.blocks(), against)[0] == pytest.approx(0.0, abs=1e-6)
+    assert displaced_mm(one.blocks(), against, {})[0] == pytest.approx(0.0, abs=1e-6)
     alone = replace(against, mean=np.where(np.array(known.names) == "offset_y", mean, 0.0))
-    assert displaced_mm(one.blocks(), alone) == pytest.approx((0.9, 0.01 * np.sqrt(2)), rel=1e-9)
+    assert displaced_mm(one.blocks(), alone, {}) == pytest.approx((0.9, 0.01 * np.sqrt(2)), rel=1e-9)
+    assert displaced_mm(one.blocks(), alone, {"offset_y": 0.7})[0] == pytest.approx(0.2), "the plan had 0.7 of it"
     turned = knowing("rotation")
     turned = replace(turned, mean=np.array([float(name == "rotation") for name in turned.names]))
     middle = (one.blocks().start_mm + one.blocks().end_mm) / 2
     radius = np.sqrt(np.average((middle**2).sum(axis=1), weights=one.blocks().time_s))
-    assert displaced_mm(one.blocks(), turned)[0] == pytest.approx(np.radians(radius), rel=1e-9)
-    assert displaced_mm(one.blocks(), knowing("wear")) == (0.0, 0.0)
+    assert displaced_mm(one.blocks(), turned, {})[0] == pytest.approx(np.radians(radius), rel=1e-9)
+    assert displaced_mm(one.blocks(), knowing("wear"), {}) == (0.0, 0.0)
 
 
 @pytest.mark.slow

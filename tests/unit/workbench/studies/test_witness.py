@@ -11,7 +11,7 @@ from polishd.config.document import parse_toml
 from polishd.config.loop_study import LoopStudy
 from polishd.config.study import load_study
 from polishd.model.errors import ConfigError
-from polishd.workbench.studies.loop import ClosedLoop
+from polishd.workbench.studies.loop import ClosedLoop, _Account
 from polishd.workbench.studies.loops import laid_over, run_loops
 from polishd.workbench.studies.plant_process import PlantProcess
 from tests.unit.workbench.studies.studies import TABLE_III
@@ -58,7 +58,7 @@ def test_its_rate_and_its_spot_are_those_of_the_machine(tmp_path: Path) -> None:
             plant.new(laid_over(sections, scenario), 1)
             keys, witness = of.loop(name)
             loop = ClosedLoop(of.resolve(of.cell), keys, of.passes, raster=True, witness=witness)
-            begun[name] = loop._begun(plant)
+            begun[name] = loop._begun(plant, _Account())
     recipe, believed = begun["exact"]
     assert believed.rate == pytest.approx(1 + RATE, rel=0.02), "of eq. 44 as of the plant"
     assert recipe.tif is None
@@ -80,5 +80,31 @@ def test_a_loop_that_has_it_is_right_from_the_first_pass_on(tmp_path: Path) -> N
 
 def test_what_is_nothing_to_begin_with_is_said(tmp_path: Path) -> None:
     wrong = study(tmp_path, '[loops.odd]\nwitness = "spit"\n')
-    with pytest.raises(ConfigError, match=re.escape('\'spit\' is nothing to begin with; it is "rate" or "spot"')):
+    with pytest.raises(
+        ConfigError, match=re.escape('\'spit\' is nothing to begin with; it is "rate", "spot" or "touch"')
+    ):
         run_loops(wrong, lambda _: None, seeds=None, jobs=1)
+
+
+TOUCHED = '[loops.touched]\nwitness = "touch"\n"process.learns" = "machine"\n'
+
+
+@pytest.mark.full
+def test_a_spot_that_is_off_is_found_by_a_touch_and_corrected_in_the_first_pass(tmp_path: Path) -> None:
+    """Without it the gate stops after the first pass, for a person."""
+    off = study(tmp_path, f"[plant_with.effects]\nspot_shift_mm = 1.5\n[loops.untold]\n{TOUCHED}")
+    untold, touched = run_loops(off, lambda _: None, seeds=None, jobs=1).runs
+    assert (untold.ended, untold.named) == ("gate", ("shift",))
+    assert touched.accepted
+    assert touched.passes == 1
+    ((low, high, came),) = touched.came_nm
+    assert low <= came <= high
+
+
+@pytest.mark.full
+def test_a_touch_that_stops_says_why_and_no_part_is_polished(tmp_path: Path) -> None:
+    worn = study(tmp_path, TOUCHED)
+    worn = worn.model_copy(update={"plant_with": {**worn.plant_with, "truth": {"worn": 0.5, "rate": [0.0, 0.0]}}})
+    (run,) = run_loops(worn, lambda _: None, seeds=None, jobs=1).runs
+    assert (run.ended, run.named, run.passes) == ("gate", ("rate",), 0)
+    assert "about half" in run.why
