@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from polishd.model.surface import BoolArray, FloatArray
@@ -36,37 +38,46 @@ def fit(model: Forward, removed: Removed, prior: Knowledge) -> tuple[Data, dict[
     for name in model.blocks.depth_ratio:
         if name != model.projection:
             first[name] = estimate(model.of(name), all_of_it, prior, robust=True, near=own.laid)
-    found = first
-    best = max(found, key=lambda name: found[name].log_evidence)
-    data = _cleaned(found[best], model.of(best), removed, stated)
+    data = _cleaned(model, first, removed, stated)
+    found = _once_more(model, first, data, prior)
     for _ in range(ROUNDS):
-        # slopes of the prior's geometry lead to the right place, but what they say of its errors is not that place's
-        final = {best: estimate(model.of(best), data, prior, start=found[best].theta)}
-        for name, one in found.items():
-            if name != best:
-                final[name] = estimate(model.of(name), data, prior, start=one.theta, near=final[best].laid)
-        best = max(final, key=lambda name: final[name].log_evidence)
-        again = _cleaned(final[best], model.of(best), removed, stated)
-        if not _far_off(data, again):
+        after = _cleaned(model, found, removed, stated)
+        if not _far_off(data, after):
             break
-        found, data = final, again
+        data, found = after, _once_more(model, found, after, prior)
     rejected = np.zeros(mask.shape, dtype=bool)
     rejected[mask] = ~data.keep
-    return data, final, rejected
+    return data, found, rejected
+
+
+def _best(found: Mapping[str, Estimate]) -> str:
+    return max(found, key=lambda name: found[name].log_evidence)
+
+
+def _once_more(model: Forward, found: Mapping[str, Estimate], data: Data, prior: Knowledge) -> dict[str, Estimate]:
+    """By squares, with slopes laid anew: those of the geometry that a fit began at lead to the right place, but what
+    they say of its errors is not that place's."""
+    best = _best(found)
+    final = {best: estimate(model.of(best), data, prior, start=found[best].theta)}
+    for name, one in found.items():
+        if name != best:
+            final[name] = estimate(model.of(name), data, prior, start=one.theta, near=final[best].laid)
+    return final
 
 
 def _far_off(data: Data, after: Data) -> bool:
     """Whether a fit began too far from where the spot was to tell noise and outliers, as what it leaves says."""
-    out, still_out = (np.count_nonzero(~one.keep) for one in (data, after))
+    out, still_out = (int(np.count_nonzero(~one.keep)) for one in (data, after))
     fewer = out > SOME * data.keep.size and still_out < HOME * out
     return fewer or after.noise.sigma_nm < HOME * data.noise.sigma_nm
 
 
-def _cleaned(found: Estimate, model: Forward, removed: Removed, stated: Noise) -> Data:
-    """Without what is none of the pass, and with the noise that this fit leaves."""
+def _cleaned(model: Forward, found: Mapping[str, Estimate], removed: Removed, stated: Noise) -> Data:
+    """Without what is none of the pass, and with the noise that the best of these fits leaves."""
+    best = _best(found)
     mask, pitch = removed.mask, removed.grid.pitch_mm
     residual = np.zeros(mask.shape)
-    residual[mask] = removed.removal_nm[mask] - model.removal_nm(found.theta, found.laid)
+    residual[mask] = removed.removal_nm[mask] - model.of(best).removal_nm(found[best].theta, found[best].laid)
     rejected = outliers(residual, mask, stated, pitch)
     keep = mask & ~rejected
     noise = own_noise(residual, keep, stated, pitch)
