@@ -55,8 +55,11 @@ def _best(found: Mapping[str, Estimate]) -> str:
 
 
 def _once_more(model: Forward, found: Mapping[str, Estimate], data: Data, prior: Knowledge) -> dict[str, Estimate]:
-    """By squares, with slopes laid anew: those of the geometry that a fit began at lead to the right place, but what
-    they say of its errors is not that place's."""
+    """By squares, with slopes laid anew.
+
+    Those of the geometry that a fit began at lead to the right place, but what they say of its errors is not that
+    place's.
+    """
     best = _best(found)
     final = {best: estimate(model.of(best), data, prior, start=found[best].theta)}
     for name, one in found.items():
