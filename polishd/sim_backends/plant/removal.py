@@ -1,8 +1,6 @@
 """The plant's own removal law: Hertz's contact and Preston's equation with what really acts at the moment.
 
-Units: mm, N, MPa, s, rad; removal in nm. Contact, wear and the projection on the normal are written for the plant
-alone. The robot's reach and the compliance matrix at its tip are the controller's own (`process.robot`): a mistake in
-those two shows in no simulation. Tests hold them to beam finite elements and to strain energy.
+Units: mm, N, MPa, s, rad; removal in nm. What the robot gives way, and how much of that is lost as depth: `giving`.
 """
 
 from __future__ import annotations
@@ -13,10 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from polishd.config.simulator import CLOSEST
-from polishd.model.process import Projection, ToolProcess
-from polishd.model.robot import HybridRobot, SerialRobot
+from polishd.model.process import ToolProcess
 from polishd.model.surface import FloatArray, Grid
-from polishd.process.robot import reachable, tip_compliance_mm_per_n
 
 CHUNK = 48
 """Steps worn at once: small enough for the cache."""
@@ -45,33 +41,6 @@ def hertz_depth_mm(tool: ToolProcess, force_n: FloatArray, radius_mm: FloatArray
     radius = tool.tool_radius_mm if radius_mm is None else radius_mm
     stiff = 4.0 / 3.0 * plane_strain_modulus_mpa(tool) * np.sqrt(radius)
     return np.asarray((np.maximum(force_n, 0.0) / stiff) ** (2.0 / 3.0))
-
-
-def equivalent_compliance(
-    robot: HybridRobot | SerialRobot,
-    tip_mm: FloatArray,
-    axis: FloatArray,
-    normal: FloatArray,
-    projection: Projection = "linear",
-) -> FloatArray:
-    """Equivalent compliance along the surface normal (paper eq. 43), mm/N, (n,).
-
-    ``tip_mm``, ``axis`` (n, 3) and ``normal`` (3,) or (n, 3) in the base frame. The eigenvector nearest the tool axis
-    is left out: the voice coil gives way along it; but for ``normal``, what a loading test along the normal measures.
-    0 where the robot cannot be (its controller refuses to go there).
-    """
-    result = np.zeros(len(tip_mm))
-    can = reachable(robot, tip_mm, axis)
-    values, vectors = np.linalg.eigh(tip_compliance_mm_per_n(robot, tip_mm[can], axis[can]))
-    nearest = np.argmax(np.abs(np.einsum("nik,ni->nk", vectors, axis[can])), axis=1)
-    shown = np.abs(np.einsum("nik,ni->nk", vectors, np.broadcast_to(normal, tip_mm.shape)[can]))
-    share = values * (shown if projection == "linear" else shown**2)
-    if projection == "normal":
-        result[can] = share.sum(axis=1)
-        return result
-    share[np.arange(len(share)), nearest] = 0.0
-    result[can] = share.sum(axis=1)
-    return result
 
 
 def worn_depth_mm(

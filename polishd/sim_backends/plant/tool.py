@@ -65,7 +65,7 @@ class Tool:
         local, off = touches.local, self.effects
         tips, axes = frames.in_base(touches.place_mm, touches.axis)
         axis = _leaning(local.levelled(touches.axis), off.lean.at(tips))
-        compliance = self.giving(tips, axes, local.normal @ frames.to_base.T)
+        compliance = self.giving(tips, axes, local.normal @ frames.to_base.T).along
         compliance *= off.compliance * off.eq_44
         radius = contact_radius_mm(self.process, local.curvature_per_mm)
         depth = worn_depth_mm(self.process, force_n, axis, compliance, radius)

@@ -13,7 +13,8 @@ from polishd.model.robot import HybridRobot
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.robot import tip_compliance_mm_per_n
 from polishd.sim_backends.placement import Frames, rotation_rpy, tool_axis
-from polishd.sim_backends.plant.removal import equivalent_compliance, hertz_depth_mm, wear, worn_depth_mm
+from polishd.sim_backends.plant.giving import given_way
+from polishd.sim_backends.plant.removal import hertz_depth_mm, wear, worn_depth_mm
 
 TOOL = ToolProcess()
 DIP = math.radians(15.0)
@@ -161,7 +162,7 @@ def on_the_part(n: int = 7) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 def test_compliance_leaves_out_the_stiffest_direction_along_the_tool() -> None:
     tip, axis, normal = on_the_part()
-    c = equivalent_compliance(HybridRobot(), tip, axis, normal)
+    c = given_way(HybridRobot(), tip, axis, normal).along
     full = tip_compliance_mm_per_n(HybridRobot(), tip, axis)
     for k in range(len(tip)):
         values, vectors = np.linalg.eigh(full[k])
@@ -176,14 +177,14 @@ def test_compliance_ignores_the_eigenvectors_sign_and_is_zero_out_of_reach() -> 
     tip, axis, normal = on_the_part(2)
     far = tip.copy()
     far[1] = [0.0, 0.0, 9000.0]
-    c = equivalent_compliance(HybridRobot(), far, axis, normal)
-    assert c[0] == pytest.approx(equivalent_compliance(HybridRobot(), tip, axis, -normal)[0])
+    c = given_way(HybridRobot(), far, axis, normal).along
+    assert c[0] == pytest.approx(given_way(HybridRobot(), tip, axis, -normal).along[0])
     assert c[1] == 0.0
 
 
 def test_gamma_is_in_the_papers_range_and_depth_never_negative() -> None:
     tip, axis, normal = on_the_part()
-    c = equivalent_compliance(HybridRobot(), tip, axis, normal)
+    c = given_way(HybridRobot(), tip, axis, normal).along
     in_part = np.tile([0.0, -math.sin(DIP), math.cos(DIP)], (len(c), 1))
     force = np.full(len(c), 12.0)
     gamma = worn_depth_mm(TOOL, force, in_part, c) / DEPTH
