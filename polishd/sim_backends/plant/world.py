@@ -163,7 +163,7 @@ class World:
             rpm=rpm,
             seconds=rows[:, DT]
             * (1.0 - self.config.truth.worn)
-            * np.array([self.hidden.rate_at(t) for t in begin])
+            * self.hidden.rate_at(begin)
             * self.effects.rate(place, worked),
         )
         self._book(program, rows, place, np.stack([force, rpm], axis=1))

@@ -191,3 +191,16 @@ def test_gamma_is_in_the_papers_range_and_depth_never_negative() -> None:
     assert ((gamma > 0.75) & (gamma < 0.95)).all()
     assert np.allclose(gamma, 1.0 - c * 12.0 / math.cos(DIP) / DEPTH)
     assert not worn_depth_mm(TOOL, force, in_part, np.full(len(c), 1.0)).any()
+
+
+def test_contacts_worn_together_remove_what_each_removes_alone() -> None:
+    """Of several sizes, so that the smaller ones lie in a window that is wider than they are."""
+    depth = DEPTH * np.array([1.0, 0.3, 0.7, 1.6])
+    centre = np.array([(0.0, 0.0), (0.13, -0.21), (4.9, 9.2), (-9.9, 0.4)])
+    grid = Grid(41, 41, 0.5)
+    surface, n = np.zeros(grid.shape), len(depth)
+    seconds = np.arange(1.0, n + 1.0)
+    common = {"axis": np.tile(AXIS, (n, 1)), "rpm": np.full(n, 1000.0), "seconds": seconds}
+    wear(surface, grid, TOOL, centre_mm=centre, depth_mm=depth, **common)
+    alone = sum(worn(0.5, tuple(centre[k]), depth=depth[k : k + 1], seconds=seconds[k])[0] for k in range(n))
+    np.testing.assert_allclose(-surface, alone, rtol=1e-12, atol=1e-12)
