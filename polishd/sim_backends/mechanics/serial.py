@@ -19,7 +19,9 @@ SINGULAR = 1e-3
 """Of the smallest to the largest singular value of the joints' motions, lengths over the arm's: its controller
 refuses to go there."""
 FEW = 256
-"""Poses led all the way from home; the others begin at the nearest that was found."""
+"""Poses led all the way from home, ..."""
+NEARER = 8
+"""... then one of so many of the others from the nearest that was found, and then all; those that fail twice."""
 STEPS = 80
 STEP = 0.1
 """Longest step towards a pose: rad, or parts of the arm's length."""
@@ -75,15 +77,12 @@ def posed(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray) -> Posed:
     joints, found = np.zeros((len(tip_mm), 6)), np.zeros(len(tip_mm), dtype=np.bool_)
     motion = np.zeros((len(tip_mm), 6, 6))
     place = np.column_stack([tip_mm / screws.length_mm, axis])
-    going = np.flatnonzero(wanted)[:: max(1, len(tip_mm) // FEW)]
-    for _ in range(3):
-        led, motion[going], miss = _lead(screws, joints[going], tip_mm[going], flange[going])
-        joints[going] = led
+    for every in (max(1, len(tip_mm) // FEW), NEARER, 1, 1):
+        going = np.flatnonzero(wanted & ~found)[::every]
+        if found.any():
+            joints[going] = joints[found][cKDTree(place[found]).query(place[going])[1]]
+        joints[going], motion[going], miss = _lead(screws, joints[going], tip_mm[going], flange[going])
         found[going] = (miss < FOUND) & (np.linalg.det(motion[going]) * home > 0.0)
-        going = np.flatnonzero(wanted & ~found)
-        if not len(going) or not found.any():
-            break
-        joints[going] = joints[found][cKDTree(place[found]).query(place[going])[1]]
     spread = np.linalg.svd(motion, compute_uv=False)
     regular = spread[:, 5] > SINGULAR * spread[:, 0]
     return Posed(found & regular & _within(robot, joints), joints, motion)
