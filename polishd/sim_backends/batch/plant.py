@@ -56,6 +56,7 @@ class BatchPlant:
         for timeline, values in ((self.world.force, force), (self.world.rpm, rpm)):
             timeline.push(list(zip(edges, np.repeat(values, 2).tolist(), strict=True)), float(until[-1]))
         self.world.acted = []
+        self.world.lift()
         self.world.robot_s = self.now_s
         self.world.move(rows)
         self.world.integrate(float(until[-1]))

@@ -30,6 +30,10 @@ class Lag:
     _middle_s: float = 0.0
     _until_s: float = -math.inf
 
+    def lift(self) -> None:
+        """The tool leaves the part: the next contact is a landing."""
+        self._until_s = -math.inf
+
     def truly(
         self, force_n: FloatArray, *, begin_s: FloatArray, lasts_s: FloatArray, gap_mm: FloatArray, stiff: FloatArray
     ) -> FloatArray:

@@ -95,6 +95,11 @@ class World:
         self._queue.append((self.account.current, rows))
         self.robot_s = wall_s
 
+    def lift(self) -> None:
+        """The tool leaves the part, in no time."""
+        if self._lag is not None:
+            self._lag.lift()
+
     def _turn_to(self, pose: Sequence[float] | FloatArray) -> None:
         x, y, z, a, c = (float(value) for value in pose)
         self.pose = (x, y, z, a, c)

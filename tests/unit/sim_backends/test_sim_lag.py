@@ -35,6 +35,8 @@ def test_it_goes_on_from_call_to_call_and_lands_anew_after_a_lift() -> None:
     first, second = truly(lag, one, level)[0], truly(lag, one, level, begin_s=1.0)[0]
     assert second > first
     assert truly(lag, one, level, begin_s=3.0)[0] == first
+    lag.lift()
+    assert truly(lag, one, level, begin_s=4.0)[0] == first
 
 
 @pytest.mark.parametrize(("speed_mm_s", "extra_n"), [(0.4, 0.96), (-0.4, -0.96), (-50.0, -12.0)])
@@ -58,7 +60,10 @@ def track(**effects: object) -> tuple[BatchPlant, FloatArray, FloatArray]:
         truth=Truth(rate=(0.0, 0.0), stiffness=0.0, drift=0.0, force_noise=0.0),
         effects=Effects.model_validate({"eq_44": [0, 0], "friction": [0, 0]} | effects),
     )
-    made = BatchPlant(config, 3)
+    return polished(BatchPlant(config, 3))
+
+
+def polished(made: BatchPlant) -> tuple[BatchPlant, FloatArray, FloatArray]:
     before = made.world.part.height_nm.copy()
     x = np.linspace(-10.0, 10.0, 41)
     ends = np.column_stack([x, 0.0 * x, 0.0 * x])
@@ -93,3 +98,8 @@ def test_robots_that_are_off_along_the_normal_push_only_where_the_force_lags() -
     _, follows, _ = track(robot_error_mm=0.3)
     _, lagging, _ = track(robot_error_mm=0.3, force_lag_s=0.05)
     assert not np.allclose(lagging, follows, rtol=1e-4)
+
+
+def test_the_next_pass_lands_anew() -> None:
+    made, first, _ = track(force_lag_s=0.01)
+    np.testing.assert_allclose(polished(made)[1], first, atol=1e-9)

@@ -61,6 +61,14 @@ def test_an_axis_at_the_dip_to_the_normal_is_seen_at_the_dip() -> None:
     assert np.allclose(np.linalg.norm(local.levelled(across), axis=1), np.linalg.norm(across, axis=1))
 
 
+def test_a_direction_along_the_surface_is_raised_to_where_it_is_seen_from() -> None:
+    local = Shape(Plant(curvature_radius_mm=100.0)).under(places())
+    along = np.random.default_rng(1).standard_normal((len(places()), 2))
+    raised = local.raised(along)
+    assert np.allclose(np.einsum("ni,ni->n", raised, local.normal), 0.0, atol=1e-12)
+    assert np.allclose(local.levelled(raised), np.column_stack([along, np.zeros(len(along))]), atol=1e-12)
+
+
 def test_the_stretch_is_the_length_along_the_surface() -> None:
     shape = Shape(Plant(curvature_radius_mm=100.0))
     xy, step = np.array([[30.0, -25.0]]), np.array([0.01, 0.02])
