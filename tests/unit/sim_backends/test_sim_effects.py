@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -207,6 +209,8 @@ def test_force_that_acts_decides() -> None:
 def test_a_new_effect_changes_no_other_one_s_draw() -> None:
     alone, beside = plant(seat_shift_mm=2.0), plant(seat_shift_mm=2.0, spot_turn_deg=10.0, robot_error_mm=0.3)
     assert alone.world.effects.seat_mm == beside.world.effects.seat_mm
+    other = plant(seat_shift_mm=2.0, eq_44=[0.2, 0.3], friction=[0.1, 0.9], force_lag_s=0.1).world.effects
+    assert replace(other, eq_44=1.0, friction=0.0, force_lag_s=0.0) == alone.world.effects
 
 
 def test_speed_that_acts_decides() -> None:
