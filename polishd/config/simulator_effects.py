@@ -45,9 +45,13 @@ class Effects(Section):
     """How far the part lies off its seat, across its normal; its direction is drawn."""
     compliance: ShareOrNone = 0.0
     """How far the compliance along the normal is off the robot's, either way, relative. [1]"""
-    eq_44: Pair = (1.0, 1.0)
-    """How much of the way that the robot gives is lost as depth: 1 the postulate of paper eq. 44, 0 constant depth,
-    which statics gives for a constant force; drawn between the two. [1]"""
+    eq_44: Pair = (0.0, 1.0)
+    """How much of what paper eq. 44 says is lost as depth where the robot gives way: 1 all of it; 0 constant depth,
+    which statics gives for an actuator that holds its force. One with friction or a stiff guide is between; drawn
+    between the two. [1]"""
+    friction: Pair = (0.2, 0.5)
+    """Coefficient of friction between bonnet and part: it pulls the tip sideways as far as the robot gives way; drawn
+    between the two. [1]"""
     speed_ripple: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
     """Amplitude of a sine of the spindle's speed, relative. [1]"""
     speed_ripple_s: Positive = 2.0
@@ -56,10 +60,16 @@ class Effects(Section):
     """Amplitude of a sine of the force, which no sensor sees, relative. [1]"""
     force_ripple_s: Positive = 3.0
     """Its period, contact time."""
+    force_lag_s: NotNegative = 0.0
+    """Process time by which the true force lags behind what the actuator exerts and measures: when the tool lands, and
+    where the part comes or goes, by its tilt or the robot's error along the normal (`robot_error_mm`). 0: it
+    follows."""
 
     @model_validator(mode="after")
-    def _is_a_share(self) -> Self:
-        least, most = self.eq_44
-        if not 0.0 <= least <= most <= 1.0:
-            raise ValueError(f"eq_44: [{least:g}, {most:g}] is no range within 0 to 1; give the lower one first")
+    def _are_ranges(self) -> Self:
+        for name, (least, most), end in (("eq_44", self.eq_44, 1.0), ("friction", self.friction, 2.0)):
+            if not 0.0 <= least <= most <= end:
+                raise ValueError(
+                    f"{name}: [{least:g}, {most:g}] is no range within 0 to {end:g}; give the lower one first"
+                )
         return self

@@ -9,6 +9,7 @@ import numpy as np
 
 from polishd.config.simulator import Truth
 from polishd.model.robot import HybridRobot, MeasuredCompliance, RobotModel, SerialRobot
+from polishd.model.surface import FloatArray
 
 STIFFNESSES = (
     "limb_stiffness_n_per_mm",
@@ -32,9 +33,10 @@ class HiddenTruth:
     overhead_s: float
     robot: RobotModel
 
-    def rate_at(self, process_s: float) -> float:
-        """The rate factor at a process time."""
-        return self.rate * (1.0 + self.drift * math.sin(self.drift_phase + math.tau * process_s / self.drift_period_s))
+    def rate_at(self, process_s: FloatArray) -> FloatArray:
+        """(n,) rate factors at process times (n,)."""
+        angle = self.drift_phase + math.tau * process_s / self.drift_period_s
+        return np.asarray(self.rate * (1.0 + self.drift * np.sin(angle)))
 
 
 def draw(config: Truth, seed: int, nominal: RobotModel | None = None) -> HiddenTruth:

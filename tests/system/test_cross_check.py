@@ -1,6 +1,6 @@
 """The controller's physics and program reader against the simulator's own: two laws, written apart, that must agree.
 
-They share the nouns (`polishd.model`) and the robot's geometry (`polishd.process.robot`), and nothing else.
+They share the nouns (`polishd.model`), and nothing else.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ from polishd.recipe import steps
 from polishd.sim_backends import truth
 from polishd.sim_backends.placement import Frames, rotation_rpy, tool_axis
 from polishd.sim_backends.plant import part as parts
-from polishd.sim_backends.plant.removal import equivalent_compliance, hertz_depth_mm, wear, worn_depth_mm
+from polishd.sim_backends.plant.giving import given_way
+from polishd.sim_backends.plant.removal import hertz_depth_mm, wear, worn_depth_mm
 from polishd.sim_backends.robot.rnc import Reader
 from tests.rs274 import read
 from tests.unit.plugins.rnc_robot.test_traps_rs274 import BAD, GOOD, Bad, Good
@@ -117,7 +118,7 @@ def test_gamma_at_poses_over_the_part(process: ToolProcess) -> None:
     pose = np.array([[x, y, 0.0, process.dip_deg, c] for x, y, c in POSES])
     world = Frames(PLANT)
     tips, axes = world.in_part(pose)
-    theirs_c = equivalent_compliance(ROBOT, *world.in_base(tips, axes), world.to_base[:, 2])
+    theirs_c = given_way(ROBOT, *world.in_base(tips, axes), world.to_base[:, 2]).along
     rigid = hertz_depth_mm(process, np.full(len(pose), process.force_n))
     theirs = worn_depth_mm(process, np.full(len(pose), process.force_n), axes, theirs_c) / rigid
     np.testing.assert_allclose(compliance, theirs_c, rtol=1e-6)
@@ -137,7 +138,7 @@ def test_the_effect_matrix_is_what_the_plant_removes(name: str) -> None:
     effect = effect_matrix(grid, HertzSpot(process), program, spots.depth_ratio, spots.factor)
     world = Frames(PLANT)
     tips, axes = world.in_part(np.array([[x, y, 0.0, process.dip_deg, c] for x, y, c in POSES]))
-    theirs_c = equivalent_compliance(ROBOT, *world.in_base(tips, axes), world.to_base[:, 2])
+    theirs_c = given_way(ROBOT, *world.in_base(tips, axes), world.to_base[:, 2]).along
     worn_depth = worn_depth_mm(process, np.full(len(tips), process.force_n), axes, theirs_c)
     for k in range(len(POSES)):
         one = slice(k, k + 1)
@@ -182,7 +183,7 @@ def test_compliance_projection_on_random_poses_placements_and_robots(seed: int |
         base_tips, base_axes = world.in_base(tips, axes)
         np.testing.assert_allclose(controller_frames.points_to_base(placement, tips), base_tips, atol=1e-9)
         np.testing.assert_allclose(controller_frames.directions_to_base(placement, axes), base_axes, atol=1e-12)
-        theirs = equivalent_compliance(robot, base_tips, base_axes, world.to_base[:, 2])
+        theirs = given_way(robot, base_tips, base_axes, world.to_base[:, 2]).along
         normals = controller_frames.surface_normals(placement, np.zeros_like(tips))
         ours = controller_compliance(tip_compliance_mm_per_n(robot, base_tips, base_axes), base_axes, normals)
         assert (theirs > 0).all(), "all of these poses are within reach"

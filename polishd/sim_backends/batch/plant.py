@@ -51,12 +51,12 @@ class BatchPlant:
         a = np.degrees(np.arccos(np.clip(axis[:, 2], -1.0, 1.0)))
         c = np.degrees(np.arctan2(axis[:, 0], -axis[:, 1]))
         rows = np.column_stack([block, until - lasts, until, lasts, tip, a[block], c[block]])
-        edges = np.column_stack([until - lasts, until]).ravel()
+        ends = until[np.cumsum(pieces) - 1]
+        edges = np.column_stack([np.concatenate([[self.now_s], ends[:-1]]), ends]).ravel().tolist()
         for timeline, values in ((self.world.force, force), (self.world.rpm, rpm)):
-            timeline.push(
-                list(zip(edges.tolist(), np.repeat(values[block], 2).tolist(), strict=True)), float(until[-1])
-            )
+            timeline.push(list(zip(edges, np.repeat(values, 2).tolist(), strict=True)), float(until[-1]))
         self.world.acted = []
+        self.world.lift()
         self.world.robot_s = self.now_s
         self.world.move(rows)
         self.world.integrate(float(until[-1]))

@@ -48,6 +48,7 @@ class Drawn:
     """The part's centre from where it should lie, in its x and y."""
     compliance: float = 1.0
     eq_44: float = 1.0
+    friction: float = 0.0
     ripple: float = 0.0
     ripple_s: float = 1.0
     force_ripple: float = 0.0
@@ -62,6 +63,9 @@ class Drawn:
     lean: Waves = field(default_factory=Waves)
     """Spindle's axis off, radians, likewise."""
     vibration_mm: float = 0.0
+    height: Waves = field(default_factory=Waves)
+    """Tip off along the normal, mm: the first component. The actuator takes it up, as fast as it can."""
+    force_lag_s: float = 0.0
 
     def rate(self, place_mm: FloatArray, contact_s: FloatArray) -> FloatArray:
         """(n,) factor of the removal at places (n, >= 2) after so long (n,) in contact."""
@@ -85,10 +89,10 @@ def draw(config: SimConfig, seed: int) -> Drawn:
     ranges: Effects = config.effects
     rng = stream(seed, "effects")
     angles, shares = rng.uniform(0.0, math.tau, 3), rng.uniform(-1.0, 1.0, 3)
-    least, most = ranges.eq_44
-    lost = least + (most - least) * float(rng.uniform())
+    lost = _within(ranges.eq_44, float(rng.uniform()))
     turn, skew, pressure = (float(share) for share in rng.uniform(-1.0, 1.0, 3))
     robot, lean = _waves(rng, ranges.robot_error_wave_mm), _waves(rng, ranges.robot_error_wave_mm)
+    height, friction = _waves(rng, ranges.robot_error_wave_mm), _within(ranges.friction, float(rng.uniform()))
     return Drawn(
         linear=ranges.rate_field * float(shares[0]),
         square=ranges.rate_field * (1.0 - abs(float(shares[0]))) * math.copysign(1.0, shares[1]),
@@ -102,6 +106,7 @@ def draw(config: SimConfig, seed: int) -> Drawn:
         seat_mm=_towards(ranges.seat_shift_mm, float(angles[2])),
         compliance=1.0 + ranges.compliance * float(shares[2]),
         eq_44=lost,
+        friction=friction,
         ripple=ranges.speed_ripple,
         ripple_s=ranges.speed_ripple_s,
         force_ripple=ranges.force_ripple,
@@ -112,6 +117,8 @@ def draw(config: SimConfig, seed: int) -> Drawn:
         robot=replace(robot, most=ranges.robot_error_mm),
         lean=replace(lean, most=math.radians(ranges.robot_error_deg)),
         vibration_mm=ranges.vibration_mm,
+        height=replace(height, most=ranges.robot_error_mm),
+        force_lag_s=ranges.force_lag_s,
     )
 
 
@@ -121,6 +128,11 @@ def _waves(rng: np.random.Generator, shortest_mm: float) -> Waves:
     ways /= np.linalg.norm(ways, axis=1)[:, None] * shortest_mm * 3.0 ** rng.uniform(0.0, 1.0, 2)[:, None]
     first, second = (math.tau * ways).tolist()
     return Waves(0.0, (tuple(first), tuple(second)), (float(phases[0]), float(phases[1])))
+
+
+def _within(span: tuple[float, float], share: float) -> float:
+    least, most = span
+    return least + (most - least) * share
 
 
 def _towards(length: float, angle: float) -> tuple[float, float]:

@@ -1,8 +1,6 @@
 """The plant's own removal law: Hertz's contact and Preston's equation with what really acts at the moment.
 
-Units: mm, N, MPa, s, rad; removal in nm. Contact, wear and the projection on the normal are written for the plant
-alone. The robot's reach and the compliance matrix at its tip are the controller's own (`process.robot`): a mistake in
-those two shows in no simulation. Tests hold them to beam finite elements and to strain energy.
+Units: mm, N, MPa, s, rad; removal in nm. What the robot gives way, and how much of that is lost as depth: `giving`.
 """
 
 from __future__ import annotations
@@ -13,13 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from polishd.config.simulator import CLOSEST
-from polishd.model.process import Projection, ToolProcess
-from polishd.model.robot import HybridRobot, SerialRobot
+from polishd.model.process import ToolProcess
 from polishd.model.surface import FloatArray, Grid
-from polishd.process.robot import reachable, tip_compliance_mm_per_n
 
-CHUNK = 48
-"""Steps worn at once: small enough for the cache."""
+CHUNK = 192
+"""Steps worn at once: so many that what Python does between two arrays hardly counts, and few enough for the cache."""
 NODES, WEIGHTS = (0.5 + 0.5 * np.polynomial.legendre.leggauss(3)[0], 0.5 * np.polynomial.legendre.leggauss(3)[1])
 """Of lines through a cell: with three a cell is right to 0.4 % of the peak, at its rim."""
 
@@ -45,33 +41,6 @@ def hertz_depth_mm(tool: ToolProcess, force_n: FloatArray, radius_mm: FloatArray
     radius = tool.tool_radius_mm if radius_mm is None else radius_mm
     stiff = 4.0 / 3.0 * plane_strain_modulus_mpa(tool) * np.sqrt(radius)
     return np.asarray((np.maximum(force_n, 0.0) / stiff) ** (2.0 / 3.0))
-
-
-def equivalent_compliance(
-    robot: HybridRobot | SerialRobot,
-    tip_mm: FloatArray,
-    axis: FloatArray,
-    normal: FloatArray,
-    projection: Projection = "linear",
-) -> FloatArray:
-    """Equivalent compliance along the surface normal (paper eq. 43), mm/N, (n,).
-
-    ``tip_mm``, ``axis`` (n, 3) and ``normal`` (3,) or (n, 3) in the base frame. The eigenvector nearest the tool axis
-    is left out: the voice coil gives way along it; but for ``normal``, what a loading test along the normal measures.
-    0 where the robot cannot be (its controller refuses to go there).
-    """
-    result = np.zeros(len(tip_mm))
-    can = reachable(robot, tip_mm, axis)
-    values, vectors = np.linalg.eigh(tip_compliance_mm_per_n(robot, tip_mm[can], axis[can]))
-    nearest = np.argmax(np.abs(np.einsum("nik,ni->nk", vectors, axis[can])), axis=1)
-    shown = np.abs(np.einsum("nik,ni->nk", vectors, np.broadcast_to(normal, tip_mm.shape)[can]))
-    share = values * (shown if projection == "linear" else shown**2)
-    if projection == "normal":
-        result[can] = share.sum(axis=1)
-        return result
-    share[np.arange(len(share)), nearest] = 0.0
-    result[can] = share.sum(axis=1)
-    return result
 
 
 def worn_depth_mm(
@@ -148,7 +117,7 @@ def _wear_chunk(
 ) -> None:
     pitch = grid.pitch_mm
     reach = math.sqrt(float((radius_mm * depth_mm).max())) / pitch
-    cells = 2 * math.ceil(reach) + 2
+    cells = math.floor(2.0 * reach) + 2  # that a length of twice the reach can touch
     first_col = np.floor((centre_mm[:, 0] - grid.x_mm[0]) / pitch - reach + 0.5).astype(np.int64)
     first_row = np.floor((grid.y_mm[0] - centre_mm[:, 1]) / pitch - reach + 0.5).astype(np.int64)
     edges = (np.arange(cells + 1) - 0.5) * pitch
@@ -157,13 +126,15 @@ def _wear_chunk(
     ellipse = _Ellipse.of(tool, depth_mm, radius_mm, stretch)
     # lines that end where the contact does: across its rim the rate is no polynomial
     inside_y = np.clip(y, -ellipse.top_mm, ellipse.top_mm)
-    high = np.maximum(-np.diff(inside_y, axis=1), 0.0)
+    high = np.maximum(inside_y[:, :-1] - inside_y[:, 1:], 0.0)
     lines = inside_y[:, 1:, None] + high[:, :, None] * NODES
     skewed = skew * sliding(axis) / np.sqrt(radius_mm * depth_mm)[:, None]
-    rate = _rate(tool, x, lines.reshape(len(x), -1), ellipse, axis=axis, depth_mm=depth_mm, skewed=skewed)
-    mean = np.einsum("nrjc,nrj->nrc", rate.reshape(*lines.shape, cells), high[:, :, None] * WEIGHTS)
+    rate = _rate(
+        x, lines.reshape(len(x), -1), ellipse, axis=axis, down_mm=depth_mm - tool.tool_radius_mm, skewed=skewed
+    )
     # preston cm^2/N = 100 mm^2/N; 1e6 nm/mm; rpm * s = 60 turns, one turn = 2 pi rad
-    mean *= (tool.preston_cm2_per_n * 100.0 * 1e6 * math.tau / 60.0 / pitch**2) * turns[:, None, None]
+    turned = (tool.preston_cm2_per_n * 100.0 * 1e6 * math.tau / 60.0 / pitch**2) * turns[:, None, None]
+    mean = np.einsum("nrjc,nrj->nrc", rate.reshape(*lines.shape, cells), high[:, :, None] * turned * WEIGHTS)
     rows = (first_row[:, None] + np.arange(cells))[:, :, None]
     cols = (first_col[:, None] + np.arange(cells))[:, None, :]
     inside = (rows >= 0) & (rows < grid.ny) & (cols >= 0) & (cols < grid.nx)
@@ -198,39 +169,45 @@ class _Ellipse:
 
 
 def _rate(
-    tool: ToolProcess,
-    x: FloatArray,
-    y: FloatArray,
-    ellipse: _Ellipse,
-    *,
-    axis: FloatArray,
-    depth_mm: FloatArray,
-    skewed: FloatArray,
+    x: FloatArray, y: FloatArray, ellipse: _Ellipse, *, axis: FloatArray, down_mm: FloatArray, skewed: FloatArray
 ) -> FloatArray:
     """Pressure times sliding speed for an angular speed of 1 between neighbours of x, MPa mm^2, (n, lines, x - 1).
 
-    ``x`` (n, x) and ``y`` (n, lines) are offsets from the contact, ``skewed`` (n, 2) how the rate grows along them. The
-    pressure is integrated exactly along each line; the speed is that where the pressure's centre is.
+    ``x`` (n, x) and ``y`` (n, lines) are offsets from the contact, ``down_mm`` (n,) the height of its middle over the
+    bonnet's own, ``skewed`` (n, 2) how the rate grows along them. The pressure is integrated exactly along each line;
+    the speed is that where the pressure's centre is. Nearly all of a pass's time goes here: few passes over its arrays.
     """
     line = y[:, :, None]
-    ux, uy, vx, vy = ellipse.stretch
     chord = np.maximum(1.0 - (line / ellipse.top_mm[:, :, None]) ** 2, 1e-12)
     half = np.sqrt(chord / ellipse.across)
-    share = np.clip((x[:, None, :] + ellipse.shear * line) / half, -1.0, 1.0)
-    left = 1.0 - share**2
+    moved = ellipse.shear * line
+    share = x[:, None, :] / half
+    share += moved / half
+    np.clip(share, -1.0, 1.0, out=share)
+    left = 1.0 - share * share
     root = np.sqrt(left)
-    pressure = np.diff(share * root + np.arcsin(share), axis=2)
-    moment = np.diff(left * root, axis=2) * (-2.0 / 3.0)
-    middle = half * np.divide(moment, pressure, out=np.zeros_like(moment), where=pressure > 0.0) - ellipse.shear * line
-    down = (depth_mm - tool.tool_radius_mm)[:, None, None]
-    u, v = ux * middle + uy * line, vx * middle + vy * line
-    along_x = axis[:, 1:2, None] * down - axis[:, 2:3, None] * v
-    along_y = axis[:, 2:3, None] * u - axis[:, 0:1, None] * down
+    left *= root
+    root *= share
+    root += np.arcsin(share)
+    pressure = root[:, :, 1:] - root[:, :, :-1]
+    middle = left[:, :, :-1] - left[:, :, 1:]
+    middle /= np.maximum(pressure, 1e-300)
+    middle *= half * (2.0 / 3.0)
+    middle -= moved
+    (ux, uy, vx, vy), down = ellipse.stretch, down_mm[:, None, None]
+    a, b, c = (axis[:, k, None, None] for k in range(3))
+    # sliding, of the part's turned frame, is (x0 + x1 middle, y0 + y1 middle)
+    x0, x1, y0, y1 = b * down - c * vy * line, -c * vx, c * uy * line - a * down, c * ux
+    square = (x1**2 + y1**2) * middle
+    square += 2.0 * (x0 * x1 + y0 * y1)
+    square *= middle
+    square += x0**2 + y0**2
+    pressure *= np.sqrt(np.maximum(square, 0.0, out=square), out=square)
     pressure *= chord / np.sqrt(ellipse.across) * ellipse.peak_mpa
-    pressure *= np.sqrt(along_x**2 + along_y**2)
     if skewed.any():
+        u, v = ux * middle + uy * line, vx * middle + vy * line
         pressure *= 1.0 + skewed[:, 0:1, None] * u + skewed[:, 1:2, None] * v
-    return np.asarray(pressure)
+    return pressure
 
 
 def sliding(axis: FloatArray) -> FloatArray:

@@ -39,6 +39,12 @@ class Local:
         share = (along + axis[:, 2]) / (1.0 + self.normal[:, 2])
         return np.column_stack([axis[:, :2] - share[:, None] * self.normal[:, :2], along])
 
+    def raised(self, along: FloatArray) -> FloatArray:
+        """(n, 3) directions of the part's frame from (n, 2) along the surface: what `levelled` makes of them."""
+        share = np.einsum("ni,ni->n", along, self.normal[:, :2]) / (1.0 + self.normal[:, 2])
+        flat = np.column_stack([along, np.zeros(len(along))])
+        return np.asarray(flat - share[:, None] * (self.normal + np.array([0.0, 0.0, 1.0])))
+
     @property
     def stretch(self) -> FloatArray:
         """(n, 2, 2) from offsets in the part's x and y to offsets along the surface, in that turned frame."""

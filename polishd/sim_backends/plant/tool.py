@@ -16,7 +16,7 @@ from polishd.sim_backends.plant.effects import Drawn
 from polishd.sim_backends.plant.giving import Giving, giving
 from polishd.sim_backends.plant.measured import MeasuredStamp
 from polishd.sim_backends.plant.part import TruePart
-from polishd.sim_backends.plant.removal import contact_radius_mm, wear, worn_depth_mm
+from polishd.sim_backends.plant.removal import contact_radius_mm, hertz_depth_mm, sliding, wear, worn_depth_mm
 from polishd.sim_backends.plant.shape import Local
 
 GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
@@ -65,18 +65,37 @@ class Tool:
         local, off = touches.local, self.effects
         tips, axes = frames.in_base(touches.place_mm, touches.axis)
         axis = _leaning(local.levelled(touches.axis), off.lean.at(tips))
-        compliance = self.giving(tips, axes, local.normal @ frames.to_base.T)
-        compliance *= off.compliance * off.eq_44
+        given = self.giving(tips, axes, local.normal @ frames.to_base.T)
         radius = contact_radius_mm(self.process, local.curvature_per_mm)
-        depth = worn_depth_mm(self.process, force_n, axis, compliance, radius)
+        depth = worn_depth_mm(self.process, force_n, axis, given.along * (off.compliance * off.eq_44), radius)
         turned = _turn(-math.radians(off.turn_deg)) @ local.stretch
         centre = touches.place_mm[:, :2] + off.robot.at(tips) + _circling(len(tips)) * off.vibration_mm
         centre = centre + self._offset_mm(axis, turned) - np.array(off.seat_mm)
+        if off.friction:
+            dragged = self._dragged_mm(given.matrix, Touches(touches.place_mm, axis, local), frames, force_n)
+            centre = centre + np.linalg.solve(local.stretch, dragged[:, :2, None])[:, :, 0]
+            depth = np.maximum(depth - off.eq_44 * dragged[:, 2], 0.0)
         at = {"centre_mm": centre, "axis": axis, "depth_mm": depth, "stretch": turned, "skew": off.skew}
         if self.stamp is not None:
             self.stamp.wear(part.height_nm, part.grid, turns=rpm * seconds * off.bonnet, **at)
         else:
             wear(part.height_nm, part.grid, self.process, rpm=rpm, seconds=seconds, radius_mm=radius, **at)
+
+    def stiffness_n_per_mm(self, force_n: FloatArray, curvature_per_mm: FloatArray) -> FloatArray:
+        """(n,) of the contact under forces (n,) on a part so curved: Hertz's dF/dd, 1.5 F over the depth."""
+        depth = hertz_depth_mm(self.process, force_n, contact_radius_mm(self.process, curvature_per_mm))
+        return np.asarray(1.5 * force_n / np.maximum(depth, 1e-9))
+
+    def _dragged_mm(self, matrix: FloatArray, at: Touches, frames: Frames, force_n: FloatArray) -> FloatArray:
+        """(n, 3) by which friction pulls the tip along the surface and off it, where the normal is z.
+
+        It acts against the way that the bonnet slides, and grows with the normal force. What the normal force itself
+        does to the tip sideways is the same everywhere, and goes away as the tool is set up. ``at.axis`` is levelled.
+        """
+        against = at.local.raised(-sliding(at.axis)) @ frames.to_base.T
+        pull_n = self.effects.friction * self.effects.compliance * force_n / np.maximum(at.axis[:, 2], 1e-3)
+        moved = np.einsum("nij,nj->ni", matrix, against) * pull_n[:, None]
+        return at.local.levelled(moved @ frames.to_base)
 
     def _offset_mm(self, axis: FloatArray, turned: FloatArray) -> FloatArray:
         """(n, 2) from the tool's tip to the spot's centre, in the part's x and y; ``turned`` (n, 2, 2) as stretch."""

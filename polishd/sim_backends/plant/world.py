@@ -14,6 +14,7 @@ from polishd.sim_backends.bus import ROW
 from polishd.sim_backends.placement import Frames
 from polishd.sim_backends.plant.account import Account, WayOut
 from polishd.sim_backends.plant.effects import Drawn
+from polishd.sim_backends.plant.lag import Lag
 from polishd.sim_backends.plant.part import TruePart
 from polishd.sim_backends.plant.shape import Local, Shape
 from polishd.sim_backends.plant.timeline import Timeline
@@ -49,11 +50,12 @@ class World:
     contact_s: float = 0.0
     """Process time that the tool has polished: what wears and warms it."""
     acted: list[FloatArray] | None = None
-    """Where kept: (n, 4) block, seconds, N and rpm of each stretch of contact, as they truly acted."""
+    """Where kept: (n, 4) block, seconds, N and rpm of each stretch of contact, as actuator and spindle measure them."""
     polished_s: float = -math.inf
     """Wall time of the last contact of a tool that turned."""
     _queue: list[tuple[str, FloatArray]] = field(default_factory=list)
     _noise: float = 0.0
+    _lag: Lag | None = None
     _frames: Frames = field(init=False)
     _tool: Tool = field(init=False)
     _shape: Shape = field(init=False)
@@ -62,6 +64,7 @@ class World:
         """Fix the frames, the tool and the optic."""
         self._frames, self._shape = Frames(self.config.plant), Shape(self.config.plant)
         self._tool = Tool.of(self.config, self.hidden.robot, self.effects)
+        self._lag = Lag(self.effects.force_lag_s) if self.effects.force_lag_s else None
 
     def move(self, rows: FloatArray) -> None:
         """Take motion as the robot reports it (``bus.ROW``); time before it that no row covers was standstill."""
@@ -91,6 +94,11 @@ class World:
         )
         self._queue.append((self.account.current, rows))
         self.robot_s = wall_s
+
+    def lift(self) -> None:
+        """The tool leaves the part, in no time."""
+        if self._lag is not None:
+            self._lag.lift()
 
     def _turn_to(self, pose: Sequence[float] | FloatArray) -> None:
         x, y, z, a, c = (float(value) for value in pose)
@@ -145,6 +153,9 @@ class World:
         worked = self.contact_s + np.cumsum(turning) - turning / 2.0
         self.contact_s += float(turning.sum())
         rpm = rpm * self.effects.speed(worked)
+        if self.acted is not None:
+            self.acted.append(np.column_stack([rows[:, SEQ], rows[:, DT], force, rpm]))
+        force = self._true_force(force, place, axis, begin_s=begin, lasts_s=rows[:, DT])
         force = force * self.effects.force(worked)
         if rpm.any():
             self.polished_s = float(rows[-1, WALL1])
@@ -157,11 +168,9 @@ class World:
             rpm=rpm,
             seconds=rows[:, DT]
             * (1.0 - self.config.truth.worn)
-            * np.array([self.hidden.rate_at(t) for t in begin])
+            * self.hidden.rate_at(begin)
             * self.effects.rate(place, worked),
         )
-        if self.acted is not None:
-            self.acted.append(np.column_stack([rows[:, SEQ], rows[:, DT], force, rpm]))
         self._book(program, rows, place, np.stack([force, rpm], axis=1))
         if before is not None:
             self._book_way_out(rows, before - self.part.height_nm)
@@ -206,6 +215,18 @@ class World:
         about_x, about_y = (math.tan(math.radians(angle)) for angle in plant.seat_tilt_deg)
         level = place[:, 2] - local.height_mm
         return np.asarray(level - plant.seat_height_mm - about_x * place[:, 1] + about_y * place[:, 0])
+
+    def _true_force(
+        self, coil_n: FloatArray, place: FloatArray, axis: FloatArray, *, begin_s: FloatArray, lasts_s: FloatArray
+    ) -> FloatArray:
+        """(n,) what acts where the coil exerts that much: the same but for `Lag`."""
+        if self._lag is None:
+            return coil_n
+        local = self._shape.under(place)
+        up = local.normal[:, 2] / np.einsum("ni,ni->n", local.normal, axis)
+        gap_mm = (self._gap_mm(place, local) + self.effects.height.at(self._frames.in_base(place, axis)[0])[:, 0]) * up
+        stiff = self._tool.stiffness_n_per_mm(coil_n, local.curvature_per_mm)
+        return self._lag.truly(coil_n, begin_s=begin_s, lasts_s=lasts_s, gap_mm=gap_mm, stiff=stiff)
 
     def _force_noise(self, seconds: FloatArray) -> FloatArray:
         """Relative force error, correlated over ``force_noise_s`` of process time."""

@@ -10,9 +10,9 @@ import numpy as np
 
 from polishd.model.robot import MeasuredCompliance
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.robot import reachable
 from polishd.sim_backends import truth
 from polishd.sim_backends.bus import ROW
+from polishd.sim_backends.mechanics import reached
 from polishd.sim_backends.placement import Frames
 from polishd.sim_backends.robot.motion import Motion
 from polishd.sim_backends.robot.path import Limits
@@ -47,7 +47,7 @@ class Machine:
         poses = np.array([block.end for block in blocks]).reshape(-1, 5)
         if isinstance(self._robot, MeasuredCompliance):
             return np.ones(len(poses), dtype=np.bool_)
-        return reachable(self._robot, *self._frames.in_base(*self._frames.in_part(poses)))
+        return reached(self._robot, *self._frames.in_base(*self._frames.in_part(poses)))
 
     def event(self, name: str, at_s: float | None = None, **data: Any) -> None:
         """Tell the witness, after the motion that came before."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -9,16 +11,19 @@ from pydantic import ValidationError
 from polishd.config.simulator import Plant, SimConfig, Truth
 from polishd.config.simulator_effects import Effects
 from polishd.model.errors import BadRequestError
+from polishd.model.robot import HybridRobot
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.batch.plant import BatchPlant
+from polishd.sim_backends.mechanics import tip_gives_mm_per_n
 from polishd.sim_backends.plant import effects
-from polishd.sim_backends.plant.removal import hertz_depth_mm
+from polishd.sim_backends.plant.removal import hertz_depth_mm, sliding
 
 PERFECT = Truth(rate=(0.0, 0.0), stiffness=0.0, drift=0.0, force_noise=0.0, map_noise_nm=0.0)
 
 
 def plant(**wrong: object) -> BatchPlant:
-    """A small flat part of the demo's cell."""
+    """A small flat part of the demo's cell, on a machine that does as eq. 44 says, and pulls nothing sideways."""
+    wrong = {"eq_44": [1, 1], "friction": [0, 0]} | wrong
     config = SimConfig(
         plant=Plant(aperture_mm=40.0, rms_nm=0.0, pitch_mm=0.25),
         truth=PERFECT,
@@ -53,13 +58,15 @@ def centroid(made: BatchPlant, removal: FloatArray) -> FloatArray:
 
 
 def test_off_is_nothing_to_the_last_bit() -> None:
-    drawn = effects.draw(SimConfig(), 5)
+    drawn = effects.draw(SimConfig(effects=Effects(eq_44=(1.0, 1.0), friction=(0.0, 0.0))), 5)
     place, worked = np.array([[10.0, -20.0, 0.0], [1.0, 2.0, 0.0]]), np.array([0.0, 5000.0])
     assert (drawn.rate(place, worked) == 1.0).all()
     assert (drawn.speed(worked) == 1.0).all()
     assert (drawn.force(worked) == 1.0).all()
     assert (drawn.compliance, drawn.eq_44, drawn.turn_deg, drawn.skew, drawn.bonnet) == (1.0, 1.0, 0.0, 0.0, 1.0)
+    assert (drawn.friction, drawn.force_lag_s) == (0.0, 0.0)
     assert not drawn.robot.at(place).any()
+    assert not drawn.height.at(place).any()
     assert not drawn.lean.at(place).any()
 
 
@@ -202,6 +209,8 @@ def test_force_that_acts_decides() -> None:
 def test_a_new_effect_changes_no_other_one_s_draw() -> None:
     alone, beside = plant(seat_shift_mm=2.0), plant(seat_shift_mm=2.0, spot_turn_deg=10.0, robot_error_mm=0.3)
     assert alone.world.effects.seat_mm == beside.world.effects.seat_mm
+    other = plant(seat_shift_mm=2.0, eq_44=[0.2, 0.3], friction=[0.1, 0.9], force_lag_s=0.1).world.effects
+    assert replace(other, eq_44=1.0, friction=0.0, force_lag_s=0.0) == alone.world.effects
 
 
 def test_speed_that_acts_decides() -> None:
@@ -222,3 +231,25 @@ def test_a_turned_map_is_the_turned_truth() -> None:
     assert np.isnan(turned[:, :2]).all()
     with pytest.raises(BadRequestError, match="quarter turn"):
         made.measure(0.0, 45.0, (0, 0))
+
+
+def test_friction_pulls_the_spot_by_what_the_robot_gives_sideways() -> None:
+    made, right = plant(friction=[0.5, 0.5]), plant()
+    frames = made.world._frames
+    lean = np.array([[0.0, -np.sin(np.radians(15.0)), np.cos(np.radians(15.0))]])
+    tips, axes = frames.in_base(np.zeros((1, 3)), lean)
+    _, matrix = tip_gives_mm_per_n(HybridRobot(), tips, axes)
+    pull = frames.to_base.T @ matrix[0] @ frames.to_base @ (-sliding(lean)[0] @ np.eye(2, 3))
+    moved = centroid(made, spot(made)) - centroid(right, spot(right))
+    pulled = pull[:2] * 0.5 * 12.0 / np.cos(np.radians(15.0))
+    assert np.hypot(*pulled) > 5e-3
+    assert moved == pytest.approx(pulled, abs=5e-4)
+
+
+def test_what_is_lost_and_the_friction_are_drawn_between_their_ends() -> None:
+    drawn = [effects.draw(SimConfig(), seed) for seed in range(40)]
+    lost, friction = np.array([one.eq_44 for one in drawn]), np.array([one.friction for one in drawn])
+    assert lost.min() < 0.1
+    assert lost.max() > 0.9
+    assert friction.min() >= 0.2
+    assert friction.max() <= 0.5

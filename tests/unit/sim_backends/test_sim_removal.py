@@ -13,7 +13,8 @@ from polishd.model.robot import HybridRobot
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.robot import tip_compliance_mm_per_n
 from polishd.sim_backends.placement import Frames, rotation_rpy, tool_axis
-from polishd.sim_backends.plant.removal import equivalent_compliance, hertz_depth_mm, wear, worn_depth_mm
+from polishd.sim_backends.plant.giving import given_way
+from polishd.sim_backends.plant.removal import hertz_depth_mm, wear, worn_depth_mm
 
 TOOL = ToolProcess()
 DIP = math.radians(15.0)
@@ -161,7 +162,7 @@ def on_the_part(n: int = 7) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 def test_compliance_leaves_out_the_stiffest_direction_along_the_tool() -> None:
     tip, axis, normal = on_the_part()
-    c = equivalent_compliance(HybridRobot(), tip, axis, normal)
+    c = given_way(HybridRobot(), tip, axis, normal).along
     full = tip_compliance_mm_per_n(HybridRobot(), tip, axis)
     for k in range(len(tip)):
         values, vectors = np.linalg.eigh(full[k])
@@ -176,17 +177,30 @@ def test_compliance_ignores_the_eigenvectors_sign_and_is_zero_out_of_reach() -> 
     tip, axis, normal = on_the_part(2)
     far = tip.copy()
     far[1] = [0.0, 0.0, 9000.0]
-    c = equivalent_compliance(HybridRobot(), far, axis, normal)
-    assert c[0] == pytest.approx(equivalent_compliance(HybridRobot(), tip, axis, -normal)[0])
+    c = given_way(HybridRobot(), far, axis, normal).along
+    assert c[0] == pytest.approx(given_way(HybridRobot(), tip, axis, -normal).along[0])
     assert c[1] == 0.0
 
 
 def test_gamma_is_in_the_papers_range_and_depth_never_negative() -> None:
     tip, axis, normal = on_the_part()
-    c = equivalent_compliance(HybridRobot(), tip, axis, normal)
+    c = given_way(HybridRobot(), tip, axis, normal).along
     in_part = np.tile([0.0, -math.sin(DIP), math.cos(DIP)], (len(c), 1))
     force = np.full(len(c), 12.0)
     gamma = worn_depth_mm(TOOL, force, in_part, c) / DEPTH
     assert ((gamma > 0.75) & (gamma < 0.95)).all()
     assert np.allclose(gamma, 1.0 - c * 12.0 / math.cos(DIP) / DEPTH)
     assert not worn_depth_mm(TOOL, force, in_part, np.full(len(c), 1.0)).any()
+
+
+def test_contacts_worn_together_remove_what_each_removes_alone() -> None:
+    """Of several sizes, so that the smaller ones lie in a window that is wider than they are."""
+    depth = DEPTH * np.array([1.0, 0.3, 0.7, 1.6])
+    centre = np.array([(0.0, 0.0), (0.13, -0.21), (4.9, 9.2), (-9.9, 0.4)])
+    grid = Grid(41, 41, 0.5)
+    surface, n = np.zeros(grid.shape), len(depth)
+    seconds = np.arange(1.0, n + 1.0)
+    common = {"axis": np.tile(AXIS, (n, 1)), "rpm": np.full(n, 1000.0), "seconds": seconds}
+    wear(surface, grid, TOOL, centre_mm=centre, depth_mm=depth, **common)
+    alone = sum(worn(0.5, tuple(centre[k]), depth=depth[k : k + 1], seconds=seconds[k])[0] for k in range(n))
+    np.testing.assert_allclose(-surface, alone, rtol=1e-12, atol=1e-12)

@@ -61,6 +61,14 @@ def test_an_axis_at_the_dip_to_the_normal_is_seen_at_the_dip() -> None:
     assert np.allclose(np.linalg.norm(local.levelled(across), axis=1), np.linalg.norm(across, axis=1))
 
 
+def test_a_direction_along_the_surface_is_raised_to_where_it_is_seen_from() -> None:
+    local = Shape(Plant(curvature_radius_mm=100.0)).under(places())
+    along = np.random.default_rng(1).standard_normal((len(places()), 2))
+    raised = local.raised(along)
+    assert np.allclose(np.einsum("ni,ni->n", raised, local.normal), 0.0, atol=1e-12)
+    assert np.allclose(local.levelled(raised), np.column_stack([along, np.zeros(len(along))]), atol=1e-12)
+
+
 def test_the_stretch_is_the_length_along_the_surface() -> None:
     shape = Shape(Plant(curvature_radius_mm=100.0))
     xy, step = np.array([[30.0, -25.0]]), np.array([0.01, 0.02])
@@ -139,8 +147,8 @@ def test_what_a_table_says_of_the_robot_is_taken_and_beyond_it_the_nearest_place
     table = MeasuredCompliance(tip, np.array([1.0, 1.2, 1.3, 1.1, 1.4, 1.9]))
     give, axis = giving(table, "linear"), np.tile([0.0, 0.0, 1.0], (2, 1))
     inside = np.array([[20.0, 30.0, 7.0], [80.0, 10.0, 7.0]])
-    assert np.allclose(give(inside, axis, axis), measured_compliance(table, inside))
-    assert give(np.array([[200.0, 90.0, 7.0]]), axis[:1], axis[:1])[0] == pytest.approx(1.9e-3)
+    assert np.allclose(give(inside, axis, axis).along, measured_compliance(table, inside))
+    assert give(np.array([[200.0, 90.0, 7.0]]), axis[:1], axis[:1]).along[0] == pytest.approx(1.9e-3)
 
 
 ARM = SerialRobot(
@@ -155,7 +163,7 @@ ARM = SerialRobot(
 def test_an_arms_compliance_by_a_loading_test_is_that_along_the_normal() -> None:
     tip, axis = np.array([[600.0, 100.0, 200.0], [550.0, -50.0, 230.0]]), np.tile([0.0, 0.0, 1.0], (2, 1))
     matrix = tip_compliance_mm_per_n(ARM, tip, axis)
-    assert np.allclose(giving(ARM, "normal")(tip, axis, axis), np.einsum("ni,nij,nj->n", axis, matrix, axis))
+    assert np.allclose(giving(ARM, "normal")(tip, axis, axis).along, np.einsum("ni,nij,nj->n", axis, matrix, axis))
 
 
 def test_every_kind_of_robot_is_drawn_about_its_own_stiffness_and_the_shipped_one_as_before() -> None:

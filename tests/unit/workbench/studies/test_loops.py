@@ -141,7 +141,8 @@ def test_every_shipped_scenario_is_another_plant() -> None:
             plant.new(laid_over(sections, scenario), 1)
             told, _ = plant.truth()
             own = [{k: v for k, v in scenario.plant.get("truth", {}).items() if k in {"worn", "warm_nm"}}]
-            drawn[name] = json.dumps([told["machines"], told["effects"], own, scenario.plant.get("interferometer")])
+            undrawn = [scenario.plant.get(section) for section in ("interferometer", "process")]
+            drawn[name] = json.dumps([told["machines"], told["effects"], own, undrawn])
     assert "nothing" in drawn
     assert len(drawn) == len(set(drawn.values())) > 15
 

@@ -36,6 +36,8 @@ pv_nm = 100.0
 rate = [{RATE}, {RATE}]
 stiffness = 0.0
 drift = 0.0
+[plant_with.effects]
+eq_44 = [1.0, 1.0]
 """
 
 
@@ -51,7 +53,7 @@ def test_its_rate_and_its_spot_are_those_of_the_machine(tmp_path: Path) -> None:
     of = study(tmp_path, '[loops.exact]\nwitness = "rate"\n[loops.static]\nwitness = "spot"\n')
     sections, _ = parse_toml(EXAMPLES / "sim.toml")
     (scenario,) = of.all_scenarios().values()
-    sections = {**sections, "plant": {**sections["plant"], **of.plant_with["plant"]}, "truth": of.plant_with["truth"]}
+    sections = {**sections, **of.plant_with, "plant": {**sections["plant"], **of.plant_with["plant"]}}
     with PlantProcess() as plant:
         begun = {}
         for name in of.loops:

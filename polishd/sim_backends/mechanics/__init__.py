@@ -1,0 +1,33 @@
+"""The simulated robots' own mechanics: where they can be, and how far their tip gives way under a force.
+
+Written from statics, apart from the controller's (`process.robot`), which works from motions: here each unit force at
+the tip is followed through the members that carry it, and what each of them stores is summed (virtual work). Tests hold
+the two to each other. Units: mm, N, rad; the base frame is that of `model.robot`.
+"""
+
+from __future__ import annotations
+
+from polishd.model.robot import HybridRobot, SerialRobot
+from polishd.model.surface import BoolArray, FloatArray
+from polishd.sim_backends.mechanics import hybrid, serial
+
+
+def reached(robot: HybridRobot | SerialRobot, tip_mm: FloatArray, axis: FloatArray) -> BoolArray:
+    """(n,) whether the robot can be there: tips (n, 3) mm, unit tool axes (n, 3) from the tip into the spindle."""
+    if isinstance(robot, HybridRobot):
+        return hybrid.posed(robot, tip_mm, axis).reached
+    return serial.posed(robot, tip_mm, axis).reached
+
+
+def tip_gives_mm_per_n(
+    robot: HybridRobot | SerialRobot, tip_mm: FloatArray, axis: FloatArray
+) -> tuple[BoolArray, FloatArray]:
+    """Whether the robot can be there (n,), and displacement of the tip per force (n, 3, 3), mm/N; 0 where it cannot.
+
+    Arguments as of `reached`.
+    """
+    if isinstance(robot, HybridRobot):
+        at = hybrid.posed(robot, tip_mm, axis)
+        return at.reached, hybrid.gives_mm_per_n(robot, at)
+    arm = serial.posed(robot, tip_mm, axis)
+    return arm.reached, serial.gives_mm_per_n(robot, arm)

@@ -1,0 +1,174 @@
+"""A six-axis arm by its screws: where each joint's axis is at home, and how turning the joints moves what follows.
+
+The Denavit-Hartenberg rows are read once, at home; from there a pose is a product of turns about those six lines
+(Brockett's product of exponentials). A unit force at the tip turns each joint by its moment about it over the joint's
+stiffness: the tip gives way by the sum over the joints of moment times moment over stiffness.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from polishd.model.robot import SerialRobot
+from polishd.model.surface import BoolArray, FloatArray
+
+SINGULAR = 1e-3
+"""Of the smallest to the largest singular value of the joints' motions, lengths over the arm's: its controller
+refuses to go there."""
+FEW = 256
+"""Poses led all the way from home, ..."""
+NEARER = 8
+"""... then one of so many of the others from the nearest that was found, and then all; those that fail twice."""
+STEPS = 80
+STEP = 0.1
+"""Longest step towards a pose: rad, or parts of the arm's length."""
+MOST_TURN = 0.3
+"""Of a joint in a step, rad: near a singular pose."""
+FOUND = 1e-10
+"""What may be left, in the same measure."""
+
+
+@dataclass(frozen=True, slots=True)
+class Screws:
+    """The arm at home: lines (6, 3) directions and places of its joints, tip (3,), flange (3, 3) axes as columns."""
+
+    direction: FloatArray
+    place_mm: FloatArray
+    tip_mm: FloatArray
+    flange: FloatArray
+    length_mm: float
+
+    @classmethod
+    def of(cls, robot: SerialRobot) -> Screws:
+        """Read the rows with all joints at home."""
+        at, lines = np.eye(4), []
+        for (a, alpha, d, zero), home in zip(robot.dh, robot.home_deg, strict=True):
+            link, joint = _moved(np.radians(alpha), a, 0), _moved(np.radians(home + zero), d, 2)
+            if robot.convention == "modified":
+                at = at @ link
+            lines.append((at[:3, 2], at[:3, 3]))
+            at = at @ joint if robot.convention == "modified" else at @ joint @ link
+        direction, place = (np.array(column) for column in zip(*lines, strict=True))
+        tip = at[:3, 3] + robot.tool_length_mm * at[:3, 2]
+        length = sum(float(np.hypot(a, d)) for a, _, d, _ in robot.dh) + robot.tool_length_mm
+        return cls(direction, place, tip, at[:3, :3], length)
+
+
+@dataclass(frozen=True, slots=True)
+class Posed:
+    """The arm at n poses."""
+
+    reached: BoolArray
+    """(n,)."""
+    joints: FloatArray
+    """(n, 6) turns from home, rad."""
+    motion: FloatArray
+    """(n, 6, 6) column j: the tip's translation over the arm's length, and its turn, for a turn of joint j."""
+
+
+def posed(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray) -> Posed:
+    """Lead the arm to tips (n, 3) mm and unit tool axes (n, 3), without passing a singular pose on the way."""
+    screws = Screws.of(robot)
+    flange, wanted = _flange(robot, axis)
+    home = np.linalg.det(_motion(screws, np.zeros((1, 6)))[1][0])
+    joints, found = np.zeros((len(tip_mm), 6)), np.zeros(len(tip_mm), dtype=np.bool_)
+    motion = np.zeros((len(tip_mm), 6, 6))
+    place = np.column_stack([tip_mm / screws.length_mm, axis])
+    for every in (max(1, len(tip_mm) // FEW), NEARER, 1, 1):
+        going = np.flatnonzero(wanted & ~found)[::every]
+        if found.any():
+            joints[going] = joints[found][cKDTree(place[found]).query(place[going])[1]]
+        joints[going], motion[going], miss = _lead(screws, joints[going], tip_mm[going], flange[going])
+        found[going] = (miss < FOUND) & (np.linalg.det(motion[going]) * home > 0.0)
+    spread = np.linalg.svd(motion, compute_uv=False)
+    regular = spread[:, 5] > SINGULAR * spread[:, 0]
+    return Posed(found & regular & _within(robot, joints), joints, motion)
+
+
+def gives_mm_per_n(robot: SerialRobot, at: Posed) -> FloatArray:
+    """(n, 3, 3) displacement of the tip per force there, mm/N; 0 where the arm cannot be.
+
+    A force's moment about a joint is force times what the tip moves for a turn of it.
+    """
+    lever = at.motion[:, :3] * Screws.of(robot).length_mm * at.reached[:, None, None]
+    stored = lever / np.sqrt(np.array(robot.joint_stiffness_n_mm_per_rad))
+    return np.asarray(stored @ stored.transpose(0, 2, 1))
+
+
+def _moved(angle: float, by: float, about: int) -> FloatArray:
+    """(4, 4) a turn about x (0) or z (2), and a shift along it."""
+    c, s = np.cos(angle), np.sin(angle)
+    i, j = ((about + 1) % 3, (about + 2) % 3)
+    result = np.eye(4)
+    result[i, i], result[i, j], result[j, i], result[j, j] = c, -s, s, c
+    result[about, 3] = by
+    return result
+
+
+def _motion(screws: Screws, joints: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n, 3, 4) the flange's axes and the tip, as columns, and `Posed.motion`, at turns (n, 6) from home."""
+    turn = np.broadcast_to(np.eye(3), (len(joints), 3, 3))
+    shift = np.zeros((len(joints), 3))
+    axes, places = np.empty((2, len(joints), 6, 3))
+    for j in range(6):
+        axes[:, j] = turn @ screws.direction[j]
+        places[:, j] = turn @ screws.place_mm[j] + shift
+        turn = turn @ _about(screws.direction[j], joints[:, j])
+        shift = places[:, j] - turn @ screws.place_mm[j]
+    tip = turn @ screws.tip_mm + shift
+    arm = np.cross(axes, tip[:, None] - places) / screws.length_mm
+    motion = np.concatenate([arm, axes], axis=2).transpose(0, 2, 1)
+    return np.concatenate([turn @ screws.flange, tip[:, :, None]], axis=2), motion
+
+
+def _about(axis: FloatArray, angle: FloatArray) -> FloatArray:
+    """(n, 3, 3) turns about a unit axis (3,) by angles (n,)."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+    return np.asarray(np.eye(3) + s * cross + (1.0 - c) * (cross @ cross))
+
+
+def _lead(
+    screws: Screws, joints: FloatArray, tip_mm: FloatArray, flange: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Newton's steps from turns (n, 6), none longer than `STEP`: turns, `Posed.motion` and (n,) what is left."""
+    joints, motion, miss = joints.copy(), np.zeros((len(joints), 6, 6)), np.full(len(joints), np.inf)
+    going = np.arange(len(joints))
+    for _ in range(STEPS):
+        at, motion[going] = _motion(screws, joints[going])
+        turn = np.cross(at[:, :, :3], flange[going], axis=1).sum(axis=2) / 2.0
+        left = np.concatenate([(tip_mm[going] - at[:, :, 3]) / screws.length_mm, turn], axis=1)
+        miss[going] = np.linalg.norm(left, axis=1)
+        short = np.einsum("nij,nij->n", at[:, :, :3], flange[going]) > 0.0  # else it points the other way
+        miss[going[~short]] += 1.0
+        more = miss[going] > FOUND
+        going, left = going[more], left[more]
+        if not len(going):
+            break
+        left *= np.minimum(1.0, STEP / miss[going])[:, None]
+        damped = motion[going] + 1e-12 * np.eye(6)
+        step = np.linalg.solve(damped, left[:, :, None])[:, :, 0]
+        joints[going] += step * np.minimum(1.0, MOST_TURN / np.maximum(np.abs(step).max(axis=1), 1e-300))[:, None]
+    return joints, motion, miss
+
+
+def _flange(robot: SerialRobot, axis: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """(n, 3, 3) the flange's axes wanted, as columns, and (n,) whether ``flange_x`` tells which."""
+    z = -axis
+    x = np.array(robot.flange_x) / np.linalg.norm(robot.flange_x)
+    x = x - (z @ x)[:, None] * z
+    size = np.linalg.norm(x, axis=1)
+    x = x / np.maximum(size, 1e-300)[:, None]
+    return np.stack([x, np.cross(z, x), z], axis=2), size > SINGULAR
+
+
+def _within(robot: SerialRobot, joints: FloatArray) -> BoolArray:
+    """(n,) whether turns from home (n, 6), or those a whole turn on, are within the limits."""
+    low, high = np.radians(robot.joint_limits_deg).T
+    angle = np.radians(robot.home_deg) + (joints + np.pi) % (2.0 * np.pi) - np.pi
+    fits = [((angle + turn >= low) & (angle + turn <= high)) for turn in (0.0, 2.0 * np.pi, -2.0 * np.pi)]
+    return np.asarray((fits[0] | fits[1] | fits[2]).all(axis=1))
