@@ -13,9 +13,11 @@ from polishd.config.loop_study import LoopStudy
 from polishd.config.study import load_study
 from polishd.model.errors import ComputeError, ConfigError
 from polishd.model.surface import FloatArray
+from polishd.workbench.studies.loops import run_loops
 from polishd.workbench.studies.plant_process import PlantProcess
 from polishd.workbench.studies.turned import calibrated, certified
 from tests.unit.daemon.small import small_recipe
+from tests.unit.workbench.studies.studies import TABLE_III
 
 POSES = ((0.0, 0.0, 0.0), (90.0, 0.0, 0.0), (180.0, 0.0, 0.0), (270.0, 0.0, 0.0), (0.0, 1.5, 0.0))
 STUDY = 'kind = "loop"\ntitle = "t"\n[loops.a]\nposes = {poses}\n'
@@ -89,3 +91,43 @@ def test_poses_are_an_angle_and_a_shift(tmp_path: Path, poses: str, read: object
     else:
         with pytest.raises(ConfigError, match=r"study\.toml:4: loops\.a\.poses: is not a list of \[angle_deg"):
             study.loop("a")
+
+
+LOOPS = """
+kind = "loop"
+title = "t"
+cell = "{examples}/cell.toml"
+plant = "{examples}/sim.toml"
+raster = true
+scenarios = ["{examples}/scenarios/instrument_astigmatism.toml"]
+seeds = 1
+passes = 3
+[cell_with]
+"part.aperture_mm" = 30.0
+"job.tolerance_nm" = 1.5
+[plant_with.plant]
+aperture_mm = 30.0
+pv_nm = 100.0
+[loops.measured]
+[loops.turned]
+poses = [[0.0], [90.0], [180.0], [270.0], [0.0, 1.5, 0.0]]
+"job.accept" = "bound_without_power"
+[loops.demanding]
+poses = [[0.0], [90.0], [180.0], [270.0], [0.0, 1.5, 0.0]]
+"job.accept" = "bound"
+"""
+
+
+def test_turning_the_part_brings_the_true_figure_into_tolerance(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text(LOOPS.format(examples=TABLE_III.parent))
+    study = load_study(path)
+    assert isinstance(study, LoopStudy)
+    runs = {run.loop: run for run in run_loops(study, lambda _: None, seeds=None, jobs=1).runs}
+    believed, turned, demanding = (runs[name] for name in study.loops)
+    assert believed.falsely_accepted
+    assert believed.true_rms_nm[-1] > 1.5 > believed.rms_nm[-1]
+    assert turned.accepted
+    assert turned.true_fits
+    assert turned.true_rms_nm[-1] < 1.0
+    assert not demanding.accepted, "5 nm of power are told by nothing"
