@@ -78,11 +78,11 @@ def why_never(recipe: Recipe) -> str:
     if not (wanted := demanded(recipe)):
         return ""
     told = "; ".join(f"{one.name}, {one.prior_nm:.3g} nm by itself: {one.reference}" for one in wanted)
-    waiver = ', or say job.accept = "bound_without_power": the certificate then says so'
+    waiver = ' (calibrate instrument --power), or say job.accept = "bound_without_power": the certificate then says so'
     power = waiver if "power" in {one.name for one in wanted} else ""
     return (
         f"no map can be accepted by the bound of its true RMS, for nothing has told of the instrument: {told}. Measure "
-        f"the reference, and state what is left in the profile's [unseen]{power}"
+        f"that{power}"
     )
 
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
 
 from polishd.model.errors import BadMap
-from polishd.model.surface import FloatArray, SurfaceMap
+from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
 from polishd.process.absolute.separate import Separated
+from polishd.process.metrics import zernike
+from polishd.process.metrics.zernike_terms import values
 from polishd.process.plausible import SAME_PITCH
 
 DIGITS = 9
@@ -41,6 +43,27 @@ class Told:
         design = found.design
         share = {(one.n, one.m): one.share for one in design.unknown}
         return cls(design.degree, design.terms, found.solution.covariance, share, found.hidden_rest_nm, found.circle_px)
+
+    def with_reference(self, term: Term, sigma_nm: float) -> Told:
+        """The same where a reference has told a term that no pose tells: known to ``sigma_nm``, one standard deviation.
+
+        Raises:
+            BadMap: the poses told it already, or there is no such term.
+        """
+        if term not in self.unknown:
+            raise BadMap(f"the term (n, m) = {term} is none that the poses left unknown: leave the reference out")
+        at = self.terms.index(term)
+        covariance = self.covariance.copy()
+        covariance[at, :] = covariance[:, at] = 0.0
+        covariance[at, at] = sigma_nm**2
+        unknown = {one: share for one, share in self.unknown.items() if one != term}
+        return replace(self, covariance=covariance, unknown=unknown)
+
+    def shape(self, term: Term, mask: BoolArray) -> FloatArray:
+        """(ny, nx) of a term of size 1 inside ``mask`` of the map's frame, NaN outside: RMS 1 over the circle."""
+        height = np.full(mask.shape, np.nan)
+        height[mask] = values((term,), "rms", *zernike.unit(mask, self.circle_px))[0]
+        return height
 
     def facts(self) -> dict[str, Any]:
         """Values of JSON: of the covariance the lower triangle, row by row."""

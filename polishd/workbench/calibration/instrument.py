@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -14,14 +15,14 @@ from polishd.config.profile import Profile, load_profile, write_system
 from polishd.model.errors import ConfigError
 from polishd.model.instrument import Calibrated
 from polishd.model.surface import SurfaceMap
-from polishd.process.absolute import Pose, PoseOptions, next_poses
+from polishd.process.absolute import Pose, PoseOptions, Told, next_poses
 from polishd.process.absolute.names import name_of
 from polishd.process.absolute.poses import LEVEL, terms
 from polishd.process.instrument import as_profiled
 from polishd.show.tables import emit
 from polishd.workbench.calibration.options import InstrumentOptions
 from polishd.workbench.maps.absolute import poses_of, tell_apart
-from polishd.workbench.maps.convert import require_target, store, stored_lines
+from polishd.workbench.maps.convert import require_target, store
 from polishd.workbench.maps.files import MapSource
 from polishd.workbench.maps.options import AbsoluteOptions
 
@@ -29,8 +30,11 @@ ORDER = 4
 """Radial order up to which poses are advised for: power, astigmatism, coma, trefoil, spherical, tetrafoil ..."""
 STEP_DEG = 45
 """Of the angles that a person or a rotary port is asked for."""
-SHIFT = 0.05
-"""Of the part's radius: the shift that tells what is round."""
+SHIFT = 0.1
+"""Of the part's radius: the shift that tells what is round, to twice the noise of a map."""
+ENOUGH = 0.25
+"""Of the tolerance: how sure each term is to be."""
+POWER = (2, 0)
 NOISE_NM = 0.3
 """Of a map, where the profile does not say."""
 
@@ -62,6 +66,8 @@ def instrument_verb(
     options = _options(config, profile, asked)
     if asked.at is not None and not files:
         raise typer.BadParameter("--at lists files: name them, or say --angles and take maps as they come")
+    if (asked.power is None) != (asked.power_sigma is None):
+        raise typer.BadParameter("--power and --power-sigma go together: a reference says how well it is known")
     poses = poses_of(options, files)
     target = asked.out or profile.path.parent / f"system-{datetime.now(UTC):%Y%m%d-%H%M%S}.x3p"
     require_target(target, files, source, force=False)
@@ -70,12 +76,15 @@ def instrument_verb(
     else:
         surfaces = [as_profiled(one, profile.instrument) for one in take(poses)]
     apart = tell_apart(surfaces, poses, options, source)
+    instrument = apart.instrument
+    if asked.power is not None and asked.power_sigma is not None:
+        instrument = _with_power(instrument, Told.of(apart.found), asked.power, asked.power_sigma)
     more = ["nothing was written: --dry-run"]
     if not asked.dry_run:
-        stored = store(apart.instrument, target, source)
+        stored = store(instrument, target, source)
         apart.answer["instrument"] |= stored
         _record(profile, target, stored["sha256"])
-        more = [*stored_lines(stored), f"{profile.path}: [system] names it; it goes off each map from now on"]
+        more = [f"{profile.path}: [system] names it; it goes off each map from now on"]
     apart.show(as_json=as_json, more=more)
 
 
@@ -114,6 +123,19 @@ def _options(config: CellConfig, profile: Profile, asked: InstrumentOptions) -> 
     )
 
 
+def _with_power(instrument: SurfaceMap, told: Told, power_nm: float, sigma_nm: float) -> SurfaceMap:
+    """The system map with the power that a reference has told, which no pose does."""
+    height = instrument.height_nm + power_nm * told.shape(POWER, instrument.valid)
+    step = instrument.history
+    if step is None:
+        return instrument.with_height(height)
+    facts = told.with_reference(POWER, sigma_nm).facts()
+    left = [name for name in step.options["without"] if name != name_of(*POWER)]
+    reference = f"power {power_nm:g} nm, known to {sigma_nm:g} nm"
+    options = {**step.options, "told": facts, "without": left, "reference": reference}
+    return replace(instrument, height_nm=height, history=replace(step, options=options))
+
+
 def _record(profile: Profile, target: Path, sha256: str) -> None:
     named = Path(os.path.relpath(target.absolute(), profile.path.parent.absolute())).as_posix()
     at = datetime.now(UTC).replace(microsecond=0)
@@ -123,7 +145,7 @@ def _record(profile: Profile, target: Path, sha256: str) -> None:
 def _advise(config: CellConfig, profile: Profile, *, as_json: bool) -> None:
     noise = profile.instrument.repeatability_nm or NOISE_NM
     limit = min((line.limit for line in config.lines if line.bounded), default=10 * noise)
-    sigma = max(noise, limit / 10)
+    sigma = max(2 * noise, ENOUGH * limit)
     poses, needs = wanted_poses(config.outline().radius_mm, noise, sigma)
     angles = ",".join(f"{pose.angle_deg:g}" for pose in poses)
     shifts = ":".join(f"{pose.x_mm:g},{pose.y_mm:g}" for pose in poses)

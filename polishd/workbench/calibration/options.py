@@ -24,5 +24,12 @@ class InstrumentOptions:
     noise: Annotated[float | None, Option(min=0.0, metavar="NM", help="White noise of a sample; else found.")] = None
     angle_error: Annotated[float, Option(min=0.0, metavar="DEG", help="How well angles are known, 1 sigma.")] = 0.0
     shift_error: Annotated[float, Option(min=0.0, metavar="MM", help="How well shifts are known, 1 sigma.")] = 0.0
+    power: Annotated[
+        float | None,
+        Option(metavar="NM", help="Its power as a reference told it: RMS over the circle, high at the rim."),
+    ] = None
+    power_sigma: Annotated[
+        float | None, Option(min=0.0, metavar="NM", help="How well that is known, 1 sigma; goes with --power.")
+    ] = None
     out: Annotated[Path | None, Option(metavar="S.x3p", help="The system map; beside the profile unless given.")] = None
     dry_run: Annotated[bool, Option("--dry-run", help="Write nothing: only say what comes out.")] = False

@@ -35,6 +35,16 @@ def test_what_is_none_is_no_told(system: SystemMap) -> None:
         Told.load(facts | {"covariance": [1.0, 2.0]})
 
 
+def test_a_reference_tells_only_what_no_pose_told(system: SystemMap) -> None:
+    known = system.told.with_reference((2, 0), 0.5)
+    at = known.terms.index((2, 0))
+    assert known.covariance[at, at] == pytest.approx(0.25)
+    assert np.count_nonzero(known.covariance[at]) == 1
+    assert set(system.told.unknown) - set(known.unknown) == {(2, 0)}
+    with pytest.raises(BadMap, match=r"\(2, 2\) is none that the poses left unknown"):
+        system.told.with_reference((2, 2), 0.5)
+
+
 def test_a_map_less_it_is_the_part(system: SystemMap) -> None:
     measured = maps(turns(1), 0.3, seed=5)[0]
     off = system.off(SurfaceMap(measured, PITCH_MM)).height_nm - true_nm(part_nm)

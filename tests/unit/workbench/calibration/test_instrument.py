@@ -111,7 +111,24 @@ def test_nothing_is_written_where_nothing_is_wanted(polishd: Polishd, cell: Path
     assert said.code == 0
     assert "nothing was written" in said.out
     assert sorted(cell.parent.iterdir()) == before
-    assert "[system]" not in (cell.parent / "instrument.toml").read_text()
+    assert load_profile(cell.parent / "instrument.toml").system is None
+
+
+def test_a_reference_tells_the_power_that_no_pose_does(polishd: Polishd, cell: Path, files: list[Path]) -> None:
+    asked = [*files, *QUARTERS, "--out", cell.parent / "a.x3p"]
+    assert polishd("calibrate", "instrument", cell, *asked).code == 0
+    without = system(cell)
+    asked[-1] = cell.parent / "b.x3p"
+    assert polishd("calibrate", "instrument", cell, *asked, "--power", "4", "--power-sigma", "0.5").code == 0
+    found = system(cell)
+    assert (2, 0) not in found.told.unknown
+    assert found.told.covariance[1, 1] == pytest.approx(0.25)
+    assert found.told.terms[1] == (2, 0)
+    added = found.surface.height_nm - without.surface.height_nm
+    assert np.nanstd(added) == pytest.approx(4.0, rel=0.05)
+    ring, middle = added[44, 82], added[44, 44]
+    assert ring > 0 > middle, "high at the rim"
+    assert polishd("calibrate", "instrument", cell, *asked, "--power", "4").code == 2
 
 
 def test_without_angles_it_says_which_poses_are_wanted(polishd: Polishd, cell: Path) -> None:
