@@ -204,6 +204,14 @@ def _wrong_tolerance(config: CellConfig) -> Iterator[tuple[str, str]]:
             "job.tolerance_period_mm",
             "goes with job.tolerance_nm; write periods_above_mm into the [[tolerance]] lines",
         )
+    if job.accept in {"bound", "bound_without_power"}:
+        if config.part.alignment == "piston":
+            yield (
+                "job.accept",
+                'each map has a tilt of its own: there is no bound where it is figure; alignment = "tilt"',
+            )
+        if not any(line.bounded for line in config.lines):
+            yield "job.accept", 'no line is an RMS without periods_below_mm, which has a bound; accept = "figure"'
     if config.part.alignment == "power" and any(line.figure == "A" for line in lines):
         yield (
             "tolerance",

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import Field
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from polishd.config.document import Document, parse_toml
 from polishd.config.values import Name, Text, Texts
@@ -14,6 +14,11 @@ from polishd.config.values import Name, Text, Texts
 Taken = Literal["rate", "spot", "touch"]
 """What a loop takes over from a witness part: a spot's volume rate alone, or its shape with it, or all that a first
 touch teaches (`polishd calibrate cell`)."""
+Poses = tuple[tuple[float, float, float], ...]
+"""(angle_deg, x_mm, y_mm) of the part in maps: counter-clockwise as displayed, then further right and up."""
+_POSES: TypeAdapter[list[tuple[float] | tuple[float, float, float]]] = TypeAdapter(
+    list[tuple[float] | tuple[float, float, float]], config=ConfigDict(allow_inf_nan=False)
+)
 AS_IT_IS = "nothing"
 """The scenario of a plant as its file has it."""
 
@@ -48,7 +53,8 @@ class LoopStudy(Document):
     loops: Annotated[Mapping[Name, Mapping[str, Any]], Field(min_length=1)]
     """By name, what that loop has otherwise than the cell's file: values by dotted key. And `witness = "rate"`
     or `"spot"`: what it begins with of a spot that the same machine has polished on another part; `"touch"`: it
-    begins with what the first touch of `polishd calibrate cell` has taught there."""
+    begins with what the first touch of `polishd calibrate cell` has taught there. `poses`: how the part lies
+    (angle_deg, x_mm, y_mm) in maps before the first pass, which tell the instrument's own error."""
     seeds: Annotated[int, Field(ge=1, le=10_000)] = 20
     """How many plants a scenario and loop; all loops meet the same ones. [1]"""
     first_seed: Annotated[int, Field(ge=0)] = 1
@@ -62,15 +68,20 @@ class LoopStudy(Document):
         """Nothing is."""
         yield from ()
 
-    def loop(self, name: str) -> tuple[dict[str, Any], Taken | None]:
-        """What it has otherwise than the cell's file, by dotted key, and of its witness; ConfigError."""
+    def loop(self, name: str) -> tuple[dict[str, Any], Taken | None, Poses]:
+        """What it has otherwise than the cell's file, by dotted key, of its witness, and its poses; ConfigError."""
         keys = {**self.cell_with, **self.loops[name]}
         witness = keys.pop("witness", None)
         if witness not in {None, *get_args(Taken)}:
             raise self.error(
                 f"loops.{name}.witness", f'{witness!r} is nothing to begin with; it is "rate", "spot" or "touch"'
             )
-        return keys, witness
+        try:
+            poses = _POSES.validate_python(keys.pop("poses", []))
+        except ValidationError:
+            wanted = "a list of [angle_deg, x_mm, y_mm]: the last two left out, the part is not shifted"
+            raise self.error(f"loops.{name}.poses", f"is not {wanted}") from None
+        return keys, witness, tuple((angle, *(shift or (0.0, 0.0))) for angle, *shift in poses)
 
     def all_scenarios(self) -> dict[str, Scenario]:
         """By name, those of its files and folders; ConfigError for one that is wrong, or not there."""

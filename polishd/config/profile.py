@@ -12,16 +12,20 @@ from typing import Any
 import tomlkit
 
 from polishd.config.document import parse_toml
+from polishd.config.places import Source
 from polishd.config.profile_sections import ProfileFile
 from polishd.files import write_atomic
 from polishd.model.errors import ConfigError
-from polishd.model.instrument import Commissioned, Instrument
+from polishd.model.instrument import Calibrated, Commissioned, Instrument, Unseen
 from polishd.process.commissioning import Bump
 
-RECORD = "commissioned"
-UNPROVED = {RECORD, "repeatability"}
+RECORD, SYSTEM = "commissioned", "system"
+UNPROVED = {RECORD, SYSTEM, "repeatability", "unseen"}
 """What no artefact proves: it may be written, and mended, without voiding the proof."""
-COMMENT = "written by polishd map commission; void once a value above is changed"
+COMMENTS = {
+    RECORD: "written by polishd map commission; void once a value above is changed",
+    SYSTEM: "written by polishd calibrate instrument; void once the map, or a value that was commissioned, is changed",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +43,14 @@ class Profile:
     """The artefact's."""
     unproved: str
     """Why no map of this instrument may drive polishing; empty where it may."""
+    system: Calibrated | None
+    """The record of its system map; None where there is none."""
+    source: Source
+    """The file's text: says where a key stands, for errors."""
+
+    def error(self, key: str, problem: str) -> ConfigError:
+        """A ConfigError about a dotted key of the profile, with its place."""
+        return ConfigError(self.source.error(tuple(key.split(".")), problem))
 
 
 def load_profile(path: Path) -> Profile:
@@ -61,25 +73,37 @@ def load_profile(path: Path) -> Profile:
         artefact="" if given.artefact is None else given.artefact.name,
         bumps=() if given.artefact is None else tuple(Bump(**dict(bump)) for bump in given.artefact.bumps),
         unproved=unproved,
+        system=None if given.system is None else Calibrated(**dict(given.system)),
+        source=source,
     )
 
 
 def write_commissioned(path: Path, record: Commissioned) -> None:
-    """Put the record into the profile's file, for an earlier one; all else stays as the user wrote it.
+    """Put the proof into the profile's file; ConfigError as of ``_write``."""
+    _write(path, RECORD, record)
+
+
+def write_system(path: Path, record: Calibrated) -> None:
+    """Put the record of the system map into the profile's file; ConfigError as of ``_write``."""
+    _write(path, SYSTEM, record)
+
+
+def _write(path: Path, table: str, record: Commissioned | Calibrated) -> None:
+    """Put a record into the profile's file, for an earlier one; all else stays as the user wrote it.
 
     Raises:
         ConfigError: the file cannot be written, or its layout does not let the record be put in; it is as it was.
     """
     before, source = parse_toml(path)
     document = tomlkit.parse(source.text)
-    if RECORD not in document:
+    if table not in document:
         document.append(None, tomlkit.nl())
-        document.append(RECORD, tomlkit.table().comment(COMMENT))
+        document.append(table, tomlkit.table().comment(COMMENTS[table]))
     for key, value in asdict(record).items():
-        document[RECORD][key] = round(value, 6) if isinstance(value, float) else value
+        document[table][key] = round(value, 6) if isinstance(value, float) else value
     text = tomlkit.dumps(document)
-    if tomllib.loads(text) != {**before, RECORD: document[RECORD].unwrap()}:
-        raise ConfigError(f"{path}: the record cannot be put in without loss; remove [{RECORD}] by hand, then again")
+    if tomllib.loads(text) != {**before, table: document[table].unwrap()}:
+        raise ConfigError(f"{path}: the record cannot be put in without loss; remove [{table}] by hand, then again")
     try:
         write_atomic(path, text.encode())
     except OSError as error:
@@ -114,5 +138,6 @@ def _instrument(given: ProfileFile, raw: dict[str, Any]) -> Instrument:
         max_turn_deg=given.registration.max_turn_deg,
         max_drift_mm=given.registration.max_drift_mm,
         repeatability_nm=given.repeatability.rms_nm,
+        unseen=Unseen(**dict(given.unseen)),
         raw=raw,
     )

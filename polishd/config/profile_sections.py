@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AwareDatetime, BeforeValidator, Field, StringConstraints, model_validator
 
 from polishd.config.document import Document
-from polishd.config.values import Angle, Bump, Pair, Positive, Section, Share, Text, Texts, as_tuple
+from polishd.config.values import Angle, Bump, NotNegative, Pair, Positive, Section, Share, Text, Texts, as_tuple
 from polishd.model.instrument import Instrument, RegisterBy
 
 _PLAIN = Instrument("")
@@ -85,6 +85,39 @@ class RepeatabilityTable(Section):
     """RMS of what one map of a part has and the mean of many has not, levelled, in one set-up; left out: not known."""
 
 
+class UnseenTable(Section):
+    """How large the instrument's own error may be where nothing has told it: one standard deviation, nm RMS.
+
+    No part of the proof. A reference that was measured makes a number smaller: a sphere of known radius `power_nm`.
+    """
+
+    power_nm: NotNegative = _PLAIN.unseen.power_nm
+    """Power, which no turn and no shift of the part tells."""
+    astigmatism_nm: NotNegative = _PLAIN.unseen.astigmatism_nm
+    """Astigmatism, in each of its two directions."""
+    coma_nm: NotNegative = _PLAIN.unseen.coma_nm
+    """Coma, likewise."""
+    spherical_nm: NotNegative = _PLAIN.unseen.spherical_nm
+    """Spherical aberration."""
+    other_nm: NotNegative = _PLAIN.unseen.other_nm
+    """Each other Zernike term: of radial order 4, of other orders n times (4 / n)^2."""
+    shorter_nm: NotNegative = _PLAIN.unseen.shorter_nm
+    """All waves shorter than the terms together, where there is no system map; with one its poses tell it."""
+
+
+class SystemTable(Section):
+    """What ``polishd calibrate instrument`` wrote: the instrument's own error, which is taken off each map."""
+
+    map: Text
+    """File of the system map, from the profile's folder."""
+    at: AwareDatetime
+    """When it was made."""
+    map_sha256: Sha256
+    """Of that file: another one is refused."""
+    profile_sha256: Sha256
+    """Of the profile's values by which its maps were read: once one is changed, the map is refused."""
+
+
 class BumpTable(Bump):
     """A Gaussian bump of the artefact; a hollow where its height is negative."""
 
@@ -135,6 +168,8 @@ class ProfileFile(Document):
     fiducials: FiducialsTable = FiducialsTable()
     registration: RegistrationTable = RegistrationTable()
     repeatability: RepeatabilityTable = RepeatabilityTable()
+    unseen: UnseenTable = UnseenTable()
+    system: SystemTable | None = None
     artefact: ArtefactTable | None = None
     commissioned: RecordTable | None = None
 

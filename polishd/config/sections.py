@@ -30,6 +30,7 @@ from polishd.model.dwell import Choice
 from polishd.model.finding import FindingLimits
 from polishd.model.outline import Outline
 from polishd.model.process import FLAT
+from polishd.model.tolerance import Accept
 
 _FINDING = FindingLimits()
 
@@ -294,6 +295,10 @@ class JobSection(Section):
     """RMS in the clear aperture at which the part is done: the short form of a `[[tolerance]]` with `rms_nm`."""
     tolerance_period_mm: NotNegative = 0.0
     """Period above which `tolerance_nm` counts; 0: all periods."""
+    accept: Accept | None = None
+    """By what an RMS is accepted: as it was measured (`figure`), by the one-sided 95 % bound of the part's own RMS, or
+    by that bound without power, which the certificate then says. Left out: `bound` where the instrument's profile has
+    a system map, else `figure`."""
     lsf_period_mm: Positive = 33.0
     """Period above which the low-frequency figure (`lsf_rms_nm`) counts."""
     max_cycles: Annotated[int, Field(ge=1, le=100)] = 4

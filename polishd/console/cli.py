@@ -8,7 +8,9 @@ from typing import Annotated, Literal
 import typer
 from typer import Argument, Option
 
-from polishd.workbench.options import Cell, Json
+from polishd.workbench.calibration.cli import app as calibrations
+from polishd.workbench.calibration.options import InstrumentOptions
+from polishd.workbench.options import Cell, Json, spread
 
 jobs = typer.Typer(help="The queue of a cell: parts, one after another.")
 services = typer.Typer(help="Run a cell as a service of systemd.")
@@ -63,6 +65,23 @@ def job_remove(*, cell: Cell, job: JobId, reason: Reason = "", as_json: Json = F
     from polishd.console.jobs import remove_verb
 
     remove_verb(cell, job, reason, as_json=as_json)
+
+
+@calibrations.command("instrument")
+@spread
+def calibrate_instrument(
+    cell: Annotated[Path, Argument(metavar="CELL.toml", help="The cell whose instrument it is.")],
+    maps: Annotated[
+        list[Path] | None, Argument(metavar="[MAP...]", help="One part, turned; none: taken as they come.")
+    ] = None,
+    *,
+    as_json: Json = False,
+    asked: InstrumentOptions,
+) -> None:
+    """Tell the instrument's own error by turning the part, into its profile; without --angles: which turns it takes."""
+    from polishd.console.turning import calibrate_verb
+
+    calibrate_verb(cell, maps or [], asked, as_json=as_json)
 
 
 @services.command("install")

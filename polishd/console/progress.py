@@ -71,7 +71,8 @@ class _Line:
         band = data["band_rms_nm"]
         beyond = "" if band is None else f", {band:.2f} nm in the tolerance's band"
         self._print(f"measurement {cycle}: RMS {data['rms_nm']:.2f} nm, PV {data['pv_nm']:.1f} nm{beyond}")
-        if len(judged := judged_of(data)) > 1:
+        judged = judged_of(data)
+        if len(judged) > 1 or any(one.bound is not None for one in judged):
             held = sum(one.holds for one in judged)
             self._print(f"{held} of {len(judged)} lines of the tolerance hold; the worst: {worst(judged)}")
 

@@ -42,6 +42,7 @@ from polishd.hooks.loader import Hooks
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.model.events import Event
 from polishd.model.program import Program
+from polishd.recipe.accepting import require_acceptable
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.making import instrument_of, make_recipe, require_commissioned
 from polishd.recipe.program_fit import require_fit
@@ -174,6 +175,7 @@ def _own_work(config: CellConfig, hooks: Hooks) -> tuple[Recipe, Program]:
     """Of the job that the cell's own file describes."""
     recipe = make_recipe(config, hooks)
     require_commissioned(config, recipe.instrument)
+    require_acceptable(recipe)
     program = read_program(recipe, config.program_path)
     require_taken(config, hooks, program)
     require_fit(config, recipe, program)

@@ -29,6 +29,7 @@ from polishd.model.devices import Identity
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.ports.devices import ForceActuator
 from polishd.recipe import foresight, steps, touch_off
+from polishd.recipe.accepting import acceptance_words
 from polishd.recipe.making import make_recipe, why_not_commissioned
 from polishd.recipe.program_fit import require_fit
 from polishd.recipe.recipe import Recipe
@@ -65,6 +66,7 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
         "compliance_um_per_n": f"{compliance.min():.3f} to {compliance.max():.3f}",
         "gamma": f"{gamma.min():.3f} to {gamma.max():.3f}",
         "tolerance": foresight.tolerance_words(recipe, answer),
+        "accepted": acceptance_words(recipe),
         "correction": recipe.correction,
         "removal of the program as it is": f"{np.max(answer.effect.removal_nm(program.time_s)):.1f} nm at most",
         "force": _force(cell, contact_limits(config)),
@@ -131,7 +133,8 @@ def _instrument(config: CellConfig, recipe: Recipe) -> str:
     if instrument is None or instrument.commissioned is None:
         return f"run will refuse: {why_not_commissioned(config)}"
     record = instrument.commissioned
-    return f"{instrument.name}: commissioned {record.at:%Y-%m-%d %H:%M} with {record.artefact}"
+    system = "" if recipe.system is None else f"; its system map is off each map: {recipe.system.surface.sha256[:12]}"
+    return f"{instrument.name}: commissioned {record.at:%Y-%m-%d %H:%M} with {record.artefact}{system}"
 
 
 @dataclass(frozen=True, slots=True)

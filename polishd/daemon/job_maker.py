@@ -20,6 +20,7 @@ from polishd.daemon.standing import require_shallow
 from polishd.hooks.cell import hooks_of_job
 from polishd.hooks.loader import Hooks
 from polishd.model.events import Event
+from polishd.recipe.accepting import require_acceptable
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.making import make_recipe, require_commissioned
 from polishd.recipe.program_fit import require_fit
@@ -48,6 +49,7 @@ class JobMaker:
         hooks = await asyncio.to_thread(hooks_of_job, self.config, self.hooks, config)
         recipe = await asyncio.to_thread(make_recipe, config, hooks)
         require_commissioned(config, recipe.instrument)
+        require_acceptable(recipe)
         program = await self.compute(read_program, recipe, config.program_path)
         await self.compute(require_fit, config, recipe, program)
         require_time_limits(config, self.cell)

@@ -43,7 +43,7 @@ RULES = (
     Rule(("touch_off*", "between.*"), True, "what is done beside polishing removes nothing"),
     Rule(("limits.*", "machine.x_mm", "machine.y_mm", "machine.z_mm"), True, "what is refused from now on"),
     Rule(
-        ("job.tolerance_nm", "tolerance", "job.max_cycles", "job.lookahead_s"),
+        ("job.tolerance_nm", "tolerance", "job.accept", "job.max_cycles", "job.lookahead_s"),
         True,
         "when the job ends, and how it is streamed",
     ),

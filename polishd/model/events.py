@@ -191,7 +191,8 @@ class Measured(Event):
     ]
     judged: Annotated[
         Sequence[Mapping[str, Any]],
-        "each line of the tolerance: `what`, `value`, `limit`, `unit`, `uncertainty` (None: not known), `holds`",
+        "each line of the tolerance: `what`, `value`, `limit`, `unit`, `uncertainty` (None: not known), `bound`, "
+        "`guard` (None: judged as measured), `removed`, `holds`",
     ] = ()
     spikes: Annotated[int, "samples that were taken for spikes"]
     notes: Annotated[Sequence[str], "what a person should know of the map"]

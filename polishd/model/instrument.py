@@ -27,6 +27,41 @@ class Commissioned:
 
 
 @dataclass(frozen=True, slots=True)
+class Unseen:
+    """How large the instrument's own terms may be where nothing has told them: one standard deviation, nm RMS.
+
+    Those of a transmission flat of a twentieth of a wave: much power and astigmatism, less of what polishing evens out.
+    """
+
+    power_nm: float = 5.0
+    astigmatism_nm: float = 5.0
+    """Of each of its two terms, as of all that have a direction."""
+    coma_nm: float = 2.0
+    spherical_nm: float = 1.0
+    other_nm: float = 0.5
+    """Of a term of radial order 4; of other orders n it goes with (4 / n)^2, as polished surfaces do."""
+    shorter_nm: float = 0.5
+    """RMS of all waves shorter than the terms, where no poses tell how much they left."""
+
+    def of(self, n: int, m: int) -> float:
+        """Of a Zernike term above tilt."""
+        named = {(2, 0): self.power_nm, (2, 2): self.astigmatism_nm, (3, 1): self.coma_nm, (4, 0): self.spherical_nm}
+        return named.get((n, abs(m)), self.other_nm * (4 / n) ** 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrated:
+    """The record of a system map: the instrument's own error was told from maps of a part that was turned."""
+
+    map: str
+    """Its file, as the profile names it."""
+    at: datetime
+    map_sha256: str
+    profile_sha256: str
+    """Of the profile's values with which those maps were read: under others it lies, or counts, otherwise."""
+
+
+@dataclass(frozen=True, slots=True)
 class Instrument:
     """An instrument's profile: how its arrays lie on the part, and what its numbers mean.
 
@@ -62,6 +97,7 @@ class Instrument:
     """Most shift against the last map of the same part."""
     repeatability_nm: float | None = None
     """RMS of what one map of a part has and the mean of many has not; None: not known."""
+    unseen: Unseen = Unseen()
     commissioned: Commissioned | None = None
     raw: Mapping[str, Any] = field(default_factory=dict)
     """The values as the file gives them."""

@@ -13,6 +13,9 @@ WORDS = {"rms": "RMS", "pv": "PV", "slope_rms": "slope RMS", "slope_max": "slope
 NORMS = frozenset({"rms", "RMSt", "RMSi", "RMSa"})
 """An RMS over the same samples: a map's noise of r nm RMS changes it by r at most, whatever the noise looks like."""
 
+Accept = Literal["figure", "bound", "bound_without_power"]
+"""By what an RMS is accepted: as measured; by the bound of the part's own; by that of its figure without power."""
+
 
 @dataclass(frozen=True, slots=True)
 class Line:
@@ -44,6 +47,11 @@ class Line:
             words += f" over {self.integration_mm:g} mm"
         return words + self._periods()
 
+    @property
+    def bounded(self) -> bool:
+        """Whether the part's own figure has a bound: an RMS that counts the long periods, which an instrument has."""
+        return self.figure == "rms" and self.below_mm is None
+
     def _periods(self) -> str:
         if self.below_mm is None:
             return f" of periods above {self.above_mm:g} mm" if self.above_mm else ""
@@ -62,35 +70,58 @@ class Judged:
     unit: str
     uncertainty: float | None = None
     """By how much the instrument's repeatability may have changed it, at most; None: not known."""
+    bound: float | None = None
+    """Below it the part's own figure lies in 95 % of cases: by it the line is judged; None: as it was measured."""
+    removed: str = ""
+    """What the bound leaves out, since nothing has told it of the instrument: "power"; empty: nothing."""
+
+    @property
+    def counted(self) -> float:
+        """What is held against the limit: the bound, where there is one."""
+        return self.value if self.bound is None else self.bound
 
     @property
     def holds(self) -> bool:
-        """Whether it is within its limit, as it was measured."""
-        return self.value <= self.limit
+        """Whether that is within the limit."""
+        return self.counted <= self.limit
 
     @property
     def excess(self) -> float:
-        """Measured over allowed."""
-        return self.value / self.limit
+        """That over what is allowed."""
+        return self.counted / self.limit
+
+    @property
+    def guard(self) -> float | None:
+        """The guard band: by how much the bound is above what was measured; None without one."""
+        return None if self.bound is None else self.bound - self.value
 
     @property
     def unsure(self) -> bool:
-        """Whether the instrument's own uncertainty could have it the other way."""
-        return self.uncertainty is not None and abs(self.value - self.limit) <= self.uncertainty
+        """Whether the instrument's own uncertainty could have it the other way; a bound has that in it."""
+        return self.bound is None and self.uncertainty is not None and abs(self.value - self.limit) <= self.uncertainty
+
+    @property
+    def bound_words(self) -> str:
+        """``at most 1.8 nm truly (95 %), guard band 1.3 nm, power removed``; empty without a bound."""
+        if self.bound is None or self.guard is None:
+            return ""
+        removed = f", {self.removed} removed" if self.removed else ""
+        return f"at most {self.bound:.3g} {self.unit} truly (95 %), guard band {self.guard:.2g} {self.unit}{removed}"
 
     def facts(self) -> dict[str, Any]:
-        """For summary, journal and events: its fields, and whether it ``holds``."""
-        return {**asdict(self), "holds": self.holds}
+        """For summary, journal and events: its fields, the ``guard`` band, and whether it ``holds``."""
+        return {**asdict(self), "guard": self.guard, "holds": self.holds}
 
     @classmethod
     def of(cls, facts: Mapping[str, Any]) -> Self:
-        """From them again."""
-        return cls(**{item.name: facts[item.name] for item in fields(cls)})
+        """From them again; those of an earlier polishd have no bound."""
+        return cls(**{item.name: facts[item.name] for item in fields(cls) if item.name in facts})
 
     def __str__(self) -> str:
         """One line: ``RMS 2.31 nm of 2 nm allowed``."""
         sigma = "" if self.uncertainty is None else f" +- {self.uncertainty:.2g}"
-        return f"{self.what} {self.value:.3g}{sigma} {self.unit} of {self.limit:g} {self.unit} allowed"
+        bound = f", {self.bound_words}," if self.bound is not None else ""
+        return f"{self.what} {self.value:.3g}{sigma} {self.unit}{bound} of {self.limit:g} {self.unit} allowed"
 
 
 def judged_of(measured: Mapping[str, Any]) -> tuple[Judged, ...]:

@@ -66,6 +66,11 @@ def judge(
     return tuple(found)
 
 
+def seen(line: Line, height_nm: FloatArray, mask: BoolArray, pitch_mm: float) -> FloatArray:
+    """(ny, nx) what of a surface has the line's periods; arguments as for `judge`."""
+    return _Surface(height_nm, mask, pitch_mm).band(line)
+
+
 def notes_of(judged: Iterable[Judged]) -> tuple[str, ...]:
     """What a person should know of figures that are nearer to their limits than the instrument repeats."""
     return tuple(

@@ -14,6 +14,7 @@ from polishd.hookspecs import Learner, RemovalModel
 from polishd.model.errors import ConfigError, SurfaceError
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
+from polishd.process.absolute import SystemMap, Told
 from polishd.recipe.files import read_map
 from polishd.recipe.handling import between_of, touch_off_of
 from polishd.recipe.recipe import Recipe
@@ -39,6 +40,33 @@ def nominal_of(config: CellConfig, hooks: Hooks) -> SurfaceMap | None:
     if open_ones:
         raise config.error("part.nominal", f"{nominal.path}: does not say its {' and '.join(open_ones)}")
     return nominal
+
+
+def system_of(config: CellConfig, hooks: Hooks) -> SystemMap | None:
+    """The instrument's own error; None where its profile names no map. ConfigError where it is not to be trusted."""
+    if config.profile_path is None:
+        return None
+    profile = load_profile(config.profile_path)
+    record, again = profile.system, f"polishd calibrate instrument {config.path.name} makes another"
+    if record is None:
+        return None
+    try:
+        surface = read_map(profile.path.parent / record.map, hooks.surface_readers().values())
+    except SurfaceError as error:
+        raise profile.error("system.map", str(error)) from error
+    if surface.sha256 != record.map_sha256:
+        raise profile.error("system.map", f"{record.map} is not the file that was calibrated: put it back, or {again}")
+    if record.profile_sha256 != profile.sha256:
+        problem = f"the profile was edited after {record.at:%Y-%m-%d %H:%M}, when its system map was made; {again}"
+        raise profile.error("system.map", problem)
+    step = surface.history
+    if step is None or step.options.get("result") != "instrument" or not step.profiled:
+        problem = f"{record.map} says of itself no instrument's own error, read by a profile; {again}"
+        raise profile.error("system.map", problem)
+    try:
+        return SystemMap(surface, Told.load(step.options["told"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise profile.error("system.map", f"{record.map} does not say how sure its terms are; {again}") from error
 
 
 def why_not_commissioned(config: CellConfig) -> str:
@@ -89,6 +117,7 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
         remembers=config.memory.remember,
         touch_off=touch_off_of(config, program),
         between=between_of(config, instrument),
+        system=system_of(config, hooks),
     )
 
 

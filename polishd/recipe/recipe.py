@@ -16,7 +16,8 @@ from polishd.model.outline import Outline
 from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Optic, Placement, ToolProcess
 from polishd.model.robot import RobotModel
 from polishd.model.surface import SurfaceMap
-from polishd.model.tolerance import Line
+from polishd.model.tolerance import Accept, Line
+from polishd.process.absolute import SystemMap
 
 DEFAULT = FindingLimits()
 
@@ -58,6 +59,16 @@ class Recipe:
     touch_off: TouchOff | None = None
     """How the part's seat is proved; None: nobody proves it."""
     between: Between = NOTHING
+    system: SystemMap | None = None
+    """The instrument's own error, off each map; None: nobody has told it."""
+
+    @property
+    def accept(self) -> Accept:
+        """By what an RMS is accepted. Without a word of the job by the bound only where something is known for it."""
+        if self.job.accept is not None:
+            return self.job.accept
+        known = self.system is not None and self.part.alignment != "piston"
+        return "bound" if known else "figure"
 
     @property
     def lines(self) -> tuple[Line, ...]:
@@ -74,4 +85,5 @@ class Recipe:
             "correction": self.correction,
             **job,
             "tolerance": lines,
+            "accept": self.accept,
         }

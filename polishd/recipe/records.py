@@ -55,6 +55,8 @@ class Measured:
     """Each line of the tolerance."""
     map_grid: Grid | None = None
     """The map's own samples; None: of a job of an earlier polishd."""
+    system: str = ""
+    """sha256 of the instrument's system map, which was taken off; empty: none was."""
 
     @property
     def masks(self) -> Masks:
@@ -70,6 +72,7 @@ class Measured:
         """Its figures, and what else is no array."""
         judged = [one.facts() for one in self.judged]
         rest = {"spikes": self.spikes, "notes": list(self.notes), "sha256": self.sha256, "judged": judged}
+        rest["system"] = self.system
         return {**asdict(self.stats), **rest, "registration": asdict(self.registration)}
 
     def arrays(self) -> Arrays:
@@ -325,6 +328,7 @@ def figures(measured: Mapping[str, Any], planned: Mapping[str, Any] | None) -> d
     return {
         **{key: measured[key] for key in FIGURES},
         "judged": measured.get("judged", []),
+        "system": measured.get("system", ""),
         **{key: None if planned is None else float(planned[key]) for key in PASS_FIGURES},
         **{f"expected_{end}_nm": forecast.get(f"{end}_nm") for end in ("low", "high")},
     }

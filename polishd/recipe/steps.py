@@ -27,7 +27,7 @@ from polishd.process.registration.record import Registration
 from polishd.process.registration.register import register
 from polishd.process.spikes import cleaned
 from polishd.process.tolerance import judge, notes_of
-from polishd.recipe import forecasting
+from polishd.recipe import accepting, forecasting
 from polishd.recipe.files import read_program_bytes
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import CENTRED, Believed, Measured, Pass, Solved, Taught
@@ -60,6 +60,8 @@ def condition(
     ``masks`` and ``last`` are of earlier maps of the part: its frozen masks, and where it lay in the last one.
     """
     profiled = as_profiled(surface, recipe.instrument)
+    if recipe.system is not None:
+        profiled = recipe.system.off(profiled)
     lies = CENTRED
     if recipe.instrument is not None:
         lies = register(profiled, recipe.instrument, recipe.outline, last)
@@ -87,6 +89,7 @@ def condition(
     height = np.where(part.solve_mask, part.height_nm, 0.0)
     repeats = None if recipe.instrument is None else recipe.instrument.repeatability_nm
     judged = judge(recipe.lines, figure, clear, clean.grid.pitch_mm, repeats)
+    judged = accepting.bounded(recipe, judged, figure, clear, clean.grid.pitch_mm)
     wanted = min((line.limit for line in recipe.lines if line.unit == "nm"), default=0.0)
     notes = (*alignment_notes(clean.height_nm, clear, recipe.part.alignment, wanted), *notes_of(judged))
     return Measured(
@@ -101,6 +104,7 @@ def condition(
         notes,
         judged,
         clean.grid,
+        "" if recipe.system is None else recipe.system.surface.sha256,
     )
 
 

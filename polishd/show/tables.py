@@ -44,8 +44,9 @@ def cycle_table(summary: Mapping[str, Any]) -> Table:
 
 
 def outcome_tables(summary: Mapping[str, Any]) -> RenderableType:
-    """The measurements, and below them the drawing's lines, where there is more than the short tolerance."""
-    if summary.get("tolerance_nm") is not None or not any(cycle.get("judged") for cycle in summary["cycles"]):
+    """The measurements, and below them the drawing's lines: not of a short tolerance that is judged as measured."""
+    judged = [one for cycle in summary["cycles"] for one in judged_of(cycle)]
+    if not judged or (summary.get("tolerance_nm") is not None and all(one.bound is None for one in judged)):
         return cycle_table(summary)
     return Group(cycle_table(summary), tolerance_table(summary))
 
@@ -66,6 +67,8 @@ def tolerance_table(summary: Mapping[str, Any]) -> Table:
 
 def _holding(line: Judged) -> str:
     word = "yes" if line.holds else f"no, {line.excess:.3g} times the limit"
+    if line.bound is not None:
+        return f"{word}; {line.bound_words}"
     if line.uncertainty is None:
         return word
     return f"{word}; {'not ' if line.unsure else ''}sure: +- {line.uncertainty:.2g} {line.unit}"

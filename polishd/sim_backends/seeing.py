@@ -25,8 +25,7 @@ def as_measured(
     belongs to it goes with it.
     """
     errors = config.interferometer.errors
-    on_part = _trefoil(true_nm, errors.mount_nm) if errors.mount_turns else 0.0
-    height = _imaged(_shifted(np.rot90(true_nm + on_part, quarters), shift_px), errors)
+    height = _imaged(_shifted(np.rot90(as_held(true_nm, config), quarters), shift_px), errors)
     x, y = _places(height)
     noise = config.truth.map_noise_nm * rng.standard_normal(height.shape)
     if errors.retrace_nm_per_urad or errors.slope_noise_nm_per_urad:
@@ -43,6 +42,12 @@ def as_measured(
         dead = stream(0, "dead pixels").random(height.shape) < errors.dead_pixels  # of the camera: always the same
         height = np.where(dead, np.nan, height)
     return as_seen(height, config.interferometer.faults)
+
+
+def as_held(true_nm: FloatArray, config: SimConfig) -> FloatArray:
+    """True heights with the print of a mount that turns with the part: no map of it, however turned, is without."""
+    errors = config.interferometer.errors
+    return true_nm + _trefoil(true_nm, errors.mount_nm) if errors.mount_turns else true_nm
 
 
 def as_seen(height_nm: FloatArray, faults: MapFaults) -> FloatArray:

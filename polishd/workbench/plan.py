@@ -19,6 +19,7 @@ from polishd.model.events import PlanWritten
 from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.process.instrument import as_profiled
 from polishd.recipe import dwell_step, steps
+from polishd.recipe.accepting import why_never
 from polishd.recipe.dwell_step import require_certificate
 from polishd.recipe.files import read_map
 from polishd.recipe.folder import RunFolder
@@ -52,6 +53,7 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
     planned = Planned.of(plan, solved, steps.in_part_frame(recipe, plan.program), expected)
     if recipe.instrument is None or recipe.instrument.commissioned is None:
         notes.append("run will refuse: the cell has no commissioned instrument's profile (polishd check says more)")
+    notes += [f"run will refuse: {never}"] if (never := why_never(recipe)) else []
     said, misfit = judged(recipe, program, config.program.covers)
     notes += [f"check will refuse: {said}{misfit}"] if misfit else []
     notes += [*as_profiled(surface, recipe.instrument).warnings, *measured.notes, *program.warnings]

@@ -135,6 +135,7 @@ def facts_of(folder: RunFolder) -> list[tuple[str, str]]:
         (f"RMS{of_periods}", f"{' → '.join(measured)} nm" if measured else ""),
         ("predicted RMS", f"{figure(rows[0].get('predicted_rms_nm'), '.2f')} nm" if folder.planned and rows else ""),
         ("tolerance", f"{tolerance} nm" if tolerance else words.tolerance(rows)),
+        ("accepted", words.accepted(summary, rows)),
         ("passes", "" if folder.planned or not rows else words.passes(rows)),
         ("process time", duration(rows, "dwell_s" if folder.planned else "executed_s")),
         ("time on the wall", words.spent(summary.get("phase_times_s"))),

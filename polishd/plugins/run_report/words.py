@@ -87,9 +87,12 @@ def passes(rows: Rows) -> str:
 
 
 def lines(rows: Rows) -> list[list[str]]:
-    """Of more than one line of the tolerance each: what, limit, what each measurement had, whether the last holds."""
+    """Of the tolerance each line: what, limit, what each measurement had, whether the last holds.
+
+    None of a single line that is judged as it was measured: the page shows that anyway.
+    """
     judged = [[one for one in row.get("judged") or () if isinstance(one, Mapping)] for row in rows]
-    if not judged or len(judged[-1]) < 2:
+    if not judged or (len(judged[-1]) < 2 and not any(figure(one.get("bound"), "g") for one in judged[-1])):
         return []
     had = [{one.get("what"): one for one in measured} for measured in judged]
     return [
@@ -109,6 +112,17 @@ def tolerance(rows: Rows) -> str:
     return f"{sum(bool(one.get('holds')) for one in judged)} of {len(judged)} lines hold" if judged else ""
 
 
+def accepted(summary: Mapping[str, Any], rows: Rows) -> str:
+    """By what the part is accepted, and what of the instrument was taken off its maps; empty of an earlier polishd."""
+    by = {
+        "figure": "as measured",
+        "bound": "by the 95 % bound of the true RMS, as its mount holds it",
+        "bound_without_power": "by the 95 % bound of the true RMS, as its mount holds it, power removed",
+    }.get(text(summary.get("accept")), "")
+    system = text(rows[-1].get("system")) if rows else ""
+    return f"{by}; the instrument's system map {system[:12]} is off" if by and system else by
+
+
 def rms_limit(rows: Rows) -> Any:
     """The limit of the line that is of the whole surface's RMS, which its picture shows; None: there is none."""
     judged = (rows[-1].get("judged") or ()) if rows else ()
@@ -116,9 +130,13 @@ def rms_limit(rows: Rows) -> Any:
 
 
 def _sure(line: Mapping[str, Any]) -> str:
-    """The instrument's uncertainty, where it is known."""
+    """The bound that it was judged by, or else the instrument's uncertainty, where it is known."""
+    unit, removed = text(line.get("unit")), text(line.get("removed"))
+    if bound := figure(line.get("bound"), ".3g"):
+        without = f", {removed} removed" if removed else ""
+        return f" (at most {bound} {unit} truly, 95 %; guard band {figure(line.get('guard'), '.2g')} {unit}{without})"
     sigma = figure(line.get("uncertainty"), ".2g")
-    return f" (± {sigma} {text(line.get('unit'))})" if sigma else ""
+    return f" (± {sigma} {unit})" if sigma else ""
 
 
 def measurement(rows: Rows, index: int) -> str:

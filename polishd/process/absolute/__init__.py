@@ -7,6 +7,7 @@ from polishd.process.absolute.next_poses import NextPoses, PoseOptions, next_pos
 from polishd.process.absolute.poses import Pose
 from polishd.process.absolute.separate import Separated, separate
 from polishd.process.absolute.solution import PlaceError
+from polishd.process.absolute.told import SystemMap, Told
 
 __all__ = [
     "Design",
@@ -15,6 +16,8 @@ __all__ = [
     "Pose",
     "PoseOptions",
     "Separated",
+    "SystemMap",
+    "Told",
     "Unknown",
     "design",
     "next_poses",

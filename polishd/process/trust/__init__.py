@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
-from polishd.process.trust.bound import Bound, Contribution, Demand, RmsBound, true_figure_bound, true_rms_bound
-from polishd.process.trust.errors import Errors, Noise, of_separated
+from polishd.process.trust.bound import (
+    Bound,
+    Contribution,
+    Demand,
+    RmsBound,
+    demands,
+    true_figure_bound,
+    true_rms_bound,
+)
+from polishd.process.trust.errors import Errors, Noise, of_told
 
 __all__ = [
     "Bound",
@@ -12,7 +20,8 @@ __all__ = [
     "Errors",
     "Noise",
     "RmsBound",
-    "of_separated",
+    "demands",
+    "of_told",
     "true_figure_bound",
     "true_rms_bound",
 ]

@@ -10,7 +10,7 @@ import numpy as np
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.absolute.names import OTHER_FOLDS, name_of, reference_for
 from polishd.process.absolute.poses import LEVEL
-from polishd.process.trust.errors import Errors
+from polishd.process.trust.errors import Errors, Term
 from polishd.process.trust.posterior import POWER, Posterior, posterior
 
 BOUND = 0.95
@@ -154,11 +154,15 @@ def _rms_bound(
     weight = found.figure_weight(power=power)
     square = np.einsum("si,ij,sj->s", drawn_nm, weight, drawn_nm, optimize=True)
     rms = _bound(np.sqrt(np.maximum(square, 0.0) + rest_square))
+    wanted: tuple[Demand, ...] = ()
+    if tolerance_nm is not None:
+        own = dict(zip(found.terms, np.diag(weight).tolist(), strict=True))
+        wanted = demands(errors, tolerance_nm, without_power=power, mean_square=own.__getitem__)
     return RmsBound(
         rms.mean, rms.interval, rms.bound,
         removed="power" if power else "tilt",
         contributions=_contributions(found, errors, weight),
-        demanded=_demanded(errors, weight, found, tolerance_nm, power=power),
+        demanded=wanted,
     )  # fmt: skip
 
 
@@ -181,19 +185,27 @@ def _contributions(found: Posterior, errors: Errors, weight: FloatArray) -> tupl
     return tuple(sorted(told, key=lambda one: -one.rms_nm))
 
 
-def _demanded(
-    errors: Errors, weight: FloatArray, found: Posterior, tolerance_nm: float | None, *, power: bool
+def demands(
+    errors: Errors,
+    tolerance_nm: float,
+    *,
+    without_power: bool = False,
+    mean_square: Callable[[Term], float] = lambda _: 1.0,
 ) -> tuple[Demand, ...]:
-    """References for families of which the unseen part alone is more than the tolerance."""
-    if tolerance_nm is None:
-        return ()
+    """References for families of which the unseen part alone is more than the tolerance.
+
+    Args:
+        errors: what is known of a map's errors; its noise plays no part.
+        tolerance_nm: RMS that is allowed.
+        without_power: the figure does not count power.
+        mean_square: of a term of size 1 over the mask; of the whole circle, before there is a map: 1.
+    """
     square: dict[str, float] = {}
     needs: dict[str, str] = {}
     for (n, m), prior in errors.unseen_nm.items():
-        index = found.terms.index((n, m))
-        name = name_of(n, m)
-        if not (power and (n, m) == POWER):
-            square[name] = square.get(name, 0.0) + float(weight[index, index]) * prior**2
+        if not (without_power and (n, m) == POWER):
+            name = name_of(n, m)
+            square[name] = square.get(name, 0.0) + mean_square((n, m)) * prior**2
             needs[name] = reference_for(n, m)
     square[SHORTER], needs[SHORTER] = errors.unseen_rest_nm**2, OTHER_FOLDS
     over = {name: float(np.sqrt(one)) for name, one in square.items() if one > tolerance_nm**2}

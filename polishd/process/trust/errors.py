@@ -9,7 +9,7 @@ import numpy as np
 import scipy.ndimage
 
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.absolute.separate import Separated
+from polishd.process.absolute.told import Told
 
 REACH = 4.0
 """Correlation lengths to which a kernel is computed: e^-8 is left."""
@@ -78,27 +78,20 @@ class Errors:
     """Prior RMS of what the terms leave of the instrument and nothing has seen."""
 
 
-def of_separated(
-    found: Separated, noise: Noise, unseen_nm: Mapping[Term, float], unseen_rest_nm: float | None = None
-) -> Errors:
+def of_told(told: Told, noise: Noise, unseen_nm: Mapping[Term, float], unseen_rest_nm: float | None = None) -> Errors:
     """Errors of a map less the instrument's map that a set of poses gave.
 
     Args:
-        found: instrument and part, told apart.
+        told: what the poses told of the instrument.
         noise: of the map that is judged, not of those that told the instrument.
         unseen_nm: priors of the instrument's terms; those that the poses told take no part.
         unseen_rest_nm: prior of its shorter waves that the poses leave; None: as what they tell of them has it.
     """
-    share = {(one.n, one.m): float(np.sqrt(one.share)) for one in found.design.unknown}
-    unseen = {term: prior * share[term] for term, prior in unseen_nm.items() if term in share}
-    return Errors(
-        noise,
-        found.design.degree,
-        found.design.terms,
-        found.solution.covariance,
-        unseen,
-        found.hidden_rest_nm if unseen_rest_nm is None else unseen_rest_nm,
-    )
+    unseen = {
+        term: prior * float(np.sqrt(told.unknown[term])) for term, prior in unseen_nm.items() if term in told.unknown
+    }
+    rest = told.rest_nm if unseen_rest_nm is None else unseen_rest_nm
+    return Errors(noise, told.degree, told.terms, told.covariance, unseen, rest)
 
 
 def _kernel(length_px: float) -> FloatArray:

@@ -14,7 +14,7 @@ from polishd.sim_backends import truth
 from polishd.sim_backends.plant import effects
 from polishd.sim_backends.plant import part as parts
 from polishd.sim_backends.plant.world import World
-from polishd.sim_backends.seeing import as_measured
+from polishd.sim_backends.seeing import as_held, as_measured
 
 STEP_MM = 0.3
 """Longest stretch that is worn at one place: a tenth of the spot, which is right to 0.01 nm in a pass of 10 nm RMS."""
@@ -76,7 +76,7 @@ class BatchPlant:
         )
 
     def truth(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
-        """What nobody is told: the draws, and the figure."""
+        """What nobody is told: the draws, and the figure, by itself and as its mount holds it."""
         rms, pv = self.world.part.stats()
         drawn = {"machines": asdict(self.world.hidden), "effects": asdict(self.world.effects)}
         told = {
@@ -86,7 +86,8 @@ class BatchPlant:
             "process_s": self.world.process_s,
             "pitch_mm": self.world.part.grid.pitch_mm,
         }
-        return told, {"height_nm": self.world.part.map_nm()}
+        height = self.world.part.map_nm()
+        return told, {"height_nm": height, "held_nm": as_held(height, self.config)}
 
 
 def of(raw: dict[str, Any], seed: int | None) -> BatchPlant:

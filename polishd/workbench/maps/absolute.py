@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from rich.table import Table
 
 from polishd.model.errors import BadMap, ConfigError
 from polishd.model.surface import FloatArray, SurfaceMap
-from polishd.process.absolute import PlaceError, Pose, Separated, separate
+from polishd.process.absolute import PlaceError, Pose, Separated, Told, separate
 from polishd.process.absolute.names import families, reference_for, term_name
 from polishd.process.instrument import same_system
 from polishd.process.metrics import pv_rms
@@ -41,13 +41,44 @@ SHIFTED = "a part that is no flat and no sphere shows coma where it is shifted, 
 SENSELESS = "these maps fit angles of either sense: see on a mark that the part turned counter-clockwise as displayed"
 
 
+@dataclass(frozen=True, slots=True)
+class Apart:
+    """Part and instrument, told apart."""
+
+    found: Separated
+    instrument: SurfaceMap
+    part: SurfaceMap
+    answer: dict[str, Any]
+    """For programs."""
+
+    def show(self, *, as_json: bool, more: Sequence[str] = ()) -> None:
+        """On stdout; for people, ``more`` lines below."""
+        lines = [*_lines(self.answer), *more]
+        emit(self.answer, as_json=as_json, table=lambda: _table(self.answer), lines=lines)
+
+
 def absolute_verb(files: Sequence[Path], asked: AbsoluteOptions, *, as_json: bool) -> None:
     """Tell part and instrument apart; write both where they are wanted."""
     source = MapSource.by(asked)
     _require_targets(files, asked, source)
-    poses = _poses(files, asked)
+    poses = poses_of(asked, files)
+    apart = tell_apart([source.read(path) for path in files], poses, asked, source)
+    targets = (("instrument", apart.instrument, asked.out_instrument), ("part", apart.part, asked.out_part))
+    for key, surface, target in targets:
+        if target is not None:
+            apart.answer[key] |= store(surface, target, source)
+    stored = any("out" in apart.answer[key] for key, _, _ in targets)
+    apart.show(as_json=as_json, more=[] if stored else ["not written: --out-instrument S.x3p would"])
+    if asked.picture is not None:
+        drawn = [replace(apart.instrument, path=Path("instrument")), replace(apart.part, path=Path("part"))]
+        draw_maps(asked.picture, drawn, as_json=as_json)
+
+
+def tell_apart(
+    surfaces: Sequence[SurfaceMap], poses: Sequence[Pose], asked: AbsoluteOptions, source: MapSource
+) -> Apart:
+    """Part and instrument from maps that are read. BadMap."""
     axis = None if asked.axis is None else _numbers("--axis", asked.axis, 2)
-    surfaces = [source.read(path) for path in files]
     pitch = one_pitch(surfaces)
     _require_one_instrument(surfaces)
     found = separate(
@@ -59,17 +90,10 @@ def absolute_verb(files: Sequence[Path], asked: AbsoluteOptions, *, as_json: boo
         noise_nm=asked.noise,
         place=PlaceError(asked.angle_error, asked.shift_error),
     )
-    names = told_apart(files)
+    names = told_apart([one.path or f"map {number}" for number, one in enumerate(surfaces, 1)])
     answer = _answer(found, names, pitch)
     answer["masks"] = [{"path": str(one.path), "masks": mask_records(one)} for one in surfaces if one.masks]
-    instrument, part = _made(surfaces, names, found, source)
-    for key, surface, target in (("instrument", instrument, asked.out_instrument), ("part", part, asked.out_part)):
-        if target is not None:
-            answer[key] |= store(surface, target, source)
-    emit(answer, as_json=as_json, table=lambda: _table(answer), lines=_lines(answer))
-    if asked.picture is not None:
-        drawn = [replace(instrument, path=Path("instrument")), replace(part, path=Path("part"))]
-        draw_maps(asked.picture, drawn, as_json=as_json)
+    return Apart(found, *_made(surfaces, names, found, source), answer)
 
 
 def _require_targets(files: Sequence[Path], asked: AbsoluteOptions, source: MapSource) -> None:
@@ -81,8 +105,8 @@ def _require_targets(files: Sequence[Path], asked: AbsoluteOptions, source: MapS
     require_picture(asked.picture)
 
 
-def _poses(files: Sequence[Path], asked: AbsoluteOptions) -> list[Pose]:
-    """Of each file, from the options or from the list."""
+def poses_of(asked: AbsoluteOptions, files: Sequence[Path]) -> list[Pose]:
+    """Of each file, from the options or from the list; where there are no files, as many as there are angles."""
     if (asked.angles is None) == (asked.at is None) or (asked.at is not None and asked.shifts is not None):
         raise typer.BadParameter(
             "how the part lies is said by --angles, with --shifts where it was shifted, or by --at"
@@ -93,10 +117,11 @@ def _poses(files: Sequence[Path], asked: AbsoluteOptions) -> list[Pose]:
         listed = read_poses(asked.at)
         require_listed(files, listed, asked.at, "file,angle_deg")
         return [Pose(*listed[path.name]) for path in files]
-    angles = _numbers("--angles", asked.angles or "", len(files))
-    words = (asked.shifts or ":".join(["0,0"] * len(files))).split(":")
-    if len(words) != len(files):
-        raise typer.BadParameter(f"--shifts has {len(words)} shifts for {len(files)} maps: x,y of each, with : between")
+    count = len(files) or len((asked.angles or "").split(","))
+    angles = _numbers("--angles", asked.angles or "", count)
+    words = (asked.shifts or ":".join(["0,0"] * count)).split(":")
+    if len(words) != count:
+        raise typer.BadParameter(f"--shifts has {len(words)} shifts for {count} maps: x,y of each, with : between")
     shifts = [_numbers("--shifts", word, 2) for word in words]
     return [Pose(angle, *shift) for angle, shift in zip(angles, shifts, strict=True)]
 
@@ -202,10 +227,9 @@ def _made(
     inputs = [("map", one) for one in surfaces]
     instrument = replace(whole, part_id="").with_height(found.instrument_nm)
     part = whole.with_height(found.part_nm)
+    own = {"result": "instrument", "without": unknown, "told": Told.of(found).facts()}
     return (
-        made(
-            instrument, "absolute", inputs, source, found.uncertainty_nm, **said, result="instrument", without=unknown
-        ),
+        made(instrument, "absolute", inputs, source, found.uncertainty_nm, **said, **own),
         made(part, "absolute", inputs, source, **said, result="part", holds_of_the_instrument=unknown),
     )
 
@@ -253,4 +277,4 @@ def _lines(answer: Mapping[str, Any]) -> list[str]:
         *(f"note: {shown(note)}" for note in answer["notes"]),
     ]
     stored = [line for what in ("instrument", "part") if "out" in answer[what] for line in stored_lines(answer[what])]
-    return [*lines, *(stored or ["not written: --out-instrument S.x3p would"])]
+    return [*lines, *stored]

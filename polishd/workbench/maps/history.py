@@ -72,4 +72,6 @@ def history_rows(step: Mapping[str, Any] | None) -> Iterator[tuple[str, str]]:
 
 
 def _words(value: Any) -> str:
+    if isinstance(value, Mapping):  # for programs: of the instrument's terms a matrix
+        return f"({', '.join(value)})"
     return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)

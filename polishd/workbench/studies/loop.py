@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from polishd.config.cell import CellConfig, load_config
-from polishd.config.loop_study import Taken
+from polishd.config.loop_study import Poses, Taken
 from polishd.hooks.cell import plugins_of
 from polishd.hooks.loader import Hooks
 from polishd.hookspecs import RemovalAnswer, RemovalRequest
@@ -39,6 +39,7 @@ from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved, Ta
 from polishd.workbench.calibration.touch_plan import as_touched, plan_touch
 from polishd.workbench.programs.own_raster import own_program
 from polishd.workbench.studies.plant_process import PlantProcess
+from polishd.workbench.studies.turned import calibrated, certified
 from polishd.workbench.studies.witness import polish_witness
 
 GATE = "gate"
@@ -117,15 +118,24 @@ class ClosedLoop:
     """A cell's job against one plant after the other."""
 
     def __init__(
-        self, cell: Path, overrides: Mapping[str, Any], passes: int, *, raster: bool, witness: Taken | None = None
+        self,
+        cell: Path,
+        overrides: Mapping[str, Any],
+        passes: int,
+        *,
+        raster: bool,
+        witness: Taken | None = None,
+        poses: Poses = (),
     ) -> None:
         """Read the cell's file with a loop's own values, and its program or a raster. ConfigError, ProgramError.
 
-        ``witness``: what it begins with of a spot that the same machine made on another part.
+        ``witness``: what it begins with of a spot that the same machine made on another part; ``poses``: of the part in
+        maps before the first pass, which tell the instrument's own error.
         """
         self.config = load_config(cell, {"dwell.cross_check": "", **overrides})
         self.passes = passes
         self._witness = witness
+        self._poses = poses
         self._hooks = plugins_of(self.config)
         self._hooks.report.require()
         self._recipe = make_recipe(self.config, self._hooks)
@@ -143,6 +153,8 @@ class ClosedLoop:
             recipe, begun = self._begun(plant, account)
             if self._witness:
                 plant.new(sections, seed)
+            if self._poses:
+                recipe = calibrated(recipe, plant, self._poses)
             ended = begun if isinstance(begun, _Ended) else self._job(recipe, plant, account).polish(begun)
         except PolishdError as error:
             ended = _Ended(ERROR, f"{type(error).__name__}: {error}")
@@ -250,9 +262,9 @@ class _Job:
         recipe, plant, account = self.recipe, self.plant, self.account
         masks, lay = (None, None) if before is None else (before.masks, before.registration)
         surface = steps.condition(recipe, self.map(), masks, lay)
-        told, height = plant.truth()
+        told, height = plant.truth(held=recipe.accept != "figure")  # what the certificate is of
         true = self._map(height, float(told["pitch_mm"]), -1)
-        truly = steps.condition(replace(recipe, instrument=None), true, surface.masks)
+        truly = steps.condition(certified(recipe), true, surface.masks)
         account.rms_nm.append(surface.figure_nm)
         account.true_rms_nm.append(truly.figure_nm)
         account.true_fits = holds(truly.judged)

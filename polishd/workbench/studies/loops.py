@@ -94,7 +94,8 @@ def run_loops(
 
 def _made_of(study: LoopStudy, belief: Mapping[str, Any], loop: str, plant: Mapping[str, Any]) -> str:
     cell, sim = study.resolve(study.cell), study.resolve(study.plant)
-    own = {"passes": study.passes, "raster": study.raster, "witness": study.loop(loop)[1]}
+    _, witness, poses = study.loop(loop)
+    own = {"passes": study.passes, "raster": study.raster, "witness": witness, "poses": poses}
     return made_of((belief, cell.parent), (own, cell.parent), (plant, sim.parent))
 
 
@@ -107,8 +108,9 @@ def laid_over(plant: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
 
 
 def _loop(study: LoopStudy, name: str) -> ClosedLoop:
-    keys, witness = study.loop(name)
-    return ClosedLoop(study.resolve(study.cell), keys, study.passes, raster=study.raster, witness=witness)
+    keys, witness, poses = study.loop(name)
+    cell = study.resolve(study.cell)
+    return ClosedLoop(cell, keys, study.passes, raster=study.raster, witness=witness, poses=poses)
 
 
 def _worked(study: LoopStudy, plants: Plants, cases: Sequence[Case], jobs: int) -> Iterator[Run]:

@@ -66,15 +66,22 @@ class PlantProcess:
         path = {"begin_mm": program.start_mm, "end_mm": program.end_mm, "axis": program.axis}
         return self._ask({"do": "polish"}, {**path, **even})[1]
 
-    def measure(self, wait_s: float = 0.0) -> tuple[FloatArray, float]:
-        """(ny, nx) heights, nm, as the instrument gives them, NaN where it has none; and their pitch, mm."""
-        told, arrays = self._ask({"do": "measure", "wait_s": wait_s})
+    def measure(
+        self, wait_s: float = 0.0, angle_deg: float = 0.0, shift_px: tuple[int, int] = (0, 0)
+    ) -> tuple[FloatArray, float]:
+        """(ny, nx) heights, nm, as the instrument gives them, NaN where it has none; and their pitch, mm.
+
+        The part is turned counter-clockwise by quarters, then moved by columns to the right and rows up.
+        """
+        columns, rows = shift_px
+        pose = {"rotation_deg": angle_deg, "shift_columns": columns, "shift_rows": rows}
+        told, arrays = self._ask({"do": "measure", "wait_s": wait_s, **pose})
         return arrays["height_nm"], float(told["pitch_mm"])
 
-    def truth(self) -> tuple[dict[str, Any], FloatArray]:
-        """What was drawn, and (ny, nx) the part's true heights, nm."""
+    def truth(self, *, held: bool = False) -> tuple[dict[str, Any], FloatArray]:
+        """What was drawn, and (ny, nx) the part's true heights, nm; ``held``: as its mount has it."""
         told, arrays = self._ask({"do": "truth"})
-        return told, arrays["height_nm"]
+        return told, arrays["held_nm" if held else "height_nm"]
 
     def _ask(
         self, request: Mapping[str, Any], arrays: Mapping[str, FloatArray] | None = None

@@ -117,3 +117,22 @@ def test_one_form_or_the_other(tmp_path: Path) -> None:
 def test_the_power_is_not_judged_where_it_is_alignment(tmp_path: Path) -> None:
     lines = '[[tolerance]]\niso10110 = "3/20(5)"'
     assert "3/A is the power, which part.alignment" in refusal(tmp_path, lines, alignment="power")
+
+
+@pytest.mark.parametrize("accept", ["bound", "bound_without_power"])
+def test_what_has_no_bound_is_not_accepted_by_one(tmp_path: Path, accept: str) -> None:
+    text = EXAMPLE.read_text().replace(SHORT, f'accept = "{accept}"\ntolerance_nm = 2.0 ')
+    path = tmp_path / "cell.toml"
+    path.write_text(text)
+    assert load_config(path).job.accept == accept
+    for wrong, words in (
+        (text.replace('alignment = "tilt"', 'alignment = "piston"'), "each map has a tilt of its own"),
+        (text.replace("tolerance_nm = 2.0", "#") + "\n[[tolerance]]\npv_nm = 9.0\n", "no line is an RMS"),
+        (
+            text.replace("tolerance_nm = 2.0", "#") + "\n[[tolerance]]\nrms_nm = 9.0\nperiods_below_mm = 5.0\n",
+            "no line is an RMS without periods_below_mm",
+        ),
+    ):
+        path.write_text(wrong)
+        with pytest.raises(ConfigError, match=rf"cell\.toml:\d+: job\.accept: {words}"):
+            load_config(path)

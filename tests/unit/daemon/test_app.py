@@ -511,6 +511,13 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Site:
     return Site(tmp_path, monkeypatch)
 
 
+def test_a_job_that_no_map_could_end_is_refused_before_anything_is_opened(site: Site) -> None:
+    site.recipe = small_recipe(tolerance_nm=1.5, accept="bound")
+    with pytest.raises(ConfigError, match=r"no map can be accepted.*power, 5 nm by itself.*nothing was opened"):
+        app._own_work(site.config, site.hooks)
+    assert site.bench is None
+
+
 async def test_the_loop_goes_first_until_the_end(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[str] = []
 

@@ -333,7 +333,9 @@ def test_an_edited_profile_is_refused_and_check_says_so(configured: Any, hooks: 
     with pytest.raises(ConfigError, match="edited after it was commissioned"):
         require_commissioned(config, recipe.instrument)
     config.program_path.write_bytes(demo_program(config))
-    assert "run will refuse" in checking.check_cell(config, hooks)["instrument"]
+    found = checking.check_cell(config, hooks)
+    assert "run will refuse" in found["instrument"]
+    assert found["accepted"].startswith("as measured: nothing is known of the instrument's own error")
 
 
 def test_a_cell_without_a_profile_is_refused(configured: Any, hooks: Hooks) -> None:

@@ -309,6 +309,18 @@ def test_the_drawings_lines_stand_with_what_each_measurement_had(run_dir: Path) 
     assert ["3/B", "20 nm", "55", "22", "no"] in cells
 
 
+def test_by_what_a_part_is_accepted_stands_on_the_page(run_dir: Path) -> None:
+    line = Judged("RMS", 0.5, 2.0, "nm", 0.3, bound=1.25, removed="power")
+    rows = [{"rms_nm": 0.5, "judged": [line.facts()], "system": "c" * 64}]
+    write_summary(run_dir, rows, accept="bound_without_power")
+    page = words_of(run_dir)
+    bound = "by the 95 % bound of the true RMS, as its mount holds it, power removed"
+    assert f"<dt>accepted</dt><dd>{bound}; the instrument&#39;s system map cccccccccccc is off</dd>" in page
+    assert "yes (at most 1.25 nm truly, 95 %; guard band 0.75 nm, power removed)" in page
+    write_summary(run_dir, [{"rms_nm": 0.5, "judged": [Judged("RMS", 0.5, 2.0, "nm").facts()]}], accept="figure")
+    assert "<dt>accepted</dt><dd>as measured</dd>" in words_of(run_dir)
+
+
 @pytest.mark.full
 def test_an_interrupted_pass_is_no_pass_like_the_others(undrawn: None, tmp_path: Path) -> None:
     folder = tmp_path / "run"

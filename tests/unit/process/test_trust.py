@@ -11,9 +11,9 @@ import scipy.ndimage
 
 from polishd.model.errors import BadMap
 from polishd.model.surface import FloatArray
-from polishd.process.absolute import Pose, separate
+from polishd.process.absolute import Pose, Told, separate
 from polishd.process.metrics import pv_rms, without
-from polishd.process.trust import Errors, Noise, of_separated, true_figure_bound, true_rms_bound
+from polishd.process.trust import Errors, Noise, of_told, true_figure_bound, true_rms_bound
 from tests.unit.process.turned_maps import PITCH_MM, maps, part_nm, true_nm, turns
 
 SIDE, PITCH = 41, 2.5
@@ -179,7 +179,7 @@ def test_a_print_that_four_turns_leave_is_in_the_bound() -> None:
         true = np.where(mask, true_nm(lambda x, y: 0.3 * x * y) - true_nm(print_nm), np.nan)
         rms_nm = pv_rms(without(true, mask, "tilt"), mask)[1]
         for kept, prior in ((below, None), (naive, 0.0)):
-            given = of_separated(found, Noise(0.1), {}, prior)
+            given = of_told(Told.of(found), Noise(0.1), {}, prior)
             bound = true_rms_bound(height, mask, PITCH_MM, given, samples=500, circle_px=found.circle_px).bound
             kept.append(bool(rms_nm <= bound))
     assert np.mean(below) >= 0.85
@@ -217,7 +217,7 @@ def test_any_figure_has_a_bound() -> None:
 def test_what_the_poses_told_is_taken_from_them() -> None:
     poses = [*turns(4), Pose(45)]
     found = separate(maps(poses), poses, PITCH_MM)
-    given = of_separated(found, Noise(0.3), {POWER: 5.0, ASTIGMATISM: 5.0, SPHERICAL: 1.0})
+    given = of_told(Told.of(found), Noise(0.3), {POWER: 5.0, ASTIGMATISM: 5.0, SPHERICAL: 1.0})
     assert set(given.unseen_nm) == {POWER, SPHERICAL}  # astigmatism was told
     assert given.unseen_nm[POWER] == pytest.approx(5.0)
     assert given.covariance.shape == (len(given.terms),) * 2

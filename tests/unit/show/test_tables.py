@@ -90,6 +90,14 @@ def test_the_drawings_lines_stand_below_the_worst_first() -> None:
     assert isinstance(outcome_tables({"job": "j", "outcome": "x", "cycles": CYCLES}), Table), "of an earlier polishd"
 
 
+def test_a_bound_stands_beside_what_it_judges_even_of_a_short_tolerance() -> None:
+    line = Judged("RMS", 0.5, 2.0, "nm", 0.3, bound=1.25, removed="power")
+    summary = {"job": "j", "outcome": "x", "tolerance_nm": 2.0, "cycles": [{**CYCLES[0], "judged": [line.facts()]}]}
+    assert isinstance(outcome_tables(summary), Group)
+    *_, row, _ = shown(tolerance_table(summary))
+    assert row[-1] == "yes; at most 1.25 nm truly (95 %), guard band 0.75 nm, power removed"
+
+
 def test_no_cycles() -> None:
     assert shown(cycle_table({"job": "j", "outcome": "failed", "cycles": []}))[0] == ["j: failed"]
 

@@ -58,7 +58,7 @@ def test_its_rate_and_its_spot_are_those_of_the_machine(tmp_path: Path) -> None:
         begun = {}
         for name in of.loops:
             plant.new(laid_over(sections, scenario), 1)
-            keys, witness = of.loop(name)
+            keys, witness, _ = of.loop(name)
             loop = ClosedLoop(of.resolve(of.cell), keys, of.passes, raster=True, witness=witness)
             begun[name] = loop._begun(plant, _Account())
     recipe, believed = begun["exact"]
