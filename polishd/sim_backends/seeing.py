@@ -25,7 +25,7 @@ def as_measured(
     belongs to it goes with it.
     """
     errors = config.interferometer.errors
-    on_part = _trefoil(true_nm, errors.mount_nm) if errors.mount_turns else 0.0
+    on_part = _trefoil(true_nm, errors.mount_nm) if errors.mount_turns and not errors.mount_anew else 0.0
     height = _imaged(_shifted(np.rot90(true_nm + on_part, quarters), shift_px), errors)
     x, y = _places(height)
     noise = config.truth.map_noise_nm * rng.standard_normal(height.shape)
@@ -37,7 +37,10 @@ def as_measured(
         along_x, along_y = rng.uniform(-errors.tilt_nm, errors.tilt_nm, 2)
         height = height + 2.0 * (along_x * x + along_y * y)
     height = height + noise + _reference(x, y, errors)
-    if not errors.mount_turns:
+    if errors.mount_anew:
+        below, beside = rng.normal(0.0, errors.mount_nm / np.sqrt(2.0), 2)
+        height = height + _trefoil(height, below) + _trefoil(height.T, beside).T
+    elif not errors.mount_turns:
         height = height + _trefoil(height, errors.mount_nm)
     if errors.dead_pixels:
         dead = stream(0, "dead pixels").random(height.shape) < errors.dead_pixels  # of the camera: always the same

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from polishd.config.loop_study import Taken
 from polishd.hooks.cell import plugins_of
 from polishd.hooks.loader import Hooks
 from polishd.hookspecs import RemovalAnswer, RemovalRequest
+from polishd.model.cause import Named
 from polishd.model.cycle import Outcome
 from polishd.model.errors import ComputeError, PlanRefused, PolishdError
 from polishd.model.finding import Finding, Series, Shown
@@ -24,10 +25,9 @@ from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.model.tolerance import holds
 from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.formats import read
-from polishd.process import motion
+from polishd.process import motion, naming
 from polishd.process.contact import relative_removal
 from polishd.process.findings import diverged, findings, followed, worthless
-from polishd.process.gate import MAX_SHIFT_MM, Verdict
 from polishd.recipe import dwell_step, steps
 from polishd.recipe.dwell_step import require_certificate
 from polishd.recipe.forecasting import forecast_of
@@ -57,7 +57,7 @@ class Run:
     why: str
     """In words; empty for an outcome."""
     named: tuple[str, ...]
-    """What it said of its machine: kinds of findings, and the gate's explanation where that stopped it."""
+    """What it said of its machine: causes (`polishd.model.cause`), and kinds of findings."""
     passes: int
     rms_nm: tuple[float, ...]
     """As measured, one a map, in the clear aperture."""
@@ -93,6 +93,10 @@ class _Account:
     named: list[str] = field(default_factory=list)
     came_nm: list[tuple[float, float, float]] = field(default_factory=list)
     true_fits: bool = False
+
+    def name(self, names: Iterable[str]) -> None:
+        """What was said of the machine, each once."""
+        self.named += dict.fromkeys(name for name in names if name not in self.named)
 
     def told(self, shown: Shown) -> None:
         """What a pass left, beside what was expected of it."""
@@ -195,8 +199,14 @@ class _Job:
             found: tuple[Finding, ...] = ()
             if before is not None and last is not None:
                 taught = self._taught(before, surface, last, believed)
+                if taught.doubted:
+                    surface, again, moves = self._again(surface)
+                    account.name(one.cause for one in again)
+                    if moves:
+                        return _Ended(GATE, "; ".join(one.words for one in moves))
+                    taught = self._taught(before, surface, last, believed, again)
+                account.name(one.cause for one in taught.named)
                 if taught.verdict.stop:
-                    account.named.append(_stopped_by(taught.verdict))
                     return _Ended(GATE, taught.verdict.stop)
                 believed = taught.believed
                 if taught.shown is not None:
@@ -204,7 +214,7 @@ class _Job:
                     shown.append(taught.shown)
                     series = followed(series, taught.shown)
                     found = findings(series, shown, recipe.finding)
-                    account.named += [one.kind for one in found if one.kind not in account.named]
+                    account.name(one.kind for one in found)
             ended = _judged(surface, account, found)
             if ended is not None or len(account.rms_nm) > self.passes:
                 return ended or _Ended(Outcome.CYCLES_USED.value)
@@ -218,15 +228,28 @@ class _Job:
             account.predicted_nm.append(solved.dwell.certificate.predicted_rms_nm)
             before = surface
 
-    def map(self) -> SurfaceMap:
-        """As the instrument gives the part now."""
-        return self._map(*self.plant.measure(), len(self.account.rms_nm))
+    def map(self, wait_s: float = 0.0) -> SurfaceMap:
+        """As the instrument gives the part so long after now."""
+        return self._map(*self.plant.measure(wait_s), len(self.account.rms_nm))
 
-    def _measured(self, before: Measured | None) -> Measured:
-        """The part as the instrument gives it now, and on the account what it truly is."""
+    def _again(self, surface: Measured) -> tuple[Measured, tuple[Named, ...], tuple[Named, ...]]:
+        """As the daemon: maps until two agree; the last one, what they named, and what goes on changing."""
+        account, seen, moves = self.account, list[Named](), tuple[Named, ...]()
+        for _ in range(naming.MAPS):
+            account.rms_nm.pop()  # of the same measurement, the last map counts
+            account.true_rms_nm.pop()
+            before, surface = surface, self._measured(surface, naming.WAIT_S)
+            moves = steps.changed(self.recipe, before, surface)
+            seen += moves
+            if not naming.goes_on(moves):
+                break
+        return surface, naming.lasting(seen), moves
+
+    def _measured(self, before: Measured | None, wait_s: float = 0.0) -> Measured:
+        """The part as the instrument gives it so long after now, and on the account what it truly is."""
         recipe, plant, account = self.recipe, self.plant, self.account
         masks, lay = (None, None) if before is None else (before.masks, before.registration)
-        surface = steps.condition(recipe, self.map(), masks, lay)
+        surface = steps.condition(recipe, self.map(wait_s), masks, lay)
         told, height = plant.truth()
         true = self._map(height, float(told["pitch_mm"]), -1)
         truly = steps.condition(replace(recipe, instrument=None), true, surface.masks)
@@ -240,11 +263,16 @@ class _Job:
         return SurfaceMap(height_nm, pitch_mm, part_id=self.part_id, sha256=name)
 
     def _taught(
-        self, before: Measured, after: Measured, last: tuple[Planned, FloatArray, FloatArray], believed: Believed
+        self,
+        before: Measured,
+        after: Measured,
+        last: tuple[Planned, FloatArray, FloatArray],
+        believed: Believed,
+        again: tuple[Named, ...] | None = None,
     ) -> Taught:
         planned, executed_s, acting_s = last
         expected_nm = planned.certificate.predicted_rms_nm
-        done = Pass(before, after, planned.asked_s, executed_s, acting_s, expected_nm, planned.forecast)
+        done = Pass(before, after, planned.asked_s, executed_s, acting_s, expected_nm, planned.forecast, again)
         return steps.learn(self.recipe, self.program, done, believed)
 
     def _planned(self, plan: Plan, solved: Solved, surface: Measured) -> Planned:
@@ -295,13 +323,6 @@ def _judged(surface: Measured, account: _Account, found: tuple[Finding, ...]) ->
     if of_tool := [one.what for one in found if one.stops == "cell"]:
         return _Ended(TOOL, "; ".join(of_tool))
     return None
-
-
-def _stopped_by(verdict: Verdict) -> str:
-    """In a word: how the map would have to be turned, or "shift", or "rate"."""
-    if not verdict.best.as_it_is:
-        return verdict.best.name
-    return "shift" if np.hypot(*verdict.shift_mm) > MAX_SHIFT_MM else "rate"
 
 
 def _timed_by_feeds(config: CellConfig, recipe: Recipe) -> Program:
