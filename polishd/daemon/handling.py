@@ -70,9 +70,10 @@ class Handling:
             return await self._repeated(cycle, surface, settle)
 
     async def told_apart(self, cycle: int, surface: Measured) -> tuple[Measured, tuple[Named, ...]]:
-        """Maps until two in a row agree: the last one, and what changed between them, which is none of the pass.
+        """Maps until two agree, or do not come nearer: the last one, and what changed, which is none of the pass.
 
-        GateStop where a mount prints through otherwise each time, NotSettled where the part does not come to rest.
+        Where that is more than the tolerance bears: GateStop for a mount that prints through otherwise each time,
+        NotSettled for a part that does not come to rest.
         """
         job, settle = self._job, self._job.recipe.between.settle
         wait_s, earlier = (naming.WAIT_S, 0) if settle is None else (settle.wait_s, settle.maps)
@@ -81,18 +82,18 @@ class Handling:
             for maps in range(2, naming.MAPS + 2):
                 later = await self._another(cycle, earlier + maps - 2, wait_s)
                 changes.append(await job.compute(steps.change_nm, job.recipe, surface, later))
-                moves = await job.compute(steps.changed, job.recipe, surface, later)
+                last, moves = moves, await job.compute(steps.changed, job.recipe, surface, later)
                 seen, surface = [*seen, *moves], later
                 notes = [one.words for one in moves] or [f"measured again: {maps} maps, and the last two agree"]
                 told = {"change_nm": changes[-1], "limit_nm": naming.LEAST_NM}
                 job.publish(events.Repeated(cycle=cycle, maps=maps, notes=notes, **told))
                 kept = {"settled": not moves, **told, "change_nm": changes, "notes": notes}
                 await job.people.leave(cycle, "settling.json", kept)
-                if not naming.goes_on(moves):
+                if not naming.settles(moves, last):
                     break
-            if moves:
-                restless = NotSettled if naming.goes_on(moves) else GateStop
-                raise restless("; ".join(one.words for one in moves))
+            if restless := steps.harmful(job.recipe, moves):
+                settling = all(one.cause == "settling" for one in restless)
+                raise (NotSettled if settling else GateStop)("; ".join(one.words for one in restless))
         return surface, naming.lasting(seen)
 
     async def ready(self, cycle: int) -> None:

@@ -36,11 +36,12 @@ CAUSES: dict[CauseName, Cause] = {
     ),
     "settling": Cause(
         "a part that is warm still, or a set-up that bends it by other power or astigmatism",
-        "measured again until it stays; learned from the last map",
+        "measured again until it stays, and learned from the last map; held where the tolerance does not bear what "
+        "still changes",
     ),
     "mount": Cause(
         "three points of the mount that print through otherwise with each set-up",
-        "held: look at the mount's three points, and at how the part is clamped",
+        "held where the tolerance does not bear it: look at the mount's three points, and at how the part is clamped",
     ),
     "field": Cause(
         "a removal rate that changes over the part, or a set-up that changed before the last pass and stays",

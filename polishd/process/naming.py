@@ -28,7 +28,9 @@ LEAST_NM = 0.1
 MAPS = 12
 """Most that are taken until two in a row agree, ..."""
 WAIT_S = 120.0
-"""... and so far apart, where the cell does not say (`between.settle`): a quarter of an hour at least, in all."""
+"""... and so far apart, where the cell does not say (`between.settle`): 24 minutes in all."""
+HARM = 0.5
+"""Of what a part may be off, RMS: what changes by less from map to map is told, and holds nobody up."""
 
 
 def of_gate(verdict: Verdict) -> Named:
@@ -75,9 +77,20 @@ def of_change(left: Leftover | None) -> tuple[Named, ...]:
     return () if left is None else _bent(left, LEAST_NM)
 
 
-def goes_on(found: Sequence[Named]) -> bool:
-    """Whether another map is worth waiting for: what settles comes to rest, a mount does not."""
-    return bool(found) and all(one.cause == "settling" for one in found)
+def settles(found: Sequence[Named], before: Sequence[Named]) -> bool:
+    """Whether another map is worth waiting for: what cools changes less from map to map, a mount or set-up does not.
+
+    Args:
+        found: by the last map and the one before it.
+        before: by that and the one before; empty where there is none.
+    """
+    last_nm = max((one.size for one in before), default=float("inf"))
+    return bool(found) and all(one.cause == "settling" and one.size < last_nm for one in found)
+
+
+def harmful(found: Sequence[Named], wanted_nm: float) -> tuple[Named, ...]:
+    """What changes so much from map to map that a part which may be off by ``wanted_nm`` cannot be judged by one."""
+    return tuple(one for one in found if one.size > HARM * wanted_nm)
 
 
 def lasting(found: Sequence[Named]) -> tuple[Named, ...]:

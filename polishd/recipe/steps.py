@@ -27,6 +27,7 @@ from polishd.process.nominal import less_nominal
 from polishd.process.paths.wrist import tool_axes
 from polishd.process.registration.record import Registration
 from polishd.process.registration.register import register
+from polishd.process.removal_fit import MOST_DRIFT_NM
 from polishd.process.spikes import cleaned
 from polishd.process.tolerance import judge, notes_of
 from polishd.recipe import forecasting
@@ -115,6 +116,12 @@ def changed(recipe: Recipe, before: Measured, after: Measured) -> tuple[Named, .
     grid, mask = before.grid, before.metric_mask
     lost_nm = before.height_nm - after.height_nm
     return naming.of_change(leftover(lost_nm, mask, grid.pitch_mm, removal=_unknown(recipe)))
+
+
+def harmful(recipe: Recipe, moves: tuple[Named, ...]) -> tuple[Named, ...]:
+    """Of what goes on changing from map to map that which the tolerance does not bear."""
+    wanted = min((line.limit for line in recipe.lines if line.unit == "nm"), default=MOST_DRIFT_NM)
+    return naming.harmful(moves, wanted)
 
 
 def in_part_frame(recipe: Recipe, program: Program) -> Program:

@@ -233,17 +233,17 @@ class _Job:
         return self._map(*self.plant.measure(wait_s), len(self.account.rms_nm))
 
     def _again(self, surface: Measured) -> tuple[Measured, tuple[Named, ...], tuple[Named, ...]]:
-        """As the daemon: maps until two agree; the last one, what they named, and what goes on changing."""
+        """As the daemon: maps until two agree; the last one, what they named, and what the tolerance does not bear."""
         account, seen, moves = self.account, list[Named](), tuple[Named, ...]()
         for _ in range(naming.MAPS):
             account.rms_nm.pop()  # of the same measurement, the last map counts
             account.true_rms_nm.pop()
             before, surface = surface, self._measured(surface, naming.WAIT_S)
-            moves = steps.changed(self.recipe, before, surface)
+            last, moves = moves, steps.changed(self.recipe, before, surface)
             seen += moves
-            if not naming.goes_on(moves):
+            if not naming.settles(moves, last):
                 break
-        return surface, naming.lasting(seen), moves
+        return surface, naming.lasting(seen), steps.harmful(self.recipe, moves)
 
     def _measured(self, before: Measured | None, wait_s: float = 0.0) -> Measured:
         """The part as the instrument gives it so long after now, and on the account what it truly is."""

@@ -29,7 +29,6 @@ from polishd.model.errors import (
 )
 from polishd.model.handling import Between, Settle, Step, TouchOff
 from polishd.model.surface import SurfaceMap
-from polishd.process import naming
 from polishd.recipe import steps
 from tests.unit.daemon.small import Bench, as_map, open_journal, small_map, small_recipe
 
@@ -429,10 +428,18 @@ async def test_a_mount_that_prints_through_otherwise_each_time_holds_the_cell(be
     assert not (bench.tmp_path / "run/cycle-01/learned.json").exists(), "nothing is learned from such maps"
 
 
-async def test_a_part_that_goes_on_changing_is_not_settled(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(naming, "MAPS", 3)
-    bench.fake.metrology.measure = warming(bench, 0.0, 12.0, 10.0, 8.0, 6.0)
+@pytest.mark.parametrize(("tolerance_nm", "held"), [(1.0, True), (4.0, False)])
+async def test_a_part_that_goes_on_changing_holds_the_cell_where_the_tolerance_does_not_bear_it(
+    bench: Bench, tolerance_nm: float, held: bool
+) -> None:
+    bench.fake.metrology.measure = warming(bench, 0.0, 12.0, 8.0, 13.0, 7.0)
     bench.fake.clock.sleep = no_sleep  # type: ignore[method-assign]
-    with pytest.raises(NotSettled, match=r"power changed by .* a part that is warm still"):
-        await bench.polish(bench.job(max_cycles=1))
-    assert bench.phases()[-1] == "1 settle failed"
+    job = bench.job(recipe=small_recipe(tolerance_nm=tolerance_nm), max_cycles=1)
+    if held:
+        with pytest.raises(NotSettled, match=r"power changed by .* a part that is warm still"):
+            await bench.polish(job)
+        assert bench.phases()[-1] == "1 settle failed"
+    else:
+        await bench.polish(job)
+    told = [event.maps for event in job.told if event.name == "repeated"]
+    assert told == [2, 3], "it does not come nearer: no more maps are waited for"

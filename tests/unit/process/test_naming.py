@@ -86,10 +86,18 @@ def test_no_cause_is_named_by_a_pass_that_shows_none() -> None:
 def test_what_settles_is_waited_for_and_a_mount_is_not() -> None:
     changes = [-5.0 * POWER, -2.0 * POWER, -0.04 * POWER, 2.0 * TREFOIL]
     found = [naming.of_change(leftover(one + noise(0.05), MASK, 1.0)) for one in changes]
-    assert [naming.goes_on(one) for one in found] == [True, True, False, False]
+    before = [(), *found[:-1]]
+    assert [naming.settles(*pair) for pair in zip(found, before, strict=True)] == [True, True, False, False]
+    assert not naming.settles(found[0], found[1]), "a set-up that is another each time does not come nearer"
     assert [causes(one) for one in found] == [["settling"], ["settling"], [], ["mount"]]
     (lasting,) = naming.lasting([*found[1], *found[0]])
     assert lasting.size == pytest.approx(5.0, abs=0.1), "each cause once, where it was largest"
+
+
+def test_what_the_tolerance_bears_holds_nobody_up() -> None:
+    (mount,) = naming.of_change(leftover(1.0 * TREFOIL + noise(0.05), MASK, 1.0))
+    assert naming.harmful((mount,), 1.5) == (mount,)
+    assert naming.harmful((mount,), 3.0) == ()
 
 
 def test_words_say_how_large_what_else_it_may_be_and_what_is_done() -> None:
