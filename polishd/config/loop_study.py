@@ -29,7 +29,9 @@ class Scenario(Document):
     what: Text
     """What is wrong, in words."""
     named: Texts = ()
-    """What the loop may rightly say of it: kinds of findings, or of the gate's explanations; none: nothing."""
+    """What the loop may rightly say of it, and must say some of: causes, or kinds of findings; none: nothing."""
+    also: Texts = ()
+    """What it may say besides, and need not."""
     plant: Mapping[str, Mapping[str, Any]] = {}
     """By section of SIM.toml, the keys that differ: `[plant.effects]`."""
 

@@ -26,6 +26,9 @@ class InstrumentErrors(Section):
     """Print-through of three points of the mount: a trefoil, ..."""
     mount_turns: bool = False
     """... which turns with the part, or stays with the instrument."""
+    mount_anew: bool = False
+    """... whose points press otherwise with each set-up: size and direction are drawn anew for each map, `mount_nm` is
+    their RMS, and nothing turns."""
     magnification: Annotated[float, Field(gt=-0.1, lt=0.1)] = 0.0
     """By how much more the part is magnified than the instrument says. [1]"""
     distortion: Annotated[float, Field(gt=-0.1, lt=0.1)] = 0.0

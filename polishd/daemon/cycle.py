@@ -33,7 +33,11 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
             surface = await job.measured(cycle, await cell.metrology.next_map(after=journal.last_map_id))
         surface = await handling.settled(cycle, surface)
         async with journal.phase(cycle, Phase.LEARN):
-            await job.learn(cycle, surface)  # first: no figure is believed of a map that the gate stops
+            doubted = await job.learn(cycle, surface)  # first: no figure is believed of a map that the gate stops
+        if doubted:  # there are low orders that may be none of the pass
+            surface, again = await handling.told_apart(cycle, surface)
+            async with journal.phase(cycle, Phase.LEARN):
+                await job.learn(cycle, surface, again)
         if job.judging.accepts(surface):
             return Outcome.IN_TOLERANCE
         if job.judging.diverges(surface):

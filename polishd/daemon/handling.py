@@ -24,10 +24,20 @@ from polishd.daemon.safety import ContactLimits, contact, in_band
 from polishd.daemon.stream import Stream, streaming
 from polishd.daemon.touch import Touch
 from polishd.model import events
+from polishd.model.cause import Named
 from polishd.model.cycle import Phase
-from polishd.model.errors import DeviceError, DeviceRefused, HandlingError, NotSettled, SeatNotLeft, WrongSeat
+from polishd.model.errors import (
+    DeviceError,
+    DeviceRefused,
+    GateStop,
+    HandlingError,
+    NotSettled,
+    SeatNotLeft,
+    WrongSeat,
+)
 from polishd.model.handling import Seat, Settle, Step, TouchOff
 from polishd.model.program import Plan
+from polishd.process import naming
 from polishd.process.seat import seat_of
 from polishd.recipe import steps, touch_off
 from polishd.recipe.records import Measured
@@ -59,6 +69,33 @@ class Handling:
         async with self._journal.phase(cycle, Phase.SETTLE):
             return await self._repeated(cycle, surface, settle)
 
+    async def told_apart(self, cycle: int, surface: Measured) -> tuple[Measured, tuple[Named, ...]]:
+        """Maps until two agree, or do not come nearer: the last one, and what changed, which is none of the pass.
+
+        Where that is more than the tolerance bears: GateStop for a mount that prints through otherwise each time,
+        NotSettled for a part that does not come to rest.
+        """
+        job, settle = self._job, self._job.recipe.between.settle
+        wait_s, earlier = (naming.WAIT_S, 0) if settle is None else (settle.wait_s, settle.maps)
+        seen, moves, changes = list[Named](), tuple[Named, ...](), list[float]()
+        async with self._journal.phase(cycle, Phase.SETTLE):
+            for maps in range(2, naming.MAPS + 2):
+                later = await self._another(cycle, earlier + maps - 2, wait_s)
+                changes.append(await job.compute(steps.change_nm, job.recipe, surface, later))
+                last, moves = moves, await job.compute(steps.changed, job.recipe, surface, later)
+                seen, surface = [*seen, *moves], later
+                notes = [one.words for one in moves] or [f"measured again: {maps} maps, and the last two agree"]
+                told = {"change_nm": changes[-1], "limit_nm": naming.LEAST_NM}
+                job.publish(events.Repeated(cycle=cycle, maps=maps, notes=notes, **told))
+                kept = {"settled": not moves, **told, "change_nm": changes, "notes": notes}
+                await job.people.leave(cycle, "settling.json", kept)
+                if not naming.settles(moves, last):
+                    break
+            if restless := steps.harmful(job.recipe, moves):
+                settling = all(one.cause == "settling" for one in restless)
+                raise (NotSettled if settling else GateStop)("; ".join(one.words for one in restless))
+        return surface, naming.lasting(seen)
+
     async def ready(self, cycle: int) -> None:
         """Pad and seat, before a pass; the links are up. HandlingError, WrongSeat: nothing was polished."""
         await self._step(cycle, Phase.CONDITION, self._job.recipe.between.condition)
@@ -86,9 +123,7 @@ class Handling:
     async def _repeated(self, cycle: int, surface: Measured, settle: Settle) -> Measured:
         job, limit_nm, changes = self._job, settle.limit_nm, list[float]()
         while len(changes) < settle.maps - 1:
-            await self._cell.clock.sleep(settle.wait_s)
-            await job.people.set_aside(cycle, len(changes))
-            later = await job.measured(cycle, await self._cell.metrology.next_map(after=self._journal.last_map_id))
+            later = await self._another(cycle, len(changes), settle.wait_s)
             changes.append(await job.compute(steps.change_nm, job.recipe, surface, later))
             maps, agree = len(changes) + 1, changes[-1] <= limit_nm
             notes = [f"{'settled' if agree else 'not settled'}: {maps} maps, the last two {changes[-1]:.2f} nm apart"]
@@ -105,6 +140,12 @@ class Handling:
             f"{limit_nm:.2f} nm are the instrument's noise. To do: look for what warms or moves it; or give it more "
             "time, between.settle.wait_s or maps"
         )
+
+    async def _another(self, cycle: int, number: int, wait_s: float) -> Measured:
+        """A later map of the same cycle; the one before is set aside for people, under that number."""
+        await self._cell.clock.sleep(wait_s)
+        await self._job.people.set_aside(cycle, number)
+        return await self._job.measured(cycle, await self._cell.metrology.next_map(after=self._journal.last_map_id))
 
     async def _touch_off(self, cycle: int, asked: TouchOff) -> None:
         job = self._job

@@ -18,6 +18,7 @@ from polishd.daemon.judging import Judging
 from polishd.daemon.safety import ContactLimits
 from polishd.daemon.watching import watch
 from polishd.model import events
+from polishd.model.cause import Named
 from polishd.model.devices import RobotProgress
 from polishd.model.errors import GateStop, PlanRefused, SafetyStop, ToolStop
 from polishd.model.events import Event
@@ -135,19 +136,25 @@ class Job:
 
     # learn, solve, plan
 
-    async def learn(self, cycle: int, surface: Measured) -> None:
-        """Compare what the last pass removed with what its executed dwell should have; not after an interruption."""
+    async def learn(self, cycle: int, surface: Measured, again: tuple[Named, ...] | None = None) -> bool:
+        """Compare what the last pass removed with what its executed dwell should have; not after an interruption.
+
+        True where nothing was learned, since another map must tell first (`Taught.doubted`); ``again`` is what those
+        maps named. GateStop where the removal is not what was planned.
+        """
         self.findings = ()
         before = self._surfaces.get(cycle - 1)  # after a hold a cycle is measured, and learned from, again
         self._surfaces[cycle] = surface
         done = [record for record in self.journal.passes if record.cycle == cycle - 1 and record.how == "done"]
         if before is None or not done:
-            return
+            return False
         times = await asyncio.to_thread(self._at_points, cycle - 1)
         planned = self._planned[cycle - 1]
         expected_nm = planned.certificate.predicted_rms_nm
-        last = Pass(before, surface, planned.asked_s, *times, expected_nm, planned.forecast)
+        last = Pass(before, surface, planned.asked_s, *times, expected_nm, planned.forecast, again)
         taught: Taught = await self.compute(steps.learn, self.recipe, self.program, last, self._believed)
+        if taught.doubted:
+            return True
         folder = self.folder.cycle(cycle)
         await self.people.keep(folder.write, await asyncio.to_thread(taught.files))
         if taught.verdict.stop:
@@ -160,6 +167,7 @@ class Job:
             self.findings = watch(self.journal, cycle - 1, taught.shown, self.recipe.finding)
             for found in self.findings:
                 self.publish(events.Found(cycle=cycle, kind=found.kind, what=found.what, stops=found.stops))
+        return False
 
     @property
     def stalled(self) -> bool:

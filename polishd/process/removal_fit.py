@@ -198,9 +198,17 @@ class Regressed(NamedTuple):
 
 
 def regressed(
-    signals: Sequence[FloatArray], measured_nm: FloatArray, mask: BoolArray, figures: Callable[[FloatArray], FloatArray]
+    signals: Sequence[FloatArray],
+    measured_nm: FloatArray,
+    mask: BoolArray,
+    figures: Callable[[FloatArray], FloatArray],
+    *,
+    with_drift: bool = True,
 ) -> Regressed:
-    """Least squares of (ny, nx) signals and a plane over a mask, by normal equations, whole and without each tile."""
+    """Least squares of (ny, nx) signals and a plane over a mask, by normal equations, whole and without each tile.
+
+    ``with_drift`` False: power and astigmatism are among the signals, and are no error of the others.
+    """
     rows, columns = np.nonzero(mask)
     terms, measured = np.column_stack([*(s[mask] for s in signals), _plane(rows, columns)]), measured_nm[mask]
     tile = _tiles(rows, columns)
@@ -211,6 +219,7 @@ def regressed(
     factors = inverse @ right.sum(0)
     without = (np.linalg.pinv(normal.sum(0) - normal, hermitian=True) @ (right.sum(0) - right)[..., None])[..., 0]
     scatter = figures(without)
-    drift = figures(factors - inverse @ (terms.T @ _drift(terms, measured, rows, columns))) - figures(factors)
+    drifted = _drift(terms, measured, rows, columns) if with_drift else np.zeros_like(measured)
+    drift = figures(factors - inverse @ (terms.T @ drifted)) - figures(factors)
     square = (len(tiles) - 1) * np.mean((scatter - scatter.mean(axis=0)) ** 2, axis=0)
     return Regressed(terms, np.asarray(factors), np.sqrt(square), drift)

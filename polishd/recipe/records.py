@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from polishd.hookspecs import RemovalAnswer
 from polishd.model.beliefs import UNTAUGHT, Belief, Beliefs
+from polishd.model.cause import Named
 from polishd.model.dwell import Certificate, DwellSolution, KeptStart
 from polishd.model.finding import Shown
 from polishd.model.program import IntArray, Plan, Program
@@ -163,6 +164,8 @@ class Pass:
     """RMS that its plan expected after it; None: not known."""
     forecast: Forecast | None = None
     """The same as a distribution, of what the map will show; None: of a pass of an earlier polishd."""
+    again: tuple[Named, ...] | None = None
+    """What maps of the part since the pass have named among themselves; None: there was one only."""
 
     @property
     def acted_s(self) -> FloatArray:
@@ -182,11 +185,19 @@ class Taught:
     notes: tuple[str, ...] = ()
     shown: Shown | None = None
     """What the pass showed of its process; None where the gate stops."""
+    named: tuple[Named, ...] = ()
+    """Which of the loop's assumptions failed."""
+
+    @property
+    def doubted(self) -> bool:
+        """Nothing is learned before another map, with no pass between, has told what is the pass's and what is not."""
+        return any(one.again for one in self.named)
 
     def files(self) -> dict[str, bytes]:
         """What the gate found and what was learned or, where it stops, the maps that it compared, for the picture."""
         words = facts_of(self.verdict)
         words["best"]["name"] = self.verdict.best.name
+        words["named"] = [{**asdict(one), "words": one.words} for one in self.named]
         files = {"gate.json": as_json(words)}
         if self.found is None:
             mask = np.isfinite(self.verdict.predicted_nm)
@@ -194,7 +205,7 @@ class Taught:
             return {**files, "gate.npz": npz(maps)}
         shown = None if self.shown is None else asdict(self.shown)
         believed = {**self.believed.facts(), "notes": self.notes}
-        learned = {"beliefs": believed, **self.found, "shown": shown, "notes": self.notes}
+        learned = {"beliefs": believed, **self.found, "named": words["named"], "shown": shown, "notes": self.notes}
         return {**files, "learned.json": as_json(learned)}
 
 

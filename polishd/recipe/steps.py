@@ -11,20 +11,23 @@ from scipy.spatial.transform import Rotation
 
 from polishd.hookspecs import RemovalAnswer, RemovalRequest
 from polishd.model.beliefs import Evidence, MapPixels
+from polishd.model.cause import Named
 from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.errors import ComputeError
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program, Segment
 from polishd.model.surface import BoolArray, Grid, SurfaceMap
-from polishd.process import conditioning, gate, metrics, motion
+from polishd.process import conditioning, gate, metrics, motion, naming
 from polishd.process.alignment import alignment_notes
 from polishd.process.conditioning import Masks
 from polishd.process.forecast import pooled, unexplained
 from polishd.process.instrument import as_profiled
+from polishd.process.leftover import leftover
 from polishd.process.nominal import less_nominal
 from polishd.process.paths.wrist import tool_axes
 from polishd.process.registration.record import Registration
 from polishd.process.registration.register import register
+from polishd.process.removal_fit import MOST_DRIFT_NM
 from polishd.process.spikes import cleaned
 from polishd.process.tolerance import judge, notes_of
 from polishd.recipe import accepting, forecasting
@@ -114,6 +117,19 @@ def change_nm(recipe: Recipe, before: Measured, after: Measured) -> float:
     return float(np.sqrt(np.mean(changed[before.metric_mask] ** 2)))
 
 
+def changed(recipe: Recipe, before: Measured, after: Measured) -> tuple[Named, ...]:
+    """What a measurement and a later one name, with no pass between."""
+    grid, mask = before.grid, before.metric_mask
+    lost_nm = before.height_nm - after.height_nm
+    return naming.of_change(leftover(lost_nm, mask, grid.pitch_mm, removal=_unknown(recipe)))
+
+
+def harmful(recipe: Recipe, moves: tuple[Named, ...]) -> tuple[Named, ...]:
+    """Of what goes on changing from map to map that which the tolerance does not bear."""
+    wanted = min((line.limit for line in recipe.lines if line.unit == "nm"), default=MOST_DRIFT_NM)
+    return naming.harmful(moves, wanted)
+
+
 def in_part_frame(recipe: Recipe, program: Program) -> Program:
     """The same program with its points and axes in the part's frame; one that is there already stays."""
     if program.frame == "part":
@@ -169,7 +185,10 @@ def request_of(recipe: Recipe, program: Program, grid: Grid, believed: Believed)
 
 
 def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> Taught:
-    """Compare predicted with measured removal of the last pass; where the gate stops, nothing is learned from it."""
+    """Compare predicted with measured removal of the last pass.
+
+    Nothing is learned from it where the gate stops, nor where another map must tell first (`Taught.doubted`).
+    """
     grid, mask = done.before.grid, done.before.metric_mask
     request = request_of(recipe, program, grid, believed)
     answer = recipe.model.effect(request)
@@ -178,11 +197,14 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
     low, high = 1 - recipe.max_rate_change, 1 + recipe.max_rate_change
     allowed = (low / believed.rate, high / believed.rate)
     miss = TOUCH_MISS_MM if recipe.dwell.choose == AS_PROGRAMMED else gate.MAX_SHIFT_MM
-    verdict = gate.judge(
-        predicted, measured, mask, grid.pitch_mm, allowed, removal=_unknown(recipe), most_shift_mm=miss
-    )
-    if verdict.stop:
-        return Taught(believed, verdict, grid)
+    unknown = _unknown(recipe)
+    verdict = gate.judge(predicted, measured, mask, grid.pitch_mm, allowed, removal=unknown, most_shift_mm=miss)
+    left = leftover(measured, mask, grid.pitch_mm, predicted, removal=unknown)
+    removed_nm = float(np.sqrt(np.mean(predicted[mask] ** 2)))
+    named = naming.of_pass(verdict, left, removed_nm, done.again, miss)
+    taught = Taught(believed, verdict, grid, named=named)
+    if verdict.stop or taught.doubted:
+        return taught
     evidence = Evidence(
         beliefs=believed.removal,
         executed_s=done.executed_s,
@@ -199,7 +221,8 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
     )
     lesson = recipe.model.learn(request, evidence)
     if lesson.stop:
-        return Taught(believed, replace(verdict, stop=lesson.stop), grid, notes=lesson.notes)
+        stopped = replace(verdict, stop=lesson.stop)
+        return replace(taught, verdict=stopped, named=(naming.of_gate(stopped, miss),), notes=lesson.notes)
     envelope = envelope_of(recipe, program, believed)
     overhead = motion.learn_overhead_s(program, done.asked_s, done.executed_s, envelope)
     shown = shown_by(done, answer, predicted, verdict, believed.rate)
@@ -207,7 +230,8 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
     if recipe.dwell.choose != AS_PROGRAMMED:
         rest = unexplained(predicted, measured, mask, forecasting.noise_nm(recipe, done.after))
     learned = Believed(lesson.beliefs, overhead, pooled(believed.unexplained, rest))
-    return Taught(learned, verdict, grid, lesson.found, lesson.notes, shown)
+    notes = (*(one.words for one in taught.named), *lesson.notes)
+    return replace(taught, believed=learned, found=lesson.found, notes=notes, shown=shown)
 
 
 def _pixels(before: Measured, after: Measured) -> MapPixels | None:

@@ -36,7 +36,10 @@ def as_measured(
         along_x, along_y = rng.uniform(-errors.tilt_nm, errors.tilt_nm, 2)
         height = height + 2.0 * (along_x * x + along_y * y)
     height = height + noise + _reference(x, y, errors)
-    if not errors.mount_turns:
+    if errors.mount_anew:
+        below, beside = rng.normal(0.0, errors.mount_nm / np.sqrt(2.0), 2)
+        height = height + _trefoil(height, below) + _trefoil(height.T, beside).T
+    elif not errors.mount_turns:
         height = height + _trefoil(height, errors.mount_nm)
     if errors.dead_pixels:
         dead = stream(0, "dead pixels").random(height.shape) < errors.dead_pixels  # of the camera: always the same
@@ -47,7 +50,8 @@ def as_measured(
 def as_held(true_nm: FloatArray, config: SimConfig) -> FloatArray:
     """True heights with the print of a mount that turns with the part: no map of it, however turned, is without."""
     errors = config.interferometer.errors
-    return true_nm + _trefoil(true_nm, errors.mount_nm) if errors.mount_turns else true_nm
+    held = errors.mount_turns and not errors.mount_anew
+    return true_nm + _trefoil(true_nm, errors.mount_nm) if held else true_nm
 
 
 def as_seen(height_nm: FloatArray, faults: MapFaults) -> FloatArray:

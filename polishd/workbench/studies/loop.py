@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +17,7 @@ from polishd.config.loop_study import Poses, Taken
 from polishd.hooks.cell import plugins_of
 from polishd.hooks.loader import Hooks
 from polishd.hookspecs import RemovalAnswer, RemovalRequest
+from polishd.model.cause import Named
 from polishd.model.cycle import Outcome
 from polishd.model.errors import ComputeError, PlanRefused, PolishdError
 from polishd.model.finding import Finding, Series, Shown
@@ -25,10 +26,9 @@ from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.model.tolerance import holds
 from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.formats import read
-from polishd.process import motion
+from polishd.process import motion, naming
 from polishd.process.contact import relative_removal
 from polishd.process.findings import diverged, findings, followed, worthless
-from polishd.process.gate import MAX_SHIFT_MM, Verdict
 from polishd.process.identification.touch import WANTED
 from polishd.recipe import dwell_step, steps
 from polishd.recipe.dwell_step import require_certificate
@@ -42,6 +42,8 @@ from polishd.workbench.studies.plant_process import PlantProcess
 from polishd.workbench.studies.turned import calibrated, certified
 from polishd.workbench.studies.witness import polish_witness
 
+_Executed = tuple[Planned, FloatArray, FloatArray]
+"""A pass's plan, and (n,) s of each timed point: as it lasted, and as force and speed acted."""
 GATE = "gate"
 """How a loop ends that the gate stopped."""
 TOOL = "tool"
@@ -63,7 +65,7 @@ class Run:
     why: str
     """In words; empty for an outcome."""
     named: tuple[str, ...]
-    """What it said of its machine: kinds of findings, and the gate's explanation where that stopped it."""
+    """What it said of its machine: causes (`polishd.model.cause`), and kinds of findings."""
     passes: int
     rms_nm: tuple[float, ...]
     """As measured, one a map, in the clear aperture."""
@@ -99,6 +101,10 @@ class _Account:
     named: list[str] = field(default_factory=list)
     came_nm: list[tuple[float, float, float]] = field(default_factory=list)
     true_fits: bool = False
+
+    def name(self, names: Iterable[str]) -> None:
+        """What was said of the machine, each once."""
+        self.named += dict.fromkeys(name for name in names if name not in self.named)
 
     def told(self, shown: Shown) -> None:
         """What a pass left, beside what was expected of it."""
@@ -178,10 +184,14 @@ class ClosedLoop:
         """The recipe and what is believed before the first pass: as configured, or of a witness. ComputeError."""
         recipe = self._recipe
         if self._witness == "touch":
-            touch = replace(self._job(_remembering(as_touched(recipe)), plant, _Account()), program=self._touch)
-            taught = touch.teach()
+            touch = replace(self._job(_remembering(as_touched(recipe)), plant, account), program=self._touch)
+            taught, why = touch.teach()
+            account.rms_nm.clear()  # of the witness part
+            account.true_rms_nm.clear()
+            if why:
+                return recipe, _Ended(GATE, why)
             later = replace(taught.believed, removal=recipe.model.later(taught.believed.removal, 0.0))
-            return _remembering(recipe), _gate(taught, account) or later
+            return _remembering(recipe), later
         if self._witness:
             job = self._job(recipe, plant, _Account())
             witness = polish_witness(plant, recipe, self._program, job.map)
@@ -216,21 +226,21 @@ class _Job:
         recipe, program, account = self.recipe, self.program, self.account
         series, shown = Series(""), []
         before: Measured | None = None
-        last: tuple[Planned, FloatArray, FloatArray] | None = None
+        last: _Executed | None = None
         while True:
             surface = self._measured(before)
             found: tuple[Finding, ...] = ()
             if before is not None and last is not None:
-                taught = self._taught(before, surface, last, believed)
-                if (stopped := _gate(taught, account)) is not None:
-                    return stopped
+                surface, taught, why = self._learned(before, surface, last, believed)
+                if why:
+                    return _Ended(GATE, why)
                 believed = taught.believed
                 if taught.shown is not None:
                     account.told(taught.shown)
                     shown.append(taught.shown)
                     series = followed(series, taught.shown)
                     found = findings(series, shown, recipe.finding)
-                    account.named += [one.kind for one in found if one.kind not in account.named]
+                    account.name(one.kind for one in found)
             ended = _judged(surface, account, found)
             if ended is not None or len(account.rms_nm) > self.passes:
                 return ended or _Ended(Outcome.CYCLES_USED.value)
@@ -244,24 +254,51 @@ class _Job:
             account.predicted_nm.append(solved.dwell.certificate.predicted_rms_nm)
             before = surface
 
-    def teach(self) -> Taught:
-        """One pass as programmed, and what it teaches of the machine."""
+    def teach(self) -> tuple[Taught, str]:
+        """One pass as programmed: what it teaches of the machine, and why a person must look first; "" else."""
         recipe, program, before = self.recipe, self.program, self._measured(None)
         believed = steps.believed_at_first(recipe)
         solved = dwell_step.solve(recipe, program, before, believed)
         plan = steps.rewrite(recipe, program, solved, program.name)
         last = (self._planned(plan, solved, before), *self._execute(plan))
-        return self._taught(before, self._measured(before), last, believed)
+        return self._learned(before, self._measured(before), last, believed)[1:]
 
-    def map(self) -> SurfaceMap:
-        """As the instrument gives the part now."""
-        return self._map(*self.plant.measure(), len(self.account.rms_nm))
+    def _learned(
+        self, before: Measured, surface: Measured, last: _Executed, believed: Believed
+    ) -> tuple[Measured, Taught, str]:
+        """The map that counts, what it taught, and why a person must look before the next pass; "" else."""
+        taught, account = self._taught(before, surface, last, believed), self.account
+        if taught.doubted:
+            surface, again, moves = self._again(surface)
+            account.name(one.cause for one in again)
+            if moves:
+                return surface, taught, "; ".join(one.words for one in moves)
+            taught = self._taught(before, surface, last, believed, again)
+        account.name(one.cause for one in taught.named)
+        return surface, taught, taught.verdict.stop
 
-    def _measured(self, before: Measured | None) -> Measured:
-        """The part as the instrument gives it now, and on the account what it truly is."""
+    def map(self, wait_s: float = 0.0) -> SurfaceMap:
+        """As the instrument gives the part so long after now."""
+        return self._map(*self.plant.measure(wait_s), len(self.account.rms_nm))
+
+    def _again(self, surface: Measured) -> tuple[Measured, tuple[Named, ...], tuple[Named, ...]]:
+        """As the daemon: maps until two agree; the last one, what they named, and what the tolerance does not bear."""
+        account, seen, moves = self.account, list[Named](), tuple[Named, ...]()
+        for _ in range(naming.MAPS):
+            account.rms_nm.pop()  # of the same measurement, the last map counts
+            account.true_rms_nm.pop()
+            before, surface = surface, self._measured(surface, naming.WAIT_S)
+            last, moves = moves, steps.changed(self.recipe, before, surface)
+            seen += moves
+            if not naming.settles(moves, last):
+                break
+        return surface, naming.lasting(seen), steps.harmful(self.recipe, moves)
+
+    def _measured(self, before: Measured | None, wait_s: float = 0.0) -> Measured:
+        """The part as the instrument gives it so long after now, and on the account what it truly is."""
         recipe, plant, account = self.recipe, self.plant, self.account
         masks, lay = (None, None) if before is None else (before.masks, before.registration)
-        surface = steps.condition(recipe, self.map(), masks, lay)
+        surface = steps.condition(recipe, self.map(wait_s), masks, lay)
         told, height = plant.truth(held=recipe.accept != "figure")  # what the certificate is of
         true = self._map(height, float(told["pitch_mm"]), -1)
         truly = steps.condition(certified(recipe), true, surface.masks)
@@ -275,11 +312,16 @@ class _Job:
         return SurfaceMap(height_nm, pitch_mm, part_id=self.part_id, sha256=name)
 
     def _taught(
-        self, before: Measured, after: Measured, last: tuple[Planned, FloatArray, FloatArray], believed: Believed
+        self,
+        before: Measured,
+        after: Measured,
+        last: _Executed,
+        believed: Believed,
+        again: tuple[Named, ...] | None = None,
     ) -> Taught:
         planned, executed_s, acting_s = last
         expected_nm = planned.certificate.predicted_rms_nm
-        done = Pass(before, after, planned.asked_s, executed_s, acting_s, expected_nm, planned.forecast)
+        done = Pass(before, after, planned.asked_s, executed_s, acting_s, expected_nm, planned.forecast, again)
         return steps.learn(self.recipe, self.program, done, believed)
 
     def _planned(self, plan: Plan, solved: Solved, surface: Measured) -> Planned:
@@ -330,21 +372,6 @@ def _judged(surface: Measured, account: _Account, found: tuple[Finding, ...]) ->
     if of_tool := [one.what for one in found if one.stops == "cell"]:
         return _Ended(TOOL, "; ".join(of_tool))
     return None
-
-
-def _gate(taught: Taught, account: _Account) -> _Ended | None:
-    """Where the gate, or what identification found, leaves no way on before a person has looked."""
-    if not taught.verdict.stop:
-        return None
-    account.named.append(_stopped_by(taught.verdict))
-    return _Ended(GATE, taught.verdict.stop)
-
-
-def _stopped_by(verdict: Verdict) -> str:
-    """In a word: how the map would have to be turned, or "shift", or "rate"."""
-    if not verdict.best.as_it_is:
-        return verdict.best.name
-    return "shift" if np.hypot(*verdict.shift_mm) > MAX_SHIFT_MM else "rate"
 
 
 def _timed_by_feeds(config: CellConfig, recipe: Recipe) -> Program:

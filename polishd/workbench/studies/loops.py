@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import multiprocessing
 import os
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from copy import deepcopy
@@ -15,7 +16,7 @@ from typing import Any
 
 from polishd.config.cell import lay_over
 from polishd.config.document import parse_toml
-from polishd.config.loop_study import LoopStudy, Scenario
+from polishd.config.loop_study import AS_IT_IS, LoopStudy, Scenario
 from polishd.workbench.studies.kept import Case, Kept, made_of
 from polishd.workbench.studies.loop import ClosedLoop, Run
 from polishd.workbench.studies.plant_process import PlantProcess
@@ -41,6 +42,8 @@ class LoopRow:
     false_accepts: int
     named_rightly: int
     """Runs that said of the machine what is wrong with it, and nothing else; nothing, where nothing is."""
+    named: Mapping[str, int]
+    """How many said what, but for what they need not say: names joined by "+", or "nothing"."""
     forecasts: int
     """Passes of which a map told, ..."""
     held: int
@@ -174,7 +177,8 @@ def _row(scenario: Scenario, runs: Sequence[Run]) -> LoopRow:
     passes = median(run.passes if run.accepted else never for run in runs)
     first = [run.rms_nm[1] for run in runs if len(run.rms_nm) > 1]
     came = [one for run in runs for one in run.came_nm]
-    right = [set(run.named) <= set(scenario.named) and bool(run.named) == bool(scenario.named) for run in runs]
+    said = [tuple(sorted(set(run.named) - set(scenario.also))) for run in runs]
+    right = [set(names) <= set(scenario.named) and bool(names) == bool(scenario.named) for names in said]
     return LoopRow(
         scenario=runs[0].scenario,
         loop=runs[0].loop,
@@ -185,6 +189,7 @@ def _row(scenario: Scenario, runs: Sequence[Run]) -> LoopRow:
         first_pass_nm_median=median(first) if first else None,
         false_accepts=sum(run.falsely_accepted for run in runs),
         named_rightly=sum(right),
+        named=dict(Counter("+".join(names) or AS_IT_IS for names in said)),
         forecasts=len(came),
         held=sum(low <= left <= high for low, high, left in came),
         ended={how: sum(run.ended == how for run in runs) for how in dict.fromkeys(run.ended for run in runs)},

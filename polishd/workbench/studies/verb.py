@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from polishd.model.surface import SurfaceMap
 from polishd.recipe.encoding import facts_of
 from polishd.recipe.files import read_map
 from polishd.show.tables import stderr, stdout
-from polishd.workbench.studies import pictures, tables
+from polishd.workbench.studies import confusion, pictures, tables
 from polishd.workbench.studies.corrections import Tell, compare_corrections
 from polishd.workbench.studies.kept import Kept
 from polishd.workbench.studies.loops import run_loops
@@ -40,6 +40,8 @@ class Answer:
     notes: list[str]
     pictures: Mapping[str, pictures.Draw]
     """By file name."""
+    pages: Mapping[str, str] = field(default_factory=dict)
+    """Text, likewise."""
 
 
 def study_verb(study: Path, options: StudyOptions, *, as_json: bool) -> None:
@@ -63,7 +65,9 @@ def study_verb(study: Path, options: StudyOptions, *, as_json: bool) -> None:
     for note in answer.notes:
         stdout.print(note, markup=False, highlight=False)
     if out is not None:
-        stdout.print(f"written to {out}: {', '.join([TABLE, *answer.pictures])}", markup=False, soft_wrap=True)
+        stdout.print(
+            f"written to {out}: {', '.join([TABLE, *answer.pictures, *answer.pages])}", markup=False, soft_wrap=True
+        )
 
 
 def _answer(study: Study, options: StudyOptions, tell: Tell) -> Answer:
@@ -79,8 +83,9 @@ def _answer(study: Study, options: StudyOptions, tell: Tell) -> Answer:
     if isinstance(study, PassesStudy):
         return _of_passes(study, tell)
     looped = run_loops(study, tell, seeds=options.limit, jobs=options.jobs, kept=Kept(options.out))
-    shown = [tables.loop_table(study.title, looped)]
-    return Answer(looped.as_json(), shown, tables.loop_notes(looped), pictures.of_loops(looped))
+    shown = [tables.loop_table(study.title, looped), confusion.confusion_table(study.title, looped)]
+    pages = {confusion.FILE: confusion.confusion_page(looped)}
+    return Answer(looped.as_json(), shown, tables.loop_notes(looped), pictures.of_loops(looped), pages)
 
 
 def _of_passes(study: PassesStudy, tell: Tell) -> Answer:
@@ -106,6 +111,8 @@ def _write(out: Path, answer: Answer) -> None:
     try:
         for name, draw in answer.pictures.items():
             write_atomic(out / name, draw())
+        for name, text in answer.pages.items():
+            write_atomic(out / name, text.encode())
         write_atomic(out / TABLE, (json.dumps(answer.rows, indent=1) + "\n").encode())
     except OSError as error:
         raise ConfigError(f"{out}: cannot be written to: {error.strerror}; name a folder with --out") from error

@@ -251,7 +251,7 @@ def test_what_a_pass_taught_leaves(program: Program, measured: Measured, solved:
     learned = json.loads(files["learned.json"])
     assert set(learned["beliefs"]) == {"rate", "block_overhead_s", "unexplained", "removal", "notes"}
     assert learned["beliefs"]["removal"]["rate"]["sigma"] == learned["rate_sigma"]
-    keys = {"beliefs", "rate", "measured_rate", "rate_sigma", "correlation", "explained", "shown", "notes"}
+    keys = {"beliefs", "rate", "measured_rate", "rate_sigma", "correlation", "explained", "named", "shown", "notes"}
     assert set(learned) == keys
 
 

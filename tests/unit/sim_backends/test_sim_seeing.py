@@ -65,6 +65,20 @@ def test_a_mount_turns_with_the_part_or_does_not(turns: bool) -> None:
     assert rms(np.rot90(still) - still) > 2.0
 
 
+def test_a_mount_that_presses_anew_is_a_trefoil_of_another_size_and_direction_in_each_map() -> None:
+    section = Interferometer(errors=InstrumentErrors(mount_nm=2.0, mount_anew=True))
+    config, rng = SimConfig(truth=Truth(map_noise_nm=0.0), interferometer=section), np.random.default_rng(3)
+    terms = zernike_terms.values(zernike_terms.order("noll", 11), "rms", X[DISC], Y[DISC]).T
+    part = np.where(DISC, 0.0, np.nan)
+    maps = [as_measured(part, config, 0.5, rng)[DISC] for _ in range(300)]
+    found = np.linalg.lstsq(terms, np.column_stack(maps), rcond=None)[0]
+    trefoil = found[[8, 9]]
+    assert abs(np.delete(found, [8, 9], axis=0)).max() < 0.03, "nothing else"
+    assert np.sqrt((trefoil**2).sum(axis=0).mean()) == pytest.approx(2.0, rel=0.1)
+    assert abs(np.corrcoef(trefoil)[0, 1]) < 0.15, "any direction"
+    assert trefoil.std(axis=1) == pytest.approx(2.0 / np.sqrt(2.0), rel=0.15)
+
+
 def test_tilt_is_another_with_each_map() -> None:
     section = Interferometer(errors=InstrumentErrors(tilt_nm=50.0))
     config, rng = SimConfig(truth=Truth(map_noise_nm=0.0), interferometer=section), np.random.default_rng(3)

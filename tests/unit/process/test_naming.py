@@ -1,0 +1,107 @@
+"""Causes by name: of gate and leftover, of maps with no pass between, and what is waited for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from polishd.model.beliefs import Belief
+from polishd.model.cause import CAUSES, Named
+from polishd.process import naming
+from polishd.process.gate import Verdict, judge
+from polishd.process.leftover import Leftover, leftover
+from tests.unit.process.test_leftover import MASK, POWER, TREFOIL, noise, removal
+
+NOTHING = Leftover(Belief(1.0, 0.002), Belief(0.01, 0.01), Belief(0.05, 0.02), Belief(0.05, 0.02), Belief(0.0, 0.02))
+
+
+def judged(measured: np.ndarray) -> Verdict:
+    return judge(np.where(MASK, removal(), 0.0), np.where(MASK, measured, 0.0), MASK, 1.0)
+
+
+def named(measured: np.ndarray, again: tuple[Named, ...] | None = None) -> tuple[Named, ...]:
+    """Of a pass that should have removed ``removal()``."""
+    left = leftover(np.where(MASK, measured, 0.0), MASK, 1.0, removal())
+    return naming.of_pass(judged(measured), left, 62.0, again)
+
+
+def causes(found: tuple[Named, ...]) -> list[str]:
+    return [one.cause for one in found]
+
+
+@pytest.mark.parametrize(
+    ("measured", "cause"),
+    [
+        (0.9 * removal(), None),
+        (0.45 * removal(), "rate"),
+        (0.7 * removal(), "rate"),
+        (removal()[:, ::-1], "map"),
+        (np.roll(removal(), 1, axis=1), "shift"),
+    ],
+)
+def test_a_pass_names_what_is_wrong_with_it(measured: np.ndarray, cause: str | None) -> None:
+    found = named(measured + noise(0.2))
+    assert causes(found) == ([] if cause is None else [cause])
+    assert not any(one.again for one in found)
+    assert all(one.size > one.limit for one in found)
+
+
+@pytest.mark.parametrize(("bent", "cause"), [(-3.0 * POWER, "settling"), (3.0 * TREFOIL, "mount")])
+def test_low_orders_are_suspected_until_another_map_tells(bent: np.ndarray, cause: str) -> None:
+    measured = removal() + bent + noise(0.2)
+    (suspected,) = named(measured)
+    assert (suspected.cause, suspected.again) == (cause, True)
+    (left,) = named(measured, again=())
+    assert (left.cause, left.again) == ("field", False), "the maps since agree: it is the pass's, or stays"
+    (proved,) = named(removal() + noise(0.2), again=(replace(suspected, again=False),))
+    assert proved.cause == cause, "the pass itself is as it should be by the last map"
+
+
+def test_what_low_orders_do_to_the_gate_is_not_believed() -> None:
+    """Power that reads as a shift of a millimetre to the gate: another map comes first, and nobody is called."""
+    verdict = judged(removal() - 12.0 * POWER + noise(0.2))
+    left = leftover(removal() - 12.0 * POWER + noise(0.2), MASK, 1.0, removal())
+    stopped = replace(verdict, stop="the removal lies 1.00 +- 0.01 mm from where it was predicted")
+    (found,) = naming.of_pass(stopped, left, 62.0)
+    assert (found.cause, found.again) == ("settling", True)
+
+
+def test_a_limit_is_of_the_removal_or_of_the_noise() -> None:
+    """A part of a rate that changes by 1 % over it shows so much of a low order; a noisy map eight of its errors."""
+    for sigma, limit in ((0.02, 0.62), (0.5, 4.0)):
+        for size, told in ((0.98 * limit, []), (1.02 * limit, ["mount"])):
+            left = replace(NOTHING, trefoil_nm=Belief(size, sigma))
+            assert causes(naming.of_pass(judged(removal()), left, 62.0)) == told
+
+
+def test_no_cause_is_named_by_a_pass_that_shows_none() -> None:
+    weak = judge(0.01 * removal(), 0.01 * removal(), MASK, 1.0)
+    left = replace(NOTHING, rate=Belief(0.2, 0.001), shift_mm=Belief(3.0, 0.01))
+    assert naming.of_pass(weak, left, 0.6) == ()
+    assert naming.of_pass(weak, None, 0.6) == ()
+
+
+def test_what_settles_is_waited_for_and_a_mount_is_not() -> None:
+    changes = [-5.0 * POWER, -2.0 * POWER, -0.04 * POWER, 2.0 * TREFOIL]
+    found = [naming.of_change(leftover(one + noise(0.05), MASK, 1.0)) for one in changes]
+    before = [(), *found[:-1]]
+    assert [naming.settles(*pair) for pair in zip(found, before, strict=True)] == [True, True, False, False]
+    assert not naming.settles(found[0], found[1]), "a set-up that is another each time does not come nearer"
+    assert [causes(one) for one in found] == [["settling"], ["settling"], [], ["mount"]]
+    (lasting,) = naming.lasting([*found[1], *found[0]])
+    assert lasting.size == pytest.approx(5.0, abs=0.1), "each cause once, where it was largest"
+
+
+def test_what_the_tolerance_bears_holds_nobody_up() -> None:
+    (mount,) = naming.of_change(leftover(1.0 * TREFOIL + noise(0.05), MASK, 1.0))
+    assert naming.harmful((mount,), 1.5) == (mount,)
+    assert naming.harmful((mount,), 3.0) == ()
+
+
+def test_words_say_how_large_what_else_it_may_be_and_what_is_done() -> None:
+    (found,) = named(0.7 * removal() + noise(0.2))
+    assert "0.70" in found.words
+    assert "process.preston" in found.words
+    assert CAUSES["rate"].todo in found.words
