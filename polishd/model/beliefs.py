@@ -88,6 +88,8 @@ class Evidence:
     not the same of both."""
     most_miss_mm: float = 0.5
     """So far off where it should the spot may have acted: what is further stops for a person."""
+    must_tell: bool = False
+    """The pass was made to teach: where it does not, that stops for a person, too."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -72,7 +72,7 @@ def of_pass(
     if not verdict.tells_rate:
         return told
     found = [_named("shift", left.shift_mm, LEAST_MM, "mm", "the removal lies {} off its place")]
-    if left.rate is not None:
+    if left.rate is not None and left.shift_mm.value <= MAX_SHIFT_MM:  # beside a larger one, first order tells none
         found.append(_rate(left.rate))
     return (*(one for one in found if one.size > one.limit), *told)
 

@@ -218,6 +218,7 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
         noise_nm=_change_noise_nm(recipe),
         pixels=_pixels(done.before, done.after),
         most_miss_mm=miss,
+        must_tell=recipe.dwell.choose == AS_PROGRAMMED,
     )
     lesson = recipe.model.learn(request, evidence)
     if lesson.stop:

@@ -22,7 +22,7 @@ from polishd.model.surface import FloatArray
 from polishd.plugins.removal_models.along_path import Path, path_of
 from polishd.process.dynamic_tif import lean_azimuth_rad
 from polishd.process.identification.beliefs import beliefs_of, knowledge_of, on_the_next_part
-from polishd.process.identification.decision import decide
+from polishd.process.identification.decision import LOOK, decide
 from polishd.process.identification.identify import Identified, identify
 from polishd.process.identification.passes import Blocks, Noise, Pixels, Removed
 from polishd.process.registration.record import Registration
@@ -52,7 +52,8 @@ def learn_machine(
     except ComputeError as error:
         told = f"the machine was not identified: {error}"
         kept = replace(beliefs, rate=rate_alone.beliefs.rate)
-        return replace(rate_alone, beliefs=kept, notes=(*rate_alone.notes, told))
+        stop = f"{told}; this pass was made to teach, and has not: {LOOK}" if evidence.must_tell else ""
+        return replace(rate_alone, beliefs=kept, notes=(*rate_alone.notes, told), stop=stop)
     decision = decide(found, misses_mm=evidence.most_miss_mm)
     taken = [one.name for one in decision.corrected if one.name != "rate"]
     contact_h = float(evidence.executed_s.sum()) / 3600

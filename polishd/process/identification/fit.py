@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from polishd.model.surface import BoolArray, FloatArray
+from polishd.process.identification.beginning import beginning
 from polishd.process.identification.estimate import Data, Estimate, estimate
 from polishd.process.identification.forward import Forward
 from polishd.process.identification.parameters import Knowledge
@@ -33,7 +34,7 @@ def fit(model: Forward, removed: Removed, prior: Knowledge) -> tuple[Data, dict[
     measured = removed.removal_nm[mask]
     stated = removed.noise.with_another(laying(model, removed), pitch)
     all_of_it = Data(measured, np.ones(measured.size, dtype=bool), stated, stated.cells(pitch))
-    own = estimate(model, all_of_it, prior, robust=True)
+    own = estimate(model, all_of_it, prior, robust=True, start=beginning(model, removed, prior))
     first = {model.projection: own}
     for name in model.blocks.depth_ratio:
         if name != model.projection:

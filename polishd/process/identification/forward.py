@@ -129,7 +129,7 @@ class Forward:
 
     def _slopes(self, theta: FloatArray) -> dict[str, scipy.sparse.csr_array]:
         names = {p.name for p in self.parameters}
-        step_mm = STEP * self._step_mm(theta)
+        step_mm = STEP * self.step_mm(theta)
         both = {
             kind: by for kind, by in (("x", step_mm), ("y", step_mm), ("width", WIDTH_STEP)) if names & _ASKED[kind]
         }
@@ -158,11 +158,12 @@ class Forward:
 
     def near(self, theta: FloatArray, laid: Laid) -> bool:
         """Whether the slopes hold that far: of the square of such a step a hundredth of a nanometre is left."""
-        scale = {"x": self._step_mm(theta), "y": self._step_mm(theta)}
+        scale = {"x": self.step_mm(theta), "y": self.step_mm(theta)}
         by = self.changes(theta, laid)
         return all(float(abs(change).max()) <= NEAR[kind] * scale.get(kind, 1.0) for kind, change in by.items())
 
-    def _step_mm(self, theta: FloatArray) -> float:
+    def step_mm(self, theta: FloatArray) -> float:
+        """The spot's own step (`STEP`) at these parameters."""
         return float(np.median(self.spot.step_mm(self.gamma(theta))))
 
     def block_s(self, theta: FloatArray, weight_s: FloatArray | None = None) -> FloatArray:

@@ -81,9 +81,13 @@ def _compliance(ask: RemovalRequest) -> FloatArray:
 
 def taught(at: MapPixels, told: bool = True, **truth: float) -> Lesson:
     """What the learner makes of a pass of which this is true."""
-    removal = seen(at, **truth)
+    return learn_machine(asked(), shown(seen(at, **truth), at if told else None), modelled_spot_of)
+
+
+def shown(removal: FloatArray, pixels: MapPixels | None) -> Evidence:
+    """That removal, as maps show it."""
     mask = GRID.radius_mm() < 13.0
-    evidence = Evidence(
+    return Evidence(
         beliefs=MachineBeliefs(),
         executed_s=dwell_s(),
         predicted_nm=np.where(mask, removal, np.nan),
@@ -93,9 +97,8 @@ def taught(at: MapPixels, told: bool = True, **truth: float) -> Lesson:
         tells_rate=True,
         rates=(0.6, 1.4),
         noise_nm=NOISE_NM,
-        pixels=at if told else None,
+        pixels=pixels,
     )
-    return learn_machine(asked(), evidence, modelled_spot_of)
 
 
 def off(lesson: Lesson, name: str, true: float = 0.0) -> float:
@@ -117,6 +120,16 @@ def test_a_machine_as_it_is_configured_is_found_so_and_a_round_contact_does_not_
         assert off(lesson, name) < 4, name
     assert "turn" not in lesson.found["parameters"]
     assert "turn" not in lesson.beliefs.mean
+
+
+def test_what_cannot_be_identified_teaches_the_rate_and_stops_a_pass_that_was_made_to_teach() -> None:
+    evidence = shown(seen(HALF_A_SAMPLE), HALF_A_SAMPLE)
+    evidence = replace(evidence, mask=GRID.radius_mm() < 1.5)  # too few samples
+    plain = learn_machine(asked(), evidence, modelled_spot_of)
+    assert plain.stop == ""
+    assert "the machine was not identified" in plain.notes[-1]
+    touch = learn_machine(asked(), replace(evidence, must_tell=True), modelled_spot_of)
+    assert "this pass was made to teach, and has not: look at tool" in touch.stop
 
 
 @pytest.mark.slow

@@ -105,3 +105,10 @@ def test_words_say_how_large_what_else_it_may_be_and_what_is_done() -> None:
     assert "0.70" in found.words
     assert "process.preston" in found.words
     assert CAUSES["rate"].todo in found.words
+
+
+def test_beside_a_shift_that_first_order_does_not_tell_no_rate_is_named() -> None:
+    far = replace(NOTHING, rate=Belief(0.4, 0.01), shift_mm=Belief(1.8, 0.05))
+    verdict = replace(judged(removal() + noise(0.2)), stop="")
+    assert causes(naming.of_pass(verdict, far, 62.0, most_shift_mm=3.0)) == ["shift"]
+    assert causes(naming.of_pass(verdict, replace(far, shift_mm=Belief(0.3, 0.05)), 62.0)) == ["shift", "rate"]

@@ -88,13 +88,18 @@ def test_what_is_nothing_to_begin_with_is_said(tmp_path: Path) -> None:
         run_loops(wrong, lambda _: None, seeds=None, jobs=1)
 
 
+def wrong_with(of: LoopStudy, section: str, **keys: object) -> LoopStudy:
+    plant = {**of.plant_with, section: {**of.plant_with.get(section, {}), **keys}}
+    return of.model_copy(update={"plant_with": plant})
+
+
 TOUCHED = '[loops.touched]\nwitness = "touch"\n"process.learns" = "machine"\n'
 
 
 @pytest.mark.full
 def test_a_spot_that_is_off_is_found_by_a_touch_and_corrected_in_the_first_pass(tmp_path: Path) -> None:
     """Without it the gate stops after the first pass, for a person."""
-    off = study(tmp_path, f"[plant_with.effects]\nspot_shift_mm = 1.5\n[loops.untold]\n{TOUCHED}")
+    off = wrong_with(study(tmp_path, f"[loops.untold]\n{TOUCHED}"), "effects", spot_shift_mm=1.5)
     untold, touched = run_loops(off, lambda _: None, seeds=None, jobs=1).runs
     assert (untold.ended, untold.named) == ("gate", ("shift",))
     assert touched.accepted
@@ -105,8 +110,7 @@ def test_a_spot_that_is_off_is_found_by_a_touch_and_corrected_in_the_first_pass(
 
 @pytest.mark.full
 def test_a_touch_that_stops_says_why_and_no_part_is_polished(tmp_path: Path) -> None:
-    worn = study(tmp_path, TOUCHED)
-    worn = worn.model_copy(update={"plant_with": {**worn.plant_with, "truth": {"worn": 0.5, "rate": [0.0, 0.0]}}})
+    worn = wrong_with(study(tmp_path, TOUCHED), "truth", worn=0.5, rate=[0.0, 0.0])
     (run,) = run_loops(worn, lambda _: None, seeds=None, jobs=1).runs
     assert (run.ended, run.named, run.passes) == ("gate", ("rate",), 0)
     assert "about half" in run.why
