@@ -142,7 +142,8 @@ def _measurement(at_s: float, stats: Mapping[str, Any], before: Mapping[str, Any
 
 def _as_forecast(shown: Mapping[str, Any]) -> bool | None:
     expected = shown.get("expected_nm")
-    return None if expected is None else bool(expected[0] <= shown["after_nm"] <= expected[1])
+    seen_nm = shown.get("seen_nm")  # passes of before 2026-11-25 have none
+    return None if expected is None or seen_nm is None else bool(expected[0] <= seen_nm <= expected[1])
 
 
 def _faults(events: Iterable[tuple[float, str, str]]) -> Iterator[Fault]:

@@ -32,7 +32,9 @@ class Shown:
     width: Belief | None
     """By how much the spot is wider than the model's, relative."""
     expected_nm: tuple[float, float] | None = None
-    """Between which ``after_nm`` was expected, with a chance of nine in ten; None: nothing was."""
+    """Between which ``seen_nm`` was expected, with a chance of nine in ten; None: nothing was."""
+    seen_nm: float | None = None
+    """RMS of the map itself, on its own samples: with its noise, and the ripple that a grid beside them smears."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,9 +1,10 @@
 """What a planned pass is expected to leave, as a distribution, before it is made; and how far off passes have been.
 
-``after = left - error of the rate * removal - what no rate explains``, and the next map's noise is in the place of the
-last one's, which no spot follows. The rate's error is normal; what no rate explains (a rate that changes over the part
-or the time, a spot of another shape or place) is a smooth field, as large beside all that is removed as the passes
-before have shown, or `UNEXPLAINED` where there were none; and so large only within a factor.
+``after = left - error of the rate * removal - what no rate explains``. The next map's noise is in the place of the last
+one's, which no spot follows; on its own samples it is more than on the process grid. The rate's error is normal; what
+no rate explains (a rate that changes over the part or the time, a spot of another shape or place) is a smooth field, as
+large beside all that is removed as the passes before have shown, or `UNEXPLAINED` where there were none; and so large
+only within a factor.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ SAMPLES = 4000
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """RMS that the next map is expected to show: on the process grid, in the clear aperture, aligned as it is."""
+    """RMS that the next map is expected to show on its own samples, in the clear aperture, aligned as it is."""
 
     low_nm: float
     median_nm: float
@@ -46,7 +47,13 @@ class Forecast:
 
 
 def forecast(
-    now_nm: FloatArray, removal_nm: FloatArray, *, removed_nm: float, rate_sigma: float, unexplained: float
+    now_nm: FloatArray,
+    removal_nm: FloatArray,
+    *,
+    removed_nm: float,
+    rate_sigma: float,
+    unexplained: float,
+    noise_nm: float = 0.0,
 ) -> Forecast:
     """Of a pass.
 
@@ -56,6 +63,7 @@ def forecast(
         removed_nm: RMS of the removal, all of it.
         rate_sigma: standard error of the removal rate, relative.
         unexplained: RMS of what no rate explains, relative to that.
+        noise_nm: RMS of the next map's noise beyond what ``now_nm`` has of it, in quadrature.
     """
     rng = np.random.default_rng(0)  # the same question has the same answer
     left, removal = now_nm - removal_nm, removal_nm - removal_nm.mean()
@@ -67,7 +75,8 @@ def forecast(
     field = size**2 * rng.chisquare(MODES, SAMPLES) / MODES
     mixed = 2 * np.sqrt(by_rate * field / MODES) * rng.standard_normal(SAMPLES)
     after = np.sqrt(np.maximum(by_rate + field + mixed, 0.0))
-    low, median, high = np.quantile(after, [(1 - LEVEL) / 2, 0.5, (1 + LEVEL) / 2])
+    seen = np.hypot(after, noise_nm)
+    low, median, high = np.quantile(seen, [(1 - LEVEL) / 2, 0.5, (1 + LEVEL) / 2])
     better = float(np.mean(after < now_nm.std()))
     return Forecast(float(low), float(median), float(high), LEVEL, better)
 

@@ -20,8 +20,14 @@ def forecast_of(recipe: Recipe, measured: Measured, plan: Plan, believed: Believ
     maps = (measured.height_nm, plan.predicted_removal_nm)
     now, removal = (metrics.without(one, mask, alignment)[mask] for one in maps)
     removed = float(np.sqrt(np.mean(plan.predicted_removal_nm[mask] ** 2)))
-    how = {"rate_sigma": _rate_sigma(recipe, believed), "unexplained": believed.unexplained}
-    return forecast(now, removal, removed_nm=removed, **how)
+    return forecast(
+        now,
+        removal,
+        removed_nm=removed,
+        rate_sigma=_rate_sigma(recipe, believed),
+        unexplained=believed.unexplained,
+        noise_nm=_finer_nm(recipe, measured),
+    )
 
 
 def noise_nm(recipe: Recipe, measured: Measured) -> float:
@@ -30,6 +36,12 @@ def noise_nm(recipe: Recipe, measured: Measured) -> float:
     if measured.map_grid is None:
         return one
     return one * min(measured.map_grid.pitch_mm / measured.grid.pitch_mm, 1.0)
+
+
+def _finer_nm(recipe: Recipe, measured: Measured) -> float:
+    """RMS of a map's noise on its own samples that is gone on the process grid, as far as anybody has said."""
+    one = 0.0 if recipe.instrument is None else recipe.instrument.repeatability_nm or 0.0
+    return float(np.sqrt(one**2 - noise_nm(recipe, measured) ** 2))
 
 
 def _rate_sigma(recipe: Recipe, believed: Believed) -> float:

@@ -41,6 +41,7 @@ def shown_by(done: Pass, answer: RemovalAnswer, predicted_nm: FloatArray, verdic
         fade=_told(seen.fade, seen.fade_sigma),
         width=_told(seen.width, seen.width_sigma),
         expected_nm=None if done.forecast is None else (done.forecast.low_nm, done.forecast.high_nm),
+        seen_nm=done.after.stats.rms_nm,
     )
 
 

@@ -57,7 +57,7 @@ def learn_machine(
     decision = decide(found, misses_mm=evidence.most_miss_mm)
     taken = [one.name for one in decision.corrected if one.name != "rate"]
     contact_h = float(evidence.executed_s.sum()) / 3600
-    after = beliefs_of(found.learned, taken, contact_h, evidence.rates)
+    after = beliefs_of(found.learned, taken, contact_h, evidence.rates, found.volume)
     how = {**rate_alone.found, "rate": after.rate.value / beliefs.rate.value, "parameters": _table(found)}
     said = tuple(f"{one.words}: corrected" for one in decision.corrected if one.name != "rate")
     said += tuple(f"{one.words}: found, and not certain" for one in decision.left if one.name != "rate")

@@ -9,6 +9,7 @@ import numpy as np
 
 from polishd.model.beliefs import Belief, MachineBeliefs
 from polishd.model.errors import ComputeError
+from polishd.model.surface import FloatArray
 from polishd.process.identification.comparison import conditioned, without
 from polishd.process.identification.parameters import Knowledge, advanced, unlearned, usual_parameters
 
@@ -38,7 +39,9 @@ def on_the_next_part(beliefs: MachineBeliefs, days: float) -> MachineBeliefs:
         return beliefs
     after = advanced(known, 0.0, max(days, 0.0), anew=("mount",))
     of_part = {p.name for p in known.parameters if p.scope in {"map", "mount"}}
-    rate = replace(beliefs.rate, sigma=beliefs.rate.value * float(after.sigma[after.at("rate")]))
+    walked = known.parameters[known.at("rate")].rest * max(days, 0.0) ** 0.5
+    sigma = None if beliefs.rate.sigma is None else float(np.hypot(beliefs.rate.sigma, beliefs.rate.value * walked))
+    rate = replace(beliefs.rate, sigma=sigma)
     return replace(
         beliefs,
         rate=rate,
@@ -49,7 +52,7 @@ def on_the_next_part(beliefs: MachineBeliefs, days: float) -> MachineBeliefs:
 
 
 def beliefs_of(
-    learned: Knowledge, taken: Iterable[str], contact_h: float, rates: tuple[float, float]
+    learned: Knowledge, taken: Iterable[str], contact_h: float, rates: tuple[float, float], volume: FloatArray
 ) -> MachineBeliefs:
     """What is believed after a pass of so many hours in contact.
 
@@ -58,6 +61,7 @@ def beliefs_of(
         taken: extensions that plans are to count with; the others' parameters are 0 then, and the rest follows.
         contact_h: of the pass.
         rates: least and largest rate that may be believed.
+        volume: (k,) of `Identified`: the rate's stated error is that of all that the next pass removes.
     """
     out = without(learned.parameters, frozenset(taken))
     mean, covariance = conditioned(learned.mean, learned.covariance, out)
@@ -71,7 +75,7 @@ def beliefs_of(
     rate = plan.at("rate")
     value = float(np.clip(np.exp(plan.mean[rate]), *rates))
     return MachineBeliefs(
-        rate=Belief(value, value * float(plan.sigma[rate])),
+        rate=Belief(value, value * float(np.sqrt(volume @ plan.covariance @ volume))),
         applied=applied,
         mean=dict(zip(known.names, known.mean.tolist(), strict=True)),
         covariance=tuple(tuple(row) for row in known.covariance.tolist()),

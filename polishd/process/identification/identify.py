@@ -91,6 +91,9 @@ class Identified:
     displaced_mm: tuple[float, float]
     """How far off where the plan had it the spot acted, by what is applied of its offset and of the part's shift and
     rotation: RMS over the pass's time, and its standard error."""
+    volume: FloatArray = field(repr=False)
+    """(k,) by how much all that the next pass removes changes with each parameter, relative: what a pass cannot tell
+    apart of rate, compliance and exponent changes it by much less together than their own errors say."""
     rejected: BoolArray = field(repr=False)
     """(ny, nx) samples that are none of the pass."""
     residual_nm: FloatArray = field(repr=False)
@@ -172,7 +175,8 @@ def identify(
         covariance[prior.at("rate"), prior.at("rate")] += followed_rate(model, found, data) ** 2
     learned = replace(prior, mean=found.theta, covariance=covariance, odds=_levelled_odds(odds))
     weight = model.weight_s if next_s is None else model.weight_s * (next_s / blocks.time_s)[blocks.time_s > 0]
-    future = without_plane(model.columns(found.theta, found.laid, weight), removed.mask)
+    columns = model.columns(found.theta, found.laid, weight)
+    future = without_plane(columns, removed.mask)
     comparison = compare(prior.parameters, learned.mean, covariance)
     counted = dict(counted or {})
     worths, applied = _applied(learned, comparison.best, future, least_gain_nm)
@@ -189,9 +193,17 @@ def identify(
         data.noise,
         counted,
         displaced_mm(blocks, applied, counted),
+        _volume(prior, columns),
         rejected,
         residual,
     )
+
+
+def _volume(known: Knowledge, columns: FloatArray) -> FloatArray:
+    """(k,) of what polishes; what maps differ by is no removal."""
+    own = np.array([p.scope != "map" for p in known.parameters])
+    total = columns.sum(axis=0)
+    return np.asarray(np.where(own, total / total[known.at("rate")], 0.0), dtype=np.float64)
 
 
 def displaced_mm(blocks: Blocks, applied: Knowledge, counted: Mapping[str, float]) -> tuple[float, float]:

@@ -108,8 +108,8 @@ class _Account:
 
     def told(self, shown: Shown) -> None:
         """What a pass left, beside what was expected of it."""
-        if shown.expected_nm is not None:
-            self.came_nm.append((*shown.expected_nm, shown.after_nm))
+        if shown.expected_nm is not None and shown.seen_nm is not None:
+            self.came_nm.append((*shown.expected_nm, shown.seen_nm))
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from polishd.model.events import Failed, Found, Held, Learned
 from polishd.model.finding import FindingLimits, Shown
 from polishd.model.tolerance import Judged
 
-SHOWN = Shown(10.0, 1.0, 1.5, 1.0, 600.0, Belief(0.9, 0.02), None, None, (1.0, 1.6))
+SHOWN = Shown(10.0, 1.0, 1.5, 1.0, 600.0, Belief(0.9, 0.02), None, None, (1.0, 1.6), 1.5)
 
 
 def polished(folder: Path, job: str, *, rms_nm: float = 1.5, outcome: Outcome | None = Outcome.IN_TOLERANCE) -> None:

@@ -115,3 +115,11 @@ def test_a_pass_that_will_hardly_gain_is_not_worth_it() -> None:
     )
     assert worthless(Forecast(0.60, 0.64, 0.70, 0.9, 0.06), limits) is None
     assert worthless(hopeless, FindingLimits(least_gain=0.0)) is None, "who turns it off has it off"
+
+
+def test_noise_of_a_map_s_own_samples_adds_in_quadrature_and_costs_no_chance_to_gain() -> None:
+    now = 10.0 * figure(np.random.default_rng(3))
+    told = forecast(now, 0.96 * now, removed_nm=60.0, rate_sigma=0.0, unexplained=0.0, noise_nm=0.3)
+    assert told.median_nm == pytest.approx(0.5, rel=0.01)
+    poor = forecast(0.1 * now, 0.1 * now, removed_nm=60.0, rate_sigma=0.0, unexplained=0.0, noise_nm=3.0)
+    assert poor.better == 1.0

@@ -10,7 +10,7 @@ import pytest
 from polishd.model.beliefs import Belief, MachineBeliefs
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
-from polishd.process.identification.beliefs import on_the_next_part
+from polishd.process.identification.beliefs import beliefs_of, on_the_next_part
 from polishd.process.identification.comparison import compare, extensions
 from polishd.process.identification.confounding import told
 from polishd.process.identification.decision import decide
@@ -329,3 +329,16 @@ def test_on_the_next_part_only_what_belonged_to_the_mounted_one_is_forgotten() -
     assert on_the_next_part(MachineBeliefs(), 4.0) == MachineBeliefs()
     with pytest.raises(ComputeError, match="kept of the machine has the parameters"):
         on_the_next_part(replace(taught, mean={"rate": 0.1}), 1.0)
+
+
+def test_the_rates_stated_error_is_that_of_all_that_is_removed() -> None:
+    """Rate and compliance by themselves are known to a tenth; what they remove together to a thousandth."""
+    known = knowing("compliance")
+    rate, compliance = known.at("rate"), known.at("compliance")
+    volume = np.zeros(len(known.mean))
+    volume[[rate, compliance]] = 1.0, -0.2
+    covariance = 1e-12 * np.eye(len(volume))
+    covariance[np.ix_([rate, compliance], [rate, compliance])] = 0.1**2 * np.array([[1.0, 5.0], [5.0, 25.0]])
+    covariance[rate, rate] += 0.001**2
+    after = beliefs_of(replace(known, covariance=covariance), ["compliance"], 0.0, (0.5, 1.5), volume)
+    assert after.rate.sigma == pytest.approx(0.001, rel=0.01)
