@@ -64,6 +64,9 @@ class Effects(Section):
     """Process time by which the true force lags behind what the actuator exerts and measures: when the tool lands, and
     where the part comes or goes, by its tilt or the robot's error along the normal (`robot_error_mm`). 0: it
     follows."""
+    guide_friction_n: NotNegative = 0.0
+    """Dry friction of the actuator's guide, which it does not measure: the true force is so much smaller where the part
+    goes and larger where it comes, by the same causes."""
 
     @model_validator(mode="after")
     def _are_ranges(self) -> Self:

@@ -66,6 +66,7 @@ class Drawn:
     height: Waves = field(default_factory=Waves)
     """Tip off along the normal, mm: the first component. The actuator takes it up, as fast as it can."""
     force_lag_s: float = 0.0
+    guide_friction_n: float = 0.0
 
     def rate(self, place_mm: FloatArray, contact_s: FloatArray) -> FloatArray:
         """(n,) factor of the removal at places (n, >= 2) after so long (n,) in contact."""
@@ -119,6 +120,7 @@ def draw(config: SimConfig, seed: int) -> Drawn:
         vibration_mm=ranges.vibration_mm,
         height=replace(height, most=ranges.robot_error_mm),
         force_lag_s=ranges.force_lag_s,
+        guide_friction_n=ranges.guide_friction_n,
     )
 
 

@@ -64,7 +64,8 @@ class World:
         """Fix the frames, the tool and the optic."""
         self._frames, self._shape = Frames(self.config.plant), Shape(self.config.plant)
         self._tool = Tool.of(self.config, self.hidden.robot, self.effects)
-        self._lag = Lag(self.effects.force_lag_s) if self.effects.force_lag_s else None
+        lags = self.effects.force_lag_s, self.effects.guide_friction_n
+        self._lag = Lag(*lags) if any(lags) else None
 
     def move(self, rows: FloatArray) -> None:
         """Take motion as the robot reports it (``bus.ROW``); time before it that no row covers was standstill."""

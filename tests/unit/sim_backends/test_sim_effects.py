@@ -64,7 +64,7 @@ def test_off_is_nothing_to_the_last_bit() -> None:
     assert (drawn.speed(worked) == 1.0).all()
     assert (drawn.force(worked) == 1.0).all()
     assert (drawn.compliance, drawn.eq_44, drawn.turn_deg, drawn.skew, drawn.bonnet) == (1.0, 1.0, 0.0, 0.0, 1.0)
-    assert (drawn.friction, drawn.force_lag_s) == (0.0, 0.0)
+    assert (drawn.friction, drawn.force_lag_s, drawn.guide_friction_n) == (0.0, 0.0, 0.0)
     assert not drawn.robot.at(place).any()
     assert not drawn.height.at(place).any()
     assert not drawn.lean.at(place).any()

@@ -53,8 +53,19 @@ def test_no_lag_is_nothing_to_the_last_bit_and_a_short_one_follows() -> None:
     np.testing.assert_allclose(truly(Lag(1e-9), seconds, np.zeros(3)), 12.0, rtol=1e-6)
 
 
+def test_a_guide_that_sticks_holds_until_the_friction_is_made_up_and_slides_from_there() -> None:
+    """Half a newton is 4 um of the contact; down, up and down again: a hysteresis."""
+    way_mm = np.concatenate([np.linspace(0.0, 0.02, 11), np.linspace(0.02, 0.0, 11), np.linspace(0.0, 0.02, 11)])
+    force = truly(Lag(0.0, 0.5), np.full(33, 0.1), way_mm)
+    assert force[0] == 11.5, "it has come out"
+    np.testing.assert_allclose(force[:11], 11.5)
+    assert force[12] == pytest.approx(11.5 + 0.002 * STIFF), "it sticks"
+    np.testing.assert_allclose(force[16:22], 12.5)
+    np.testing.assert_allclose(force[-6:], 11.5)
+
+
 def track(**effects: object) -> tuple[BatchPlant, FloatArray, FloatArray]:
-    """Ten seconds up a part that is tilted by 1 degree in its seat: plant, removal, and the force as measured."""
+    """Ten seconds along a part that is tilted by 1 degree in its seat: plant, removal, and the force as measured."""
     config = SimConfig(
         plant=Plant(aperture_mm=40.0, rms_nm=0.0, seat_tilt_deg=(0.0, 1.0)),
         truth=Truth(rate=(0.0, 0.0), stiffness=0.0, drift=0.0, force_noise=0.0),
@@ -92,6 +103,13 @@ def test_up_a_tilted_part_the_true_force_is_another_than_the_measured_one() -> N
     speed_mm_s = 2.0 * math.tan(math.radians(1.0))
     pushed = 1.5 * 12.0 / 0.14835 * 0.01 * speed_mm_s / math.cos(math.radians(15.0))
     assert abs(ratio - 1.0) == pytest.approx(pushed / 12.0, rel=0.05), "removal goes with the force"
+
+
+def test_a_guide_with_friction_presses_otherwise_along_a_tilted_part_and_tells_nothing() -> None:
+    _, sticks, measured = track(guide_friction_n=0.6)
+    _, slides, same = track()
+    assert np.array_equal(measured, same)
+    assert abs(sticks.sum() / slides.sum() - 1.0) == pytest.approx(0.05, rel=0.05)
 
 
 def test_robots_that_are_off_along_the_normal_push_only_where_the_force_lags() -> None:
