@@ -105,3 +105,14 @@ def test_words_say_how_large_what_else_it_may_be_and_what_is_done() -> None:
     assert "0.70" in found.words
     assert "process.preston" in found.words
     assert CAUSES["rate"].todo in found.words
+
+
+def test_a_figure_that_is_nearly_its_own_mirror_image_is_mirrored_and_not_far_aside() -> None:
+    """Flipped it fits to 1.000, as it is and 5 mm aside to 0.99: the cell stops for either, by the right name."""
+    x = np.broadcast_to(np.arange(41) - 20.0, MASK.shape)
+    ridge = 12.0 * np.cos(x / 6.0 + 0.42) + 0.05 * removal(5)
+    measured = ridge[:, ::-1] + noise(0.1)
+    verdict = judge(np.where(MASK, ridge, 0.0), np.where(MASK, measured, 0.0), MASK, 1.0)
+    aside = judge(np.where(MASK, ridge, 0.0), np.where(MASK, np.roll(ridge, 3, axis=1) + noise(0.1), 0.0), MASK, 1.0)
+    assert naming.of_gate(verdict).cause == "map"
+    assert naming.of_gate(aside).cause == "shift", "what truly lies aside is called so"
