@@ -55,6 +55,8 @@ def test_low_orders_are_suspected_until_another_map_tells(bent: np.ndarray, caus
     assert (suspected.cause, suspected.again) == (cause, True)
     (left,) = named(measured, again=())
     assert (left.cause, left.again) == ("field", False), "the maps since agree: it is the pass's, or stays"
+    (still,) = named(measured, again=(replace(suspected, again=False),))
+    assert still.cause == cause, "what changes with no pass between is no pass's"
     (proved,) = named(removal() + noise(0.2), again=(replace(suspected, again=False),))
     assert proved.cause == cause, "the pass itself is as it should be by the last map"
 
