@@ -81,14 +81,14 @@ class Handling:
         async with self._journal.phase(cycle, Phase.SETTLE):
             for maps in range(2, naming.MAPS + 2):
                 later = await self._another(cycle, earlier + maps - 2, wait_s)
-                changes.append(await job.compute(steps.change_nm, job.recipe, surface, later))
                 last, moves = moves, await job.compute(steps.changed, job.recipe, surface, later)
                 seen, surface = [*seen, *moves], later
+                changes.append(max((one.size for one in moves), default=0.0))
                 notes = [one.words for one in moves] or [f"measured again: {maps} maps, and the last two agree"]
                 told = {"change_nm": changes[-1], "limit_nm": naming.LEAST_NM}
                 job.publish(events.Repeated(cycle=cycle, maps=maps, notes=notes, **told))
                 kept = {"settled": not moves, **told, "change_nm": changes, "notes": notes}
-                await job.people.leave(cycle, "settling.json", kept)
+                await job.people.leave(cycle, "again.json", kept)
                 if not naming.settles(moves, last):
                     break
             if restless := steps.harmful(job.recipe, moves):

@@ -201,11 +201,11 @@ class Measured(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Repeated(Event):
-    """Another map was taken, to see whether the part has settled."""
+    """Another map was taken, to see whether the part has settled, or what of a pass's change is none of the pass."""
 
     name: ClassVar[str] = "repeated"
     maps: Annotated[int, "maps of this measurement so far"]
-    change_nm: Annotated[float, "RMS by which it differs from the one before"]
+    change_nm: Annotated[float, "RMS by which it differs from the one before, or of the largest low order that does"]
     limit_nm: Annotated[float, "what that may be"]
     notes: Annotated[Sequence[str], "the same in words"]
 

@@ -99,7 +99,7 @@ def judge(
     found = [(e, seen.fit(e)) for e in explanations(seen.predicted_nm, seen.measured_nm, mask, mask, pitch_mm)]
     straight, moved = max((pair for pair in found if pair[0].as_it_is), key=_correlation)
     rival, turned = max((pair for pair in found if not pair[0].as_it_is), key=_correlation)
-    better = explains_better(turned.correlation, moved.correlation) and seen.surely(rival, straight)
+    better = _better(seen, straight, turned, moved) and seen.surely(rival, straight)
     if not seen.surely(straight, STILL):
         straight, moved = STILL, _without_unsure_shift(seen.fit(STILL), own)
     best, final = (rival, turned) if better else (straight, moved)
@@ -162,6 +162,17 @@ def explains_better(other: float, own: float) -> bool:
         return False
     gain, own = other - max(own, 0.0), max(own, 0.0)
     return gain > CLEAR_GAIN or (gain > SMALL_GAIN and 1 - other**2 < LEFT_OVER * (1 - own**2))
+
+
+def _better(seen: _Pass, straight: Explanation, turned: Fit, moved: Fit) -> bool:
+    """Whether a turn or flip is the better explanation; where the cell stops for a shift anyway, also by a little.
+
+    A figure that is nearly its own mirror image fits mirrored as it is and 5 mm aside, to a correlation of 0.995.
+    """
+    if explains_better(turned.correlation, moved.correlation):
+        return True
+    less = 1 - turned.correlation**2 < LEFT_OVER * (1 - max(moved.correlation, 0.0) ** 2)
+    return less and _sure(moved)[0] > MAX_SHIFT_MM and bool(_reason(seen, straight, moved, moved))
 
 
 def _check(predicted: FloatArray, measured: FloatArray, mask: BoolArray) -> None:

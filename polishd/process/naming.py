@@ -68,7 +68,8 @@ def of_pass(
         return tuple(_suspected(one) for one in bent)  # first: low orders read as a shift and a rate, too
     if stopped:
         return (*stopped, *(again or ()))  # its low orders are of the same cause
-    told = (*(again or ()), *(_of_process(one) for one in bent))
+    moves = {one.cause for one in again or ()}  # what changes with no pass between is no pass's
+    told = (*(again or ()), *(_of_process(one) for one in bent if one.cause not in moves))
     if not verdict.tells_rate:
         return told
     found = [_named("shift", left.shift_mm, LEAST_MM, "mm", "the removal lies {} off its place")]

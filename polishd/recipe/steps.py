@@ -223,7 +223,7 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
     lesson = recipe.model.learn(request, evidence)
     if lesson.stop:
         stopped = replace(verdict, stop=lesson.stop)
-        return replace(taught, verdict=stopped, named=(naming.of_gate(stopped, miss),), notes=lesson.notes)
+        return replace(taught, verdict=stopped, notes=lesson.notes)
     envelope = envelope_of(recipe, program, believed)
     overhead = motion.learn_overhead_s(program, done.asked_s, done.executed_s, envelope)
     shown = shown_by(done, answer, predicted, verdict, believed.rate)

@@ -425,6 +425,9 @@ async def test_a_mount_that_prints_through_otherwise_each_time_holds_the_cell(be
     assert [event.maps for event in told] == [2], "it does not come to rest: no more maps are waited for"
     assert "mount" in told[0].notes[0]
     assert (bench.tmp_path / "run/cycle-01/settling-00").is_dir()
+    kept = json.loads((bench.tmp_path / "run/cycle-01/again.json").read_text())
+    assert kept["change_nm"][0] > kept["limit_nm"]
+    assert not kept["settled"]
     assert not (bench.tmp_path / "run/cycle-01/learned.json").exists(), "nothing is learned from such maps"
 
 

@@ -55,6 +55,8 @@ def test_low_orders_are_suspected_until_another_map_tells(bent: np.ndarray, caus
     assert (suspected.cause, suspected.again) == (cause, True)
     (left,) = named(measured, again=())
     assert (left.cause, left.again) == ("field", False), "the maps since agree: it is the pass's, or stays"
+    (still,) = named(measured, again=(replace(suspected, again=False),))
+    assert still.cause == cause, "what changes with no pass between is no pass's"
     (proved,) = named(removal() + noise(0.2), again=(replace(suspected, again=False),))
     assert proved.cause == cause, "the pass itself is as it should be by the last map"
 
@@ -112,3 +114,14 @@ def test_beside_a_shift_that_first_order_does_not_tell_no_rate_is_named() -> Non
     verdict = replace(judged(removal() + noise(0.2)), stop="")
     assert causes(naming.of_pass(verdict, far, 62.0, most_shift_mm=3.0)) == ["shift"]
     assert causes(naming.of_pass(verdict, replace(far, shift_mm=Belief(0.3, 0.05)), 62.0)) == ["shift", "rate"]
+
+
+def test_a_figure_that_is_nearly_its_own_mirror_image_is_mirrored_and_not_far_aside() -> None:
+    """Flipped it fits to 1.000, as it is and 5 mm aside to 0.99: the cell stops for either, by the right name."""
+    x = np.broadcast_to(np.arange(41) - 20.0, MASK.shape)
+    ridge = 12.0 * np.cos(x / 6.0 + 0.42) + 0.05 * removal(5)
+    measured = ridge[:, ::-1] + noise(0.1)
+    verdict = judge(np.where(MASK, ridge, 0.0), np.where(MASK, measured, 0.0), MASK, 1.0)
+    aside = judge(np.where(MASK, ridge, 0.0), np.where(MASK, np.roll(ridge, 3, axis=1) + noise(0.1), 0.0), MASK, 1.0)
+    assert naming.of_gate(verdict).cause == "map"
+    assert naming.of_gate(aside).cause == "shift", "what truly lies aside is called so"

@@ -557,3 +557,27 @@ def test_as_programmed_no_time_is_changed() -> None:
     left = measured.height_nm - solved.answer.removal_nm(expected)
     clear = measured.metric_mask
     assert certificate.predicted_rms_nm == pytest.approx(float(left[clear].std()), rel=1e-6)
+
+
+def test_low_orders_are_doubted_before_anything_is_learned(
+    program: Program, measured: Measured, solved: Solved
+) -> None:
+    """A rim that stands 12 nm higher: of the pass, or warm? Maps since tell, and then the rate is learned beside it."""
+    warm = 12.0 * (measured.grid.radius_mm() / 12.0) ** 2
+    after = polished(measured, removed(program, measured, solved, 0.95) - warm)
+    done = Pass(measured, after, solved.asked_s, solved.expected_s)
+    first = steps.learn(small_recipe(), program, done, Believed())
+    assert first.doubted
+    assert (first.believed, first.found) == (Believed(), None)
+    assert [(one.cause, one.again) for one in first.named] == [("settling", True)]
+    stays = steps.learn(small_recipe(), program, replace(done, again=()), Believed())
+    assert not stays.doubted
+    assert [one.cause for one in stays.named] == ["field"]
+    cooled = polished(measured, removed(program, measured, solved, 0.95))
+    seen = steps.changed(small_recipe(), after, cooled)
+    settled = steps.learn(small_recipe(), program, replace(done, after=cooled, again=seen), Believed())
+    assert [one.cause for one in settled.named] == ["settling"]
+    assert settled.believed.rate == pytest.approx(0.95, rel=1e-3)
+    assert "warm still" in settled.notes[0]
+    assert steps.harmful(small_recipe(tolerance_nm=2.0), seen) == seen
+    assert steps.harmful(small_recipe(tolerance_nm=20.0), seen) == ()
