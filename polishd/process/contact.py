@@ -10,6 +10,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+import scipy
 
 from polishd.model.errors import ComputeError
 from polishd.model.process import ToolProcess
@@ -132,14 +133,15 @@ def removal_rate_nm_s(process: ToolProcess, depth_mm: Depth, x_mm: FloatArray, y
 
 def volume_rate_nm_mm2_s(process: ToolProcess, depth_mm: Depth) -> FloatArray:
     """(n,) volume removed per second at (n,) depths, nm mm^2/s (1e-6 mm^3/s): the integral of `removal_rate_nm_s`."""
-    depth = np.atleast_1d(depth_mm)[:, None, None]
-    rho, angle, weight = _disc()
+    depth = np.atleast_1d(depth_mm)
     radius = contact_radius_mm(process, depth)
-    x = radius * rho * np.cos(angle) + dissipative_shift_mm(process, depth)
-    speed = sliding_speed_mm_s(process, depth, x, radius * rho * np.sin(angle)).mean(axis=2)
-    mean = speed @ (weight * np.sqrt(1 - rho**2)).sum(axis=1)
     scale = radius**2 * peak_pressure_mpa(process, depth)
-    return np.asarray(preston_nm_s(process) * scale[:, 0, 0] * mean, dtype=np.float64)
+    dip, spin = np.radians(process.dip_deg), process.rpm * np.pi / 30
+    shift = np.cos(dip) * dissipative_shift_mm(process, depth)
+    middle = np.hypot(np.sin(dip) * (process.tool_radius_mm - depth), shift)
+    rho, weight = _disc()
+    speed = spin * _mean_sum(middle[:, None], np.cos(dip) * radius[:, None] * rho)
+    return np.asarray(preston_nm_s(process) * scale * (speed * weight).sum(axis=1), dtype=np.float64)
 
 
 def relative_removal(process: ToolProcess, force_n: FloatArray, rpm: FloatArray) -> FloatArray:
@@ -153,14 +155,18 @@ def relative_removal(process: ToolProcess, force_n: FloatArray, rpm: FloatArray)
     return np.asarray(force ** (2 / 3 * process.depth_exponent) * speed, dtype=np.float64)
 
 
-@cache
-def _disc() -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Nodes of the unit disc: (16, 1) radii, (32,) angles and (16, 32) weights, for what goes as ``sqrt(1 - rho^2)``.
+def _mean_sum(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Mean length of the sum of two vectors of these lengths, over all angles between them."""
+    both = one + other
+    return np.asarray(2 / np.pi * both * scipy.special.ellipe(4 * one * other / both**2))
 
-    Gauss-Legendre in psi with ``rho = sin(psi)``, where pressure and speed are smooth, and equal angles.
+
+@cache
+def _disc() -> tuple[FloatArray, FloatArray]:
+    """Nodes of the unit disc: (16,) radii and weights, of what goes as ``sqrt(1 - rho^2)``.
+
+    Gauss-Legendre in psi with ``rho = sin(psi)``, where pressure and speed are smooth.
     """
     node, weight = np.polynomial.legendre.leggauss(16)
-    psi = np.asarray(((node + 1) * np.pi / 4)[:, None], dtype=np.float64)
-    angle = np.asarray((np.arange(32) + 0.5) * (2 * np.pi / 32), dtype=np.float64)
-    area = np.asarray((weight * np.pi / 4)[:, None] * np.sin(psi) * np.cos(psi) * np.full(32, 2 * np.pi / 32))
-    return np.sin(psi), angle, area
+    psi = (node + 1) * np.pi / 4
+    return np.sin(psi), np.asarray(weight * np.pi**2 / 2 * np.sin(psi) * np.cos(psi) ** 2)

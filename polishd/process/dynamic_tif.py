@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -14,11 +14,14 @@ from polishd.model.errors import ComputeError
 from polishd.model.process import Correction
 from polishd.model.program import Program
 from polishd.model.surface import FloatArray, Grid
+from polishd.process.laying import Columns, integrals, lay
 from polishd.process.robot.refusal import refuse_where
-from polishd.process.spot import PATCH, Spot, overlap
+from polishd.process.spot import PATCH, Spot
 
-CHUNK = 1024
+CHUNK = 2048
 """Positions of a spot of PATCH squares across that are worked on at a time: bounds memory, keeps patches in cache."""
+PATCH_POSITIONS = 4
+"""As many as a patch takes as long to be made as to be laid down at."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +75,16 @@ def effect_matrix(
     return effect_columns(grid, spot, ends, lean_azimuth_rad(program), depth_ratio=depth_ratio, factor=factor)
 
 
+@dataclass(frozen=True, slots=True)
+class Lie:
+    """How n blocks lie, where their spots are the same and no more than moved and widened."""
+
+    ends_mm: tuple[FloatArray, FloatArray]
+    """(n, 2) where each begins and ends."""
+    wider: float = 1.0
+    """What their spots' width is multiplied by, the volume kept."""
+
+
 def effect_columns(
     grid: Grid,
     spot: Spot,
@@ -82,24 +95,36 @@ def effect_columns(
     factor: FloatArray,
 ) -> scipy.sparse.csr_array:
     """`effect_matrix` of blocks from (n, 2) to (n, 2) mm, the spindle leaning towards (n,) ``azimuth_rad``."""
+    return effects_columns(grid, spot, [Lie(ends_mm)], azimuth_rad, depth_ratio=depth_ratio, factor=factor)[0]
+
+
+def effects_columns(
+    grid: Grid,
+    spot: Spot,
+    lies: Sequence[Lie],
+    azimuth_rad: FloatArray,
+    *,
+    depth_ratio: FloatArray,
+    factor: FloatArray,
+) -> list[scipy.sparse.csr_array]:
+    """`effect_columns` of the same blocks as they lie in one way and another: their patches are made once."""
     refuse_where(~((factor >= 0) & np.isfinite(factor)), factor, "the factor on the removal", "", "it must be finite")
     impossible = ~((depth_ratio > 0) & np.isfinite(depth_ratio))
     refuse_where(impossible, depth_ratio, "the depth ratio gamma", "", "it must be above 0")
-    half = spot.half_width_mm(depth_ratio)
+    half, step = spot.half_width_mm(depth_ratio), spot.step_mm(depth_ratio)
     offset = spot.offset_mm(depth_ratio, azimuth_rad)
-    start, end = (at + offset for at in ends_mm)
-    length = np.linalg.norm(end - start, axis=1)
-    pieces = np.ceil(length / spot.step_mm(depth_ratio)).astype(np.int64)
-    parts = []
     squares = spot.patch(depth_ratio[:1], azimuth_rad[:1]).shape[-1]
-    for part in _chunks(np.maximum(2 * pieces, 1) * max(1, round((squares / PATCH) ** 2))):
-        block, position = positions(start[part], end[part], pieces[part])
-        patch = spot.patch(depth_ratio[part], azimuth_rad[part])
-        patch *= (factor[part] / np.bincount(block, minlength=len(patch)))[:, None, None]
-        parts.append(_columns(grid, block, position, half[part], patch))
-    if not parts:
-        return scipy.sparse.csr_array((grid.ny * grid.nx, 0))
-    return scipy.sparse.csr_array(scipy.sparse.hstack(parts, format="csr"))
+    length = [np.linalg.norm(lie.ends_mm[1] - lie.ends_mm[0], axis=1) / lie.wider for lie in lies]
+    pieces = np.ceil(np.array(length) / step).astype(np.int64)
+    most = np.maximum(2 * pieces.max(axis=0), PATCH_POSITIONS)
+    parts: list[list[Columns]] = [[] for _ in lies]
+    for part in _chunks(most * max(1, round((squares / PATCH) ** 2))):
+        integral = integrals(spot.patch(depth_ratio[part], azimuth_rad[part]))
+        for found, lie, cut in zip(parts, lies, pieces[:, part], strict=True):
+            start, end = (at[part] + offset[part] for at in lie.ends_mm)
+            block, position = positions(start, end, cut)
+            found.append(lay(grid, integral, lie.wider * half[part], np.bincount(block), position))
+    return [_matrix(grid, found, factor) for found in parts]
 
 
 def lean_azimuth_rad(program: Program) -> FloatArray:
@@ -131,19 +156,16 @@ def positions(
     return block, start_mm[block] + share[:, None] * (end_mm - start_mm)[block]
 
 
-def _columns(
-    grid: Grid, block: NDArray[np.int64], position_mm: FloatArray, half_mm: FloatArray, patch: FloatArray
-) -> scipy.sparse.csc_array:
-    """(ny * nx, n) columns of n blocks: each block's patch laid down at each of its positions."""
-    pitch, half, squares = grid.pitch_mm, half_mm[block], patch.shape[1]
-    column, across = overlap(position_mm[:, 0] + grid.nx * pitch / 2, half, pitch, squares)
-    row, down = overlap(grid.ny * pitch / 2 - position_mm[:, 1], half, pitch, squares)
-    rate = down @ patch[block] @ across.transpose(0, 2, 1) / pitch**2
-    rows = row[:, None, None] + np.arange(rate.shape[1])[:, None]
-    columns = column[:, None, None] + np.arange(rate.shape[2])
-    on = (rows >= 0) & (rows < grid.ny) & (columns >= 0) & (columns < grid.nx) & (rate > 0)
-    sample = (rows * grid.nx + columns)[on].astype(np.int32)
-    owner = np.broadcast_to(block[:, None, None], rate.shape)[on].astype(np.int32)
-    return scipy.sparse.csc_array(
-        scipy.sparse.coo_array((rate[on], (sample, owner)), shape=(grid.ny * grid.nx, len(patch)))
-    )
+def _matrix(grid: Grid, parts: list[Columns], factor: FloatArray) -> scipy.sparse.csr_array:
+    """(ny * nx, n) of the columns of all parts, times (n,) factors; what comes to nothing is left out."""
+    shape = (grid.ny * grid.nx, len(factor))
+    if not parts:
+        return scipy.sparse.csr_array(shape)
+    count = np.concatenate([part.count for part in parts])
+    rate = np.concatenate([part.rate for part in parts]) * np.repeat(factor, count)
+    sample = np.concatenate([part.sample for part in parts])
+    first = np.concatenate([[0], np.cumsum(count)])
+    matrix = scipy.sparse.csr_array(scipy.sparse.csc_array((rate, sample, first), shape=shape))
+    if not factor.all():
+        matrix.eliminate_zeros()
+    return matrix

@@ -79,7 +79,7 @@ def windows(spot: Spot, pitch_mm: float, depth_ratio: FloatArray, azimuth_rad: F
     """(n, (2 reach + 1)^2) nm/s averages over cells round a point that lies in the middle of one, row 0 the top."""
     half = spot.half_width_mm(depth_ratio)
     offset = spot.offset_mm(depth_ratio, azimuth_rad)
-    patch = spot.patch(depth_ratio, azimuth_rad)
+    patch = np.ascontiguousarray(spot.patch(depth_ratio, azimuth_rad))
     size, middle = 2 * reach + 1, (reach + 0.5) * pitch_mm
     across = shares(middle + offset[:, 0], half, pitch_mm, size, patch.shape[2])
     down = shares(middle - offset[:, 1], half, pitch_mm, size, patch.shape[1])

@@ -82,7 +82,7 @@ def effect_row(spot: Spot, blocks: Blocks, sample_mm: FloatArray, pitch_mm: floa
         block, place, share = some.positions(spot)
         half = spot.half_width_mm(some.depth_ratio)[block]
         away = place + spot.offset_mm(some.depth_ratio, some.azimuth_rad)[block] - sample_mm
-        patch = spot.patch(some.depth_ratio, some.azimuth_rad)[block]
+        patch = np.ascontiguousarray(spot.patch(some.depth_ratio, some.azimuth_rad))[block]
         centre = pitch_mm / 2 + away * [1, -1]
         across, down = (shares(at, half, pitch_mm, 1, patch.shape[1]) for at in centre.T)
         rate = (down @ patch @ across.transpose(0, 2, 1))[:, 0, 0] / pitch_mm**2

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from polishd.model.errors import ComputeError
 from polishd.model.process import ToolProcess
 from polishd.process import contact
-from polishd.process.spot import MOST_PATCH, PATCH, HertzSpot, hertz_spot, overlap, turned
+from polishd.process.spot import MOST_PATCH, PATCH, HertzSpot, hertz_spot, turned
 from polishd.process.spreading.blocks import Blocks, effect_row
+from tests.unit.process.shared_out import overlap
 
 PAPER = ToolProcess()
 DEPTH = contact.hertz_depth_mm(PAPER)
