@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,8 +10,8 @@ import scipy
 
 from polishd.model.process import ToolProcess
 from polishd.model.surface import BoolArray, FloatArray, Grid
-from polishd.process.dynamic_tif import effect_columns
-from polishd.process.identification.acting import FIELD, Acting, WiderSpot, zernike_field
+from polishd.process.dynamic_tif import Lie, effects_columns
+from polishd.process.identification.acting import FIELD, Acting, zernike_field
 from polishd.process.identification.parameters import ABERRATIONS, Parameter
 from polishd.process.identification.passes import Blocks, Pixels
 from polishd.process.spot import HertzSpot, Spot, turned
@@ -83,52 +83,66 @@ class Forward:
 
     def matrix(self, theta: FloatArray, change: str | None = None, by: float = 0.0) -> scipy.sparse.csr_array:
         """(N, n) nm/s of each block at these parameters' geometry, one thing of it changed; for slopes."""
-        return self._matrix(self.spot, theta, change, by)
+        changed = {name: by if name == change else 0.0 for name in SLOPES}
+        return self._matrices(self.spot, theta, [changed], gamma=changed["gamma"], turn=changed["turn"])[0]
 
     def fine_matrix(self, theta: FloatArray) -> scipy.sparse.csr_array:
         """(N, n) nm/s of each block at these parameters' geometry."""
         spot = self.spot
         if isinstance(spot, HertzSpot):
             spot = replace(spot, squares=max(FINE, spot.squares))
-        return self._matrix(spot, theta)
+        return self._matrices(spot, theta)[0]
 
-    def _matrix(
-        self, spot: Spot, theta: FloatArray, change: str | None = None, by: float = 0.0
-    ) -> scipy.sparse.csr_array:
-        changed = {name: by if name == change else 0.0 for name in SLOPES}
+    def _matrices(
+        self,
+        spot: Spot,
+        theta: FloatArray,
+        changes: Sequence[Mapping[str, float]] = ({},),
+        *,
+        gamma: float = 0.0,
+        turn: float = 0.0,
+    ) -> list[scipy.sparse.csr_array]:
+        """(N, n) nm/s of each block, by change of x, y and width: these share the spots, of one gamma and azimuth."""
         acting, blocks = Acting(self.values(theta)), self.blocks
         start, azimuth = acting.laid(blocks.start_mm, blocks.azimuth_rad)
         end, _ = acting.laid(blocks.end_mm, blocks.azimuth_rad)
-        off = np.array([changed["x"], changed["y"]])
-        ends, azimuth = (start + off, end + off), azimuth + changed["turn"]
         grid, pixels, samples = self.grid, self.pixels, np.flatnonzero(self.mask)
         if pixels is not None:
             grid, azimuth = pixels.at.grid, azimuth + pixels.turn_rad
-            ends = (pixels.laid(ends[0]), pixels.laid(ends[1]))
-        gamma = self.gamma(theta) * (1 + changed["gamma"])
-        found = effect_columns(
-            grid,
-            WiderSpot(spot, float(np.exp(self.values(theta)["width"] + changed["width"]))),
-            ends,
-            azimuth,
-            depth_ratio=gamma,
-            factor=np.ones_like(gamma),
-        )
-        return scipy.sparse.csr_array(found[samples] if pixels is None else pixels.means[samples] @ found)
+        width, lies = self.values(theta)["width"], []
+        for change in changes:
+            off = np.array([change.get("x", 0.0), change.get("y", 0.0)])
+            ends = (start + off, end + off)
+            if pixels is not None:
+                ends = (pixels.laid(ends[0]), pixels.laid(ends[1]))
+            lies.append(Lie(ends, float(np.exp(width + change.get("width", 0.0)))))
+        ratio = self.gamma(theta) * (1 + gamma)
+        found = effects_columns(grid, spot, lies, azimuth + turn, depth_ratio=ratio, factor=np.ones_like(ratio))
+        if pixels is None:
+            return [one[samples] for one in found]
+        means = pixels.means[samples]
+        return [scipy.sparse.csr_array(means @ one) for one in found]
 
     def lay(self, theta: FloatArray, slopes: dict[str, scipy.sparse.csr_array] | None = None) -> Laid:
         """The effect at these parameters' geometry; with slopes from one near it, or its own by differences."""
-        if slopes is None:
-            names, at = {p.name for p in self.parameters}, self.matrix(theta)
-            slopes = {kind: self._slope(theta, at, kind) for kind in SLOPES if names & _ASKED[kind]}
-        return Laid(theta, self.fine_matrix(theta), slopes)
+        return Laid(theta, self.fine_matrix(theta), self._slopes(theta) if slopes is None else slopes)
 
-    def _slope(self, theta: FloatArray, at: scipy.sparse.csr_array, kind: str) -> scipy.sparse.csr_array:
-        if kind in ("gamma", "turn"):  # to one side: they bend little, and a matrix is what takes time
-            by = {"gamma": GAMMA_STEP, "turn": TURN_STEP}[kind]
-            return scipy.sparse.csr_array((self.matrix(theta, kind, by) - at) / by)
-        by = WIDTH_STEP if kind == "width" else STEP * self._step_mm(theta)
-        return scipy.sparse.csr_array((self.matrix(theta, kind, by) - self.matrix(theta, kind, -by)) / (2 * by))
+    def _slopes(self, theta: FloatArray) -> dict[str, scipy.sparse.csr_array]:
+        names = {p.name for p in self.parameters}
+        step_mm = STEP * self._step_mm(theta)
+        both = {
+            kind: by for kind, by in (("x", step_mm), ("y", step_mm), ("width", WIDTH_STEP)) if names & _ASKED[kind]
+        }
+        sides = [{kind: way * by} for kind, by in both.items() for way in (1, -1)]
+        at, *moved = self._matrices(self.spot, theta, [{}, *sides])
+        slopes = {
+            kind: scipy.sparse.csr_array((moved[2 * k] - moved[2 * k + 1]) / (2 * by))
+            for k, (kind, by) in enumerate(both.items())
+        }
+        for kind, by in (("gamma", GAMMA_STEP), ("turn", TURN_STEP)):
+            if names & _ASKED[kind]:  # to one side: they bend little, and other spots are what takes time
+                slopes[kind] = scipy.sparse.csr_array((self.matrix(theta, kind, by) - at) / by)
+        return slopes
 
     def changes(self, theta: FloatArray, laid: Laid) -> dict[str, FloatArray]:
         """By slope, (n,) how far these parameters lay the blocks from where they are laid."""
