@@ -112,6 +112,22 @@ def test_gradient_and_curvature_are_those_of_the_value() -> None:
     assert f.curvature(d) @ d == pytest.approx(bend, rel=1e-9)
 
 
+@pytest.mark.parametrize(("points", "made"), [(30, True), (400, False)])
+def test_the_product_of_both_matrices_is_taken_where_points_are_few_and_bends_the_same(points: int, made: bool) -> None:
+    """400 samples of which each point reaches about 40; of 400 points as many meet in a sample, and R'R is full."""
+    rng, grid = np.random.default_rng(1), Grid(20, 20, 0.5)
+    matrix = sparse.csr_array(rng.random((400, points)) * (rng.random((400, points)) < 0.1))
+    mask, lower = rng.random(grid.shape) < 0.8, np.zeros(points)
+    weight, target = rng.random(grid.shape), np.where(mask, 5.0, 0.0)
+    problem = DwellProblem(SparseEffect(grid, matrix), target, mask, mask, lower, lower + 9, 0.1, weight)
+    f = quadratic(problem)
+    assert (f.gram is not None) == made
+    rough = replace(f, gram=None)
+    d = rng.standard_normal(points)
+    np.testing.assert_allclose(f.curvature(d), rough.curvature(d), rtol=1e-12, atol=1e-13)
+    np.testing.assert_array_equal(f.rough_curvature(d), f.curvature(d))
+
+
 def test_the_safe_step_is_below_one_over_the_largest_eigenvalue_and_not_far() -> None:
     problem = dwell_problem(radius_mm=6)
     f = quadratic(problem)
