@@ -212,9 +212,10 @@ def regressed(
     rows, columns = np.nonzero(mask)
     terms, measured = np.column_stack([*(s[mask] for s in signals), _plane(rows, columns)]), measured_nm[mask]
     tile = _tiles(rows, columns)
-    tiles = np.unique(tile)
-    normal = np.stack([terms[tile == k].T @ terms[tile == k] for k in tiles])
-    right = np.stack([terms[tile == k].T @ measured[tile == k] for k in tiles])
+    order = np.argsort(tile, kind="stable")
+    tiles = np.split(np.column_stack([terms, measured])[order], np.flatnonzero(np.diff(tile[order])) + 1)
+    products = np.stack([own.T @ own for own in tiles])
+    normal, right = products[:, :-1, :-1], products[:, :-1, -1]
     inverse = np.linalg.pinv(normal.sum(0), hermitian=True)
     factors = inverse @ right.sum(0)
     without = (np.linalg.pinv(normal.sum(0) - normal, hermitian=True) @ (right.sum(0) - right)[..., None])[..., 0]
