@@ -14,6 +14,8 @@ from polishd.process.identification.residual import without_plane
 
 LOST = 0.3
 """Of how a removal varies: where what was known leaves more, at whatever rate, its slopes may lead astray."""
+SHOWS = 3.0
+"""Standard deviations of the noise that a removal has to leave to be anything that could be found elsewhere."""
 MOVES = 10
 """Steps of the spot that are gone at most: five millimetres and more, of any tool."""
 PLACES = (("offset_x", "offset_y"), ("shift_x", "shift_y"))
@@ -24,7 +26,7 @@ def beginning(model: Forward, removed: Removed, prior: Knowledge) -> FloatArray:
     """(k,) parameters to begin a fit at: the prior's mean, moved step by step to where the removal is."""
     here, measured = prior.mean, without_plane(removed.removal_nm[removed.mask], removed.mask)
     left_nm = _left_nm(model, here, measured)
-    if left_nm < LOST * float(measured.std()):
+    if left_nm < max(LOST * float(measured.std()), SHOWS * removed.noise.sigma_nm):
         return here
     ways = [_walked(model, here, left_nm, measured, place) for place in PLACES if set(place) <= set(prior.names)]
     return min(ways, key=lambda way: way[1], default=(here, left_nm))[0]

@@ -32,10 +32,17 @@ def test_what_fits_begins_at_what_was_known() -> None:
     assert not begun("offset", rate=0.1, offset_x=0.1).any()
 
 
-@pytest.mark.parametrize(("names", "kind"), [("offset", "offset"), ("shift", "shift"), ("offset shift", "shift")])
+def test_where_the_noise_is_all_there_is_nothing_to_look_for() -> None:
+    assert not begun("offset", rate=-6.0, offset_x=3.0).any()
+
+
+FULL = [pytest.param(names, "shift", marks=pytest.mark.full) for names in ("shift", "offset shift")]
+
+
+@pytest.mark.parametrize(("names", "kind"), [("offset", "offset"), *FULL])
 def test_what_is_far_off_begins_near_where_it_is(names: str, kind: str) -> None:
     step_mm = 0.8
-    found = begun(names, **{f"{kind}_x": 2.5, f"{kind}_y": -3.0, "rate": -0.2})
+    found = begun(names, **{f"{kind}_x": 1.5, f"{kind}_y": -2.2, "rate": -0.2})
     own = found[-2:]
-    assert own == pytest.approx((2.5, -3.0), abs=step_mm)
+    assert own == pytest.approx((1.5, -2.2), abs=step_mm)
     assert not found[:-2].any()

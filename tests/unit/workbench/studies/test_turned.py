@@ -108,6 +108,9 @@ passes = 3
 [plant_with.plant]
 aperture_mm = 30.0
 pv_nm = 100.0
+[plant_with.effects]
+eq_44 = [1.0, 1.0]                   # as the cell believes: what one pass leaves is then the instrument's
+friction = [0.0, 0.0]
 [loops.measured]
 [loops.turned]
 poses = [[0.0], [90.0], [180.0], [270.0], [0.0, 1.5, 0.0]]
