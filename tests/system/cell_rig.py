@@ -72,15 +72,22 @@ def with_part(
 
 
 def with_keys(text: str, sections: Sections) -> str:
-    """The TOML text with these keys, also those that the template leaves at their defaults."""
-    lines, wanted = [], {}
+    """The TOML text with these keys, also those that the template leaves at their defaults, and their sections."""
+    lines, wanted, missing = [], {}, dict(sections)
     for line in text.splitlines():
         if line.startswith("["):
-            wanted = sections.get(line[1:].partition("]")[0], {})
-            lines += [line, *(f"{key} = {json.dumps(value)}" for key, value in wanted.items())]
+            name = line[1:].partition("]")[0]
+            wanted = missing.pop(name, {})
+            lines += [line, *_assigned(wanted)]
         elif line.partition("=")[0].strip() not in wanted:
             lines.append(line)
+    for name, keys in missing.items():
+        lines += ["", f"[{name}]", *_assigned(keys)]
     return "\n".join(lines) + "\n"
+
+
+def _assigned(keys: Mapping[str, Any]) -> list[str]:
+    return [f"{key} = {json.dumps(value)}" for key, value in keys.items()]
 
 
 def with_faults(text: str, *faults: Mapping[str, Any]) -> str:

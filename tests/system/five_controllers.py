@@ -115,7 +115,7 @@ def write_files(out: Path, controller: Controller) -> DemoFiles:
         lines = 2 if controller.encoding == "dwell" else 1  # a point's
         hidden = {"overhead_s": controller.beyond_s / lines, "overhead_spread": 0.0}
         files.sim.write_text(with_keys(files.sim.read_text(), {"truth": hidden}))
-    files.sim.write_text(with_keys(files.sim.read_text(), {"effects": {"eq_44": [1.0, 1.0]}}))  # as the cell believes
+    files.sim.write_text(with_keys(files.sim.read_text(), {"effects": {"eq_44": [1.0, 1.0], "friction": [0.0, 0.0]}}))
     changed: dict[str, dict[str, Any]] = {"limits": CALM}
     if controller.encoding == "feed":
         changed["machine"] = {"max_feed_mm_s": MAX_FEED_MM_S, "corner_deg": controller.corner_deg}

@@ -62,8 +62,8 @@ class TruePart:
         beside.replace(path)
 
     def stats(self) -> tuple[float, float]:
-        """True RMS and PV in the clear aperture, mean removed, nm."""
-        seen = self.map_nm()[self.clear]
+        """True RMS and PV in the clear aperture, nm, less its plane: how a part lies is nobody's error."""
+        seen = _seen(self, _level(self, self.height_nm))
         return float(seen.std()), float(np.ptp(seen))
 
 
