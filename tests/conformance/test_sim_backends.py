@@ -211,7 +211,8 @@ def robot_of(cells: Cells, place: Place, address: Tcp) -> RobotLink | UniversalR
         case "universal_robots":
             ports = tomllib.loads(running.toml.read_text())["robot"]
             addresses = Addresses.of(address.host, address.port, ports["dashboard_port"], ports["primary_port"])
-            return UniversalRobot(addresses, Settings(Registers(), PATIENT_ROBOT.watchdog_s), PATIENT_ROBOT)
+            # its controller's clock is the simulated one: a busy machine is silent for seconds of that
+            return UniversalRobot(addresses, Settings(Registers(), 10 * PATIENT_ROBOT.watchdog_s), PATIENT_ROBOT)
         case "handover_modbus":
             profile = load_controller_profile("plc-modbus", Path())
             make_link = partial(Modbus, address, profile.variables, profile.silence_s)
