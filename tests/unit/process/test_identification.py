@@ -124,6 +124,7 @@ def test_drop_outs_and_a_bump_are_left_out() -> None:
         assert abs(result[name].value - truth.get(name, 0.0)) < 4 * result[name].sigma, result[name].sentence
 
 
+@pytest.mark.full
 def test_clean_maps_lose_nothing() -> None:
     lost = [polished().identified({}, "", seed).rejected.sum() for seed in range(4)]
     assert lost == [0, 0, 0, 0]

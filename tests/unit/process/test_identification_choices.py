@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -281,6 +283,25 @@ def test_a_small_shift_is_corrected_and_a_large_one_stops() -> None:
     known = decide(replace(found, counted=counted, displaced_mm=miss))
     assert known.stops == (), "the plan had nearly all of it"
     assert [one.name for one in known.corrected] == ["offset"]
+
+
+@pytest.mark.parametrize(("size", "stops"), [(-1.7, False), (-0.8, False), (0.8, True)])
+def test_an_actuator_that_takes_up_what_the_robot_gives_way_needs_no_person_and_a_softer_robot_does(
+    size: float, stops: bool
+) -> None:
+    known = knowing("compliance")
+    mean = np.where(np.array(known.names) == "compliance", size, 0.0)
+    sigma = np.where(np.array(known.names) == "compliance", 0.05, 1e-3)
+    applied = replace(known, mean=mean, covariance=np.diag(sigma**2))
+    alone = SimpleNamespace(extensions=frozenset({"compliance"}))
+    found = SimpleNamespace(
+        applied=applied,
+        extensions=alone.extensions,
+        counted={},
+        displaced_mm=(0.0, 0.0),
+        comparison=SimpleNamespace(best=alone, rivals=()),
+    )
+    assert bool(decide(cast(Identified, found)).stops) is stops
 
 
 def test_how_far_the_spot_misses_is_offset_and_shift_together() -> None:

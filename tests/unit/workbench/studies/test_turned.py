@@ -121,6 +121,7 @@ poses = [[0.0], [90.0], [180.0], [270.0], [0.0, 1.5, 0.0]]
 """
 
 
+@pytest.mark.full
 def test_turning_the_part_brings_the_true_figure_into_tolerance(tmp_path: Path) -> None:
     path = tmp_path / "study.toml"
     path.write_text(LOOPS.format(examples=TABLE_III.parent))
