@@ -19,8 +19,10 @@ SETTLED = 0.03
 """A step of so many standard errors in all is the last."""
 MISFIT = 1e-3
 """Of the loss: a step that lowers it by less is the last one, too, where no parameters fit the map at all."""
-STEPS = 20
+STEPS = 40
 DAMPINGS = 8
+LEAST_DAMPING, EASED = 1e-3, 8.0
+"""Of a step that does not lower the loss by itself, and by how much less the next one is damped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +84,7 @@ def estimate(
     aim = _Aim(model, data, prior, HUBER * data.noise.sigma_nm if robust else np.inf)
     theta = prior.mean.copy() if start is None else start.copy()
     laid = model.lay(theta, None if near is None else near.slopes)
-    at = _Point(theta, laid, *aim.loss(theta, laid))
+    at = aim.at(theta, laid)
     damping = 0.0
     for _ in range(STEPS):
         columns = model.columns(at.theta, at.laid)
@@ -90,6 +92,8 @@ def estimate(
         hessian = columns.T @ (columns * weight[:, None]) + aim.precision
         downhill = columns.T @ (weight * at.residual_nm) - aim.precision @ (at.theta - prior.mean)
         after, damping = _step(aim, at, hessian, downhill, damping)
+        if damping >= LEAST_DAMPING / EASED and after is not at:  # the slopes of where it began lead no further
+            after = aim.at(after.theta, model.lay(after.theta))
         moved, gained, at = after.theta - at.theta, at.loss - after.loss, after
         if float(moved @ hessian @ moved) < SETTLED**2:
             break
@@ -120,6 +124,9 @@ class _Aim:
         self.precision = np.linalg.inv(prior.covariance)
         self.scale = 1 / (data.noise.sigma_nm**2 * data.cells)
 
+    def at(self, theta: FloatArray, laid: Laid) -> _Point:
+        return _Point(theta, laid, *self.loss(theta, laid))
+
     def loss(self, theta: FloatArray, laid: Laid) -> tuple[float, FloatArray]:
         """The loss, and the (N,) residual; 0 where a sample does not count."""
         residual = np.where(self.data.keep, self.data.removal_nm - self.model.removal_nm(theta, laid), 0.0)
@@ -141,10 +148,10 @@ def _step(aim: _Aim, at: _Point, hessian: FloatArray, downhill: FloatArray, damp
         damped = hessian + damping * np.diag(np.diag(hessian))
         theta = at.theta + scipy.linalg.solve(damped, downhill, assume_a="pos")
         laid = at.laid if aim.model.near(theta, at.laid) else aim.model.lay(theta, at.laid.slopes)
-        after = _Point(theta, laid, *aim.loss(theta, laid))
+        after = aim.at(theta, laid)
         if after.loss <= at.loss + SETTLED**2:
-            return after, damping / 8
-        damping = max(4 * damping, 0.1)
+            return after, damping / EASED
+        damping = max(4 * damping, LEAST_DAMPING)
     if float(downhill @ scipy.linalg.solve(hessian, downhill, assume_a="pos")) < 1:
         return at, damping  # within a standard error: a measured spot turns in steps, and the loss has some of them
     raise ComputeError(f"the fit of the removal did not settle: no step from a loss of {at.loss:.6g} lowers it")
