@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-all test-long test-maps ways-out crash faults replies model soak coverage mutate interop check format reference bench compare naming lock clean
+.PHONY: help demo test test-all test-long test-maps ways-out crash faults replies model soak coverage mutate interop check format reference bench compare naming scenarios lock clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -104,6 +104,10 @@ compare: $(VENV)/.installed ## what the compliance correction is worth, on parts
 naming: $(VENV)/.installed ## is what is wrong named rightly: runs the study on, into docs/naming.md (ARGS="--jobs 2")
 	@$(ONE_THREAD) $(BIN)/polishd study examples/naming.toml --out build/naming $(ARGS)
 	@$(BIN)/python -m docs.reference.naming build/naming
+
+scenarios: $(VENV)/.installed ## one thing wrong at a time, three loops: runs the study on, into docs/scenarios.md (ARGS="--limit N")
+	@$(ONE_THREAD) $(BIN)/polishd study examples/scenarios.toml --out build/scenarios $(ARGS)
+	@$(BIN)/python -m docs.reference.scenarios build/scenarios
 
 # The lock is changed only here. --upgrade in ARGS takes newer versions; without it only what pyproject.toml asks for.
 lock: ## rewrite requirements.lock (ARGS=--upgrade for newer versions)

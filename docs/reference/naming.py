@@ -9,11 +9,12 @@ PAGE = Path(__file__).parents[1] / "naming.md"
 BEGIN, END = "<!-- written by make naming -->\n", "<!-- end of what make naming writes -->"
 
 
-def put(page: str, table: str) -> str:
+def put(page: str, table: str, marks: tuple[str, str] = (BEGIN, END)) -> str:
     """The page with that table between its marks."""
-    before, _, rest = page.partition(BEGIN)
-    _, _, after = rest.partition(END)
-    return f"{before}{BEGIN}{table}{END}{after}"
+    begin, end = marks
+    before, _, rest = page.partition(begin)
+    _, _, after = rest.partition(end)
+    return f"{before}{begin}{table}{end}{after}"
 
 
 if __name__ == "__main__":

@@ -35,8 +35,8 @@ class LoopRow:
     accepted: int
     passes_median: float | None
     """To tolerance; None where half of the runs or more did not come so far."""
-    true_rms_nm_median: float
-    """At the end, whatever the end."""
+    true_rms_nm_median: float | None
+    """At the end, whatever the end; None where half of the runs or more never polished the part."""
     first_pass_nm_median: float | None
     """As measured after the first pass."""
     false_accepts: int
@@ -48,6 +48,10 @@ class LoopRow:
     """Passes of which a map told, ..."""
     held: int
     """... and of these, those that left what was expected with a chance of nine in ten."""
+    first_forecasts: int
+    """The same of first passes alone, ..."""
+    first_held: int
+    """... which are expected from what was known before the part."""
     ended: Mapping[str, int]
     """How many ended in which way."""
     cpu_s_median: float
@@ -175,8 +179,9 @@ def _rows(runs: Sequence[Run], scenarios: Mapping[str, Scenario]) -> Iterator[Lo
 def _row(scenario: Scenario, runs: Sequence[Run]) -> LoopRow:
     never = float("inf")
     passes = median(run.passes if run.accepted else never for run in runs)
+    true_nm = median(run.true_rms_nm[-1] if run.true_rms_nm else never for run in runs)
     first = [run.rms_nm[1] for run in runs if len(run.rms_nm) > 1]
-    came = [one for run in runs for one in run.came_nm]
+    came, began = [one for run in runs for one in run.came_nm], [run.came_nm[0] for run in runs if run.came_nm]
     said = [tuple(sorted(set(run.named) - set(scenario.also))) for run in runs]
     right = [set(names) <= set(scenario.named) and bool(names) == bool(scenario.named) for names in said]
     return LoopRow(
@@ -185,13 +190,19 @@ def _row(scenario: Scenario, runs: Sequence[Run]) -> LoopRow:
         runs=len(runs),
         accepted=sum(run.accepted for run in runs),
         passes_median=None if passes == never else passes,
-        true_rms_nm_median=median(run.true_rms_nm[-1] if run.true_rms_nm else never for run in runs),
+        true_rms_nm_median=None if true_nm == never else true_nm,
         first_pass_nm_median=median(first) if first else None,
         false_accepts=sum(run.falsely_accepted for run in runs),
         named_rightly=sum(right),
         named=dict(Counter("+".join(names) or AS_IT_IS for names in said)),
         forecasts=len(came),
-        held=sum(low <= left <= high for low, high, left in came),
+        held=_held(came),
+        first_forecasts=len(began),
+        first_held=_held(began),
         ended={how: sum(run.ended == how for run in runs) for how in dict.fromkeys(run.ended for run in runs)},
         cpu_s_median=median(run.cpu_s for run in runs),
     )
+
+
+def _held(came: Sequence[tuple[float, float, float]]) -> int:
+    return sum(low <= left <= high for low, high, left in came)

@@ -130,7 +130,7 @@ def _loop_cells(row: LoopRow) -> list[str]:
         str(row.accepted),
         "not reached" if row.passes_median is None else f"{row.passes_median:g}",
         "" if row.first_pass_nm_median is None else f"{row.first_pass_nm_median:.2f}",
-        f"{row.true_rms_nm_median:.2f}",
+        "" if row.true_rms_nm_median is None else f"{row.true_rms_nm_median:.2f}",
         str(row.false_accepts),
         str(row.named_rightly),
         f"{row.held} of {row.forecasts}" if row.forecasts else "",

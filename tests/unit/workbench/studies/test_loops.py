@@ -69,6 +69,7 @@ def test_a_job_comes_into_tolerance_and_the_part_itself_too(tmp_path: Path) -> N
     (row,) = looped(study_file(tmp_path, near=-0.1), 1).rows
     assert (row.scenario, row.loop, row.runs, row.accepted, row.false_accepts) == ("near", "exact", 1, 1, 0)
     assert row.passes_median in {1, 2}
+    assert row.true_rms_nm_median is not None
     assert row.true_rms_nm_median < 2.5
     assert row.named_rightly == 1, "nothing was to be named, and nothing was"
 
