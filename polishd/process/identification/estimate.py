@@ -18,7 +18,8 @@ HUBER = 1.5
 SETTLED = 0.03
 """A step of so many standard errors in all is the last."""
 MISFIT = 1e-3
-"""Of the loss: a step that lowers it by less is the last one, too, where no parameters fit the map at all."""
+"""Of the loss: a step that lowers it by less is the last one, too, where no parameters fit the map at all, and of a
+robust fit, which is asked for outliers and noise only."""
 STEPS = 40
 DAMPINGS = 8
 LEAST_DAMPING, EASED = 1e-3, 8.0
@@ -97,7 +98,7 @@ def estimate(
         moved, gained, at = after.theta - at.theta, at.loss - after.loss, after
         if float(moved @ hessian @ moved) < SETTLED**2:
             break
-        if at.loss > data.removal_nm.size and gained < MISFIT * at.loss:
+        if (robust or at.loss > data.removal_nm.size) and gained < MISFIT * at.loss:
             break
     else:
         raise ComputeError(f"the fit of the removal did not settle in {STEPS} steps: is this the map of this pass?")
