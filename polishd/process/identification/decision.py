@@ -15,7 +15,7 @@ CERTAIN = 3.0
 LIMITS = {"rate": 0.4, "turn": 5.0, "width": 0.2, "compliance": 0.5}
 """Largest correction that needs no person, by extension, in its parameters' units."""
 UPWARDS = ("compliance",)
-"""Limited only where it is more than the plan counted with: an actuator may take up all that the robot gives way."""
+"""Limited only where it is more than configured, too: an actuator may take up all that the robot gives way."""
 PLACE = ("offset", "shift", "rotation")
 LOOK = "look at tool, seat and map before the next pass"
 
@@ -97,6 +97,6 @@ def _sizes(found: Identified) -> list[Found]:
         along = vector / size if size > 0 else np.ones(len(own)) / np.sqrt(len(own))
         sigma = float(np.sqrt(along @ applied.covariance[np.ix_(own, own)] @ along))
         new = vector - [found.counted.get(applied.names[k], 0.0) for k in own]
-        beyond = np.maximum(new, 0.0) if name in UPWARDS else new
+        beyond = np.maximum(np.minimum(new, vector), 0.0) if name in UPWARDS else new
         sizes.append(Found(name, size, sigma, applied.parameters[own[0]].unit, float(np.linalg.norm(beyond))))
     return sizes
