@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,10 +62,11 @@ def _each(rows: Sequence[Row], loops: Sequence[str]) -> str:
 
 def _slower(rows: Sequence[Row], loop: str) -> list[str]:
     """Scenarios in which half of that loop's jobs take more than a pass more than half of today's, or never end."""
-    today = {row["scenario"]: row["passes_median"] for row in rows if row["loop"] == TODAY}
-    mine = {row["scenario"]: row["passes_median"] for row in rows if row["loop"] == loop}
-    never = float("inf")
-    return [name for name, passes in today.items() if passes is not None and (mine[name] or never) > passes + 1]
+    today, mine = (
+        {row["scenario"]: row["passes_median"] for row in rows if row["loop"] == name} for name in (TODAY, loop)
+    )
+    ended = {name: passes for name, passes in today.items() if passes is not None}
+    return [name for name, passes in ended.items() if mine[name] is None or mine[name] > passes + 1]
 
 
 def _share(rows: Sequence[Row], part: str, whole: str) -> str:
@@ -73,7 +74,7 @@ def _share(rows: Sequence[Row], part: str, whole: str) -> str:
     return f"{some} of {all_of_it}, {some / all_of_it:.0%}" if all_of_it else NEVER
 
 
-def _side_by_side(rows: Sequence[Row], cell: Any) -> str:
+def _side_by_side(rows: Sequence[Row], cell: Callable[[Row], str]) -> str:
     return " / ".join(map(cell, rows))
 
 

@@ -36,13 +36,8 @@ def test_where_the_noise_is_all_there_is_nothing_to_look_for() -> None:
     assert not begun("offset", rate=-6.0, offset_x=3.0).any()
 
 
-FULL = [
-    pytest.param(names, kind, marks=pytest.mark.full)
-    for names, kind in (("offset", "offset"), ("shift", "shift"), ("offset shift", "shift"))
-]
-
-
-@pytest.mark.parametrize(("names", "kind"), FULL)
+@pytest.mark.full
+@pytest.mark.parametrize(("names", "kind"), [("offset", "offset"), ("shift", "shift"), ("offset shift", "shift")])
 def test_what_is_far_off_begins_near_where_it_is(names: str, kind: str) -> None:
     step_mm = 0.8
     found = begun(names, **{f"{kind}_x": 1.5, f"{kind}_y": -2.2, "rate": -0.2})

@@ -285,9 +285,12 @@ def test_a_small_shift_is_corrected_and_a_large_one_stops() -> None:
     assert [one.name for one in known.corrected] == ["offset"]
 
 
-@pytest.mark.parametrize(("size", "stops"), [(-1.7, False), (-0.8, False), (0.8, True)])
+@pytest.mark.parametrize(
+    ("size", "counted", "stops"),
+    [(-1.7, 0.0, False), (0.8, 0.0, True), (0.8, 0.7, False), (0.4, -0.7, False), (0.8, -0.7, True)],
+)
 def test_an_actuator_that_takes_up_what_the_robot_gives_way_needs_no_person_and_a_softer_robot_does(
-    size: float, stops: bool
+    size: float, counted: float, stops: bool
 ) -> None:
     known = knowing("compliance")
     mean = np.where(np.array(known.names) == "compliance", size, 0.0)
@@ -297,7 +300,7 @@ def test_an_actuator_that_takes_up_what_the_robot_gives_way_needs_no_person_and_
     found = SimpleNamespace(
         applied=applied,
         extensions=alone.extensions,
-        counted={},
+        counted={"compliance": counted},
         displaced_mm=(0.0, 0.0),
         comparison=SimpleNamespace(best=alone, rivals=()),
     )

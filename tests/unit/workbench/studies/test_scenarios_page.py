@@ -29,6 +29,10 @@ def test_loops_stand_beside_each_other_and_what_is_slower_is_named() -> None:
     assert "| `far` | 4 | 4 / 4 | 2 / - | 1.80 / 1.80 | 1.50 / - | 0 / 0 | 3 of 4 / 0 of 4 |" in told
 
 
+def test_a_part_that_is_in_tolerance_as_it_comes_takes_no_pass() -> None:
+    assert tables([row("good", "rate"), row("good", "machine", passes_median=0.0)]).count("| none |") == 2
+
+
 def test_what_today_s_loop_never_ends_no_other_is_slower_in() -> None:
     told = tables([row("far", "rate", passes_median=None), row("far", "machine", passes_median=None)])
     assert told.count("| none |") == 2
@@ -37,4 +41,6 @@ def test_what_today_s_loop_never_ends_no_other_is_slower_in() -> None:
 def test_the_page_has_its_marks_once() -> None:
     page = PAGE.read_text()
     assert [page.count(mark) for mark in MARKS] == [1, 1]
-    assert put(put(page, "new\n", MARKS), "", MARKS).count("new") == 0
+    put_anew = put(page, "another table\n", MARKS)
+    assert f"{MARKS[0]}another table\n{MARKS[1]}" in put_anew
+    assert put_anew.partition(MARKS[0])[0] == page.partition(MARKS[0])[0]
