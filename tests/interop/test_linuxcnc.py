@@ -109,7 +109,8 @@ def test_mb2hal_works_our_plc(devices: Cell, tmp_path: Path) -> None:
             run.set(f"mb2hal.orders.{order:02}.bit", 1)
             wait_for(lambda order=order: run.get(f"mb2hal.stands.{order:02}.bit") == 1, "the order to stand")
             wait_for(lambda state=state: run.get("mb2hal.says.00.int") == state, f"state {state}")
-        assert run.get("mb2hal.sees.01.bit") == 0.0
+        # asked for after the state, in the same round of the master
+        wait_for(lambda: run.get("mb2hal.sees.01.bit") == 0.0, "standstill")
         assert {run.get(f"mb2hal.{name}.num_errors") for name, *_ in PLC} == {0.0}
 
 
