@@ -12,7 +12,7 @@ import logging
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -102,7 +102,7 @@ def remembered(journal: Journal, recipe: Recipe) -> Remembered | None:
         return None
     same = lesson.machine == _hash({key: terms.get(key) for key in MACHINE})
     overhead_s = taught.block_overhead_s if same else first.block_overhead_s
-    believed = Believed(removal, overhead_s, taught.unexplained)
+    believed = replace(taught, removal=removal, block_overhead_s=overhead_s)
     return Remembered(believed, f"begins with what {_told(lesson)} has taught: {in_words(believed)}")
 
 

@@ -12,6 +12,8 @@ from polishd.recipe.records import Believed, Measured
 
 SIGMAS = 3.0
 """Of the rate before anything was learned: what ``limits.max_rate_change`` refuses is so many standard errors off."""
+SMOOTHED = 0.03
+"""Share of a mean square that means over cells may take from a surface that a spot follows: periods of ten cells."""
 
 
 def forecast_of(recipe: Recipe, measured: Measured, plan: Plan, believed: Believed) -> Forecast:
@@ -26,7 +28,9 @@ def forecast_of(recipe: Recipe, measured: Measured, plan: Plan, believed: Believ
         removed_nm=removed,
         rate_sigma=_rate_sigma(recipe, believed),
         unexplained=believed.unexplained,
-        noise_nm=_finer_nm(recipe, measured),
+        noise_nm=_finer_noise_nm(recipe, measured),
+        finer_nm=_finer_nm(recipe, measured),
+        ripple=believed.ripple,
     )
 
 
@@ -38,7 +42,20 @@ def noise_nm(recipe: Recipe, measured: Measured) -> float:
     return one * min(measured.map_grid.pitch_mm / measured.grid.pitch_mm, 1.0)
 
 
+def ripple(recipe: Recipe, before: Measured, after: Measured, removed_nm: float) -> float:
+    """What a pass has added to what is finer than the process grid, relative to the RMS of all that it removed."""
+    return max(_finer_nm(recipe, after) - _finer_nm(recipe, before), 0.0) / removed_nm
+
+
 def _finer_nm(recipe: Recipe, measured: Measured) -> float:
+    """RMS of what the map shows on its own samples, and neither the process grid does nor its noise explains."""
+    mask = measured.metric_mask
+    coarse = metrics.without(measured.height_nm, mask, recipe.part.alignment)[mask].std()
+    square = measured.figure_nm**2 - coarse**2 - _finer_noise_nm(recipe, measured) ** 2
+    return 0.0 if square < SMOOTHED * coarse**2 else float(np.sqrt(square))
+
+
+def _finer_noise_nm(recipe: Recipe, measured: Measured) -> float:
     """RMS of a map's noise on its own samples that is gone on the process grid, as far as anybody has said."""
     one = 0.0 if recipe.instrument is None else recipe.instrument.repeatability_nm or 0.0
     return float(np.sqrt(one**2 - noise_nm(recipe, measured) ** 2))

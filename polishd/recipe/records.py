@@ -127,6 +127,8 @@ class Believed:
     """Time that a block takes beyond its motion."""
     unexplained: float = UNEXPLAINED
     """RMS of what no rate explains of a pass, relative to its removal."""
+    ripple: float = 0.0
+    """RMS of what a pass leaves finer than the process grid, relative to its removal."""
 
     @property
     def rate(self) -> float:
@@ -136,6 +138,7 @@ class Believed:
     def facts(self) -> dict[str, Any]:
         """The numbers that everybody asks for, and all that the model believes."""
         numbers = {"rate": self.rate, "block_overhead_s": self.block_overhead_s, "unexplained": self.unexplained}
+        numbers["ripple"] = self.ripple
         return {**numbers, "removal": asdict(self.removal)}
 
     @classmethod
@@ -145,7 +148,8 @@ class Believed:
             removal = record_of(type(initial), {**facts_of(initial), **facts["removal"]})
         else:
             removal = replace(initial, rate=Belief(float(facts["rate"])))
-        return cls(removal, float(facts["block_overhead_s"]), float(facts.get("unexplained", UNEXPLAINED)))
+        shares = float(facts.get("unexplained", UNEXPLAINED)), float(facts.get("ripple", 0.0))
+        return cls(removal, float(facts["block_overhead_s"]), *shares)
 
 
 @dataclass(frozen=True, slots=True)

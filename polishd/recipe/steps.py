@@ -227,10 +227,11 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
     envelope = envelope_of(recipe, program, believed)
     overhead = motion.learn_overhead_s(program, done.asked_s, done.executed_s, envelope)
     shown = shown_by(done, answer, predicted, verdict, believed.rate)
-    rest = None  # of narrow tracks it is what the grid does not resolve
-    if recipe.dwell.choose != AS_PROGRAMMED:
+    rest, ripple = None, believed.ripple
+    if recipe.dwell.choose != AS_PROGRAMMED:  # of narrow tracks both are what the grid does not resolve
         rest = unexplained(predicted, measured, mask, forecasting.noise_nm(recipe, done.after))
-    learned = Believed(lesson.beliefs, overhead, pooled(believed.unexplained, rest))
+        ripple = forecasting.ripple(recipe, done.before, done.after, removed_nm)
+    learned = Believed(lesson.beliefs, overhead, pooled(believed.unexplained, rest), ripple)
     notes = (*(one.words for one in taught.named), *lesson.notes)
     return replace(taught, believed=learned, found=lesson.found, notes=notes, shown=shown)
 

@@ -249,7 +249,7 @@ def test_what_a_pass_taught_leaves(program: Program, measured: Measured, solved:
         assert float(maps["pitch_mm"]) == measured.grid.pitch_mm
         return
     learned = json.loads(files["learned.json"])
-    assert set(learned["beliefs"]) == {"rate", "block_overhead_s", "unexplained", "removal", "notes"}
+    assert set(learned["beliefs"]) == {"rate", "block_overhead_s", "unexplained", "ripple", "removal", "notes"}
     assert learned["beliefs"]["removal"]["rate"]["sigma"] == learned["rate_sigma"]
     keys = {"beliefs", "rate", "measured_rate", "rate_sigma", "correlation", "explained", "named", "shown", "notes"}
     assert set(learned) == keys
