@@ -62,9 +62,10 @@ def jumps(compliance: FloatArray, matrix: FloatArray) -> BoolArray:
     return np.asarray(change > JUMP + matrix_change, dtype=np.bool_)
 
 
-def depth_ratio(compliance_mm_per_n: FloatArray, process: ToolProcess, depth_mm: float) -> FloatArray:
+def depth_ratio(compliance_mm_per_n: FloatArray, process: ToolProcess, depth_mm: float | FloatArray) -> FloatArray:
     """(n,) gamma = 1 - dz/d (paper eq. 48) with dz = c F / cos(dip) (eq. 44) and d the rigid robot's depth, mm.
 
+    ``depth_mm`` is a number, or (n,) where the part's curvature makes each its own.
     Raises ComputeError where nothing of the depth would be left.
     """
     require_number("the process's dip_deg", process.dip_deg, "deg", above=-90.0, below=90.0)
@@ -72,9 +73,10 @@ def depth_ratio(compliance_mm_per_n: FloatArray, process: ToolProcess, depth_mm:
     gamma = np.asarray(1.0 - offset_mm / depth_mm, dtype=np.float64)
     gone = ~(gamma > 0)
     if gone.any():
-        softest = float(compliance_mm_per_n[np.argmax(gone)]) * 1e3
+        first = int(np.argmax(gone))
+        softest, deep = float(compliance_mm_per_n[first]) * 1e3, np.broadcast_to(depth_mm, gone.shape)[first]
         limit = (
-            f"the contact is only {depth_mm:.5g} mm deep (equivalent compliance {softest:.4g} um/N at "
+            f"the contact is only {deep:.5g} mm deep (equivalent compliance {softest:.4g} um/N at "
             f"{process.force_n:g} N): gamma would not be above 0"
         )
         refuse_where(gone, offset_mm, "the way that the robot gives", "mm", limit)

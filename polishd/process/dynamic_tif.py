@@ -16,7 +16,7 @@ from polishd.model.program import Program
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.laying import Columns, integrals, lay
 from polishd.process.robot.refusal import refuse_where
-from polishd.process.spot import PATCH, Spot
+from polishd.process.spot import PATCH, Spot, askew
 
 CHUNK = 1024
 """Positions of a spot of PATCH squares across that are worked on at a time: bounds memory. With four times as many each
@@ -63,17 +63,29 @@ def corrected_spot(
 
 
 def effect_matrix(
-    grid: Grid, spot: Spot, program: Program, depth_ratio: FloatArray, factor: FloatArray
+    grid: Grid,
+    spot: Spot,
+    program: Program,
+    depth_ratio: FloatArray,
+    factor: FloatArray,
+    *,
+    wider: float | FloatArray = 1.0,
+    correlation: FloatArray | None = None,
 ) -> scipy.sparse.csr_array:
     """(ny * nx, n) removal rate of each timed point averaged over each sample's cell, nm/s (eq. 47).
 
-    ``depth_ratio`` and ``factor``, (n,), as of `corrected_spot`. A block that moves spreads its removal evenly from
-    start to end. What falls beyond the grid is lost; a spot that does not touch it leaves an empty column.
+    ``depth_ratio`` and ``factor``, (n,), as of `corrected_spot`; ``wider`` as of `Lie`, ``correlation`` (n,) as of
+    `spot.askew`. A block that moves spreads its removal evenly from start to end. What falls beyond the grid is lost; a
+    spot that does not touch it leaves an empty column.
     A column's sum is exact; the paper's Hertz spot, at rest or in motion, is right in each cell of 0.5 mm within 1.2 %
     of the peak (half of the spots within 0.6 %), of 1 mm within 0.6 %.
     """
     ends = (program.start_mm[:, :2], program.end_mm[:, :2])
-    return effect_columns(grid, spot, ends, lean_azimuth_rad(program), depth_ratio=depth_ratio, factor=factor)
+    lies = [Lie(ends, wider)]
+    azimuth = lean_azimuth_rad(program)
+    return effects_columns(grid, spot, lies, azimuth, depth_ratio=depth_ratio, factor=factor, correlation=correlation)[
+        0
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +94,8 @@ class Lie:
 
     ends_mm: tuple[FloatArray, FloatArray]
     """(n, 2) where each begins and ends."""
-    wider: float = 1.0
-    """What their spots' width is multiplied by, the volume kept."""
+    wider: float | FloatArray = 1.0
+    """What their spots' width is multiplied by, the volume kept; (n, 2) where each has its own along x and y."""
 
 
 def effect_columns(
@@ -107,6 +119,7 @@ def effects_columns(
     *,
     depth_ratio: FloatArray,
     factor: FloatArray,
+    correlation: FloatArray | None = None,
 ) -> list[scipy.sparse.csr_array]:
     """`effect_columns` of the same blocks as they lie in one way and another: their patches are made once."""
     refuse_where(~((factor >= 0) & np.isfinite(factor)), factor, "the factor on the removal", "", "it must be finite")
@@ -115,16 +128,21 @@ def effects_columns(
     half, step = spot.half_width_mm(depth_ratio), spot.step_mm(depth_ratio)
     offset = spot.offset_mm(depth_ratio, azimuth_rad)
     squares = spot.patch(depth_ratio[:1], azimuth_rad[:1]).shape[-1]
-    length = [np.linalg.norm(lie.ends_mm[1] - lie.ends_mm[0], axis=1) / lie.wider for lie in lies]
+    wider = [np.broadcast_to(lie.wider, (len(half), 2)) for lie in lies]
+    length = [
+        np.linalg.norm(lie.ends_mm[1] - lie.ends_mm[0], axis=1) / wide.min(axis=1)
+        for lie, wide in zip(lies, wider, strict=True)
+    ]
     pieces = np.ceil(np.array(length) / step).astype(np.int64)
     most = np.maximum(2 * pieces.max(axis=0), PATCH_POSITIONS)
     parts: list[list[Columns]] = [[] for _ in lies]
     for part in _chunks(most * max(1, round(squares / PATCH))):
-        integral = integrals(spot.patch(depth_ratio[part], azimuth_rad[part]))
-        for found, lie, cut in zip(parts, lies, pieces[:, part], strict=True):
+        patch = spot.patch(depth_ratio[part], azimuth_rad[part])
+        integral = integrals(patch if correlation is None else askew(patch, correlation[part]))
+        for found, lie, wide, cut in zip(parts, lies, wider, pieces[:, part], strict=True):
             start, end = (at[part] + offset[part] for at in lie.ends_mm)
             block, position = positions(start, end, cut)
-            found.append(lay(grid, integral, lie.wider * half[part], np.bincount(block), position))
+            found.append(lay(grid, integral, wide[part] * half[part, None], np.bincount(block), position))
     return [_matrix(grid, found, factor) for found in parts]
 
 

@@ -2,10 +2,10 @@
 
 ``after = left - error of the rate * removal - what no rate explains``. The next map's noise is in the place of the last
 one's, which no spot follows; on its own samples it is more than on the process grid. So is the ripple between a path's
-tracks, which no dwell takes off again, and to which each pass along the same tracks adds. The rate's error is normal; what
-no rate explains (a rate that changes over the part or the time, a spot of another shape or place) is a smooth field, as
-large beside all that is removed as the passes before have shown, or `UNEXPLAINED` where there were none; and so large
-only within a factor.
+tracks, which no dwell takes off again, and to which each pass along the same tracks adds. The rate's error is normal;
+what no rate explains (a rate that changes over the part or the time, a spot of another shape or place) is a smooth
+field, as large beside all that is removed as the passes before have shown, or `UNEXPLAINED` where there were none; and
+so large only within a factor.
 """
 
 from __future__ import annotations

@@ -52,15 +52,16 @@ def lay(grid: Grid, integral: FloatArray, half_mm: FloatArray, count: Indices, p
     Args:
         grid: of the cells; what falls beyond it is lost.
         integral: (squares + 1, squares + 1, n) of `integrals`.
-        half_mm: (n,) half the side of each patch.
+        half_mm: (n, 2) half the sides of each patch, along x and y.
         count: (n,) positions of each patch, at least one.
         position_mm: (s, 2) x and y of these, patch by patch.
     """
     n, pitch, squares = len(count), grid.pitch_mm, len(integral) - 1
     patch = np.repeat(np.arange(n), count)
     half = half_mm[patch]
-    column, across, right = _edges(position_mm[:, 0] + grid.nx * pitch / 2, half, pitch, squares)
-    row, down, below = _edges(grid.ny * pitch / 2 - position_mm[:, 1], half, pitch, squares)
+    cells = int(np.ceil(2 * half_mm.max(initial=0.0) / pitch)) + 1
+    column, across, right = _edges(position_mm[:, 0] + grid.nx * pitch / 2, half[:, 0], pitch, squares, cells)
+    row, down, below = _edges(grid.ny * pitch / 2 - position_mm[:, 1], half[:, 1], pitch, squares, cells)
     corner = (down * (squares + 1) * n + patch[:, None])[:, :, None] + (across * n)[:, None, :]
     content = _bilinear(integral, corner, below[:, :, None], right[:, None, :])
     content[:, 1:] -= content[:, :-1]
@@ -77,7 +78,7 @@ def lay(grid: Grid, integral: FloatArray, half_mm: FloatArray, count: Indices, p
 
 
 def _edges(
-    centre_mm: FloatArray, half_mm: FloatArray, pitch_mm: float, squares: int
+    centre_mm: FloatArray, half_mm: FloatArray, pitch_mm: float, squares: int, cells: int
 ) -> tuple[Indices, Indices, FloatArray]:
     """Where the far edges of cells cut (s,) patches along one coordinate; the centre is from the outermost edge.
 
@@ -85,7 +86,6 @@ def _edges(
     cell's far edge lies, and the share of the square before it.
     """
     first = np.floor((centre_mm - half_mm) / pitch_mm)
-    cells = int(np.ceil(2 * half_mm.max(initial=0.0) / pitch_mm)) + 1
     side = 2 * half_mm / squares
     start = (first * pitch_mm - (centre_mm - half_mm)) / side
     edge = np.clip(start[:, None] + (pitch_mm / side)[:, None] * np.arange(1, cells + 1), 0, squares)

@@ -103,6 +103,30 @@ class HertzSpot:
         return middle * cosine + shift * sine + place, middle * sine - shift * cosine - place
 
 
+@dataclass(frozen=True, slots=True)
+class WiderSpot:
+    """A spot spread over another width, its volume the same."""
+
+    spot: Spot
+    factor: float
+
+    def half_width_mm(self, depth_ratio: FloatArray) -> FloatArray:
+        """(n,) mm."""
+        return self.factor * self.spot.half_width_mm(depth_ratio)
+
+    def step_mm(self, depth_ratio: FloatArray) -> FloatArray:
+        """(n,) mm."""
+        return self.factor * self.spot.step_mm(depth_ratio)
+
+    def offset_mm(self, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
+        """(n, 2) mm, as it was."""
+        return self.spot.offset_mm(depth_ratio, azimuth_rad)
+
+    def patch(self, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
+        """(n, squares, squares) nm mm^2/s: the squares grow, what each removes does not."""
+        return self.spot.patch(depth_ratio, azimuth_rad)
+
+
 def hertz_spot(process: ToolProcess, pitch_mm: float) -> HertzSpot:
     """Hertz's spot for a grid of this pitch: its squares are no wider than a quarter of a cell, down to MOST_PATCH.
 
@@ -118,6 +142,22 @@ def turned(x_mm: float | FloatArray, y_mm: float | FloatArray, azimuth_rad: Floa
     """(n, 2) part's x and y of a vector in the tool's frame (y where the spindle leans), mm."""
     sine, cosine = np.sin(azimuth_rad), np.cos(azimuth_rad)
     return np.stack([x_mm * sine + y_mm * cosine, y_mm * sine - x_mm * cosine], axis=-1)
+
+
+def askew(patch: FloatArray, correlation: FloatArray) -> FloatArray:
+    """(n, squares, squares) patches of discs, each row moved and narrowed so that they are ellipses within the patch.
+
+    ``correlation`` (n,) of x and y over each ellipse; as wide and as tall as the disc was. What a row holds is kept.
+    """
+    squares = patch.shape[-1]
+    content = np.concatenate([np.zeros((*patch.shape[:2], 1)), np.cumsum(patch, axis=2)], axis=2)
+    edge = np.linspace(-1, 1, squares + 1)
+    up = 1 - (np.arange(squares) + 0.5) * 2 / squares
+    moved = (edge - correlation[:, None, None] * up[:, None]) / np.sqrt(1 - correlation**2)[:, None, None]
+    place = np.clip((moved + 1) * squares / 2, 0, squares)
+    left = np.minimum(place.astype(np.int64), squares - 1)
+    low, high = (np.take_along_axis(content, left + k, axis=2) for k in (0, 1))
+    return np.asarray(np.diff(low + (place - left) * (high - low), axis=2), dtype=np.float64)
 
 
 def shares(centre_mm: FloatArray, half_mm: FloatArray, pitch_mm: float, cells: int, squares: int) -> FloatArray:

@@ -11,11 +11,12 @@ from polishd.model.process import Optic, Placement, ToolProcess
 from polishd.model.program import Program
 from polishd.model.surface import Grid
 from polishd.process.convolution import ConvolutionEffect, convolution_effect
+from polishd.process.curved import Curved
 from polishd.process.dynamic_tif import CorrectedSpot, effect_matrix
 from polishd.process.edge.edge_tif import sunk_at_rim
 from polishd.process.effect import SparseEffect
 from polishd.process.frames import surface_normals, upright
-from polishd.process.spot import Spot
+from polishd.process.spot import Spot, WiderSpot
 from polishd.process.spreading.effect import SpreadEffect, spread_effect
 
 
@@ -30,17 +31,30 @@ class SpotPath:
     process: ToolProcess
     rim: Outline | None
     """The part's, where it is free."""
+    curved: Curved | None
+    """What the part's curvature makes of the spot at each point; None on a flat."""
 
-    def at_rim(self, spots: CorrectedSpot) -> tuple[CorrectedSpot, tuple[str, ...]]:
-        """The spots as they sink over a free rim, and notes on it."""
-        if self.rim is None:
-            return spots, ()
-        sunk, note = sunk_at_rim(spots, self.rim, self.process, self.spot, self.program)
-        return sunk, (note,)
+    @property
+    def even(self) -> Spot:
+        """The spot of all points, where each cannot have its own: as wide as they are in the mean."""
+        if self.curved is None:
+            return self.spot
+        return WiderSpot(self.spot, float(np.sqrt(self.curved.wider.mean(axis=0).prod())))
+
+    def on_part(self, spots: CorrectedSpot) -> tuple[CorrectedSpot, tuple[str, ...]]:
+        """The spots as a map sees them where the part slopes, and as they sink over a free rim; and notes on both."""
+        notes: tuple[str, ...] = ()
+        if self.curved is not None:
+            spots, notes = replace(spots, factor=spots.factor * self.curved.seen), (self.curved.note,)
+        if self.rim is not None:
+            spots, note = sunk_at_rim(spots, self.rim, self.process, self.spot, self.program)
+            notes = (*notes, note)
+        return spots, notes
 
     def matrix(self, grid: Grid, spots: CorrectedSpot) -> SparseEffect:
         """The effect of these spots, each laid down on its own."""
-        return SparseEffect(grid, effect_matrix(grid, self.spot, self.program, spots.depth_ratio, spots.factor))
+        own = {} if self.curved is None else {"wider": self.curved.wider, "correlation": self.curved.askew}
+        return SparseEffect(grid, effect_matrix(grid, self.spot, self.program, spots.depth_ratio, spots.factor, **own))
 
     def entries(self, grid: Grid, spots: CorrectedSpot) -> float:
         """About how many the matrix has: samples under each disc, and under what it sweeps."""
@@ -49,11 +63,11 @@ class SpotPath:
 
     def without_matrix(self, grid: Grid, spots: CorrectedSpot) -> SpreadEffect:
         """The same in memory that goes with points and samples. ComputeError where its error is too large."""
-        return spread_effect(grid, self.spot, self.program, spots.depth_ratio, spots.factor)
+        return spread_effect(grid, self.even, self.program, spots.depth_ratio, spots.factor)
 
     def convolutions(self, grid: Grid, spots: CorrectedSpot) -> ConvolutionEffect:
         """The same as a sum of convolutions. ComputeError unless all points rest on nodes of the grid."""
-        return convolution_effect(grid, self.spot, self.program, spots.depth_ratio, spots.factor)
+        return convolution_effect(grid, self.even, self.program, spots.depth_ratio, spots.factor)
 
 
 def levelled_axes(program: Program, optic: Optic) -> Program:

@@ -11,13 +11,14 @@ from polishd.model.surface import FloatArray
 from polishd.process.compliance import depth_ratio
 from polishd.process.contact import contact_radius_mm, hertz_depth_mm
 from polishd.process.convolution import on_nodes
+from polishd.process.curved import on_curved
 from polishd.process.dwell.sampled_tif import MATRIX_ENTRIES
 from polishd.process.dynamic_tif import CorrectedSpot, corrected_spot, lean_azimuth_rad
 from polishd.process.edge.correctable import transfer
 from polishd.process.identification.acting import Acting
 from polishd.process.path_compliance import path_compliance
 from polishd.process.robot.refusal import require_number
-from polishd.process.spot import Spot
+from polishd.process.spot import HertzSpot, Spot
 from polishd.process.spot_path import SpotPath, levelled_axes
 
 MOST_CONVOLUTIONS = 6
@@ -47,17 +48,18 @@ def path_of(request: RemovalRequest, spot: Spot, reference: float) -> Path:
     """
     process, program = request.process, request.program
     depth = hertz_depth_mm(process)
+    middle = (program.start_mm + program.end_mm)[:, :2] / 2
+    curved = on_curved(process, request.optic, middle, contact=isinstance(spot, HertzSpot))
     at = (request.robot, request.placement)
     path = path_compliance(program, process, *at, options=request.options, optic=request.optic)
-    gamma = depth_ratio(path.compliance_mm_per_n, process, depth)
+    gamma = depth_ratio(path.compliance_mm_per_n, process, depth if curved is None else depth * curved.deeper)
     acting, pass_h = _acting(request)
     level = levelled_axes(program, request.optic)
-    along = SpotPath(_laid(level, acting), acting.spot(spot), process, request.rim)
+    along = SpotPath(_laid(level, acting), acting.spot(spot), process, request.rim, curved)
     sunk = acting.sunk(gamma)
-    spots, edge = along.at_rim(corrected_spot(request.correction, sunk, process.depth_exponent, reference))
+    spots, how = along.on_part(corrected_spot(request.correction, sunk, process.depth_exponent, reference))
     radius = max(request.grid.shape) * request.grid.pitch_mm / 2
     hours = pass_h * (np.arange(program.n) + 0.5) / max(program.n, 1)
-    middle = (level.start_mm + level.end_mm)[:, :2] / 2
     own = np.exp(acting.log_rate(sunk, hours) + acting.log_field(middle, radius))
     notes = [f"rigid contact: depth {depth:.5f} mm, radius {float(contact_radius_mm(process, depth)):.4f} mm"]
     if gamma.size:
@@ -68,7 +70,7 @@ def path_of(request: RemovalRequest, spot: Spot, reference: float) -> Path:
         gamma,
         path.compliance_mm_per_n * 1e3,
         radius,
-        (*notes, *edge, *path.notes),
+        (*notes, *how, *path.notes),
     )
 
 

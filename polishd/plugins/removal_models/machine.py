@@ -100,7 +100,10 @@ def blocks_along(path: Path, executed_s: FloatArray, acted_s: FloatArray | None 
     share = np.divide(acted, executed_s, out=np.ones_like(executed_s), where=executed_s > 0)
     program = path.along.program
     ends, lean = (program.start_mm[:, :2], program.end_mm[:, :2]), lean_azimuth_rad(program)
-    return Blocks(*ends, executed_s, lean, {BELIEVED: path.spots.depth_ratio}, path.spots.factor * share)
+    curved = path.along.curved
+    wider = None if curved is None else np.sqrt(curved.wider.prod(axis=1))
+    by_projection = {BELIEVED: path.spots.depth_ratio}
+    return Blocks(*ends, executed_s, lean, by_projection, path.spots.factor * share, wider=wider)
 
 
 def _pixels(at: MapPixels | None, grid: Grid) -> Pixels | None:

@@ -4,43 +4,18 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from polishd.model.surface import FloatArray
 from polishd.process.metrics import zernike_terms
-from polishd.process.spot import Spot, turned
+from polishd.process.spot import Spot, WiderSpot, turned
 
 FIELD = "field_"
 """What the rate's terms over the part begin with; Noll's number follows."""
 MOVING = ("offset_x", "offset_y", "shift_x", "shift_y", "turn", "rotation")
 LEAST_RATIO = 0.01
 """Depth ratio below which no compliance sinks a block."""
-
-
-@dataclass(frozen=True, slots=True)
-class WiderSpot:
-    """A spot spread over another width, its volume the same."""
-
-    spot: Spot
-    factor: float
-
-    def half_width_mm(self, depth_ratio: FloatArray) -> FloatArray:
-        """(n,) mm."""
-        return self.factor * self.spot.half_width_mm(depth_ratio)
-
-    def step_mm(self, depth_ratio: FloatArray) -> FloatArray:
-        """(n,) mm."""
-        return self.factor * self.spot.step_mm(depth_ratio)
-
-    def offset_mm(self, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
-        """(n, 2) mm, as it was."""
-        return self.spot.offset_mm(depth_ratio, azimuth_rad)
-
-    def patch(self, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
-        """(n, squares, squares) nm mm^2/s: the squares grow, what each removes does not."""
-        return self.spot.patch(depth_ratio, azimuth_rad)
 
 
 class Acting:

@@ -110,12 +110,13 @@ class Forward:
         if pixels is not None:
             grid, azimuth = pixels.at.grid, azimuth + pixels.turn_rad
         width, lies = self.values(theta)["width"], []
+        own = 1.0 if blocks.wider is None else blocks.wider[:, None]
         for change in changes:
             off = np.array([change.get("x", 0.0), change.get("y", 0.0)])
             ends = (start + off, end + off)
             if pixels is not None:
                 ends = (pixels.laid(ends[0]), pixels.laid(ends[1]))
-            lies.append(Lie(ends, float(np.exp(width + change.get("width", 0.0)))))
+            lies.append(Lie(ends, own * float(np.exp(width + change.get("width", 0.0)))))
         ratio = self.gamma(theta) * (1 + gamma)
         found = effects_columns(grid, spot, lies, azimuth + turn, depth_ratio=ratio, factor=np.ones_like(ratio))
         if pixels is None:
@@ -297,4 +298,5 @@ def _only(blocks: Blocks, timed: BoolArray) -> Blocks:
         factor=cut(blocks.factor),
         force_n=cut(blocks.force_n),
         rpm=cut(blocks.rpm),
+        wider=cut(blocks.wider),
     )

@@ -41,6 +41,8 @@ class Blocks:
     """(n,) N measured, NaN where not; None: the process's own."""
     rpm: FloatArray | None = None
     """(n,) 1/min measured, likewise."""
+    wider: FloatArray | None = None
+    """(n,) by which the part's curvature makes each spot wider; None: on a flat."""
 
     @property
     def contact_h(self) -> FloatArray:

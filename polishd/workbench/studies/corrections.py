@@ -123,7 +123,7 @@ def believed_spots(scene: Scene, exponent: float) -> dict[str, CorrectedSpot]:
 def solver_model(scene: Scene, correction: str, spot: CorrectedSpot) -> Effect:
     """The solver's effect; "exact" is a sum of convolutions where points are nodes: not the plant's own matrix."""
     if correction == "exact" and scene.on_nodes:
-        return scene.convolutions(scene.grid, scene.at_rim(spot)[0])
+        return scene.convolutions(scene.grid, scene.on_part(spot)[0])
     return scene.effect(spot)
 
 

@@ -11,6 +11,7 @@ from polishd.model.program import Program
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.compliance import depth_ratio
 from polishd.process.contact import hertz_depth_mm
+from polishd.process.curved import on_curved
 from polishd.process.dynamic_tif import CorrectedSpot, corrected_spot
 from polishd.process.effect import SparseEffect
 from polishd.process.path_compliance import path_compliance
@@ -46,7 +47,7 @@ class Scene(SpotPath):
 
     def effect(self, corrected: CorrectedSpot) -> SparseEffect:
         """The effect matrix of these spots, each laid down on its own; deeper over a free rim."""
-        return self.matrix(self.grid, self.at_rim(corrected)[0])
+        return self.matrix(self.grid, self.on_part(corrected)[0])
 
 
 def make_scene(study: PartStudy) -> Scene:
@@ -61,21 +62,23 @@ def make_scene(study: PartStudy) -> Scene:
         found = path_compliance(program, process, robot, placement, options=options, optic=optic)
     with study.blame("process"):
         depth = hertz_depth_mm(process)
+        curved = on_curved(process, optic, points)
     with study.blame("kinematics"):
-        gamma = depth_ratio(found.compliance_mm_per_n, process, depth)
+        gamma = depth_ratio(found.compliance_mm_per_n, process, depth if curved is None else depth * curved.deeper)
     words = f"gamma {gamma.min():.4f} to {gamma.max():.4f}, mean {gamma.mean():.4f}, at {len(gamma)} dwell points"
-    path = SpotPath(levelled_axes(program, optic), HertzSpot(process), process, study.free_rim())
+    path = SpotPath(levelled_axes(program, optic), HertzSpot(process), process, study.free_rim(), curved)
     return Scene(
         path.program,
         path.spot,
         process,
         path.rim,
+        path.curved,
         grid=study_grid(study, study.process.grid_mm),
         gamma=gamma,
         compliance_um_per_n=found.compliance_mm_per_n * 1e3,
         lattice=lattice,
         on_nodes=study.path.step_mm == study.process.grid_mm,
-        notes=(words, *found.notes, *path.at_rim(corrected_spot("exact", gamma))[1]),
+        notes=(words, *found.notes, *path.on_part(corrected_spot("exact", gamma))[1]),
     )
 
 

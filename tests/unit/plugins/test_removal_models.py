@@ -25,9 +25,12 @@ from polishd.api import (
     SparseEffect,
     ToolProcess,
 )
+from polishd.model.process import Optic
 from polishd.plugins import removal_models
 from polishd.plugins.removal_models import along_path
 from polishd.process import contact
+from polishd.process.paths.spacing import on_optic
+from polishd.process.paths.wrist import tool_axes
 from polishd.process.spreading.effect import SpreadEffect
 
 DIP = np.radians(15.0)
@@ -46,6 +49,16 @@ def request(**changes: Any) -> RemovalRequest:
     placement = Placement((300.0, 220.0, 2315.0), np.diag([1.0, -1.0, -1.0]))
     whole = RemovalRequest(moves, Grid(61, 61, 1.0), ToolProcess(), HybridRobot(), placement, "exact", 1.0)
     return dataclasses.replace(whole, **changes)
+
+
+def on_a_sphere(radius_mm: float) -> RemovalRequest:
+    """Dwells in the middle of a concave part and 40 mm off, dipped and leaning as on the flat."""
+    flat, optic = request(), Optic(radius_mm)
+    points = on_optic(optic, np.array([[0.0, 0.0], [40.0, 0.0]]))
+    axis = tool_axes(points, optic, 15.0, flat.options, flat.placement)
+    index = np.arange(2)
+    program = Program(b"", "", "p", "rs274", "dwell", index + 1, index, points, points, axis, np.ones(2), 2, 600.0)
+    return dataclasses.replace(flat, program=program, optic=optic, grid=Grid(121, 121, 1.0))
 
 
 def the_model(name: str = "hertz_preston") -> RemovalModel:
@@ -235,3 +248,25 @@ def test_where_no_effect_without_a_matrix_is_near_enough_it_is_one_and_says_why(
     answer = the_model().effect(request())
     assert isinstance(answer.effect, SparseEffect)
     assert any(note.startswith("the effect is a matrix: without a matrix the removal is off") for note in answer.notes)
+
+
+def test_on_a_concave_part_contacts_are_wider_less_deep_and_seen_askew() -> None:
+    asked = on_a_sphere(400.0)
+    answer = the_model().effect(asked)
+    flat = the_model().effect(request())
+    volume = [answer.removal_nm(np.eye(2)[k]).sum() for k in range(2)]
+    sunk = answer.gamma**1.5
+    cosine = np.sqrt(1 - (40.0 / 400.0) ** 2)
+    assert volume[1] / volume[0] == pytest.approx(cosine * sunk[1] / sunk[0], rel=1e-3)
+    own, as_flat = answer.removal_nm(np.eye(2)[0]), flat.removal_nm(np.eye(4)[0])
+    relative = (1 / (1 - asked.process.tool_radius_mm / 400.0)) ** (1 / 3)
+    sunk_less = (answer.gamma[0] / flat.gamma[0]) ** 0.5
+    assert as_flat.max() / own.max() == pytest.approx(relative**2 / sunk_less, rel=0.01)
+    assert any("curved part: contacts 1.01" in note for note in answer.notes)
+    assert not any("curved" in note for note in flat.notes)
+
+
+def test_a_measured_spot_on_a_concave_part_is_as_wide_as_it_was_measured() -> None:
+    asked = dataclasses.replace(on_a_sphere(400.0), tif=spot())
+    answer = the_model("measured_tif").effect(asked)
+    assert any("contacts 0.995 to 1.000 times as wide" in note for note in answer.notes)

@@ -140,8 +140,8 @@ def test_spots_sink_over_a_free_rim_and_nowhere_else(tmp_path: Path) -> None:
     free = scene_of(small(tmp_path, ("edge_mm = 3.0", 'edge_mm = 3.0\nrim = "free"')))
     assert np.array_equal(free.gamma, ring.gamma)
     spots = corrected_spot("exact", ring.gamma)
-    assert np.array_equal(ring.at_rim(spots)[0].depth_ratio, ring.gamma)
-    deeper = free.at_rim(spots)[0].depth_ratio > ring.gamma
+    assert np.array_equal(ring.on_part(spots)[0].depth_ratio, ring.gamma)
+    deeper = free.on_part(spots)[0].depth_ratio > ring.gamma
     reach = 12.0 - 1.75 - np.hypot(*free.program.end_mm[:, :2].T)  # 1.75 mm: the contact's radius, and its offset
     assert deeper.any()
     assert (reach[deeper] < 0).all()
