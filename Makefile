@@ -96,6 +96,9 @@ reference: $(VENV)/.installed ## write docs/reference, the pages of all config k
 bench: $(VENV)/.installed ## race polishd against its peers, into build/bench.json (ARGS="name ...")
 	@$(ONE_THREAD) $(BIN)/python -m benchmarks $(ARGS)
 
+performance: $(VENV)/.installed ## what make bench has measured, into docs/performance.md
+	@$(BIN)/python -m docs.reference.performance build/bench.json
+
 COMPARED = --limit 2
 compare: $(VENV)/.installed ## what the compliance correction is worth, on parts of 100 and 300 mm (COMPARED="--limit N")
 	@$(ONE_THREAD) $(BIN)/polishd study examples/corrections.toml --out build/compare/100 $(COMPARED)

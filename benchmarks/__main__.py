@@ -1,14 +1,20 @@
-"""``python -m benchmarks [name ...]``: run the races, print a table, write ``build/bench.json``."""
+"""``python -m benchmarks [name ...]``: run the races, print a table, keep each row in ``build/bench.json`` as it comes.
+
+A row takes the place of the one of its name: a run that is interrupted, or of a few names, loses none of the others.
+"""
 
 from __future__ import annotations
 
 import importlib
 import json
+import os
 import pkgutil
 import sys
 import traceback
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -18,6 +24,9 @@ from benchmarks.harness import Row
 
 OUTPUT = Path("build/bench.json")
 PREFIX = "bench_"
+BY_NAME = ("dwell_million",)
+"""Those that are run only where they are asked for: they take most of an hour."""
+Keep = Callable[[Row], None]
 
 
 def discover(folders: Iterable[str], wanted: Sequence[str] = ()) -> list[str]:
@@ -27,18 +36,24 @@ def discover(folders: Iterable[str], wanted: Sequence[str] = ()) -> list[str]:
     )
     if unknown := set(wanted) - set(found):
         raise SystemExit(f"no such benchmark: {', '.join(sorted(unknown))}; there are: {', '.join(found)}")
-    return [name for name in found if name in wanted or not wanted]
+    return [name for name in found if name in wanted or not (wanted or name in BY_NAME)]
 
 
-def run(names: Iterable[str], console: Console, package: str = benchmarks.__name__) -> tuple[list[Row], bool]:
-    """All rows of these modules, and whether every module came to its end: one that fails does not stop the rest."""
+def run(
+    names: Iterable[str], console: Console, package: str = benchmarks.__name__, keep: Keep = lambda _: None
+) -> tuple[list[Row], bool]:
+    """All rows of these modules, and whether every module came to its end: one that fails does not stop the rest.
+
+    ``keep`` is given each as it comes.
+    """
     rows: list[Row] = []
     complete = True
     for name in names:
         try:
             module = importlib.import_module(f"{package}.{PREFIX}{name}")
             for row in module.rows(lambda message: console.print(f"[dim]{message}[/]")):
-                rows.append(row)  # noqa: PERF402  one by one: what came before a failure counts
+                rows.append(row)
+                keep(row)
         except Exception:  # noqa: BLE001  whatever it was, it is shown, and the exit code tells
             complete = False
             console.print(f"[red]{name} failed[/]")
@@ -50,28 +65,50 @@ def table(rows: Iterable[Row]) -> Table:
     """The rows for people: the ratio is how many times less we cost than the best peer."""
     result = Table("benchmark", "ours", "peers", "ratio", show_lines=True)
     for row in rows:
-        peers = "\n".join(f"{name} {_cost(value, row.unit)}" for name, value in row.peers.items())
-        result.add_row(row.name, _cost(row.ours, row.unit), peers, "-" if row.ratio is None else f"{row.ratio:.3g}")
+        peers = "\n".join(f"{name} {_cost(row, name, value)}" for name, value in row.peers.items())
+        result.add_row(row.name, _cost(row, "ours", row.ours), peers, "-" if row.ratio is None else f"{row.ratio:.3g}")
     return result
 
 
-def _cost(value: float | None, unit: str) -> str:
-    return "did not finish" if value is None else f"{value:.3g} {unit}"
+def _cost(row: Row, name: str, value: float | None) -> str:
+    if value is None:
+        return "did not finish"
+    ends = row.quartiles.get(name)
+    return f"{value:.3g} {row.unit}" + ("" if ends is None else f" ({ends[0]:.3g} to {ends[1]:.3g})")
 
 
-def write(rows: Iterable[Row], path: Path) -> None:
+class Kept:
+    """``build/bench.json``: all rows by name, each with the day and the load of the machine when it was measured."""
+
+    def __init__(self, path: Path) -> None:
+        """Those of earlier runs, if the file has any that can be read."""
+        self._path = path
+        try:
+            found = {row["name"]: row for row in json.loads(path.read_text())}
+        except (OSError, ValueError, KeyError, TypeError):
+            found = {}
+        self._rows: dict[str, dict[str, Any]] = found
+
+    def add(self, row: Row) -> None:
+        """In the place of the one of its name, and into the file at once."""
+        when = {"date": datetime.now(UTC).date().isoformat(), "load": round(os.getloadavg()[0], 1)}
+        kept = {**self._rows, row.name: {**row.as_json(), **when}}
+        write(kept.values(), self._path)
+        self._rows = kept
+
+
+def write(rows: Iterable[Mapping[str, Any]], path: Path) -> None:
     """Write the rows as JSON, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_suffix(".tmp")
-    draft.write_text(json.dumps([row.as_json() for row in rows], indent=2, allow_nan=False) + "\n")
+    draft.write_text(json.dumps(list(rows), indent=2, allow_nan=False) + "\n")
     draft.replace(path)
 
 
 def main(wanted: Sequence[str]) -> int:
-    """Run, show, write; 1 where a benchmark failed."""
-    rows, complete = run(discover(benchmarks.__path__, wanted), Console(stderr=True))
+    """Run, show, keep; 1 where a benchmark failed."""
+    rows, complete = run(discover(benchmarks.__path__, wanted), Console(stderr=True), keep=Kept(OUTPUT).add)
     Console().print(table(rows))
-    write(rows, OUTPUT)
     return 0 if complete else 1
 
 

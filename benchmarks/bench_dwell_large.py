@@ -18,7 +18,6 @@ from polishd.process.dwell.problem import DwellProblem
 GAP = 1e-6
 SMALL = Case(50, 5, 1e-4)
 LARGE = (Case(450, 1.7, 1e-4), Case(450, 10, 3e-4), Case(450, 20, 3e-4))
-LARGEST = Case(1130, 20, 3e-4)
 QUICK_CAP_S = 60.0
 """For a peer that has never come to its end within it."""
 CAP_S = 240.0
@@ -29,7 +28,7 @@ MOST_QP_ENTRIES = 3_000_000
 
 def rows(progress: Progress) -> Iterator[Row]:
     """Cold starts with one spot times gamma; then what the exact spots, a warm start and memory cost."""
-    for case in (SMALL, *LARGE, LARGEST):
+    for case in (SMALL, *LARGE):
         progress(f"dwell, large: preparing {case.name}")
         problem = build(case)
         yield cold(case, problem, peers.reference(problem, GAP), progress)

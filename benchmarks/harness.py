@@ -14,7 +14,7 @@ import traceback
 import tracemalloc
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,8 @@ class Row:
     ours: float
     peers: Mapping[str, float | None]
     unit: str = "s"
+    quartiles: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Of ``ours`` and of each peer that ran more than once: between these half of its runs lay."""
 
     @property
     def ratio(self) -> float | None:
@@ -53,6 +55,7 @@ class Row:
             "peers": dict(self.peers),
             "unit": self.unit,
             "ratio": self.ratio,
+            "quartiles": {name: list(ends) for name, ends in self.quartiles.items()},
         }
 
 
@@ -91,7 +94,16 @@ def race(
     costs = {runner: _median(values) for runner, values in taken.items()}
     own = costs.pop("ours")
     assert own is not None  # else it raised above
-    return Row(name, own, costs, unit)
+    spread = {runner: ends for runner, values in taken.items() if (ends := _quartiles(values)) is not None}
+    return Row(name, own, costs, unit, spread)
+
+
+def _quartiles(costs: list[float | None]) -> tuple[float, float] | None:
+    finished = [cost for cost in costs if cost is not None]
+    if len(finished) < MIN_REPEATS:
+        return None
+    low, _, high = statistics.quantiles(finished, n=4, method="inclusive")
+    return low, high
 
 
 def _median(costs: list[float | None]) -> float | None:

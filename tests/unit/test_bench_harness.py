@@ -15,6 +15,7 @@ from rich.console import Console
 
 from benchmarks import __main__ as bench
 from benchmarks.harness import Row, cpu_seconds, race
+from docs.reference.performance import table
 
 
 def burn(seconds: float) -> None:
@@ -42,7 +43,8 @@ class TestRow:
 
     def test_json_has_the_agreed_keys(self) -> None:
         row = Row("a", 1.0, {"b": 2.0, "c": None}, "nm")
-        assert row.as_json() == {"name": "a", "ours": 1.0, "peers": {"b": 2.0, "c": None}, "unit": "nm", "ratio": 2.0}
+        common = {"name": "a", "ours": 1.0, "peers": {"b": 2.0, "c": None}, "unit": "nm", "ratio": 2.0}
+        assert row.as_json() == {**common, "quartiles": {}}
 
 
 class TestCpuSeconds:
@@ -125,7 +127,7 @@ class TestRace:
         costs = iter([3.0, 30.0, 100.0, 10.0, 2.0, 20.0])
         monkeypatch.setattr("benchmarks.harness.cpu_seconds", lambda run, cap_s: next(costs))
         row = race("r", nap, {"peer": nap}, once_above_s=1000)
-        assert row == Row("r", 3.0, {"peer": 20.0})
+        assert row == Row("r", 3.0, {"peer": 20.0}, quartiles={"ours": (2.5, 51.5), "peer": (15.0, 25.0)})
 
     @pytest.mark.full
     def test_a_slow_peer_runs_once(self) -> None:
@@ -202,13 +204,33 @@ class TestRunning:
         assert "running" in told
         assert "half way" in told
 
-    def test_rows_are_written_whole(self, tmp_path: Path) -> None:
+    def test_a_row_is_kept_as_it_comes_and_the_others_stay(self, package: Path, tmp_path: Path) -> None:
         path = tmp_path / "build" / "bench.json"
-        bench.write([Row("a", 1.0, {"b": None})], path)
-        assert json.loads(path.read_text()) == [Row("a", 1.0, {"b": None}).as_json()]
+        bench.Kept(path).add(Row("other", 3.0, {}))
+        bench.run(["bad"], Console(quiet=True), package.name, bench.Kept(path).add)
+        other, good = json.loads(path.read_text())
+        assert (other["name"], good["name"], good["peers"]) == ("other", "good", {"peer": 2.0, "stuck": None})
+        assert set(good) == {*Row("a", 1.0, {}).as_json(), "date", "load"}
+        bench.Kept(path).add(Row("other", 2.0, {}))
+        assert [row["ours"] for row in json.loads(path.read_text())] == [2.0, 1.0]
+
+    def test_rows_are_written_whole(self, tmp_path: Path) -> None:
+        kept = bench.Kept(tmp_path / "bench.json")
+        kept.add(Row("a", 1.0, {"b": None}))
         with pytest.raises(ValueError, match="JSON"):
-            bench.write([Row("a", float("nan"), {})], path)
-        assert json.loads(path.read_text())[0]["ours"] == 1.0
+            kept.add(Row("a", float("nan"), {}))
+        assert json.loads((tmp_path / "bench.json").read_text())[0]["ours"] == 1.0
+
+    def test_the_page_s_table_tells_all(self, tmp_path: Path) -> None:
+        kept = bench.Kept(tmp_path / "bench.json")
+        kept.add(Row("solve", 1.0, {"quick": 2.5, "stuck": None}, "s", {"ours": (0.9, 1.25)}))
+        (row,) = table(json.loads((tmp_path / "bench.json").read_text())).splitlines()[2:]
+        assert row.startswith("| solve | 1 s (0.9 to 1.25) | quick 2.5 s; stuck did not finish | 2.5 | 20")
+
+    def test_what_takes_an_hour_is_run_by_name_only(self) -> None:
+        folders = [str(Path(bench.__file__).parent)]
+        assert "dwell_million" not in bench.discover(folders)
+        assert bench.discover(folders, ["dwell_million"]) == ["dwell_million"]
 
     def test_the_table_tells_all(self) -> None:
         console = Console(record=True, width=100, file=io.StringIO())

@@ -1,0 +1,37 @@
+"""The table of docs/performance.md: ``python -m docs.reference.performance build/bench.json``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from docs.reference.naming import put
+
+PAGE = Path(__file__).parents[1] / "performance.md"
+MARKS = "<!-- written by make performance -->\n", "<!-- end of what make performance writes -->"
+Row = Mapping[str, Any]
+
+
+def table(rows: Sequence[Row]) -> str:
+    """All rows that are kept, by name; half of the runs between the two in brackets."""
+    lines = ["| | ours | peers | best peer over ours | measured, load |", "|---|---|---|---|---|"]
+    for row in sorted(rows, key=lambda row: str(row["name"])):
+        peers = "; ".join(f"{name} {_cost(row, name, value)}" for name, value in row["peers"].items()) or "-"
+        ratio = "-" if row["ratio"] is None else f"{row['ratio']:.3g}"
+        when = f"{row['date']}, {row['load']}"
+        lines.append(f"| {row['name']} | {_cost(row, 'ours', row['ours'])} | {peers} | {ratio} | {when} |")
+    return "\n".join(lines) + "\n"
+
+
+def _cost(row: Row, name: str, value: float | None) -> str:
+    if value is None:
+        return "did not finish"
+    ends = row.get("quartiles", {}).get(name)
+    return f"{value:.3g} {row['unit']}" + ("" if ends is None else f" ({ends[0]:.3g} to {ends[1]:.3g})")
+
+
+if __name__ == "__main__":
+    PAGE.write_text(put(PAGE.read_text(), table(json.loads(Path(sys.argv[1]).read_text())), MARKS))
