@@ -21,6 +21,7 @@ from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.frames import dips_deg, surface_normals
 from polishd.recipe import dwell_step, steps
+from polishd.recipe.forecasting import forecast_of
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import Believed, Measured, Pass, Solved
 from tests.rs274 import RS274
@@ -433,6 +434,29 @@ def test_learn_the_overhead(program: Program, measured: Measured, solved: Solved
     done = Pass(measured, after, solved.asked_s, solved.expected_s + 0.007)
     believed = steps.learn(small_recipe(), program, done, Believed()).believed
     assert believed.block_overhead_s == pytest.approx(0.007, rel=0.05)
+
+
+def test_what_a_pass_leaves_finer_than_the_grid_is_expected_of_the_next(
+    program: Program, measured: Measured, solved: Solved
+) -> None:
+    """A ripple between tracks: the map's own samples show it, the process grid does not."""
+    recipe, removal = small_recipe(), removed(program, measured, solved, 1.0)
+    flat = polished(measured, removal)
+    grid_nm = float(metrics.without(flat.height_nm, flat.metric_mask, "tilt")[flat.metric_mask].std())
+    plan = steps.rewrite(recipe, program, solved, "again")
+    rippled, smooth = (replace(flat, stats=replace(flat.stats, rms_nm=float(np.hypot(grid_nm, f)))) for f in (1.5, 0.0))
+    told = []
+    for after in (rippled, smooth):
+        done = Pass(
+            replace(measured, stats=replace(measured.stats, rms_nm=0.0)), after, solved.asked_s, solved.expected_s
+        )
+        believed = steps.learn(recipe, program, done, Believed()).believed
+        told.append((believed.ripple, forecast_of(recipe, after, plan, believed)))
+    removed_nm = float(np.sqrt(np.mean(removal[measured.metric_mask] ** 2)))
+    assert told[0][0] == pytest.approx(1.5 / removed_nm, rel=0.02)
+    assert told[1][0] == 0.0
+    assert told[0][1].low_nm > 1.5 - 0.05
+    assert told[1][1].low_nm < told[0][1].low_nm
 
 
 @pytest.mark.parametrize("true", [0.75, 1.25])
