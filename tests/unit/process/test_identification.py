@@ -64,6 +64,7 @@ def hour() -> Polished:
     return slower(one, 3600 / one.time.sum())
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(("names", "truth"), ONE_WRONG)
 def test_what_is_wrong_is_found_within_its_error(names: str, truth: dict[str, float]) -> None:
     result = hour().identified(truth, names)

@@ -53,6 +53,7 @@ APART = [
 WRONG_ALONE = ["offset_x", "field_2", "wear", "turn", "width", "compliance", "shift_y", "rotation"]
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(("one", "names", "name", "others"), CONFOUNDED)
 def test_what_a_pass_cannot_tell_apart_is_said(one: Polished, names: str, name: str, others: set[str]) -> None:
     result = one.identified({}, names)
@@ -64,6 +65,7 @@ def test_what_a_pass_cannot_tell_apart_is_said(one: Polished, names: str, name: 
     assert "cannot tell it from" in said or "most of its error is that of" in said
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(("one", "names", "name"), APART)
 def test_what_it_can_is_not(one: Polished, names: str, name: str) -> None:
     result = one.identified({}, names)

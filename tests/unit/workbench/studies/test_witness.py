@@ -70,6 +70,7 @@ def test_its_rate_and_its_spot_are_those_of_the_machine(tmp_path: Path) -> None:
     assert recipe.model.name == "measured_tif"
 
 
+@pytest.mark.full
 def test_a_loop_that_has_it_is_right_from_the_first_pass_on(tmp_path: Path) -> None:
     found = run_loops(
         study(tmp_path, '[loops.exact]\n[loops.told]\nwitness = "rate"\n'), lambda _: None, seeds=None, jobs=1
