@@ -81,11 +81,11 @@ def effect_matrix(
     of the peak (half of the spots within 0.6 %), of 1 mm within 0.6 %.
     """
     ends = (program.start_mm[:, :2], program.end_mm[:, :2])
-    lies = [Lie(ends, wider)]
-    azimuth = lean_azimuth_rad(program)
-    return effects_columns(grid, spot, lies, azimuth, depth_ratio=depth_ratio, factor=factor, correlation=correlation)[
-        0
-    ]
+    azimuth, lies = lean_azimuth_rad(program), [Lie(ends, wider)]
+    (matrix,) = effects_columns(
+        grid, spot, lies, azimuth, depth_ratio=depth_ratio, factor=factor, correlation=correlation
+    )
+    return matrix
 
 
 @dataclass(frozen=True, slots=True)
