@@ -25,7 +25,7 @@ from benchmarks.harness import Row
 OUTPUT = Path("build/bench.json")
 PREFIX = "bench_"
 BY_NAME = ("dwell_million",)
-"""Those that are run only where they are asked for: they take most of an hour."""
+"""Those that are run only where they are asked for: they take the longest."""
 Keep = Callable[[Row], None]
 
 
@@ -81,11 +81,11 @@ class Kept:
     """``build/bench.json``: all rows by name, each with the day and the load of the machine when it was measured."""
 
     def __init__(self, path: Path) -> None:
-        """Those of earlier runs, if the file has any that can be read."""
+        """Those of earlier runs."""
         self._path = path
         try:
             found = {row["name"]: row for row in json.loads(path.read_text())}
-        except (OSError, ValueError, KeyError, TypeError):
+        except FileNotFoundError:
             found = {}
         self._rows: dict[str, dict[str, Any]] = found
 

@@ -21,7 +21,7 @@ def table(rows: Sequence[Row]) -> str:
     for row in sorted(rows, key=lambda row: str(row["name"])):
         peers = "; ".join(f"{name} {_cost(row, name, value)}" for name, value in row["peers"].items()) or "-"
         ratio = "-" if row["ratio"] is None else f"{row['ratio']:.3g}"
-        when = f"{row['date']}, {row['load']}"
+        when = f"{row.get('date', '-')}, {row.get('load', '-')}"
         lines.append(f"| {row['name']} | {_cost(row, 'ours', row['ours'])} | {peers} | {ratio} | {when} |")
     return "\n".join(lines) + "\n"
 

@@ -26,7 +26,7 @@ STEP_MM = 0.05
 """On either side of a point: what the normals' differences tell of curvature; they are exact but for rounding."""
 CLOSEST = 0.9
 """Part of the bonnet's curvature that a concave part may have: closer, and it is touched all round."""
-SLIMMEST = 0.2
+SLIMMEST = 0.05
 """Ratio of an ellipse's axes down to which it is tabulated."""
 
 
