@@ -104,7 +104,9 @@ def write_files(out: Path, controller: Controller) -> DemoFiles:
     program = PROGRAMS[controller.encoding]
     if controller.kind == "linuxcnc":
         linuxcnc_rig.take(files)
-        files.cell.write_text(with_keys(files.cell.read_text(), PATIENT))
+        again = {"between": {"settle.wait_s": 1.0, "settle.maps": 3}}  # where a map is doubted: real seconds
+        files.cell.write_text(with_keys(files.cell.read_text(), {**PATIENT, **again}))
+        files.profile.write_text(with_keys(files.profile.read_text(), {"repeatability": {"rms_nm": 0.3}}))
         files.sim.write_text(with_keys(files.sim.read_text(), PATIENT_SIM))
     elif controller.kind == "universal_robots":
         universal_robots_rig.take(files, cycle_hz=500)
