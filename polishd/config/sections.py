@@ -257,7 +257,8 @@ class DwellSection(Section):
     """It is asked where the certificate cannot prove by itself that less than this share of the objective could be
     gained (`gap`); 0: always. [1]"""
     regularisation: NotNegative = 1e-4
-    """Weight of the squared dwell, rho = P N_r / sigma_max^2: more conditions better and follows less. [1]"""
+    """Weight of the squared dwell, as rho = regularisation N_r / sigma_max^2: more conditions better and follows less.
+    [1]"""
     extension: Literal["none", "nearest", "c1", "gerchberg_papoulis"] = "c1"
     """How the surface goes on beyond the part's rim, where the map has no data."""
     within_s: Seconds = 120.0

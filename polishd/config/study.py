@@ -70,7 +70,7 @@ class SolveSection(Section):
     """How the dwell is solved: eq. 50 with ``t >= 0``."""
 
     regularisation_nm2_s2: NotNegative = 1e-9
-    """P of eq. 50: weight of the squared dwell."""
+    """Of eq. 50, its P: weight of the squared dwell."""
     unreached: ShareOrNone = 0.005
     """Share of the samples for which the mean removal may be too little. [1]"""
     kkt_tolerance: Share = 1e-5

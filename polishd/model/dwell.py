@@ -45,7 +45,7 @@ class Certificate:
     gap: float | None = None
     """Proved: no dwell within the bounds has an objective that is lower by more than this share; None: nothing is."""
     gap_nm: float | None = None
-    """The same of the objective's root, which is the RMS of the solved area where price and P weigh little."""
+    """The same of the objective's root: the RMS of the solved area, where price and regularisation count little."""
     predicted_band_rms_nm: float | None = None
     """RMS of the periods above the problem's ``band_period_mm`` in the clear aperture; None: none was asked for."""
 

@@ -24,7 +24,7 @@ from polishd.process.dwell.validation import check
 from polishd.process.robot.refusal import require_number
 
 RHO = 1e-8
-"""Default of rho = P N_r / sigma_max^2: on real maps within 0.3 % of the residual RMS of P = 0."""
+"""Default of rho = regularisation N_r / sigma_max^2: on real maps within 0.3 % of the residual RMS without it."""
 MOST_UNREACHED = 0.02
 
 
@@ -62,7 +62,7 @@ class DwellCase:
     piston_nm: float | None = 0.0
     """Removal wanted everywhere beside ``height_nm``; None: chosen by `choose_piston_nm`."""
     rho: float = RHO
-    """Regularisation, ``P N_r / sigma_max^2``."""
+    """Of the regularisation: ``regularisation N_r / sigma_max^2``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ class ArrayDwell:
     points_mm: FloatArray
     """(n, 2) x and y of the dwell points, in the map's coordinates."""
     problem: DwellProblem
-    """What was solved, with its price of time, P and piston."""
+    """What was solved, with its price of time, regularisation and piston."""
     solution: DwellSolution
 
     @property

@@ -90,10 +90,10 @@ def _finite(value: float) -> float | None:
 def largest_gap(problem: DwellProblem, time_s: FloatArray, f: Quadratic | None = None) -> float:
     """By how much the objective at ``time_s`` (n,) is above the least one within the bounds, at most, nm^2.
 
-    The objective curves by 2 P at least, so ``f(s) >= f(t) + g (s - t) + P |s - t|^2``, whose least value within the
-    bounds is that of each point by itself. A dwell that is better than this one also has ``P s^2 <= f(t)`` at each
-    point. With a P of next to nothing it is far too much, and says little; without P and an upper bound, infinite. It
-    costs one gradient.
+    The objective curves by twice the regularisation P at least: ``f(s) >= f(t) + g (s - t) + P |s - t|^2``, whose least
+    value within the bounds is that of each point by itself. A dwell that is better than this one also has
+    ``P s^2 <= f(t)`` at each point. With next to no regularisation it is far too much, and says little; without it and
+    an upper bound, infinite. It costs one gradient.
     """
     f = f or quadratic(problem)
     g, p = f.gradient(time_s), f.regularisation

@@ -27,7 +27,7 @@ CERTIFIED = ("objective", "kkt_residual", "at_lower", "at_upper", "solver", "ite
 
 @dataclass(frozen=True, slots=True)
 class Solved:
-    """A problem and its solution: the certificate is to be read against this problem's price and P."""
+    """A problem and its solution: the certificate is to be read against this problem's price and regularisation."""
 
     problem: DwellProblem
     solution: DwellSolution = field(repr=False)
@@ -114,8 +114,9 @@ class Curve:
 def price_curve(problem: DwellProblem, solve: Solve, prices_nm2_per_s: Sequence[float] | None = None) -> Curve:
     """Walk the price of time down: the Pareto front itself.
 
-    Where ``min residual + P |t|^2 + price sum(t)`` is solved, no dwell of the same P takes less time for the same
-    residual: the price is the multiplier of a time budget. So this is the curve to choose on; P only conditions.
+    Where ``min residual + regularisation |t|^2 + price sum(t)`` is solved, no dwell of the same regularisation takes
+    less time for the same residual: the price is the multiplier of a time budget. So this is the curve to choose on;
+    the regularisation only conditions.
 
     Args:
         problem: the problem; its own price does not count.

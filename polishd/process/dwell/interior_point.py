@@ -1,8 +1,9 @@
-"""Primal-dual interior point on a banded Cholesky factor: exact on problems of medium size, however small P.
+"""Primal-dual interior point on a banded Cholesky factor: exact on medium-sized problems, whatever the regularisation.
 
 Conjugate gradients need the more rounds the worse the problem is conditioned, and a long residual-against-time curve
 ends where it is badly conditioned. Here a step costs one factorisation of ``R'R`` plus a diagonal, and there are 10 to
-30 of them whatever P, the price and the number of points at rest on a bound. (Mehrotra, SIAM J. Optim. 2 (1992) 575;
+30 of them whatever the regularisation, the price and the number of points at rest on a bound.
+(Mehrotra, SIAM J. Optim. 2 (1992) 575;
 the bounds as in Nocedal and Wright, Numerical Optimization, ch. 16.6.)
 """
 
@@ -82,7 +83,7 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-8) -
 
 @dataclass(frozen=True, slots=True)
 class BandedHessian:
-    """``2 R'R / N_r + 2 P`` of k points, in an order of small bandwidth; factorised with any diagonal added."""
+    """``2 R'R / N_r + 2 regularisation`` of k points, in an order of small bandwidth; factorised with any diagonal."""
 
     order: Indices
     """(k,) the points, as they stand in the band."""

@@ -20,13 +20,14 @@ NAME = "lucy_richardson"
 ITERATIONS = 100
 FLOOR = 1e-9
 """Least removal that is divided by, over the largest target: transforms leave rounding where no spot reaches."""
-NOTES = ("Lucy-Richardson does not minimise the objective: P and price had no part but in choosing among its iterates",)
+NOTES = ("Lucy-Richardson does not minimise the objective: regularisation and price only chose among its iterates",)
 
 
 def solve(problem: DwellProblem, within_s: float, iterations: int = ITERATIONS) -> DwellSolution:
     """The best dwell, by the problem's objective, of so many multiplicative steps ``t R'(w h / R t) / R'w``.
 
-    Weights are honoured, and bounds by clipping each step to them. P and price are not: they only choose the iterate.
+    Weights are honoured, and bounds by clipping each step to them. Regularisation and price only choose the
+    iterate.
     A target below 0 counts as 0. A dwell at a lower bound of 0 would stay there, so it starts above.
 
     Args:

@@ -11,7 +11,7 @@ from polishd.process.effect import Effect
 
 @dataclass(frozen=True, slots=True)
 class DwellProblem:
-    """``min sum_k weight_k (R t - h)_k^2 / N_r + P ||t||^2 + price sum(t)`` over ``solve_mask``, within bounds.
+    """``min sum_k weight_k (R t - h)_k^2 / N_r + regularisation ||t||^2 + price sum(t)`` over ``solve_mask``, bounded.
 
     N_r is the number of samples in ``solve_mask``; without weights and price it is paper eq. 50 with bounds.
     """
@@ -28,7 +28,7 @@ class DwellProblem:
     upper_s: FloatArray
     """(n,) most time."""
     regularisation: float
-    """P of eq. 50, nm^2/s^2."""
+    """Regularisation of eq. 50, nm^2/s^2."""
     weight: FloatArray | None = None
     """(ny, nx) how much a sample counts, not negative; None: all alike."""
     price_nm2_per_s: float = 0.0

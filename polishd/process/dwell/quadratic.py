@@ -24,7 +24,7 @@ GRAM_MOST = 32
 
 @dataclass(frozen=True, slots=True)
 class Quadratic:
-    """``f(t) = |R t - h|^2 / N_r + P |t|^2 + price sum(t)`` (paper eq. 50, its square outside the sum as it must be).
+    """``f(t) = |R t - h|^2 / N_r + regularisation |t|^2 + price sum(t)`` (eq. 50, with its square outside the sum).
 
     R is restricted to the m = N_r samples that count; with weights its rows, and h, carry their square roots.
     """
@@ -36,7 +36,7 @@ class Quadratic:
     target: FloatArray
     """(m,) nm: h."""
     regularisation: float
-    """P, nm^2/s^2."""
+    """The P of eq. 50, nm^2/s^2."""
     price: float = 0.0
     """Of a second of total time, nm^2/s."""
     gram: Product | None = None
@@ -51,12 +51,12 @@ class Quadratic:
         return float(miss @ miss) / self.target.size + held
 
     def gradient(self, time_s: FloatArray) -> FloatArray:
-        """(n,) nm^2/s: ``2 R'(R t - h) / N_r + 2 P t + price``."""
+        """(n,) nm^2/s: ``2 R'(R t - h) / N_r + 2 regularisation t + price``."""
         miss = self.forward(time_s) - self.target
         return 2 / self.target.size * self.backward(miss) + 2 * self.regularisation * time_s + self.price
 
     def curvature(self, direction: FloatArray) -> FloatArray:
-        """(n,) Hessian times a direction: ``2 R'R d / N_r + 2 P d``."""
+        """(n,) Hessian times a direction: ``2 R'R d / N_r + 2 regularisation d``."""
         if self.gram is not None:
             return self._bent(self.gram(direction), direction)
         return self._bent(self.backward(self.forward(direction)), direction)

@@ -3,7 +3,7 @@
 The problem is split in two that are each solved in closed form, with ``y`` the removal and ``w_k = c_k t`` the dwell as
 the k-th convolution of the effect sees it:
 
-- sample by sample and point by point: the misfit of ``y``, and P, price and bounds of ``t``;
+- sample by sample and point by point: the misfit of ``y``, and regularisation, price and bounds of ``t``;
 - frequency by frequency: ``y = sum_k K_k w_k``.
 
 An iteration takes 2 (rank + 1) transforms, in float32. Nothing here is trusted: the certificate is computed anew.
@@ -28,8 +28,8 @@ from polishd.process.dwell.quadratic import quadratic, warm_start_s
 RELAXATION = 1.9
 MISFIT_STEP = 0.06
 """Step parameter of y over the misfit's curvature; flat between 0.05 and 0.1."""
-LEAST_P = 1e-5
-"""P below this share of the misfit's curvature is taken for this, in the step parameter only."""
+LEAST_REGULARISATION = 1e-5
+"""Regularisation below this share of the misfit's curvature is taken for this, in the step parameter only."""
 ADAPT_AT = (20, 40)
 """Iterations between which the dual and the primal variables' changes are compared, to mend the step of w."""
 ADAPT_POWER = 0.25
@@ -121,7 +121,7 @@ class Splitting:
         return len(self.spectra)
 
     def _dwell_nearest_to(self, wanted: list[Array]) -> None:
-        """The dwell within its bounds, point by point, that the (ny, nx) of each w, P and the price agree on."""
+        """The dwell within its bounds, point by point, where each w's (ny, nx), regularisation and price agree."""
         gain, scratch = self._fixed["t_gain"], self._fixed["scratch"]
         np.multiply(wanted[0], gain[0], out=self.dwell)
         for k in range(1, self.rank):
@@ -183,9 +183,9 @@ def splitting(problem: DwellProblem, effect: ConvolutionEffect, real: type = np.
     coefficient /= balance[:, None, None]
     spectra = effect.spectra * balance[:, None, None]
     strength = (np.abs(spectra) ** 2).sum(axis=0)
-    square = float(((effect.coefficients / balance) ** 2).sum(axis=1).mean())  # how P, which is of t, weighs on w
+    square = float(((effect.coefficients / balance) ** 2).sum(axis=1).mean())  # it is of t, and so weighs on w
     scale = float(pull.max())
-    held = max(2 * problem.regularisation, LEAST_P * scale * float(strength.max()) * square)
+    held = max(2 * problem.regularisation, LEAST_REGULARISATION * scale * float(strength.max()) * square)
     rho, mu = MISFIT_STEP * scale, float(np.sqrt(held / square * scale * strength.max()))
     complex_type = np.complex64 if real is np.float32 else np.complex128
     found = Splitting(
