@@ -20,8 +20,8 @@ from polishd.process.robot.refusal import require_number
 PATCH = 32
 """Squares across a Hertz contact: 0.11 mm each in the paper's process, fine enough for cells of 0.5 mm and more."""
 SQUARES_IN_CELL = 4
-MOST_PATCH = 128
-"""Squares across a contact that is large against the grid's cells: 0.16 mm each at a radius of 10 mm."""
+MOST_PATCH = 256
+"""Squares across a contact that is large against the grid's cells: 0.23 mm each at a radius of 30 mm."""
 
 
 class Spot(Protocol):

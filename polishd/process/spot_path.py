@@ -17,7 +17,7 @@ from polishd.process.edge.edge_tif import sunk_at_rim
 from polishd.process.effect import SparseEffect
 from polishd.process.frames import surface_normals, upright
 from polishd.process.spot import Spot, WiderSpot
-from polishd.process.spreading.effect import SpreadEffect, spread_effect
+from polishd.process.spreading.effect import TOLERANCE, SpreadEffect, spread_effect
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +61,9 @@ class SpotPath:
         width = 2 * self.spot.half_width_mm(spots.depth_ratio) + grid.pitch_mm
         return float((np.pi / 4 * width**2 + width * self.program.length_mm).sum()) / grid.pitch_mm**2
 
-    def without_matrix(self, grid: Grid, spots: CorrectedSpot) -> SpreadEffect:
-        """The same in memory that goes with points and samples. ComputeError where its error is too large."""
-        return spread_effect(grid, self.even, self.program, spots.depth_ratio, spots.factor)
+    def without_matrix(self, grid: Grid, spots: CorrectedSpot, tolerance: float = TOLERANCE) -> SpreadEffect:
+        """The same in memory that goes with points and samples. ComputeError where its error is above the tolerance."""
+        return spread_effect(grid, self.even, self.program, spots.depth_ratio, spots.factor, tolerance=tolerance)
 
     def convolutions(self, grid: Grid, spots: CorrectedSpot) -> ConvolutionEffect:
         """The same as a sum of convolutions. ComputeError unless all points rest on nodes of the grid."""

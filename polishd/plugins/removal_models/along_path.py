@@ -21,6 +21,10 @@ from polishd.process.robot.refusal import require_number
 from polishd.process.spot import HertzSpot, Spot
 from polishd.process.spot_path import SpotPath, levelled_axes
 
+MOST_ENTRIES = 100_000_000
+"""Of a matrix: with its transpose, which the solver needs, 2.4 GB."""
+LESS_NEAR = 5e-3
+"""How far off the removal may be without a matrix, over its peak, where the matrix would be too large."""
 MOST_CONVOLUTIONS = 6
 """A family of higher rank (the azimuth turns over the part) costs more as convolutions than as a matrix."""
 
@@ -115,7 +119,8 @@ def _laid(program: Program, acting: Acting) -> Program:
 def _effect(along: SpotPath, grid: Grid, spots: CorrectedSpot) -> tuple[Effect, tuple[str, ...]]:
     """Few convolutions where all points rest on nodes of the grid, else a matrix while it is small; and which it is.
 
-    Where no effect without a matrix is near enough it is a matrix, however large.
+    Where no effect without a matrix is near enough it is a matrix, while that fits a computer's memory; beyond, one
+    that is less near, whose certificate says how far off it is. ComputeError where that is too far.
     """
     if on_nodes(grid, along.program):
         found = along.convolutions(grid, spots)
@@ -124,11 +129,14 @@ def _effect(along: SpotPath, grid: Grid, spots: CorrectedSpot) -> tuple[Effect, 
                 f"the TIF's family is a sum of {found.rank} convolutions, truncated to {found.truncation:.1e} of a spot"
             )
             return found, (note,)
-    if along.entries(grid, spots) > MATRIX_ENTRIES:
+    entries = along.entries(grid, spots)
+    if entries > MATRIX_ENTRIES:
         try:
             spread = along.without_matrix(grid, spots)
         except ComputeError as error:
-            return along.matrix(grid, spots), (f"the effect is a matrix: {error}",)
+            if entries <= MOST_ENTRIES:
+                return along.matrix(grid, spots), (f"the effect is a matrix: {error}",)
+            spread = along.without_matrix(grid, spots, LESS_NEAR)
         return spread, (spread.note,)
     return along.matrix(grid, spots), ()
 

@@ -9,8 +9,9 @@ from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import Quadratic, quadratic, safe_step
 from polishd.process.effect import Effect
+from polishd.process.spreading.effect import SpreadEffect
 
-# Beyond it, float64 leaves fewer than four digits of what P alone holds.
+# Beyond it, float64 leaves fewer than four digits of what the regularisation alone holds.
 ILL_CONDITIONED = 1e12
 
 
@@ -55,6 +56,7 @@ def sigma_max(effect: Effect, solve_mask: BoolArray, rounds: int = 200, toleranc
     Raises:
         ComputeError: the effect is zero or not finite.
     """
+    effect = effect.single() if isinstance(effect, SpreadEffect) else effect
     vector, value = np.full(effect.n, 1 / np.sqrt(effect.n)), 0.0
     for _ in range(rounds):
         vector = effect.adjoint(np.where(solve_mask, effect.removal_nm(vector), 0.0))
@@ -68,7 +70,7 @@ def sigma_max(effect: Effect, solve_mask: BoolArray, rounds: int = 200, toleranc
 
 
 def regularisation_from_rho(effect: Effect, solve_mask: BoolArray, rho: float) -> float:
-    """P of paper eq. 50, nm^2/s^2, from the dimensionless ``rho = P N_r / sigma_max^2``.
+    """The P of paper eq. 50, nm^2/s^2, from the dimensionless ``rho = regularisation N_r / sigma_max^2``.
 
     Raises:
         ComputeError: rho is negative or not finite, no sample counts, or the effect is zero.
@@ -82,7 +84,7 @@ def regularisation_from_rho(effect: Effect, solve_mask: BoolArray, rho: float) -
 
 
 def condition(problem: DwellProblem, f: Quadratic | None = None) -> float:
-    """Condition number of the Hessian, ``sigma_max^2 / (N_r P) + 1``, at most; infinite for P = 0.
+    """Condition number of the Hessian, ``sigma_max^2 / (N_r regularisation) + 1``, at most; infinite without it.
 
     sigma_max by its bound, the largest row sum of ``R'R``: one product, and a few per cent above for wide parts.
     ``f`` is the problem's objective where it is at hand.
@@ -92,11 +94,12 @@ def condition(problem: DwellProblem, f: Quadratic | None = None) -> float:
 
 
 def conditioning_note(problem: DwellProblem, f: Quadratic | None = None) -> str | None:
-    """What a certificate has to say of P where it is too small for float64; None where it is not."""
+    """What a certificate has to say of a regularisation that is too small for float64; None where it is not."""
     number = condition(problem, f)
     if number <= ILL_CONDITIONED:
         return None
     return (
-        f"ill-conditioned: P = {problem.regularisation:.3g} nm^2/s^2 gives a condition number of {number:.3g} "
+        f"ill-conditioned: a regularisation of {problem.regularisation:.3g} nm^2/s^2 gives a condition number of "
+        f"{number:.3g} "
         f"(above {ILL_CONDITIONED:.0e}); where the residual hardly depends on a dwell, its time is arbitrary"
     )

@@ -1,0 +1,118 @@
+"""Alternating directions against projected Newton-CG, which shares no step with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from polishd.model.dwell import KeptStart
+from polishd.model.errors import ComputeError
+from polishd.model.surface import FloatArray
+from polishd.process.dwell import automatic, newton_cg, spectral
+from polishd.process.dwell.problem import DwellProblem
+from polishd.process.dwell.quadratic import quadratic
+from polishd.process.dwell.setup import regularisation_from_rho
+from polishd.process.effect import SparseEffect
+from polishd.process.spreading.effect import SpreadEffect
+from tests.unit.process.moves import inward_program
+from tests.unit.process.test_spreading import GRID, both, moves
+
+DISC = GRID.radius_mm() < 19
+
+
+def raster(step_mm: float = 1.0) -> FloatArray:
+    """(n, 2) points of lines to and fro over the grid and a little more."""
+    line = np.arange(-22, 22.01, step_mm)
+    return np.concatenate([np.column_stack([line[:: (-1) ** k], np.full(line.size, y)]) for k, y in enumerate(line)])
+
+
+@cache
+def problem(path: str = "raster", rho: float = 1e-3) -> DwellProblem:
+    """A figure of which some lies too deep, so that bounds hold."""
+    points = raster()
+    program = inward_program(points[:-1], points[1:]) if path == "raster" else moves(1500)
+    quick, _ = both(program)
+    x, y = GRID.axes_mm
+    target = np.maximum(100 + 140 * np.sin(x / 6) * np.cos(y / 7), 0.0)
+    n = program.n
+    p = regularisation_from_rho(quick, DISC, rho)
+    return DwellProblem(quick, target, DISC, DISC, np.full(n, 1e-4), np.full(n, 0.5), p)
+
+
+def agree(asked: DwellProblem, solver: str = spectral.NAME) -> None:
+    found, want = spectral.solve(asked, 120.0, 1e-5), newton_cg.solve(asked, 120.0, 1e-6)
+    assert found.certificate.solver == solver
+    assert found.certificate.stopped == "converged"
+    assert found.certificate.kkt_residual <= 1e-5
+    value = quadratic(asked).value
+    at_lower = value(asked.lower_s)
+    assert value(found.time_s) - value(want.time_s) < 1e-6 * (at_lower - value(want.time_s))
+    assert (found.time_s >= asked.lower_s).all()
+    assert (found.time_s <= asked.upper_s).all()
+
+
+def test_it_finds_what_projected_newton_finds() -> None:
+    asked = problem()
+    agree(asked)
+    found = spectral.solve(asked, 120.0)
+    assert (found.time_s <= asked.lower_s).mean() > 0.05, "no bound holds: this shows little"
+
+
+def test_a_path_that_is_here_dense_and_there_thin_is_left_to_projected_newton() -> None:
+    agree(problem("anywhere"), newton_cg.NAME)
+
+
+def test_it_finds_it_where_an_upper_bound_holds() -> None:
+    asked = problem()
+    free = spectral.solve(asked, 120.0).time_s
+    agree(replace(asked, upper_s=np.full(free.size, float(np.quantile(free, 0.8)))))
+
+
+def test_weights_and_the_price_of_time_have_their_part() -> None:
+    asked = problem()
+    weighed = replace(asked, weight=np.where(GRID.radius_mm() < 9, 2.0, 1.0), price_nm2_per_s=0.5)
+    agree(weighed)
+    assert spectral.solve(weighed, 120.0).time_s.sum() < spectral.solve(asked, 120.0).time_s.sum()
+
+
+def test_little_regularisation_takes_longer_and_comes_there() -> None:
+    agree(problem(rho=1e-4))
+
+
+def test_where_float32_does_not_get_there_projected_newton_goes_on() -> None:
+    asked = problem()
+    found = spectral.solve(asked, 120.0, 1e-9)
+    assert found.certificate.solver == newton_cg.NAME
+    assert found.certificate.kkt_residual <= 1e-9
+
+
+def test_a_warm_start_is_soon_there() -> None:
+    asked = problem()
+    cold = spectral.solve(asked, 120.0, 1e-5)
+    nearly = replace(asked, target_nm=asked.target_nm * 1.002)
+    again = spectral.solve(replace(nearly, warm=KeptStart(cold.time_s, {})), 120.0, 1e-5)
+    assert again.certificate.kkt_residual <= 1e-5
+    assert again.certificate.iterations < 0.7 * spectral.solve(nearly, 120.0, 1e-5).certificate.iterations
+
+
+def test_out_of_time_it_returns_what_it_has_and_says_so() -> None:
+    asked = problem()
+    found = spectral.solve(asked, 0.0)
+    assert found.certificate.stopped == "deadline"
+    assert (found.time_s >= asked.lower_s).all()
+
+
+def test_the_default_takes_it_where_there_is_no_matrix() -> None:
+    assert automatic.solve(problem(), 120.0).certificate.solver == spectral.NAME
+
+
+def test_another_effect_is_refused() -> None:
+    asked = problem()
+    assert isinstance(asked.effect, SpreadEffect)
+    matrix = SparseEffect(GRID, both(moves())[1].matrix)
+    few = replace(asked, effect=matrix, lower_s=np.zeros(2000), upper_s=np.full(2000, np.inf))
+    with pytest.raises(ComputeError, match="needs an effect without a matrix"):
+        spectral.solve(few, 1.0)
