@@ -108,7 +108,7 @@ def feeds(plan: Plan, envelope: Envelope) -> Iterator[str]:
 
 
 ROUNDED = 1e-3
-"""Of the largest removal: below zero by less beside where the path ends, as an effect without a matrix is off by so much."""
+"""Of the largest removal: an effect without a matrix is off by as much, and so below zero where the path ends."""
 
 
 def removal(plan: Plan, envelope: Envelope) -> Iterator[str]:

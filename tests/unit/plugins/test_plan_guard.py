@@ -114,7 +114,7 @@ def test_each_violation_is_named(case: str) -> None:
 
 
 def test_a_hair_below_zero_where_the_path_ends_is_none() -> None:
-    """An effect without a matrix is off by some 1e-4 of the removal; a plan of 500 mm was refused for 0.16 nm of 1,188."""
+    """An effect without a matrix is off by some 1e-4 of the removal: a plan was refused for 0.16 nm of 1,188."""
     assert not judge(replace(plan_of(), predicted_removal_nm=np.array([[12.0, -0.011]])))
 
 
