@@ -120,5 +120,5 @@ def test_an_ill_conditioned_p_is_noted_with_the_number() -> None:
     note = conditioning_note(small)
     assert note is not None
     assert f"condition number of {condition(small):.3g}" in note
-    assert f"P = {small.regularisation:.3g}" in note
+    assert f"regularisation of {small.regularisation:.3g}" in note
     assert "inf" in str(conditioning_note(replace(PROBLEM, regularisation=0.0)))
