@@ -7,6 +7,7 @@ from typing import ClassVar
 
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray, Grid
+from polishd.process.dwell.validation import negligible
 from polishd.process.effect import Effect
 
 
@@ -30,6 +31,11 @@ class Staying:
     def n(self) -> int:
         """Number of timed points."""
         return self._own().n
+
+    @property
+    def negligible(self) -> float:
+        """Share of the strongest removal up to which it is taken for none."""
+        return negligible(self._own())
 
     def removal_nm(self, time_s: FloatArray) -> FloatArray:
         """(n,) s -> (ny, nx) nm."""

@@ -20,6 +20,7 @@ from polishd.model.surface import BoolArray, Grid, SurfaceMap
 from polishd.process import conditioning, gate, metrics, motion, naming
 from polishd.process.alignment import alignment_notes
 from polishd.process.conditioning import Masks
+from polishd.process.dwell.validation import negligible, without_traces
 from polishd.process.forecast import pooled, unexplained
 from polishd.process.instrument import as_profiled
 from polishd.process.leftover import leftover
@@ -268,12 +269,14 @@ def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan
     answer = solved.answer
     if isinstance(answer.effect, Staying) and not answer.effect.here:  # the worker that solved is no more
         answer = effect_of(recipe, program, answer.effect.grid, solved.believed)
+    effect = answer.effect
+    share = effect.negligible if isinstance(effect, Staying) else negligible(effect)
     return Plan(
         program=rewritten,
         approach_blocks=int(rewritten.block[0]),
         contact_blocks=int(rewritten.block[-1]) + 1,
         expected_time_s=expected,
-        predicted_removal_nm=answer.removal_nm(expected),
+        predicted_removal_nm=without_traces(answer.removal_nm(expected), share),
         segments=tuple(Segment(seq, line.rstrip(b"\r")) for seq, line in enumerate(rewritten.blocks)),
     )
 

@@ -107,17 +107,13 @@ def feeds(plan: Plan, envelope: Envelope) -> Iterator[str]:
     yield from _lines(plan, asked >= low, asked, f"asks for {{:.6g}} mm/s, below {least:g} mm/s")
 
 
-ROUNDED = 1e-3
-"""Of the largest removal: an effect without a matrix is off by as much, and so below zero where the path ends."""
-
-
 def removal(plan: Plan, envelope: Envelope) -> Iterator[str]:
     """The pass removes at every point of the part something finite, not negative, and not too much."""
     predicted = plan.predicted_removal_nm
     if predicted.size == 0 or not np.isfinite(predicted).all():
         yield "the predicted removal is not finite everywhere"
         return
-    if predicted.min() < -ROUNDED * predicted.max():
+    if predicted.min() < 0:
         yield f"the predicted removal falls to {predicted.min():.6g} nm: a tool adds nothing"
     if not predicted.max() <= envelope.max_removal_nm:
         row, column = np.unravel_index(int(predicted.argmax()), predicted.shape)

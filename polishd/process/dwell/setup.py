@@ -100,6 +100,6 @@ def conditioning_note(problem: DwellProblem, f: Quadratic | None = None) -> str 
         return None
     return (
         f"ill-conditioned: a regularisation of {problem.regularisation:.3g} nm^2/s^2 gives a condition number of "
-        f"{number:.3g} "
-        f"(above {ILL_CONDITIONED:.0e}); where the residual hardly depends on a dwell, its time is arbitrary"
+        f"{number:.3g} (above {ILL_CONDITIONED:.0e}); where the residual hardly depends on a dwell, its time is "
+        "arbitrary"
     )

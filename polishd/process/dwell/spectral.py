@@ -35,7 +35,7 @@ At 1.5 a KKT residual of 1e-4 takes a quarter more steps, at 0.7 half as many ag
 LEAST_REGULARISATION = 1e-5
 """Regularisation below this share of the most curvature is taken for this, in the pull only."""
 LOOK_EVERY = 20
-"""Steps between two looks at the KKT residual in float64, which cost as much as four of them."""
+"""Steps between two looks at the KKT residual in float64, which cost as much as two of them."""
 STALLED, LOOKS = 0.9, 5
 """A residual above this share of what it was so many looks ago has met float32's floor."""
 

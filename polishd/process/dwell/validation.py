@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from polishd.model.errors import ComputeError
+from polishd.model.surface import FloatArray
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.effect import Effect, SparseEffect
 
@@ -15,6 +16,15 @@ NEGLIGIBLE = 1e-3
 def negligible(effect: Effect) -> float:
     """Share of the strongest removal up to which it is taken for none: 0 of a matrix, which is exact."""
     return 0.0 if isinstance(effect, SparseEffect) else NEGLIGIBLE
+
+
+def without_traces(removal_nm: FloatArray, share: float) -> FloatArray:
+    """The removal, (ny, nx) nm, with nothing where it is below zero by at most that share of the largest.
+
+    An effect without a matrix leaves such traces where a path ends. What is farther below zero stays, to be refused.
+    """
+    trace = (removal_nm < 0) & (removal_nm >= -share * removal_nm.max(initial=0.0))
+    return np.where(trace, 0.0, removal_nm)
 
 
 def check(problem: DwellProblem) -> None:

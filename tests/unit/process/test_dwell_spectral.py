@@ -15,6 +15,7 @@ from polishd.process.dwell import automatic, newton_cg, spectral
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import quadratic
 from polishd.process.dwell.setup import regularisation_from_rho
+from polishd.process.dwell.validation import negligible, without_traces
 from polishd.process.effect import SparseEffect
 from polishd.process.spreading.effect import SpreadEffect
 from tests.unit.process.moves import inward_program
@@ -107,6 +108,13 @@ def test_out_of_time_it_returns_what_it_has_and_says_so() -> None:
 
 def test_the_default_takes_it_where_there_is_no_matrix() -> None:
     assert automatic.solve(problem(), 120.0).certificate.solver == spectral.NAME
+
+
+def test_traces_below_zero_are_nothing_and_more_stays_to_be_refused() -> None:
+    """Of a plan of 500 mm: 0.16 nm of 1,188, where the path ends."""
+    cleared = without_traces(np.array([[1188.0, -0.16], [0.5, -1.3]]), negligible(problem().effect))
+    assert cleared.tolist() == [[1188.0, 0.0], [0.5, -1.3]]
+    assert without_traces(np.array([[-1.0]]), 1e-3).tolist() == [[-1.0]]
 
 
 def test_another_effect_is_refused() -> None:
