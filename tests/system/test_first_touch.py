@@ -20,6 +20,7 @@ pytestmark = [pytest.mark.system, pytest.mark.full]
 
 RATE = -0.2
 MACHINE = {"learns": "machine"}
+AGAIN = {"settle.wait_s": 1.0, "settle.maps": 3}  # where a map is doubted: real seconds
 PLANT = {
     "truth": {"rate": [RATE, RATE], "stiffness": 0.0, "drift": 0.0},
     "effects": {"eq_44": [1.0, 1.0]},  # else what is not lost as depth is a rate, too
@@ -36,9 +37,10 @@ def polishd(*arguments: str, cwd: Path) -> str:
 @pytest.mark.timeout(900)
 def test_what_a_touch_teaches_the_next_job_begins_with(tmp_path: Path) -> None:
     files = write_small(tmp_path, tolerance_nm=3.0, max_cycles=2)
-    plain = with_keys(files.cell.read_text(), {"process": MACHINE})
+    plain = with_keys(files.cell.read_text(), {"process": MACHINE, "between": AGAIN})
     files.cell.write_text(plain)
     files.sim.write_text(with_keys(files.sim.read_text(), PLANT))
+    files.profile.write_text(with_keys(files.profile.read_text(), {"repeatability": {"rms_nm": 0.3}}))
     part = load_config(files.cell).part.id
 
     told = json.loads(
@@ -65,7 +67,8 @@ def test_what_a_touch_teaches_the_next_job_begins_with(tmp_path: Path) -> None:
         daemon.wait()
     first, second = summary(files)["cycles"][:2]
     assert any(f"pass 1 of job 'first-touch-{part}'" in note for note in first["notes"]), first["notes"]
-    assert first["rate"] == pytest.approx(1 + RATE, abs=0.04)
+    # The rate's field over the part takes some of it, as the noise of the maps has it; both are applied.
+    assert first["rate"] == pytest.approx(1 + RATE, abs=0.1)
     assert first["expected_high_nm"] < 0.1 * first["rms_nm"], "it knows its machine, and what it knows it by"
     assert second["rms_nm"] < 0.15 * first["rms_nm"], "20 % of rate that nobody knew would leave 20 %"
 
