@@ -10,7 +10,7 @@ Nothing here is trusted: the certificate is computed anew.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -84,7 +84,8 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 5e-5) -
     f = quadratic(problem)
     found, steps, stopped = _minimise(problem, problem.effect, f, kkt_tolerance, limit)
     if stopped == "stalled":
-        return newton_cg.solve(problem, limit.left_s, kkt_tolerance, found)
+        last = newton_cg.solve(problem, limit.left_s, kkt_tolerance, found)
+        return replace(last, certificate=replace(last.certificate, seconds=limit.cpu_s))
     return certified(problem, found, solver=NAME, iterations=steps, seconds=limit.cpu_s, stopped=stopped)
 
 
