@@ -23,7 +23,7 @@ from polishd.process.dwell.certificate import certified
 from polishd.process.dwell.curve import Row, Solve, price_curve
 from polishd.process.dwell.curve import Solved as Chosen
 from polishd.process.dwell.limit import TimeLimit
-from polishd.process.dwell.problem import DwellProblem
+from polishd.process.dwell.problem import ROUGH, DwellProblem
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
 from polishd.process.dwell.validation import negligible
 from polishd.process.edge.correctable import correctable
@@ -73,7 +73,7 @@ def solve(
     What acceleration delivers late becomes the lower bound of the next round, so that the optimum knows of it.
     ``believed`` is what the cycles have taught, None before the first; ``warm`` is what was kept of the last one's
     solution. All of it together, removal model, rounds, choice, cross-check and curve, has ``dwell.within_s`` of CPU
-    time: each solve is given what is left.
+    time: each solve is given what is left. Only the last must be a good one.
     """
     time_limit = TimeLimit(recipe.dwell.within_s)
     foresight.require_path_time(recipe, program)
@@ -86,14 +86,14 @@ def solve(
     bounds = Bounds(motion.least_time_s(program, envelope), motion.most_time_s(program, envelope))
     foresight.require_removal_time(recipe, measured, answer, bounds.lower_s)
     step = _Step(recipe, program, measured, answer, envelope, time_limit)
-    found = step.round(bounds, warm, LAST_SHARE)
+    found = step.round(bounds, warm, LAST_SHARE, rough=True)
     for _ in range(ENVELOPE_ROUNDS):
         late = found.expected_s > found.dwell.time_s * 1.001 + 1e-4
         if not late.any():
             break
         bounds = bounds.raised(np.where(late, found.expected_s, 0.0))
-        found = step.round(bounds, found.dwell, LAST_SHARE)
-    if found.dwell.certificate.stopped == DEADLINE:
+        found = step.round(bounds, found.dwell, LAST_SHARE, rough=True)
+    if found.dwell.certificate.stopped in {DEADLINE, ROUGH}:
         longer = step.round(bounds, found.dwell)
         found = min(found, longer, key=lambda round_: round_.dwell.certificate.objective)
     dwell = step.cross_checked(found.problem, step.timed(found.dwell))
@@ -156,11 +156,15 @@ class _Step:
     def dwell(self) -> DwellSection:
         return self.recipe.dwell
 
-    def round(self, bounds: Bounds, warm: Start | None, reserve: float = 0.0) -> Round:
-        """Solve within these bounds; where one solve does it, ``reserve`` of the step's time is left for later."""
+    def round(self, bounds: Bounds, warm: Start | None, reserve: float = 0.0, *, rough: bool = False) -> Round:
+        """Solve within these bounds; where one solve does it, ``reserve`` of the step's time is left for later.
+
+        ``rough``: where one solve does it, that may be a rough one; its certificate tells.
+        """
         problem, divide_by = self.problem(bounds, warm), self.answer.divide_by
         if self.dwell.choose == "least":
-            found = self.recipe.solver.solve(problem, max(self.time_limit.left_s - reserve * self.dwell.within_s, 0.0))
+            within_s = max(self.time_limit.left_s - reserve * self.dwell.within_s, 0.0)
+            found = self.recipe.solver.solve(replace(problem, rough=rough), within_s)
         else:
             chosen = self.chosen(problem)
             problem, found = chosen.problem, chosen.solution
