@@ -53,27 +53,58 @@ def within_budget(problem: DwellProblem, budget_s: float, solve: Solve, toleranc
     return _noted(found, f"the budget of {budget_s:.6g} s binds at {found.problem.price_nm2_per_s:.6g} nm^2/s")
 
 
-def to_target(problem: DwellProblem, rms_nm: float, solve: Solve, tolerance: float = TARGET_TOLERANCE) -> Solved:
-    """The least total time whose residual RMS in the clear aperture is at most ``rms_nm``.
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """A residual to reach in the clear aperture: its RMS, the RMS of its slope, or both."""
 
-    As `within_budget`: the highest price of time at which the target is met, to ``tolerance`` of the target.
+    rms_nm: float | None = None
+    slope_urad: float | None = None
+
+    @property
+    def wanted(self) -> bool:
+        """There is one."""
+        return self.rms_nm is not None or self.slope_urad is not None
+
+    def share(self, point: Solved) -> float:
+        """What a residual has of what it may have, the worst of both: 1 just reaches it."""
+        shares = []
+        if self.rms_nm is not None:
+            shares.append(point.rms_nm / self.rms_nm)
+        if self.slope_urad is not None:
+            shares.append(point.slope_urad / self.slope_urad)
+        return max(shares)
+
+    def __str__(self) -> str:
+        asked = [] if self.rms_nm is None else [f"{self.rms_nm:.6g} nm RMS"]
+        return " with ".join([*asked, *([] if self.slope_urad is None else [f"a slope of {self.slope_urad:.6g} urad"])])
+
+
+def to_target(problem: DwellProblem, rms_nm: float, solve: Solve, tolerance: float = TARGET_TOLERANCE) -> Solved:
+    """The least total time whose residual RMS in the clear aperture is at most ``rms_nm``; see `to_goal`."""
+    return to_goal(problem, Goal(rms_nm), solve, tolerance)
+
+
+def to_goal(problem: DwellProblem, goal: Goal, solve: Solve, tolerance: float = TARGET_TOLERANCE) -> Solved:
+    """The least total time whose residual reaches the goal.
+
+    As `within_budget`: the highest price of time at which the goal is met, to ``tolerance`` of it. A slope is no part
+    of the objective: of the dwells that are shortest for their residual the shortest is found whose slope is met.
 
     Raises:
-        ComputeError: the problem is malformed, or even without a price of time the residual stays above the target.
+        ComputeError: the problem is malformed, or even without a price of time the residual stays above the goal.
     """
     check(problem)
     cheap = solved(problem, solve)
-    if not 0 < cheap.rms_nm <= rms_nm:
-        raise ComputeError(
-            f"{rms_nm:.6g} nm RMS is out of reach: the least is {cheap.rms_nm:.6g} nm in {cheap.total_s:.6g} s"
-        )
-    aim = (1 - tolerance / 2) * rms_nm
+    if not cheap.rms_nm > 0 or not goal.share(cheap) <= 1:
+        least = f"{cheap.rms_nm:.6g} nm" + ("" if goal.slope_urad is None else f" and {cheap.slope_urad:.6g} urad")
+        raise ComputeError(f"{goal} is out of reach: the least is {least} in {cheap.total_s:.6g} s")
+    aim = 1 - tolerance / 2
     return _search(
         cheap,
         solve,
-        lambda point: math.log(point.rms_nm / aim),
-        accept=lambda point: (1 - tolerance) * rms_nm <= point.rms_nm <= rms_nm,
-        feasible=lambda point: point.rms_nm <= rms_nm,
+        lambda point: math.log(goal.share(point) / aim),
+        accept=lambda point: 1 - tolerance <= goal.share(point) <= 1,
+        feasible=lambda point: goal.share(point) <= 1,
     )
 
 

@@ -10,9 +10,8 @@ from polishd.model.surface import FloatArray
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadratic, safe_step
 from polishd.process.dwell.setup import conditioning_note
-from polishd.process.effect import Effect
 from polishd.process.metrics import band_rms
-from polishd.process.spreading.effect import SpreadEffect
+from polishd.process.several import note as effect_note
 
 
 def certified(
@@ -76,11 +75,6 @@ def certified(
         predicted_band_rms_nm=band,
     )
     return DwellSolution(t, removal, residual, certificate, problem.lower_s, problem.upper_s)
-
-
-def effect_note(effect: Effect) -> str | None:
-    """What a certificate has to say of an effect that is not quite what it stands for; None of a matrix."""
-    return effect.note if isinstance(effect, SpreadEffect) else None
 
 
 def _finite(value: float) -> float | None:

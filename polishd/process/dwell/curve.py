@@ -12,6 +12,7 @@ from polishd.model.errors import ComputeError
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import quadratic
 from polishd.process.dwell.validation import check
+from polishd.process.metrics.slopes import slope
 
 Solve = Callable[[DwellProblem], DwellSolution]
 """A solver with its deadline and tolerance bound; ``problem.warm`` is the last solution of the path."""
@@ -41,6 +42,12 @@ class Solved:
     def rms_nm(self) -> float:
         """RMS (mean removed) of the predicted residual in the clear aperture."""
         return self.solution.certificate.predicted_rms_nm
+
+    @property
+    def slope_urad(self) -> float:
+        """RMS of the slope of the same over two samples, urad."""
+        residual, clear = self.solution.residual_nm, self.problem.metric_mask
+        return slope(np.where(clear, residual, 0.0), clear, self.problem.effect.grid.pitch_mm).rms_urad
 
     def row(self) -> Row:
         """What JSON can hold of it: figures, certificate, and what was asked for; units in the keys."""

@@ -12,7 +12,7 @@ from scipy import sparse
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.effect import Effect, SparseEffect
-from polishd.process.spreading.effect import SpreadEffect
+from polishd.process.several import single
 
 Product = Callable[[FloatArray], FloatArray]
 GRAM_SHARE = 0.4
@@ -91,7 +91,8 @@ def quadratic(problem: DwellProblem) -> Quadratic:
         columns = narrow(sparse.csr_array(rows.T))
         return Quadratic(rows.__matmul__, columns.__matmul__, target, *rest, gram=_gram(rows, columns))
 
-    roughly = _products(effect.single(), mask, root) if isinstance(effect, SpreadEffect) else None
+    rough = single(effect)
+    roughly = None if rough is effect else _products(rough, mask, root)
     return Quadratic(*_products(effect, mask, root), target, *rest, roughly=roughly)
 
 

@@ -9,7 +9,7 @@ from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import Quadratic, quadratic, safe_step
 from polishd.process.effect import Effect
-from polishd.process.spreading.effect import SpreadEffect
+from polishd.process.several import single
 
 # Beyond it, float64 leaves fewer than four digits of what the regularisation alone holds.
 ILL_CONDITIONED = 1e12
@@ -56,7 +56,7 @@ def sigma_max(effect: Effect, solve_mask: BoolArray, rounds: int = 200, toleranc
     Raises:
         ComputeError: the effect is zero or not finite.
     """
-    effect = effect.single() if isinstance(effect, SpreadEffect) else effect
+    effect = single(effect)
     vector, value = np.full(effect.n, 1 / np.sqrt(effect.n)), 0.0
     for _ in range(rounds):
         vector = effect.adjoint(np.where(solve_mask, effect.removal_nm(vector), 0.0))
