@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
@@ -32,8 +33,10 @@ from polishd.config.sections import (
 from polishd.config.signals import SignalSection
 from polishd.config.tables import read_tif
 from polishd.config.tolerance import ToleranceSection, lines_of
+from polishd.config.tools import ToolSection, replaced
 from polishd.config.values import Name, Texts, as_tuple
 from polishd.hookspecs import DeviceType, NotifierType
+from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.errors import ConfigError
 from polishd.model.limits import Envelope
 from polishd.model.process import MeasuredTif
@@ -65,6 +68,8 @@ class CellConfig(PartDocument):
     dwell: DwellSection = DwellSection()
     touch_off: TouchOffSection | None = None
     between: BetweenSection = BetweenSection()
+    tools: Mapping[Name, ToolSection] = {}
+    """Tools that polish the part in turn, in this order; left out: the one of `[process]`."""
     job: JobSection
     memory: MemorySection = MemorySection()
     tolerance: Annotated[tuple[ToleranceSection, ...], BeforeValidator(as_tuple)] = ()
@@ -136,6 +141,20 @@ class CellConfig(PartDocument):
         parts = self._source.included
         return {".".join(map(str, key)): part.file for part in parts for key in key_lines(part.text) if key[1:]}
 
+    def of_tool(self, name: str) -> CellConfig:
+        """The cell as it is with that tool on its spindle, and no other. ConfigError where it makes no cell."""
+        raw = copy.deepcopy(dict(self._raw))
+        for (section, key), value in replaced(name, raw.pop("tools")[name]):
+            raw.setdefault(section, {})[key] = value
+        made = type(self).of(raw, self._source)
+        made._path = self._path
+        return consistent(made)
+
+    @property
+    def turns(self) -> tuple[CellConfig, ...]:
+        """The cell with each of its tools, in the order in which they polish; itself where it has one."""
+        return tuple(self.of_tool(name) for name in self.tools) or (self,)
+
     def measured_tif(self) -> MeasuredTif | None:
         """The cell's measured TIF, where it names one; ConfigError where that cannot be read."""
         return None if self.process.tif is None else read_tif(self.resolve(self.process.tif))
@@ -158,7 +177,13 @@ FILES = (
     "program.path", "program.dialects", "instrument.profile", "part.polygon_file", "part.nominal", "process.tif",
     "kinematics.table",
 )  # fmt: skip
-"""Keys that name files: what counts is the content, wherever it lies."""
+"""Keys that name files: what counts is the content, wherever it lies. A tool's have its name: `tool_files`."""
+TOOL_FILES = ("program", "tif")
+
+
+def tool_files(tools: Mapping[str, Any]) -> list[str]:
+    """Keys that name files in tables of tools, by name."""
+    return [f"tools.{name}.{key}" for name in tools for key in TOOL_FILES]
 
 
 def port_of(device: str) -> str:
@@ -186,7 +211,7 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> CellC
 
 def consistent(config: CellConfig) -> CellConfig:
     """The same; ConfigError, as of ``load_config``, where values that are right alone do not go together."""
-    wrong = (*_wrong_devices(config), *_wrong_signals(config), *_wrong_tolerance(config))
+    wrong = (*_wrong_devices(config), *_wrong_signals(config), *_wrong_tolerance(config), *_wrong_tools(config))
     if found := [str(config.error(key, problem)) for key, problem in wrong]:
         raise ConfigError("\n".join(found))
     return config
@@ -217,6 +242,25 @@ def _wrong_tolerance(config: CellConfig) -> Iterator[tuple[str, str]]:
             "tolerance",
             '3/A is the power, which part.alignment = "power" takes off: nothing is left to judge; use "tilt"',
         )
+
+
+def _wrong_tools(config: CellConfig) -> Iterator[tuple[str, str]]:
+    """The same of tools."""
+    if not config.tools:
+        return
+    passes = sum(tool.passes for tool in config.tools.values())
+    if passes > config.job.max_cycles:
+        yield (
+            "job.max_cycles",
+            f"is {config.job.max_cycles}, but the tools have {passes} passes; set it to {passes} or more",
+        )
+    if config.memory.tool is not None:
+        yield "memory.tool", "there are [tools], each with its name; remove the line"
+    if config.dwell.choose == AS_PROGRAMMED:
+        yield "dwell.choose", f"{AS_PROGRAMMED!r} is for one tool: leave the others of [tools] out"
+    for name, tool in config.tools.items():
+        if tool.position_mm is not None and config.touch_off is None:
+            yield f"tools.{name}.position_mm", "is of [touch_off], and the cell has none; add it, or remove the line"
 
 
 def _wrong_devices(config: CellConfig) -> Iterator[tuple[str, str]]:

@@ -62,3 +62,5 @@ class BetweenSection(Section):
     """While it is measured, the first time too."""
     condition: StepSection | None = None
     """Of the pad, before the next pass."""
+    change: StepSection | None = None
+    """Of the tool, where there are [tools]; its name is in `POLISHD_TOOL`. Left out: a person mounts it."""

@@ -7,12 +7,12 @@ no job may change.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from polishd.config.cell import FILES, PORTS, CellConfig, consistent, lay_over
+from polishd.config.cell import FILES, PORTS, CellConfig, consistent, lay_over, tool_files
 from polishd.config.document import parse_text
 from polishd.config.outline import OUTLINES
 from polishd.config.places import listed
@@ -54,11 +54,13 @@ class JobFile:
         if wrong:
             raise ConfigError("\n".join(wrong))
         for key, value in self._named(fragment):
-            section, name = key.split(".")
-            fragment[section][name] = value
+            *tables, name = key.split(".")
+            _inner(fragment, tables)[name] = value
         raw = copy.deepcopy(dict(cell.raw))
         _drop_other_tolerance(raw, fragment)
         _drop_other_outline(raw, fragment)
+        if "tools" in fragment:  # all of them: a job with one tool has no other's turn
+            raw.pop("tools", None)
         lay_over(raw, fragment)
         return consistent(CellConfig.of(raw, replace(cell.source, included=(*cell.source.included, source))))
 
@@ -69,7 +71,8 @@ class JobFile:
 
     def _named(self, fragment: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         """(dotted key, absolute path or paths); what is no text is left to the section's own check."""
-        for key in FILES:
+        tools = fragment.get("tools")
+        for key in (*FILES, *tool_files(tools if isinstance(tools, dict) else {})):
             match _value(fragment, tuple(key.split("."))):
                 case str() as name:
                     yield key, self._absolute(name)
@@ -98,6 +101,12 @@ def _drop_other_outline(raw: dict[str, Any], fragment: Mapping[str, Any]) -> Non
 
 def _sections() -> list[str]:
     return [name for name in CellConfig.model_fields if name not in OF_THE_CELL]
+
+
+def _inner(values: dict[str, Any], tables: Sequence[str]) -> dict[str, Any]:
+    for table in tables:
+        values = values[table]
+    return values
 
 
 def _value(values: Any, key: tuple[str, ...]) -> Any:

@@ -13,7 +13,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from polishd.config.cell import FILES, CellConfig
+from polishd.config.cell import FILES, CellConfig, tool_files
 from polishd.daemon.journal import JOURNAL_NAME, Journal
 from polishd.daemon.journal_schema import old_copy
 from polishd.model.errors import ConfigError
@@ -50,6 +50,8 @@ RULES = (
     Rule(("job.id",), False, "another id is another job"),
     Rule(("part.*",), False, "masks and heights are of this part, and its place says what the robot's compliance does"),
     Rule(("program.*",), False, "executed times belong to this program's points, and to where they lie on the part"),
+    Rule(("tools.*.change_s", "tools.*.position_mm"), True, "what a change takes, and how a tool is proved"),
+    Rule(("tools.*",), False, "what was learned is of these tools, and passes were theirs in this order"),
     Rule(("memory.remember",), True, "how the next job begins"),
     Rule(("memory.tool",), False, "what was learned is of this tool"),
     Rule(("process.*", "compliance.*", "kinematics.*"), False, "the rate learned is relative to what these predict"),
@@ -67,7 +69,7 @@ def may_change(key: str) -> bool:
 
 def terms_of(config: CellConfig, program_sha256: str) -> dict[str, Any]:
     """All values in force by dotted key, JSON-ready; a file as ``{"file", "sha256"}``, the program's as it was read."""
-    terms = dict(_flat(config.effective())) | file_terms(config, FILES)
+    terms = dict(_flat(config.effective())) | file_terms(config, (*FILES, *tool_files(config.tools)))
     terms["program.path"]["sha256"] = program_sha256
     return terms
 

@@ -15,6 +15,7 @@ class Phase(StrEnum):
     LEARN = "learn"
     SOLVE = "solve"
     PLAN = "plan"
+    CHANGE = "change"
     CONDITION = "condition"
     TOUCH_OFF = "touch_off"
     RUN = "run"

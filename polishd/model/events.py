@@ -269,6 +269,15 @@ class Solved(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ToolMounted(Event):
+    """Another tool is on the spindle: by the word of a person who resumed, or of the command that changes tools."""
+
+    name: ClassVar[str] = "tool_mounted"
+    tool: Annotated[str, "its name in `[tools]`"]
+    notes: Annotated[Sequence[str], "the same in words"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TouchedOff(Event):
     """The tool met the part at three places, and their heights say how it sits."""
 
@@ -294,6 +303,7 @@ class PassBegun(Event):
         "RMS that the next map is expected to show, nm: `low_nm`, `median_nm`, `high_nm`; the chance `level` that it "
         "lies between, and `better`, that it is less than now; null: not known",
     ] = None
+    tool: Annotated[str, "of several the one that polishes; empty: the cell has one"] = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

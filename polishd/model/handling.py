@@ -92,6 +92,8 @@ class Between:
     clean: Step | None = None
     settle: Settle | None = None
     condition: Step | None = None
+    change: Step = Step()
+    """Of the tool, where there are several; one that says nothing: a person mounts it."""
 
 
 NOTHING = Between()

@@ -68,7 +68,8 @@ def between_of(config: CellConfig, instrument: Instrument | None) -> Between:
                 "[repeatability] rms_nm = ...",
             )
         settle = Settle(NOISE * noise_nm, section.settle.maps, section.settle.wait_s)
-    return Between(_step(config, section.clean), settle, _step(config, section.condition))
+    change = _step(config, section.change) or Step()
+    return Between(_step(config, section.clean), settle, _step(config, section.condition), change)
 
 
 def _step(config: CellConfig, section: StepSection | None) -> Step | None:

@@ -44,5 +44,5 @@ def test_a_row_has_all_that_the_model_says() -> None:
     assert "| `edge_mm` | number | mm | `3` | >= 0 | Width of the rim" in "\n".join(rows)
     (dh,) = (row for row in rows if row.startswith("| `dh` |"))
     assert dh.startswith("| `dh` | list of 6 lists of 4 numbers | mm, deg, mm, deg | required |  | Six Denavit")
-    (preston,) = (row for row in rows if row.startswith("| `preston` |"))
+    preston, _ = (row for row in rows if row.startswith("| `preston` |"))  # of [process]; of a tool
     assert '| text | as written | `"1.49e-09 cm2/N"` | > 0, < 0.001 cm2/N |' in preston
