@@ -34,7 +34,7 @@ def plan_verb(
 
     config, hooks = load_cell(cell, correction)
     with stderr.status("solving the dwell"):
-        summary = plan_part(config, hooks, surface, program or config.program_path, out)
+        summary = plan_part(config, hooks, surface, program, out)
     emit(summary, as_json=as_json, table=lambda: outcome_tables(summary))
     if not as_json:
         for note in summary["notes"]:

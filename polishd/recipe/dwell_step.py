@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from scipy import ndimage
 
 from polishd.config.sections import DwellSection
 from polishd.hookspecs import RemovalAnswer
 from polishd.model.dwell import AS_PROGRAMMED, Certificate, DwellSolution, KeptStart, Start
 from polishd.model.errors import ComputeError, ProgramError
-from polishd.model.limits import Envelope
 from polishd.model.program import Program
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process import motion
@@ -27,14 +26,16 @@ from polishd.process.dwell.problem import ROUGH, DwellProblem
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
 from polishd.process.dwell.validation import negligible
 from polishd.process.edge.correctable import correctable
-from polishd.process.edge.extension import extend
+from polishd.process.effect import Effect
+from polishd.process.several import split, together
 from polishd.process.tolerance import out_of_reach
 from polishd.recipe import foresight
 from polishd.recipe.limit import Limit
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import Believed, Measured, Solved
+from polishd.recipe.rim import Whole, with_rim
 from polishd.recipe.staying import Staying
-from polishd.recipe.steps import believed_at_first, effect_of, envelope_of
+from polishd.recipe.turns import Bounds, Leg, Round, Turn, leg_of, of_one, with_certificate, with_note
 
 LEAST_COVERAGE = 0.9
 """A program that works less of the clear aperture than this is taken for another part's."""
@@ -42,10 +43,6 @@ LEAST_ON_PART = 0.5
 """So is one that mostly works beside it."""
 ENVELOPE_ROUNDS = 2
 """Re-solves with what acceleration delivers as the lower bound."""
-EXTENDED_WEIGHT = 0.01
-"""What an extended sample counts beside a measured one: enough to hold the rim, too little to cost the data."""
-LEAST_SAMPLES = 3.0
-"""The extension's cut-off spans this many samples at least."""
 CROSS_CHECK_GAP = 1e-3
 """Most by which an independent solver may be better."""
 LAST_SHARE = 0.25
@@ -68,24 +65,37 @@ def solve(
     believed: Believed | None = None,
     warm: KeptStart | None = None,
 ) -> Solved:
-    """Dwell for the removal that the measured surface wants, within what the machine can deliver.
+    """Dwell for the removal that the measured surface wants, of a cell with one tool; see `solve_turns`."""
+    return solve_turns((Turn(recipe, program, believed),), measured, warm)[0]
 
-    What acceleration delivers late becomes the lower bound of the next round, so that the optimum knows of it.
-    ``believed`` is what the cycles have taught, None before the first; ``warm`` is what was kept of the last one's
-    solution. All of it together, removal model, rounds, choice, cross-check and curve, has ``dwell.within_s`` of CPU
-    time: each solve is given what is left. Only the last must be a good one.
+
+def solve_first(turns: Sequence[Turn], measured: Measured, warm: KeptStart | None = None) -> Solved:
+    """Of all that the turns have to do the first one's; see `solve_turns`."""
+    return solve_turns(turns, measured, warm)[0]
+
+
+def solve_turns(turns: Sequence[Turn], measured: Measured, warm: KeptStart | None = None) -> tuple[Solved, ...]:
+    """Dwell of each tool for the removal that the measured surface wants of all, within what the machine can deliver.
+
+    One problem for all tools: what the first leaves, it leaves for the others. Their recipes differ in tool and program
+    only. What acceleration delivers late becomes the lower bound of the next round, so that the optimum knows of it.
+    What a turn believes is what the cycles have taught; ``warm`` is what was kept of the last one's solution. All of it
+    together, removal models, rounds, choice, cross-check and curve, has ``dwell.within_s`` of CPU time: each solve is
+    given what is left. Only the last must be a good one.
     """
+    recipe = turns[0].recipe
     time_limit = TimeLimit(recipe.dwell.within_s)
-    foresight.require_path_time(recipe, program)
-    believed = believed or believed_at_first(recipe)
-    envelope = envelope_of(recipe, program, believed)
-    answer = effect_of(recipe, program, measured.grid, believed)
+    for turn in turns:
+        foresight.require_path_time(turn.recipe, turn.program)
+    legs = tuple(leg_of(turn, measured) for turn in turns)
+    step = _Step(recipe, legs, measured, time_limit)
     if recipe.dwell.choose == AS_PROGRAMMED:
-        return _Step(recipe, program, measured, answer, envelope, time_limit).as_programmed(believed)
-    _require_coverage(program, answer, measured)
-    bounds = Bounds(motion.least_time_s(program, envelope), motion.most_time_s(program, envelope))
-    foresight.require_removal_time(recipe, measured, answer, bounds.lower_s)
-    step = _Step(recipe, program, measured, answer, envelope, time_limit)
+        return (step.as_programmed(),)
+    for leg in legs:
+        _require_coverage(leg.program, leg.answer, measured)
+    bounds = Bounds(step.of_legs(Leg.least_s), step.of_legs(Leg.most_s))
+    if len(legs) == 1:
+        foresight.require_removal_time(recipe, measured, legs[0].answer, bounds.lower_s)
     found = step.round(bounds, warm, LAST_SHARE, rough=True)
     for _ in range(ENVELOPE_ROUNDS):
         late = found.expected_s > found.dwell.time_s * 1.001 + 1e-4
@@ -98,8 +108,7 @@ def solve(
         found = min(found, longer, key=lambda round_: round_.dwell.certificate.objective)
     dwell = step.cross_checked(found.problem, step.timed(found.dwell))
     dwell, curve = step.with_curve(found.problem, step.noted(dwell))
-    answer = replace(answer, effect=Staying(answer.effect, measured.grid))
-    return Solved(dwell, answer, found.asked_s, found.expected_s, believed, curve)
+    return step.turns(found._replace(dwell=dwell), curve)
 
 
 def _require_coverage(program: Program, answer: RemovalAnswer, measured: Measured) -> None:
@@ -120,37 +129,42 @@ def _touched(removal: FloatArray, none: float) -> BoolArray:
     return np.asarray(removal > none * np.abs(removal).max(initial=0.0))
 
 
-class Bounds(NamedTuple):
-    """Time that the machine can give each timed point, (n,) s."""
-
-    lower_s: FloatArray
-    upper_s: FloatArray
-
-    def raised(self, least_s: FloatArray) -> Bounds:
-        """The lower one at least this, the upper one never below it."""
-        lower = np.maximum(self.lower_s, least_s)
-        return Bounds(lower, np.maximum(self.upper_s, lower))
-
-
-class Round(NamedTuple):
-    """A solved problem, and what the machine makes of it."""
-
-    problem: DwellProblem
-    dwell: DwellSolution
-    asked_s: FloatArray
-    expected_s: FloatArray
-
-
 @dataclass(frozen=True)
 class _Step:
     """What all solves of one step have in common."""
 
     recipe: Recipe
-    program: Program
+    """What all tools have in common of it."""
+    legs: tuple[Leg, ...]
     measured: Measured
-    answer: RemovalAnswer
-    envelope: Envelope
     time_limit: TimeLimit
+
+    def of_legs(self, value: Callable[[Leg], FloatArray]) -> FloatArray:
+        """(n,) of all points, one tool's after the other's."""
+        return np.concatenate([value(leg) for leg in self.legs])
+
+    def each(self, values: FloatArray) -> Iterator[tuple[Leg, FloatArray]]:
+        """Each tool, with its own of those."""
+        return zip(self.legs, split(values, [leg.program.n for leg in self.legs]), strict=True)
+
+    @cached_property
+    def effect(self) -> Effect:
+        """Of all tools."""
+        return together([leg.answer.effect for leg in self.legs])
+
+    @cached_property
+    def divide_by(self) -> FloatArray | None:
+        """(n,) what the dwell solved is divided by; None: nothing."""
+        none = all(leg.answer.divide_by is None for leg in self.legs)
+        return None if none else self.of_legs(Leg.divide_by)
+
+    @property
+    def finest(self) -> RemovalAnswer:
+        """Of the tool that corrects the shortest periods."""
+        known = [leg.answer for leg in self.legs if leg.answer.transfer is not None]
+        if len(known) < len(self.legs):
+            return next(leg.answer for leg in self.legs if leg.answer.transfer is None)
+        return min(known, key=lambda answer: answer.transfer.cutoff_period_mm if answer.transfer else math.inf)
 
     @property
     def dwell(self) -> DwellSection:
@@ -161,7 +175,7 @@ class _Step:
 
         ``rough``: where one solve does it, that may be a rough one; its certificate tells.
         """
-        problem, divide_by = self.problem(bounds, warm), self.answer.divide_by
+        problem, divide_by = self.problem(bounds, warm), self.divide_by
         if self.dwell.choose == "least":
             within_s = max(self.time_limit.left_s - reserve * self.dwell.within_s, 0.0)
             found = self.recipe.solver.solve(replace(problem, rough=rough), within_s)
@@ -169,28 +183,51 @@ class _Step:
             chosen = self.chosen(problem)
             problem, found = chosen.problem, chosen.solution
         dwell = found if divide_by is None else _in_machine_time(found, divide_by)
-        envelope, dwells = self.envelope, self.program.encoding == "dwell"
-        unasked = motion.least_time_s(self.program, envelope) if dwells else envelope.block_overhead_s
-        asked = np.maximum(dwell.time_s - unasked, 0.0)
-        return Round(problem, dwell, asked, motion.delivered_time_s(self.program, asked, envelope))
+        asked = np.maximum(dwell.time_s - self.of_legs(Leg.unasked_s), 0.0)
+        expected = [motion.delivered_time_s(leg.program, own_s, leg.envelope) for leg, own_s in self.each(asked)]
+        return Round(problem, dwell, asked, np.concatenate(expected))
 
-    def as_programmed(self, believed: Believed) -> Solved:
+    def as_programmed(self) -> Solved:
         """No solve: the program's own times, and what the machine makes of them."""
-        asked = self.program.time_s
-        expected = motion.delivered_time_s(self.program, asked, self.envelope)
+        (leg,) = self.legs
+        asked = leg.program.time_s
+        expected = motion.delivered_time_s(leg.program, asked, leg.envelope)
         problem = self.problem(Bounds(expected, expected), None)
         how: dict[str, Any] = {"solver": AS_PROGRAMMED, "iterations": 0, "stopped": "as programmed"}
         dwell = certified(problem, expected, seconds=self.time_limit.cpu_s, **how)
-        answer = replace(self.answer, effect=Staying(self.answer.effect, self.measured.grid))
-        return Solved(dwell, answer, asked, expected, believed)
+        return Solved(dwell, self.staying(leg), asked, expected, leg.believed)
+
+    def staying(self, leg: Leg) -> RemovalAnswer:
+        """Its answer, whose effect stays in this process."""
+        return replace(leg.answer, effect=Staying(leg.answer.effect, self.measured.grid))
+
+    def turns(self, found: Round, curve: tuple[Row, ...]) -> tuple[Solved, ...]:
+        """What was found, for each tool."""
+        if len(self.legs) == 1:
+            (leg,) = self.legs
+            return (Solved(found.dwell, self.staying(leg), found.asked_s, found.expected_s, leg.believed, curve),)
+        own = (found.dwell.time_s, found.dwell.lower_s, found.dwell.upper_s, found.asked_s, found.expected_s)
+        parts = zip(self.legs, *([times for _, times in self.each(values)] for values in own), strict=True)
+        names = ", ".join(leg.recipe.turn.tool if leg.recipe.turn else "?" for leg in self.legs)
+        solved, left = list[Solved](), np.where(found.problem.solve_mask, found.problem.target_nm, np.nan)
+        for leg, time_s, lower_s, upper_s, asked_s, expected_s in parts:
+            removal = leg.answer.removal_nm(time_s)
+            left = left - removal
+            dwell = of_one(found, removal, left, (time_s, lower_s, upper_s))
+            total = found.dwell.certificate
+            joint = f"one problem for {names}: {total.predicted_rms_nm:.2f} nm RMS after the last of them"
+            dwell = with_note(dwell, f"{joint}, {total.dwell_total_s:.0f} s of dwell in all")
+            solved.append(Solved(dwell, self.staying(leg), asked_s, expected_s, leg.believed, curve))
+        return tuple(solved)
 
     def problem(self, bounds: Bounds, warm: Start | None) -> DwellProblem:
         """The solver's; of "pointwise" the static problem, bounded so that the quotient keeps its bounds."""
-        measured, answer, surface = self.measured, self.answer, self.surface
-        piston = choose_piston_nm(measured.height_nm, measured.metric_mask, answer.removal_nm(bounds.lower_s))
-        scale = 1.0 if answer.divide_by is None else answer.divide_by
+        measured, surface = self.measured, self.surface
+        scale = 1.0 if self.divide_by is None else self.divide_by
+        least = self.effect.removal_nm(bounds.lower_s * scale)
+        piston = choose_piston_nm(measured.height_nm, measured.metric_mask, least)
         return DwellProblem(
-            effect=answer.effect,
+            effect=self.effect,
             target_nm=np.where(surface.mask, surface.height_nm + piston, 0.0),
             solve_mask=surface.mask,
             weight=surface.weight,
@@ -204,15 +241,15 @@ class _Step:
 
     @cached_property
     def regularisation(self) -> float:
-        return regularisation_from_rho(self.answer.effect, self.measured.solve_mask, self.dwell.regularisation)
+        return regularisation_from_rho(self.effect, self.measured.solve_mask, self.dwell.regularisation)
 
     @cached_property
     def surface(self) -> Whole:
-        return _with_rim(self.recipe, self.measured, self.answer)
+        return with_rim(self.recipe, self.measured, self.finest)
 
     def chosen(self, problem: DwellProblem) -> Chosen:
         """The point of the residual-against-time curve that the recipe's rule takes."""
-        solve, divide_by = self.searching(f'choose = "{self.dwell.choose}"'), self.answer.divide_by
+        solve, divide_by = self.searching(f'choose = "{self.dwell.choose}"'), self.divide_by
         match self.dwell.choose:
             case "knee":
                 return price_curve(problem, solve).knee()
@@ -248,7 +285,7 @@ class _Step:
         if certificate.stopped != DEADLINE:
             return dwell
         used = f"{DEADLINE} after {certificate.iterations} iterations, {self.time_limit} for the whole solve step"
-        return _certified(dwell, stopped=used)
+        return with_certificate(dwell, stopped=used)
 
     def cross_checked(self, problem: DwellProblem, dwell: DwellSolution) -> DwellSolution:
         """The same solution with an independent solver's word on it, where its own proof is not enough."""
@@ -258,25 +295,25 @@ class _Step:
         try:
             theirs = other.solve(problem, self.time_limit.left_s).certificate
         except ComputeError as error:
-            return _with_note(dwell, f"cross-check by {other.name} failed: {error}")
+            return with_note(dwell, f"cross-check by {other.name} failed: {error}")
         if theirs.stopped == DEADLINE and theirs.objective > certificate.objective:  # which says nothing of ours
-            return _with_note(dwell, f"cross-check by {other.name} was not done in what was left of dwell.within_s")
+            return with_note(dwell, f"cross-check by {other.name} was not done in what was left of dwell.within_s")
         gap = (certificate.objective - theirs.objective) / max(theirs.objective, 1e-12)
-        return _certified(dwell, cross_check=other.name, cross_check_gap=gap)
+        return with_certificate(dwell, cross_check=other.name, cross_check_gap=gap)
 
     def noted(self, dwell: DwellSolution) -> DwellSolution:
         """The same solution; its certificate says what of the surface is out of the spot's reach."""
-        measured, spot = self.measured, self.answer.transfer
+        measured, spot = self.measured, self.finest.transfer
         if spot is None:
             return dwell
         found = correctable(measured.height_nm, measured.metric_mask, measured.grid.pitch_mm, spot)
         if not found.resolved:
             return dwell
         left = f"{found.beyond_reach_rms_nm:.2f} nm RMS of the surface has periods below {spot.cutoff_period_mm:.2f} mm"
-        dwell = _with_note(dwell, f"{left}: no dwell with this spot removes it")
+        dwell = with_note(dwell, f"{left}: no dwell with this spot removes it")
         on_grid = measured.height_nm, measured.metric_mask, measured.grid.pitch_mm
         for line in out_of_reach(self.recipe.lines, *on_grid, spot.cutoff_period_mm):
-            dwell = _with_note(dwell, f"that alone has {line}: this spot cannot bring the part into tolerance")
+            dwell = with_note(dwell, f"that alone has {line}: this spot cannot bring the part into tolerance")
         return dwell
 
     def with_curve(self, problem: DwellProblem, dwell: DwellSolution) -> tuple[DwellSolution, tuple[Row, ...]]:
@@ -286,47 +323,14 @@ class _Step:
         try:
             return dwell, tuple(price_curve(problem, self.searching("curve")).rows())
         except ComputeError as error:
-            return _with_note(dwell, f"no curve of residual against time: {error}"), ()
-
-
-class Whole(NamedTuple):
-    """A surface to solve for: what was measured, and what stands for the part's rim where nothing was."""
-
-    height_nm: FloatArray
-    mask: BoolArray
-    weight: FloatArray | None
-
-
-def _with_rim(recipe: Recipe, measured: Measured, answer: RemovalAnswer) -> Whole:
-    """The part's samples without data get extended heights at a small weight: else the dwell there is nobody's.
-
-    Only as far as the part goes: beyond it nothing has to be right, and asking for it costs time.
-    """
-    mask, pitch = measured.solve_mask, measured.grid.pitch_mm
-    gap = recipe.outline.contains(*measured.grid.axes_mm) & ~mask
-    if recipe.dwell.extension == "none" or not gap.any():
-        return Whole(measured.height_nm, mask, None)
-    reach = max(float(ndimage.distance_transform_edt(~mask)[gap].max()) * pitch, pitch)
-    own = 0.0 if answer.transfer is None else answer.transfer.cutoff_period_mm
-    cutoff = max(own, LEAST_SAMPLES * pitch)
-    wider = extend(measured.height_nm, mask, pitch, reach, recipe.dwell.extension, cutoff_period_mm=cutoff)
-    whole = mask | (wider.mask & gap)
-    return Whole(np.where(whole, wider.height_nm, 0.0), whole, np.where(mask, 1.0, EXTENDED_WEIGHT))
-
-
-def _certified(dwell: DwellSolution, **changes: Any) -> DwellSolution:
-    return replace(dwell, certificate=replace(dwell.certificate, **changes))
-
-
-def _with_note(dwell: DwellSolution, note: str) -> DwellSolution:
-    return _certified(dwell, notes=(*dwell.certificate.notes, note))
+            return with_note(dwell, f"no curve of residual against time: {error}"), ()
 
 
 def _in_machine_time(dwell: DwellSolution, divide_by: FloatArray) -> DwellSolution:
     """The correction "pointwise" (paper ref. 17): the dwell of the static problem, divided point by point."""
     time_s, lower_s, upper_s = (t / divide_by for t in (dwell.time_s, dwell.lower_s, dwell.upper_s))
     divided = replace(dwell, time_s=time_s, lower_s=lower_s, upper_s=upper_s)
-    return _certified(divided, dwell_total_s=float(time_s.sum()))
+    return with_certificate(divided, dwell_total_s=float(time_s.sum()))
 
 
 def require_certificate(certificate: Certificate, recipe: Recipe) -> None:

@@ -17,7 +17,7 @@ from polishd.model.surface import SurfaceMap
 from polishd.process.absolute import SystemMap, Told
 from polishd.recipe.files import read_map
 from polishd.recipe.handling import between_of, touch_off_of
-from polishd.recipe.recipe import Recipe
+from polishd.recipe.recipe import Recipe, Turn
 
 OWN = "rate"
 """What a removal model learns that is asked for nothing else."""
@@ -81,6 +81,14 @@ def require_commissioned(config: CellConfig, instrument: Instrument | None) -> N
     """ConfigError unless the instrument that this config names is commissioned."""
     if instrument is None or instrument.commissioned is None:
         raise ConfigError(f"{why_not_commissioned(config)} (nothing was opened)")
+
+
+def make_recipes(config: CellConfig, hooks: Hooks) -> tuple[Recipe, ...]:
+    """A recipe for each tool, in the order in which they polish; one where the cell has one. ConfigError as below."""
+    if not config.tools:
+        return (make_recipe(config, hooks),)
+    turns = [Turn(name, tool.passes, tool.change_s) for name, tool in config.tools.items()]
+    return tuple(replace(make_recipe(own, hooks), turn=turn) for own, turn in zip(config.turns, turns, strict=True))
 
 
 def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:

@@ -20,6 +20,9 @@ LANDING_MM = 10.0
 MOST_OUTSIDE = 0.5
 """Of the path. A square raster round a round part, a quarter of its radius too large, has less beyond the rim."""
 
+Covers = Literal["aperture", "zone"]
+"""What a program is for."""
+
 
 def require_fit(config: CellConfig, recipe: Recipe, program: Program) -> str:
     """How far the program reaches, and over what; ConfigError where it is another part's."""
@@ -29,7 +32,7 @@ def require_fit(config: CellConfig, recipe: Recipe, program: Program) -> str:
     return said
 
 
-def judged(recipe: Recipe, program: Program, covers: Literal["aperture", "zone"]) -> tuple[str, str]:
+def judged(recipe: Recipe, program: Program, covers: Covers) -> tuple[str, str]:
     """How far a program reaches, and over what; and why it is another part's, empty where it may be this one's.
 
     ``zone`` says that some of the clear aperture is left alone on purpose.

@@ -23,6 +23,16 @@ DEFAULT = FindingLimits()
 
 
 @dataclass(frozen=True, slots=True)
+class Turn:
+    """A tool's turn among several."""
+
+    tool: str
+    passes: int
+    change_s: float
+    """Machine time that it takes to change to it."""
+
+
+@dataclass(frozen=True, slots=True)
 class Recipe:
     """One part, one process, one robot, one way of solving: sections of the config, and what is made of the others."""
 
@@ -59,6 +69,8 @@ class Recipe:
     touch_off: TouchOff | None = None
     """How the part's seat is proved; None: nobody proves it."""
     between: Between = NOTHING
+    turn: Turn | None = None
+    """Of the tool that it is for; None where the cell has one tool."""
     system: SystemMap | None = None
     """The instrument's own error, off each map; None: nobody has told it."""
 

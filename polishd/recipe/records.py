@@ -268,10 +268,12 @@ class Planned:
     curve_nm: FloatArray
     forecast: Forecast | None = None
     """What the next map is expected to show; None: of a pass of an earlier polishd."""
+    tool: str = ""
+    """Of several the one that it is for; empty: the cell has one."""
 
     @classmethod
-    def of(cls, plan: Plan, solved: Solved, part: Program, forecast: Forecast) -> Self:
-        """Of a plan, what it was solved as, its program in the part's frame, and what is expected of it."""
+    def of(cls, plan: Plan, solved: Solved, part: Program, forecast: Forecast, tool: str = "") -> Self:
+        """Of a plan, what it was solved as, its program in the part's frame, what is expected of it, and with which."""
         dwell, answer = solved.dwell, solved.answer
         return cls(
             certificate=dwell.certificate,
@@ -291,6 +293,7 @@ class Planned:
             curve_s=np.array([row["total_s"] for row in solved.curve]),
             curve_nm=np.array([row["rms_nm"] for row in solved.curve]),
             forecast=forecast,
+            tool=tool,
         )
 
     @property
@@ -303,7 +306,8 @@ class Planned:
         certificate = asdict(self.certificate)
         total = {"predicted_rms_nm": certificate["predicted_rms_nm"], "dwell_s": float(self.expected_s.sum())}
         expected = None if self.forecast is None else asdict(self.forecast)
-        return {"certificate": certificate, **total, "forecast": expected, **self.believed.facts()}
+        tool = {"tool": self.tool} if self.tool else {}
+        return {"certificate": certificate, **total, "forecast": expected, **tool, **self.believed.facts()}
 
     def start(self) -> Arrays:
         """A store's file of its own: small beside the plan's."""
@@ -329,6 +333,7 @@ class Planned:
         rest = {"certificate": record_of(Certificate, facts["certificate"]), "state": state}
         expected = facts.get("forecast")
         rest["forecast"] = None if expected is None else record_of(Forecast, expected)
+        rest["tool"] = facts.get("tool", "")
         return record_of(cls, {}, {**arrays, **rest, "believed": Believed.load(facts, initial)})
 
 

@@ -16,7 +16,7 @@ from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.errors import ComputeError
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program, Segment
-from polishd.model.surface import BoolArray, Grid, SurfaceMap
+from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
 from polishd.process import conditioning, gate, metrics, motion, naming
 from polishd.process.alignment import alignment_notes
 from polishd.process.conditioning import Masks
@@ -110,6 +110,19 @@ def condition(
         clean.grid,
         "" if recipe.system is None else recipe.system.surface.sha256,
     )
+
+
+def expected(recipe: Recipe, before: Measured, residual_nm: FloatArray) -> Measured:
+    """The measurement of a surface that a pass is expected to leave, (ny, nx) on the process grid: nobody's map."""
+    stats = metrics.surface_stats(
+        residual_nm,
+        before.metric_mask,
+        before.grid.pitch_mm,
+        lsf_period_mm=recipe.job.lsf_period_mm,
+        band_period_mm=recipe.job.tolerance_period_mm or None,
+    )
+    height = np.where(before.solve_mask & np.isfinite(residual_nm), residual_nm, 0.0)
+    return replace(before, height_nm=height, stats=stats, sha256="", notes=(), judged=(), spikes=0)
 
 
 def change_nm(recipe: Recipe, before: Measured, after: Measured) -> float:

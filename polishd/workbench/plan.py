@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from polishd.config.cell import CellConfig
 from polishd.files import require_new, require_writable, unwritable
 from polishd.hooks.loader import Hooks
 from polishd.model.errors import PlanRefused, WrongPart
 from polishd.model.events import PlanWritten
+from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.process.instrument import as_profiled
 from polishd.recipe import dwell_step, steps
@@ -24,48 +27,97 @@ from polishd.recipe.dwell_step import require_certificate
 from polishd.recipe.files import read_map
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.forecasting import forecast_of
-from polishd.recipe.making import make_recipe
-from polishd.recipe.program_fit import judged
+from polishd.recipe.making import make_recipes
+from polishd.recipe.program_fit import Covers, judged
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Measured, Planned, figures
+from polishd.recipe.records import Measured, Planned, Solved, figures
+from polishd.recipe.turns import Turn
 
 
-def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Path, out: Path) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class _Pass:
+    """What one tool is to do."""
+
+    recipe: Recipe
+    program: Program
+    measured: Measured
+    """The surface that it finds: of the second tool what the first is expected to leave."""
+    solved: Solved
+    plan: Plan
+    planned: Planned
+
+    def files(self) -> dict[str, bytes]:
+        """All that the plan's folder holds of it."""
+        program_file = {"program.rnc": self.plan.program.text}
+        return {**self.measured.files(), **self.solved.files(), **program_file, **self.planned.files()}
+
+    def notes(self, covers: Covers) -> list[str]:
+        """What a person should know of it."""
+        said, misfit = judged(self.recipe, self.program, covers)
+        found = [f"check will refuse: {said}{misfit}"] if misfit else []
+        found += [*self.program.warnings, *steps.violations(self.recipe, self.plan), *self.solved.answer.notes]
+        return [*found, *self.planned.certificate.notes]
+
+    def row(self) -> dict[str, Any]:
+        """Its entry in the summary."""
+        turn = {} if self.recipe.turn is None else {"tool": self.recipe.turn.tool}
+        return {**turn, **figures(self.measured.facts(), self.planned.facts()), "executed_s": None}
+
+
+def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Path | None, out: Path) -> dict[str, Any]:
     """Map figures, corrected dwell, rewritten program, certificate and pictures in ``out``; the summary.
 
+    Of several tools that for each, in a folder of its own. ``program_path``: another program than the cell's.
     ``out`` appears whole or not at all. Raises ConfigError where it exists and is not empty, or cannot be written,
     SurfaceError, ProgramError, ComputeError, or PlanRefused with every violation.
     """
     require_new(out)
     require_writable(out.parent)
-    recipe = make_recipe(config, hooks)
+    recipes = make_recipes(config, hooks)
+    if len(recipes) > 1 and program_path is not None:
+        raise config.error("tools", "each tool has a program of its own: leave the one out that was given")
+    paths = [own.program_path if program_path is None else program_path for own in config.turns]
     surface = read_map(map_path, hooks.surface_readers().values())
     notes = _require_part(surface, config.part.id, map_path)
-    program = steps.read_program(recipe, program_path)
+    recipe = recipes[0]
     measured = steps.condition(recipe, surface)
-    solved = dwell_step.solve(recipe, program, measured)
-    require_certificate(solved.dwell.certificate, recipe)
-    plan = steps.rewrite(recipe, program, solved, program_path.name)
-    vetoes = hooks.check_plan(plan, recipe.envelope)
-    if vetoes:
-        raise PlanRefused("the plan was refused, nothing was written:\n" + "\n".join(f"  {v}" for v in vetoes))
-    expected = forecast_of(recipe, measured, plan, solved.believed)
-    planned = Planned.of(plan, solved, steps.in_part_frame(recipe, plan.program), expected)
+    passes = _passes(recipes, paths, measured, hooks)
     if recipe.instrument is None or recipe.instrument.commissioned is None:
         notes.append("run will refuse: the cell has no commissioned instrument's profile (polishd check says more)")
     notes += [f"run will refuse: {never}"] if (never := why_never(recipe)) else []
-    said, misfit = judged(recipe, program, config.program.covers)
-    notes += [f"check will refuse: {said}{misfit}"] if misfit else []
-    notes += [*as_profiled(surface, recipe.instrument).warnings, *measured.notes, *program.warnings]
-    notes += [*steps.violations(recipe, plan), *solved.answer.notes, *planned.certificate.notes]
-    summary = {**_summary(recipe, measured, planned), "job": config.job.id, "run_dir": str(out), "notes": notes}
+    notes += [*as_profiled(surface, recipe.instrument).warnings, *measured.notes]
+    notes += [note for one in passes for note in one.notes(config.program.covers)]
+    summary = {**_summary(recipe, passes), "job": config.job.id, "run_dir": str(out), "notes": notes}
     with _appearing(out) as folder:
+        for number, one in enumerate(passes):
+            own = folder if len(passes) == 1 else folder.cycle(number)
+            own.create()
+            own.write(one.files())
         folder.map_file(surface)
-        program_file = {"program.rnc": plan.program.text}
-        folder.write({**measured.files(), **solved.files(), **program_file, **planned.files()})
         folder.json("summary.json", summary)
         hooks.on_event(PlanWritten(run_dir=str(folder.path)))
     return summary
+
+
+def _passes(recipes: Sequence[Recipe], paths: Sequence[Path], measured: Measured, hooks: Hooks) -> list[_Pass]:
+    turns = [Turn(one, steps.read_program(one, path)) for one, path in zip(recipes, paths, strict=True)]
+    found, vetoes, finds = list[_Pass](), list[str](), measured
+    for turn, path, solved in zip(turns, paths, dwell_step.solve_turns(turns, measured), strict=True):
+        recipe, program, _ = turn
+        require_certificate(solved.dwell.certificate, recipe)
+        plan = steps.rewrite(recipe, program, solved, path.name)
+        vetoes += [f"  {_of_tool(recipe)}{veto}" for veto in hooks.check_plan(plan, recipe.envelope)]
+        expected = forecast_of(recipe, finds, plan, solved.believed)
+        planned = Planned.of(plan, solved, steps.in_part_frame(recipe, plan.program), expected)
+        found.append(_Pass(recipe, program, finds, solved, plan, planned))
+        finds = steps.expected(recipe, finds, solved.dwell.residual_nm)
+    if vetoes:
+        raise PlanRefused("\n".join(["the plan was refused, nothing was written:", *vetoes]))
+    return found
+
+
+def _of_tool(recipe: Recipe) -> str:
+    return "" if recipe.turn is None else f"{recipe.turn.tool}: "
 
 
 @contextmanager
@@ -90,19 +142,26 @@ def _require_part(surface: SurfaceMap, part_id: str, path: Path) -> list[str]:
     return [] if surface.part_id else [f"{path.name} names no part; taken for {part_id!r} on your word"]
 
 
-def _summary(recipe: Recipe, measured: Measured, planned: Planned) -> dict[str, Any]:
+def _summary(recipe: Recipe, passes: Sequence[_Pass]) -> dict[str, Any]:
     now = datetime.now(UTC).isoformat(timespec="seconds")
+    changes_s = sum(one.recipe.turn.change_s for one in passes if one.recipe.turn is not None)
+    several = {} if len(passes) == 1 else {"total_s": changes_s + sum(_dwell_s(one) for one in passes)}
     return {
         "outcome": "planned",
         **recipe.facts(),
-        "cycles": [{**figures(measured.facts(), planned.facts()), "executed_s": None}],
-        "certificate": asdict(planned.certificate),
-        "gamma": _range(planned.gamma),
-        "compliance_um_per_n": _range(planned.compliance_um_per_n),
-        "points": planned.block.size,
+        **several,
+        "cycles": [one.row() for one in passes],
+        "certificate": asdict(passes[-1].planned.certificate),
+        "gamma": _range(np.concatenate([one.planned.gamma for one in passes])),
+        "compliance_um_per_n": _range(np.concatenate([one.planned.compliance_um_per_n for one in passes])),
+        "points": sum(one.planned.block.size for one in passes),
         "started": now,
         "ended": now,
     }
+
+
+def _dwell_s(one: _Pass) -> float:
+    return float(one.planned.expected_s.sum())
 
 
 def _range(values: FloatArray) -> list[float]:

@@ -18,9 +18,9 @@ from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.edge.correctable import Transfer
 from polishd.recipe import dwell_step, foresight, steps
-from polishd.recipe.dwell_step import EXTENDED_WEIGHT
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import Measured
+from polishd.recipe.rim import EXTENDED_WEIGHT
 from tests.unit.daemon.small import (
     APERTURE_MM,
     gaussian_effect,

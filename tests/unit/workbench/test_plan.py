@@ -49,12 +49,13 @@ class Desk:
             part=SimpleNamespace(id="P-1"),
             job=SimpleNamespace(id="by-hand"),
             program=SimpleNamespace(covers="aperture"),
+            turns=(SimpleNamespace(program_path=self.program),),
         )
         reader = SurfaceReader("test", lambda head, path: head == b"MAP", self.read)
         self.hooks: Any = SimpleNamespace(
             surface_readers=lambda: {"test": reader}, check_plan=self.check, on_event=self.on_event
         )
-        monkeypatch.setattr(planning, "make_recipe", lambda config, hooks: self.recipe)
+        monkeypatch.setattr(planning, "make_recipes", lambda config, hooks: (self.recipe,))
 
     def read(self, path: Path) -> SurfaceMap:
         return replace(self.surface, path=path)
@@ -138,7 +139,7 @@ def test_a_folder_that_cannot_be_written_is_told_before_anything_is_computed(
     def computed(*arguments: object) -> None:
         raise AssertionError("computed")
 
-    monkeypatch.setattr(planning, "make_recipe", computed)
+    monkeypatch.setattr(planning, "make_recipes", computed)
     desk.out = desk.map / "plan"
     desk.refused(ConfigError, r"scan\.map: cannot be written: Not a directory; name another with --out")
 
