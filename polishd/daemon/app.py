@@ -27,7 +27,7 @@ from polishd.daemon.endings import keep_ending, keeping, now
 from polishd.daemon.journal import Journal
 from polishd.daemon.lock import locked, unusable
 from polishd.daemon.log import logging_to
-from polishd.daemon.making import figures, make_job, run_folder
+from polishd.daemon.making import figures, make_job, read_recipes, run_folder
 from polishd.daemon.notifications import told
 from polishd.daemon.priority import loop_first
 from polishd.daemon.queue import Queue
@@ -44,7 +44,7 @@ from polishd.model.events import Event
 from polishd.model.program import Program
 from polishd.recipe.accepting import require_acceptable
 from polishd.recipe.folder import RunFolder
-from polishd.recipe.making import instrument_of, make_recipe, require_commissioned
+from polishd.recipe.making import instrument_of, require_commissioned
 from polishd.recipe.program_fit import require_fit
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.steps import read_program
@@ -112,8 +112,8 @@ class _Ready:
     """A cell of which all is read and nothing is open but its state folder, which ``kept`` gives back."""
 
     run: CellRun
-    work: tuple[Recipe, Program] | None
-    """Of the cell's own job; None where a queue is worked."""
+    work: tuple[Sequence[Recipe], Sequence[Program]] | None
+    """Of the cell's own job, of each tool; None where a queue is worked."""
     cell: Cell
     notifiers: Sequence[Notifier]
     journal: Journal
@@ -158,7 +158,8 @@ def _made_ready(run: CellRun, context: Context, kept: ExitStack) -> _Ready:
     cell = build_cell(config, hooks)
     require_time_limits(config, cell)
     if work:
-        require_shallow(config, cell, work[0])
+        for tool, recipe in zip(config.turns, work[0], strict=True):
+            require_shallow(tool, cell, recipe)
     notifiers = build_notifiers(config, hooks)
     kept.enter_context(locked(config.state_dir))
     try:
@@ -167,19 +168,21 @@ def _made_ready(run: CellRun, context: Context, kept: ExitStack) -> _Ready:
         raise unusable(config.state_dir, error) from error
     if run.record is not None:
         kept.enter_context(recording_to(place(run.record, config), config))
-    journal = kept.enter_context(_journal(config, work[1]) if work else Journal.of_cell(config.state_dir))
+    journal = kept.enter_context(_journal(config, work[1][0]) if work else Journal.of_cell(config.state_dir))
     return _Ready(run, work, cell, notifiers, journal, kept, context)
 
 
-def _own_work(config: CellConfig, hooks: Hooks) -> tuple[Recipe, Program]:
-    """Of the job that the cell's own file describes."""
-    recipe = make_recipe(config, hooks)
-    require_commissioned(config, recipe.instrument)
-    require_acceptable(recipe)
-    program = read_program(recipe, config.program_path)
-    require_taken(config, hooks, program)
-    require_fit(config, recipe, program)
-    return recipe, program
+def _own_work(config: CellConfig, hooks: Hooks) -> tuple[Sequence[Recipe], Sequence[Program]]:
+    """Of the job that the cell's own file describes, for each tool."""
+    recipes = read_recipes(config, hooks)
+    require_commissioned(config, recipes[0].instrument)
+    require_acceptable(recipes[0])
+    programs = []
+    for tool, recipe in zip(config.turns, recipes, strict=True):
+        programs.append(read_program(recipe, tool.program_path))
+        require_taken(tool, hooks, programs[-1])
+        require_fit(tool, recipe, programs[-1])
+    return recipes, programs
 
 
 async def _run(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[str, Any] | Exception:

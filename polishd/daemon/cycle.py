@@ -38,6 +38,7 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
             surface, again = await handling.told_apart(cycle, surface)
             async with journal.phase(cycle, Phase.LEARN):
                 await job.learn(cycle, surface, again)
+        job.take_turn()  # of several tools
         if job.judging.accepts(surface):
             return Outcome.IN_TOLERANCE
         if job.judging.diverges(surface):
@@ -56,7 +57,7 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
         if job.worthless(cycle):
             return Outcome.STALLED
         await before_contact(cell, job.publish, cycle)
-        await handling.ready(cycle)  # pad and seat: nothing is pressed on a part that does not sit right
+        await handling.ready(cycle)  # tool, pad and seat: nothing is pressed on a part that does not sit right
         await before_contact(cell, job.publish, cycle)  # which may have taken minutes
         feed = streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=cell.limits.buffer_s)
         async with journal.phase(cycle, Phase.RUN), feed as stream:

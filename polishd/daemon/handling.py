@@ -7,6 +7,7 @@ the same, watched and left like any other (``safety.contact``).
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Sequence
 from contextlib import aclosing
 from dataclasses import asdict, replace
@@ -23,6 +24,7 @@ from polishd.daemon.readiness import before_contact, require_robot
 from polishd.daemon.safety import ContactLimits, contact, in_band
 from polishd.daemon.stream import Stream, streaming
 from polishd.daemon.touch import Touch
+from polishd.daemon.turns import mounted
 from polishd.model import events
 from polishd.model.cause import Named
 from polishd.model.cycle import Phase
@@ -97,7 +99,8 @@ class Handling:
         return surface, naming.lasting(seen)
 
     async def ready(self, cycle: int) -> None:
-        """Pad and seat, before a pass; the links are up. HandlingError, WrongSeat: nothing was polished."""
+        """Tool, pad and seat, before a pass; the links are up. HandlingError, WrongSeat: nothing was polished."""
+        await self._change(cycle)
         await self._step(cycle, Phase.CONDITION, self._job.recipe.between.condition)
         asked = self._job.recipe.touch_off
         if asked is None or (self._seated and not asked.each_pass):
@@ -106,6 +109,31 @@ class Handling:
         async with self._journal.phase(cycle, Phase.TOUCH_OFF):
             await self._touch_off(cycle, asked)
         self._seated = True
+
+    async def _change(self, cycle: int) -> None:
+        """The tool whose turn it is comes onto the spindle, where it is not known to be there: then it is proved anew.
+
+        Who resumes has mounted it; a command that failed is run again.
+        """
+        job, tool = self._job, self._job.tool
+        if not tool or await asyncio.to_thread(mounted, self._journal) == tool:
+            return
+        step = job.recipe.between.change
+        async with self._journal.phase(cycle, Phase.CHANGE):
+            if step.command:
+                await run_command(Phase.CHANGE.value, step, {**self._names(Phase.CHANGE, cycle), "POLISHD_TOOL": tool})
+            elif (cycle, Phase.CHANGE) not in job.handled:
+                job.handled.add((cycle, Phase.CHANGE))
+                asked = f"mount the tool {tool!r}" + (f": {step.person}" if step.person else "")
+                raise HandlingError(f"{Phase.CHANGE}: {asked}; that done: polishd resume")
+            job.publish(events.ToolMounted(cycle=cycle, tool=tool, notes=[f"the tool {tool!r} is mounted"]))
+            self._journal.flush()
+        self._seated = False
+
+    def _names(self, phase: Phase, cycle: int) -> dict[str, str]:
+        """What a command hears in its environment."""
+        part = {"POLISHD_PART": self._job.recipe.part.id, "POLISHD_JOB": self._job.recipe.job.id}
+        return {"POLISHD_STEP": phase.value, **part, "POLISHD_CYCLE": str(cycle)}
 
     async def _step(self, cycle: int, phase: Phase, step: Step | None) -> None:
         """Between passes only, and once: a person who resumes has done it, a command that failed is run again."""
@@ -116,8 +144,7 @@ class Handling:
             if step.person:
                 job.handled.add((cycle, phase))
                 raise HandlingError(f"{phase}: {step.person}; that done: polishd resume")
-            part = {"POLISHD_STEP": phase.value, "POLISHD_PART": job.recipe.part.id, "POLISHD_JOB": job.recipe.job.id}
-            await run_command(phase.value, step, {**part, "POLISHD_CYCLE": str(cycle)})
+            await run_command(phase.value, step, self._names(phase, cycle))
             job.handled.add((cycle, phase))
 
     async def _repeated(self, cycle: int, surface: Measured, settle: Settle) -> Measured:

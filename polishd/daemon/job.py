@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any, NamedTuple
@@ -16,6 +16,7 @@ from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord, MapRecord, PassRecord
 from polishd.daemon.judging import Judging
 from polishd.daemon.safety import ContactLimits
+from polishd.daemon.turns import ToolTurn, believed_of, tool_of, turn_now, turn_of
 from polishd.daemon.watching import watch
 from polishd.model import events
 from polishd.model.cause import Named
@@ -35,6 +36,7 @@ from polishd.recipe.folder import RunFolder
 from polishd.recipe.forecasting import forecast_of
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved, Taught, figures
+from polishd.recipe.turns import Turn
 
 PROGRESS_BLOCKS = 50
 """Blocks between two progress events."""
@@ -55,6 +57,7 @@ class Job:
 
     recipe: Recipe
     program: Program
+    """Both of the tool whose turn it is."""
     _: KW_ONLY
     journal: Journal
     folder: RunFolder
@@ -64,9 +67,14 @@ class Job:
     contact: ContactLimits
     max_cycles: int
     lookahead_s: float
+    turns: tuple[ToolTurn, ...] = ()
+    """Of several tools each one's, in their order; the first is what the job begins with."""
     findings: tuple[Finding, ...] = field(init=False, default=())
     """What was found in the last pass, and not told before."""
     _believed: Believed = field(init=False)
+    """Of that tool's process."""
+    _others: dict[str, Believed] = field(init=False, default_factory=dict)
+    """Of the other tools', by name."""
     _remembers: tuple[str, ...] = field(init=False, default=())
     """In words, of an earlier job."""
     _surfaces: dict[int, Measured] = field(init=False, default_factory=dict)
@@ -96,17 +104,56 @@ class Job:
         ConfigError where the store has lost something that the journal names.
         """
         history, passes = self.journal.history, self.journal.passes
-        if not passes and (known := await asyncio.to_thread(remembering.remembered, self.journal, self.recipe)):
+        if not passes and (
+            known := await asyncio.to_thread(remembering.remembered, self.journal, self.recipe, self._terms)
+        ):
             self._believed, self._remembers = known.believed, (known.note,)
+        await self._load_others()
         if not history:
             return
         self._masks, self._lay = self._measured(history[0]).masks, self._measured(history[-1]).registration
         if passes:
             record = passes[-1]
+            if self.turns:
+                self._take(self.turns[turn_of(self.turns, record)])
             planned = self._plan_of(record)
             self._surfaces = {found.cycle: self._measured(found) for found in history if found.cycle == record.cycle}
             self._planned, self._believed = {record.cycle: planned}, planned.believed
         await self.people.remake()
+
+    async def _load_others(self) -> None:
+        """Of each other tool the same: of the job's own passes with it, or of the last job of its series."""
+        passes = self.journal.passes
+        for turn in self.turns[1:]:
+            known = believed_of(turn, passes)
+            if known is None and not passes:
+                found = await asyncio.to_thread(remembering.remembered, self.journal, turn.recipe, turn.terms)
+                known, note = (None, "") if found is None else (found.believed, f"{turn.tool} {found.note}")
+                self._remembers += (note,) if note else ()
+            if known is not None:
+                self._others[turn.tool] = known
+        if self.turns and (own := believed_of(self.turns[0], passes)) is not None:
+            self._believed = own
+
+    def take_turn(self) -> None:
+        """The tool whose turn it is by the passes that were made is the job's from here on."""
+        if self.turns:
+            self._take(self.turns[turn_now(self.turns, self.journal.passes)])
+
+    def _take(self, turn: ToolTurn) -> None:
+        self._others[self.tool] = self._believed
+        self.recipe, self.program, self.contact = turn.recipe, turn.program, turn.contact
+        self._believed = self._others.pop(turn.tool, steps.believed_at_first(turn.recipe))
+
+    @property
+    def tool(self) -> str:
+        """The tool whose turn it is; empty where the cell has one."""
+        return "" if self.recipe.turn is None else self.recipe.turn.tool
+
+    @property
+    def _left(self) -> tuple[ToolTurn, ...]:
+        """The turns after this one."""
+        return self.turns[turn_now(self.turns, self.journal.passes) + 1 :]
 
     @property
     def last_cycle(self) -> int:
@@ -161,13 +208,18 @@ class Job:
             self.publish(events.GateStopped(cycle=cycle, stop=taught.verdict.stop, cycle_dir=str(folder.path)))
             raise GateStop(f"{taught.verdict.stop} (see {folder.path / 'gate.png'})")
         self._believed = taught.believed
-        self.journal.add_facts(cycle - 1, remembering.facts(self.journal.terms, self._believed))
+        self.journal.add_facts(cycle - 1, remembering.facts(self._terms, self._believed))
         self.publish(events.Learned(cycle=cycle, notes=taught.notes, beliefs=self._believed.facts()))
         if taught.shown is not None:
             self.findings = watch(self.journal, cycle - 1, taught.shown, self.recipe.finding)
             for found in self.findings:
                 self.publish(events.Found(cycle=cycle, kind=found.kind, what=found.what, stops=found.stops))
         return False
+
+    @property
+    def _terms(self) -> Mapping[str, Any] | None:
+        """What the lessons of the tool whose turn it is belong to."""
+        return next((turn.terms for turn in self.turns if turn.tool == self.tool), None) or self.journal.terms
 
     @property
     def stalled(self) -> bool:
@@ -181,13 +233,14 @@ class Job:
 
     async def solve(self, cycle: int, surface: Measured) -> Solved:
         """Dwell with a certificate, kept in the run folder whether it will be used or not."""
+        turns = [Turn(self.recipe, self.program, self._believed)]
+        turns += [Turn(turn.recipe, turn.program, self._others.get(turn.tool)) for turn in self._left]
+        last = self._planned.get(cycle - 1)
         solved = await self.compute(
-            dwell_step.solve,
-            self.recipe,
-            self.program,
+            dwell_step.solve_first,
+            turns,
             surface,
-            self._believed,
-            self._planned[cycle - 1].kept if cycle - 1 in self._planned else None,
+            last.kept if last is not None and last.tool == self.tool else None,
             within_s=dwell_step.limit(self.recipe),
         )
         await self.people.keep(self.folder.cycle(cycle).write, solved.files())
@@ -198,7 +251,7 @@ class Job:
         """The rewritten program; what the next cycle needs of it is kept for the journal, the rest for people."""
         plan = await self.compute(steps.rewrite, self.recipe, self.program, solved, self.program.name)
         expected = await self.compute(forecast_of, self.recipe, surface, plan, solved.believed)
-        planned = Planned.of(plan, solved, steps.in_part_frame(self.recipe, plan.program), expected)
+        planned = Planned.of(plan, solved, steps.in_part_frame(self.recipe, plan.program), expected, self.tool)
         files, store = await asyncio.to_thread(planned.files), self.journal.arrays
         names = [await asyncio.to_thread(store.put, arrays) for arrays in (files["plan.npz"], planned.start())]
         self._stored = Stored(*names)
@@ -207,7 +260,12 @@ class Job:
         return plan
 
     def worthless(self, cycle: int) -> bool:
-        """Whether the pass that was planned will hardly leave the surface better than it is: nobody makes it then."""
+        """Whether the pass that was planned will hardly leave the surface better than it is: nobody makes it then.
+
+        Not of a tool after which others have their turns: what it leaves for them counts.
+        """
+        if self._left:
+            return False
         if found := self.judging.worthless(self._planned[cycle].forecast):
             self.publish(events.Found(cycle=cycle, kind=found.kind, what=found.what, stops=found.stops))
         return found is not None
@@ -236,7 +294,7 @@ class Job:
             reach_s=reach_s,
         )
         told = {"blocks": plan.contact_blocks, "dwell_s": plan.total_s, "forecast": planned.facts()["forecast"]}
-        self.publish(events.PassBegun(cycle=cycle, **told))
+        self.publish(events.PassBegun(cycle=cycle, tool=self.tool, **told))
 
     def executed(self, cycle: int, records: Sequence[BlockRecord]) -> None:
         """Blocks were executed while the tool was on the part, or may have been."""
@@ -262,9 +320,11 @@ class Job:
 
     def _at_points(self, cycle: int) -> tuple[FloatArray, FloatArray]:
         """(n,) the same, and weighted by the force and the speed that really acted, s."""
-        blocks, point = self.journal.executed(cycle), self.program.block
+        record = next(found for found in self.journal.passes if found.cycle == cycle)
+        turn = self.turns[turn_of(self.turns, record)] if self.turns else self
+        blocks, point = self.journal.executed(cycle), turn.program.block
         run, seconds = blocks.possible, blocks.duration_s
-        acting = seconds * relative_removal(self.recipe.process, blocks.acting_n, blocks.rpm)
+        acting = seconds * relative_removal(turn.recipe.process, blocks.acting_n, blocks.rpm)
         return executed_s(point, blocks.seq[run], seconds[run]), executed_s(point, blocks.seq[run], acting[run])
 
     def names(self) -> dict[str, str]:
@@ -280,6 +340,7 @@ class Job:
         return {
             **figures(measured.stats, None if run is None else run.facts),
             "how": None if run is None else run.how or "begun",
+            **({"tool": None if run is None else tool_of(run.facts)} if self.turns else {}),
             "executed_s": None if run is None else self.journal.contact_s(run.cycle),
             "uncertain": None if run is None else [[a, end - 1] for a, end in self.journal.uncertain(run.cycle)],
             "found": [] if run is None else [one["what"] for one in run.facts.get("findings", ())],

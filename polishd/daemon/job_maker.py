@@ -13,7 +13,7 @@ from polishd.daemon.compute import Compute
 from polishd.daemon.desk import require_unchanged
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
-from polishd.daemon.making import make_job, run_folder
+from polishd.daemon.making import make_job, read_recipes, run_folder
 from polishd.daemon.queue import Entry, Queue
 from polishd.daemon.same_job import require_same, terms_of
 from polishd.daemon.standing import require_shallow
@@ -22,7 +22,7 @@ from polishd.hooks.loader import Hooks
 from polishd.model.events import Event
 from polishd.recipe.accepting import require_acceptable
 from polishd.recipe.folder import RunFolder
-from polishd.recipe.making import make_recipe, require_commissioned
+from polishd.recipe.making import require_commissioned
 from polishd.recipe.program_fit import require_fit
 from polishd.recipe.steps import read_program
 
@@ -47,21 +47,23 @@ class JobMaker:
         lay = require_unchanged if entry.begun_s is None else _laid_over
         config = await asyncio.to_thread(lay, self.config, entry)
         hooks = await asyncio.to_thread(hooks_of_job, self.config, self.hooks, config)
-        recipe = await asyncio.to_thread(make_recipe, config, hooks)
-        require_commissioned(config, recipe.instrument)
-        require_acceptable(recipe)
-        program = await self.compute(read_program, recipe, config.program_path)
-        await self.compute(require_fit, config, recipe, program)
+        recipes = await asyncio.to_thread(read_recipes, config, hooks)
+        require_commissioned(config, recipes[0].instrument)
+        require_acceptable(recipes[0])
+        programs = []
+        for tool, recipe in zip(config.turns, recipes, strict=True):
+            programs.append(await self.compute(read_program, recipe, tool.program_path))
+            await self.compute(require_fit, tool, recipe, programs[-1])
+            require_shallow(tool, self.cell, recipe)
         require_time_limits(config, self.cell)
-        require_shallow(config, self.cell, recipe)
-        terms = await asyncio.to_thread(terms_of, config, program.sha256)
+        terms = await asyncio.to_thread(terms_of, config, programs[0].sha256)
         own = journal.of_job(entry.name, entry.part_id, terms)
         require_same(config, terms, own)
         queue.begin(entry, own.number)
         await look_for_part(self.cell, config, hooks)
         folder = run_folder(config, own, entry.content)
         job = make_job(
-            config, hooks, recipe, program, journal=own, folder=folder, compute=self.compute, publish=publish
+            config, hooks, recipes, programs, journal=own, folder=folder, compute=self.compute, publish=publish
         )
         await job.load()
         return job, folder

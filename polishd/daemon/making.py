@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import chain, count
@@ -15,12 +15,15 @@ from polishd.daemon.assembly import contact_limits
 from polishd.daemon.compute import Compute
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
+from polishd.daemon.same_job import terms_of
+from polishd.daemon.turns import ToolTurn
 from polishd.hooks.loader import Hooks
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.model.events import Event
 from polishd.model.finding import Finding
 from polishd.model.program import Program
 from polishd.recipe.folder import RunFolder
+from polishd.recipe.making import make_recipes
 from polishd.recipe.recipe import Recipe
 
 log = logging.getLogger(__name__)
@@ -46,11 +49,30 @@ class NoJob:
         return {"cycles": []}
 
 
+def read_recipes(config: CellConfig, hooks: Hooks) -> tuple[Recipe, ...]:
+    """Of each tool, in the order in which they polish; ConfigError where nothing would prove that one is mounted."""
+    if config.tools and config.touch_off is None:
+        raise config.error(
+            "tools", "a wrong tool is found by where it meets the part: several tools need [touch_off]; add it"
+        )
+    return make_recipes(config, hooks)
+
+
+def turns_of(config: CellConfig, recipes: Sequence[Recipe], programs: Sequence[Program]) -> tuple[ToolTurn, ...]:
+    """The turns of several tools; none where the cell has one. Reads the files that their keys name."""
+    if not config.tools:
+        return ()
+    return tuple(
+        ToolTurn(recipe, program, contact_limits(own), terms_of(own, program.sha256))
+        for own, recipe, program in zip(config.turns, recipes, programs, strict=True)
+    )
+
+
 def make_job(
     config: CellConfig,
     hooks: Hooks,
-    recipe: Recipe,
-    program: Program,
+    recipes: Sequence[Recipe],
+    programs: Sequence[Program],
     *,
     journal: Journal,
     folder: RunFolder,
@@ -58,15 +80,17 @@ def make_job(
     publish: Callable[[Event], None],
 ) -> Job:
     """The job of that config; ``Job.load`` takes up what an earlier run knew."""
+    turns = turns_of(config, recipes, programs)
     return Job(
-        recipe,
-        program,
+        recipes[0],
+        programs[0],
         journal=journal,
         folder=folder,
         compute=compute,
         publish=publish,
         check_plan=hooks.check_plan,
-        contact=contact_limits(config),
+        contact=turns[0].contact if turns else contact_limits(config),
+        turns=turns,
         max_cycles=config.job.max_cycles,
         lookahead_s=config.job.lookahead_s,
     )

@@ -80,11 +80,14 @@ def facts(terms: Mapping[str, Any] | None, believed: Believed) -> dict[str, Any]
     }
 
 
-def remembered(journal: Journal, recipe: Recipe) -> Remembered | None:
-    """What this job begins with, if the cell's journal has a lesson of its series. Reads the file: call in a thread."""
+def remembered(journal: Journal, recipe: Recipe, terms: Mapping[str, Any] | None = None) -> Remembered | None:
+    """What this job begins with, if the cell's journal has a lesson of its series. Reads the file: call in a thread.
+
+    ``terms``: of one of several tools; None: the job's own.
+    """
     if not recipe.remembers:
         return None
-    terms = journal.terms or {}
+    terms = terms or journal.terms or {}
     series = series_of(terms)
     found = lessons(journal.store.read, before=journal.number)
     lesson = next((one for one in found if one.series == series), None)

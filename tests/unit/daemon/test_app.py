@@ -463,6 +463,7 @@ class Site:
             effective=lambda: {"part": self.part, "program": {"path": "program.rnc"}},
             error=lambda key, problem: ConfigError(f"cell.toml: {key}: {problem}"),
         )
+        self.config.turns, self.config.tools = (self.config,), {}
         self.hooks: Any = SimpleNamespace(on_event=self.told.append, check_plan=accept)
         journal = app._journal
 
@@ -475,7 +476,7 @@ class Site:
         monkeypatch.setattr(app, "require_commissioned", lambda config, instrument: None)
         monkeypatch.setattr(app, "require_fit", lambda config, recipe, program: "")
         monkeypatch.setattr(app, "require_taken", lambda config, hooks, program: None)
-        monkeypatch.setattr(app, "make_recipe", lambda config, hooks: self.recipe)
+        monkeypatch.setattr(app, "read_recipes", lambda config, hooks: (self.recipe,))
         monkeypatch.setattr(app, "read_program", lambda recipe, path: self.program)
         monkeypatch.setattr(app, "build_cell", self.build)
         monkeypatch.setattr(making, "contact_limits", lambda config: LIMITS)
