@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
@@ -33,7 +32,7 @@ from polishd.config.sections import (
 from polishd.config.signals import SignalSection
 from polishd.config.tables import read_tif
 from polishd.config.tolerance import ToleranceSection, lines_of
-from polishd.config.tools import ToolSection, replaced
+from polishd.config.tools import ToolSection, laid_over
 from polishd.config.values import Name, Texts, as_tuple
 from polishd.hookspecs import DeviceType, NotifierType
 from polishd.model.dwell import AS_PROGRAMMED
@@ -143,10 +142,7 @@ class CellConfig(PartDocument):
 
     def of_tool(self, name: str) -> CellConfig:
         """The cell as it is with that tool on its spindle, and no other. ConfigError where it makes no cell."""
-        raw = copy.deepcopy(dict(self._raw))
-        for (section, key), value in replaced(name, raw.pop("tools")[name]):
-            raw.setdefault(section, {})[key] = value
-        made = type(self).of(raw, self._source)
+        made = type(self).of(*laid_over(self._raw, self._source, name))
         made._path = self._path
         return consistent(made)
 

@@ -38,7 +38,7 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
             surface, again = await handling.told_apart(cycle, surface)
             async with journal.phase(cycle, Phase.LEARN):
                 await job.learn(cycle, surface, again)
-        job.take_turn()  # of several tools
+        job.tools.take()  # of several tools
         if job.judging.accepts(surface):
             return Outcome.IN_TOLERANCE
         if job.judging.diverges(surface):
@@ -69,7 +69,7 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
                 async with recording(cell, journal, cycle, touch) as recorder:
                     await stream.approach()
                     with short_collections():
-                        async with contact(cell, job.contact, touch):
+                        async with contact(cell, job.tools.now.contact, touch):
                             await recorder.follow(stream)
                 await stream.retreat()
             except BaseException as error:
