@@ -58,19 +58,21 @@ def _chapter(found: Reported) -> Chapter:
         ("measured", date_words(answer)),
         ("computed by", _footer(answer["computed"]).removeprefix("computed by ")),
     ]
-    parts = [
-        _surface(found),
+    parts = [_surface(found), *_tolerance(answer), *of_surface(found), _origin(answer), editions()]
+    verdict = _verdict(answer)
+    return Chapter(shown(answer["part_id"]) or name, facts, parts, verdict, answer["within"] is not False)
+
+
+def of_surface(found: Reported) -> list[Part]:
+    """Aberrations, ISO 10110, slope, spatial periods and Zernike terms of a surface, as far as its samples carry them."""
+    answer = found.answer
+    return [
         *_aberrations(answer),
         *_indications(answer),
-        *_tolerance(answer),
         *_slope(found),
         *_periods(found),
         *_zernike(answer),
-        _origin(answer),
-        _editions(),
     ]
-    verdict = _verdict(answer)
-    return Chapter(shown(answer["part_id"]) or name, facts, parts, verdict, answer["within"] is not False)
 
 
 def _verdict(answer: Mapping[str, Any]) -> str:
@@ -244,7 +246,8 @@ def _factor(answer: Mapping[str, Any], name: str, value: object) -> Cell:
     return Figure.of(answer, f"factors.{name}", ".7g") if isinstance(value, float) and "." not in name else shown(value)
 
 
-def _editions() -> Part:
+def editions() -> Part:
+    """Which edition of each standard is followed, and the newer one that was not at hand."""
     rows = [(what, edition, newer or "–") for what, edition, newer in EDITIONS]
     note = (
         "Where a newer edition is out and its text was not at hand, the older is followed. Definitions were checked "
