@@ -37,7 +37,7 @@ RULES = (
         True,
         "how a device is reached, its time limits, and what it watches",
     ),
-    Rule(("notify.*",), True, "who hears of it"),
+    Rule(("notify.*", "certificate.*"), True, "who hears of it, and who certifies it"),
     Rule(("roles.*",), False, "another robot or tool removes otherwise, and what was learned is of this one"),
     Rule(("dwell.*",), True, "how the next dwell is chosen; each has a certificate of its own"),
     Rule(("touch_off*", "between.*"), True, "what is done beside polishing removes nothing"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -70,7 +71,7 @@ def content_of(run: Run, asked: Asked, now: datetime | None = None) -> Drawn:
         after=None if after is None else _surface(after),
         passes=passes_of(run),
         anomalies=anomalies_of(run),
-        versions=_versions(),
+        versions=_versions(run),
         files=list(_files(run)),
         journal=_journal(run),
         left_out=[*remaker.left_out, *why_not, *run.folder.missing],
@@ -137,8 +138,8 @@ def _aperture(run: Run, after: Found | None) -> model.Aperture:
     inside = 0 if surface is None else int(np.count_nonzero(surface.metric_mask))
     solved = 0 if surface is None else int(np.count_nonzero(np.isfinite(surface.height_nm)))
     words_ = (
-        f"All figures of a measured surface are of the map's own samples in the clear aperture: the part's outline less "
-        f"a rim of {terms['part.edge_mm']:g} mm, as the first map showed it, the same for all maps; "
+        f"All figures of a measured surface are of the map's own samples in the clear aperture: the part's outline "
+        f"less a rim of {terms['part.edge_mm']:g} mm, as the first map showed it, the same for all maps; "
         f"{REMOVED[terms['part.alignment']]} removed by least squares over it."
     )
     return model.Aperture(
@@ -193,16 +194,16 @@ def _reach(run: Run, before: Found | None, after: Found | None) -> tuple[model.R
     told = [done["facts"]["certificate"].get("cutoff_period_mm") for done in run.rows.passes]
     known = [cutoff for cutoff in told if cutoff]
     if not known:
-        why = "no pass was planned" if not told else "the plans do not tell below which periods the spot removes nothing"
+        why = (
+            "no pass was planned" if not told else "the plans do not tell below which periods the spot removes nothing"
+        )
         return None, [f"what no dwell could remove: {why}"]
     if before is None or after is None:
         return None, ["what no dwell could remove: needs the first and the last map"]
     cutoff = min(known)
     if cutoff <= 2 * after.pitch_mm:
         return None, [f"what no dwell could remove: periods below {cutoff:.3g} mm are shorter than the map shows"]
-    reach = model.Reach(
-        cutoff_period_mm=cutoff, before_nm=before.beyond_nm(cutoff), after_nm=after.beyond_nm(cutoff)
-    )
+    reach = model.Reach(cutoff_period_mm=cutoff, before_nm=before.beyond_nm(cutoff), after_nm=after.beyond_nm(cutoff))
     return reach, ()
 
 
@@ -234,9 +235,10 @@ def _some(kind: type[model.Facts], facts: Row, **others: Any) -> dict[str, Any]:
     return {key: facts[key] for key in kind.model_fields if key in facts} | others
 
 
-def _versions() -> dict[str, str]:
+def _versions(run: Run) -> dict[str, str]:
     return {
-        "polishd": __version__,
+        "polished by polishd": words.text(run.folder.summary.get("version")) or "not recorded",
+        "certified by polishd": __version__,
         "python": platform.python_version(),
         **{name: version(name) for name in LIBRARIES},
         "system": platform.system(),
@@ -252,8 +254,17 @@ def _files(run: Run) -> Iterator[model.File]:
 
 def _journal(run: Run) -> model.JournalFacts:
     events = [
-        model.Event(at=at(row["at"]), cycle=row["cycle"], name=row["name"], data=row["data"])
+        model.Event(at=at(row["at"]), cycle=row["cycle"], name=row["name"], data=_finite(row["data"]))
         for row in run.rows.events
         if row["name"] != "progress"
     ]
     return model.JournalFacts(sha256=run.rows.sha256, rows=dict(run.rows.counts), events=events)
+
+
+def _finite(value: Any) -> Any:
+    """As JSON can hold it: what is no number is null."""
+    if isinstance(value, dict):
+        return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return list(map(_finite, value))
+    return None if isinstance(value, float) and not math.isfinite(value) else value

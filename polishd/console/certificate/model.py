@@ -6,11 +6,11 @@ Numbers have their unit in their name. What is null is not known, or was not the
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-SCHEMA = "polishd-certificate-1"
+SCHEMA: Final = "polishd-certificate-1"
 State = Literal["in tolerance", "not in tolerance", "not known"]
 
 
@@ -39,7 +39,9 @@ class PartFacts(Facts):
     outline: str = Field(description="in words")
     edge_mm: float = Field(description="width of the rim that is outside the clear aperture")
     form: str = Field(description="the form wanted, in words")
-    alignment: Literal["piston", "tilt", "power"] = Field(description="what of a map is no figure; each with the former")
+    alignment: Literal["piston", "tilt", "power"] = Field(
+        description="what of a map is no figure; each with the former"
+    )
 
 
 class Judgement(Facts):
@@ -146,7 +148,9 @@ class Change(Facts):
 class Reach(Facts):
     """What no dwell with the tool could remove."""
 
-    cutoff_period_mm: float = Field(description="shorter periods are out of reach of the spot, of several tools that of the finest")
+    cutoff_period_mm: float = Field(
+        description="shorter periods are out of reach of the spot, of several tools that of the finest"
+    )
     before_nm: float = Field(description="RMS of those of the first map")
     after_nm: float = Field(description="RMS of those of the last map: what no further pass would take away")
 

@@ -127,10 +127,12 @@ def read_rows(path: Path) -> Rows:
         raise ConfigError(f"{path / JOURNAL_NAME}: is of {len(tables['job'])} jobs, and a run folder's is of one")
     (job,) = tables["job"]
     if not isinstance(job["terms"], dict):
-        raise ConfigError(f"{path / JOURNAL_NAME}: its job was begun by an earlier polishd, which did not write down how")
+        raise ConfigError(
+            f"{path / JOURNAL_NAME}: its job was begun by an earlier polishd, which did not write down how"
+        )
     last = {row["cycle"]: row for row in tables["map"]}
-    rest = (tables[name] for name in ("pass", "phase", "event"))
-    return Rows(job, list(last.values()), *rest, contact, counts, digest)
+    passes, phases, events = (tables[name] for name in ("pass", "phase", "event"))
+    return Rows(job, list(last.values()), passes, phases, events, contact, counts, digest)
 
 
 CONTACT = """

@@ -143,7 +143,8 @@ def _aperture(run: Run, cycle: int) -> tuple[Grid, BoolArray]:
     surface = run.folder.cycles[cycle].surface if cycle < len(run.folder.cycles) else None
     if surface is None:
         raise ConfigError(f"{path}: is not there, or cannot be read: nobody knows the clear aperture")
-    return Grid(*surface.height_nm.shape, surface.pitch_mm), surface.metric_mask
+    ny, nx = surface.height_nm.shape
+    return Grid(ny, nx, surface.pitch_mm), surface.metric_mask
 
 
 def _otherwise(found: Found, stats: Mapping[str, Any]) -> str:

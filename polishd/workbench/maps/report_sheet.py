@@ -63,16 +63,14 @@ def _chapter(found: Reported) -> Chapter:
     return Chapter(shown(answer["part_id"]) or name, facts, parts, verdict, answer["within"] is not False)
 
 
-def of_surface(found: Reported) -> list[Part]:
-    """Aberrations, ISO 10110, slope, spatial periods and Zernike terms of a surface, as far as its samples carry them."""
+def of_surface(found: Reported, *, spectrum: bool = True) -> list[Part]:
+    """Aberrations, ISO 10110, slope, spatial periods and Zernike terms of a surface, as far as its samples carry them.
+
+    ``spectrum``: with a picture of its PSD.
+    """
     answer = found.answer
-    return [
-        *_aberrations(answer),
-        *_indications(answer),
-        *_slope(found),
-        *_periods(found),
-        *_zernike(answer),
-    ]
+    periods = _periods(found, spectrum=spectrum)
+    return [*_aberrations(answer), *_indications(answer), *_slope(found), *periods, *_zernike(answer)]
 
 
 def _verdict(answer: Mapping[str, Any]) -> str:
@@ -171,7 +169,7 @@ def _slope(found: Reported) -> Iterator[Part]:
     yield Part("Slope", [table, length], (), [pictures.slopes(found, found.slope_urad)])
 
 
-def _periods(found: Reported) -> Iterator[Part]:
+def _periods(found: Reported, *, spectrum: bool) -> Iterator[Part]:
     answer = found.answer
     if answer["psd"] is None:
         return
@@ -181,7 +179,7 @@ def _periods(found: Reported) -> Iterator[Part]:
     ]
     note = "The surface split by ideal band-passes; a dash is no limit, or a band that the samples do not show."
     table = Table(("band", "below, mm", "above, mm", "RMS, nm"), rows)
-    yield Part("Spatial periods", [table], [note], [pictures.spectrum(found)])
+    yield Part("Spatial periods", [table], [note], [pictures.spectrum(found)] if spectrum else [])
 
 
 def _zernike(answer: Mapping[str, Any]) -> Iterator[Part]:
