@@ -9,7 +9,6 @@ from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any, NamedTuple
 
-from polishd import __version__
 from polishd.daemon import remembering
 from polishd.daemon.compute import Compute
 from polishd.daemon.cycle_entries import cycle_entries
@@ -293,8 +292,7 @@ class Job:
 
     def summary(self) -> dict[str, Any]:
         """The job's part of ``summary.json``."""
-        times = {"phase_times_s": self.journal.phase_times_s(), "version": __version__}
-        return {**self.recipe.facts(), "cycles": self.cycles(), **times}
+        return {**self.recipe.facts(), "cycles": self.cycles(), "phase_times_s": self.journal.phase_times_s()}
 
     def _measured(self, record: MapRecord) -> Measured:
         instrument = self.recipe.instrument
