@@ -56,6 +56,7 @@ def content_of(run: Run, asked: Asked, now: datetime | None = None) -> Drawn:
     before, after = (_remade(remaker, row) for row in (run.rows.maps[0], run.rows.maps[-1]))
     reach, why_not = _reach(run, before, after)
     content = model.Content(
+        schema_=model.SCHEMA,
         number=asked.number or _number(run),
         issued=(now or datetime.now(UTC)).replace(microsecond=0),
         issuer=model.Issuer(shop=asked.shop, operator=asked.operator, program="polishd", version=__version__),

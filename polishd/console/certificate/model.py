@@ -337,7 +337,7 @@ class Seal(Facts):
 class Content(Facts):
     """A certificate before there is a PDF of it."""
 
-    schema_: Literal["polishd-certificate-1"] = Field(SCHEMA, alias="schema")
+    schema_: Literal["polishd-certificate-1"] = Field(alias="schema")
     number: str
     issued: datetime
     issuer: Issuer

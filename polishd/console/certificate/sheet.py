@@ -9,7 +9,7 @@ from polishd.console.certificate.content import Drawn
 from polishd.console.certificate.model import Content, Judgement, Pass
 from polishd.show.sheet import Chapter, Part, Sheet, Table
 from polishd.workbench.maps.files import shown
-from polishd.workbench.maps.report_sheet import editions, of_surface
+from polishd.workbench.maps.report_sheet import editions, of_detail, of_form
 
 GOOD = "in tolerance"
 
@@ -124,8 +124,9 @@ def _reach(content: Content) -> Iterator[Part]:
         [(f"below {reach.cutoff_period_mm:.2f} mm", f"{reach.before_nm:.3f}", f"{reach.after_nm:.3f}")],
     )
     note = (
-        "The tool's spot removes nothing of shorter periods: no dwell takes this away. Of the same samples over the "
-        "same aperture as all figures above; the solver's own figures, on its coarser grid, are not repeated here."
+        "The tool's spot removes nothing of shorter periods, so no dwell takes this away; what is more of it after "
+        "than before, the passes left. Of the same samples over the same aperture as all figures above; the solver's "
+        "own figures, on its coarser grid, are not repeated here."
     )
     yield Part("What no dwell could remove", [table], [note])
 
@@ -141,11 +142,12 @@ def _surface(drawn: Drawn) -> Iterator[Chapter]:
         ("process grid: in the clear aperture", f"{aperture.metric_samples}"),
     ]
     maps = Part("Before and after", (), (), [pictures.before_and_after(drawn.before, drawn.after)])
-    masks = Part("Masks", [Table((), rows)], [aperture.words])
+    masks = Part("Masks", [Table((), rows)])
     yield Chapter("The surface", [], [maps, masks])
     both = pictures.spectra(content.before, content.after)
     spectra = [] if both is None else [Part("Power spectra", (), (), [both])]
-    yield Chapter("The surface after polishing", [], [*spectra, *of_surface(drawn.after.reported, spectrum=False)])
+    figures = [*of_form(drawn.after.reported.answer), *of_detail(drawn.after.reported, spectrum=False)]
+    yield Chapter("The surface after polishing", [], [*spectra, *figures])
 
 
 def _making(content: Content) -> Chapter:
@@ -153,8 +155,8 @@ def _making(content: Content) -> Chapter:
     picture = pictures.convergence(content.measurements, content.passes, limit)
     parts = [
         Part("From map to map", [_measurements(content)], _notes(content), [picture]),
-        *map(_pass, content.passes),
         _anomalies(content),
+        *map(_pass, content.passes),
     ]
     torn = sum(one.number is None for one in content.passes)
     whole = len(content.passes) - torn
@@ -245,8 +247,8 @@ def _proofs(content: Content) -> Chapter:
             ["Of what made this certificate; what polished, where the run folder tells it."],
         ),
         Part("Journal", [Table((), [("SHA-256 of its rows", journal.sha256), ("rows", rows)])]),
-        Part("Files of the run", [Table(("file", "SHA-256"), _shown(files))]),
         editions(),
+        Part("Files of the run", [Table(("file", "SHA-256"), _shown(files))]),
     ]
     if content.left_out:
         parts.insert(0, Part("Left out of this certificate", notes=list(map(shown, content.left_out))))

@@ -58,19 +58,20 @@ def _chapter(found: Reported) -> Chapter:
         ("measured", date_words(answer)),
         ("computed by", _footer(answer["computed"]).removeprefix("computed by ")),
     ]
-    parts = [_surface(found), *_tolerance(answer), *of_surface(found), _origin(answer), editions()]
+    form, detail = of_form(answer), of_detail(found)
+    parts = [_surface(found), *form, *_tolerance(answer), *detail, _origin(answer), editions()]
     verdict = _verdict(answer)
     return Chapter(shown(answer["part_id"]) or name, facts, parts, verdict, answer["within"] is not False)
 
 
-def of_surface(found: Reported, *, spectrum: bool = True) -> list[Part]:
-    """Aberrations, ISO 10110, slope, spatial periods and Zernike terms of a surface, as far as its samples carry them.
+def of_form(answer: Mapping[str, Any]) -> list[Part]:
+    """Primary aberrations and ISO 10110 of a surface, as far as its samples carry them."""
+    return [*_aberrations(answer), *_indications(answer)]
 
-    ``spectrum``: with a picture of its PSD.
-    """
-    answer = found.answer
-    periods = _periods(found, spectrum=spectrum)
-    return [*_aberrations(answer), *_indications(answer), *_slope(found), *periods, *_zernike(answer)]
+
+def of_detail(found: Reported, *, spectrum: bool = True) -> list[Part]:
+    """Slope, spatial periods and Zernike terms, likewise; ``spectrum``: with a picture of its PSD."""
+    return [*_slope(found), *_periods(found, spectrum=spectrum), *_zernike(found.answer)]
 
 
 def _verdict(answer: Mapping[str, Any]) -> str:
