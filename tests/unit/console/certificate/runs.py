@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -125,8 +125,14 @@ class Making:
         return self.folder.path
 
 
-def begin(out: Path, *, repeatability_nm: float | None = 0.2, **sections: dict[str, Any]) -> Making:
-    """A small part in the demo's cell, its job begun."""
+def begin(
+    out: Path,
+    prepare: Callable[[DemoFiles], object] = lambda files: None,
+    *,
+    repeatability_nm: float | None = 0.2,
+    **sections: dict[str, Any],
+) -> Making:
+    """A small part in the demo's cell, its job begun; ``prepare`` is called before anything is read."""
     files = write_demo(out, None, 2.0, 4, None)
     part = {"part": {"aperture_mm": APERTURE_MM}}
     files.cell.write_text(with_keys(with_values(files.cell.read_text(), part), sections))
@@ -135,6 +141,7 @@ def begin(out: Path, *, repeatability_nm: float | None = 0.2, **sections: dict[s
             with_values(files.profile.read_text(), {"repeatability": {"rms_nm": repeatability_nm}})
         )
     forged(files.profile)
+    prepare(files)
     config, hooks = load_cell(files.cell)
     files.state_dir.mkdir()
     folder = RunFolder(files.run_dir)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
@@ -18,8 +19,11 @@ from polishd.console.certificate.sources import find_run, read_rows
 from polishd.console.demo_files import DemoFiles
 from polishd.model.cycle import Outcome
 from polishd.model.errors import ConfigError
+from polishd.model.surface import FloatArray
 from polishd.process import metrics
-from tests.unit.console.certificate.runs import CUTOFF_MM, begin
+from tests.unit.console.certificate.runs import CUTOFF_MM, begin, heights
+from tests.unit.said import Polishd
+from tests.unit.workbench.maps.maps import dat
 
 Spoil = Callable[[Path], None]
 
@@ -255,3 +259,53 @@ def test_what_is_known_of_the_instrument_is_told(whole_content: Content) -> None
     statements = " ".join(whole_content.uncertainty.statements)
     assert "± 0.2 nm, by repeatability alone" in statements
     assert "has not been told apart" in statements
+
+
+# files that lie beside the cell
+
+
+def turned(polishd: Polishd, folder: Path, files: DemoFiles) -> None:
+    """The instrument's own error, told from four turns of a part."""
+    error = np.where(np.isfinite(heights(0, 1.0)), 3.0 * np.indices((64, 64))[0] / 64.0 % 1.0, np.nan)
+    maps = [dat(folder / f"p{k}.dat", np.rot90(heights(9, 5.0), k) + error) for k in range(4)]
+    said = polishd("calibrate", "instrument", files.cell, *maps, "--angles", "0,90,180,270", "--json")
+    assert said.code == 0, said.err
+
+
+def test_a_system_map_is_taken_off_as_it_was(polishd: Polishd, tmp_path: Path) -> None:
+    made = begin(tmp_path / "cell", lambda files: turned(polishd, tmp_path, files), job={"accept": "figure"})
+    with closing(made.journal):
+        made.measure(0)
+        run = made.end()
+    by_cell = content_of(find_run(made.files.cell, None), Asked()).content
+    assert by_cell.after is not None
+    assert by_cell.instrument.system_map_sha256
+    assert "was told by turning a part" in " ".join(by_cell.uncertainty.statements)
+    alone = drawn(run).content
+    assert alone.after is None
+    assert "the instrument's system map" in alone.left_out[0]
+    assert "is not at hand; put it into the run folder, or name CELL.toml" in alone.left_out[0]
+
+
+def bowl(depth_nm: float) -> FloatArray:
+    """(64, 64) nm, all of it data."""
+    y, x = (np.indices((64, 64)) - 31.5) / 32.0
+    return depth_nm * (1.0 + x**2 + y**2)
+
+
+def test_the_form_wanted_is_known_by_its_hash(tmp_path: Path) -> None:
+    def form(files: DemoFiles) -> None:
+        dat(files.out / "form.dat", bowl(3.0), part="form")
+
+    made = begin(tmp_path / "cell", form, part={"nominal": "form.dat"})
+    with closing(made.journal):
+        made.measure(0)
+        run = made.end()
+    assert drawn(run).content.after is None, "it lies beside the cell, and the run folder knows no cell"
+    by_cell = content_of(find_run(made.files.cell, None), Asked()).content
+    assert by_cell.after is not None
+    assert "less the map form.dat" in by_cell.part.form
+    shutil.copyfile(made.files.out / "form.dat", run / "form.dat")
+    assert drawn(run).content.after == by_cell.after
+    dat(run / "form.dat", bowl(2.0), part="form")
+    assert drawn(run).content.after is None, "another form"

@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from cryptography.exceptions import InvalidSignature
 
 from docs.reference import write
 from polishd.cli import app
@@ -24,6 +25,7 @@ from polishd.show.sheet_html import html
 from tests.unit.console.certificate.conftest import Made
 from tests.unit.said import Polishd
 
+DOCS = Path(__file__).resolve().parents[4] / "docs" / "certificate.md"
 AT = datetime(2026, 11, 25, 12, 0, tzinfo=UTC)
 
 
@@ -209,3 +211,16 @@ def test_the_command_line_has_it() -> None:
     assert group.typer_instance is not None
     names = {command.name for command in group.typer_instance.registered_commands}
     assert names == {"certificate", "verify", "key", "schema"}
+
+
+def test_ten_lines_of_python_verify_it_without_polishd(signed: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As docs/certificate.md has them."""
+    (example,) = re.findall(r"^```python\n(.*?)^```", DOCS.read_text(), re.DOTALL | re.MULTILINE)
+    monkeypatch.chdir(signed.pdf.parent)
+    signed.pdf.rename("LENS-7.pdf")
+    signed.twin.rename("LENS-7.json")
+    exec(compile(example, str(DOCS), "exec"), {})
+    text = Path("LENS-7.json").read_text().replace("A. Meyer", "B. Meyer")
+    Path("LENS-7.json").write_text(text)
+    with pytest.raises(InvalidSignature):
+        exec(compile(example, str(DOCS), "exec"), {})
