@@ -15,13 +15,18 @@ AGAIN = ("failed", "held")
 """Errors: one that held the cell and then ended its daemon is told once."""
 
 
+NOTHING = "nothing is recorded"
+
+
 def anomalies_of(run: Run) -> list[Anomaly]:
     """In time order: alarms, holds, faults, orders of a person, interrupted passes; nothing for a job without any."""
-    found = [*_of_events(run.rows.events), *_of_passes(run)]
+    outcome = words.text(run.rows.job["outcome"]).replace("_", " ")
+    found = [*of_events(run.rows.events, f"the job ended: {outcome}" if outcome else ""), *_of_passes(run)]
     return sorted(found, key=lambda one: one.at)
 
 
-def _of_events(events: Sequence[Row]) -> Iterator[Anomaly]:
+def of_events(events: Sequence[Row], end: str) -> Iterator[Anomaly]:
+    """What the journal's events tell of; ``end``: how the job ended, where nothing else came after one of them."""
     told = ""
     for index, event in enumerate(events):
         name, data = event["name"], event["data"]
@@ -39,7 +44,9 @@ def _of_events(events: Sequence[Row]) -> Iterator[Anomaly]:
             told = what
             continue
         told = what
-        yield Anomaly(at=at(event["at"]), kind=kind, what=str(what), done=_answer(events[index + 1 :]))
+        yield Anomaly(
+            at=at(event["at"]), kind=kind, what=str(what), done=_answer(events[index + 1 :]) or end or NOTHING
+        )
 
 
 def _answer(later: Sequence[Row]) -> str:
@@ -56,9 +63,11 @@ def _answer(later: Sequence[Row]) -> str:
             said.append(f"it was started again, {when}")
         elif name == "measured":
             return "; ".join([*said, f"measured before anything else: RMS {data['rms_nm']:.2f} nm"])
+        elif name == "pass_ended":
+            return "; ".join([*said, f"the pass went on to its end, {when}"])
         elif name in {"pass_begun", "job_ended"}:
             break
-    return "; ".join(said) or "nothing is recorded"
+    return "; ".join(said)
 
 
 def _of_passes(run: Run) -> Iterator[Anomaly]:

@@ -75,7 +75,7 @@ def content_of(run: Run, asked: Asked, now: datetime | None = None) -> Drawn:
         versions=_versions(run),
         files=list(_files(run)),
         journal=_journal(run),
-        left_out=[*remaker.left_out, *why_not, *run.folder.missing],
+        left_out=[_short(run, reason) for reason in (*remaker.left_out, *why_not, *run.folder.missing)],
     )
     return Drawn(content, run, before, after, asked.wavelength_nm)
 
@@ -255,17 +255,24 @@ def _files(run: Run) -> Iterator[model.File]:
 
 def _journal(run: Run) -> model.JournalFacts:
     events = [
-        model.Event(at=at(row["at"]), cycle=row["cycle"], name=row["name"], data=_finite(row["data"]))
+        model.Event(at=at(row["at"]), cycle=row["cycle"], name=row["name"], data=_plain(row["data"]))
         for row in run.rows.events
         if row["name"] != "progress"
     ]
     return model.JournalFacts(sha256=run.rows.sha256, rows=dict(run.rows.counts), events=events)
 
 
-def _finite(value: Any) -> Any:
-    """As JSON can hold it: what is no number is null."""
+def _short(run: Run, reason: str) -> str:
+    """Without the folder in which the run lies: that is nobody's business outside the shop."""
+    return reason.replace(f"{run.path}/", "")
+
+
+def _plain(value: Any) -> Any:
+    """As JSON can hold it, and a customer may have it: what is no number is null, and a path its last name."""
     if isinstance(value, dict):
-        return {key: _finite(one) for key, one in value.items()}
+        return {key: _plain(one) for key, one in value.items()}
     if isinstance(value, list):
-        return list(map(_finite, value))
+        return list(map(_plain, value))
+    if isinstance(value, str) and value.startswith("/"):
+        return value.rstrip("/").rpartition("/")[2]
     return None if isinstance(value, float) and not math.isfinite(value) else value

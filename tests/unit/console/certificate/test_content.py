@@ -123,6 +123,7 @@ def test_a_pass_after_the_last_map_leaves_the_surface_unknown(tmp_path: Path) ->
     assert verdict.words == "Not known: the part was polished after its last map"
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("alignment", ["piston", "tilt", "power"])
 def test_each_alignment_is_the_one_of_the_figures(tmp_path: Path, alignment: str) -> None:
     made = begin(tmp_path / "cell", part={"alignment": alignment})
@@ -309,3 +310,8 @@ def test_the_form_wanted_is_known_by_its_hash(tmp_path: Path) -> None:
     assert drawn(run).content.after == by_cell.after
     dat(run / "form.dat", bowl(2.0), part="form")
     assert drawn(run).content.after is None, "another form"
+
+
+def test_no_folder_of_the_shop_is_told(whole_content: Content, whole_files: DemoFiles) -> None:
+    assert str(whole_files.out) not in whole_content.model_dump_json()
+    assert whole_content.journal.events[0].data["run_dir"] == "run"
