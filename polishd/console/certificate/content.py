@@ -135,7 +135,7 @@ def _instrument(run: Run, after: Found | None) -> model.InstrumentFacts:
 
 def _aperture(run: Run, after: Found | None) -> model.Aperture:
     terms, last = run.rows.terms, run.rows.maps[-1]
-    surface = run.folder.cycles[-1].surface
+    surface = run.surface(last["cycle"])
     inside = 0 if surface is None else int(np.count_nonzero(surface.metric_mask))
     solved = 0 if surface is None else int(np.count_nonzero(np.isfinite(surface.height_nm)))
     words_ = (

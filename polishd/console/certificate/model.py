@@ -65,6 +65,7 @@ class Verdict(Facts):
     words: str
     decided_by: str = Field(description="the line that is the farthest beyond its limit, or the nearest to it")
     lines: list[Judgement]
+    unsure_lines: int = Field(description="whose limit lies within their uncertainty: either verdict is possible")
     outcome: str = Field(description="how the job ended, as summary.json has it")
     final: bool = Field(description="false: the job was stopped, and can go on")
 

@@ -48,7 +48,7 @@ def _front(content: Content, signed_by: str) -> Chapter:
         ("part", part.id),
         ("outline", f"{part.outline}, clear aperture less a rim of {part.edge_mm:g} mm"),
         ("form wanted", part.form),
-        ("job", f"{part.job}: {verdict.outcome}{interim}"),
+        ("job", f"{part.job}, ended as: {verdict.outcome}{interim}"),
         ("measured last", f"{content.measurements[-1].taken:%Y-%m-%d %H:%M} UTC, {content.measurements[-1].name}"),
     ]
     signed = (
@@ -61,10 +61,10 @@ def _front(content: Content, signed_by: str) -> Chapter:
     once = ["The part was measured once: before and after are one map."] if len(content.measurements) == 1 else []
     parts = [
         _specification(content),
+        Part("Signature", notes=[signed]),
         Part("How sure", notes=[*content.uncertainty.statements, *once]),
         _changes(content),
         *_reach(content),
-        Part("Signature", notes=[signed]),
     ]
     words = f"{verdict.words}{interim}"
     return Chapter(f"Certificate of part {shown(part.id)}", _shown(facts), parts, words, verdict.state == GOOD)
@@ -79,7 +79,7 @@ def _specification(content: Content) -> Part:
         "bound": "RMS is judged by the 95 % bound of what is true, as the part's mount holds it.",
         "bound_without_power": "RMS is judged by the 95 % bound of what is true, power removed.",
     }[content.uncertainty.accepted]
-    decided = f"Decided by: {content.verdict.decided_by}." if content.verdict.decided_by else ""
+    decided = f"Decided by: {content.verdict.decided_by.replace('+-', '±')}." if content.verdict.decided_by else ""
     head = ("line of the drawing", "limit", "before", "after", "±, or bound", "holds")
     return Part("Specification and verdict", [Table(head, rows)], [*filter(None, (decided,)), accepted])
 

@@ -14,7 +14,7 @@ from polishd.config.cell import CellConfig, load_config
 from polishd.daemon.history import read_only
 from polishd.daemon.journal import JOURNAL_NAME
 from polishd.model.errors import ConfigError
-from polishd.plugins.run_report.folder import RunFolder, read_folder
+from polishd.plugins.run_report.folder import RunFolder, Surface, read_folder
 
 TABLES = ("job", "map", "phase", "pass", "segment", "event")
 """Whose rows the journal's hash is of, in this order."""
@@ -65,6 +65,11 @@ class Run:
     def cycle(self, number: int) -> Path:
         """The folder of a cycle."""
         return self.path / f"cycle-{number:02d}"
+
+    def surface(self, cycle: int) -> Surface | None:
+        """A cycle's map on the process grid, with the clear aperture; None where it is not there."""
+        name = self.cycle(cycle).name
+        return next((one.surface for one in self.folder.cycles if one.name == name), None)
 
     def file(self, cycle: int, stem: str) -> Path | None:
         """The one file of a cycle with that stem: map or program, whatever its ending."""

@@ -140,7 +140,7 @@ class Remaker:
 def _aperture(run: Run, cycle: int) -> tuple[Grid, BoolArray]:
     """The process grid, and the clear aperture on it."""
     path = run.cycle(cycle) / "surface.npz"
-    surface = run.folder.cycles[cycle].surface if cycle < len(run.folder.cycles) else None
+    surface = run.surface(cycle)
     if surface is None:
         raise ConfigError(f"{path}: is not there, or cannot be read: nobody knows the clear aperture")
     ny, nx = surface.height_nm.shape

@@ -27,11 +27,15 @@ def verdict_of(run: Run) -> Verdict:
         said = f"In tolerance: {len(judged)} of {len(judged)} lines hold"
     else:
         said = f"Not in tolerance: {sum(one.holds for one in judged)} of {len(judged)} lines hold"
+    unsure = sum(one.unsure for one in judged)
+    if unsure and state != "not known":
+        said += f"; of {unsure} the limit lies within its uncertainty"
     return Verdict(
         state=state,
         words=said,
         decided_by="" if farthest is None else str(farthest),
         lines=[Judgement.model_validate(one.facts()) for one in judged],
+        unsure_lines=unsure,
         outcome=ended if outcome else "unfinished",
         final=run.rows.job["ended"] is not None,
     )
@@ -47,14 +51,18 @@ def uncertainty_of(run: Run, profile: Profile | None) -> Uncertainty:
 
 
 def _of_lines(judged: tuple[Judged, ...]) -> Iterator[str]:
+    """What the table of the lines does not say by itself."""
     for one in judged:
         if one.bound is not None:
             yield f"{one.what}: {one.bound_words}; judged by that bound."
-        elif one.uncertainty is not None:
-            close = " The limit lies within it: either verdict is possible." if one.unsure else ""
-            yield f"{one.what}: {one.value:.3g} ± {one.uncertainty:.2g} {one.unit}, by repeatability alone.{close}"
-        else:
-            yield f"{one.what}: judged as measured; its uncertainty is not known."
+        elif one.unsure:
+            sigma = f"{one.value:.3g} ± {one.uncertainty:.2g} {one.unit}"
+            yield f"{one.what}: {sigma}, and the limit lies within that: either verdict is possible."
+    plain = [one.what for one in judged if one.bound is None and one.uncertainty is None]
+    if plain:
+        yield f"Judged as measured, with an uncertainty that is not known: {', '.join(plain)}."
+    if any(one.bound is None and one.uncertainty is not None for one in judged):
+        yield "± is by the instrument's repeatability alone, at most."
 
 
 def _of_instrument(run: Run, profile: Profile | None) -> Iterator[str]:

@@ -258,7 +258,10 @@ def test_what_is_known_of_the_instrument_is_told(whole_content: Content) -> None
     assert whole_content.instrument.commissioned is not None
     assert whole_content.instrument.commissioned.artefact == "three bumps"
     statements = " ".join(whole_content.uncertainty.statements)
-    assert "± 0.2 nm, by repeatability alone" in statements
+    assert (
+        "± is by the instrument's repeatability alone, at most. The instrument's repeatability is 0.2 nm RMS."
+        in statements
+    )
     assert "has not been told apart" in statements
 
 
@@ -315,3 +318,25 @@ def test_the_form_wanted_is_known_by_its_hash(tmp_path: Path) -> None:
 def test_no_folder_of_the_shop_is_told(whole_content: Content, whole_files: DemoFiles) -> None:
     assert str(whole_files.out) not in whole_content.model_dump_json()
     assert whole_content.journal.events[0].data["run_dir"] == "run"
+
+
+def test_a_limit_within_the_uncertainty_is_in_the_verdict(tmp_path: Path) -> None:
+    made = begin(tmp_path / "cell", repeatability_nm=50.0)
+    with closing(made.journal):
+        made.measure(0)
+        made.polish(0)
+        made.measure(1)
+        run = made.end(Outcome.CYCLES_USED)
+    content = drawn(run).content
+    assert content.verdict.unsure_lines == 1
+    assert content.verdict.words.endswith("1 lines hold; of 1 the limit lies within its uncertainty")
+    assert "either verdict is possible" in content.uncertainty.statements[0]
+
+
+def test_a_cycle_whose_folder_is_gone_shifts_no_other(whole: Path, whole_content: Content) -> None:
+    shutil.rmtree(whole / "cycle-00")
+    content = drawn(whole).content
+    assert content.before is None
+    assert content.after == whole_content.after
+    assert content.aperture == whole_content.aperture
+    assert content.passes[0].planned == whole_content.passes[0].planned
