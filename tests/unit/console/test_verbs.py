@@ -191,7 +191,7 @@ def test_a_folder_that_cannot_be_written_is_one_line_at_once(
     def begins(*arguments: object) -> None:
         raise AssertionError("it began")
 
-    monkeypatch.setattr(planning, "make_recipe", begins)
+    monkeypatch.setattr(planning, "make_recipes", begins)
     monkeypatch.setattr(demo, "write_demo", begins)
     words = ("plan", files.cell, files.cell, "--program", files.cell) if verb == "plan" else ("demo",)
     (tmp_path / "file").touch()
