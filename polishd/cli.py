@@ -177,6 +177,14 @@ def resume(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
 
 
 @app.command()
+def approve(cell: Cell, as_json: Json = False) -> None:
+    """The plan that waits may run (job.approve)."""
+    from polishd.console.verbs import approve_verb
+
+    approve_verb(cell, as_json=as_json)
+
+
+@app.command()
 def stop(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
     """Leave contact, stand still, and end the daemon."""
     _order(cell, "stop", reason, as_json=as_json)

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from functools import partial
 
 from polishd.daemon.cell import Cell
+from polishd.daemon.clearance import until_approved
 from polishd.daemon.handling import Handling
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
@@ -56,11 +57,21 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
             job.refuse_unsafe(plan)
         if job.worthless(cycle):
             return Outcome.STALLED
+        await until_approved(cell, job, cycle, plan)
         await before_contact(cell, job.publish, cycle)
         await handling.ready(cycle)  # tool, pad and seat: nothing is pressed on a part that does not sit right
         await before_contact(cell, job.publish, cycle)  # which may have taken minutes
-        feed = streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=cell.limits.buffer_s)
-        async with journal.phase(cycle, Phase.RUN), feed as stream:
+        async with (
+            journal.phase(cycle, Phase.RUN),
+            streaming(
+                plan,
+                cell.robot,
+                cell.clock,
+                job.lookahead_s,
+                least_s=cell.limits.buffer_s,
+                heard=cell.robot_told,
+            ) as stream,
+        ):
             await require_robot(cell)
             await job.begin_pass(cycle, plan, await cell.robot.progress(), cell.limits.unseen_s)
             # what was done, not what was asked, feeds the next cycle

@@ -153,8 +153,18 @@ class Ordered(Event):
     """A person, or a program for one, gave an order over the socket."""
 
     name: ClassVar[str] = "ordered"
-    order: Annotated[str, "`hold`, `resume`, `stop` or `estop`"]
+    order: Annotated[str, "`hold`, `resume`, `stop` or `estop`, or what was asked of the queue: `job_move`, say"]
     reason: Annotated[str, "what was said with it; may be empty"]
+    by: Annotated[str, "who gave it, by the word of what passed it on; empty: not said"] = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Acknowledged(Event):
+    """A person has seen alarms."""
+
+    name: ClassVar[str] = "acknowledged"
+    alarms: Annotated[Sequence[int], "their numbers in the journal's table `event`"]
+    by: Annotated[str, "who"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -292,6 +302,30 @@ class TouchedOff(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PlanWaits(Event):
+    """A plan waits for a person's `approve`; nothing moves before (`job.approve`)."""
+
+    name: ClassVar[str] = "plan_waits"
+    program_sha256: Annotated[str, "hash of its program"]
+    predicted_rms_nm: Annotated[float, "RMS that it is to leave, nm"]
+    dwell_s: Annotated[float, "s in contact, as planned"]
+
+    def concern(self) -> Concern:
+        """Warning."""
+        what = f"a plan of {self.dwell_s / 60:.1f} min to {self.predicted_rms_nm:.2f} nm waits for approval"
+        return Concern(Severity.WARNING, what, "nothing moves", "look at it, then: polishd approve CELL.toml")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Approved(Event):
+    """A person has said that the plan that waited may run."""
+
+    name: ClassVar[str] = "approved"
+    program_sha256: Annotated[str, "hash of its program"]
+    by: Annotated[str, "who"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PassBegun(Event):
     """A pass is journalled; the robot starts next."""
 
@@ -373,8 +407,8 @@ class PlanWritten(Event):
 
 
 EVENTS: tuple[type[Event], ...] = (
-    Opened, StateChanged, Ordered, Held, Failed, JobBegun, PartWanted, PartChanged, Measured, Repeated, GateStopped,
-    Learned, Found, Solved, TouchedOff, SignalWrong, PassBegun, Progress, PassEnded, JobFinished, JobEnded, QueueEnded,
-    NotificationFailed, PlanWritten,
+    Opened, StateChanged, Ordered, Acknowledged, Held, Failed, JobBegun, PartWanted, PartChanged, Measured,
+    Repeated, GateStopped, Learned, Found, Solved, TouchedOff, SignalWrong, PlanWaits, Approved, PassBegun,
+    Progress, PassEnded, JobFinished, JobEnded, QueueEnded, NotificationFailed, PlanWritten,
 )  # fmt: skip
 """Every kind, in the order in which they come in a job."""
