@@ -18,18 +18,15 @@ TOLD_S = 5.0
 LOOK_S = 0.1
 
 
-async def until_approved(cell: Cell, job: Job, cycle: int, plan: Plan) -> None:
-    """Where the job wants it: a person has said that this plan may run. Nothing moves before; orders end the wait."""
+async def until_approved(cell: Cell, job: Job, cycle: int, plan: Plan, left_nm: float) -> None:
+    """Where the job wants it: a person has said that this plan may run. Nothing moves before; orders end the wait.
+
+    ``left_nm``: RMS that it is to leave.
+    """
     if not job.recipe.job.approve:
         return
-    told = job.expects(cycle)
     job.publish(
-        PlanWaits(
-            cycle=cycle,
-            program_sha256=plan.program.sha256,
-            predicted_rms_nm=told["predicted_rms_nm"],
-            dwell_s=told["dwell_s"],
-        )
+        PlanWaits(cycle=cycle, program_sha256=plan.program.sha256, predicted_rms_nm=left_nm, dwell_s=plan.total_s)
     )
     await cell.approval.until_given(plan.program.sha256)
 

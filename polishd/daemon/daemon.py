@@ -29,7 +29,7 @@ from polishd.daemon.safety import make_safe
 from polishd.daemon.service import Handler
 from polishd.daemon.signal_watch import watching
 from polishd.daemon.states import ORDERS, State, Trigger, following, obeyed
-from polishd.daemon.watched import watched
+from polishd.daemon.watched import seen, watched
 from polishd.model import events
 from polishd.model.concern import Standing
 from polishd.model.cycle import EXIT_CODES, Outcome
@@ -80,18 +80,16 @@ class Daemon:
     @property
     def handlers(self) -> dict[str, Handler]:
         """Who obeys the verbs of the socket."""
-        orders = {verb.value: partial(self._order, verb) for verb in ORDERS}
-        return {"status": self.status, **orders, **watched(self._cell, self._health, self.bus, self._now)}
+        found = watched(self._cell, self._health, self.bus, self._now)
+        return {"status": self.status, **found, **{verb.value: partial(self._order, verb) for verb in ORDERS}}
 
     async def status(self) -> Mapping[str, Any]:
         """State, why, and what was measured so far."""
         return {
             **self._now(),
             "cycles": self.job.cycles(),
-            "unsafe": list(self._cell.unsafe),
+            **seen(self._cell, self._health),
             "tasks": len(asyncio.all_tasks()),
-            "signals": self._cell.signals.facts(),
-            "health": {figure.name: {**asdict(figure), "fits": figure.fits} for figure in self._health.figures()},
             "devices": {name: self._health.device(name) for name in self._cell.devices},
         }
 

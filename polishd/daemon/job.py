@@ -259,10 +259,6 @@ class Job:
         await self.people.keep(self.folder.cycle(cycle).write, {"program.rnc": plan.program.text, **files})
         return plan
 
-    def expects(self, cycle: int) -> Mapping[str, Any]:
-        """What that cycle's plan is to bring, and takes."""
-        return self._planned[cycle].facts()
-
     def worthless(self, cycle: int) -> bool:
         """Whether the pass that was planned will hardly leave the surface better than it is: nobody makes it then.
 

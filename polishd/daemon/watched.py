@@ -33,9 +33,16 @@ async def _live(cell: Cell, health: Health, standing: Callable[[], Mapping[str, 
         **standing(),
         "pressing": cell.pressing,
         "approval": cell.approval.wanted,
-        "unsafe": list(cell.unsafe),
         "told": cell.live.facts(),
         "ages_s": health.ages_s(),
+        **seen(cell, health),
+    }
+
+
+def seen(cell: Cell, health: Health) -> dict[str, Any]:
+    """Who did not confirm being safe, signals, and how the computer does."""
+    return {
+        "unsafe": list(cell.unsafe),
         "signals": cell.signals.facts(),
         "health": {figure.name: {**asdict(figure), "fits": figure.fits} for figure in health.figures()},
     }
