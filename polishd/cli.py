@@ -197,6 +197,21 @@ def estop(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
 
 
 @app.command()
+def web(
+    *,
+    cell: Cell,
+    add_user: Annotated[str | None, Option(metavar="NAME", help="Make a token for somebody, and show it once.")] = None,
+    role: Annotated[Literal["watch", "operate", "engineer"], Option(help="With --add-user: what they may.")] = "watch",
+    remove_user: Annotated[str | None, Option(metavar="NAME", help="Their token is worth nothing any more.")] = None,
+) -> None:
+    """Serve the page and the HTTP API of a cell, beside its daemon; ends with Ctrl-C."""
+    from polishd.console.web import web_verb
+    from polishd.web.users import Role
+
+    web_verb(cell, add_user, Role(role), remove_user)
+
+
+@app.command()
 def history(
     cell: Cell,
     out: Annotated[

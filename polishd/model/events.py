@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar
 from polishd.model.concern import NOT_ASKED, Concern, Severity, Standing
 from polishd.model.devices import Identity
 from polishd.model.dwell import Certificate
-from polishd.model.event import Event as Event  # its kinds and it are imported from here
+from polishd.model.event import Event as Event  # noqa: PLC0414 - its kinds and it are imported from here
 from polishd.model.handling import Seat
 from polishd.model.surface import SurfaceStats
 

@@ -58,4 +58,4 @@ class Lockout:
 
 def _forget(kept: dict[str, tuple[int, float]] | dict[str, tuple[float, float]]) -> None:
     while len(kept) > MOST_KEPT:
-        del kept[next(iter(kept))]  # type: ignore[arg-type]
+        del kept[next(iter(kept))]

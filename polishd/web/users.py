@@ -91,7 +91,9 @@ class Users:
         except FileNotFoundError:
             return {}
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            raise ConfigError(f"{self.path}: cannot be read ({type(error).__name__}); mend it, or move it away") from None
+            raise ConfigError(
+                f"{self.path}: cannot be read ({type(error).__name__}); mend it, or move it away"
+            ) from None
 
     def _write(self, users: Mapping[str, Mapping[str, str]]) -> None:
         make_folder(self.path.parent)

@@ -17,6 +17,7 @@ from typing import Any
 from polishd.daemon import client
 from polishd.daemon.endings import last_ending
 from polishd.model.errors import NoDaemon, PolishdError
+from polishd.web.finite import finite
 
 LOOK_S = 0.5
 """Between two questions."""
@@ -138,7 +139,7 @@ async def watching(state_dir: Path) -> AsyncIterator[Watcher]:
 
 
 def _message(kind: str, facts: dict[str, Any]) -> str:
-    return f"event: {kind}\ndata: {json.dumps(facts)}\n\n"
+    return f"event: {kind}\ndata: {json.dumps(finite(facts))}\n\n"
 
 
 async def _until_none(waiting: asyncio.Queue[str | None]) -> AsyncIterator[str]:
