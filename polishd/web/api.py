@@ -21,6 +21,7 @@ from polishd.web.watcher import Watcher
 
 MOST_REASON = 500
 MOST_WATCHERS = 200
+MOST_NUMBER = 1 << 53
 
 
 class Api:
@@ -80,7 +81,7 @@ class Api:
 
     async def cycles(self, request: Request, _session: Session) -> Any:
         """Of one job."""
-        return {"cycles": await asyncio.to_thread(self._disk.cycles, request.path_params["job"])}
+        return {"cycles": await asyncio.to_thread(self._disk.cycles, _number(request, "job"))}
 
     async def map(self, request: Request, _session: Session) -> Any:
         """As an array."""
@@ -202,7 +203,15 @@ def _by(session: Session) -> str:
 
 
 def _cycle(request: Request) -> tuple[int, int]:
-    return request.path_params["job"], request.path_params["cycle"]
+    return _number(request, "job"), _number(request, "cycle")
+
+
+def _number(request: Request, name: str) -> int:
+    """As the journal can hold it."""
+    found = int(request.path_params[name])
+    if found > MOST_NUMBER:
+        raise ConfigError("there is none of that job and cycle")
+    return found
 
 
 async def _json(request: Request) -> dict[str, Any]:
