@@ -84,15 +84,20 @@ class Watcher:
 
     def _ask_on(self) -> None:
         while not self._ended.is_set():
-            try:
-                answer = client.request(self._state_dir, "live", ANSWER_S)
-                self._in_loop(self._told, "up", answer)
-            except NoDaemon:
-                self._in_loop(self._told, "none", None)
-            except PolishdError:
-                self._in_loop(self._told, "silent", None)
+            daemon, answer = self._asked()
+            if daemon == "silent":
+                daemon, answer = self._asked()  # it may have been killed while it was asked: then there is none now
+            self._in_loop(self._told, daemon, answer)
             self._look.wait(LOOK_S)
             self._look.clear()
+
+    def _asked(self) -> tuple[str, dict[str, Any] | None]:
+        try:
+            return "up", client.request(self._state_dir, "live", ANSWER_S / 2)
+        except NoDaemon:
+            return "none", None
+        except PolishdError:
+            return "silent", None
 
     def _listen_on(self) -> None:
         while not self._ended.is_set():
