@@ -68,8 +68,8 @@ class Page:
         look = f"(() => {{ try {{ return Boolean({condition}); }} catch {{ return false; }} }})()"
         limit_ms = 1000 * SOON_S
         done = self.run(
-            f"new Promise((done) => {{ const end = performance.now() + {limit_ms}; const look = () => {look} ? done(true) "
-            ": performance.now() > end ? done(false) : setTimeout(look, 20); look(); })"
+            f"new Promise((done) => {{ const end = performance.now() + {limit_ms}; const look = () => {look} "
+            "? done(true) : performance.now() > end ? done(false) : setTimeout(look, 20); look(); })"
         )
         assert done, f"waited in vain for {condition}; the page: {self.run('document.body.innerText')[:3000]}"
 
@@ -121,7 +121,7 @@ def browsing(folder: Path) -> Iterator[Page]:
 
     command = [chromium, *OPTIONS, f"--user-data-dir={folder}", "about:blank"]
     quiet = subprocess.DEVNULL
-    with subprocess.Popen(command, stdout=quiet, stderr=quiet, pass_fds=(3, 4), preexec_fn=place) as process:
+    with subprocess.Popen(command, stdout=quiet, stderr=quiet, pass_fds=(3, 4), preexec_fn=place) as process:  # noqa: PLW1509 - it only moves descriptors
         for one in (its_in, its_out, *far):
             os.close(one)
         try:
