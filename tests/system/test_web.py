@@ -18,12 +18,13 @@ from polishd.console.demo_files import DemoFiles
 from polishd.web.users import Role, Users, users_path
 from tests.patience import SOON_S
 from tests.system.browser import Page, browsing
-from tests.system.cell_rig import Daemon, small_cell
+from tests.system.cell_rig import Daemon, small_cell, with_keys
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
 
 SEEN_S = 1.5
 """A daemon that is killed is seen within so long, on a machine that has nothing else to do."""
+FREE = {"web": {"port": 0}}
 PICTURE = os.environ.get("POLISHD_PAGE_PNG", "")
 """Where the picture for the README goes."""
 
@@ -56,7 +57,7 @@ STATE = "document.getElementById('state').textContent === '{}'"
 def test_a_cycle_is_watched_held_gone_on_with_and_a_dead_daemon_is_seen(tmp_path: Path) -> None:
     with small_cell(tmp_path / "cell", speed=5.0, tolerance_nm=0.1, max_cycles=4) as files:
         part = "<img src=x onerror=alert(1)>"
-        files.cell.write_text(files.cell.read_text() + "\n[web]\nport = 0\n")
+        files.cell.write_text(with_keys(files.cell.read_text(), FREE))
         token = Users(users_path(load_config(files.cell))).add("anna", Role.OPERATE)
         with web_of(files) as url, browsing(tmp_path / "browser") as page:
             signed_in(page, url, token)
@@ -91,7 +92,7 @@ def test_a_cycle_is_watched_held_gone_on_with_and_a_dead_daemon_is_seen(tmp_path
 
 def test_the_servers_own_end_is_seen_too(tmp_path: Path) -> None:
     with small_cell(tmp_path / "cell") as files, browsing(tmp_path / "browser") as page:
-        files.cell.write_text(files.cell.read_text() + "\n[web]\nport = 0\n")
+        files.cell.write_text(with_keys(files.cell.read_text(), FREE))
         token = Users(users_path(load_config(files.cell))).add("anna", Role.WATCH)
         with web_of(files) as url:
             signed_in(page, url, token)

@@ -183,7 +183,8 @@ def test_beyond_this_computer_only_with_tls_and_users(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="goes with key"):
         WebSection(cert="a.pem")
     files = write_demo(tmp_path / "demo", None, 2.0, 4, None)
-    files.cell.write_text(files.cell.read_text() + '\n[web]\naddress = "0.0.0.0"\ncert = "a.pem"\nkey = "b.pem"\n')
+    keys = 'address = "0.0.0.0"\ncert = "a.pem"\nkey = "b.pem"'
+    files.cell.write_text(files.cell.read_text().replace("port = 8750", keys))
     with pytest.raises(ConfigError, match="there are no users"):
         app.serve(load_config(files.cell))
 
@@ -192,7 +193,7 @@ def test_beyond_this_computer_only_with_tls_and_users(tmp_path: Path) -> None:
 def listening(tmp_path: Path) -> Iterator[tuple[str, int]]:
     """The real server, as a process."""
     files = write_demo(tmp_path / "demo", None, 2.0, 4, None)
-    files.cell.write_text(files.cell.read_text() + "\n[web]\nport = 0\n")
+    files.cell.write_text(files.cell.read_text().replace("port = 8750", "port = 0"))
     command = [sys.executable, "-m", "polishd.cli", "web", str(files.cell)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         try:

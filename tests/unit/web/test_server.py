@@ -36,7 +36,7 @@ def serving(cell: Path) -> Iterator[tuple[str, int]]:
 
 def test_the_stream_tells_the_state_and_ends_with_the_server(tmp_path: Path) -> None:
     cell = write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
-    cell.write_text(cell.read_text() + "\n[web]\nport = 0\n")
+    cell.write_text(cell.read_text().replace("port = 8750", "port = 0"))
     config = load_config(cell)
     token = Users(users_path(config)).add("anna", Role.WATCH)
     head = f"GET /api/events HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {token}\r\n\r\n"
@@ -60,7 +60,8 @@ def test_with_a_certificate_it_speaks_tls_and_nothing_else(tmp_path: Path) -> No
     command = [openssl, "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1", "-subj", "/CN=localhost"]
     command += ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", "key.pem", "-out", "cert.pem"]
     subprocess.run(command, cwd=folder, capture_output=True, check=True)
-    cell.write_text(cell.read_text() + '\n[web]\nport = 0\ncert = "cert.pem"\nkey = "key.pem"\n')
+    keys = 'port = 0\ncert = "cert.pem"\nkey = "key.pem"'
+    cell.write_text(cell.read_text().replace("port = 8750", keys))
     Users(users_path(load_config(cell))).add("anna", Role.WATCH)
     request = b"GET /api/state HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n"
     with serving(cell) as at:
