@@ -177,6 +177,14 @@ def resume(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
 
 
 @app.command()
+def approve(cell: Cell, as_json: Json = False) -> None:
+    """The plan that waits may run (job.approve)."""
+    from polishd.console.verbs import approve_verb
+
+    approve_verb(cell, as_json=as_json)
+
+
+@app.command()
 def stop(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
     """Leave contact, stand still, and end the daemon."""
     _order(cell, "stop", reason, as_json=as_json)
@@ -186,6 +194,21 @@ def stop(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
 def estop(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
     """Stop motion at once, whatever the part costs; then wait for resume. No substitute for the button."""
     _order(cell, "estop", reason, as_json=as_json)
+
+
+@app.command()
+def web(
+    *,
+    cell: Cell,
+    add_user: Annotated[str | None, Option(metavar="NAME", help="Make a token for somebody, and show it once.")] = None,
+    role: Annotated[Literal["watch", "operate", "engineer"], Option(help="With --add-user: what they may.")] = "watch",
+    remove_user: Annotated[str | None, Option(metavar="NAME", help="Their token is worth nothing any more.")] = None,
+) -> None:
+    """Serve the page and the HTTP API of a cell, beside its daemon; ends with Ctrl-C."""
+    from polishd.console.web import web_verb
+    from polishd.web.users import Role
+
+    web_verb(cell, add_user, Role(role), remove_user)
 
 
 @app.command()
