@@ -2,7 +2,7 @@
 
 Their maps are not to be had: a disc of the same size and RMS takes their place, whose amplitude falls with the square
 of the frequency. All bonnets have the same rate at their middle, as theirs are not stated. So a row says what the
-dwell can leave at best, and theirs, measured on glass, what it was with all that a machine adds.
+dwell can leave at best of such a map, and theirs, measured on glass, what it was with all that a machine adds.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def rows(progress: Progress) -> Iterator[Row]:
     def over_volume(found: ToolsDwell) -> float:
         """Dwell over what the largest alone would take for the same volume."""
         removed = sum(float(one.removal_nm[disc].mean()) for one in found.passes) * area_mm2
-        return found.total_s * float(tif[RADII_MM[0]].sum()) / removed
+        return float(found.total_s * tif[RADII_MM[0]].sum() / removed)
 
     name = f"three bonnets ({', '.join(f'{radius:g}' for radius in RADII_MM)} mm), phi 60 mm, {RMS_NM:g} nm"
     progress(f"{name}: all at once")
@@ -79,5 +79,5 @@ def rows(progress: Progress) -> Iterator[Row]:
     before = slope(np.where(clear, height, 0.0), clear, PITCH_MM).rms_urad
     after = slope(np.where(clear, np.nan_to_num(least.residual_nm), 0.0), clear, PITCH_MM).rms_urad
     left = 100 * least.certificate.predicted_rms_nm / RMS_NM
-    yield Row(f"{name}: RMS that is left", left, LEFT["rms"], "%")
-    yield Row(f"{name}: slope that is left", 100 * after / before, LEFT["slope"], "%")
+    yield Row(f"{name}, periods to 3 mm: RMS that is left", left, LEFT["rms"], "%")
+    yield Row(f"{name}, periods to 3 mm: slope that is left", 100 * after / before, LEFT["slope"], "%")
