@@ -22,8 +22,9 @@ app = typer.Typer(
     name="polishd",
     help="Controller daemon of an unattended robotic polishing cell.",
     no_args_is_help=True,
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 STDOUT = 1
@@ -37,6 +38,22 @@ Record = Annotated[
     Path | None,
     Option(metavar="FILE|DIR", help="Record what passes on the devices' links, to replay it (docs/recording.md)."),
 ]
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    *,
+    version: Annotated[
+        bool, Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Controller daemon of an unattended robotic polishing cell."""
 
 
 @app.command()
@@ -162,6 +179,32 @@ def status(
     from polishd.console.verbs import status_verb
 
     status_verb(cell, as_json=as_json)
+
+
+@app.command()
+def top(
+    cells: Annotated[
+        list[Path], Argument(metavar="CELL.toml...", help="Each cell's configuration.", show_default=False)
+    ],
+    once: Annotated[bool, Option("--once", help="One look, and end; so it does where stdout is no terminal.")] = False,
+) -> None:
+    """Watch cells in the terminal: part, phase, time left, force, speed, and how old each reading is."""
+    from polishd.console.top import top_verb
+
+    top_verb(cells, once=once)
+
+
+@app.command()
+def events(
+    cell: Cell,
+    count: Annotated[int, Option("--last", min=0, max=10_000, help="So many of those before.")] = 50,
+    follow: Annotated[bool, Option("--follow", help="Go on with what happens, until the daemon ends.")] = False,
+    as_json: Json = False,
+) -> None:
+    """What happened in a cell, and who ordered it, from its journal. Needs no daemon."""
+    from polishd.console.happened import events_verb
+
+    events_verb(cell, count, follow=follow, as_json=as_json)
 
 
 @app.command()

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polishd.daemon.array_store import ArrayStore
-from polishd.daemon.history import read_history, read_only
+from polishd.daemon.history import read_events, read_history, read_only
 from polishd.daemon.journal import ARRAYS_NAME, JOURNAL_NAME
 from polishd.model.errors import ConfigError
 from polishd.plain import plain
+from polishd.process.metrics.psd import radial_psd
 
 MOST_SAMPLES = 128
 """Of a map along either side, as it is sent."""
@@ -81,19 +82,12 @@ class Disk:
         return _picture(np.where(mask, height, np.nan), float(surface["pitch_mm"]))
 
     def psd(self, job: int, cycle: int) -> dict[str, Any]:
-        """Of the measured map: mean power of rings of spatial frequency, holes and rim as zero, 1/mm and nm^2 mm^2."""
+        """Of the measured map in its clear aperture, as everywhere: 1/mm and nm^2 mm^2."""
         name = self._one("SELECT arrays FROM map WHERE job = ? AND cycle = ? ORDER BY id DESC", job, cycle)[0]
         surface = self._store.get(name)
-        height, pitch = np.where(surface["metric_mask"], surface["height_nm"], np.nan), float(surface["pitch_mm"])
-        inside = np.isfinite(height)
-        level = np.where(inside, height - np.nanmean(height), 0.0)
-        power = np.abs(np.fft.rfft2(level)) ** 2 * pitch**2 / max(inside.sum(), 1)
-        along = np.fft.fftfreq(level.shape[0], pitch)[:, None], np.fft.rfftfreq(level.shape[1], pitch)[None, :]
-        radius = np.hypot(*along)
-        edges = np.linspace(0, 0.5 / pitch, 33)
-        ring = np.digitize(radius.ravel(), edges)
-        means = [float(power.ravel()[ring == k].mean()) if (ring == k).any() else None for k in range(1, 33)]
-        return {"frequency_per_mm": _rounded((edges[1:] + edges[:-1]) / 2, 5), "power_nm2_mm2": means}
+        found = radial_psd(surface["height_nm"], surface["metric_mask"], float(surface["pitch_mm"]))
+        density = _rounded(found.density_nm2_mm2, 6)
+        return {"frequency_per_mm": _rounded(found.frequency_per_mm, 5), "power_nm2_mm2": density}
 
     def plan(self, job: int, cycle: int) -> dict[str, Any]:
         """Of that cycle: its points in the part's frame, their dwell, and compliance and gamma along the path."""
@@ -112,8 +106,7 @@ class Disk:
 
     def events(self, before: int | None = None) -> list[dict[str, Any]]:
         """Of all jobs, the newest first: what happened, and who ordered what."""
-        sql = "SELECT id, at, cycle, name, data FROM event WHERE name != 'progress' AND id < ? ORDER BY id DESC LIMIT ?"
-        return [_event(row) for row in self._rows(sql, 1 << 60 if before is None else before, MOST_ROWS)]
+        return read_events(self._state_dir, MOST_ROWS, before)[::-1]
 
     def alarms(self) -> list[dict[str, Any]]:
         """Those that nobody has acknowledged, the first one first: it is often why the others came."""

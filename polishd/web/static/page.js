@@ -133,9 +133,12 @@ function table(live, passed) {
   if (told.sensed) add(names.sensed, `${told.sensed.force_n.toFixed(2)} N`, told.sensed.age_s);
   add(names.robot, told.robot ? `${told.robot.state}, ${texts.block} ${told.robot.executed}` : texts.none, told.robot?.age_s);
   if (told.robot) add(names.buffer, `${told.robot.buffer_s.toFixed(1)} s`, told.robot.age_s);
-  for (const [name, age] of Object.entries(live.ages_s ?? {})) add(name, "", age);
+  for (const [name, age] of Object.entries(live.ages_s ?? {})) add(texts.devices(name), "", age);
   for (const [name, one] of Object.entries(live.signals ?? {})) add(name, one.wrong || one.text, 0);
-  for (const [name, one] of Object.entries(live.health ?? {})) add(name, `${Number(one.value).toPrecision(4)}${one.fits ? "" : `: ${one.advice}`}`, 0);
+  for (const [name, one] of Object.entries(live.health ?? {})) {
+    const [said, unit] = texts.health[name] ?? [name, ""];
+    add(said, `${texts.figure(Number(one.value))} ${unit}${one.fits ? "" : `: ${one.advice}`}`, 0);
+  }
   $("live").replaceChildren(...rows.map(([name, value, age]) => {
     const row = made("tr", undefined, age === null || age > OLD_S ? "old" : "");
     const head = made("th", name); head.scope = "row";

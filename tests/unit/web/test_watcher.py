@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import json
+import socket
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from polishd.daemon import client
 from polishd.daemon.endings import keep_ending
+from polishd.model.errors import LinkError
 from polishd.web import watcher as module
 from polishd.web.finite import finite
 from polishd.web.watcher import Watcher, watching
@@ -45,10 +48,15 @@ async def test_a_daemon_that_comes_and_goes_is_told_with_ages(tmp_path: Path) ->
 
 async def test_a_daemon_that_does_not_answer_is_silent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "ANSWER_S", 0.05)
-    server = await asyncio.start_unix_server(lambda _reader, _writer: None, tmp_path / "polishd.sock")
-    async with server, watching(tmp_path) as watcher:
-        with watcher.page() as page:
-            assert (await until(page, "silent"))["live"] is None
+    with socket.socket(socket.AF_UNIX) as hangs:  # also once no more questions fit
+        hangs.bind(str(tmp_path / "polishd.sock"))
+        hangs.listen(1)
+        async with watching(tmp_path) as watcher:
+            with watcher.page() as page:
+                assert (await until(page, "silent"))["live"] is None
+            for _ in range(4):
+                with pytest.raises(LinkError):
+                    await asyncio.to_thread(client.request, tmp_path, "live", 0.05)
 
 
 async def test_events_reach_every_page_and_one_that_does_not_read_is_let_go(
