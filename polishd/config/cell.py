@@ -15,6 +15,7 @@ from polishd.config.handling import BetweenSection, TouchOffSection
 from polishd.config.places import Location, Source, did_you_mean, key_lines, listed, problems
 from polishd.config.sections import (
     CellSection,
+    CertificateSection,
     DeviceSection,
     DwellSection,
     ForceSensorSection,
@@ -74,6 +75,7 @@ class CellConfig(ServedDocument):
     tolerance: Annotated[tuple[ToleranceSection, ...], BeforeValidator(as_tuple)] = ()
     limits: LimitsSection = LimitsSection()
     notify: Mapping[Name, NotifySection] = {}
+    certificate: CertificateSection = CertificateSection()
 
     @property
     def path(self) -> Path:

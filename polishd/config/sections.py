@@ -319,6 +319,16 @@ class MemorySection(Section):
     """Name of the tool on the spindle: under another name all is learned anew."""
 
 
+class CertificateSection(Section):
+    """Who issues certificates of this cell's parts (docs/certificate.md)."""
+
+    shop: str = ""
+    """The shop's name, as a certificate has it."""
+    key: Text | None = None
+    """File of the shop's private key, made by `polishd report key`: certificates are signed with it; left out: they are
+    not signed."""
+
+
 class LimitsSection(Section):
     """What must never happen to the part."""
 

@@ -10,6 +10,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
+from polishd import __version__
 from polishd.config.cell import CellConfig
 from polishd.daemon.assembly import contact_limits
 from polishd.daemon.compute import Compute
@@ -100,7 +101,7 @@ def figures(job: Job | NoJob) -> dict[str, Any]:
     for cycle in found["cycles"]:
         if cycle["how"] == "begun":
             cycle["how"] = "interrupted"  # it is over now; the next start settles it in the journal
-    return found
+    return {**found, "version": __version__}
 
 
 def run_folder(config: CellConfig, journal: Journal, job_text: str | None = None) -> RunFolder:
