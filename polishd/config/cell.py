@@ -12,7 +12,6 @@ from pydantic import BaseModel, BeforeValidator, ValidationError
 
 from polishd.config.document import parse_toml
 from polishd.config.handling import BetweenSection, TouchOffSection
-from polishd.config.physics import PartDocument
 from polishd.config.places import Location, Source, did_you_mean, key_lines, listed, problems
 from polishd.config.sections import (
     CellSection,
@@ -35,6 +34,7 @@ from polishd.config.tables import read_tif
 from polishd.config.tolerance import ToleranceSection, lines_of
 from polishd.config.tools import ToolSection, laid_over
 from polishd.config.values import Name, Texts, as_tuple
+from polishd.config.web import ServedDocument
 from polishd.hookspecs import DeviceType, NotifierType
 from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.errors import ConfigError
@@ -44,7 +44,7 @@ from polishd.model.tolerance import Line
 from polishd.ports.devices import ForceActuator, ForceSensor, Loader, Metrology, Monitor, Robot, Spindle
 
 
-class CellConfig(PartDocument):
+class CellConfig(ServedDocument):
     """All of a cell's configuration; made by ``load_config``."""
 
     include: Texts = ()

@@ -304,6 +304,8 @@ class JobSection(Section):
     """Period above which the low-frequency figure (`lsf_rms_nm`) counts."""
     max_cycles: Annotated[int, Field(ge=1, le=100)] = 4
     """Most passes; after the last a measurement still decides. [1]"""
+    approve: bool = False
+    """Each plan waits for a person's `polishd approve` before its pass; nothing moves before."""
     lookahead_s: Annotated[float, Field(ge=0.2, le=600)] = 8.0
     """Wall seconds of motion that are sent ahead: enough to lift the tool while the robot still moves."""
 

@@ -141,6 +141,7 @@ async def test_what_a_pass_taught_of_one_tool_is_believed_of_that_tool_alone(ben
     assert restarted.tools.believed.rate == pytest.approx(job.tools.believed.rate)
 
 
+@pytest.mark.full
 async def test_a_pass_that_is_torn_off_is_made_again_with_its_tool(bench: TwoTools) -> None:
     job = bench.job(max_cycles=4)
     bench.fake.actuator.reads = lambda sample: replace(sample, force_n=60.0) if sample.force_n > 15 else sample
