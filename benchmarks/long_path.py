@@ -57,7 +57,7 @@ GROUP = 5_000
 WRITING = {
     "rapid": (
         "MODULE Polish\n  PROC main()\n",
-        "    MoveL [[{:.3f},{:.3f},5.000],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]],v10,fine,tool1;\n    WaitTime 0.5;\n",
+        "    MoveL [[{:.3f},{:.3f},5.000],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]],v9,fine,t;\n  WaitTime 0.5;\n",
         "  ENDPROC\nENDMODULE\n",
     ),
     "krl": (
