@@ -13,7 +13,7 @@ import typer
 from typer import Argument, Option
 
 from polishd import __version__
-from polishd.console.cli import Reason, jobs, recordings, services
+from polishd.console.cli import Reason, jobs, recordings, reports, services
 from polishd.model.errors import PolishdError
 from polishd.workbench.cli import app as workbench
 from polishd.workbench.options import Cell, Json
@@ -22,8 +22,9 @@ app = typer.Typer(
     name="polishd",
     help="Controller daemon of an unattended robotic polishing cell.",
     no_args_is_help=True,
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 STDOUT = 1
@@ -37,6 +38,22 @@ Record = Annotated[
     Path | None,
     Option(metavar="FILE|DIR", help="Record what passes on the devices' links, to replay it (docs/recording.md)."),
 ]
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    *,
+    version: Annotated[
+        bool, Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Controller daemon of an unattended robotic polishing cell."""
 
 
 @app.command()
@@ -165,6 +182,32 @@ def status(
 
 
 @app.command()
+def top(
+    cells: Annotated[
+        list[Path], Argument(metavar="CELL.toml...", help="Each cell's configuration.", show_default=False)
+    ],
+    once: Annotated[bool, Option("--once", help="One look, and end; so it does where stdout is no terminal.")] = False,
+) -> None:
+    """Watch cells in the terminal: part, phase, time left, force, speed, and how old each reading is."""
+    from polishd.console.top import top_verb
+
+    top_verb(cells, once=once)
+
+
+@app.command()
+def events(
+    cell: Cell,
+    count: Annotated[int, Option("--last", min=0, max=10_000, help="So many of those before.")] = 50,
+    follow: Annotated[bool, Option("--follow", help="Go on with what happens, until the daemon ends.")] = False,
+    as_json: Json = False,
+) -> None:
+    """What happened in a cell, and who ordered it, from its journal. Needs no daemon."""
+    from polishd.console.happened import events_verb
+
+    events_verb(cell, count, follow=follow, as_json=as_json)
+
+
+@app.command()
 def hold(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
     """Leave contact, stand still, and wait for resume."""
     _order(cell, "hold", reason, as_json=as_json)
@@ -177,6 +220,14 @@ def resume(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
 
 
 @app.command()
+def approve(cell: Cell, as_json: Json = False) -> None:
+    """The plan that waits may run (job.approve)."""
+    from polishd.console.verbs import approve_verb
+
+    approve_verb(cell, as_json=as_json)
+
+
+@app.command()
 def stop(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
     """Leave contact, stand still, and end the daemon."""
     _order(cell, "stop", reason, as_json=as_json)
@@ -186,6 +237,21 @@ def stop(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
 def estop(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
     """Stop motion at once, whatever the part costs; then wait for resume. No substitute for the button."""
     _order(cell, "estop", reason, as_json=as_json)
+
+
+@app.command()
+def web(
+    *,
+    cell: Cell,
+    add_user: Annotated[str | None, Option(metavar="NAME", help="Make a token for somebody, and show it once.")] = None,
+    role: Annotated[Literal["watch", "operate", "engineer"], Option(help="With --add-user: what they may.")] = "watch",
+    remove_user: Annotated[str | None, Option(metavar="NAME", help="Their token is worth nothing any more.")] = None,
+) -> None:
+    """Serve the page and the HTTP API of a cell, beside its daemon; ends with Ctrl-C."""
+    from polishd.console.web import web_verb
+    from polishd.web.users import Role
+
+    web_verb(cell, add_user, Role(role), remove_user)
 
 
 @app.command()
@@ -261,6 +327,7 @@ def version() -> None:
 app.add_typer(jobs, name="job", no_args_is_help=True)
 app.add_typer(services, name="service", no_args_is_help=True)
 app.add_typer(recordings, name="record", no_args_is_help=True)
+app.add_typer(reports, name="report", no_args_is_help=True)
 app.add_typer(workbench)
 
 

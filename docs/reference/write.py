@@ -22,6 +22,7 @@ from polishd.config.profile_sections import ProfileFile
 from polishd.config.sections import DeviceSection
 from polishd.config.simulator import SimConfig
 from polishd.config.study import KINDS
+from polishd.console.certificate.model import schema
 from polishd.hooks.loader import load_own
 
 Table = tuple[str, type[BaseModel]]
@@ -45,6 +46,7 @@ TYPES = {
 }
 PLURAL = {"number": "s", "integer": "s", "string": "s"}
 COLUMNS = "| key | type | unit | default | range | meaning |\n|---|---|---|---|---|---|"
+CERTIFICATE = "certificate.schema.json"
 HEAD = "<!-- Written by `make reference` from the models; a test fails where it is not what they give. -->"
 TITLES = {
     "cell": "A cell",
@@ -183,6 +185,11 @@ def pages() -> dict[str, str]:
     return {f"{name}.md": _page(name, content) for name, content in files().items()}
 
 
+def certificate() -> str:
+    """The JSON Schema of a certificate's twin."""
+    return json.dumps(schema(), indent=2) + "\n"
+
+
 def _page(name: str, content: list[Table]) -> str:
     text = [HEAD, f"# {TITLES[name]}", INTRODUCTIONS[name]]
     for header, model in content:
@@ -241,4 +248,5 @@ def _toml(value: Any) -> str:
 if __name__ == "__main__":
     for name, text in pages().items():
         (FOLDER / name).write_text(text)
+    (FOLDER / CERTIFICATE).write_text(certificate())
     ports.PAGE.write_text(ports.laid_into(ports.PAGE.read_text()))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
@@ -13,10 +12,10 @@ from pydantic import BaseModel, BeforeValidator, ValidationError
 
 from polishd.config.document import parse_toml
 from polishd.config.handling import BetweenSection, TouchOffSection
-from polishd.config.physics import PartDocument
 from polishd.config.places import Location, Source, did_you_mean, key_lines, listed, problems
 from polishd.config.sections import (
     CellSection,
+    CertificateSection,
     DeviceSection,
     DwellSection,
     ForceSensorSection,
@@ -33,8 +32,9 @@ from polishd.config.sections import (
 from polishd.config.signals import SignalSection
 from polishd.config.tables import read_tif
 from polishd.config.tolerance import ToleranceSection, lines_of
-from polishd.config.tools import ToolSection, replaced
+from polishd.config.tools import ToolSection, laid_over
 from polishd.config.values import Name, Texts, as_tuple
+from polishd.config.web import ServedDocument
 from polishd.hookspecs import DeviceType, NotifierType
 from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.errors import ConfigError
@@ -44,7 +44,7 @@ from polishd.model.tolerance import Line
 from polishd.ports.devices import ForceActuator, ForceSensor, Loader, Metrology, Monitor, Robot, Spindle
 
 
-class CellConfig(PartDocument):
+class CellConfig(ServedDocument):
     """All of a cell's configuration; made by ``load_config``."""
 
     include: Texts = ()
@@ -75,6 +75,7 @@ class CellConfig(PartDocument):
     tolerance: Annotated[tuple[ToleranceSection, ...], BeforeValidator(as_tuple)] = ()
     limits: LimitsSection = LimitsSection()
     notify: Mapping[Name, NotifySection] = {}
+    certificate: CertificateSection = CertificateSection()
 
     @property
     def path(self) -> Path:
@@ -143,10 +144,7 @@ class CellConfig(PartDocument):
 
     def of_tool(self, name: str) -> CellConfig:
         """The cell as it is with that tool on its spindle, and no other. ConfigError where it makes no cell."""
-        raw = copy.deepcopy(dict(self._raw))
-        for (section, key), value in replaced(name, raw.pop("tools")[name]):
-            raw.setdefault(section, {})[key] = value
-        made = type(self).of(raw, self._source)
+        made = type(self).of(*laid_over(self._raw, self._source, name))
         made._path = self._path
         return consistent(made)
 

@@ -19,7 +19,18 @@ from polishd.config.places import listed
 from polishd.files import toml_text
 from polishd.model.errors import ConfigError
 
-OF_THE_CELL = ("include", "cell", "plugins", *PORTS, "roles", "signals", "machine", "kinematics", "notify")
+OF_THE_CELL = (
+    "include",
+    "cell",
+    "plugins",
+    *PORTS,
+    "roles",
+    "signals",
+    "machine",
+    "kinematics",
+    "notify",
+    "certificate",
+)
 """What a job cannot say."""
 OWN = (("job", "id"), ("part", "id"))
 """What each job says for itself: its name, and the part that its maps must show."""

@@ -51,9 +51,12 @@ class Source:
     """Dotted keys that came from the command line instead."""
     included: tuple[Source, ...] = ()
     """Fragments that the text includes; a key that one of them has comes from the last of those."""
+    stands_for: tuple[tuple[Location, Location], ...] = ()
+    """Keys whose values were written elsewhere, and where: a tool's table stands for some of other sections."""
 
     def where(self, key: Location) -> str:
         """``FILE:LINE`` of the key, of its section where it is missing, or ``override`` for one from outside."""
+        key = self._written(key)
         dotted = _dotted(key)
         if any(dotted == name or name.startswith(f"{dotted}.") for name in self.overrides):
             return f"{self.file} (override)"
@@ -66,7 +69,11 @@ class Source:
 
     def error(self, key: Location, problem: str) -> str:
         """One line: where, which key, what."""
-        return f"{self.where(key)}: {_dotted(key)}: {problem}"
+        return f"{self.where(key)}: {_dotted(self._written(key))}: {problem}"
+
+    def _written(self, key: Location) -> Location:
+        """The key as its writer knows it."""
+        return next((there + key[len(here) :] for here, there in self.stands_for if key[: len(here)] == here), key)
 
 
 def _dotted(key: Location) -> str:

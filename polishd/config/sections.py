@@ -304,6 +304,8 @@ class JobSection(Section):
     """Period above which the low-frequency figure (`lsf_rms_nm`) counts."""
     max_cycles: Annotated[int, Field(ge=1, le=100)] = 4
     """Most passes; after the last a measurement still decides. [1]"""
+    approve: bool = False
+    """Each plan waits for a person's `polishd approve` before its pass; nothing moves before."""
     lookahead_s: Annotated[float, Field(ge=0.2, le=600)] = 8.0
     """Wall seconds of motion that are sent ahead: enough to lift the tool while the robot still moves."""
 
@@ -315,6 +317,16 @@ class MemorySection(Section):
     """Begin a job with what the last pass of its series has taught: the same tool, process, robot and instrument."""
     tool: Text | None = None
     """Name of the tool on the spindle: under another name all is learned anew."""
+
+
+class CertificateSection(Section):
+    """Who issues certificates of this cell's parts (docs/certificate.md)."""
+
+    shop: str = ""
+    """The shop's name, as a certificate has it."""
+    key: Text | None = None
+    """File of the shop's private key, made by `polishd report key`: certificates are signed with it; left out: they are
+    not signed."""
 
 
 class LimitsSection(Section):

@@ -61,13 +61,16 @@ class SignalSection(Section):
     """Of its values, for messages."""
     before: BeforeSection | None = None
     in_contact: InContactSection | None = None
+    on_order: BoundsSection | None = None
+    """What it must be when a person orders motion, wherever from: the key at the cell that says it is clear. Else
+    `resume` and `approve` are refused."""
     leads_to: LeadsTo = "hold"
     """What follows in contact: people are told and it goes on; contact is left, and the cell is held; or its daemon
     ends as after any safety stop; or motion stops at once, whatever the part costs."""
 
     @model_validator(mode="after")
     def _is_watched(self) -> Self:
-        if self.before is None and self.in_contact is None:
+        if self.before is None and self.in_contact is None and self.on_order is None:
             raise ValueError("nothing is asked of it; write before = {...}, in_contact = {...}, or both")
         if self.in_contact is None and "leads_to" in self.model_fields_set:
             raise ValueError("leads_to: goes with in_contact; what is not so before contact holds the cell")
@@ -86,4 +89,5 @@ class SignalSection(Section):
             in_contact=in_contact.bounds if in_contact else None,
             grace_s=in_contact.grace_s if in_contact else 0.0,
             leads_to=self.leads_to,
+            on_order=self.on_order.bounds if self.on_order else None,
         )

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import copy
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Annotated, Any
 
 from pydantic import Field
 
+from polishd.config.places import Location, Source
 from polishd.config.process import Poisson, Preston
 from polishd.config.values import Dip, Force, NotNegative, Pair, Positive, Section, Speed, Text
 
@@ -61,9 +64,14 @@ ELSEWHERE = {
 OF_THE_TURN = ("passes", "change_s")
 
 
-def replaced(name: str, keys: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], Any]]:
-    """(section and key of the cell, value) of what a tool's table, as it was written, says in their place."""
-    for key, value in keys.items():
+def laid_over(raw: Mapping[str, Any], source: Source, name: str) -> tuple[dict[str, Any], Source]:
+    """The cell's values, as they were written, with that tool on its spindle and no other; and where each stands."""
+    values = copy.deepcopy(dict(raw))
+    written = list[tuple[Location, Location]]()
+    for key, value in values.pop("tools")[name].items():
         if key not in OF_THE_TURN:
-            yield ELSEWHERE.get(key, ("process", key)), value
-    yield ("memory", "tool"), name
+            section, stands_for = ELSEWHERE.get(key, ("process", key))
+            values.setdefault(section, {})[stands_for] = value
+            written.append(((section, stands_for), ("tools", name, key)))
+    values.setdefault("memory", {})["tool"] = name
+    return values, replace(source, stands_for=tuple(written))

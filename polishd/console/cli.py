@@ -1,4 +1,4 @@
-"""Verbs of a cell that come in groups: its queue, its service, and recordings of its wires."""
+"""Verbs of a cell that come in groups: its queue, its service, recordings of its wires, and certificates."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import typer
 from typer import Argument, Option
 
+from polishd.console.certificate.options import CertificateOptions
 from polishd.workbench.calibration.cli import app as calibrations
 from polishd.workbench.calibration.options import InstrumentOptions
 from polishd.workbench.options import Cell, Json, spread
@@ -15,6 +16,7 @@ from polishd.workbench.options import Cell, Json, spread
 jobs = typer.Typer(help="The queue of a cell: parts, one after another.")
 services = typer.Typer(help="Run a cell as a service of systemd.")
 recordings = typer.Typer(help="Recordings of a cell's wires (run --record).")
+reports = typer.Typer(help="Certificates of parts: made, signed, verified.")
 
 Reason = Annotated[str, Option("--reason", metavar="TEXT", help="Why: for the journal, and for status.")]
 JobId = Annotated[str, Argument(metavar="ID", help="Its job.id.", show_default=False)]
@@ -108,3 +110,53 @@ def record_show(
     from polishd.console.recordings import show_verb
 
     show_verb(file, as_json=as_json)
+
+
+@reports.command("certificate")
+@spread
+def report_certificate(
+    run: Annotated[
+        Path, Argument(metavar="RUN|CELL.toml", help="A run folder, or a cell: its last job.", show_default=False)
+    ],
+    *,
+    as_json: Json = False,
+    asked: CertificateOptions,
+) -> None:
+    """The certificate of a part, for the customer: a PDF and its twin in JSON, signed where the shop has a key."""
+    from polishd.console.certificate.verbs import certificate_verb
+
+    certificate_verb(run, asked, as_json=as_json)
+
+
+@reports.command("verify")
+def report_verify(
+    file: Annotated[Path, Argument(metavar="FILE.pdf|FILE.json", help="A certificate.", show_default=False)],
+    *,
+    key: Annotated[Path | None, Option("--key", metavar="PUBLIC", help="The shop's public key.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Whether a certificate is as it was made, PDF and twin, and whether that key signed it; exit code 1: it is not."""
+    from polishd.console.certificate.verbs import verify_verb
+
+    verify_verb(file, key, as_json=as_json)
+
+
+@reports.command("key")
+def report_key(
+    file: Annotated[
+        Path, Argument(metavar="FILE", help="The new private key; FILE.pub beside it.", show_default=False)
+    ],
+    as_json: Json = False,
+) -> None:
+    """Make the shop's key pair for certificates."""
+    from polishd.console.certificate.verbs import key_verb
+
+    key_verb(file, as_json=as_json)
+
+
+@reports.command("schema")
+def report_schema() -> None:
+    """Print the JSON Schema of a certificate's twin."""
+    from polishd.console.certificate.verbs import schema_verb
+
+    schema_verb()

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.config.cell import CellConfig, load_config
+from polishd.console.who import at_the_terminal
 from polishd.daemon import client
 from polishd.daemon.desk import Desk
 from polishd.daemon.queue import Queue
@@ -25,7 +26,8 @@ def add_verb(cell: Path, files: Sequence[Path], *, as_json: bool) -> None:
 
     config, hooks = load_cell(cell)
     jobs = judged_jobs(config, hooks, files)
-    _ask(config, "job_add", files=[{"path": str(job.file.path), "content": job.file.text} for job in jobs])
+    texts = [{"path": str(job.file.path), "content": job.file.text} for job in jobs]
+    _ask(config, "job_add", files=texts, by=at_the_terminal())
     list_verb(cell, as_json=as_json)
 
 
@@ -38,13 +40,13 @@ def list_verb(cell: Path, *, as_json: bool) -> None:
 def move_verb(cell: Path, job: str, where: str, other: str, *, as_json: bool) -> None:
     """Change the order."""
     config = load_config(cell)
-    _show(config, _ask(config, "job_move", job=job, where=where, other=other), as_json=as_json)
+    _show(config, _ask(config, "job_move", job=job, where=where, other=other, by=at_the_terminal()), as_json=as_json)
 
 
 def remove_verb(cell: Path, job: str, reason: str, *, as_json: bool) -> None:
     """Take one out."""
     config = load_config(cell)
-    _show(config, _ask(config, "job_remove", job=job, reason=reason), as_json=as_json)
+    _show(config, _ask(config, "job_remove", job=job, reason=reason, by=at_the_terminal()), as_json=as_json)
 
 
 def _ask(config: CellConfig, verb: str, **arguments: Any) -> Mapping[str, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import pwd
 import re
 import sys
 from collections.abc import Sequence
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import typer
 
+from polishd.console.who import account
 from polishd.daemon.assembly import build_cell
 from polishd.daemon.events import DRAIN_S
 from polishd.files import write_atomic
@@ -107,7 +107,7 @@ def _unit(cells: Sequence[Path], *, system: bool, queue: bool) -> tuple[str, str
     text = UNIT.format(
         names=", ".join(names).replace("%", "%%"),
         command=" ".join([quoted(words[0], executable=True), *map(quoted, words[1:])]),
-        account=f"User={_account(owner)}\n" if system and owner else "",
+        account=f"User={account(owner)}\n" if system and owner else "",
         watchdog=WATCHDOG_S,
         start=START_S,
         stop=math.ceil(end_s + DRAIN_S + WATCHDOG_S),
@@ -129,13 +129,6 @@ def quoted(word: str, *, executable: bool = False) -> str:
     text = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%")
     text = text if executable else text.replace("$", "$$")
     return text if re.fullmatch(r"[\w./+=:@,-]+", text, re.ASCII) else f'"{text}"'
-
-
-def _account(number: int) -> str:
-    try:
-        return pwd.getpwuid(number).pw_name
-    except KeyError:  # of a folder from another computer
-        return str(number)
 
 
 def _user_folder() -> Path:

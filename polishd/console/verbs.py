@@ -13,8 +13,9 @@ import typer
 from rich.console import Group
 from rich.table import Table
 
-from polishd.config.cell import load_config
+from polishd.config.cell import CellConfig, load_config
 from polishd.console.last_words import last_words
+from polishd.console.who import at_the_terminal
 from polishd.daemon import client
 from polishd.daemon.endings import Cause, for_cell, last_ending
 from polishd.hooks.cell import load_cell, plugins_of
@@ -159,7 +160,24 @@ def _tell_last(last: Mapping[str, Any], name: str, cell: Path) -> None:
 def order_verb(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:
     """Give the running daemon an order; returns when it is obeyed, and ends with the error where it is refused."""
     config = load_config(cell)
-    answer = client.request(config.state_dir, verb, args={"reason": reason} if reason else {})
+    said = {"reason": reason} if reason else {}
+    _told(config, verb, client.request(config.state_dir, verb, args={**said, "by": at_the_terminal()}), cell, as_json)
+
+
+def approve_verb(cell: Path, *, as_json: bool) -> None:
+    """Say that the plan that waits now may run."""
+    config = load_config(cell)
+    waits = {"program_sha256": client.request(config.state_dir, "live").get("approval", "")}
+    _told(
+        config,
+        "approve",
+        client.request(config.state_dir, "approve", args={**waits, "by": at_the_terminal()}),
+        cell,
+        as_json,
+    )
+
+
+def _told(config: CellConfig, verb: str, answer: Mapping[str, Any], cell: Path, as_json: bool) -> None:
     if not answer["ok"]:
         typer.echo(json.dumps(answer) if as_json else f"polishd: {answer['error']}", err=not as_json)
         raise typer.Exit(answer.get("exit_code", 1))

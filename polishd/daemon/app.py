@@ -235,7 +235,7 @@ async def _run_job(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[st
 async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[str, Any]:
     """Answer the socket until the job ends; leave the cell safe, and a summary in the run folder."""
     started = now()
-    desk = Desk(config, Queue(daemon.job.journal.store))  # the queue waits meanwhile
+    desk = Desk(config, Queue(daemon.job.journal.store), tell=daemon.bus.publish)  # the queue waits meanwhile
     async with serving(config.state_dir, {**desk.handlers, **daemon.handlers}, daemon.bus):
         outcome, failure = await to_the_end(daemon)
         last = daemon.last_words(outcome, failure)

@@ -11,10 +11,12 @@ from dataclasses import dataclass, field
 from typing import NoReturn, cast
 
 from polishd.config.cell import PORTS, port_of
+from polishd.daemon.approval import Approval
 from polishd.daemon.listening import LET_GO_S, within
+from polishd.daemon.live import Live
 from polishd.daemon.signals import Signals
 from polishd.daemon.time_limits import TimeLimits, released_within_s, safe_within_s
-from polishd.model.devices import DeviceStatus, Identity
+from polishd.model.devices import DeviceStatus, Identity, RobotProgress
 from polishd.model.errors import DeviceBusy, DeviceFault, LinkError
 from polishd.ports.clock import Clock
 from polishd.ports.devices import Device, ForceActuator, ForceSensor, Metrology, Robot, Spindle
@@ -64,6 +66,10 @@ class Cell:
     """When each device last answered, by ``time.monotonic``."""
     signals: Signals = field(default_factory=Signals)
     """What its monitors tell."""
+    live: Live = field(default_factory=Live)
+    """What the job's devices told last."""
+    approval: Approval = field(default_factory=Approval)
+    """What waits for a person's word."""
     tared: set[str] = field(default_factory=set)
     """Force sensors whose zero is known: what hangs on them has not been changed since."""
     pressing: bool = False
@@ -125,6 +131,11 @@ class Cell:
     def hears(self, name: str) -> None:
         """That device has answered."""
         self.heard_s[name] = time.monotonic()
+
+    def robot_told(self, progress: RobotProgress) -> None:
+        """The job's robot has said how far it is."""
+        self.hears(self.used["robot"])
+        self.live.robot_told(progress)
 
     async def open(self, waiting: Waiting | None = None) -> None:
         """Open and identify all devices; on the first failure close what was opened and raise.

@@ -30,34 +30,50 @@ from polishd.model.errors import ConfigError, PolishdError
 from polishd.ports.devices import ForceActuator
 from polishd.recipe import disk, foresight, steps, touch_off
 from polishd.recipe.accepting import acceptance_words
-from polishd.recipe.making import make_recipe, why_not_commissioned
+from polishd.recipe.making import make_recipes, why_not_commissioned
 from polishd.recipe.program_fit import require_fit
 from polishd.recipe.recipe import Recipe
 
 
 def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
-    """Read what the config names and compute along the program. Opens nothing; the first fault is raised."""
-    recipe = make_recipe(config, hooks)
+    """Read what the config names and compute along each tool's program. Opens nothing; the first fault is raised."""
+    recipes = make_recipes(config, hooks)
     cell = build_cell(config, hooks)
     chain = require_time_limits(config, cell)
-    pit = require_shallow(config, cell, recipe)
     notifiers = build_notifiers(config, hooks)
+    along: dict[str, Any] = {}
+    for own, recipe in zip(config.turns, recipes, strict=True):
+        of_tool = "" if recipe.turn is None else f"{recipe.turn.tool}: "
+        along |= {of_tool + key: value for key, value in _along(own, cell, hooks, recipe).items()}
+    included = ", ".join(f"{key} from {file}" for key, file in config.included.items())
+    return {
+        "config": str(config.path),
+        **({"included": included} if included else {}),
+        "plugins": ", ".join(plugin.name for plugin in hooks.report.loaded),
+        "devices": _devices(cell),
+        "instrument": _instrument(config, recipes[0]),
+        **along,
+        "accepted": acceptance_words(recipes[0]),
+        "force": _force(cell, contact_limits(config)),
+        "without power": ", ".join(
+            f"{name} {cast(ForceActuator, cell.devices[name]).times.unpowered}" for name in cell.at("actuator")
+        ),
+        "signals": "; ".join(str(one) for one in cell.signals.limits) or "none is watched",
+        "notifications": ", ".join(f"{one.name} ({one.type}, {one.least})" for one in notifiers) or "nobody",
+        "host": host(),
+        "time limits": [limit.row() for limit in chain],
+    }
+
+
+def _along(config: CellConfig, cell: Cell, hooks: Hooks, recipe: Recipe) -> dict[str, Any]:
+    """What can be said of the program that one tool runs along."""
+    pit = require_shallow(config, cell, recipe)
     program = steps.read_program(recipe, config.program_path)
     require_taken(config, hooks, program)
     foresight.check_pass(config, recipe, program)
-    grid = steps.process_grid(recipe)
-    answer = steps.effect_of(recipe, program, grid)
+    answer = steps.effect_of(recipe, program, steps.process_grid(recipe))
     compliance, gamma = answer.compliance_um_per_n, answer.gamma
     return {
-        "config": str(config.path),
-        **(
-            {"included": ", ".join(f"{k} from {file}" for k, file in config.included.items())}
-            if config.included
-            else {}
-        ),
-        "plugins": ", ".join(plugin.name for plugin in hooks.report.loaded),
-        "devices": _devices(cell),
-        "instrument": _instrument(config, recipe),
         "program": f"{program.name}: {program.n} timed points, {program.lines} lines, time in the {program.encoding}",
         "covers": require_fit(config, recipe, program),
         "seat": _seat(recipe, hooks),
@@ -69,19 +85,10 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
         "compliance_um_per_n": f"{compliance.min():.3f} to {compliance.max():.3f}",
         "gamma": f"{gamma.min():.3f} to {gamma.max():.3f}",
         "tolerance": foresight.tolerance_words(recipe, answer),
-        "accepted": acceptance_words(recipe),
         "correction": recipe.correction,
         "removal of the program as it is": f"{np.max(answer.effect.removal_nm(program.time_s)):.1f} nm at most",
-        "force": _force(cell, contact_limits(config)),
-        "without power": ", ".join(
-            f"{name} {cast(ForceActuator, cell.devices[name]).times.unpowered}" for name in cell.at("actuator")
-        ),
-        "signals": "; ".join(str(one) for one in cell.signals.limits) or "none is watched",
-        "notifications": ", ".join(f"{one.name} ({one.type}, {one.least})" for one in notifiers) or "nobody",
         **({"feed hold at the controller": pit} if pit else {}),
         **({"end of a block known to": blurred} if (blurred := blur(cell, recipe)) else {}),
-        "host": host(),
-        "time limits": [limit.row() for limit in chain],
     }
 
 
@@ -117,7 +124,10 @@ def _seat(recipe: Recipe, hooks: Hooks) -> str:
     """How it is proved, and where; PlanRefused where a plugin does not let the tool go there."""
     asked = recipe.touch_off
     if asked is None:
-        return "nobody proves it: the cell has no [touch_off]"
+        refused = (
+            "" if recipe.turn is None else "run will refuse, for a wrong tool is found by where it meets the part: "
+        )
+        return f"{refused}nobody proves it: the cell has no [touch_off]"
     touch_off.require_allowed(recipe, touch_off.plans(recipe, asked), hooks.check_plan)
     places = "; ".join(f"x {x:.1f}, y {y:.1f} mm" for x, y, _ in asked.places_mm + 0.0)
     return f"proved with {asked.force_n:g} N at {places}: at most {asked.most_off_mm:g} mm off"

@@ -59,6 +59,8 @@ def _asked(state_dir: Path, verb: str, args: Mapping[str, Any], within_s: float)
             raise LinkError(
                 f"{state_dir / SOCKET_NAME}: only the daemon's own user may talk to it; use that account"
             ) from error
+        except (BlockingIOError, TimeoutError):  # so many wait already that no more fit: it is there, and hangs
+            raise LinkError(f"{state_dir}: the daemon takes no more questions; look at its log") from None
         except OSError as error:
             raise NoDaemon(
                 f"no daemon is running for {state_dir} ({error.strerror}); start it with: polishd run CELL.toml"

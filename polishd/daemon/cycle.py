@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractAsyncContextManager, contextmanager
 from functools import partial
 
 from polishd.daemon.cell import Cell
+from polishd.daemon.clearance import until_approved
 from polishd.daemon.handling import Handling
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.readiness import before_contact, require_robot
 from polishd.daemon.recording import recording
 from polishd.daemon.safety import contact, told_first
-from polishd.daemon.stream import streaming
+from polishd.daemon.stream import Stream, streaming
 from polishd.daemon.touch import Touch
 from polishd.model.cycle import Outcome, Phase
+from polishd.model.program import Plan
 from polishd.recipe.dwell_step import require_certificate
 
 
@@ -38,7 +40,7 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
             surface, again = await handling.told_apart(cycle, surface)
             async with journal.phase(cycle, Phase.LEARN):
                 await job.learn(cycle, surface, again)
-        job.take_turn()  # of several tools
+        job.tools.take()  # of several tools
         if job.judging.accepts(surface):
             return Outcome.IN_TOLERANCE
         if job.judging.diverges(surface):
@@ -56,11 +58,11 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
             await job.refuse_unsafe(plan)
         if job.worthless(cycle):
             return Outcome.STALLED
+        await until_approved(cell, job, cycle, plan, solved.dwell.certificate.predicted_rms_nm)
         await before_contact(cell, job.publish, cycle)
         await handling.ready(cycle)  # tool, pad and seat: nothing is pressed on a part that does not sit right
         await before_contact(cell, job.publish, cycle)  # which may have taken minutes
-        feed = streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=cell.limits.buffer_s)
-        async with journal.phase(cycle, Phase.RUN), feed as stream:
+        async with journal.phase(cycle, Phase.RUN), _fed(cell, job, plan) as stream:
             await require_robot(cell)
             await job.begin_pass(cycle, plan, await cell.robot.progress(), cell.limits.unseen_s)
             # what was done, not what was asked, feeds the next cycle
@@ -69,7 +71,7 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
                 async with recording(cell, journal, cycle, touch) as recorder:
                     await stream.approach()
                     with short_collections():
-                        async with contact(cell, job.contact, touch):
+                        async with contact(cell, job.tools.now.contact, touch):
                             await recorder.follow(stream)
                 await stream.retreat()
             except BaseException as error:
@@ -78,6 +80,12 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
                 raise
             await job.end_pass(cycle)
     return job.judging.used_up
+
+
+def _fed(cell: Cell, job: Job, plan: Plan) -> AbstractAsyncContextManager[Stream]:
+    """The robot, with the plan, and what it says told to whoever watches."""
+    least_s, heard = cell.limits.buffer_s, cell.robot_told
+    return streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=least_s, heard=heard)
 
 
 _in_contact: set[object] = set()

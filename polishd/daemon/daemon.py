@@ -16,6 +16,7 @@ from functools import partial
 from typing import Any, cast
 
 from polishd.daemon.cell import Cell
+from polishd.daemon.clearance import require_clear
 from polishd.daemon.cycle import polish
 from polishd.daemon.endings import causes, gone, standing, to_do
 from polishd.daemon.events import EventBus
@@ -28,6 +29,7 @@ from polishd.daemon.safety import make_safe
 from polishd.daemon.service import Handler
 from polishd.daemon.signal_watch import watching
 from polishd.daemon.states import ORDERS, State, Trigger, following, obeyed
+from polishd.daemon.watched import seen, watched
 from polishd.model import events
 from polishd.model.concern import Standing
 from polishd.model.cycle import EXIT_CODES, Outcome
@@ -78,23 +80,22 @@ class Daemon:
     @property
     def handlers(self) -> dict[str, Handler]:
         """Who obeys the verbs of the socket."""
-        return {"status": self.status, **{verb.value: partial(self._order, verb) for verb in ORDERS}}
+        found = watched(self._cell, self._health, self.bus, self._now)
+        return {"status": self.status, **found, **{verb.value: partial(self._order, verb) for verb in ORDERS}}
 
     async def status(self) -> Mapping[str, Any]:
         """State, why, and what was measured so far."""
         return {
-            "state": self.state,
-            "reason": self.reason,
-            "next": to_do(self.state, queue=self._of_queue),
-            **self.job.names(),
-            **dict(zip(("cycle", "phase"), self.job.journal.phase_now, strict=True)),
+            **self._now(),
             "cycles": self.job.cycles(),
-            "unsafe": list(self._cell.unsafe),
+            **seen(self._cell, self._health),
             "tasks": len(asyncio.all_tasks()),
-            "signals": self._cell.signals.facts(),
-            "health": {figure.name: {**asdict(figure), "fits": figure.fits} for figure in self._health.figures()},
             "devices": {name: self._health.device(name) for name in self._cell.devices},
         }
+
+    def _now(self) -> dict[str, Any]:
+        state = {"state": self.state, "reason": self.reason, "next": to_do(self.state, queue=self._of_queue)}
+        return state | self.job.names() | dict(zip(("cycle", "phase"), self.job.journal.phase_now, strict=True))
 
     def stop(self) -> None:
         """As SIGTERM does."""
@@ -232,6 +233,7 @@ class Daemon:
             if (stop := await unless(self._orders.asked_to_stop(), self._cell.restore_links())) is not None:
                 return Turn(Trigger.STOP, self._stopped_by(stop), error=self._error)
             refused = await self._made_safe()
+            await require_clear(self._cell)
         except PolishdError:
             order.refused = True
             raise
@@ -290,13 +292,13 @@ class Daemon:
             self._changed.notify_all()
         self.bus.publish(self._standing(state, reason, killed=state not in {State.HELD, State.FINISHED}))
 
-    async def _order(self, verb: Trigger, reason: str = "") -> Mapping[str, Any]:
+    async def _order(self, verb: Trigger, reason: str = "", by: str = "") -> Mapping[str, Any]:
         """Give an order and answer when it is obeyed; DeviceRefused with the reason why the cell stays held."""
         order = Order(verb, " ".join(reason.split()))
         self._cell.emergency = self._cell.emergency or verb is Trigger.ESTOP
         self._orders.give(order)
         with suppress(PolishdError):  # a lost journal: polishing ends over it, and the order is obeyed all the same
-            self.bus.publish(events.Ordered(order=verb, reason=order.reason))
+            self.bus.publish(events.Ordered(order=verb, reason=order.reason, by=by))
         async with self._changed:
             await self._changed.wait_for(lambda: order.refused or order.taken or self.state in obeyed(verb))
         if order.refused and self.state is State.HELD:

@@ -13,6 +13,7 @@ from polishd.daemon.queue import Entry, NewJob, Queue
 from polishd.daemon.same_job import file_terms
 from polishd.daemon.service import Handler
 from polishd.model.errors import ConfigError
+from polishd.model.events import Event, Ordered
 
 
 def new_job(cell: CellConfig, file: JobFile) -> NewJob:
@@ -50,9 +51,15 @@ def _hash(terms: Any) -> str:
 class Desk:
     """Answers for the queue of one cell, from threads: a tool may be in contact meanwhile, and disks are slow."""
 
-    def __init__(self, cell: CellConfig, queue: Queue, changed: Callable[[], None] = lambda: None) -> None:
-        """``changed`` is called when something was added."""
-        self._cell, self._queue, self._changed = cell, queue, changed
+    def __init__(
+        self,
+        cell: CellConfig,
+        queue: Queue,
+        changed: Callable[[], None] = lambda: None,
+        tell: Callable[[Event], None] = lambda _: None,
+    ) -> None:
+        """``changed`` is called when something was added; ``tell`` is told who changed what."""
+        self._cell, self._queue, self._changed, self._tell = cell, queue, changed, tell
         self._turn = asyncio.Lock()
 
     @property
@@ -68,7 +75,7 @@ class Desk:
 
         return {"jobs": await asyncio.to_thread(facts)}
 
-    async def add(self, files: Sequence[Any]) -> Mapping[str, Any]:
+    async def add(self, files: Sequence[Any], by: str = "") -> Mapping[str, Any]:
         """Put them at the end, all or none."""
         named = [_job_file(file) for file in files]
 
@@ -79,25 +86,32 @@ class Desk:
             jobs = await asyncio.to_thread(judged)
             await asyncio.to_thread(self._queue.add, jobs)
         self._changed()
+        self._told("job_add", ", ".join(job.name for job in jobs), by)
         return {"added": [job.name for job in jobs], "waiting": len(self._queue.to_do())}
 
-    async def move(self, job: str, where: str, other: str = "") -> Mapping[str, Any]:
+    async def move(self, job: str, where: str, other: str = "", by: str = "") -> Mapping[str, Any]:
         """Change the order."""
         async with self._turn:
             await asyncio.to_thread(self._queue.move, job, where, other)
+        self._told("job_move", " ".join(filter(None, (job, where, other))), by)
         return await self.list()
 
-    async def remove(self, job: str, reason: str = "") -> Mapping[str, Any]:
+    async def remove(self, job: str, reason: str = "", by: str = "") -> Mapping[str, Any]:
         """Take one out that waits; where no daemon works the queue the one under way, too, which is put aside."""
         async with self._turn:
             await asyncio.to_thread(self._queue.remove, job, reason)
+        self._told("job_remove", ": ".join(filter(None, (job, reason))), by)
         return await self.list()
 
-    async def remove_waiting(self, job: str, reason: str = "") -> Mapping[str, Any]:
+    async def remove_waiting(self, job: str, reason: str = "", by: str = "") -> Mapping[str, Any]:
         """Take one out that waits."""
         async with self._turn:
             await asyncio.to_thread(self._queue.remove_waiting, job, reason)
+        self._told("job_remove", ": ".join(filter(None, (job, reason))), by)
         return await self.list()
+
+    def _told(self, order: str, reason: str, by: str) -> None:
+        self._tell(Ordered(order=order, reason=reason, by=by))
 
 
 def _job_file(given: Any) -> JobFile:

@@ -53,6 +53,7 @@ async def watch_sensor(cell: Cell, forces: ForceCheck, touch: Touch, landed: asy
 
     def judge(reading: SensedForce) -> None:
         cell.hears(cell.used["force_sensor"])
+        cell.live.sensed = reading
         touch.sensed(reading)
         _require_sound(reading)
         if not touch.left:

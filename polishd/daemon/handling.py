@@ -191,7 +191,9 @@ class Handling:
         """The actuator's position, mm, where the tool met the part at that place."""
         cell, job = self._cell, self._job
         deepest_mm = meets_mm + float(asked.reach_mm[place])
-        limits = replace(job.contact, force_n=asked.force_n, rpm=0.0, force_band=FORCE_BAND, deepest_mm=deepest_mm)
+        limits = replace(
+            job.tools.now.contact, force_n=asked.force_n, rpm=0.0, force_band=FORCE_BAND, deepest_mm=deepest_mm
+        )
         feed = streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=cell.limits.buffer_s)
         async with feed as stream:
             await require_robot(cell)

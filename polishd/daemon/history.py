@@ -85,6 +85,20 @@ def read_history(state_dir: Path) -> list[JobHistory]:
         return list(_jobs(journal))
 
 
+def read_events(state_dir: Path, count: int, before: int | None = None) -> list[dict[str, Any]]:
+    """The last events of all jobs but each pass's progress, the newest last: ``number, at_s, cycle, name, data``.
+
+    ``before``: of those before that number. Empty where there is no journal; ConfigError where it cannot be read.
+    """
+    if not (state_dir / JOURNAL_NAME).exists():
+        return []
+    sql = "SELECT id, at, cycle, name, data FROM event WHERE name != 'progress' AND id < ? ORDER BY id DESC LIMIT ?"
+    with read_only(state_dir) as journal:
+        rows = journal.execute(sql, (1 << 60 if before is None else before, count)).fetchall()
+    names = ("number", "at_s", "cycle", "name")
+    return [{**dict(zip(names, row[:4], strict=True)), "data": json.loads(row[4])} for row in reversed(rows)]
+
+
 @contextmanager
 def read_only(state_dir: Path) -> Iterator[sqlite3.Connection]:
     """A cell's journal as it is in this moment, beside a daemon that may write it; ConfigError as `read_history`."""

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any, NamedTuple
 
 from polishd.daemon import remembering
 from polishd.daemon.compute import Compute
+from polishd.daemon.cycle_entries import cycle_entries
 from polishd.daemon.for_people import ForPeople
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord, MapRecord, PassRecord
 from polishd.daemon.judging import Judging
-from polishd.daemon.safety import ContactLimits
-from polishd.daemon.turns import ToolTurn, believed_of, tool_of, turn_now, turn_of
+from polishd.daemon.turns import Tools
 from polishd.daemon.watching import watch
 from polishd.model import events
 from polishd.model.cause import Named
@@ -36,8 +36,7 @@ from polishd.recipe.disk import require_room
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.forecasting import forecast_of
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved, Taught, figures
-from polishd.recipe.turns import Turn
+from polishd.recipe.records import Measured, Pass, Planned, Solved, Taught
 
 PROGRESS_BLOCKS = 50
 """Blocks between two progress events."""
@@ -56,26 +55,17 @@ class Stored(NamedTuple):
 class Job:
     """What the cycle asks and tells; see ``cycle.polish`` for the order in which it does."""
 
-    recipe: Recipe
-    program: Program
-    """Both of the tool whose turn it is."""
+    tools: Tools
     _: KW_ONLY
     journal: Journal
     folder: RunFolder
     compute: Compute
     publish: Callable[[Event], None]
     check_plan: Callable[[Plan, Envelope], Sequence[str]]
-    contact: ContactLimits
     max_cycles: int
     lookahead_s: float
-    turns: tuple[ToolTurn, ...] = ()
-    """Of several tools each one's, in their order; the first is what the job begins with."""
     findings: tuple[Finding, ...] = field(init=False, default=())
     """What was found in the last pass, and not told before."""
-    _believed: Believed = field(init=False)
-    """Of that tool's process."""
-    _others: dict[str, Believed] = field(init=False, default_factory=dict)
-    """Of the other tools', by name."""
     _remembers: tuple[str, ...] = field(init=False, default=())
     """In words, of an earlier job."""
     _surfaces: dict[int, Measured] = field(init=False, default_factory=dict)
@@ -95,7 +85,21 @@ class Job:
     def __post_init__(self) -> None:
         self.people = ForPeople(self.folder, self.journal)
         self.judging = Judging(self.recipe, self.journal)
-        self._believed = steps.believed_at_first(self.recipe)
+
+    @property
+    def recipe(self) -> Recipe:
+        """Of the tool whose turn it is."""
+        return self.tools.now.recipe
+
+    @property
+    def program(self) -> Program:
+        """Its part program."""
+        return self.tools.now.program
+
+    @property
+    def tool(self) -> str:
+        """The tool whose turn it is; empty where the cell has one."""
+        return self.tools.now.tool
 
     async def load(self) -> None:
         """Take up what an earlier run of the daemon knew: masks, beliefs, last surface and last plan.
@@ -105,56 +109,18 @@ class Job:
         ConfigError where the store has lost something that the journal names.
         """
         history, passes = self.journal.history, self.journal.passes
-        if not passes and (
-            known := await asyncio.to_thread(remembering.remembered, self.journal, self.recipe, self._terms)
-        ):
-            self._believed, self._remembers = known.believed, (known.note,)
-        await self._load_others()
+        self._remembers = await self.tools.load()
         if not history:
             return
         self._masks, self._lay = self._measured(history[0]).masks, self._measured(history[-1]).registration
         if passes:
             record = passes[-1]
-            if self.turns:
-                self._take(self.turns[turn_of(self.turns, record)])
+            self.tools.take_of(record)
             planned = self._plan_of(record)
             self._surfaces = {found.cycle: self._measured(found) for found in history if found.cycle == record.cycle}
-            self._planned, self._believed = {record.cycle: planned}, planned.believed
+            self._planned = {record.cycle: planned}
+            self.tools.believe(planned.believed)
         await self.people.remake()
-
-    async def _load_others(self) -> None:
-        """Of each other tool the same: of the job's own passes with it, or of the last job of its series."""
-        passes = self.journal.passes
-        for turn in self.turns[1:]:
-            known = believed_of(turn, passes)
-            if known is None and not passes:
-                found = await asyncio.to_thread(remembering.remembered, self.journal, turn.recipe, turn.terms)
-                known, note = (None, "") if found is None else (found.believed, f"{turn.tool} {found.note}")
-                self._remembers += (note,) if note else ()
-            if known is not None:
-                self._others[turn.tool] = known
-        if self.turns and (own := believed_of(self.turns[0], passes)) is not None:
-            self._believed = own
-
-    def take_turn(self) -> None:
-        """The tool whose turn it is by the passes that were made is the job's from here on."""
-        if self.turns:
-            self._take(self.turns[turn_now(self.turns, self.journal.passes)])
-
-    def _take(self, turn: ToolTurn) -> None:
-        self._others[self.tool] = self._believed
-        self.recipe, self.program, self.contact = turn.recipe, turn.program, turn.contact
-        self._believed = self._others.pop(turn.tool, steps.believed_at_first(turn.recipe))
-
-    @property
-    def tool(self) -> str:
-        """The tool whose turn it is; empty where the cell has one."""
-        return "" if self.recipe.turn is None else self.recipe.turn.tool
-
-    @property
-    def _left(self) -> tuple[ToolTurn, ...]:
-        """The turns after this one."""
-        return self.turns[turn_now(self.turns, self.journal.passes) + 1 :]
 
     @property
     def last_cycle(self) -> int:
@@ -196,11 +162,12 @@ class Job:
         done = [record for record in self.journal.passes if record.cycle == cycle - 1 and record.how == "done"]
         if before is None or not done:
             return False
+        self.tools.take_of(done[0])  # after a hold it may be the next one's turn already
         times = await asyncio.to_thread(self._at_points, cycle - 1)
         planned = self._planned[cycle - 1]
         expected_nm = planned.certificate.predicted_rms_nm
         last = Pass(before, surface, planned.asked_s, *times, expected_nm, planned.forecast, again)
-        taught: Taught = await self.compute(steps.learn, self.recipe, self.program, last, self._believed)
+        taught: Taught = await self.compute(steps.learn, self.recipe, self.program, last, self.tools.believed)
         if taught.doubted:
             return True
         folder = self.folder.cycle(cycle)
@@ -208,19 +175,14 @@ class Job:
         if taught.verdict.stop:
             self.publish(events.GateStopped(cycle=cycle, stop=taught.verdict.stop, cycle_dir=str(folder.path)))
             raise GateStop(f"{taught.verdict.stop} (see {folder.path / 'gate.png'})")
-        self._believed = taught.believed
-        self.journal.add_facts(cycle - 1, remembering.facts(self._terms, self._believed))
-        self.publish(events.Learned(cycle=cycle, notes=taught.notes, beliefs=self._believed.facts()))
+        self.tools.believe(taught.believed)
+        self.journal.add_facts(cycle - 1, remembering.facts(self.tools.terms, taught.believed))
+        self.publish(events.Learned(cycle=cycle, notes=taught.notes, beliefs=taught.believed.facts()))
         if taught.shown is not None:
             self.findings = watch(self.journal, cycle - 1, taught.shown, self.recipe.finding)
             for found in self.findings:
                 self.publish(events.Found(cycle=cycle, kind=found.kind, what=found.what, stops=found.stops))
         return False
-
-    @property
-    def _terms(self) -> Mapping[str, Any] | None:
-        """What the lessons of the tool whose turn it is belong to."""
-        return next((turn.terms for turn in self.turns if turn.tool == self.tool), None) or self.journal.terms
 
     @property
     def stalled(self) -> bool:
@@ -234,16 +196,10 @@ class Job:
 
     async def solve(self, cycle: int, surface: Measured) -> Solved:
         """Dwell with a certificate, kept in the run folder whether it will be used or not."""
-        turns = [Turn(self.recipe, self.program, self._believed)]
-        turns += [Turn(turn.recipe, turn.program, self._others.get(turn.tool)) for turn in self._left]
         last = self._planned.get(cycle - 1)
-        solved = await self.compute(
-            dwell_step.solve_first,
-            turns,
-            surface,
-            last.kept if last is not None and last.tool == self.tool else None,
-            within_s=dwell_step.limit(self.recipe),
-        )
+        warm = last.kept if last is not None and last.tool == self.tool else None
+        within = {"within_s": dwell_step.limit(self.recipe)}
+        solved = await self.compute(dwell_step.solve_first, self.tools.to_solve(), surface, warm, **within)
         await self.people.keep(self.folder.cycle(cycle).write, solved.files())
         self.publish(events.Solved(cycle=cycle, certificate=solved.dwell.certificate))
         return solved
@@ -265,7 +221,7 @@ class Job:
 
         Not of a tool after which others have their turns: what it leaves for them counts.
         """
-        if self._left:
+        if self.tools.left:
             return False
         if found := self.judging.worthless(self._planned[cycle].forecast):
             self.publish(events.Found(cycle=cycle, kind=found.kind, what=found.what, stops=found.stops))
@@ -328,8 +284,7 @@ class Job:
 
     def _at_points(self, cycle: int) -> tuple[FloatArray, FloatArray]:
         """(n,) the same, and weighted by the force and the speed that really acted, s."""
-        record = next(found for found in self.journal.passes if found.cycle == cycle)
-        turn = self.turns[turn_of(self.turns, record)] if self.turns else self
+        turn = next((self.tools.of(one) for one in self.journal.passes if one.cycle == cycle), self.tools.now)
         blocks, point = self.journal.executed(cycle), turn.program.block
         run, seconds = blocks.possible, blocks.duration_s
         acting = seconds * relative_removal(turn.recipe.process, blocks.acting_n, blocks.rpm)
@@ -341,19 +296,7 @@ class Job:
 
     def cycles(self) -> list[dict[str, Any]]:
         """One entry a measurement; what belongs to the pass after it is None where there was none."""
-        passes = {record.cycle: record for record in self.journal.passes}
-        return [self._entry(record, passes.get(record.cycle)) for record in self.journal.history]
-
-    def _entry(self, measured: MapRecord, run: PassRecord | None) -> dict[str, Any]:
-        return {
-            **figures(measured.stats, None if run is None else run.facts),
-            "how": None if run is None else run.how or "begun",
-            **({"tool": None if run is None else tool_of(run.facts)} if self.turns else {}),
-            "executed_s": None if run is None else self.journal.contact_s(run.cycle),
-            "uncertain": None if run is None else [[a, end - 1] for a, end in self.journal.uncertain(run.cycle)],
-            "found": [] if run is None else [one["what"] for one in run.facts.get("findings", ())],
-            "notes": measured.stats.get("notes", []),
-        }
+        return cycle_entries(self.journal, several_tools=bool(self.tool))
 
     def summary(self) -> dict[str, Any]:
         """The job's part of ``summary.json``."""

@@ -10,13 +10,14 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
+from polishd import __version__
 from polishd.config.cell import CellConfig
 from polishd.daemon.assembly import contact_limits
 from polishd.daemon.compute import Compute
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.same_job import terms_of
-from polishd.daemon.turns import ToolTurn
+from polishd.daemon.turns import Tools, ToolTurn
 from polishd.hooks.loader import Hooks
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.model.events import Event
@@ -59,11 +60,9 @@ def read_recipes(config: CellConfig, hooks: Hooks) -> tuple[Recipe, ...]:
 
 
 def turns_of(config: CellConfig, recipes: Sequence[Recipe], programs: Sequence[Program]) -> tuple[ToolTurn, ...]:
-    """The turns of several tools; none where the cell has one. Reads the files that their keys name."""
-    if not config.tools:
-        return ()
+    """The turn of each tool. Reads the files that the keys of several name."""
     return tuple(
-        ToolTurn(recipe, program, contact_limits(own), terms_of(own, program.sha256))
+        ToolTurn(recipe, program, contact_limits(own), terms_of(own, program.sha256) if config.tools else None)
         for own, recipe, program in zip(config.turns, recipes, programs, strict=True)
     )
 
@@ -80,17 +79,13 @@ def make_job(
     publish: Callable[[Event], None],
 ) -> Job:
     """The job of that config; ``Job.load`` takes up what an earlier run knew."""
-    turns = turns_of(config, recipes, programs)
     return Job(
-        recipes[0],
-        programs[0],
+        Tools(turns_of(config, recipes, programs), journal),
         journal=journal,
         folder=folder,
         compute=compute,
         publish=publish,
         check_plan=hooks.check_plan,
-        contact=turns[0].contact if turns else contact_limits(config),
-        turns=turns,
         max_cycles=config.job.max_cycles,
         lookahead_s=config.job.lookahead_s,
     )
@@ -106,7 +101,7 @@ def figures(job: Job | NoJob) -> dict[str, Any]:
     for cycle in found["cycles"]:
         if cycle["how"] == "begun":
             cycle["how"] = "interrupted"  # it is over now; the next start settles it in the journal
-    return found
+    return {**found, "version": __version__}
 
 
 def run_folder(config: CellConfig, journal: Journal, job_text: str | None = None) -> RunFolder:

@@ -54,7 +54,7 @@ async def run_queue(
         async with told(config, notifiers, nothing, (hooks.on_event, show), sinks) as bus:
             shift.bus = bus
             await taken_up(shift)
-            desk = Desk(config, shift.queue, shift.added)
+            desk = Desk(config, shift.queue, shift.added, bus.publish)
             daemon = QueueDaemon(cell, shift, desk, bus, holds=holds, until_empty=until_empty)
             with telling(daemon):
                 return await _serve(config, daemon, shift)

@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from polishd.daemon.cell import Cell
+from polishd.daemon.clearance import require_clear
 from polishd.daemon.daemon import Daemon, Turn
 from polishd.daemon.desk import Desk
 from polishd.daemon.events import EventBus
@@ -24,7 +25,7 @@ from polishd.daemon.states import State, Trigger
 from polishd.daemon.verdicts import Verdict, judge
 from polishd.model import events
 from polishd.model.cycle import Outcome
-from polishd.model.errors import DeviceFault, DeviceRefused, PolishdError, ToolStop, WrongPart
+from polishd.model.errors import DeviceFault, DeviceRefused, PolishdError, SignalFault, ToolStop, WrongPart
 from polishd.ports.devices import Loader
 
 IN_THE_WAY = (
@@ -160,6 +161,11 @@ class QueueDaemon(Daemon):
         order = await self._orders.next()
         if order.verb is not Trigger.RESUME:
             return self._interrupted(order)
+        try:
+            await require_clear(self._cell)
+        except SignalFault:
+            order.refused = True
+            raise
         self._is_in(part, "a person")
         return Turn(Trigger.RESUME)
 
@@ -216,15 +222,17 @@ class QueueDaemon(Daemon):
 
     # orders
 
-    async def _remove(self, job: str, reason: str = "") -> Mapping[str, Any]:
+    async def _remove(self, job: str, reason: str = "", by: str = "") -> Mapping[str, Any]:
         """Take one out that waits, or put the one aside over which the cell is held."""
         entry = self._under_way()
         if entry is None or entry.name != job:
-            return await self._desk.remove_waiting(job, reason)
+            return await self._desk.remove_waiting(job, reason, by)
         if self.state is not State.HELD or self._cell.unsafe:
             why = "a device is not confirmed to be safe" if self._cell.unsafe else f"the cell is {self.state}"
             raise DeviceRefused(f"{job!r} is under way, and {why}: hold the cell first (polishd hold)")
-        self._asides.put_nowait((entry, Order(Trigger.ENDED, " ".join(reason.split()))))
+        aside = Order(Trigger.ENDED, " ".join(reason.split()))
+        self.bus.publish(events.Ordered(order="job_remove", reason=": ".join(filter(None, (job, aside.reason))), by=by))
+        self._asides.put_nowait((entry, aside))
         async with self._changed:
             await self._changed.wait_for(lambda: not self._goes_on(entry) or self.state is not State.HELD)
         if self._goes_on(entry):

@@ -274,6 +274,7 @@ async def _watch_force(cell: Cell, watch: _Watch) -> None:
     def judge(sample: ForceSample) -> None:
         nonlocal good_at
         cell.hears(cell.used["actuator"])
+        cell.live.force = sample
         watch.touch.force(sample)
         if sample.fault:
             raise DeviceFault(f"actuator: fault bits {sample.fault:#06x} while in contact")
@@ -311,6 +312,7 @@ async def _watch_speed(cell: Cell, watch: _Watch) -> None:
     def judge(sample: SpeedSample) -> None:
         nonlocal good_at
         cell.hears(cell.used["spindle"])
+        cell.live.speed = sample
         watch.touch.speed(sample)
         if sample.fault:
             raise DeviceFault(f"spindle: fault {sample.fault} while in contact")

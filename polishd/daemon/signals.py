@@ -51,6 +51,19 @@ class Signals:
         """Those that are not as they must be before contact, and how they are."""
         return {limits: wrong for limits in self.limits if (wrong := self._wrong(limits, in_contact=False))}
 
+    def untold_on_order(self) -> bool:
+        """Whether one is not known that counts when motion is ordered."""
+        return any(self.value(limits) is None for limits in self.limits if limits.on_order is not None)
+
+    def wrong_on_order(self) -> list[str]:
+        """How those are that are not as they must be when a person orders motion."""
+        found = [
+            (limits.name, limits.on_order.broken(self.value(limits), limits.unit))
+            for limits in self.limits
+            if limits.on_order is not None
+        ]
+        return [f"{name} {broken}" for name, broken in found if broken]
+
     def facts(self) -> dict[str, dict[str, Any]]:
         """Each with its value, for ``status``: ``wrong`` says how it is not as it must be, before contact or in it."""
         return {

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
 from polishd.daemon.listening import most_telling
-from polishd.model.devices import Executed
+from polishd.model.devices import Executed, RobotProgress
 from polishd.model.errors import DeviceFault, DeviceRefused, SafetyStop
 from polishd.model.program import Plan
 from polishd.ports.clock import Clock
 from polishd.ports.devices import Robot
+
+Heard = Callable[[RobotProgress], None]
 
 CHUNK = 128
 """Blocks handed over at once."""
@@ -24,8 +26,21 @@ STANDS = 3
 class Stream:
     """One pass of one plan through one robot: approach, polish, retreat, each block once and in order."""
 
-    def __init__(self, plan: Plan, robot: Robot, clock: Clock, lookahead_s: float, least_s: float) -> None:
-        """``least_s`` of motion must be left in contact: it lasts until the tool is up, whatever happens."""
+    def __init__(
+        self,
+        plan: Plan,
+        robot: Robot,
+        clock: Clock,
+        lookahead_s: float,
+        least_s: float,
+        *,
+        heard: Heard = lambda _: None,
+    ) -> None:
+        """``least_s`` of motion must be left in contact: it lasts until the tool is up, whatever happens.
+
+        ``heard`` is told each of the robot's words, for whoever watches.
+        """
+        self._heard = heard
         self._plan = plan
         self._robot = robot
         self._clock = clock
@@ -60,6 +75,7 @@ class Stream:
         while True:
             await self._clock.sleep(WATCH_S)
             robot = await self._robot.progress()
+            self._heard(robot)
             self._check_supply()
             stands = self._target is not None and robot.state != "running" and robot.executed < self._target
             standing = standing + 1 if stands else 0
@@ -142,11 +158,11 @@ class Stream:
 
 @asynccontextmanager
 async def streaming(
-    plan: Plan, robot: Robot, clock: Clock, lookahead_s: float, *, least_s: float
+    plan: Plan, robot: Robot, clock: Clock, lookahead_s: float, *, least_s: float, heard: Heard = lambda _: None
 ) -> AsyncIterator[Stream]:
     """Prepare the robot and feed it in the background for as long as the block lasts."""
     await robot.prepare(plan)
-    stream = Stream(plan, robot, clock, lookahead_s, least_s)
+    stream = Stream(plan, robot, clock, lookahead_s, least_s, heard=heard)
     try:
         async with asyncio.TaskGroup() as group:
             tasks = [

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from polishd.daemon import remembering
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import PassRecord
 from polishd.daemon.safety import ContactLimits
@@ -14,9 +16,11 @@ from polishd.model.events import ToolMounted
 from polishd.model.program import Program
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import Believed
+from polishd.recipe.steps import believed_at_first
+from polishd.recipe.turns import Turn
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class ToolTurn:
     """What a job does with one of its tools."""
 
@@ -28,8 +32,69 @@ class ToolTurn:
 
     @property
     def tool(self) -> str:
-        """Its name; empty where the cell has one tool."""
+        """Its name; empty where the cell has one."""
         return "" if self.recipe.turn is None else self.recipe.turn.tool
+
+
+class Tools:
+    """A job's tools, one of which has its turn. Of a cell without ``[tools]`` the only one, without a name."""
+
+    def __init__(self, turns: Sequence[ToolTurn], journal: Journal) -> None:
+        self._turns = tuple(turns)
+        self._journal = journal
+        self.now = self._turns[0]
+        """The tool whose turn it is."""
+        self._believed = {turn.tool: believed_at_first(turn.recipe) for turn in turns}
+
+    @property
+    def believed(self) -> Believed:
+        """What the passes have taught of the tool whose turn it is."""
+        return self._believed[self.now.tool]
+
+    def believe(self, known: Believed) -> None:
+        """That from here on, of the tool whose turn it is."""
+        self._believed[self.now.tool] = known
+
+    @property
+    def left(self) -> tuple[ToolTurn, ...]:
+        """The turns after this one."""
+        return self._turns[self._turns.index(self.now) + 1 :]
+
+    @property
+    def terms(self) -> Mapping[str, Any] | None:
+        """What the lessons of the tool whose turn it is belong to."""
+        return self.now.terms or self._journal.terms
+
+    def to_solve(self) -> list[Turn]:
+        """This turn and those after it, each as its tool is believed to be."""
+        left = (self.now, *self.left)
+        return [Turn(turn.recipe, turn.program, self._believed[turn.tool]) for turn in left]
+
+    def of(self, record: PassRecord) -> ToolTurn:
+        """The turn that a pass belonged to."""
+        return next((turn for turn in self._turns if turn.tool == tool_of(record.facts)), self._turns[0])
+
+    def take(self) -> None:
+        """From here on it is the turn that the next pass belongs to: one that was torn off is made again."""
+        self.now = self._turns[turn_now(self._turns, self._journal.passes)]
+
+    def take_of(self, record: PassRecord) -> None:
+        """The same of a pass that was made."""
+        self.now = self.of(record)
+
+    async def load(self) -> tuple[str, ...]:
+        """Take up what has been taught of each tool: by the job's passes, or by its series; notes of the latter."""
+        notes = []
+        for turn in self._turns:
+            known = taught_of(turn, self._journal.passes)
+            if known is None:
+                terms = turn.terms or self._journal.terms
+                found = await asyncio.to_thread(remembering.remembered, self._journal, turn.recipe, terms)
+                known = None if found is None else found.believed
+                notes += [] if found is None else [f"{turn.tool} {found.note}".lstrip()]
+            if known is not None:
+                self._believed[turn.tool] = known
+        return tuple(notes)
 
 
 def turn_now(turns: Sequence[ToolTurn], passes: Sequence[PassRecord]) -> int:
@@ -42,17 +107,12 @@ def turn_now(turns: Sequence[ToolTurn], passes: Sequence[PassRecord]) -> int:
     return len(turns) - 1
 
 
-def turn_of(turns: Sequence[ToolTurn], record: PassRecord) -> int:
-    """Number of the turn that a pass belonged to."""
-    return next((number for number, turn in enumerate(turns) if turn.tool == tool_of(record.facts)), 0)
-
-
 def tool_of(facts: Mapping[str, Any]) -> str:
     """The tool of a pass, by its facts; empty where the cell has one."""
     return str(facts.get("tool", ""))
 
 
-def believed_of(turn: ToolTurn, passes: Sequence[PassRecord]) -> Believed | None:
+def taught_of(turn: ToolTurn, passes: Sequence[PassRecord]) -> Believed | None:
     """What the job's passes with that tool have taught of it; None where there was none."""
     for record in reversed(passes):
         if tool_of(record.facts) == turn.tool:

@@ -31,12 +31,13 @@ class Verb:
 
     name: str
     what: str
-    changes: Literal["", "an order", "the queue"] = ""
+    changes: Literal["", "an order", "the queue", "the journal", "an approval"] = ""
     """An order: the cell is another one afterwards."""
     arguments: tuple[Argument, ...] = ()
 
 
 REASON = Argument("reason", str, "why, for whoever reads the journal and `status`")
+BY = Argument("by", str, "who wants it, for the journal; whoever passes an order on says for whom")
 
 FILES = Argument(
     "files",
@@ -44,6 +45,9 @@ FILES = Argument(
     "of each job's file `path`, absolute, from whose folder paths in it start, and `content`",
     required=True,
 )
+ORDERED = (REASON, BY)
+PROGRAM = Argument("program_sha256", str, "hash of its program, as `live` tells it", required=True)
+ALARMS = Argument("alarms", list, "numbers of events in the journal", required=True)
 JOB = Argument("job", str, "`job.id`", required=True)
 WHERE = Argument("where", str, "`before`, `after`, `first` or `last`", required=True)
 OTHER = Argument("other", str, "the job that waits before or after which")
@@ -52,19 +56,22 @@ VERBS: Mapping[str, Verb] = {
     verb.name: verb
     for verb in (
         Verb("status", "state and why, phase, cycle, devices, health, what was measured so far"),
+        Verb("live", "state, what the devices told last, each with its age, signals and health"),
         Verb(SUBSCRIBE, "events from now on, one a line, until either side ends"),
-        Verb("hold", "leave contact, stand still, and wait for `resume`", "an order", (REASON,)),
-        Verb("resume", "go on, with a new measurement first", "an order", (REASON,)),
-        Verb("stop", "leave contact, stand still, and end the daemon", "an order", (REASON,)),
-        Verb("estop", "stop motion at once, whatever the part costs; then wait for `resume`", "an order", (REASON,)),
+        Verb("hold", "leave contact, stand still, and wait for `resume`", "an order", ORDERED),
+        Verb("resume", "go on, with a new measurement first", "an order", ORDERED),
+        Verb("stop", "leave contact, stand still, and end the daemon", "an order", ORDERED),
+        Verb("estop", "stop motion at once, whatever the part costs; then wait for `resume`", "an order", ORDERED),
+        Verb("approve", "the plan that waits may run (`job.approve`)", "an approval", (PROGRAM, BY)),
+        Verb("acknowledge", "a person has seen these alarms", "the journal", (ALARMS, BY)),
         Verb("job_list", "the jobs of the queue: that under way, those that wait, those that ended"),
-        Verb("job_add", "put jobs at the end of the queue, all or none", "the queue", (FILES,)),
-        Verb("job_move", "move a job that waits", "the queue", (JOB, WHERE, OTHER)),
+        Verb("job_add", "put jobs at the end of the queue, all or none", "the queue", (FILES, BY)),
+        Verb("job_move", "move a job that waits", "the queue", (JOB, WHERE, OTHER, BY)),
         Verb(
             "job_remove",
             "take a job out that waits, or put the one aside over which the cell is held",
             "the queue",
-            (JOB, REASON),
+            (JOB, REASON, BY),
         ),
     )
 }

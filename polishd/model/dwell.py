@@ -48,6 +48,8 @@ class Certificate:
     """The same of the objective's root: the RMS of the solved area, where price and regularisation count little."""
     predicted_band_rms_nm: float | None = None
     """RMS of the periods above the problem's ``band_period_mm`` in the clear aperture; None: none was asked for."""
+    cutoff_period_mm: float | None = None
+    """Shorter periods no dwell with this spot removes; None: not known, or finer than the process grid shows."""
 
 
 @dataclass(frozen=True, slots=True)

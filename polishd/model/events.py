@@ -7,45 +7,15 @@ docs/notifications.md is made from their ``concern``: what that says is whom it 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 from polishd.model.concern import NOT_ASKED, Concern, Severity, Standing
 from polishd.model.devices import Identity
 from polishd.model.dwell import Certificate
+from polishd.model.event import Event as Event  # noqa: PLC0414 - its kinds and it are imported from here
 from polishd.model.handling import Seat
 from polishd.model.surface import SurfaceStats
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Event:
-    """Something that happened. Each kind is a class of its own, known by ``name``."""
-
-    name: ClassVar[str]
-    cycle: Annotated[int | None, "the cycle in which it happened; None outside of all"] = None
-
-    @property
-    def data(self) -> Mapping[str, Any]:
-        """Its own fields by name, as the socket and the journal have them; those of a record or mapping one by one."""
-        found: dict[str, Any] = {}
-        for name in (item.name for item in fields(self) if item.name != "cycle"):
-            value = _plain(getattr(self, name))
-            found |= value if isinstance(value, Mapping) else {name: value}
-        return found
-
-    def facts(self) -> dict[str, Any]:
-        """``{"name", "cycle", "data"}``, as a subscriber gets it."""
-        return {"name": self.name, "cycle": self.cycle, "data": dict(self.data)}
-
-    def concern(self) -> Concern | None:
-        """Nobody's."""
-        return None
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(one) for key, one in value.items()}
-    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,8 +123,18 @@ class Ordered(Event):
     """A person, or a program for one, gave an order over the socket."""
 
     name: ClassVar[str] = "ordered"
-    order: Annotated[str, "`hold`, `resume`, `stop` or `estop`"]
+    order: Annotated[str, "`hold`, `resume`, `stop` or `estop`, or what was asked of the queue: `job_move`, say"]
     reason: Annotated[str, "what was said with it; may be empty"]
+    by: Annotated[str, "who gave it, by the word of what passed it on; empty: not said"] = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Acknowledged(Event):
+    """A person has seen alarms."""
+
+    name: ClassVar[str] = "acknowledged"
+    alarms: Annotated[Sequence[int], "their numbers in the journal's table `event`"]
+    by: Annotated[str, "who"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -292,6 +272,30 @@ class TouchedOff(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PlanWaits(Event):
+    """A plan waits for a person's `approve`; nothing moves before (`job.approve`)."""
+
+    name: ClassVar[str] = "plan_waits"
+    program_sha256: Annotated[str, "hash of its program"]
+    predicted_rms_nm: Annotated[float, "RMS that it is to leave, nm"]
+    dwell_s: Annotated[float, "s in contact, as planned"]
+
+    def concern(self) -> Concern:
+        """Warning."""
+        what = f"a plan of {self.dwell_s / 60:.1f} min to {self.predicted_rms_nm:.2f} nm waits for approval"
+        return Concern(Severity.WARNING, what, "nothing moves", "look at it, then: polishd approve CELL.toml")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Approved(Event):
+    """A person has said that the plan that waited may run."""
+
+    name: ClassVar[str] = "approved"
+    program_sha256: Annotated[str, "hash of its program"]
+    by: Annotated[str, "who"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PassBegun(Event):
     """A pass is journalled; the robot starts next."""
 
@@ -373,8 +377,8 @@ class PlanWritten(Event):
 
 
 EVENTS: tuple[type[Event], ...] = (
-    Opened, StateChanged, Ordered, Held, Failed, JobBegun, PartWanted, PartChanged, Measured, Repeated, GateStopped,
-    Learned, Found, Solved, TouchedOff, SignalWrong, PassBegun, Progress, PassEnded, JobFinished, JobEnded, QueueEnded,
-    NotificationFailed, PlanWritten,
+    Opened, StateChanged, Ordered, Acknowledged, Held, Failed, JobBegun, PartWanted, PartChanged, Measured,
+    Repeated, GateStopped, Learned, Found, Solved, ToolMounted, TouchedOff, SignalWrong, PlanWaits, Approved, PassBegun,
+    Progress, PassEnded, JobFinished, JobEnded, QueueEnded, NotificationFailed, PlanWritten,
 )  # fmt: skip
 """Every kind, in the order in which they come in a job."""

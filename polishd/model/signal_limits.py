@@ -61,6 +61,8 @@ class SignalLimits:
     grace_s: float
     """So long it may be outside in contact."""
     leads_to: LeadsTo
+    on_order: Bounds | None = None
+    """What it must be when a person orders motion."""
 
     def said(self, value: float | bool | None) -> str:
         """A value in words."""
@@ -75,4 +77,6 @@ class SignalLimits:
             said.append(
                 f"in contact {self.in_contact.words(self.unit)} (else {self.leads_to} after {self.grace_s:g} s)"
             )
+        if self.on_order is not None:
+            said.append(f"when motion is ordered {self.on_order.words(self.unit)}")
         return f"{self.name} of {self.monitor}: {', '.join(said)}"

@@ -310,6 +310,7 @@ class _Step:
         if not found.resolved:
             return dwell
         left = f"{found.beyond_reach_rms_nm:.2f} nm RMS of the surface has periods below {spot.cutoff_period_mm:.2f} mm"
+        dwell = with_certificate(dwell, cutoff_period_mm=spot.cutoff_period_mm)
         dwell = with_note(dwell, f"{left}: no dwell with this spot removes it")
         on_grid = measured.height_nm, measured.metric_mask, measured.grid.pitch_mm
         for line in out_of_reach(self.recipe.lines, *on_grid, spot.cutoff_period_mm):

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from polishd.hookspecs import RemovalAnswer, RemovalRequest
@@ -16,22 +15,19 @@ from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.errors import ComputeError
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program, Segments
-from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
+from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.process import conditioning, gate, metrics, motion, naming
 from polishd.process.alignment import alignment_notes
 from polishd.process.conditioning import Masks
 from polishd.process.dwell.validation import negligible, without_traces
 from polishd.process.forecast import pooled, unexplained
-from polishd.process.instrument import as_profiled
 from polishd.process.leftover import leftover
-from polishd.process.nominal import less_nominal
 from polishd.process.paths.wrist import tool_axes
 from polishd.process.registration.record import Registration
 from polishd.process.registration.register import register
 from polishd.process.removal_fit import MOST_DRIFT_NM
-from polishd.process.spikes import cleaned
 from polishd.process.tolerance import judge, notes_of
-from polishd.recipe import accepting, forecasting
+from polishd.recipe import accepting, figuring, forecasting
 from polishd.recipe.files import read_program_bytes
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import CENTRED, Believed, Measured, Pass, Solved, Taught
@@ -42,8 +38,6 @@ ALIKE = 0.2
 """Share of a map's sample by which the part may lie elsewhere in the next one, the samples being taken for the same."""
 TOUCH_MISS_MM = 3.0
 """So far off where it should the spot may act in a pass as programmed: to find that out is what it is made for."""
-ROUNDING = 1e-3
-"""Of a share of samples: files keep a pitch in seven digits, and a rim must not move with the last of them."""
 
 
 def read_program(recipe: Recipe, path: Path) -> Program:
@@ -63,15 +57,11 @@ def condition(
 
     ``masks`` and ``last`` are of earlier maps of the part: its frozen masks, and where it lay in the last one.
     """
-    profiled = as_profiled(surface, recipe.instrument)
-    if recipe.system is not None:
-        profiled = recipe.system.off(profiled)
+    profiled = figuring.profiled(surface, recipe.instrument, recipe.system)
     lies = CENTRED
     if recipe.instrument is not None:
         lies = register(profiled, recipe.instrument, recipe.outline, last)
-    clean, spikes = cleaned(profiled, recipe.spike_mads)
-    if recipe.nominal is not None:
-        clean = less_nominal(clean, recipe.nominal, lies)
+    clean, spikes = figuring.of_part(profiled, recipe.spike_mads, recipe.nominal, lies)
     part = conditioning.condition(
         clean,
         outline=recipe.outline,
@@ -81,8 +71,7 @@ def condition(
         removal=recipe.part.alignment,
         registration=lies,
     )
-    clear = _on_map(clean, part.grid, part.metric_mask, lies)
-    figure = metrics.without(clean.height_nm, clear, recipe.part.alignment)
+    figure, clear = figuring.figure_of(clean, part.grid, part.metric_mask, lies, recipe.part.alignment)
     stats = metrics.surface_stats(
         figure,
         clear,
@@ -329,12 +318,3 @@ def violations(recipe: Recipe, plan: Plan) -> list[str]:
 def process_grid(recipe: Recipe) -> Grid:
     """The grid that surfaces are brought to: the aperture and a margin, centred on the part."""
     return conditioning.process_grid(recipe.outline, recipe.grid_mm)
-
-
-def _on_map(surface: SurfaceMap, grid: Grid, mask: BoolArray, lies: Registration) -> BoolArray:
-    """The frozen clear aperture on the map's own pixels: figures are stated there, where the raster's ripple shows."""
-    x, y = lies.on_part_mm(surface.grid)
-    places = [(grid.y_mm[0] - y) / grid.pitch_mm, (x - grid.x_mm[0]) / grid.pitch_mm]
-    # the two grids may lie half a sample apart: the nearest one would move the rim by that much
-    share = ndimage.map_coordinates(mask.astype(np.float64), places, order=1)
-    return np.asarray(share >= 0.5 - ROUNDING, dtype=np.bool_) & surface.valid

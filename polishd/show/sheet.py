@@ -85,3 +85,5 @@ class Sheet:
     chapters: Sequence[Chapter]
     footer: str
     """Who made it, and when: at the end of the page, and at the foot of each of a PDF's."""
+    header: tuple[str, str] = ("", "")
+    """Left and right at the head of each of a PDF's pages; empty: nothing."""

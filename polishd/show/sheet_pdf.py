@@ -14,6 +14,7 @@ from matplotlib.figure import Figure as Page
 from matplotlib.font_manager import findfont, get_font
 from matplotlib.image import imread
 from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
 
 from polishd.show.sheet import Cell, Chapter, Figure, Part, Picture, Sheet, Table
 from polishd.show.style import INK, MUTED, RC, RULE, polishd_style
@@ -28,19 +29,38 @@ LETTER_IN = 0.64 * TEXT_PT / 72
 GAP_IN = 0.2
 """Between two columns."""
 DPI = 200
+GOOD, BAD = ("#e3f4ec", "#00664a"), ("#fbe8df", "#9c3f00")
+"""Ground and ink of a verdict."""
 
 
 def pdf(sheet: Sheet) -> bytes:
     """The report's pages."""
+    return paged(sheet)[0]
+
+
+def paged(sheet: Sheet) -> tuple[bytes, int]:
+    """The report's pages, and how many there are."""
     target = io.BytesIO()
     with polishd_style(), PdfPages(target, metadata={"Title": sheet.title, "Creator": sheet.footer}) as written:
         pages = _Pages()
         for chapter in sheet.chapters:
             pages.chapter(chapter)
         for number, page in enumerate(pages.done, 1):
+            _head(page, sheet.header)
             _foot(page, f"{sheet.footer}; page {number} of {len(pages.done)}")
             written.savefig(page, dpi=DPI)
-    return target.getvalue()
+    return target.getvalue(), len(pages.done)
+
+
+def _head(page: Page, words: tuple[str, str]) -> None:
+    """A line over a rule."""
+    if not any(words):
+        return
+    left, right = MARGIN_IN / WIDE_IN, 1 - MARGIN_IN / WIDE_IN
+    for said, at, side in zip(words, (left, right), ("left", "right"), strict=True):
+        page.text(at, 1 - 0.45 / HIGH_IN, _written(said), ha=side, fontsize=7, color=MUTED, parse_math=False)
+    y = 1 - 0.52 / HIGH_IN
+    page.add_artist(Line2D([left, right], [y, y], color=RULE, linewidth=0.6))
 
 
 def _foot(page: Page, words: str) -> None:
@@ -65,11 +85,25 @@ class _Pages:
         """On a page of its own."""
         self.y_in = 0.0
         if chapter.verdict:
-            self.text(chapter.verdict, size=10.0, bold=True)
+            self.banner(chapter.verdict, GOOD if chapter.good else BAD)
         self.text(chapter.title, size=16.0, bold=True, after_in=0.08)
         self.table(Table((), [fact for fact in chapter.facts if fact[1]]))
         for part in chapter.parts:
             self.part(part)
+
+    def banner(self, words: str, colours: tuple[str, str]) -> None:
+        """Across the page, on a ground of its own: what is read from afar."""
+        self.room(4 * LINE_IN)
+        high = 1.9 * LINE_IN
+        self.y_in -= high
+        ground, ink = colours
+        box = MARGIN_IN / WIDE_IN, (self.y_in + MARGIN_IN) / HIGH_IN, INNER_IN / WIDE_IN, high / HIGH_IN
+        page = self.done[-1]
+        page.add_artist(Rectangle(box[:2], *box[2:], facecolor=ground, edgecolor="none", transform=page.transFigure))
+        x, y = box[0] + 0.12 / WIDE_IN, box[1] + box[3] / 2
+        style: dict[str, Any] = {"fontsize": 11.0, "weight": "bold", "va": "center_baseline", "parse_math": False}
+        page.text(x, y, _written(words), color=ink, **style)
+        self.y_in -= 0.12
 
     def part(self, part: Part) -> None:
         """Its title is never the last line of a page."""

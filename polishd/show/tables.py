@@ -35,11 +35,14 @@ def cycle_table(summary: Mapping[str, Any]) -> Table:
     columns |= {"dwell_s": "dwell s", "executed_s": "executed s", "rate": "rate"}
     for name in ("#", *columns.values()):
         table.add_column(name, justify="right")
+    if tools := any(cycle.get("tool") for cycle in summary["cycles"]):
+        table.add_column("tool")
     if torn := any(map(_torn, summary["cycles"])):
         table.add_column("pass")
     for number, cycle in enumerate(summary["cycles"]):
         figures = [_figure(cycle.get(key), 3 if key == "rate" else 2) for key in columns]
-        table.add_row(str(number), *figures, *([_torn(cycle)] if torn else []))
+        tool = [escape(cycle.get("tool") or "")] if tools else []
+        table.add_row(str(number), *figures, *tool, *([_torn(cycle)] if torn else []))
     return table
 
 

@@ -80,8 +80,9 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
     surface = read_map(map_path, hooks.surface_readers().values())
     notes = _require_part(surface, config.part.id, map_path)
     recipe = recipes[0]
+    turns = [Turn(one, steps.read_program(one, path)) for one, path in zip(recipes, paths, strict=True)]
     measured = steps.condition(recipe, surface)
-    passes = _passes(recipes, paths, measured, hooks)
+    passes = _passes(turns, measured, hooks)
     if recipe.instrument is None or recipe.instrument.commissioned is None:
         notes.append("run will refuse: the cell has no commissioned instrument's profile (polishd check says more)")
     notes += [f"run will refuse: {never}"] if (never := why_never(recipe)) else []
@@ -102,13 +103,12 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
     return summary
 
 
-def _passes(recipes: Sequence[Recipe], paths: Sequence[Path], measured: Measured, hooks: Hooks) -> list[_Pass]:
-    turns = [Turn(one, steps.read_program(one, path)) for one, path in zip(recipes, paths, strict=True)]
+def _passes(turns: Sequence[Turn], measured: Measured, hooks: Hooks) -> list[_Pass]:
     found, vetoes, finds = list[_Pass](), list[str](), measured
-    for turn, path, solved in zip(turns, paths, dwell_step.solve_turns(turns, measured), strict=True):
+    for turn, solved in zip(turns, dwell_step.solve_turns(turns, measured), strict=True):
         recipe, program, _ = turn
         require_certificate(solved.dwell.certificate, recipe)
-        plan = steps.rewrite(recipe, program, solved, path.name)
+        plan = steps.rewrite(recipe, program, solved, program.name)
         vetoes += [f"  {_of_tool(recipe)}{veto}" for veto in hooks.check_plan(plan, recipe.envelope)]
         expected = forecast_of(recipe, finds, plan, solved.believed)
         planned = Planned.of(plan, solved, steps.in_part_frame(recipe, plan.program), expected)

@@ -77,6 +77,7 @@ CERTIFICATE: Mapping[str, str] = {
     "seconds": "time to solve (CPU s)",
     "cross_check": "cross-checked by",
     "cross_check_gap": "gap to the cross-check (relative)",
+    "cutoff_period_mm": "periods below it are out of reach of this spot (mm)",
     "notes": "notes",
 }
 

@@ -111,9 +111,9 @@ class PlantServer:
             self.writers["interferometer"].write(bus.pack_json({"part": part}))
 
     def again(self) -> None:
-        """Read SIM.toml again: the truth may be another from now on, and parts that come have another surface."""
+        """Read SIM.toml again: truth and tool may be others from now on, and parts that come have another surface."""
         self.start = self.start.again()
-        self.world.config = self.start.config
+        self.world.mount(self.start.config)
         self.witness.add("plant", "button", time.monotonic(), signal=signal.SIGHUP.name)
 
     def finish(self) -> None:

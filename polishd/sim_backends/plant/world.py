@@ -63,9 +63,14 @@ class World:
     def __post_init__(self) -> None:
         """Fix the frames, the tool and the optic."""
         self._frames, self._shape = Frames(self.config.plant), Shape(self.config.plant)
-        self._tool = Tool.of(self.config, self.hidden.robot, self.effects)
+        self.mount(self.config)
         lags = self.effects.force_lag_s, self.effects.guide_friction_n
         self._lag = Lag(*lags) if any(lags) else None
+
+    def mount(self, config: SimConfig) -> None:
+        """What SIM.toml says now: the truth from here on, and the tool on the spindle."""
+        self.config = config
+        self._tool = Tool.of(config, self.hidden.robot, self.effects)
 
     def move(self, rows: FloatArray) -> None:
         """Take motion as the robot reports it (``bus.ROW``); time before it that no row covers was standstill."""

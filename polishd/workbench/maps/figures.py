@@ -33,19 +33,20 @@ class Figured:
     mask: BoolArray
     """(ny, nx) samples that count: those with data within the masks, trimmed."""
     level_nm: FloatArray
-    """(ny, nx) piston and tilt over the mask removed; NaN outside it."""
+    """(ny, nx) piston and tilt over the mask removed, or what else is alignment; NaN outside it."""
     bands_nm: tuple[FloatArray, ...]
     """(ny, nx) each; none without a lateral scale."""
     answer: dict[str, Any]
 
 
-def figured(surface: SurfaceMap, trim: int, edges: Sequence[float]) -> Figured:
+def figured(surface: SurfaceMap, trim: int, edges: Sequence[float], alignment: metrics.Removal = "tilt") -> Figured:
     """All figures of a map.
 
     Args:
         surface: the map as read, or as the profile says.
         trim: pixels taken off every edge of the data, holes included: eroded by the cross of 4 neighbours.
         edges: periods between the bands, mm, falling.
+        alignment: what the level map is without.
 
     Raises:
         BadMap: no sample is left.
@@ -54,7 +55,7 @@ def figured(surface: SurfaceMap, trim: int, edges: Sequence[float]) -> Figured:
     mask = metrics.trimmed(surface.valid, trim)
     if not mask.any():
         raise BadMap(f"{surface.path}: no sample is left of it with --trim {trim}; trim less")
-    level = metrics.without(height, mask, "tilt")
+    level = metrics.without(height, mask, alignment)
     bands = () if pitch is None else metrics.split_bands(height, mask, pitch, edges)
     answer = {
         "path": str(surface.path),

@@ -58,19 +58,20 @@ def _chapter(found: Reported) -> Chapter:
         ("measured", date_words(answer)),
         ("computed by", _footer(answer["computed"]).removeprefix("computed by ")),
     ]
-    parts = [
-        _surface(found),
-        *_aberrations(answer),
-        *_indications(answer),
-        *_tolerance(answer),
-        *_slope(found),
-        *_periods(found),
-        *_zernike(answer),
-        _origin(answer),
-        _editions(),
-    ]
+    form, detail = of_form(answer), of_detail(found)
+    parts = [_surface(found), *form, *_tolerance(answer), *detail, _origin(answer), editions()]
     verdict = _verdict(answer)
     return Chapter(shown(answer["part_id"]) or name, facts, parts, verdict, answer["within"] is not False)
+
+
+def of_form(answer: Mapping[str, Any]) -> list[Part]:
+    """Primary aberrations and ISO 10110 of a surface, as far as its samples carry them."""
+    return [*_aberrations(answer), *_indications(answer)]
+
+
+def of_detail(found: Reported, *, spectrum: bool = True) -> list[Part]:
+    """Slope, spatial periods and Zernike terms, likewise; ``spectrum``: with a picture of its PSD."""
+    return [*_slope(found), *_periods(found, spectrum=spectrum), *_zernike(found.answer)]
 
 
 def _verdict(answer: Mapping[str, Any]) -> str:
@@ -169,7 +170,7 @@ def _slope(found: Reported) -> Iterator[Part]:
     yield Part("Slope", [table, length], (), [pictures.slopes(found, found.slope_urad)])
 
 
-def _periods(found: Reported) -> Iterator[Part]:
+def _periods(found: Reported, *, spectrum: bool) -> Iterator[Part]:
     answer = found.answer
     if answer["psd"] is None:
         return
@@ -179,7 +180,7 @@ def _periods(found: Reported) -> Iterator[Part]:
     ]
     note = "The surface split by ideal band-passes; a dash is no limit, or a band that the samples do not show."
     table = Table(("band", "below, mm", "above, mm", "RMS, nm"), rows)
-    yield Part("Spatial periods", [table], [note], [pictures.spectrum(found)])
+    yield Part("Spatial periods", [table], [note], [pictures.spectrum(found)] if spectrum else [])
 
 
 def _zernike(answer: Mapping[str, Any]) -> Iterator[Part]:
@@ -244,7 +245,8 @@ def _factor(answer: Mapping[str, Any], name: str, value: object) -> Cell:
     return Figure.of(answer, f"factors.{name}", ".7g") if isinstance(value, float) and "." not in name else shown(value)
 
 
-def _editions() -> Part:
+def editions() -> Part:
+    """Which edition of each standard is followed, and the newer one that was not at hand."""
     rows = [(what, edition, newer or "–") for what, edition, newer in EDITIONS]
     note = (
         "Where a newer edition is out and its text was not at hand, the older is followed. Definitions were checked "

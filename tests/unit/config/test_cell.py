@@ -74,6 +74,7 @@ def test_example_shows_every_key_or_its_section_defaults(example: str) -> None:
             "monitor",
             "signals",
             "tools",
+            "certificate",
         }, name
         section: Any = HybridSection if name == "kinematics" else field.annotation
         for key, inner in getattr(section, "model_fields", {}).items():
@@ -401,3 +402,80 @@ def test_rotation_signs() -> None:
     np.testing.assert_allclose(rotation_from_rpy_deg(0, 90, 0) @ [0, 0, 1], [1, 0, 0], atol=1e-12)
     np.testing.assert_allclose(rotation_from_rpy_deg(0, 0, 90) @ [1, 0, 0], [0, 1, 0], atol=1e-12)
     np.testing.assert_allclose(rotation_from_rpy_deg(180, 0, 0), np.diag([1, -1, -1]), atol=1e-12)
+
+
+# several tools
+
+
+TOOLS = """
+[tools.large]
+tool_radius_mm = 60.0
+passes = 2
+[tools.small]
+tool_radius_mm = 15.0
+force_n = 6.0
+position_mm = 4.0
+tool_length_mm = 410.0
+program = "fine.rnc"
+"""
+
+
+def test_each_tool_replaces_what_it_names_and_nothing_else(tmp_path: Path, example: str) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_text(example + TOOLS)
+    cell = load_config(path)
+    large, small = cell.turns
+    assert (large.process.tool_radius_mm, large.process.force_n) == (60.0, cell.process.force_n)
+    assert (small.process.tool_radius_mm, small.process.force_n) == (15.0, 6.0)
+    assert small.touch_off is not None
+    assert small.touch_off.position_mm == 4.0
+    assert small.kinematics.tool_length_mm == 410.0
+    assert (large.program_path, small.program_path) == (cell.program_path, tmp_path / "fine.rnc")
+    assert (large.memory.tool, small.memory.tool) == ("large", "small"), "what is learned of each is its own"
+    assert not large.tools
+    assert load_config(path).of_tool("small").turns[0].process == small.process
+
+
+def test_a_cell_without_tools_has_one_turn_itself(tmp_path: Path, example: str) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_text(example)
+    cell = load_config(path)
+    assert cell.turns == (cell,)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("passes = 2", "passes = 99", "job.max_cycles: is 4, but the tools have 100 passes; set it to 100 or more"),
+        ("passes = 2", "passes = 0", "tools.large.passes: 0 is out of range; must be at least 1"),
+        ("force_n = 6.0", "force = 6.0", "tools.small.force: unknown key; did you mean 'force_n'?"),
+        ("force_n = 6.0", "force_n = -1.0", "tools.small.force_n: -1.0 is out of range"),
+    ],
+)
+def test_wrong_tools_are_named_by_file_line_and_key(
+    tmp_path: Path, example: str, old: str, new: str, said: str
+) -> None:
+    text = example + TOOLS.replace(old, new)
+    found = refused(tmp_path, text)
+    assert said in found
+    key = "max_cycles" if "max_cycles" in said else new
+    assert f"FILE:{line_of(text, key)}: " in found
+
+
+def test_what_does_not_go_with_several_tools(tmp_path: Path, example: str) -> None:
+    own = example.replace('# tool = "bonnet 7"', 'tool = "bonnet 7"')
+    assert "memory.tool: there are [tools], each with its name; remove the line" in refused(tmp_path, own + TOOLS)
+    start = example.index("[touch_off]")
+    bare = example[:start] + example[example.index("[between]", start) :]
+    assert "tools.small.position_mm: is of [touch_off], and the cell has none" in refused(tmp_path, bare + TOOLS)
+
+
+def test_what_is_wrong_with_a_tools_value_is_said_where_it_was_written(tmp_path: Path, example: str) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_text(text := example + TOOLS)
+    small = load_config(path).of_tool("small")
+    line, other = line_of(text, "force_n = 6.0"), line_of(text, "dip_deg =")
+    assert str(small.error("process.force_n", "is odd")) == f"{path}:{line}: tools.small.force_n: is odd"
+    assert str(small.error("process.dip_deg", "is odd")) == f"{path}:{other}: process.dip_deg: is odd"
+    assert f"tools.small.program: {path.parent}" not in str(small.error("program.path", "is missing"))
+    assert "tools.small.program: is missing" in str(small.error("program.path", "is missing"))

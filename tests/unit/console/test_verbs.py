@@ -18,6 +18,7 @@ from polishd.config.simulator import load_simulator
 from polishd.config.study import load_study
 from polishd.console import demo, verbs
 from polishd.console.demo_files import DemoFiles, demo_program, with_values, write_demo
+from polishd.console.who import at_the_terminal
 from polishd.daemon import client
 from polishd.daemon.endings import RECORD_NAME, Cause, gone, keep_ending, standing
 from polishd.model import errors
@@ -191,7 +192,7 @@ def test_a_folder_that_cannot_be_written_is_one_line_at_once(
     def begins(*arguments: object) -> None:
         raise AssertionError("it began")
 
-    monkeypatch.setattr(planning, "make_recipe", begins)
+    monkeypatch.setattr(planning, "make_recipes", begins)
     monkeypatch.setattr(demo, "write_demo", begins)
     words = ("plan", files.cell, files.cell, "--program", files.cell) if verb == "plan" else ("demo",)
     (tmp_path / "file").touch()
@@ -291,7 +292,8 @@ def test_orders(polishd: Polishd, files: DemoFiles, verb: str, monkeypatch: pyte
     monkeypatch.setattr(client, "request", request)
     assert json.loads(polishd(verb, files.cell, "--json").out) == {"ok": True, "state": "held"}
     polishd(verb, files.cell, "--reason", "a scratch")
-    assert asked == [(files.state_dir, verb, args) for args in ({}, {"reason": "a scratch"})]
+    by = {"by": at_the_terminal()}
+    assert asked == [(files.state_dir, verb, args) for args in (by, {"reason": "a scratch", **by})]
 
 
 def test_an_order_that_is_refused_says_why_and_ends_so(

@@ -17,7 +17,9 @@ from polishd.daemon import app
 from polishd.daemon.cycle import polish
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
+from polishd.daemon.journal_records import PassRecord
 from polishd.daemon.safety import ContactLimits
+from polishd.daemon.turns import Tools, ToolTurn
 from polishd.hookspecs import DwellSolver, RemovalAnswer, RemovalModel, RemovalRequest
 from polishd.model.beliefs import Belief, Beliefs
 from polishd.model.cycle import Outcome
@@ -161,11 +163,12 @@ def small_job(
         "compute": compute,
         "publish": told.append,
         "check_plan": accept,
-        "contact": LIMITS,
         "max_cycles": 3,
         "lookahead_s": 8.0,
     }
-    job = Job(recipe or small_recipe(), program or small_program(), **(values | changes))
+    contact = changes.pop("contact", LIMITS)
+    one = (ToolTurn(recipe or small_recipe(), program or small_program(), contact),)
+    job = Job(Tools(changes.pop("turns", one), journal), **(values | changes))
     job.told = told  # type: ignore[attr-defined]
     return job
 
@@ -222,9 +225,14 @@ class Bench:
             for seq, seconds in zip(blocks.seq, blocks.duration_s, strict=True):
                 if int(seq) in index:
                     time_s[index[int(seq)]] = seconds
-            answer = steps.effect_of(small_recipe(), program, self.surface.grid, at_rate(self.rate))
+            recipe = self.truth_of(passes[-1])
+            answer = steps.effect_of(recipe, program, self.surface.grid, at_rate(self.rate))
             self.surface = as_map(self.surface.height_nm - answer.effect.removal_nm(time_s))
         return self.surface
+
+    def truth_of(self, record: PassRecord) -> Recipe:
+        """The tool that truly made that pass."""
+        return small_recipe()
 
     def phases(self) -> list[str]:
         return [f"{cycle} {phase} {outcome}" for cycle, phase, outcome, _ in told_phases(self.journal)]

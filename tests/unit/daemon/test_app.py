@@ -354,7 +354,7 @@ async def test_hold_between_passes_goes_on_with_the_same_cycle(bench: Bench) -> 
     waiting = asyncio.Event()
 
     async def slow(function: Any, *arguments: Any, within_s: float = 600.0) -> Any:
-        if function.__name__ == "solve" and len(bench.journal.passes) == 1 and not waiting.is_set():
+        if function.__name__ == "solve_first" and len(bench.journal.passes) == 1 and not waiting.is_set():
             waiting.set()
             await asyncio.Event().wait()
         return await compute(function, *arguments)

@@ -387,7 +387,7 @@ async def test_a_landing_on_the_part_is_refused(tmp_path: Path, journal: Journal
     job = small_job(tmp_path, journal)
     plan = await planned(job, 0, await job.measured(0, small_map()))
     await job.refuse_unsafe(plan)
-    job.recipe = small_recipe(aperture_mm=60.0)
+    job.tools.now = replace(job.tools.now, recipe=small_recipe(aperture_mm=60.0))
     with pytest.raises(PlanRefused, match=r"contact starts at .*\n.*contact ends at"):
         await job.refuse_unsafe(plan)
 

@@ -127,14 +127,14 @@ async def test_the_next_solve_starts_from_the_last_one_across_a_restart(
     from polishd.recipe import dwell_step
 
     starts: list[Any] = []
-    solve = dwell_step.solve
+    solve = dwell_step.solve_first
 
-    def watched(recipe: Any, program: Any, measured: Any, beliefs: Any, warm: Any = None) -> Any:
+    def watched(turns: Any, measured: Any, warm: Any = None) -> Any:
         starts.append(warm)
-        solved = solve(recipe, program, measured, beliefs, warm)
+        solved = solve(turns, measured, warm)
         return replace(solved, dwell=replace(solved.dwell, state={"multipliers": np.arange(3.0)}))
 
-    monkeypatch.setattr(dwell_step, "solve", watched)
+    monkeypatch.setattr(dwell_step, "solve_first", watched)
     await stopped_after_a_pass(site)
     shutil.rmtree(site.config.run_dir)
     await resumed(site)

@@ -130,7 +130,7 @@ async def test_arguments_reach_who_obeys(daemon: Path) -> None:
 @pytest.mark.parametrize(
     ("verb", "args", "says"),
     [
-        ("hold", {"reasn": "x"}, "hold: unknown argument 'reasn'; did you mean 'reason'? Known: 'reason'"),
+        ("hold", {"reasn": "x"}, "hold: unknown argument 'reasn'; did you mean 'reason'? Known: 'by', 'reason'"),
         ("hold", {"reason": 3}, "hold: reason must be a string, not 3"),
         ("status", {"reason": "x"}, "status: unknown argument 'reason'. Known: none"),
     ],

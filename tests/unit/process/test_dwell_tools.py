@@ -71,6 +71,7 @@ def test_in_the_same_time_both_leave_less_than_each_alone() -> None:
     assert rows[("large",)]["rms_nm"] > rows[("large", "small")]["rms_nm"]  # type: ignore[operator]
 
 
+@pytest.mark.full
 def test_a_change_that_costs_more_than_it_saves_is_not_made() -> None:
     """A rough target is the large tool's; a fine one needs both, or the small one for long."""
     names = {target: [one.tool.name for one in both(target).passes] for target in (20.0, 1.2)}

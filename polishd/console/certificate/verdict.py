@@ -1,0 +1,69 @@
+"""Whether a part is what its drawing wants, by which line, and how sure that is: from the last map's judgement."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from polishd.config.profile import Profile
+from polishd.console.certificate.model import Judgement, State, Uncertainty, Verdict
+from polishd.console.certificate.sources import Run
+from polishd.model.tolerance import Judged, holds, judged_of, worst
+from polishd.plugins.run_report import words
+from polishd.plugins.run_report.page import VERDICTS
+
+
+def verdict_of(run: Run) -> Verdict:
+    """By the lines of the last map. Where a pass touched the part since, nobody knows."""
+    judged, outcome = judged_of(run.rows.maps[-1]["stats"]), words.text(run.folder.summary.get("outcome"))
+    since = [done for done in run.rows.passes if done["cycle"] >= run.rows.maps[-1]["cycle"]]
+    state: State = "not known" if since or not judged else "in tolerance" if holds(judged) else "not in tolerance"
+    farthest = worst(judged)
+    ended = VERDICTS[outcome].words if outcome in VERDICTS else outcome.replace("_", " ")
+    if since:
+        said = "Not known: the part was polished after its last map"
+    elif not judged:
+        said = "Not known: the job judges no line"
+    elif state == "in tolerance":
+        said = f"In tolerance: {len(judged)} of {len(judged)} lines hold"
+    else:
+        said = f"Not in tolerance: {sum(one.holds for one in judged)} of {len(judged)} lines hold"
+    return Verdict(
+        state=state,
+        words=said,
+        decided_by="" if farthest is None else str(farthest),
+        lines=[Judgement.model_validate(one.facts()) for one in judged],
+        outcome=ended if outcome else "unfinished",
+        final=run.rows.job["ended"] is not None,
+    )
+
+
+def uncertainty_of(run: Run, profile: Profile | None) -> Uncertainty:
+    """What is known of the error of the figures that decide, in sentences."""
+    accepted = words.text(run.folder.summary.get("accept")) or "figure"
+    judged = judged_of(run.rows.maps[-1]["stats"])
+    return Uncertainty.model_validate(
+        {"accepted": accepted, "statements": [*_of_lines(judged), *_of_instrument(run, profile)]}
+    )
+
+
+def _of_lines(judged: tuple[Judged, ...]) -> Iterator[str]:
+    for one in judged:
+        if one.bound is not None:
+            yield f"{one.what}: {one.bound_words}; judged by that bound."
+        elif one.uncertainty is not None:
+            close = " The limit lies within it: either verdict is possible." if one.unsure else ""
+            yield f"{one.what}: {one.value:.3g} ± {one.uncertainty:.2g} {one.unit}, by repeatability alone.{close}"
+        else:
+            yield f"{one.what}: judged as measured; its uncertainty is not known."
+
+
+def _of_instrument(run: Run, profile: Profile | None) -> Iterator[str]:
+    repeats = None if profile is None else profile.instrument.repeatability_nm
+    if repeats is None:
+        yield "The instrument's repeatability is not in its profile."
+    else:
+        yield f"The instrument's repeatability is {repeats:g} nm RMS."
+    if run.rows.maps[-1]["stats"].get("system"):
+        yield "The instrument's own error was told by turning a part, and is off each map."
+    else:
+        yield "The instrument's own error has not been told apart from the part's: it is in all figures."

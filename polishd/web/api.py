@@ -1,0 +1,237 @@
+"""What the routes do: each handler is given the request and its session, and answers with what becomes JSON."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response, StreamingResponse
+
+from polishd.config.cell import CellConfig
+from polishd.daemon import client
+from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError
+from polishd.web.disk import Disk
+from polishd.web.guard import refusal
+from polishd.web.orders import Orders
+from polishd.web.sessions import COOKIE, Session, Sessions, address_of, foreign_origin
+from polishd.web.watcher import Watcher
+
+MOST_REASON = 500
+MOST_WATCHERS = 200
+MOST_NUMBER = 1 << 53
+
+
+class Api:
+    """Of one cell."""
+
+    def __init__(self, config: CellConfig, sessions: Sessions) -> None:
+        self._config, self.sessions = config, sessions
+        self._disk, self._orders = Disk(config.state_dir), Orders(config.state_dir)
+        self.watcher = Watcher(config.state_dir)
+
+    # who asks
+
+    async def sign_in(self, request: Request) -> Response:
+        """A cookie for a token."""
+        if foreign_origin(request):
+            return refusal(403, "it comes from another site's page")
+        address = address_of(request)
+        if self.sessions.lockout.locked(address):
+            return refusal(429, "too many wrong tokens came from there; wait a minute")
+        user = self.sessions.user_of(str(_said(await _json(request), "token")), address)
+        if user is None:
+            return refusal(401, "that is nobody's token")
+        cookie, session = self.sessions.begin(user)
+        answer = JSONResponse(_who(session))
+        secure = request.url.scheme == "https"
+        answer.set_cookie(COOKIE, cookie, httponly=True, samesite="strict", secure=secure, path="/")
+        return answer
+
+    async def who(self, _request: Request, session: Session) -> Any:
+        """Name, role, and what the page sends along."""
+        return _who(session)
+
+    async def sign_out(self, request: Request, _session: Session) -> Any:
+        """The cookie is worth nothing any more."""
+        self.sessions.end(request)
+        return {}
+
+    # what is so
+
+    async def state(self, _request: Request, _session: Session) -> Any:
+        """From memory."""
+        return {"cell": self._config.cell.name, **self.watcher.state()}
+
+    async def health(self, _request: Request, _session: Session) -> Any:
+        """The same, less."""
+        state = self.watcher.state()
+        live = state["live"] or {}
+        return {"daemon": state["daemon"], "age_s": state["age_s"], **{k: live.get(k) for k in ("health", "ages_s")}}
+
+    async def queue(self, _request: Request, _session: Session) -> Any:
+        """As the daemon has it."""
+        return await self._asked("job_list")
+
+    async def jobs(self, _request: Request, _session: Session) -> Any:
+        """All."""
+        return {"jobs": await asyncio.to_thread(self._disk.jobs)}
+
+    async def cycles(self, request: Request, _session: Session) -> Any:
+        """Of one job."""
+        return {"cycles": await asyncio.to_thread(self._disk.cycles, _number(request, "job"))}
+
+    async def map(self, request: Request, _session: Session) -> Any:
+        """As an array."""
+        kind = request.path_params["kind"]
+        if kind not in {"measured", "predicted", "removal"}:
+            raise ConfigError("there is no such map: measured, predicted or removal")
+        return await asyncio.to_thread(self._disk.map, *_cycle(request), kind)
+
+    async def psd(self, request: Request, _session: Session) -> Any:
+        """Of a measured map."""
+        return await asyncio.to_thread(self._disk.psd, *_cycle(request))
+
+    async def plan(self, request: Request, _session: Session) -> Any:
+        """Points, dwell, compliance, gamma."""
+        return await asyncio.to_thread(self._disk.plan, *_cycle(request))
+
+    async def certificate(self, request: Request, _session: Session) -> Any:
+        """Of a plan's dwell."""
+        return await asyncio.to_thread(self._disk.certificate, *_cycle(request))
+
+    async def history(self, _request: Request, _session: Session) -> Any:
+        """Of all parts."""
+        return {"jobs": await asyncio.to_thread(self._disk.history)}
+
+    async def journal(self, request: Request, _session: Session) -> Any:
+        """What happened, and who ordered it."""
+        before = request.query_params.get("before")
+        if before is not None and not (before.isdecimal() and len(before) < 16):
+            raise ConfigError("before is the number of an event")
+        return {"events": await asyncio.to_thread(self._disk.events, None if before is None else int(before))}
+
+    async def alarms(self, _request: Request, _session: Session) -> Any:
+        """That nobody has acknowledged."""
+        return {"alarms": await asyncio.to_thread(self._disk.alarms)}
+
+    async def config(self, _request: Request, _session: Session) -> Any:
+        """All values in force; what is secret stands in no config."""
+        return self._config.effective()
+
+    async def events(self, _request: Request, _session: Session) -> Any:
+        """For as long as the page is there."""
+        if self.watcher.pages >= MOST_WATCHERS:
+            return refusal(503, f"{MOST_WATCHERS} watch already")
+
+        async def messages() -> Any:
+            with self.watcher.page() as page:
+                async for message in page:
+                    yield message
+
+        return StreamingResponse(messages(), media_type="text/event-stream")
+
+    # what is wanted
+
+    async def safe_order(self, request: Request, session: Session) -> Any:
+        """Hold or stop."""
+        verb = request.url.path.rpartition("/")[2]
+        try:
+            reason = _reason(await _json(request))
+        except ConfigError:  # whatever else was said: it is to stand still
+            reason = ""
+        return await self._ordered(verb, {"reason": reason, "by": _by(session)}, joined=True)
+
+    async def resume(self, request: Request, session: Session) -> Any:
+        """Go on."""
+        reason = _reason(await _json(request))
+        return await self._ordered("resume", {"reason": reason, "by": _by(session)})
+
+    async def approve(self, request: Request, session: Session) -> Any:
+        """That plan, and no other."""
+        program = str(_said(await _json(request), "program_sha256"))
+        return await self._ordered("approve", {"program_sha256": program, "by": _by(session)})
+
+    async def acknowledge(self, request: Request, session: Session) -> Any:
+        """Those alarms."""
+        said = _said(await _json(request), "alarms")
+        if not isinstance(said, list):
+            raise ConfigError("alarms is a list of numbers")
+        return await self._ordered("acknowledge", {"alarms": said, "by": _by(session)})
+
+    async def move(self, request: Request, session: Session) -> Any:
+        """A job that waits."""
+        said = await _json(request)
+        args = {"job": str(_said(said, "job")), "where": str(_said(said, "where")), "other": str(said.get("other", ""))}
+        return await self._ordered("job_move", {**args, "by": _by(session)})
+
+    async def remove(self, request: Request, session: Session) -> Any:
+        """A job that waits, or over which the cell is held."""
+        said = await _json(request)
+        args = {"job": str(_said(said, "job")), "reason": _reason(said)}
+        return await self._ordered("job_remove", {**args, "by": _by(session)})
+
+    async def _ordered(self, verb: str, args: Mapping[str, Any], *, joined: bool = False) -> Any:
+        try:
+            answer = await self._orders.give(verb, args, joined=joined)
+        except PolishdError as error:
+            return _failed(error)
+        if answer is None:
+            return JSONResponse({"ok": True, "obeyed": False}, 202)
+        return answer if answer.get("ok") else refusal(409, str(answer.get("error")))
+
+    async def _asked(self, verb: str) -> Any:
+        try:
+            return await asyncio.to_thread(client.request, self._config.state_dir, verb)
+        except PolishdError as error:
+            return _failed(error)
+
+
+def _failed(error: PolishdError) -> JSONResponse:
+    status = 503 if isinstance(error, NoDaemon) else 504 if isinstance(error, LinkError) else 502
+    return refusal(status, str(error))
+
+
+def _who(session: Session) -> dict[str, Any]:
+    return {"ok": True, "name": session.user.name, "role": session.user.role.value, "csrf": session.csrf}
+
+
+def _by(session: Session) -> str:
+    return f"{session.user.name} (web)"
+
+
+def _cycle(request: Request) -> tuple[int, int]:
+    return _number(request, "job"), _number(request, "cycle")
+
+
+def _number(request: Request, name: str) -> int:
+    """As the journal can hold it."""
+    found = int(request.path_params[name])
+    if found > MOST_NUMBER:
+        raise ConfigError("there is none of that job and cycle")
+    return found
+
+
+async def _json(request: Request) -> dict[str, Any]:
+    body = await request.body()
+    if not body:
+        return {}
+    try:
+        found = json.loads(body)
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, dict):
+        raise ConfigError("the body is no JSON object")
+    return found
+
+
+def _said(said: Mapping[str, Any], key: str) -> Any:
+    if key not in said:
+        raise ConfigError(f"{key} must be given")
+    return said[key]
+
+
+def _reason(said: Mapping[str, Any]) -> str:
+    return str(said.get("reason", ""))[:MOST_REASON]

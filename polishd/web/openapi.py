@@ -1,0 +1,80 @@
+"""The OpenAPI document, from the table of routes."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from polishd import __version__
+from polishd.web.routes import ROUTES, Route
+
+ERROR = {"type": "object", "properties": {"ok": {"type": "boolean"}, "error": {"type": "string"}}}
+REFUSALS = {
+    "400": "the request is wrong, and says how",
+    "401": "nobody is signed in",
+    "403": "the role does not suffice, or the request is forged",
+    "404": "there is none",
+    "409": "the daemon refuses it, and says why",
+    "429": "too many requests",
+    "503": "no daemon runs",
+    "504": "the daemon does not answer",
+}
+
+
+def document() -> dict[str, Any]:
+    """Of version 3.1."""
+    paths: dict[str, dict[str, Any]] = {}
+    for route in ROUTES:
+        paths.setdefault(open_path(route.path), {})[route.method.lower()] = _operation(route)
+    token = {"type": "object", "properties": {"token": {"type": "string"}}, "required": ["token"]}
+    sign_in = {"summary": "sign in: a cookie for a token", "security": [], "requestBody": _body(token)}
+    paths["/api/session"]["post"] = {**sign_in, "responses": _responses()}
+    paths["/api/openapi.json"] = {"get": {"summary": "this document", "security": [], "responses": _responses()}}
+    schemes = {
+        "token": {"type": "http", "scheme": "bearer"},
+        "cookie": {"type": "apiKey", "in": "cookie", "name": "polishd"},
+    }
+    return {
+        "openapi": "3.1.0",
+        "info": {"title": "polishd", "version": __version__, "description": "Hold and stop are no emergency stop."},
+        "paths": paths,
+        "components": {"securitySchemes": schemes},
+        "security": [{"token": []}, {"cookie": []}],
+    }
+
+
+def open_path(path: str) -> str:
+    """As OpenAPI writes it."""
+    return re.sub(r":int}", "}", path)
+
+
+def _operation(route: Route) -> dict[str, Any]:
+    names = re.findall(r"{(\w+)(:int)?}", route.path)
+    found: dict[str, Any] = {
+        "summary": route.what,
+        "description": f"Needs the role {route.role.value}, or more.",
+        "responses": _responses(stream=route.path == "/api/events"),
+        "parameters": [
+            {"name": name, "in": "path", "required": True, "schema": {"type": "integer" if number else "string"}}
+            for name, number in names
+        ],
+    }
+    if route.path == "/api/journal":
+        found["parameters"].append({"name": "before", "in": "query", "schema": {"type": "integer"}})
+    if route.fields:
+        properties = {name.rstrip("?"): {"type": kind} for name, kind in route.fields}
+        required = [name for name, _ in route.fields if not name.endswith("?")]
+        schema = {"type": "object", "properties": properties, **({"required": required} if required else {})}
+        found["requestBody"] = _body(schema, required=bool(required))
+    return found
+
+
+def _body(schema: dict[str, Any], *, required: bool = True) -> dict[str, Any]:
+    return {"required": required, "content": {"application/json": {"schema": schema}}}
+
+
+def _responses(*, stream: bool = False) -> dict[str, Any]:
+    kind = "text/event-stream" if stream else "application/json"
+    good = {"description": "done", "content": {kind: {"schema": {"type": "string" if stream else "object"}}}}
+    error = {"application/json": {"schema": ERROR}}
+    return {"200": good, **{code: {"description": why, "content": error} for code, why in REFUSALS.items()}}

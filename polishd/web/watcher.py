@@ -1,0 +1,152 @@
+"""One watcher of the daemon for all who watch: it asks twice a second, hears events, and tells everybody.
+
+So a hundred pages cost the daemon as much as one. It lives in threads of its own, which nothing else can fill.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from pathlib import Path
+from typing import Any
+
+from polishd.daemon import client
+from polishd.daemon.endings import last_ending
+from polishd.model.errors import NoDaemon, PolishdError
+from polishd.web.finite import finite
+
+LOOK_S = 0.5
+"""Between two questions."""
+ANSWER_S = 1.0
+"""A daemon that has not answered for so long is called silent."""
+MOST_BEHIND = 200
+"""Messages that a page may be behind before it is let go; it comes again."""
+
+
+class Watcher:
+    """Of one cell; see ``watching``."""
+
+    def __init__(self, state_dir: Path) -> None:
+        self._state_dir = state_dir
+        self._pages: set[asyncio.Queue[str | None]] = set()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._ended, self._look = threading.Event(), threading.Event()
+        self._live: dict[str, Any] = {}
+        self._heard_s: float | None = None
+        self.daemon = "none"
+        """``up``, ``silent`` or ``none``."""
+        self.number = 0
+        """Of events so far: what is kept of the journal is read anew when it grows."""
+
+    def state(self) -> dict[str, Any]:
+        """What is known, and how old it is."""
+        age_s = None if self._heard_s is None else round(time.monotonic() - self._heard_s, 3)
+        known = {"daemon": self.daemon, "age_s": age_s, "number": self.number, "live": self._live or None}
+        return known if self.daemon != "none" else {**known, "ending": last_ending(self._state_dir)}
+
+    @contextmanager
+    def page(self) -> Iterator[AsyncIterator[str]]:
+        """Messages as they are sent to a page: ``event: state`` twice a second, ``event: happened`` as it happens."""
+        waiting: asyncio.Queue[str | None] = asyncio.Queue()
+        waiting.put_nowait(_message("state", self.state()))
+        self._pages.add(waiting)
+        try:
+            yield _until_none(waiting)
+        finally:
+            self._pages.discard(waiting)
+
+    @property
+    def pages(self) -> int:
+        """How many watch."""
+        return len(self._pages)
+
+    def _start(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        for work in (self._ask_on, self._listen_on):
+            threading.Thread(target=work, name="watcher", daemon=True).start()
+
+    def _end(self) -> None:
+        self._ended.set()
+        self._look.set()
+        for page in tuple(self._pages):
+            page.put_nowait(None)
+
+    def _in_loop(self, function: Callable[..., None], *arguments: Any) -> None:
+        if self._loop is not None and not self._ended.is_set():
+            try:
+                self._loop.call_soon_threadsafe(function, *arguments)
+            except RuntimeError:  # it was closed in this moment
+                self._ended.set()
+
+    def _ask_on(self) -> None:
+        while not self._ended.is_set():
+            daemon, answer = self._asked()
+            if daemon == "silent":
+                daemon, answer = self._asked()  # it may have been killed while it was asked: then there is none now
+            self._in_loop(self._told, daemon, answer)
+            self._look.wait(LOOK_S)
+            self._look.clear()
+
+    def _asked(self) -> tuple[str, dict[str, Any] | None]:
+        try:
+            return "up", client.request(self._state_dir, "live", ANSWER_S / 2)
+        except NoDaemon:
+            return "none", None
+        except PolishdError:
+            return "silent", None
+
+    def _listen_on(self) -> None:
+        while not self._ended.is_set():
+            try:
+                for event in client.subscribe(self._state_dir, ANSWER_S):
+                    if self._ended.is_set():
+                        return
+                    self._in_loop(self._happened, event)
+                self._look.set()  # it has ended: that is told at once
+            except (PolishdError, OSError):
+                self._look.set()
+            self._ended.wait(LOOK_S)
+
+    def _told(self, daemon: str, answer: dict[str, Any] | None) -> None:
+        self.daemon = daemon
+        if answer is not None:
+            self._live, self._heard_s = answer, time.monotonic()
+        self._send(_message("state", self.state()))
+
+    def _happened(self, event: dict[str, Any]) -> None:
+        self.number += 1
+        self._send(_message("happened", event))
+        if event.get("name") != "progress":
+            self._look.set()
+
+    def _send(self, message: str) -> None:
+        for page in tuple(self._pages):
+            if page.qsize() >= MOST_BEHIND:
+                self._pages.discard(page)
+                page.put_nowait(None)
+            else:
+                page.put_nowait(message)
+
+
+@asynccontextmanager
+async def watching(state_dir: Path) -> AsyncIterator[Watcher]:
+    """A watcher that watches inside this block."""
+    watcher = Watcher(state_dir)
+    watcher._start(asyncio.get_running_loop())
+    try:
+        yield watcher
+    finally:
+        watcher._end()
+
+
+def _message(kind: str, facts: dict[str, Any]) -> str:
+    return f"event: {kind}\ndata: {json.dumps(finite(facts))}\n\n"
+
+
+async def _until_none(waiting: asyncio.Queue[str | None]) -> AsyncIterator[str]:
+    while (message := await waiting.get()) is not None:
+        yield message

@@ -1,0 +1,101 @@
+"""The page of a whole simulated cell in a browser: live, held, gone on with, and a daemon that is killed is seen."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from polishd.config.cell import load_config
+from polishd.console.demo_files import DemoFiles
+from polishd.web.users import Role, Users, users_path
+from tests.patience import SOON_S
+from tests.system.browser import Page, browsing
+from tests.system.cell_rig import Daemon, small_cell, with_keys
+
+pytestmark = [pytest.mark.system, pytest.mark.full]
+
+SEEN_S = 1.5
+"""A daemon that is killed is seen within so long, on a machine that has nothing else to do."""
+FREE = {"web": {"port": 0}}
+PICTURE = os.environ.get("POLISHD_PAGE_PNG", "")
+"""Where the picture for the README goes."""
+
+
+@contextlib.contextmanager
+def web_of(files: DemoFiles) -> Iterator[str]:
+    """`polishd web` as a process; its address."""
+    command = [sys.executable, "-m", "polishd.cli", "web", str(files.cell)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            yield process.stdout.readline().strip()
+        finally:
+            process.terminate()
+            process.wait(SOON_S)
+
+
+def signed_in(page: Page, url: str, token: str) -> None:
+    page.go(url)
+    page.until("!document.getElementById('sign-in').hidden")
+    page.run(f"document.getElementById('token').value = '{token}'")
+    page.run("document.querySelector('#sign-in button').click()")
+    page.until("!document.getElementById('main').hidden")
+
+
+FRESH = "[...document.querySelectorAll('#live tr:not(.old)')].some((row) => row.cells[0].textContent === 'Force')"
+STATE = "document.getElementById('state').textContent === '{}'"
+
+
+def test_a_cycle_is_watched_held_gone_on_with_and_a_dead_daemon_is_seen(tmp_path: Path) -> None:
+    with small_cell(tmp_path / "cell", speed=5.0, tolerance_nm=0.1, max_cycles=4) as files:
+        part = "<img src=x onerror=alert(1)>"
+        files.cell.write_text(with_keys(files.cell.read_text(), FREE))
+        token = Users(users_path(load_config(files.cell))).add("anna", Role.OPERATE)
+        with web_of(files) as url, browsing(tmp_path / "browser") as page:
+            signed_in(page, url, token)
+            page.until("document.getElementById('lost').textContent.includes('NO DAEMON')")
+            with Daemon(files) as daemon:
+                page.until(FRESH)
+                page.until("document.getElementById('lost').hidden")
+                page.until("document.querySelectorAll('#passes tr').length > 0")
+                page.until("document.getElementById('map-said').textContent.includes('nm')")
+                if PICTURE:
+                    page.until("document.getElementById('done').value > 0.3")
+                    page.picture(Path(PICTURE), 1500)
+                page.run(f"document.getElementById('reason').value = {part!r}")
+                page.press("hold")
+                page.until(STATE.format("held"))
+                page.until("document.getElementById('journal').textContent.includes('anna (web)')")
+                page.until("document.getElementById('why').textContent.includes('onerror')")
+                page.press("resume")
+                page.until(STATE.format("polishing"))
+                daemon.process.send_signal(signal.SIGKILL)
+                killed_s = time.monotonic()
+                page.until("!document.getElementById('lost').hidden")
+                took_s = time.monotonic() - killed_s
+                assert page.run("document.body.classList.contains('stale')")
+                page.until("[...document.querySelectorAll('#orders button')].every((one) => one.disabled)")
+                cores = os.cpu_count() or 1
+                assert took_s < SEEN_S or os.getloadavg()[0] > cores / 2, took_s
+            assert page.requests
+            assert all(one.startswith((url, "data:", "about:")) for one in page.requests), page.requests
+            assert page.problems == []
+
+
+def test_the_servers_own_end_is_seen_too(tmp_path: Path) -> None:
+    with small_cell(tmp_path / "cell") as files, browsing(tmp_path / "browser") as page:
+        files.cell.write_text(with_keys(files.cell.read_text(), FREE))
+        token = Users(users_path(load_config(files.cell))).add("anna", Role.WATCH)
+        with web_of(files) as url:
+            signed_in(page, url, token)
+            page.until("document.getElementById('lost').textContent.includes('NO DAEMON')")
+        page.until("document.getElementById('lost').textContent.includes('No connection')")
+        page.until("[...document.querySelectorAll('#orders button')].every((one) => one.disabled)")

@@ -1,0 +1,107 @@
+"""A cell's page and API for a test: a daemon of a few answers on a real socket, and users of each role."""
+
+from __future__ import annotations
+
+import json
+import os
+import socketserver
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from starlette.testclient import TestClient
+
+from polishd.config.cell import CellConfig, load_config
+from polishd.console.demo_files import write_demo
+from polishd.daemon.sockets import SOCKET_NAME
+from polishd.web.app import application
+from polishd.web.users import Role, Users, users_path
+
+LIVE = {"state": "polishing", "reason": "", "next": "", "told": {}, "approval": "ab" * 32, "signals": {}, "health": {}}
+
+
+@dataclass
+class Answers:
+    """A daemon that notes what it was asked, and says what it is told to say."""
+
+    asked: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
+    refuse: str = ""
+    hang: threading.Event | None = None
+    subscribers: list[Any] = field(default_factory=list)
+
+    def answer(self, verb: str, args: dict[str, Any]) -> dict[str, Any]:
+        if verb not in {"live", "subscribe"}:
+            self.asked.append((verb, args))
+        if verb in {"live", "subscribe"}:
+            return {"ok": True, **LIVE}
+        if self.hang is not None and verb not in {"hold", "stop"}:
+            self.hang.wait(60)
+        return {"ok": False, "error": self.refuse} if self.refuse else {"ok": True, "state": "held", "jobs": []}
+
+
+@contextmanager
+def answering(state_dir: Path) -> Iterator[Answers]:
+    """It listens inside this block."""
+    state_dir.mkdir(parents=True, exist_ok=True)
+    answers = Answers()
+
+    class Handler(socketserver.StreamRequestHandler):
+        def handle(self) -> None:
+            for line in self.rfile:
+                request = json.loads(line)
+                answer = answers.answer(request["verb"], request.get("args", {}))
+                self.wfile.write(json.dumps(answer).encode() + b"\n")
+                self.wfile.flush()
+                if request["verb"] == "subscribe":
+                    answers.subscribers.append(self.wfile)
+                    self.rfile.read()
+
+    class Server(socketserver.ThreadingMixIn, socketserver.UnixStreamServer):
+        daemon_threads = True
+        block_on_close = False
+
+    path = state_dir / SOCKET_NAME
+    with Server(str(path) if len(os.fsencode(path)) < 100 else os.path.relpath(path), Handler) as server:
+        threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
+        try:
+            yield answers
+        finally:
+            server.shutdown()
+            path.unlink(missing_ok=True)
+
+
+@dataclass
+class Served:
+    """The application, its daemon, and a token of each role."""
+
+    config: CellConfig
+    client: TestClient
+    daemon: Answers
+    tokens: dict[Role, str]
+
+    def ask(self, method: str, path: str, role: Role | None = Role.ENGINEER, **more: Any) -> Any:
+        """As a program with that role's token; None: without any."""
+        headers = {} if role is None else {"Authorization": f"Bearer {self.tokens[role]}"}
+        return self.client.request(method, path, headers={**headers, **more.pop("headers", {})}, **more)
+
+    def sign_in(self, role: Role = Role.OPERATE) -> dict[str, str]:
+        """As a browser: the client keeps its cookie; headers that its page would send."""
+        answer = self.client.post("/api/session", json={"token": self.tokens[role]})
+        assert answer.status_code == 200, answer.text
+        return {"x-csrf-token": answer.json()["csrf"], "origin": "http://127.0.0.1"}
+
+
+@contextmanager
+def served(folder: Path) -> Iterator[Served]:
+    """For the time of the block."""
+    config = load_config(write_demo(folder / "demo", None, 2.0, 4, None).cell)
+    users = Users(users_path(config))
+    tokens = {role: users.add(f"{role}-person", role) for role in Role}
+    with (
+        answering(config.state_dir) as daemon,
+        TestClient(application(config), base_url="http://127.0.0.1", raise_server_exceptions=False) as client,
+    ):
+        yield Served(config, client, daemon, tokens)

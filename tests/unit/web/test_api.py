@@ -1,0 +1,124 @@
+"""Each endpoint with each role; orders with their givers' names; the document that matches the routes."""
+
+from __future__ import annotations
+
+import json
+import re
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from polishd.daemon.journal import Journal
+from polishd.model.events import Acknowledged, Held
+from polishd.web import limits, orders
+from polishd.web.openapi import document, open_path
+from polishd.web.routes import ROUTES, Route
+from polishd.web.users import Role
+from tests.patience import SOON_S
+from tests.unit.web.served import Served, served
+
+DOCS = Path(__file__).resolve().parents[3] / "docs" / "web.md"
+FIELDS = {"string": "x", "array": [1]}
+
+
+@pytest.fixture
+def web(tmp_path: Path) -> Iterator[Served]:
+    with served(tmp_path) as found:
+        yield found
+
+
+def path_of(route: Route) -> str:
+    """With numbers in it that nobody has."""
+    return re.sub(r"{\w+:int}", "9", route.path).replace("{kind}", "measured")
+
+
+ALL_BUT_THE_STREAM = [one for one in ROUTES if one.path != "/api/events"]
+
+
+@pytest.mark.parametrize("route", ALL_BUT_THE_STREAM, ids=lambda one: one.method + one.path)
+def test_each_endpoint_with_each_role(web: Served, route: Route) -> None:
+    """Who may gets an answer that is no refusal of him; who may not is refused before anything is done."""
+    body = {name.rstrip("?"): FIELDS[kind] for name, kind in route.fields}
+    for role in (None, *Role):
+        said = web.ask(route.method, path_of(route), role, **({"json": body} if route.method == "POST" else {}))
+        if role is None:
+            assert said.status_code == 401
+        elif not role.may(route.role):
+            assert said.status_code == 403
+        else:
+            assert said.status_code in {200, 404}, said.text
+        assert said.headers["content-type"] == "application/json"
+    asked = [args["by"] for _, args in web.daemon.asked if "by" in args]
+    assert asked == ([f"{role}-person (web)" for role in Role if role.may(route.role)] if asked else [])
+
+
+def test_the_document_has_every_route_and_no_other(web: Served) -> None:
+    paths = web.ask("GET", "/api/openapi.json", None).json()["paths"]
+    told = {(method.upper(), path) for path, methods in paths.items() for method in methods}
+    alone = {("POST", "/api/session"), ("GET", "/api/openapi.json")}
+    assert told == {(route.method, open_path(route.path)) for route in ROUTES} | alone
+    assert json.loads(json.dumps(document()))["openapi"] == "3.1.0"
+
+
+def test_the_docs_have_every_route_with_its_role() -> None:
+    rows = [f"| `{route.method}` | `{open_path(route.path)}` | {route.role} | {route.what} |" for route in ROUTES]
+    assert "\n".join(rows) in DOCS.read_text(), "\n".join(rows)
+
+
+def test_hold_and_stop_get_through_while_all_else_hangs_and_over_every_limit(
+    web: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a token, from every role; also where too many wrong tokens came from, and after too many requests."""
+    monkeypatch.setattr(limits, "PER_S", 0.0)
+    web.daemon.hang = threading.Event()
+    resume = ("POST", "/api/orders/resume", Role.OPERATE)
+    threads = [threading.Thread(target=web.ask, args=resume, daemon=True) for _ in range(50)]
+    try:
+        for thread in threads:
+            thread.start()
+        codes = {web.ask("GET", "/api/state", Role.WATCH).status_code for _ in range(150)}
+        assert codes == {200, 429}
+        for _ in range(10):
+            web.client.get("/api/state", headers={"Authorization": "Bearer wrong"})
+        assert web.ask("GET", "/api/state", Role.ENGINEER).status_code == 401
+        for role in Role:
+            for verb in ("hold", "stop"):
+                said = web.ask("POST", f"/api/orders/{verb}", role, content=b"no json")
+                assert (said.status_code, said.json()["ok"]) == (200, True)
+    finally:
+        web.daemon.hang.set()
+        for thread in threads:
+            thread.join(SOON_S)
+    assert {"hold", "stop"} <= {verb for verb, _ in web.daemon.asked}
+
+
+def test_an_order_that_is_not_obeyed_yet_says_so(web: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(orders, "TOLD_S", 0.01)
+    web.daemon.hang = threading.Event()
+    said = web.ask("POST", "/api/orders/resume", Role.OPERATE)
+    web.daemon.hang.set()
+    assert (said.status_code, said.json()) == (202, {"ok": True, "obeyed": False})
+
+
+def test_what_the_daemon_refuses_is_said_in_its_words(web: Served) -> None:
+    web.daemon.refuse = "resume is refused: clear is off, must be on"
+    said = web.ask("POST", "/api/orders/resume", Role.OPERATE)
+    assert (said.status_code, said.json()["error"]) == (409, web.daemon.refuse)
+
+
+def test_alarms_stay_until_somebody_has_seen_them_and_the_first_is_named(web: Served) -> None:
+    with Journal.open(web.config.state_dir, job="demo", part_id="P", terms={}) as journal:
+        journal.record_event(Held(error="the wire is cut; mend it", kind="LinkError"))
+        journal.record_event(Held(error="and the spindle", kind="DeviceFault"))
+        journal.flush()
+        first, second = web.ask("GET", "/api/alarms").json()["alarms"]
+        assert (first["first"], first["what"], second["first"]) == (True, "the wire is cut; mend it", False)
+        assert first["todo"]
+        journal.record_event(Acknowledged(alarms=[first["number"]], by="somebody"))
+        journal.flush()
+        (left,) = web.ask("GET", "/api/alarms").json()["alarms"]
+        assert (left["number"], left["first"]) == (second["number"], True)
+    trail = web.ask("GET", "/api/journal").json()["events"]
+    assert [one["name"] for one in trail] == ["acknowledged", "held", "held"]

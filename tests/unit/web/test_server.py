@@ -1,0 +1,80 @@
+"""The real server, as a process: its stream, and TLS."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import ssl
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from polishd.config.cell import load_config
+from polishd.console.demo_files import write_demo
+from polishd.web.users import Role, Users, users_path
+from tests.patience import SOON_S
+from tests.unit.web.served import answering
+
+
+@contextmanager
+def serving(cell: Path) -> Iterator[tuple[str, int]]:
+    """Where it listens."""
+    command = [sys.executable, "-m", "polishd.cli", "web", str(cell)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        try:
+            assert process.stdout is not None
+            host, port = process.stdout.readline().strip().rpartition("//")[2].rstrip("/").split(":")
+            yield host, int(port)
+        finally:
+            process.terminate()
+            process.wait(SOON_S)
+
+
+def test_the_stream_tells_the_state_and_ends_with_the_server(tmp_path: Path) -> None:
+    cell = write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
+    cell.write_text(cell.read_text().replace("port = 8750", "port = 0"))
+    config = load_config(cell)
+    token = Users(users_path(config)).add("anna", Role.WATCH)
+    head = f"GET /api/events HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {token}\r\n\r\n"
+    with answering(config.state_dir), serving(cell) as at, socket.create_connection(at, SOON_S) as watcher:
+        watcher.sendall(head.encode())
+        heard = b""
+        while b'"daemon": "up"' not in heard:
+            part = watcher.recv(65536)
+            assert part
+            heard += part
+        assert b"content-type: text/event-stream" in heard.lower()
+        assert heard.count(b"event: state") >= 1
+
+
+def test_with_a_certificate_it_speaks_tls_and_nothing_else(tmp_path: Path) -> None:
+    openssl = shutil.which("openssl")
+    if openssl is None:
+        pytest.skip("openssl is not installed: apt-get install openssl")
+    cell = write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
+    folder = cell.parent
+    command = [openssl, "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1", "-subj", "/CN=localhost"]
+    command += ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", "key.pem", "-out", "cert.pem"]
+    subprocess.run(command, cwd=folder, capture_output=True, check=True)
+    keys = 'port = 0\ncert = "cert.pem"\nkey = "key.pem"'
+    cell.write_text(cell.read_text().replace("port = 8750", keys))
+    Users(users_path(load_config(cell))).add("anna", Role.WATCH)
+    request = b"GET /api/state HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n"
+    with serving(cell) as at:
+        context = ssl.create_default_context(cafile=str(folder / "cert.pem"))
+        with (
+            socket.create_connection(at, SOON_S) as plain,
+            context.wrap_socket(socket.create_connection(at, SOON_S), server_hostname="127.0.0.1") as secure,
+        ):
+            secure.sendall(request)
+            assert secure.recv(1000).startswith(b"HTTP/1.1 401")
+            plain.sendall(request)
+            try:
+                answer = plain.recv(1000)
+            except ConnectionError:
+                answer = b""
+            assert not answer.startswith(b"HTTP")

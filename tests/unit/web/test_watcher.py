@@ -1,0 +1,78 @@
+"""One watcher for all: what it tells pages of a daemon that is there, gone, or silent."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from polishd.daemon import client
+from polishd.daemon.endings import keep_ending
+from polishd.model.errors import LinkError
+from polishd.web import watcher as module
+from polishd.web.finite import finite
+from polishd.web.watcher import Watcher, watching
+from tests.patience import SOON_S
+from tests.unit.web.served import answering
+
+
+async def until(page: AsyncIterator[str], daemon: str) -> dict[str, Any]:
+    """The first state that says so."""
+    async with asyncio.timeout(SOON_S):
+        async for message in page:
+            kind, _, data = message.removeprefix("event: ").partition("\ndata: ")
+            if kind == "state" and (state := json.loads(data))["daemon"] == daemon:
+                return dict(state)
+    raise AssertionError(f"never {daemon}")
+
+
+async def test_a_daemon_that_comes_and_goes_is_told_with_ages(tmp_path: Path) -> None:
+    keep_ending(tmp_path, {"state": "stopped", "reason": "by order"})
+    async with watching(tmp_path) as watcher:
+        with watcher.page() as page:
+            gone = await until(page, "none")
+            assert (gone["age_s"], gone["live"], gone["ending"]["reason"]) == (None, None, "by order")
+            with answering(tmp_path):
+                there = await until(page, "up")
+                assert there["live"]["state"] == "polishing"
+                assert there["age_s"] < SOON_S
+            last = await until(page, "none")
+            assert last["live"]["state"] == "polishing"  # and its age says that it is from before
+            assert last["age_s"] >= 0
+
+
+async def test_a_daemon_that_does_not_answer_is_silent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "ANSWER_S", 0.05)
+    with socket.socket(socket.AF_UNIX) as hangs:  # also once no more questions fit
+        hangs.bind(str(tmp_path / "polishd.sock"))
+        hangs.listen(1)
+        async with watching(tmp_path) as watcher:
+            with watcher.page() as page:
+                assert (await until(page, "silent"))["live"] is None
+            for _ in range(4):
+                with pytest.raises(LinkError):
+                    await asyncio.to_thread(client.request, tmp_path, "live", 0.05)
+
+
+async def test_events_reach_every_page_and_one_that_does_not_read_is_let_go(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "MOST_BEHIND", 3)
+    watcher = Watcher(tmp_path)
+    with watcher.page() as slow, watcher.page() as quick:
+        await anext(quick)
+        for number in range(3):
+            watcher._happened({"name": "measured", "cycle": number, "data": {"pv_nm": float("nan")}})
+            assert '"pv_nm": null' in await anext(quick)
+        assert watcher.pages == 1
+        assert len([message async for message in slow]) == 3
+    assert (watcher.pages, watcher.number) == (0, 3)
+
+
+def test_what_json_has_not_is_null() -> None:
+    assert finite({1: [float("inf"), (1.5, "x", None, True)]}) == {"1": [None, [1.5, "x", None, True]]}
