@@ -48,7 +48,7 @@ BOUNDS = {
 
 What it gives is counted in. docs/programs.md tells them; benchmark and test hold them.
 """
-FIXED_MB = 140.0
+FIXED_MB = 40.0
 """What a stage takes however few the blocks: pieces of the program's text under way, SQLite's pages."""
 TURN = 100
 """Blocks that are told at once."""
