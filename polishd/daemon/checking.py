@@ -28,7 +28,7 @@ from polishd.hooks.loader import Hooks
 from polishd.model.devices import Identity
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.ports.devices import ForceActuator
-from polishd.recipe import foresight, steps, touch_off
+from polishd.recipe import disk, foresight, steps, touch_off
 from polishd.recipe.accepting import acceptance_words
 from polishd.recipe.making import make_recipes, why_not_commissioned
 from polishd.recipe.program_fit import require_fit
@@ -78,6 +78,9 @@ def _along(config: CellConfig, cell: Cell, hooks: Hooks, recipe: Recipe) -> dict
         "covers": require_fit(config, recipe, program),
         "seat": _seat(recipe, hooks),
         "pass": foresight.pass_words(recipe, program, answer),
+        "disk": disk.pass_words(
+            config.state_dir, config.run_dir or config.state_dir, program.lines, config.job.max_cycles
+        ),
         "reach": f"all {program.n} points",
         "compliance_um_per_n": f"{compliance.min():.3f} to {compliance.max():.3f}",
         "gamma": f"{gamma.min():.3f} to {gamma.max():.3f}",

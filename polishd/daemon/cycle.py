@@ -55,7 +55,7 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
             require_certificate(solved.dwell.certificate, job.recipe)
         async with journal.phase(cycle, Phase.PLAN):
             plan = await job.plan(cycle, surface, solved)
-            job.refuse_unsafe(plan)
+            await job.refuse_unsafe(plan)
         if job.worthless(cycle):
             return Outcome.STALLED
         await until_approved(cell, job, cycle, plan, solved.dwell.certificate.predicted_rms_nm)

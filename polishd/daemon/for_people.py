@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from polishd.daemon.journal import Journal
 from polishd.model.errors import ConfigError
@@ -56,7 +57,7 @@ class ForPeople:
         blocks = self.journal.executed(cycle)
         record = next(found for found in self.journal.passes if found.cycle == cycle)
         reached = np.arange(*(record.uncertain or (0, 0)))
-        columns = {
+        columns: dict[str, NDArray[Any]] = {
             "start_s": blocks.start_s,
             "end_s": blocks.end_s,
             "contact": blocks.touched,
@@ -64,9 +65,12 @@ class ForPeople:
             "rpm": blocks.rpm,
             "sensor_force_n": blocks.sensor_force_n,
         }
-        unknown = np.full(reached.size, np.nan)
-        whole = {name: np.concatenate([column, unknown]) for name, column in columns.items()}
-        content = table({"seq": np.concatenate([blocks.seq, reached]), **whole})
+        whole: dict[str, NDArray[Any]] = {"seq": blocks.seq, **columns}
+        if reached.size:
+            unknown = np.full(reached.size, np.nan)
+            whole = {name: np.concatenate([column, unknown]) for name, column in columns.items()}
+            whole = {"seq": np.concatenate([blocks.seq, reached]), **whole}
+        content = table(whole)
         self.folder.cycle(cycle).bytes("executed.csv", content)
 
     def _remake(self) -> None:

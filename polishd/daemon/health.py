@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import os
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Mapping
@@ -23,6 +22,7 @@ from polishd.daemon.job import Job
 from polishd.daemon.journal_store import LATE_S
 from polishd.daemon.listening import most_telling
 from polishd.daemon.making import NoJob
+from polishd.recipe.disk import MB, Writes, rooms
 
 log = logging.getLogger(__name__)
 
@@ -32,11 +32,6 @@ SLOW_S = 2.0
 """Between two looks at disks and memory."""
 WINDOW_S = 60.0
 """For so long a lag of the loop is remembered."""
-MB = 1e6
-BLOCK_MB = 200 / MB
-"""A block of a pass: its row of the journal twice (file and WAL), and its share of events and log."""
-SPARE_MB = 64.0
-"""What is written beside the blocks: WAL, log, the arrays of a measurement, pictures and pages of the report."""
 MEMORY_SHARE = 0.02
 """Of the computer's memory; with less left the kernel begins to kill."""
 SHARE = 0.5
@@ -103,12 +98,14 @@ class Health:
         journal, begun = job.journal, job.journal.unfinished()
         state_dir = journal.store.path.parent
         if isinstance(job, NoJob):
-            blocks, run_dir = 0, state_dir
+            writes, run_dir = Writes.of(0), state_dir
         else:
-            done = 0 if begun is None else journal.tally(begun.cycle).done
-            blocks, run_dir = (len(job.program.block) if begun is None else begun.blocks) - done, job.folder.path
+            before = sum(journal.tally(record.cycle).done for record in journal.passes if record is not begun)
+            # a program that is rewritten keeps its lines
+            blocks, done = (job.program.lines, 0) if begun is None else (begun.blocks, journal.tally(begun.cycle).done)
+            writes, run_dir = Writes.of(blocks, done, before), job.folder.path
         try:
-            self._left = await asyncio.to_thread(_left, state_dir, run_dir, blocks)
+            self._left = await asyncio.to_thread(_left, state_dir, run_dir, writes)
         except OSError as error:
             log.warning("the disks cannot be asked how much is left: %s", error)
 
@@ -159,24 +156,17 @@ class Health:
         ]
 
 
-def _left(state_dir: Path, run_dir: Path, blocks: int) -> dict[str, Figure]:
-    """Room for what a pass still writes: so many blocks, and in the end a copy of its job in the run folder."""
-    state, run = _there(state_dir), _there(run_dir)
-    state_mb = run_mb = SPARE_MB + blocks * BLOCK_MB
-    if state.stat().st_dev == run.stat().st_dev:
-        state_mb = run_mb = state_mb + run_mb
-    found = [_room("state_disk_mb", state, state_mb), _room("run_disk_mb", run, run_mb)]
+def _left(state_dir: Path, run_dir: Path, writes: Writes) -> dict[str, Figure]:
+    """Room for what a pass and its job still write, and memory."""
+    found = [
+        Figure(room.name, room.left_mb, room.needed_mb, f"make room on the disk of {room.folder}", least=True)
+        for room in rooms(state_dir, run_dir, writes)
+    ]
     if (memory := _memory_mb()) is not None:
         total_mb, left_mb = memory
         advice = "end other programs on this computer"
         found.append(Figure("memory_mb", left_mb, MEMORY_SHARE * total_mb, advice, least=True))
     return {figure.name: figure for figure in found}
-
-
-def _room(name: str, folder: Path, least_mb: float) -> Figure:
-    disk = os.statvfs(folder)
-    left_mb = disk.f_bavail * disk.f_frsize / MB
-    return Figure(name, left_mb, least_mb, f"make room on the disk of {folder}", least=True)
 
 
 def _memory_mb() -> tuple[float, float] | None:
@@ -187,8 +177,3 @@ def _memory_mb() -> tuple[float, float] | None:
         return None
     total_mb, left_mb = (int(lines[key].split()[0]) * 1024 / MB for key in ("MemTotal", "MemAvailable"))
     return total_mb, left_mb
-
-
-def _there(folder: Path) -> Path:
-    """The folder, or the nearest above it that exists."""
-    return next(path for path in (folder, *folder.parents) if os.path.exists(path))  # noqa: PTH110 - a share that went stale is none: pathlib's raises

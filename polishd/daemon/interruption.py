@@ -121,7 +121,7 @@ async def settle(cell: Cell, journal: Journal) -> str:
     account = await asyncio.to_thread(_Account.of, journal, record, cell.limits.robot.silence_s)
     told = await _remembered(cell, record, journal.tally(cycle).last_seq + 1)
     if told is not None:
-        _take_over(journal, account, *told)
+        await asyncio.to_thread(_take_over, journal, account, *told)  # it may be the whole rest of a program
     elif record.uncertain is None:
         first = account.next_touched
         journal.mark_uncertain(cycle, *((first, first) if account.ended_off else account.tail(record.reach_s)))

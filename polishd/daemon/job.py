@@ -32,6 +32,7 @@ from polishd.process.contact import relative_removal
 from polishd.process.executed import executed_s
 from polishd.process.registration.record import Registration
 from polishd.recipe import dwell_step, steps
+from polishd.recipe.disk import require_room
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.forecasting import forecast_of
 from polishd.recipe.recipe import Recipe
@@ -226,11 +227,18 @@ class Job:
             self.publish(events.Found(cycle=cycle, kind=found.kind, what=found.what, stops=found.stops))
         return found is not None
 
-    def refuse_unsafe(self, plan: Plan) -> None:
-        """PlanRefused with every violation that a check found."""
-        found = [*steps.violations(self.recipe, plan), *self.check_plan(plan, self.recipe.envelope)]
+    async def refuse_unsafe(self, plan: Plan) -> None:
+        """PlanRefused with every violation that a check found, HostFault where the pass would fill a disk.
+
+        In threads: checks look at every block, and a disk may hang.
+        """
+        found = steps.violations(self.recipe, plan)
+        found = [*found, *await asyncio.to_thread(self.check_plan, plan, self.recipe.envelope)]
         if found:
             raise PlanRefused("the plan was refused, nothing moved:\n" + "\n".join(f"  {line}" for line in found))
+        before = sum(self.journal.tally(record.cycle).done for record in self.journal.passes)
+        state_dir = self.journal.store.path.parent
+        await asyncio.to_thread(require_room, state_dir, self.folder.path, len(plan.segments), before)
 
     # run
 

@@ -91,7 +91,7 @@ class JobKnowledge:
 
     def executed(self, cycle: int) -> ExecutedBlocks:
         """What the robot executed in that cycle's pass; empty where there was none. Grows with it: call in a thread."""
-        found = self._store.read_table(_EXECUTED, (self._job, cycle), 9).T.copy()
+        found = self._store.read_columns(_EXECUTED, (self._job, cycle), 9)
         seq, start_s, end_s, touched, recovered, *rest = found
         return ExecutedBlocks(seq.astype(np.int64), start_s, end_s, touched, recovered.astype(bool), *rest)
 

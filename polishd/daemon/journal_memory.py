@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from polishd.daemon.journal_records import BlockRecord, MapRecord, PassRecord, Tally, joined
+import numpy as np
+
+from polishd.daemon.journal_records import BlockRecord, MapRecord, PassRecord, Tally
 from polishd.daemon.journal_store import Store
 
 
@@ -26,7 +28,7 @@ class Known:
     phase: tuple[int, str] | None
     """The cycle and the phase that began last."""
     tallies: dict[int, Tally]
-    unknown: dict[int, tuple[tuple[int, int], ...]]
+    unknown: dict[int, list[tuple[int, int]]]
     """By cycle, executed blocks of which nobody knows whether the tool touched: ranges, ends excluded."""
     events_before: int = 0
     """Number of the last event that is not its own, though it has the same job: between jobs, of earlier runs."""
@@ -38,9 +40,15 @@ class Known:
         if new:
             contact_s = sum(record.block.end_s - record.block.start_s for record in new if record.touched)
             self.tallies[cycle] = Tally(tally.done + len(new), new[-1].block.seq, tally.contact_s + contact_s)
-        unknown = [(record.block.seq, record.block.seq + 1) for record in new if record.touched is None]
-        if unknown:
-            self.unknown[cycle] = joined([*self.unknown.get(cycle, ()), *unknown])
+        for record in new:  # at the end of what is there, however much: this is the loop in contact
+            if record.touched is None:
+                _append(self.unknown.setdefault(cycle, []), record.block.seq)
+
+
+def _append(ranges: list[tuple[int, int]], seq: int) -> None:
+    """One more, after all that are there."""
+    first = ranges.pop()[0] if ranges and ranges[-1][1] == seq else seq
+    ranges.append((first, seq + 1))
 
 
 def nothing_known(store: Store) -> Known:
@@ -81,10 +89,13 @@ def read_tally(store: Store, job: int, cycle: int) -> Tally:
     return Tally(done, last_seq, contact_s)
 
 
-def read_unknown(store: Store, job: int, cycle: int) -> tuple[tuple[int, int], ...]:
+def read_unknown(store: Store, job: int, cycle: int) -> list[tuple[int, int]]:
     """Executed blocks of that pass of which the file does not say whether the tool touched."""
     sql = "SELECT seq FROM segment WHERE job = ? AND cycle = ? AND touched IS NULL ORDER BY seq"
-    return joined((seq, seq + 1) for (seq,) in store.read(sql, (job, cycle)))
+    seq = store.read_columns(sql, (job, cycle), 1)[0].astype(np.int64)
+    starts = np.flatnonzero(np.diff(seq, prepend=-2) > 1)
+    ends = np.append(starts[1:], seq.size) - 1
+    return [(int(first), int(last) + 1) for first, last in zip(seq[starts], seq[ends], strict=True)] if seq.size else []
 
 
 def _range(first: int | None, end: int | None) -> tuple[int, int] | None:

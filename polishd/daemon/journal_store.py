@@ -12,6 +12,7 @@ import math
 import sqlite3
 import threading
 import time
+from array import array
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -99,18 +100,20 @@ class Store:
         with self._sound():
             return self._connection.execute(sql, values).fetchall()
 
-    def read_table(self, sql: str, values: Sequence[Any], width: int) -> FloatArray:
-        """A query's rows as numbers, (n, width), buffered ones included.
+    def read_columns(self, sql: str, values: Sequence[Any], width: int) -> list[FloatArray]:
+        """A query's rows as numbers, its columns one by one, (n,) each, buffered ones included.
 
-        Read piece by piece: whoever calls this in a thread leaves the event loop its turns.
+        Read piece by piece: whoever calls this in a thread leaves the event loop its turns, and no row of a long pass
+        is an object for longer than its piece.
         """
-        pieces = [np.empty((0, width))]
+        columns = [array("d") for _ in range(width)]
         self.write()
         with self._sound():
             cursor = self._connection.execute(sql, values)
             while rows := cursor.fetchmany(COMMIT_ROWS):
-                pieces.append(np.array(rows, dtype=np.float64))
-        return np.concatenate(pieces)
+                for column, piece in zip(columns, np.array(rows, dtype=np.float64).T, strict=True):
+                    column.frombytes(piece.tobytes())
+        return [np.frombuffer(column, dtype=np.float64) for column in columns]
 
     def copy_to(self, path: Path, job: int) -> None:
         """A durable copy of that job, as of now."""

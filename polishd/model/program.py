@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,8 +70,16 @@ class Program:
 
     @property
     def blocks(self) -> list[bytes]:
-        """The program's lines without line ends, as they are streamed (blank and ``%`` lines included)."""
+        """The program's lines without line ends, as they are streamed (blank and ``%`` lines included).
+
+        An object for each: where a program may be long, ask ``block_count`` or ``Segments`` instead.
+        """
         return self.text.split(b"\n")
+
+    @property
+    def block_count(self) -> int:
+        """How many they are."""
+        return self.text.count(b"\n") + 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +88,61 @@ class Segment:
 
     seq: int
     text: bytes
+
+
+class Segments(Sequence[Segment]):
+    """All blocks of a program, cut out of its text when they are asked for.
+
+    A tuple of them takes 170 bytes a block beside the text, and is searched by Python's collector; this takes 8.
+    """
+
+    __slots__ = ("_ends", "_text")
+
+    def __init__(self, text: bytes) -> None:
+        """``text``: the program's; its lines are the blocks, numbered from 0."""
+        self._text = text
+        self._ends = _line_ends(text)
+
+    def __len__(self) -> int:
+        return int(self._ends.size)
+
+    @overload
+    def __getitem__(self, at: int) -> Segment: ...
+    @overload
+    def __getitem__(self, at: slice) -> Sequence[Segment]: ...
+    def __getitem__(self, at: int | slice) -> Segment | Sequence[Segment]:
+        """One, or a list of those of a slice."""
+        wanted = range(len(self))[at]
+        return self._cut(wanted) if isinstance(wanted, int) else [self._cut(seq) for seq in wanted]
+
+    def __iter__(self) -> Iterator[Segment]:
+        return map(self._cut, range(len(self)))
+
+    def __reduce__(self) -> tuple[type[Segments], tuple[bytes]]:
+        """To another process by the text alone, which goes once with the program that has it."""
+        return Segments, (self._text,)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Segments) and self._text == other._text
+
+    def __hash__(self) -> int:
+        return hash(self._text)
+
+    def _cut(self, seq: int) -> Segment:
+        begin = int(self._ends[seq - 1]) + 1 if seq else 0
+        return Segment(seq, self._text[begin : int(self._ends[seq])].rstrip(b"\r"))
+
+
+_PIECE = 1 << 20
+"""Bytes that are searched for line ends at once."""
+
+
+def _line_ends(text: bytes) -> IntArray:
+    """(n,) where each line of a text ends: offset of its line feed, for the last one the text's length."""
+    data = np.frombuffer(text, dtype=np.uint8)
+    starts = range(0, data.size, _PIECE)
+    found = [np.flatnonzero(data[start : start + _PIECE] == ord("\n")) + start for start in starts]
+    return np.concatenate([*found, [data.size]]).astype(np.int64, copy=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +159,7 @@ class Plan:
     """(n,) delivered time expected of each timed point, s."""
     predicted_removal_nm: FloatArray
     """(ny, nx) removal on the process grid expected of the whole plan."""
-    segments: tuple[Segment, ...] = field(repr=False, default=())
+    segments: Sequence[Segment] = field(repr=False, default=())
 
     @property
     def total_s(self) -> float:

@@ -18,6 +18,8 @@ from polishd.model.errors import ConfigError
 
 Arrays = Mapping[str, NDArray[Any] | float]
 T = TypeVar("T")
+ROWS = 4096
+"""Of a table, that are written at once."""
 
 
 def arrays_of(record: Any) -> dict[str, NDArray[Any]]:
@@ -60,10 +62,14 @@ def npz(arrays: Arrays) -> bytes:
 
 def table(columns: Mapping[str, NDArray[Any]]) -> bytes:
     """Columns as CSV with a header line; floats with nine significant digits."""
-    rows = np.column_stack([np.asarray(column, dtype=np.float64) for column in columns.values()])
-    buffer = io.StringIO()
-    np.savetxt(buffer, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
-    return buffer.getvalue().encode()
+    found = [np.asarray(column, dtype=np.float64) for column in columns.values()]
+    row = ",".join(["%.9g"] * len(found)) + "\n"
+    buffer = io.BytesIO()
+    buffer.write((",".join(columns) + "\n").encode())
+    for first in range(0, len(found[0]) if found else 0, ROWS):  # numbers as Python's objects a piece at a time
+        numbers = np.column_stack([column[first : first + ROWS] for column in found])
+        buffer.write((row * len(numbers) % tuple(numbers.ravel().tolist())).encode())
+    return buffer.getvalue()
 
 
 def as_json(content: Any) -> bytes:

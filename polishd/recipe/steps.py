@@ -14,7 +14,7 @@ from polishd.model.cause import Named
 from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.errors import ComputeError
 from polishd.model.limits import Envelope
-from polishd.model.program import Plan, Program, Segment
+from polishd.model.program import Plan, Program, Segments
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.process import conditioning, gate, metrics, motion, naming
 from polishd.process.alignment import alignment_notes
@@ -279,7 +279,7 @@ def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan
         contact_blocks=int(rewritten.block[-1]) + 1,
         expected_time_s=expected,
         predicted_removal_nm=without_traces(answer.removal_nm(expected), share),
-        segments=tuple(Segment(seq, line.rstrip(b"\r")) for seq, line in enumerate(rewritten.blocks)),
+        segments=Segments(rewritten.text),
     )
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from polishd.model.errors import PlanRefused, ProgramError
 from polishd.model.handling import TouchOff
 from polishd.model.limits import Envelope
-from polishd.model.program import Plan, Segment
+from polishd.model.program import Plan, Segments
 from polishd.process import motion
 from polishd.recipe import steps
 from polishd.recipe.recipe import Recipe
@@ -55,5 +55,5 @@ def _plan(recipe: Recipe, asked: TouchOff, place: int) -> Plan:
         contact_blocks=int(program.block[-1]) + 1,
         expected_time_s=motion.delivered_time_s(program, program.time_s, envelope),
         predicted_removal_nm=np.zeros(steps.process_grid(recipe).shape),
-        segments=tuple(Segment(seq, line.rstrip(b"\r")) for seq, line in enumerate(program.blocks)),
+        segments=Segments(program.text),
     )

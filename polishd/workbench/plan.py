@@ -21,7 +21,7 @@ from polishd.model.events import PlanWritten
 from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.process.instrument import as_profiled
-from polishd.recipe import dwell_step, steps
+from polishd.recipe import disk, dwell_step, steps
 from polishd.recipe.accepting import why_never
 from polishd.recipe.dwell_step import require_certificate
 from polishd.recipe.files import read_map
@@ -88,7 +88,10 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
     notes += [f"run will refuse: {never}"] if (never := why_never(recipe)) else []
     notes += [*as_profiled(surface, recipe.instrument).warnings, *measured.notes]
     notes += [note for one in passes for note in one.notes(config.program.covers)]
-    summary = {**_summary(recipe, passes), "job": config.job.id, "run_dir": str(out), "notes": notes}
+    blocks = max(len(one.plan.segments) for one in passes)
+    run_dir = config.run_dir or config.state_dir
+    notes += [f"run will refuse: {full}"] if (full := disk.why_not(config.state_dir, run_dir, blocks)) else []
+    summary = {**_summary(recipe, passes), "job": config.job.id, "run_dir": str(out), "notes": notes, **_writes(blocks)}
     with _appearing(out) as folder:
         for number, one in enumerate(passes):
             own = folder if len(passes) == 1 else folder.cycle(number)
@@ -162,6 +165,12 @@ def _summary(recipe: Recipe, passes: Sequence[_Pass]) -> dict[str, Any]:
 
 def _dwell_s(one: _Pass) -> float:
     return float(one.planned.expected_s.sum())
+
+
+def _writes(blocks: int) -> dict[str, Any]:
+    """What the pass would write when it is run, MB: rows of the journal; table and copy in the run folder."""
+    journal_mb, table_mb = blocks * disk.ROW_BYTES / disk.MB, blocks * disk.CSV_BYTES / disk.MB
+    return {"blocks": blocks, "writes": {"state_mb": journal_mb, "run_mb": table_mb + journal_mb}}
 
 
 def _range(values: FloatArray) -> list[float]:

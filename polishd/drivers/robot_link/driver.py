@@ -26,6 +26,8 @@ from polishd.drivers.robot_link.session import ExecutionRecord
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.blocks import new_blocks
 
+HASHED = 4096
+"""Blocks that are hashed at once."""
 HOLD_ANSWER_S = 1.0
 
 
@@ -105,7 +107,7 @@ class RobotLink:
         sha256 = plan.program.sha256
         load = {
             "program_sha256": sha256,
-            "blocks_sha256": hashlib.sha256(b"".join(segment.text + b"\n" for segment in plan.segments)).hexdigest(),
+            "blocks_sha256": await asyncio.to_thread(_hash_of, plan.segments),
             "blocks": len(plan.segments),
             "approach_blocks": plan.approach_blocks,
         }
@@ -193,3 +195,11 @@ def _ended(connection: Connection, record: ExecutionRecord) -> bool:
     if progress.state == "fault":
         raise DeviceFault(f"the robot reports a fault: {progress.detail}")
     return progress.state == "done"
+
+
+def _hash_of(segments: Sequence[Segment]) -> str:
+    """sha256 of all blocks, each with a line feed. Grows with the program: call in a thread."""
+    found = hashlib.sha256()
+    for first in range(0, len(segments), HASHED):
+        found.update(b"".join(segment.text + b"\n" for segment in segments[first : first + HASHED]))
+    return found.hexdigest()

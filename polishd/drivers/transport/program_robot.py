@@ -52,7 +52,7 @@ class ProgramRobot(ABC, Generic[W]):
         watch, plan = self._watch, self._plan
         if watch is None or plan is None or len(self._lines) < watch.blocks or not self._background.alive:
             return 0.0
-        return watch.left_s(plan)
+        return watch.left_s()
 
     async def progress(self) -> RobotProgress:
         """See Robot."""
@@ -80,7 +80,7 @@ class ProgramRobot(ABC, Generic[W]):
     def _announce(self, plan: Plan, make: Callable[[Plan, int], W]) -> None:
         """Begin to collect its blocks, and to watch it; what was there before is dropped."""
         self._plan, self._lines, self._target, self._pending = plan, [], None, False
-        self._watch = make(plan, len(plan.segments) or len(plan.program.blocks))
+        self._watch = make(plan, len(plan.segments) or plan.program.block_count)
 
     def _collect(self, segments: Sequence[Segment]) -> bool:
         """Take blocks; tells whether these make the program complete. DeviceRefused as in ``new_blocks``."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 from array import array
 from collections.abc import Sequence
 
+import numpy as np
+
 from polishd.api import Executed, Plan, RobotProgress
 from polishd.model.devices import RobotState
 
@@ -31,6 +33,9 @@ class ProgramWatch:
         self.began_s = 0.0
         """When the block under way began."""
         self._start_s, self._end_s = array("d"), array("d")
+        # asked again and again while the tool presses: the sums are made once
+        self._timed = plan.program.block
+        self._ahead_s = np.cumsum(np.append(plan.expected_time_s, 0.0)[::-1])[::-1]
 
     def __len__(self) -> int:
         return len(self._end_s)
@@ -43,9 +48,9 @@ class ProgramWatch:
         """No more records will come."""
         return self.dropped or self.state in ("done", "fault")
 
-    def left_s(self, plan: Plan) -> float:
+    def left_s(self) -> float:
         """What is left of its plan, about."""
-        timed_s = float(plan.expected_time_s[plan.program.block >= len(self)].sum())
+        timed_s = float(self._ahead_s[np.searchsorted(self._timed, len(self))])
         return timed_s + BLOCK_S * (self.blocks - len(self))
 
     def progress(self, accepted: int, buffer_s: float) -> RobotProgress:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterator
+from io import BytesIO
 
 import numpy as np
 
@@ -28,10 +29,11 @@ def text(plan: Plan, envelope: Envelope) -> Iterator[str]:  # noqa: ARG001  one 
         yield f"the program's sha256 is {sha256[:12]}…, the plan says {program.sha256[:12]}…"
     if not plan.segments:
         return
-    blocks = program.blocks
-    if not plan.contact_blocks <= len(plan.segments) <= len(blocks):
-        yield f"{len(plan.segments)} segments for a program of {len(blocks)} lines"
-    for index, (segment, block) in enumerate(zip(plan.segments, blocks, strict=False)):
+    count = program.block_count
+    if not plan.contact_blocks <= len(plan.segments) <= count:
+        yield f"{len(plan.segments)} segments for a program of {count} lines"
+    lines = (line.removesuffix(b"\n") for line in BytesIO(program.text + b"\n"))  # one at a time: they may be millions
+    for index, (segment, block) in enumerate(zip(plan.segments, lines, strict=False)):
         if segment.seq != index or segment.text.rstrip(b"\r") != block.rstrip(b"\r"):
             yield f"line {index + 1}: segment {segment.seq} is {segment.text!r}, the program says {block!r}"
             return
@@ -50,8 +52,8 @@ def blocks(plan: Plan, envelope: Envelope) -> Iterator[str]:  # noqa: ARG001
         yield f"line {program.line[0]}: first timed point in block {first}, approach_blocks is {plan.approach_blocks}"
     if plan.contact_blocks != last + 1:
         yield f"line {program.line[-1]}: last timed point in block {last}, but contact_blocks is {plan.contact_blocks}"
-    if last >= len(program.blocks):
-        yield f"line {program.line[-1]}: the text has only {len(program.blocks)} lines"
+    if last >= program.block_count:
+        yield f"line {program.line[-1]}: the text has only {program.block_count} lines"
 
 
 def positions(plan: Plan, envelope: Envelope) -> Iterator[str]:

@@ -12,8 +12,8 @@ from polishd.model.program import IntArray
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot import formats
 from polishd.plugins.rnc_robot.dialect import AnyDialect, Dialect
+from polishd.plugins.rnc_robot.languages.columns import numbers
 from polishd.plugins.rnc_robot.languages.profile import Profile
-from polishd.plugins.rnc_robot.languages.reader import points
 from polishd.plugins.rnc_robot.languages.scan import scan
 from polishd.plugins.rnc_robot.nc import codes as c
 from polishd.plugins.rnc_robot.nc.checks import Checks
@@ -75,12 +75,12 @@ def _of_nc(program: Program, dialect: Dialect) -> Motion:
 
 def _of_language(program: Program, profile: Profile) -> Motion:
     """Moves without a dwell are left to the text: what they say may stand in positions declared elsewhere."""
-    timed = points(scan(profile, program.text, program.name))
+    timed = scan(profile, program.text, program.name).points
     return Motion(
         program=program,
         line=program.line,
         kind=np.zeros(program.n, dtype=np.int64),
         places=np.hstack([program.end_mm, program.axis]),
         point=np.arange(program.n),
-        spans=np.array(sorted(dwell.statement.match.span("time") for _, dwell in timed), dtype=np.int64).reshape(-1, 2),
+        spans=np.column_stack([numbers(timed.start), numbers(timed.end)]),
     )

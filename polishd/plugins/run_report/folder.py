@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import zipfile
+from array import array
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -192,14 +193,17 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
 
 def _executed(path: Path) -> Executed:
     """``executed.csv`` (seq, start_s, end_s, contact): the blocks in contact."""
-    seconds: dict[int, float] = {}
+    found, seconds = array("q"), array("d")
     with path.open(encoding="utf-8", newline="") as lines:
-        table = csv.DictReader(lines)
-        if absent := EXECUTED_COLUMNS.difference(table.fieldnames or ()):
+        table = csv.reader(lines)
+        header = next(table, [])
+        if absent := EXECUTED_COLUMNS.difference(header):
             raise ValueError(f"no column {', '.join(sorted(absent))}")
-        for row in table:
-            if row["contact"].strip().lower() in ("1", "1.0", "true"):
-                seq = int(float(row["seq"]))
-                seconds[seq] = seconds.get(seq, 0.0) + float(row["end_s"]) - float(row["start_s"])
-    order = sorted(seconds)
-    return Executed(np.array(order, dtype=np.int64), np.array([seconds[seq] for seq in order], dtype=np.float64))
+        seq, start_s, end_s, contact = (header.index(name) for name in ("seq", "start_s", "end_s", "contact"))
+        for row in filter(None, table):
+            if row[contact].strip().lower() in ("1", "1.0", "true"):
+                found.append(int(float(row[seq])))
+                seconds.append(float(row[end_s]) - float(row[start_s]))
+    order, which = np.unique(np.array(found, dtype=np.int64), return_inverse=True)  # one in pieces stands there twice
+    seconds_of = np.bincount(which, weights=np.array(seconds), minlength=order.size)
+    return Executed(order, seconds_of.astype(np.float64))  # of no block at all they are whole numbers

@@ -18,6 +18,7 @@ from polishd.daemon.health import Figure, Health
 from polishd.model.cycle import Outcome
 from polishd.model.errors import DeviceRefused, HostFault, LinkError
 from polishd.model.events import Held
+from polishd.recipe.disk import SPARE_MB, Writes
 from tests.unit.daemon.small import Bench, open_journal
 from tests.unit.daemon.test_app import SAFE, Running
 
@@ -91,6 +92,22 @@ async def test_a_disk_that_is_full_at_the_start_holds_before_anything_is_measure
         assert figures["memory_mb"]["fits"] is True
 
 
+async def test_a_pass_that_would_fill_the_disk_is_refused_before_contact(bench: Bench, disk: Disk) -> None:
+    job = bench.job()
+    solve = job.solve
+
+    async def and_the_disk_fills_up(*arguments: Any) -> Any:
+        solved = await solve(*arguments)
+        disk.left_mb = 100.0
+        return solved
+
+    job.solve = and_the_disk_fills_up
+    with pytest.raises(HostFault, match=r"a pass of \d+ blocks needs 128 MB on the disk of .*; nothing was moved"):
+        await bench.polish(job)
+    assert bench.moved() == []
+    assert bench.journal.passes == (), "no pass is begun"
+
+
 async def test_a_disk_that_is_full_ends_it_where_nobody_is_there(bench: Bench, disk: Disk) -> None:
     disk.left_mb = 0.0
     async with Running(bench, holds=False) as running:
@@ -157,11 +174,15 @@ def test_a_figure_says_its_limit() -> None:
 
 def test_what_must_be_left_falls_as_blocks_are_done(tmp_path: Path) -> None:
     run = tmp_path / "not" / "there"
-    many, few = (health._left(tmp_path, run, blocks)["state_disk_mb"].limit for blocks in (1_000_000, 0))
-    assert few == pytest.approx(2 * health.SPARE_MB)
-    assert many - few == pytest.approx(2 * 200.0)
+    begun, ended, none = (
+        health._left(tmp_path, run, writes)["state_disk_mb"].limit
+        for writes in (Writes.of(1_000_000), Writes.of(1_000_000, done=1_000_000), Writes.of(0))
+    )
+    assert none == pytest.approx(2 * SPARE_MB)
+    assert begun - ended == pytest.approx(100.0), "the journal's rows are there; table and copy are written at the end"
+    assert ended - none == pytest.approx(180.0)
 
 
 def test_memory_is_not_judged_where_the_kernel_does_not_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(health, "_memory_mb", lambda: None)
-    assert set(health._left(tmp_path, tmp_path, 0)) == {"state_disk_mb", "run_disk_mb"}
+    assert set(health._left(tmp_path, tmp_path, Writes.of(0))) == {"state_disk_mb", "run_disk_mb"}

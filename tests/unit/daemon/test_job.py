@@ -380,16 +380,16 @@ async def test_every_violation_is_told(tmp_path: Path, journal: Journal) -> None
     job = small_job(tmp_path, journal, check_plan=lambda plan, envelope: ["too fast", "too far"])
     plan = await planned(job, 0, await job.measured(0, small_map()))
     with pytest.raises(PlanRefused, match="nothing moved:\n  too fast\n  too far"):
-        job.refuse_unsafe(plan)
+        await job.refuse_unsafe(plan)
 
 
 async def test_a_landing_on_the_part_is_refused(tmp_path: Path, journal: Journal) -> None:
     job = small_job(tmp_path, journal)
     plan = await planned(job, 0, await job.measured(0, small_map()))
-    job.refuse_unsafe(plan)
+    await job.refuse_unsafe(plan)
     job.tools.now = replace(job.tools.now, recipe=small_recipe(aperture_mm=60.0))
     with pytest.raises(PlanRefused, match=r"contact starts at .*\n.*contact ends at"):
-        job.refuse_unsafe(plan)
+        await job.refuse_unsafe(plan)
 
 
 @pytest.mark.parametrize(

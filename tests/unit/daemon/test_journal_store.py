@@ -77,7 +77,8 @@ def test_what_is_buffered_is_read_and_durable_then(store: Store, path: Path) -> 
     assert store.read(EVENTS) == [(1.0,)]
     assert durable(path) == [1.0]
     store.buffer(event(2))
-    assert store.read_table("SELECT at, job FROM event ORDER BY at", (), 2).tolist() == [[1.0, 0.0], [2.0, 0.0]]
+    at, job = store.read_columns("SELECT at, job FROM event ORDER BY at", (), 2)
+    assert (at.tolist(), job.tolist()) == ([1.0, 2.0], [0.0, 0.0])
     assert durable(path) == [1.0, 2.0]
 
 
@@ -88,12 +89,12 @@ def test_rows_are_written_in_the_order_in_which_they_were_given(store: Store) ->
     assert store.read(EVENTS) == [(2.0,), (111.0,)]
 
 
-def test_a_table_of_many_pieces_is_whole_and_an_empty_one_has_its_width(store: Store) -> None:
+def test_columns_of_many_pieces_are_whole_and_empty_ones_are_as_many(store: Store) -> None:
     store.write(*map(event, range(2 * COMMIT_ROWS + 1)))
-    found = store.read_table(EVENTS, (), 1)
-    assert found.shape == (2 * COMMIT_ROWS + 1, 1)
-    assert found[:, 0].tolist() == list(range(2 * COMMIT_ROWS + 1))
-    assert store.read_table("SELECT at, job, id FROM event WHERE at < ?", (0.0,), 3).shape == (0, 3)
+    (found,) = store.read_columns(EVENTS, (), 1)
+    assert found.tolist() == list(range(2 * COMMIT_ROWS + 1))
+    none = store.read_columns("SELECT at, job, id FROM event WHERE at < ?", (0.0,), 3)
+    assert [column.shape for column in none] == [(0,)] * 3
 
 
 def test_what_is_closed_is_durable(store: Store, path: Path) -> None:
@@ -194,7 +195,7 @@ def test_a_loss_is_told_by_everything_from_then_on(store: Store, tmp_path: Path)
         lambda: store.write(event(2)),
         lambda: store.buffer(event(2)),
         lambda: store.read(EVENTS),
-        lambda: store.read_table(EVENTS, (), 1),
+        lambda: store.read_columns(EVENTS, (), 1),
         lambda: store.copy_to(tmp_path / "copy", 1),
         lambda: asyncio.run(store.lost()),
     ):
@@ -219,7 +220,7 @@ def test_what_waited_when_it_was_lost_is_told_by_the_loss_alone(store: Store, mo
 @pytest.mark.parametrize("table", [False, True])
 def test_a_question_that_the_file_does_not_answer_is_a_loss(store: Store, table: bool) -> None:
     with pytest.raises(SafetyStop, match="journal lost"):
-        store.read_table("SELECT a FROM nowhere", (), 1) if table else store.read("SELECT a FROM nowhere")
+        store.read_columns("SELECT a FROM nowhere", (), 1) if table else store.read("SELECT a FROM nowhere")
     with pytest.raises(SafetyStop, match="journal lost"):
         store.write()
 

@@ -13,6 +13,8 @@ from polishd.model.surface import FloatArray
 
 Convention = Literal["quaternion", "euler_deg", "rotation_vector_rad"]
 
+ROWS = 1 << 14
+"""Orientations that are turned into axes at once."""
 UNIT_WITHIN = 1e-3
 """How far a quaternion's norm may be from 1: the rounding of three or more written digits, and no more."""
 
@@ -32,13 +34,14 @@ def tool_axis(convention: Convention, axes: str, values: FloatArray, *, tool_z_i
     (``xyz``: FANUC's W, P, R). The tool's z is the rotation's third column; it
     mostly points from the tip into the part.
     """
-    if not len(values):
-        return np.zeros((0, 3))
-    if convention == "quaternion":
-        rotation = Rotation.from_quat(values[:, [1, 2, 3, 0]])
-    elif convention == "euler_deg":
-        rotation = Rotation.from_euler(axes, values, degrees=True)
-    else:
-        rotation = Rotation.from_rotvec(values)
-    tool_z = np.asarray(rotation.as_matrix()[:, :, 2], dtype=np.float64)
-    return -tool_z if tool_z_into_part else tool_z
+    found = np.empty((len(values), 3))
+    for first in range(0, len(values), ROWS):  # a matrix is three times what is asked of it
+        part = values[first : first + ROWS]
+        if convention == "quaternion":
+            rotation = Rotation.from_quat(part[:, [1, 2, 3, 0]])
+        elif convention == "euler_deg":
+            rotation = Rotation.from_euler(axes, part, degrees=True)
+        else:
+            rotation = Rotation.from_rotvec(part)
+        found[first : first + ROWS] = rotation.as_matrix()[:, :, 2]
+    return np.negative(found, out=found) if tool_z_into_part else found

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from io import BytesIO
 
 import numpy as np
 
 from polishd.api import Program, ProgramError
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.languages.profile import Profile
-from polishd.plugins.rnc_robot.languages.reader import points
+from polishd.plugins.rnc_robot.languages.reader import require_points
 from polishd.plugins.rnc_robot.languages.scan import scan
 
 
@@ -21,31 +22,34 @@ def rewrite(profile: Profile, program: Program, time_s: FloatArray) -> bytes:
     times that cannot be written.
     """
     found = scan(profile, program.text, program.name)
-    pairs = points(found)
-    times = np.asarray(time_s, dtype=np.float64)
-    if times.shape != (len(pairs),):
+    require_points(found)
+    points = found.points
+    times = np.ascontiguousarray(time_s, dtype=np.float64)
+    if times.shape != (len(points),):
         raise ProgramError(
-            f"{program.name}: {len(pairs)} points need as many times, not an array of {times.shape}. "
+            f"{program.name}: {len(points)} points need as many times, not an array of {times.shape}. "
             "To do: solve for this program."
         )
     dwell = profile.dwell
-    pieces: list[bytes] = []
+    out, text = BytesIO(), memoryview(program.text)
     at, residue = 0, 0.0
-    for (_, old), new_s in zip(pairs, times.tolist(), strict=True):
-        if new_s == old.time * dwell.unit_s:
+    columns = zip(points.time, times.data, points.start, points.end, points.dwell_line, strict=True)
+    for old, new_s, start, end, line in columns:
+        if new_s == old * dwell.unit_s:
             continue
         if not (math.isfinite(new_s) and 0 <= new_s <= dwell.max_s):
             bounds = f"from 0 to {dwell.max_s:g} s" if math.isfinite(dwell.max_s) else "from 0 s"
-            raise found.refuse(
-                old.statement, f"a dwell of {new_s} s cannot be written, only one {bounds}", "solve again within that"
+            raise found.refuse_line(
+                line, f"a dwell of {new_s} s cannot be written, only one {bounds}", "solve again within that"
             )
         wanted = min(new_s + residue, dwell.max_s)
         quanta = max(round(wanted / dwell.quantum_s), 0)
         residue = new_s + residue - quanta * dwell.quantum_s
-        start, end = old.statement.match.span("time")
-        pieces += [program.text[at:start], styled(quanta * dwell.steps, dwell.decimals, program.text[start:end])]
+        out.write(text[at:start])
+        out.write(styled(quanta * dwell.steps, dwell.decimals, program.text[start:end]))
         at = end
-    return b"".join([*pieces, program.text[at:]])
+    out.write(text[at:])
+    return out.getvalue()
 
 
 def styled(steps: int, decimals: int, old: bytes) -> bytes:

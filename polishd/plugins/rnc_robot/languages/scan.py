@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from polishd.api import ProgramError
+from polishd.plugins.rnc_robot.languages.columns import NONE, Columns, Context, Place, Positions
 from polishd.plugins.rnc_robot.languages.orientation import is_rotation
 from polishd.plugins.rnc_robot.languages.profile import Profile
 from polishd.plugins.rnc_robot.languages.statements import Source, Statement, statements
@@ -15,52 +16,49 @@ POSTED = "have it posted again with the positions written out"
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """A pose as written: position in mm, orientation in the profile's convention, tool and frame of a declared one."""
-
-    xyz_mm: tuple[float, float, float]
-    turn: tuple[float, ...]
-    context: tuple[str | None, str | None] = (None, None)
-
-
-@dataclass(slots=True)
 class Move:
     """A feed move: where to, as a pose or as a declared position's name with an offset."""
 
-    statement: Statement
+    line: int
     place: Place | None
     target: str | None
     offset_mm: tuple[float, float, float]
     stops: bool
     feed_mm_min: float
-    context: tuple[str | None, str | None]
-
-
-@dataclass(frozen=True, slots=True)
-class Dwell:
-    """A dwell, its time as written, and the move it follows (None: no feed move leads to it)."""
-
-    statement: Statement
-    time: float
-    move: Move | None
+    context: Context
 
 
 @dataclass(slots=True)
 class Scan:
-    """A whole program."""
+    """A whole program: its points as columns, the rest counted."""
 
     profile: Profile
     source: Source
-    statements: list[Statement] = field(default_factory=list)
-    moves: list[Move] = field(default_factory=list)
-    dwells: list[Dwell] = field(default_factory=list)
-    positions: dict[str, tuple[Place, int]] = field(default_factory=dict)
-    """By name (folded where the language ignores case): pose, and line of its declaration."""
+    kept: list[Statement] | None = None
+    """All statements, where somebody asked for them: a kilobyte each."""
+    points: Columns = field(default_factory=Columns)
+    positions: Positions = field(default_factory=Positions)
+    moves: int = 0
+    """Feed moves."""
+    dwells: int = 0
+    bare_line: int = 0
+    """Of the first feed move without a dwell, as far as the next move is read; 0: none."""
+    body_lines: int = 0
+    """Lines with statements in the routine that is open, or was the last; of the file, where there are no routines."""
+    moving_lines: int = 0
+    """Of the routine that moves, once it ended."""
+    line: int = 0
+    """Of the last statement that was read."""
+    counted: int = 0
+    """The line that ``body_lines`` counted last."""
     warnings: dict[str, None] = field(default_factory=dict)
     modal: dict[str, str] = field(default_factory=dict)
+    last: Move | None = None
+    """The last feed move."""
     at: Move | None = None
-    """The feed move at whose end the robot stands."""
+    """The feed move at whose end the robot stands: that one, or none."""
     dwelled: bool = False
+    """The last feed move has its dwell."""
     routine: str | None = None
     """Name of the routine that is open."""
     moving: Statement | None = None
@@ -70,24 +68,33 @@ class Scan:
 
     def refuse(self, statement: Statement, reason: str, advice: str) -> ProgramError:
         """The error at a statement."""
-        return self.source.refuse(statement.line, reason, advice)
+        return self.refuse_line(statement.line, reason, advice)
+
+    def refuse_line(self, line: int, reason: str, advice: str) -> ProgramError:
+        """The error at a line."""
+        return self.source.refuse(line, reason, advice)
 
     def folded(self, name: str) -> str:
         """A name as the language compares it."""
         return name.lower() if self.profile.ignore_case else name
 
 
-def scan(profile: Profile, text: bytes, name: str) -> Scan:
-    """Read a program through. ProgramError where it may mean several things, or none."""
-    found = Scan(profile, Source(text, name))
+def scan(profile: Profile, text: bytes, name: str, *, keep: bool = False) -> Scan:
+    """Read a program through; with ``keep`` all its statements, too. ProgramError where it may mean several things."""
+    found = Scan(profile, Source(text, name), [] if keep else None)
     for statement in statements(profile, found.source):
         if found.finished:
             raise found.refuse(statement, "a statement after the end of the program", "remove it")
-        found.statements.append(statement)
+        if found.kept is not None:
+            found.kept.append(statement)
+        found.line = statement.line
+        if statement.kind not in {"begin", "end"} and found.counted != statement.line:
+            found.counted, found.body_lines = statement.line, found.body_lines + 1
         _TAKE[statement.kind](found, statement)
     unfinished = "finish" in profile.kinds and not found.finished
-    if found.statements and (unfinished or found.routine is not None):
-        raise found.refuse(found.statements[-1], "the program breaks off: its end is missing", "check that it is whole")
+    if found.line and (unfinished or found.routine is not None):
+        raise found.refuse_line(found.line, "the program breaks off: its end is missing", "check that it is whole")
+    _leave_bare(found)
     return found
 
 
@@ -95,7 +102,7 @@ def _move(found: Scan, statement: Statement) -> None:
     _inside(found, statement)
     target = statement.text("target")
     move = Move(
-        statement,
+        statement.line,
         place_of(found, statement) if target is None else None,
         None if target is None else found.folded(target),
         _offset(found, statement),
@@ -105,8 +112,16 @@ def _move(found: Scan, statement: Statement) -> None:
     )
     if target is not None and found.profile.declare_before_use and move.target not in found.positions:
         raise found.refuse(statement, f"the position {target} is not declared before its use", POSTED)
-    found.moves.append(move)
-    found.at, found.dwelled = move, False
+    _leave_bare(found)
+    found.moves += 1
+    found.last = found.at = move
+    found.dwelled = False
+
+
+def _leave_bare(found: Scan) -> None:
+    """The last feed move gets no dwell any more."""
+    if found.last is not None and not found.dwelled and not found.bare_line:
+        found.bare_line = found.last.line
 
 
 def _offset(found: Scan, statement: Statement) -> tuple[float, float, float]:
@@ -135,15 +150,36 @@ def _dwell(found: Scan, statement: Statement) -> None:
         if not move.stops and statement.kind == "dwell":
             _fly_by(found, statement, move)
         found.dwelled = True
-    found.dwells.append(Dwell(statement, time, move))
+        _keep_point(found, statement, time, move)
+    found.dwells += 1
+
+
+def _keep_point(found: Scan, statement: Statement, time: float, move: Move) -> None:
+    """A move and its dwell are a point."""
+    points, place = found.points, move.place
+    if place is None:
+        points.xyz_mm.extend(move.offset_mm)
+        points.turn.extend([math.nan] * len(found.profile.orientation.fields))
+    else:
+        points.xyz_mm.extend(value + more for value, more in zip(place.xyz_mm, move.offset_mm, strict=True))
+        points.turn.extend(place.turn)
+    points.feed_mm_min.append(move.feed_mm_min)
+    points.time.append(time)
+    points.move_line.append(move.line)
+    points.dwell_line.append(statement.line)
+    start, end = statement.match.span("time")
+    points.number_line.append(statement.line + found.source.data.count(b"\n", statement.match.start(), start))
+    points.start.append(start)
+    points.end.append(end)
+    points.target.append(NONE if move.target is None else points.targets.of(move.target))
+    points.context.append(points.contexts.of(move.context))
 
 
 def _fly_by(found: Scan, statement: Statement, move: Move) -> None:
-    line = move.statement.line
     if found.profile.dwell.fly_by == "refuse":
         raise found.refuse(
             statement,
-            f"a dwell after the fly-by move of line {line}: it need not be spent at the point",
+            f"a dwell after the fly-by move of line {move.line}: it need not be spent at the point",
             "end the move with an exact stop",
         )
     found.warnings[
@@ -154,10 +190,10 @@ def _fly_by(found: Scan, statement: Statement, move: Move) -> None:
 def _position(found: Scan, statement: Statement) -> None:
     name = statement.text("target") or ""
     if found.folded(name) in found.positions:
-        other = found.positions[found.folded(name)][1]
+        other = found.positions.line[found.positions.number[found.folded(name)]]
         raise found.refuse(statement, f"the position {name} is declared in line {other} too", "keep one of them")
-    place = replace(place_of(found, statement), context=(statement.text("tool"), statement.text("frame")))
-    found.positions[found.folded(name)] = place, statement.line
+    context = statement.text("tool"), statement.text("frame")
+    found.positions.add(found.folded(name), place_of(found, statement), statement.line, context)
 
 
 def _neutral(found: Scan, statement: Statement) -> None:
@@ -175,12 +211,15 @@ def _begin(found: Scan, statement: Statement) -> None:
     if found.routine is not None:
         raise found.refuse(statement, "a routine inside a routine", "have it posted as one routine")
     found.routine, found.begun = found.folded(statement.text("program") or ""), statement
+    found.body_lines = found.counted = 0
 
 
 def _end(found: Scan, statement: Statement) -> None:
     if found.routine is None:
         raise found.refuse(statement, "the end of a routine that has not begun", "remove it")
     found.routine, found.at = None, None
+    if found.moving is not None and found.moving is found.begun:
+        found.moving_lines = found.body_lines
 
 
 def _run(found: Scan, statement: Statement) -> None:
@@ -259,7 +298,7 @@ def _feed(found: Scan, statement: Statement) -> float:
         return math.nan
 
 
-def _context(found: Scan, statement: Statement) -> tuple[str | None, str | None]:
+def _context(found: Scan, statement: Statement) -> Context:
     """Tool and frame that the move is written for."""
     tool, frame = (
         statement.text(name) if name in statement.match.re.groupindex else found.modal.get(name)

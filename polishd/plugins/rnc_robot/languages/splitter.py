@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 
 from polishd.api import ProgramError
 from polishd.plugins.rnc_robot.languages.profile import Profile
-from polishd.plugins.rnc_robot.languages.reader import body_of
 from polishd.plugins.rnc_robot.languages.scan import Scan, scan
 from polishd.plugins.rnc_robot.languages.statements import Statement
 
@@ -30,8 +30,8 @@ def split(profile: Profile, text: bytes, name: str = "the program") -> list[byte
     starts where that ended; it keeps the positions that it uses. From the second on, the routine is named ``NAME_2``,
     ... and numbered lines count from 1 again. ProgramError where there is no dwell to part the program after.
     """
-    found = scan(profile, text, name)
-    body = body_of(found)
+    found = scan(profile, text, name, keep=True)
+    body = _body_of(found)
     if not profile.line_limit or len(_lines(body)) <= profile.line_limit:
         return [text]
     if found.moving is None:
@@ -118,7 +118,7 @@ def _positions(found: Scan, start: int, end: int, kept: set[str]) -> bytes:
     """A stretch of the program without the declared positions that a part does not use."""
     data = found.source.data
     pieces, at = [], start
-    for statement in found.statements:
+    for statement in found.kept or ():
         low, high = statement.match.span()
         declares = statement.kind in {"position", "neutral"} and statement.text("target") is not None
         if declares and start <= low and high <= end and found.folded(statement.text("target") or "") not in kept:
@@ -138,6 +138,14 @@ def _used(stretch: Iterable[Statement]) -> set[str]:
             words = re.findall(r"\w+", statement.text(name) or "")
             names.update(words, (word.lower() for word in words))
     return names
+
+
+def _body_of(found: Scan) -> list[Statement]:
+    """The statements of the routine that moves (of the whole file, where the language has no routines)."""
+    kept = found.kept or []
+    if found.moving is None:
+        return kept
+    return list(takewhile(lambda statement: statement.kind != "end", kept[kept.index(found.moving) + 1 :]))
 
 
 def _lines(stretch: Iterable[Statement]) -> set[int]:

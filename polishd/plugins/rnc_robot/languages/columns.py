@@ -1,0 +1,108 @@
+"""What a program in a robot language says of its points and positions, as columns: objects take a kilobyte each."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from polishd.model.program import IntArray
+from polishd.model.surface import FloatArray
+
+H = TypeVar("H", bound=Hashable)
+NONE = -1
+"""No declared position."""
+
+
+class Numbered(Generic[H]):
+    """Values by number, each once: what few values say of many points."""
+
+    def __init__(self) -> None:
+        self._number: dict[H, int] = {}
+
+    def of(self, value: H) -> int:
+        """The number of a value, a new one where it is new."""
+        return self._number.setdefault(value, len(self._number))
+
+    def values(self) -> list[H]:
+        """By number."""
+        return list(self._number)
+
+
+Context = tuple[str | None, str | None]
+"""Tool and frame, as written."""
+
+
+@dataclass(slots=True)
+class Columns:
+    """Points in the order of their dwells, n of them; 100 bytes each."""
+
+    xyz_mm: array[float] = field(default_factory=lambda: array("d"))
+    """(3 n) where the move leads; of one to a declared position, how far beside it."""
+    turn: array[float] = field(default_factory=lambda: array("d"))
+    """(k n) orientation in the profile's convention; NaN of a move to a declared position."""
+    feed_mm_min: array[float] = field(default_factory=lambda: array("d"))
+    time: array[float] = field(default_factory=lambda: array("d"))
+    """As written."""
+    move_line: array[int] = field(default_factory=lambda: array("q"))
+    dwell_line: array[int] = field(default_factory=lambda: array("q"))
+    """1-based, where the statement begins."""
+    number_line: array[int] = field(default_factory=lambda: array("q"))
+    """The line that the dwell's number stands in."""
+    start: array[int] = field(default_factory=lambda: array("q"))
+    end: array[int] = field(default_factory=lambda: array("q"))
+    """Byte offsets of that number."""
+    target: array[int] = field(default_factory=lambda: array("l"))
+    """Number of the declared position's name; ``NONE`` where the move has its own."""
+    context: array[int] = field(default_factory=lambda: array("l"))
+    """Number of the move's tool and frame."""
+    targets: Numbered[str] = field(default_factory=Numbered)
+    contexts: Numbered[Context] = field(default_factory=Numbered)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+@dataclass(slots=True)
+class Positions:
+    """Declared positions by name, in the order of their declaration."""
+
+    number: dict[str, int] = field(default_factory=dict)
+    """By name, folded where the language ignores case."""
+    xyz_mm: array[float] = field(default_factory=lambda: array("d"))
+    turn: array[float] = field(default_factory=lambda: array("d"))
+    line: array[int] = field(default_factory=lambda: array("q"))
+    context: array[int] = field(default_factory=lambda: array("l"))
+    contexts: Numbered[Context] = field(default_factory=Numbered)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.number
+
+    def add(self, name: str, place: Place, line: int, context: Context) -> None:
+        """One more, of a new name."""
+        self.number[name] = len(self.line)
+        self.xyz_mm.extend(place.xyz_mm)
+        self.turn.extend(place.turn)
+        self.line.append(line)
+        self.context.append(self.contexts.of(context))
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A pose as written: position in mm, orientation in the profile's convention."""
+
+    xyz_mm: tuple[float, float, float]
+    turn: tuple[float, ...]
+
+
+def table(column: array[float], rows: int) -> FloatArray:
+    """A column of so many rows as (rows, k); the same memory."""
+    return np.frombuffer(column, dtype=np.float64).reshape(rows, -1) if rows else np.zeros((0, 3))
+
+
+def numbers(column: array[int]) -> IntArray:
+    """A column of whole numbers, (n,)."""
+    return np.array(column, dtype=np.int64)

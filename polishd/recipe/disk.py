@@ -1,0 +1,112 @@
+"""What a pass writes, and whether the disks have room for it: the one place that knows the bytes of a block.
+
+Measured with 2 million blocks (``make bench`` of ``long_programs``): a row of the journal is 76 to 87 bytes, one of
+``executed.csv`` at most 72. The figures here are rounded up, and a test holds what is written to them.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from polishd.model.errors import HostFault
+
+MB = 1e6
+ROW_BYTES = 100
+"""A block in the journal, with its share of events and of the index."""
+CSV_BYTES = 80
+"""A block in ``executed.csv``."""
+SPARE_MB = 64.0
+"""What is written beside the blocks: WAL, log, the arrays of a measurement, pictures and pages of the report."""
+
+
+@dataclass(frozen=True, slots=True)
+class Writes:
+    """What is still to be written, MB, until a pass is over and its job, if it is the last."""
+
+    state_mb: float
+    """Into ``cell.state_dir``: rows of the journal."""
+    run_mb: float
+    """Into the run folder: ``executed.csv``, and in the end a copy of the job's rows, those of earlier passes too."""
+
+    @classmethod
+    def of(cls, blocks: int, done: int = 0, before: int = 0) -> Writes:
+        """Of a pass of so many blocks, ``done`` of them recorded, after ``before`` blocks of the job's other passes."""
+        state = (blocks - done) * ROW_BYTES
+        run = blocks * (CSV_BYTES + ROW_BYTES) + before * ROW_BYTES
+        return cls(SPARE_MB + state / MB, SPARE_MB + run / MB)
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """One disk, as one figure of the daemon's health."""
+
+    name: str
+    folder: Path
+    """The nearest that exists."""
+    left_mb: float
+    needed_mb: float
+
+    @property
+    def fits(self) -> bool:
+        """What is to be written fits."""
+        return self.left_mb >= self.needed_mb
+
+
+def rooms(state_dir: Path, run_dir: Path, writes: Writes) -> tuple[Room, Room]:
+    """Of the state folder's disk and of the run folder's; both of the sum, where it is one disk. OSError."""
+    state, run = _there(state_dir), _there(run_dir)
+    state_mb, run_mb = writes.state_mb, writes.run_mb
+    if state.stat().st_dev == run.stat().st_dev:
+        state_mb = run_mb = state_mb + run_mb
+    return (
+        Room("state_disk_mb", state, _left_mb(state), state_mb),
+        Room("run_disk_mb", run, _left_mb(run), run_mb),
+    )
+
+
+def require_room(state_dir: Path, run_dir: Path, blocks: int, before: int = 0) -> None:
+    """HostFault where a pass of so many blocks would fill a disk; a disk that cannot be asked refuses nothing."""
+    if said := why_not(state_dir, run_dir, blocks, before):
+        raise HostFault(f"{said}; nothing was moved")
+
+
+def why_not(state_dir: Path, run_dir: Path, blocks: int, before: int = 0) -> str:
+    """Which disk a pass of so many blocks would fill, and what to do; empty where there is room, or nobody can say."""
+    try:
+        found = rooms(state_dir, run_dir, Writes.of(blocks, before=before))
+    except OSError:
+        return ""
+    keys = {"state_disk_mb": "cell.state_dir", "run_disk_mb": "cell.run_dir"}
+    for room in found:
+        if not room.fits:
+            return (
+                f"a pass of {blocks} blocks needs {room.needed_mb:.0f} MB on the disk of {room.folder}, which has "
+                f"{room.left_mb:.0f} MB: make room there, or set {keys[room.name]} to a folder on a larger disk"
+            )
+    return ""
+
+
+def pass_words(state_dir: Path, run_dir: Path, blocks: int, passes: int) -> str:
+    """What passes of so many blocks write, beside what there is."""
+    one, all_of_them = Writes.of(blocks), Writes.of(blocks, before=(passes - 1) * blocks)
+    sizes = (
+        f"{ROW_BYTES} bytes of journal, {CSV_BYTES} of executed.csv and {ROW_BYTES} of the journal's copy a block: "
+        f"{one.state_mb - SPARE_MB:.1f} MB and {one.run_mb - SPARE_MB:.1f} MB for a pass of {blocks}"
+    )
+    if said := why_not(state_dir, run_dir, blocks):
+        return f"{sizes}; run will refuse: {said}"
+    journal_mb = passes * blocks * ROW_BYTES / MB
+    rest_mb = all_of_them.run_mb - SPARE_MB + (passes - 1) * blocks * CSV_BYTES / MB
+    return f"{sizes}; {journal_mb + rest_mb:.0f} MB for all {passes} passes of the job"
+
+
+def _left_mb(folder: Path) -> float:
+    disk = os.statvfs(folder)
+    return disk.f_bavail * disk.f_frsize / MB
+
+
+def _there(folder: Path) -> Path:
+    """The folder, or the nearest above it that exists."""
+    return next(path for path in (folder, *folder.parents) if os.path.exists(path))  # noqa: PTH110 - a share that went stale is none: pathlib's raises
