@@ -22,12 +22,12 @@ def sheet(drawn: Drawn, signed_by: str) -> Sheet:
         signed_by: id of the key that its twin is signed with; empty: it is not signed.
     """
     content = drawn.content
-    issuer = content.issuer.shop or content.issuer.program
+    made_by = f"{content.issuer.program} {content.issuer.version}"
     chapters = [_front(content, signed_by), *_surface(drawn), _making(content), _proofs(content)]
     return Sheet(
         title=f"Certificate {shown(content.number)}",
         chapters=chapters,
-        footer=shown(f"{issuer}; {content.issuer.program} {content.issuer.version}"),
+        footer=shown("; ".join(filter(None, (content.issuer.shop, made_by)))),
         header=(
             shown(f"Part {content.part.id}"),
             shown(f"Certificate {content.number}, {content.issued:%Y-%m-%d}"),

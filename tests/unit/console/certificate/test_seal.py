@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import json
+import shutil
 import stat
+import subprocess
+from base64 import b64decode
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ec import SECP256R1, generate_private_key
@@ -315,3 +320,29 @@ def test_the_pdfs_name_leads_out_of_no_folder(signed: Made, tmp_path: Path) -> N
 
     rewrite(signed, away)
     assert "somewhere.pdf was not looked at" in words(verify(signed.twin, None))
+
+
+def test_any_byte_that_is_changed_is_noticed(signed: Made) -> None:
+    """By a finding, or because what is left is no certificate any more: never by a traceback."""
+    good, key = signed.twin.read_bytes(), public(signed)
+    rng = np.random.default_rng(7)
+    for place in rng.integers(0, len(good), 150):
+        content = bytearray(good)
+        content[place] ^= 1 << int(rng.integers(0, 8))
+        signed.twin.write_bytes(content)
+        with suppress(ConfigError):
+            assert not verify(signed.twin, key).right, place
+
+
+def test_openssl_verifies_the_signature(signed: Made, tmp_path: Path) -> None:
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is not installed: apt-get install openssl")
+    twin = json.loads(signed.twin.read_bytes())
+    said, signature = tmp_path / "said", tmp_path / "signature"
+    said.write_bytes(seal.canonical(twin))
+    signature.write_bytes(b64decode(twin["seal"]["signature"]["value"]))
+    command = ["openssl", "pkeyutl", "-verify", "-pubin", "-inkey", signed.public, "-rawin", "-in", said]
+    for content, code in ((said.read_bytes(), 0), (said.read_bytes() + b" ", 1)):
+        said.write_bytes(content)
+        done = subprocess.run([*command, "-sigfile", signature], capture_output=True, check=False)
+        assert done.returncode == code, done.stderr
