@@ -100,10 +100,9 @@ class Health:
         if isinstance(job, NoJob):
             writes, run_dir = Writes.of(0), state_dir
         else:
-            before = sum(journal.tally(record.cycle).done for record in journal.passes if record is not begun)
             # a program that is rewritten keeps its lines
             blocks, done = (job.program.lines, 0) if begun is None else (begun.blocks, journal.tally(begun.cycle).done)
-            writes, run_dir = Writes.of(blocks, done, before), job.folder.path
+            writes, run_dir = Writes.of(blocks, done, journal.done - done), job.folder.path
         try:
             self._left = await asyncio.to_thread(_left, state_dir, run_dir, writes)
         except OSError as error:

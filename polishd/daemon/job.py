@@ -228,17 +228,8 @@ class Job:
         return found is not None
 
     async def refuse_unsafe(self, plan: Plan) -> None:
-        """PlanRefused with every violation that a check found, HostFault where the pass would fill a disk.
-
-        In threads: checks look at every block, and a disk may hang.
-        """
-        found = steps.violations(self.recipe, plan)
-        found = [*found, *await asyncio.to_thread(self.check_plan, plan, self.recipe.envelope)]
-        if found:
-            raise PlanRefused("the plan was refused, nothing moved:\n" + "\n".join(f"  {line}" for line in found))
-        before = sum(self.journal.tally(record.cycle).done for record in self.journal.passes)
-        state_dir = self.journal.store.path.parent
-        await asyncio.to_thread(require_room, state_dir, self.folder.path, len(plan.segments), before)
+        """PlanRefused with every violation that a check found, HostFault where the pass would fill a disk."""
+        await asyncio.to_thread(_refuse_unsafe, self, plan)  # checks look at every block, and a disk may hang
 
     # run
 
@@ -310,3 +301,10 @@ class Job:
     def _plan_of(self, record: PassRecord) -> Planned:
         get = self.journal.arrays.get
         return Planned.load(get(record.plan), get(record.start), record.facts, self.recipe.model.beliefs)
+
+
+def _refuse_unsafe(job: Job, plan: Plan) -> None:
+    found = [*steps.violations(job.recipe, plan), *job.check_plan(plan, job.recipe.envelope)]
+    if found:
+        raise PlanRefused("the plan was refused, nothing moved:\n" + "\n".join(f"  {line}" for line in found))
+    require_room(job.journal.store.path.parent, job.folder.path, len(plan.segments), job.journal.done)

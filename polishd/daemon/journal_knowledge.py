@@ -79,6 +79,11 @@ class JobKnowledge:
         """How much of that cycle's pass is recorded as executed."""
         return self._known.tallies.get(cycle, NOTHING)
 
+    @property
+    def done(self) -> int:
+        """Blocks that are recorded as executed, of all passes of this job."""
+        return sum(tally.done for tally in self._known.tallies.values())
+
     def contact_s(self, cycle: int) -> float:
         """Process time of the blocks that are known to have been executed in contact in that cycle's pass."""
         return self.tally(cycle).contact_s
