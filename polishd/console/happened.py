@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -27,11 +28,9 @@ def events_verb(cell: Path, count: int, *, follow: bool, as_json: bool) -> None:
         _tell(event, as_json=as_json)
     if not follow:
         return
-    try:
+    with suppress(KeyboardInterrupt):  # so whoever follows ends it
         for event in client.subscribe(config.state_dir):
             _tell({"at_s": time.time(), **event}, as_json=as_json)
-    except KeyboardInterrupt:
-        pass
 
 
 def _tell(event: Mapping[str, Any], *, as_json: bool) -> None:

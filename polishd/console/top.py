@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -71,16 +72,13 @@ def top_verb(cells: Sequence[Path], *, once: bool) -> None:
             one.look()
         stdout.print(picture(seen, time.monotonic()))
         return
-    pause = threading.Event()  # that nobody sets: Ctrl-C ends it
-    try:
-        with Live(console=stdout, screen=True, auto_refresh=False) as screen:
-            while True:
-                for one in seen:
-                    one.look()
-                screen.update(picture(seen, time.monotonic()), refresh=True)
-                pause.wait(LOOK_S)
-    except KeyboardInterrupt:
-        pass
+    pause = threading.Event()  # that nobody sets
+    with suppress(KeyboardInterrupt), Live(console=stdout, screen=True, auto_refresh=False) as screen:
+        while True:
+            for one in seen:
+                one.look()
+            screen.update(picture(seen, time.monotonic()), refresh=True)
+            pause.wait(LOOK_S)
 
 
 def picture(seen: Sequence[Watched], now_s: float) -> RenderableType:
