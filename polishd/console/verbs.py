@@ -40,6 +40,9 @@ def plan_verb(
     if not as_json:
         for note in summary["notes"]:
             stdout.print(f"note: {note}", markup=False)
+        mb = summary["writes"]
+        sizes = f"{mb['state_mb']:.1f} MB of journal, {mb['run_mb']:.1f} MB into the run folder"
+        stdout.print(f"a pass of its {summary['blocks']} blocks writes {sizes}", markup=False)
         stdout.print(f"written to {out} (report.html)", markup=False)
 
 

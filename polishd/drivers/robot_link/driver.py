@@ -104,10 +104,11 @@ class RobotLink:
 
     async def prepare(self, plan: Plan) -> None:
         """See Robot. DeviceRefused while the robot runs."""
-        sha256 = plan.program.sha256
+        sha256, long = plan.program.sha256, len(plan.segments) > HASHED  # where it is short, a thread takes longer
+        blocks_sha256 = await asyncio.to_thread(_hash_of, plan.segments) if long else _hash_of(plan.segments)
         load = {
             "program_sha256": sha256,
-            "blocks_sha256": await asyncio.to_thread(_hash_of, plan.segments),
+            "blocks_sha256": blocks_sha256,
             "blocks": len(plan.segments),
             "approach_blocks": plan.approach_blocks,
         }
@@ -198,7 +199,7 @@ def _ended(connection: Connection, record: ExecutionRecord) -> bool:
 
 
 def _hash_of(segments: Sequence[Segment]) -> str:
-    """sha256 of all blocks, each with a line feed. Grows with the program: call in a thread."""
+    """sha256 of all blocks, each with a line feed. Grows with the program: call it in a thread where that is long."""
     found = hashlib.sha256()
     for first in range(0, len(segments), HASHED):
         found.update(b"".join(segment.text + b"\n" for segment in segments[first : first + HASHED]))

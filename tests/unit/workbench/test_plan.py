@@ -25,6 +25,7 @@ from polishd.model.map_history import MapStep
 from polishd.model.program import Plan
 from polishd.model.surface import SurfaceMap
 from polishd.process.dwell.problem import DwellProblem
+from polishd.recipe import disk
 from polishd.recipe.folder import RunFolder
 from polishd.workbench import plan as planning
 from polishd.workbench.plan import plan_part
@@ -50,6 +51,8 @@ class Desk:
             job=SimpleNamespace(id="by-hand"),
             program=SimpleNamespace(covers="aperture"),
             turns=(SimpleNamespace(program_path=self.program),),
+            state_dir=self.program.parent / "state",
+            run_dir=None,
         )
         reader = SurfaceReader("test", lambda head, path: head == b"MAP", self.read)
         self.hooks: Any = SimpleNamespace(
@@ -245,6 +248,18 @@ def test_what_would_forbid_to_run_is_noted(desk: Desk) -> None:
     desk.recipe = small_recipe(process=replace(desk.recipe.process, dip_deg=15.0))
     notes = desk.plan()["notes"]
     assert any("states no tool axis" in note for note in notes)
+
+
+def test_what_the_pass_would_write_is_told_and_a_disk_that_it_would_fill(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = desk.plan()
+    assert told["blocks"] == (desk.out / "program.rnc").read_bytes().count(b"\n") + 1
+    assert told["writes"] == {"state_mb": told["blocks"] * 1e-4, "run_mb": pytest.approx(told["blocks"] * 1.8e-4)}
+    assert not any("blocks needs" in note for note in told["notes"])
+    desk.out = desk.out.parent / "two"
+    monkeypatch.setattr(disk, "SPARE_MB", 1e15)
+    assert any(note.startswith("run will refuse: a pass of") for note in desk.plan()["notes"])
 
 
 def test_warnings_of_the_map_are_noted(desk: Desk) -> None:
