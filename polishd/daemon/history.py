@@ -85,18 +85,22 @@ def read_history(state_dir: Path) -> list[JobHistory]:
         return list(_jobs(journal))
 
 
-def read_events(state_dir: Path, count: int, before: int | None = None) -> list[dict[str, Any]]:
-    """The last events of all jobs but each pass's progress, the newest last: ``number, at_s, cycle, name, data``.
+def read_events(
+    state_dir: Path, count: int, before: int | None = None, names: Sequence[str] = ()
+) -> list[dict[str, Any]]:
+    """The last events of all jobs, the newest last: ``number, at_s, cycle, name, data``.
 
-    ``before``: of those before that number. Empty where there is no journal; ConfigError where it cannot be read.
+    ``before``: of those before that number; ``names``: of these kinds, else of all but each pass's progress. Empty
+    where there is no journal; ConfigError where it cannot be read.
     """
     if not (state_dir / JOURNAL_NAME).exists():
         return []
-    sql = "SELECT id, at, cycle, name, data FROM event WHERE name != 'progress' AND id < ? ORDER BY id DESC LIMIT ?"
+    kinds = f"name IN ({', '.join('?' * len(names))})" if names else "name != 'progress'"
+    sql = f"SELECT id, at, cycle, name, data FROM event WHERE {kinds} AND id < ? ORDER BY id DESC LIMIT ?"  # noqa: S608
     with read_only(state_dir) as journal:
-        rows = journal.execute(sql, (1 << 60 if before is None else before, count)).fetchall()
-    names = ("number", "at_s", "cycle", "name")
-    return [{**dict(zip(names, row[:4], strict=True)), "data": json.loads(row[4])} for row in reversed(rows)]
+        rows = journal.execute(sql, (*names, 1 << 60 if before is None else before, count)).fetchall()
+    keys = ("number", "at_s", "cycle", "name")
+    return [{**dict(zip(keys, row[:4], strict=True)), "data": json.loads(row[4])} for row in reversed(rows)]
 
 
 @contextmanager

@@ -110,11 +110,9 @@ class Disk:
 
     def alarms(self) -> list[dict[str, Any]]:
         """Those that nobody has acknowledged, the first one first: it is often why the others came."""
-        names = (*ALARMS, "acknowledged")
-        sql = f"SELECT id, at, cycle, name, data FROM event WHERE name IN ({', '.join('?' * len(names))}) ORDER BY id DESC LIMIT ?"  # noqa: S608, E501
-        found = [_event(row) for row in self._rows(sql, *names, MOST_ROWS)]
+        found = read_events(self._state_dir, MOST_ROWS, names=(*ALARMS, "acknowledged"))
         seen = {number for one in found if one["name"] == "acknowledged" for number in one["data"]["alarms"]}
-        open_ = [one for one in reversed(found) if one["name"] in ALARMS and one["number"] not in seen]
+        open_ = [one for one in found if one["name"] in ALARMS and one["number"] not in seen]
         return [{**_alarm(one), "first": one is open_[0]} for one in open_]
 
     def history(self) -> list[dict[str, Any]]:
@@ -146,11 +144,6 @@ def _pass(row: tuple[Any, ...]) -> dict[str, Any]:
     known = json.loads(facts)
     wanted = ("predicted_rms_nm", "dwell_s", "forecast", "tool", "findings")
     return {"began_s": started, "ended_s": ended, "how": how or "begun", **{key: known.get(key) for key in wanted}}
-
-
-def _event(row: tuple[Any, ...]) -> dict[str, Any]:
-    number, at_s, cycle, name, data = row
-    return {"number": number, "at_s": at_s, "cycle": cycle, "name": name, "data": json.loads(data)}
 
 
 def _alarm(event: Mapping[str, Any]) -> dict[str, Any]:
