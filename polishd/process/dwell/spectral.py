@@ -3,7 +3,9 @@
 One dwell minimises the objective, another keeps to the bounds, and a multiplier draws them together (ADMM; Boyd et al.,
 Found. Trends Mach. Learn. 3 (2011) 1). The first is never solved for: from where it was it takes one step down, in the
 metric of the mean spot under a path that is everywhere as dense, which transforms invert in closed form. A step costs
-one product and one adjoint, in float32; projected Newton-CG needs many times as many where the spot is large.
+one product and one adjoint of the effect on a coarser grid, which knows how the objective bends well enough; where it
+stands is found with the effect itself, every so many steps, and what the coarser one was off by is put right (defect
+correction). Projected Newton-CG needs many times as many where the spot is large.
 
 Nothing here is trusted: the certificate is computed anew.
 """
@@ -37,8 +39,8 @@ LEAST_REGULARISATION = 1e-5
 ROUGHLY = 2e-4
 """KKT residual to stop at where the problem is a rough one: half of the steps. At 1e-3 a tenth; but a dwell that is
 rougher than it must be accelerates late at more points, and the bounds made of that leave 4 % more in the end."""
-LOOK_EVERY = 20
-"""Steps between two looks at the KKT residual in float64, which cost as much as two of them."""
+LOOK_EVERY = 40
+"""Steps between two looks with the effect itself, in float64: each costs as much as ten to fifty steps."""
 STALLED, LOOKS = 0.9, 5
 """A residual above this share of what it was so many looks ago has met float32's floor."""
 
@@ -111,18 +113,38 @@ def metric(problem: DwellProblem, effect: SpreadEffect) -> tuple[Metric, float]:
     return Metric(effect.single(), held, (square / (held + density * square)).astype(np.float32)), pull
 
 
+def stepping(problem: DwellProblem, effect: SpreadEffect) -> DwellProblem:
+    """The problem whose curvature steps are found with: on the effect's coarser grid, where it has one.
+
+    A cell counts by the share of its samples that count, and their weights; its target is nothing.
+    """
+    coarse, fine = effect.coarse, effect.grid
+    if coarse is None:
+        return problem
+    times = round(coarse.grid.pitch_mm / fine.pitch_mm)
+    counts = np.zeros((coarse.grid.ny * times, coarse.grid.nx * times))
+    counts[: fine.ny, : fine.nx] = np.where(problem.solve_mask, 1.0 if problem.weight is None else problem.weight, 0.0)
+    share = counts.reshape(coarse.grid.ny, times, coarse.grid.nx, times).sum(axis=(1, 3))
+    mask = share > 0
+    weight = share * (np.count_nonzero(mask) / np.count_nonzero(problem.solve_mask))
+    masks = {"solve_mask": mask, "metric_mask": mask}
+    return replace(problem, effect=coarse, target_nm=np.zeros(mask.shape), weight=weight, **masks)
+
+
 def _minimise(
     problem: DwellProblem, effect: SpreadEffect, f: Quadratic, kkt_tolerance: float, limit: TimeLimit
 ) -> tuple[FloatArray, int, str]:
     """(n,) the best dwell by its KKT residual, the steps taken, and why it stopped."""
     lower, upper = problem.lower_s, problem.upper_s
-    near, pull = metric(problem, effect)
+    bending = stepping(problem, effect)
+    near, pull = metric(bending, effect.coarse or effect)
+    bend_of = f.rough_curvature if bending is problem else quadratic(bending).rough_curvature
     start = warm_start_s(problem, f)
     bounded = lower.copy() if start is None else np.clip(start, lower, upper)
-    gradient, at_zero = f.gradient(bounded), f.gradient(np.zeros(effect.n))
-    enough, step = kkt_tolerance * float(np.abs(f.gradient(lower)).max()), safe_step(f, effect.n)
+    gradient, step = f.gradient(bounded), safe_step(f, effect.n)
+    enough = kkt_tolerance * float(np.abs(f.gradient(lower)).max())
     multiplier = -np.where(_held_back(gradient, bounded, lower, upper), gradient, 0.0) / pull
-    free, bent = bounded.copy(), gradient - at_zero  # the dwell without bounds, and what the Hessian makes of it
+    free = bent = offset = bounded.copy()  # the dwell without bounds; its gradient is bent + offset
     best, least, history = bounded, np.inf, list[float]()
     for steps in range(MAX_STEPS):
         late = limit.expired()
@@ -136,12 +158,13 @@ def _minimise(
                 return best, steps, "converged" if least <= enough else "deadline"
             if len(history) > LOOKS and least > STALLED * min(history[:-LOOKS]):
                 return best, steps, "stalled"
-        uphill = at_zero + bent + pull * (free - bounded + multiplier)
+            bent, offset = bend_of(free), gradient - bend_of(bounded)
+        uphill = bent + offset + pull * (free - bounded + multiplier)
         way = near.inverse(-uphill)
-        bend = f.rough_curvature(way)
+        bend = bend_of(way)
         size = -float(uphill @ way) / float(way @ bend + pull * (way @ way))
-        free += size * way
-        bent += size * bend
+        free = free + size * way
+        bent = bent + size * bend
         drawn = RELAXATION * free + (1 - RELAXATION) * bounded + multiplier
         bounded = np.clip(drawn, lower, upper)
         multiplier = drawn - bounded

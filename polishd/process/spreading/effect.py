@@ -31,6 +31,10 @@ FINER = (1, 2, 3, 4)
 MISSED = (3.0, 1.0)
 """What the family may miss of a spot (Euclidean norm), over the tolerance, as it is tried: 3 takes half as many
 convolutions as 1, and is mostly enough."""
+COARSE_CELLS = 10.0
+"""Cells to half a spot's width of the effect that a solver's steps are found with: with 5 they lead astray."""
+COARSE_TOLERANCE = 1e-2
+"""What its family may miss of a spot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +55,9 @@ class SpreadEffect:
     """Of the removal against the matrix, over its peak: `misses`."""
     entry_error: float = np.nan
     """Largest of a single entry at these samples, over the largest entry."""
+    coarse: SpreadEffect | None = None
+    """About the same on a coarser grid and of fewer convolutions, in float32: for the way to a dwell, not for what
+    becomes of it. None where it would be no quicker."""
 
     @property
     def n(self) -> int:
@@ -71,15 +78,22 @@ class SpreadEffect:
         )
 
     def single(self) -> SpreadEffect:
-        """The same with transforms in float32: half their time and memory, right to about 1e-6 of the peak."""
-        return replace(self, spectra=self.spectra.astype(np.complex64))
+        """The same in float32: half its time and memory, right to about 1e-6 of the peak."""
+        if self.spectra.dtype == np.complex64:
+            return self
+        return replace(
+            self,
+            weights=self.weights.astype(np.float32),
+            coefficients=self.coefficients.astype(np.float32),
+            spectra=self.spectra.astype(np.complex64),
+        )
 
     def removal_nm(self, time_s: FloatArray) -> FloatArray:
         """(n,) s -> (ny, nx) nm."""
-        total = np.zeros_like(self.spectra[0])
+        total, times = np.zeros_like(self.spectra[0]), time_s.astype(self.coefficients.dtype, copy=False)
         for k in range(self.rank):
-            dwell = (self.weights.T @ (self.coefficients[:, k] * time_s)).reshape(self.where.lattice)
-            total += self.spectra[k] * scipy.fft.rfft2(dwell.astype(total.real.dtype, copy=False), self.where.size)
+            dwell = (self.weights.T @ (self.coefficients[:, k] * times)).reshape(self.where.lattice)
+            total += self.spectra[k] * scipy.fft.rfft2(dwell, self.where.size)
         fine = scipy.fft.irfft2(total, self.where.size)[self._on_grid]
         cells = fine.reshape(self.grid.ny, self.finer, self.grid.nx, self.finer)
         return np.asarray(cells.mean(axis=(1, 3), dtype=np.float64))
@@ -142,11 +156,23 @@ def spread_effect(
         error, entry = misses(rows, found)
         if error <= tolerance:
             whole = _laid_down(grid, finer, spot, blocks, family)
-            return replace(whole, error=error, entry_error=entry)
+            return replace(whole, error=error, entry_error=entry, coarse=_coarse(whole, spot, blocks, depth_ratio))
     raise ComputeError(
         f"without a matrix the removal is off by {error:.1e} of its peak on a grid {FINER[-1]} times as fine, "
         f"{tolerance:.1e} is asked for: use the matrix, or a tolerance above it"
     )
+
+
+def _coarse(whole: SpreadEffect, spot: Spot, blocks: Blocks, depth_ratio: FloatArray) -> SpreadEffect | None:
+    """See `SpreadEffect.coarse`."""
+    fine = whole.grid
+    half_cells = float(np.median(spot.half_width_mm(depth_ratio))) / fine.pitch_mm
+    times = max(int(half_cells / COARSE_CELLS), 1)
+    grid = Grid(-(-fine.ny // times), -(-fine.nx // times), times * fine.pitch_mm)
+    family = meshed_family(spot, grid.pitch_mm, depth_ratio, blocks.azimuth_rad, COARSE_TOLERANCE)
+    if times * whole.finer == 1 and len(family.kernels) >= whole.rank:
+        return None
+    return _laid_down(grid, 1, spot, blocks, family).single()
 
 
 def _laid_down(grid: Grid, finer: int, spot: Spot, blocks: Blocks, family: Family) -> SpreadEffect:
