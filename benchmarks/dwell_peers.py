@@ -57,7 +57,7 @@ def lean(problem: DwellProblem) -> Quadratic:
             total += factor * restore(back * spectrum, point)
         return total
 
-    return Quadratic(forward, backward, problem.target_nm[mask], problem.regularisation)
+    return Quadratic(forward, backward, problem.target_nm[mask], problem.effect.n, problem.regularisation)
 
 
 def ours(problem: DwellProblem, value: Callable[[FloatArray], float], goal: Goal) -> None:

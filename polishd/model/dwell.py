@@ -36,7 +36,7 @@ class Certificate:
     seconds: float
     """CPU seconds of the solver."""
     stopped: str
-    """Why the solver stopped: ``converged``, ``deadline``, ``iterations``, ``rough``; what was used may follow."""
+    """Why the solver stopped: ``converged``, ``deadline``, ``iterations``; what was used may follow."""
     cross_check: str | None = None
     """Name of an independent solver that was asked too, or None."""
     cross_check_gap: float | None = None

@@ -22,7 +22,7 @@ from polishd.process.dwell.certificate import certified
 from polishd.process.dwell.curve import Row, Solve, price_curve
 from polishd.process.dwell.curve import Solved as Chosen
 from polishd.process.dwell.limit import TimeLimit
-from polishd.process.dwell.problem import ROUGH, DwellProblem
+from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
 from polishd.process.dwell.validation import negligible
 from polishd.process.edge.correctable import correctable
@@ -81,7 +81,7 @@ def solve_turns(turns: Sequence[Turn], measured: Measured, warm: KeptStart | Non
     only. What acceleration delivers late becomes the lower bound of the next round, so that the optimum knows of it.
     What a turn believes is what the cycles have taught; ``warm`` is what was kept of the last one's solution. All of it
     together, removal models, rounds, choice, cross-check and curve, has ``dwell.within_s`` of CPU time: each solve is
-    given what is left. Only the last must be a good one.
+    given what is left.
     """
     recipe = turns[0].recipe
     time_limit = TimeLimit(recipe.dwell.within_s)
@@ -96,14 +96,14 @@ def solve_turns(turns: Sequence[Turn], measured: Measured, warm: KeptStart | Non
     bounds = Bounds(step.of_legs(Leg.least_s), step.of_legs(Leg.most_s))
     if len(legs) == 1:
         foresight.require_removal_time(recipe, measured, legs[0].answer, bounds.lower_s)
-    found = step.round(bounds, warm, LAST_SHARE, rough=True)
+    found = step.round(bounds, warm, LAST_SHARE)
     for _ in range(ENVELOPE_ROUNDS):
         late = found.expected_s > found.dwell.time_s * 1.001 + 1e-4
         if not late.any():
             break
         bounds = bounds.raised(np.where(late, found.expected_s, 0.0))
-        found = step.round(bounds, found.dwell, LAST_SHARE, rough=True)
-    if found.dwell.certificate.stopped in {DEADLINE, ROUGH}:
+        found = step.round(bounds, found.dwell, LAST_SHARE)
+    if found.dwell.certificate.stopped == DEADLINE:
         longer = step.round(bounds, found.dwell)
         found = min(found, longer, key=lambda round_: round_.dwell.certificate.objective)
     dwell = step.cross_checked(found.problem, step.timed(found.dwell))
@@ -170,15 +170,12 @@ class _Step:
     def dwell(self) -> DwellSection:
         return self.recipe.dwell
 
-    def round(self, bounds: Bounds, warm: Start | None, reserve: float = 0.0, *, rough: bool = False) -> Round:
-        """Solve within these bounds; where one solve does it, ``reserve`` of the step's time is left for later.
-
-        ``rough``: where one solve does it, that may be a rough one; its certificate tells.
-        """
+    def round(self, bounds: Bounds, warm: Start | None, reserve: float = 0.0) -> Round:
+        """Solve within these bounds; where one solve does it, ``reserve`` of the step's time is left for later."""
         problem, divide_by = self.problem(bounds, warm), self.divide_by
         if self.dwell.choose == "least":
             within_s = max(self.time_limit.left_s - reserve * self.dwell.within_s, 0.0)
-            found = self.recipe.solver.solve(replace(problem, rough=rough), within_s)
+            found = self.recipe.solver.solve(problem, within_s)
         else:
             chosen = self.chosen(problem)
             problem, found = chosen.problem, chosen.solution

@@ -8,7 +8,7 @@ from polishd.model.dwell import Certificate, DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadratic, safe_step
+from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadratic
 from polishd.process.dwell.setup import conditioning_note
 from polishd.process.metrics import band_rms
 from polishd.process.several import note as effect_note
@@ -23,6 +23,7 @@ def certified(
     seconds: float,
     stopped: str,
     notes: tuple[str, ...] = (),
+    f: Quadratic | None = None,
 ) -> DwellSolution:
     """A dwell with its certificate and the surface that it predicts.
 
@@ -37,6 +38,7 @@ def certified(
         seconds: CPU seconds it took.
         stopped: ``converged``, ``deadline`` or ``iterations``.
         notes: anything a person should know.
+        f: the problem's objective where it is at hand.
 
     Raises:
         ComputeError: ``time_s`` has another shape or is not finite.
@@ -52,13 +54,14 @@ def certified(
     if problem.band_period_mm is not None:
         pitch, mask = problem.effect.grid.pitch_mm, problem.metric_mask
         band = band_rms(residual, mask, pitch, problem.band_period_mm)
-    f = quadratic(problem)
-    objective, gap = f.value(t), largest_gap(problem, t, f)
+    f = f or quadratic(problem)
+    objective, slope = f.at(t)
+    gap = _largest_gap(problem, t, f, objective, slope)
     told = [note for note in (conditioning_note(problem, f), effect_note(problem.effect)) if note is not None]
     certificate = Certificate(
         solver=solver,
         objective=objective,
-        kkt_residual=kkt_residual(problem, t, f),
+        kkt_residual=_kkt_residual(problem, t, f, slope),
         bound_violation_s=float(max(0.0, (problem.lower_s - t).max(), (t - problem.upper_s).max())),
         predicted_rms_nm=float(inside.std()),
         predicted_pv_nm=float(np.ptp(inside)),
@@ -90,12 +93,16 @@ def largest_gap(problem: DwellProblem, time_s: FloatArray, f: Quadratic | None =
     an upper bound, infinite. It costs one gradient.
     """
     f = f or quadratic(problem)
-    g, p = f.gradient(time_s), f.regularisation
+    return _largest_gap(problem, time_s, f, *f.at(time_s))
+
+
+def _largest_gap(problem: DwellProblem, time_s: FloatArray, f: Quadratic, value: float, g: FloatArray) -> float:
+    p = f.regularisation
     down = np.where(g > 0, time_s - problem.lower_s, 0.0)
     up = np.where(g < 0, problem.upper_s - time_s, 0.0)
     step = np.maximum(np.maximum(up, down), 0.0)
     if p > 0:
-        most = np.sqrt(max(f.value(time_s), 0.0) / p) - time_s
+        most = np.sqrt(max(value, 0.0) / p) - time_s
         step = np.minimum(step, np.where(g < 0, np.maximum(most, 0.0), step))
         step = np.minimum(step, np.abs(g) / (2 * p))
     return float((np.abs(g) * step - (p * step**2 if p > 0 else 0.0)).sum())
@@ -107,9 +114,13 @@ def kkt_residual(problem: DwellProblem, time_s: FloatArray, f: Quadratic | None 
     0 exactly at the minimum, at most about 1 at the lower bound. Where the lower bound itself has no gradient, 0 for a
     minimum and infinity for anything else. ``f`` is the problem's objective where it is at hand.
     """
-    f, lower = f or quadratic(problem), problem.lower_s
-    step = safe_step(f, lower.size)
-    left = float(np.abs(projected_gradient(f.gradient(time_s), time_s, lower, problem.upper_s, step)).max())
+    f = f or quadratic(problem)
+    return _kkt_residual(problem, time_s, f, f.gradient(time_s))
+
+
+def _kkt_residual(problem: DwellProblem, time_s: FloatArray, f: Quadratic, slope: FloatArray) -> float:
+    lower = problem.lower_s
+    left = float(np.abs(projected_gradient(slope, time_s, lower, problem.upper_s, f.safe_step)).max())
     scale = float(np.abs(f.gradient(lower)).max())
     if scale == 0:
         return 0.0 if left == 0 else float("inf")

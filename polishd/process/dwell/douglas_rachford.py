@@ -18,7 +18,7 @@ from polishd.process.convolution import ConvolutionEffect
 from polishd.process.dwell.certificate import certified
 from polishd.process.dwell.limit import TimeLimit
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import projected_gradient, quadratic, safe_step
+from polishd.process.dwell.quadratic import projected_gradient, quadratic
 from polishd.process.dwell.splitting import Splitting, continued, splitting
 from polishd.process.dwell.validation import check
 
@@ -97,7 +97,7 @@ class _Judge:
         self.best_s: FloatArray = problem.lower_s
         self._lower, self._upper = problem.lower_s, problem.upper_s
         self._f = quadratic(problem)
-        self._step = safe_step(self._f, self._lower.size)
+        self._step = self._f.safe_step
         self._at_lower = self._f.gradient(self._lower)
         self._enough = kkt_tolerance * float(np.abs(self._at_lower).max())
         self._least = np.inf

@@ -23,7 +23,7 @@ from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.certificate import certified
 from polishd.process.dwell.limit import TimeLimit
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import Quadratic, narrow, projected_gradient, quadratic, safe_step
+from polishd.process.dwell.quadratic import Quadratic, narrow, projected_gradient, quadratic
 from polishd.process.dwell.validation import check
 from polishd.process.effect import SparseEffect
 
@@ -187,7 +187,7 @@ class _Interior:
         self._room = (upper - lower)[self._order]
         self._closed = np.isfinite(self._room)
         self._count = self._room.size + int(self._closed.sum())
-        self._step = safe_step(f, lower.size)
+        self._step = f.safe_step
 
     def run(self, tolerance: float, expired: Callable[[], bool]) -> tuple[FloatArray, int, str, float]:
         """(n,) best dwell, s; rounds; why it stopped; its duality gap, nm^2."""

@@ -17,7 +17,7 @@ from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.certificate import certified
 from polishd.process.dwell.limit import TimeLimit
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadratic, safe_step, warm_start_s
+from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadratic, warm_start_s
 from polishd.process.dwell.validation import check
 
 NAME = "newton_cg"
@@ -61,7 +61,7 @@ def solve(
     start = lower if start is None else start
     if start.shape != lower.shape or not np.isfinite(start).all():
         raise ComputeError(f"start_s must be {lower.size} finite seconds")
-    step = safe_step(f, lower.size)
+    step = f.safe_step
     enough = kkt_tolerance * float(np.abs(f.gradient(lower)).max())
 
     def stop(t: FloatArray, gradient: FloatArray) -> str | None:
@@ -97,7 +97,7 @@ def minimise(
     """
     t = np.clip(start, *bounds)
     gradient = f.gradient(t)
-    step = safe_step(f, t.size)
+    step = f.safe_step
     for rounds in range(MAX_ROUNDS):
         reason = stop(t, gradient)
         if reason is not None:

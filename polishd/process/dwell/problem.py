@@ -8,9 +8,6 @@ from polishd.model.dwell import Start
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.effect import Effect
 
-ROUGH = "rough"
-"""What a certificate says of a solve that stopped early because it was allowed to."""
-
 
 @dataclass(frozen=True, slots=True)
 class DwellProblem:
@@ -40,6 +37,3 @@ class DwellProblem:
     """The certificate states the RMS of periods above it, too."""
     warm: Start | None = field(default=None, repr=False)
     """A solution of a problem much like this one (the last cycle's, the last point of a curve) to start from."""
-    rough: bool = False
-    """What is found only sets bounds for the next solve: a solver to whom that is cheaper may stop early, and then says
-    so by the certificate's ``stopped``, which is ROUGH."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from scipy import sparse
@@ -22,7 +22,7 @@ GRAM_MOST = 32
 """Such points at most: to make R'R takes so many passes over R, and a solve some hundreds."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Quadratic:
     """``f(t) = |R t - h|^2 / N_r + regularisation |t|^2 + price sum(t)`` (eq. 50, with its square outside the sum).
 
@@ -35,6 +35,8 @@ class Quadratic:
     """(m,) -> (n,): R transposed."""
     target: FloatArray
     """(m,) nm: h."""
+    n: int
+    """Number of timed points."""
     regularisation: float
     """The P of eq. 50, nm^2/s^2."""
     price: float = 0.0
@@ -46,14 +48,28 @@ class Quadratic:
 
     def value(self, time_s: FloatArray) -> float:
         """f(t), nm^2."""
-        miss = self.forward(time_s) - self.target
-        held = self.regularisation * float(time_s @ time_s) + self.price * float(time_s.sum())
-        return float(miss @ miss) / self.target.size + held
+        return self._value(time_s, self.forward(time_s) - self.target)
 
     def gradient(self, time_s: FloatArray) -> FloatArray:
         """(n,) nm^2/s: ``2 R'(R t - h) / N_r + 2 regularisation t + price``."""
+        return self.at(time_s)[1]
+
+    def at(self, time_s: FloatArray) -> tuple[float, FloatArray]:
+        """`value` and `gradient`, by one product with R and one with R'."""
         miss = self.forward(time_s) - self.target
-        return 2 / self.target.size * self.backward(miss) + 2 * self.regularisation * time_s + self.price
+        slope = 2 / self.target.size * self.backward(miss) + 2 * self.regularisation * time_s + self.price
+        return self._value(time_s, miss), slope
+
+    def _value(self, time_s: FloatArray, miss: FloatArray) -> float:
+        held = self.regularisation * float(time_s @ time_s) + self.price * float(time_s.sum())
+        return float(miss @ miss) / self.target.size + held
+
+    @cached_property
+    def safe_step(self) -> float:
+        """s^2/nm^2: 1 / an upper bound of the Hessian's eigenvalues (its largest row sum: R is not negative)."""
+        rows = self.backward(self.forward(np.ones(self.n)))  # once: not worth making R'R for
+        largest = 2 / self.target.size * float(rows.max()) + 2 * self.regularisation
+        return 1 / largest if largest > 0 else 1.0
 
     def curvature(self, direction: FloatArray) -> FloatArray:
         """(n,) Hessian times a direction: ``2 R'R d / N_r + 2 regularisation d``."""
@@ -83,17 +99,18 @@ def quadratic(problem: DwellProblem) -> Quadratic:
     """
     mask, effect = problem.solve_mask, problem.effect
     root = np.ones(int(mask.sum())) if problem.weight is None else np.sqrt(problem.weight[mask])
-    target, rest = root * problem.target_nm[mask], (problem.regularisation, problem.price_nm2_per_s)
+    target = root * problem.target_nm[mask]
+    rest = (problem.regularisation, problem.price_nm2_per_s)
     if isinstance(effect, SparseEffect):
         rows = narrow(sparse.csr_array(sparse.csr_array(effect.matrix)[np.flatnonzero(mask.ravel())]))
         if problem.weight is not None:
             rows = narrow(sparse.csr_array(sparse.diags_array(root) @ rows))
         columns = narrow(sparse.csr_array(rows.T))
-        return Quadratic(rows.__matmul__, columns.__matmul__, target, *rest, gram=_gram(rows, columns))
+        return Quadratic(rows.__matmul__, columns.__matmul__, target, effect.n, *rest, gram=_gram(rows, columns))
 
     rough = single(effect)
     roughly = None if rough is effect else _products(rough, mask, root)
-    return Quadratic(*_products(effect, mask, root), target, *rest, roughly=roughly)
+    return Quadratic(*_products(effect, mask, root), target, effect.n, *rest, roughly=roughly)
 
 
 def _gram(rows: sparse.csr_array, columns: sparse.csr_array) -> Product | None:
@@ -133,13 +150,6 @@ def projected_gradient(
     over that length: so a point a hair off its bound counts for the hair, which an interior solution needs.
     """
     return (time_s - np.clip(time_s - step * gradient, lower, upper)) / step
-
-
-def safe_step(f: Quadratic, n: int) -> float:
-    """s^2/nm^2: 1 / an upper bound of the Hessian's eigenvalues (its largest row sum: R is not negative)."""
-    rows = f.backward(f.forward(np.ones(n)))  # once: not worth making R'R for
-    largest = 2 / f.target.size * float(rows.max()) + 2 * f.regularisation
-    return 1 / largest if largest > 0 else 1.0
 
 
 def warm_start_s(problem: DwellProblem, f: Quadratic) -> FloatArray | None:

@@ -7,7 +7,7 @@ import numpy as np
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import Quadratic, quadratic, safe_step
+from polishd.process.dwell.quadratic import Quadratic, quadratic
 from polishd.process.effect import Effect
 from polishd.process.several import single
 
@@ -90,7 +90,7 @@ def condition(problem: DwellProblem, f: Quadratic | None = None) -> float:
     ``f`` is the problem's objective where it is at hand.
     """
     held = 2 * problem.regularisation
-    return 1 / (safe_step(f or quadratic(problem), problem.effect.n) * held) if held > 0 else float("inf")
+    return 1 / ((f or quadratic(problem)).safe_step * held) if held > 0 else float("inf")
 
 
 def conditioning_note(problem: DwellProblem, f: Quadratic | None = None) -> str | None:

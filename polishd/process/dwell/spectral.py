@@ -23,8 +23,8 @@ from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.certificate import certified
 from polishd.process.dwell.limit import TimeLimit
-from polishd.process.dwell.problem import ROUGH, DwellProblem
-from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadratic, safe_step, warm_start_s
+from polishd.process.dwell.problem import DwellProblem
+from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadratic, warm_start_s
 from polishd.process.dwell.validation import check
 from polishd.process.spreading.effect import SpreadEffect
 
@@ -36,9 +36,6 @@ PULL = 3.0
 At 1.5 a KKT residual of 1e-4 takes a quarter more steps, at 0.7 half as many again."""
 LEAST_REGULARISATION = 1e-5
 """Regularisation below this share of the most curvature is taken for this, in the pull only."""
-ROUGHLY = 2e-4
-"""KKT residual to stop at where the problem is a rough one: half of the steps. At 1e-3 a tenth; but a dwell that is
-rougher than it must be accelerates late at more points, and the bounds made of that leave 4 % more in the end."""
 LOOK_EVERY = 40
 """Steps between two looks with the effect itself, in float64: each costs as much as ten to fifty steps."""
 STALLED, LOOKS = 0.9, 5
@@ -65,7 +62,7 @@ class Metric:
         return np.asarray((slope - weights @ back.ravel()) / self.held, dtype=np.float64)
 
 
-def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 5e-5) -> DwellSolution:
+def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-5) -> DwellSolution:
     """Solve the dwell problem, or come as far as the time allows.
 
     Args:
@@ -73,8 +70,8 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 5e-5) -
             better than ``lower_s``.
         within_s: CPU seconds for the whole call (see TimeLimit); when they are over, the best dwell so far is
             returned, within the bounds, and its certificate says ``deadline`` and how far from the minimum it is.
-        kkt_tolerance: the KKT residual (see Certificate) to stop at. Where float32 does not get there, `newton_cg` goes
-            on. A rough problem is solved to ROUGHLY.
+        kkt_tolerance: the KKT residual (see Certificate) to stop at. Where the steps do not get there, `newton_cg` goes
+            on.
 
     Returns:
         The dwell with its certificate.
@@ -87,14 +84,11 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 5e-5) -
     if not isinstance(problem.effect, SpreadEffect):
         raise ComputeError(f"{NAME} needs an effect without a matrix: use newton_cg")
     f = quadratic(problem)
-    enough = max(kkt_tolerance, ROUGHLY) if problem.rough else kkt_tolerance
-    found, steps, stopped = _minimise(problem, problem.effect, f, enough, limit)
-    if stopped == "converged" and enough > kkt_tolerance:
-        stopped = ROUGH
+    found, steps, stopped = _minimise(problem, problem.effect, f, kkt_tolerance, limit)
     if stopped == "stalled":
         last = newton_cg.solve(problem, limit.left_s, kkt_tolerance, found)
         return replace(last, certificate=replace(last.certificate, seconds=limit.cpu_s))
-    return certified(problem, found, solver=NAME, iterations=steps, seconds=limit.cpu_s, stopped=stopped)
+    return certified(problem, found, solver=NAME, iterations=steps, seconds=limit.cpu_s, stopped=stopped, f=f)
 
 
 def metric(problem: DwellProblem, effect: SpreadEffect) -> tuple[Metric, float]:
@@ -141,15 +135,16 @@ def _minimise(
     bend_of = f.rough_curvature if bending is problem else quadratic(bending).rough_curvature
     start = warm_start_s(problem, f)
     bounded = lower.copy() if start is None else np.clip(start, lower, upper)
-    gradient, step = f.gradient(bounded), safe_step(f, effect.n)
-    enough = kkt_tolerance * float(np.abs(f.gradient(lower)).max())
+    at_lower, step = f.gradient(lower), f.safe_step
+    gradient = at_lower if start is None else f.gradient(bounded)
+    enough = kkt_tolerance * float(np.abs(at_lower).max())
     multiplier = -np.where(_held_back(gradient, bounded, lower, upper), gradient, 0.0) / pull
     free = bent = offset = bounded.copy()  # the dwell without bounds; its gradient is bent + offset
     best, least, history = bounded, np.inf, list[float]()
     for steps in range(MAX_STEPS):
         late = limit.expired()
         if late or steps % LOOK_EVERY == 0:
-            gradient = f.gradient(bounded)
+            gradient = f.gradient(bounded) if steps else gradient
             left = float(np.abs(projected_gradient(gradient, bounded, lower, upper, step)).max())
             history.append(left)
             if left < least:

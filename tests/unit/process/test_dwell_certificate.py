@@ -14,7 +14,7 @@ from polishd.model.surface import FloatArray, Grid
 from polishd.process.dwell.certificate import certified, kkt_residual, largest_gap
 from polishd.process.dwell.newton_cg import solve
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import projected_gradient, quadratic, safe_step
+from polishd.process.dwell.quadratic import projected_gradient, quadratic
 from polishd.process.effect import SparseEffect
 from tests.unit.process.gaussian import dwell_problem
 
@@ -134,7 +134,7 @@ def test_the_safe_step_is_below_one_over_the_largest_eigenvalue_and_not_far() ->
     n = problem.effect.n
     hessian = np.stack([f.curvature(row) for row in np.eye(n)])
     largest = np.linalg.eigvalsh(hessian)[-1]
-    assert 1 / largest / 3 < safe_step(f, n) <= 1 / largest
+    assert 1 / largest / 3 < f.safe_step <= 1 / largest
 
 
 def test_the_projected_gradient_is_what_the_bounds_leave() -> None:

@@ -13,7 +13,7 @@ from polishd.model.dwell import KeptStart
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell import automatic, newton_cg, spectral
-from polishd.process.dwell.problem import ROUGH, DwellProblem
+from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import quadratic
 from polishd.process.dwell.setup import regularisation_from_rho
 from polishd.process.dwell.validation import negligible, without_traces
@@ -92,16 +92,6 @@ def test_where_float32_does_not_get_there_projected_newton_goes_on() -> None:
     assert found.certificate.solver == newton_cg.NAME
     assert found.certificate.kkt_residual <= 1e-9
     assert 0.8 * spent_s < found.certificate.seconds <= spent_s, "both solvers' time"
-
-
-def test_what_only_sets_bounds_may_be_rough_and_is_told_so() -> None:
-    asked = problem()
-    rough, whole = spectral.solve(replace(asked, rough=True), 120.0), spectral.solve(asked, 120.0)
-    assert rough.certificate.stopped == ROUGH
-    assert rough.certificate.kkt_residual <= spectral.ROUGHLY
-    assert rough.certificate.iterations < whole.certificate.iterations
-    assert spectral.solve(replace(asked, rough=True), 0.0).certificate.stopped == "deadline"
-    assert whole.certificate.stopped == "converged"
 
 
 def test_a_warm_start_is_soon_there() -> None:

@@ -12,7 +12,7 @@ from polishd.hookspecs import DwellSolver
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.process.dwell import newton_cg
-from polishd.process.dwell.problem import ROUGH, DwellProblem
+from polishd.process.dwell.problem import DwellProblem
 from polishd.recipe import dwell_step, steps
 from polishd.recipe.dwell_step import require_certificate
 from polishd.recipe.recipe import Recipe
@@ -92,22 +92,6 @@ def test_the_last_solve_ends_what_the_rounds_began(monkeypatch: pytest.MonkeyPat
 
     certificate = solved(costly.recipe(solver=DwellSolver("goes_on", goes_on), within_s=40.0)).dwell.certificate
     require_certificate(certificate, small_recipe())
-
-
-def test_rounds_that_only_set_bounds_may_be_rough_and_the_last_is_whole() -> None:
-    allowed = list[bool]()
-
-    def early(problem: DwellProblem, within_s: float) -> DwellSolution:
-        allowed.append(problem.rough)
-        found = newton_cg.solve(problem, within_s, 1e-2 if problem.rough else 1e-5)
-        stopped = ROUGH if problem.rough else "converged"
-        return replace(found, certificate=replace(found.certificate, stopped=stopped))
-
-    found = solved(small_recipe(solver=DwellSolver("early", early)))
-    assert len(allowed) >= 2
-    assert allowed == [True] * (len(allowed) - 1) + [False]
-    assert found.dwell.certificate.stopped == "converged"
-    require_certificate(found.dwell.certificate, small_recipe())
 
 
 @pytest.mark.parametrize("choose", [{"choose": "target", "target_nm": 1.0}, {"choose": "knee"}])
