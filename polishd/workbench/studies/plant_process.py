@@ -46,6 +46,11 @@ class PlantProcess:
             self._process.wait()
         self._said.close()
 
+    @property
+    def alive(self) -> bool:
+        """Whether it takes another request."""
+        return self._process.poll() is None
+
     def new(self, config: Mapping[str, Any], seed: int) -> None:
         """Draw another plant from SIM.toml's sections and a seed. ComputeError, as of all requests."""
         self._ask({"do": "new", "config": config, "seed": seed})

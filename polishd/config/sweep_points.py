@@ -1,0 +1,232 @@
+"""The points of a sweep: every combination of values, and the study that each of them makes."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from polishd.config.document import parse_toml
+from polishd.config.places import Location, Source, problems
+from polishd.config.study import Study, study_of
+from polishd.config.sweep import SPREAD, AxisSection, GroupSection, SweepSection
+from polishd.model.errors import ConfigError
+
+MOST_POINTS = 100_000
+MOST_SAID = 10
+"""Problems that are told at once; the others are likely alike."""
+FIXED = ("kind", "title", "sweep", "seeds", "scenarios", "loops")
+"""Keys that say what all cases are: no case has its own."""
+Point = Mapping[str, Any]
+"""By dotted key of the study, the value that it has there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Swept:
+    """A study's file as its cases see it."""
+
+    path: Path
+    raw: Mapping[str, Any]
+    """All but ``[sweep]``."""
+    source: Source
+    points: tuple[Point, ...]
+    """One without keys where nothing is swept."""
+    is_sweep: bool
+
+    def at(self, point: Point) -> Study:
+        """The study at these values. ConfigError at the place of the sweep that they came from."""
+        raw = deepcopy(dict(self.raw))
+        for key, value in point.items():
+            put(raw, key, value)
+        return study_of(raw, self.source)
+
+
+def read_swept(path: Path) -> Swept:
+    """A study's file without its points, for whoever is told them. ConfigError."""
+    raw, source = parse_toml(path)
+    swept = raw.pop("sweep", None) is not None
+    return Swept(path.absolute(), raw, source, (), is_sweep=swept)
+
+
+def load_swept(path: Path) -> Swept:
+    """Read a study's file with its ``[sweep]``, if any, and check each of its points.
+
+    ConfigError, a line each: ``FILE:LINE: key: what is wrong; what to do``.
+    """
+    raw, source = parse_toml(path)
+    section = raw.pop("sweep", None)
+    if section is None:
+        study_of(raw, source)
+        return Swept(path.absolute(), raw, source, ({},), is_sweep=False)
+    try:
+        sweep = SweepSection.model_validate(section)
+    except ValidationError as error:
+        raise ConfigError("\n".join(problems(error, SweepSection, source, ("sweep",)))) from error
+    places = _places(sweep, source)
+    points = tuple(_points(sweep, _folders(path, raw), source, places))
+    stands = tuple((location_of(key), place) for key, place in places.items())
+    swept = Swept(path.absolute(), raw, replace(source, stands_for=stands), points, is_sweep=True)
+    said: dict[str, None] = {}
+    for point in points:
+        try:
+            swept.at(point)
+        except ConfigError as error:
+            said.update(dict.fromkeys(str(error).splitlines()))
+        if len(said) >= MOST_SAID:
+            break
+    if said:
+        raise ConfigError("\n".join(list(said)[:MOST_SAID]))
+    return swept
+
+
+def location_of(key: str) -> Location:
+    """Where a dotted key stands in a study's file: the keys of ``[cell_with]`` and of a loop have dots of their own."""
+    root, *rest = key.split(".")
+    if root == "cell_with" and rest:
+        return (root, ".".join(rest))
+    if root == "loops" and len(rest) > 1:
+        return (root, rest[0], ".".join(rest[1:]))
+    return (root, *rest)
+
+
+def put(raw: dict[str, Any], key: str, value: Any) -> None:
+    """Set a dotted key of a study's tables, which are made where they are not there."""
+    *tables, last = location_of(key)
+    inner: Any = raw
+    for name in tables:
+        inner = inner.setdefault(name, {})
+        if not isinstance(inner, dict):
+            raise ConfigError(f"{key}: {name!r} is no section; mend the sweep's key")
+    inner[last] = value
+
+
+def _places(sweep: SweepSection, source: Source) -> dict[str, Location]:
+    """Where each swept key is written. ConfigError for one that is swept twice, or that no case can have."""
+    places: dict[str, Location] = {}
+    for number, group in enumerate(sweep.group):
+        for key in group.over:
+            place = ("sweep", "group", number, "over", key)
+            if key in places:
+                raise ConfigError(source.error(place, "is swept by another group, too; keep one of both"))
+            if key in FIXED or not all(key.split(".")):
+                raise ConfigError(source.error(place, "no case has its own; sweep a key below it, or another"))
+            places[key] = place
+    return places
+
+
+def _folders(path: Path, raw: Mapping[str, Any]) -> dict[str, Path]:
+    """By root of a key, the folder from which the file that it ends in counts its paths."""
+    here = path.absolute().parent
+    cell, plant = (here / str(raw.get(name, "")) for name in ("cell", "plant"))
+    return {"": here, "cell_with": cell.parent, "loops": cell.parent, "plant_with": plant.parent}
+
+
+def _points(
+    sweep: SweepSection, folders: Mapping[str, Path], source: Source, places: Mapping[str, Location]
+) -> Iterator[Point]:
+    groups = []
+    for number, group in enumerate(sweep.group):
+        rng = np.random.default_rng([sweep.seed, number])
+        groups.append(_of_group(group, rng, folders, source, places))
+    count = int(np.prod([len(group) for group in groups], dtype=float))
+    if count > MOST_POINTS:
+        raise ConfigError(source.error(("sweep",), f"has {count} points; at most {MOST_POINTS}: take fewer values"))
+    twice = {key for group in sweep.group for key, axis in group.over.items() if axis.pair}
+    for chosen in itertools.product(*groups):
+        yield {key: [value, value] if key in twice else value for part in chosen for key, value in part.items()}
+
+
+def _of_group(
+    group: GroupSection,
+    rng: np.random.Generator,
+    folders: Mapping[str, Path],
+    source: Source,
+    places: Mapping[str, Location],
+) -> list[Point]:
+    """The points of one group."""
+    if group.draws is not None:
+        return _drawn(group, group.draws, rng, folders, source, places)
+    columns = {}
+    for key, axis in group.over.items():
+        if axis.kind in {*SPREAD, "numbers_from"}:
+            raise ConfigError(
+                source.error(places[key], f'{axis.kind} is drawn; say how = "drawn" or "latin", and draws')
+            )
+        columns[key] = _listed(key, axis, folders, source, places)
+    if group.how == "crossed":
+        return [dict(zip(columns, values, strict=True)) for values in itertools.product(*columns.values())]
+    lengths = {key: len(values) for key, values in columns.items()}
+    first = next(iter(lengths.values()))
+    for key, length in lengths.items():
+        if length != first:
+            problem = f"has {length} values, and the first of these zipped keys {first}; give as many to each"
+            raise ConfigError(source.error(places[key], problem))
+    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+
+
+def _drawn(
+    group: GroupSection,
+    draws: int,
+    rng: np.random.Generator,
+    folders: Mapping[str, Path],
+    source: Source,
+    places: Mapping[str, Location],
+) -> list[Point]:
+    """Draws of all keys, from (draws, keys) even numbers in [0, 1)."""
+    if group.how == "latin":
+        from scipy.stats import qmc
+
+        even = qmc.LatinHypercube(len(group.over), rng=rng).random(draws)
+    else:
+        even = rng.random((draws, len(group.over)))
+    columns: dict[str, Sequence[Any]] = {}
+    for (key, axis), u in zip(group.over.items(), even.T, strict=True):
+        if axis.numbers_from is not None:
+            columns[key] = range(axis.numbers_from, axis.numbers_from + draws)
+        elif axis.kind in SPREAD:
+            columns[key] = _spread(axis, u).tolist()
+        else:
+            values = _listed(key, axis, folders, source, places)
+            columns[key] = [values[int(share * len(values))] for share in u]
+    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+
+
+def _spread(axis: AxisSection, even: np.ndarray) -> np.ndarray:
+    """(n,) values of a distribution from (n,) even numbers: by the inverse of what accumulates of it."""
+    from scipy.special import ndtri
+
+    if axis.uniform is not None:
+        low, high = axis.uniform
+        return np.asarray(low + (high - low) * even)
+    if axis.log_uniform is not None:
+        low, high = np.log(axis.log_uniform)
+        return np.asarray(np.exp(low + (high - low) * even))
+    middle, sigma = axis.normal or axis.lognormal or (0.0, 1.0)
+    away = sigma * ndtri(np.clip(even, np.finfo(float).tiny, None))
+    return np.asarray(middle + away if axis.normal is not None else middle * np.exp(away))
+
+
+def _listed(
+    key: str, axis: AxisSection, folders: Mapping[str, Path], source: Source, places: Mapping[str, Location]
+) -> list[Any]:
+    """Values that are known without a draw."""
+    if axis.values is not None:
+        return list(axis.values)
+    if axis.files is not None:
+        here = folders[""]
+        found = sorted(path for path in here.glob(axis.files) if path.is_file())
+        if not found:
+            raise ConfigError(source.error(places[key], f"{axis.files}: no file is there; mend the pattern"))
+        base = folders.get(key.split(".", maxsplit=1)[0], here)
+        return [Path(os.path.relpath(path, base)).as_posix() for path in found]
+    count = axis.count or 0
+    if axis.linear is not None:
+        return [float(value) for value in np.linspace(*axis.linear, count)]
+    return [float(value) for value in np.geomspace(*(axis.log or (1.0, 1.0)), count)]
