@@ -72,9 +72,7 @@ class LoopStudy(Document):
         yield from ()
 
     def loop(self, name: str) -> tuple[dict[str, Any], Taken | None, Poses, bool]:
-        """What it has otherwise than the cell's file, by dotted key, of its witness, its poses, and whether it takes
-        over what passes teach; ConfigError.
-        """
+        """What it has otherwise than the cell's file by dotted key, its witness, poses and ``learns``; ConfigError."""
         keys = {**self.cell_with, **self.loops[name]}
         learns = keys.pop("learns", True)
         if not isinstance(learns, bool):

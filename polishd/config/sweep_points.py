@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
@@ -18,6 +19,7 @@ from polishd.config.places import Location, Source, problems
 from polishd.config.study import Study, study_of
 from polishd.config.sweep import SPREAD, AxisSection, GroupSection, SweepSection
 from polishd.model.errors import ConfigError
+from polishd.model.surface import FloatArray
 
 MOST_POINTS = 100_000
 MOST_SAID = 10
@@ -70,7 +72,7 @@ def load_swept(path: Path) -> Swept:
     except ValidationError as error:
         raise ConfigError("\n".join(problems(error, SweepSection, source, ("sweep",)))) from error
     places = _places(sweep, source)
-    points = tuple(_points(sweep, _folders(path, raw), source, places))
+    points = tuple(_points(sweep, _Values(source, places, _folders(path, raw))))
     stands = tuple((location_of(key), place) for key, place in places.items())
     swept = Swept(path.absolute(), raw, replace(source, stands_for=stands), points, is_sweep=True)
     said: dict[str, None] = {}
@@ -121,84 +123,87 @@ def _places(sweep: SweepSection, source: Source) -> dict[str, Location]:
     return places
 
 
-def _folders(path: Path, raw: Mapping[str, Any]) -> dict[str, Path]:
-    """By root of a key, the folder from which the file that it ends in counts its paths."""
-    here = path.absolute().parent
-    cell, plant = (here / str(raw.get(name, "")) for name in ("cell", "plant"))
-    return {"": here, "cell_with": cell.parent, "loops": cell.parent, "plant_with": plant.parent}
+@dataclass(frozen=True, slots=True)
+class _Values:
+    """The values of keys, and where each key is written."""
+
+    source: Source
+    places: Mapping[str, Location]
+    folders: Mapping[str, Path]
+    """By root of a key, the folder from which the file that it ends in counts its paths; "": the study's."""
+
+    def error(self, key: str, problem: str) -> ConfigError:
+        return ConfigError(self.source.error(self.places[key], problem))
+
+    def listed(self, key: str, axis: AxisSection) -> list[Any]:
+        """Those that are known without a draw. ConfigError."""
+        if axis.values is not None:
+            return list(axis.values)
+        if axis.files is not None:
+            here = self.folders[""]
+            found = sorted(path for path in here.glob(axis.files) if path.is_file())
+            if not found:
+                raise self.error(key, f"{axis.files}: no file is there; mend the pattern")
+            base = self.folders.get(key.split(".", maxsplit=1)[0], here)
+            return [Path(os.path.relpath(path, base)).as_posix() for path in found]
+        count = axis.count or 0
+        even = np.linspace(*axis.linear, count) if axis.linear else np.geomspace(*(axis.log or (1.0, 1.0)), count)
+        return [float(value) for value in even]
+
+    def of_group(self, group: GroupSection, rng: np.random.Generator) -> list[Point]:
+        """The points of one group. ConfigError."""
+        if group.draws is not None:
+            return self.drawn(group, group.draws, rng)
+        for key, axis in group.over.items():
+            if axis.kind in {*SPREAD, "numbers_from"}:
+                raise self.error(key, f'{axis.kind} is drawn; say how = "drawn" or "latin", and draws')
+        columns = {key: self.listed(key, axis) for key, axis in group.over.items()}
+        if group.how == "crossed":
+            return [dict(zip(columns, values, strict=True)) for values in itertools.product(*columns.values())]
+        first = len(next(iter(columns.values())))
+        for key, values in columns.items():
+            if len(values) != first:
+                problem = f"has {len(values)} values, and the first of these zipped keys {first}; give as many to each"
+                raise self.error(key, problem)
+        return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+
+    def drawn(self, group: GroupSection, draws: int, rng: np.random.Generator) -> list[Point]:
+        """Draws of all keys, from (draws, keys) even numbers in [0, 1)."""
+        even = rng.random((draws, len(group.over)))
+        if group.how == "latin":
+            from scipy.stats import qmc
+
+            even = qmc.LatinHypercube(len(group.over), rng=rng).random(draws)
+        columns: dict[str, Sequence[Any]] = {}
+        for (key, axis), u in zip(group.over.items(), even.T, strict=True):
+            if axis.numbers_from is not None:
+                columns[key] = range(axis.numbers_from, axis.numbers_from + draws)
+            elif axis.kind in SPREAD:
+                columns[key] = _spread(axis, u).tolist()
+            else:
+                values = self.listed(key, axis)
+                columns[key] = [values[int(share * len(values))] for share in u]
+        return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
 
 
-def _points(
-    sweep: SweepSection, folders: Mapping[str, Path], source: Source, places: Mapping[str, Location]
-) -> Iterator[Point]:
-    groups = []
-    for number, group in enumerate(sweep.group):
-        rng = np.random.default_rng([sweep.seed, number])
-        groups.append(_of_group(group, rng, folders, source, places))
-    count = int(np.prod([len(group) for group in groups], dtype=float))
+def _points(sweep: SweepSection, values: _Values) -> Iterator[Point]:
+    groups = [values.of_group(group, np.random.default_rng([sweep.seed, k])) for k, group in enumerate(sweep.group)]
+    count = math.prod(len(group) for group in groups)
     if count > MOST_POINTS:
-        raise ConfigError(source.error(("sweep",), f"has {count} points; at most {MOST_POINTS}: take fewer values"))
+        problem = f"has {count} points; at most {MOST_POINTS}: take fewer values"
+        raise ConfigError(values.source.error(("sweep",), problem))
     twice = {key for group in sweep.group for key, axis in group.over.items() if axis.pair}
     for chosen in itertools.product(*groups):
         yield {key: [value, value] if key in twice else value for part in chosen for key, value in part.items()}
 
 
-def _of_group(
-    group: GroupSection,
-    rng: np.random.Generator,
-    folders: Mapping[str, Path],
-    source: Source,
-    places: Mapping[str, Location],
-) -> list[Point]:
-    """The points of one group."""
-    if group.draws is not None:
-        return _drawn(group, group.draws, rng, folders, source, places)
-    columns = {}
-    for key, axis in group.over.items():
-        if axis.kind in {*SPREAD, "numbers_from"}:
-            raise ConfigError(
-                source.error(places[key], f'{axis.kind} is drawn; say how = "drawn" or "latin", and draws')
-            )
-        columns[key] = _listed(key, axis, folders, source, places)
-    if group.how == "crossed":
-        return [dict(zip(columns, values, strict=True)) for values in itertools.product(*columns.values())]
-    lengths = {key: len(values) for key, values in columns.items()}
-    first = next(iter(lengths.values()))
-    for key, length in lengths.items():
-        if length != first:
-            problem = f"has {length} values, and the first of these zipped keys {first}; give as many to each"
-            raise ConfigError(source.error(places[key], problem))
-    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+def _folders(path: Path, raw: Mapping[str, Any]) -> dict[str, Path]:
+    here = path.absolute().parent
+    cell, plant = (here / str(raw.get(name, "")) for name in ("cell", "plant"))
+    return {"": here, "cell_with": cell.parent, "loops": cell.parent, "plant_with": plant.parent}
 
 
-def _drawn(
-    group: GroupSection,
-    draws: int,
-    rng: np.random.Generator,
-    folders: Mapping[str, Path],
-    source: Source,
-    places: Mapping[str, Location],
-) -> list[Point]:
-    """Draws of all keys, from (draws, keys) even numbers in [0, 1)."""
-    if group.how == "latin":
-        from scipy.stats import qmc
-
-        even = qmc.LatinHypercube(len(group.over), rng=rng).random(draws)
-    else:
-        even = rng.random((draws, len(group.over)))
-    columns: dict[str, Sequence[Any]] = {}
-    for (key, axis), u in zip(group.over.items(), even.T, strict=True):
-        if axis.numbers_from is not None:
-            columns[key] = range(axis.numbers_from, axis.numbers_from + draws)
-        elif axis.kind in SPREAD:
-            columns[key] = _spread(axis, u).tolist()
-        else:
-            values = _listed(key, axis, folders, source, places)
-            columns[key] = [values[int(share * len(values))] for share in u]
-    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
-
-
-def _spread(axis: AxisSection, even: np.ndarray) -> np.ndarray:
+def _spread(axis: AxisSection, even: FloatArray) -> FloatArray:
     """(n,) values of a distribution from (n,) even numbers: by the inverse of what accumulates of it."""
     from scipy.special import ndtri
 
@@ -211,22 +216,3 @@ def _spread(axis: AxisSection, even: np.ndarray) -> np.ndarray:
     middle, sigma = axis.normal or axis.lognormal or (0.0, 1.0)
     away = sigma * ndtri(np.clip(even, np.finfo(float).tiny, None))
     return np.asarray(middle + away if axis.normal is not None else middle * np.exp(away))
-
-
-def _listed(
-    key: str, axis: AxisSection, folders: Mapping[str, Path], source: Source, places: Mapping[str, Location]
-) -> list[Any]:
-    """Values that are known without a draw."""
-    if axis.values is not None:
-        return list(axis.values)
-    if axis.files is not None:
-        here = folders[""]
-        found = sorted(path for path in here.glob(axis.files) if path.is_file())
-        if not found:
-            raise ConfigError(source.error(places[key], f"{axis.files}: no file is there; mend the pattern"))
-        base = folders.get(key.split(".", maxsplit=1)[0], here)
-        return [Path(os.path.relpath(path, base)).as_posix() for path in found]
-    count = axis.count or 0
-    if axis.linear is not None:
-        return [float(value) for value in np.linspace(*axis.linear, count)]
-    return [float(value) for value in np.geomspace(*(axis.log or (1.0, 1.0)), count)]

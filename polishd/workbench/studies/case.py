@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import platform
@@ -34,7 +35,8 @@ class Case:
     """Hash of all that decides it, files and versions too: the same hash, the same figures to the last bit."""
 
 
-def versions() -> dict[str, str]:
+@functools.cache
+def versions() -> Mapping[str, str]:
     """What must be the same where a case is computed as where it was made."""
     return {
         "polishd": __version__,

@@ -74,6 +74,7 @@ class Making:
         """ConfigError, with the place of the scenario's, the study's or the sweep's key, where no plant is so."""
         path, wrong = study.resolve(study.plant), self.scenarios(study)[scenario]
         _, source = self._once(f"sim {path}", lambda: parse_toml(path))
+        stands: list[tuple[Location, Location]]
         stands = [((a, b), ("plant", a, b)) for a, keys in wrong.plant.items() for b in keys]
         swept = dict(study.source.stands_for)
         for a, keys in study.plant_with.items():

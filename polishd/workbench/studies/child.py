@@ -15,6 +15,7 @@ from typing import Any, TextIO
 
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.plain import plain
+from polishd.plugins.rnc_robot.nc import compiled
 from polishd.workbench.studies.case import Case, versions
 from polishd.workbench.studies.working import Bench
 
@@ -59,4 +60,5 @@ def _say(answers: TextIO, what: dict[str, Any]) -> None:
 if __name__ == "__main__":
     with os.fdopen(os.dup(1), "w", encoding="utf-8") as out:
         os.dup2(2, 1)  # what a library prints is no answer
+        compiled.for_many()
         serve(sys.stdin, out)

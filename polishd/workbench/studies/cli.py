@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-import click
 import typer
 from typer import Argument
 from typer.core import TyperGroup
@@ -17,7 +16,7 @@ from polishd.workbench.studies.options import StudyOptions
 class _FileOrVerb(TyperGroup):
     """What is no verb is a study's file, which is run."""
 
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """``run`` is not written."""
         if args and args[0] not in {*self.commands, *self.get_help_option_names(ctx)}:
             args = ["run", *args]
@@ -26,7 +25,7 @@ class _FileOrVerb(TyperGroup):
 
 app = typer.Typer(
     cls=_FileOrVerb,
-    help="A simulation without a cell: corrections compared, spots, passes of equal dwell, whole jobs in a closed loop.",
+    help="A simulation without a cell: corrections, spots, passes of equal dwell, whole jobs in a closed loop.",
 )
 
 
@@ -45,7 +44,7 @@ def show(
     *,
     as_json: Json = False,
 ) -> None:
-    """What a study of many cases has come to: medians, paired differences, sensitivity, where it fails; pictures in DIR."""
+    """What many cases have come to: medians, paired differences, sensitivity, where they fail; pictures in DIR."""
     from polishd.workbench.studies.verb import show_verb
 
     show_verb(folder, as_json=as_json)

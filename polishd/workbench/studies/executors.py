@@ -5,13 +5,10 @@ from __future__ import annotations
 import os
 from concurrent.futures import Future, ThreadPoolExecutor
 from types import TracebackType
-from typing import TYPE_CHECKING, Protocol, Self
+from typing import Any, Protocol, Self
 
 from polishd.model.errors import ConfigError
 from polishd.workbench.studies.children import Answer, Children, Task
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 WORKERS_S = 60.0
 """In which a cluster has its first worker."""
@@ -73,7 +70,8 @@ class DaskCluster:
                 "--scheduler: distributed is not installed; install polishd[dask], or leave it out and compute here"
             ) from error
         try:
-            self._client: Client = Client(address, timeout=WORKERS_S)
+            connect: Any = Client
+            self._client = connect(address, timeout=WORKERS_S)
             self._client.wait_for_workers(1, timeout=WORKERS_S)
         except (OSError, TimeoutError, ValueError) as error:
             raise ConfigError(f"--scheduler {address}: no scheduler with workers answers: {error}") from error

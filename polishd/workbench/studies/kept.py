@@ -1,4 +1,4 @@
-"""What came of a study's cases: a journal that grows by a line a case, merged whole into one Parquet file at the end."""
+"""What came of a study's cases: a journal that grows by a line a case, merged into one Parquet file at the end."""
 
 from __future__ import annotations
 

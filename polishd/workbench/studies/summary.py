@@ -22,6 +22,8 @@ FIGURES: dict[str, tuple[str, ...]] = {
     "passes": ("pv_share", "slope", "correlation"),
 }
 """By kind of study, what is summed up; the first is what sensitivity is of."""
+SEED = "first_seed"
+"""A key that is swept for the draws' sake, and nothing goes with it."""
 THIRDS = ("lowest third", "middle third", "highest third")
 NEVER = math.inf
 """Passes to tolerance of a job that did not come there: it is above all others, and a median of such is none."""
@@ -108,13 +110,14 @@ def summed_up(rows: Iterable[Row]) -> Summary:
     """Of the rows of a study, in their order."""
     known = [{**row, "passes_to_tolerance": _to_tolerance(row)} for row in rows]
     kind = kind_of(known)
-    names = [name for name in LABELS if any(row.get(name) is not None for row in known)]
+    names = _told(known)
     by_label: dict[tuple[str, ...], list[Row]] = {}
     for row in known:
         if all(row.get(name) is not None for name in names):
             by_label.setdefault(tuple(str(row[name]) for name in names), []).append(row)
     groups = {label: dict(zip(names, label, strict=True)) for label in by_label}
-    keys = list(dict.fromkeys(key for row in known for key in row if key.startswith(OVER)))
+    keys = [key for key in dict.fromkeys(key for row in known for key in row) if key.startswith(OVER)]
+    keys = [key for key in keys if key != OVER + SEED]
     return Summary(
         kind=kind,
         rows=len(known),
@@ -127,6 +130,12 @@ def summed_up(rows: Iterable[Row]) -> Summary:
             one for label, mine in by_label.items() for key in keys for one in _fails(groups[label], mine, key)
         ),
     )
+
+
+def _told(rows: Sequence[Row]) -> list[str]:
+    """Labels that tell rows apart; where none does, the last that there is."""
+    values = {name: {row[name] for row in rows if row.get(name) is not None} for name in LABELS}
+    return [name for name in LABELS if len(values[name]) > 1] or [name for name in LABELS if values[name]][-1:]
 
 
 def kind_of(rows: Sequence[Row]) -> str:

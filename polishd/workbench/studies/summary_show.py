@@ -59,22 +59,28 @@ def words(label: Mapping[str, str]) -> str:
     return ", ".join(label.values()) or "all"
 
 
+def short(key: str) -> str:
+    """The last of a dotted key."""
+    return key.rsplit(".", 1)[-1]
+
+
 def _sensitivity(title: str, summary: Summary, keys: Sequence[str]) -> Table:
     by = {(words(one.label), one.key): one for one in summary.sensitivity}
-    rows = [(key, *(_figure(by[words(group.label), key].figure) for group in summary.groups)) for key in keys]
-    header = ("key", *(words(group.label) for group in summary.groups))
-    return figure_table(f"{title}: rank correlation of {FIGURES[summary.kind][0]} with", header, rows)
+    labels = [words(group.label) for group in summary.groups]
+    rows = [(label, *(_figure(by[label, key].figure) for key in keys)) for label in labels]
+    title = f"{title}: rank correlation of {FIGURES[summary.kind][0]} with"
+    return figure_table(title, ("of", *map(short, keys)), rows)
 
 
 def _fails(title: str, summary: Summary, keys: Sequence[str]) -> Table:
-    by = {(words(one.label), one.key, one.where): one.share[0] for one in summary.fails}
+    """A row a label: over the parts of each key's values, one after the other."""
     rows = []
-    for key in keys:
-        for where in dict.fromkeys(one.where for one in summary.fails if one.key == key):
-            shares = [by.get((words(group.label), key, where)) for group in summary.groups]
-            rows.append((key, where, *("" if one is None else f"{one:.0%}" for one in shares)))
-    header = ("key", "where", *(words(group.label) for group in summary.groups))
-    return figure_table(f"{title}: share that fails", header, rows)
+    for label in (words(group.label) for group in summary.groups):
+        mine = [one for one in summary.fails if words(one.label) == label]
+        cells = ("  ".join(f"{one.share[0]:.0%}" for one in mine if one.key == key) for key in keys)
+        rows.append((label, *cells))
+    title = f"{title}: share that fails, from the lowest third of a key to the highest, or by value"
+    return figure_table(title, ("of", *map(short, keys)), rows)
 
 
 def _share(found: tuple[float, float, float]) -> str:
@@ -85,6 +91,8 @@ def _share(found: tuple[float, float, float]) -> str:
 def _middle(one: Middle) -> str:
     if one.median is None:
         return "-"
+    if one.low is None:
+        return _figure(one.median)
     ends = f"{_figure(one.low)} to {'...' if one.high is None else _figure(one.high)}"
     return f"{_figure(one.median)} ({ends})"
 
@@ -130,7 +138,7 @@ def _heat(summary: Summary) -> Figure:
     page = figure(0.9 * len(keys) + 3.4, 0.32 * len(groups) + 2.4)
     ax = page.subplots()
     image = ax.imshow(values, cmap=mpl.colormaps[DIVERGING].with_extremes(bad=NO_DATA), vmin=-1, vmax=1, aspect="auto")
-    ax.set_xticks(np.arange(len(keys)), keys, rotation=40, ha="right")
+    ax.set_xticks(np.arange(len(keys)), [short(key) for key in keys], rotation=40, ha="right")
     ax.set_yticks(np.arange(len(groups)), groups)
     ax.set(title=f"rank correlation of {FIGURES[summary.kind][0]}")
     for (row, column), value in np.ndenumerate(values):
@@ -152,7 +160,7 @@ def _failing(summary: Summary) -> Figure:
         for group in summary.groups:
             mine = {one.where: one.share[0] for one in summary.fails if one.key == key and one.label == group.label}
             ax.plot(wheres, [mine.get(where, np.nan) for where in wheres], "o-", markersize=3, label=words(group.label))
-        ax.set(title=key, ylim=(0, 1))
+        ax.set(title=short(key), ylim=(0, 1))
         if tuple(wheres) == THIRDS:
             ax.set_xticks(range(3), ["low", "middle", "high"])
         ruled(ax)
