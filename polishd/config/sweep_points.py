@@ -73,7 +73,7 @@ def load_swept(path: Path) -> Swept:
         raise ConfigError("\n".join(problems(error, SweepSection, source, ("sweep",)))) from error
     places = _places(sweep, source)
     points = tuple(_points(sweep, _Values(source, places, _folders(path, raw))))
-    stands = tuple((location_of(key), place) for key, place in places.items())
+    stands = (*((location_of(key), place) for key, place in places.items()), *_made(places, raw))
     swept = Swept(path.absolute(), raw, replace(source, stands_for=stands), points, is_sweep=True)
     said: dict[str, None] = {}
     for point in points:
@@ -121,6 +121,17 @@ def _places(sweep: SweepSection, source: Source) -> dict[str, Location]:
                 raise ConfigError(source.error(place, "no case has its own; sweep a key below it, or another"))
             places[key] = place
     return places
+
+
+def _made(places: Mapping[str, Location], raw: Mapping[str, Any]) -> Iterator[tuple[Location, Location]]:
+    """Sections that are there for a swept key alone, and where that is written."""
+    for key, place in places.items():
+        *tables, _ = location_of(key)
+        inner: Any = raw
+        for depth, name in enumerate(tables, 1):
+            inner = inner.get(name) if isinstance(inner, Mapping) else None
+            if inner is None:
+                yield tuple(tables[:depth]), place
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from polishd.config.cell import CellConfig, lay_over, load_config
 from polishd.config.document import parse_toml
 from polishd.config.loop_study import LoopStudy, Scenario
-from polishd.config.places import problems
+from polishd.config.places import Location, problems
 from polishd.config.simulator import SimConfig
 from polishd.config.study import Study
 from polishd.config.sweep_points import MOST_SAID, Point, Swept
