@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +20,7 @@ from polishd.config.study import Study, study_of
 from polishd.config.sweep import SPREAD, AxisSection, GroupSection, SweepSection
 from polishd.model.errors import ConfigError
 from polishd.model.surface import FloatArray
+from polishd.plain import toml
 
 MOST_POINTS = 100_000
 MOST_SAID = 10
@@ -75,17 +76,24 @@ def load_swept(path: Path) -> Swept:
     points = tuple(_points(sweep, _Values(source, places, _folders(path, raw))))
     stands = (*((location_of(key), place) for key, place in places.items()), *_made(places, raw))
     swept = Swept(path.absolute(), raw, replace(source, stands_for=stands), points, is_sweep=True)
-    said: dict[str, None] = {}
-    for point in points:
+    require_all(swept, lambda _, point: swept.at(point))
+    return swept
+
+
+def require_all(swept: Swept, make: Callable[[int, Point], object]) -> None:
+    """Try each point; ConfigError, a line each, of what cannot be: at a key of the sweep, or with its point."""
+    said: dict[str, str] = {}
+    for number, point in enumerate(swept.points):
         try:
-            swept.at(point)
+            make(number, point)
         except ConfigError as error:
-            said.update(dict.fromkeys(str(error).splitlines()))
+            at = ", ".join(f"{key} = {toml(value)}" for key, value in point.items())
+            for line in str(error).splitlines():
+                said.setdefault(line, f"{line} (where {at})" if at and ": sweep." not in line else line)
         if len(said) >= MOST_SAID:
             break
     if said:
-        raise ConfigError("\n".join(list(said)[:MOST_SAID]))
-    return swept
+        raise ConfigError("\n".join(list(said.values())[:MOST_SAID]))
 
 
 def location_of(key: str) -> Location:

@@ -16,7 +16,7 @@ from polishd.config.loop_study import LoopStudy, Scenario
 from polishd.config.places import Location, problems
 from polishd.config.simulator import SimConfig
 from polishd.config.study import Study
-from polishd.config.sweep_points import MOST_SAID, Point, Swept
+from polishd.config.sweep_points import Point, Swept, require_all
 from polishd.model.errors import ConfigError
 from polishd.workbench.studies.case import Case, made_of
 
@@ -104,16 +104,8 @@ def cases_of(swept: Swept) -> list[Case]:
 
     So whatever is compared stands side by side, on the same draws. ConfigError for all that cannot be, a line each.
     """
-    making, cases, said = Making(swept), list[Case](), dict[str, None]()
-    for number, point in enumerate(swept.points):
-        try:
-            cases += _at(making, swept.at(point), number, point, len(cases))
-        except ConfigError as error:
-            said.update(dict.fromkeys(str(error).splitlines()))
-        if len(said) >= MOST_SAID:
-            break
-    if said:
-        raise ConfigError("\n".join(list(said)[:MOST_SAID]))
+    making, cases = Making(swept), list[Case]()
+    require_all(swept, lambda number, point: cases.extend(_at(making, swept.at(point), number, point, len(cases))))
     return cases
 
 

@@ -31,9 +31,12 @@ def serve(requests: TextIO, answers: TextIO) -> None:
                 if bench is not None:
                     bench.close()
                 bench, begun = Bench(Path(request["study"])), request["run"]
-            _say(answers, _answer(bench, Case(**request["case"])))
+            case = Case(**request["case"])
+            bench.require_same(case)
         except ConfigError as error:
             _say(answers, {"refused": str(error)})
+        else:
+            _say(answers, _answer(bench, case))
     if bench is not None:
         bench.close()
 
@@ -42,8 +45,6 @@ def _answer(bench: Bench, case: Case) -> dict[str, Any]:
     wall, cpu = time.monotonic(), time.process_time()
     try:
         answer: dict[str, Any] = {"rows": bench.rows(case)}
-    except ConfigError:
-        raise
     except PolishdError as error:
         answer = {"failed": f"{type(error).__name__}: {error}"}
     except Exception as error:  # noqa: BLE001  whatever it was, it is this case's, and is told

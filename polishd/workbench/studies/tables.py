@@ -163,6 +163,6 @@ def loop_notes(looped: Looped) -> list[str]:
 
 def error_notes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Why cases have no figures, and how many of each."""
-    why = Counter(str(row["error"]).splitlines()[-1] for row in rows if row.get("error"))
+    why = Counter(str(row["error"]) for row in rows if row.get("error"))
     told = [f"{count} of them: {words}" for words, count in why.most_common(MOST_NOTES)]
-    return [f"{sum(why.values())} cases have an error instead of figures:", *told] if why else []
+    return [f"{sum(why.values())} of {len(rows)} cases have an error instead of figures:", *told] if why else []

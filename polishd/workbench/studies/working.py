@@ -46,17 +46,18 @@ class Bench:
             self._plant.__exit__()
             self._plant = None
 
-    def rows(self, case: Case) -> Rows:
-        """What it comes to: a row of it, or one for each plant and correction, or spot. PolishdError.
-
-        ConfigError where its files are no longer those that the case was made of.
-        """
+    def require_same(self, case: Case) -> None:
+        """ConfigError where versions or files are no longer those that the case was made of."""
         study = self._making.swept.at(case.at)
         if self._making.of(study, case.scenario, case.loop, case.seed) != case.of:
             raise ConfigError(
                 f"{self._making.swept.path}: the study or a file that it names is another here, or was changed since "
                 "the study began; let all workers see the same files, and begin again"
             )
+
+    def rows(self, case: Case) -> Rows:
+        """What it comes to: a row of it, or one for each plant and correction, or spot. PolishdError."""
+        study = self._making.swept.at(case.at)
         if isinstance(study, LoopStudy):
             return [self._job(study, case)]
         return list(_computed(study))

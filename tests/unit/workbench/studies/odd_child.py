@@ -1,4 +1,4 @@
-"""A worker of studies that does what a case's point says: ``python odd_child.py``; nothing is imported, so it is quick."""
+"""A worker of studies that does what a case's point says: ``python odd_child.py``; nothing is imported."""
 
 from __future__ import annotations
 
