@@ -14,30 +14,25 @@ SPREAD = ("uniform", "log_uniform", "normal", "lognormal")
 """Axes that are distributions: they need draws."""
 
 
-def _as_axis(value: Any) -> Any:
-    """A list alone is its values."""
-    return {"values": value} if isinstance(value, list) else value
-
-
 class AxisSection(Section):
     """The values of one key: a list, or a table with one of these."""
 
     values: Annotated[tuple[Any, ...], BeforeValidator(as_tuple)] | None = None
     """Those; a list alone is the same."""
     linear: Range | None = None
-    """From the first to the last in `count` equal steps."""
+    """From the first to the last in `count` equal steps. [that of the key]"""
     log: Range | None = None
-    """The same in equal ratios."""
+    """The same in equal ratios. [that of the key]"""
     count: Annotated[int, Field(ge=2, le=1_000_000)] | None = None
     """How many of `linear` and `log`. [1]"""
     uniform: Range | None = None
-    """Drawn evenly between the two."""
+    """Drawn evenly between the two. [that of the key]"""
     log_uniform: Range | None = None
-    """Drawn so that the logarithm is even between the two."""
+    """Drawn so that the logarithm is even between the two. [that of the key]"""
     normal: Pair | None = None
-    """Drawn from a normal distribution: mean, standard deviation."""
+    """Drawn from a normal distribution: mean, standard deviation. [that of the key]"""
     lognormal: Pair | None = None
-    """Drawn from a lognormal one: median, standard deviation of the natural logarithm."""
+    """Drawn from a lognormal one: median, standard deviation of the natural logarithm. [that of the key]"""
     files: Text | None = None
     """All files that this pattern finds from the study's folder, by name: `"maps/*.dat"`."""
     numbers_from: Annotated[int, Field(ge=0)] | None = None
@@ -48,7 +43,12 @@ class AxisSection(Section):
     @property
     def kind(self) -> str:
         """Which of them it is."""
-        return next(name for name in (*_KINDS,) if getattr(self, name) is not None)
+        return next(name for name in _KINDS if getattr(self, name) is not None)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_list(cls, value: Any) -> Any:
+        return {"values": value} if isinstance(value, list) else value
 
     @model_validator(mode="after")
     def _is_one(self) -> Self:
@@ -71,7 +71,6 @@ class AxisSection(Section):
 
 
 _KINDS = ("values", *EVEN, *SPREAD, "files", "numbers_from")
-Axis = Annotated[AxisSection, BeforeValidator(_as_axis)]
 
 
 class GroupSection(Section):
@@ -82,7 +81,7 @@ class GroupSection(Section):
     each key's range is covered evenly (`latin`, a Latin hypercube)."""
     draws: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
     """How many of `drawn` and `latin`. [1]"""
-    over: Annotated[dict[str, Axis], Field(min_length=1)]
+    over: Annotated[dict[str, AxisSection], Field(min_length=1)]
     """By dotted key of the study, as `"process.force_n"`; in a study of loops also `"cell_with.process.force_n"`,
     `"plant_with.truth.rate"` and `"loops.NAME.process.correction"`."""
 
