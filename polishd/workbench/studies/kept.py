@@ -33,7 +33,8 @@ class Kept:
         self._folder = folder
         self._known: dict[str, Rows] = {}
         if folder is not None:
-            self._known = dict(_of_table(folder / TABLE)) | dict(_of_journal(folder / JOURNAL))
+            _mend(folder / JOURNAL)
+            self._known = _known(folder)
 
     def find(self, case: Case) -> Rows | None:
         """Its rows, where it was computed of the same; one that ended in an error is tried again."""
@@ -81,11 +82,16 @@ def laid(case: Case, row: Mapping[str, Any]) -> Row:
 
 def read_table(folder: Path) -> tuple[Rows, str]:
     """All rows of a study's folder, whether it came to its end or not, and the study's text. ConfigError."""
-    path = folder / TABLE
-    found = dict(_of_table(path)) | dict(_of_journal(folder / JOURNAL))
+    found = _known(folder)
     if not found:
         raise ConfigError(f"{folder}: has neither {TABLE} nor {JOURNAL}; name the --out of a study")
-    return [row for rows in found.values() for row in rows], _text(path)
+    rows = [row for rows in found.values() for row in rows]
+    return sorted(rows, key=lambda row: int(row["case"])), _text(folder / TABLE)
+
+
+def _known(folder: Path) -> dict[str, Rows]:
+    """By what decides it, the rows of each case; the journal's are newer than the table's."""
+    return dict(_of_table(folder / TABLE)) | dict(_of_journal(folder / JOURNAL))
 
 
 def _rows(done: Done) -> Rows:
@@ -155,13 +161,17 @@ def _text(path: Path) -> str:
     return ((parquet.read_schema(path).metadata or {}).get(STUDY) or b"").decode()
 
 
+def _mend(path: Path) -> None:
+    """Take off what was half written when a study was killed: the next line begins anew."""
+    if path.exists() and not (content := path.read_bytes()).endswith(b"\n"):
+        write_atomic(path, content[: content.rfind(b"\n") + 1])
+
+
 def _of_journal(path: Path) -> Iterator[tuple[str, Rows]]:
+    """A torn last line, or one that is being written, is not taken."""
     if not path.exists():
         return
-    lines = path.read_text(encoding="utf-8").split("\n")
-    torn = lines.pop()
-    if torn:  # killed while it wrote: the next line begins anew
-        write_atomic(path, "".join(f"{line}\n" for line in lines).encode())
+    lines = path.read_text(encoding="utf-8").split("\n")[:-1]
     for number, line in enumerate(lines, 1):
         try:
             kept = json.loads(line)

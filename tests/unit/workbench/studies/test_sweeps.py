@@ -101,7 +101,7 @@ def test_loops_are_shown_with_what_was_swept(tmp_path: Path, capsys: pytest.Capt
     show_verb(out, as_json=True)
     assert json.loads(capsys.readouterr().out) == found
     show_verb(out, as_json=False)
-    said = capsys.readouterr().out
+    said = " ".join(capsys.readouterr().out.split())
     assert "on the same draws" in said
     assert "rank correlation of true_rms_end_nm" in said
     for name in ("medians.png", "sensitivity.png", "fails.png"):
