@@ -112,8 +112,9 @@ scenarios: $(VENV)/.installed ## one thing wrong at a time, three loops: runs th
 	@$(ONE_THREAD) $(BIN)/polishd study examples/scenarios.toml --out build/scenarios $(ARGS)
 	@$(BIN)/python -m docs.reference.scenarios build/scenarios
 
-robustness: $(VENV)/.installed ## 2,200 jobs over what a machine may have, each correction: runs the study on (ARGS="--limit N")
+robustness: $(VENV)/.installed ## 2,200 jobs over what a machine may have, each correction: runs the study on, into docs/studies.md
 	@$(ONE_THREAD) $(BIN)/polishd study examples/robustness.toml --out build/robustness $(ARGS)
+	@$(BIN)/python -m docs.reference.robustness build/robustness
 
 # The lock is changed only here. --upgrade in ARGS takes newer versions; without it only what pyproject.toml asks for.
 lock: ## rewrite requirements.lock (ARGS=--upgrade for newer versions)
