@@ -1,7 +1,7 @@
 """A sweep of jobs in a closed loop on a Dask cluster of this machine beside the pool: wall seconds a job, in turns.
 
 Both have two workers, which are ready before the first turn; the cluster is a scheduler and two workers over TCP on
-loopback. The ratio is the cluster's throughput over the pool's: the issue of studies asks for 0.9. Quartiles are of the
+loopback. A pool of one worker stands beside them: how it scales. The ratio is the cluster's throughput over the pool's: the issue of studies asks for 0.9. Quartiles are of the
 turns. A second pair of rows is of cases that take next to nothing: what an executor itself costs.
 """
 
@@ -24,6 +24,8 @@ from polishd.workbench.studies.executors import DaskCluster, Executor, LocalPool
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 WORKERS = 2
+OURS = "ours"
+"""The cluster."""
 TURNS = 5
 JOBS, SPOTS = 20, 1000
 SPOT = """
@@ -48,8 +50,8 @@ def rows(progress: Progress) -> Iterator[Row]:
         whole = LocalCluster(
             n_workers=WORKERS, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, local_directory=scratch
         )  # type: ignore[no-untyped-call]
-        with whole, LocalPool(WORKERS) as pool, DaskCluster(whole.scheduler_address) as cluster:
-            where: dict[str, Executor] = {"dask": cluster, "pool": pool}
+        with whole, LocalPool(WORKERS) as pool, LocalPool(1) as one, DaskCluster(whole.scheduler_address) as cluster:
+            where: dict[str, Executor] = {OURS: cluster, "pool": pool, "pool of one": one}
             yield _row(f"a job of a sweep, {WORKERS} workers, {TURNS} turns of {JOBS}", jobs, JOBS, where, progress)
             yield _row(f"a spot of a sweep, {WORKERS} workers, {TURNS} turns of {SPOTS}", spots, SPOTS, where, progress)
 
@@ -65,7 +67,7 @@ def _row(name: str, study: Path, count: int, where: Mapping[str, Executor], prog
                 taken[executor].append(each_s)
     middle = {executor: statistics.median(values) for executor, values in taken.items()}
     ends = {executor: _quartiles(values) for executor, values in taken.items()}
-    return Row(name, middle["dask"], {"pool": middle["pool"]}, "s", {"ours": ends["dask"], "pool": ends["pool"]})
+    return Row(name, middle.pop(OURS), middle, "s", ends)
 
 
 def _each_s(study: Path, cases: Sequence[Case], executor: Executor) -> float:

@@ -21,7 +21,7 @@ class StudyOptions:
         int | None, Option(min=1, metavar="K", help="Processes of this machine; default: one a core.")
     ] = None
     scheduler: Annotated[
-        str | None, Option(metavar="tcp://HOST:PORT", help="Compute on this Dask cluster instead: polishd[dask].")
+        str | None, Option(metavar="tcp://HOST:PORT", help="Compute on this Dask cluster instead (extra: dask).")
     ] = None
     case_s: Annotated[
         float, Option("--case-s", min=1.0, metavar="S", help="Longest that a case may take; it is killed then.")
