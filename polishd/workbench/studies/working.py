@@ -68,10 +68,14 @@ class Bench:
         loop = self._loop(study, case.loop)
         if self._plant is None:
             self._plant = PlantProcess()
+        machine = self._plant
         plant = self._making.plant(study, case.scenario)
-        run = loop.run(self._plant, plant, case.scenario, case.loop, case.seed)
-        if not self._plant.alive:
-            self.close()
+        try:
+            run = loop.run(machine, plant, case.scenario, case.loop, case.seed)
+        finally:
+            if not machine.alive:
+                self.close()
+        if not machine.alive:
             raise ComputeError(run.why)
         return row_of(run)
 

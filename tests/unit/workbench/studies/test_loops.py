@@ -17,14 +17,14 @@ from polishd.config.study import load_study
 from polishd.config.sweep_points import load_swept
 from polishd.model.errors import ComputeError, ConfigError, PolishdError
 from polishd.workbench.studies import loops, plant_process
-from polishd.workbench.studies.cases import laid_over
+from polishd.workbench.studies.cases import cases_of, laid_over
 from polishd.workbench.studies.loops import Looped
 from polishd.workbench.studies.options import StudyOptions
 from polishd.workbench.studies.plant_process import PlantProcess
 from polishd.workbench.studies.running import run_cases
 from polishd.workbench.studies.verb import study_verb
-from polishd.workbench.studies.working import run_of
-from tests.unit.workbench.studies.studies import TABLE_III
+from polishd.workbench.studies.working import Bench, run_of
+from tests.unit.workbench.studies.studies import TABLE_III, runs_here
 
 EXAMPLES = TABLE_III.parent
 SCENARIO = """
@@ -100,6 +100,29 @@ def test_a_rate_beyond_what_may_be_learned_stops_the_loop_and_is_named(tmp_path:
     assert "times the predicted one" in run.why
     assert found.rows[0].passes_median is None
     assert found.rows[0].named_rightly == 0, "the scenario's file does not say that it may be named"
+
+
+@pytest.mark.full
+def test_a_loop_that_does_not_learn_makes_the_same_mistake_again(tmp_path: Path) -> None:
+    blind = LOOPS.replace("[loops.exact]", "[loops.blind]\nlearns = false").replace("2.5", "0.8")
+    study = load_study(study_file(tmp_path, f"{LOOPS.replace('2.5', '0.8')}{blind}", far=-0.25))
+    assert isinstance(study, LoopStudy)
+    learned, not_learned = runs_here(study)
+    assert learned.rms_nm[:2] == not_learned.rms_nm[:2], "before it has learned anything it is the same"
+    assert learned.true_rms_nm[2] < not_learned.true_rms_nm[2]
+
+
+def test_a_plant_that_died_is_no_end_of_a_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = study_file(tmp_path, near=-0.1)
+    (case,) = cases_of(load_swept(path))
+    bench = Bench(path)
+    monkeypatch.setattr(plant_process, "COMMAND", ("sh", "-c", "echo out of luck >&2"))
+    with pytest.raises(ComputeError, match="out of luck"):
+        bench.rows(case)
+    monkeypatch.undo()
+    (row,) = bench.rows(case)
+    bench.close()
+    assert row["ended"] == "in_tolerance", "another plant took its place"
 
 
 @pytest.mark.full
