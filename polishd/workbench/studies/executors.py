@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Any, Protocol, Self
 
@@ -69,12 +70,15 @@ class DaskCluster:
             raise ConfigError(
                 "--scheduler: distributed is not installed; install polishd[dask], or leave it out and compute here"
             ) from error
-        try:
-            connect: Any = Client
-            self._client = connect(address, timeout=WORKERS_S)
-            self._client.wait_for_workers(1, timeout=WORKERS_S)
-        except (OSError, TimeoutError, ValueError) as error:
-            raise ConfigError(f"--scheduler {address}: no scheduler with workers answers: {error}") from error
+        connect: Any = Client
+        with ExitStack() as failing:
+            try:
+                self._client = connect(address, timeout=WORKERS_S)
+                failing.callback(self._client.close)
+                self._client.wait_for_workers(1, timeout=WORKERS_S)
+            except (OSError, TimeoutError, ValueError) as error:
+                raise ConfigError(f"--scheduler {address}: no scheduler with workers answers: {error}") from error
+            failing.pop_all()
         self._executor = self._client.get_executor(pure=False)
 
     @property

@@ -50,11 +50,10 @@ class Cluster:
     @property
     def address(self) -> str:
         """Where the scheduler is; it writes its file when it listens."""
-        with pytest.MonkeyPatch.context():
-            from distributed import Client
+        from distributed import Client
 
-            with Client(scheduler_file=str(self._file), timeout=120) as client:  # type: ignore[no-untyped-call]
-                client.wait_for_workers(2, timeout=120)  # type: ignore[no-untyped-call]
+        with Client(scheduler_file=str(self._file), timeout=120) as client:
+            client.wait_for_workers(2, timeout=120)
         return str(json.loads(self._file.read_text())["address"])
 
     def close(self) -> None:
