@@ -33,7 +33,8 @@ def run_cases(swept: Swept, options: StudyOptions) -> Worked:
 
     ConfigError, ProgramError before anything is computed.
     """
-    cases = cases_of(swept)[: options.limit]
+    of_study = cases_of(swept)
+    cases = of_study[: options.limit]
     first = swept.at(swept.points[0])
     if isinstance(first, LoopStudy):
         for name in first.loops:  # its program and its plugins, too
@@ -48,7 +49,7 @@ def run_cases(swept: Swept, options: StudyOptions) -> Worked:
                     kept.add(done)
                     bar.advance(bar.task_ids[0])
     finally:
-        kept.merge(cases, swept.source.text)
+        kept.merge(of_study, swept.source.text)
     return Worked(cases, [row for case in cases for row in kept.table(case)])
 
 

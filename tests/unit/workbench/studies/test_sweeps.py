@@ -64,6 +64,8 @@ def test_a_killed_study_goes_on_and_has_the_same_table(tmp_path: Path) -> None:
     assert table(killed) == table(whole)
     assert [row["over.process.force_n"] for row in table(whole)] == [8.0, 10.0, 12.0, 14.0]
     assert not (killed / JOURNAL).exists()
+    study_verb(study, StudyOptions(out=killed, limit=1), as_json=True)
+    assert table(killed) == table(whole), "who asks for less takes nothing away"
 
 
 @pytest.mark.full
