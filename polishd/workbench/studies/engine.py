@@ -18,8 +18,6 @@ from polishd.workbench.studies.executors import Executor
 TASK_S = 1.0
 """Work of a task, about: of less, the wire would be most of it."""
 MOST_CASES = 500
-AHEAD = 2
-"""Tasks a slot that are under way: one runs, one waits there."""
 TRIES = 2
 WITHIN_S = 600.0
 """Wall time of a case, unless told."""
@@ -45,7 +43,7 @@ def work(study: Path, cases: Sequence[Case], executor: Executor, within_s: float
     tried: dict[int, int] = {}
     pace = _Pace()
     while fresh or again or running:
-        while (fresh or again) and len(running) < AHEAD * max(executor.slots, 1):
+        while (fresh or again) and len(running) < max(executor.slots, 1):  # one more would wait behind a long one
             some = (again.popleft(),) if again else tuple(fresh.popleft() for _ in range(min(pace.cases, len(fresh))))
             running[executor.submit(replace(whole, cases=some))] = some
         for future in wait(running, return_when=FIRST_COMPLETED).done:
