@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-all test-long test-maps ways-out crash faults replies model soak coverage mutate interop check format reference bench compare naming scenarios lock clean
+.PHONY: help demo robustness test test-all test-long test-maps ways-out crash faults replies model soak coverage mutate interop check format reference bench compare naming scenarios lock clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -99,18 +99,22 @@ bench: $(VENV)/.installed ## race polishd against its peers, into build/bench.js
 performance: $(VENV)/.installed ## what make bench has measured, into docs/performance.md
 	@$(BIN)/python -m docs.reference.performance build/bench.json
 
-COMPARED = --limit 2
+COMPARED = --limit 24
 compare: $(VENV)/.installed ## what the compliance correction is worth, on parts of 100 and 300 mm (COMPARED="--limit N")
 	@$(ONE_THREAD) $(BIN)/polishd study examples/corrections.toml --out build/compare/100 $(COMPARED)
 	@$(ONE_THREAD) $(BIN)/polishd study examples/corrections_300.toml --out build/compare/300 $(COMPARED)
 
-naming: $(VENV)/.installed ## is what is wrong named rightly: runs the study on, into docs/naming.md (ARGS="--jobs 2")
+naming: $(VENV)/.installed ## is what is wrong named rightly: runs the study on, into docs/naming.md (ARGS="--workers 2")
 	@$(ONE_THREAD) $(BIN)/polishd study examples/naming.toml --out build/naming $(ARGS)
 	@$(BIN)/python -m docs.reference.naming build/naming
 
 scenarios: $(VENV)/.installed ## one thing wrong at a time, three loops: runs the study on, into docs/scenarios.md (ARGS="--limit N")
 	@$(ONE_THREAD) $(BIN)/polishd study examples/scenarios.toml --out build/scenarios $(ARGS)
 	@$(BIN)/python -m docs.reference.scenarios build/scenarios
+
+robustness: $(VENV)/.installed ## 2,200 jobs over what a machine may have, each correction: runs the study on, into docs/studies.md
+	@$(ONE_THREAD) $(BIN)/polishd study examples/robustness.toml --out build/robustness $(ARGS)
+	@$(BIN)/python -m docs.reference.robustness build/robustness
 
 # The lock is changed only here. --upgrade in ARGS takes newer versions; without it only what pyproject.toml asks for.
 lock: ## rewrite requirements.lock (ARGS=--upgrade for newer versions)

@@ -1,3 +1,18 @@
-"""polishd: the controller daemon of an unattended robotic polishing cell for optics."""
+"""polishd: the controller daemon of an unattended robotic polishing cell for optics.
+
+What `polishd.researcher` has is also here, as ``polishd.read_map``, and is imported when it is asked for.
+"""
+
+from importlib import import_module
+from typing import Any
 
 __version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> Any:
+    """What a researcher computes with: late, for the daemon and its drivers need none of it."""
+    if not name.startswith("_"):
+        researcher = import_module("polishd.researcher")
+        if name in researcher.__all__:
+            return getattr(researcher, name)
+    raise AttributeError(f"module 'polishd' has no attribute {name!r}")

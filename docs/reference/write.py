@@ -22,8 +22,17 @@ from polishd.config.profile_sections import ProfileFile
 from polishd.config.sections import DeviceSection
 from polishd.config.simulator import SimConfig
 from polishd.config.study import KINDS
+from polishd.config.sweep import SweepSection
+from polishd.config.values import Section
 from polishd.console.certificate.model import schema
 from polishd.hooks.loader import load_own
+
+
+class Swept(Section):
+    """What a study of any kind may have besides."""
+
+    sweep: SweepSection | None = None
+
 
 Table = tuple[str, type[BaseModel]]
 """A header, and the model of the table."""
@@ -43,8 +52,9 @@ TYPES = {
     "path": "path",
     "date-time": "date and time",
     "object": "table",
+    "any": "value",
 }
-PLURAL = {"number": "s", "integer": "s", "string": "s"}
+PLURAL = {"number": "s", "integer": "s", "string": "s", "any": "s"}
 COLUMNS = "| key | type | unit | default | range | meaning |\n|---|---|---|---|---|---|"
 CERTIFICATE = "certificate.schema.json"
 HEAD = "<!-- Written by `make reference` from the models; a test fails where it is not what they give. -->"
@@ -164,7 +174,7 @@ def files() -> dict[str, list[Table]]:
     below = dict.fromkeys(table for model in KINDS.values() for table in tables(model))
     return {
         "cell": of_cell,
-        "study": [*kinds.items(), *(table for table in below if table not in of_cell)],
+        "study": [*kinds.items(), *(table for table in below if table not in of_cell), *tables(Swept)],
         "profile": [("", ProfileFile), *tables(ProfileFile)],
         "device": [("", DeviceProfile), *tables(DeviceProfile)],
         "simulator": list(tables(SimConfig)),
@@ -224,9 +234,9 @@ def _type(schema: dict[str, Any]) -> str:
         least, most = _counts(schema)
         count = f"{most} " if least == most != 0 else ""
         inner = _inner(schema)
-        plural = PLURAL.get(inner.get("type", ""), "")
+        plural = PLURAL.get(inner.get("type", "any"), "")
         return f"list of {count}{_type(inner).replace('list', 'lists')}{plural}"
-    return TYPES[schema.get("format", schema["type"])]
+    return TYPES[schema.get("format", schema.get("type", "any"))]
 
 
 def _range(schema: dict[str, Any]) -> str:

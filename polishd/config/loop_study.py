@@ -56,7 +56,8 @@ class LoopStudy(Document):
     """By name, what that loop has otherwise than the cell's file: values by dotted key. And `witness = "rate"`
     or `"spot"`: what it begins with of a spot that the same machine has polished on another part; `"touch"`: it
     begins with what the first touch of `polishd calibrate cell` has taught there. `poses`: how the part lies
-    (angle_deg, x_mm, y_mm) in maps before the first pass, which tell the instrument's own error."""
+    (angle_deg, x_mm, y_mm) in maps before the first pass, which tell the instrument's own error. `learns = false`:
+    what its passes teach is judged, and not taken over."""
     seeds: Annotated[int, Field(ge=1, le=10_000)] = 20
     """How many plants a scenario and loop; all loops meet the same ones. [1]"""
     first_seed: Annotated[int, Field(ge=0)] = 1
@@ -70,9 +71,12 @@ class LoopStudy(Document):
         """Nothing is."""
         yield from ()
 
-    def loop(self, name: str) -> tuple[dict[str, Any], Taken | None, Poses]:
-        """What it has otherwise than the cell's file, by dotted key, of its witness, and its poses; ConfigError."""
+    def loop(self, name: str) -> tuple[dict[str, Any], Taken | None, Poses, bool]:
+        """What it has otherwise than the cell's file by dotted key, its witness, poses and ``learns``; ConfigError."""
         keys = {**self.cell_with, **self.loops[name]}
+        learns = keys.pop("learns", True)
+        if not isinstance(learns, bool):
+            raise self.error(f"loops.{name}.learns", f"must be true or false, not {learns!r}; mend it")
         witness = keys.pop("witness", None)
         if witness not in {None, *get_args(Taken)}:
             raise self.error(
@@ -83,7 +87,7 @@ class LoopStudy(Document):
         except ValidationError:
             wanted = "a list of [angle_deg, x_mm, y_mm]: the last two left out, the part is not shifted"
             raise self.error(f"loops.{name}.poses", f"is not {wanted}") from None
-        return keys, witness, tuple((angle, *(shift or (0.0, 0.0))) for angle, *shift in poses)
+        return keys, witness, tuple((angle, *(shift or (0.0, 0.0))) for angle, *shift in poses), learns
 
     def all_scenarios(self) -> dict[str, Scenario]:
         """By name, those of its files and folders; ConfigError for one that is wrong, or not there."""

@@ -142,7 +142,9 @@ def problems(error: ValidationError, model: type[BaseModel], source: Source, sec
     lines = []
     for found in error.errors(include_url=False):
         key, kind, owner = _follow(model, found["loc"])
-        own = re.match(r"Value error, ([a-z_]+): ", found["msg"])  # a section's own check names the key at fault
+        own = re.match(
+            r"Value error, ([a-z][a-z0-9_]*): ", found["msg"]
+        )  # a section's own check names the key at fault
         key = (*section, *key, *(own.groups() if own else ()))
         lines.append(source.error(key, _say(found, key, kind, owner)))
     return sorted(dict.fromkeys(lines), key=_line)
@@ -198,7 +200,7 @@ def _say(found: Mapping[str, Any], key: Location, kind: Any, owner: type[BaseMod
             f"is missing; add it: {f'{key[-1]} = ...' if section_of(kind) is None else f'a section [{_dotted(key)}]'}"
         )
     if fault == "value_error":
-        return re.sub(r"^Value error, (?:[a-z_]+: )?", "", message)
+        return re.sub(r"^Value error, (?:[a-z][a-z0-9_]*: )?", "", message)
     if fault not in _FAULTS:
         return f"{message[:1].lower()}{message[1:]}; mend it"
     said = _FAULTS[fault].format(given=given, kind=_kind(given), key=_dotted(key[-1:]), **context)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from polishd.config.document import parse_toml
 from polishd.config.loop_study import LoopStudy
 from polishd.config.physics import PartDocument, ProcessDocument
-from polishd.config.places import did_you_mean, listed
+from polishd.config.places import Source, did_you_mean, listed
 from polishd.config.values import (
     Dip,
     Force,
@@ -182,8 +182,15 @@ KINDS: dict[str, type[Study]] = {
 
 
 def load_study(path: Path) -> Study:
-    """Read a study's TOML; ConfigError with one line per problem: ``FILE:LINE: key: what is wrong; what to do``."""
-    raw, source = parse_toml(path)
+    """Read a study's TOML; ConfigError with one line per problem: ``FILE:LINE: key: what is wrong; what to do``.
+
+    Of one with a ``[sweep]``, `polishd.config.sweep_points.load_swept` reads all cases.
+    """
+    return study_of(*parse_toml(path))
+
+
+def study_of(raw: Mapping[str, Any], source: Source) -> Study:
+    """The same of a file's values, and the text that says where they stand."""
     kind = raw.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         near = did_you_mean(kind, KINDS) if isinstance(kind, str) else "."

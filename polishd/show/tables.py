@@ -136,6 +136,6 @@ def emit(
         stdout.print(line, markup=False, soft_wrap=True)
 
 
-def json_line(answer: Mapping[str, Any]) -> str:
+def json_line(answer: Mapping[str, Any] | Sequence[Any]) -> str:
     """One line of JSON; what is no number in it (NaN, infinity) is null."""
     return json.dumps(json.loads(json.dumps(answer, default=plain), parse_constant=lambda _: None))

@@ -11,15 +11,16 @@ from typer import Argument, Option
 from polishd.workbench.calibration.cli import app as calibrations
 from polishd.workbench.devices.cli import app as devices
 from polishd.workbench.maps.cli import app as maps
-from polishd.workbench.options import Cell, Json, Picture, spread
+from polishd.workbench.options import Cell, Json, Picture
 from polishd.workbench.programs.cli import app as programs
-from polishd.workbench.studies.options import StudyOptions
+from polishd.workbench.studies.cli import app as studies
 
 app = typer.Typer(help="Maps, programs, calibration, physics and studies.", no_args_is_help=True)
 app.add_typer(calibrations, name="calibrate", no_args_is_help=True)
 app.add_typer(programs, name="program", no_args_is_help=True)
 app.add_typer(maps, name="map", no_args_is_help=True)
 app.add_typer(devices, name="device", no_args_is_help=True)
+app.add_typer(studies, name="study", no_args_is_help=True)
 
 
 @app.command()
@@ -63,12 +64,3 @@ def compliance(
     from polishd.workbench.physics.verbs import compliance_verb
 
     compliance_verb(cell, program, out, as_json=as_json)
-
-
-@app.command()
-@spread
-def study(file: Annotated[Path, Argument(metavar="STUDY.toml")], asked: StudyOptions, as_json: Json = False) -> None:
-    """A simulation without a cell: corrections compared, spots, passes of equal dwell, whole jobs in a closed loop."""
-    from polishd.workbench.studies.verb import study_verb
-
-    study_verb(file, asked, as_json=as_json)

@@ -50,7 +50,7 @@ def test_the_example_loads(path: Path) -> None:
     from polishd.config.job_file import JobFile
     from polishd.config.loop_study import load_scenario
     from polishd.config.profile import load_profile
-    from polishd.config.study import load_study
+    from polishd.config.sweep_points import load_swept
 
     keys = tomllib.loads(path.read_text()).keys()
     if path.name == "job.toml":
@@ -62,5 +62,5 @@ def test_the_example_loads(path: Path) -> None:
     if "what" in keys:
         load_scenario(path)
         return
-    load = load_study if "kind" in keys else load_profile if "artefact" in keys else load_config
+    load = load_swept if "kind" in keys else load_profile if "artefact" in keys else load_config
     load(path)

@@ -1,91 +1,185 @@
-"""Jobs of a study that were done before: a line each in ``runs.jsonl``, so that a study goes on where it was."""
+"""What came of a study's cases: a journal that grows by a line a case, merged into one Parquet file at the end."""
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from polishd import __version__
-from polishd.files import write_atomic
+from polishd.files import unwritable, whole_file, write_atomic
 from polishd.model.errors import ConfigError
-from polishd.workbench.studies.loop import ERROR, Run
+from polishd.workbench.studies.case import Case, versions
+from polishd.workbench.studies.engine import Done
 
-RUNS = "runs.jsonl"
-Case = tuple[str, str, int]
-"""Scenario, loop and seed."""
+JOURNAL = "cases.jsonl"
+TABLE = "cases.parquet"
+OVER = "over."
+"""Before the name of a column that is a key of the study."""
+OWN = ("case", "point", "scenario", "loop", "seed", "error", "tries", "wall_s", "cpu_s", "of", "versions")
+"""Columns that every case has, beside what is swept, and its figures."""
+NAMED = ("scenario", "loop", "seed")
+STUDY = b"polishd.study"
+"""In the file's metadata: the study's text."""
+Row = dict[str, Any]
+Rows = list[Row]
 
 
 class Kept:
-    """The file, which only grows: of a case that was done more than once, the last line counts."""
+    """What is known of a study's cases, by what decides each."""
 
     def __init__(self, folder: Path | None) -> None:
         """``folder`` None: nothing is kept. ConfigError for a line that is none of ours; a torn last one is dropped."""
-        self._path = None if folder is None else folder / RUNS
-        self._done: dict[Case, tuple[str, Run]] = {}
-        if self._path is not None and self._path.exists():
-            for case_of, run in _read(self._path):
-                self._done[run.scenario, run.loop, run.seed] = case_of, run
+        self._folder = folder
+        self._known: dict[str, Rows] = {}
+        if folder is not None:
+            _mend(folder / JOURNAL)
+            self._known = _known(folder)
 
-    def find(self, case: Case, of: str) -> Run | None:
-        """What that case came to, where it was made of the same; one that ended in an error is tried again."""
-        made_of, run = self._done.get(case, ("", None))
-        return run if run is not None and made_of == of and run.ended != ERROR else None
+    def find(self, case: Case) -> Rows | None:
+        """Its rows, where it was computed of the same; one that ended in an error is tried again."""
+        rows = self._known.get(case.of)
+        return None if rows is None or rows[0]["error"] else rows
 
-    def add(self, run: Run, of: str) -> None:
-        """One more line, at once."""
-        if self._path is None:
+    def add(self, done: Done) -> Rows:
+        """One more case, on the disk at once."""
+        rows = _rows(done)
+        self._known[done.case.of] = rows
+        if self._folder is not None:
+            path = self._folder / JOURNAL
+            try:
+                with path.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps({"of": done.case.of, "rows": rows}) + "\n")
+            except OSError as error:
+                raise unwritable(path, error) from error
+        return rows
+
+    def merge(self, cases: Iterable[Case], study: str) -> None:
+        """All that is known of these cases as one table, written whole; then the journal goes."""
+        if self._folder is None:
             return
-        line = json.dumps({"of": of, **asdict(run)})
+        rows = [row for case in cases for row in self.table(case)]
+        if not rows:
+            return
         try:
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write(line + "\n")
+            _write(self._folder / TABLE, rows, study)
+            (self._folder / JOURNAL).unlink(missing_ok=True)
         except OSError as error:
-            raise ConfigError(f"{self._path}: cannot be written to: {error.strerror}; make room, and go on") from error
+            raise unwritable(self._folder / TABLE, error) from error
+
+    def table(self, case: Case) -> Rows:
+        """Rows as the table has them: number and parameters are the study's of now."""
+        return [laid(case, row) for row in self._known.get(case.of, ())]
 
 
-def made_of(*parts: tuple[Mapping[str, Any], Path]) -> str:
-    """Hash of what decides a case: polishd's version, the parts, and the files that they name beside their folders."""
-    told = hashlib.sha256(__version__.encode())
-    for part, folder in parts:
-        told.update(json.dumps(part, sort_keys=True, default=str).encode())
-        for name in _texts(part):
-            path = folder / name
-            if len(name) < 256 and path.is_file():
-                told.update(hashlib.sha256(path.read_bytes()).digest())
-    return told.hexdigest()[:16]
+def laid(case: Case, row: Mapping[str, Any]) -> Row:
+    """A row with the case's number, point and parameters in front."""
+    at = {OVER + key: _plain(value) for key, value in case.at.items()}
+    named = {name: getattr(case, name) for name in NAMED}
+    known = {name: value for name, value in row.items() if name not in {"case", "point", *NAMED}}
+    return {"case": case.number, "point": case.point, **at, **named, **known}
 
 
-def _read(path: Path) -> Iterator[tuple[str, Run]]:
-    lines = path.read_text(encoding="utf-8").split("\n")
-    torn = lines.pop()
-    if torn:  # killed while it wrote: the next line begins anew
-        write_atomic(path, "".join(f"{line}\n" for line in lines).encode())
+def read_table(folder: Path) -> tuple[Rows, str]:
+    """All rows of a study's folder, whether it came to its end or not, and the study's text. ConfigError."""
+    found = _known(folder)
+    if not found:
+        raise ConfigError(f"{folder}: has neither {TABLE} nor {JOURNAL}; name the --out of a study")
+    rows = [row for rows in found.values() for row in rows]
+    return sorted(rows, key=lambda row: int(row["case"])), _text(folder / TABLE)
+
+
+def _known(folder: Path) -> dict[str, Rows]:
+    """By what decides it, the rows of each case; the journal's are newer than the table's."""
+    return dict(_of_table(folder / TABLE)) | dict(_of_journal(folder / JOURNAL))
+
+
+def _rows(done: Done) -> Rows:
+    case, answer = done.case, done.answer
+    after: Row = {
+        "error": answer.error or None,
+        "tries": done.tries,
+        "wall_s": answer.wall_s,
+        "cpu_s": answer.cpu_s,
+        "of": case.of,
+        "versions": json.dumps(versions()),
+    }
+    return [laid(case, {**figures, **after}) for figures in answer.rows or ({},)]
+
+
+def _plain(value: Any) -> Any:
+    """A swept value as a column holds it: a range of no width is a number."""
+    if isinstance(value, list) and len(value) == 2 and value[0] == value[1]:
+        return value[0]
+    return value
+
+
+def _write(path: Path, rows: Sequence[Row], study: str) -> None:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    columns = {name: _column([row.get(name) for row in rows]) for name in names}
+    table = pa.table(columns).replace_schema_metadata({STUDY: study.encode()})
+    with whole_file(path) as file:
+        parquet.write_table(table, file, compression="zstd")
+
+
+def _column(values: list[Any]) -> Any:
+    """An Arrow array; of values that are of several kinds, their JSON."""
+    import pyarrow as pa
+
+    try:
+        return pa.array(values)
+    except (pa.ArrowInvalid, pa.ArrowTypeError):
+        return pa.array([None if value is None else json.dumps(value) for value in values])
+
+
+def _of_table(path: Path) -> Iterator[tuple[str, Rows]]:
+    if not path.exists():
+        return
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        rows = parquet.read_table(path).to_pylist()
+    except (OSError, pa.ArrowInvalid) as error:
+        raise ConfigError(
+            f"{path}: cannot be read: {error}; move it away, or name another folder with --out"
+        ) from error
+    by_case: dict[str, Rows] = {}
+    for row in rows:
+        by_case.setdefault(row["of"], []).append(row)
+    yield from by_case.items()
+
+
+def _text(path: Path) -> str:
+    if not path.exists():
+        return ""
+    from pyarrow import parquet
+
+    return ((parquet.read_schema(path).metadata or {}).get(STUDY) or b"").decode()
+
+
+def _mend(path: Path) -> None:
+    """Take off what was half written when a study was killed: the next line begins anew."""
+    if path.exists() and not (content := path.read_bytes()).endswith(b"\n"):
+        write_atomic(path, content[: content.rfind(b"\n") + 1])
+
+
+def _of_journal(path: Path) -> Iterator[tuple[str, Rows]]:
+    """A torn last line, or one that is being written, is not taken."""
+    if not path.exists():
+        return
+    lines = path.read_text(encoding="utf-8").split("\n")[:-1]
     for number, line in enumerate(lines, 1):
         try:
-            row = json.loads(line)
-            of = str(row.pop("of"))
-            run = Run(**{key: _frozen(value) for key, value in row.items()})
-        except (ValueError, TypeError, KeyError, AttributeError) as error:
+            kept = json.loads(line)
+            of, rows = str(kept["of"]), [dict(row) for row in kept["rows"]]
+            if not rows or any(name not in row for row in rows for name in OWN):
+                raise KeyError("rows")
+        except (ValueError, TypeError, KeyError) as error:
             raise ConfigError(
-                f"{path}:{number}: is no job of a study; take the line out, or name another folder with --out"
+                f"{path}:{number}: is no case of a study; take the line out, or name another folder with --out"
             ) from error
-        yield of, run
-
-
-def _frozen(value: Any) -> Any:
-    return tuple(map(_frozen, value)) if isinstance(value, list) else value
-
-
-def _texts(value: Any) -> Iterator[str]:
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, Mapping):
-        for one in value.values():
-            yield from _texts(one)
-    elif isinstance(value, list | tuple):
-        for one in value:
-            yield from _texts(one)
+        yield of, rows

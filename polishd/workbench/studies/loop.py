@@ -132,14 +132,16 @@ class ClosedLoop:
         raster: bool,
         witness: Taken | None = None,
         poses: Poses = (),
+        learns: bool = True,
     ) -> None:
         """Read the cell's file with a loop's own values, and its program or a raster. ConfigError, ProgramError.
 
         ``witness``: what it begins with of a spot that the same machine made on another part; ``poses``: of the part in
-        maps before the first pass, which tell the instrument's own error.
+        maps before the first pass, which tell the instrument's own error; ``learns``: it takes over what passes teach.
         """
         self.config = load_config(cell, {"dwell.cross_check": "", **overrides})
         self.passes = passes
+        self._learns = learns
         self._witness = witness
         self._poses = poses
         self._hooks = plugins_of(self.config)
@@ -206,7 +208,7 @@ class ClosedLoop:
         return plan_touch(self.config, as_touched(self._recipe), WANTED, TOUCH_S).program
 
     def _job(self, recipe: Recipe, plant: PlantProcess, account: _Account) -> _Job:
-        return _Job(recipe, self._program, self._hooks, self.config.part.id, self.passes, plant, account)
+        return _Job(recipe, self._program, self._hooks, self.config.part.id, self.passes, self._learns, plant, account)
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,6 +220,7 @@ class _Job:
     hooks: Hooks
     part_id: str
     passes: int
+    learns: bool
     plant: PlantProcess
     account: _Account
 
@@ -234,7 +237,7 @@ class _Job:
                 surface, taught, why = self._learned(before, surface, last, believed)
                 if why:
                     return _Ended(GATE, why)
-                believed = taught.believed
+                believed = taught.believed if self.learns else believed
                 if taught.shown is not None:
                     account.told(taught.shown)
                     shown.append(taught.shown)

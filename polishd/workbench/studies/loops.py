@@ -1,28 +1,16 @@
-"""Many jobs in a closed loop: each scenario and loop on the same plants, side by side, and a row of each."""
+"""Many jobs in a closed loop: a row of each scenario and loop."""
 
 from __future__ import annotations
 
-import atexit
-import multiprocessing
-import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from copy import deepcopy
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import groupby
 from statistics import median
 from typing import Any
 
-from polishd.config.cell import lay_over
-from polishd.config.document import parse_toml
-from polishd.config.loop_study import AS_IT_IS, LoopStudy, Scenario
-from polishd.workbench.studies.kept import Case, Kept, made_of
-from polishd.workbench.studies.loop import ClosedLoop, Run
-from polishd.workbench.studies.plant_process import PlantProcess
-
-Plants = Mapping[str, Mapping[str, Any]]
-"""By scenario, SIM.toml's sections."""
+from polishd.config.loop_study import AS_IT_IS, Scenario
+from polishd.workbench.studies.loop import Run
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,101 +57,9 @@ class Looped:
         return [asdict(row) for row in self.rows]
 
 
-def run_loops(
-    study: LoopStudy, tell: Callable[[str], None], *, seeds: int | None, jobs: int | None, kept: Kept | None = None
-) -> Looped:
-    """All cases of a study on ``jobs`` processes (None: one a core), but those kept. ConfigError, ProgramError.
-
-    A case is drawn from its seed alone: the order of the cases, and who works them, changes nothing but the times.
-    """
-    scenarios, kept = study.all_scenarios(), kept or Kept(None)
-    beliefs = {}
-    for name in study.loops:  # before anything is computed
-        with study.blame(f"loops.{name}"):
-            beliefs[name] = _loop(study, name).config.model_dump(mode="json")
-    plant, _ = parse_toml(study.resolve(study.plant))
-    lay_over(plant, {name: dict(keys) for name, keys in study.plant_with.items()})
-    plants = {name: laid_over(plant, scenario) for name, scenario in scenarios.items()}
-    numbers = range(study.first_seed, study.first_seed + (seeds or study.seeds))
-    cases = [(scenario, loop, seed) for seed in numbers for scenario in scenarios for loop in study.loops]
-    of = {(scenario, loop): _made_of(study, beliefs[loop], loop, plants[scenario]) for scenario, loop, _ in cases}
-    known = {case: kept.find(case, of[case[:2]]) for case in cases}
-    runs = [run for run in known.values() if run is not None]
-    tell(f"{len(runs)} of {len(cases)} jobs")
-    for run in _worked(study, plants, [case for case in cases if known[case] is None], jobs or os.cpu_count() or 1):
-        kept.add(run, of[run.scenario, run.loop])
-        runs.append(run)
-        tell(f"{len(runs)} of {len(cases)} jobs")
-    place = {case: number for number, case in enumerate(cases)}
-    runs.sort(key=lambda run: place[run.scenario, run.loop, run.seed])
+def looped(runs: Sequence[Run], scenarios: Mapping[str, Scenario]) -> Looped:
+    """What these jobs came to, in the order of the scenarios."""
     return Looped(tuple(runs), tuple(_rows(runs, scenarios)))
-
-
-def _made_of(study: LoopStudy, belief: Mapping[str, Any], loop: str, plant: Mapping[str, Any]) -> str:
-    cell, sim = study.resolve(study.cell), study.resolve(study.plant)
-    _, witness, poses = study.loop(loop)
-    own = {"passes": study.passes, "raster": study.raster, "witness": witness, "poses": poses}
-    return made_of((belief, cell.parent), (own, cell.parent), (plant, sim.parent))
-
-
-def laid_over(plant: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
-    """SIM.toml's sections with a scenario's laid over them; what a plant without wires has no use for is left out."""
-    whole = deepcopy(dict(plant))
-    whole.pop("fault", None)
-    lay_over(whole, {name: dict(keys) for name, keys in scenario.plant.items()})
-    return whole
-
-
-def _loop(study: LoopStudy, name: str) -> ClosedLoop:
-    keys, witness, poses = study.loop(name)
-    cell = study.resolve(study.cell)
-    return ClosedLoop(cell, keys, study.passes, raster=study.raster, witness=witness, poses=poses)
-
-
-def _worked(study: LoopStudy, plants: Plants, cases: Sequence[Case], jobs: int) -> Iterator[Run]:
-    """Each as it ends."""
-    if jobs == 1:
-        with PlantProcess() as plant:
-            yield from map(_Worker(study, plants, plant).run, cases)
-        return
-    context = multiprocessing.get_context("forkserver")
-    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin, initargs=(study, plants)) as pool:
-        waiting: set[Future[Run]] = {pool.submit(_run, case) for case in cases}
-        try:
-            while waiting:
-                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in done:
-                    yield future.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
-class _Worker:
-    """One process's plant, and the loops of the study."""
-
-    def __init__(self, study: LoopStudy, plants: Plants, plant: PlantProcess) -> None:
-        self._plants, self._plant = plants, plant
-        self._loops = {name: _loop(study, name) for name in study.loops}
-
-    def run(self, case: Case) -> Run:
-        scenario, loop, seed = case
-        return self._loops[loop].run(self._plant, self._plants[scenario], scenario, loop, seed)
-
-
-_worker: _Worker | None = None
-
-
-def _begin(study: LoopStudy, plants: Plants) -> None:
-    global _worker  # noqa: PLW0603  (a process of the pool has one)
-    plant = PlantProcess()
-    atexit.register(plant.__exit__)
-    _worker = _Worker(study, plants, plant)
-
-
-def _run(case: Case) -> Run:
-    if _worker is None:
-        raise RuntimeError("the worker has not begun")
-    return _worker.run(case)
 
 
 def _rows(runs: Sequence[Run], scenarios: Mapping[str, Scenario]) -> Iterator[LoopRow]:

@@ -14,7 +14,15 @@ class StudyOptions:
     """What of a study is run, and where it goes."""
 
     out: Annotated[
-        Path | None, Option(metavar="DIR", help="Folder for pictures and tables; a study of loops goes on there.")
+        Path | None, Option(metavar="DIR", help="Folder for tables and pictures; cases are kept there, it goes on.")
     ] = None
-    limit: Annotated[int | None, Option(min=1, metavar="N", help="Of a study of loops: so many seeds.")] = None
-    jobs: Annotated[int | None, Option(min=1, metavar="K", help="Of loops: processes; default: one a core.")] = None
+    limit: Annotated[int | None, Option(min=1, metavar="N", help="Of many cases the first N.")] = None
+    workers: Annotated[
+        int | None, Option(min=1, metavar="K", help="Processes of this machine; default: one a core.")
+    ] = None
+    scheduler: Annotated[
+        str | None, Option(metavar="tcp://HOST:PORT", help="Compute on this Dask cluster instead (extra: dask).")
+    ] = None
+    case_s: Annotated[
+        float, Option("--case-s", min=1.0, metavar="S", help="Longest that a case may take; it is killed then.")
+    ] = 600.0

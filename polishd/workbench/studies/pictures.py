@@ -38,29 +38,31 @@ COLOURS = (MUTED, BLUE, GREEN, "#cc79a7", "#e69f00", ORANGE)
 
 def of_corrections(compared: Comparison) -> Mapping[str, Draw]:
     """The setting, a page of residuals for each plant, and their spectra."""
-    residuals = {f"residuals_{plant}.png": _drawn(_residuals, compared, plant) for plant in PLANTS}
-    return {"setting.png": _drawn(_setting, compared), **residuals, "psd.png": _drawn(_spectra, compared)}
+    residuals = {f"residuals_{plant}.png": drawn(_residuals, compared, plant) for plant in PLANTS}
+    return {"setting.png": drawn(_setting, compared), **residuals, "psd.png": drawn(_spectra, compared)}
 
 
 def of_spots(rows: Sequence[SpotRow]) -> Mapping[str, Draw]:
     """Profiles along x and y, a page for each reading of the size."""
     return {
-        f"profiles_{reading}.png": _drawn(_profiles, [row for row in rows if row.size_is == reading])
+        f"profiles_{reading}.png": drawn(_profiles, [row for row in rows if row.size_is == reading])
         for reading in READINGS
     }
 
 
 def of_passes(passes: Passes) -> Mapping[str, Draw]:
     """Gamma and removal side by side, and one against the other."""
-    return {"passes.png": _drawn(_passes, passes)}
+    return {"passes.png": drawn(_passes, passes)}
 
 
 def of_loops(looped: Looped) -> Mapping[str, Draw]:
     """True RMS over the passes, a panel each scenario, a colour each loop."""
-    return {"loops.png": _drawn(_loops, looped)}
+    return {"loops.png": drawn(_loops, looped)}
 
 
-def _drawn(draw: Callable[..., Figure], *what: object) -> Draw:
+def drawn(draw: Callable[..., Figure], *what: object) -> Draw:
+    """A picture that is drawn when it is asked for, in polishd's style."""
+
     def in_style() -> bytes:
         with polishd_style():
             return png(draw(*what))

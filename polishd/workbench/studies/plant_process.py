@@ -26,6 +26,7 @@ class PlantProcess:
 
     def __init__(self) -> None:
         """Start it."""
+        self._broken = False
         self._said = tempfile.TemporaryFile()  # noqa: SIM115  (closed with the process)
         self._process = subprocess.Popen(COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._said)
 
@@ -45,6 +46,11 @@ class PlantProcess:
             self._process.kill()
             self._process.wait()
         self._said.close()
+
+    @property
+    def alive(self) -> bool:
+        """Whether it takes another request."""
+        return not self._broken and self._process.poll() is None
 
     def new(self, config: Mapping[str, Any], seed: int) -> None:
         """Draw another plant from SIM.toml's sections and a seed. ComputeError, as of all requests."""
@@ -92,6 +98,7 @@ class PlantProcess:
         except OSError:
             answer = None
         if answer is None:
+            self._broken = True
             self._said.seek(0)
             last = self._said.read()[-SAID:].decode(errors="replace").strip() or "it said nothing"
             raise ComputeError(f"the plant's process ended at {request['do']!r}: {last}")

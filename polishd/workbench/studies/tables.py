@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 from rich.table import Table
 
 from polishd.config.study import PassesStudy, SpotsStudy
@@ -155,3 +159,10 @@ def loop_notes(looped: Looped) -> list[str]:
         *told,
         *more,
     ]
+
+
+def error_notes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Why cases have no figures, and how many of each."""
+    why = Counter(str(row["error"]) for row in rows if row.get("error"))
+    told = [f"{count} of them: {words}" for words, count in why.most_common(MOST_NOTES)]
+    return [f"{sum(why.values())} of {len(rows)} cases have an error instead of figures:", *told] if why else []

@@ -145,6 +145,12 @@ def test_large_programs_are_compiled() -> None:
     assert vars(compiled.kernel(write.splice, size))["py_func"] is write.splice
 
 
+def test_a_process_that_reads_many_compiles_for_small_ones(monkeypatch: Patch) -> None:
+    monkeypatch.setattr(compiled, "LARGE_BYTES", compiled.LARGE_BYTES)
+    compiled.for_many()
+    assert hasattr(compiled.kernel(scan.scan, 1), "py_func")
+
+
 def test_across_the_limit(monkeypatch: Patch) -> None:
     """A program whose pieces are of both kinds."""
     lines = "".join(f"G1 X{i % 90} F60\nG4 P0.{i % 900 + 100}\n" for i in range(300))

@@ -4,6 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from polishd.config.loop_study import LoopStudy
+from polishd.config.sweep_points import Swept
+from polishd.workbench.studies.cases import Making
+from polishd.workbench.studies.loop import Run
+from polishd.workbench.studies.plant_process import PlantProcess
+from polishd.workbench.studies.working import closed_loop
+
 EXAMPLES = Path(__file__).parents[4] / "examples"
 TABLE_IV, TABLE_III, FIG_12 = (EXAMPLES / f"{name}.toml" for name in ("table_iv", "table_iii", "fig_12"))
 
@@ -35,3 +42,15 @@ def line_of(path: Path, start: str) -> int:
     """1-based number of the first line that starts so."""
     lines = path.read_text(encoding="utf-8").splitlines()
     return next(number for number, line in enumerate(lines, 1) if line.startswith(start))
+
+
+def runs_here(study: LoopStudy) -> list[Run]:
+    """All jobs of a study, in this process, as a worker would do them: of a study that need not be a file."""
+    making = Making(Swept(study.base_dir, {}, study.source, ({},), is_sweep=False))
+    with PlantProcess() as plant:
+        return [
+            closed_loop(study, loop).run(plant, making.plant(study, scenario), scenario, loop, seed)
+            for seed in range(study.first_seed, study.first_seed + study.seeds)
+            for scenario in making.scenarios(study)
+            for loop in study.loops
+        ]

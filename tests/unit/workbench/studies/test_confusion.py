@@ -11,8 +11,9 @@ import pytest
 from polishd.config.loop_study import LoopStudy, Scenario
 from polishd.config.study import load_study
 from polishd.workbench.studies.confusion import FILE, confusion_page
+from polishd.workbench.studies.kept import read_table
 from polishd.workbench.studies.loop import Run
-from polishd.workbench.studies.loops import Looped, _rows
+from polishd.workbench.studies.loops import Looped, looped
 from polishd.workbench.studies.options import StudyOptions
 from polishd.workbench.studies.verb import study_verb
 from tests.unit.workbench.studies.studies import TABLE_III
@@ -23,7 +24,7 @@ RUN = Run("warm", "rate", 1, "cycles_used", "", (), 1, (18.0, 2.0), (1.0,), (18.
 
 def rows(scenario: Scenario, *named: tuple[str, ...]) -> Looped:
     runs = tuple(replace(RUN, seed=seed, named=names) for seed, names in enumerate(named))
-    return Looped(runs, tuple(_rows(runs, {"warm": scenario})))
+    return looped(runs, {"warm": scenario})
 
 
 def test_a_row_counts_what_was_said() -> None:
@@ -60,10 +61,11 @@ def test_a_job_of_the_shipped_study_names_its_cause(tmp_path: Path, cause: str) 
     for name in ("cell.toml", "sim.toml"):
         text = text.replace(f'"{name}"', f'"{EXAMPLES / name}"')
     path, out = tmp_path / "study.toml", tmp_path / "out"
+    text = text.replace("seeds = 200", "seeds = 1")
     path.write_text(text.replace('["naming"]', f'["{EXAMPLES / "naming" / cause}.toml"]'))
-    study_verb(path, StudyOptions(out=out, jobs=1, limit=1), as_json=True)
+    study_verb(path, StudyOptions(out=out, workers=1), as_json=True)
     assert "1 of 1 | 100.0 %" in (out / FILE).read_text()
-    (run,) = map(json.loads, (out / "runs.jsonl").read_text().splitlines())
+    ((run,), _) = read_table(out)
     assert len(run["rms_nm"]) == len(run["true_rms_nm"]) == 2, "of a measurement the last map counts"
     if cause == "settling":
         assert run["rms_nm"][1] == pytest.approx(run["true_rms_nm"][1], abs=0.15), "what settles is not in the last map"

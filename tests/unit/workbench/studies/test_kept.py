@@ -1,92 +1,109 @@
-"""A study goes on where it was, with what was made of the same."""
+"""What came of a study's cases: nothing is computed twice, nothing torn is taken, and the table is whole."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from polishd.config.study import load_study
 from polishd.model.errors import ConfigError
-from polishd.workbench.studies import loops
-from polishd.workbench.studies.kept import RUNS, Case, Kept, made_of
-from polishd.workbench.studies.loop import Run
-from tests.unit.workbench.studies.test_loops import LOOPS, NONE, study_file
+from polishd.workbench.studies.case import Case, made_of, versions
+from polishd.workbench.studies.children import Answer
+from polishd.workbench.studies.engine import Done
+from polishd.workbench.studies.kept import JOURNAL, TABLE, Kept, read_table
 
 
-def run_of(case: Case, ended: str = "in_tolerance") -> Run:
-    return Run(*case, ended, "", (), 1, (9.0, 1.0), (1.1,), (9.0, 1.1), ((0.5, 1.5, 1.0),), True, 2.0)
+def case(number: int = 0, of: str = "a", **at: Any) -> Case:
+    return Case(number, number, at, "nothing", "exact", 1, of)
 
 
-@pytest.fixture
-def worked(monkeypatch: pytest.MonkeyPatch) -> list[Case]:
-    """Cases that were computed, each at once."""
-    seen: list[Case] = []
-
-    def work(study: Any, plants: Any, cases: Sequence[Case], jobs: int) -> Any:
-        for case in cases:
-            seen.append(case)
-            yield run_of(case)
-
-    monkeypatch.setattr(loops, "_worked", work)
-    return seen
+def done(one: Case, error: str = "", **figures: Any) -> Done:
+    rows = () if error else ({"passes": 1, "rms_nm": [9.0, 0.1 + 0.2], "why": "", **figures},)
+    return Done(one, Answer(one.number, rows, error, 2.0, 1.0), 1)
 
 
-def rows(path: Path, out: Path) -> list[dict[str, Any]]:
-    study = load_study(path)
-    found = loops.run_loops(study, lambda words: None, seeds=2, jobs=1, kept=Kept(out))  # type: ignore[arg-type]
-    return found.as_json()
-
-
-def test_what_was_done_is_not_done_again(tmp_path: Path, worked: list[Case]) -> None:
-    path = study_file(tmp_path, LOOPS + NONE, near=-0.1)
-    first = rows(path, tmp_path)
-    assert len(worked) == 4
-    assert rows(path, tmp_path) == first
-    assert len(worked) == 4
-
-
-def test_what_was_done_with_other_keys_or_another_plant_is(tmp_path: Path, worked: list[Case]) -> None:
-    path = study_file(tmp_path, LOOPS + NONE, near=-0.1, far=-0.3)
-    rows(path, tmp_path)
-    path.write_text(path.read_text().replace('"process.correction" = "none"', '"process.correction" = "linear"'))
-    del worked[:]
-    rows(path, tmp_path)
-    assert {case[1] for case in worked} == {"none"}
-    wrong = tmp_path / "wrong" / "far.toml"
-    wrong.write_text(wrong.read_text().replace("-0.3", "-0.4"))
-    del worked[:]
-    rows(path, tmp_path)
-    assert {case[0] for case in worked} == {"far"}
-
-
-def test_a_line_torn_by_a_kill_is_done_again(tmp_path: Path, worked: list[Case]) -> None:
-    path = study_file(tmp_path, near=-0.1)
-    first = rows(path, tmp_path)
-    kept = tmp_path / RUNS
-    kept.write_text(kept.read_text()[:-30])
-    del worked[:]
-    assert rows(path, tmp_path) == first
-    assert len(worked) == 1
-    assert len(kept.read_text().splitlines()) == 2
-
-
-def test_a_case_that_ended_in_an_error_is_tried_again(tmp_path: Path) -> None:
-    Kept(tmp_path).add(run_of(("a", "b", 1), "error"), "x")
-    Kept(tmp_path).add(run_of(("a", "b", 2)), "x")
+def test_what_is_known_is_found_again_whole_or_from_the_journal(tmp_path: Path) -> None:
+    first, second = case(0, "a", force=[1.0, 1.0]), case(1, "b", force=[2.0, 2.0])
     kept = Kept(tmp_path)
-    assert kept.find(("a", "b", 1), "x") is None
-    assert kept.find(("a", "b", 2), "x") == run_of(("a", "b", 2))
-    assert kept.find(("a", "b", 2), "y") is None
+    kept.add(done(first))
+    assert kept.find(second) is None
+    again = Kept(tmp_path)
+    assert again.find(first) is not None, "of the journal"
+    again.add(done(second))
+    again.merge([first, second], "text")
+    assert not (tmp_path / JOURNAL).exists()
+    rows, text = read_table(tmp_path)
+    assert text == "text"
+    assert [(row["case"], row["over.force"], row["rms_nm"]) for row in rows] == [
+        (0, 1.0, [9.0, 0.1 + 0.2]),
+        (1, 2.0, [9.0, 0.1 + 0.2]),
+    ]
+    assert json.loads(rows[0]["versions"]) == dict(versions())
+    assert Kept(tmp_path).find(second) is not None, "of the table"
 
 
-@pytest.mark.parametrize("line", ["{", "[]", '{"of": "x", "scenario": "a"}', json.dumps({"of": 1, "odd": 2})])
+def test_a_case_that_moved_in_the_study_is_known_by_what_decides_it(tmp_path: Path) -> None:
+    kept = Kept(tmp_path)
+    kept.add(done(case(0, "a", force=1.0)))
+    kept.merge([case(7, "a", force=1.0)], "")
+    ((row,), _) = read_table(tmp_path)
+    assert row["case"] == 7
+
+
+def test_a_line_torn_by_a_kill_is_done_again(tmp_path: Path) -> None:
+    kept = Kept(tmp_path)
+    kept.add(done(case(0, "a")))
+    kept.add(done(case(1, "b")))
+    journal = tmp_path / JOURNAL
+    torn = journal.read_text()[:-30]
+    journal.write_text(torn)
+    (rows, _) = read_table(tmp_path)
+    assert [row["case"] for row in rows] == [0], "who shows it leaves it to the study that writes there"
+    assert journal.read_text() == torn
+    again = Kept(tmp_path)
+    assert again.find(case(0, "a")) is not None
+    assert again.find(case(1, "b")) is None
+    again.add(done(case(1, "b")))
+    assert len(journal.read_text().splitlines()) == 2
+
+
+def test_a_case_that_failed_is_a_row_and_is_tried_again(tmp_path: Path) -> None:
+    kept = Kept(tmp_path)
+    kept.add(done(case(0, "a"), "killed its worker: signal 9"))
+    assert kept.find(case(0, "a")) is None
+    kept.merge([case(0, "a")], "")
+    ((row,), _) = read_table(tmp_path)
+    assert row["error"] == "killed its worker: signal 9"
+    assert Kept(tmp_path).find(case(0, "a")) is None
+    kept.add(done(case(0, "a")))
+    kept.merge([case(0, "a")], "")
+    ((row,), _) = read_table(tmp_path)
+    assert row["error"] is None
+
+
+def test_values_of_several_kinds_are_their_json(tmp_path: Path) -> None:
+    kept, cases = Kept(tmp_path), [case(0, "a", force=1.0), case(1, "b", force="much")]
+    for one in cases:
+        kept.add(done(one))
+    kept.merge(cases, "")
+    rows, _ = read_table(tmp_path)
+    assert [row["over.force"] for row in rows] == ["1.0", '"much"']
+
+
+@pytest.mark.parametrize("line", ["{", "[]", '{"of": "x", "rows": []}', json.dumps({"of": "x", "rows": [{"a": 1}]})])
 def test_a_line_that_is_none_of_ours_is_told(tmp_path: Path, line: str) -> None:
-    (tmp_path / RUNS).write_text(f"{line}\n")
-    with pytest.raises(ConfigError, match=r"runs.jsonl:1: is no job of a study; take the line out"):
+    (tmp_path / JOURNAL).write_text(f"{line}\n")
+    with pytest.raises(ConfigError, match=r"cases.jsonl:1: is no case of a study; take the line out"):
+        Kept(tmp_path)
+
+
+def test_a_table_that_is_none_and_a_folder_without_one_are_told(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="has neither"):
+        read_table(tmp_path)
+    (tmp_path / TABLE).write_bytes(b"no table")
+    with pytest.raises(ConfigError, match=r"cases.parquet: cannot be read"):
         Kept(tmp_path)
 
 
@@ -99,8 +116,9 @@ def test_a_file_that_is_named_counts(tmp_path: Path) -> None:
     assert made_of((part, tmp_path / "elsewhere")) != first
 
 
-def test_without_a_folder_nothing_is_kept(tmp_path: Path) -> None:
+def test_without_a_folder_it_is_kept_in_memory_only(tmp_path: Path) -> None:
     kept = Kept(None)
-    kept.add(run_of(("a", "b", 1)), "x")
-    assert kept.find(("a", "b", 1), "x") is None
+    kept.add(done(case()))
+    kept.merge([case()], "")
+    assert kept.table(case())[0]["passes"] == 1
     assert not list(tmp_path.iterdir())

@@ -14,13 +14,17 @@ import typer
 from polishd.config.document import parse_toml
 from polishd.config.loop_study import LoopStudy
 from polishd.config.study import load_study
+from polishd.config.sweep_points import load_swept
 from polishd.model.errors import ComputeError, ConfigError, PolishdError
-from polishd.workbench.studies import plant_process
-from polishd.workbench.studies.loops import Looped, laid_over, run_loops
+from polishd.workbench.studies import loops, plant_process
+from polishd.workbench.studies.cases import cases_of, laid_over
+from polishd.workbench.studies.loops import Looped
 from polishd.workbench.studies.options import StudyOptions
 from polishd.workbench.studies.plant_process import PlantProcess
+from polishd.workbench.studies.running import run_cases
 from polishd.workbench.studies.verb import study_verb
-from tests.unit.workbench.studies.studies import TABLE_III
+from polishd.workbench.studies.working import Bench, run_of
+from tests.unit.workbench.studies.studies import TABLE_III, runs_here
 
 EXAMPLES = TABLE_III.parent
 SCENARIO = """
@@ -56,9 +60,11 @@ def study_file(folder: Path, loops: str = LOOPS, more: str = "raster = true", **
     return path
 
 
-def looped(path: Path, jobs: int) -> Looped:
-    study = load_study(path)
-    return run_loops(study, lambda words: None, seeds=None, jobs=jobs)  # type: ignore[arg-type]
+def looped(path: Path, workers: int = 1) -> Looped:
+    """By the engine, in processes."""
+    swept = load_swept(path)
+    rows = run_cases(swept, StudyOptions(workers=workers)).rows
+    return loops.looped([run_of(row) for row in rows], swept.at({}).all_scenarios())  # type: ignore[union-attr]
 
 
 def timeless(found: Looped) -> list[object]:
@@ -97,14 +103,37 @@ def test_a_rate_beyond_what_may_be_learned_stops_the_loop_and_is_named(tmp_path:
 
 
 @pytest.mark.full
+def test_a_loop_that_does_not_learn_makes_the_same_mistake_again(tmp_path: Path) -> None:
+    blind = LOOPS.replace("[loops.exact]", "[loops.blind]\nlearns = false").replace("2.5", "0.8")
+    study = load_study(study_file(tmp_path, f"{LOOPS.replace('2.5', '0.8')}{blind}", far=-0.25))
+    assert isinstance(study, LoopStudy)
+    learned, not_learned = runs_here(study)
+    assert learned.rms_nm[:2] == not_learned.rms_nm[:2], "before it has learned anything it is the same"
+    assert learned.true_rms_nm[2] < not_learned.true_rms_nm[2]
+
+
+def test_a_plant_that_died_is_no_end_of_a_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = study_file(tmp_path, near=-0.1)
+    (case,) = cases_of(load_swept(path))
+    bench = Bench(path)
+    monkeypatch.setattr(plant_process, "COMMAND", ("sh", "-c", "echo out of luck >&2"))
+    with pytest.raises(ComputeError, match="out of luck"):
+        bench.rows(case)
+    monkeypatch.undo()
+    (row,) = bench.rows(case)
+    bench.close()
+    assert row["ended"] == "in_tolerance", "another plant took its place"
+
+
+@pytest.mark.full
 def test_tables_pictures_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, out = study_file(tmp_path, near=0.0), tmp_path / "out"
-    study_verb(path, StudyOptions(out=out, jobs=1), as_json=True)
+    study_verb(path, StudyOptions(out=out, workers=1), as_json=True)
     (row,) = json.loads(capsys.readouterr().out)
     assert row["loop"] == "exact"
     assert json.loads((out / "table.json").read_text()) == [row]
     assert (out / "loops.png").read_bytes().startswith(b"\x89PNG")
-    study_verb(path, StudyOptions(jobs=1), as_json=False)
+    study_verb(path, StudyOptions(workers=1), as_json=False)
     assert "true RMS nm" in capsys.readouterr().out
 
 
@@ -148,7 +177,7 @@ def test_every_shipped_scenario_is_another_plant() -> None:
     assert len(drawn) == len(set(drawn.values())) > 15
 
 
-def test_limit_and_jobs_go_with_loops_only() -> None:
+def test_limit_and_workers_go_with_many_cases_only() -> None:
     with pytest.raises(typer.BadParameter, match="--limit"):
         study_verb(TABLE_III, StudyOptions(limit=2), as_json=True)
 

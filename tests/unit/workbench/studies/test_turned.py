@@ -13,11 +13,10 @@ from polishd.config.loop_study import LoopStudy
 from polishd.config.study import load_study
 from polishd.model.errors import ComputeError, ConfigError
 from polishd.model.surface import FloatArray
-from polishd.workbench.studies.loops import run_loops
 from polishd.workbench.studies.plant_process import PlantProcess
 from polishd.workbench.studies.turned import calibrated, certified
 from tests.unit.daemon.small import small_recipe
-from tests.unit.workbench.studies.studies import TABLE_III
+from tests.unit.workbench.studies.studies import TABLE_III, runs_here
 
 POSES = ((0.0, 0.0, 0.0), (90.0, 0.0, 0.0), (180.0, 0.0, 0.0), (270.0, 0.0, 0.0), (0.0, 1.5, 0.0))
 STUDY = 'kind = "loop"\ntitle = "t"\n[loops.a]\nposes = {poses}\n'
@@ -127,7 +126,7 @@ def test_turning_the_part_brings_the_true_figure_into_tolerance(tmp_path: Path) 
     path.write_text(LOOPS.format(examples=TABLE_III.parent))
     study = load_study(path)
     assert isinstance(study, LoopStudy)
-    runs = {run.loop: run for run in run_loops(study, lambda _: None, seeds=None, jobs=1).runs}
+    runs = {run.loop: run for run in runs_here(study)}
     believed, turned, demanding = (runs[name] for name in study.loops)
     assert believed.falsely_accepted
     assert believed.true_rms_nm[-1] > 1.5 > believed.rms_nm[-1]

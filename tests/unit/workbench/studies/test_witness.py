@@ -11,10 +11,10 @@ from polishd.config.document import parse_toml
 from polishd.config.loop_study import LoopStudy
 from polishd.config.study import load_study
 from polishd.model.errors import ConfigError
+from polishd.workbench.studies.cases import laid_over
 from polishd.workbench.studies.loop import ClosedLoop, _Account
-from polishd.workbench.studies.loops import laid_over, run_loops
 from polishd.workbench.studies.plant_process import PlantProcess
-from tests.unit.workbench.studies.studies import TABLE_III
+from tests.unit.workbench.studies.studies import TABLE_III, runs_here
 
 EXAMPLES = TABLE_III.parent
 RATE = -0.3
@@ -58,7 +58,7 @@ def test_its_rate_and_its_spot_are_those_of_the_machine(tmp_path: Path) -> None:
         begun = {}
         for name in of.loops:
             plant.new(laid_over(sections, scenario), 1)
-            keys, witness, _ = of.loop(name)
+            keys, witness, *_ = of.loop(name)
             loop = ClosedLoop(of.resolve(of.cell), keys, of.passes, raster=True, witness=witness)
             begun[name] = loop._begun(plant, _Account())
     recipe, believed = begun["exact"]
@@ -72,10 +72,7 @@ def test_its_rate_and_its_spot_are_those_of_the_machine(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_a_loop_that_has_it_is_right_from_the_first_pass_on(tmp_path: Path) -> None:
-    found = run_loops(
-        study(tmp_path, '[loops.exact]\n[loops.told]\nwitness = "rate"\n'), lambda _: None, seeds=None, jobs=1
-    )
-    exact, told = found.runs
+    exact, told = runs_here(study(tmp_path, '[loops.exact]\n[loops.told]\nwitness = "rate"\n'))
     assert exact.rms_nm[0] == told.rms_nm[0], "the part itself is the same, whatever the witness took"
     assert exact.rms_nm[1] > 2 * told.rms_nm[1]
     assert told.accepted
@@ -86,7 +83,7 @@ def test_what_is_nothing_to_begin_with_is_said(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigError, match=re.escape('\'spit\' is nothing to begin with; it is "rate", "spot" or "touch"')
     ):
-        run_loops(wrong, lambda _: None, seeds=None, jobs=1)
+        runs_here(wrong)
 
 
 def wrong_with(of: LoopStudy, section: str, **keys: object) -> LoopStudy:
@@ -101,7 +98,7 @@ TOUCHED = '[loops.touched]\nwitness = "touch"\n"process.learns" = "machine"\n'
 def test_a_spot_that_is_off_is_found_by_a_touch_and_corrected_in_the_first_pass(tmp_path: Path) -> None:
     """Without it the gate stops after the first pass, for a person."""
     off = wrong_with(study(tmp_path, f"[loops.untold]\n{TOUCHED}"), "effects", spot_shift_mm=1.5)
-    untold, touched = run_loops(off, lambda _: None, seeds=None, jobs=1).runs
+    untold, touched = runs_here(off)
     assert (untold.ended, untold.named) == ("gate", ("shift",))
     assert touched.accepted
     assert touched.passes == 1
@@ -112,6 +109,6 @@ def test_a_spot_that_is_off_is_found_by_a_touch_and_corrected_in_the_first_pass(
 @pytest.mark.full
 def test_a_touch_that_stops_says_why_and_no_part_is_polished(tmp_path: Path) -> None:
     worn = wrong_with(study(tmp_path, TOUCHED), "truth", worn=0.5, rate=[0.0, 0.0])
-    (run,) = run_loops(worn, lambda _: None, seeds=None, jobs=1).runs
+    (run,) = runs_here(worn)
     assert (run.ended, run.named, run.passes) == ("gate", ("rate",), 0)
     assert "about half" in run.why

@@ -1,0 +1,84 @@
+"""The engine of studies: cases go to an executor in tasks, and what comes of each is handed on as it comes."""
+
+from __future__ import annotations
+
+import math
+import uuid
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from polishd.model.errors import ConfigError
+from polishd.workbench.studies.case import Case, versions
+from polishd.workbench.studies.children import Answer, Task
+from polishd.workbench.studies.executors import Executor
+
+TASK_S = 1.0
+"""Work of a task, about: of less, the wire would be most of it."""
+MOST_CASES = 500
+TRIES = 2
+WITHIN_S = 600.0
+"""Wall time of a case, unless told."""
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """A case, and what came of it at its last try."""
+
+    case: Case
+    answer: Answer
+    tries: int
+
+
+def work(study: Path, cases: Sequence[Case], executor: Executor, within_s: float = WITHIN_S) -> Iterator[Done]:
+    """Each as it ends, in any order. One that fails, hangs or kills its worker is tried once more, and by itself.
+
+    ConfigError where a worker refuses them all: other versions, other files.
+    """
+    whole = Task(str(study), uuid.uuid4().hex, versions(), within_s, ())
+    fresh, again = deque(cases), deque[Case]()
+    running: dict[Future[list[Answer]], tuple[Case, ...]] = {}
+    tried: dict[int, int] = {}
+    pace = _Pace()
+    while fresh or again or running:
+        while (fresh or again) and len(running) < max(executor.slots, 1):  # one more would wait behind a long one
+            some = (again.popleft(),) if again else tuple(fresh.popleft() for _ in range(min(pace.cases, len(fresh))))
+            running[executor.submit(replace(whole, cases=some))] = some
+        for future in wait(running, return_when=FIRST_COMPLETED).done:
+            for case, answer in zip(some := running.pop(future), _answers(future, some), strict=True):
+                tried[case.number] = tried.get(case.number, 0) + 1
+                if answer.error and tried[case.number] < TRIES:
+                    again.append(case)
+                    continue
+                pace.add(answer)
+                yield Done(case, answer, tried[case.number])
+
+
+def _answers(future: Future[list[Answer]], cases: Sequence[Case]) -> list[Answer]:
+    """Of each case; where the whole task was lost, why."""
+    try:
+        return future.result()
+    except ConfigError:
+        raise
+    except CancelledError as error:
+        raise ConfigError("the cluster was lost; begin the study again, and it goes on where it was") from error
+    except Exception as error:  # noqa: BLE001  a cluster loses tasks in ways of its own
+        return [Answer(case.number, error=f"its task was lost: {type(error).__name__}: {error}") for case in cases]
+
+
+class _Pace:
+    """How many cases are a task's work, by those that have ended."""
+
+    def __init__(self) -> None:
+        self._spent_s, self._ended = 0.0, 0
+
+    def add(self, answer: Answer) -> None:
+        self._spent_s, self._ended = self._spent_s + answer.wall_s, self._ended + 1
+
+    @property
+    def cases(self) -> int:
+        if not self._ended:
+            return 1
+        return min(math.ceil(TASK_S * self._ended / max(self._spent_s, 1e-6)), MOST_CASES)
