@@ -249,7 +249,7 @@ def web(
 ) -> None:
     """Serve the page and the HTTP API of a cell, beside its daemon; ends with Ctrl-C."""
     from polishd.console.web import web_verb
-    from polishd.web.users import Role
+    from polishd.door.users import Role
 
     web_verb(cell, add_user, Role(role), remove_user)
 
