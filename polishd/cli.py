@@ -14,6 +14,7 @@ from typer import Argument, Option
 
 from polishd import __version__
 from polishd.console.cli import Reason, jobs, recordings, reports, services
+from polishd.console.shop_cli import app as shops
 from polishd.model.errors import PolishdError
 from polishd.workbench.cli import app as workbench
 from polishd.workbench.options import Cell, Json
@@ -328,6 +329,7 @@ app.add_typer(jobs, name="job", no_args_is_help=True)
 app.add_typer(services, name="service", no_args_is_help=True)
 app.add_typer(recordings, name="record", no_args_is_help=True)
 app.add_typer(reports, name="report", no_args_is_help=True)
+app.add_typer(shops, name="shop", no_args_is_help=True)
 app.add_typer(workbench)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -75,12 +76,14 @@ class Desk:
 
         return {"jobs": await asyncio.to_thread(facts)}
 
-    async def add(self, files: Sequence[Any], by: str = "") -> Mapping[str, Any]:
-        """Put them at the end, all or none."""
+    async def add(self, files: Sequence[Any], by: str = "", claim: str = "") -> Mapping[str, Any]:
+        """Put them at the end, all or none; ``claim``: the one by which a shop gave this part to the cell."""
         named = [_job_file(file) for file in files]
+        if claim and len(named) != 1:
+            raise ConfigError("a claim is of one job; name its file alone")
 
         def judged() -> Sequence[NewJob]:
-            return [new_job(self._cell, file) for file in named]
+            return [replace(new_job(self._cell, file), claim=claim) for file in named]
 
         async with self._turn:
             jobs = await asyncio.to_thread(judged)
