@@ -147,7 +147,9 @@ def _told(users: Users, name: str, role: Role, what: str) -> None:
 
 
 def _why(one: Mapping[str, Any]) -> str:
-    asked = f"{one['cell']} is asked to give it back, by {one['back']}" if one["back"] and not one["verdict"] else ""
+    asked = (
+        f"{one['cell']} is asked to give it back, by {one['back']}" if one["back"] and one["state"] == "claimed" else ""
+    )
     return "; ".join(filter(None, (one["reason"], asked, one["not_for"])))
 
 

@@ -46,6 +46,8 @@ class Link:
         self._upto = 0
         self._open: list[str] = []
         """Claims that the shop takes for this cell's."""
+        self._judged: set[str] = set()
+        """What was judged already, but for its name and part."""
 
     def run(self, stop: threading.Event) -> None:
         """Until that is set. ConfigError where another link serves this cell."""
@@ -109,7 +111,7 @@ class Link:
             return False
         path = self._written(request, part)
         try:
-            judged_jobs(self._config, self._hooks, [path])
+            judged_jobs(self._config, self._hooks, [path], self._judged)
             self._add(request, path, part["content"])
         except LinkError:
             raise

@@ -18,6 +18,7 @@ from polishd.shop.database import Transaction
 WAITING, UNDER_WAY, REMOVED, UNKNOWN = "waiting", "under way", "removed", "unknown"
 """What a cell says of a claim, beside the verdict on its part; unknown: its queue never had it."""
 DONE = frozenset({"accepted", "rejected"})
+REFUSED = "refused"
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +96,7 @@ def refuse(sql: Transaction, cell: str, request: str, why: str) -> None:
     """The cell cannot work it, and has not put it into its queue: it is for another one."""
     found = _open(sql, cell, request)
     if found is not None and found["state"] == "given":
-        _free(sql, request, "refused", cell, why)
+        _free(sql, request, REFUSED, cell, why)
 
 
 def report(sql: Transaction, cell: str, journal: str, claims: Mapping[str, Mapping[str, str]]) -> Word:
@@ -121,6 +122,9 @@ def release(sql: Transaction, job: str, by: str, why: str, *, gone: bool) -> str
     A cell that may have begun it is asked first. ``gone``: a person says that the cell is gone, and has nothing of it.
     """
     part = _part(sql, job)
+    if part["state"] == "waiting" and sql.run("DELETE FROM not_for WHERE part = ?", part["id"]):
+        sql.word(by, "for all cells", job, "", why)
+        return f"{job} waits, and any cell may have it"
     if part["state"] in {"waiting", "done", "removed"}:
         raise ConfigError(f"{job!r} is {part['state']}: no cell has it; polishd shop list shows all")
     found = sql.row("SELECT request, cell, state FROM claim WHERE part = ? AND ended IS NULL", part["id"])
@@ -191,6 +195,8 @@ def _free(sql: Transaction, request: str, how: str, who: str, why: str = "") -> 
     if found is None:
         raise ConfigError("there is no such claim")
     sql.run("UPDATE part SET state = 'waiting' WHERE id = ?", found["part"])
+    if how != REFUSED:  # of several that had it only the last one is left out, but for those that cannot work it
+        sql.run("DELETE FROM not_for WHERE part = ? AND why NOT LIKE ?", found["part"], f"{REFUSED}%")
     row = {"part": found["part"], "cell": found["cell"], "why": f"{how}: {why}" if why else how}
     sql.insert("INSERT OR REPLACE INTO not_for", row)
     sql.word(who, how, found["job"], found["cell"], why)
