@@ -54,7 +54,7 @@ def main() -> int:
     parse = argparse.ArgumentParser(prog="make shop-campaign", description=__doc__)
     parse.add_argument("--parts", type=int, default=PARTS, help="in all")
     parse.add_argument("--sitting", type=int, default=SITTING, help="parts of one sitting")
-    parse.add_argument("--minutes", type=float, default=1e9, help="after which no other sitting begins")
+    parse.add_argument("--minutes", type=float, default=1e9, help="after which what was begun is ended")
     parse.add_argument("--seed", type=int, default=1, help="another one needs a --folder of its own")
     parse.add_argument("--speed", type=float, default=SPEED, help="of the simulated clock")
     parse.add_argument("--folder", type=Path, default=FOLDER, help="where all is kept between sittings")
@@ -67,7 +67,8 @@ def main() -> int:
     signal.signal(signal.SIGTERM, lambda number, _: stopping.append(number))
     while (done := sum(row["parts"] for row in rows)) < options.parts and time.monotonic() < until_s and not stopping:
         sitting = Sitting(folder, options.seed, len(rows), options.speed)
-        came = sitting.run(done, min(options.sitting, options.parts - done), say)
+        count = min(options.sitting, options.parts - done)
+        came = sitting.run(count, lambda: bool(stopping) or time.monotonic() > until_s, say)
         rows.append({**asdict(came), "date": beside.today(), "of": beside.sources(OF), "seed": options.seed})
         beside.keep(kept, rows)
         say(json.dumps(rows[-1]))

@@ -14,7 +14,7 @@ import numpy as np
 from tests.system.shop_rig import Shop, ShopCell
 
 PASSES = "SELECT job.name, pass.cycle, program_sha256, how FROM pass JOIN job ON job.id = pass.job"
-OVER = frozenset({"done", "aside"})
+OVER = frozenset({"done", "aside", "removed"})
 
 
 def lost_or_twice(shop: Shop, cells: Sequence[ShopCell]) -> list[str]:
@@ -71,6 +71,8 @@ def _parts(shop: Shop, cells: Sequence[ShopCell]) -> Iterator[str]:
         seen[job] += 1
         if state not in OVER:
             yield f"{job} is {state}"
+        elif state == "removed":
+            yield from [f"{job} was taken out, and {cell} has it"] if cell else []
         elif queues[cell].get(request) != verdict:
             yield f"{job}: the shop says {verdict}, the queue of {cell} {queues[cell].get(request)}"
     yield from (f"{job} has {count} claims" for job, count in seen.items() if count > 1)

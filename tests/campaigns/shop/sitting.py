@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from polishd.console.simulator import simulated_cell
+from polishd.shop import parts
+from polishd.shop.database import Database
 from tests.campaigns.shop.judge import OVER, lost_or_twice, polished, twice, untold
 from tests.campaigns.shop.luck import Luck
 from tests.system.shop_rig import Shop, ShopCell, write_shop_cell
@@ -55,10 +57,10 @@ class Sitting:
         self._cells: list[ShopCell] = []
         self._resumed: Counter[str] = Counter()
 
-    def run(self, first: int, count: int, say: Callable[[str], None]) -> Came:
-        """Parts with those numbers; what came of them."""
+    def run(self, count: int, leave: Callable[[], bool], say: Callable[[str], None]) -> Came:
+        """So many parts; what came of them. Once ``leave`` says so, what waits is taken out, and the rest is ended."""
         came, began_s = Came(self._number, count), time.monotonic()
-        names = [f"S{self._seed}-{number:04d}" for number in range(first, first + count)]
+        names = [f"S{self._seed}-{self._number:02d}-{number:02d}" for number in range(count)]
         before = self._counts()
         with contextlib.ExitStack() as kept:
             for index, name in enumerate(CELLS):
@@ -71,9 +73,9 @@ class Sitting:
             for process in (one for several in processes.values() for one in several):
                 kept.callback(process.kill)
             luck = Luck(f"{self._seed} {self._number}", self._shop, processes)
-            self._shop.add([(name, name) for name in names], self._tolerance_nm(first), cycles=4)
+            self._shop.add([(name, name) for name in names], self._tolerance_nm(), cycles=4)
             try:
-                self._work(names, luck, say)
+                self._work(names, luck, leave, say)
                 luck.start_again()
                 wait_for(lambda: not (luck.start_again() or untold(self._shop, self._cells)), "the last reports", 120.0)
             except AssertionError as error:
@@ -86,12 +88,14 @@ class Sitting:
         came.seconds = round(time.monotonic() - began_s, 1)
         return came
 
-    def _work(self, names: list[str], luck: Luck, say: Callable[[str], None]) -> None:
+    def _work(self, names: list[str], luck: Luck, leave: Callable[[], bool], say: Callable[[str], None]) -> None:
         began_s, before = time.monotonic(), sum(state in OVER for state in self._shop.states().values())
         end_s, done = began_s + PART_S * (len(names) + 2), before
         while True:
             luck.start_again()
             luck.strike()
+            if leave():
+                self._take_out()
             for cell in self._cells:
                 self._visit(cell)
             over = sum(state in OVER for state in self._shop.states().values())
@@ -103,6 +107,12 @@ class Sitting:
                 return
             assert time.monotonic() < end_s, f"the parts do not end: {self._shop.states()}"
             time.sleep(LOOK_S)
+
+    def _take_out(self) -> None:
+        """What no cell has."""
+        with Database.open(self._shop.folder / "state") as database, database.transaction() as sql:
+            for row in sql.rows("SELECT job FROM part WHERE state = 'waiting'"):
+                parts.remove(sql, row["job"], "the campaign", "the sitting ends")
 
     def _visit(self, cell: ShopCell) -> None:
         """A person reads why it is held, and says that it may go on; with a job that does not, that it is put aside."""
@@ -125,16 +135,16 @@ class Sitting:
         with simulated_cell(files.sim, [*options, "--speed", f"{self._speed:g}"], files.out / "sim.stderr"):
             yield ShopCell(name, files)
 
-    def _tolerance_nm(self, first: int) -> float:
-        return random.Random(f"{self._seed} {first}").choice((2.0, 3.0, 5.0))
+    def _tolerance_nm(self) -> float:
+        return random.Random(f"{self._seed} {self._number}").choice((2.0, 3.0, 5.0))
 
     def _by_the_plants(self, came: Came, names: list[str]) -> None:
         found = {cell.name: polished(cell) & set(names) for cell in self._cells}
         came.wrong += twice(found)
         begun = {cell.name: {name for (name,) in cell.rows("SELECT DISTINCT name FROM job JOIN pass ON job.id = job")}
                  for cell in self._cells}  # fmt: skip
-        for cell, parts in found.items():
-            came.wrong += [f"{part}: polished in {cell}, whose journal has no pass" for part in parts - begun[cell]]
+        for cell, touched in found.items():
+            came.wrong += [f"{part}: polished in {cell}, whose journal has no pass" for part in touched - begun[cell]]
 
     def _counts(self) -> Counter[str]:
         if not (self._shop.folder / "state" / "shop.sqlite").exists():
@@ -148,5 +158,6 @@ class Sitting:
         came.passes, came.torn = now["passes"] - before["passes"], now["torn"] - before["torn"]
         came.events, came.given_back = now["events"] - before["events"], now["back"] - before["back"]
         came.in_contact = came.torn
-        rows = dict(self._shop.rows("SELECT job, verdict FROM part"))
-        came.verdicts = dict(Counter(rows[name] for name in names))
+        rows = dict(self._shop.rows("SELECT job, verdict FROM part WHERE state != 'removed'"))
+        came.verdicts = dict(Counter(rows[name] for name in names if name in rows))
+        came.parts = sum(came.verdicts.values())
