@@ -59,7 +59,7 @@ class Desk:
         changed: Callable[[], None] = lambda: None,
         tell: Callable[[Event], None] = lambda _: None,
     ) -> None:
-        """``changed`` is called when something was added; ``tell`` is told who changed what."""
+        """``changed`` is called when something was added or taken out; ``tell`` is told who changed what."""
         self._cell, self._queue, self._changed, self._tell = cell, queue, changed, tell
         self._turn = asyncio.Lock()
 
@@ -110,6 +110,7 @@ class Desk:
         """Take one out that waits."""
         async with self._turn:
             await asyncio.to_thread(self._queue.remove_waiting, job, reason)
+        self._changed()
         self._told("job_remove", ": ".join(filter(None, (job, reason))), by)
         return await self.list()
 

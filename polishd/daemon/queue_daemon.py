@@ -110,9 +110,9 @@ class QueueDaemon(Daemon):
         return Turn(Trigger.NEXT, self._to_change())
 
     async def _begin(self) -> Turn:
-        if self._until_empty and self._shift.first() is None:
+        entry = await self._shift.next(until_empty=self._until_empty)
+        if entry is None:
             return Turn(Trigger.EMPTY, outcome=Outcome.IN_TOLERANCE)
-        entry = await self._shift.next()
         try:
             self.job = await self._shift.begin(entry)
         except PolishdError as error:

@@ -57,12 +57,17 @@ class Shift:
             self.bus.publish(event)
 
     def added(self) -> None:
-        """Something was added to the queue."""
+        """Something was added to the queue, or taken out, or may begin now."""
         self._news.set()
 
-    async def next(self) -> Entry:
-        """The job that was begun by an earlier run, or the first that waits and may begin, as soon as there is one."""
+    async def next(self, *, until_empty: bool = False) -> Entry | None:
+        """The job that was begun by an earlier run, or the first that waits and may begin, as soon as there is one.
+
+        None with ``until_empty``, where nothing waits at all.
+        """
         while (entry := self.queue.under_way() or self.claims.first()) is None:
+            if until_empty and self.first() is None:
+                break
             self._news.clear()
             await self._news.wait()
         return entry

@@ -49,6 +49,13 @@ def verdicts(queue: Queue) -> dict[str, str]:
     return {entry.name: entry.state for entry in queue.entries()}
 
 
+async def stopped(cell: Hall) -> None:
+    """By a person; who asks is answered at the very end, which is not ours."""
+    asked = asyncio.ensure_future(cell.order("stop"))
+    await cell.task
+    asked.cancel()
+
+
 async def turns() -> None:
     for _ in range(100):
         await asyncio.sleep(0)
@@ -78,8 +85,7 @@ async def test_the_cells_own_jobs_do_not_wait_for_it(hall: Callable[..., Hall]) 
     await cell.order("resume")
     await cell.wait(lambda: verdicts(cell.queue)["own"] == "accepted")
     assert verdicts(cell.queue) == {"own": "accepted", "lens": "waiting"}
-    await cell.order("stop")
-    await cell.task
+    await stopped(cell)
 
 
 async def test_what_the_shop_wants_back_or_has_given_away_is_taken_out_while_it_waits(
@@ -103,8 +109,7 @@ async def test_after_a_restart_a_job_under_way_waits_for_the_shops_word(hall: Ca
     await first.start()
     await first.daemon.handlers["shop_word"](stands=["c1"])
     await first.until("changing")
-    await first.order("stop")
-    await first.task
+    await stopped(first)
     first.journal.close()
 
     again = hall()
@@ -129,16 +134,16 @@ async def test_a_cell_that_was_given_up_learns_before_contact_that_it_has_lost_i
     await first.start()
     await first.daemon.handlers["shop_word"](stands=["c1"])
     await first.until("changing")
-    await first.order("stop")
-    await first.task
+    await stopped(first)
     first.journal.close()
 
     again = hall()
     await again.start(until_empty=True)
     await again.until("held")
     await again.daemon.handlers["shop_word"](lost=["c1"])
-    asyncio.ensure_future(again.order("resume"))  # noqa: RUF006 - the daemon's end answers it
+    resumed = asyncio.ensure_future(again.order("resume"))
     assert await again.task is Outcome.IN_TOLERANCE
+    resumed.cancel()
     assert again.polished == []
     assert verdicts(again.queue) == {"lens": "put aside"}
     assert again.queue.entries()[0].reason == LOST
@@ -167,5 +172,4 @@ async def test_what_is_offered_is_an_event_of_the_journal(hall: Callable[..., Ha
     for one in wrong:
         with pytest.raises(ConfigError, match="an offer has recipe, cell"):
             await cell.daemon.handlers["shop_offer"](offers=[one])
-    await cell.order("stop")
-    await cell.task
+    await stopped(cell)
