@@ -139,7 +139,10 @@ def _add(sql: Transaction, who: str, said: dict[str, Any]) -> Any:
     if not isinstance(files, dict):
         raise ConfigError("files is an object: base64 of each content by its name")
     try:
-        part = part_of(_text(said, "content"), {str(Path(name)): base64.b64decode(one) for name, one in files.items()})
+        part = part_of(
+            _text(said, "content"),
+            {str(Path(name)): base64.b64decode(one, validate=True) for name, one in files.items()},
+        )
     except (binascii.Error, TypeError, ValueError) as error:
         raise ConfigError("files is an object: base64 of each content by its name") from error
     parts.add(sql, [part], who, [digests(part)])

@@ -42,6 +42,13 @@ class Report:
     claims: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     """State and reason of each claim in the cell's queue, by request."""
 
+    def __post_init__(self) -> None:
+        """TypeError where a field is not what it says: reports come from outside."""
+        kinds = {"journal": str, "first": int, "last": int, "before": str, "tail": str, "now": dict, "claims": dict}
+        for name, kind in kinds.items():
+            if not isinstance(getattr(self, name), kind):
+                raise TypeError(f"{name} is no {kind.__name__}")
+
 
 def take(sql: Transaction, cell: str, report: Report) -> int:
     """Take what is not known yet; the number of the last event that is known now.
