@@ -67,12 +67,13 @@ class Claims:
             await self._heard.wait()
         return LOST if claim in self._lost else ""
 
-    def words(self) -> str:
-        """What waits for the shop's word; empty where nothing does."""
+    def facts(self) -> dict[str, str]:
+        """For ``status``: what waits for the shop's word; empty where nothing does."""
         unheard = [one.name for one in self._queue.to_do() if one.claim and one.claim not in self._stands | self._lost]
         if not unheard:
-            return ""
-        return f"it has not said since this start that these are ours: {', '.join(unheard)}; is polishd shop link up?"
+            return {}
+        said = f"it has not said since this start that these are ours: {', '.join(unheard)}; is polishd shop link up?"
+        return {"shop": said}
 
     def _take_out(self, claim: str, why: str) -> None:
         entry = self._queue.of_claim(claim)

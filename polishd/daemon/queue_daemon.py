@@ -55,15 +55,15 @@ class QueueDaemon(Daemon):
     @property
     def handlers(self) -> dict[str, Handler]:
         """Who obeys the verbs of the socket; of the queue's, taking out a job that is under way is ours."""
-        shop = self._shift.claims.handlers(self.bus.publish)
-        return {**super().handlers, **self._desk.handlers, **shop, "job_remove": self._remove}
+        of_shop = self._shift.claims.handlers(self.bus.publish)
+        return {**super().handlers, **self._desk.handlers, **of_shop, "job_remove": self._remove}
 
     async def status(self) -> Mapping[str, Any]:
         """Of the cell, and of the queue."""
         waiting = self._shift.queue.waiting()
         next_job = f"{waiting[0].name} (part {waiting[0].part_id})" if waiting else ""
-        claims = {"shop": said} if (said := self._shift.claims.words()) else {}
-        return {**await super().status(), "waiting": len(waiting), "next_job": next_job, **claims}
+        shop = self._shift.claims.facts()
+        return {**await super().status(), "waiting": len(waiting), "next_job": next_job, **shop}
 
     # what happens in each state
 
@@ -105,9 +105,7 @@ class QueueDaemon(Daemon):
     async def _go_on(self) -> Turn:
         """With the job that is under way, once it is sure that no other cell has its part meanwhile."""
         lost = await self._shift.claims.settled(self._shift.entry)
-        if lost:
-            return await self._ended(Verdict("put aside", lost, ""))
-        return Turn(Trigger.NEXT, self._to_change())
+        return await self._ended(Verdict("put aside", lost, "")) if lost else Turn(Trigger.NEXT, self._to_change())
 
     async def _begin(self) -> Turn:
         entry = await self._shift.next(until_empty=self._until_empty)
