@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from polishd.model.errors import PolishdError
 from tests.campaigns import beside
 from tests.campaigns.shop.sitting import CELLS, Sitting
 from tests.system.sim_rig import ROOT
@@ -66,9 +67,13 @@ def main() -> int:
     stopping: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, _: stopping.append(number))
     while (done := sum(row["parts"] for row in rows)) < options.parts and time.monotonic() < until_s and not stopping:
-        sitting = Sitting(folder, options.seed, len(rows), options.speed)
         count = min(options.sitting, options.parts - done)
-        came = sitting.run(count, lambda: bool(stopping) or time.monotonic() > until_s, say)
+        try:
+            sitting = Sitting(folder, options.seed, len(rows), options.speed)
+            came = sitting.run(count, lambda: bool(stopping) or time.monotonic() > until_s, say)
+        except PolishdError as error:  # before any part was added: the machine is too busy for a simulator to come up
+            say(f"the sitting did not begin: {error}")
+            continue
         rows.append({**asdict(came), "date": beside.today(), "of": beside.sources(OF), "seed": options.seed})
         beside.keep(kept, rows)
         say(json.dumps(rows[-1]))
