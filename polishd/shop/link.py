@@ -48,6 +48,8 @@ class Link:
         """Claims that the shop takes for this cell's."""
         self._judged: set[str] = set()
         """What was judged already, but for its name and part."""
+        self._seen: set[tuple[Any, ...]] = set()
+        """Offers that were looked at."""
 
     def run(self, stop: threading.Event) -> None:
         """Until that is set. ConfigError where another link serves this cell."""
@@ -90,8 +92,13 @@ class Link:
         self._open = [*word["stands"], *word["back"]]
         if "waiting" in status:
             self._daemon("shop_word", word)
-            if offers := told.wanted(self._config.state_dir, answer["offers"]):
-                self._daemon("shop_offer", {"offers": offers})
+            self._offer([one for one in answer["offers"] if tuple(one.values()) not in self._seen])
+
+    def _offer(self, offers: list[dict[str, Any]]) -> None:
+        """What others have learned is told to the daemon where it is of use; each is looked at once."""
+        if offers and (wanted := told.wanted(self._config.state_dir, offers)):
+            self._daemon("shop_offer", {"offers": wanted})
+        self._seen |= {tuple(one.values()) for one in offers}
 
     # parts
 
@@ -159,6 +166,8 @@ class Link:
             return self._daemon("status")
         except NoDaemon:
             return {}
+        except LinkError as error:  # what the journal says can be told all the same
+            return {"state": "does not answer", "reason": str(error)}
 
     def _daemon(self, verb: str, args: Mapping[str, Any] | None = None) -> dict[str, Any]:
         return client.request(self._config.state_dir, verb, args=args or {})

@@ -79,8 +79,8 @@ def wanted(state_dir: Path, offers: Sequence[dict[str, Any]]) -> list[dict[str, 
 
 
 def _known(journal: sqlite3.Connection, offer: dict[str, Any]) -> bool:
-    own = "SELECT 1 FROM pass WHERE json_extract(facts, '$.taught.recipe') = ? LIMIT 1"
-    if journal.execute(own, (offer["recipe"],)).fetchone():
+    own = "SELECT 1 FROM pass WHERE instr(facts, ?) LIMIT 1"  # which may have NaN in it, that SQLite takes for no JSON
+    if journal.execute(own, (json.dumps({"recipe": offer["recipe"]})[1:-1],)).fetchone():
         return True
     sql = (
         "SELECT max(json_extract(data, '$.at_s')) FROM event WHERE name = ? AND json_extract(data, '$.recipe') = ? "

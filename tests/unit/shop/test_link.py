@@ -78,11 +78,11 @@ class Desk:
     def __call__(self, _state_dir: Path, verb: str, args: Mapping[str, Any]) -> dict[str, Any]:
         if not self.up:
             raise NoDaemon("none")
+        if verb == self.silent:
+            raise LinkError("the daemon did not answer")
         if verb == "status":
             return {"ok": True, "state": self.state, "waiting": len(self.waiting())}
         self.asked.append((verb, dict(args)))
-        if verb == self.silent:
-            raise LinkError("the daemon did not answer")
         if verb == "job_add":
             if self.refuses:
                 return {"ok": False, "error": self.refuses[0], "exit_code": self.refuses[1]}
@@ -279,6 +279,25 @@ def test_it_goes_on_whatever_the_shop_says_and_tells_it_once(rig: Rig, caplog: p
     assert len([one for one in said if "answers again" in one]) == 1
     assert not any("secret" in one for one in said)
     assert len(rig.office.of("report")) == 1
+
+
+def test_what_this_cell_has_learned_itself_needs_no_offer(rig: Rig) -> None:
+    with Journal.of_cell(rig.config.state_dir) as journal:
+        own = journal.of_job("own", "P-1", {})
+        own.record_event(HELD)
+        own.begin_pass(0, "ab", "boot", 10, facts={"taught": {"recipe": "r1"}, "measured": float("nan")})
+    rig.office.word["offers"] = [OFFER, {**OFFER, "recipe": "r2"}]
+    rig.link.turn()
+    (said,) = [args for verb, args in rig.desk.asked if verb == "shop_offer"]
+    assert [one["recipe"] for one in said["offers"]] == ["r2"]
+
+
+def test_a_daemon_that_hangs_keeps_nothing_from_the_shop(rig: Rig) -> None:
+    rig.happens(HELD)
+    rig.desk.silent = "status"
+    rig.link.turn()
+    (report,) = rig.office.of("report")
+    assert (report["last"], report["now"]["state"]) == (1, "does not answer")
 
 
 def test_two_links_of_one_cell_are_refused(rig: Rig) -> None:
