@@ -7,7 +7,7 @@ import random
 import shutil
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -39,8 +39,6 @@ class Came:
     events: int = 0
     """Of all journals, that the shop has."""
     kills: dict[str, int] = field(default_factory=dict)
-    in_contact: int = 0
-    """Of the daemons' kills those that tore a pass off."""
     releases: int = 0
     given_back: int = 0
     resumed: int = 0
@@ -127,7 +125,7 @@ class Sitting:
             cell.resume()
 
     @contextlib.contextmanager
-    def _cell(self, name: str, index: int):  # noqa: ANN202 - a generator of one cell
+    def _cell(self, name: str, index: int) -> Iterator[ShopCell]:
         out = self._folder / name
         files = write_shop_cell(out, name, self._shop)
         shutil.rmtree(files.sim_dir, ignore_errors=True)
@@ -157,7 +155,6 @@ class Sitting:
         now = self._counts()
         came.passes, came.torn = now["passes"] - before["passes"], now["torn"] - before["torn"]
         came.events, came.given_back = now["events"] - before["events"], now["back"] - before["back"]
-        came.in_contact = came.torn
         rows = dict(self._shop.rows("SELECT job, verdict FROM part WHERE state != 'removed'"))
         came.verdicts = dict(Counter(rows[name] for name in names if name in rows))
         came.parts = sum(came.verdicts.values())

@@ -12,7 +12,7 @@ from tests.campaigns.shop.judge import _differences, twice
 from tests.campaigns.shop.sitting import Sitting
 
 ROW = {
-    "sitting": 0, "parts": 2, "verdicts": {"accepted": 2}, "passes": 3, "torn": 1, "events": 40, "in_contact": 1,
+    "sitting": 0, "parts": 2, "verdicts": {"accepted": 2}, "passes": 3, "torn": 1, "events": 40,
     "kills": {"daemon": 2, "shop": 1}, "releases": 1, "given_back": 1, "resumed": 1, "seconds": 36.0, "wrong": [],
     "date": "2026-01-01", "of": "abcd", "seed": 1,
 }  # fmt: skip
