@@ -9,7 +9,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -167,9 +167,21 @@ def shop_cell(out: Path, name: str, shop: Shop, seed: int = 1, speed: float = 40
             cell.daemon.kill()
 
 
-def wait_until_done(shop: Shop, limit_s: float = SOON_S) -> dict[str, str]:
-    """All its parts have ended; their states."""
-    return dict(wait_for(lambda: set((s := shop.states()).values()) <= {"done", "aside"} and s, "the parts", limit_s))
+def wait_attended(cells: Sequence[ShopCell], condition: Callable[[], Any], what: str) -> Any:
+    """The condition's first true value; meanwhile a person says of each cell that is held that it may go on."""
+
+    def looked() -> Any:
+        for cell in cells:
+            if cell.status().get("state") == "held":
+                cell.resume()
+        return condition()
+
+    return wait_for(looked, what, 2 * SOON_S)
+
+
+def over(shop: Shop) -> bool:
+    """All its parts have ended."""
+    return set(shop.states().values()) <= {"done", "aside"}
 
 
 def parts_of(shop: Shop) -> list[dict[str, Any]]:

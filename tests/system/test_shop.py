@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.campaigns.shop.judge import lost_or_twice, polished, twice, untold
-from tests.patience import SOON_S
-from tests.system.shop_rig import Shop, parts_of, polishd, shop_cell, wait_until_done
+from tests.system.shop_rig import Shop, over, parts_of, polishd, shop_cell, wait_attended
 from tests.system.sim_rig import wait_for
 
 PASSES = "SELECT job, cycle FROM pass ORDER BY job, cycle"
@@ -30,13 +29,15 @@ def test_two_cells_work_a_shops_parts_while_it_is_killed_and_tell_it_all_once(tm
         for cell in cells:
             cell.daemon.start()
             cell.link.start()
-        wait_for(lambda: "begun" in shop.states().values(), "a part to begin")
+        wait_attended(cells, lambda: "begun" in shop.states().values(), "a part to begin")
         shop.server.kill()
         cells[0].link.kill()
-        wait_for(lambda: any(cell.rows("SELECT 1 FROM job WHERE outcome IS NOT NULL") for cell in cells), "a part")
+        ended = "SELECT 1 FROM job WHERE outcome IS NOT NULL"
+        wait_attended(cells, lambda: any(cell.rows(ended) for cell in cells), "a part to end without the shop")
         shop.server.start()
         cells[0].link.start()
-        assert set(wait_until_done(shop, 2 * SOON_S).values()) == {"done"}
+        wait_attended(cells, lambda: over(shop), "the parts")
+        assert set(shop.states().values()) == {"done"}
         wait_for(lambda: not untold(shop, cells), "the last reports")
         assert lost_or_twice(shop, cells) == []
         found = {cell.name: polished(cell) for cell in cells}
@@ -61,7 +62,7 @@ def test_a_cell_that_was_given_up_learns_it_before_it_polishes_and_the_next_begi
         shop.add([("one", "P-1"), ("two", "P-2")])
         first.daemon.start()
         first.link.start()
-        wait_for(lambda: shop.states()["one"] == "done" and shop.states()["two"] != "waiting", "the next", 2 * SOON_S)
+        wait_attended([first], lambda: shop.states()["one"] == "done" and shop.states()["two"] != "waiting", "the next")
         first.daemon.kill()
         first.link.kill()
         before = first.rows(PASSES)
@@ -72,16 +73,10 @@ def test_a_cell_that_was_given_up_learns_it_before_it_polishes_and_the_next_begi
         second.link.start()
         first.daemon.start()
         first.link.start()
-        wait_until_done(shop, 2 * SOON_S)
+        wait_attended([second], lambda: over(shop), "the parts")
         assert {one["job"]: one["cell"] for one in parts_of(shop)} == {"one": "first", "two": "second"}
-
-        def knows() -> bool:
-            """It is held where it had begun, and a person says that it may go on."""
-            if first.status().get("state") == "held":
-                first.resume()
-            return bool(first.rows("SELECT 1 FROM queue WHERE name = 'two' AND verdict IS NOT NULL"))
-
-        wait_for(knows, "the cell to learn it", 2 * SOON_S)
+        ended = "SELECT 1 FROM queue WHERE name = 'two' AND verdict IS NOT NULL"
+        wait_attended([first], lambda: first.rows(ended), "the cell to learn it")
         assert first.rows(PASSES) == before
         assert "P-2" in polished(second)
         ((notes,),) = second.rows("SELECT json_extract(stats, '$.notes') FROM map ORDER BY id LIMIT 1")
