@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo robustness test test-all test-long test-maps ways-out crash faults replies model soak coverage mutate interop check format reference bench compare naming scenarios lock clean
+.PHONY: help demo robustness test test-all test-long test-maps ways-out crash faults replies model soak shop-campaign coverage mutate interop check format reference bench compare naming scenarios lock clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -54,6 +54,9 @@ model: $(VENV)/.installed ## of that, the model alone
 
 coverage: $(VENV)/.installed ## every branch of state machine, journal, recovery and safety is run by a test
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.mutation.covered $(ARGS)
+
+shop-campaign: $(VENV)/.installed ## parts through three cells and a shop, killed at random; into docs/shop.md, in sittings (ARGS="--minutes 30")
+	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.shop $(ARGS)
 
 mutate: $(VENV)/.installed ## each small fault in them is seen by one; into docs/reliability.md (ARGS="touch safety")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.mutation $(ARGS)

@@ -14,6 +14,7 @@ from typer import Argument, Option
 
 from polishd import __version__
 from polishd.console.cli import Reason, jobs, recordings, reports, services
+from polishd.console.shop_cli import app as shops
 from polishd.model.errors import PolishdError
 from polishd.workbench.cli import app as workbench
 from polishd.workbench.options import Cell, Json
@@ -249,7 +250,7 @@ def web(
 ) -> None:
     """Serve the page and the HTTP API of a cell, beside its daemon; ends with Ctrl-C."""
     from polishd.console.web import web_verb
-    from polishd.web.users import Role
+    from polishd.door.users import Role
 
     web_verb(cell, add_user, Role(role), remove_user)
 
@@ -328,6 +329,7 @@ app.add_typer(jobs, name="job", no_args_is_help=True)
 app.add_typer(services, name="service", no_args_is_help=True)
 app.add_typer(recordings, name="record", no_args_is_help=True)
 app.add_typer(reports, name="report", no_args_is_help=True)
+app.add_typer(shops, name="shop", no_args_is_help=True)
 app.add_typer(workbench)
 
 

@@ -20,6 +20,7 @@ from polishd.config.meanings import meanings
 from polishd.config.places import plain_kind, section_of, variants
 from polishd.config.profile_sections import ProfileFile
 from polishd.config.sections import DeviceSection
+from polishd.config.shop import ShopFile
 from polishd.config.simulator import SimConfig
 from polishd.config.study import KINDS
 from polishd.config.sweep import SweepSection
@@ -65,6 +66,7 @@ TITLES = {
     "device": "A device's profile",
     "controller": "A robot controller's profile",
     "simulator": "The simulator",
+    "shop": "A shop",
 }
 INTRODUCTIONS = {
     "cell": """A cell's file, as [examples/cell.toml](../../examples/cell.toml) shows it with comments. Relative paths
@@ -82,6 +84,7 @@ of `[actuator]`, `[spindle]`, `[force_sensor]`, and one of `[modbus]`, `[lines]`
 [handover.md](../protocols/handover.md).""",
     "simulator": """The simulated cell, as [examples/sim.toml](../../examples/sim.toml) shows it with comments. Every
 key may be left out.""",
+    "shop": """The file of a shop of several cells; how one is set up: [shop.md](../shop.md).""",
 }
 
 
@@ -178,6 +181,7 @@ def files() -> dict[str, list[Table]]:
         "profile": [("", ProfileFile), *tables(ProfileFile)],
         "device": [("", DeviceProfile), *tables(DeviceProfile)],
         "simulator": list(tables(SimConfig)),
+        "shop": list(tables(ShopFile)),
         "controller": _each_once([("", ControllerProfile), *tables(ControllerProfile)]),
     }
 

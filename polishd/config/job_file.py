@@ -15,7 +15,7 @@ from typing import Any
 from polishd.config.cell import FILES, PORTS, CellConfig, consistent, lay_over, tool_files
 from polishd.config.document import parse_text
 from polishd.config.outline import OUTLINES
-from polishd.config.places import listed
+from polishd.config.places import Source, listed
 from polishd.files import toml_text
 from polishd.model.errors import ConfigError
 
@@ -30,6 +30,7 @@ OF_THE_CELL = (
     "kinematics",
     "notify",
     "certificate",
+    "shop",
 )
 """What a job cannot say."""
 OWN = (("job", "id"), ("part", "id"))
@@ -51,6 +52,20 @@ class JobFile:
 
     def laid_over(self, cell: CellConfig) -> CellConfig:
         """The cell with this job; ConfigError, a line each: ``FILE:LINE: section.key: what is wrong; what to do``."""
+        fragment, source = self.fragment()
+        for key, value in self.named(fragment):
+            *tables, name = key.split(".")
+            _inner(fragment, tables)[name] = value
+        raw = copy.deepcopy(dict(cell.raw))
+        _drop_other_tolerance(raw, fragment)
+        _drop_other_outline(raw, fragment)
+        if "tools" in fragment:  # all of them: a job with one tool has no other's turn
+            raw.pop("tools", None)
+        lay_over(raw, fragment)
+        return consistent(CellConfig.of(raw, replace(cell.source, included=(*cell.source.included, source))))
+
+    def fragment(self) -> tuple[dict[str, Any], Source]:
+        """Its values, judged as far as that can be done without a cell, and where they stand; ConfigError."""
         fragment, source = parse_text(self.text, self.path)
         wrong = [
             source.error((name,), f"is the cell's, and no job's; a job has sections {listed(_sections())}")
@@ -64,24 +79,15 @@ class JobFile:
         ]
         if wrong:
             raise ConfigError("\n".join(wrong))
-        for key, value in self._named(fragment):
-            *tables, name = key.split(".")
-            _inner(fragment, tables)[name] = value
-        raw = copy.deepcopy(dict(cell.raw))
-        _drop_other_tolerance(raw, fragment)
-        _drop_other_outline(raw, fragment)
-        if "tools" in fragment:  # all of them: a job with one tool has no other's turn
-            raw.pop("tools", None)
-        lay_over(raw, fragment)
-        return consistent(CellConfig.of(raw, replace(cell.source, included=(*cell.source.included, source))))
+        return fragment, source
 
     def names(self) -> list[str]:
         """The keys by which it names files itself."""
         fragment, _ = parse_text(self.text, self.path)
-        return [key for key, _ in self._named(fragment)]
+        return [key for key, _ in self.named(fragment)]
 
-    def _named(self, fragment: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-        """(dotted key, absolute path or paths); what is no text is left to the section's own check."""
+    def named(self, fragment: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+        """(dotted key, absolute path or paths) of files; what is no text is left to the section's own check."""
         tools = fragment.get("tools")
         for key in (*FILES, *tool_files(tools if isinstance(tools, dict) else {})):
             match _value(fragment, tuple(key.split("."))):

@@ -8,6 +8,7 @@ from typing import Annotated, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from polishd.config.physics import PartDocument
+from polishd.config.shop_link import ShopLinkSection
 from polishd.config.values import Section, Text, as_tuple
 
 
@@ -45,6 +46,7 @@ class WebSection(Section):
 
 
 class ServedDocument(PartDocument):
-    """A cell's file, as far as it says where the cell is watched from."""
+    """A cell's file, as far as it says where the cell is watched from, and which shop it belongs to."""
 
     web: WebSection = WebSection()
+    shop: ShopLinkSection | None = None

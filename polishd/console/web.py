@@ -7,8 +7,8 @@ from pathlib import Path
 import typer
 
 from polishd.config.cell import load_config
+from polishd.door.users import Role, Users, users_path
 from polishd.web.app import serve
-from polishd.web.users import Role, Users, users_path
 
 
 def web_verb(cell: Path, add_user: str | None, role: Role, remove_user: str | None) -> None:

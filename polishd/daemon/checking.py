@@ -92,12 +92,12 @@ def _along(config: CellConfig, cell: Cell, hooks: Hooks, recipe: Recipe) -> dict
     }
 
 
-def judged_jobs(cell: CellConfig, hooks: Hooks, paths: Sequence[Path]) -> list[NewJob]:
+def judged_jobs(cell: CellConfig, hooks: Hooks, paths: Sequence[Path], judged: set[str] | None = None) -> list[NewJob]:
     """The jobs of these files, each judged as a whole, as ``polishd check`` does; the first fault of each is raised.
 
-    Jobs that differ by name and part alone are judged once.
+    Jobs that differ by name and part alone are judged once; ``judged``: those of earlier calls, kept by the caller.
     """
-    jobs, wrong, judged = [], [], set()
+    jobs, wrong, judged = [], [], set() if judged is None else judged
     for path in paths:
         try:
             file = JobFile.read(path)

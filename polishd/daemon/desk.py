@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +59,7 @@ class Desk:
         changed: Callable[[], None] = lambda: None,
         tell: Callable[[Event], None] = lambda _: None,
     ) -> None:
-        """``changed`` is called when something was added; ``tell`` is told who changed what."""
+        """``changed`` is called when something was added or taken out; ``tell`` is told who changed what."""
         self._cell, self._queue, self._changed, self._tell = cell, queue, changed, tell
         self._turn = asyncio.Lock()
 
@@ -75,12 +76,14 @@ class Desk:
 
         return {"jobs": await asyncio.to_thread(facts)}
 
-    async def add(self, files: Sequence[Any], by: str = "") -> Mapping[str, Any]:
-        """Put them at the end, all or none."""
+    async def add(self, files: Sequence[Any], by: str = "", claim: str = "") -> Mapping[str, Any]:
+        """Put them at the end, all or none; ``claim``: the one by which a shop gave this part to the cell."""
         named = [_job_file(file) for file in files]
+        if claim and len(named) != 1:
+            raise ConfigError("a claim is of one job; name its file alone")
 
         def judged() -> Sequence[NewJob]:
-            return [new_job(self._cell, file) for file in named]
+            return [replace(new_job(self._cell, file), claim=claim) for file in named]
 
         async with self._turn:
             jobs = await asyncio.to_thread(judged)
@@ -107,6 +110,7 @@ class Desk:
         """Take one out that waits."""
         async with self._turn:
             await asyncio.to_thread(self._queue.remove_waiting, job, reason)
+        self._changed()
         self._told("job_remove", ": ".join(filter(None, (job, reason))), by)
         return await self.list()
 

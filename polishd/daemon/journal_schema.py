@@ -11,7 +11,7 @@ from pathlib import Path
 from polishd.files import sync_folder
 from polishd.model.errors import ConfigError
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 
 QUEUE = """
 CREATE TABLE queue (
@@ -25,6 +25,11 @@ CREATE INDEX phase_of_job ON phase (job);
 CREATE INDEX event_of_job ON event (job);
 """
 """What came with format 3 for the queue. A journal knows many jobs: what one of them asks is found by an index."""
+
+CLAIM = """
+ALTER TABLE queue ADD COLUMN claim TEXT NOT NULL DEFAULT '';
+"""
+"""What came with format 5: by which claim a shop gave the part to this cell; empty: no shop did."""
 
 SCHEMA = (
     """
@@ -52,6 +57,7 @@ CREATE TABLE event (
     data TEXT NOT NULL);
 """
     + QUEUE
+    + CLAIM
 )
 """``job.terms`` is JSON, see ``same_job``; ``map.arrays``, ``pass.plan`` and ``pass.start`` name files of the store.
 
@@ -85,7 +91,7 @@ FROM_3 = """
 ALTER TABLE segment ADD COLUMN sensor_force_n REAL;
 """
 
-STEPS = {1: FROM_1, 2: FROM_2 + QUEUE, 3: FROM_3}
+STEPS = {1: FROM_1, 2: FROM_2 + QUEUE, 3: FROM_3, 4: CLAIM}
 """From each earlier format to the next."""
 
 OF_A_JOB = ("map", "phase", "pass", "segment", "event", "queue")

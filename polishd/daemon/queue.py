@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -25,7 +25,7 @@ REMOVED = "removed"
 """The verdict of a job that a person took out before it began."""
 BY_A_PERSON = "put aside by a person"
 TO_DO = "ended IS NULL ORDER BY begun IS NULL, place"
-_COLUMNS = "id, name, part_id, path, content, files, added, job, begun, ended, verdict, reason, fault"
+_COLUMNS = "id, name, part_id, path, content, files, added, job, begun, ended, verdict, reason, fault, claim"
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +38,8 @@ class NewJob:
     file: JobFile
     files: Mapping[str, Any]
     """By key, the files that it names itself: ``{"file", "sha256"}``."""
+    claim: str = ""
+    """By which a shop gave its part to this cell; empty: no shop did."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +62,8 @@ class Entry:
     """Why it ended so."""
     fault: str
     """What was wrong, in one word; two in a row stop the queue. Empty where nothing was."""
+    claim: str
+    """As of ``NewJob``: it may begin once the shop has said that the claim stands (``daemon.claims``)."""
 
     @property
     def state(self) -> str:
@@ -110,9 +114,17 @@ class Queue:
         """The job that was begun and has not ended."""
         return next((entry for entry in self.to_do() if entry.begun_s is not None), None)
 
-    def next(self) -> Entry | None:
-        """The first of those that wait."""
-        return next(iter(self._waiting()), None)
+    def next(self, may: Callable[[Entry], bool] = lambda _: True) -> Entry | None:
+        """The first of those that wait, and may begin."""
+        return next(filter(may, self.waiting()), None)
+
+    def waiting(self) -> list[Entry]:
+        """Those that wait, in their order."""
+        return [entry for entry in self.to_do() if entry.begun_s is None]
+
+    def of_claim(self, claim: str) -> Entry | None:
+        """The job that came by that claim of a shop; None where none did."""
+        return next(iter(self._where("claim = ?", (claim,))), None)
 
     def holds(self, entry: Entry) -> bool:
         """Whether it waits, or is under way."""
@@ -125,21 +137,25 @@ class Queue:
         )
 
     def add(self, jobs: Sequence[NewJob]) -> None:
-        """Put them at the end, all or none; ConfigError where a name is in the queue already, or is done."""
+        """Put them at the end, all or none; ConfigError where a name is in the queue already, or is done.
+
+        What came by the same claim before is the same job: nothing is added.
+        """
+        jobs = [job for job in jobs if not (job.claim and self.of_claim(job.claim))]
         wrong = [line for number, job in enumerate(jobs) if (line := self._taken(job, jobs[:number]))]
         if wrong:
             raise ConfigError("\n".join(wrong))
         ((place,),) = self._store.read("SELECT ifnull(max(place), 0) FROM queue")
-        sql = "INSERT INTO queue (place, name, part_id, path, content, files, added) VALUES (?,?,?,?,?,?,?)"
+        sql = "INSERT INTO queue (place, name, part_id, path, content, files, claim, added) VALUES (?,?,?,?,?,?,?,?)"
         rows = [
             (place + 1 + n, job.name, job.part_id, str(job.file.path), job.file.text, json.dumps(dict(job.files)))
             for n, job in enumerate(jobs)
         ]
-        self._write(*((sql, (*row, time.time())) for row in rows))
+        self._write(*((sql, (*row, job.claim, time.time())) for row, job in zip(rows, jobs, strict=True)))
 
     def move(self, name: str, where: str, other: str = "") -> None:
         """Put a job that waits ``before`` or ``after`` another one that does, or ``first`` or ``last`` of all."""
-        waiting = self._waiting()
+        waiting = self.waiting()
         moved = _named(waiting, name)
         rest = [entry for entry in waiting if entry is not moved]
         if where in {"before", "after"}:
@@ -166,7 +182,7 @@ class Queue:
 
     def remove_waiting(self, name: str, reason: str = "") -> None:
         """Take a job out that waits; its row stays, with its end. ConfigError where it begins in the same moment."""
-        entry = _named(self._waiting(), name)
+        entry = _named(self.waiting(), name)
         sql, values = self._end_row(entry, REMOVED, reason, "")
         self._write((f"{sql} AND begun IS NULL", values))
         if self.holds(entry):
@@ -191,9 +207,6 @@ class Queue:
     def _write(self, *rows: Row) -> None:
         self._store.write(*rows)
         self._to_do = self._where(TO_DO)
-
-    def _waiting(self) -> list[Entry]:
-        return [entry for entry in self.to_do() if entry.begun_s is None]
 
     def _taken(self, job: NewJob, before: Iterable[NewJob]) -> str:
         """Why a name cannot be added; empty where it can. One that was put aside or removed may come again."""

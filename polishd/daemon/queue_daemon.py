@@ -55,13 +55,15 @@ class QueueDaemon(Daemon):
     @property
     def handlers(self) -> dict[str, Handler]:
         """Who obeys the verbs of the socket; of the queue's, taking out a job that is under way is ours."""
-        return {**super().handlers, **self._desk.handlers, "job_remove": self._remove}
+        of_shop = self._shift.claims.handlers(self.bus.publish)
+        return {**super().handlers, **self._desk.handlers, **of_shop, "job_remove": self._remove}
 
     async def status(self) -> Mapping[str, Any]:
         """Of the cell, and of the queue."""
-        waiting = [entry for entry in self._shift.queue.to_do() if entry.begun_s is None]
+        waiting = self._shift.queue.waiting()
         next_job = f"{waiting[0].name} (part {waiting[0].part_id})" if waiting else ""
-        return {**await super().status(), "waiting": len(waiting), "next_job": next_job}
+        shop = self._shift.claims.facts()
+        return {**await super().status(), "waiting": len(waiting), "next_job": next_job, **shop}
 
     # what happens in each state
 
@@ -92,20 +94,23 @@ class QueueDaemon(Daemon):
 
     async def _next(self) -> Turn:
         """Between jobs, or back in one over which the cell was held."""
-        if isinstance(self.job, Job):
-            return Turn(Trigger.NEXT, self._to_change())
         turns: list[Turn] = []
 
         async def work() -> None:
-            turns.append(await self._begin())
+            turns.append(await (self._go_on() if isinstance(self.job, Job) else self._begin()))
 
         order = await unless(self._orders.interrupting(), work(), self.job.journal.lost(), late=self._orders.give)
         return turns[0] if order is None else self._interrupted(order)
 
+    async def _go_on(self) -> Turn:
+        """With the job that is under way, once it is sure that no other cell has its part meanwhile."""
+        lost = await self._shift.claims.settled(self._shift.entry)
+        return await self._ended(Verdict("put aside", lost, "")) if lost else Turn(Trigger.NEXT, self._to_change())
+
     async def _begin(self) -> Turn:
-        if self._until_empty and self._shift.first() is None:
+        entry = await self._shift.next(until_empty=self._until_empty)
+        if entry is None:
             return Turn(Trigger.EMPTY, outcome=Outcome.IN_TOLERANCE)
-        entry = await self._shift.next()
         try:
             self.job = await self._shift.begin(entry)
         except PolishdError as error:

@@ -20,6 +20,7 @@ from typing import Any
 from polishd.daemon.journal import JOURNAL_NAME, NO_JOB, Journal
 from polishd.daemon.journal_store import Row, Store
 from polishd.daemon.lock import locked
+from polishd.daemon.offers import FORGOTTEN, Offer, latest_offer, recipe_of
 from polishd.model.errors import PolishdError
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import Believed
@@ -33,8 +34,6 @@ MACHINE = ("machine.accel_mm_s2", "machine.corner_deg", "machine.block_overhead_
 FAR_BACK = 500
 """Passes among which one of the series is looked for."""
 DAY_S = 86400.0
-FORGOTTEN = "forgotten"
-"""The event behind which nothing is remembered; its data has the last pass before it, ``job`` and ``cycle``."""
 
 Read = Callable[[str, Sequence[Any]], list[tuple[Any, ...]]]
 """(SQL, its values) -> all rows of the journal."""
@@ -57,6 +56,8 @@ class Lesson:
     """As of ``Believed.facts``."""
     anew: bool
     """The pass showed a tool that a person had to see to: what it taught is of the tool before."""
+    recipe: str = ""
+    """Of process and tool, whatever the machine (``offers.recipe_of``); empty of a pass of an earlier polishd."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +76,7 @@ def facts(terms: Mapping[str, Any] | None, believed: Believed) -> dict[str, Any]
             "series": series_of(own),
             "machine": _hash({key: own.get(key) for key in MACHINE}),
             "tool": own.get("memory.tool") or "",
+            "recipe": recipe_of(own),
             "believed": believed.facts(),
         }
     }
@@ -83,6 +85,7 @@ def facts(terms: Mapping[str, Any] | None, believed: Believed) -> dict[str, Any]
 def remembered(journal: Journal, recipe: Recipe, terms: Mapping[str, Any] | None = None) -> Remembered | None:
     """What this job begins with, if the cell's journal has a lesson of its series. Reads the file: call in a thread.
 
+    Where it has none, what another cell of the shop has learned of the recipe, if that was offered.
     ``terms``: of one of several tools; None: the job's own.
     """
     if not recipe.remembers:
@@ -91,10 +94,12 @@ def remembered(journal: Journal, recipe: Recipe, terms: Mapping[str, Any] | None
     series = series_of(terms)
     found = lessons(journal.store.read, before=journal.number)
     lesson = next((one for one in found if one.series == series), None)
+    if lesson is None and (offer := latest_offer(journal.store.read, recipe_of(terms))) is not None:
+        return _of_another_cell(offer, recipe)
     if lesson is None or lesson.anew:
         return None
     first = believed_at_first(recipe)
-    days = max(time.time() - lesson.at_s, 0.0) / DAY_S  # of a clock that was put back: none
+    days = _days_since(lesson.at_s)
     try:
         taught = Believed.load(lesson.believed, recipe.model.beliefs)
         removal = recipe.model.later(taught.removal, days)
@@ -107,6 +112,22 @@ def remembered(journal: Journal, recipe: Recipe, terms: Mapping[str, Any] | None
     overhead_s = taught.block_overhead_s if same else first.block_overhead_s
     believed = replace(taught, removal=removal, block_overhead_s=overhead_s)
     return Remembered(believed, f"begins with what {_told(lesson)} has taught: {in_words(believed)}")
+
+
+def _of_another_cell(offer: Offer, recipe: Recipe) -> Remembered | None:
+    """Its rate, less certain: by the days since, and as this is another machine."""
+    first = believed_at_first(recipe)
+    rate = offer.on_another_machine(recipe.max_rate_change)
+    removal = recipe.model.later(replace(first.removal, rate=rate), _days_since(offer.at_s))
+    if abs(rate.value - 1) > recipe.max_rate_change:
+        return None
+    believed = replace(first, removal=removal)
+    return Remembered(believed, f"begins with what {offer.told()} has taught: {in_words(believed)}")
+
+
+def _days_since(at_s: float) -> float:
+    """None of a clock that was put back."""
+    return max(time.time() - at_s, 0.0) / DAY_S
 
 
 def series_of(terms: Mapping[str, Any]) -> str:

@@ -37,7 +37,11 @@ RULES = (
         True,
         "how a device is reached, its time limits, and what it watches",
     ),
-    Rule(("notify.*", "web.*", "certificate.*"), True, "who hears of it, watches and orders, and who certifies it"),
+    Rule(
+        ("notify.*", "web.*", "certificate.*", "shop*"),
+        True,
+        "who hears of it, watches and orders, who certifies it, and where it came from",
+    ),
     Rule(("roles.*",), False, "another robot or tool removes otherwise, and what was learned is of this one"),
     Rule(("dwell.*",), True, "how the next dwell is chosen; each has a certificate of its own"),
     Rule(("touch_off*", "between.*"), True, "what is done beside polishing removes nothing"),

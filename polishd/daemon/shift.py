@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
+from polishd.daemon.claims import Claims
 from polishd.daemon.endings import now
 from polishd.daemon.events import EventBus
 from polishd.daemon.job import Job
@@ -32,6 +33,8 @@ class Shift:
     def __init__(self, journal: Journal, make: Begin) -> None:
         """``journal`` is that of the cell, between jobs."""
         self.queue = Queue(journal.store)
+        self.claims = Claims(self.queue, self.added)
+        """What a shop has said of the parts that it gave to this cell."""
         self.ended: Counter[str] = Counter()
         """How many jobs ended so, in this run of the daemon."""
         self.entry: Entry | None = None
@@ -54,19 +57,24 @@ class Shift:
             self.bus.publish(event)
 
     def added(self) -> None:
-        """Something was added to the queue."""
+        """Something was added to the queue, or taken out, or may begin now."""
         self._news.set()
 
-    async def next(self) -> Entry:
-        """The job that was begun by an earlier run, or the first that waits, as soon as there is one."""
-        while (entry := self.first()) is None:
+    async def next(self, *, until_empty: bool = False) -> Entry | None:
+        """The job that was begun by an earlier run, or the first that waits and may begin, as soon as there is one.
+
+        None with ``until_empty``, where nothing waits at all.
+        """
+        while (entry := self.queue.under_way() or self.claims.first()) is None:
+            if until_empty and self.first() is None:
+                break
             self._news.clear()
             await self._news.wait()
         return entry
 
     def first(self) -> Entry | None:
-        """The same, as of now; None where the queue is empty."""
-        return self.queue.under_way() or self.queue.next()
+        """The one under way, or the first that waits, whether it may begin or not; None where the queue is empty."""
+        return next(iter(self.queue.to_do()), None)
 
     async def begin(self, entry: Entry) -> Job:
         """Its job is under way; PolishdError where anything of it is wrong: nothing has moved then."""

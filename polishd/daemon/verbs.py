@@ -48,6 +48,13 @@ FILES = Argument(
 ORDERED = (REASON, BY)
 PROGRAM = Argument("program_sha256", str, "hash of its program, as `live` tells it", required=True)
 ALARMS = Argument("alarms", list, "numbers of events in the journal", required=True)
+CLAIM = Argument("claim", str, "by which a shop gave the part of this one job to the cell")
+CLAIMS = (
+    Argument("stands", list, "claims: their parts are this cell's, and may begin"),
+    Argument("back", list, "claims that the shop wants back: those that wait are taken out"),
+    Argument("lost", list, "claims that the shop has given up: their parts may not begin, nor go on after a hold"),
+)
+OFFERS = Argument("offers", list, "of each `recipe`, `cell`, `job`, `of_cycle`, `at_s`, `rate`, `sigma`", required=True)
 JOB = Argument("job", str, "`job.id`", required=True)
 WHERE = Argument("where", str, "`before`, `after`, `first` or `last`", required=True)
 OTHER = Argument("other", str, "the job that waits before or after which")
@@ -65,7 +72,7 @@ VERBS: Mapping[str, Verb] = {
         Verb("approve", "the plan that waits may run (`job.approve`)", "an approval", (PROGRAM, BY)),
         Verb("acknowledge", "a person has seen these alarms", "the journal", (ALARMS, BY)),
         Verb("job_list", "the jobs of the queue: that under way, those that wait, those that ended"),
-        Verb("job_add", "put jobs at the end of the queue, all or none", "the queue", (FILES, BY)),
+        Verb("job_add", "put jobs at the end of the queue, all or none", "the queue", (FILES, BY, CLAIM)),
         Verb("job_move", "move a job that waits", "the queue", (JOB, WHERE, OTHER, BY)),
         Verb(
             "job_remove",
@@ -73,6 +80,8 @@ VERBS: Mapping[str, Verb] = {
             "the queue",
             (JOB, REASON, BY),
         ),
+        Verb("shop_word", "what the shop says of the parts that it gave to this cell", "the queue", CLAIMS),
+        Verb("shop_offer", "what other cells of the shop have learned", "the journal", (OFFERS,)),
     )
 }
 """An order is answered when it is obeyed."""

@@ -15,6 +15,7 @@ from polishd.model.devices import Identity
 from polishd.model.dwell import Certificate
 from polishd.model.event import Event as Event  # noqa: PLC0414 - its kinds and it are imported from here
 from polishd.model.handling import Seat
+from polishd.model.shop_events import RateOffered as RateOffered  # noqa: PLC0414 - as above
 from polishd.model.surface import SurfaceStats
 
 
@@ -379,6 +380,6 @@ class PlanWritten(Event):
 EVENTS: tuple[type[Event], ...] = (
     Opened, StateChanged, Ordered, Acknowledged, Held, Failed, JobBegun, PartWanted, PartChanged, Measured,
     Repeated, GateStopped, Learned, Found, Solved, ToolMounted, TouchedOff, SignalWrong, PlanWaits, Approved, PassBegun,
-    Progress, PassEnded, JobFinished, JobEnded, QueueEnded, NotificationFailed, PlanWritten,
+    Progress, PassEnded, JobFinished, JobEnded, QueueEnded, NotificationFailed, RateOffered, PlanWritten,
 )  # fmt: skip
 """Every kind, in the order in which they come in a job."""

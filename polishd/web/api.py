@@ -12,11 +12,11 @@ from starlette.responses import JSONResponse, Response, StreamingResponse
 
 from polishd.config.cell import CellConfig
 from polishd.daemon import client
+from polishd.door.guard import refusal
+from polishd.door.sessions import COOKIE, Session, Sessions, address_of, foreign_origin
 from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError
 from polishd.web.disk import Disk
-from polishd.web.guard import refusal
 from polishd.web.orders import Orders
-from polishd.web.sessions import COOKIE, Session, Sessions, address_of, foreign_origin
 from polishd.web.watcher import Watcher
 
 MOST_REASON = 500

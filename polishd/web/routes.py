@@ -11,9 +11,9 @@ from typing import Any
 
 from starlette.requests import Request
 
+from polishd.door.sessions import Session
+from polishd.door.users import Role
 from polishd.web.api import Api
-from polishd.web.sessions import Session
-from polishd.web.users import Role
 
 Handler = Callable[[Api, Request, Session], Awaitable[Any]]
 

@@ -16,8 +16,8 @@ from typing import Any
 
 from polishd.daemon import client
 from polishd.daemon.endings import last_ending
+from polishd.door.finite import finite
 from polishd.model.errors import NoDaemon, PolishdError
-from polishd.web.finite import finite
 
 LOOK_S = 0.5
 """Between two questions."""

@@ -15,7 +15,7 @@ import pytest
 
 from polishd.config.cell import load_config
 from polishd.console.demo_files import DemoFiles
-from polishd.web.users import Role, Users, users_path
+from polishd.door.users import Role, Users, users_path
 from tests.patience import SOON_S
 from tests.system.browser import Page, browsing
 from tests.system.cell_rig import Daemon, small_cell, with_keys

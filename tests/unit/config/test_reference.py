@@ -11,7 +11,9 @@ TABLES = [(f"{name} {header}", model) for name, tables in write.files().items() 
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("name", ["cell.md", "study.md", "profile.md", "device.md", "simulator.md", "controller.md"])
+@pytest.mark.parametrize(
+    "name", ["cell.md", "study.md", "profile.md", "device.md", "simulator.md", "controller.md", "shop.md"]
+)
 def test_the_pages_are_what_the_models_give(name: str) -> None:
     assert (write.FOLDER / name).read_text() == write.pages()[name], "write them anew: make reference"
 

@@ -13,7 +13,7 @@ from polishd.console import web
 from polishd.console.demo_files import write_demo
 from polishd.console.who import account, at_the_terminal
 from polishd.daemon import client
-from polishd.web.users import Role, User, Users, users_path
+from polishd.door.users import Role, User, Users, users_path
 from tests.unit.said import Polishd
 
 

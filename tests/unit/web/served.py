@@ -17,8 +17,8 @@ from starlette.testclient import TestClient
 from polishd.config.cell import CellConfig, load_config
 from polishd.console.demo_files import write_demo
 from polishd.daemon.sockets import SOCKET_NAME
+from polishd.door.users import Role, Users, users_path
 from polishd.web.app import application
-from polishd.web.users import Role, Users, users_path
 
 LIVE = {"state": "polishing", "reason": "", "next": "", "told": {}, "approval": "ab" * 32, "signals": {}, "health": {}}
 

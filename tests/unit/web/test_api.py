@@ -11,11 +11,12 @@ from pathlib import Path
 import pytest
 
 from polishd.daemon.journal import Journal
+from polishd.door import limits
+from polishd.door.users import Role
 from polishd.model.events import Acknowledged, Held
-from polishd.web import limits, orders
+from polishd.web import orders
 from polishd.web.openapi import document, open_path
 from polishd.web.routes import ROUTES, Route
-from polishd.web.users import Role
 from tests.patience import SOON_S
 from tests.unit.web.served import Served, served
 

@@ -15,12 +15,13 @@ from polishd.config.cell import load_config
 from polishd.config.web import WebSection
 from polishd.console.demo_files import write_demo
 from polishd.daemon.journal import Journal
+from polishd.door import guard
+from polishd.door.limits import LOCKED_S, WRONG, Lockout, Rate
+from polishd.door.users import Role, Users, users_path
 from polishd.model.concern import NOT_ASKED
 from polishd.model.errors import ConfigError
 from polishd.model.events import PartWanted
-from polishd.web import app, guard
-from polishd.web.limits import LOCKED_S, WRONG, Lockout, Rate
-from polishd.web.users import Role, Users, users_path
+from polishd.web import app
 from tests.patience import SOON_S
 from tests.unit.web.served import Served, served
 

@@ -15,7 +15,7 @@ import pytest
 
 from polishd.config.cell import load_config
 from polishd.console.demo_files import write_demo
-from polishd.web.users import Role, Users, users_path
+from polishd.door.users import Role, Users, users_path
 from tests.patience import SOON_S
 from tests.unit.web.served import answering
 

@@ -13,9 +13,9 @@ import pytest
 
 from polishd.daemon import client
 from polishd.daemon.endings import keep_ending
+from polishd.door.finite import finite
 from polishd.model.errors import LinkError
 from polishd.web import watcher as module
-from polishd.web.finite import finite
 from polishd.web.watcher import Watcher, watching
 from tests.patience import SOON_S
 from tests.unit.web.served import answering

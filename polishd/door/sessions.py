@@ -9,8 +9,8 @@ from urllib.parse import urlsplit
 
 from starlette.requests import Request
 
-from polishd.web.limits import Lockout
-from polishd.web.users import User, Users
+from polishd.door.limits import Lockout
+from polishd.door.users import User, Users
 
 COOKIE = "polishd"
 MOST_SESSIONS = 1000

@@ -35,8 +35,8 @@ def hosts_of(web: WebSection) -> set[str]:
 class Guard:
     """An ASGI application around another one."""
 
-    def __init__(self, app: ASGIApp, hosts: Collection[str]) -> None:
-        self._app, self._hosts = app, hosts
+    def __init__(self, app: ASGIApp, hosts: Collection[str], most_bytes: int = BODY_BYTES) -> None:
+        self._app, self._hosts, self._most_bytes = app, hosts, most_bytes
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Refuse it, or hand it on with its body whole."""
@@ -55,7 +55,7 @@ class Guard:
         if host_name(headers.get("host", "")) not in self._hosts:
             await refusal(421, "this is not one of this server's names; see web.hosts")(scope, receive, with_headers)
             return
-        body = await _taken(scope["method"], headers, receive)
+        body = await _taken(scope["method"], headers, receive, self._most_bytes)
         if isinstance(body, JSONResponse):
             await body(scope, receive, with_headers)
             return
@@ -71,12 +71,12 @@ class Guard:
         await self._app(scope, whole, with_headers)
 
 
-async def _taken(method: str, headers: Headers, receive: Receive) -> bytes | JSONResponse:
+async def _taken(method: str, headers: Headers, receive: Receive, most_bytes: int) -> bytes | JSONResponse:
     """The whole body, or the refusal of it."""
     if method in {"GET", "HEAD"}:
         return b""
     try:
-        return await _body(headers, receive)
+        return await _body(headers, receive, most_bytes)
     except TimeoutError:
         return refusal(408, f"the body did not come within {BODY_S:g} s")
     except ValueError as error:
@@ -101,10 +101,10 @@ def host_name(value: str) -> str:
         return name
 
 
-async def _body(headers: Headers, receive: Receive) -> bytes:
+async def _body(headers: Headers, receive: Receive, most_bytes: int) -> bytes:
     told = headers.get("content-length", "0")
-    if not told.isdecimal() or int(told) > BODY_BYTES:
-        raise ValueError(f"the body is more than {BODY_BYTES} bytes")
+    if not told.isdecimal() or int(told) > most_bytes:
+        raise ValueError(f"the body is more than {most_bytes} bytes")
     body, more = b"", True
     async with asyncio.timeout(BODY_S):
         while more:
@@ -113,6 +113,6 @@ async def _body(headers: Headers, receive: Receive) -> bytes:
                 return b""
             body += message.get("body", b"")
             more = message.get("more_body", False)
-            if len(body) > BODY_BYTES:
-                raise ValueError(f"the body is more than {BODY_BYTES} bytes")
+            if len(body) > most_bytes:
+                raise ValueError(f"the body is more than {most_bytes} bytes")
     return body

@@ -1,0 +1,224 @@
+"""The shop's queue: parts, and which cell has which. Each function is one step of a transaction.
+
+A claim never ends by itself: the cell ends it (the part is done, was put aside, or is given back), or a person does,
+who says that the cell is gone.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from polishd.model.errors import ConfigError
+from polishd.shop.database import Transaction
+
+WAITING, UNDER_WAY, REMOVED, UNKNOWN = "waiting", "under way", "removed", "unknown"
+"""What a cell says of a claim, beside the verdict on its part; unknown: its queue never had it."""
+DONE = frozenset({"accepted", "rejected"})
+REFUSED = "refused"
+
+
+@dataclass(frozen=True, slots=True)
+class NewPart:
+    """A job that was judged, as far as that can be done without a cell."""
+
+    job: str
+    """``job.id``."""
+    part_id: str
+    content: str
+    """Its file's text; names of files in it have no folders."""
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    """By those names."""
+
+
+@dataclass(slots=True)
+class Word:
+    """What a cell is told of its claims."""
+
+    stands: list[str] = field(default_factory=list)
+    back: list[str] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
+
+
+def add(sql: Transaction, parts: Sequence[NewPart], by: str, digests: Sequence[Mapping[str, str]]) -> None:
+    """Put them at the end, all or none; ConfigError where a job or its part is there already.
+
+    ``digests``: of each part, SHA-256 of its files by name.
+    """
+    for part, digest in zip(parts, digests, strict=True):
+        if (known := sql.row("SELECT state FROM part WHERE job = ?", part.job)) is not None:
+            raise ConfigError(
+                f"job.id: {part.job!r} is {known['state']} in this shop already; give it a name of its own"
+            )
+        open_ = "SELECT job, state FROM part WHERE part_id = ? AND state NOT IN ('done', 'removed')"
+        if (other := sql.row(open_, part.part_id)) is not None:
+            raise ConfigError(
+                f"part.id: the part {part.part_id!r} is {other['state']} as {other['job']!r} already; it can be worked "
+                "once at a time: end that one first"
+            )
+        for name, content in part.files.items():
+            sql.insert("INSERT OR IGNORE INTO file", {"sha256": digest[name], "content": content})
+        row = {"job": part.job, "part_id": part.part_id, "content": part.content, "files": json.dumps(dict(digest))}
+        sql.insert("INSERT INTO part", {**row, "added": time.time(), "by": by})
+        sql.word(by, "added", part.job)
+
+
+def claim(sql: Transaction, cell: str, request: str) -> dict[str, Any]:
+    """A part for a cell; the same one whenever it asks by that request. ``{"part": None}`` where there is none for it.
+
+    ``over``: that request has had its part, and it was given back or ended: ask by another one.
+    """
+    found = sql.row("SELECT cell, part, state, back, ended FROM claim WHERE request = ?", request)
+    if found is not None and found["cell"] != cell:
+        raise ConfigError("that request is another cell's")
+    if found is not None and found["ended"] is None and found["back"] and found["state"] == "given":
+        _free(sql, request, "given back", cell)  # whoever asks again has not taken it
+        found = {**found, "ended": time.time()}
+    if found is not None:
+        return {"part": None, "over": True} if found["ended"] else _given(sql, request, found["part"])
+    part = sql.row(
+        "SELECT id, job FROM part WHERE state = 'waiting' AND id NOT IN (SELECT part FROM not_for WHERE cell = ?) "
+        "ORDER BY id LIMIT 1",
+        cell,
+    )
+    if part is None:
+        return {"part": None}
+    sql.insert("INSERT INTO claim", {"request": request, "part": part["id"], "cell": cell, "given": time.time()})
+    sql.run("UPDATE part SET state = 'claimed' WHERE id = ?", part["id"])
+    sql.word(cell, "claimed", part["job"], cell)
+    return _given(sql, request, part["id"])
+
+
+def refuse(sql: Transaction, cell: str, request: str, why: str) -> None:
+    """The cell cannot work it, and has not put it into its queue: it is for another one."""
+    found = _open(sql, cell, request)
+    if found is not None and found["state"] == "given":
+        _free(sql, request, REFUSED, cell, why)
+
+
+def report(sql: Transaction, cell: str, journal: str, claims: Mapping[str, Mapping[str, str]]) -> Word:
+    """What the cell's own queue says of its claims; what holds for each."""
+    word = Word()
+    for request, said in claims.items():
+        found = _open(sql, cell, request)
+        if found is None:
+            if said["state"] in {WAITING, UNDER_WAY}:
+                word.lost.append(request)
+                _came_back(sql, cell, request, said["state"])
+            continue
+        _heard(sql, found, said, journal)
+    for found in sql.rows("SELECT request, state, back FROM claim WHERE cell = ? AND ended IS NULL", cell):
+        begun = found["state"].startswith("begun")
+        (word.back if found["back"] and not begun else word.stands).append(found["request"])
+    return word
+
+
+def release(sql: Transaction, job: str, by: str, why: str, *, gone: bool) -> str:
+    """Another cell shall have it; what became of that, in words. ConfigError where there is nothing to release.
+
+    A cell that may have begun it is asked first. ``gone``: a person says that the cell is gone, and has nothing of it.
+    """
+    part = _part(sql, job)
+    if part["state"] == "waiting" and sql.run("DELETE FROM not_for WHERE part = ?", part["id"]):
+        sql.word(by, "for all cells", job, "", why)
+        return f"{job} waits, and any cell may have it"
+    if part["state"] in {"waiting", "done", "removed"}:
+        raise ConfigError(f"{job!r} is {part['state']}: no cell has it; polishd shop list shows all")
+    found = sql.row("SELECT request, cell, state FROM claim WHERE part = ? AND ended IS NULL", part["id"])
+    if found is None:
+        sql.run("UPDATE part SET state = 'waiting', verdict = '', reason = '', ended = NULL WHERE id = ?", part["id"])
+        sql.word(by, "released", job, "", why)
+        return f"{job} waits again"
+    cell = found["cell"]
+    if gone:
+        sql.word(by, "cell is gone", job, cell, why)
+        _free(sql, found["request"], "gone", by, why)
+        return f"{job} waits again; {cell} may not begin it any more, and is told so when it comes back"
+    if part["state"] == "begun":
+        todo = "put it aside there (polishd hold, polishd job remove), or say that the cell is gone: --cell-is-gone"
+        raise ConfigError(f"{job!r}: {cell} has begun it; {todo}")
+    sql.run("UPDATE claim SET back = ? WHERE request = ?", by, found["request"])
+    sql.word(by, "wanted back", job, cell, why)
+    return f"{job}: {cell} is asked to give it back, and keeps it until it has; polishd shop list shows it"
+
+
+def remove(sql: Transaction, job: str, by: str, why: str) -> None:
+    """Take one out that waits, or that was put aside. ConfigError where a cell has it."""
+    if _part(sql, job)["state"] not in {"waiting", "aside"}:
+        raise ConfigError(f"{job!r} is {_part(sql, job)['state']}: only what waits, or was put aside, can be taken out")
+    sql.run("UPDATE part SET state = 'removed', reason = ?, ended = ? WHERE job = ?", why, time.time(), job)
+    sql.word(by, "removed", job, "", why)
+
+
+def _heard(sql: Transaction, found: Mapping[str, Any], said: Mapping[str, str], journal: str) -> None:
+    """Of a claim that is open."""
+    request, cell, state, reason = found["request"], found["cell"], said["state"], said.get("reason", "")
+    if state == UNKNOWN:
+        if found["back"] and found["state"] == "given":
+            _free(sql, request, "given back", cell)
+    elif state == WAITING:
+        sql.run("UPDATE claim SET state = ? WHERE request = ?", f"taken by {journal}", request)
+    elif state == UNDER_WAY:
+        sql.run("UPDATE claim SET state = ? WHERE request = ?", f"begun by {journal}", request)
+        if sql.run("UPDATE part SET state = 'begun' WHERE id = ? AND state = 'claimed'", found["part"]):
+            sql.word(cell, "begun", found["job"], cell)
+    elif state == REMOVED and found["back"]:
+        _free(sql, request, "given back", cell, f"released by {found['back']}")
+    else:
+        over = "done" if state in DONE else "aside"
+        sql.run("UPDATE claim SET ended = ?, how = ? WHERE request = ?", time.time(), state, request)
+        sql.run(
+            "UPDATE part SET state = ?, verdict = ?, reason = ?, ended = ? WHERE id = ?",
+            *(over, state, reason, time.time(), found["part"]),
+        )
+        sql.word(cell, state, found["job"], cell, reason)
+
+
+def _came_back(sql: Transaction, cell: str, request: str, state: str) -> None:
+    """A claim that is over is still in its queue: it is said once, for whoever looks after it."""
+    sql_job = (
+        "SELECT part.job FROM claim JOIN part ON part.id = claim.part WHERE request = ? AND cell = ? AND how = 'gone'"
+    )
+    found = sql.row(sql_job, request, cell)
+    if found is not None and state == UNDER_WAY:
+        sql.run("UPDATE claim SET how = 'gone, and had begun' WHERE request = ?", request)
+        sql.word(cell, "came back, and had begun it", found["job"], cell, "look which cell has the part")
+
+
+def _free(sql: Transaction, request: str, how: str, who: str, why: str = "") -> None:
+    """The claim is over, and its part waits for another cell."""
+    sql.run("UPDATE claim SET ended = ?, how = ? WHERE request = ?", time.time(), how, request)
+    found = sql.row("SELECT part, cell, job FROM claim JOIN part ON part.id = claim.part WHERE request = ?", request)
+    if found is None:
+        raise ConfigError("there is no such claim")
+    sql.run("UPDATE part SET state = 'waiting' WHERE id = ?", found["part"])
+    if how != REFUSED:  # of several that had it only the last one is left out, but for those that cannot work it
+        sql.run("DELETE FROM not_for WHERE part = ? AND why NOT LIKE ?", found["part"], f"{REFUSED}%")
+    row = {"part": found["part"], "cell": found["cell"], "why": f"{how}: {why}" if why else how}
+    sql.insert("INSERT OR REPLACE INTO not_for", row)
+    sql.word(who, how, found["job"], found["cell"], why)
+
+
+def _given(sql: Transaction, request: str, part: int) -> dict[str, Any]:
+    row = sql.row("SELECT job, part_id, content, files FROM part WHERE id = ?", part)
+    if row is None:
+        raise ConfigError("there is no such part")
+    return {"part": {**row, "files": json.loads(row["files"])}, "request": request}
+
+
+def _open(sql: Transaction, cell: str, request: str) -> dict[str, Any] | None:
+    return sql.row(
+        "SELECT request, claim.cell, claim.part, claim.state, claim.back, part.job FROM claim "
+        "JOIN part ON part.id = claim.part WHERE request = ? AND cell = ? AND claim.ended IS NULL",
+        *(request, cell),
+    )
+
+
+def _part(sql: Transaction, job: str) -> dict[str, Any]:
+    found = sql.row("SELECT id, state FROM part WHERE job = ?", job)
+    if found is None:
+        raise ConfigError(f"there is no part {job!r} in this shop; polishd shop list shows all")
+    return found

@@ -1,0 +1,94 @@
+"""``make shop-campaign``: parts through three daemons and a shop that are killed at random, in sittings."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+import time
+from collections import Counter
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from polishd.model.errors import PolishdError
+from tests.campaigns import beside
+from tests.campaigns.shop.sitting import CELLS, Sitting
+from tests.system.sim_rig import ROOT
+
+FOLDER = ROOT / "build" / "shop"
+PAGE = ROOT / "docs" / "shop.md"
+BEGIN, END = "<!-- written by make shop-campaign -->\n", "<!-- end of it -->\n"
+PARTS, SITTING, SPEED = 300, 30, 40.0
+OF = ("polishd/shop", "polishd/daemon", "polishd/door")
+"""Sources on which what comes of it depends."""
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """For the page: the sums of all sittings."""
+    sums = {key: sum(row[key] for row in rows) for key in ("parts", "passes", "torn", "events", "releases", "resumed")}
+    kills, verdicts = Counter[str](), Counter[str]()
+    for row in rows:
+        kills += Counter(row["kills"])
+        verdicts += Counter(row["verdicts"])
+    wrong = [said for row in rows for said in row["wrong"]]
+    hours = sum(row["seconds"] for row in rows) / 3600
+    back = sum(row["given_back"] for row in rows)
+    lines = [
+        ("parts through the shop", f"{sums['parts']}: {', '.join(f'{n} {how}' for how, n in verdicts.most_common())}"),
+        ("cells, sittings, hours", f"{len(CELLS)}, {len(rows)}, {hours:.2f}"),
+        ("kill -9", ", ".join(f"{n} of a {who}" for who, n in kills.most_common())),
+        ("passes, of them torn off", f"{sums['passes']}, {sums['torn']}"),
+        ("events of the journals at the shop", f"{sums['events']}"),
+        ("parts wanted back while a cell had them, given back", f"{sums['releases']}, {back}"),
+        ("times that a person had to resume a cell", f"{sums['resumed']}"),
+        ("polished in two cells, passes lost or twice, events lost or twice, parts lost", f"{len(wrong)}"),
+        ("last sitting", f"{rows[-1]['date']}, sources {rows[-1]['of']}"),
+    ]
+    return "\n".join(["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in lines), ""])
+
+
+def main() -> int:
+    """The exit code: 1 where anything was wrong."""
+    parse = argparse.ArgumentParser(prog="make shop-campaign", description=__doc__)
+    parse.add_argument("--parts", type=int, default=PARTS, help="in all")
+    parse.add_argument("--sitting", type=int, default=SITTING, help="parts of one sitting")
+    parse.add_argument("--minutes", type=float, default=1e9, help="after which what was begun is ended")
+    parse.add_argument("--seed", type=int, default=1, help="another one needs a --folder of its own")
+    parse.add_argument("--speed", type=float, default=SPEED, help="of the simulated clock")
+    parse.add_argument("--folder", type=Path, default=FOLDER, help="where all is kept between sittings")
+    options = parse.parse_args()
+    folder = options.folder.resolve()
+    folder.mkdir(parents=True, exist_ok=True)
+    kept, until_s = folder / "sittings.jsonl", time.monotonic() + 60 * options.minutes
+    rows = beside.read(kept)
+    stopping: list[int] = []
+    signal.signal(signal.SIGTERM, lambda number, _: stopping.append(number))
+    while (done := sum(row["parts"] for row in rows)) < options.parts and time.monotonic() < until_s and not stopping:
+        count = min(options.sitting, options.parts - done)
+        try:
+            sitting = Sitting(folder, options.seed, len(rows), options.speed)
+            came = sitting.run(count, lambda: bool(stopping) or time.monotonic() > until_s, say)
+        except PolishdError as error:  # before any part was added: the machine is too busy for a simulator to come up
+            say(f"the sitting did not begin: {error}")
+            continue
+        rows.append({**asdict(came), "date": beside.today(), "of": beside.sources(OF), "seed": options.seed})
+        beside.keep(kept, rows)
+        say(json.dumps(rows[-1]))
+        if came.wrong:
+            break  # whoever looks into it finds all as it was
+    if folder == FOLDER and rows:
+        beside.write(PAGE, BEGIN, END, table(rows))
+    print(table(rows) if rows else "nothing was done")
+    return int(any(row["wrong"] for row in rows))
+
+
+def say(words: str) -> None:
+    """Progress, for whoever waits."""
+    print(f"{datetime.now(UTC):%H:%M:%S} shop: {words}", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,189 @@
+"""A shop and its cells as processes: whoever is killed is started again as systemd does."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from polishd.console.demo_files import DemoFiles, free_port
+from polishd.console.simulator import simulated_cell
+from polishd.daemon import client
+from polishd.model.errors import PolishdError
+from tests.patience import SOON_S
+from tests.system.cell_rig import with_keys, write_small
+from tests.system.sim_rig import ROOT, wait_for
+
+EVERY_S = 0.3
+
+
+def polishd(*words: object) -> str:
+    """The command line; what it said."""
+    command = [sys.executable, "-m", "polishd", *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+class Process:
+    """A verb of polishd that runs until it is ended, and its log."""
+
+    def __init__(self, log: Path, *words: object) -> None:
+        self.log, self._words = log, [sys.executable, "-m", "polishd", *map(str, words)]
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Again, perhaps."""
+        with self.log.open("ab") as log:
+            self._process = subprocess.Popen(self._words, stdout=log, stderr=log, stdin=subprocess.DEVNULL, cwd=ROOT)
+
+    @property
+    def up(self) -> bool:
+        """It runs."""
+        return self._process is not None and self._process.poll() is None
+
+    @property
+    def exit_code(self) -> int | None:
+        """None while it runs."""
+        return None if self._process is None else self._process.poll()
+
+    def kill(self) -> None:
+        """As the kernel does that is out of memory; also what has ended already."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait(SOON_S)
+
+    def end(self) -> int:
+        """As systemd does; its exit code."""
+        assert self._process is not None
+        self._process.send_signal(signal.SIGTERM)
+        return self._process.wait(SOON_S)
+
+
+class Shop:
+    """Its file, its database, its server."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder, self.file, self.port = folder, folder / "shop.toml", free_port()
+        self.file.write_text(f'[shop]\nname = "office"\nstate_dir = "state"\n[web]\nport = {self.port}\n')
+        self.server = Process(folder / "server.log", "shop", "serve", self.file)
+
+    @property
+    def url(self) -> str:
+        """Its address."""
+        return f"http://127.0.0.1:{self.port}"
+
+    def token(self, cell: str) -> str:
+        """A new one for that cell."""
+        return polishd("shop", "serve", self.file, "--add-cell", cell).strip()
+
+    def add(self, jobs: Sequence[tuple[str, str]], tolerance_nm: float = 5.0, cycles: int = 3) -> None:
+        """Jobs with their parts."""
+        paths = [self.folder / f"{name}.toml" for name, _ in jobs]
+        for path, (name, part) in zip(paths, jobs, strict=True):
+            job = f'[job]\nid = "{name}"\ntolerance_nm = {tolerance_nm}\nmax_cycles = {cycles}\n'
+            path.write_text(f'{job}[part]\nid = "{part}"\n')
+        polishd("shop", "add", self.file, *paths)
+
+    def rows(self, sql: str) -> list[tuple[Any, ...]]:
+        """Of its database, read beside its server."""
+        path = self.folder / "state" / "shop.sqlite"
+        with contextlib.closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True, timeout=30.0)) as database:
+            return database.execute(sql).fetchall()
+
+    def states(self) -> dict[str, str]:
+        """Of its parts."""
+        return dict(self.rows("SELECT job, state FROM part ORDER BY id"))
+
+
+class ShopCell:
+    """A simulated cell with a loader, its daemon, and its link."""
+
+    def __init__(self, name: str, files: DemoFiles) -> None:
+        self.name, self.files = name, files
+        self.daemon = Process(files.daemon_log, "run", files.cell, "--queue")
+        self.link = Process(files.out / "link.log", "shop", "link", files.cell)
+
+    def status(self) -> dict[str, Any]:
+        """What the daemon says; empty where none answers."""
+        try:
+            return client.request(self.files.state_dir, "status", 5.0)
+        except PolishdError:
+            return {}
+
+    def resume(self) -> None:
+        """A person says that it may go on; it may be gone meanwhile."""
+        with contextlib.suppress(PolishdError):
+            client.request(self.files.state_dir, "resume", 60.0, {"by": "the campaign"})
+
+    def put_aside(self, job: str) -> None:
+        """A person gives a job up over which the cell is held."""
+        with contextlib.suppress(PolishdError):
+            args = {"job": job, "reason": "it does not go on", "by": "the campaign"}
+            client.request(self.files.state_dir, "job_remove", 60.0, args)
+
+    def rows(self, sql: str) -> list[tuple[Any, ...]]:
+        """Of its journal."""
+        path = self.files.state_dir / "journal.sqlite"
+        with contextlib.closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True, timeout=30.0)) as journal:
+            return journal.execute(sql).fetchall()
+
+
+def write_shop_cell(out: Path, name: str, shop: Shop) -> DemoFiles:
+    """The small cell's files, with a loader, and a token of the shop."""
+    files = write_small(out)
+    port = free_port()
+    cell = files.cell.read_text().replace('"interferometer"', '"interferometer", "loader"')
+    cell += f'\n[loader]\ntype = "loader_line"\naddress = "tcp://127.0.0.1:{port}"\n'
+    cell += f'\n[shop]\nurl = "{shop.url}"\ntoken = "file:shop.token"\nevery_s = {EVERY_S}\n'
+    files.cell.write_text(with_keys(cell, {"metrology": {"timeout_s": 20.0}, "cell": {"name": name}}))
+    with files.sim.open("a") as sim:
+        sim.write(f"\n[loader]\nport = {port}\n[loader.faults]\n")
+    handle = os.open(out / "shop.token", os.O_CREAT | os.O_TRUNC | os.O_WRONLY, 0o600)
+    with os.fdopen(handle, "w") as file:
+        file.write(shop.token(name))
+    return files
+
+
+@contextlib.contextmanager
+def shop_cell(out: Path, name: str, shop: Shop, seed: int = 1, speed: float = 40.0) -> Iterator[ShopCell]:
+    """Its simulator runs inside this block; daemon and link are the caller's to start."""
+    files = write_shop_cell(out, name, shop)
+    options = ["--state", str(files.sim_dir), "--seed", str(seed), "--speed", f"{speed:g}"]
+    with simulated_cell(files.sim, options, files.out / "sim.stderr"):
+        cell = ShopCell(name, files)
+        try:
+            yield cell
+        finally:
+            cell.link.kill()
+            cell.daemon.kill()
+
+
+def wait_attended(cells: Sequence[ShopCell], condition: Callable[[], Any], what: str) -> Any:
+    """The condition's first true value; meanwhile a person says of each cell that is held that it may go on."""
+
+    def looked() -> Any:
+        for cell in cells:
+            if cell.status().get("state") == "held":
+                cell.resume()
+        return condition()
+
+    return wait_for(looked, what, 2 * SOON_S)
+
+
+def over(shop: Shop) -> bool:
+    """All its parts have ended."""
+    return set(shop.states().values()) <= {"done", "aside"}
+
+
+def parts_of(shop: Shop) -> list[dict[str, Any]]:
+    """``polishd shop list``."""
+    return list(json.loads(polishd("shop", "list", shop.file, "--json"))["parts"])

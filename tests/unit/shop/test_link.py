@@ -1,0 +1,337 @@
+"""A cell's side of the shop: what it tells and when, parts that it asks for, and what it does without the shop."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from polishd.config.cell import CellConfig, load_config
+from polishd.console.demo_files import write_demo
+from polishd.daemon.events import Event
+from polishd.daemon.journal import JOURNAL_NAME, Journal
+from polishd.daemon.queue import Queue
+from polishd.hooks.cell import plugins_of
+from polishd.model import events
+from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError
+from polishd.shop import link as module
+from polishd.shop import told
+from polishd.shop.link import Link
+from polishd.shop.wire import Wire
+
+SECTION = '\n[shop]\nurl = "http://127.0.0.1:9"\ntoken = "file:shop.token"\n'
+OFFER = {
+    "recipe": "r1", "cell": "south", "job": "disc", "of_cycle": 0, "at_s": 50.0, "rate": 0.9, "sigma": 0.01,
+}  # fmt: skip
+
+
+class Office:
+    """A shop that says what it is told to say, and notes what it was asked."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[str, dict[str, Any]]] = []
+        self.away = False
+        self.refuses = ""
+        self.parts: list[str] = []
+        self.word: dict[str, list[Any]] = {"stands": [], "back": [], "lost": [], "offers": []}
+        self.given: dict[str, dict[str, Any]] = {}
+        self.answers_are_lost = False
+
+    def ask(self, path: str, said: Mapping[str, Any]) -> dict[str, Any]:
+        verb = path.rpartition("/")[2]
+        if self.away:
+            raise LinkError("nobody answers")
+        if self.refuses:
+            raise ConfigError(self.refuses)
+        self.asked.append((verb, dict(said)))
+        if verb == "report":
+            return {"ok": True, "upto": said["last"], **self.word}
+        if verb == "claim":
+            request = said["request"]
+            if request not in self.given and self.parts:
+                name = self.parts.pop(0)
+                content = f'[job]\nid = "{name}"\n[part]\nid = "P-{name}"\n'
+                self.given[request] = {"job": name, "part_id": f"P-{name}", "content": content, "files": {}}
+            if self.answers_are_lost:
+                raise LinkError("the answer is lost")
+            return {"ok": True, "part": self.given.get(request)}
+        return {"ok": True}
+
+    def of(self, verb: str) -> list[dict[str, Any]]:
+        return [said for asked, said in self.asked if asked == verb]
+
+
+class Desk:
+    """A daemon that works a queue, or none."""
+
+    def __init__(self, config: CellConfig) -> None:
+        self._config = config
+        self.up, self.state = True, "idle"
+        self.asked: list[tuple[str, dict[str, Any]]] = []
+        self.refuses: tuple[str, int] | None = None
+        self.silent = ""
+
+    def __call__(self, _state_dir: Path, verb: str, args: Mapping[str, Any]) -> dict[str, Any]:
+        if not self.up:
+            raise NoDaemon("none")
+        if verb == self.silent:
+            raise LinkError("the daemon did not answer")
+        if verb == "status":
+            return {"ok": True, "state": self.state, "waiting": len(self.waiting())}
+        self.asked.append((verb, dict(args)))
+        if verb == "job_add":
+            if self.refuses:
+                return {"ok": False, "error": self.refuses[0], "exit_code": self.refuses[1]}
+            with Queue.at_rest(self._config.state_dir) as queue:
+                from polishd.config.job_file import JobFile
+                from polishd.daemon.queue import NewJob
+
+                (job,) = args["files"]
+                name = json.loads(job["content"].split("id = ")[1].split("\n")[0])
+                queue.add([NewJob(name, f"P-{name}", JobFile(Path(job["path"]), job["content"]), {}, args["claim"])])
+        return {"ok": True}
+
+    def waiting(self) -> list[str]:
+        with Queue.at_rest(self._config.state_dir) as queue:
+            return [entry.name for entry in queue.waiting()]
+
+
+class Rig:
+    def __init__(self, config: CellConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.config, self.office, self.desk = config, Office(), Desk(config)
+        monkeypatch.setattr(Wire, "ask", lambda _, path, said: self.office.ask(path, said))
+        monkeypatch.setattr(module.client, "request", self.desk)
+        monkeypatch.setattr(module, "judged_jobs", lambda *_: [])
+        self.link = self.again()
+
+    def again(self) -> Link:
+        """As after a kill."""
+        assert self.config.shop is not None
+        self.link = Link(self.config, plugins_of(self.config), self.config.shop)
+        return self.link
+
+    def happens(self, *told: Event) -> None:
+        with Journal.of_cell(self.config.state_dir) as journal:
+            for event in told:
+                journal.record_event(event)
+
+
+@pytest.fixture
+def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Rig:
+    files = write_demo(tmp_path / "demo", None, 2.0, 4, None)
+    files.cell.write_text(files.cell.read_text() + SECTION)
+    token = files.cell.parent / "shop.token"
+    token.write_text("secret\n")
+    token.chmod(0o600)
+    config = load_config(files.cell)
+    config.state_dir.mkdir()
+    return Rig(config, monkeypatch)
+
+
+HELD = events.Held(error="a scratch", kind="SafetyStop")
+
+
+def test_what_the_journal_says_is_told_by_its_own_numbers_and_progress_is_left_out(rig: Rig) -> None:
+    assert rig.link.turn() is False
+    assert rig.office.asked == [], "the cell has no journal yet"
+    rig.happens(HELD, events.Progress(block=3), HELD)
+    rig.desk.state = "held"
+    rig.link.turn()
+    rig.happens(HELD)
+    rig.link.turn()
+    first, second = rig.office.of("report")
+    assert [(one["first"], one["last"], [row[0] for row in one["events"]]) for one in (first, second)] == [
+        (1, 3, [1, 3]),
+        (4, 4, [4]),
+    ]
+    assert (first["before"], second["before"]) == ("", first["tail"])
+    assert first["now"]["state"] == "held"
+
+
+def test_a_long_journal_is_told_in_pieces(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(told, "MOST_EVENTS", 2)
+    rig.happens(*[HELD] * 5)
+    rig.desk.up = False
+    assert [rig.link.turn() for _ in range(3)] == [True, True, False]
+    assert [(one["first"], one["last"]) for one in rig.office.of("report")] == [(1, 2), (3, 4), (5, 5)]
+
+
+def test_nothing_is_lost_while_the_shop_is_away(rig: Rig) -> None:
+    rig.happens(HELD)
+    rig.office.away = True
+    with pytest.raises(LinkError):
+        rig.link.turn()
+    rig.happens(HELD)
+    rig.office.away = False
+    rig.link.turn()
+    (report,) = rig.office.of("report")
+    assert (report["first"], report["last"]) == (1, 2)
+
+
+def test_a_part_is_asked_for_where_none_waits_and_added_by_its_claim(rig: Rig) -> None:
+    rig.happens(HELD)
+    rig.office.parts = ["lens", "disc"]
+    assert rig.link.turn() is True, "the shop is to be told at once"
+    assert rig.desk.waiting() == ["lens"]
+    rig.link.turn()
+    assert len(rig.office.of("claim")) == 1, "one waits"
+    (request,) = rig.office.given
+    assert rig.office.of("report")[-1]["claims"] == {request: {"state": "waiting", "reason": ""}}
+
+
+@pytest.mark.parametrize("state", ["held", "starting", "finished"])
+def test_a_cell_that_does_not_work_asks_for_nothing(rig: Rig, state: str) -> None:
+    rig.happens(HELD)
+    rig.office.parts = ["lens"]
+    rig.desk.state = state
+    rig.link.turn()
+    rig.desk.up = False
+    rig.link.turn()
+    assert rig.office.of("claim") == []
+
+
+def test_an_answer_that_was_lost_is_asked_for_again_by_the_same_request(rig: Rig) -> None:
+    rig.happens(HELD)
+    rig.office.parts, rig.office.answers_are_lost = ["lens", "disc"], True
+    with pytest.raises(LinkError):
+        rig.link.turn()
+    rig.office.answers_are_lost = False
+    rig.again().turn()
+    assert len({said["request"] for said in rig.office.of("claim")}) == 1
+    assert rig.desk.waiting() == ["lens"]
+
+
+def test_what_was_added_just_before_a_kill_is_not_asked_for_again(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig.happens(HELD)
+    rig.office.parts = ["lens", "disc"]
+    with monkeypatch.context() as killed:
+        killed.setattr(Link, "_settled", lambda _: (_ for _ in ()).throw(RuntimeError("killed")))
+        with pytest.raises(RuntimeError, match="killed"):
+            rig.link.turn()
+    with Queue.at_rest(rig.config.state_dir) as queue:
+        queue.remove_waiting("lens")
+    rig.again().turn()
+    assert len(rig.office.of("claim")) == 1
+    assert rig.office.parts == ["disc"]
+
+
+def test_a_part_that_this_cell_cannot_work_is_refused_with_the_reason(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def judged(*_: Any) -> list[Any]:
+        raise PolishdError("it does not reach the rim")
+
+    monkeypatch.setattr(module, "judged_jobs", judged)
+    rig.happens(HELD)
+    rig.office.parts = ["lens"]
+    rig.link.turn()
+    (said,) = rig.office.of("refuse")
+    assert said["why"] == "it does not reach the rim"
+    assert rig.desk.waiting() == []
+
+
+def test_it_is_refused_only_where_it_is_sure_that_the_daemon_has_not_taken_it(rig: Rig) -> None:
+    rig.happens(HELD)
+    rig.office.parts = ["lens"]
+    rig.desk.silent = "job_add"
+    with pytest.raises(LinkError):
+        rig.link.turn()
+    rig.desk.silent, rig.desk.refuses = "", ("job_add failed inside the daemon", 1)
+    with pytest.raises(LinkError):
+        rig.link.turn()
+    assert rig.office.of("refuse") == []
+    rig.desk.refuses = ("job.id: 'lens' is done already", ConfigError.exit_code)
+    rig.link.turn()
+    assert [said["why"] for said in rig.office.of("refuse")] == ["job.id: 'lens' is done already"]
+
+
+def test_the_daemon_hears_the_shops_word_and_what_others_have_learned(rig: Rig) -> None:
+    rig.happens(HELD)
+    rig.office.word = {"stands": ["a"], "back": ["b"], "lost": ["c"], "offers": [OFFER]}
+    rig.link.turn()
+    assert rig.desk.asked[0] == ("shop_word", {"stands": ["a"], "back": ["b"], "lost": ["c"]})
+    assert rig.desk.asked[1] == ("shop_offer", {"offers": [OFFER]})
+    rig.happens(events.RateOffered(**OFFER))  # type: ignore[arg-type]
+    rig.link.turn()
+    assert [verb for verb, _ in rig.desk.asked].count("shop_offer") == 1, "it was offered"
+    claims = rig.office.of("report")[-1]["claims"]
+    assert claims == {"a": {"state": "unknown"}, "b": {"state": "unknown"}}, "its queue has none of them"
+
+
+def test_it_goes_on_whatever_the_shop_says_and_tells_it_once(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+    rig.happens(HELD)
+    rig.office.refuses = "the token is nobody's"
+    turns, stop = [0], threading.Event()
+
+    class Pauses(threading.Event):
+        def wait(self, timeout: float | None = None) -> bool:
+            turns[0] += 1
+            rig.office.refuses = "" if turns[0] > 3 else rig.office.refuses
+            return turns[0] > 4 or stop.is_set()
+
+    rig.link.run(Pauses())
+    said = [record.message for record in caplog.records]
+    assert len([one for one in said if "goes on with what it has" in one]) == 1
+    assert len([one for one in said if "answers again" in one]) == 1
+    assert not any("secret" in one for one in said)
+    assert len(rig.office.of("report")) == 1
+
+
+def test_what_this_cell_has_learned_itself_needs_no_offer(rig: Rig) -> None:
+    with Journal.of_cell(rig.config.state_dir) as journal:
+        own = journal.of_job("own", "P-1", {})
+        own.record_event(HELD)
+        own.begin_pass(0, "ab", "boot", 10, facts={"taught": {"recipe": "r1"}, "measured": float("nan")})
+    rig.office.word["offers"] = [OFFER, {**OFFER, "recipe": "r2"}]
+    rig.link.turn()
+    (said,) = [args for verb, args in rig.desk.asked if verb == "shop_offer"]
+    assert [one["recipe"] for one in said["offers"]] == ["r2"]
+
+
+def test_a_daemon_that_hangs_keeps_nothing_from_the_shop(rig: Rig) -> None:
+    rig.happens(HELD)
+    rig.desk.silent = "status"
+    rig.link.turn()
+    (report,) = rig.office.of("report")
+    assert (report["last"], report["now"]["state"]) == (1, "does not answer")
+
+
+def test_two_links_of_one_cell_are_refused(rig: Rig) -> None:
+    from polishd.daemon.lock import locked
+
+    with locked(rig.config.state_dir / "shop"), pytest.raises(ConfigError, match="another polishd"):
+        rig.link.run(threading.Event())
+
+
+def test_without_a_token_it_does_not_begin(rig: Rig) -> None:
+    (rig.config.base_dir / "shop.token").unlink()
+    with pytest.raises(ConfigError, match=r"shop\.token"):
+        rig.again()
+
+
+@pytest.mark.parametrize(
+    ("url", "wrong"),
+    [
+        ("http://192.0.2.1:8760", "only by TLS"),
+        ("ftp://127.0.0.1", "is no address of a shop"),
+        ("https://shop.example/path", "is no address of a shop"),
+        ("https://ada:secret@shop.example", "is no address of a shop"),
+        ("https://[::1", "is no URL"),
+    ],
+)
+def test_an_address_by_which_a_token_would_go_astray_is_refused(rig: Rig, url: str, wrong: str) -> None:
+    path = rig.config.path
+    path.write_text(path.read_text().replace("http://127.0.0.1:9", url))
+    with pytest.raises(ConfigError, match=rf"shop\.url: .*{wrong}"):
+        load_config(path)
+
+
+def test_a_journal_of_an_earlier_format_says_what_to_do(rig: Rig) -> None:
+    rig.desk.up = False
+    (rig.config.state_dir / JOURNAL_NAME).touch()
+    with pytest.raises(ConfigError, match=r"no such table: .*; polishd run brings an old journal up to date"):
+        rig.link.turn()

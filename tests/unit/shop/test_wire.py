@@ -1,0 +1,132 @@
+"""A cell's requests to its shop on real connections: what each answer means, whom it trusts, and what it never says."""
+
+from __future__ import annotations
+
+import http.server
+import json
+import shutil
+import ssl
+import subprocess
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from polishd.config.shop_link import ShopLinkSection
+from polishd.model.errors import ConfigError, LinkError
+from polishd.shop import wire as module
+from polishd.shop.wire import Wire
+
+TOKEN = "not-to-be-told"
+
+
+@contextmanager
+def serving(status: int, body: bytes, context: ssl.SSLContext | None = None) -> Iterator[tuple[int, list[Any]]]:
+    """A server that answers so; its port, and what it was asked."""
+    asked: list[Any] = []
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            content = self.rfile.read(int(self.headers["Content-Length"]))
+            asked.append((self.path, self.headers["Authorization"], json.loads(content)))
+            self.send_response(status)
+            self.send_header("Content-Length", str(len(body)))
+            self.send_header("Location", "/elsewhere")
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *_: Any) -> None:
+            """Nobody reads it."""
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        if context is not None:
+            server.socket = context.wrap_socket(server.socket, server_side=True)
+        threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
+        try:
+            yield server.server_address[1], asked
+        finally:
+            server.shutdown()
+
+
+def wire(folder: Path, port: int, scheme: str = "http", host: str = "127.0.0.1", **more: Any) -> Wire:
+    token = folder / "shop.token"
+    token.write_text(TOKEN + "\n")
+    token.chmod(0o600)
+    return Wire(ShopLinkSection(url=f"{scheme}://{host}:{port}", token="file:shop.token", **more), folder)
+
+
+def test_it_brings_its_token_and_reads_json(tmp_path: Path) -> None:
+    with serving(200, b'{"ok": true, "upto": 3}') as (port, asked):
+        assert wire(tmp_path, port).ask("/api/cell/report", {"first": 1}) == {"ok": True, "upto": 3}
+        assert wire(tmp_path, port).fetch("/api/cell/file", {}) == b'{"ok": true, "upto": 3}'
+    assert asked[0] == ("/api/cell/report", f"Bearer {TOKEN}", {"first": 1})
+
+
+@pytest.mark.parametrize(
+    ("status", "kind", "says"),
+    [
+        (400, ConfigError, "answered 400: wrong"),
+        (401, ConfigError, "answered 401: wrong"),
+        (302, ConfigError, "answered 302: wrong"),
+        (429, LinkError, "answered 429: wrong"),
+        (500, LinkError, "answered 500: wrong"),
+        (502, LinkError, "answered 502: wrong"),
+    ],
+)
+def test_a_refusal_is_told_apart_from_a_shop_that_is_away(
+    tmp_path: Path, status: int, kind: type[Exception], says: str
+) -> None:
+    with serving(status, b'{"ok": false, "error": "wrong"}') as (port, asked), pytest.raises(kind, match=says):
+        wire(tmp_path, port).ask("/", {})
+    assert len(asked) == 1, "nothing is repeated, and no redirection is followed"
+
+
+@pytest.mark.parametrize("body", [b"", b"<html>", b"[1]", b"\xff"])
+def test_what_is_no_answer_of_a_shop_is_no_answer(tmp_path: Path, body: bytes) -> None:
+    with serving(200, body) as (port, _), pytest.raises(LinkError, match="is that a shop"):
+        wire(tmp_path, port).ask("/", {})
+
+
+def test_an_answer_without_end_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MOST_BYTES", 10)
+    with serving(200, b"x" * 100) as (port, _), pytest.raises(LinkError, match="more than 10 bytes"):
+        wire(tmp_path, port).ask("/", {})
+
+
+def test_a_shop_that_is_away_is_named_and_the_token_is_not(tmp_path: Path) -> None:
+    with serving(200, b"{}") as (port, _):
+        pass
+    with pytest.raises(LinkError, match=rf"http://127\.0\.0\.1:{port}: ") as caught:
+        wire(tmp_path, port).ask("/", {})
+    assert TOKEN not in str(caught.value)
+
+
+def test_a_token_that_is_changed_counts_at_once(tmp_path: Path) -> None:
+    with serving(200, b"{}") as (port, asked):
+        made = wire(tmp_path, port)
+        (tmp_path / "shop.token").write_text("another\n")
+        made.ask("/", {})
+    assert asked[0][1] == "Bearer another"
+
+
+def test_by_tls_only_a_certificate_that_is_trusted_gets_the_token(tmp_path: Path) -> None:
+    openssl = shutil.which("openssl")
+    if openssl is None:
+        pytest.skip("openssl is not installed: apt-get install openssl")
+    command = [openssl, "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1", "-subj", "/CN=office"]
+    command += ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", "key.pem", "-out", "cert.pem"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(tmp_path / "cert.pem", tmp_path / "key.pem")
+    with serving(200, b'{"ok": true}', context) as (port, asked):
+        assert wire(tmp_path, port, "https", ca_file="cert.pem").ask("/", {}) == {"ok": True}
+        with pytest.raises(LinkError, match="certificate verify failed"):
+            wire(tmp_path, port, "https").ask("/", {})
+        with pytest.raises(LinkError, match="certificate"):
+            wire(tmp_path, port, "https", host="localhost", ca_file="cert.pem").ask("/", {})
+    assert len(asked) == 1
+    with pytest.raises(ConfigError, match=r"none\.pem: cannot be read"):
+        wire(tmp_path, 1, "https", ca_file="none.pem")
