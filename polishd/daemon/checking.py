@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from polishd.config.cell import CellConfig, port_of
+from polishd.config.cell import CellConfig
 from polishd.config.job_file import JobFile
 from polishd.daemon.assembly import build_cell, build_notifiers, contact_limits, require_taken, require_time_limits
 from polishd.daemon.cell import Cell
@@ -25,7 +25,7 @@ from polishd.daemon.standing import blur, require_shallow
 from polishd.daemon.wire_recorder import place, recording_to
 from polishd.hooks.cell import hooks_of_job
 from polishd.hooks.loader import Hooks
-from polishd.model.devices import Identity
+from polishd.model.devices import Identity, port_of
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.ports.devices import ForceActuator
 from polishd.recipe import disk, foresight, steps, touch_off
