@@ -10,6 +10,7 @@ from typing import Any
 
 import typer
 from rich.console import Group
+from rich.markup import escape
 from rich.table import Table
 
 from polishd.config.cell import load_config
@@ -42,10 +43,11 @@ def plan_verb(
 
 def check_verb(cell: Path, *, as_json: bool) -> None:
     """Config, plugins, program and reach; opens nothing."""
-    from polishd.daemon.checking import check_cell
+    with stderr.status("checking: plugins") as shown:
+        from polishd.daemon.checking import check_cell  # it takes a while by itself
 
-    config, hooks = load_cell(cell)
-    facts = check_cell(config, hooks)
+        config, hooks = load_cell(cell)
+        facts = check_cell(config, hooks, lambda what: shown.update(f"checking: {escape(what)}"))
     plain = [(key, value) for key, value in facts.items() if key != "time limits"]
     emit(
         facts,

@@ -28,7 +28,7 @@ def imported(*words: str | Path) -> set[str]:
 
 
 @pytest.mark.parametrize("verb", ["status", "hold", "stop", "resume"])
-@pytest.mark.one_of_each()
+@pytest.mark.one_of_each
 def test_asking_and_ordering_load_no_mathematics_and_no_models(tmp_path: Path, verb: str) -> None:
     (tmp_path / "cell.toml").write_text(CELL)
     found = imported(verb, tmp_path / "cell.toml")
