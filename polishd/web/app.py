@@ -150,7 +150,9 @@ def _file(name: str, kind: str) -> Callable[[Request], Awaitable[Response]]:
 
 async def _no_such(_request: Request, error: Exception) -> Response:
     status = error.status_code if isinstance(error, HTTPException) else 500
-    return refusal(status, "there is nothing of that name" if status == 404 else "that cannot be done there")
+    said = refusal(status, "there is nothing of that name" if status == 404 else "that cannot be done there")
+    said.headers.update((isinstance(error, HTTPException) and error.headers) or {})  # 405 says what can be done
+    return said
 
 
 async def _fault(request: Request, error: Exception) -> Response:

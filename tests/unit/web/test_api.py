@@ -62,9 +62,37 @@ def test_the_document_has_every_route_and_no_other(web: Served) -> None:
     assert json.loads(json.dumps(document()))["openapi"] == "3.1.0"
 
 
-def test_the_docs_have_every_route_with_its_role() -> None:
-    rows = [f"| `{route.method}` | `{open_path(route.path)}` | {route.role} | {route.what} |" for route in ROUTES]
-    assert "\n".join(rows) in DOCS.read_text(), "\n".join(rows)
+OPEN = (
+    ("POST", "/api/session", "sign in: a cookie for a token"),
+    ("GET", "/api/openapi.json", "what all this is, as OpenAPI"),
+)
+"""For whoever asks."""
+
+
+def endpoint_rows() -> list[str]:
+    """The table in docs/web.md: each endpoint with nobody and with each role."""
+    rows = ["| method | path | nobody | watch | operate | engineer | what |", "|---|---|---|---|---|---|---|"]
+    rows += [f"| `{method}` | `{path}` | yes | yes | yes | yes | {what} |" for method, path, what in OPEN]
+    for route in ROUTES:
+        may = " | ".join("yes" if role.may(route.role) else "403" for role in Role)
+        rows.append(f"| `{route.method}` | `{open_path(route.path)}` | 401 | {may} | {route.what} |")
+    return rows
+
+
+def test_the_docs_have_every_route_with_each_role() -> None:
+    """What stands there is what ``test_each_endpoint_with_each_role`` finds."""
+    assert "\n".join(endpoint_rows()) in DOCS.read_text(), "\n".join(endpoint_rows())
+
+
+def test_what_is_open_is_open(web: Served) -> None:
+    for method, path, _ in OPEN:
+        said = web.ask(method, path, None, **({"json": {"token": web.tokens[Role.WATCH]}} if method == "POST" else {}))
+        assert said.status_code == 200
+
+
+def test_405_says_what_can_be_done(web: Served) -> None:
+    said = web.ask("POST", "/api/state")
+    assert (said.status_code, set(said.headers["allow"].split(", "))) == (405, {"GET", "HEAD"})
 
 
 def test_hold_and_stop_get_through_while_all_else_hangs_and_over_every_limit(
