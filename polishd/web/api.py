@@ -158,9 +158,9 @@ class Api:
     async def acknowledge(self, request: Request, session: Session) -> Any:
         """Those alarms."""
         said = (await _json(request)).get("alarms")
-        if not isinstance(said, list) or any(type(one) is not int or not 0 <= one <= MOST_NUMBER for one in said):
+        if not isinstance(said, list) or not all(map(_whole, said)):
             raise ConfigError("alarms must be given: a list of their numbers")
-        return await self._ordered("acknowledge", {"alarms": said, "by": _by(session)})
+        return await self._ordered("acknowledge", {"alarms": [int(one) for one in said], "by": _by(session)})
 
     async def move(self, request: Request, session: Session) -> Any:
         """A job that waits."""
@@ -226,6 +226,11 @@ async def _json(request: Request) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise ConfigError("the body is no JSON object")
     return found
+
+
+def _whole(said: Any) -> bool:
+    """A number of the journal; to JSON 3.0 is one, too."""
+    return type(said) in {int, float} and 0 <= said <= MOST_NUMBER and said == int(said)
 
 
 def _text(said: Mapping[str, Any], key: str, default: str | None = None) -> str:
