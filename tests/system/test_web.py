@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import signal
 import subprocess
@@ -16,19 +15,15 @@ import pytest
 
 from polishd.config.cell import load_config
 from polishd.console.demo_files import DemoFiles
-from polishd.daemon.checking import check_cell
-from polishd.hooks.cell import load_cell
 from polishd.web.users import Role, Users, users_path
 from tests.patience import SOON_S
 from tests.system.browser import Page, browsing
-from tests.system.cell_rig import Daemon, small_cell, with_faults, with_keys
+from tests.system.cell_rig import Daemon, small_cell, with_keys
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
 
 SEEN_S = 1.5
 """A daemon that is killed is seen within so long, on a machine that has nothing else to do."""
-SHOWN_S = 0.5
-"""What the page adds to what the daemon takes, as above."""
 FREE = {"web": {"port": 0}}
 PICTURE = os.environ.get("POLISHD_PAGE_PNG", "")
 """Where the picture for the README goes."""
@@ -92,30 +87,6 @@ def test_a_cycle_is_watched_held_gone_on_with_and_a_dead_daemon_is_seen(tmp_path
                 assert took_s < SEEN_S or os.getloadavg()[0] > cores / 2, took_s
             assert page.requests
             assert all(one.startswith((url, "data:", "about:")) for one in page.requests), page.requests
-            assert page.problems == []
-
-
-@pytest.mark.parametrize("device", ["actuator", "spindle"])
-def test_a_link_that_is_pulled_is_seen_and_explained(tmp_path: Path, device: str) -> None:
-    """In contact, within the limit after which that device counts as lost, and half a second."""
-    with small_cell(tmp_path / "cell", speed=5.0, tolerance_nm=0.1, max_cycles=4) as files:
-        files.cell.write_text(with_keys(files.cell.read_text(), FREE))
-        config = load_config(files.cell)
-        limits = {one["key"]: one["seconds"] for one in check_cell(*load_cell(files.cell))["time limits"]}
-        token = Users(users_path(config)).add("anna", Role.WATCH)
-        with web_of(files) as url, browsing(tmp_path / "browser") as page, Daemon(files):
-            signed_in(page, url, token)
-            page.until(FRESH)
-            page.until("document.getElementById('done-said').textContent.includes('tool on the part')")
-            files.sim.write_text(with_faults(files.sim.read_text(), {"device": device, "what": "unplug", "at_s": 0.0}))
-            os.kill(json.loads((files.sim_dir / "pids.json").read_text())[device], signal.SIGHUP)
-            pulled_s = time.monotonic()
-            page.until(f"document.getElementById('why').textContent.includes('{device}')")
-            took_s = time.monotonic() - pulled_s
-            assert page.run("document.getElementById('next').textContent")
-            page.until(f"document.getElementById('alarms').textContent.includes('{device}')")
-            limit_s = limits.get(f"{device}.silence_s", limits[f"{device}.watchdog_s"]) + SHOWN_S
-            assert took_s < limit_s or os.getloadavg()[0] > (os.cpu_count() or 1) / 2, took_s
             assert page.problems == []
 
 

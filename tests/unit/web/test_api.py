@@ -130,6 +130,28 @@ def test_an_order_that_is_not_obeyed_yet_says_so(web: Served, monkeypatch: pytes
     assert (said.status_code, said.json()) == (202, {"ok": True, "obeyed": False})
 
 
+async def test_a_hold_that_is_under_way_is_joined_by_whoever_gave_it_and_by_nobody_else(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Who wanted it stands in the journal, also where somebody else has wanted it before."""
+    answer, asked = threading.Event(), []
+
+    def request(_state_dir: Path, verb: str, *, args: dict[str, str]) -> dict[str, bool]:
+        asked.append((verb, args["by"]))
+        answer.wait(SOON_S)
+        return {"ok": True}
+
+    monkeypatch.setattr(orders.client, "request", request)
+    monkeypatch.setattr(orders, "TOLD_S", 0.01)
+    ours = orders.Orders(tmp_path)
+    for by in ("anna (web)", "ben (web)", "anna (web)"):
+        assert await ours.give("hold", {"by": by}, joined=True) is None
+    answer.set()
+    monkeypatch.setattr(orders, "TOLD_S", SOON_S)
+    assert await ours.give("stop", {"by": "anna (web)"}) == {"ok": True}
+    assert asked == [("hold", "anna (web)"), ("hold", "ben (web)"), ("stop", "anna (web)")]
+
+
 def test_what_the_daemon_refuses_is_said_in_its_words(web: Served) -> None:
     web.daemon.refuse = "resume is refused: clear is off, must be on"
     said = web.ask("POST", "/api/orders/resume", Role.OPERATE)
