@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -35,8 +34,8 @@ def faults_of(page: Page) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def axe() -> Iterator[str]:
-    yield (NODE_MODULES / "axe-core" / "axe.min.js").read_text()
+def axe() -> str:
+    return (NODE_MODULES / "axe-core" / "axe.min.js").read_text()
 
 
 def test_no_state_of_the_page_has_a_serious_fault(tmp_path: Path, axe: str) -> None:

@@ -32,8 +32,8 @@ def test_what_else_is_wrong_with_a_file_keeps_nobody_from_its_daemon(tmp_path: P
 
 @pytest.mark.parametrize(
     "text",
-    ["[cell\n", "", "cell = 1\n", '[cell]\nname = "bench"\n', '[cell]\nname = 1\nstate_dir = "state"\n', "include = 1\n",
-     'include = ["none.toml"]\n[cell]\nname = "bench"\nstate_dir = "state"\n'],
+    ["[cell\n", "", "cell = 1\n", '[cell]\nname = "bench"\n', '[cell]\nname = 1\nstate_dir = "state"\n',
+     "include = 1\n", 'include = ["none.toml"]\n[cell]\nname = "bench"\nstate_dir = "state"\n'],
 )  # fmt: skip
 def test_what_cannot_be_said_is_the_error_of_the_models(tmp_path: Path, text: str) -> None:
     (tmp_path / "cell.toml").write_text(text)
