@@ -12,7 +12,7 @@ import pytest
 
 from polishd.daemon.journal import Journal
 from polishd.model.events import Acknowledged, Held
-from polishd.web import limits, orders
+from polishd.web import disk, limits, orders
 from polishd.web.openapi import document, open_path
 from polishd.web.routes import ROUTES, Route
 from polishd.web.users import Role
@@ -128,6 +128,20 @@ def test_an_order_that_is_not_obeyed_yet_says_so(web: Served, monkeypatch: pytes
     said = web.ask("POST", "/api/orders/resume", Role.OPERATE)
     web.daemon.hang.set()
     assert (said.status_code, said.json()) == (202, {"ok": True, "obeyed": False})
+
+
+def test_an_alarm_is_found_however_much_came_after_it(web: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that somebody has seen stays seen, also where that stands on another page of the journal."""
+    monkeypatch.setattr(disk, "MOST_ROWS", 3)
+    with Journal.open(web.config.state_dir, job="demo", part_id="P", terms={}) as journal:
+        for number in range(8):
+            journal.record_event(Held(error=f"fault {number}", kind="LinkError"))
+        journal.flush()
+        first = web.ask("GET", "/api/alarms").json()["alarms"]
+        assert [one["what"] for one in first] == ["fault 0", "fault 1", "fault 2"]
+        journal.record_event(Acknowledged(alarms=[one["number"] for one in first], by="somebody"))
+        journal.flush()
+    assert [one["what"] for one in web.ask("GET", "/api/alarms").json()["alarms"]] == ["fault 3", "fault 4", "fault 5"]
 
 
 async def test_a_hold_that_is_under_way_is_joined_by_whoever_gave_it_and_by_nobody_else(
