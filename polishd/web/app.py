@@ -19,6 +19,7 @@ from starlette.types import ASGIApp
 from polishd.config.cell import CellConfig
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.web.api import Api
+from polishd.web.connections import Bounded
 from polishd.web.finite import finite
 from polishd.web.guard import Guard, hosts_of, refusal
 from polishd.web.limits import Rate
@@ -91,6 +92,7 @@ def serve(config: CellConfig) -> None:
         proxy_headers=False,
         timeout_keep_alive=30,
         timeout_graceful_shutdown=LEAVE_S,
+        http=Bounded,
         ws="none",
     )
     _Server(settings).run()
