@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import h11
-from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 
 HEAD_S = 10.0
 """Within so long of its first byte, or of the connection, the head of a request must have come."""
@@ -53,5 +53,6 @@ class Bounded(H11Protocol):
 
     def _too_slow(self) -> None:
         self._head = None
-        if not self.transport.is_closing() and (self.cycle is None or self.cycle.response_complete):
+        cycle: RequestResponseCycle | None = self.cycle  # before a first request there is none, whatever its type says
+        if not self.transport.is_closing() and (cycle is None or cycle.response_complete):
             self.transport.abort()
