@@ -177,7 +177,7 @@ def status(
 
         setup_verb(cell, as_json=as_json)
         return
-    from polishd.console.verbs import status_verb
+    from polishd.console.status import status_verb
 
     status_verb(cell, as_json=as_json)
 
@@ -223,7 +223,7 @@ def resume(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
 @app.command()
 def approve(cell: Cell, as_json: Json = False) -> None:
     """The plan that waits may run (job.approve)."""
-    from polishd.console.verbs import approve_verb
+    from polishd.console.status import approve_verb
 
     approve_verb(cell, as_json=as_json)
 
@@ -334,7 +334,7 @@ app.add_typer(workbench)
 
 
 def _order(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:
-    from polishd.console.verbs import order_verb
+    from polishd.console.status import order_verb
 
     order_verb(cell, verb, reason, as_json=as_json)
 

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import asdict, is_dataclass
 from typing import Any
 
-import numpy as np
-
 
 def plain(value: object) -> object:
     """For ``json.dumps(..., default=plain)``: numbers stay numbers, records become objects, the rest its text."""
+    import numpy as np  # only where something is no JSON by itself: who asks for a status waits for no numpy
+
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):

@@ -36,6 +36,7 @@ from polishd.config.tools import ToolSection, laid_over
 from polishd.config.values import Name, Texts, as_tuple
 from polishd.config.web import ServedDocument
 from polishd.hookspecs import DeviceType, NotifierType
+from polishd.model.devices import port_of
 from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.errors import ConfigError
 from polishd.model.limits import Envelope
@@ -182,11 +183,6 @@ TOOL_FILES = ("program", "tif")
 def tool_files(tools: Mapping[str, Any]) -> list[str]:
     """Keys that name files in tables of tools, by name."""
     return [f"tools.{name}.{key}" for name in tools for key in TOOL_FILES]
-
-
-def port_of(device: str) -> str:
-    """The port of a device, by its name."""
-    return device.partition(".")[0]
 
 
 def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> CellConfig:

@@ -8,7 +8,7 @@ from typing import Any
 
 import typer
 
-from polishd.daemon.endings import for_cell
+from polishd.daemon.last_word import for_cell
 from polishd.model.concern import Standing
 
 

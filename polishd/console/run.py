@@ -14,7 +14,7 @@ from polishd.config.cell import CellConfig
 from polishd.console.last_words import tell
 from polishd.console.progress import Show, progress
 from polishd.daemon.app import CellRun, run_cells
-from polishd.daemon.endings import for_cell
+from polishd.daemon.last_word import for_cell
 from polishd.hooks.cell import load_cell
 from polishd.model.errors import ConfigError, PolishdError, SafetyStop
 from polishd.model.events import Event

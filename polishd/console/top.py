@@ -19,7 +19,7 @@ from rich.text import Text
 
 from polishd.config.cell import CellConfig, load_config
 from polishd.daemon import client
-from polishd.daemon.endings import for_cell, last_ending
+from polishd.daemon.last_word import for_cell, last_ending
 from polishd.model.concern import Standing
 from polishd.model.errors import NoDaemon, PolishdError
 from polishd.model.tolerance import judged_of, worst

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -11,18 +10,14 @@ from typing import Any
 
 import typer
 from rich.console import Group
+from rich.markup import escape
 from rich.table import Table
 
-from polishd.config.cell import CellConfig, load_config
-from polishd.console.last_words import last_words
-from polishd.console.who import at_the_terminal
-from polishd.daemon import client
-from polishd.daemon.endings import Cause, for_cell, last_ending
+from polishd.config.cell import load_config
 from polishd.hooks.cell import load_cell, plugins_of
 from polishd.hooks.checks import DECLARATIONS
 from polishd.hooks.loader import load_own
-from polishd.model.errors import DeviceFault, NoDaemon
-from polishd.model.tolerance import judged_of, worst
+from polishd.model.errors import DeviceFault
 from polishd.show.tables import emit, key_table, outcome_tables, record_table, stderr, stdout
 from polishd.threads import run_loop
 
@@ -48,10 +43,11 @@ def plan_verb(
 
 def check_verb(cell: Path, *, as_json: bool) -> None:
     """Config, plugins, program and reach; opens nothing."""
-    from polishd.daemon.checking import check_cell
+    with stderr.status("checking: plugins") as shown:
+        from polishd.daemon.checking import check_cell  # it takes a while by itself
 
-    config, hooks = load_cell(cell)
-    facts = check_cell(config, hooks)
+        config, hooks = load_cell(cell)
+        facts = check_cell(config, hooks, lambda what: shown.update(f"checking: {escape(what)}"))
     plain = [(key, value) for key, value in facts.items() if key != "time limits"]
     emit(
         facts,
@@ -108,84 +104,6 @@ def _probed_tables(cell: str, devices: Mapping[str, Mapping[str, Any]], *, all_:
     wrong = any("error" in facts for facts in devices.values())
     safe = "all safe" if all_ and not wrong else "not made safe" if not all_ else "these answered"
     return [record_table(f"{cell}: {safe}", columns, answered)] if answered else []
-
-
-def status_verb(cell: Path, *, as_json: bool) -> None:
-    """Ask the running daemon; where none runs, what the last one left word of."""
-    config = load_config(cell)
-    try:
-        answer = client.request(config.state_dir, "status")
-    except NoDaemon as absent:
-        last = {"ok": False, "error": str(absent), **last_ending(config.state_dir)}
-        if as_json:
-            typer.echo(json.dumps(last))
-        else:
-            _tell_last(last, config.cell.name, cell)
-        raise typer.Exit(absent.exit_code) from None
-    words = {key: value for key, value in answer.items() if key not in {"ok", "cycles", "devices", "signals", "health"}}
-    rows = [(key, for_cell(str(value), cell)) for key, value in words.items() if value]
-    rows += [(name, _device(facts)) for name, facts in answer.get("devices", {}).items()]
-    rows += [(f"measurement {i}", _measured(cycle)) for i, cycle in enumerate(answer.get("cycles", []))]
-    rows += [
-        (name, f"{facts['text']}{': ' * bool(facts['wrong'])}{facts['wrong']}")
-        for name, facts in answer.get("signals", {}).items()
-    ]
-    rows += [(name, _figure(facts)) for name, facts in answer.get("health", {}).items()]
-    emit(answer, as_json=as_json, table=lambda: key_table(config.cell.name, rows))
-
-
-def _measured(cycle: Mapping[str, Any]) -> str:
-    farthest = worst(judged_of(cycle))
-    judged = f"; {'in tolerance' if farthest.holds else 'not in tolerance'}: {farthest}" if farthest else ""
-    return f"RMS {cycle['rms_nm']:.2f} nm{judged}"
-
-
-def _figure(facts: Mapping[str, Any]) -> str:
-    bound = "least" if facts["least"] else "most"
-    return f"{facts['value']:.4g} (at {bound} {facts['limit']:.4g}{'' if facts['fits'] else ': ' + facts['advice']})"
-
-
-def _device(facts: Mapping[str, Any]) -> str:
-    who = " ".join(facts[key] for key in ("vendor", "model", "serial") if facts.get(key))
-    heard_s = facts.get("heard_s_ago")
-    heard = "" if heard_s is None else f", heard {heard_s:.1f} s ago"
-    return who + heard + ("" if facts["used"] else " (not used by this job)")
-
-
-def _tell_last(last: Mapping[str, Any], name: str, cell: Path) -> None:
-    """Plain lines, as ``run`` ended with: a table would break commands and paths."""
-    rows = [(key, last[key]) for key in ("state", "at", "reason") if last.get(key)]
-    rows += [("cause", str(Cause(**cause))) for cause in last.get("causes", [])]
-    for key, text in [(name, "no daemon is running"), *rows, *last_words(last, cell)]:
-        typer.echo(f"{key}: {text}")
-
-
-def order_verb(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:
-    """Give the running daemon an order; returns when it is obeyed, and ends with the error where it is refused."""
-    config = load_config(cell)
-    said = {"reason": reason} if reason else {}
-    _told(config, verb, client.request(config.state_dir, verb, args={**said, "by": at_the_terminal()}), cell, as_json)
-
-
-def approve_verb(cell: Path, *, as_json: bool) -> None:
-    """Say that the plan that waits now may run."""
-    config = load_config(cell)
-    waits = {"program_sha256": client.request(config.state_dir, "live").get("approval", "")}
-    _told(
-        config,
-        "approve",
-        client.request(config.state_dir, "approve", args={**waits, "by": at_the_terminal()}),
-        cell,
-        as_json,
-    )
-
-
-def _told(config: CellConfig, verb: str, answer: Mapping[str, Any], cell: Path, as_json: bool) -> None:
-    if not answer["ok"]:
-        typer.echo(json.dumps(answer) if as_json else f"polishd: {answer['error']}", err=not as_json)
-        raise typer.Exit(answer.get("exit_code", 1))
-    rows = [(key, for_cell(str(value), cell)) for key, value in answer.items() if value]
-    emit(answer, as_json=as_json, table=lambda: key_table(f"{config.cell.name}: {verb}", rows))
 
 
 def plugins_verb(cell: Path | None, *, as_json: bool) -> None:

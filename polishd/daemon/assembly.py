@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, cast
 
-from polishd.config.cell import PORTS, CellConfig, device_options, notifier_options, port_of
+from polishd.config.cell import PORTS, CellConfig, device_options, notifier_options
 from polishd.config.sections import ForceSensorSection
 from polishd.daemon.cell import Cell, MonotonicClock
 from polishd.daemon.courier import Notifier
@@ -20,6 +20,7 @@ from polishd.daemon.time_limits import Limit, stays_on, too_short
 from polishd.hooks.loader import Hooks
 from polishd.hookspecs import DeviceContext
 from polishd.model.concern import Severity
+from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError, PluginError, PolishdError
 from polishd.model.program import Program
 from polishd.ports.devices import Device, ForceActuator, Monitor

@@ -10,13 +10,13 @@ from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from typing import NoReturn, cast
 
-from polishd.config.cell import PORTS, port_of
+from polishd.config.cell import PORTS
 from polishd.daemon.approval import Approval
 from polishd.daemon.listening import LET_GO_S, within
 from polishd.daemon.live import Live
 from polishd.daemon.signals import Signals
 from polishd.daemon.time_limits import TimeLimits, released_within_s, safe_within_s
-from polishd.model.devices import DeviceStatus, Identity, RobotProgress
+from polishd.model.devices import DeviceStatus, Identity, RobotProgress, port_of
 from polishd.model.errors import DeviceBusy, DeviceFault, LinkError
 from polishd.ports.clock import Clock
 from polishd.ports.devices import Device, ForceActuator, ForceSensor, Metrology, Robot, Spindle

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from polishd.config.cell import CellConfig, port_of
+from polishd.config.cell import CellConfig
 from polishd.config.job_file import JobFile
 from polishd.daemon.assembly import build_cell, build_notifiers, contact_limits, require_taken, require_time_limits
 from polishd.daemon.cell import Cell
@@ -25,7 +25,7 @@ from polishd.daemon.standing import blur, require_shallow
 from polishd.daemon.wire_recorder import place, recording_to
 from polishd.hooks.cell import hooks_of_job
 from polishd.hooks.loader import Hooks
-from polishd.model.devices import Identity
+from polishd.model.devices import Identity, port_of
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.ports.devices import ForceActuator
 from polishd.recipe import disk, foresight, steps, touch_off
@@ -34,17 +34,22 @@ from polishd.recipe.making import make_recipes, why_not_commissioned
 from polishd.recipe.program_fit import require_fit
 from polishd.recipe.recipe import Recipe
 
+Tell = Callable[[str], None]
+"""Given what is looked at next, in a few words."""
 
-def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
+
+def check_cell(config: CellConfig, hooks: Hooks, tell: Tell = lambda _: None) -> dict[str, Any]:
     """Read what the config names and compute along each tool's program. Opens nothing; the first fault is raised."""
+    tell("part, tool and instrument")
     recipes = make_recipes(config, hooks)
+    tell("devices and their time limits")
     cell = build_cell(config, hooks)
     chain = require_time_limits(config, cell)
     notifiers = build_notifiers(config, hooks)
     along: dict[str, Any] = {}
     for own, recipe in zip(config.turns, recipes, strict=True):
         of_tool = "" if recipe.turn is None else f"{recipe.turn.tool}: "
-        along |= {of_tool + key: value for key, value in _along(own, cell, hooks, recipe).items()}
+        along |= {of_tool + key: value for key, value in _along(own, cell, hooks, recipe, tell).items()}
     included = ", ".join(f"{key} from {file}" for key, file in config.included.items())
     return {
         "config": str(config.path),
@@ -65,12 +70,14 @@ def check_cell(config: CellConfig, hooks: Hooks) -> dict[str, Any]:
     }
 
 
-def _along(config: CellConfig, cell: Cell, hooks: Hooks, recipe: Recipe) -> dict[str, Any]:
+def _along(config: CellConfig, cell: Cell, hooks: Hooks, recipe: Recipe, tell: Tell) -> dict[str, Any]:
     """What can be said of the program that one tool runs along."""
     pit = require_shallow(config, cell, recipe)
+    tell(f"reading {config.program_path.name}")
     program = steps.read_program(recipe, config.program_path)
     require_taken(config, hooks, program)
     foresight.check_pass(config, recipe, program)
+    tell(f"reach and removal at {program.n} points")
     answer = steps.effect_of(recipe, program, steps.process_grid(recipe))
     compliance, gamma = answer.compliance_um_per_n, answer.gamma
     return {

@@ -18,11 +18,12 @@ from typing import Any, cast
 from polishd.daemon.cell import Cell
 from polishd.daemon.clearance import require_clear
 from polishd.daemon.cycle import polish
-from polishd.daemon.endings import causes, gone, standing, to_do
+from polishd.daemon.endings import causes, gone, standing
 from polishd.daemon.events import EventBus
 from polishd.daemon.health import Health
 from polishd.daemon.interruption import settle
 from polishd.daemon.job import Job
+from polishd.daemon.last_word import to_do
 from polishd.daemon.making import NoJob
 from polishd.daemon.orders import Order, Orders, unless
 from polishd.daemon.safety import make_safe

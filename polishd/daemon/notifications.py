@@ -12,8 +12,9 @@ from uuid import uuid4
 
 from polishd.config.cell import CellConfig
 from polishd.daemon.courier import Attempt, Courier, Notifier, kept_in, read_outbox
-from polishd.daemon.endings import for_cell, now
+from polishd.daemon.endings import now
 from polishd.daemon.events import EventBus, Sink
+from polishd.daemon.last_word import for_cell
 from polishd.model.concern import Concern, Severity
 from polishd.model.errors import PolishdError
 from polishd.model.events import Event, NotificationFailed

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from polishd.config.cell import port_of
 from polishd.daemon.cell import Cell
 from polishd.daemon.signal_watch import until_ready
-from polishd.model.devices import DeviceStatus
+from polishd.model.devices import DeviceStatus, port_of
 from polishd.model.errors import DeviceFault
 from polishd.model.events import Event
 

@@ -10,8 +10,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from polishd.config.places import did_you_mean, listed
-
 SUBSCRIBE = "subscribe"
 
 
@@ -91,6 +89,8 @@ _WORDS = {str: "a string", int: "a whole number", float: "a number", bool: "true
 
 def read_request(line: bytes, offered: Iterable[str]) -> tuple[str, dict[str, Any]]:
     """The verb of a request, one of those offered, and its arguments; ValueError says what is wrong with it."""
+    from polishd.config.places import did_you_mean, listed  # the daemon's: who asks has no need of the models
+
     known = list(offered)
     try:
         request = json.loads(line)

@@ -14,6 +14,7 @@ from starlette.types import ASGIApp
 
 from polishd.config.document import Document
 from polishd.config.web import WebSection
+from polishd.door.connections import Bounded
 from polishd.door.finite import finite
 from polishd.door.guard import refusal
 from polishd.model.errors import ConfigError, PolishdError
@@ -42,6 +43,7 @@ def serve(app: ASGIApp, document: Document, web: WebSection) -> None:
         proxy_headers=False,
         timeout_keep_alive=30,
         timeout_graceful_shutdown=LEAVE_S,
+        http=Bounded,
         ws="none",
     )
     _Server(settings).run()
@@ -73,7 +75,9 @@ async def answered(work: Awaitable[Any]) -> Response:
 
 async def _no_such(_request: Request, error: Exception) -> Response:
     status = error.status_code if isinstance(error, HTTPException) else 500
-    return refusal(status, "there is nothing of that name" if status == 404 else "that cannot be done there")
+    said = refusal(status, "there is nothing of that name" if status == 404 else "that cannot be done there")
+    said.headers.update((isinstance(error, HTTPException) and error.headers) or {})  # 405 says what can be done
+    return said
 
 
 async def _fault(request: Request, error: Exception) -> Response:

@@ -8,6 +8,11 @@ from typing import Literal
 RobotState = Literal["idle", "held", "running", "done", "fault"]
 
 
+def port_of(device: str) -> str:
+    """The port of a device, by its name."""
+    return device.partition(".")[0]
+
+
 @dataclass(frozen=True, slots=True)
 class Identity:
     """Who answered: the same for real and simulated devices."""

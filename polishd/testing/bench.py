@@ -13,12 +13,13 @@ from typing import Any
 
 import pytest
 
-from polishd.config.cell import PORTS, CellConfig, load_config, port_of
+from polishd.config.cell import PORTS, CellConfig, load_config
 from polishd.daemon.assembly import build_cell, require_time_limits
 from polishd.daemon.lock import locked
 from polishd.daemon.wire_recorder import place, recording_to
 from polishd.hooks.cell import plugins_of
 from polishd.hooks.loader import Hooks
+from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError
 from polishd.ports.devices import Device
 from polishd.testing.rig import Rig, Scope

@@ -10,8 +10,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from polishd.config.cell import CellConfig, port_of
+from polishd.config.cell import CellConfig
 from polishd.config.outline import as_keys
+from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError, DeviceFault
 
 MODULE = "polishd.sim_backends"

@@ -22,6 +22,7 @@ from polishd.web.watcher import Watcher
 MOST_REASON = 500
 MOST_WATCHERS = 200
 MOST_NUMBER = 1 << 53
+MAPS = ("measured", "predicted", "removal")
 
 
 class Api:
@@ -41,7 +42,7 @@ class Api:
         address = address_of(request)
         if self.sessions.lockout.locked(address):
             return refusal(429, "too many wrong tokens came from there; wait a minute")
-        user = self.sessions.user_of(str(_said(await _json(request), "token")), address)
+        user = self.sessions.user_of(_text(await _json(request), "token"), address)
         if user is None:
             return refusal(401, "that is nobody's token")
         cookie, session = self.sessions.begin(user)
@@ -86,7 +87,7 @@ class Api:
     async def map(self, request: Request, _session: Session) -> Any:
         """As an array."""
         kind = request.path_params["kind"]
-        if kind not in {"measured", "predicted", "removal"}:
+        if kind not in MAPS:
             raise ConfigError("there is no such map: measured, predicted or removal")
         return await asyncio.to_thread(self._disk.map, *_cycle(request), kind)
 
@@ -109,7 +110,7 @@ class Api:
     async def journal(self, request: Request, _session: Session) -> Any:
         """What happened, and who ordered it."""
         before = request.query_params.get("before")
-        if before is not None and not (before.isdecimal() and len(before) < 16):
+        if before is not None and not (before.isascii() and before.isdecimal() and int(before[:17]) <= MOST_NUMBER):
             raise ConfigError("before is the number of an event")
         return {"events": await asyncio.to_thread(self._disk.events, None if before is None else int(before))}
 
@@ -151,26 +152,26 @@ class Api:
 
     async def approve(self, request: Request, session: Session) -> Any:
         """That plan, and no other."""
-        program = str(_said(await _json(request), "program_sha256"))
+        program = _text(await _json(request), "program_sha256")
         return await self._ordered("approve", {"program_sha256": program, "by": _by(session)})
 
     async def acknowledge(self, request: Request, session: Session) -> Any:
         """Those alarms."""
-        said = _said(await _json(request), "alarms")
-        if not isinstance(said, list):
-            raise ConfigError("alarms is a list of numbers")
-        return await self._ordered("acknowledge", {"alarms": said, "by": _by(session)})
+        said = (await _json(request)).get("alarms")
+        if not isinstance(said, list) or not all(map(_whole, said)):
+            raise ConfigError("alarms must be given: a list of their numbers")
+        return await self._ordered("acknowledge", {"alarms": [int(one) for one in said], "by": _by(session)})
 
     async def move(self, request: Request, session: Session) -> Any:
         """A job that waits."""
         said = await _json(request)
-        args = {"job": str(_said(said, "job")), "where": str(_said(said, "where")), "other": str(said.get("other", ""))}
+        args = {"job": _text(said, "job"), "where": _text(said, "where"), "other": _text(said, "other", "")}
         return await self._ordered("job_move", {**args, "by": _by(session)})
 
     async def remove(self, request: Request, session: Session) -> Any:
         """A job that waits, or over which the cell is held."""
         said = await _json(request)
-        args = {"job": str(_said(said, "job")), "reason": _reason(said)}
+        args = {"job": _text(said, "job"), "reason": _reason(said)}
         return await self._ordered("job_remove", {**args, "by": _by(session)})
 
     async def _ordered(self, verb: str, args: Mapping[str, Any], *, joined: bool = False) -> Any:
@@ -227,11 +228,17 @@ async def _json(request: Request) -> dict[str, Any]:
     return found
 
 
-def _said(said: Mapping[str, Any], key: str) -> Any:
-    if key not in said:
-        raise ConfigError(f"{key} must be given")
-    return said[key]
+def _whole(said: Any) -> bool:
+    """A number of the journal; to JSON 3.0 is one, too."""
+    return type(said) in {int, float} and 0 <= said <= MOST_NUMBER and said == int(said)
+
+
+def _text(said: Mapping[str, Any], key: str, default: str | None = None) -> str:
+    """ConfigError where it is missing and there is no default, or is no text."""
+    if not isinstance(found := said.get(key, default), str):
+        raise ConfigError(f"{key} must be given: a text" if key not in said else f"{key} must be a text")
+    return found
 
 
 def _reason(said: Mapping[str, Any]) -> str:
-    return str(said.get("reason", ""))[:MOST_REASON]
+    return _text(said, "reason", "")[:MOST_REASON]

@@ -109,11 +109,20 @@ class Disk:
         return read_events(self._state_dir, MOST_ROWS, before)[::-1]
 
     def alarms(self) -> list[dict[str, Any]]:
-        """Those that nobody has acknowledged, the first one first: it is often why the others came."""
-        found = read_events(self._state_dir, MOST_ROWS, names=(*ALARMS, "acknowledged"))
+        """Those that nobody has acknowledged, the first one first: it is often why the others came.
+
+        However long ago it was; at most ``MOST_ROWS`` of them, and the others once these were seen.
+        """
+        found: list[dict[str, Any]] = []
+        before, full = None, True
+        while full:
+            older = read_events(self._state_dir, MOST_ROWS, before, (*ALARMS, "acknowledged"))
+            full = len(older) == MOST_ROWS
+            found = [*older, *found]
+            before = found[0]["number"] if found else None
         seen = {number for one in found if one["name"] == "acknowledged" for number in one["data"]["alarms"]}
         open_ = [one for one in found if one["name"] in ALARMS and one["number"] not in seen]
-        return [{**_alarm(one), "first": one is open_[0]} for one in open_]
+        return [{**_alarm(one), "first": one is open_[0]} for one in open_[:MOST_ROWS]]
 
     def history(self) -> list[dict[str, Any]]:
         """What became of each part."""

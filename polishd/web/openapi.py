@@ -6,16 +6,24 @@ import re
 from typing import Any
 
 from polishd import __version__
+from polishd.web.api import MAPS, MOST_NUMBER
 from polishd.web.routes import ROUTES, Route
 
 ERROR = {"type": "object", "properties": {"ok": {"type": "boolean"}, "error": {"type": "string"}}}
+NUMBER = {"type": "integer", "minimum": 0, "maximum": MOST_NUMBER}
+TYPES = {"string": {"type": "string"}, "array": {"type": "array", "items": NUMBER}}
 REFUSALS = {
     "400": "the request is wrong, and says how",
     "401": "nobody is signed in",
     "403": "the role does not suffice, or the request is forged",
     "404": "there is none",
+    "405": "that cannot be done there",
+    "408": "the body came too slowly",
     "409": "the daemon refuses it, and says why",
+    "413": "the body is too large",
+    "421": "asked for by a name that is none of this server's",
     "429": "too many requests",
+    "502": "the daemon answered what cannot be understood",
     "503": "no daemon runs",
     "504": "the daemon does not answer",
 }
@@ -53,19 +61,20 @@ def _operation(route: Route) -> dict[str, Any]:
     found: dict[str, Any] = {
         "summary": route.what,
         "description": f"Needs the role {route.role.value}, or more.",
-        "responses": _responses(stream=route.path == "/api/events"),
+        "responses": _responses(stream=route.path == "/api/events", order=route.method == "POST"),
         "parameters": [
-            {"name": name, "in": "path", "required": True, "schema": {"type": "integer" if number else "string"}}
+            {"name": name, "in": "path", "required": True, "schema": NUMBER if number else {"enum": list(MAPS)}}
             for name, number in names
         ],
     }
     if route.path == "/api/journal":
-        found["parameters"].append({"name": "before", "in": "query", "schema": {"type": "integer"}})
+        found["parameters"].append({"name": "before", "in": "query", "schema": NUMBER})
     if route.fields:
-        properties = {name.rstrip("?"): {"type": kind} for name, kind in route.fields}
+        properties = {name.rstrip("?"): TYPES[kind] for name, kind in route.fields}
         required = [name for name, _ in route.fields if not name.endswith("?")]
         schema = {"type": "object", "properties": properties, **({"required": required} if required else {})}
-        found["requestBody"] = _body(schema, required=bool(required))
+        # to stand still is never wrong: whatever the body is, the order is taken
+        found["requestBody"] = _body({} if route.exempt else schema, required=bool(required))
     return found
 
 
@@ -73,8 +82,9 @@ def _body(schema: dict[str, Any], *, required: bool = True) -> dict[str, Any]:
     return {"required": required, "content": {"application/json": {"schema": schema}}}
 
 
-def _responses(*, stream: bool = False) -> dict[str, Any]:
+def _responses(*, stream: bool = False, order: bool = False) -> dict[str, Any]:
     kind = "text/event-stream" if stream else "application/json"
     good = {"description": "done", "content": {kind: {"schema": {"type": "string" if stream else "object"}}}}
     error = {"application/json": {"schema": ERROR}}
-    return {"200": good, **{code: {"description": why, "content": error} for code, why in REFUSALS.items()}}
+    later = {"202": {**good, "description": "not obeyed yet; it stands"}} if order else {}
+    return {"200": good, **later, **{code: {"description": why, "content": error} for code, why in REFUSALS.items()}}

@@ -20,14 +20,15 @@ class Orders:
 
     def __init__(self, state_dir: Path) -> None:
         self._state_dir = state_dir
-        self._under_way: dict[str, asyncio.Future[dict[str, Any]]] = {}
+        self._under_way: dict[tuple[str, str], asyncio.Future[dict[str, Any]]] = {}
 
     async def give(self, verb: str, args: Mapping[str, Any], *, joined: bool = False) -> dict[str, Any] | None:
         """The daemon's answer; None: it has not obeyed yet. PolishdError where there is no daemon.
 
-        ``joined``: where the same order is under way already, its answer: who presses twice needs no second thread.
+        ``joined``: where the same order of the same person is under way already, its answer: who presses twice needs no
+        second thread. Another person's is one of its own, with its own ``by`` in the journal.
         """
-        under_way = self._under_way.get(verb) if joined else None
+        under_way = self._under_way.get(_key(verb, args)) if joined else None
         if under_way is None:
             under_way = self._sent(verb, args)
         try:
@@ -37,13 +38,13 @@ class Orders:
             return None
 
     def _sent(self, verb: str, args: Mapping[str, Any]) -> asyncio.Future[dict[str, Any]]:
-        loop = asyncio.get_running_loop()
+        loop, key = asyncio.get_running_loop(), _key(verb, args)
         answered: asyncio.Future[dict[str, Any]] = loop.create_future()
         answered.add_done_callback(lambda one: one.cancelled() or one.exception())  # heard, should nobody wait any more
 
         def settle(answer: dict[str, Any] | None, error: PolishdError | None) -> None:
-            if self._under_way.get(verb) is answered:
-                del self._under_way[verb]
+            if self._under_way.get(key) is answered:
+                del self._under_way[key]
             if answered.done():
                 return
             if error is not None:
@@ -60,6 +61,11 @@ class Orders:
             if not loop.is_closed():
                 loop.call_soon_threadsafe(settle, answer, failure)
 
-        self._under_way[verb] = answered
+        self._under_way[key] = answered
         threading.Thread(target=ask, name=f"order {verb}", daemon=True).start()
         return answered
+
+
+def _key(verb: str, args: Mapping[str, Any]) -> tuple[str, str]:
+    """What is ordered, and by whom."""
+    return verb, str(args.get("by", ""))

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.daemon import client
-from polishd.daemon.endings import last_ending
+from polishd.daemon.last_word import last_ending
 from polishd.door.finite import finite
 from polishd.model.errors import NoDaemon, PolishdError
 

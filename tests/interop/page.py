@@ -7,7 +7,19 @@ from dataclasses import dataclass, field
 
 from tests.interop.peers import Peer
 
-LINKS = ("Modbus RTU and TCP", "Modbus RTU", "Modbus TCP", "OPC UA", "ADS", "FTP", "SFTP", "CANopen", "RTDE")
+LINKS = (
+    "Modbus RTU and TCP",
+    "Modbus RTU",
+    "Modbus TCP",
+    "OPC UA",
+    "ADS",
+    "FTP",
+    "SFTP",
+    "CANopen",
+    "RTDE",
+    "HTTP",
+    "the page",
+)
 """In this order."""
 HEAD = """# Peers that nobody here wrote
 

@@ -6,9 +6,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from polishd.config.cell import CellConfig, port_of
+from polishd.config.cell import CellConfig
 from polishd.console.rehearsal.draft import Draft
 from polishd.files import require_writable
+from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError
 
 FOLDER_KEYS = ("folder", "claimed", "refused", "program_dir")

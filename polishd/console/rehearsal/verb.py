@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from polishd.config.cell import CellConfig, load_config, port_of
+from polishd.config.cell import CellConfig, load_config
 from polishd.config.simulator import load_simulator
 from polishd.console.rehearsal.draft import Draft
 from polishd.console.rehearsal.drives import add_actuator, add_spindle
@@ -21,6 +21,7 @@ from polishd.console.simulator import measure_artefact, run_simulator
 from polishd.files import write_atomic
 from polishd.hooks.cell import load_cell
 from polishd.hooks.loader import OWN, Hooks, installed
+from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError
 from polishd.show.tables import stderr
 from polishd.workbench.maps.commission import prove_profile

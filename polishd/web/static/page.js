@@ -16,6 +16,7 @@ function made(tag, text, kind) {
 }
 for (const one of document.querySelectorAll("[data-text]")) one.textContent = texts[one.dataset.text];
 for (const [value, text] of Object.entries(texts.kinds)) { const one = made("option", text); one.value = value; $("kind").append(one); }
+for (const one of document.querySelectorAll("canvas")) one.setAttribute("aria-label", texts.charts[one.id.replace("-line", "")] ?? texts.map);
 for (const text of texts.columns) { const one = made("th", text); one.scope = "col"; $("passes-head").append(one); }
 
 async function ask(method, path, body) {

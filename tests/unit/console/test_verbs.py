@@ -20,7 +20,8 @@ from polishd.console import demo, verbs
 from polishd.console.demo_files import DemoFiles, demo_program, with_values, write_demo
 from polishd.console.who import at_the_terminal
 from polishd.daemon import client
-from polishd.daemon.endings import RECORD_NAME, Cause, gone, keep_ending, standing
+from polishd.daemon.endings import gone, keep_ending, standing
+from polishd.daemon.last_word import RECORD_NAME, Cause
 from polishd.model import errors
 from polishd.model.errors import ConfigError, DeviceFault, PolishdError
 from polishd.plugins.rnc_robot.dialect import FOLDER, dialect

@@ -16,8 +16,8 @@ import pytest
 
 from polishd.daemon import app
 from polishd.daemon.client import request
-from polishd.daemon.endings import RECORD_NAME, last_ending
 from polishd.daemon.journal import Journal
+from polishd.daemon.last_word import RECORD_NAME, last_ending
 from polishd.daemon.making import figures as figures_of
 from polishd.model import errors
 from polishd.model.cycle import Outcome

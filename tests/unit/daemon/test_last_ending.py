@@ -10,18 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from polishd.daemon.endings import (
-    RECORD_NAME,
-    causes,
-    for_cell,
-    gone,
-    keep_ending,
-    keeping,
-    last_ending,
-    standing,
-    to_do,
-)
+from polishd.daemon.endings import causes, gone, keep_ending, keeping, standing
 from polishd.daemon.journal import Journal
+from polishd.daemon.last_word import RECORD_NAME, for_cell, last_ending, to_do
 from polishd.model.cycle import Outcome
 from polishd.model.errors import SafetyStop
 from polishd.model.events import Event, Failed, Held, PlanWritten, StateChanged

@@ -773,6 +773,6 @@ async def test_a_job_under_way_that_cannot_go_on_is_told_before_anything_is_open
 
 
 def test_states_of_a_queue_are_told_to_whoever_finds_the_daemon_gone() -> None:
-    from polishd.daemon.endings import NEXT
+    from polishd.daemon.last_word import NEXT
 
     assert {State.IDLE, State.CHANGING} <= set(NEXT)

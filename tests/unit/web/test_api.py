@@ -14,7 +14,7 @@ from polishd.daemon.journal import Journal
 from polishd.door import limits
 from polishd.door.users import Role
 from polishd.model.events import Acknowledged, Held
-from polishd.web import orders
+from polishd.web import disk, orders
 from polishd.web.openapi import document, open_path
 from polishd.web.routes import ROUTES, Route
 from tests.patience import SOON_S
@@ -63,9 +63,37 @@ def test_the_document_has_every_route_and_no_other(web: Served) -> None:
     assert json.loads(json.dumps(document()))["openapi"] == "3.1.0"
 
 
-def test_the_docs_have_every_route_with_its_role() -> None:
-    rows = [f"| `{route.method}` | `{open_path(route.path)}` | {route.role} | {route.what} |" for route in ROUTES]
-    assert "\n".join(rows) in DOCS.read_text(), "\n".join(rows)
+OPEN = (
+    ("POST", "/api/session", "sign in: a cookie for a token"),
+    ("GET", "/api/openapi.json", "what all this is, as OpenAPI"),
+)
+"""For whoever asks."""
+
+
+def endpoint_rows() -> list[str]:
+    """The table in docs/web.md: each endpoint with nobody and with each role."""
+    rows = ["| method | path | nobody | watch | operate | engineer | what |", "|---|---|---|---|---|---|---|"]
+    rows += [f"| `{method}` | `{path}` | yes | yes | yes | yes | {what} |" for method, path, what in OPEN]
+    for route in ROUTES:
+        may = " | ".join("yes" if role.may(route.role) else "403" for role in Role)
+        rows.append(f"| `{route.method}` | `{open_path(route.path)}` | 401 | {may} | {route.what} |")
+    return rows
+
+
+def test_the_docs_have_every_route_with_each_role() -> None:
+    """What stands there is what ``test_each_endpoint_with_each_role`` finds."""
+    assert "\n".join(endpoint_rows()) in DOCS.read_text(), "\n".join(endpoint_rows())
+
+
+def test_what_is_open_is_open(web: Served) -> None:
+    for method, path, _ in OPEN:
+        said = web.ask(method, path, None, **({"json": {"token": web.tokens[Role.WATCH]}} if method == "POST" else {}))
+        assert said.status_code == 200
+
+
+def test_405_says_what_can_be_done(web: Served) -> None:
+    said = web.ask("POST", "/api/state")
+    assert (said.status_code, set(said.headers["allow"].split(", "))) == (405, {"GET", "HEAD"})
 
 
 def test_hold_and_stop_get_through_while_all_else_hangs_and_over_every_limit(
@@ -101,6 +129,42 @@ def test_an_order_that_is_not_obeyed_yet_says_so(web: Served, monkeypatch: pytes
     said = web.ask("POST", "/api/orders/resume", Role.OPERATE)
     web.daemon.hang.set()
     assert (said.status_code, said.json()) == (202, {"ok": True, "obeyed": False})
+
+
+def test_an_alarm_is_found_however_much_came_after_it(web: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that somebody has seen stays seen, also where that stands on another page of the journal."""
+    monkeypatch.setattr(disk, "MOST_ROWS", 3)
+    with Journal.open(web.config.state_dir, job="demo", part_id="P", terms={}) as journal:
+        for number in range(8):
+            journal.record_event(Held(error=f"fault {number}", kind="LinkError"))
+        journal.flush()
+        first = web.ask("GET", "/api/alarms").json()["alarms"]
+        assert [one["what"] for one in first] == ["fault 0", "fault 1", "fault 2"]
+        journal.record_event(Acknowledged(alarms=[one["number"] for one in first], by="somebody"))
+        journal.flush()
+    assert [one["what"] for one in web.ask("GET", "/api/alarms").json()["alarms"]] == ["fault 3", "fault 4", "fault 5"]
+
+
+async def test_a_hold_that_is_under_way_is_joined_by_whoever_gave_it_and_by_nobody_else(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Who wanted it stands in the journal, also where somebody else has wanted it before."""
+    answer, asked = threading.Event(), []
+
+    def request(_state_dir: Path, verb: str, *, args: dict[str, str]) -> dict[str, bool]:
+        asked.append((verb, args["by"]))
+        answer.wait(SOON_S)
+        return {"ok": True}
+
+    monkeypatch.setattr(orders.client, "request", request)
+    monkeypatch.setattr(orders, "TOLD_S", 0.01)
+    ours = orders.Orders(tmp_path)
+    for by in ("anna (web)", "ben (web)", "anna (web)"):
+        assert await ours.give("hold", {"by": by}, joined=True) is None
+    answer.set()
+    monkeypatch.setattr(orders, "TOLD_S", SOON_S)
+    assert await ours.give("stop", {"by": "anna (web)"}) == {"ok": True}
+    assert asked == [("hold", "anna (web)"), ("hold", "ben (web)"), ("stop", "anna (web)")]
 
 
 def test_what_the_daemon_refuses_is_said_in_its_words(web: Served) -> None:

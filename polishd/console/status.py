@@ -1,0 +1,100 @@
+"""``polishd status``, and orders to the daemon that runs: what people wait for at the terminal.
+
+They need the name of a cell and where its socket is, and import nothing that they do not need: no numpy, no models.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from polishd.config.glance import Glance, glance
+from polishd.console.last_words import last_words
+from polishd.console.who import at_the_terminal
+from polishd.daemon import client
+from polishd.daemon.last_word import Cause, for_cell, last_ending
+from polishd.model.errors import NoDaemon
+from polishd.model.tolerance import judged_of, worst
+from polishd.show.tables import emit, key_table
+
+
+def status_verb(cell: Path, *, as_json: bool) -> None:
+    """Ask the running daemon; where none runs, what the last one left word of."""
+    place = glance(cell)
+    try:
+        answer = client.request(place.state_dir, "status")
+    except NoDaemon as absent:
+        last = {"ok": False, "error": str(absent), **last_ending(place.state_dir)}
+        if as_json:
+            typer.echo(json.dumps(last))
+        else:
+            _tell_last(last, place.name, cell)
+        raise typer.Exit(absent.exit_code) from None
+    words = {key: value for key, value in answer.items() if key not in {"ok", "cycles", "devices", "signals", "health"}}
+    rows = [(key, for_cell(str(value), cell)) for key, value in words.items() if value]
+    rows += [(name, _device(facts)) for name, facts in answer.get("devices", {}).items()]
+    rows += [(f"measurement {i}", _measured(cycle)) for i, cycle in enumerate(answer.get("cycles", []))]
+    rows += [
+        (name, f"{facts['text']}{': ' * bool(facts['wrong'])}{facts['wrong']}")
+        for name, facts in answer.get("signals", {}).items()
+    ]
+    rows += [(name, _figure(facts)) for name, facts in answer.get("health", {}).items()]
+    emit(answer, as_json=as_json, table=lambda: key_table(place.name, rows))
+
+
+def _measured(cycle: Mapping[str, Any]) -> str:
+    farthest = worst(judged_of(cycle))
+    judged = f"; {'in tolerance' if farthest.holds else 'not in tolerance'}: {farthest}" if farthest else ""
+    return f"RMS {cycle['rms_nm']:.2f} nm{judged}"
+
+
+def _figure(facts: Mapping[str, Any]) -> str:
+    bound = "least" if facts["least"] else "most"
+    return f"{facts['value']:.4g} (at {bound} {facts['limit']:.4g}{'' if facts['fits'] else ': ' + facts['advice']})"
+
+
+def _device(facts: Mapping[str, Any]) -> str:
+    who = " ".join(facts[key] for key in ("vendor", "model", "serial") if facts.get(key))
+    heard_s = facts.get("heard_s_ago")
+    heard = "" if heard_s is None else f", heard {heard_s:.1f} s ago"
+    return who + heard + ("" if facts["used"] else " (not used by this job)")
+
+
+def _tell_last(last: Mapping[str, Any], name: str, cell: Path) -> None:
+    """Plain lines, as ``run`` ended with: a table would break commands and paths."""
+    rows = [(key, last[key]) for key in ("state", "at", "reason") if last.get(key)]
+    rows += [("cause", str(Cause(**cause))) for cause in last.get("causes", [])]
+    for key, text in [(name, "no daemon is running"), *rows, *last_words(last, cell)]:
+        typer.echo(f"{key}: {text}")
+
+
+def order_verb(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:
+    """Give the running daemon an order; returns when it is obeyed, and ends with the error where it is refused."""
+    place = glance(cell)
+    said = {"reason": reason} if reason else {}
+    _told(place, verb, client.request(place.state_dir, verb, args={**said, "by": at_the_terminal()}), cell, as_json)
+
+
+def approve_verb(cell: Path, *, as_json: bool) -> None:
+    """Say that the plan that waits now may run."""
+    place = glance(cell)
+    waits = {"program_sha256": client.request(place.state_dir, "live").get("approval", "")}
+    _told(
+        place,
+        "approve",
+        client.request(place.state_dir, "approve", args={**waits, "by": at_the_terminal()}),
+        cell,
+        as_json,
+    )
+
+
+def _told(place: Glance, verb: str, answer: Mapping[str, Any], cell: Path, as_json: bool) -> None:
+    if not answer["ok"]:
+        typer.echo(json.dumps(answer) if as_json else f"polishd: {answer['error']}", err=not as_json)
+        raise typer.Exit(answer.get("exit_code", 1))
+    rows = [(key, for_cell(str(value), cell)) for key, value in answer.items() if value]
+    emit(answer, as_json=as_json, table=lambda: key_table(f"{place.name}: {verb}", rows))
