@@ -10,6 +10,7 @@ from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import Quadratic, quadratic
 from polishd.process.effect import Effect
 from polishd.process.several import single
+from polishd.process.spreading.effect import SpreadEffect
 
 # Beyond it, float64 leaves fewer than four digits of what the regularisation alone holds.
 ILL_CONDITIONED = 1e12
@@ -51,22 +52,30 @@ def sigma_max(effect: Effect, solve_mask: BoolArray, rounds: int = 200, toleranc
     """Largest singular value of R over ``solve_mask``, nm/s, by power iteration.
 
     R is not negative, so that a positive start cannot miss it. Stops where a round gains less than ``tolerance``
-    relative.
+    relative. Where the effect has a coarser one the vector is found with that, and its value with the effect itself: an
+    error of the vector enters by its square.
 
     Raises:
         ComputeError: the effect is zero or not finite.
     """
-    effect = single(effect)
+    if isinstance(effect, SpreadEffect) and effect.coarse is not None:
+        vector, _ = _largest(effect.coarse, effect.coarsely(solve_mask.astype(np.float64)), rounds, tolerance)
+        return float(np.linalg.norm(effect.removal_nm(vector)[solve_mask]))
+    return float(np.sqrt(_largest(single(effect), solve_mask.astype(np.float64), rounds, tolerance)[1]))
+
+
+def _largest(effect: Effect, counts: FloatArray, rounds: int, tolerance: float) -> tuple[FloatArray, float]:
+    """(n,) of length 1 and the eigenvalue of ``R' diag(counts) R``."""
     vector, value = np.full(effect.n, 1 / np.sqrt(effect.n)), 0.0
     for _ in range(rounds):
-        vector = effect.adjoint(np.where(solve_mask, effect.removal_nm(vector), 0.0))
+        vector = effect.adjoint(counts * effect.removal_nm(vector))
         last, value = value, float(np.linalg.norm(vector))
         if not np.isfinite(value) or value == 0:
             raise ComputeError("the effect is zero or not finite over solve_mask")
+        vector /= value
         if value - last <= tolerance * value:
             break
-        vector /= value
-    return float(np.sqrt(value))
+    return vector, value
 
 
 def regularisation_from_rho(effect: Effect, solve_mask: BoolArray, rho: float) -> float:

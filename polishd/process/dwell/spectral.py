@@ -112,17 +112,13 @@ def stepping(problem: DwellProblem, effect: SpreadEffect) -> DwellProblem:
 
     A cell counts by the share of its samples that count, and their weights; its target is nothing.
     """
-    coarse, fine = effect.coarse, effect.grid
-    if coarse is None:
+    if effect.coarse is None:
         return problem
-    times = round(coarse.grid.pitch_mm / fine.pitch_mm)
-    counts = np.zeros((coarse.grid.ny * times, coarse.grid.nx * times))
-    counts[: fine.ny, : fine.nx] = np.where(problem.solve_mask, 1.0 if problem.weight is None else problem.weight, 0.0)
-    share = counts.reshape(coarse.grid.ny, times, coarse.grid.nx, times).sum(axis=(1, 3))
+    share = effect.coarsely(np.where(problem.solve_mask, 1.0 if problem.weight is None else problem.weight, 0.0))
     mask = share > 0
     weight = share * (np.count_nonzero(mask) / np.count_nonzero(problem.solve_mask))
-    masks = {"solve_mask": mask, "metric_mask": mask}
-    return replace(problem, effect=coarse, target_nm=np.zeros(mask.shape), weight=weight, **masks)
+    nothing = np.zeros(mask.shape)
+    return replace(problem, effect=effect.coarse, target_nm=nothing, solve_mask=mask, metric_mask=mask, weight=weight)
 
 
 def _minimise(

@@ -28,8 +28,8 @@ from polishd.process.spreading.weights import outermost, spread
 TOLERANCE = 1e-3
 FINER = (1, 2, 3, 4)
 """Nodes to a sample's side that are tried: each product costs their square."""
-MISSED = (3.0, 1.0)
-"""What the family may miss of a spot (Euclidean norm), over the tolerance, as it is tried: 3 takes half as many
+MISSED = (10.0, 3.0, 1.0)
+"""What the family may miss of a spot (Euclidean norm), over the tolerance, as it is tried: 10 takes half as many
 convolutions as 1, and is mostly enough."""
 COARSE_CELLS = 10.0
 """Cells to half a spot's width of the effect that a solver's steps are found with: with 5 they lead astray."""
@@ -87,6 +87,14 @@ class SpreadEffect:
             coefficients=self.coefficients.astype(np.float32),
             spectra=self.spectra.astype(np.complex64),
         )
+
+    def coarsely(self, values: FloatArray) -> FloatArray:
+        """(ny, nx) -> (rows, columns) of the coarser effect's grid: the sum over the samples of each of its cells."""
+        grid = self.grid if self.coarse is None else self.coarse.grid
+        times = round(grid.pitch_mm / self.grid.pitch_mm)
+        whole = np.zeros((grid.ny * times, grid.nx * times))
+        whole[: self.grid.ny, : self.grid.nx] = values
+        return np.asarray(whole.reshape(grid.ny, times, grid.nx, times).sum(axis=(1, 3)))
 
     def removal_nm(self, time_s: FloatArray) -> FloatArray:
         """(n,) s -> (ny, nx) nm."""

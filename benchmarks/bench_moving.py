@@ -1,0 +1,109 @@
+"""A dwell for a tool that polishes while it moves, without a matrix: ours, L-BFGS-B by the same products, and a matrix.
+
+From the path to a dwell whose objective is within GAP of the least: to make the effect is in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from benchmarks.bench_dwell import FEED_MM_S, Goal, lbfgsb, path, require, surface
+from benchmarks.bench_dwell import ours as newton
+from benchmarks.bench_effect import Case
+from benchmarks.harness import Progress, Row, Runner, race
+from polishd.model.surface import FloatArray, Grid
+from polishd.process.dwell import newton_cg, spectral
+from polishd.process.dwell.problem import DwellProblem
+from polishd.process.dwell.quadratic import quadratic
+from polishd.process.dwell.sampled_tif import MATRIX_ENTRIES
+from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
+from polishd.process.dynamic_tif import effect_matrix
+from polishd.process.effect import Effect, SparseEffect
+from polishd.process.paths.apertures import circle
+from polishd.process.paths.raster import raster
+from polishd.process.spreading.effect import SpreadEffect, spread_effect
+
+GAP = 1e-6
+CASES = (Case(300.0, 1.0, 1.0, 1.7, 2e-2), Case(200.0, 0.5, 0.93, 10.0, 1e-3))
+CAP_S = 900.0
+CLOSE = (1e-5, 3e-6, 1e-6, 3e-7)
+"""KKT residuals that are tried until the gap is reached, before the race."""
+
+
+def rows(progress: Progress) -> Iterator[Row]:
+    """Small spots and large ones."""
+    for case in CASES:
+        progress(f"moving: preparing phi {case.diameter_mm:g} mm, spot {case.radius_mm:g} mm")
+        yield compared(Part(case), progress)
+
+
+def goal_of(problem: DwellProblem, start_s: FloatArray) -> Goal:
+    return Goal(newton_cg.solve(problem, 3600.0, 1e-8, start_s).certificate.objective * (1 + GAP))
+
+
+class Part:
+    """A disc, a raster on it, and what of it the race needs to know before."""
+
+    def __init__(self, case: Case) -> None:
+        self.case = case
+        side = int((case.diameter_mm + 2 * case.radius_mm) / case.pitch_mm) + 1
+        self.grid = Grid(side, side, case.pitch_mm)
+        self.program = path(raster(circle(case.diameter_mm), case.step_mm, case.step_mm))
+        self.gamma = np.asarray(0.875 + 0.035 * np.sin(self.program.end_mm[:, 0] / 30))
+        self.problem = self.of(self.without())
+        self.goal = goal_of(self.problem, spectral.solve(self.problem, 3600.0, CLOSE[-1]).time_s)
+        self.by_matrix = self.of(self.matrix()) if self.small else None
+        if self.by_matrix is None:
+            self.kkt = next(kkt for kkt in CLOSE if self.reached(kkt))
+        else:  # of its own problem: the effect without a matrix is a little another one
+            self.matrix_goal = goal_of(self.by_matrix, self.by_matrix.lower_s)
+
+    @property
+    def small(self) -> bool:
+        return self.program.n * np.pi * (self.case.radius_mm / self.case.pitch_mm) ** 2 < MATRIX_ENTRIES
+
+    def reached(self, kkt: float) -> bool:
+        return spectral.solve(self.problem, 3600.0, kkt).certificate.objective <= self.goal.objective
+
+    def without(self) -> SpreadEffect:
+        spot, one = self.case.spot, np.ones(self.program.n)
+        return spread_effect(self.grid, spot, self.program, self.gamma, one, tolerance=self.case.tolerance)
+
+    def matrix(self) -> SparseEffect:
+        one = np.ones(self.program.n)
+        return SparseEffect(self.grid, effect_matrix(self.grid, self.case.spot, self.program, self.gamma, one))
+
+    def of(self, effect: Effect) -> DwellProblem:
+        """The same figure for any of its effects, and time enough that bounds bind at some points only."""
+        solve, clear = (self.grid.radius_mm() <= self.case.diameter_mm / 2 - edge for edge in (0.0, 3.0))
+        height, lower = surface(self.grid, solve), self.program.length_mm / FEED_MM_S
+        target = height + choose_piston_nm(height, solve, effect.removal_nm(lower))
+        p = regularisation_from_rho(effect, solve, 1e-4)
+        return DwellProblem(effect, target, solve, clear, lower, np.full(lower.size, np.inf), p)
+
+
+def compared(part: Part, progress: Progress) -> Row:
+    """CPU seconds from the lower bound."""
+    case, n = part.case, part.program.n
+    name = f"dwell of a moving tool, phi {case.diameter_mm:g} mm, {n} blocks, spot {case.radius_mm:g} mm, gap {GAP:g}"
+    peers: dict[str, Runner] = {"scipy L-BFGS-B (m = 10), no matrix": partial(by_lbfgsb, part)}
+    return race(name, partial(ours, part), peers, progress=progress, peer_cap_s=CAP_S)
+
+
+def ours(part: Part) -> None:
+    """As a cell takes it: a small matrix and projected Newton-CG, or none and alternating directions."""
+    if part.by_matrix is None:
+        problem = replace(part.problem, effect=part.without())
+        require(quadratic(problem), spectral.solve(problem, 3600.0, part.kkt).time_s, problem, part.goal)
+        return
+    problem = replace(part.by_matrix, effect=part.matrix())
+    newton(problem, quadratic(problem), part.matrix_goal)
+
+
+def by_lbfgsb(part: Part) -> None:
+    problem = replace(part.problem, effect=part.without())
+    lbfgsb(problem, quadratic(problem), part.goal)
