@@ -30,8 +30,6 @@ from polishd.process.spreading.effect import SpreadEffect, spread_effect
 GAP = 1e-6
 CASES = (Case(300.0, 1.0, 1.0, 1.7, 2e-2), Case(200.0, 0.5, 0.93, 10.0, 1e-3))
 CAP_S = 900.0
-CLOSE = (1e-5, 3e-6, 1e-6, 3e-7)
-"""KKT residuals that are tried until the gap is reached, before the race."""
 
 
 def rows(progress: Progress) -> Iterator[Row]:
@@ -55,19 +53,14 @@ class Part:
         self.program = path(raster(circle(case.diameter_mm), case.step_mm, case.step_mm))
         self.gamma = np.asarray(0.875 + 0.035 * np.sin(self.program.end_mm[:, 0] / 30))
         self.problem = self.of(self.without())
-        self.goal = goal_of(self.problem, spectral.solve(self.problem, 3600.0, CLOSE[-1]).time_s)
+        self.goal = goal_of(self.problem, spectral.solve(self.problem, 3600.0, 0.0, GAP / 10).time_s)
         self.by_matrix = self.of(self.matrix()) if self.small else None
-        if self.by_matrix is None:
-            self.kkt = next(kkt for kkt in CLOSE if self.reached(kkt))
-        else:  # of its own problem: the effect without a matrix is a little another one
+        if self.by_matrix is not None:  # of its own problem: the effect without a matrix is a little another one
             self.matrix_goal = goal_of(self.by_matrix, self.by_matrix.lower_s)
 
     @property
     def small(self) -> bool:
         return self.program.n * np.pi * (self.case.radius_mm / self.case.pitch_mm) ** 2 < MATRIX_ENTRIES
-
-    def reached(self, kkt: float) -> bool:
-        return spectral.solve(self.problem, 3600.0, kkt).certificate.objective <= self.goal.objective
 
     def without(self) -> SpreadEffect:
         spot, one = self.case.spot, np.ones(self.program.n)
@@ -98,7 +91,7 @@ def ours(part: Part) -> None:
     """As a cell takes it: a small matrix and projected Newton-CG, or none and alternating directions."""
     if part.by_matrix is None:
         problem = replace(part.problem, effect=part.without())
-        require(quadratic(problem), spectral.solve(problem, 3600.0, part.kkt).time_s, problem, part.goal)
+        require(quadratic(problem), spectral.solve(problem, 3600.0, 0.0, GAP).time_s, problem, part.goal)
         return
     problem = replace(part.by_matrix, effect=part.matrix())
     newton(problem, quadratic(problem), part.matrix_goal)

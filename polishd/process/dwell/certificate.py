@@ -56,7 +56,7 @@ def certified(
         band = band_rms(residual, mask, pitch, problem.band_period_mm)
     f = f or quadratic(problem)
     objective, slope = f.at(t)
-    gap = _largest_gap(problem, t, f, objective, slope)
+    gap = gap_at(problem, t, objective, slope)
     told = [note for note in (conditioning_note(problem, f), effect_note(problem.effect)) if note is not None]
     certificate = Certificate(
         solver=solver,
@@ -93,11 +93,12 @@ def largest_gap(problem: DwellProblem, time_s: FloatArray, f: Quadratic | None =
     an upper bound, infinite. It costs one gradient.
     """
     f = f or quadratic(problem)
-    return _largest_gap(problem, time_s, f, *f.at(time_s))
+    return gap_at(problem, time_s, *f.at(time_s))
 
 
-def _largest_gap(problem: DwellProblem, time_s: FloatArray, f: Quadratic, value: float, g: FloatArray) -> float:
-    p = f.regularisation
+def gap_at(problem: DwellProblem, time_s: FloatArray, value: float, g: FloatArray) -> float:
+    """`largest_gap` where objective and gradient (n,) are at hand."""
+    p = problem.regularisation
     down = np.where(g > 0, time_s - problem.lower_s, 0.0)
     up = np.where(g < 0, problem.upper_s - time_s, 0.0)
     step = np.maximum(np.maximum(up, down), 0.0)

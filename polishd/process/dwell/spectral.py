@@ -21,7 +21,7 @@ from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell import newton_cg
-from polishd.process.dwell.certificate import certified
+from polishd.process.dwell.certificate import certified, gap_at
 from polishd.process.dwell.limit import TimeLimit
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadratic, warm_start_s
@@ -36,8 +36,11 @@ PULL = 3.0
 At 1.5 a KKT residual of 1e-4 takes a quarter more steps, at 0.7 half as many again."""
 LEAST_REGULARISATION = 1e-5
 """Regularisation below this share of the most curvature is taken for this, in the pull only."""
-LOOK_EVERY = 40
-"""Steps between two looks with the effect itself, in float64: each costs as much as ten to fifty steps."""
+LOOK_EVERY, LOOK_AGAIN = 40, 0.25
+"""Steps between two looks with the effect itself, in float64, at least, and over those taken so far: each look costs as
+much as ten to fifty steps."""
+ACCEPTED = 5e-5
+"""KKT residual at which a gap that is small enough ends it: a cell accepts 1e-4."""
 STALLED, LOOKS = 0.9, 5
 """A residual above this share of what it was so many looks ago has met float32's floor."""
 
@@ -56,13 +59,13 @@ class Metric:
     def inverse(self, slope: FloatArray) -> FloatArray:
         """(n,) -> (n,): ``(held + S K* K S')^-1``, exact where the path lays down the same on every node."""
         where, weights = self.effect.where, self.effect.weights
-        nodes = (weights.T @ slope).reshape(where.lattice)
-        spectrum = scipy.fft.rfft2(nodes.astype(self.share.dtype), where.size)
+        nodes = (weights.T @ slope.astype(self.share.dtype)).reshape(where.lattice)
+        spectrum = scipy.fft.rfft2(nodes, where.size)
         back = scipy.fft.irfft2(self.share * spectrum, where.size)[: where.lattice[0], : where.lattice[1]]
         return np.asarray((slope - weights @ back.ravel()) / self.held, dtype=np.float64)
 
 
-def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-5) -> DwellSolution:
+def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-5, gap: float = 1e-4) -> DwellSolution:
     """Solve the dwell problem, or come as far as the time allows.
 
     Args:
@@ -72,6 +75,8 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-5) -
             returned, within the bounds, and its certificate says ``deadline`` and how far from the minimum it is.
         kkt_tolerance: the KKT residual (see Certificate) to stop at. Where the steps do not get there, `newton_cg` goes
             on.
+        gap: stop at ACCEPTED already where the objective is proved to be within so much of the least, relative; with
+            next to no regularisation that proves little, and the residual decides.
 
     Returns:
         The dwell with its certificate.
@@ -84,7 +89,7 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-5) -
     if not isinstance(problem.effect, SpreadEffect):
         raise ComputeError(f"{NAME} needs an effect without a matrix: use newton_cg")
     f = quadratic(problem)
-    found, steps, stopped = _minimise(problem, problem.effect, f, kkt_tolerance, limit)
+    found, steps, stopped = _minimise(problem, problem.effect, f, (kkt_tolerance, gap), limit)
     if stopped == "stalled":
         last = newton_cg.solve(problem, limit.left_s, kkt_tolerance, found)
         return replace(last, certificate=replace(last.certificate, seconds=limit.cpu_s))
@@ -122,31 +127,36 @@ def stepping(problem: DwellProblem, effect: SpreadEffect) -> DwellProblem:
 
 
 def _minimise(
-    problem: DwellProblem, effect: SpreadEffect, f: Quadratic, kkt_tolerance: float, limit: TimeLimit
+    problem: DwellProblem, effect: SpreadEffect, f: Quadratic, tolerances: tuple[float, float], limit: TimeLimit
 ) -> tuple[FloatArray, int, str]:
     """(n,) the best dwell by its KKT residual, the steps taken, and why it stopped."""
+    kkt_tolerance, gap = tolerances
     lower, upper = problem.lower_s, problem.upper_s
     bending = stepping(problem, effect)
     near, pull = metric(bending, effect.coarse or effect)
     bend_of = f.rough_curvature if bending is problem else quadratic(bending).rough_curvature
     start = warm_start_s(problem, f)
     bounded = lower.copy() if start is None else np.clip(start, lower, upper)
-    at_lower, step = f.gradient(lower), f.safe_step
-    gradient = at_lower if start is None else f.gradient(bounded)
-    enough = kkt_tolerance * float(np.abs(at_lower).max())
+    at_lower = f.at(lower)
+    value, gradient = at_lower if start is None else f.at(bounded)
+    scale = float(np.abs(at_lower[1]).max()) or 1.0
     multiplier = -np.where(_held_back(gradient, bounded, lower, upper), gradient, 0.0) / pull
     free = bent = offset = bounded.copy()  # the dwell without bounds; its gradient is bent + offset
-    best, least, history = bounded, np.inf, list[float]()
+    best, least, history, look = bounded, np.inf, list[float](), 0
     for steps in range(MAX_STEPS):
         late = limit.expired()
-        if late or steps % LOOK_EVERY == 0:
-            gradient = f.gradient(bounded) if steps else gradient
-            left = float(np.abs(projected_gradient(gradient, bounded, lower, upper, step)).max())
+        if late or steps == look:
+            value, gradient = f.at(bounded) if steps else (value, gradient)
+            left = float(np.abs(projected_gradient(gradient, bounded, lower, upper, f.safe_step)).max()) / scale
             history.append(left)
             if left < least:
                 best, least = bounded.copy(), left
-            if left <= enough or late:
-                return best, steps, "converged" if least <= enough else "deadline"
+            proved = left <= ACCEPTED and gap_at(problem, bounded, value, gradient) <= gap * value
+            if proved or least <= kkt_tolerance:
+                return bounded if proved else best, steps, "converged"
+            if late:
+                return best, steps, "deadline"
+            look = steps + max(LOOK_EVERY, int(LOOK_AGAIN * steps))
             if len(history) > LOOKS and least > STALLED * min(history[:-LOOKS]):
                 return best, steps, "stalled"
             bent, offset = bend_of(free), gradient - bend_of(bounded)
