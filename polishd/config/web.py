@@ -45,8 +45,16 @@ class WebSection(Section):
             return self.address == "localhost"
 
 
+class CellWebSection(WebSection):
+    """Where `polishd web` serves the cell's page and HTTP API. Left out: for this computer only."""
+
+    metrics: bool = False
+    """Answer `GET /metrics` with figures for Prometheus, to whoever has a token (docs/plant-systems.md). Needs
+    polishd[metrics]."""
+
+
 class ServedDocument(PartDocument):
     """A cell's file, as far as it says where the cell is watched from, and which shop it belongs to."""
 
-    web: WebSection = WebSection()
+    web: CellWebSection = CellWebSection()
     shop: ShopLinkSection | None = None
