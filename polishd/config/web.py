@@ -8,6 +8,7 @@ from typing import Annotated, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from polishd.config.physics import PartDocument
+from polishd.config.plant import OpcUaSection
 from polishd.config.shop_link import ShopLinkSection
 from polishd.config.values import Section, Text, as_tuple
 
@@ -54,7 +55,8 @@ class CellWebSection(WebSection):
 
 
 class ServedDocument(PartDocument):
-    """A cell's file, as far as it says where the cell is watched from, and which shop it belongs to."""
+    """A cell's file, as far as it says who watches the cell, and which shop it belongs to."""
 
     web: CellWebSection = CellWebSection()
     shop: ShopLinkSection | None = None
+    opcua: OpcUaSection | None = None
