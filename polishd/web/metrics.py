@@ -70,7 +70,7 @@ class Snapshot(Collector):
                   {(__version__, self.cell): 1}, ("version", "cell"))  # fmt: skip
         yield _one("polishd_daemon_up", "1: the daemon answers; 0: none runs, or it is silent.", up)
         live = self.state["live"] if up else None
-        if live is not None:
+        if live is not None and "state" in live:  # a refusal has none
             passed_s = self.state["age_s"] or 0.0
             yield _one("polishd_daemon_answer_age_seconds", "How long ago the daemon answered.", passed_s)
             yield from _doing(live)

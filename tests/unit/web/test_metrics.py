@@ -118,6 +118,13 @@ def test_without_a_daemon_nothing_is_told_as_if_live(daemon: str) -> None:
     assert found["polishd_parts_total", "in_tolerance"] == 3, "the journal is there all the same"
 
 
+def test_a_daemon_that_refuses_has_told_nothing() -> None:
+    state = {"daemon": "up", "age_s": 0.1, "live": {"ok": False, "error": "unknown verb 'live'"}}
+    found = told(Snapshot("cell 7", state, TALLY).collect())
+    assert ("polishd_cell_state", "polishing") not in found
+    assert found["polishd_parts_total", "in_tolerance"] == 3
+
+
 def test_names_are_those_of_the_daemon() -> None:
     assert set(STATES) == set(State)
     assert set(OUTCOMES) == {*Outcome, "put_aside"}
