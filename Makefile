@@ -93,8 +93,9 @@ format: $(VENV)/.installed ## format the sources and mend what the linter can me
 	@$(BIN)/ruff check --quiet --fix-only .
 	@$(BIN)/ruff format --quiet .
 
-reference: $(VENV)/.installed ## write docs/reference, the pages of all config keys, from the models
+reference: $(VENV)/.installed ## write docs/reference, the pages of all config keys, and the man page docs/polishd.1, from the source
 	@$(BIN)/python -m docs.reference.write
+	@$(BIN)/python -m docs.reference.man
 
 bench: $(VENV)/.installed ## race polishd against its peers, into build/bench.json (ARGS="name ...")
 	@$(ONE_THREAD) $(BIN)/python -m benchmarks $(ARGS)

@@ -13,7 +13,7 @@ import typer
 from typer import Argument, Option
 
 from polishd import __version__
-from polishd.console.cli import Reason, jobs, recordings, reports, services
+from polishd.console.cli import Reason, jobs, opcua, recordings, reports, services
 from polishd.console.shop_cli import app as shops
 from polishd.model.errors import PolishdError
 from polishd.workbench.cli import app as workbench
@@ -325,6 +325,7 @@ def version() -> None:
     typer.echo(__version__)
 
 
+app.command()(opcua)
 app.add_typer(jobs, name="job", no_args_is_help=True)
 app.add_typer(services, name="service", no_args_is_help=True)
 app.add_typer(recordings, name="record", no_args_is_help=True)

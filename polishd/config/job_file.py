@@ -31,6 +31,7 @@ OF_THE_CELL = (
     "notify",
     "certificate",
     "shop",
+    "opcua",
 )
 """What a job cannot say."""
 OWN = (("job", "id"), ("part", "id"))

@@ -8,6 +8,7 @@ from typing import Annotated, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from polishd.config.physics import PartDocument
+from polishd.config.plant import OpcUaSection
 from polishd.config.shop_link import ShopLinkSection
 from polishd.config.values import Section, Text, as_tuple
 
@@ -45,8 +46,17 @@ class WebSection(Section):
             return self.address == "localhost"
 
 
-class ServedDocument(PartDocument):
-    """A cell's file, as far as it says where the cell is watched from, and which shop it belongs to."""
+class CellWebSection(WebSection):
+    """Where `polishd web` serves the cell's page and HTTP API. Left out: for this computer only."""
 
-    web: WebSection = WebSection()
+    metrics: bool = False
+    """Answer `GET /metrics` with figures for Prometheus, to whoever has a token (docs/plant-systems.md). Needs
+    polishd[metrics]."""
+
+
+class ServedDocument(PartDocument):
+    """A cell's file, as far as it says who watches the cell, and which shop it belongs to."""
+
+    web: CellWebSection = CellWebSection()
     shop: ShopLinkSection | None = None
+    opcua: OpcUaSection | None = None

@@ -25,6 +25,13 @@ Queued = Annotated[bool, Option("--queue", help="They work their queues, as with
 Scope = Annotated[bool, Option("--system/--user", help="The computer's systemd, or that of the present user.")]
 
 
+def opcua(cell: Cell) -> None:
+    """Serve a cell to OPC UA clients on this computer, as a machine of OPC 40001-1; ends with Ctrl-C. Reads only."""
+    from polishd.console.plant import opcua_verb
+
+    opcua_verb(cell)
+
+
 @jobs.command("add")
 def job_add(
     *,

@@ -38,7 +38,7 @@ RULES = (
         "how a device is reached, its time limits, and what it watches",
     ),
     Rule(
-        ("notify.*", "web.*", "certificate.*", "shop*"),
+        ("notify.*", "web.*", "certificate.*", "shop*", "opcua*"),
         True,
         "who hears of it, watches and orders, who certifies it, and where it came from",
     ),

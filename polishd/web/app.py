@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager
 from importlib import resources
 
@@ -18,7 +18,7 @@ from polishd.door.guard import Guard, hosts_of, refusal
 from polishd.door.limits import Rate
 from polishd.door.server import HANDLERS, answered
 from polishd.door.sessions import Sessions, address_of, forged
-from polishd.door.users import Users, users_path
+from polishd.door.users import Role, Users, users_path
 from polishd.model.errors import PolishdError
 from polishd.web.api import Api
 from polishd.web.openapi import document
@@ -58,6 +58,7 @@ def application(config: CellConfig) -> ASGIApp:
     routes += [
         Path("/api/session", sign_in, methods=["POST"]),
         Path("/api/openapi.json", described, methods=["GET"]),
+        *(Path(route.path, _endpoint(api, rate, route), methods=[route.method]) for route in _metrics(config)),
         *(Path(path, _file(*file), methods=["GET"]) for path, file in FILES.items()),
     ]
     app = Starlette(routes=routes, lifespan=lifespan, exception_handlers=HANDLERS)
@@ -91,6 +92,19 @@ def _endpoint(api: Api, rate: Rate, route: Route) -> Callable[[Request], Awaitab
         return await answered(route.does(api, request, session))
 
     return answer
+
+
+def _metrics(config: CellConfig) -> Iterator[Route]:
+    """One, where they are wanted. ConfigError where their library is missing."""
+    if not config.web.metrics:
+        return
+    try:
+        from polishd.web.metrics import Metrics
+    except ImportError as error:
+        raise config.error("web.metrics", "needs prometheus-client, which is not installed: pip install "
+                           "'polishd[metrics]', or leave it out") from error  # fmt: skip
+    metrics = Metrics(config)
+    yield Route("GET", "/metrics", Role.WATCH, "figures for Prometheus", metrics.answer)
 
 
 def _file(name: str, kind: str) -> Callable[[Request], Awaitable[Response]]:

@@ -131,6 +131,17 @@ class Disk:
         found: list[dict[str, Any]] = json.loads(json.dumps(read_history(self._state_dir), default=plain))
         return found
 
+    def tally(self) -> dict[str, Any]:
+        """How many parts ended how (``parts``) and passes (``passes``), and what the last map of the last job shows.
+
+        That is ``measured``, as the journal has it; None: that job has no map yet.
+        """
+        parts = self._rows("SELECT outcome, count(*) FROM job WHERE outcome IS NOT NULL GROUP BY outcome")
+        passes = self._rows("SELECT how, count(*) FROM pass WHERE how IS NOT NULL GROUP BY how")
+        sql = "SELECT stats FROM map WHERE job = (SELECT max(id) FROM job) ORDER BY id DESC LIMIT 1"
+        measured = [json.loads(stats) for (stats,) in self._rows(sql)]
+        return {"parts": dict(parts), "passes": dict(passes), "measured": measured[0] if measured else None}
+
     def _plan(self, job: int, cycle: int) -> dict[str, NDArray[Any]]:
         name = self._one("SELECT plan FROM pass WHERE job = ? AND cycle = ?", job, cycle)[0]
         return self._store.get(name)

@@ -1,7 +1,9 @@
-"""node-opcua: its server before our driver, and its client at our simulated PLC."""
+"""node-opcua: its server before our driver, and its client at our simulated PLC and at a cell's server."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,16 +11,20 @@ from typing import Any
 import pytest
 
 from polishd.api import LinkError, ProtocolError
+from polishd.config.cell import load_config
 from polishd.config.controller_profile import load_controller_profile
+from polishd.console.demo_files import write_demo
 from polishd.drivers.handover.opcua import OpcUa
 from polishd.drivers.handover.variables import watched, written
 from tests.interop.devices import DONE, IDLE, QUICK, READY
 from tests.interop.peers import Peer, Program, program
 from tests.system.sim_rig import Cell, cell, wait_for
+from tests.unit.web.served import answering
 
 PEER = Peer("node-opcua", "OPC UA", "server and client", "npm", "node-opcua")
 pytestmark = PEER.needed
 
+MACHINE = '\n[opcua]\nport = 0\nmanufacturer = "Maker"\nserial_number = "7"\nproduct_instance_uri = "urn:maker:7"\n'
 TABLE = load_controller_profile("plc-opcua", Path()).variables
 TYPES = {
     "bool": ("Boolean", False), "uint16": ("UInt16", 0), "uint32": ("UInt32", 0), "double": ("Double", 0.0),
@@ -101,6 +107,29 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
 def client(running: Cell) -> Iterator[Program]:
     with program("opcua.js", "client", running.endpoints["robot"]) as peer:
         yield peer
+
+
+def test_its_client_finds_a_cell_as_a_machine(tmp_path: Path) -> None:
+    cell_file = write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
+    cell_file.write_text(cell_file.read_text() + MACHINE)
+    config = load_config(cell_file)
+    command = [sys.executable, "-m", "polishd.cli", "opcua", str(cell_file)]
+    with answering(config.state_dir), subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        url = server.stdout.readline().strip()
+        with program("opcua.js", "client", url) as peer:
+
+            def seen(*path: str) -> list[str]:
+                return list(peer.ask(walk=["Machines", config.cell.name, *path]))
+
+            state = ("MachineryItemState", "CurrentState")
+            wait_for(lambda: seen(*state) == ["Good", "Executing"], "the state of the daemon")
+            assert seen("MachineryOperationMode", "CurrentState") == ["Good", "Processing"]
+            assert seen("Identification", "ProductInstanceUri") == ["Good", "urn:maker:7"]
+            assert seen("MachineryBuildingBlocks", *state) == ["Good", "Executing"]
+            assert seen("Cell", "Force_N")[0] == "BadNoData"
+            assert seen("Identification", "Colour") == ["absent", "Colour"]
+        server.terminate()
 
 
 def test_its_client_finds_all_that_our_plc_has(client: Program) -> None:

@@ -65,7 +65,18 @@ async function client() {
   const session = await made.createSession();
   const index = (await session.readNamespaceArray()).indexOf(NAMESPACE);
   const node = (name) => `ns=${index};s=${name}`;
-  const answer = async ({ browse, read, write }) => {
+  const answer = async ({ browse, read, write, walk }) => {
+    if (walk) {
+      let at = opcua.resolveNodeId("ObjectsFolder");
+      for (const name of walk) {
+        const { references } = await session.browse(at);
+        const found = references.find(({ browseName }) => browseName.name === name);
+        if (!found) return ["absent", name];
+        at = found.nodeId;
+      }
+      const { statusCode, value } = await session.read({ nodeId: at, attributeId: opcua.AttributeIds.Value });
+      return [statusCode.name, value ? value.value && (value.value.text || value.value.toString()) : null];
+    }
     if (browse) {
       const objects = (await session.browse("ObjectsFolder")).references;
       const polishd = objects.find(({ browseName }) => browseName.name === "polishd");

@@ -76,6 +76,7 @@ def test_example_shows_every_key_or_its_section_defaults(example: str) -> None:
             "tools",
             "certificate",
             "shop",
+            "opcua",
         }, name
         section: Any = HybridSection if name == "kinematics" else field.annotation
         for key, inner in getattr(section, "model_fields", {}).items():

@@ -1,0 +1,99 @@
+"""The man page, written from the verbs and options of the command line: ``python -m docs.reference.man``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from polishd import __version__
+from polishd.cli import app
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "polishd.1"
+EXAMPLES = (
+    ("polishd demo", "Polish a simulated part, from the first map to the report."),
+    ("polishd init new-cell", "Begin a cell of your own; it says what is still to be done."),
+    ("polishd check CELL.toml && polishd run CELL.toml", "Look at all of it, and run its daemon."),
+    ("polishd hold CELL.toml --reason 'a scratch'", "Leave contact, and wait for resume."),
+    ("polishd status CELL.toml --json", "What the daemon does, for a program."),
+)
+"""Commands, and what they are for."""
+INTERRUPTED = ("130", "Ctrl-C")
+
+
+def page() -> str:
+    """The whole page, in roff."""
+    return "\n".join(_lines()) + "\n"
+
+
+def exit_codes() -> list[tuple[str, str]]:
+    """Each code with its meaning, as the table in README.md has them."""
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    first = next(index for index, line in enumerate(lines) if line.startswith("| 0 | 1 | 2 |"))
+    codes, said = ([cell.strip() for cell in lines[row].strip("|").split("|")] for row in (first, first + 2))
+    return [*zip(codes, said, strict=True), INTERRUPTED]
+
+
+def _lines() -> Iterator[str]:
+    command: Any = typer.main.get_command(app)
+    yield '.\\" Written by make reference, from the command line itself.'
+    yield f'.TH POLISHD 1 "" "polishd {__version__}" "User Commands"'
+    yield from (".SH NAME", f"polishd {_roff('-')} {_roff(_sentence(command.help).rstrip('.').lower())}")
+    yield from (".SH SYNOPSIS", ".B polishd", _roff("COMMAND [OPTIONS] [ARGUMENTS]"))
+    yield from (".SH DESCRIPTION", _roff(_sentence(command.help)))
+    yield _roff("The daemon of a cell runs with polishd run; the other commands make its files, or speak to it.")
+    yield _roff("Each command has --help, which says the same as this page, and most have --json.")
+    yield ".SH COMMANDS"
+    yield from _commands(command, "polishd")
+    yield ".SH EXIT STATUS"
+    for code, what in exit_codes():
+        yield from (".TP", f".B {code}", _roff(what))
+    yield ".SH EXAMPLES"
+    for line, what in EXAMPLES:
+        yield from (".TP", f".B {_roff(line)}", _roff(what))
+    yield from (".SH SEE ALSO", _roff("The documentation of polishd: docs/index.md beside its source."))
+
+
+def _commands(group: Any, path: str) -> Iterator[str]:
+    """Each of a group, those of groups in it under their whole names."""
+    for name, command in sorted(group.commands.items()):
+        if command.hidden:
+            continue
+        whole = f"{path} {name}"
+        if hasattr(command, "commands"):
+            yield from _commands(command, whole)
+            continue
+        context = typer.Context(command, info_name=whole)
+        pieces = [piece for piece in command.collect_usage_pieces(context) if piece != "[OPTIONS]"]
+        yield f".SS {_quoted(' '.join([whole, *pieces]))}"
+        yield _roff(_sentence(command.help))
+        for param in command.get_params(context):
+            record = None if "--help" in getattr(param, "opts", ()) else param.get_help_record(context)
+            if record is not None:
+                yield from (
+                    ".TP",
+                    f".B {_roff(_sentence(record[0]))}",
+                    _roff(_sentence(record[1]) or "As its name says."),
+                )
+
+
+def _sentence(text: str | None) -> str:
+    return re.sub(r"\s+", " ", text or "").strip()
+
+
+def _quoted(text: str) -> str:
+    return '"' + _roff(text).replace('"', "\\(dq") + '"'
+
+
+def _roff(text: str) -> str:
+    """As it stands: nothing in it is a request, and a hyphen can be copied."""
+    safe = text.replace("\\", "\\e").replace("-", "\\-")
+    return f"\\&{safe}" if safe.startswith((".", "'")) else safe
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")

@@ -1,0 +1,201 @@
+"""A cell in an OPC UA server's address space: a machine of OPC 40001-1, and what polishd knows beside that.
+
+Every value has a status. One that was not told now is Bad and has no value, or Uncertain where it is old: it never
+stands there as if it were live.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime, timedelta
+from importlib import resources
+from typing import Any, NamedTuple
+
+from asyncua import Node, Server, ua
+
+from polishd import __version__
+from polishd.config.plant import OpcUaSection
+from polishd.plant.states import NO_DAEMON, STATES, Said
+
+DI, MACHINERY = "http://opcfoundation.org/UA/DI/", "http://opcfoundation.org/UA/Machinery/"
+FILES = ("Opc.Ua.Di.NodeSet2.xml", "Opc.Ua.IA.NodeSet2.xml", "Opc.Ua.Machinery.NodeSet2.xml")
+"""In the order in which one needs the other."""
+MACHINES, ITEM_STATE, IDENTIFICATION, OPERATION_MODE = 1001, 1002, 1012, 1008
+"""Nodes of Machinery: the folder of machines, and types."""
+OLD_S = 2.0
+"""A reading of that age is no longer live."""
+Status = ua.StatusCodes
+TEXT, NUMBER, WHOLE, BOOLEAN = (
+    ua.VariantType.String, ua.VariantType.Double, ua.VariantType.Int64, ua.VariantType.Boolean,
+)  # fmt: skip
+EMPTY: Mapping[ua.VariantType, Any] = {TEXT: "", NUMBER: 0.0, WHOLE: 0, BOOLEAN: False}
+"""What a variable is made with; nobody sees it, as it is told to be unknown before anybody can ask."""
+
+
+class Shown(NamedTuple):
+    """A variable of polishd's own: where it stands in ``live``, and its type."""
+
+    name: str
+    path: tuple[str, ...]
+    kind: ua.VariantType
+    what: str
+
+
+SHOWN = (
+    Shown("State", ("state",), TEXT, "What the daemon does."),
+    Shown("Reason", ("reason",), TEXT, "Why it is held, or ended."),
+    Shown("Next", ("next",), TEXT, "What a person is to do."),
+    Shown("Job", ("job",), TEXT, "The job under way."),
+    Shown("Part", ("part",), TEXT, "Its part."),
+    Shown("Cycle", ("cycle",), WHOLE, "Number of the cycle under way; the first is 0."),
+    Shown("Phase", ("phase",), TEXT, "Of the cycle."),
+    Shown("Pressing", ("pressing",), BOOLEAN, "The tool is on the part."),
+    Shown("Force_N", ("told", "force", "force_n"), NUMBER, "Force that the actuator measures, N."),
+    Shown("SensedForce_N", ("told", "sensed", "force_n"), NUMBER, "Force of the independent sensor, N."),
+    Shown("SpindleSpeed_rpm", ("told", "speed", "rpm"), NUMBER, "Speed of the spindle, 1/min."),
+)
+
+
+class Machine:
+    """One cell's node, and how its values are told; made by ``added``."""
+
+    def __init__(self, server: Server, namespace: int, own: Mapping[Shown, Node], state: Node, mode: Node) -> None:
+        self._server, self._namespace, self._own = server, namespace, own
+        self._state, self._mode = state, mode
+
+    @classmethod
+    async def added(cls, server: Server, name: str, section: OpcUaSection) -> Machine:
+        """Import the companion models, and put the cell under ``Machines``."""
+        for file in FILES:
+            text = (resources.files("polishd.plant") / "nodesets" / file).read_text(encoding="utf-8")
+            await server.import_xml(xmlstring=text, auto_load_definitions=False)
+        machinery = await server.get_namespace_index(MACHINERY)
+        own = await server.register_namespace(f"urn:polishd:{name}")
+
+        def id_(path: str) -> ua.NodeId:
+            """The same after each start, so that clients find it again."""
+            return _id(path, own)
+
+        machines = server.get_node(_id(MACHINES, machinery))
+        machine = await machines.add_object(id_("Machine"), ua.QualifiedName(name, own))
+        blocks = await machine.add_folder(id_("Blocks"), ua.QualifiedName("MachineryBuildingBlocks", machinery))
+
+        async def block(bname: ua.QualifiedName, kind: int) -> Node:
+            type_ = _id(kind, machinery)
+            node = await machine.add_object(id_(bname.Name), bname, objecttype=type_, instantiate_optional=False)
+            await machine.delete_reference(node.nodeid, ua.ObjectIds.HasComponent)
+            for parent in (blocks, machine):
+                await parent.add_reference(node.nodeid, ua.ObjectIds.HasAddIn)
+            return node
+
+        di = await server.get_namespace_index(DI)
+        who = await block(ua.QualifiedName("Identification", di), IDENTIFICATION)
+        await _identify(who, name, section, (di, machinery, own))
+        state = await block(ua.QualifiedName("MachineryItemState", machinery), ITEM_STATE)
+        mode = await block(ua.QualifiedName("MachineryOperationMode", machinery), OPERATION_MODE)
+        cell = await machine.add_object(id_("Cell"), ua.QualifiedName("Cell", own))
+        shown = {}
+        for one in SHOWN:
+            bname, type_ = ua.QualifiedName(one.name, own), _id(getattr(ua.ObjectIds, one.kind.name), 0)
+            node = shown[one] = await cell.add_variable(
+                id_(f"Cell.{one.name}"), bname, EMPTY[one.kind], one.kind, type_
+            )
+            await node.write_attribute(ua.AttributeIds.Description, _good(ua.LocalizedText(one.what)))
+        found = cls(server, machinery, shown, state, mode)
+        await found.silent()
+        return found
+
+    async def told(self, live: Mapping[str, Any]) -> None:
+        """What the daemon has just answered to ``live``."""
+        now = datetime.now(UTC)
+        await self._said(STATES[live["state"]])
+        for one, node in self._own.items():
+            await self._server.write_attribute_value(node.nodeid, _of(live, one, now))
+
+    async def no_daemon(self) -> None:
+        """None runs: the machine is not available, and that is known; of all else nothing is."""
+        await self._said(NO_DAEMON)
+        await self._unknown(self._own.values(), Status.BadNoCommunication)
+
+    async def silent(self) -> None:
+        """It was not asked yet, or does not answer: nothing is known."""
+        nodes = [part for machine in (self._state, self._mode) for part in await _current(machine)]
+        await self._unknown([*nodes, *self._own.values()], Status.BadNoCommunication)
+
+    async def _said(self, said: Said) -> None:
+        for machine, state, word in ((self._state, said.item, said.item.name), (self._mode, said.mode, said.mode.said)):
+            current, number = await _current(machine)
+            node = _id(int(state), self._namespace)
+            text = ua.LocalizedText(word, "en")
+            await self._server.write_attribute_value(current.nodeid, _good(text))
+            await self._server.write_attribute_value(number.nodeid, _good(node))
+
+    async def _unknown(self, nodes: Any, status: int) -> None:
+        for node in nodes:
+            await self._server.write_attribute_value(node.nodeid, _nothing(status))
+
+
+async def _current(machine: Node) -> tuple[Node, Node]:
+    """Its CurrentState, and the Id of that."""
+    current = await machine.get_child("0:CurrentState")
+    return current, await current.get_child("0:Id")
+
+
+async def _identify(node: Node, name: str, section: OpcUaSection, spaces: tuple[int, int, int]) -> None:
+    """Mandatory ones are there with the type; others are added where they are known."""
+    di, machinery, own = spaces
+    mandatory = {
+        "Manufacturer": ua.LocalizedText(section.manufacturer),
+        "SerialNumber": section.serial_number,
+        "ProductInstanceUri": section.product_instance_uri,
+    }
+    for key, value in mandatory.items():
+        child = await node.get_child(ua.QualifiedName(key, di))
+        await child.write_value(_good(value))
+    await node.add_property(
+        _id("Identification.ComponentName", own), ua.QualifiedName("ComponentName", di), ua.LocalizedText(name)
+    )
+    await node.add_property(
+        _id("Identification.SoftwareRevision", own), ua.QualifiedName("SoftwareRevision", di), f"polishd {__version__}"
+    )
+    if section.model is not None:
+        await node.add_property(
+            _id("Identification.Model", own), ua.QualifiedName("Model", di), ua.LocalizedText(section.model)
+        )
+    if section.location is not None:
+        await node.add_property(
+            _id("Identification.Location", own), ua.QualifiedName("Location", machinery), section.location
+        )
+
+
+def _of(live: Mapping[str, Any], one: Shown, now: datetime) -> ua.DataValue:
+    """Bad where there is no such value; Uncertain, with the time at which it was told, where it is old."""
+    found: Any = live
+    age_s = 0.0
+    for key in one.path:
+        if (found := found.get(key)) is None:
+            return _nothing(Status.BadNoData)
+        if isinstance(found, Mapping):
+            age_s = found.get("age_s", age_s)
+    status = Status.UncertainLastUsableValue if age_s > OLD_S else Status.Good
+    return _value(ua.Variant(found, one.kind), status, now - timedelta(seconds=age_s))
+
+
+def _good(value: Any) -> ua.DataValue:
+    return _value(ua.Variant(value), Status.Good, datetime.now(UTC))
+
+
+def _nothing(status: int) -> ua.DataValue:
+    return _value(ua.Variant(None), status, datetime.now(UTC))
+
+
+# asyncua's types ask for its own kinds of numbers and times, and it takes Python's.
+
+
+def _value(value: ua.Variant, status: Any, told: Any) -> ua.DataValue:
+    now: Any = datetime.now(UTC)
+    return ua.DataValue(value, ua.StatusCode(status), told, now)
+
+
+def _id(identifier: Any, namespace: Any) -> ua.NodeId:
+    return ua.NodeId(identifier, namespace)
