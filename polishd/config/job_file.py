@@ -32,6 +32,7 @@ OF_THE_CELL = (
     "certificate",
     "shop",
     "opcua",
+    "web",
 )
 """What a job cannot say."""
 OWN = (("job", "id"), ("part", "id"))
